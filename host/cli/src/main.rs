@@ -1,0 +1,2 @@
+//! simod
+fn main() {}

@@ -1,0 +1,75 @@
+//! Errors as values: what is wrong and where, and what to do about it.
+
+use std::path::Path;
+
+/// Result of every fallible function of the host's crates.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// What sort of failure it was, for callers that treat some of them specially.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ErrorKind {
+    /// The operating system refused to read or write.
+    Io,
+    /// A file's content is not what its format, or its own header, says.
+    Format,
+    /// The content is well-formed, but there is nothing that can be worked on (no vertices, say).
+    Degenerate,
+    /// Files that belong together do not fit (another vertex count, a source changed since sampling).
+    Mismatch,
+    /// A value given by the user is out of its range, unknown or of another type.
+    Argument,
+    /// A plugin is missing, cannot be loaded, or failed.
+    Plugin,
+    /// The user asked to stop.
+    Cancelled,
+}
+
+/// A failure: one line that says what and where, one that says what to do.
+#[derive(Debug, thiserror::Error)]
+#[error("{what}")]
+pub struct Error {
+    kind: ErrorKind,
+    what: String,
+    hint: String,
+}
+
+impl Error {
+    /// A failure of the given kind; `what` names the thing and the place, `hint` what to do.
+    pub fn new(kind: ErrorKind, what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { kind, what: what.into(), hint: hint.into() }
+    }
+
+    /// A refused file operation: `action` completes "cannot …", as in "cannot read x.ply: permission denied".
+    pub fn io(action: &str, path: &Path, source: &std::io::Error) -> Self {
+        use std::io::ErrorKind as K;
+        let hint = match source.kind() {
+            K::NotFound => "check the path; it is relative to the current folder",
+            K::PermissionDenied => "check the permissions of the file and of its folder",
+            K::StorageFull | K::QuotaExceeded => "free some space, or write to another disk",
+            K::IsADirectory => "give the path of a file, not of a folder",
+            K::NotADirectory => "a part of the path is a file where a folder is needed",
+            K::ReadOnlyFilesystem => "write to another disk",
+            _ => "check the disk and the path, then try again",
+        };
+        // "No such file or directory (os error 2)" without the number, which helps nobody.
+        let text = source.to_string();
+        let text = text.split(" (os error").next().unwrap_or(&text).to_lowercase();
+        Self::new(ErrorKind::Io, format!("cannot {action} {}: {text}", path.display()), hint)
+    }
+
+    /// The user asked to stop.
+    pub fn cancelled() -> Self {
+        Self::new(ErrorKind::Cancelled, "cancelled", "nothing was written; start again when you like")
+    }
+
+    /// What sort of failure it was.
+    pub fn kind(&self) -> ErrorKind {
+        self.kind
+    }
+
+    /// What to do about it: one line, no full stop.
+    pub fn hint(&self) -> &str {
+        &self.hint
+    }
+}

@@ -1,0 +1,15 @@
+//! simod-core: freeform deformation that does not care about size.
+//!
+//! A huge model `P_L` is streamed to a small point set `P_S` ([`sampling`]); anything may deform `P_S` to
+//! `P_S*`; the deformation is streamed back onto `P_L` ([`reconstruction`]). Follows
+//! T. Boubekeur, O. Sorkine, C. Schlick, *SIMOD: Making Freeform Deformation Size-Insensitive*,
+//! Eurographics Symposium on Point-Based Graphics 2007.
+//!
+//! Nothing here holds memory proportional to `P_L`, prints, opens a window, or knows of plugins.
+
+pub mod error;
+pub mod model;
+pub mod progress;
+
+pub use error::{Error, ErrorKind, Result};
+pub use progress::Progress;

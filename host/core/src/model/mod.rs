@@ -1,0 +1,119 @@
+//! Models behind one streaming interface: vertices come in chunks, and go out as patched chunks.
+//!
+//! A model is never held: readers keep one chunk of at most [`CHUNK_VERTICES`] vertices, and
+//! [`Model::rewrite`] at most four of them at a time.
+
+use std::io::Write;
+use std::ops::Range;
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+
+use crate::{Progress, Result};
+
+/// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
+pub const CHUNK_VERTICES: usize = 1 << 16;
+
+/// How positions are stored in the file. They are written back in the same type.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scalar {
+    /// 32-bit IEEE float.
+    F32,
+    /// 64-bit IEEE float.
+    F64,
+}
+
+/// What is known of a model once it is open, before any vertex is read.
+#[derive(Debug, Clone)]
+pub struct ModelInfo {
+    /// The file format for people, as "PLY 1.0, binary little endian".
+    pub format: String,
+    /// Number of vertices that the file holds.
+    pub vertices: u64,
+    /// Number of faces (polygons, or strips), where the file has any.
+    pub faces: u64,
+    /// Whether each vertex has a normal.
+    pub has_normals: bool,
+    /// The type of the positions.
+    pub position_type: Scalar,
+    /// Vertex properties other than position and normal, in the file's order, as "uchar red".
+    pub other_properties: Vec<String>,
+    /// Size of the file in bytes.
+    pub bytes: u64,
+    /// Bytes of the file that hold vertices (what one streaming pass reads).
+    pub vertex_bytes: u64,
+}
+
+/// A run of consecutive vertices, in the file's order.
+#[derive(Debug, Default)]
+pub struct VertexChunk {
+    /// Index in the model of the first vertex here.
+    pub first: u64,
+    /// Positions in the model's coordinates. May be non-finite, where the file says so.
+    pub positions: Vec<DVec3>,
+    /// Normals as stored, so not always of unit length or finite; empty where the model has none.
+    pub normals: Vec<Vec3>,
+    /// The bytes of the file that these vertices were read from.
+    pub(crate) raw: Vec<u8>,
+    /// Where in `raw` each vertex' numbers lie; what it means is the format's business.
+    pub(crate) spans: Vec<[u32; 2]>,
+}
+
+impl VertexChunk {
+    /// Number of vertices in the chunk.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there is no vertex in the chunk.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// The bytes of the file that these vertices were read from.
+    pub fn raw(&self) -> &[u8] {
+        &self.raw
+    }
+}
+
+/// Reads consecutive vertices of a model, a chunk at a time.
+pub trait VertexReader: Send {
+    /// Reads the next vertices into `chunk`, whose buffers are reused; `false` (and an empty chunk) at the end.
+    ///
+    /// # Errors
+    /// The file cannot be read, ends early or, in a text format, holds something that is no number.
+    fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool>;
+}
+
+/// A model on disk that can be streamed any number of times, from several threads.
+pub trait Model: Send + Sync {
+    /// What is known without reading the vertices.
+    fn info(&self) -> &ModelInfo;
+
+    /// The file.
+    fn path(&self) -> &Path;
+
+    /// A reader of the vertices whose indices lie in `range` (clipped to the model).
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
+
+    /// Streams the whole file to `out`, with every vertex passing through `edit`, which may change positions
+    /// and normals in place; every other byte is copied as it is.
+    ///
+    /// A vertex whose position is not finite keeps its bytes, whatever `edit` writes, and so does a component
+    /// that `edit` left as it was. Reading, `edit` and writing overlap, with at most four chunks in flight;
+    /// `edit` is called on one thread, in the file's order. Advances `progress` by the bytes of the file
+    /// written; the caller begins the stage.
+    ///
+    /// # Errors
+    /// The file cannot be read, is not what its header says, or changed length; `out` cannot be written; `edit`
+    /// failed or gave a finite vertex a non-finite position; the user cancelled.
+    fn rewrite(
+        &self,
+        out: &mut (dyn Write + Send),
+        edit: &mut (dyn FnMut(&mut VertexChunk) -> Result<()> + Send),
+        progress: &dyn Progress,
+    ) -> Result<()>;
+}

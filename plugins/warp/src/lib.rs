@@ -1,0 +1,1 @@
+//! Barr warps.
