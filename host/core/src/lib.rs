@@ -9,6 +9,7 @@
 
 pub mod error;
 pub mod model;
+pub mod output;
 pub mod progress;
 
 pub use error::{Error, ErrorKind, Result};

@@ -3,6 +3,10 @@
 //! A model is never held: readers keep one chunk of at most [`CHUNK_VERTICES`] vertices, and
 //! [`Model::rewrite`] at most four of them at a time.
 
+mod pipeline;
+pub mod ply;
+mod source;
+
 use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
@@ -10,6 +14,7 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 
 use crate::{Progress, Result};
+use source::Source;
 
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
 pub const CHUNK_VERTICES: usize = 1 << 16;
@@ -40,7 +45,8 @@ pub struct ModelInfo {
     pub other_properties: Vec<String>,
     /// Size of the file in bytes.
     pub bytes: u64,
-    /// Bytes of the file that hold vertices (what one streaming pass reads).
+    /// Bytes of the file that hold vertices (what one streaming pass reads). In a text file where other things
+    /// follow the vertices, an estimate.
     pub vertex_bytes: u64,
 }
 
@@ -76,6 +82,21 @@ impl VertexChunk {
     }
 }
 
+/// Opens a model, of whatever format its content is (its name does not matter).
+///
+/// # Errors
+/// The file cannot be read, its format is not known, or its content is not what the format says.
+pub fn open(path: &Path) -> Result<Box<dyn Model>> {
+    let source = Source::open(path)?;
+    let mut start = [0; 16];
+    let read = source.read_at(&mut start, 0)?;
+    if ply::is_ply(&start[..read]) {
+        return Ok(Box::new(ply::PlyModel::new(source)?));
+    }
+    let what = format!("no model of a known format: it begins with \"{}\"", start[..read].escape_ascii());
+    Err(source.malformed(what, "PLY files can be read, which begin with \"ply\": export the model as PLY"))
+}
+
 /// Reads consecutive vertices of a model, a chunk at a time.
 pub trait VertexReader: Send {
     /// Reads the next vertices into `chunk`, whose buffers are reused; `false` (and an empty chunk) at the end.
@@ -98,6 +119,14 @@ pub trait Model: Send + Sync {
     /// # Errors
     /// The file cannot be read.
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
+
+    /// Checks that the file holds all that its header speaks of. Most formats know once the file is open, and
+    /// this takes no time; text has to be read to its end, and nothing but this and [`rewrite`](Self::rewrite)
+    /// reads what follows the vertices.
+    ///
+    /// # Errors
+    /// The file cannot be read, or ends early.
+    fn check_complete(&self) -> Result<()>;
 
     /// Streams the whole file to `out`, with every vertex passing through `edit`, which may change positions
     /// and normals in place; every other byte is copied as it is.

@@ -1,0 +1,185 @@
+//! Vertices of text files: finding the words, reading numbers, and putting edited ones in their place.
+//!
+//! Lines mean nothing here: words are separated by whitespace of any sort, as other readers have it.
+
+use std::io::Write;
+
+use glam::{DVec3, Vec3};
+
+use super::header::quoted;
+use super::layout::{Component, Layout, Slot};
+use super::rewrite::{Unfit, same_normal};
+use crate::model::{Scalar, VertexChunk};
+
+/// Whether a byte separates words. Control characters do, so that a NUL is no part of a number.
+#[inline(always)]
+pub(super) fn is_space(byte: u8) -> bool {
+    byte <= b' '
+}
+
+/// The next word of `bytes` from `at` on; `None` if it may go on after them, which it does not at the file's end.
+#[inline(always)]
+fn next_word(bytes: &[u8], at: usize, whole_file: bool) -> Option<(usize, usize)> {
+    let start = at + bytes[at..].iter().position(|&b| !is_space(b))?;
+    match bytes[start..].iter().position(|&b| is_space(b)) {
+        Some(len) => Some((start, start + len)),
+        None => whole_file.then_some((start, bytes.len())),
+    }
+}
+
+/// Goes over the record that `bytes` begin with (after whitespace, which is part of it): notes where its
+/// components lie (in the chunk's bytes, where the record begins at `base`) and returns its length, or `None` if
+/// it is longer than `bytes`.
+///
+/// The error is the length of a list that cannot be.
+pub(super) fn scan(
+    layout: &Layout,
+    bytes: &[u8],
+    base: usize,
+    whole_file: bool,
+    spans: &mut [[u32; 2]],
+) -> Result<Option<usize>, String> {
+    let mut at = 0;
+    for slot in &layout.slots {
+        let Some((start, end)) = next_word(bytes, at, whole_file) else { return Ok(None) };
+        at = end;
+        match *slot {
+            Slot::Other { .. } => {}
+            Slot::Component { index, .. } => spans[index] = [base + start, base + end].map(|v| v as u32),
+            Slot::List { .. } => {
+                let text = String::from_utf8_lossy(&bytes[start..end]);
+                let length: u64 = text.parse().map_err(|_| quoted(&text))?;
+                for _ in 0..length {
+                    let Some((_, end)) = next_word(bytes, at, whole_file) else { return Ok(None) };
+                    at = end;
+                }
+            }
+        }
+    }
+    Ok(Some(at))
+}
+
+/// Which vertex of a chunk has what for a number.
+#[derive(Debug, PartialEq)]
+pub(super) struct NotANumber {
+    pub(super) vertex: usize,
+    pub(super) property: &'static str,
+    pub(super) word: String,
+}
+
+/// Fills the chunk's positions and normals from its bytes.
+pub(super) fn decode(layout: &Layout, chunk: &mut VertexChunk) -> Result<(), NotANumber> {
+    let VertexChunk { positions, normals, raw, spans, .. } = chunk;
+    positions.clear();
+    normals.clear();
+    let position = layout.triple(0);
+    let normal = layout.has_normals().then(|| layout.triple(3));
+    for (vertex, spans) in spans.chunks_exact(layout.components.len()).enumerate() {
+        let not_a_number = |c: usize, of: [Component; 3], spans: &[[u32; 2]]| NotANumber {
+            vertex,
+            property: of[c].name,
+            word: quoted(&String::from_utf8_lossy(word(raw, spans[c]))),
+        };
+        let p = parse_triple(raw, position, spans).map_err(|c| not_a_number(c, position, spans))?;
+        positions.push(DVec3::from_array(p));
+        if let Some(normal) = normal {
+            let spans = &spans[3..];
+            let n = parse_triple(raw, normal, spans).map_err(|c| not_a_number(c, normal, spans))?;
+            normals.push(Vec3::from_array(n.map(|v| v as f32)));
+        }
+    }
+    Ok(())
+}
+
+/// Appends the chunk's bytes to `text`, with those numbers replaced that differ from what stands there.
+pub(super) fn splice(layout: &Layout, chunk: &VertexChunk, text: &mut Vec<u8>) -> Result<(), Unfit> {
+    let VertexChunk { positions, normals, raw, spans, .. } = chunk;
+    // What could be read before can be read again.
+    let read = |of, spans: &[_]| parse_triple(raw, of, spans).unwrap_or([f64::NAN; 3]);
+    let mut copied = 0;
+    for (vertex, spans) in spans.chunks_exact(layout.components.len()).enumerate() {
+        let old_position = read(layout.triple(0), spans);
+        if !old_position.iter().all(|v| v.is_finite()) {
+            continue;
+        }
+        let new_position = positions[vertex].to_array();
+        let mut old_normal = [0.0; 3];
+        let mut new_normal = [0.0; 3];
+        if layout.has_normals() {
+            old_normal = read(layout.triple(3), &spans[3..]).map(|v| v as f32);
+            new_normal = normals[vertex].to_array();
+        }
+        for &c in &layout.file_order {
+            let scalar = layout.components[c].scalar;
+            let value = if c < 3 {
+                let value = round(scalar, new_position[c]);
+                if !value.is_finite() {
+                    return Err(Unfit { vertex, value: new_position[c] });
+                }
+                (value.to_bits() != old_position[c].to_bits()).then_some(value)
+            } else {
+                let (old, new) = (old_normal[c - 3], new_normal[c - 3]);
+                (!same_normal(old, new)).then_some(f64::from(new))
+            };
+            if let Some(value) = value {
+                let [start, end] = spans[c].map(|v| v as usize);
+                text.extend_from_slice(&raw[copied..start]);
+                write_number(text, scalar, value);
+                copied = end;
+            }
+        }
+    }
+    text.extend_from_slice(&raw[copied..]);
+    Ok(())
+}
+
+fn word(raw: &[u8], span: [u32; 2]) -> &[u8] {
+    &raw[span[0] as usize..span[1] as usize]
+}
+
+/// Three numbers, or which of them is none.
+#[inline(always)]
+fn parse_triple(raw: &[u8], of: [Component; 3], spans: &[[u32; 2]]) -> Result<[f64; 3], usize> {
+    let mut values = [0.0; 3];
+    for c in 0..3 {
+        values[c] = parse(of[c].scalar, word(raw, spans[c])).ok_or(c)?;
+    }
+    Ok(values)
+}
+
+/// A number of the given type, which a decimal one is rounded to.
+fn parse(scalar: Scalar, word: &[u8]) -> Option<f64> {
+    let text = std::str::from_utf8(word).ok()?;
+    let value = match scalar {
+        Scalar::F32 => text.parse::<f32>().ok().map(f64::from),
+        Scalar::F64 => text.parse().ok(),
+    };
+    value.or_else(|| is_microsoft_nan(text).then_some(f64::NAN))
+}
+
+/// Numbers that are not finite, as Microsoft's C library prints them: such vertices are left alone anyway.
+fn is_microsoft_nan(text: &str) -> bool {
+    let text = text.strip_prefix(['-', '+']).unwrap_or(text).to_ascii_lowercase();
+    text.starts_with("1.#") || text.starts_with("nan(")
+}
+
+fn round(scalar: Scalar, value: f64) -> f64 {
+    match scalar {
+        Scalar::F32 => f64::from(value as f32),
+        Scalar::F64 => value,
+    }
+}
+
+/// Appends the fewest digits that are read back as this very number of the given type.
+pub(super) fn write_number(text: &mut Vec<u8>, scalar: Scalar, value: f64) {
+    // Beyond these bounds the digits would drown in zeros.
+    let plain = value == 0.0 || !value.is_finite() || (1e-5..1e16).contains(&value.abs());
+    let value32 = value as f32;
+    // Writing to a vector cannot fail.
+    let _ = match (scalar, plain) {
+        (Scalar::F32, true) => write!(text, "{value32}"),
+        (Scalar::F32, false) => write!(text, "{value32:e}"),
+        (Scalar::F64, true) => write!(text, "{value}"),
+        (Scalar::F64, false) => write!(text, "{value:e}"),
+    };
+}
