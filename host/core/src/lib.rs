@@ -8,9 +8,14 @@
 //! Nothing here holds memory proportional to `P_L`, prints, opens a window, or knows of plugins.
 
 pub mod error;
+pub mod frame;
+pub mod geometry;
 pub mod model;
 pub mod output;
 pub mod progress;
+pub mod reconstruction;
+pub mod sampled_model;
+pub mod sampling;
 
 pub use error::{Error, ErrorKind, Result};
 pub use progress::Progress;

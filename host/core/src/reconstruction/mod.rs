@@ -1,0 +1,97 @@
+//! Reconstruction: the deformation P_S → P_S* is transferred to every vertex of P_L, in one stream (paper §5).
+//!
+//! P_S and P_S* sample an unknown map D of space. [`local_frames`] fits its gradient at each sample once;
+//! [`neighbours`] finds the samples around a vertex, following the stream; [`projected_barycentric`] carries the
+//! vertex over; [`stream`] does so for the whole file. [`transfer_error`] compares a result with the exact map.
+
+mod local_frames;
+mod neighbours;
+mod projected_barycentric;
+mod stream;
+pub mod transfer_error;
+
+use glam::{Mat3, Vec3};
+
+use crate::sampling::SampleSet;
+use local_frames::LocalFrames;
+use neighbours::Neighbourhood;
+pub use neighbours::Walk;
+pub use stream::{Reconstructed, reconstruct};
+
+/// What happens to one vertex.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Transport {
+    /// From its old position to its new one, in local coordinates.
+    pub displacement: Vec3,
+    /// The gradient of the deformation there; normals go with its inverse transpose.
+    pub gradient: Mat3,
+}
+
+impl Transport {
+    /// A vertex that stays, as every sample around it does.
+    pub const STILL: Self = Self { displacement: Vec3::ZERO, gradient: Mat3::IDENTITY };
+
+    /// The normal after the deformation, of the same length as before.
+    pub fn normal(&self, n: Vec3) -> Vec3 {
+        if self.gradient == Mat3::IDENTITY || !n.is_finite() {
+            return n;
+        }
+        // F⁻ᵀ up to a positive factor: the cofactors, which exist for a singular F too. Their sign is that of the
+        // determinant, which would turn normals inside out under a reflection.
+        let [a, b, c] = [self.gradient.x_axis, self.gradient.y_axis, self.gradient.z_axis];
+        let cofactors = Mat3::from_cols(b.cross(c), c.cross(a), a.cross(b));
+        let turned = (cofactors * n) * self.gradient.determinant().signum();
+        turned.try_normalize().map_or(n, |t| t * n.length())
+    }
+}
+
+/// The deformation that P_S and P_S* sample, ready to be evaluated anywhere near P_S.
+///
+/// Memory: about 100 bytes per sample.
+pub struct DeformationField<'a> {
+    samples: &'a SampleSet,
+    deformed: &'a [Vec3],
+    frames: LocalFrames,
+    /// Whether anything moves among the candidates of a vertex nearest to this sample.
+    active: Vec<bool>,
+}
+
+impl<'a> DeformationField<'a> {
+    /// Prepares the field. `deformed` holds the finite local position of each sample after the deformation.
+    ///
+    /// # Panics
+    /// The number of deformed positions is not that of the samples.
+    pub fn new(samples: &'a SampleSet, deformed: &'a [Vec3]) -> Self {
+        assert_eq!(samples.len(), deformed.len(), "P_S* corresponds to P_S one to one");
+        let moved: Vec<bool> = samples.positions.iter().zip(deformed).map(|(p, q)| p != q).collect();
+        let active = (0..samples.len())
+            .map(|i| moved[i] || samples.neighbours.of(i).iter().any(|j| moved[*j as usize]))
+            .collect();
+        Self { samples, deformed, frames: LocalFrames::fit(samples, deformed), active }
+    }
+
+    /// Carries a vertex over. `p` is finite, `n` its normal where the model has one; `walk` remembers where the
+    /// last vertex was.
+    pub fn transport(&self, p: Vec3, n: Option<Vec3>, walk: &mut Walk) -> Transport {
+        let nearest = walk.nearest(self.samples, p) as usize;
+        if !self.active[nearest] {
+            return Transport::STILL;
+        }
+        let around = Neighbourhood::gather(self.samples, nearest, p, n);
+        projected_barycentric::transport(self, &around, p).unwrap_or_else(|| self.blend_frames(&around, p))
+    }
+
+    /// The samples' own affine maps, blended: what stands in where no triangle of samples is fit to be used. It
+    /// never leaves the neighbours' range by more than their own gradients explain.
+    fn blend_frames(&self, around: &Neighbourhood, p: Vec3) -> Transport {
+        let (mut displacement, mut gradient, mut sum) = (Vec3::ZERO, Mat3::ZERO, 0.0);
+        for &(i, w) in around.weighted() {
+            let i = i as usize;
+            let (q, f) = (self.samples.positions[i], self.frames.gradient[i]);
+            displacement += w * ((self.deformed[i] - q) + (f * (p - q) - (p - q)));
+            gradient += w * f;
+            sum += w;
+        }
+        Transport { displacement: displacement / sum, gradient: gradient * (1.0 / sum) }
+    }
+}

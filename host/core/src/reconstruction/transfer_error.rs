@@ -1,0 +1,146 @@
+//! How far a reconstruction is from the exact deformation of every vertex.
+
+use glam::DVec3;
+
+use crate::model::{Model, VertexChunk};
+use crate::{Error, ErrorKind, Progress, Result};
+
+/// The deviation of a deformed model from the exact one. Lengths are fractions of the model's diagonal at rest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TransferError {
+    /// Vertices compared: those with a finite position.
+    pub vertices: u64,
+    /// Root of the mean square.
+    pub rms: f64,
+    /// 99.9 % of the vertices deviate less (to 2 %).
+    pub p999: f64,
+    /// The worst vertex.
+    pub max: f64,
+    /// 99.9th percentile over pairs of vertices that follow each other in the file of the difference of their
+    /// errors over their distance: it sees lumps that a small error can still make.
+    pub jump: f64,
+}
+
+/// Compares the deformed model with the exact image of the model at rest. `exact` maps points in the model's
+/// coordinates in place; `diagonal` is that of the model at rest.
+///
+/// Memory: a chunk of each model.
+///
+/// # Errors
+/// A model cannot be read, they differ in their number of vertices, `exact` fails, or the user cancelled.
+pub fn measure(
+    model: &dyn Model,
+    deformed: &dyn Model,
+    diagonal: f64,
+    exact: &dyn Fn(&mut [DVec3]) -> Result<()>,
+    progress: &dyn Progress,
+) -> Result<TransferError> {
+    let vertices = model.info().vertices;
+    if deformed.info().vertices != vertices {
+        return Err(Error::new(
+            ErrorKind::Mismatch,
+            format!(
+                "{} has {} vertices, but {} has {vertices}",
+                deformed.path().display(),
+                deformed.info().vertices,
+                model.path().display()
+            ),
+            "compare a model with its own deformation",
+        ));
+    }
+    progress.begin("measuring", model.info().vertex_bytes);
+    let mut reader = model.vertices(0..vertices)?;
+    let (mut rest, mut part, mut found) = (VertexChunk::default(), VertexChunk::default(), Vec::new());
+    let (mut errors, mut jumps) = (Histogram::default(), Histogram::default());
+    let (mut count, mut sum, mut max) = (0u64, 0.0, 0.0f64);
+    let scale = 1.0 / diagonal.max(f64::MIN_POSITIVE);
+    while reader.read(&mut rest)? {
+        progress.check()?;
+        // The other file's chunks may end elsewhere, as its text is of another length.
+        found.clear();
+        let mut other = deformed.vertices(rest.first..rest.first + rest.len() as u64)?;
+        while other.read(&mut part)? {
+            found.extend_from_slice(&part.positions);
+        }
+        let finite: Vec<usize> = (0..rest.len()).filter(|i| rest.positions[*i].is_finite()).collect();
+        let mut truth: Vec<DVec3> = finite.iter().map(|i| rest.positions[*i]).collect();
+        exact(&mut truth)?;
+        let mut last: Option<(DVec3, DVec3)> = None;
+        for (i, truth) in finite.into_iter().zip(truth) {
+            let error = (found[i] - truth) * scale;
+            let length = error.length();
+            count += 1;
+            sum += length * length;
+            max = max.max(length);
+            errors.add(length);
+            if let Some((p, e)) = last {
+                let distance = (rest.positions[i] - p).length() * scale;
+                if distance > 0.0 {
+                    jumps.add((error - e).length() / distance);
+                }
+            }
+            last = Some((rest.positions[i], error));
+        }
+        progress.advance(rest.raw().len() as u64);
+    }
+    Ok(TransferError {
+        vertices: count,
+        rms: (sum / count.max(1) as f64).sqrt(),
+        p999: errors.quantile(0.999),
+        max,
+        jump: jumps.quantile(0.999),
+    })
+}
+
+/// Counts of positive values on a logarithmic scale from 1e-12 to 1e3, 64 bins per factor of ten.
+struct Histogram {
+    bins: Vec<u64>,
+}
+
+const BINS_PER_DECADE: f64 = 64.0;
+const LEAST_EXPONENT: f64 = -12.0;
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Self { bins: vec![0; 15 * BINS_PER_DECADE as usize] }
+    }
+}
+
+impl Histogram {
+    fn add(&mut self, x: f64) {
+        let bin = ((x.log10() - LEAST_EXPONENT) * BINS_PER_DECADE).max(0.0) as usize;
+        let last = self.bins.len() - 1;
+        self.bins[bin.min(last)] += 1;
+    }
+
+    /// The middle of the bin that holds the quantile; 0 for anything below the scale.
+    fn quantile(&self, q: f64) -> f64 {
+        let wanted = (self.bins.iter().sum::<u64>() as f64 * q).ceil() as u64;
+        let mut seen = 0;
+        for (bin, n) in self.bins.iter().enumerate() {
+            seen += n;
+            if seen >= wanted && seen > 0 {
+                return if bin == 0 {
+                    0.0
+                } else {
+                    10f64.powf((bin as f64 + 0.5) / BINS_PER_DECADE + LEAST_EXPONENT)
+                };
+            }
+        }
+        0.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_within_a_bin() {
+        let mut h = Histogram::default();
+        (1..=10_000).for_each(|i| h.add(f64::from(i) * 1e-6));
+        assert!((h.quantile(0.999) / 9.99e-3 - 1.0).abs() < 0.02);
+        assert!((h.quantile(0.5) / 5e-3 - 1.0).abs() < 0.02);
+        assert_eq!(Histogram::default().quantile(0.999), 0.0);
+    }
+}

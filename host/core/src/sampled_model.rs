@@ -1,0 +1,384 @@
+//! A sampled model: P_S and where it came from, in memory or as a folder of plain files (design: `simod.toml`
+//! and `samples.ply`, which any tool opens and any program may deform).
+
+use std::path::{Path, PathBuf};
+
+use glam::{DVec3, Vec3};
+use serde::{Deserialize, Serialize};
+
+use crate::frame::Frame;
+use crate::geometry::Bounds;
+use crate::model::{self, Model, Scalar, VertexChunk};
+use crate::sampling::lattice::Grid;
+use crate::sampling::{SampleSet, Sampling, Target};
+use crate::{Error, ErrorKind, Result, output};
+
+/// What is written on the first line of `simod.toml`.
+const FORMAT: &str = "simod-sampled-model/1";
+
+/// The model that was sampled.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct Source {
+    /// The file; in `simod.toml` relative to the folder.
+    pub path: PathBuf,
+    /// Its size.
+    pub bytes: u64,
+    /// Its number of vertices.
+    pub vertices: u64,
+    /// How many of them have no finite position.
+    pub non_finite: u64,
+    /// The first of these.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub first_non_finite: Option<u64>,
+    /// Hash of the bytes of all vertices.
+    pub fingerprint: String,
+}
+
+/// P_S with its source.
+pub struct SampledModel {
+    /// The model that was sampled.
+    pub source: Source,
+    /// What was asked for.
+    pub sampling: Sampling,
+    /// Number of occupied cells of the coarse grid.
+    pub cells: u64,
+    /// Edge length of a cell, in the model's unit.
+    pub cell_size: f64,
+    /// Bounding box of the model's finite positions.
+    pub bounds: Bounds,
+    /// The map to local coordinates.
+    pub frame: Frame,
+    /// How positions are stored in `samples.ply`.
+    pub position_type: Scalar,
+    /// The samples.
+    pub samples: SampleSet,
+}
+
+/// The content of `simod.toml`.
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+struct Description {
+    format: String,
+    samples: u64,
+    position_type: String,
+    model: Source,
+    sampling: SamplingRecord,
+    frame: FrameRecord,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+struct SamplingRecord {
+    target: Target,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    grid: Option<u32>,
+    cells: u64,
+    cell_size: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+struct FrameRecord {
+    origin: DVec3,
+    scale: f64,
+    min: DVec3,
+    max: DVec3,
+}
+
+impl SampledModel {
+    /// Completes the samples, whose positions are rounded to what `samples.ply` will hold, so that working in
+    /// memory and through the folder give the same bytes.
+    pub(crate) fn new(
+        source: Source,
+        sampling: Sampling,
+        grid: &Grid,
+        position_type: Scalar,
+        mut positions: Vec<Vec3>,
+        normals: Vec<Vec3>,
+    ) -> Result<Self> {
+        let (bounds, frame) = (grid.bounds, Frame::of(&grid.bounds));
+        // Far from zero, or at sizes beyond its exponent, single precision would spoil the samples.
+        let diagonal = bounds.diagonal();
+        let largest = bounds.min.abs().max(bounds.max.abs()).max_element();
+        let single = position_type == Scalar::F32 && largest <= 16.0 * diagonal && diagonal > 1e-30;
+        let position_type = if single { Scalar::F32 } else { Scalar::F64 };
+        for p in &mut positions {
+            *p = frame.to_local(rounded(frame.to_model(*p), position_type));
+        }
+        Ok(Self {
+            source,
+            sampling,
+            cells: grid.keys.len() as u64,
+            cell_size: grid.cell_size(),
+            bounds,
+            frame,
+            position_type,
+            samples: SampleSet::new(positions, normals)?,
+        })
+    }
+
+    /// The model's diagonal, in local units.
+    pub fn local_diagonal(&self) -> f64 {
+        self.bounds.diagonal() / self.frame.scale
+    }
+
+    /// Writes the folder, whole or not at all. A former sampled model at the place is replaced; any other
+    /// folder or file there is an error.
+    ///
+    /// # Errors
+    /// The folder cannot be written, or something else is there.
+    pub fn save(&self, folder: &Path) -> Result<()> {
+        if folder.symlink_metadata().is_ok() && !folder.join("simod.toml").is_file() {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("{} exists and is no sampled model", folder.display()),
+                "give the name of a new folder, or of a sampled model to replace",
+            ));
+        }
+        let parent = match folder.parent() {
+            Some(p) if p != Path::new("") => p,
+            _ => Path::new("."),
+        };
+        let io = |e: std::io::Error| Error::io("write", folder, &e);
+        let new = tempfile::Builder::new().prefix(".simod-").tempdir_in(parent).map_err(io)?;
+        let description = Description {
+            format: FORMAT.to_owned(),
+            samples: self.samples.len() as u64,
+            position_type: match self.position_type {
+                Scalar::F32 => "float".to_owned(),
+                Scalar::F64 => "double".to_owned(),
+            },
+            model: Source { path: relative(&self.source.path, folder), ..self.source.clone() },
+            sampling: SamplingRecord {
+                target: self.sampling.target,
+                grid: self.sampling.grid,
+                cells: self.cells,
+                cell_size: self.cell_size,
+            },
+            frame: FrameRecord {
+                origin: self.frame.origin,
+                scale: self.frame.scale,
+                min: self.bounds.min,
+                max: self.bounds.max,
+            },
+        };
+        let text = toml::to_string(&description).map_err(|e| {
+            Error::new(ErrorKind::Io, format!("cannot describe the samples: {e}"), "report this")
+        })?;
+        output::write_file(&new.path().join("simod.toml"), text.as_bytes())?;
+        self.write_points(&new.path().join("samples.ply"), &self.samples.positions, &self.samples.normals)?;
+        set_folder_permissions(new.path()).map_err(io)?;
+
+        if folder.symlink_metadata().is_ok() {
+            let old = tempfile::Builder::new().prefix(".simod-old-").tempdir_in(parent).map_err(io)?;
+            std::fs::rename(folder, old.path().join("old")).map_err(io)?;
+            if let Err(e) = std::fs::rename(new.path(), folder) {
+                // Back as it was.
+                std::fs::rename(old.path().join("old"), folder).map_err(io)?;
+                return Err(io(e));
+            }
+        } else {
+            std::fs::rename(new.path(), folder).map_err(io)?;
+        }
+        // Moved away: there is nothing to remove under the temporary name.
+        let _ = new.keep();
+        Ok(())
+    }
+
+    /// Reads a folder.
+    ///
+    /// # Errors
+    /// The folder is no sampled model, is of a version that is not known, or its files do not fit each other.
+    pub fn load(folder: &Path) -> Result<Self> {
+        let file = folder.join("simod.toml");
+        let text = std::fs::read_to_string(&file).map_err(|e| match e.kind() {
+            std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory => Error::new(
+                ErrorKind::Argument,
+                format!("{} is no sampled model: it has no simod.toml", folder.display()),
+                "give the folder that `simod sample` wrote",
+            ),
+            _ => Error::io("read", &file, &e),
+        })?;
+        let damaged = |what: String| {
+            Error::new(
+                ErrorKind::Format,
+                format!("{}: {what}", file.display()),
+                "it is damaged, or of another version of SIMOD: sample the model again",
+            )
+        };
+        let description: Description =
+            toml::from_str(&text).map_err(|e| damaged(e.message().replace('\n', " ")))?;
+        if description.format != FORMAT {
+            return Err(damaged(format!("format is {:?}, not {FORMAT:?}", description.format)));
+        }
+        let FrameRecord { origin, scale, min, max } = description.frame;
+        let bounds = Bounds { min, max };
+        if !(min.is_finite() && max.is_finite() && origin.is_finite() && scale.is_normal() && scale > 0.0) {
+            return Err(damaged("the frame is not finite".to_owned()));
+        }
+        let position_type = match description.position_type.as_str() {
+            "float" => Scalar::F32,
+            "double" => Scalar::F64,
+            other => return Err(damaged(format!("position-type is {other:?}, not \"float\" or \"double\""))),
+        };
+        let frame = Frame { origin, scale };
+        let samples = folder.join("samples.ply");
+        let (positions, normals) = read_points(&samples)?;
+        if positions.len() as u64 != description.samples {
+            return Err(Error::new(
+                ErrorKind::Mismatch,
+                format!(
+                    "{} has {} vertices, but simod.toml says {} samples",
+                    samples.display(),
+                    positions.len(),
+                    description.samples
+                ),
+                "the samples were replaced: sample the model again, and write deformed samples to another file",
+            ));
+        }
+        let path = folder.join(&description.model.path);
+        Ok(Self {
+            source: Source { path, ..description.model },
+            sampling: Sampling { target: description.sampling.target, grid: description.sampling.grid },
+            cells: description.sampling.cells,
+            cell_size: description.sampling.cell_size,
+            bounds,
+            frame,
+            position_type,
+            samples: SampleSet::new(positions.iter().map(|p| frame.to_local(*p)).collect(), normals)?,
+        })
+    }
+
+    /// Opens the model that was sampled, or `elsewhere` if it was moved.
+    ///
+    /// # Errors
+    /// It cannot be opened, or is not the model that was sampled, as far as its size tells; the reconstruction
+    /// compares its bytes too.
+    pub fn open_source(&self, elsewhere: Option<&Path>) -> Result<Box<dyn Model>> {
+        let path = elsewhere.unwrap_or(&self.source.path);
+        if elsewhere.is_none() && !path.exists() {
+            return Err(Error::new(
+                ErrorKind::Io,
+                format!("the sampled model's source {} is gone", path.display()),
+                "put it back, or say where it is with --model",
+            ));
+        }
+        let model = model::open(path)?;
+        let info = model.info();
+        if (info.bytes, info.vertices) != (self.source.bytes, self.source.vertices) {
+            return Err(self.source_changed(path));
+        }
+        Ok(model)
+    }
+
+    /// The error for a source that is not what was sampled.
+    pub(crate) fn source_changed(&self, path: &Path) -> Error {
+        Error::new(
+            ErrorKind::Mismatch,
+            format!("{} changed since it was sampled", path.display()),
+            "sample it again, or give the file that was sampled with --model",
+        )
+    }
+
+    /// Writes deformed samples, in the model's coordinates, as `samples.ply` is.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write_deformed(&self, path: &Path, deformed: &[Vec3], normals: &[Vec3]) -> Result<()> {
+        self.write_points(path, deformed, normals)
+    }
+
+    fn write_points(&self, path: &Path, positions: &[Vec3], normals: &[Vec3]) -> Result<()> {
+        let positions: Vec<DVec3> = positions.iter().map(|p| self.frame.to_model(*p)).collect();
+        model::ply::write_points(path, &positions, normals, self.position_type, &["SIMOD samples".to_owned()])
+    }
+
+    /// Deformed positions as they are after having been written and read again.
+    pub fn rounded(&self, deformed: &[Vec3]) -> Vec<Vec3> {
+        let round = |p: &Vec3| self.frame.to_local(rounded(self.frame.to_model(*p), self.position_type));
+        deformed.iter().map(round).collect()
+    }
+
+    /// Reads deformed samples: local positions, in the order of the samples. Normals in the file are not looked
+    /// at, as a tool may leave stale ones.
+    ///
+    /// # Errors
+    /// The file cannot be read, has another number of vertices than P_S, or positions that are not finite.
+    pub fn read_deformed(&self, path: &Path) -> Result<Vec<Vec3>> {
+        let (positions, _) = read_points(path)?;
+        if positions.len() != self.samples.len() {
+            return Err(Error::new(
+                ErrorKind::Mismatch,
+                format!(
+                    "{} has {} vertices, but there are {} samples",
+                    path.display(),
+                    positions.len(),
+                    self.samples.len()
+                ),
+                "a deformer keeps the vertices of samples.ply, all of them and in their order",
+            ));
+        }
+        let local: Vec<Vec3> = positions.iter().map(|p| self.frame.to_local(*p)).collect();
+        let mut bad = (0..local.len()).filter(|i| !local[*i].is_finite());
+        if let Some(first) = bad.next() {
+            return Err(Error::new(
+                ErrorKind::Degenerate,
+                format!(
+                    "{} of the vertices of {} are not finite, the first is vertex {first}",
+                    bad.count() + 1,
+                    path.display()
+                ),
+                "mend the deformation: every sample needs a finite position",
+            ));
+        }
+        Ok(local)
+    }
+}
+
+/// Reads a point set whole. For P_S and P_S* only, which fit in memory.
+fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<Vec3>)> {
+    let model = model::open(path)?;
+    let (mut positions, mut normals) = (Vec::new(), Vec::new());
+    let mut reader = model.vertices(0..model.info().vertices)?;
+    let mut chunk = VertexChunk::default();
+    while reader.read(&mut chunk)? {
+        positions.extend_from_slice(&chunk.positions);
+        normals.extend(chunk.normals.iter().map(|n| if n.is_finite() { *n } else { Vec3::ZERO }));
+    }
+    Ok((positions, normals))
+}
+
+fn rounded(p: DVec3, to: Scalar) -> DVec3 {
+    match to {
+        Scalar::F32 => p.as_vec3().as_dvec3(),
+        Scalar::F64 => p,
+    }
+}
+
+/// The path of `file` as seen from `folder`, so that both can be moved together; absolute where it has to be.
+fn relative(file: &Path, folder: &Path) -> PathBuf {
+    let absolute = |p: &Path| std::path::absolute(p).unwrap_or_else(|_| p.to_owned());
+    let (file, folder) = (file.canonicalize().unwrap_or_else(|_| absolute(file)), absolute(folder));
+    let folder = match (folder.parent().and_then(|p| p.canonicalize().ok()), folder.file_name()) {
+        (Some(parent), Some(name)) => parent.join(name),
+        _ => folder,
+    };
+    pathdiff::diff_paths(&file, &folder).unwrap_or(file)
+}
+
+/// Temporary folders are private; a result has the permissions of any other new folder.
+fn set_folder_permissions(folder: &Path) -> std::io::Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        // What mkdir would give under the present umask, which can only be read by making something.
+        let probe = folder.join(".mode");
+        std::fs::create_dir(&probe)?;
+        let mode = std::fs::metadata(&probe)?.permissions().mode();
+        std::fs::remove_dir(&probe)?;
+        std::fs::set_permissions(folder, std::fs::Permissions::from_mode(mode))?;
+    }
+    let _ = folder;
+    Ok(())
+}

@@ -1,0 +1,282 @@
+//! The cut through all cells' trees that gives P_S: at an error bound, or at a target number of samples.
+//!
+//! Above the cells' VS-Trees stands an octree of the grid's cells, merged two by two, so that a target below the
+//! number of occupied cells, or a large flat region, is met as well.
+//!
+//! For a target number N no second look at the model is needed: the clusters of all cells seen so far are kept
+//! down to a running bound ε, raised whenever they are more than 3N. More cells can only add clusters, so the final
+//! bound is never below the running one, and what was dropped would not have been in the cut.
+
+use super::cluster::Moments;
+use super::finalization::ClusteredCell;
+use super::lattice::{CellKey, CellMap, Grid};
+use super::vs_tree::{Node, VsTree};
+
+/// Clusters are pruned when there are more than this many times the target …
+const KEEP_AT_MOST: usize = 3;
+/// … down to this many times the target.
+const PRUNE_TO: usize = 2;
+
+/// The trees of all cells seen so far.
+///
+/// Memory: 36 bytes for each of about 1.4 nodes per cluster, at most [`KEEP_AT_MOST`] clusters per sample of
+/// the target and what one cell has; and the moments of each occupied cell.
+pub struct Forest {
+    target: Option<usize>,
+    /// Running bound.
+    threshold: f32,
+    leaves: usize,
+    cells: Vec<Option<(VsTree, Moments)>>,
+}
+
+impl Forest {
+    /// An empty forest of so many cells, for a target number of samples or for a fixed bound.
+    pub fn new(cells: usize, target: Option<usize>, threshold: f32) -> Self {
+        let mut forest = Self { target, threshold, leaves: 0, cells: Vec::new() };
+        forest.cells.resize_with(cells, || None);
+        forest
+    }
+
+    /// Takes in a clustered cell; the bound down to which further cells need clustering.
+    pub fn add(&mut self, ClusteredCell { cell, mut tree, moments }: ClusteredCell) -> f32 {
+        tree.prune(self.threshold);
+        self.leaves += tree.leaves();
+        self.cells[cell as usize] = Some((tree, moments));
+        if let Some(target) = self.target
+            && self.leaves > KEEP_AT_MOST * target.max(1024)
+        {
+            let trees = || self.cells.iter().flatten().map(|(tree, _)| tree);
+            let roots = trees().count();
+            let bound = threshold_for(trees().flat_map(VsTree::splits), roots, PRUNE_TO * target.max(1024));
+            self.threshold = self.threshold.max(bound);
+            self.leaves = 0;
+            for (tree, _) in self.cells.iter_mut().flatten() {
+                tree.prune(self.threshold);
+                self.leaves += tree.leaves();
+            }
+        }
+        self.threshold
+    }
+
+    /// The representatives of the final cut, in the order in which the stream meets their cells.
+    pub fn cut(self, grid: &Grid) -> Vec<Node> {
+        let (trees, moments): (Vec<VsTree>, Vec<Moments>) = self.cells.into_iter().flatten().unzip();
+        let upper = Upper::build(&grid.keys, &moments);
+        let threshold = match self.target {
+            None => self.threshold,
+            Some(target) => {
+                let bounds = upper.bounds();
+                let below = trees.iter().zip(&bounds).flat_map(|(tree, bound)| {
+                    tree.splits().map(move |(key, added)| (key.min(*bound), added))
+                });
+                threshold_for(upper.splits().chain(below), 1, target)
+            }
+        };
+        // Cells, or merged cells, in the order of the stream.
+        let mut samples = Vec::new();
+        upper.cut(threshold, |piece| match piece {
+            Piece::Cell(c) => trees[c as usize].cut(threshold, |node| samples.push((c, *node))),
+            Piece::Merged(first, node) => samples.push((first, node)),
+        });
+        samples.sort_by_key(|(cell, _)| *cell);
+        samples.into_iter().map(|(_, node)| node).collect()
+    }
+}
+
+/// The least bound at which a cut has at most `target` clusters, given the clusters that can be split (their key and
+/// how many clusters the split adds) and the number of roots.
+fn threshold_for(splits: impl Iterator<Item = (f32, u32)>, roots: usize, target: usize) -> f32 {
+    let mut splits: Vec<_> = splits.collect();
+    splits.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
+    let mut clusters = roots;
+    for (key, added) in splits {
+        clusters += added as usize;
+        if clusters > target {
+            return key;
+        }
+    }
+    0.0
+}
+
+/// The octree above the cells.
+struct Upper {
+    /// Levels from the cells up to the single root.
+    levels: Vec<Vec<UpperNode>>,
+}
+
+struct UpperNode {
+    moments: Moments,
+    /// Own error, or 0 for a cell, whose own tree tells.
+    error: f32,
+    /// The first cell below, in the order of the stream.
+    first: u32,
+    /// Indices of the children in the level below.
+    children: Vec<u32>,
+}
+
+enum Piece {
+    Cell(u32),
+    Merged(u32, Node),
+}
+
+impl Upper {
+    fn build(keys: &[CellKey], moments: &[Moments]) -> Self {
+        let cells = |i: usize| UpperNode {
+            moments: moments[i],
+            error: f32::INFINITY,
+            first: i as u32,
+            children: Vec::new(),
+        };
+        let mut levels = vec![(0..moments.len()).map(cells).collect::<Vec<_>>()];
+        let mut keys = keys.to_vec();
+        while keys.len() > 1 {
+            let shift = levels.len() as i64 & 1;
+            let below = levels.last().map_or(&[][..], |level| level);
+            let mut index: CellMap<usize> = CellMap::default();
+            let (mut level, mut parents): (Vec<UpperNode>, Vec<CellKey>) = Default::default();
+            for (i, (node, key)) in below.iter().zip(&keys).enumerate() {
+                // Every other level is shifted by a cell, so that neighbours across zero merge in the end too.
+                let parent = key.map(|k| (k + shift) >> 1);
+                let at = *index.entry(parent).or_insert_with(|| {
+                    parents.push(parent);
+                    level.push(UpperNode {
+                        moments: Moments::default(),
+                        error: 0.0,
+                        first: node.first,
+                        children: Vec::new(),
+                    });
+                    level.len() - 1
+                });
+                level[at].moments.add(&node.moments);
+                level[at].first = level[at].first.min(node.first);
+                level[at].children.push(i as u32);
+            }
+            for node in &mut level {
+                node.error = node.moments.error() as f32;
+            }
+            levels.push(level);
+            keys = parents;
+        }
+        Self { levels }
+    }
+
+    /// Calls `visit(level, index, key)` for each node from the root down, the key being the least error on its path.
+    fn walk(&self, mut visit: impl FnMut(usize, &UpperNode, f32) -> bool) {
+        let top = self.levels.len() - 1;
+        let mut stack: Vec<_> = (0..self.levels[top].len()).map(|i| (top, i, f32::INFINITY)).collect();
+        while let Some((level, i, above)) = stack.pop() {
+            let node = &self.levels[level][i];
+            let key = above.min(node.error);
+            if visit(level, node, key) && level > 0 {
+                stack.extend(node.children.iter().map(|c| (level - 1, *c as usize, key)));
+            }
+        }
+    }
+
+    /// The least error above each cell.
+    fn bounds(&self) -> Vec<f32> {
+        let mut bounds = vec![f32::INFINITY; self.levels[0].len()];
+        self.walk(|level, node, key| {
+            if level == 0 {
+                bounds[node.first as usize] = key;
+            }
+            true
+        });
+        bounds
+    }
+
+    fn splits(&self) -> impl Iterator<Item = (f32, u32)> {
+        let mut splits = Vec::new();
+        self.walk(|level, node, key| {
+            if level > 0 && node.children.len() > 1 {
+                splits.push((key, node.children.len() as u32 - 1));
+            }
+            true
+        });
+        splits.into_iter()
+    }
+
+    fn cut(&self, threshold: f32, mut emit: impl FnMut(Piece)) {
+        self.walk(|level, node, key| {
+            if level == 0 {
+                emit(Piece::Cell(node.first));
+                return false;
+            }
+            if key > threshold {
+                return true;
+            }
+            emit(Piece::Merged(
+                node.first,
+                Node {
+                    position: node.moments.representative(),
+                    normal: node.moments.mean_normal().as_vec3(),
+                    key,
+                    end: 0,
+                },
+            ));
+            false
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sampling::cluster::Sample;
+    use crate::sampling::lattice::Lattice;
+    use glam::Vec3;
+
+    /// A wavy sheet of 100 × 100 samples, clustered as it streams, for a target.
+    fn sampled(target: Option<usize>, bound: f32, resolution: u32) -> Vec<Node> {
+        let samples: Vec<Sample> = (0..10_000)
+            .map(|i| {
+                let (x, z) = ((i % 100) as f32 / 100.0 - 0.5, (i / 100) as f32 / 100.0 - 0.5);
+                let normal = Vec3::new(-(9.0 * x).cos(), 1.0, 0.0).normalize_or(Vec3::Y);
+                Sample { position: Vec3::new(x, (9.0 * x).sin() / 9.0, z), normal }
+            })
+            .collect();
+        let mut lattice = Lattice::new(resolution);
+        samples.iter().enumerate().for_each(|(i, s)| lattice.add(s.position.as_dvec3(), i as u64));
+        let grid = lattice.finish();
+        let mut cells = vec![Vec::new(); grid.keys.len()];
+        for s in samples {
+            cells[grid.find(&grid.key_of(s.position.as_dvec3())).expect("a cell") as usize].push(s);
+        }
+        let mut forest = Forest::new(cells.len(), target, bound);
+        let mut stop = bound;
+        for (cell, mut samples) in cells.into_iter().enumerate() {
+            let (tree, moments) = VsTree::build(&mut samples, &mut Vec::new(), stop, cell as u64);
+            stop = forest.add(ClusteredCell { cell: cell as u32, tree, moments });
+        }
+        forest.cut(&grid)
+    }
+
+    #[test]
+    fn targets_are_met_from_one_sample_to_all() {
+        for target in [1, 7, 50, 333, 1000, 5000, 9900, 10_000, 50_000] {
+            for resolution in [2, 32] {
+                let n = sampled(Some(target), 0.0, resolution).len();
+                let wanted = target.min(10_000);
+                // A split in space adds up to seven clusters at once.
+                let slack = 6 + wanted / 50;
+                assert!(n <= wanted && n + slack >= wanted, "{n} samples for {target} at {resolution}");
+            }
+        }
+    }
+
+    #[test]
+    fn clusters_that_are_alike_are_split_evenly() {
+        let samples = sampled(Some(3000), 0.0, 16);
+        let half = samples.iter().filter(|s| s.position.z < 0.0).count();
+        assert!((1350..1650).contains(&half), "{half} of {} in one half", samples.len());
+    }
+
+    #[test]
+    fn an_error_bound_is_kept_by_every_cluster() {
+        for bound in [0.01, 0.002] {
+            let few = sampled(None, bound, 16);
+            assert!(few.iter().all(|node| node.key <= bound));
+            assert!(few.len() < sampled(None, bound / 2.0, 16).len());
+        }
+    }
+}

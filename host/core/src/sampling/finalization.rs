@@ -1,0 +1,124 @@
+//! Pass 2: spatial finalization (M. Isenburg, Y. Liu, J. Shewchuk, J. Snoeyink, *Streaming Computation of
+//! Delaunay Triangulations*, 2006; paper §4).
+//!
+//! Each sample goes to its cell; when the cell's counter reaches zero no sample of the rest of the stream belongs
+//! to it: it is clustered, on any core, while the stream goes on.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc;
+
+use glam::Vec3;
+use xxhash_rust::xxh3::Xxh3Default;
+
+use super::cluster::{Moments, Sample};
+use super::lattice::Grid;
+use super::vs_tree::{VsTree, mix};
+use crate::frame::Frame;
+use crate::model::{Model, VertexChunk};
+use crate::{Error, ErrorKind, Progress, Result};
+
+/// Most samples that wait for, or are in, clustering: 24 MiB of them. Beyond it the stream stands still.
+const MAX_QUEUED_SAMPLES: usize = 1 << 20;
+
+/// The clusters of one finalized cell.
+pub struct ClusteredCell {
+    /// The cell's place in the grid's list.
+    pub cell: u32,
+    /// Its VS-Tree.
+    pub tree: VsTree,
+    /// The moments of all its samples.
+    pub moments: Moments,
+}
+
+/// Streams the model through the grid and hands each cell, clustered down to the current value of `stop`
+/// (an error in local units, as the bits of an f32), to `collect`, in no particular order. `hash` takes in the
+/// bytes of all vertices.
+///
+/// Memory: the samples of the cells that are open at a time (24 bytes each), which for a stream in spatial order
+/// is a small part of the model, and [`MAX_QUEUED_SAMPLES`].
+///
+/// # Errors
+/// The model cannot be read, or is not the one that the grid was made from; the user cancelled.
+pub fn finalize_cells(
+    model: &dyn Model,
+    grid: &Grid,
+    frame: &Frame,
+    stop: &AtomicU32,
+    hash: &mut Xxh3Default,
+    progress: &dyn Progress,
+    mut collect: impl FnMut(ClusteredCell),
+) -> Result<()> {
+    let (send, receive) = mpsc::channel();
+    rayon::in_place_scope(|scope| {
+        let mut open: Vec<Vec<Sample>> = Vec::new();
+        open.resize_with(grid.keys.len(), Vec::new);
+        let mut left: Vec<u64> = grid.records.iter().map(|r| r.count).collect();
+        let mut queued = 0usize;
+        let mut last = None;
+
+        let mut reader = model.vertices(0..model.info().vertices)?;
+        let mut chunk = VertexChunk::default();
+        while reader.read(&mut chunk)? {
+            progress.check()?;
+            for (i, p) in chunk.positions.iter().enumerate() {
+                if !p.is_finite() {
+                    continue;
+                }
+                let key = grid.key_of(*p);
+                let cell = match last {
+                    Some((k, cell)) if k == key => cell,
+                    _ => grid.find(&key).ok_or_else(|| changed(model))?,
+                };
+                last = Some((key, cell));
+                let c = cell as usize;
+                left[c] = left[c].checked_sub(1).ok_or_else(|| changed(model))?;
+                let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| n.normalize_or_zero());
+                let samples = &mut open[c];
+                if samples.capacity() == 0 {
+                    samples.reserve_exact(grid.records[c].count as usize);
+                }
+                samples.push(Sample { position: frame.to_local(*p), normal });
+                if left[c] == 0 {
+                    let mut samples = std::mem::take(samples);
+                    queued += samples.len();
+                    let send = send.clone();
+                    let seed = grid.keys[c].iter().fold(0, |seed, k| mix(seed, *k as u64));
+                    scope.spawn(move |_| {
+                        let stop = f32::from_bits(stop.load(Ordering::Relaxed));
+                        let mut scratch = Vec::new();
+                        let (tree, moments) = VsTree::build(&mut samples, &mut scratch, stop, seed);
+                        // The receiver is gone only when the stream has failed already.
+                        let _ = send.send((samples.len(), ClusteredCell { cell, tree, moments }));
+                    });
+                    while queued > MAX_QUEUED_SAMPLES {
+                        let Ok((samples, cell)) = receive.recv() else { break };
+                        queued -= samples;
+                        collect(cell);
+                    }
+                }
+            }
+            while let Ok((samples, cell)) = receive.try_recv() {
+                queued -= samples;
+                collect(cell);
+            }
+            hash.update(chunk.raw());
+            progress.advance(chunk.raw().len() as u64);
+        }
+        if left.iter().any(|n| *n > 0) {
+            return Err(changed(model));
+        }
+        Ok(())
+    })?;
+    drop(send);
+    receive.into_iter().for_each(|(_, cell)| collect(cell));
+    Ok(())
+}
+
+/// The model holds other vertices in pass 2 than in pass 1.
+fn changed(model: &dyn Model) -> Error {
+    Error::new(
+        ErrorKind::Mismatch,
+        format!("{} changed while it was read", model.path().display()),
+        "wait until nothing writes to the file any more, then sample it again",
+    )
+}

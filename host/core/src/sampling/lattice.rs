@@ -1,0 +1,291 @@
+//! Pass 1: samples are counted per cell of the coarse grid G (paper §4), whose bounds need not be known.
+//!
+//! The cells are those of a sparse lattice of power-of-two size anchored at the model's zero. It starts as fine
+//! as the coordinates' own precision and its cells are merged two by two whenever the extent outgrows the
+//! resolution. ⌊⌊x/s⌋/2⌋ = ⌊x/2s⌋ exactly for powers of two, so the final cells depend on the set of points
+//! alone, not on their order.
+
+use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
+
+use glam::DVec3;
+
+use crate::geometry::Bounds;
+
+/// Integer coordinates of a cell: ⌊p / cell size⌋.
+pub type CellKey = [i64; 3];
+
+/// What pass 1 keeps of a cell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CellRecord {
+    /// Number of samples in the cell.
+    pub count: u64,
+    /// Index in the stream of its first sample.
+    pub first: u64,
+    /// Index in the stream of its last sample.
+    pub last: u64,
+}
+
+/// Hashes cell keys by multiplication and folding: they come from geometry, not from an adversary.
+#[derive(Default)]
+pub struct CellHasher(u64);
+
+impl Hasher for CellHasher {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+    fn write(&mut self, bytes: &[u8]) {
+        bytes.iter().for_each(|&b| self.write_u64(u64::from(b)));
+    }
+    fn write_i64(&mut self, x: i64) {
+        self.write_u64(x as u64);
+    }
+    fn write_u64(&mut self, x: u64) {
+        let mixed = (self.0 ^ x).wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let product = u128::from(mixed) * 0xD6E8_FEB8_6659_FD93;
+        self.0 = (product >> 64) as u64 ^ product as u64;
+    }
+    fn write_usize(&mut self, x: usize) {
+        self.write_u64(x as u64);
+    }
+}
+
+/// A map from cells.
+pub type CellMap<T> = HashMap<CellKey, T, BuildHasherDefault<CellHasher>>;
+
+/// The sparse grid that pass 1 fills.
+///
+/// Memory: one record per occupied cell. A surface meets about 3R² of R³ cells; space-filling points could
+/// meet all of them, and then R has to be chosen lower.
+pub struct Lattice {
+    resolution: i64,
+    /// log₂ of the cell size.
+    level: i32,
+    cells: CellMap<CellRecord>,
+    key_min: CellKey,
+    key_max: CellKey,
+    /// The cell of the last sample: streams are coherent, so the map is seldom asked.
+    current: Option<(CellKey, CellRecord)>,
+    bounds: Bounds,
+}
+
+impl Lattice {
+    /// An empty grid of at most `resolution` cells along each axis (two at the least: cells on both sides of
+    /// zero never merge).
+    pub fn new(resolution: u32) -> Self {
+        Self {
+            resolution: i64::from(resolution.max(2)),
+            level: i32::MIN,
+            cells: CellMap::default(),
+            key_min: [i64::MAX; 3],
+            key_max: [i64::MIN; 3],
+            current: None,
+            bounds: Bounds::default(),
+        }
+    }
+
+    /// Counts the sample of the given index in the stream. Its position must be finite.
+    #[inline]
+    pub fn add(&mut self, p: DVec3, index: u64) {
+        self.bounds.include(p);
+        // Keys stay below 2^53, exact in a double and far from overflow.
+        let finest = exponent(p.abs().max_element()) - 52;
+        if finest > self.level {
+            self.coarsen_to(finest);
+        }
+        let key = key_at(p, self.level);
+        if let Some((current, record)) = &mut self.current
+            && *current == key
+        {
+            record.count += 1;
+            record.first = record.first.min(index);
+            record.last = record.last.max(index);
+            return;
+        }
+        self.flush();
+        self.current = Some((key, CellRecord { count: 1, first: index, last: index }));
+        let mut extent = 0;
+        for (k, (low, high)) in key.iter().zip(self.key_min.iter_mut().zip(&mut self.key_max)) {
+            *low = *k.min(low);
+            *high = *k.max(high);
+            extent = extent.max(*high - *low + 1);
+        }
+        if extent > self.resolution {
+            let mut shift = 1;
+            while (0..3).any(|a| (self.key_max[a] >> shift) - (self.key_min[a] >> shift) >= self.resolution) {
+                shift += 1;
+            }
+            self.coarsen_to(self.level + shift);
+        }
+    }
+
+    /// Puts the record at hand into the map.
+    fn flush(&mut self) {
+        if let Some((key, record)) = self.current.take() {
+            merge(&mut self.cells, key, record);
+        }
+    }
+
+    /// Merges cells until their size is 2^level.
+    fn coarsen_to(&mut self, level: i32) {
+        self.flush();
+        if !self.cells.is_empty() {
+            let shift = (level - self.level).min(63);
+            let mut coarse = CellMap::default();
+            for (key, record) in self.cells.drain() {
+                merge(&mut coarse, key.map(|k| k >> shift), record);
+            }
+            self.cells = coarse;
+            self.key_min = self.key_min.map(|k| k >> shift);
+            self.key_max = self.key_max.map(|k| k >> shift);
+        }
+        self.level = level;
+    }
+
+    /// The finished grid.
+    pub fn finish(mut self) -> Grid {
+        self.flush();
+        let mut cells: Vec<_> = self.cells.into_iter().collect();
+        // In the order in which the stream meets them; no two cells share a first sample.
+        cells.sort_unstable_by_key(|(_, record)| record.first);
+        let index = cells.iter().enumerate().map(|(i, (key, _))| (*key, i as u32)).collect();
+        let (keys, records) = cells.into_iter().unzip();
+        Grid { level: self.level, bounds: self.bounds, keys, records, index }
+    }
+}
+
+/// The coarse grid G after pass 1: which cells are occupied, by how many samples and where in the stream.
+#[derive(Debug)]
+pub struct Grid {
+    /// log₂ of the cell size.
+    pub level: i32,
+    /// Bounding box of the finite positions.
+    pub bounds: Bounds,
+    /// The occupied cells, in the order in which the stream first meets them.
+    pub keys: Vec<CellKey>,
+    /// A record per occupied cell.
+    pub records: Vec<CellRecord>,
+    index: CellMap<u32>,
+}
+
+impl Grid {
+    /// Edge length of a cell, in the model's unit.
+    pub fn cell_size(&self) -> f64 {
+        2f64.powi(self.level)
+    }
+
+    /// The cell that holds `p`, which must be finite.
+    #[inline]
+    pub fn key_of(&self, p: DVec3) -> CellKey {
+        key_at(p, self.level)
+    }
+
+    /// Position in [`Grid::keys`] of an occupied cell.
+    #[inline]
+    pub fn find(&self, key: &CellKey) -> Option<u32> {
+        self.index.get(key).copied()
+    }
+}
+
+fn merge(cells: &mut CellMap<CellRecord>, key: CellKey, record: CellRecord) {
+    cells
+        .entry(key)
+        .and_modify(|r| {
+            r.count += record.count;
+            r.first = r.first.min(record.first);
+            r.last = r.last.max(record.last);
+        })
+        .or_insert(record);
+}
+
+/// ⌊log₂ x⌋ of a positive normal double; the least exponent for anything smaller.
+#[inline]
+fn exponent(x: f64) -> i32 {
+    ((x.to_bits() >> 52) & 0x7ff).max(1) as i32 - 1023
+}
+
+/// ⌊p / 2^level⌋, exact.
+#[inline]
+fn key_at(p: DVec3, level: i32) -> CellKey {
+    // Two factors, as 2^-level itself can overflow; a product with a power of two is exact, or so small that
+    // its floor is that of a tiny number of the same sign.
+    let half = -level / 2;
+    let (a, b) = (power_of_two(half), power_of_two(-level - half));
+    [p.x, p.y, p.z].map(|x| (x * a * b).floor() as i64)
+}
+
+/// 2^e for −1022 ≤ e ≤ 1023, without a call.
+#[inline]
+fn power_of_two(e: i32) -> f64 {
+    f64::from_bits(((e + 1023) as u64) << 52)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn grid(points: &[DVec3], resolution: u32) -> Grid {
+        let mut lattice = Lattice::new(resolution);
+        points.iter().enumerate().for_each(|(i, &p)| lattice.add(p, i as u64));
+        lattice.finish()
+    }
+
+    fn point() -> impl Strategy<Value = DVec3> {
+        let x = || prop_oneof![-1.0..1.0f64, -1e-30..1e-30f64, -1e30..1e30f64, Just(0.0), 4.2e6..4.3e6f64];
+        (x(), x(), x()).prop_map(|(x, y, z)| DVec3::new(x, y, z))
+    }
+
+    proptest! {
+        #[test]
+        fn every_sample_is_counted_once_in_its_own_cell(
+            points in proptest::collection::vec(point(), 1..200), resolution in 2u32..64,
+        ) {
+            let g = grid(&points, resolution);
+            let mut counts = vec![0u64; g.keys.len()];
+            for p in &points {
+                counts[g.find(&g.key_of(*p)).expect("an occupied cell") as usize] += 1;
+            }
+            prop_assert!(g.records.iter().zip(&counts).all(|(r, c)| r.count == *c));
+            for a in 0..3 {
+                let low = g.keys.iter().map(|k| k[a]).min().expect("a cell");
+                let high = g.keys.iter().map(|k| k[a]).max().expect("a cell");
+                prop_assert!(high - low < i64::from(resolution));
+            }
+        }
+
+        #[test]
+        fn cells_do_not_depend_on_the_order(
+            points in proptest::collection::vec(point(), 1..100), seed in any::<u64>(),
+        ) {
+            let mut shuffled = points.clone();
+            let mut state = seed;
+            for i in (1..shuffled.len()).rev() {
+                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+                shuffled.swap(i, (state >> 33) as usize % (i + 1));
+            }
+            let cells = |g: Grid| {
+                let mut cells: Vec<_> = g.keys.iter().zip(&g.records).map(|(k, r)| (*k, r.count)).collect();
+                cells.sort_unstable();
+                (g.level, cells)
+            };
+            prop_assert_eq!(cells(grid(&points, 16)), cells(grid(&shuffled, 16)));
+        }
+    }
+
+    #[test]
+    fn resolution_is_used() {
+        let points: Vec<_> = (0..=1000).map(|i| DVec3::new(f64::from(i) * 1e-3, 0.0, 0.0)).collect();
+        let g = grid(&points, 64);
+        assert!((32..=64).contains(&g.keys.len()), "{} cells", g.keys.len());
+    }
+
+    #[test]
+    fn equal_points_share_one_cell_at_any_scale() {
+        for scale in [0.0, 5e-324, 1e-300, 1e-30, 1.0, 1e30, 1e300, f64::MAX] {
+            let g = grid(&[DVec3::new(scale, -scale, scale / 3.0); 5], 64);
+            assert_eq!(g.keys.len(), 1, "scale {scale}");
+            assert_eq!(g.records[0], CellRecord { count: 5, first: 0, last: 4 });
+        }
+    }
+}

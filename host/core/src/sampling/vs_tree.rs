@@ -1,0 +1,419 @@
+//! The Volume-Surface Tree of one cell: T. Boubekeur, W. Heidrich, X. Granier, C. Schlick,
+//! *Volume-Surface Trees*, Eurographics 2006, as used for clustering in the paper's §4.
+//!
+//! A cluster is split in space (octree) until it projects on its mean plane without folding, and from there on
+//! in that plane (quadtree, 1 for 4). Splits are at the middle of the cluster's tight box, and leave out
+//! axes shorter than half the longest, so that clusters stay about as wide as long. Two sheets with opposite
+//! normals are parted at once, by the sign of their normals, instead of splitting down to their distance.
+//!
+//! A node's *key* is its error, or its parent's if that is less: the clusters of a cut at ε are those reached
+//! from the root by going on while the key exceeds ε, and their number falls as ε grows.
+
+use glam::{DMat3, DVec3, Vec3};
+
+use super::cluster::{Moments, Sample};
+use crate::geometry::symmetric_eigen;
+
+/// A cluster projects on its mean plane without folding if its normals lie within this cosine of the plane's.
+const FOLD_COSINE: f32 = 0.3;
+
+/// Without normals, a cluster counts as flat if its thickness is below this part of its lesser width.
+const FLATNESS: f64 = 0.1;
+
+/// Axes shorter than this part of the longest are not split.
+const SPLIT_ASPECT: f32 = 0.5;
+
+/// Part of a cluster's error that its place in the tree adds: it orders clusters that are alike (a flat grid of
+/// points has thousands) so that a cut through them is spread evenly instead of sweeping from one end.
+const DITHER: f64 = 0.02;
+
+/// Splits below this depth are coincident points in all but name.
+const MAX_DEPTH: u32 = 96;
+
+/// A cluster in a [`VsTree`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Node {
+    /// The sample that stands for the cluster, in local coordinates.
+    pub position: Vec3,
+    /// Its unit normal; zero where unknown.
+    pub normal: Vec3,
+    /// The least error of this cluster and those above it; 0 if it cannot be split.
+    pub key: f32,
+    /// Index of the first node behind this one's subtree; the children follow their parent.
+    pub end: u32,
+}
+
+/// The clusters of a cell in preorder.
+#[derive(Debug, Clone, Default)]
+pub struct VsTree {
+    /// All clusters, a parent before its children.
+    pub nodes: Vec<Node>,
+}
+
+impl VsTree {
+    /// Builds the tree down to clusters of key `stop` or less. Reorders `samples`, which must not be empty.
+    ///
+    /// Memory: `scratch` grows to the number of samples; the recursion is at most `MAX_DEPTH` deep.
+    pub fn build(samples: &mut [Sample], scratch: &mut Vec<Sample>, stop: f32, seed: u64) -> (Self, Moments) {
+        let moments = Moments::of(samples);
+        let mut tree = Self::default();
+        Builder { stop, scratch, nodes: &mut tree.nodes }.node(
+            samples,
+            moments,
+            f32::INFINITY,
+            Stage::Volume,
+            0,
+            seed,
+        );
+        (tree, moments)
+    }
+
+    /// Calls `visit` with each cluster of the cut at `threshold`, in order.
+    pub fn cut(&self, threshold: f32, mut visit: impl FnMut(&Node)) {
+        let mut i = 0;
+        while let Some(node) = self.nodes.get(i) {
+            if node.key > threshold {
+                i += 1;
+            } else {
+                visit(node);
+                i = node.end as usize;
+            }
+        }
+    }
+
+    /// Number of clusters that cannot be split further.
+    pub fn leaves(&self) -> usize {
+        let mut leaves = 0;
+        self.cut(0.0, |_| leaves += 1);
+        leaves
+    }
+
+    /// Drops everything below the cut at `threshold`, whose clusters keep their keys but become leaves.
+    pub fn prune(&mut self, threshold: f32) {
+        let mut kept: Vec<Node> = Vec::new();
+        // Kept ancestors of the node at hand: their place in `kept`, and where their subtrees end.
+        let mut open: Vec<(usize, u32)> = Vec::new();
+        let mut i = 0;
+        while let Some(node) = self.nodes.get(i) {
+            while let Some((at, _)) = open.pop_if(|(_, end)| *end as usize <= i) {
+                kept[at].end = kept.len() as u32;
+            }
+            if node.key > threshold {
+                open.push((kept.len(), node.end));
+                kept.push(*node);
+                i += 1;
+            } else {
+                kept.push(Node { key: 0.0, end: kept.len() as u32 + 1, ..*node });
+                i = node.end as usize;
+            }
+        }
+        for (at, _) in open {
+            kept[at].end = kept.len() as u32;
+        }
+        kept.shrink_to_fit();
+        self.nodes = kept;
+    }
+
+    /// The clusters that a cut can split: their key, and how many clusters the split adds.
+    pub fn splits(&self) -> impl Iterator<Item = (f32, u32)> + '_ {
+        self.nodes.iter().enumerate().filter(|(_, node)| node.key > 0.0).map(|(i, node)| {
+            let (mut child, mut children) = (i as u32 + 1, 0);
+            while child < node.end {
+                children += 1;
+                child = self.nodes[child as usize].end;
+            }
+            (node.key, children - 1)
+        })
+    }
+}
+
+/// How a cluster is split.
+#[derive(Debug, Clone, Copy)]
+enum Stage {
+    /// In space, along the coordinate axes.
+    Volume,
+    /// In the plane of these two unit vectors.
+    Surface([Vec3; 2]),
+}
+
+struct Builder<'a> {
+    stop: f32,
+    scratch: &'a mut Vec<Sample>,
+    nodes: &'a mut Vec<Node>,
+}
+
+impl Builder<'_> {
+    fn node(&mut self, samples: &mut [Sample], m: Moments, above: f32, stage: Stage, depth: u32, seed: u64) {
+        let dither = 1.0 + DITHER * (seed >> 40) as f64 / (1u64 << 24) as f64;
+        let mut key = above.min((m.error() * dither) as f32);
+        if samples.len() == 1 || m.min == m.max || depth == MAX_DEPTH {
+            key = 0.0;
+        }
+        let at = self.nodes.len();
+        self.nodes.push(Node {
+            position: m.representative(),
+            normal: m.mean_normal().as_vec3(),
+            key,
+            end: 0,
+        });
+        if key > self.stop && !self.split(samples, &m, key, stage, depth, seed) {
+            self.nodes[at].key = 0.0;
+        }
+        // A cluster that is not split here ends the tree: a cut stops at it whatever its error.
+        if self.nodes.len() == at + 1 {
+            self.nodes[at].key = 0.0;
+        }
+        self.nodes[at].end = self.nodes.len() as u32;
+    }
+
+    /// Splits a cluster and goes on with its parts; `false` if nothing tells its samples apart.
+    fn split(
+        &mut self,
+        samples: &mut [Sample],
+        m: &Moments,
+        key: f32,
+        stage: Stage,
+        depth: u32,
+        seed: u64,
+    ) -> bool {
+        let stage = match stage {
+            Stage::Surface(_) if m.mean_normal() != DVec3::ZERO => stage,
+            _ => match examine(samples, m) {
+                Shape::Sheet(frame) => Stage::Surface(frame),
+                Shape::TwoSheets(axis) => {
+                    let side = |s: &Sample| usize::from(s.normal.dot(axis) < 0.0);
+                    return self.part(samples, side, key, Stage::Volume, depth, seed);
+                }
+                Shape::Folded => Stage::Volume,
+            },
+        };
+        if let Stage::Surface([t1, t2]) = stage {
+            let code = octant(samples, |p| Vec3::new(p.dot(t1), p.dot(t2), 0.0));
+            if self.part(samples, code, key, stage, depth, seed) {
+                return true;
+            }
+            // All on one line along the normal.
+        }
+        let code = octant(samples, |p| p);
+        self.part(samples, code, key, Stage::Volume, depth, seed)
+    }
+
+    /// Parts the samples by `code` < 8, and goes on with each part; `false` if they all have the same code.
+    fn part(
+        &mut self,
+        samples: &mut [Sample],
+        code: impl Fn(&Sample) -> usize,
+        key: f32,
+        stage: Stage,
+        depth: u32,
+        seed: u64,
+    ) -> bool {
+        let mut counts = [0usize; 8];
+        samples.iter().for_each(|s| counts[code(s)] += 1);
+        if counts.contains(&samples.len()) {
+            return false;
+        }
+        let mut starts = [0usize; 9];
+        for i in 0..8 {
+            starts[i + 1] = starts[i] + counts[i];
+        }
+        self.scratch.clear();
+        self.scratch.extend_from_slice(samples);
+        let mut next = starts;
+        for s in self.scratch.iter() {
+            let c = code(s);
+            samples[next[c]] = *s;
+            next[c] += 1;
+        }
+        for c in 0..8 {
+            let part = &mut samples[starts[c]..starts[c + 1]];
+            if !part.is_empty() {
+                let moments = Moments::of(part);
+                self.node(part, moments, key, stage, depth + 1, mix(seed, c as u64 + 1));
+            }
+        }
+        true
+    }
+}
+
+/// How the samples of a cluster lie.
+enum Shape {
+    /// They project on the plane of these vectors without folding.
+    Sheet([Vec3; 2]),
+    /// They are two sheets across this direction, with opposite normals.
+    TwoSheets(Vec3),
+    /// Neither.
+    Folded,
+}
+
+/// The transition predicate of the VS-Tree: normals within a cone, or without normals a strict flatness test.
+fn examine(samples: &[Sample], m: &Moments) -> Shape {
+    let normal = m.mean_normal();
+    let covariance = m.covariance();
+    if samples.iter().any(|s| s.normal == Vec3::ZERO) {
+        let (values, vectors) = symmetric_eigen(covariance);
+        return if values.x <= FLATNESS * FLATNESS * values.y {
+            Shape::Sheet([vectors.z_axis.as_vec3(), vectors.y_axis.as_vec3()])
+        } else {
+            Shape::Folded
+        };
+    }
+    let n = normal.as_vec3();
+    if normal != DVec3::ZERO && samples.iter().all(|s| s.normal.dot(n) > FOLD_COSINE) {
+        return Shape::Sheet(principal_tangents(covariance, normal));
+    }
+    let axis = symmetric_eigen(m.normal_scatter()).1.z_axis.as_vec3();
+    let mut sides = [false; 2];
+    for s in samples {
+        let cosine = s.normal.dot(axis);
+        if cosine.abs() <= FOLD_COSINE {
+            return Shape::Folded;
+        }
+        sides[usize::from(cosine < 0.0)] = true;
+    }
+    if sides == [true, true] { Shape::TwoSheets(axis) } else { Shape::Folded }
+}
+
+/// Unit vectors across `normal`, along the longest and the shortest extent of the cluster there.
+fn principal_tangents(covariance: DMat3, normal: DVec3) -> [Vec3; 2] {
+    let (u, v) = normal.any_orthonormal_pair();
+    let (a, b, c) = (u.dot(covariance * u), u.dot(covariance * v), v.dot(covariance * v));
+    let angle = 0.5 * (2.0 * b).atan2(a - c);
+    let t = u * angle.cos() + v * angle.sin();
+    [t.as_vec3(), normal.cross(t).as_vec3()]
+}
+
+/// Least and greatest coordinates of the samples in a frame.
+fn extent(samples: &[Sample], frame: impl Fn(Vec3) -> Vec3) -> (Vec3, Vec3) {
+    samples.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(min, max), s| {
+        let q = frame(s.position);
+        (min.min(q), max.max(q))
+    })
+}
+
+/// The code of a sample's place in the cluster's tight box in a frame: one bit per axis that is split.
+fn octant<F: Fn(Vec3) -> Vec3>(samples: &[Sample], frame: F) -> impl Fn(&Sample) -> usize + use<F> {
+    let (min, max) = extent(samples, &frame);
+    let extent = max - min;
+    let split = extent.cmpgt(Vec3::splat(extent.max_element() * SPLIT_ASPECT)).bitmask();
+    let middle = min * 0.5 + max * 0.5;
+    move |s| (frame(s.position).cmpgt(middle).bitmask() & split) as usize
+}
+
+/// A new pseudo-random number from a node's and its child's place: SplitMix64's finaliser.
+pub(super) fn mix(seed: u64, x: u64) -> u64 {
+    let mut z = seed.wrapping_add(x.wrapping_mul(0x9E37_79B9_7F4A_7C15));
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn sample(position: Vec3, normal: Vec3) -> Sample {
+        Sample { position, normal }
+    }
+
+    fn full(samples: &[Sample]) -> VsTree {
+        VsTree::build(&mut samples.to_vec(), &mut Vec::new(), 0.0, 7).0
+    }
+
+    fn clusters(tree: &VsTree, threshold: f32) -> Vec<Node> {
+        let mut nodes = Vec::new();
+        tree.cut(threshold, |node| nodes.push(*node));
+        nodes
+    }
+
+    fn any_samples() -> impl Strategy<Value = Vec<Sample>> {
+        let x = || prop_oneof![-1.0..1.0f32, (-2..2i32).prop_map(|x| x as f32)];
+        let normal = prop_oneof![
+            Just(Vec3::ZERO),
+            Just(Vec3::X),
+            (x(), x(), x()).prop_map(|(x, y, z)| Vec3::new(x, y, z).normalize_or_zero()),
+        ];
+        let one = ((x(), x(), x()), normal).prop_map(|((x, y, z), n)| sample(Vec3::new(x, y, z), n));
+        proptest::collection::vec(one, 1..150)
+    }
+
+    proptest! {
+        #[test]
+        fn a_full_tree_has_a_leaf_for_each_distinct_sample(samples in any_samples()) {
+            let tree = full(&samples);
+            let mut distinct: Vec<_> = samples.iter().map(|s| s.position.to_array().map(|x| (x + 0.0).to_bits())).collect();
+            distinct.sort_unstable();
+            distinct.dedup();
+            // Coincident samples with opposite normals are two.
+            prop_assert!(tree.leaves() >= distinct.len());
+            for s in &samples {
+                let nearest = clusters(&tree, 0.0).iter().map(|c| c.position.distance(s.position)).fold(f32::MAX, f32::min);
+                prop_assert_eq!(nearest, 0.0);
+            }
+        }
+
+        #[test]
+        fn representatives_stay_inside_and_cuts_nest(samples in any_samples(), t in 0.0..0.5f32, u in 0.0..0.5f32) {
+            let tree = full(&samples);
+            let (low, high) = (t.min(u), t.max(u));
+            prop_assert!(clusters(&tree, low).len() >= clusters(&tree, high).len());
+            let (min, max) = extent(&samples, |p| p);
+            for node in &tree.nodes {
+                prop_assert!(node.position.cmpge(min).all() && node.position.cmple(max).all());
+            }
+            // Pruned at the lower bound, the tree still gives the cut at the higher one.
+            let mut pruned = tree.clone();
+            pruned.prune(low);
+            let places = |tree: &VsTree| clusters(tree, high).iter().map(|c| c.position).collect::<Vec<_>>();
+            prop_assert_eq!(places(&pruned), places(&tree));
+            prop_assert_eq!(pruned.leaves(), clusters(&tree, low).len());
+        }
+
+        #[test]
+        fn splits_count_what_a_cut_adds(samples in any_samples(), threshold in 0.0..0.5f32) {
+            let tree = full(&samples);
+            let added: u32 = tree.splits().filter(|(key, _)| *key > threshold).map(|(_, n)| n).sum();
+            prop_assert_eq!(1 + added as usize, clusters(&tree, threshold).len());
+        }
+    }
+
+    #[test]
+    fn opposite_sides_of_a_thin_plate_are_never_merged() {
+        let side = |y: f32, n: Vec3| {
+            (0..400).map(move |i| sample(Vec3::new((i % 20) as f32, y, (i / 20) as f32) / 20.0, n))
+        };
+        let plate: Vec<_> = side(0.0, -Vec3::Y).chain(side(0.001, Vec3::Y)).collect();
+        let tree = full(&plate);
+        // The root is split into the two sides, and each cluster below has the normal of one of them.
+        for node in &tree.nodes[1..] {
+            assert!(node.normal.y.abs() > 0.99, "{node:?}");
+        }
+        assert_eq!(tree.splits().next().map(|(_, added)| added), Some(1));
+    }
+
+    #[test]
+    fn a_flat_patch_is_split_in_its_plane() {
+        // Tilted: an octree would cut it into slivers along the axes.
+        let n = Vec3::new(0.4, 0.7, 0.3).normalize_or(Vec3::Y);
+        let (u, v) = n.any_orthonormal_pair();
+        let patch: Vec<_> = (0..1024).map(|i| sample(u * (i % 32) as f32 + v * (i / 32) as f32, n)).collect();
+        let tree = full(&patch);
+        let (_, added) = tree.splits().next().expect("a split");
+        assert_eq!(added, 3, "one for four");
+        assert_eq!(tree.leaves(), 1024);
+        // 1 + 4 + 16 + … + 1024 = 1365 clusters if each split is in four; fewer parts at an uneven edge.
+        assert!(tree.nodes.len() < 1500, "{} clusters", tree.nodes.len());
+    }
+
+    #[test]
+    fn coincident_and_collinear_samples_end() {
+        assert_eq!(full(&[sample(Vec3::ONE, Vec3::X); 100]).nodes.len(), 1);
+        let line: Vec<_> = (0..100).map(|i| sample(Vec3::X * i as f32, Vec3::Y)).collect();
+        assert_eq!(full(&line).leaves(), 100);
+        let across: Vec<_> = (0..100).map(|i| sample(Vec3::Y * i as f32, Vec3::Y)).collect();
+        assert_eq!(full(&across).leaves(), 100);
+        let halving: Vec<_> = (0..140).map(|i| sample(Vec3::X * 0.5f32.powi(i), Vec3::ZERO)).collect();
+        assert!(full(&halving).leaves() > 90);
+    }
+}
