@@ -8,6 +8,7 @@
 //! Nothing here holds memory proportional to `P_L`, prints, opens a window, or knows of plugins.
 
 pub mod error;
+pub mod generate;
 pub mod model;
 pub mod progress;
 
