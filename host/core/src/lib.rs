@@ -11,6 +11,7 @@ pub mod error;
 pub mod generate;
 pub mod model;
 pub mod progress;
+pub mod render;
 
 pub use error::{Error, ErrorKind, Result};
 pub use progress::Progress;
