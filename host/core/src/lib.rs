@@ -9,11 +9,13 @@
 
 pub mod error;
 pub mod frame;
+pub mod generate;
 pub mod geometry;
 pub mod model;
 pub mod output;
 pub mod progress;
 pub mod reconstruction;
+pub mod render;
 pub mod sampled_model;
 pub mod sampling;
 

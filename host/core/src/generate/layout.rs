@@ -1,0 +1,153 @@
+//! Rows of vertices on patches: how many where, and the triangles between them.
+//!
+//! Every row has its own number of columns, so a vase is sampled evenly from its foot to its belly, and poles
+//! are single vertices. Two neighbouring rows are sewn together like a zip.
+
+use super::SurfaceVertex;
+
+/// Fewest columns of a closed row that is no pole.
+const MIN_COLUMNS: u64 = 5;
+/// Fewest rows of a patch.
+const MIN_ROWS: u64 = 4;
+
+/// A surface with parameters: rows follow its length, and each row goes along (or around) its width.
+pub(super) trait Patch: Sync + Send {
+    /// Length, across the rows.
+    fn length(&self) -> f64;
+
+    /// Width of the row at a `distance` from the patch's first row; 0 for a pole.
+    fn width(&self, distance: f64) -> f64;
+
+    /// Whether rows are closed.
+    fn is_wrapped(&self) -> bool;
+
+    /// Appends the `columns` vertices of a row.
+    fn row(&self, distance: f64, columns: u32, vertices: &mut Vec<SurfaceVertex>);
+}
+
+/// The rows of one patch.
+pub(super) struct Layout {
+    wrapped: bool,
+    columns: Vec<u32>,
+    /// Index in the model of each row's first vertex, and of the first one after the patch.
+    first: Vec<u64>,
+}
+
+impl Layout {
+    pub fn rows(&self) -> usize {
+        self.columns.len()
+    }
+
+    pub fn columns(&self, row: usize) -> u32 {
+        self.columns[row]
+    }
+
+    /// Distance of a row from the patch's first one, of the patch's `length`.
+    pub fn distance(&self, row: usize, length: f64) -> f64 {
+        length * row as f64 / (self.rows() - 1) as f64
+    }
+
+    /// Number of triangles between a row and the next one.
+    pub fn strip_len(&self, row: usize) -> u64 {
+        let (a, b) = (u64::from(self.columns[row]), u64::from(self.columns[row + 1]));
+        match (self.wrapped, a, b) {
+            (true, 1, n) | (true, n, 1) => n,
+            (true, ..) => a + b,
+            (false, ..) => a + b - 2,
+        }
+    }
+
+    /// Appends the triangles between a row and the next one, counter-clockwise seen from outside.
+    pub fn strip(&self, row: usize, triangles: &mut Vec<[u64; 3]>) {
+        let (na, nb) = (u64::from(self.columns[row]), u64::from(self.columns[row + 1]));
+        let (a, b) = (self.first[row], self.first[row + 1]);
+        // Edges of each row, and their number per full width, to compare how far both sides have come.
+        let edges = |n: u64| {
+            if !self.wrapped {
+                n - 1
+            } else if n == 1 {
+                0
+            } else {
+                n
+            }
+        };
+        let (ea, eb) = (edges(na), edges(nb));
+        let (mut i, mut j) = (0, 0);
+        while i < ea || j < eb {
+            // Compares the middles of the two candidate edges: the shorter diagonal wins.
+            if j == eb || (i < ea && (2 * i + 1) * eb <= (2 * j + 1) * ea) {
+                triangles.push([a + i % na, b + j % nb, a + (i + 1) % na]);
+                i += 1;
+            } else {
+                triangles.push([a + i % na, b + j % nb, b + (j + 1) % nb]);
+                j += 1;
+            }
+        }
+    }
+}
+
+/// Lays exactly `vertices` vertices on the patches, evenly.
+pub(super) fn lay_out(patches: &[Box<dyn Patch>], vertices: u64) -> Vec<Layout> {
+    // The widest spacing is halved until it gives enough, then bisected. The count is not quite monotonic,
+    // as it is rounded by rows; any spacing slightly too wide will do, since the rest is dealt out below.
+    let count = |spacing: f64| -> u64 {
+        patches.iter().map(|p| columns(p.as_ref(), spacing).map(u64::from).sum::<u64>()).sum()
+    };
+    let mut narrow = patches.iter().map(|p| p.length()).fold(0.0, f64::max);
+    let mut wide = narrow;
+    while count(narrow) <= vertices {
+        wide = narrow;
+        narrow *= 0.5;
+    }
+    for _ in 0..40 {
+        let middle = (narrow * wide).sqrt();
+        if count(middle) <= vertices {
+            wide = middle;
+        } else {
+            narrow = middle;
+        }
+    }
+    let mut rows: Vec<Vec<u32>> = patches.iter().map(|p| columns(p.as_ref(), wide).collect()).collect();
+
+    // Deal out what the rounding left, in proportion to what the rows have; poles stay poles.
+    let dealt: u64 = rows.iter().flatten().map(|&c| u64::from(c)).sum();
+    let rest = u128::from(vertices.saturating_sub(dealt));
+    let total: u128 = rows.iter().flatten().filter(|&&c| c > 1).map(|&c| u128::from(c)).sum();
+    let mut seen = 0;
+    for columns in rows.iter_mut().flatten().filter(|c| **c > 1) {
+        let before = rest * seen / total;
+        seen += u128::from(*columns);
+        *columns += (rest * seen / total - before) as u32;
+    }
+
+    let mut next = 0;
+    patches
+        .iter()
+        .zip(rows)
+        .map(|(patch, columns)| {
+            let mut first = Vec::with_capacity(columns.len() + 1);
+            first.push(next);
+            for &c in &columns {
+                next += u64::from(c);
+                first.push(next);
+            }
+            Layout { wrapped: patch.is_wrapped(), columns, first }
+        })
+        .collect()
+}
+
+/// Columns of each row of a patch at a given spacing.
+fn columns(patch: &dyn Patch, spacing: f64) -> impl Iterator<Item = u32> {
+    let length = patch.length();
+    let rows = ((length / spacing).round() as u64 + 1).max(MIN_ROWS);
+    (0..rows).map(move |row| {
+        let width = patch.width(length * row as f64 / (rows - 1) as f64);
+        let steps = (width / spacing).round() as u64;
+        let columns = match (patch.is_wrapped(), width < 1e-9) {
+            (true, true) => 1,
+            (true, false) => steps.max(MIN_COLUMNS),
+            (false, _) => steps + 1,
+        };
+        columns.clamp(1, u64::from(u32::MAX)) as u32
+    })
+}

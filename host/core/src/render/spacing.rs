@@ -1,0 +1,103 @@
+//! How far apart the points of a model are, from place to place.
+
+use glam::{DVec3, IVec3};
+
+/// Cells of the grid along the longest side of the model: 8 MiB of counters for a cube.
+const CELLS: f64 = 128.0;
+
+/// The local spacing of points, from how many there are in the cells of a grid.
+///
+/// Scans are irregular, and their points come in any order, so neither the extent and the count nor the distance
+/// of consecutive points tells the spacing. The count in a cell does, once the area of surface in a cell is
+/// known: two thirds of the cell's side squared, in the mean over all orientations of a plane (it meets 3/2
+/// cells per such area). Counts are averaged over the occupied cells around, which evens out cells that the
+/// surface only grazes.
+pub struct Spacing {
+    origin: DVec3,
+    cell: f64,
+    size: IVec3,
+    counts: Vec<u32>,
+}
+
+impl Spacing {
+    /// An empty grid over a box (its lowest and highest corners), of bounded size.
+    pub fn new(bounds: [DVec3; 2]) -> Self {
+        let extent = bounds[1] - bounds[0];
+        let longest = extent.max_element();
+        let cell = if longest.is_finite() && longest > 0.0 { longest / CELLS } else { 1.0 };
+        let size = (extent / cell).floor().as_ivec3().clamp(IVec3::ZERO, IVec3::splat(CELLS as i32)) + 1;
+        let origin = if bounds[0].is_finite() { bounds[0] } else { DVec3::ZERO };
+        Self { origin, cell, size, counts: vec![0; size.as_usizevec3().element_product()] }
+    }
+
+    /// Counts points, in any order and any number of calls; those outside the box or not finite are left out.
+    pub fn add(&mut self, positions: impl IntoIterator<Item = DVec3>) {
+        for position in positions {
+            if let Some(index) = self.cell_of(position).and_then(|cell| self.index(cell)) {
+                self.counts[index] = self.counts[index].saturating_add(1);
+            }
+        }
+    }
+
+    /// The mean distance of neighbouring points around a position, no longer than a cell; a cell where there
+    /// are none.
+    pub fn at(&self, position: DVec3) -> f64 {
+        let Some(cell) = self.cell_of(position) else { return self.cell };
+        let (mut points, mut cells) = (0.0, 0.0);
+        for offset in (0..27).map(|i| IVec3::new(i % 3, i / 3 % 3, i / 9) - 1) {
+            if let Some(index) = self.index(cell + offset) {
+                let count = self.counts[index];
+                points += f64::from(count);
+                cells += f64::from(u8::from(count > 0));
+            }
+        }
+        let area = 2.0 / 3.0 * self.cell * self.cell;
+        if points > 0.0 { (area * cells / points).sqrt().min(self.cell) } else { self.cell }
+    }
+
+    /// Radius of discs that cover the surface around a position without holes: wider than the spacing, as
+    /// points are not on a perfect grid.
+    pub fn radius_at(&self, position: DVec3) -> f32 {
+        (1.35 * self.at(position)) as f32
+    }
+
+    fn cell_of(&self, position: DVec3) -> Option<IVec3> {
+        let cell = ((position - self.origin) / self.cell).floor();
+        cell.is_finite().then(|| cell.as_ivec3())
+    }
+
+    fn index(&self, cell: IVec3) -> Option<usize> {
+        let inside = cell.cmpge(IVec3::ZERO).all() && cell.cmplt(self.size).all();
+        inside.then(|| ((cell.z * self.size.y + cell.y) * self.size.x + cell.x) as usize)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spacing_of_a_lattice_on_a_slanted_plane() {
+        let (across, along) = (DVec3::new(0.8, 0.6, 0.0), DVec3::new(-0.36, 0.48, 0.8));
+        let points = || {
+            (0..1_000_000).map(|i| across * f64::from(i % 1000) * 0.001 + along * f64::from(i / 1000) * 0.001)
+        };
+        let (low, high) = points().fold((DVec3::MAX, DVec3::MIN), |(low, high), p| (low.min(p), high.max(p)));
+        let mut spacing = Spacing::new([low, high]);
+        spacing.add(points());
+        for i in 0..20 {
+            let at = spacing.at((across + along) * (0.2 + 0.03 * f64::from(i)));
+            assert!((0.0008..0.0013).contains(&at), "{at}");
+        }
+    }
+
+    #[test]
+    fn degenerate_boxes_and_points_are_taken() {
+        for bounds in [[DVec3::ZERO; 2], [DVec3::NAN; 2], [DVec3::INFINITY, DVec3::NEG_INFINITY]] {
+            let mut spacing = Spacing::new(bounds);
+            spacing.add([DVec3::ZERO, DVec3::NAN, DVec3::splat(1e300)]);
+            assert!(spacing.radius_at(DVec3::ZERO) > 0.0);
+            assert!(spacing.radius_at(DVec3::NAN) > 0.0);
+        }
+    }
+}

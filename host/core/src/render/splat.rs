@@ -1,0 +1,170 @@
+//! Two passes of splats into bands of pixels.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::SurfacePoint;
+use super::camera::{Camera, Lens};
+
+/// Rows of a band: what one thread draws at a time.
+const BAND: usize = 64;
+/// Points projected at a time: the bound of the buffer of splats.
+const BATCH: usize = 1 << 16;
+/// A splat reaches at least so many pixels around its middle, so that none falls between samples.
+const LEAST_REACH: f32 = 0.75;
+/// A splat reaches at most so many pixels: a wrong radius costs no minutes.
+const MOST_REACH: f32 = 256.0;
+
+/// What the picture shows at each sample, before it is lit.
+pub(super) struct Canvas {
+    pub width: usize,
+    pub height: usize,
+    pub pixels: Vec<Pixel>,
+}
+
+/// One sample of the picture.
+#[derive(Clone, Copy)]
+pub(super) struct Pixel {
+    /// Depth of the nearest surface; infinite where there is none.
+    nearest: f32,
+    /// Sums, weighted: of depth, normal (in view coordinates, towards the eye) and colour.
+    depth: f32,
+    normal: Vec3,
+    color: Vec3,
+    weight: f32,
+}
+
+impl Pixel {
+    const EMPTY: Self =
+        Self { nearest: f32::INFINITY, depth: 0.0, normal: Vec3::ZERO, color: Vec3::ZERO, weight: 0.0 };
+
+    /// Depth of the blended surface; infinite where there is none.
+    pub fn depth(&self) -> f32 {
+        if self.weight > 0.0 { self.depth / self.weight } else { f32::INFINITY }
+    }
+
+    /// Unit normal in view coordinates; zero where no point had one.
+    pub fn normal(&self) -> Vec3 {
+        self.normal.normalize_or_zero()
+    }
+
+    /// Colour, from 0 to 1.
+    pub fn color(&self) -> Vec3 {
+        if self.weight > 0.0 { self.color / self.weight } else { Vec3::ZERO }
+    }
+}
+
+/// A disc in view coordinates.
+struct Splat {
+    center: Vec3,
+    /// Unit normal towards the eye; zero where it is not known.
+    normal: Vec3,
+    color: Vec3,
+    radius: f32,
+    pixel: [f32; 2],
+    /// Pixels that it reaches around its middle.
+    reach: f32,
+}
+
+impl Splat {
+    fn new(camera: &Camera, lens: &Lens, point: &SurfacePoint) -> Option<Self> {
+        let center = camera.to_view(point.position);
+        if !(center.is_finite() && center.z > lens.near && point.radius >= 0.0) {
+            return None;
+        }
+        let normal = camera.direction_to_view(point.normal.as_dvec3()).as_vec3().normalize_or_zero();
+        let normal = if normal.dot(center) > 0.0 { -normal } else { normal };
+        let pixel = lens.project(center);
+        let scale = lens.scale[0].max(lens.scale[1]) / center.z;
+        let reach = (point.radius * scale).clamp(LEAST_REACH, MOST_REACH);
+        let color = Vec3::from(point.color.map(f32::from)) / 255.0;
+        Some(Self { center, normal, color, radius: reach / scale, pixel, reach })
+    }
+
+    /// Depth and weight (0 outside) along a pixel's ray; (`dx`, `dy`) is the way there from the splat's middle.
+    fn hit(&self, ray: Vec3, dx: f32, dy: f32) -> (f32, f32) {
+        let on_screen = dx * dx + dy * dy;
+        let facing = self.normal.dot(ray);
+        // Facing the eye where the normal is unknown; a disc seen edge-on keeps its depth within its radius.
+        let mut depth = self.center.z;
+        let mut distance = on_screen / (self.reach * self.reach);
+        if facing < 0.0 {
+            depth = (self.normal.dot(self.center) / facing)
+                .clamp(self.center.z - self.radius, self.center.z + self.radius);
+            let on_disc = (ray * depth).distance_squared(self.center) / (self.radius * self.radius);
+            // A disc narrower than a sample is drawn as a dot of that size.
+            distance = on_disc.min(on_screen / (LEAST_REACH * LEAST_REACH));
+        }
+        let weight = (1.0 - distance).max(0.0);
+        (depth, weight * weight)
+    }
+}
+
+impl Canvas {
+    pub fn new(width: u32, height: u32) -> Self {
+        let (width, height) = (width as usize, height as usize);
+        Self { width, height, pixels: vec![Pixel::EMPTY; width * height] }
+    }
+
+    pub fn lens(&self, camera: &Camera) -> Lens {
+        camera.lens(self.width as u32, self.height as u32)
+    }
+
+    /// First pass: the depth of the nearest surface.
+    pub fn depth(&mut self, camera: &Camera, points: &[SurfacePoint]) {
+        self.draw(camera, points, |pixel, _, depth, _| pixel.nearest = pixel.nearest.min(depth));
+    }
+
+    /// Second pass: what lies on the nearest surface.
+    pub fn blend(&mut self, camera: &Camera, points: &[SurfacePoint]) {
+        self.draw(camera, points, |pixel, splat, depth, weight| {
+            // Neighbouring discs of one surface differ in depth by less than they are wide.
+            if depth <= pixel.nearest + splat.radius {
+                pixel.weight += weight;
+                pixel.depth += weight * depth;
+                pixel.normal += splat.normal * weight;
+                pixel.color += splat.color * weight;
+            }
+        });
+    }
+
+    fn draw(
+        &mut self,
+        camera: &Camera,
+        points: &[SurfacePoint],
+        hit: impl Fn(&mut Pixel, &Splat, f32, f32) + Sync,
+    ) {
+        let lens = self.lens(camera);
+        let (width, height) = (self.width, self.height);
+        for batch in points.chunks(BATCH) {
+            let splats: Vec<Splat> =
+                batch.par_iter().filter_map(|point| Splat::new(camera, &lens, point)).collect();
+            self.pixels.par_chunks_mut(BAND * width).enumerate().for_each(|(band, pixels)| {
+                let rows = [band * BAND, ((band + 1) * BAND).min(height)];
+                for splat in &splats {
+                    let Some([top, bottom]) = covered(splat.pixel[1], splat.reach, rows) else { continue };
+                    let Some([left, right]) = covered(splat.pixel[0], splat.reach, [0, width]) else {
+                        continue;
+                    };
+                    for y in top..bottom {
+                        let row = &mut pixels[(y - rows[0]) * width..][..width];
+                        for (x, pixel) in row.iter_mut().enumerate().take(right).skip(left) {
+                            let (dx, dy) = (x as f32 + 0.5 - splat.pixel[0], y as f32 + 0.5 - splat.pixel[1]);
+                            let (depth, weight) = splat.hit(lens.ray(x, y), dx, dy);
+                            if weight > 0.0 {
+                                hit(pixel, splat, depth, weight);
+                            }
+                        }
+                    }
+                }
+            });
+        }
+    }
+}
+
+/// The samples of a range whose middles lie within `reach` of a coordinate.
+fn covered(middle: f32, reach: f32, [start, end]: [usize; 2]) -> Option<[usize; 2]> {
+    let first = (middle - reach - 0.5).ceil().max(start as f32);
+    let last = (middle + reach - 0.5).floor().min(end as f32 - 1.0);
+    (first <= last).then_some([first as usize, last as usize + 1])
+}
