@@ -1,1 +1,106 @@
-//! The one crate that a SIMOD plugin needs.
+//! The one crate that a SIMOD deformation plugin needs.
+//!
+//! A plugin is a dynamic library (`crate-type = ["cdylib"]`) that implements [`Deformer`] and exports it with
+//! [`export_plugin!`]. The host hands it a few hundred thousand samples of a model, and it writes their deformed
+//! positions into the host's buffer: as many as it got, in the same order. How the deformation reaches the
+//! model's billions of vertices is none of its concern.
+//!
+//! A whole plugin:
+//!
+//! ```
+//! use simod_plugin_api::{
+//!     Deformer, DeformInput, Descriptor, Evaluate, Host, ParamDesc, PluginResult, PrepareInput, Unit,
+//! };
+//!
+//! /// Moves everything along x.
+//! struct Shift;
+//!
+//! impl Deformer for Shift {
+//!     type State = ();
+//!     type Scratch = ();
+//!
+//!     fn descriptor() -> Descriptor {
+//!         Descriptor::new("shift", "Shift", env!("CARGO_PKG_VERSION"))
+//!             .summary("Moves everything along x")
+//!             .param(ParamDesc::float("by", "By", 1.0).unit(Unit::MODEL_LENGTH).hint("How far it moves"))
+//!     }
+//!
+//!     fn prepare(_: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<()> {
+//!         Ok(())
+//!     }
+//!
+//!     fn deform(
+//!         _: &(), input: &DeformInput<'_>, _: &mut (), out: &mut [[f32; 3]], _: &Host<'_>,
+//!     ) -> PluginResult<()> {
+//!         let by = input.params().float("by")? as f32;
+//!         for (o, p) in out.iter_mut().zip(input.samples.positions()) {
+//!             *o = [p[0] + by, p[1], p[2]];
+//!         }
+//!         Ok(())
+//!     }
+//! }
+//!
+//! impl Evaluate for Shift {
+//!     fn evaluate(
+//!         _: &(), input: &DeformInput<'_>, points: &mut [[f64; 3]], _: &Host<'_>,
+//!     ) -> PluginResult<()> {
+//!         let by = input.params().float("by")?;
+//!         points.iter_mut().for_each(|p| p[0] += by);
+//!         Ok(())
+//!     }
+//! }
+//!
+//! simod_plugin_api::export_plugin!(Shift, evaluate);
+//! # fn main() {}
+//! ```
+//!
+//! # Coordinates and units
+//!
+//! Everything a plugin sees is in *local* coordinates: the model's own, in its own unit of length, minus an
+//! origin that the host chose so that `f32` positions keep their digits. Axes are the model's, untouched.
+//! Points given as parameters and the handles' transforms are local as well. Indices are sample indices.
+//!
+//! # Threads, ownership, errors
+//!
+//! | call | thread | cost |
+//! |---|---|---|
+//! | [`Deformer::descriptor`] | any, at load | microseconds |
+//! | [`Deformer::prepare`] | a worker; several instances at once | may take seconds; reports progress, obeys cancel |
+//! | [`Deformer::deform`] | one at a time per scratch; several scratches of a state at once | interactive |
+//! | [`Evaluate::evaluate`] | several threads at once on one state | nanoseconds to microseconds per point |
+//!
+//! All inputs are borrowed for the length of the call. A state is immutable and owned by the host until it is
+//! dropped, as is a scratch. Failures are [`PluginError`]s; a panic is caught inside the plugin and becomes one.
+//!
+//! # Evolution
+//!
+//! The root module and all types that cross the boundary are frozen with the first release: the loader
+//! compares their layouts. What comes later is an extension, a frozen struct of its own, queried by a string id:
+//! the plugin's by the host (`simod.evaluate/1`), the host's by the plugin ([`Host::extension`]). Codes
+//! ([`ErrorCode`], [`ParamKind`], [`Unit`], [`Role`], [`LogLevel`]) are numbers, not enums, since an enum with a
+//! value that one side does not know is undefined behaviour; an unknown code is refused, politely.
+
+mod deformer;
+mod descriptor;
+mod error;
+mod host;
+mod input;
+mod opaque;
+mod params;
+mod root;
+
+pub use deformer::{Deformer, Evaluate};
+pub use descriptor::{Consumes, Descriptor};
+pub use error::{ErrorCode, PluginError, PluginResult};
+pub use host::{HostCalls, LogLevel};
+pub use input::{Affine, Bounds, DeformInput, PrepareInput, Region, Role, Samples};
+pub use opaque::{Extension, ExtensionInterface, Host, Scratch, State};
+pub use params::{ChoiceDesc, Param, ParamDesc, ParamKind, Params, Unit};
+pub use root::{EvaluateExtension, PluginMod, PluginModRef};
+
+/// What the macros and the host need of the crates below; not for plugins.
+#[doc(hidden)]
+pub mod __private {
+    pub use crate::deformer::{evaluate_extension, no_extension, root_module};
+    pub use abi_stable;
+}

@@ -1,1 +1,26 @@
-//! Session.
+//! simod-session: plugins, the stack of deformations, and session files.
+//!
+//! ```text
+//! session.toml ──SessionFile::load──▶ steps ──Stack::build──▶ Stack ──apply(P_S)──▶ Deformed: P_S*, and the
+//!                    plugin folders ──PluginRegistry::discover──┘                  PreparedStack for any point
+//! ```
+//!
+//! Model coordinates are double precision and in the model's unit; plugins see *local* ones, relative to the
+//! sampled model's origin. The translation between both happens in [`stack`] alone; foreign code is called in
+//! [`deformer`] alone.
+
+pub mod deformer;
+pub mod motion;
+pub mod params;
+pub mod plugins;
+pub mod session_file;
+pub mod shapes;
+pub mod stack;
+
+pub use deformer::{Message, Plugin};
+pub use motion::Motion;
+pub use params::{ParamValue, Params};
+pub use plugins::{PluginRegistry, Rejected};
+pub use session_file::SessionFile;
+pub use shapes::{Shape, Shapes};
+pub use stack::{Deformed, PreparedStack, RestShape, Stack};

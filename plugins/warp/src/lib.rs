@@ -1,1 +1,186 @@
-//! Barr warps.
+//! Global warps of space: twist, bend and taper along an axis.
+//!
+//! A. H. Barr, *Global and local deformations of solid primitives*, SIGGRAPH 1984.
+//!
+//! Closed forms, so nothing is prepared: the same map serves the samples and any other point.
+
+mod map;
+
+use map::{Operation, Warp};
+use simod_plugin_api::{
+    Bounds, DeformInput, Deformer, Descriptor, Evaluate, Host, ParamDesc, Params, PluginError, PluginResult,
+    PrepareInput, Unit,
+};
+
+/// Samples between two looks at the host's wish to stop.
+const BLOCK: usize = 16_384;
+
+/// The plugin.
+struct WarpPlugin;
+
+impl Deformer for WarpPlugin {
+    type State = ();
+    type Scratch = ();
+
+    fn descriptor() -> Descriptor {
+        let operations = [("twist", "Twist"), ("bend", "Bend"), ("taper", "Taper")];
+        Descriptor::new("warp", "Warp", env!("CARGO_PKG_VERSION"))
+            .summary("Twists, bends or tapers the whole model along an axis")
+            .citation("A. H. Barr, Global and local deformations of solid primitives, SIGGRAPH 1984")
+            .param(ParamDesc::choice("operation", "Operation", "twist", &operations))
+            .param(
+                ParamDesc::point("center", "Centre", [0.5; 3])
+                    .unit(Unit::MODEL_LENGTH)
+                    .hint("A point on the axis; a bend leaves it where it is"),
+            )
+            .param(ParamDesc::direction("axis", "Axis", [0.0, 1.0, 0.0]).hint("Along which the warp runs"))
+            .param(
+                ParamDesc::direction("direction", "Direction", [1.0, 0.0, 0.0])
+                    .hint("Where a bend turns the axis to; its part along the axis does not count"),
+            )
+            .param(
+                ParamDesc::float("angle", "Angle", 90.0)
+                    .unit(Unit::DEGREES)
+                    .soft(-360.0, 360.0)
+                    .hint("Of a twist or bend, over the whole range"),
+            )
+            .param(
+                ParamDesc::float("factor", "Factor", 0.5)
+                    .unit(Unit::RATIO)
+                    .hard(f64::MIN_POSITIVE, f64::INFINITY)
+                    .soft(0.1, 4.0)
+                    .hint("Of a taper: size at the end of the range, relative to that at its start"),
+            )
+            .param(
+                ParamDesc::float("from", "From", -0.5)
+                    .unit(Unit::DIAGONAL)
+                    .soft(-1.0, 1.0)
+                    .hint("Start of the range along the axis, signed, from the centre"),
+            )
+            .param(
+                ParamDesc::float("to", "To", 0.5)
+                    .unit(Unit::DIAGONAL)
+                    .soft(-1.0, 1.0)
+                    .hint("End of the range along the axis, signed, from the centre"),
+            )
+    }
+
+    fn prepare(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<()> {
+        // Nothing to prepare, but senseless parameters are better told early.
+        warp(input.params(), &input.bounds).map(drop)
+    }
+
+    fn deform(
+        _: &(),
+        input: &DeformInput<'_>,
+        _: &mut (),
+        out: &mut [[f32; 3]],
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        let warp = warp(input.params(), &input.bounds)?;
+        let total = out.len().max(1) as f64;
+        let mut done = 0;
+        for (out, rest) in out.chunks_mut(BLOCK).zip(input.samples.positions().chunks(BLOCK)) {
+            for (o, p) in out.iter_mut().zip(rest) {
+                *o = warp.apply(p.map(f64::from)).map(|x| x as f32);
+            }
+            done += out.len();
+            host.progress(done as f64 / total)?;
+        }
+        Ok(())
+    }
+}
+
+impl Evaluate for WarpPlugin {
+    fn evaluate(
+        _: &(),
+        input: &DeformInput<'_>,
+        points: &mut [[f64; 3]],
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        let warp = warp(input.params(), &input.bounds)?;
+        for block in points.chunks_mut(BLOCK) {
+            block.iter_mut().for_each(|p| *p = warp.apply(*p));
+            host.progress(0.0)?;
+        }
+        Ok(())
+    }
+}
+
+/// The warp that the parameters describe.
+fn warp(params: Params<'_>, bounds: &Bounds) -> PluginResult<Warp> {
+    let operation = match params.choice("operation")? {
+        "twist" => Operation::Twist { angle: params.float("angle")?.to_radians() },
+        "bend" => Operation::Bend {
+            angle: params.float("angle")?.to_radians(),
+            direction: params.vec3("direction")?,
+        },
+        "taper" => Operation::Taper { factor: params.float("factor")? },
+        other => return Err(PluginError::parameter("operation", &format!("is unknown: {other}"))),
+    };
+    let (from, to) = (params.float("from")?, params.float("to")?);
+    if from >= to {
+        let error = PluginError::parameter("from", &format!("is {from}, not less than `to`, {to}"));
+        return Err(error.hint("give a range along the axis, such as from = -0.5, to = 0.5"));
+    }
+    let range = [from * bounds.diagonal(), to * bounds.diagonal()];
+    Warp::new(operation, params.vec3("center")?, params.vec3("axis")?, range)
+}
+
+simod_plugin_api::export_plugin!(WarpPlugin, evaluate);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use simod_plugin_api::{Param, ParamKind, Samples};
+
+    const BOUNDS: Bounds = Bounds { min: [-1.0, -2.0, -1.0], max: [1.0, 2.0, 1.0] };
+
+    fn run(operation: &str, angle: f64, factor: f64, range: [f64; 2]) -> PluginResult<(f64, bool)> {
+        let (centre, axis, direction) = ([0.1, 0.2, 0.0], [0.0, 3.0, 0.0], [1.0, 1.0, 0.0]);
+        let (angle, factor, from, to) = ([angle], [factor], [range[0]], [range[1]]);
+        let params = [
+            Param::text("operation", ParamKind::CHOICE, operation),
+            Param::numbers("center", ParamKind::POINT, &centre),
+            Param::numbers("axis", ParamKind::DIRECTION, &axis),
+            Param::numbers("direction", ParamKind::DIRECTION, &direction),
+            Param::numbers("angle", ParamKind::FLOAT, &angle),
+            Param::numbers("factor", ParamKind::FLOAT, &factor),
+            Param::numbers("from", ParamKind::FLOAT, &from),
+            Param::numbers("to", ParamKind::FLOAT, &to),
+        ];
+        let rest: Vec<[f32; 3]> = (0..1000)
+            .map(|i| {
+                let t = i as f32 / 999.0;
+                [(7.0 * t).sin(), 4.0 * t - 2.0, (11.0 * t).cos()]
+            })
+            .collect();
+        let samples = Samples::new(&rest, &[], &[]);
+        let host = Host::new(&());
+        WarpPlugin::prepare(&PrepareInput::new(samples, BOUNDS, &[], &params), &host)?;
+        let input = DeformInput::new(samples, BOUNDS, &[], &params);
+        let mut out = vec![[f32::NAN; 3]; rest.len()];
+        WarpPlugin::deform(&(), &input, &mut (), &mut out, &host)?;
+        let mut exact: Vec<[f64; 3]> = rest.iter().map(|p| p.map(f64::from)).collect();
+        WarpPlugin::evaluate(&(), &input, &mut exact, &host)?;
+        let worst = out.iter().zip(&exact).flat_map(|(a, b)| (0..3).map(|i| (f64::from(a[i]) - b[i]).abs()));
+        Ok((worst.fold(0.0, f64::max), out == rest))
+    }
+
+    #[test]
+    fn samples_move_as_space_does() {
+        for operation in ["twist", "bend", "taper"] {
+            let (worst, same) = run(operation, 75.0, 0.3, [-0.4, 0.3]).unwrap();
+            assert!(worst < 1e-6, "{operation}: {worst}");
+            assert!(!same);
+            let (_, same) = run(operation, 0.0, 1.0, [-0.4, 0.3]).unwrap();
+            assert!(same, "{operation} of nothing moves something");
+        }
+    }
+
+    #[test]
+    fn an_empty_range_is_refused() {
+        let error = run("twist", 10.0, 1.0, [0.5, 0.5]).unwrap_err();
+        assert!(error.message.contains("`from`"), "{error}");
+    }
+}

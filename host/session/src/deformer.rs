@@ -1,0 +1,236 @@
+//! The border to foreign code: the only module that calls it.
+//!
+//! Whatever a plugin does short of crashing comes out as an [`Error`](simod_core::Error) of kind `Plugin`:
+//! errors and panics (which the plugin's side of the interface turned into errors), samples left unwritten,
+//! values that are not finite, descriptions that make no sense.
+
+use crate::params::check_description;
+use simod_core::{Error, ErrorKind, Progress, Result};
+use simod_plugin_api::{
+    Consumes, DeformInput, Descriptor, ErrorCode, EvaluateExtension, ExtensionInterface, Host, HostCalls,
+    LogLevel, ParamDesc, PluginError, PluginModRef, PrepareInput, Scratch, State,
+};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+/// A loaded plugin. Stays loaded for good.
+pub struct Plugin {
+    module: PluginModRef,
+    evaluate: Option<&'static EvaluateExtension>,
+    descriptor: Descriptor,
+    path: PathBuf,
+}
+
+/// A line from a plugin for the user.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Message {
+    /// The plugin's id.
+    pub plugin: String,
+    /// How much it matters.
+    pub level: LogLevel,
+    /// One line.
+    pub text: String,
+}
+
+impl std::fmt::Debug for Plugin {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Plugin").field("descriptor", &self.descriptor).field("path", &self.path).finish()
+    }
+}
+
+impl Plugin {
+    /// Asks a library's root module what it is, and checks the answer.
+    pub(crate) fn new(module: PluginModRef, path: &Path) -> Result<Self> {
+        let refused = |what: &str| {
+            let what = format!("{}: {what}", path.display());
+            Error::new(ErrorKind::Plugin, what, "this is a bug of the plugin; tell its author")
+        };
+        let descriptor = module.descriptor()().into_result().map_err(|e| refused(&line(&e.message)))?;
+        check_description(&descriptor).map_err(|what| refused(&what))?;
+        let extension = module.extension()(EvaluateExtension::ID.into()).into_option();
+        let evaluate = extension.and_then(|e| e.get());
+        Ok(Self { module, evaluate, descriptor, path: path.to_owned() })
+    }
+
+    /// Stable id, such as `warp`.
+    pub fn id(&self) -> &str {
+        &self.descriptor.id
+    }
+
+    /// What the user reads.
+    pub fn name(&self) -> &str {
+        &self.descriptor.name
+    }
+
+    /// The plugin's own version, `major.minor.patch`.
+    pub fn version(&self) -> &str {
+        &self.descriptor.version
+    }
+
+    /// One line on what it does.
+    pub fn summary(&self) -> &str {
+        &self.descriptor.summary
+    }
+
+    /// The publication that it implements; may be empty.
+    pub fn citation(&self) -> &str {
+        &self.descriptor.citation
+    }
+
+    /// Its parameters.
+    pub fn params(&self) -> &[ParamDesc] {
+        &self.descriptor.params
+    }
+
+    /// Which inputs it uses.
+    pub fn consumes(&self) -> Consumes {
+        self.descriptor.consumes
+    }
+
+    /// Whether it knows its map at any point of space.
+    pub fn can_evaluate(&self) -> bool {
+        self.evaluate.is_some()
+    }
+
+    /// The library's file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Does the work that does not depend on the transforms.
+    pub(crate) fn prepare(&self, input: &PrepareInput<'_>, watch: &Watch<'_>) -> Result<State> {
+        watch.begin("preparing the deformation");
+        let state = self.module.prepare()(input, &Host::new(watch)).into_result();
+        watch.progress.check()?;
+        state.map_err(|e| self.failed(&e))
+    }
+
+    /// Working memory for a sequence of deformations.
+    pub(crate) fn new_scratch(&self) -> Result<Scratch> {
+        self.module.new_scratch()().into_result().map_err(|e| self.failed(&e))
+    }
+
+    /// Fills `out` with the samples' deformed positions. On an error its content is meaningless.
+    pub(crate) fn deform(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        scratch: &mut Scratch,
+        out: &mut [[f32; 3]],
+        watch: &Watch<'_>,
+    ) -> Result<()> {
+        watch.begin("deforming");
+        // What is not written stays visible.
+        out.fill([f32::NAN; 3]);
+        let done =
+            self.module.deform()(state, input, scratch, (&mut *out).into(), &Host::new(watch)).into_result();
+        watch.progress.check()?;
+        done.map_err(|e| self.failed(&e))?;
+        let bad = |p: &[f32; 3]| !p.iter().all(|x| x.is_finite());
+        self.all_finite(out.len(), out.iter().filter(|p| bad(p)).count(), out.iter().position(bad))
+    }
+
+    /// Replaces the points by their images. On an error their content is meaningless.
+    pub(crate) fn evaluate(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        points: &mut [[f64; 3]],
+        watch: &Watch<'_>,
+    ) -> Result<()> {
+        let Some(extension) = self.evaluate else {
+            return Err(Error::new(
+                ErrorKind::Plugin,
+                format!("plugin {} deforms samples only, not any point of space", self.id()),
+                "use a reconstruction method instead of the exact map",
+            ));
+        };
+        let done = (extension.evaluate)(state, input, (&mut *points).into(), &Host::new(watch)).into_result();
+        watch.progress.check()?;
+        done.map_err(|e| self.failed(&e))?;
+        let bad = |p: &[f64; 3]| !p.iter().all(|x| x.is_finite());
+        self.all_finite(points.len(), points.iter().filter(|p| bad(p)).count(), points.iter().position(bad))
+    }
+
+    fn all_finite(&self, count: usize, bad: usize, first: Option<usize>) -> Result<()> {
+        let Some(first) = first else { return Ok(()) };
+        Err(Error::new(
+            ErrorKind::Plugin,
+            format!(
+                "plugin {}: {bad} of {count} positions are unwritten or not finite, the first at index {first}",
+                self.id()
+            ),
+            "try less extreme parameters; if that does not help, it is a bug of the plugin",
+        ))
+    }
+
+    fn failed(&self, error: &PluginError) -> Error {
+        if error.code == ErrorCode::CANCELLED {
+            // The host did not ask for it, or it would have been told before.
+            let what = format!("plugin {} stopped unasked", self.id());
+            return Error::new(ErrorKind::Plugin, what, "this is a bug of the plugin; tell its author");
+        }
+        let hint = if error.hint.trim().is_empty() {
+            format!("`simod plugin info {}` describes what it needs", self.id())
+        } else {
+            line(&error.hint)
+        };
+        Error::new(ErrorKind::Plugin, format!("plugin {}: {}", self.id(), line(&error.message)), hint)
+    }
+}
+
+/// A plugin's text on one line, of bounded length.
+fn line(text: &str) -> String {
+    const LONGEST: usize = 500;
+    text.split_whitespace().collect::<Vec<_>>().join(" ").chars().take(LONGEST).collect()
+}
+
+/// The host as one plugin sees it: passes progress and cancellation on, collects what it says.
+pub(crate) struct Watch<'a> {
+    progress: &'a dyn Progress,
+    plugin: &'a str,
+    /// What a fraction of 1 is, in bytes.
+    size: u64,
+    /// Bytes told so far.
+    told: AtomicU64,
+    messages: Mutex<Vec<Message>>,
+}
+
+impl<'a> Watch<'a> {
+    /// Watches calls to one plugin on data of `size` bytes.
+    pub(crate) fn new(progress: &'a dyn Progress, plugin: &'a str, size: u64) -> Self {
+        Self { progress, plugin, size, told: AtomicU64::new(0), messages: Mutex::new(Vec::new()) }
+    }
+
+    fn begin(&self, stage: &'static str) {
+        self.told.store(0, Ordering::Relaxed);
+        self.progress.begin(stage, self.size);
+    }
+
+    /// What the plugin said.
+    pub(crate) fn into_messages(self) -> Vec<Message> {
+        self.messages.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl HostCalls for Watch<'_> {
+    fn progress(&self, fraction: f64) -> bool {
+        // NaN becomes 0; a fraction that went back is ignored.
+        let bytes = (fraction.clamp(0.0, 1.0) * self.size as f64) as u64;
+        let before = self.told.fetch_max(bytes, Ordering::Relaxed);
+        if bytes > before {
+            self.progress.advance(bytes - before);
+        }
+        !self.progress.is_cancelled()
+    }
+
+    fn log(&self, level: LogLevel, message: &str) {
+        /// A plugin that never stops talking shall not fill the memory.
+        const MOST: usize = 100;
+        let mut messages = self.messages.lock().unwrap_or_else(PoisonError::into_inner);
+        if messages.len() < MOST {
+            messages.push(Message { plugin: self.plugin.to_owned(), level, text: line(message) });
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! How a handle moves.
+
+use glam::{DAffine3, DMat3, DVec3};
+use serde::Deserialize;
+
+/// A similarity of space: scaled and turned about a pivot, then translated. Model coordinates.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields, default)]
+pub struct Motion {
+    /// In the model's unit.
+    pub translate: DVec3,
+    /// About which it turns; any length but zero where it does turn.
+    pub axis: DVec3,
+    /// How far, right-handed.
+    pub degrees: f64,
+    /// The point that turning and scaling leave in place; the model's own zero unless given.
+    pub pivot: DVec3,
+    /// Size after over size before; positive.
+    pub scale: f64,
+}
+
+impl Default for Motion {
+    fn default() -> Self {
+        Self { translate: DVec3::ZERO, axis: DVec3::Y, degrees: 0.0, pivot: DVec3::ZERO, scale: 1.0 }
+    }
+}
+
+impl Motion {
+    /// What is wrong with it, or nothing.
+    pub fn defect(&self) -> Option<&'static str> {
+        let Self { translate, axis, degrees, pivot, scale } = *self;
+        if !(translate.is_finite() && axis.is_finite() && pivot.is_finite()) {
+            Some("a move has a coordinate that is no finite number")
+        } else if !(degrees.is_finite() && scale.is_finite()) {
+            Some("the degrees or the scale of a move are no finite number")
+        } else if scale <= 0.0 {
+            Some("the scale of a move is not positive")
+        } else if degrees != 0.0 && axis.try_normalize().is_none() {
+            Some("the axis of a move is zero")
+        } else {
+            None
+        }
+    }
+
+    /// The map, in model coordinates. Exactly the identity where nothing moves.
+    pub fn to_affine(&self) -> DAffine3 {
+        let turn = match self.axis.try_normalize() {
+            Some(axis) if self.degrees != 0.0 => DMat3::from_axis_angle(axis, self.degrees.to_radians()),
+            _ => DMat3::IDENTITY,
+        };
+        let matrix3 = turn * self.scale;
+        DAffine3 { matrix3, translation: about(matrix3, self.pivot) + self.translate }
+    }
+}
+
+/// The same map in coordinates relative to `origin`.
+pub fn to_local(map: DAffine3, origin: DVec3) -> DAffine3 {
+    DAffine3 { translation: map.translation - about(map.matrix3, origin), ..map }
+}
+
+/// The translation that makes `point` a fixed point of the matrix.
+fn about(matrix: DMat3, point: DVec3) -> DVec3 {
+    // Not `point - matrix * point`, which loses digits for points far away and matrices near the identity.
+    (DMat3::IDENTITY - matrix) * point
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn turns_and_scales_about_the_pivot_and_then_moves() {
+        let motion = Motion {
+            translate: DVec3::X,
+            axis: DVec3::new(0.0, 0.0, 7.0),
+            degrees: 90.0,
+            pivot: DVec3::new(1.0, 1.0, 0.0),
+            scale: 2.0,
+        };
+        let image = motion.to_affine().transform_point3(DVec3::new(2.0, 1.0, 5.0));
+        assert!(image.abs_diff_eq(DVec3::new(2.0, 3.0, 10.0), 1e-12), "{image}");
+        let origin = DVec3::new(1e6, -2e6, 3e5);
+        let p = DVec3::new(1e6 + 3.0, -2e6, 3e5 + 1.0);
+        let local = to_local(motion.to_affine(), origin).transform_point3(p - origin);
+        assert!(local.abs_diff_eq(motion.to_affine().transform_point3(p) - origin, 1e-8));
+    }
+
+    #[test]
+    fn nothing_is_exactly_nothing() {
+        let map = to_local(Motion { pivot: DVec3::ONE, ..Motion::default() }.to_affine(), DVec3::ONE * 1e7);
+        assert_eq!(map, DAffine3::IDENTITY);
+    }
+
+    #[test]
+    fn defects_are_found() {
+        let m = Motion::default();
+        assert!(m.defect().is_none());
+        assert!(Motion { axis: DVec3::ZERO, ..m }.defect().is_none());
+        assert!(Motion { axis: DVec3::ZERO, degrees: 1.0, ..m }.defect().is_some());
+        assert!(Motion { scale: 0.0, ..m }.defect().is_some());
+        assert!(Motion { translate: DVec3::NAN, ..m }.defect().is_some());
+    }
+}

@@ -1,0 +1,306 @@
+//! Parameters: checked against the plugin's descriptions, completed by defaults, made local.
+
+use glam::DVec3;
+use simod_core::{Error, ErrorKind, Result};
+use simod_plugin_api::{Descriptor, Param, ParamDesc, ParamKind};
+
+/// A parameter's value, of the kind that its description asks for.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ParamValue {
+    /// A number, in the parameter's unit.
+    Float(f64),
+    /// A whole number.
+    Int(i64),
+    /// Yes or no.
+    Bool(bool),
+    /// The id of a choice.
+    Choice(String),
+    /// A direction, of any length.
+    Direction(DVec3),
+    /// A point in model coordinates.
+    Point(DVec3),
+    /// A point as fractions of the model's bounding box, as defaults are given.
+    PointInBox(DVec3),
+}
+
+/// All parameters of a plugin, in its order: what the user gave, and defaults.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Params {
+    values: Vec<(String, ParamKind, ParamValue)>,
+}
+
+impl Params {
+    /// Checks what the user gave (`plugin` names it in errors) against the descriptions.
+    pub fn check(plugin: &str, descriptions: &[ParamDesc], given: &toml::Table) -> Result<Self> {
+        for id in given.keys() {
+            if !descriptions.iter().any(|d| d.id == id.as_str()) {
+                let ids = descriptions.iter().map(|d| d.id.as_str());
+                let hint = match nearest(id, ids.clone()) {
+                    Some(near) => format!("did you mean `{near}`?"),
+                    None if descriptions.is_empty() => format!("{plugin} has no parameters"),
+                    None => format!("{plugin} has {}", ids.collect::<Vec<_>>().join(", ")),
+                };
+                return Err(argument(format!("{plugin} has no parameter `{id}`"), hint));
+            }
+        }
+        let value = |d: &ParamDesc| {
+            let value = match given.get(d.id.as_str()) {
+                Some(value) => checked(plugin, d, value)?,
+                // Descriptions were checked when the plugin was loaded.
+                None => default(d).map_err(|what| argument(format!("{plugin}: {what}"), ""))?,
+            };
+            Ok((d.id.to_string(), d.kind, value))
+        };
+        Ok(Self { values: descriptions.iter().map(value).collect::<Result<_>>()? })
+    }
+
+    /// The value of a parameter.
+    pub fn get(&self, id: &str) -> Option<&ParamValue> {
+        self.values.iter().find(|v| v.0 == id).map(|v| &v.2)
+    }
+
+    /// As plugins get them: points relative to `origin`, defaults placed in the box (model coordinates).
+    pub(crate) fn to_local(&self, origin: DVec3, bounds: [DVec3; 2]) -> LocalParams {
+        let local = |(id, kind, value): &(String, ParamKind, ParamValue)| {
+            let mut text = String::new();
+            let numbers = match value {
+                ParamValue::Float(x) => vec![*x],
+                ParamValue::Int(i) => vec![*i as f64],
+                ParamValue::Bool(b) => vec![f64::from(u8::from(*b))],
+                ParamValue::Choice(id) => {
+                    text.clone_from(id);
+                    Vec::new()
+                }
+                ParamValue::Direction(v) => v.to_array().to_vec(),
+                ParamValue::Point(p) => (p - origin).to_array().to_vec(),
+                ParamValue::PointInBox(t) => {
+                    (bounds[0] + *t * (bounds[1] - bounds[0]) - origin).to_array().to_vec()
+                }
+            };
+            (id.clone(), *kind, numbers, text)
+        };
+        LocalParams(self.values.iter().map(local).collect())
+    }
+}
+
+/// Values in the form that crosses the border.
+#[derive(Debug, Clone)]
+pub(crate) struct LocalParams(Vec<(String, ParamKind, Vec<f64>, String)>);
+
+impl LocalParams {
+    /// Views of them.
+    pub(crate) fn views(&self) -> Vec<Param<'_>> {
+        self.0
+            .iter()
+            .map(|(id, kind, numbers, text)| {
+                if *kind == ParamKind::CHOICE {
+                    Param::text(id, *kind, text)
+                } else {
+                    Param::numbers(id, *kind, numbers)
+                }
+            })
+            .collect()
+    }
+}
+
+fn argument(what: impl Into<String>, hint: impl Into<String>) -> Error {
+    Error::new(ErrorKind::Argument, what, hint)
+}
+
+/// The candidate that was probably meant, if any is near.
+pub(crate) fn nearest<'a>(given: &str, candidates: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    candidates
+        .map(|c| (strsim::damerau_levenshtein(given, c), c))
+        .filter(|(distance, c)| *distance <= 1 + given.len().max(c.len()) / 4)
+        .min_by_key(|(distance, _)| *distance)
+        .map(|(_, c)| c)
+}
+
+fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value) -> Result<ParamValue> {
+    let id = &d.id;
+    let wrong = |wanted: &str, example: &str| {
+        argument(
+            format!("parameter `{id}` of {plugin} is {}, not {wanted}", value.type_str()),
+            format!("write it as {id} = {example}"),
+        )
+    };
+    let parsed = match d.kind {
+        ParamKind::FLOAT => number(value).map(ParamValue::Float).ok_or_else(|| wrong("a number", "0.5"))?,
+        ParamKind::INT => {
+            value.as_integer().map(ParamValue::Int).ok_or_else(|| wrong("a whole number", "10"))?
+        }
+        ParamKind::BOOL => {
+            value.as_bool().map(ParamValue::Bool).ok_or_else(|| wrong("true or false", "true"))?
+        }
+        ParamKind::CHOICE => {
+            let choice = value.as_str().ok_or_else(|| wrong("a text", &format!("\"{}\"", d.default_text)))?;
+            let ids = d.choices.iter().map(|c| c.id.as_str());
+            if !ids.clone().any(|c| c == choice) {
+                let hint = nearest(choice, ids.clone()).map_or_else(
+                    || format!("use one of {}", ids.collect::<Vec<_>>().join(", ")),
+                    |near| format!("did you mean `{near}`?"),
+                );
+                return Err(argument(format!("parameter `{id}` of {plugin} cannot be `{choice}`"), hint));
+            }
+            ParamValue::Choice(choice.to_owned())
+        }
+        ParamKind::DIRECTION => {
+            vector(value).map(ParamValue::Direction).ok_or_else(|| wrong("three numbers", "[0, 1, 0]"))?
+        }
+        ParamKind::POINT => {
+            vector(value).map(ParamValue::Point).ok_or_else(|| wrong("three numbers", "[0, 0, 0]"))?
+        }
+        _ => return Err(argument(format!("{plugin} has a parameter of a kind unknown here: `{id}`"), "")),
+    };
+    in_range(d, &parsed).map_err(|what| {
+        argument(format!("{plugin}: {what}"), format!("give a value {}", range_text(d.hard_range)))
+    })?;
+    Ok(parsed)
+}
+
+/// A range in words.
+fn range_text([min, max]: [f64; 2]) -> String {
+    match (min.is_finite(), max.is_finite()) {
+        (true, true) => format!("from {min} to {max}"),
+        // Some parameters are positive, with the least positive number as their bound.
+        (true, false) if min == f64::MIN_POSITIVE => "above 0".to_owned(),
+        (true, false) => format!("of at least {min}"),
+        (false, true) => format!("of at most {max}"),
+        (false, false) => "that is a finite number".to_owned(),
+    }
+}
+
+fn in_range(d: &ParamDesc, value: &ParamValue) -> std::result::Result<(), String> {
+    let components: &[f64] = match value {
+        ParamValue::Float(x) => &[*x],
+        ParamValue::Int(i) => &[*i as f64],
+        ParamValue::Direction(v) | ParamValue::Point(v) | ParamValue::PointInBox(v) => v.as_ref(),
+        ParamValue::Bool(_) | ParamValue::Choice(_) => &[],
+    };
+    if components.iter().any(|x| !x.is_finite()) {
+        return Err(format!("parameter `{}` is not a finite number", d.id));
+    }
+    let [min, max] = d.hard_range;
+    match value {
+        ParamValue::Float(_) | ParamValue::Int(_) if components[0] < min || components[0] > max => {
+            Err(format!("parameter `{}` is {}, out of its range", d.id, components[0]))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Whole numbers are numbers too: users write 90 for 90.0.
+fn number(value: &toml::Value) -> Option<f64> {
+    value.as_float().or_else(|| value.as_integer().map(|i| i as f64))
+}
+
+fn vector(value: &toml::Value) -> Option<DVec3> {
+    let numbers: Vec<f64> = value.as_array()?.iter().map(number).collect::<Option<_>>()?;
+    <[f64; 3]>::try_from(numbers).ok().map(DVec3::from_array)
+}
+
+fn default(d: &ParamDesc) -> std::result::Result<ParamValue, String> {
+    let value = match (d.kind, d.default_numbers.as_slice()) {
+        (ParamKind::FLOAT, &[x]) => ParamValue::Float(x),
+        (ParamKind::INT, &[x]) if x.fract() == 0.0 => ParamValue::Int(x as i64),
+        (ParamKind::BOOL, &[x]) => ParamValue::Bool(x != 0.0),
+        (ParamKind::CHOICE, &[]) if d.choices.iter().any(|c| c.id == d.default_text) => {
+            ParamValue::Choice(d.default_text.to_string())
+        }
+        (ParamKind::DIRECTION, &[x, y, z]) => ParamValue::Direction(DVec3::new(x, y, z)),
+        (ParamKind::POINT, &[x, y, z]) => ParamValue::PointInBox(DVec3::new(x, y, z)),
+        (kind, _) if kind.0 == 0 || kind.0 > ParamKind::POINT.0 => {
+            return Err(format!("parameter `{}` is of a kind that this version does not know", d.id));
+        }
+        _ => return Err(format!("parameter `{}` has a default that is not of its kind", d.id)),
+    };
+    in_range(d, &value)?;
+    Ok(value)
+}
+
+/// What is wrong with a plugin's description of itself.
+pub(crate) fn check_description(descriptor: &Descriptor) -> std::result::Result<(), String> {
+    let is_id = |id: &str| {
+        !id.is_empty() && id.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-')
+    };
+    if !is_id(&descriptor.id) {
+        return Err(format!("the plugin's id `{}` is not kebab-case", descriptor.id));
+    }
+    for (i, d) in descriptor.params.iter().enumerate() {
+        if !is_id(&d.id) {
+            return Err(format!("the parameter's id `{}` is not kebab-case", d.id));
+        }
+        if descriptor.params[..i].iter().any(|other| other.id == d.id) {
+            return Err(format!("there are two parameters `{}`", d.id));
+        }
+        let fine = |[min, max]: [f64; 2]| min <= max;
+        if !(fine(d.hard_range) && fine(d.soft_range)) {
+            return Err(format!("parameter `{}` has an empty range", d.id));
+        }
+        default(d)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn descriptions() -> Vec<ParamDesc> {
+        vec![
+            ParamDesc::float("angle", "Angle", 90.0).hard(-720.0, 720.0),
+            ParamDesc::int("count", "Count", 3).hard(1.0, f64::INFINITY),
+            ParamDesc::bool("keep", "Keep", true),
+            ParamDesc::choice("operation", "Operation", "bend", &[("bend", "Bend"), ("twist", "Twist")]),
+            ParamDesc::direction("axis", "Axis", [0.0, 1.0, 0.0]),
+            ParamDesc::point("center", "Centre", [0.5; 3]),
+        ]
+    }
+
+    fn check(given: &str) -> Result<Params> {
+        Params::check("warp", &descriptions(), &given.parse().unwrap())
+    }
+
+    #[test]
+    fn defaults_and_given_values() {
+        let params = check("angle = 30\ncenter = [101, 2.5, 3]").unwrap();
+        assert_eq!(params.get("angle"), Some(&ParamValue::Float(30.0)));
+        assert_eq!(params.get("operation"), Some(&ParamValue::Choice("bend".to_owned())));
+        let bounds = [DVec3::new(100.0, 0.0, 0.0), DVec3::new(102.0, 4.0, 0.0)];
+        let origin = DVec3::new(100.0, 0.0, 0.0);
+        assert_eq!(params.to_local(origin, bounds).0[5].2, [1.0, 2.5, 3.0]);
+        assert_eq!(check("").unwrap().to_local(origin, bounds).0[5].2, [1.0, 2.0, 0.0]);
+    }
+
+    #[test]
+    fn what_is_wrong_is_told() {
+        let told = |given, what: &str, hint: &str| {
+            let error = check(given).unwrap_err();
+            assert!(error.to_string().contains(what), "{error}");
+            assert!(error.hint().contains(hint), "{}", error.hint());
+        };
+        told("angel = 30", "no parameter `angel`", "did you mean `angle`?");
+        told("zzzzzz = 30", "no parameter `zzzzzz`", "angle, count");
+        told("angle = \"x\"", "`angle` of warp is string, not a number", "angle = 0.5");
+        told("angle = 1000", "`angle` is 1000, out of its range", "from -720 to 720");
+        told("angle = nan", "`angle` is not a finite number", "");
+        told("count = 0", "out of its range", "at least 1");
+        told("count = 1.5", "not a whole number", "count = 10");
+        told("keep = 1", "not true or false", "true");
+        told("operation = \"twits\"", "cannot be `twits`", "did you mean `twist`?");
+        told("axis = [1, 2]", "not three numbers", "[0, 1, 0]");
+    }
+
+    #[test]
+    fn descriptions_are_checked() {
+        let with = |param| check_description(&Descriptor::new("x", "X", "1.0.0").param(param));
+        assert!(descriptions().into_iter().all(|d| with(d).is_ok()));
+        assert!(check_description(&Descriptor::new("X y", "X", "1.0.0")).is_err());
+        assert!(with(ParamDesc::float("a", "A", 2.0).hard(0.0, 1.0)).is_err());
+        assert!(with(ParamDesc::float("a", "A", f64::NAN)).is_err());
+        assert!(with(ParamDesc::choice("a", "A", "no", &[("yes", "Yes")])).is_err());
+        let mut unknown = ParamDesc::float("a", "A", 1.0);
+        unknown.kind = ParamKind(99);
+        assert!(with(unknown).unwrap_err().contains("does not know"));
+    }
+}

@@ -1,0 +1,213 @@
+//! Finding and loading plugins.
+//!
+//! One bad library never hides the good ones: what cannot be used is listed with its reason, in one line.
+
+mod elf;
+mod load;
+
+use crate::deformer::Plugin;
+use crate::params::nearest;
+use simod_core::{Error, ErrorKind, Result};
+use std::cmp::Ordering;
+use std::collections::HashSet;
+use std::env::consts::{DLL_EXTENSION, DLL_PREFIX};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Environment variable with more folders to look in, before all others; separated as in `PATH`.
+pub const PATH_VARIABLE: &str = "SIMOD_PLUGIN_PATH";
+
+/// A library that is not used.
+#[derive(Debug)]
+pub struct Rejected {
+    /// Its file, or a folder that could not be read.
+    pub path: PathBuf,
+    /// Why.
+    pub error: Error,
+}
+
+/// A library that is not used because another of the same id has a higher version, or came first.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Duplicate {
+    /// The plugin's id.
+    pub id: String,
+    /// The library that is used.
+    pub used: PathBuf,
+    /// The one that is not.
+    pub unused: PathBuf,
+}
+
+/// A folder to look in.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PluginFolder {
+    /// Where it is.
+    pub path: PathBuf,
+    /// Whether only files named like plugins count (`libsimod_*.so` and its like), rather than every library.
+    pub by_name: bool,
+}
+
+/// The plugins that are there.
+#[derive(Debug, Default)]
+pub struct PluginRegistry {
+    plugins: Vec<Arc<Plugin>>,
+    rejected: Vec<Rejected>,
+    duplicates: Vec<Duplicate>,
+}
+
+/// The folders that [`PluginRegistry::discover`] looks in, most important first: those in `SIMOD_PLUGIN_PATH`,
+/// the user's, `plugins/` beside the running program, and the program's own.
+pub fn standard_folders() -> Vec<PluginFolder> {
+    let any = |path| PluginFolder { path, by_name: false };
+    let mut folders: Vec<PluginFolder> = std::env::var_os(PATH_VARIABLE)
+        .map(|paths| std::env::split_paths(&paths).filter(|p| !p.as_os_str().is_empty()).map(any).collect())
+        .unwrap_or_default();
+    folders.extend(user_folder().map(any));
+    if let Some(own) = std::env::current_exe().ok().and_then(|p| p.parent().map(Path::to_owned)) {
+        folders.push(any(own.join("plugins")));
+        folders.push(PluginFolder { path: own, by_name: true });
+    }
+    folders
+}
+
+/// Where a user installs plugins.
+fn user_folder() -> Option<PathBuf> {
+    let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
+    let data = if cfg!(windows) {
+        variable("APPDATA")
+    } else if cfg!(target_os = "macos") {
+        variable("HOME").map(|home| home.join("Library/Application Support"))
+    } else {
+        variable("XDG_DATA_HOME").or_else(|| variable("HOME").map(|home| home.join(".local/share")))
+    };
+    data.map(|data| data.join("simod").join("plugins"))
+}
+
+impl PluginRegistry {
+    /// Loads what is in the standard folders. Folders that do not exist are fine.
+    pub fn discover() -> Self {
+        Self::from_folders(&standard_folders())
+    }
+
+    /// Loads what is in the given folders, most important first.
+    pub fn from_folders(folders: &[PluginFolder]) -> Self {
+        let mut registry = Self::default();
+        let mut seen = HashSet::new();
+        for folder in folders {
+            let files = match libraries(folder) {
+                Ok(files) => files,
+                Err(error) => {
+                    registry.rejected.push(Rejected { path: folder.path.clone(), error });
+                    continue;
+                }
+            };
+            for file in files {
+                // The same file by another name, as through a link, is loaded once.
+                if seen.insert(file.canonicalize().unwrap_or_else(|_| file.clone())) {
+                    match load::load(&file) {
+                        Ok(plugin) => registry.add(plugin),
+                        Err(error) => registry.rejected.push(Rejected { path: file, error }),
+                    }
+                }
+            }
+        }
+        registry.plugins.sort_by(|a, b| a.id().cmp(b.id()));
+        registry
+    }
+
+    fn add(&mut self, plugin: Plugin) {
+        let Some(known) = self.plugins.iter_mut().find(|p| p.id() == plugin.id()) else {
+            self.plugins.push(Arc::new(plugin));
+            return;
+        };
+        let newer = compare_versions(plugin.version(), known.version()) == Ordering::Greater;
+        let unused = if newer { std::mem::replace(known, Arc::new(plugin)) } else { Arc::new(plugin) };
+        self.duplicates.push(Duplicate {
+            id: known.id().to_owned(),
+            used: known.path().to_owned(),
+            unused: unused.path().to_owned(),
+        });
+    }
+
+    /// The plugins, by id.
+    pub fn plugins(&self) -> &[Arc<Plugin>] {
+        &self.plugins
+    }
+
+    /// What could not be used, and why.
+    pub fn rejected(&self) -> &[Rejected] {
+        &self.rejected
+    }
+
+    /// What is not used since there is another of the same id.
+    pub fn duplicates(&self) -> &[Duplicate] {
+        &self.duplicates
+    }
+
+    /// The plugin of an id; an error that suggests another where there is none.
+    pub fn get(&self, id: &str) -> Result<&Arc<Plugin>> {
+        self.plugins.iter().find(|p| p.id() == id).ok_or_else(|| {
+            let ids = self.plugins.iter().map(|p| p.id());
+            let hint = match nearest(id, ids.clone()) {
+                Some(near) => format!("did you mean `{near}`?"),
+                None if self.plugins.is_empty() => {
+                    format!("no plugin was found at all: put some into {PATH_VARIABLE}'s folders")
+                }
+                None => format!("there are {}", ids.collect::<Vec<_>>().join(", ")),
+            };
+            Error::new(ErrorKind::Plugin, format!("there is no plugin `{id}`"), hint)
+        })
+    }
+}
+
+/// The dynamic libraries in a folder, by name; none where there is no folder.
+fn libraries(folder: &PluginFolder) -> Result<Vec<PathBuf>> {
+    let refused = |e: &std::io::Error| Error::io("read the plugin folder", &folder.path, e);
+    let entries = match std::fs::read_dir(&folder.path) {
+        Ok(entries) => entries,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(e) => return Err(refused(&e)),
+    };
+    let mut files = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(|e| refused(&e))?.path();
+        let is_library = path.extension().is_some_and(|e| e == DLL_EXTENSION);
+        let named = path.file_name().and_then(|n| n.to_str());
+        let is_named = named.is_some_and(|n| n.starts_with(&format!("{DLL_PREFIX}simod_")));
+        if is_library && (is_named || !folder.by_name) && path.is_file() {
+            files.push(path);
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// `major.minor.patch`, by numbers; what is no number counts as 0, and a pre-release is older than its release.
+fn compare_versions(a: &str, b: &str) -> Ordering {
+    let key = |version: &str| {
+        let version = version.split('+').next().unwrap_or_default();
+        let (numbers, pre) = version.split_once('-').map_or((version, None), |(n, pre)| (n, Some(pre)));
+        let mut numbers = numbers.split('.').map(|n| n.parse::<u64>().unwrap_or(0));
+        let triple: [u64; 3] = std::array::from_fn(|_| numbers.next().unwrap_or(0));
+        (triple, pre.is_none(), pre.unwrap_or_default().to_owned())
+    };
+    key(a).cmp(&key(b))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_compare_by_numbers() {
+        assert_eq!(compare_versions("0.10.0", "0.9.7"), Ordering::Greater);
+        assert_eq!(compare_versions("1.0.0", "1.0.0-rc.1"), Ordering::Greater);
+        assert_eq!(compare_versions("1.0", "1.0.0+local"), Ordering::Equal);
+    }
+
+    #[test]
+    fn an_empty_registry_says_so() {
+        let error = PluginRegistry::default().get("warp").unwrap_err();
+        assert_eq!(error.to_string(), "there is no plugin `warp`");
+        assert!(error.hint().contains("no plugin was found"));
+    }
+}

@@ -1,0 +1,325 @@
+//! `session.toml`: everything needed to do an edit again, without a window.
+
+use crate::motion::Motion;
+use crate::shapes::{Shape, Shapes};
+use serde::Deserialize;
+use simod_core::{Error, ErrorKind, Result};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use toml::Spanned;
+
+/// A session. Paths are as the program needs them: relative to the current folder, or absolute.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SessionFile {
+    /// The huge model; may be missing where a sampled model is given otherwise.
+    pub model: Option<PathBuf>,
+    /// How finely to sample it.
+    pub sampling: Sampling,
+    /// The deformations, first to last.
+    pub steps: Vec<Step>,
+    /// Where the deformed model goes.
+    pub output: Option<PathBuf>,
+}
+
+/// How finely to sample. At most one of `samples` and `error` is given.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct Sampling {
+    /// How many samples to take.
+    pub samples: Option<u64>,
+    /// Largest error, as a fraction of the diagonal of the bounding box.
+    pub error: Option<f64>,
+    /// Cells of the grid along its longest side.
+    pub grid: Option<u32>,
+}
+
+/// One deformation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Step {
+    /// The plugin's id.
+    pub deform: String,
+    /// The parameters that differ from their defaults.
+    pub params: toml::Table,
+    /// Regions, in the file's order.
+    pub regions: Vec<Region>,
+    /// Where in the file it stands, as `session.toml, line 7`; for errors.
+    pub place: String,
+}
+
+/// What a region's samples do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Role {
+    /// They stay.
+    Fixed,
+    /// They follow the region's motion.
+    Handle,
+    /// The step acts here alone.
+    Mask,
+}
+
+/// A region of space with a role.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Region {
+    /// What it is for.
+    pub role: Role,
+    /// Where it is.
+    pub shapes: Shapes,
+    /// How a handle moves; nothing for other roles.
+    pub motion: Motion,
+}
+
+// As the file has it.
+
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+struct RawSession {
+    model: Option<RawPath>,
+    #[serde(default)]
+    sampling: Option<Spanned<Sampling>>,
+    #[serde(default)]
+    step: Vec<Spanned<RawStep>>,
+    output: Option<RawPath>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawPath {
+    path: PathBuf,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+struct RawStep {
+    deform: Option<String>,
+    #[serde(default)]
+    params: toml::Table,
+    #[serde(default)]
+    region: Vec<Spanned<RawRegion>>,
+    // Known to the format, but not to this version.
+    handle: Option<Spanned<toml::Value>>,
+    stroke: Option<Spanned<toml::Value>>,
+    refine: Option<Spanned<toml::Value>>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+struct RawRegion {
+    role: Role,
+    shapes: Vec<Spanned<Shape>>,
+    falloff: Option<Spanned<f64>>,
+    r#move: Option<Spanned<Motion>>,
+}
+
+impl SessionFile {
+    /// Reads a session; its paths are relative to the file's folder.
+    pub fn load(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| match e.kind() {
+            std::io::ErrorKind::InvalidData => Error::new(
+                ErrorKind::Format,
+                format!("{} is not UTF-8 text", path.display()),
+                "give a session file (session.toml), not a model",
+            ),
+            _ => Error::io("read the session", path, &e),
+        })?;
+        Self::parse(&text, path)
+    }
+
+    /// Reads a session from its text; `path` is where it came from.
+    pub fn parse(text: &str, path: &Path) -> Result<Self> {
+        let source = Source { text, path };
+        let raw: RawSession = toml::from_str(text).map_err(|e| source.refused(&e))?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let sampling = match raw.sampling {
+            Some(sampling) => source.sampling(sampling)?,
+            None => Sampling::default(),
+        };
+        Ok(Self {
+            model: raw.model.map(|m| folder.join(m.path)),
+            sampling,
+            steps: raw.step.into_iter().map(|s| source.step(s)).collect::<Result<_>>()?,
+            output: raw.output.map(|o| folder.join(o.path)),
+        })
+    }
+}
+
+/// The file, for errors that say where.
+struct Source<'a> {
+    text: &'a str,
+    path: &'a Path,
+}
+
+impl Source<'_> {
+    /// The file's name and the line, counted from 1.
+    fn place(&self, span: &Range<usize>) -> String {
+        let before = self.text.as_bytes().get(..span.start).unwrap_or_default();
+        let line = 1 + before.iter().filter(|&&b| b == b'\n').count();
+        format!("{}, line {line}", self.path.display())
+    }
+
+    fn error(&self, span: &Range<usize>, what: &str, hint: impl Into<String>) -> Error {
+        Error::new(ErrorKind::Format, format!("{}: {what}", self.place(span)), hint)
+    }
+
+    /// The parser's complaint on one line, with the line of the file that it is about.
+    fn refused(&self, error: &toml::de::Error) -> Error {
+        let message = error.message().lines().collect::<Vec<_>>().join("; ");
+        let Some(span) = error.span() else {
+            let what = format!("{}: {message}", self.path.display());
+            return Error::new(ErrorKind::Format, what, "compare it with the examples of session files");
+        };
+        let start = self.text[..span.start.min(self.text.len())].rfind('\n').map_or(0, |i| i + 1);
+        let line = self.text[start..].lines().next().unwrap_or_default().trim();
+        let line: String = line.chars().take(80).collect();
+        self.error(&span, &message, format!("the line reads: {line}"))
+    }
+
+    fn sampling(&self, sampling: Spanned<Sampling>) -> Result<Sampling> {
+        let span = sampling.span();
+        let sampling = sampling.into_inner();
+        let wrong = |what, hint: &str| Err(self.error(&span, what, hint));
+        if sampling.samples.is_some() && sampling.error.is_some() {
+            return wrong("both `samples` and `error` are given", "keep one of the two");
+        }
+        if sampling.samples == Some(0) {
+            return wrong("`samples` is 0", "give a number such as 50000");
+        }
+        if sampling.error.is_some_and(|e| !(e > 0.0 && e.is_finite())) {
+            return wrong("`error` is not positive", "give a fraction of the diagonal, such as 2e-4");
+        }
+        if sampling.grid == Some(0) {
+            return wrong("`grid` is 0", "leave it out, or give a number such as 128");
+        }
+        Ok(sampling)
+    }
+
+    fn step(&self, step: Spanned<RawStep>) -> Result<Step> {
+        let span = step.span();
+        let raw = step.into_inner();
+        let later = [
+            (raw.refine, "`refine` steps"),
+            (raw.handle, "handles that the plugin places (`step.handle`)"),
+            (raw.stroke, "brush strokes (`step.stroke`)"),
+        ];
+        for (value, name) in later {
+            if let Some(value) = value {
+                let what = format!("{name} are not known to this version of SIMOD");
+                return Err(self.error(&value.span(), &what, "use a newer version, or remove them"));
+            }
+        }
+        let deform = raw.deform.ok_or_else(|| {
+            self.error(&span, "the step has no `deform`", "name a plugin, such as deform = \"warp\"")
+        })?;
+        let regions = raw.region.into_iter().map(|r| self.region(r)).collect::<Result<_>>()?;
+        Ok(Step { deform, params: raw.params, regions, place: self.place(&span) })
+    }
+
+    fn region(&self, region: Spanned<RawRegion>) -> Result<Region> {
+        let span = region.span();
+        let raw = region.into_inner();
+        let mut shapes = Shapes::default();
+        if raw.shapes.is_empty() {
+            return Err(self.error(&span, "the region has no shape", "give one, such as a sphere"));
+        }
+        for shape in raw.shapes {
+            if let Some(what) = shape.get_ref().defect() {
+                return Err(self.error(&shape.span(), what, "correct the shape"));
+            }
+            shapes.shapes.push(shape.into_inner());
+        }
+        if let Some(falloff) = raw.falloff {
+            shapes.falloff = *falloff.get_ref();
+            if !(shapes.falloff >= 0.0 && shapes.falloff.is_finite()) {
+                let what = "`falloff` is negative or no finite number";
+                return Err(self.error(&falloff.span(), what, "give a distance in the model's unit"));
+            }
+        }
+        let mut motion = Motion::default();
+        if let Some(given) = raw.r#move {
+            motion = *given.get_ref();
+            if raw.role != Role::Handle {
+                let what = "only regions with role = \"handle\" have a `move`";
+                return Err(self.error(&given.span(), what, "remove the move, or change the role"));
+            }
+            if let Some(what) = motion.defect() {
+                return Err(self.error(&given.span(), what, "correct the move"));
+            }
+        }
+        Ok(Region { role: raw.role, shapes, motion })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    fn parse(text: &str) -> Result<SessionFile> {
+        SessionFile::parse(text, Path::new("edits/session.toml"))
+    }
+
+    const GOOD: &str = r#"
+[model]
+path = "nefertiti.ply"
+[sampling]
+samples = 50000
+[[step]]
+deform = "rbf"
+params = { kernel = "triharmonic" }
+[[step.region]]
+role = "fixed"
+shapes = [{ half-space = { point = [0, 0, 0], normal = [0, -1, 0] } }]
+[[step.region]]
+role = "handle"
+shapes = [{ sphere = { center = [0, 300, 0], radius = 40 } }, { box = { min = [0,0,0], max = [1,1,1] } }]
+falloff = 2
+move = { translate = [10, 0, 0], axis = [0, 1, 0], degrees = 30, pivot = [0, 300, 0], scale = 1 }
+[[step]]
+deform = "warp"
+[output]
+path = "/tmp/out.ply"
+"#;
+
+    #[test]
+    fn reads_a_session() {
+        let session = parse(GOOD).unwrap();
+        assert_eq!(session.model.unwrap(), Path::new("edits/nefertiti.ply"));
+        assert_eq!(session.output.unwrap(), Path::new("/tmp/out.ply"));
+        assert_eq!(session.sampling.samples, Some(50_000));
+        let [rbf, warp] = session.steps.as_slice() else { panic!() };
+        assert_eq!((rbf.deform.as_str(), rbf.regions.len()), ("rbf", 2));
+        assert_eq!(rbf.place, "edits/session.toml, line 6");
+        assert_eq!(rbf.regions[1].shapes.shapes[0], Shape::Sphere { center: DVec3::Y * 300.0, radius: 40.0 });
+        assert_eq!(rbf.regions[1].shapes.falloff, 2.0);
+        assert_eq!(rbf.regions[1].motion.degrees, 30.0);
+        assert!(warp.params.is_empty());
+        assert_eq!(parse("").unwrap().steps, []);
+    }
+
+    #[test]
+    fn says_where_and_what() {
+        let told = |text: &str, line: u32, what: &str| {
+            let error = parse(text).unwrap_err();
+            let message = error.to_string();
+            assert!(message.starts_with(&format!("edits/session.toml, line {line}: ")), "{message}");
+            assert!(message.contains(what), "{message}");
+            assert!(!message.contains('\n') && !error.hint().contains('\n') && !error.hint().is_empty());
+        };
+        told("[model]\nfile = 1", 2, "`file`");
+        told("[sampling]\nsamples = \"x\"", 2, "string \"x\"");
+        told("[sampling]\nsamples = 1\nerror = 1e-3", 1, "both");
+        told("[model\n", 1, "");
+        let region = "[[step]]\ndeform = \"rbf\"\n[[step.region]]\n";
+        told(&format!("{region}role = \"free\"\nshapes = []"), 4, "free");
+        told(&format!("{region}role = \"fixed\"\nshapes = []"), 3, "no shape");
+        let ball = "shapes = [{ sphere = { center = [0,0,0], radius = 1 } }]\n";
+        told(&format!("{region}role = \"fixed\"\n{ball}move = {{}}"), 6, "`move`");
+        told(&format!("{region}role = \"handle\"\n{ball}move = {{ scale = 0 }}"), 6, "scale");
+        told(&format!("{region}role = \"mask\"\n{ball}falloff = -1"), 6, "falloff");
+        told(&format!("{region}role = \"mask\"\nshapes = [{{ cone = {{}} }}]"), 5, "cone");
+        told("[[step]]\nparams = {}", 1, "no `deform`");
+        told("[[step]]\nrefine = { error = 1 }", 2, "`refine` steps are not known");
+        told("[[step]]\ndeform = \"x\"\n[[step.handle]]\nid = \"0\"", 3, "`step.handle`");
+        told("[[step]]\ndeform = \"x\"\n[[step.stroke]]\nradius = 5", 3, "`step.stroke`");
+    }
+}

@@ -1,0 +1,130 @@
+//! Shapes that say where in space something holds: geometry, not sample indices, so they fit any sampling.
+
+use glam::DVec3;
+use serde::Deserialize;
+
+/// A part of space, in model coordinates.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Shape {
+    /// All points on the side of a plane that its normal points to.
+    HalfSpace {
+        /// A point on the plane.
+        point: DVec3,
+        /// Points inwards; any length but zero.
+        normal: DVec3,
+    },
+    /// A ball.
+    Sphere {
+        /// Its centre.
+        center: DVec3,
+        /// In the model's unit; positive.
+        radius: f64,
+    },
+    /// An axis-aligned box.
+    Box {
+        /// Smallest coordinates.
+        min: DVec3,
+        /// Largest coordinates.
+        max: DVec3,
+    },
+}
+
+impl Shape {
+    /// What is wrong with it, or nothing.
+    pub fn defect(&self) -> Option<&'static str> {
+        match *self {
+            Self::HalfSpace { point, normal } if !(point.is_finite() && normal.is_finite()) => {
+                Some("a half-space has a coordinate that is no finite number")
+            }
+            Self::HalfSpace { normal, .. } if normal.try_normalize().is_none() => {
+                Some("the normal of a half-space is zero")
+            }
+            Self::Sphere { center, radius } if !(center.is_finite() && radius.is_finite()) => {
+                Some("a sphere has a coordinate that is no finite number")
+            }
+            Self::Sphere { radius, .. } if radius <= 0.0 => Some("the radius of a sphere is not positive"),
+            Self::Box { min, max } if !(min.is_finite() && max.is_finite()) => {
+                Some("a box has a coordinate that is no finite number")
+            }
+            Self::Box { min, max } if !min.cmple(max).all() => Some("the min of a box exceeds its max"),
+            _ => None,
+        }
+    }
+
+    /// Signed distance to the surface, in the model's unit; negative inside.
+    pub fn signed_distance(&self, p: DVec3) -> f64 {
+        match *self {
+            Self::HalfSpace { point, normal } => (point - p).dot(normal.normalize_or_zero()),
+            Self::Sphere { center, radius } => p.distance(center) - radius,
+            Self::Box { min, max } => {
+                let q = (p - 0.5 * (min + max)).abs() - 0.5 * (max - min);
+                q.max(DVec3::ZERO).length() + q.max_element().min(0.0)
+            }
+        }
+    }
+}
+
+/// A union of shapes whose influence may fade out beyond their surface.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Shapes {
+    /// The shapes; none is nowhere.
+    pub shapes: Vec<Shape>,
+    /// How far beyond the surface the weight falls to 0, in the model's unit; 0 for at once.
+    pub falloff: f64,
+}
+
+impl Shapes {
+    /// 1 inside and on the surface of any shape, 0 from `falloff` away on, and `1 - 3t² + 2t³` in between, with
+    /// `t` the distance to the surface over `falloff`.
+    pub fn weight(&self, p: DVec3) -> f64 {
+        let distance = self.shapes.iter().map(|s| s.signed_distance(p)).fold(f64::INFINITY, f64::min);
+        if distance <= 0.0 {
+            1.0
+        } else if distance < self.falloff {
+            let t = distance / self.falloff;
+            1.0 - t * t * (3.0 - 2.0 * t)
+        } else {
+            0.0
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BOX: Shape = Shape::Box { min: DVec3::ZERO, max: DVec3::new(1.0, 2.0, 3.0) };
+
+    #[test]
+    fn distances() {
+        let above = Shape::HalfSpace { point: DVec3::new(0.0, 5.0, 0.0), normal: DVec3::new(0.0, 10.0, 0.0) };
+        assert_eq!(above.signed_distance(DVec3::new(9.0, 7.0, 1.0)), -2.0);
+        let ball = Shape::Sphere { center: DVec3::X, radius: 2.0 };
+        assert_eq!(ball.signed_distance(DVec3::X * 6.0), 3.0);
+        assert_eq!(BOX.signed_distance(DVec3::new(0.5, 1.0, 1.0)), -0.5);
+        assert_eq!(BOX.signed_distance(DVec3::new(4.0, 6.0, 1.0)), 5.0);
+    }
+
+    #[test]
+    fn weights_fall_off_smoothly_over_the_union() {
+        let ball = Shape::Sphere { center: DVec3::new(10.0, 0.0, 0.0), radius: 1.0 };
+        let hard = Shapes { shapes: vec![BOX, ball], falloff: 0.0 };
+        assert_eq!(hard.weight(DVec3::ONE), 1.0);
+        assert_eq!(hard.weight(DVec3::new(11.0, 0.0, 0.0)), 1.0);
+        assert_eq!(hard.weight(DVec3::new(11.001, 0.0, 0.0)), 0.0);
+        let soft = Shapes { falloff: 2.0, ..hard };
+        assert_eq!(soft.weight(DVec3::new(12.0, 0.0, 0.0)), 0.5);
+        assert_eq!(soft.weight(DVec3::new(13.0, 0.0, 0.0)), 0.0);
+        assert_eq!(Shapes::default().weight(DVec3::ZERO), 0.0);
+    }
+
+    #[test]
+    fn defects_are_found() {
+        assert!(BOX.defect().is_none());
+        assert!(Shape::Box { min: DVec3::ONE, max: DVec3::ZERO }.defect().is_some());
+        assert!(Shape::Sphere { center: DVec3::ZERO, radius: 0.0 }.defect().is_some());
+        assert!(Shape::Sphere { center: DVec3::ZERO, radius: f64::NAN }.defect().is_some());
+        assert!(Shape::HalfSpace { point: DVec3::ZERO, normal: DVec3::ZERO }.defect().is_some());
+    }
+}

@@ -1,0 +1,337 @@
+//! The stack of deformations: each layer's output is the next one's rest shape.
+//!
+//! Regions are evaluated on the layer's own rest shape. A mask acts on the host's side, whatever the plugin:
+//! `p* = p + m(p) (D(p) - p)`.
+
+use crate::deformer::{Message, Plugin, Watch};
+use crate::motion::to_local;
+use crate::params::{LocalParams, Params};
+use crate::plugins::PluginRegistry;
+use crate::session_file::{Role, Step};
+use crate::shapes::Shapes;
+use glam::{DAffine3, DVec3, Vec3};
+use rayon::prelude::*;
+use simod_core::progress::Silent;
+use simod_core::{Error, ErrorKind, Progress, Result};
+use simod_plugin_api as api;
+use std::sync::Arc;
+
+/// Points evaluated at once on one thread.
+const BLOCK: usize = 4096;
+
+/// The samples as they were taken, and where.
+#[derive(Clone, Copy)]
+pub struct RestShape<'a> {
+    /// Positions relative to `origin`; all finite.
+    pub positions: &'a [Vec3],
+    /// Unit normals, one per sample, or none at all.
+    pub normals: &'a [Vec3],
+    /// Distance to the nearest other samples, one per sample, or none at all.
+    pub spacing: &'a [f32],
+    /// Where local coordinates have their zero, in model coordinates.
+    pub origin: DVec3,
+    /// The model's box, model coordinates: smallest and largest.
+    pub bounds: [DVec3; 2],
+    /// Normals for changed positions, for layers that need them after others. Without it they get the old ones.
+    pub renormal: Option<&'a (dyn Fn(&[Vec3]) -> Vec<Vec3> + Sync)>,
+}
+
+/// A checked list of deformations, not tied to any samples.
+#[derive(Debug)]
+pub struct Stack {
+    layers: Vec<Layer>,
+}
+
+#[derive(Debug)]
+struct Layer {
+    plugin: Arc<Plugin>,
+    params: Params,
+    /// Fixed and handle regions.
+    regions: Vec<(api::Role, Shapes)>,
+    /// The handle regions' motions, model coordinates.
+    transforms: Vec<DAffine3>,
+    /// Where the layer acts; everywhere if there is none.
+    masks: Vec<Shapes>,
+}
+
+/// What a stack made of samples.
+#[derive(Debug)]
+pub struct Deformed {
+    /// Deformed positions, relative to the same origin, one per sample.
+    pub positions: Vec<Vec3>,
+    /// The prepared layers, to be asked for other points.
+    pub stack: PreparedStack,
+    /// What the plugins had to say.
+    pub messages: Vec<Message>,
+}
+
+/// A stack prepared on samples: the map of space itself, where the plugins know it.
+#[derive(Debug)]
+pub struct PreparedStack {
+    layers: Vec<PreparedLayer>,
+    origin: DVec3,
+}
+
+/// One layer, prepared on its rest shape.
+#[derive(Debug)]
+struct PreparedLayer {
+    plugin: Arc<Plugin>,
+    state: api::State,
+    rest: Rest,
+    params: LocalParams,
+    transforms: Vec<api::Affine>,
+    masks: Vec<Shapes>,
+}
+
+/// A layer's rest shape, local coordinates.
+#[derive(Debug)]
+struct Rest {
+    positions: Vec<Vec3>,
+    normals: Arc<[Vec3]>,
+    spacing: Arc<[f32]>,
+    bounds: api::Bounds,
+}
+
+impl Rest {
+    fn samples(&self) -> api::Samples<'_> {
+        api::Samples::new(
+            bytemuck::cast_slice(&self.positions),
+            bytemuck::cast_slice(&self.normals),
+            &self.spacing,
+        )
+    }
+}
+
+impl Stack {
+    /// Finds the steps' plugins, and checks parameters and regions against what they ask for.
+    pub fn build(steps: &[Step], registry: &PluginRegistry) -> Result<Self> {
+        let layer = |step: &Step| {
+            Layer::build(step, registry)
+                .map_err(|e| Error::new(e.kind(), format!("{}: {e}", step.place), e.hint()))
+        };
+        Ok(Self { layers: steps.iter().map(layer).collect::<Result<_>>()? })
+    }
+
+    /// How many layers there are.
+    pub fn len(&self) -> usize {
+        self.layers.len()
+    }
+
+    /// Whether nothing is deformed at all.
+    pub fn is_empty(&self) -> bool {
+        self.layers.is_empty()
+    }
+
+    /// The plugins, first layer first.
+    pub fn plugins(&self) -> impl Iterator<Item = &Plugin> {
+        self.layers.iter().map(|l| &*l.plugin)
+    }
+
+    /// Deforms samples. On an error nothing has changed anywhere.
+    pub fn apply(&self, shape: &RestShape<'_>, progress: &dyn Progress) -> Result<Deformed> {
+        shape.check()?;
+        let mut positions = shape.positions.to_vec();
+        let mut normals: Arc<[Vec3]> = shape.normals.into();
+        let spacing: Arc<[f32]> = shape.spacing.into();
+        let bounds = shape.bounds.map(|p| (p - shape.origin).to_array());
+        let bounds = api::Bounds { min: bounds[0], max: bounds[1] };
+        let mut messages = Vec::new();
+        let mut layers = Vec::with_capacity(self.layers.len());
+        for (i, layer) in self.layers.iter().enumerate() {
+            if i > 0
+                && layer.plugin.consumes().normals
+                && let Some(renormal) = shape.renormal
+            {
+                normals = renormal(&positions).into();
+            }
+            let rest = Rest { positions, normals: normals.clone(), spacing: spacing.clone(), bounds };
+            let watch = Watch::new(progress, layer.plugin.id(), size_of_val(shape.positions) as u64);
+            let (prepared, deformed) = layer.apply(rest, shape, &watch)?;
+            messages.extend(watch.into_messages());
+            layers.push(prepared);
+            positions = deformed;
+        }
+        Ok(Deformed { positions, stack: PreparedStack { layers, origin: shape.origin }, messages })
+    }
+}
+
+impl RestShape<'_> {
+    fn check(&self) -> Result<()> {
+        let count = self.positions.len();
+        let mismatch = |what: &str| {
+            Err(Error::new(
+                ErrorKind::Mismatch,
+                format!("there is not one {what} per sample"),
+                "sample the model again",
+            ))
+        };
+        if count == 0 {
+            let hint = "sample the model more finely";
+            return Err(Error::new(ErrorKind::Degenerate, "there are no samples to deform", hint));
+        }
+        if ![0, count].contains(&self.normals.len()) {
+            return mismatch("normal");
+        }
+        if ![0, count].contains(&self.spacing.len()) {
+            return mismatch("spacing");
+        }
+        let finite = self.positions.par_iter().all(|p| p.is_finite());
+        if !(finite && self.origin.is_finite() && self.bounds.iter().all(|p| p.is_finite())) {
+            let what = "a sample, the origin or the bounding box is not finite";
+            return Err(Error::new(ErrorKind::Degenerate, what, "sample the model again"));
+        }
+        Ok(())
+    }
+}
+
+impl Layer {
+    fn build(step: &Step, registry: &PluginRegistry) -> Result<Self> {
+        let plugin = registry.get(&step.deform)?.clone();
+        let params = Params::check(plugin.id(), plugin.params(), &step.params)?;
+        let mut layer =
+            Self { plugin, params, regions: Vec::new(), transforms: Vec::new(), masks: Vec::new() };
+        for region in &step.regions {
+            match region.role {
+                Role::Mask => layer.masks.push(region.shapes.clone()),
+                Role::Fixed => layer.regions.push((api::Role::FIXED, region.shapes.clone())),
+                Role::Handle => {
+                    layer.regions.push((api::Role::HANDLE, region.shapes.clone()));
+                    layer.transforms.push(region.motion.to_affine());
+                }
+            }
+        }
+        layer.check_regions()?;
+        Ok(layer)
+    }
+
+    fn check_regions(&self) -> Result<()> {
+        let (id, consumes) = (self.plugin.id(), self.plugin.consumes());
+        let roles = [
+            (api::Role::FIXED, "fixed", consumes.fixed_regions, consumes.min_fixed),
+            (api::Role::HANDLE, "handle", consumes.handle_regions, consumes.min_handles),
+        ];
+        for (role, name, used, least) in roles {
+            let count = self.regions.iter().filter(|r| r.0 == role).count();
+            if count > 0 && !used {
+                let hint = "remove the region; to limit where the step acts, use role = \"mask\"";
+                let what = format!("plugin {id} uses no {name} regions");
+                return Err(Error::new(ErrorKind::Argument, what, hint));
+            }
+            if count < least as usize {
+                let what = format!("plugin {id} needs {least} {name} region(s), not {count}");
+                let hint = format!("add a [[step.region]] with role = \"{name}\"");
+                return Err(Error::new(ErrorKind::Argument, what, hint));
+            }
+        }
+        Ok(())
+    }
+
+    fn apply(
+        &self,
+        rest: Rest,
+        shape: &RestShape<'_>,
+        watch: &Watch<'_>,
+    ) -> Result<(PreparedLayer, Vec<Vec3>)> {
+        if self.plugin.consumes().normals && rest.normals.is_empty() {
+            let what = format!("plugin {} needs normals, and the samples have none", self.plugin.id());
+            return Err(Error::new(ErrorKind::Mismatch, what, "sample the model with normals"));
+        }
+        let origin = shape.origin;
+        let weigh = |shapes: &Shapes| -> Vec<f32> {
+            rest.positions.par_iter().map(|p| shapes.weight(p.as_dvec3() + origin) as f32).collect()
+        };
+        let weights: Vec<Vec<f32>> = self.regions.iter().map(|(_, shapes)| weigh(shapes)).collect();
+        let regions: Vec<api::Region<'_>> =
+            self.regions.iter().zip(&weights).map(|((role, _), w)| api::Region::new(*role, w)).collect();
+
+        let params = self.params.to_local(origin, shape.bounds);
+        let values = params.views();
+        let input = api::PrepareInput::new(rest.samples(), rest.bounds, &regions, &values);
+        let state = self.plugin.prepare(&input, watch)?;
+        drop(values);
+        let transforms = self.transforms.iter().map(|&t| rows(to_local(t, origin))).collect();
+        let (plugin, masks) = (self.plugin.clone(), self.masks.clone());
+        let prepared = PreparedLayer { plugin, state, rest, params, transforms, masks };
+        let deformed = prepared.deform(origin, watch)?;
+        Ok((prepared, deformed))
+    }
+}
+
+/// As plugins take it.
+fn rows(map: DAffine3) -> api::Affine {
+    let (m, t) = (map.matrix3, map.translation);
+    let row = |i: usize| [m.x_axis[i], m.y_axis[i], m.z_axis[i], t[i]];
+    api::Affine { rows: [row(0), row(1), row(2)] }
+}
+
+impl PreparedLayer {
+    fn deform(&self, origin: DVec3, watch: &Watch<'_>) -> Result<Vec<Vec3>> {
+        let rest = &self.rest.positions;
+        let mut out = vec![Vec3::NAN; rest.len()];
+        let values = self.params.views();
+        let input = api::DeformInput::new(self.rest.samples(), self.rest.bounds, &self.transforms, &values);
+        let mut scratch = self.plugin.new_scratch()?;
+        let buffer = bytemuck::cast_slice_mut(&mut out);
+        self.plugin.deform(&self.state, &input, &mut scratch, buffer, watch)?;
+        if !self.masks.is_empty() {
+            out.par_iter_mut().zip(rest).for_each(|(q, p)| {
+                let p = p.as_dvec3();
+                *q = self.masked(p + origin, p, q.as_dvec3()).as_vec3();
+            });
+        }
+        Ok(out)
+    }
+
+    /// Replaces local points by their images.
+    fn evaluate(&self, origin: DVec3, points: &mut [DVec3], watch: &Watch<'_>) -> Result<()> {
+        let rest: Vec<DVec3> = if self.masks.is_empty() { Vec::new() } else { points.to_vec() };
+        let values = self.params.views();
+        let input = api::DeformInput::new(self.rest.samples(), self.rest.bounds, &self.transforms, &values);
+        self.plugin.evaluate(&self.state, &input, bytemuck::cast_slice_mut(points), watch)?;
+        for (q, p) in points.iter_mut().zip(rest) {
+            *q = self.masked(p + origin, p, *q);
+        }
+        Ok(())
+    }
+
+    /// The image `q` of `p` as far as the masks let it; `at` is `p` in model coordinates.
+    fn masked(&self, at: DVec3, p: DVec3, q: DVec3) -> DVec3 {
+        let weight = self.masks.iter().map(|m| m.weight(at)).fold(0.0, f64::max);
+        // Exactly one of both where there is nothing to blend.
+        if weight >= 1.0 { q } else { p + weight * (q - p) }
+    }
+}
+
+impl PreparedStack {
+    /// Whether all layers know their map at any point of space.
+    pub fn can_evaluate(&self) -> bool {
+        self.layers.iter().all(|l| l.plugin.can_evaluate())
+    }
+
+    /// Replaces points (model coordinates) by their exact images, on all cores. Points that are not finite stay
+    /// as they are. On an error the points' content is meaningless.
+    pub fn evaluate(&self, points: &mut [DVec3]) -> Result<()> {
+        self.evaluate_with(points, &Silent)
+    }
+
+    /// [`evaluate`](Self::evaluate), stopping where `progress` says so.
+    pub fn evaluate_with(&self, points: &mut [DVec3], progress: &dyn Progress) -> Result<()> {
+        points.par_chunks_mut(BLOCK).try_for_each_init(Vec::new, |local, points| {
+            local.clear();
+            // Plugins are promised finite points.
+            local.extend(points.iter().map(|p| if p.is_finite() { p - self.origin } else { DVec3::ZERO }));
+            for layer in &self.layers {
+                progress.check()?;
+                // Blocks are too small for progress of their own: size 0 tells nothing.
+                let watch = Watch::new(progress, layer.plugin.id(), 0);
+                layer.evaluate(self.origin, local, &watch)?;
+            }
+            for (point, image) in points.iter_mut().zip(local.iter()) {
+                if point.is_finite() {
+                    *point = image + self.origin;
+                }
+            }
+            Ok(())
+        })
+    }
+}

@@ -1,0 +1,65 @@
+//! Builds the plugins that the tests load, and finds them.
+
+use simod_session::PluginRegistry;
+use simod_session::plugins::PluginFolder;
+use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+/// The plugins' packages, and their libraries' names.
+const PLUGINS: [(&str, &str); 3] = [
+    ("simod-plugin-warp", "simod_warp"),
+    ("simod-plugin-rbf", "simod_rbf"),
+    ("simod-plugin-misbehaving", "simod_misbehaving"),
+];
+
+/// The folder with the built plugins: that of the profile that the tests run in.
+pub fn built() -> &'static Path {
+    static BUILT: OnceLock<PathBuf> = OnceLock::new();
+    BUILT.get_or_init(|| {
+        // target/<profile>/deps/<test>
+        let test = std::env::current_exe().unwrap();
+        let profile = test.parent().and_then(Path::parent).unwrap();
+        let name = profile.file_name().and_then(|n| n.to_str()).unwrap();
+        let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+        cargo.arg("build").arg("--target-dir").arg(profile.parent().unwrap());
+        cargo.arg("--profile").arg(if name == "debug" { "dev" } else { name });
+        for (package, _) in PLUGINS {
+            cargo.args(["-p", package]);
+        }
+        cargo.current_dir(env!("CARGO_MANIFEST_DIR"));
+        let output = cargo.output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        profile.to_owned()
+    })
+}
+
+/// A built plugin's library.
+pub fn library(name: &str) -> PathBuf {
+    built().join(format!("{DLL_PREFIX}{name}{DLL_SUFFIX}"))
+}
+
+/// Copies a plugin's library into a folder, under a name of its own.
+pub fn copy(name: &str, folder: &Path, new_name: &str) -> PathBuf {
+    let path = folder.join(format!("{new_name}{DLL_SUFFIX}"));
+    std::fs::copy(library(name), &path).unwrap();
+    path
+}
+
+/// All libraries in a folder.
+pub fn load(folder: &Path) -> PluginRegistry {
+    PluginRegistry::from_folders(&[PluginFolder { path: folder.to_owned(), by_name: false }])
+}
+
+/// All built plugins.
+pub fn registry() -> &'static PluginRegistry {
+    static REGISTRY: OnceLock<PluginRegistry> = OnceLock::new();
+    REGISTRY.get_or_init(|| {
+        let folder = tempfile::tempdir().unwrap();
+        for (_, name) in PLUGINS {
+            copy(name, folder.path(), name);
+        }
+        load(folder.path())
+    })
+}

@@ -1,0 +1,223 @@
+//! Whole stacks of real plugins, on samples of a cylinder far from the model's zero.
+
+mod common;
+
+use glam::{DVec3, Vec3};
+use simod_core::progress::Silent;
+use simod_core::{Error, ErrorKind, Progress};
+use simod_plugin_api::LogLevel;
+use simod_session::{Deformed, RestShape, SessionFile, Stack};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+const ORIGIN: DVec3 = DVec3::new(1e6, -2e6, 500.0);
+
+/// Radius 1, from 0 to 8 along y, local coordinates.
+fn cylinder(n: usize) -> Vec<Vec3> {
+    let angle = |i: usize| (2.399963 * i as f64) % std::f64::consts::TAU;
+    (0..n)
+        .map(|i| DVec3::new(angle(i).cos(), 8.0 * (i as f64 + 0.5) / n as f64, angle(i).sin()).as_vec3())
+        .collect()
+}
+
+fn rest(positions: &[Vec3]) -> RestShape<'_> {
+    let bounds = [DVec3::new(-1.0, 0.0, -1.0) + ORIGIN, DVec3::new(1.0, 8.0, 1.0) + ORIGIN];
+    RestShape { positions, normals: &[], spacing: &[], origin: ORIGIN, bounds, renormal: None }
+}
+
+fn stack(session: &str) -> Result<Stack, Error> {
+    Stack::build(&SessionFile::parse(session, Path::new("s.toml"))?.steps, common::registry())
+}
+
+fn apply(session: &str, positions: &[Vec3]) -> Result<Deformed, Error> {
+    stack(session)?.apply(&rest(positions), &Silent)
+}
+
+/// The exact map and the samples agree to single precision.
+fn assert_evaluates(deformed: &Deformed, positions: &[Vec3], tolerance: f64) {
+    assert!(deformed.stack.can_evaluate());
+    let mut points: Vec<DVec3> = positions.iter().map(|p| p.as_dvec3() + ORIGIN).collect();
+    deformed.stack.evaluate(&mut points).unwrap();
+    for (a, b) in points.iter().zip(&deformed.positions) {
+        let error = (*a - ORIGIN).distance(b.as_dvec3());
+        assert!(error < tolerance, "{error}");
+    }
+}
+
+const BEND: &str = "
+[[step]]
+deform = \"warp\"
+params = { operation = \"bend\", angle = 60 }
+";
+
+const RBF: &str = "
+[[step]]
+deform = \"rbf\"
+[[step.region]]
+role = \"fixed\"
+shapes = [{ half-space = { point = [1e6, -1999999, 500], normal = [0, -1, 0] } }]
+[[step.region]]
+role = \"handle\"
+shapes = [{ half-space = { point = [1e6, -1999993, 500], normal = [0, 1, 0] } }]
+move = { translate = [1, 0, 0], axis = [0, 1, 0], degrees = 45, pivot = [1e6, 0, 500] }
+";
+
+#[test]
+fn an_empty_stack_changes_nothing() {
+    let positions = cylinder(100);
+    let deformed = apply("", &positions).unwrap();
+    assert_eq!(deformed.positions, positions);
+    assert_evaluates(&deformed, &positions, 1e-6);
+}
+
+#[test]
+fn two_plugins_in_one_stack() {
+    let positions = cylinder(4000);
+    let deformed = apply(&format!("{RBF}{BEND}"), &positions).unwrap();
+    assert_evaluates(&deformed, &positions, 1e-5);
+    // The other way round is something else: each layer works on what the one before made.
+    let other = apply(&format!("{BEND}{RBF}"), &positions).unwrap();
+    assert_evaluates(&other, &positions, 1e-5);
+    let apart = other.positions.iter().zip(&deformed.positions).map(|(a, b)| a.distance(*b));
+    assert!(apart.fold(0.0, f32::max) > 0.5);
+
+    let turned = apply(RBF, &positions).unwrap();
+    for (p, q) in positions.iter().zip(&turned.positions) {
+        if p.y < 1.0 {
+            assert!(p.distance(*q) < 1e-2);
+        } else if p.y > 7.0 {
+            let expected = glam::Quat::from_rotation_y(45_f32.to_radians()) * *p + Vec3::X;
+            assert!(expected.distance(*q) < 1e-2);
+        }
+    }
+}
+
+#[test]
+fn masks_hold_any_layer_back() {
+    let positions = cylinder(2000);
+    let mask = "
+[[step.region]]
+role = \"mask\"
+falloff = 2
+shapes = [{ half-space = { point = [1e6, -1999995, 500], normal = [0, 1, 0] } }]
+";
+    let whole = apply(BEND, &positions).unwrap();
+    let masked = apply(&format!("{BEND}{mask}"), &positions).unwrap();
+    assert_evaluates(&masked, &positions, 1e-5);
+    for (p, (w, m)) in positions.iter().zip(whole.positions.iter().zip(&masked.positions)) {
+        if p.y >= 5.0 {
+            assert_eq!(w, m);
+        } else if p.y <= 3.0 {
+            assert_eq!(p, m);
+        } else if (p.y - 4.0).abs() < 1e-3 {
+            assert!(p.midpoint(*w).distance(*m) < 1e-2 * p.distance(*w));
+        }
+    }
+}
+
+#[test]
+fn points_that_are_no_numbers_stay() {
+    let positions = cylinder(100);
+    let deformed = apply(BEND, &positions).unwrap();
+    let mut points = [DVec3::new(f64::NAN, 1.0, f64::INFINITY), ORIGIN + DVec3::Y];
+    deformed.stack.evaluate(&mut points).unwrap();
+    assert!(points[0].x.is_nan() && points[0].y == 1.0 && points[0].z == f64::INFINITY);
+    assert!(points[1].is_finite() && points[1] != ORIGIN + DVec3::Y);
+}
+
+#[test]
+fn what_is_wrong_in_a_step_names_the_step() {
+    let told = |session: &str, what: &str, hint: &str| {
+        let error = stack(session).unwrap_err();
+        assert!(error.to_string().starts_with("s.toml, line 2: "), "{error}");
+        assert!(error.to_string().contains(what), "{error}");
+        assert!(error.hint().contains(hint), "{}", error.hint());
+    };
+    told("\n[[step]]\ndeform = \"wrap\"", "no plugin `wrap`", "`warp`");
+    told("\n[[step]]\ndeform = \"warp\"\nparams = { angel = 1 }", "no parameter `angel`", "`angle`");
+    told("\n[[step]]\ndeform = \"rbf\"", "needs 1 handle region", "role = \"handle\"");
+    let region =
+        "[[step.region]]\nrole = \"fixed\"\nshapes = [{ sphere = { center = [0,0,0], radius = 1 } }]";
+    told(&format!("\n[[step]]\ndeform = \"warp\"\n{region}"), "uses no fixed regions", "mask");
+}
+
+#[test]
+fn plugin_errors_come_out_with_their_hints() {
+    let told = |session: &str, what: &str| {
+        let error = apply(session, &cylinder(500)).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Plugin);
+        assert!(error.to_string().contains(what), "{error}");
+        assert!(!error.hint().is_empty());
+    };
+    told("[[step]]\ndeform = \"warp\"\nparams = { axis = [0,0,0] }", "plugin warp: parameter `axis` is zero");
+    told("[[step]]\ndeform = \"warp\"\nparams = { from = 1, to = 0 }", "parameter `from`");
+    let far = "[[step]]\ndeform = \"rbf\"\n[[step.region]]\nrole = \"handle\"\nshapes = [{ sphere = { center = [0,0,0], radius = 1 } }]";
+    told(far, "holds no sample");
+}
+
+fn misbehave(how: &str) -> Result<Deformed, Error> {
+    // A good layer first: its work is lost as well, since the stack is one.
+    apply(
+        &format!("{BEND}[[step]]\ndeform = \"misbehaving\"\nparams = {{ how = \"{how}\" }}"),
+        &cylinder(300),
+    )
+}
+
+#[test]
+fn misbehaviour_is_an_error_and_not_a_crash() {
+    for (how, what) in [
+        ("panic-in-prepare", "panicked: no state for 300 samples"),
+        ("panic-in-deform", "panicked: half-way"),
+        ("panic-payload", "panicked: without a message"),
+        ("error-in-prepare", "plugin misbehaving: this does not please me"),
+        ("error-in-deform", "plugin misbehaving: not today"),
+        ("cancel-unasked", "stopped unasked"),
+        ("nan", "1 of 300 positions are unwritten or not finite, the first at index 100"),
+        ("unwritten", "1 of 300 positions are unwritten or not finite, the first at index 299"),
+    ] {
+        let error = misbehave(how).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Plugin, "{how}");
+        assert!(error.to_string().contains(what), "{how}: {error}");
+        assert!(!error.to_string().contains('\n') && !error.hint().contains('\n'));
+        assert!(!error.hint().is_empty(), "{how}");
+    }
+    // The same plugin works on, right after.
+    let deformed = misbehave("well").unwrap();
+    let [message] = deformed.messages.as_slice() else { panic!("{:?}", deformed.messages) };
+    assert_eq!((message.text.as_str(), message.level), ("all is well", LogLevel::INFO));
+    drop(misbehave("panic-in-drop").unwrap());
+    let deformed = misbehave("panic-in-evaluate").unwrap();
+    let error = deformed.stack.evaluate(&mut [ORIGIN]).unwrap_err();
+    assert!(error.to_string().contains("panicked: nowhere"), "{error}");
+}
+
+/// Cancelled from the first look on.
+struct Stopped(AtomicBool);
+
+impl Progress for Stopped {
+    fn begin(&self, _: &'static str, _: u64) {}
+    fn advance(&self, _: u64) {}
+    fn is_cancelled(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+#[test]
+fn cancelled_is_cancelled_whether_the_plugin_obeys_or_not() {
+    let positions = cylinder(500);
+    for session in [RBF, BEND, "[[step]]\ndeform = \"misbehaving\"\nparams = { how = \"ignore-cancel\" }"] {
+        let stopped = Stopped(AtomicBool::new(true));
+        let error = stack(session).unwrap().apply(&rest(&positions), &stopped).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Cancelled);
+    }
+}
+
+#[test]
+fn shapes_that_cannot_be_deformed_are_refused() {
+    let bend = stack(BEND).unwrap();
+    assert_eq!(bend.apply(&rest(&[]), &Silent).unwrap_err().kind(), ErrorKind::Degenerate);
+    assert_eq!(bend.apply(&rest(&[Vec3::NAN]), &Silent).unwrap_err().kind(), ErrorKind::Degenerate);
+    let positions = cylinder(10);
+    let short = RestShape { normals: &[Vec3::X; 3], ..rest(&positions) };
+    assert_eq!(bend.apply(&short, &Silent).unwrap_err().kind(), ErrorKind::Mismatch);
+}

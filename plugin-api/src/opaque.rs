@@ -1,0 +1,258 @@
+//! Opaque handles: the only unsafe code of the crate, besides the exported symbol.
+//!
+//! A handle is a pointer with the functions that know what it points to. Both sides are compiled from this
+//! module, at versions whose layouts the loader compared; that the functions of a handle fit its pointer is by
+//! construction, since the fields are private. What a handle's content is read back as is checked at run time.
+#![allow(unsafe_code, reason = "type-erased pointers cross the boundary; each block has its argument")]
+
+use crate::{EvaluateExtension, HostCalls, LogLevel};
+use abi_stable::{
+    StableAbi,
+    std_types::{ROption, RStr},
+};
+use std::any::TypeId;
+use std::ffi::c_void;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::marker::PhantomData;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// Tells types of one library apart, and nearly surely those of different ones.
+fn type_tag<T: 'static>() -> u64 {
+    let mut hasher = DefaultHasher::new();
+    TypeId::of::<T>().hash(&mut hasher);
+    hasher.finish()
+}
+
+/// Frees a `Box<T>`; a panic in `T`'s destructor is swallowed, as nothing may unwind across the boundary.
+extern "C" fn drop_box<T>(data: *mut c_void) {
+    // SAFETY: called once, by the owning handle's `Drop`, with the pointer that `Box::into_raw` gave for a
+    // `Box<T>` of the same `T` (see `new` of the handles).
+    let content = unsafe { Box::from_raw(data.cast::<T>()) };
+    if let Err(payload) = catch_unwind(AssertUnwindSafe(|| drop(content))) {
+        // A payload's own destructor may panic too.
+        std::mem::forget(payload);
+    }
+}
+
+/// What a plugin prepared: immutable, shared by threads, freed by the code that made it.
+#[repr(C)]
+#[derive(StableAbi, Debug)]
+pub struct State {
+    data: *mut c_void,
+    tag: u64,
+    free: extern "C" fn(*mut c_void),
+}
+
+// SAFETY: `new` takes `Send + Sync` content only, and the fields are private.
+unsafe impl Send for State {}
+// SAFETY: as above; only shared references to the content are handed out.
+unsafe impl Sync for State {}
+
+impl State {
+    /// Takes over the content.
+    pub fn new<T: Send + Sync + 'static>(content: T) -> Self {
+        Self { data: Box::into_raw(Box::new(content)).cast(), tag: type_tag::<T>(), free: drop_box::<T> }
+    }
+
+    /// The content, where it is a `T`: nothing for another plugin's state.
+    pub fn get<T: 'static>(&self) -> Option<&T> {
+        // SAFETY: `data` came from a `Box<T>` with this `T`, as the tag tells, lives as long as `self`, and is
+        // never handed out mutably.
+        (self.tag == type_tag::<T>()).then(|| unsafe { &*self.data.cast::<T>() })
+    }
+}
+
+impl Drop for State {
+    fn drop(&mut self) {
+        (self.free)(self.data);
+    }
+}
+
+/// A plugin's working memory for one sequence of `deform` calls, kept by the host between them.
+#[repr(C)]
+#[derive(StableAbi, Debug)]
+pub struct Scratch {
+    data: *mut c_void,
+    tag: u64,
+    free: extern "C" fn(*mut c_void),
+}
+
+// SAFETY: `new` takes `Send` content only, and the fields are private.
+unsafe impl Send for Scratch {}
+
+impl Scratch {
+    /// Takes over the content.
+    pub fn new<T: Send + 'static>(content: T) -> Self {
+        Self { data: Box::into_raw(Box::new(content)).cast(), tag: type_tag::<T>(), free: drop_box::<T> }
+    }
+
+    /// The content, where it is a `T`: nothing for another plugin's scratch.
+    pub fn get_mut<T: 'static>(&mut self) -> Option<&mut T> {
+        // SAFETY: `data` came from a `Box<T>` with this `T`, as the tag tells, lives as long as `self`, and is
+        // borrowed as mutably as `self` is.
+        (self.tag == type_tag::<T>()).then(|| unsafe { &mut *self.data.cast::<T>() })
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        (self.free)(self.data);
+    }
+}
+
+/// The host as a plugin sees it, for the length of one call. Its calls are cheap, from any thread.
+#[repr(C)]
+#[derive(StableAbi, Debug)]
+pub struct Host<'a> {
+    context: *const c_void,
+    progress: extern "C" fn(*const c_void, f64) -> bool,
+    log: extern "C" fn(*const c_void, LogLevel, RStr<'_>),
+    extension: extern "C" fn(*const c_void, RStr<'_>) -> ROption<Extension>,
+    lifetime: PhantomData<&'a c_void>,
+}
+
+// SAFETY: `new` takes `HostCalls` only, which are `Sync`; all access is through shared references.
+unsafe impl Send for Host<'_> {}
+// SAFETY: as above.
+unsafe impl Sync for Host<'_> {}
+
+impl<'a> Host<'a> {
+    /// Makes the host callable across the boundary.
+    pub fn new<T: HostCalls>(calls: &'a T) -> Self {
+        Self {
+            context: std::ptr::from_ref(calls).cast(),
+            progress: call_progress::<T>,
+            log: call_log::<T>,
+            extension: call_extension::<T>,
+            lifetime: PhantomData,
+        }
+    }
+
+    pub(crate) fn call_progress(&self, fraction: f64) -> bool {
+        (self.progress)(self.context, fraction)
+    }
+
+    /// A line for the user.
+    pub fn log(&self, level: LogLevel, message: &str) {
+        (self.log)(self.context, level, message.into());
+    }
+
+    /// A capability of the host, by id, such as later versions may add.
+    pub fn extension(&self, id: &str) -> Option<Extension> {
+        (self.extension)(self.context, id.into()).into_option()
+    }
+}
+
+/// The host's side of a call from a plugin; a panic of the host's gives `or`.
+fn guarded<T: HostCalls, R>(context: *const c_void, or: R, call: impl FnOnce(&T) -> R) -> R {
+    // SAFETY: `context` came from the `&'a T` that `Host::new` was given together with the functions below
+    // for the same `T`; a `Host<'a>` cannot outlive it.
+    let calls = unsafe { &*context.cast::<T>() };
+    catch_unwind(AssertUnwindSafe(|| call(calls))).unwrap_or_else(|payload| {
+        std::mem::forget(payload);
+        or
+    })
+}
+
+extern "C" fn call_progress<T: HostCalls>(context: *const c_void, fraction: f64) -> bool {
+    guarded(context, false, |calls: &T| calls.progress(fraction))
+}
+
+extern "C" fn call_log<T: HostCalls>(context: *const c_void, level: LogLevel, message: RStr<'_>) {
+    guarded(context, (), |calls: &T| calls.log(level, message.as_str()));
+}
+
+extern "C" fn call_extension<T: HostCalls>(context: *const c_void, id: RStr<'_>) -> ROption<Extension> {
+    guarded(context, None, |calls: &T| calls.extension(id.as_str())).into()
+}
+
+/// A table of functions that is known by an id.
+///
+/// # Safety
+///
+/// The type is `repr(C)`, of an ABI-stable layout that never changes under this id: a change needs another id.
+pub unsafe trait ExtensionInterface: Sync + 'static {
+    /// The id, such as `simod.evaluate/1`; one per type and layout.
+    const ID: &'static str;
+}
+
+// SAFETY: `repr(C)`, of ABI-stable fields; frozen.
+unsafe impl ExtensionInterface for EvaluateExtension {
+    const ID: &'static str = "simod.evaluate/1";
+}
+
+/// A capability beyond the root module: an untyped pointer to a table, with its id.
+#[repr(C)]
+#[derive(StableAbi, Debug, Clone, Copy)]
+pub struct Extension {
+    id: RStr<'static>,
+    size: usize,
+    table: *const c_void,
+}
+
+// SAFETY: the table is immutable, `'static` and `Sync`, as `ExtensionInterface` asks.
+unsafe impl Send for Extension {}
+// SAFETY: as above.
+unsafe impl Sync for Extension {}
+
+impl Extension {
+    /// Offers a table.
+    pub const fn new<T: ExtensionInterface>(table: &'static T) -> Self {
+        Self {
+            id: RStr::from_str(T::ID),
+            size: size_of::<T>(),
+            table: std::ptr::from_ref(table).cast::<c_void>(),
+        }
+    }
+
+    /// The table, where it is a `T`.
+    pub fn get<T: ExtensionInterface>(&self) -> Option<&'static T> {
+        let fits = self.id.as_str() == T::ID && self.size == size_of::<T>() && !self.table.is_null();
+        // SAFETY: the other side made it with `new` from a `&'static` table of this id, whose layout is
+        // frozen by the contract of `ExtensionInterface`; the size is checked besides.
+        fits.then(|| unsafe { &*self.table.cast::<T>() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    struct CountsDrops(Arc<AtomicUsize>);
+    impl Drop for CountsDrops {
+        fn drop(&mut self) {
+            self.0.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    #[test]
+    fn handles_give_their_content_and_free_it_once() {
+        let drops = Arc::new(AtomicUsize::new(0));
+        let state = State::new(CountsDrops(drops.clone()));
+        assert!(state.get::<CountsDrops>().is_some());
+        assert!(state.get::<u32>().is_none());
+        drop(state);
+        let mut scratch = Scratch::new((CountsDrops(drops.clone()), 7));
+        scratch.get_mut::<(CountsDrops, i32)>().unwrap().1 += 1;
+        assert_eq!(scratch.get_mut::<(CountsDrops, i32)>().unwrap().1, 8);
+        assert!(scratch.get_mut::<i32>().is_none());
+        drop(scratch);
+        assert_eq!(drops.load(Ordering::Relaxed), 2);
+    }
+
+    #[test]
+    fn a_panicking_host_stops_the_plugin() {
+        struct Bad;
+        impl HostCalls for Bad {
+            fn progress(&self, _: f64) -> bool {
+                panic!("host")
+            }
+            fn log(&self, _: LogLevel, _: &str) {}
+        }
+        assert!(Host::new(&Bad).progress(0.5).is_err());
+        assert!(Host::new(&()).progress(0.5).is_ok());
+        assert!(Host::new(&()).extension("simod.graph/1").is_none());
+    }
+}

@@ -1,0 +1,186 @@
+//! What the samples in the regions are asked to do.
+//!
+//! Each handle moves affinely, so its samples' displacements are combinations of four functions: 1 and the
+//! coordinates relative to the handle's centroid, in units of its radius; on other regions they are 0. Whatever
+//! the handles do later, these `4 x handles` right-hand sides span it.
+
+use crate::kernel::{Frame, Point};
+use simod_plugin_api::{PluginError, PluginResult, PrepareInput, Role};
+use std::collections::HashSet;
+
+/// Weight from which on a sample belongs to a region.
+const INSIDE: f32 = 0.5;
+
+/// Functions per handle.
+pub const PER_HANDLE: usize = 4;
+
+/// Where a handle is, local coordinates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HandleFrame {
+    /// Mean of its samples.
+    pub centroid: Point,
+    /// Largest distance of a sample from it; 1 for a single point.
+    pub radius: f64,
+}
+
+/// The samples in the regions, and what they shall do.
+#[derive(Debug)]
+pub struct Constraints {
+    /// Maps local coordinates to the unit box.
+    pub frame: Frame,
+    /// Their positions, in the unit box.
+    pub points: Vec<Point>,
+    /// The handle that each follows, or nothing where it is fixed.
+    pub handle: Vec<Option<usize>>,
+    /// Functions 1, 2 and 3 of its handle at each constraint.
+    relative: Vec<Point>,
+    /// The handles' frames, in the regions' order.
+    pub handles: Vec<HandleFrame>,
+    /// Whether any sample is fixed.
+    pub has_fixed: bool,
+    /// Constraints in an order of which every beginning is well spread over all regions.
+    pub spread: Vec<usize>,
+}
+
+impl Constraints {
+    /// Gathers the samples in the regions. One in several regions belongs to the one where its weight is
+    /// largest, the first of them where that is a draw.
+    pub fn gather(input: &PrepareInput<'_>, spread_limit: usize) -> PluginResult<Self> {
+        let positions = input.samples.positions();
+        let regions = input.regions();
+        if let Some(i) = regions.iter().position(|r| r.weights().len() != positions.len()) {
+            return Err(PluginError::internal(format!("region {} has not one weight per sample", i + 1)));
+        }
+        if !regions.iter().any(|r| r.role == Role::HANDLE) {
+            return Err(PluginError::input("there is no handle region")
+                .hint("add a region with role = \"handle\" and a move"));
+        }
+        let owner = |sample: usize| {
+            let mut best = None;
+            for (i, region) in regions.iter().enumerate() {
+                let weight = region.weights()[sample];
+                if weight > INSIDE && best.is_none_or(|(_, w)| weight > w) {
+                    best = Some((i, weight));
+                }
+            }
+            best.map(|(i, _)| i)
+        };
+        let mut members = vec![Vec::new(); regions.len()];
+        for (sample, p) in positions.iter().enumerate() {
+            if let Some(region) = owner(sample) {
+                members[region].push(p.map(f64::from));
+            }
+        }
+        if let Some(i) = members.iter().position(Vec::is_empty) {
+            let what = if regions[i].role == Role::HANDLE { "handle" } else { "fixed" };
+            return Err(PluginError::input(format!("region {} ({what}) holds no sample of its own", i + 1))
+                .hint("enlarge or move its shapes, take more samples, or let it overlap others less"));
+        }
+        let all: Vec<Point> = members.iter().flatten().copied().collect();
+        let frame = Frame::of(&all).ok_or_else(|| {
+            PluginError::input("all samples in the regions lie in one point")
+                .hint("enlarge the regions, or add a fixed one elsewhere")
+        })?;
+
+        let mut constraints = Self {
+            frame,
+            points: all.iter().map(|&p| frame.to_unit(p)).collect(),
+            handle: Vec::with_capacity(all.len()),
+            relative: Vec::with_capacity(all.len()),
+            handles: Vec::new(),
+            has_fixed: false,
+            spread: Vec::new(),
+        };
+        let mut orders = Vec::new();
+        for (region, members) in regions.iter().zip(&members) {
+            let first = constraints.handle.len();
+            let handle = (region.role == Role::HANDLE).then_some(constraints.handles.len());
+            constraints.has_fixed |= handle.is_none();
+            let HandleFrame { centroid, radius } = frame_of(members);
+            if handle.is_some() {
+                constraints.handles.push(HandleFrame { centroid, radius });
+            }
+            for p in members {
+                constraints.handle.push(handle);
+                constraints.relative.push(std::array::from_fn(|i| (p[i] - centroid[i]) / radius));
+            }
+            orders.push(spread_order(&constraints.points, first..constraints.handle.len(), spread_limit));
+        }
+        constraints.spread = interleave(&orders);
+        Ok(constraints)
+    }
+
+    /// How many right-hand sides there are.
+    pub fn functions(&self) -> usize {
+        PER_HANDLE * self.handles.len()
+    }
+
+    /// What right-hand side `function` is at a constraint.
+    pub fn target(&self, constraint: usize, function: usize) -> f64 {
+        if self.handle[constraint] != Some(function / PER_HANDLE) {
+            return 0.0;
+        }
+        match function % PER_HANDLE {
+            0 => 1.0,
+            i => self.relative[constraint][i - 1],
+        }
+    }
+}
+
+fn frame_of(points: &[Point]) -> HandleFrame {
+    let sum = points.iter().fold([0.0; 3], |s, p| std::array::from_fn(|i| s[i] + p[i]));
+    let centroid = sum.map(|s| s / points.len() as f64);
+    let distance2 = |p: &Point| (0..3).map(|i| (p[i] - centroid[i]).powi(2)).sum::<f64>();
+    let radius = points.iter().map(distance2).fold(0.0, f64::max).sqrt();
+    HandleFrame { centroid, radius: if radius > 0.0 { radius } else { 1.0 } }
+}
+
+/// At most `limit` of the points with the given indices, such that every beginning is well spread: one per
+/// cell of ever finer grids over the unit box, and then the rest in their own order.
+fn spread_order(points: &[Point], indices: std::ops::Range<usize>, limit: usize) -> Vec<usize> {
+    const LEVELS: u32 = 10;
+    let mut order = Vec::new();
+    let mut left: Vec<usize> = indices.collect();
+    for level in 0..=LEVELS {
+        let cells = f64::from(1 << level);
+        let cell = |i: usize| points[i].map(|x| ((x + 0.5) * cells) as u16);
+        let mut taken: HashSet<[u16; 3]> = order.iter().map(|&i| cell(i)).collect();
+        left.retain(|&i| {
+            let take = level < LEVELS && taken.insert(cell(i));
+            if take || level == LEVELS {
+                order.push(i);
+            }
+            !take
+        });
+        if order.len() >= limit || left.is_empty() {
+            break;
+        }
+    }
+    order.truncate(limit);
+    order
+}
+
+/// One of each in turn; regions with fewer run out earlier.
+fn interleave(orders: &[Vec<usize>]) -> Vec<usize> {
+    let longest = orders.iter().map(Vec::len).max().unwrap_or(0);
+    (0..longest).flat_map(|i| orders.iter().filter_map(move |o| o.get(i).copied())).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_spread_order_has_every_point_once_and_starts_wide() {
+        let points: Vec<Point> = (0..1000).map(|i| [f64::from(i) / 999.0 - 0.5, 0.0, 0.0]).collect();
+        let mut order = spread_order(&points, 0..1000, usize::MAX);
+        let start: Vec<f64> = order[..8].iter().map(|&i| points[i][0]).collect();
+        let gap = start.iter().flat_map(|a| start.iter().map(move |b| (a - b).abs()));
+        assert!(gap.filter(|&d| d > 0.0).fold(1.0, f64::min) > 0.1, "{start:?}");
+        order.sort_unstable();
+        assert!(order.iter().copied().eq(0..1000));
+        // Points that coincide are not lost.
+        assert_eq!(spread_order(&[[0.1; 3]; 50], 0..50, usize::MAX).len(), 50);
+        assert_eq!(spread_order(&points, 0..1000, 20).len(), 20);
+    }
+}
