@@ -1,2 +1,76 @@
-//! simod
-fn main() {}
+//! `simod`: freeform deformation that does not care about size. One file per subcommand under `commands/`.
+
+mod commands;
+mod console;
+mod memory;
+mod picture;
+mod report;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use simod_core::ErrorKind;
+
+use commands::{deform, demo, generate, info, plugin, reconstruct, render, run, sample};
+use console::Console;
+use report::Report;
+
+/// Freeform deformation of models of any size: sample, deform the samples with any mix of plugins, and stream the
+/// deformation back onto every vertex.
+#[derive(Parser)]
+#[command(version, propagate_version = true, max_term_width = 100)]
+struct Arguments {
+    /// Print one JSON object on standard output instead of text
+    #[arg(long, global = true)]
+    json: bool,
+    /// Use this many threads (default: all cores)
+    #[arg(long, global = true, value_name = "N")]
+    threads: Option<usize>,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Sample(sample::Sample),
+    Deform(deform::Deform),
+    Reconstruct(reconstruct::Reconstruct),
+    Run(run::Run),
+    Info(info::Info),
+    #[command(subcommand)]
+    Plugin(plugin::Plugin),
+    Demo(demo::Demo),
+    Generate(generate::Generate),
+    Render(render::Render),
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let console = Console::new();
+    match execute(arguments, &console) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            console.error(&error);
+            if error.kind() == ErrorKind::Cancelled { ExitCode::from(130) } else { ExitCode::FAILURE }
+        }
+    }
+}
+
+fn execute(arguments: Arguments, console: &Console) -> simod_core::Result<()> {
+    if let Some(n) = arguments.threads {
+        commands::set_threads(n)?;
+    }
+    let mut report = Report::new(console);
+    match arguments.command {
+        Command::Sample(c) => c.execute(&mut report),
+        Command::Deform(c) => c.execute(&mut report),
+        Command::Reconstruct(c) => c.execute(&mut report),
+        Command::Run(c) => c.execute(&mut report),
+        Command::Info(c) => c.execute(&mut report),
+        Command::Plugin(c) => c.execute(&mut report),
+        Command::Demo(c) => c.execute(&mut report),
+        Command::Generate(c) => c.execute(&mut report),
+        Command::Render(c) => c.execute(&mut report),
+    }?;
+    report.finish(arguments.json)
+}

@@ -28,16 +28,33 @@ impl Frame {
         Self { origin: bounds.center(), scale }
     }
 
+    /// Whether both numbers make sense: a frame read from a file may hold anything.
+    pub fn is_valid(&self) -> bool {
+        self.origin.is_finite() && self.scale.is_normal() && self.scale > 0.0
+    }
+
     /// From the model's coordinates to local ones.
     #[inline]
     pub fn to_local(&self, p: DVec3) -> Vec3 {
-        ((p - self.origin) / self.scale).as_vec3()
+        self.to_local_exact(p).as_vec3()
     }
 
     /// From local coordinates to the model's.
     #[inline]
     pub fn to_model(&self, p: Vec3) -> DVec3 {
-        p.as_dvec3() * self.scale + self.origin
+        self.to_model_exact(p.as_dvec3())
+    }
+
+    /// As [`to_local`](Self::to_local), in double precision.
+    #[inline]
+    pub fn to_local_exact(&self, p: DVec3) -> DVec3 {
+        (p - self.origin) / self.scale
+    }
+
+    /// As [`to_model`](Self::to_model), in double precision.
+    #[inline]
+    pub fn to_model_exact(&self, p: DVec3) -> DVec3 {
+        p * self.scale + self.origin
     }
 }
 

@@ -213,8 +213,8 @@ impl SampledModel {
             return Err(damaged(format!("format is {:?}, not {FORMAT:?}", description.format)));
         }
         let FrameRecord { origin, scale, min, max } = description.frame;
-        let bounds = Bounds { min, max };
-        if !(min.is_finite() && max.is_finite() && origin.is_finite() && scale.is_normal() && scale > 0.0) {
+        let (bounds, frame) = (Bounds { min, max }, Frame { origin, scale });
+        if !(min.is_finite() && max.is_finite() && frame.is_valid()) {
             return Err(damaged("the frame is not finite".to_owned()));
         }
         let position_type = match description.position_type.as_str() {
@@ -222,7 +222,6 @@ impl SampledModel {
             "double" => Scalar::F64,
             other => return Err(damaged(format!("position-type is {other:?}, not \"float\" or \"double\""))),
         };
-        let frame = Frame { origin, scale };
         let samples = folder.join("samples.ply");
         let (positions, normals) = read_points(&samples)?;
         if positions.len() as u64 != description.samples {

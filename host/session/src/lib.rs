@@ -5,13 +5,14 @@
 //!                    plugin folders ──PluginRegistry::discover──┘                  PreparedStack for any point
 //! ```
 //!
-//! Model coordinates are double precision and in the model's unit; plugins see *local* ones, relative to the
-//! sampled model's origin. The translation between both happens in [`stack`] alone; foreign code is called in
+//! Model coordinates are double precision and in the model's unit; plugins see *local* ones (see
+//! [`Frame`](simod_core::frame::Frame)). The translation between both happens in [`stack`] alone; foreign code is called in
 //! [`deformer`] alone.
 
 pub mod deformer;
 pub mod motion;
 pub mod params;
+pub mod pipeline;
 pub mod plugins;
 pub mod session_file;
 pub mod shapes;
@@ -19,7 +20,8 @@ pub mod stack;
 
 pub use deformer::{Message, Plugin};
 pub use motion::Motion;
-pub use params::{ParamValue, Params};
+pub use params::{ParamValue, Params, describe_params};
+pub use pipeline::{DeformedSamples, Run, deform};
 pub use plugins::{PluginRegistry, Rejected};
 pub use session_file::SessionFile;
 pub use shapes::{Shape, Shapes};

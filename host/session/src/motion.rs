@@ -2,6 +2,7 @@
 
 use glam::{DAffine3, DMat3, DVec3};
 use serde::Deserialize;
+use simod_core::frame::Frame;
 
 /// A similarity of space: scaled and turned about a pivot, then translated. Model coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
@@ -53,9 +54,10 @@ impl Motion {
     }
 }
 
-/// The same map in coordinates relative to `origin`.
-pub fn to_local(map: DAffine3, origin: DVec3) -> DAffine3 {
-    DAffine3 { translation: map.translation - about(map.matrix3, origin), ..map }
+/// The same map in local coordinates.
+pub fn to_local(map: DAffine3, frame: &Frame) -> DAffine3 {
+    let translation = (map.translation - about(map.matrix3, frame.origin)) / frame.scale;
+    DAffine3 { translation, ..map }
 }
 
 /// The translation that makes `point` a fixed point of the matrix.
@@ -81,13 +83,15 @@ mod tests {
         assert!(image.abs_diff_eq(DVec3::new(2.0, 3.0, 10.0), 1e-12), "{image}");
         let origin = DVec3::new(1e6, -2e6, 3e5);
         let p = DVec3::new(1e6 + 3.0, -2e6, 3e5 + 1.0);
-        let local = to_local(motion.to_affine(), origin).transform_point3(p - origin);
-        assert!(local.abs_diff_eq(motion.to_affine().transform_point3(p) - origin, 1e-8));
+        let frame = Frame { origin, scale: 4.0 };
+        let local = to_local(motion.to_affine(), &frame).transform_point3(frame.to_local_exact(p));
+        assert!(local.abs_diff_eq(frame.to_local_exact(motion.to_affine().transform_point3(p)), 1e-8));
     }
 
     #[test]
     fn nothing_is_exactly_nothing() {
-        let map = to_local(Motion { pivot: DVec3::ONE, ..Motion::default() }.to_affine(), DVec3::ONE * 1e7);
+        let frame = Frame { origin: DVec3::ONE * 1e7, scale: 0.25 };
+        let map = to_local(Motion { pivot: DVec3::ONE, ..Motion::default() }.to_affine(), &frame);
         assert_eq!(map, DAffine3::IDENTITY);
     }
 

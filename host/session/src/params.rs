@@ -1,14 +1,19 @@
 //! Parameters: checked against the plugin's descriptions, completed by defaults, made local.
 
+use crate::deformer::Plugin;
 use glam::DVec3;
 use simod_core::{Error, ErrorKind, Result};
-use simod_plugin_api::{Descriptor, Param, ParamDesc, ParamKind};
+use simod_core::frame::Frame;
+use simod_core::geometry::Bounds;
+use simod_plugin_api::{Descriptor, Param, ParamDesc, ParamKind, Unit};
 
 /// A parameter's value, of the kind that its description asks for.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ParamValue {
     /// A number, in the parameter's unit.
     Float(f64),
+    /// A length in the model's unit.
+    Length(f64),
     /// A whole number.
     Int(i64),
     /// Yes or no.
@@ -59,12 +64,13 @@ impl Params {
         self.values.iter().find(|v| v.0 == id).map(|v| &v.2)
     }
 
-    /// As plugins get them: points relative to `origin`, defaults placed in the box (model coordinates).
-    pub(crate) fn to_local(&self, origin: DVec3, bounds: [DVec3; 2]) -> LocalParams {
+    /// As plugins get them: points and lengths in local coordinates, defaults placed in the model's box.
+    pub(crate) fn to_local(&self, frame: &Frame, bounds: &Bounds) -> LocalParams {
         let local = |(id, kind, value): &(String, ParamKind, ParamValue)| {
             let mut text = String::new();
             let numbers = match value {
                 ParamValue::Float(x) => vec![*x],
+                ParamValue::Length(x) => vec![*x / frame.scale],
                 ParamValue::Int(i) => vec![*i as f64],
                 ParamValue::Bool(b) => vec![f64::from(u8::from(*b))],
                 ParamValue::Choice(id) => {
@@ -72,9 +78,10 @@ impl Params {
                     Vec::new()
                 }
                 ParamValue::Direction(v) => v.to_array().to_vec(),
-                ParamValue::Point(p) => (p - origin).to_array().to_vec(),
+                ParamValue::Point(p) => frame.to_local_exact(*p).to_array().to_vec(),
                 ParamValue::PointInBox(t) => {
-                    (bounds[0] + *t * (bounds[1] - bounds[0]) - origin).to_array().to_vec()
+                    let p = bounds.min + *t * (bounds.max - bounds.min);
+                    frame.to_local_exact(p).to_array().to_vec()
                 }
             };
             (id.clone(), *kind, numbers, text)
@@ -125,7 +132,7 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value) -> Result<ParamValu
         )
     };
     let parsed = match d.kind {
-        ParamKind::FLOAT => number(value).map(ParamValue::Float).ok_or_else(|| wrong("a number", "0.5"))?,
+        ParamKind::FLOAT => float(d, number(value).ok_or_else(|| wrong("a number", "0.5"))?),
         ParamKind::INT => {
             value.as_integer().map(ParamValue::Int).ok_or_else(|| wrong("a whole number", "10"))?
         }
@@ -166,13 +173,13 @@ fn range_text([min, max]: [f64; 2]) -> String {
         (true, false) if min == f64::MIN_POSITIVE => "above 0".to_owned(),
         (true, false) => format!("of at least {min}"),
         (false, true) => format!("of at most {max}"),
-        (false, false) => "that is a finite number".to_owned(),
+        (false, false) => "that is finite".to_owned(),
     }
 }
 
 fn in_range(d: &ParamDesc, value: &ParamValue) -> std::result::Result<(), String> {
     let components: &[f64] = match value {
-        ParamValue::Float(x) => &[*x],
+        ParamValue::Float(x) | ParamValue::Length(x) => &[*x],
         ParamValue::Int(i) => &[*i as f64],
         ParamValue::Direction(v) | ParamValue::Point(v) | ParamValue::PointInBox(v) => v.as_ref(),
         ParamValue::Bool(_) | ParamValue::Choice(_) => &[],
@@ -182,11 +189,15 @@ fn in_range(d: &ParamDesc, value: &ParamValue) -> std::result::Result<(), String
     }
     let [min, max] = d.hard_range;
     match value {
-        ParamValue::Float(_) | ParamValue::Int(_) if components[0] < min || components[0] > max => {
+        ParamValue::Float(_) | ParamValue::Length(_) | ParamValue::Int(_) if components[0] < min || components[0] > max => {
             Err(format!("parameter `{}` is {}, out of its range", d.id, components[0]))
         }
         _ => Ok(()),
     }
+}
+
+fn float(d: &ParamDesc, x: f64) -> ParamValue {
+    if d.unit == Unit::MODEL_LENGTH { ParamValue::Length(x) } else { ParamValue::Float(x) }
 }
 
 /// Whole numbers are numbers too: users write 90 for 90.0.
@@ -201,7 +212,7 @@ fn vector(value: &toml::Value) -> Option<DVec3> {
 
 fn default(d: &ParamDesc) -> std::result::Result<ParamValue, String> {
     let value = match (d.kind, d.default_numbers.as_slice()) {
-        (ParamKind::FLOAT, &[x]) => ParamValue::Float(x),
+        (ParamKind::FLOAT, &[x]) => float(d, x),
         (ParamKind::INT, &[x]) if x.fract() == 0.0 => ParamValue::Int(x as i64),
         (ParamKind::BOOL, &[x]) => ParamValue::Bool(x != 0.0),
         (ParamKind::CHOICE, &[]) if d.choices.iter().any(|c| c.id == d.default_text) => {
@@ -216,6 +227,47 @@ fn default(d: &ParamDesc) -> std::result::Result<ParamValue, String> {
     };
     in_range(d, &value)?;
     Ok(value)
+}
+
+/// A parameter in words, for a listing.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ParamText {
+    /// The parameter's id.
+    pub id: String,
+    /// Its kind, default, range and hint.
+    pub text: String,
+}
+
+/// A plugin's parameters in words.
+pub fn describe_params(plugin: &Plugin) -> Vec<ParamText> {
+    let describe = |d: &ParamDesc| {
+        let numbers: Vec<String> = d.default_numbers.iter().map(f64::to_string).collect();
+        let default = match d.kind {
+            ParamKind::CHOICE => format!("\"{}\"", d.default_text),
+            ParamKind::BOOL => (d.default_numbers.first() != Some(&0.0)).to_string(),
+            ParamKind::DIRECTION => format!("[{}]", numbers.join(", ")),
+            ParamKind::POINT => format!("[{}] of the model's bounding box", numbers.join(", ")),
+            _ => numbers.join(""),
+        };
+        let unit = match d.unit {
+            Unit::DEGREES => " degrees",
+            Unit::MODEL_LENGTH => " in the model's unit",
+            Unit::DIAGONAL => " of the diagonal",
+            _ => "",
+        };
+        let kind = match d.kind {
+            ParamKind::CHOICE => {
+                d.choices.iter().map(|c| format!("\"{}\"", c.id)).collect::<Vec<_>>().join(" | ")
+            }
+            ParamKind::POINT => "a point [x, y, z]".to_owned(),
+            ParamKind::DIRECTION => "a direction [x, y, z]".to_owned(),
+            ParamKind::BOOL => "true | false".to_owned(),
+            ParamKind::INT => format!("a whole number {}", range_text(d.hard_range)),
+            _ => format!("a number {}", range_text(d.hard_range)),
+        };
+        ParamText { id: d.id.to_string(), text: format!("{}; {kind}; default {default}{unit}", d.hint) }
+    };
+    plugin.params().iter().map(describe).collect()
 }
 
 /// What is wrong with a plugin's description of itself.
@@ -267,9 +319,9 @@ mod tests {
         assert_eq!(params.get("angle"), Some(&ParamValue::Float(30.0)));
         assert_eq!(params.get("operation"), Some(&ParamValue::Choice("bend".to_owned())));
         let bounds = [DVec3::new(100.0, 0.0, 0.0), DVec3::new(102.0, 4.0, 0.0)];
-        let origin = DVec3::new(100.0, 0.0, 0.0);
-        assert_eq!(params.to_local(origin, bounds).0[5].2, [1.0, 2.5, 3.0]);
-        assert_eq!(check("").unwrap().to_local(origin, bounds).0[5].2, [1.0, 2.0, 0.0]);
+        let frame = Frame { origin: DVec3::new(100.0, 0.0, 0.0), scale: 1.0 };
+        assert_eq!(params.to_local(&frame, &bounds).0[5].2, [1.0, 2.5, 3.0]);
+        assert_eq!(check("").unwrap().to_local(&frame, &bounds).0[5].2, [1.0, 2.0, 0.0]);
     }
 
     #[test]

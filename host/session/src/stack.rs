@@ -11,6 +11,8 @@ use crate::session_file::{Role, Step};
 use crate::shapes::Shapes;
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
+use simod_core::frame::Frame;
+use simod_core::geometry::Bounds;
 use simod_core::progress::Silent;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api as api;
@@ -22,16 +24,16 @@ const BLOCK: usize = 4096;
 /// The samples as they were taken, and where.
 #[derive(Clone, Copy)]
 pub struct RestShape<'a> {
-    /// Positions relative to `origin`; all finite.
+    /// Local positions; all finite.
     pub positions: &'a [Vec3],
     /// Unit normals, one per sample, or none at all.
     pub normals: &'a [Vec3],
     /// Distance to the nearest other samples, one per sample, or none at all.
     pub spacing: &'a [f32],
-    /// Where local coordinates have their zero, in model coordinates.
-    pub origin: DVec3,
-    /// The model's box, model coordinates: smallest and largest.
-    pub bounds: [DVec3; 2],
+    /// The map between model and local coordinates.
+    pub frame: Frame,
+    /// The model's box, model coordinates.
+    pub bounds: Bounds,
     /// Normals for changed positions, for layers that need them after others. Without it they get the old ones.
     pub renormal: Option<&'a (dyn Fn(&[Vec3]) -> Vec<Vec3> + Sync)>,
 }
@@ -57,7 +59,7 @@ struct Layer {
 /// What a stack made of samples.
 #[derive(Debug)]
 pub struct Deformed {
-    /// Deformed positions, relative to the same origin, one per sample.
+    /// Deformed positions, in the same local coordinates, one per sample.
     pub positions: Vec<Vec3>,
     /// The prepared layers, to be asked for other points.
     pub stack: PreparedStack,
@@ -69,7 +71,7 @@ pub struct Deformed {
 #[derive(Debug)]
 pub struct PreparedStack {
     layers: Vec<PreparedLayer>,
-    origin: DVec3,
+    frame: Frame,
 }
 
 /// One layer, prepared on its rest shape.
@@ -133,8 +135,8 @@ impl Stack {
         let mut positions = shape.positions.to_vec();
         let mut normals: Arc<[Vec3]> = shape.normals.into();
         let spacing: Arc<[f32]> = shape.spacing.into();
-        let bounds = shape.bounds.map(|p| (p - shape.origin).to_array());
-        let bounds = api::Bounds { min: bounds[0], max: bounds[1] };
+        let corner = |p| shape.frame.to_local_exact(p).to_array();
+        let bounds = api::Bounds { min: corner(shape.bounds.min), max: corner(shape.bounds.max) };
         let mut messages = Vec::new();
         let mut layers = Vec::with_capacity(self.layers.len());
         for (i, layer) in self.layers.iter().enumerate() {
@@ -151,7 +153,7 @@ impl Stack {
             layers.push(prepared);
             positions = deformed;
         }
-        Ok(Deformed { positions, stack: PreparedStack { layers, origin: shape.origin }, messages })
+        Ok(Deformed { positions, stack: PreparedStack { layers, frame: shape.frame }, messages })
     }
 }
 
@@ -176,8 +178,8 @@ impl RestShape<'_> {
             return mismatch("spacing");
         }
         let finite = self.positions.par_iter().all(|p| p.is_finite());
-        if !(finite && self.origin.is_finite() && self.bounds.iter().all(|p| p.is_finite())) {
-            let what = "a sample, the origin or the bounding box is not finite";
+        if !(finite && self.frame.is_valid() && self.bounds.min.is_finite() && self.bounds.max.is_finite()) {
+            let what = "a sample, the frame or the bounding box is not finite";
             return Err(Error::new(ErrorKind::Degenerate, what, "sample the model again"));
         }
         Ok(())
@@ -236,23 +238,23 @@ impl Layer {
             let what = format!("plugin {} needs normals, and the samples have none", self.plugin.id());
             return Err(Error::new(ErrorKind::Mismatch, what, "sample the model with normals"));
         }
-        let origin = shape.origin;
+        let frame = shape.frame;
         let weigh = |shapes: &Shapes| -> Vec<f32> {
-            rest.positions.par_iter().map(|p| shapes.weight(p.as_dvec3() + origin) as f32).collect()
+            rest.positions.par_iter().map(|p| shapes.weight(frame.to_model(*p)) as f32).collect()
         };
         let weights: Vec<Vec<f32>> = self.regions.iter().map(|(_, shapes)| weigh(shapes)).collect();
         let regions: Vec<api::Region<'_>> =
             self.regions.iter().zip(&weights).map(|((role, _), w)| api::Region::new(*role, w)).collect();
 
-        let params = self.params.to_local(origin, shape.bounds);
+        let params = self.params.to_local(&frame, &shape.bounds);
         let values = params.views();
         let input = api::PrepareInput::new(rest.samples(), rest.bounds, &regions, &values);
         let state = self.plugin.prepare(&input, watch)?;
         drop(values);
-        let transforms = self.transforms.iter().map(|&t| rows(to_local(t, origin))).collect();
+        let transforms = self.transforms.iter().map(|&t| rows(to_local(t, &frame))).collect();
         let (plugin, masks) = (self.plugin.clone(), self.masks.clone());
         let prepared = PreparedLayer { plugin, state, rest, params, transforms, masks };
-        let deformed = prepared.deform(origin, watch)?;
+        let deformed = prepared.deform(&frame, watch)?;
         Ok((prepared, deformed))
     }
 }
@@ -265,7 +267,7 @@ fn rows(map: DAffine3) -> api::Affine {
 }
 
 impl PreparedLayer {
-    fn deform(&self, origin: DVec3, watch: &Watch<'_>) -> Result<Vec<Vec3>> {
+    fn deform(&self, frame: &Frame, watch: &Watch<'_>) -> Result<Vec<Vec3>> {
         let rest = &self.rest.positions;
         let mut out = vec![Vec3::NAN; rest.len()];
         let values = self.params.views();
@@ -276,20 +278,20 @@ impl PreparedLayer {
         if !self.masks.is_empty() {
             out.par_iter_mut().zip(rest).for_each(|(q, p)| {
                 let p = p.as_dvec3();
-                *q = self.masked(p + origin, p, q.as_dvec3()).as_vec3();
+                *q = self.masked(frame.to_model_exact(p), p, q.as_dvec3()).as_vec3();
             });
         }
         Ok(out)
     }
 
     /// Replaces local points by their images.
-    fn evaluate(&self, origin: DVec3, points: &mut [DVec3], watch: &Watch<'_>) -> Result<()> {
+    fn evaluate(&self, frame: &Frame, points: &mut [DVec3], watch: &Watch<'_>) -> Result<()> {
         let rest: Vec<DVec3> = if self.masks.is_empty() { Vec::new() } else { points.to_vec() };
         let values = self.params.views();
         let input = api::DeformInput::new(self.rest.samples(), self.rest.bounds, &self.transforms, &values);
         self.plugin.evaluate(&self.state, &input, bytemuck::cast_slice_mut(points), watch)?;
         for (q, p) in points.iter_mut().zip(rest) {
-            *q = self.masked(p + origin, p, *q);
+            *q = self.masked(frame.to_model_exact(p), p, *q);
         }
         Ok(())
     }
@@ -319,16 +321,16 @@ impl PreparedStack {
         points.par_chunks_mut(BLOCK).try_for_each_init(Vec::new, |local, points| {
             local.clear();
             // Plugins are promised finite points.
-            local.extend(points.iter().map(|p| if p.is_finite() { p - self.origin } else { DVec3::ZERO }));
+            local.extend(points.iter().map(|p| if p.is_finite() { self.frame.to_local_exact(*p) } else { DVec3::ZERO }));
             for layer in &self.layers {
                 progress.check()?;
                 // Blocks are too small for progress of their own: size 0 tells nothing.
                 let watch = Watch::new(progress, layer.plugin.id(), 0);
-                layer.evaluate(self.origin, local, &watch)?;
+                layer.evaluate(&self.frame, local, &watch)?;
             }
             for (point, image) in points.iter_mut().zip(local.iter()) {
                 if point.is_finite() {
-                    *point = image + self.origin;
+                    *point = self.frame.to_model_exact(*image);
                 }
             }
             Ok(())

@@ -3,6 +3,8 @@
 mod common;
 
 use glam::{DVec3, Vec3};
+use simod_core::frame::Frame;
+use simod_core::geometry::Bounds;
 use simod_core::progress::Silent;
 use simod_core::{Error, ErrorKind, Progress};
 use simod_plugin_api::LogLevel;
@@ -11,18 +13,21 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 const ORIGIN: DVec3 = DVec3::new(1e6, -2e6, 500.0);
+const FRAME: Frame = Frame { origin: ORIGIN, scale: 0.5 };
 
-/// Radius 1, from 0 to 8 along y, local coordinates.
+/// Radius 1, from 0 to 8 along y, about the origin; in local coordinates, whose unit is half the model's.
 fn cylinder(n: usize) -> Vec<Vec3> {
     let angle = |i: usize| (2.399963 * i as f64) % std::f64::consts::TAU;
     (0..n)
-        .map(|i| DVec3::new(angle(i).cos(), 8.0 * (i as f64 + 0.5) / n as f64, angle(i).sin()).as_vec3())
+        .map(|i| DVec3::new(angle(i).cos(), 8.0 * (i as f64 + 0.5) / n as f64, angle(i).sin()))
+        .map(|p| FRAME.to_local(p + ORIGIN))
         .collect()
 }
 
 fn rest(positions: &[Vec3]) -> RestShape<'_> {
-    let bounds = [DVec3::new(-1.0, 0.0, -1.0) + ORIGIN, DVec3::new(1.0, 8.0, 1.0) + ORIGIN];
-    RestShape { positions, normals: &[], spacing: &[], origin: ORIGIN, bounds, renormal: None }
+    let corner = |p| p + ORIGIN;
+    let bounds = Bounds { min: corner(DVec3::new(-1.0, 0.0, -1.0)), max: corner(DVec3::new(1.0, 8.0, 1.0)) };
+    RestShape { positions, normals: &[], spacing: &[], frame: FRAME, bounds, renormal: None }
 }
 
 fn stack(session: &str) -> Result<Stack, Error> {
@@ -36,10 +41,10 @@ fn apply(session: &str, positions: &[Vec3]) -> Result<Deformed, Error> {
 /// The exact map and the samples agree to single precision.
 fn assert_evaluates(deformed: &Deformed, positions: &[Vec3], tolerance: f64) {
     assert!(deformed.stack.can_evaluate());
-    let mut points: Vec<DVec3> = positions.iter().map(|p| p.as_dvec3() + ORIGIN).collect();
+    let mut points: Vec<DVec3> = positions.iter().map(|p| FRAME.to_model(*p)).collect();
     deformed.stack.evaluate(&mut points).unwrap();
     for (a, b) in points.iter().zip(&deformed.positions) {
-        let error = (*a - ORIGIN).distance(b.as_dvec3());
+        let error = FRAME.to_local_exact(*a).distance(b.as_dvec3());
         assert!(error < tolerance, "{error}");
     }
 }

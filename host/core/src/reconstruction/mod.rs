@@ -45,6 +45,11 @@ impl Transport {
     }
 }
 
+/// The unit normals of the deformed samples: those at rest, turned as their neighbourhoods are.
+pub fn deformed_normals(samples: &SampleSet, deformed: &[Vec3]) -> Vec<Vec3> {
+    LocalFrames::fit(samples, deformed).normal
+}
+
 /// The deformation that P_S and P_S* sample, ready to be evaluated anywhere near P_S.
 ///
 /// Memory: about 100 bytes per sample.

@@ -1,0 +1,93 @@
+//! `simod demo`: the main job on a generated model, from nothing to a picture.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use simod_core::generate::ModelOptions;
+use simod_core::render::Image;
+use simod_core::{Error, Result, model, output};
+use simod_session::{PluginRegistry, Run, SessionFile};
+
+use super::run::{describe, describe_error};
+use crate::picture::{self, View};
+use crate::report::{Report, count};
+
+/// Do the main job on a generated model: sample it, deform the samples with two plugins, write the deformed
+/// model, and draw both
+#[derive(Args)]
+pub struct Demo {
+    /// The folder to write to
+    #[arg(short, long, default_value = "simod-demo", value_name = "DIR")]
+    output: PathBuf,
+    /// Number of vertices of the generated model
+    #[arg(long, default_value_t = 2_000_000, value_name = "N")]
+    vertices: u64,
+    /// Number of samples
+    #[arg(long, default_value_t = 100_000, value_name = "N")]
+    samples: u64,
+}
+
+/// The session that the demo does; its number of samples is filled in.
+const SESSION: &str = include_str!("demo.toml");
+
+impl Demo {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        std::fs::create_dir_all(&self.output).map_err(|e| Error::io("create", &self.output, &e))?;
+        let file = |name: &str| self.output.join(name);
+        let progress = report.progress();
+
+        let options = ModelOptions { vertices: self.vertices, ..ModelOptions::default() };
+        super::generate::write(&options, &file("amphora.ply"), progress)?;
+        let text = SESSION.replace("samples = 100000", &format!("samples = {}", self.samples));
+        output::write_file(&file("session.toml"), text.as_bytes())?;
+
+        let session = SessionFile::load(&file("session.toml"))?;
+        let edited = file("amphora-edited.ply");
+        let run = Run::execute(&session, &PluginRegistry::discover(), &edited, progress)?;
+        describe(&run, report);
+        describe_error(&run.transfer_error(progress)?, report);
+
+        let (before, after) = (model::open(&file("amphora.ply"))?, model::open(&edited)?);
+        let after_bounds = picture::bounds(after.as_ref(), progress)?;
+        let mut all = run.sampled.bounds;
+        all.include(after_bounds.min);
+        all.include(after_bounds.max);
+        let view = View { bounds: all, yaw: 20.0, pitch: 10.0, size: [720, 900] };
+        let samples = &run.sampled.samples;
+        let pictures = [
+            picture::of_model(before.as_ref(), &run.sampled.bounds, &view, progress)?,
+            picture::of_samples(&run.sampled, &samples.positions, &samples.normals, &view),
+            picture::of_samples(&run.sampled, &run.deformed.positions, &run.deformed.normals, &view),
+            picture::of_model(after.as_ref(), &after_bounds, &view, progress)?,
+        ];
+        let captions = [
+            format!("{} vertices", count(run.sampled.source.vertices)),
+            format!("{} samples", count(samples.len() as u64)),
+            "samples, deformed".to_owned(),
+            "all vertices, deformed".to_owned(),
+        ];
+        let panels: Vec<(&Image, &str)> = pictures.iter().zip(captions.iter().map(String::as_str)).collect();
+        output::write_file(&file("before-after.png"), &Image::side_by_side(&panels).to_png()?)?;
+
+        for (name, what) in [
+            ("amphora.ply", "the generated model"),
+            ("session.toml", "what was done to it; change it, then `simod run` it"),
+            ("amphora-edited.ply", "the deformed model"),
+            ("before-after.png", "pictures of all stages"),
+        ] {
+            report.line(format!("  {:40} {what}", file(name).display().to_string()));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_session_is_one() {
+        let session = simod_session::SessionFile::parse(super::SESSION, "demo.toml".as_ref());
+        let session = session.expect("a session");
+        assert_eq!(session.steps.len(), 2);
+        assert_eq!(session.sampling.samples, Some(100_000));
+    }
+}

@@ -1,0 +1,105 @@
+//! `simod generate`: models of any size to try things on, without any download.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use glam::DVec3;
+use simod_core::generate::{Encoding, GeneratedInfo, ModelOptions, Shape, expected_bytes, write_ply};
+use simod_core::model::Scalar;
+use simod_core::output::OutputFile;
+use simod_core::{Progress, Result};
+
+use crate::report::{Report, count, rate};
+
+/// Write a generated model of any size
+#[derive(Args)]
+pub struct Generate {
+    /// The PLY file to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Number of vertices (met to 2 %)
+    #[arg(long, default_value_t = 2_000_000, value_name = "N")]
+    vertices: u64,
+    #[arg(long, value_enum, default_value_t)]
+    shape: ShapeName,
+    #[arg(long, value_enum, default_value_t)]
+    encoding: EncodingName,
+    /// Positions in double precision
+    #[arg(long)]
+    double: bool,
+    /// Leave the normals out
+    #[arg(long)]
+    no_normals: bool,
+    /// Leave the colours out
+    #[arg(long)]
+    no_colors: bool,
+    /// Leave the faces out: a point cloud
+    #[arg(long)]
+    no_faces: bool,
+    /// Added to all positions
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_negative_numbers = true)]
+    offset: Option<Vec<f64>>,
+}
+
+/// The shapes that there are.
+#[derive(Clone, Copy, Default, ValueEnum)]
+enum ShapeName {
+    /// A painted amphora with rope handles, fluting and engraved letters
+    #[default]
+    Amphora,
+    BumpySphere,
+    Plane,
+}
+
+/// How numbers are stored.
+#[derive(Clone, Copy, Default, ValueEnum)]
+enum EncodingName {
+    Ascii,
+    #[default]
+    LittleEndian,
+    BigEndian,
+}
+
+impl Generate {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        let options = ModelOptions {
+            shape: match self.shape {
+                ShapeName::Amphora => Shape::Amphora,
+                ShapeName::BumpySphere => Shape::BumpySphere,
+                ShapeName::Plane => Shape::Plane,
+            },
+            vertices: self.vertices,
+            encoding: match self.encoding {
+                EncodingName::Ascii => Encoding::Ascii,
+                EncodingName::LittleEndian => Encoding::BinaryLittleEndian,
+                EncodingName::BigEndian => Encoding::BinaryBigEndian,
+            },
+            scalar: if self.double { Scalar::F64 } else { Scalar::F32 },
+            normals: !self.no_normals,
+            colors: !self.no_colors,
+            faces: !self.no_faces,
+            offset: self.offset.as_deref().map_or(DVec3::ZERO, DVec3::from_slice),
+        };
+        let info = write(&options, &self.output, report.progress())?;
+        report.figure("vertices", info.vertices);
+        report.figure("faces", info.faces);
+        report.figure("bytes", info.bytes);
+        report.line(format!(
+            "{} vertices, {} faces, {} bytes in {}, {}",
+            count(info.vertices),
+            count(info.faces),
+            count(info.bytes),
+            self.output.display(),
+            rate(info.vertices, report.seconds())
+        ));
+        Ok(())
+    }
+}
+
+/// Generates a model into a file, which appears whole or not at all.
+pub fn write(options: &ModelOptions, path: &Path, progress: &dyn Progress) -> Result<GeneratedInfo> {
+    let mut out = OutputFile::create(path, expected_bytes(options)?.unwrap_or(0))?;
+    let info = write_ply(options, &mut out, progress)?;
+    out.commit()?;
+    Ok(info)
+}

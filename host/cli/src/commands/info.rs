@@ -1,0 +1,82 @@
+//! `simod info`: what a model or a sampled model is.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde_json::json;
+use simod_core::model::Scalar;
+use simod_core::sampled_model::SampledModel;
+use simod_core::sampling::Target;
+use simod_core::{Result, model};
+
+use crate::report::{Report, count};
+
+/// Show what a model, or a sampled model, holds
+#[derive(Args)]
+pub struct Info {
+    /// A model, or the folder of a sampled one
+    #[arg(value_name = "MODEL|DIR")]
+    path: PathBuf,
+}
+
+impl Info {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        if self.path.is_dir() { self.sampled(report) } else { self.model(report) }
+    }
+
+    fn model(&self, report: &mut Report) -> Result<()> {
+        let model = model::open(&self.path)?;
+        model.check_complete()?;
+        let info = model.info();
+        let scalar = scalar_name(info.position_type);
+        report.line(format!("{}: {}, {} bytes", self.path.display(), info.format, count(info.bytes)));
+        let normals = if info.has_normals { "with" } else { "without" };
+        report.line(format!("{} vertices, positions in {scalar}, {normals} normals", count(info.vertices)));
+        report.line(format!("{} faces", count(info.faces)));
+        if !info.other_properties.is_empty() {
+            report.line(format!("further properties: {}", info.other_properties.join(", ")));
+        }
+        report.figure("format", info.format.as_str());
+        report.figure("vertices", info.vertices);
+        report.figure("faces", info.faces);
+        report.figure("normals", info.has_normals);
+        report.figure("position_type", scalar);
+        report.figure("other_properties", info.other_properties.clone());
+        report.figure("bytes", info.bytes);
+        Ok(())
+    }
+
+    fn sampled(&self, report: &mut Report) -> Result<()> {
+        let sampled = SampledModel::load(&self.path)?;
+        let source = &sampled.source;
+        report.line(format!(
+            "{}: {} samples of the {} vertices of {}",
+            self.path.display(),
+            count(sampled.samples.len() as u64),
+            count(source.vertices),
+            source.path.display()
+        ));
+        let target = match sampled.sampling.target {
+            Target::Samples(n) => format!("{} samples", count(n)),
+            Target::Error(e) => format!("an error of {e} of the diagonal"),
+        };
+        report.line(format!("asked for {target}; {} cells of {:.4}", count(sampled.cells), sampled.cell_size));
+        let (min, max) = (sampled.bounds.min, sampled.bounds.max);
+        report.line(format!("bounding box {min} to {max}, diagonal {:.6}", sampled.bounds.diagonal()));
+        report.figure("vertices", source.vertices);
+        report.figure("samples", sampled.samples.len());
+        report.figure("cells", sampled.cells);
+        report.figure("source", source.path.display().to_string());
+        report.figure("bounds", json!([min.to_array(), max.to_array()]));
+        report.figure("diagonal", sampled.bounds.diagonal());
+        Ok(())
+    }
+}
+
+/// As PLY has it.
+fn scalar_name(scalar: Scalar) -> &'static str {
+    match scalar {
+        Scalar::F32 => "float",
+        Scalar::F64 => "double",
+    }
+}

@@ -1,0 +1,34 @@
+//! The subcommands, a file each.
+
+pub mod deform;
+pub mod demo;
+pub mod generate;
+pub mod info;
+pub mod plugin;
+pub mod reconstruct;
+pub mod render;
+pub mod run;
+pub mod sample;
+
+use simod_core::sampled_model::SampledModel;
+use simod_core::{Error, ErrorKind, Result};
+
+use crate::report::{Report, count};
+
+/// Sets the number of threads of everything that follows.
+pub fn set_threads(n: usize) -> Result<()> {
+    rayon::ThreadPoolBuilder::new().num_threads(n).build_global().map_err(|e| {
+        Error::new(ErrorKind::Argument, format!("cannot use {n} threads: {e}"), "leave --threads out to use all cores")
+    })
+}
+
+/// Says which vertices will stay as they are.
+fn warn_non_finite(sampled: &SampledModel, report: &mut Report) {
+    if let (n @ 1.., Some(first)) = (sampled.source.non_finite, sampled.source.first_non_finite) {
+        report.figure("non_finite", n);
+        report.warn(format!(
+            "{} of the vertices have no finite position, the first is vertex {first}; they are left as they are",
+            count(n)
+        ));
+    }
+}

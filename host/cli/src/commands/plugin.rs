@@ -1,0 +1,76 @@
+//! `simod plugin`: what deformation tools there are.
+
+use clap::Subcommand;
+use serde_json::json;
+use simod_core::Result;
+use simod_session::{Plugin as Loaded, PluginRegistry};
+
+use crate::report::Report;
+
+/// List the deformation plugins, or show one
+#[derive(Subcommand)]
+pub enum Plugin {
+    /// List the plugins that were found
+    List,
+    /// Show a plugin's parameters
+    Info {
+        /// The plugin's id, as `warp`
+        id: String,
+    },
+}
+
+impl Plugin {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        let registry = PluginRegistry::discover();
+        for rejected in registry.rejected() {
+            report.warn(format!("{}: {}", rejected.path.display(), rejected.error));
+        }
+        match self {
+            Self::List => list(&registry, report),
+            Self::Info { id } => info(registry.get(&id)?, report),
+        }
+        Ok(())
+    }
+}
+
+fn list(registry: &PluginRegistry, report: &mut Report) {
+    let plugins = registry.plugins();
+    for plugin in plugins {
+        report.line(format!("{:16} {:8} {}", plugin.id(), plugin.version(), plugin.summary()));
+    }
+    if plugins.is_empty() {
+        report.line("no plugins found; folders are looked for in SIMOD_PLUGIN_PATH, the user's data folder, and beside the program");
+    }
+    for duplicate in registry.duplicates() {
+        report.line(format!(
+            "{}: {} is used, {} is not",
+            duplicate.id,
+            duplicate.used.display(),
+            duplicate.unused.display()
+        ));
+    }
+    let describe = |p: &std::sync::Arc<Loaded>| {
+        json!({
+            "id": p.id(), "name": p.name(), "version": p.version(), "summary": p.summary(),
+            "path": p.path().display().to_string(), "evaluates": p.can_evaluate(),
+        })
+    };
+    report.figure("plugins", plugins.iter().map(describe).collect::<Vec<_>>());
+}
+
+fn info(plugin: &Loaded, report: &mut Report) {
+    report.line(format!("{} {} ({})", plugin.name(), plugin.version(), plugin.id()));
+    report.line(plugin.summary());
+    if !plugin.citation().is_empty() {
+        report.line(plugin.citation());
+    }
+    report.line(format!("library {}", plugin.path().display()));
+    for param in simod_session::describe_params(plugin) {
+        report.line(format!("  {:14} {}", param.id, param.text));
+    }
+    report.figure("id", plugin.id());
+    report.figure("version", plugin.version());
+    let params = simod_session::describe_params(plugin);
+    let params = params.into_iter().map(|p| json!({"id": p.id, "text": p.text}));
+    report.figure("parameters", params.collect::<Vec<_>>());
+}

@@ -1,0 +1,67 @@
+//! `simod render`: a picture of a model or of its samples, without a window or a graphics card.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use simod_core::sampled_model::SampledModel;
+use simod_core::{Error, ErrorKind, Result, model, output};
+
+use crate::picture::{self, View};
+use crate::report::Report;
+
+/// Draw a model, or the samples of a sampled model, as a PNG picture
+#[derive(Args)]
+pub struct Render {
+    /// A model, or the folder of a sampled one
+    #[arg(value_name = "MODEL|DIR")]
+    path: PathBuf,
+    /// The PNG file to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Turn the camera about the vertical axis, in degrees
+    #[arg(long, default_value_t = 25.0, allow_negative_numbers = true)]
+    yaw: f64,
+    /// Look down, in degrees
+    #[arg(long, default_value_t = 12.0, allow_negative_numbers = true)]
+    pitch: f64,
+    /// Size of the picture in pixels
+    #[arg(long, default_value = "1000x1000", value_name = "WxH", value_parser = parse_size)]
+    size: [u32; 2],
+}
+
+/// Largest picture: 4 times as many pixels are held, of 40 bytes each.
+const MAX_SIDE: u32 = 8192;
+
+fn parse_size(text: &str) -> std::result::Result<[u32; 2], String> {
+    let side = |s: &str| s.parse().ok().filter(|n| (1..=MAX_SIDE).contains(n));
+    let size = text.split_once('x').and_then(|(w, h)| Some([side(w)?, side(h)?]));
+    size.ok_or_else(|| format!("a size is like 1920x1080, each side from 1 to {MAX_SIDE}"))
+}
+
+impl Render {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        let view = |bounds| View { bounds, yaw: self.yaw, pitch: self.pitch, size: self.size };
+        let image = if self.path.is_dir() {
+            let sampled = SampledModel::load(&self.path)?;
+            let samples = &sampled.samples;
+            report.figure("samples", samples.len());
+            picture::of_samples(&sampled, &samples.positions, &samples.normals, &view(sampled.bounds))
+        } else {
+            let model = model::open(&self.path)?;
+            let progress = report.progress();
+            let bounds = picture::bounds(model.as_ref(), progress)?;
+            if bounds.is_empty() {
+                return Err(Error::new(
+                    ErrorKind::Degenerate,
+                    format!("{} has no vertex with a finite position", self.path.display()),
+                    "there is nothing to draw",
+                ));
+            }
+            report.figure("vertices", model.info().vertices);
+            picture::of_model(model.as_ref(), &bounds, &view(bounds), progress)?
+        };
+        output::write_file(&self.output, &image.to_png()?)?;
+        report.line(format!("drew {} as {}", self.path.display(), self.output.display()));
+        Ok(())
+    }
+}

@@ -1,0 +1,74 @@
+//! `simod run`: a session from the model to the deformed model.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde_json::json;
+use simod_core::reconstruction::transfer_error::TransferError;
+use simod_core::{Error, ErrorKind, Result};
+use simod_session::{PluginRegistry, Run as Pipeline, SessionFile};
+
+use super::warn_non_finite;
+use crate::report::{Report, count, rate};
+
+/// Do a whole session: sample its model, deform the samples, write the deformed model
+#[derive(Args)]
+pub struct Run {
+    /// The session
+    session: PathBuf,
+    /// The deformed model to write, instead of the session's own output
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Compare the result with the exact deformation of every vertex, where all plugins know it
+    #[arg(long)]
+    measure: bool,
+}
+
+impl Run {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        let session = SessionFile::load(&self.session)?;
+        let output = self.output.or_else(|| session.output.clone()).ok_or_else(|| {
+            Error::new(
+                ErrorKind::Argument,
+                format!("{} does not say where the result goes", self.session.display()),
+                "add [output] path = \"…\" to the session, or give -o FILE",
+            )
+        })?;
+        let progress = report.progress();
+        let run = Pipeline::execute(&session, &PluginRegistry::discover(), &output, progress)?;
+        describe(&run, report);
+        if self.measure {
+            describe_error(&run.transfer_error(progress)?, report);
+        }
+        report.line(format!("wrote {}", output.display()));
+        Ok(())
+    }
+}
+
+/// Reports a finished run.
+pub fn describe(run: &Pipeline, report: &mut Report) {
+    warn_non_finite(&run.sampled, report);
+    run.deformed.messages.iter().for_each(|m| report.warn(format!("{}: {}", m.plugin, m.text)));
+    let (vertices, samples) = (run.sampled.source.vertices, run.sampled.samples.len());
+    report.figure("vertices", vertices);
+    report.figure("samples", samples);
+    report.figure("vertices_per_second", vertices as f64 / run.seconds.max(1e-9));
+    report.line(format!(
+        "{} vertices through {} samples, {}",
+        count(vertices),
+        count(samples as u64),
+        rate(vertices, run.seconds)
+    ));
+}
+
+/// Reports how far a run is from the exact deformation.
+pub fn describe_error(error: &TransferError, report: &mut Report) {
+    report.line(format!(
+        "transfer error: rms {:.1e}, 99.9 % below {:.1e}, worst {:.1e} of the diagonal",
+        error.rms, error.p999, error.max
+    ));
+    report.figure(
+        "transfer_error",
+        json!({"vertices": error.vertices, "rms": error.rms, "p999": error.p999, "max": error.max, "jump": error.jump}),
+    );
+}

@@ -1,0 +1,65 @@
+//! Peak anonymous memory of this process: what it really holds, without the pages of files in the cache.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// Time between two looks. Large buffers live longer than this.
+const INTERVAL: Duration = Duration::from_millis(5);
+
+/// Watches the process' memory from a thread of its own.
+pub struct MemoryWatch {
+    peak: Arc<AtomicU64>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl MemoryWatch {
+    /// Begins to watch.
+    pub fn start() -> Self {
+        let (peak, stop) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicBool::new(false)));
+        let (p, s) = (peak.clone(), stop.clone());
+        let thread = std::thread::Builder::new()
+            .name("memory".into())
+            .spawn(move || {
+                while !s.load(Ordering::Relaxed) {
+                    let Some(bytes) = anonymous() else { break };
+                    p.fetch_max(bytes, Ordering::Relaxed);
+                    std::thread::sleep(INTERVAL);
+                }
+            })
+            .ok();
+        Self { peak, stop, thread }
+    }
+
+    /// The peak so far, in bytes; `None` where the system does not tell.
+    pub fn peak(&self) -> Option<u64> {
+        let now = anonymous()?;
+        Some(self.peak.fetch_max(now, Ordering::Relaxed).max(now))
+    }
+}
+
+impl Drop for MemoryWatch {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Anonymous resident memory in bytes.
+#[cfg(target_os = "linux")]
+fn anonymous() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|l| l.strip_prefix("RssAnon:"))?;
+    let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kilobytes * 1024)
+}
+
+/// Not known on this system.
+#[cfg(not(target_os = "linux"))]
+fn anonymous() -> Option<u64> {
+    None
+}

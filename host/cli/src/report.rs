@@ -1,0 +1,117 @@
+//! What a command has to say when it is done: lines for people, or one JSON object with `--json`.
+
+use std::io::Write;
+use std::time::Instant;
+
+use serde_json::{Map, Value, json};
+use simod_core::{Error, Progress, Result};
+
+use crate::console::Console;
+
+/// Collects the figures of a command.
+pub struct Report<'a> {
+    console: &'a Console,
+    started: Instant,
+    lines: Vec<String>,
+    figures: Map<String, Value>,
+    timed: bool,
+}
+
+impl<'a> Report<'a> {
+    /// An empty report; its clock starts now.
+    pub fn new(console: &'a Console) -> Self {
+        Self { console, started: Instant::now(), lines: Vec::new(), figures: Map::new(), timed: false }
+    }
+
+    /// Where work tells its progress. A command that uses it gets the times of its phases into the report.
+    pub fn progress(&mut self) -> &'a dyn Progress {
+        self.timed = true;
+        self.console
+    }
+
+    /// Adds a line for people.
+    pub fn line(&mut self, text: impl Into<String>) {
+        self.lines.push(text.into());
+    }
+
+    /// Adds a figure for programs.
+    pub fn figure(&mut self, name: &str, value: impl Into<Value>) {
+        self.figures.insert(name.to_owned(), value.into());
+    }
+
+    /// Warns at once, on standard error, and records it.
+    pub fn warn(&mut self, text: impl Into<String>) {
+        let text = text.into();
+        self.console.warn(&text);
+        match self.figures.entry("warnings").or_insert_with(|| json!([])) {
+            Value::Array(all) => all.push(text.into()),
+            other => *other = json!([text]),
+        }
+    }
+
+    /// Seconds since the command began.
+    pub fn seconds(&self) -> f64 {
+        self.started.elapsed().as_secs_f64()
+    }
+
+    /// Prints the report.
+    pub fn finish(mut self, as_json: bool) -> Result<()> {
+        let seconds = self.seconds();
+        let stages = self.console.stages();
+        if self.timed {
+            let phase = |(name, time): &(&str, std::time::Duration)| format!("{name} {:.2} s", time.as_secs_f64());
+            let phases: Vec<String> = stages.iter().map(phase).collect();
+            self.lines.push(format!("{seconds:.2} s: {}", phases.join(", ")));
+            if let Some(peak) = self.console.peak_memory() {
+                self.lines.push(format!("peak memory {} MB", peak.div_ceil(1 << 20)));
+            }
+        }
+        let mut out = std::io::stdout().lock();
+        let written = if as_json {
+            let phases: Vec<Value> =
+                stages.iter().map(|(name, t)| json!({"name": name, "seconds": t.as_secs_f64()})).collect();
+            self.figures.insert("seconds".into(), seconds.into());
+            self.figures.insert("phases".into(), phases.into());
+            self.figures.insert("peak_memory_bytes".into(), self.console.peak_memory().into());
+            writeln!(out, "{}", Value::Object(self.figures))
+        } else {
+            self.lines.iter().try_for_each(|line| writeln!(out, "{line}"))
+        };
+        match written.and_then(|()| out.flush()) {
+            // A reader that has seen enough, as `head`, is no failure.
+            Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+                Err(Error::io("write to", "standard output".as_ref(), &e))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A count with thin separators: 2 000 000.
+pub fn count(n: u64) -> String {
+    let digits = n.to_string();
+    let mut out = String::new();
+    for (i, c) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i) % 3 == 0 {
+            out.push(' ');
+        }
+        out.push(c);
+    }
+    out
+}
+
+/// A rate of vertices: "12.3 M vertices/s".
+pub fn rate(vertices: u64, seconds: f64) -> String {
+    let rate = vertices as f64 / seconds.max(1e-9);
+    if rate >= 1e6 { format!("{:.1} M vertices/s", rate / 1e6) } else { format!("{:.0} k vertices/s", rate / 1e3) }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn counts_are_grouped() {
+        assert_eq!(super::count(0), "0");
+        assert_eq!(super::count(1234), "1 234");
+        assert_eq!(super::count(2_000_000), "2 000 000");
+    }
+}

@@ -1,0 +1,121 @@
+//! The whole way of an edit, which reads as the design's picture: sample, deform, reconstruct.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use glam::Vec3;
+use simod_core::model;
+use simod_core::reconstruction::transfer_error::{self, TransferError};
+use simod_core::reconstruction::{deformed_normals, reconstruct};
+use simod_core::sampled_model::SampledModel;
+use simod_core::sampling::{Sampling, Target, sample};
+use simod_core::{Error, ErrorKind, Progress, Result};
+
+use crate::deformer::Message;
+use crate::plugins::PluginRegistry;
+use crate::session_file::{self, SessionFile};
+use crate::stack::{PreparedStack, RestShape, Stack};
+
+/// P_S*: the samples of a model after a stack of deformations.
+#[derive(Debug)]
+pub struct DeformedSamples {
+    /// Local positions, one per sample, rounded to what a file of them holds.
+    pub positions: Vec<Vec3>,
+    /// Unit normals, derived from the positions.
+    pub normals: Vec<Vec3>,
+    /// The exact map, where all plugins know it.
+    pub stack: PreparedStack,
+    /// What the plugins had to say.
+    pub messages: Vec<Message>,
+}
+
+/// Deforms the samples of a model.
+///
+/// # Errors
+/// A plugin fails, the samples and the layers do not fit, or the user cancelled.
+pub fn deform(sampled: &SampledModel, stack: &Stack, progress: &dyn Progress) -> Result<DeformedSamples> {
+    let samples = &sampled.samples;
+    let shape = RestShape {
+        positions: &samples.positions,
+        normals: &samples.normals,
+        spacing: &samples.spacing,
+        frame: sampled.frame,
+        bounds: sampled.bounds,
+        renormal: Some(&|positions| deformed_normals(samples, positions)),
+    };
+    let deformed = stack.apply(&shape, progress)?;
+    let positions = sampled.rounded(&deformed.positions);
+    let normals = deformed_normals(samples, &positions);
+    Ok(DeformedSamples { positions, normals, stack: deformed.stack, messages: deformed.messages })
+}
+
+/// A finished run of a session.
+pub struct Run {
+    /// The model's samples.
+    pub sampled: SampledModel,
+    /// The samples after the deformation.
+    pub deformed: DeformedSamples,
+    /// The deformed model.
+    pub output: PathBuf,
+    /// Seconds from opening the model to the finished output.
+    pub seconds: f64,
+}
+
+impl Run {
+    /// Samples the session's model, deforms the samples and writes the deformed model, whole or not at all.
+    ///
+    /// # Errors
+    /// Any step fails; what is wrong in the session is noticed before the model is read.
+    pub fn execute(
+        session: &SessionFile,
+        plugins: &PluginRegistry,
+        output: &Path,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
+        let start = Instant::now();
+        let stack = Stack::build(&session.steps, plugins)?;
+        let path = session.model.as_deref().ok_or_else(|| {
+            Error::new(
+                ErrorKind::Argument,
+                "the session does not name a model",
+                "add [model] path = \"…\" to it; the path is relative to the session's folder",
+            )
+        })?;
+        let model = model::open(path)?;
+        let sampled = sample(model.as_ref(), &session.sampling.into(), progress)?;
+        let deformed = deform(&sampled, &stack, progress)?;
+        reconstruct(&sampled, model.as_ref(), &deformed.positions, output, progress)?;
+        Ok(Self { sampled, deformed, output: output.to_owned(), seconds: start.elapsed().as_secs_f64() })
+    }
+
+    /// Compares the output with the exact image of every vertex of the model.
+    ///
+    /// # Errors
+    /// A plugin of the stack does not know its map between the samples; a file cannot be read; cancelled.
+    pub fn transfer_error(&self, progress: &dyn Progress) -> Result<TransferError> {
+        let exact = &self.deformed.stack;
+        if !exact.can_evaluate() {
+            return Err(Error::new(
+                ErrorKind::Plugin,
+                "a plugin of the session deforms samples only, so the exact deformation is not known",
+                "measure sessions of space deformations, as warp and rbf",
+            ));
+        }
+        let model = self.sampled.open_source(None)?;
+        let output = model::open(&self.output)?;
+        let diagonal = self.sampled.bounds.diagonal();
+        let map = |points: &mut [glam::DVec3]| exact.evaluate_with(points, progress);
+        transfer_error::measure(model.as_ref(), output.as_ref(), diagonal, &map, progress)
+    }
+}
+
+impl From<session_file::Sampling> for Sampling {
+    fn from(from: session_file::Sampling) -> Self {
+        let target = match (from.samples, from.error) {
+            (Some(n), _) => Target::Samples(n),
+            (None, Some(e)) => Target::Error(e),
+            (None, None) => Target::default(),
+        };
+        Self { target, grid: from.grid }
+    }
+}
