@@ -23,4 +23,4 @@ pub use params::{ParamValue, Params};
 pub use plugins::{PluginRegistry, Rejected};
 pub use session_file::SessionFile;
 pub use shapes::{Shape, Shapes};
-pub use stack::{Deformed, PreparedStack, RestShape, Stack};
+pub use stack::{Deformed, PreparedStack, Renormal, RestShape, Stack};
