@@ -16,6 +16,7 @@ pub mod plugins;
 pub mod session_file;
 pub mod shapes;
 pub mod stack;
+mod vector;
 
 pub use deformer::{Message, Plugin};
 pub use motion::Motion;

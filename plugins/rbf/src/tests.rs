@@ -254,8 +254,13 @@ fn preparation_time() {
         let prepared = start.elapsed();
         let start = std::time::Instant::now();
         setup.deform(&state, &[turn(90.0, [0.0; 3], [0.0; 3])]);
+        let deformed = start.elapsed();
+        let mut points: Vec<Point> = setup.points.iter().map(|p| p.map(f64::from)).collect();
+        let start = std::time::Instant::now();
+        setup.evaluate(&state, &[turn(90.0, [0.0; 3], [0.0; 3])], &mut points);
         println!(
-            "tolerance {tolerance:.0e}: {} centres, residual {:.1e}, prepare {prepared:?}, deform {:?}",
+            "tolerance {tolerance:.0e}: {} centres, residual {:.1e}, prepare {prepared:?}, deform {deformed:?}, \
+             evaluate on one thread {:?}",
             state.fit.functions.centers.len(),
             state.fit.residual,
             start.elapsed()
