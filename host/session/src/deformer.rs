@@ -1,6 +1,6 @@
 //! The border to foreign code: the only module that calls it.
 //!
-//! Whatever a plugin does short of crashing comes out as an [`Error`](simod_core::Error) of kind `Plugin`:
+//! Whatever a plugin does short of crashing comes out as an [`Error`] of kind `Plugin`:
 //! errors and panics (which the plugin's side of the interface turned into errors), samples left unwritten,
 //! values that are not finite, descriptions that make no sense.
 

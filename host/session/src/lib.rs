@@ -17,6 +17,7 @@ pub mod plugins;
 pub mod session_file;
 pub mod shapes;
 pub mod stack;
+mod vector;
 
 pub use deformer::{Message, Plugin};
 pub use motion::Motion;
@@ -25,4 +26,4 @@ pub use pipeline::{DeformedSamples, Run, deform};
 pub use plugins::{PluginRegistry, Rejected};
 pub use session_file::SessionFile;
 pub use shapes::{Shape, Shapes};
-pub use stack::{Deformed, PreparedStack, RestShape, Stack};
+pub use stack::{Deformed, PreparedStack, Renormal, RestShape, Stack};

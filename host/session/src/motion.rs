@@ -9,12 +9,15 @@ use simod_core::frame::Frame;
 #[serde(rename_all = "kebab-case", deny_unknown_fields, default)]
 pub struct Motion {
     /// In the model's unit.
+    #[serde(deserialize_with = "crate::vector::three")]
     pub translate: DVec3,
     /// About which it turns; any length but zero where it does turn.
+    #[serde(deserialize_with = "crate::vector::three")]
     pub axis: DVec3,
     /// How far, right-handed.
     pub degrees: f64,
     /// The point that turning and scaling leave in place; the model's own zero unless given.
+    #[serde(deserialize_with = "crate::vector::three")]
     pub pivot: DVec3,
     /// Size after over size before; positive.
     pub scale: f64,

@@ -317,6 +317,24 @@ path = "/tmp/out.ply"
         told(&format!("{region}role = \"handle\"\n{ball}move = {{ scale = 0 }}"), 6, "scale");
         told(&format!("{region}role = \"mask\"\n{ball}falloff = -1"), 6, "falloff");
         told(&format!("{region}role = \"mask\"\nshapes = [{{ cone = {{}} }}]"), 5, "cone");
+        let extra = "shapes = [{ sphere = { center = [0,0,0], radius = 1, size = 2 } }]";
+        told(&format!("{region}role = \"mask\"\n{extra}"), 5, "size");
+        told(
+            &format!(
+                "{region}role = \"mask\"\n{}",
+                extra.replace("[0,0,0]", "[0,0]").replace(", size = 2", "")
+            ),
+            5,
+            "found 2",
+        );
+        told(
+            &format!(
+                "{region}role = \"mask\"\n{}",
+                extra.replace("0,0]", "0,0,7]").replace(", size = 2", "")
+            ),
+            5,
+            "",
+        );
         told("[[step]]\nparams = {}", 1, "no `deform`");
         told("[[step]]\nrefine = { error = 1 }", 2, "`refine` steps are not known");
         told("[[step]]\ndeform = \"x\"\n[[step.handle]]\nid = \"0\"", 3, "`step.handle`");

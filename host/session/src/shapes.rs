@@ -10,13 +10,16 @@ pub enum Shape {
     /// All points on the side of a plane that its normal points to.
     HalfSpace {
         /// A point on the plane.
+        #[serde(deserialize_with = "crate::vector::three")]
         point: DVec3,
         /// Points inwards; any length but zero.
+        #[serde(deserialize_with = "crate::vector::three")]
         normal: DVec3,
     },
     /// A ball.
     Sphere {
         /// Its centre.
+        #[serde(deserialize_with = "crate::vector::three")]
         center: DVec3,
         /// In the model's unit; positive.
         radius: f64,
@@ -24,8 +27,10 @@ pub enum Shape {
     /// An axis-aligned box.
     Box {
         /// Smallest coordinates.
+        #[serde(deserialize_with = "crate::vector::three")]
         min: DVec3,
         /// Largest coordinates.
+        #[serde(deserialize_with = "crate::vector::three")]
         max: DVec3,
     },
 }

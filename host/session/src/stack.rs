@@ -21,6 +21,9 @@ use std::sync::Arc;
 /// Points evaluated at once on one thread.
 const BLOCK: usize = 4096;
 
+/// Derives unit normals, one per sample, from changed positions (local coordinates).
+pub type Renormal = dyn Fn(&[Vec3]) -> Vec<Vec3> + Sync;
+
 /// The samples as they were taken, and where.
 #[derive(Clone, Copy)]
 pub struct RestShape<'a> {
@@ -35,7 +38,7 @@ pub struct RestShape<'a> {
     /// The model's box, model coordinates.
     pub bounds: Bounds,
     /// Normals for changed positions, for layers that need them after others. Without it they get the old ones.
-    pub renormal: Option<&'a (dyn Fn(&[Vec3]) -> Vec<Vec3> + Sync)>,
+    pub renormal: Option<&'a Renormal>,
 }
 
 /// A checked list of deformations, not tied to any samples.
@@ -145,6 +148,9 @@ impl Stack {
                 && let Some(renormal) = shape.renormal
             {
                 normals = renormal(&positions).into();
+                if normals.len() != positions.len() {
+                    return Err(not_one_per_sample("normal"));
+                }
             }
             let rest = Rest { positions, normals: normals.clone(), spacing: spacing.clone(), bounds };
             let watch = Watch::new(progress, layer.plugin.id(), size_of_val(shape.positions) as u64);
@@ -157,25 +163,23 @@ impl Stack {
     }
 }
 
+fn not_one_per_sample(what: &str) -> Error {
+    let what = format!("there is not one {what} per sample");
+    Error::new(ErrorKind::Mismatch, what, "sample the model again")
+}
+
 impl RestShape<'_> {
     fn check(&self) -> Result<()> {
         let count = self.positions.len();
-        let mismatch = |what: &str| {
-            Err(Error::new(
-                ErrorKind::Mismatch,
-                format!("there is not one {what} per sample"),
-                "sample the model again",
-            ))
-        };
         if count == 0 {
             let hint = "sample the model more finely";
             return Err(Error::new(ErrorKind::Degenerate, "there are no samples to deform", hint));
         }
         if ![0, count].contains(&self.normals.len()) {
-            return mismatch("normal");
+            return Err(not_one_per_sample("normal"));
         }
         if ![0, count].contains(&self.spacing.len()) {
-            return mismatch("spacing");
+            return Err(not_one_per_sample("spacing distance"));
         }
         let finite = self.positions.par_iter().all(|p| p.is_finite());
         if !(finite && self.frame.is_valid() && self.bounds.min.is_finite() && self.bounds.max.is_finite()) {

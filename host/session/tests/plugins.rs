@@ -1,4 +1,5 @@
 //! Loading real libraries: plugins, and files that are none.
+#![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
 mod common;
 

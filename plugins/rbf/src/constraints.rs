@@ -5,11 +5,19 @@
 //! the handles do later, these `4 x handles` right-hand sides span it.
 
 use crate::kernel::{Frame, Point};
+use faer::{Mat, Side};
 use simod_plugin_api::{PluginError, PluginResult, PrepareInput, Role};
 use std::collections::HashSet;
 
 /// Weight from which on a sample belongs to a region.
 const INSIDE: f32 = 0.5;
+
+/// Constraints are flat in a direction where they extend less than this, relative to where they do most.
+const FLAT: f64 = 1e-3;
+/// How far beside flat constraints others are added, in the unit box.
+const THICKNESS: f64 = 0.05;
+/// Constraints of each region that are added to, for each flat direction.
+const THICKENED: usize = 16;
 
 /// Functions per handle.
 pub const PER_HANDLE: usize = 4;
@@ -106,8 +114,34 @@ impl Constraints {
             }
             orders.push(spread_order(&constraints.points, first..constraints.handle.len(), spread_limit));
         }
+        constraints.thicken(&mut orders)?;
         constraints.spread = interleave(&orders);
         Ok(constraints)
+    }
+
+    /// Gives constraints on one plane or line, which say nothing about what lies beside it, some thickness: a few
+    /// more on both sides that move along with their region. Without them a handle that turns would shear the
+    /// space beside the plane instead.
+    fn thicken(&mut self, orders: &mut Vec<Vec<usize>>) -> PluginResult<()> {
+        let mut added = Vec::new();
+        for normal in flat_directions(&self.points)? {
+            for order in orders.iter() {
+                for &i in order.iter().take(THICKENED) {
+                    for side in [-THICKNESS, THICKNESS] {
+                        let p = self.points[i];
+                        added.push(self.points.len());
+                        self.points.push(std::array::from_fn(|k| p[k] + side * normal[k]));
+                        self.handle.push(self.handle[i]);
+                        let unit = self.handle[i]
+                            .map_or(1.0, |h| self.frame.to_local_length(1.0) / self.handles[h].radius);
+                        let at = self.relative[i];
+                        self.relative.push(std::array::from_fn(|k| at[k] + side * unit * normal[k]));
+                    }
+                }
+            }
+        }
+        orders.push(added);
+        Ok(())
     }
 
     /// How many right-hand sides there are.
@@ -125,6 +159,22 @@ impl Constraints {
             i => self.relative[constraint][i - 1],
         }
     }
+}
+
+/// Unit directions in which the points have no extent to speak of.
+fn flat_directions(points: &[Point]) -> PluginResult<Vec<Point>> {
+    let count = points.len() as f64;
+    let mean = points.iter().fold([0.0; 3], |s, p| std::array::from_fn(|i| s[i] + p[i] / count));
+    let covariance = Mat::<f64>::from_fn(3, 3, |i, j| {
+        points.iter().map(|p| (p[i] - mean[i]) * (p[j] - mean[j])).sum::<f64>() / count
+    });
+    let eigen = covariance
+        .self_adjoint_eigen(Side::Lower)
+        .map_err(|_| PluginError::internal("the principal axes of the regions were not found"))?;
+    // In ascending order.
+    let (extents, axes) = (eigen.S().column_vector(), eigen.U());
+    let flat = (0..3).filter(|&i| extents[i] <= FLAT * FLAT * extents[2]);
+    Ok(flat.map(|i| [axes[(0, i)], axes[(1, i)], axes[(2, i)]]).collect())
 }
 
 fn frame_of(points: &[Point]) -> HandleFrame {

@@ -49,6 +49,11 @@ impl Frame {
     pub fn to_unit(self, p: Point) -> Point {
         std::array::from_fn(|i| (p[i] - self.origin[i]) * self.scale)
     }
+
+    /// From a length in the unit box to the model's unit.
+    pub fn to_local_length(self, length: f64) -> f64 {
+        length / self.scale
+    }
 }
 
 /// The functions φ(|x - c_j|) for all centres, and 1, x, y, z. Everything in the unit box.

@@ -172,6 +172,22 @@ fn flat_and_coincident_constraints_do_not_break_it() {
 }
 
 #[test]
+fn what_lies_beside_a_plane_turns_with_its_handle() {
+    let points: Vec<[f32; 3]> =
+        (0..4096).map(|i| [(i % 64) as f32 / 8.0, (i / 64) as f32 / 8.0, 0.0]).collect();
+    let fixed = weights(&points, |p| p[0] < 2.0);
+    let handle = weights(&points, |p| p[0] > 6.0);
+    let setup = Setup::new(points, vec![(Role::FIXED, fixed), (Role::HANDLE, handle)]);
+    let state = setup.prepare(&()).unwrap();
+    // A quarter turn about y through x = 7: what was above now lies along x.
+    let quarter = Affine { rows: [[0.0, 0.0, 1.0, 7.0], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 7.0]] };
+    let mut space = vec![[7.0, 4.0, 0.1], [1.0, 4.0, 0.1]];
+    setup.evaluate(&state, &[quarter], &mut space);
+    assert!(distance(space[0], quarter.apply([7.0, 4.0, 0.1])) < 0.02, "{space:?}");
+    assert!(distance(space[1], [1.0, 4.0, 0.1]) < 0.02, "{space:?}");
+}
+
+#[test]
 fn contradictions_end_in_a_warning() {
     struct Log(Mutex<Vec<String>>);
     impl HostCalls for Log {
@@ -238,8 +254,13 @@ fn preparation_time() {
         let prepared = start.elapsed();
         let start = std::time::Instant::now();
         setup.deform(&state, &[turn(90.0, [0.0; 3], [0.0; 3])]);
+        let deformed = start.elapsed();
+        let mut points: Vec<Point> = setup.points.iter().map(|p| p.map(f64::from)).collect();
+        let start = std::time::Instant::now();
+        setup.evaluate(&state, &[turn(90.0, [0.0; 3], [0.0; 3])], &mut points);
         println!(
-            "tolerance {tolerance:.0e}: {} centres, residual {:.1e}, prepare {prepared:?}, deform {:?}",
+            "tolerance {tolerance:.0e}: {} centres, residual {:.1e}, prepare {prepared:?}, deform {deformed:?}, \
+             evaluate on one thread {:?}",
             state.fit.functions.centers.len(),
             state.fit.residual,
             start.elapsed()

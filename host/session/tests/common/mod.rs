@@ -1,4 +1,5 @@
 //! Builds the plugins that the tests load, and finds them.
+#![allow(dead_code, reason = "each test file uses its part")]
 
 use simod_session::PluginRegistry;
 use simod_session::plugins::PluginFolder;
