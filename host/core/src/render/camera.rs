@@ -41,7 +41,7 @@ impl Camera {
         let tangents = [tangent * aspect, tangent];
 
         // The least distance at which every corner of the box lies within the margins.
-        const MARGIN: f64 = 1.12;
+        const MARGIN: f64 = 1.04;
         let mut distance = 0.0f64;
         for corner in 0..8 {
             let pick = |bit: usize, low: f64, high: f64| if corner >> bit & 1 == 0 { low } else { high };
@@ -62,6 +62,13 @@ impl Camera {
     /// Where the eye is.
     pub fn position(&self) -> DVec3 {
         self.position
+    }
+
+    /// Where a picture of the given size shows a point: pixels from the top left corner; none where the point
+    /// is not before the camera.
+    pub fn project(&self, p: DVec3, width: u32, height: u32) -> Option<[f32; 2]> {
+        let (lens, view) = (self.lens(width, height), self.to_view(p));
+        (view.is_finite() && view.z > lens.near).then(|| lens.project(view))
     }
 
     /// The point in the middle of the picture, which is the middle of the framed box.
@@ -137,9 +144,8 @@ mod tests {
         for i in 0..40 {
             let t = f64::from(i);
             let camera = Camera::frame([low, high], t * 0.7, (t * 0.3).sin(), 0.5 + t * 0.05);
-            let lens = camera.lens(200, 100);
             for corner in [low, high, DVec3::new(low.x, high.y, low.z), DVec3::new(high.x, low.y, low.z)] {
-                let [x, y] = lens.project(camera.to_view(corner));
+                let [x, y] = camera.project(corner, 200, 100).unwrap();
                 assert!((0.0..200.0).contains(&x) && (0.0..100.0).contains(&y), "{x} {y}");
             }
         }

@@ -213,3 +213,54 @@ fn background(
 fn linear(srgb: Vec3) -> Vec3 {
     srgb.map(|c| c * (c * (c * 0.305_306_02 + 0.682_171_1) + 0.012_522_88))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::SurfacePoint;
+
+    #[test]
+    fn normals_of_a_sphere_given_and_derived() {
+        const POINTS: u32 = 40_000;
+        let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
+        let points = |known: bool| -> Vec<SurfacePoint> {
+            (0..POINTS)
+                .map(|i| {
+                    let y = 1.0 - (2.0 * f64::from(i) + 1.0) / f64::from(POINTS);
+                    let (sin, cos) = (golden * f64::from(i)).sin_cos();
+                    let r = (1.0 - y * y).sqrt();
+                    let position = DVec3::new(r * cos, y, r * sin);
+                    let normal = if known { position.as_vec3() } else { Vec3::ZERO };
+                    SurfacePoint { position, normal, color: [128; 3], radius: 0.024 }
+                })
+                .collect()
+        };
+        let camera = Camera::frame([DVec3::splat(-1.0), DVec3::splat(1.0)], 0.7, 0.4, 1.0);
+        for (known, worst_allowed, mean_allowed) in [(true, 0.03, 0.01), (false, 0.5, 0.06)] {
+            let points = points(known);
+            let mut canvas = Canvas::new(400, 400);
+            canvas.depth(&camera, &points);
+            canvas.blend(&camera, &points);
+            let surface = Surface::new(&canvas, &camera);
+            let center = camera.to_view(DVec3::ZERO);
+            let (mut worst, mut sum, mut count) = (0.0f32, 0.0, 0.0);
+            for i in 0..canvas.pixels.len() {
+                let ray = surface.lens.ray(i % 400, i / 400).normalize_or_zero();
+                let nearest = ray.dot(center);
+                let inside = 1.0 - (center - ray * nearest).length_squared();
+                // The outermost part of the silhouette is steeper than any tolerance.
+                if inside < 0.15 {
+                    continue;
+                }
+                let normal = ray * (nearest - inside.sqrt()) - center;
+                let error = normal.distance(surface.normals[i]);
+                worst = worst.max(error);
+                sum += error;
+                count += 1.0;
+            }
+            assert!(count > 10_000.0);
+            assert!(worst < worst_allowed, "known: {known}, worst {worst}");
+            assert!(sum / count < mean_allowed, "known: {known}, mean {}", sum / count);
+        }
+    }
+}

@@ -12,6 +12,10 @@ const BAND: usize = 64;
 const BATCH: usize = 1 << 16;
 /// A splat reaches at least so many pixels around its middle, so that none falls between samples.
 const LEAST_REACH: f32 = 0.75;
+/// Shares of their radius to which discs seen from the front and from the back hide what is behind them; farther
+/// out they only blend in. So the discs of a steep or sharp edge hardly stand out from the surface, above all
+/// those whose back is seen, while discs as wide as their spacing still leave no holes.
+const HIDING: [f32; 2] = [0.74, 0.6];
 /// A splat reaches at most so many pixels: a wrong radius costs no minutes.
 const MOST_REACH: f32 = 256.0;
 
@@ -61,6 +65,8 @@ struct Splat {
     normal: Vec3,
     color: Vec3,
     radius: f32,
+    /// Least weight with which it hides what is behind it.
+    hiding: f32,
     pixel: [f32; 2],
     /// Pixels that it reaches around its middle.
     reach: f32,
@@ -73,12 +79,23 @@ impl Splat {
             return None;
         }
         let normal = camera.direction_to_view(point.normal.as_dvec3()).as_vec3().normalize_or_zero();
-        let normal = if normal.dot(center) > 0.0 { -normal } else { normal };
+        let seen_from_back = normal.dot(center) > 0.0;
+        let normal = if seen_from_back { -normal } else { normal };
         let pixel = lens.project(center);
         let scale = lens.scale[0].max(lens.scale[1]) / center.z;
         let reach = (point.radius * scale).clamp(LEAST_REACH, MOST_REACH);
         let color = Vec3::from(point.color.map(f32::from)) / 255.0;
-        Some(Self { center, normal, color, radius: reach / scale, pixel, reach })
+        // A splat as small as a sample hides wherever it is drawn: else it could fall between samples.
+        let share = HIDING[usize::from(seen_from_back)].max(LEAST_REACH / reach);
+        Some(Self {
+            center,
+            normal,
+            color,
+            radius: reach / scale,
+            hiding: weight(share * share),
+            pixel,
+            reach,
+        })
     }
 
     /// Depth and weight (0 outside) along a pixel's ray; (`dx`, `dy`) is the way there from the splat's middle.
@@ -95,9 +112,14 @@ impl Splat {
             // A disc narrower than a sample is drawn as a dot of that size.
             distance = on_disc.min(on_screen / (LEAST_REACH * LEAST_REACH));
         }
-        let weight = (1.0 - distance).max(0.0);
-        (depth, weight * weight)
+        (depth, weight(distance))
     }
+}
+
+/// Weight by squared distance, in units of the radius.
+fn weight(distance: f32) -> f32 {
+    let t = (1.0 - distance).max(0.0);
+    t * t
 }
 
 impl Canvas {
@@ -112,14 +134,18 @@ impl Canvas {
 
     /// First pass: the depth of the nearest surface.
     pub fn depth(&mut self, camera: &Camera, points: &[SurfacePoint]) {
-        self.draw(camera, points, |pixel, _, depth, _| pixel.nearest = pixel.nearest.min(depth));
+        self.draw(camera, points, |pixel, splat, depth, weight| {
+            if weight >= splat.hiding {
+                pixel.nearest = pixel.nearest.min(depth);
+            }
+        });
     }
 
     /// Second pass: what lies on the nearest surface.
     pub fn blend(&mut self, camera: &Camera, points: &[SurfacePoint]) {
         self.draw(camera, points, |pixel, splat, depth, weight| {
             // Neighbouring discs of one surface differ in depth by less than they are wide.
-            if depth <= pixel.nearest + splat.radius {
+            if pixel.nearest.is_finite() && depth <= pixel.nearest + splat.radius {
                 pixel.weight += weight;
                 pixel.depth += weight * depth;
                 pixel.normal += splat.normal * weight;
