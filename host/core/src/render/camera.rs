@@ -97,12 +97,12 @@ impl Camera {
 
     /// The lens for a picture of so many pixels.
     pub(super) fn lens(&self, width: u32, height: u32) -> Lens {
+        let scale =
+            [0.5 * width as f32 / self.tangents[0] as f32, 0.5 * height as f32 / self.tangents[1] as f32];
         Lens {
             center: [0.5 * width as f32, 0.5 * height as f32],
-            scale: [
-                0.5 * width as f32 / self.tangents[0] as f32,
-                0.5 * height as f32 / self.tangents[1] as f32,
-            ],
+            scale,
+            inverse: scale.map(f32::recip),
             near: (1e-4 * self.radius) as f32,
         }
     }
@@ -114,6 +114,8 @@ pub(super) struct Lens {
     pub center: [f32; 2],
     /// Pixels per unit at distance 1.
     pub scale: [f32; 2],
+    /// Of the scale: rays are asked for more often than anything else.
+    inverse: [f32; 2],
     /// Nearer points are not drawn.
     pub near: f32,
 }
@@ -127,8 +129,8 @@ impl Lens {
     /// The point at depth 1 that a pixel's middle shows.
     pub fn ray(&self, x: usize, y: usize) -> Vec3 {
         Vec3::new(
-            (x as f32 + 0.5 - self.center[0]) / self.scale[0],
-            (self.center[1] - y as f32 - 0.5) / self.scale[1],
+            (x as f32 + 0.5 - self.center[0]) * self.inverse[0],
+            (self.center[1] - y as f32 - 0.5) * self.inverse[1],
             1.0,
         )
     }

@@ -113,6 +113,7 @@ impl Surface {
     /// nearby takes some away (M. McGuire et al., *The Alchemy Screen-Space Ambient Obscurance Algorithm*,
     /// HPG 2011), on a spiral that is turned from sample to sample.
     fn occlusion(&self, reach: f32) -> Vec<f32> {
+        let spirals = spirals();
         (0..self.depths.len())
             .into_par_iter()
             .map(|i| {
@@ -120,16 +121,12 @@ impl Surface {
                 let Some(here) = self.point(x as isize, y as isize) else { return 1.0 };
                 let normal = self.normals[i];
                 let pixels = (reach * self.lens.scale[1] / here.z).clamp(2.0, 400.0);
-                // Sixteen turns of the spiral in a 4 x 4 pattern whose neighbours differ much.
-                let turn = ((x % OCCLUSION_TILE) * 5 + (y % OCCLUSION_TILE) * 7) % 16;
+                // Neighbours in the tile get turns that differ much.
+                let turn = ((x % OCCLUSION_TILE) * 5 + (y % OCCLUSION_TILE) * 7) % TURNS;
                 let mut sum = 0.0;
-                for k in 0..OCCLUSION_SAMPLES {
-                    let t = (k as f32 + (turn as f32 + 0.5) / 16.0) / OCCLUSION_SAMPLES as f32;
-                    // Dense in the middle: engraving and edges are small.
-                    let radius = 1.0 + pixels * t * t;
-                    let angle = std::f32::consts::TAU * (t * 7.0 + turn as f32 * 0.618_034);
-                    let (sin, cos) = angle.sin_cos();
-                    let (sx, sy) = (x as f32 + radius * cos, y as f32 + radius * sin);
+                for [dx, dy, share] in &spirals[turn] {
+                    let radius = 1.0 + pixels * share;
+                    let (sx, sy) = (x as f32 + radius * dx, y as f32 + radius * dy);
                     if let Some(there) = self.point(sx.round() as isize, sy.round() as isize) {
                         let way = there - here;
                         let distance = way.length();
@@ -172,6 +169,22 @@ impl Surface {
             })
             .collect()
     }
+}
+
+/// Turns of the spiral of occlusion samples.
+const TURNS: usize = OCCLUSION_TILE * OCCLUSION_TILE;
+
+/// Directions on the picture, and how far to go there as a share of the reach, for each turn.
+fn spirals() -> [[[f32; 3]; OCCLUSION_SAMPLES]; TURNS] {
+    std::array::from_fn(|turn| {
+        std::array::from_fn(|k| {
+            let t = (k as f32 + (turn as f32 + 0.5) / TURNS as f32) / OCCLUSION_SAMPLES as f32;
+            let angle = std::f32::consts::TAU * (t * 7.0 + turn as f32 * 0.618_034);
+            let (sin, cos) = angle.sin_cos();
+            // Dense in the middle: engraving and edges are small.
+            [cos, sin, t * t]
+        })
+    })
 }
 
 /// Light of a sample: key, fill, surroundings from above and below, and a broad highlight.
