@@ -70,32 +70,32 @@ struct Splat {
     pixel: [f32; 2],
     /// Pixels that it reaches around its middle.
     reach: f32,
+    /// The samples within reach: columns and rows, each from the first to beyond the last.
+    columns: [usize; 2],
+    rows: [usize; 2],
 }
 
 impl Splat {
-    fn new(camera: &Camera, lens: &Lens, point: &SurfacePoint) -> Option<Self> {
+    /// None for what is out of the picture of the given size, or no disc at all.
+    fn new(camera: &Camera, lens: &Lens, size: [usize; 2], point: &SurfacePoint) -> Option<Self> {
         let center = camera.to_view(point.position);
         if !(center.is_finite() && center.z > lens.near && point.radius >= 0.0) {
             return None;
         }
-        let normal = camera.direction_to_view(point.normal.as_dvec3()).as_vec3().normalize_or_zero();
-        let seen_from_back = normal.dot(center) > 0.0;
-        let normal = if seen_from_back { -normal } else { normal };
         let pixel = lens.project(center);
         let scale = lens.scale[0].max(lens.scale[1]) / center.z;
         let reach = (point.radius * scale).clamp(LEAST_REACH, MOST_REACH);
+        let columns = covered(pixel[0], reach, size[0])?;
+        let rows = covered(pixel[1], reach, size[1])?;
+
+        let normal = camera.direction_to_view(point.normal.as_dvec3()).as_vec3().normalize_or_zero();
+        let seen_from_back = normal.dot(center) > 0.0;
+        let normal = if seen_from_back { -normal } else { normal };
         let color = Vec3::from(point.color.map(f32::from)) / 255.0;
         // A splat as small as a sample hides wherever it is drawn: else it could fall between samples.
         let share = HIDING[usize::from(seen_from_back)].max(LEAST_REACH / reach);
-        Some(Self {
-            center,
-            normal,
-            color,
-            radius: reach / scale,
-            hiding: weight(share * share),
-            pixel,
-            reach,
-        })
+        let (radius, hiding) = (reach / scale, weight(share * share));
+        Some(Self { center, normal, color, radius, hiding, pixel, reach, columns, rows })
     }
 
     /// Depth and weight (0 outside) along a pixel's ray; (`dx`, `dy`) is the way there from the splat's middle.
@@ -161,20 +161,17 @@ impl Canvas {
         hit: impl Fn(&mut Pixel, &Splat, f32, f32) + Sync,
     ) {
         let lens = self.lens(camera);
-        let (width, height) = (self.width, self.height);
+        let size = [self.width, self.height];
         for batch in points.chunks(BATCH) {
             let splats: Vec<Splat> =
-                batch.par_iter().filter_map(|point| Splat::new(camera, &lens, point)).collect();
-            self.pixels.par_chunks_mut(BAND * width).enumerate().for_each(|(band, pixels)| {
-                let rows = [band * BAND, ((band + 1) * BAND).min(height)];
+                batch.par_iter().filter_map(|point| Splat::new(camera, &lens, size, point)).collect();
+            self.pixels.par_chunks_mut(BAND * self.width).enumerate().for_each(|(band, pixels)| {
+                let first = band * BAND;
                 for splat in &splats {
-                    let Some([top, bottom]) = covered(splat.pixel[1], splat.reach, rows) else { continue };
-                    let Some([left, right]) = covered(splat.pixel[0], splat.reach, [0, width]) else {
-                        continue;
-                    };
-                    for y in top..bottom {
-                        let row = &mut pixels[(y - rows[0]) * width..][..width];
-                        for (x, pixel) in row.iter_mut().enumerate().take(right).skip(left) {
+                    let [left, right] = splat.columns;
+                    for y in splat.rows[0].max(first)..splat.rows[1].min(first + BAND) {
+                        let row = &mut pixels[(y - first) * size[0]..][..size[0]];
+                        for (x, pixel) in (left..right).zip(&mut row[left..right]) {
                             let (dx, dy) = (x as f32 + 0.5 - splat.pixel[0], y as f32 + 0.5 - splat.pixel[1]);
                             let (depth, weight) = splat.hit(lens.ray(x, y), dx, dy);
                             if weight > 0.0 {
@@ -188,9 +185,9 @@ impl Canvas {
     }
 }
 
-/// The samples of a range whose middles lie within `reach` of a coordinate.
-fn covered(middle: f32, reach: f32, [start, end]: [usize; 2]) -> Option<[usize; 2]> {
-    let first = (middle - reach - 0.5).ceil().max(start as f32);
-    let last = (middle + reach - 0.5).floor().min(end as f32 - 1.0);
+/// The samples, of so many, whose middles lie within `reach` of a coordinate.
+fn covered(middle: f32, reach: f32, count: usize) -> Option<[usize; 2]> {
+    let first = (middle - reach - 0.5).ceil().max(0.0);
+    let last = (middle + reach - 0.5).floor().min(count as f32 - 1.0);
     (first <= last).then_some([first as usize, last as usize + 1])
 }
