@@ -31,8 +31,11 @@ fn main() -> std::result::Result<(), Box<dyn Error>> {
         let belly = [DVec3::new(-0.3, 0.6, 0.3), DVec3::new(0.3, 1.25, 0.6)];
         let detail = model.picture(belly, 0.0, 0.1, Style { own_colors: false, ground: None })?;
         let caption = format!("{vertices} vertices");
-        let montage = Image::side_by_side(&[(&whole, &caption), (&clay, "clay"), (&detail, "detail")]);
-        save(&montage, &Path::new(&folder).join(format!("amphora-{vertices}.png")))?;
+        let path = |part: &str| Path::new(&folder).join(format!("amphora-{vertices}{part}.png"));
+        save(&Image::side_by_side(&[(&whole, &caption), (&clay, "clay"), (&detail, "detail")]), &path(""))?;
+        save(&whole, &path("-whole"))?;
+        save(&clay, &path("-clay"))?;
+        save(&detail, &path("-detail"))?;
     }
     Ok(())
 }

@@ -31,7 +31,7 @@ const HANDLE: [[f64; 2]; 10] = [
     [0.515, 1.46], [0.475, 1.33], [0.43, 1.22],
 ];
 
-const TERRACOTTA: [f64; 3] = [196.0, 108.0, 62.0];
+const TERRACOTTA: [f64; 3] = [190.0, 110.0, 70.0];
 const DARK: [f64; 3] = [52.0, 38.0, 34.0];
 const CREAM: [f64; 3] = [232.0, 200.0, 158.0];
 
@@ -77,7 +77,7 @@ struct Band {
 impl Band {
     /// Adds the ornament; returns how much of its colour to show.
     fn add(&self, raised: &mut Raised, site: &Site) -> f64 {
-        // The pattern ends softly in a tenth of the band where it is cut.
+        // The ornament ends softly where the band cuts it.
         const FADE: f64 = 0.06;
         let length = self.range[1] - self.range[0];
         let v = (site.distance - self.range[0]) / length;
@@ -114,11 +114,11 @@ impl BodyRelief {
             colors,
         };
         let bands = vec![
-            band(0.21, 0.56, 30.0, 1.0, 0.013, ornament::tongue(), [DARK, TERRACOTTA]),
+            band(0.21, 0.56, 30.0, 1.0, 0.017, ornament::tongue(), [DARK, TERRACOTTA]),
             band(0.60, 0.70, 90.0, 4.0, 0.005, ornament::weave(), [DARK, TERRACOTTA]),
-            band(0.735, 0.875, 22.0, 1.0, 0.009, ornament::meander(), [TERRACOTTA, DARK]),
+            band(0.73, 0.88, 24.0, 1.0, 0.008, ornament::meander(), [TERRACOTTA, DARK]),
             band(0.915, 1.165, 4.0, 1.0, -0.010, ornament::lettering(), [DARK, CREAM]),
-            band(1.205, 1.285, 34.0, 1.0, 0.007, ornament::meander(), [TERRACOTTA, DARK]),
+            band(1.20, 1.29, 38.0, 1.0, 0.006, ornament::meander(), [TERRACOTTA, DARK]),
             band(1.32, 1.47, 48.0, 3.0, 0.006, ornament::scales(), [DARK, TERRACOTTA]),
             band(1.60, 1.84, 24.0, 5.0, 0.004, ornament::scales(), [DARK, TERRACOTTA]),
         ];

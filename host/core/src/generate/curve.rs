@@ -47,7 +47,7 @@ impl Curve {
         let start = entry as f64 / STEPS as f64;
         let rest = s - self.lengths[entry];
         let mut t = start + rest / (self.lengths[entry + 1] - self.lengths[entry]) / STEPS as f64;
-        for _ in 0..3 {
+        for _ in 0..2 {
             t -= (self.length_between(start, t) - rest) / self.derivatives(t)[1].length();
         }
         let [position, velocity, acceleration] = self.derivatives(t);

@@ -99,7 +99,7 @@ pub(super) fn lay_out(patches: &[Box<dyn Patch>], vertices: u64) -> Vec<Layout> 
         wide = narrow;
         narrow *= 0.5;
     }
-    for _ in 0..40 {
+    for _ in 0..24 {
         let middle = (narrow * wide).sqrt();
         if count(middle) <= vertices {
             wide = middle;

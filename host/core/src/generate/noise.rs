@@ -9,8 +9,15 @@ pub(super) fn noise(p: DVec3) -> (f64, DVec3) {
     // Quintic fade: its second derivative vanishes at the lattice, so normals show no lattice planes.
     let fade = f * f * f * (f * (f * 6.0 - 15.0) + 10.0);
     let slope = f * f * (f * (f * 30.0 - 60.0) + 30.0);
-    let [x, y, z] = [cell.x as i64, cell.y as i64, cell.z as i64];
-    let corner = |i: i64, j: i64, k: i64| lattice(x + i, y + j, z + k);
+    // The lattice's hash starts from a sum over the axes, whose terms the eight corners share.
+    let terms = |x: f64, factor: u64| {
+        let first = (x as i64 as u64).wrapping_mul(factor);
+        [first, first.wrapping_add(factor)]
+    };
+    let xs = terms(cell.x, 0x9E37_79B9_7F4A_7C15);
+    let ys = terms(cell.y, 0xC2B2_AE3D_27D4_EB4F);
+    let zs = terms(cell.z, 0x1656_67B1_9E37_79F9);
+    let corner = |i: usize, j: usize, k: usize| value(xs[i].wrapping_add(ys[j]).wrapping_add(zs[k]));
 
     let along_x = |j, k| {
         let (a, b) = (corner(0, j, k), corner(1, j, k));
@@ -25,15 +32,11 @@ pub(super) fn noise(p: DVec3) -> (f64, DVec3) {
     (a + (b - a) * fade.z, gradient)
 }
 
-/// The pseudo-random value at a lattice point, in [-1, 1].
-fn lattice(x: i64, y: i64, z: i64) -> f64 {
-    let mut h = (x as u64)
-        .wrapping_mul(0x9E37_79B9_7F4A_7C15)
-        .wrapping_add((y as u64).wrapping_mul(0xC2B2_AE3D_27D4_EB4F))
-        .wrapping_add((z as u64).wrapping_mul(0x1656_67B1_9E37_79F9));
-    h = (h ^ (h >> 32)).wrapping_mul(0xD6E8_FEB8_6659_FD93);
-    h ^= h >> 32;
-    f64::from(h as u32) * (2.0 / f64::from(u32::MAX)) - 1.0
+/// The pseudo-random value of a lattice point, in [-1, 1].
+fn value(mut hash: u64) -> f64 {
+    hash = (hash ^ (hash >> 32)).wrapping_mul(0xD6E8_FEB8_6659_FD93);
+    hash ^= hash >> 32;
+    f64::from(hash as u32 as i32) * (1.0 / 2_147_483_648.0)
 }
 
 #[cfg(test)]

@@ -4,10 +4,9 @@ use glam::DVec2;
 
 use super::tile::Tile;
 
-/// One unit of a Greek key, with the lines of its frame.
+/// One unit of a Greek key, between empty margins.
 #[rustfmt::skip]
-const MEANDER: [&[u8; 8]; 11] = [
-    b"########",
+const MEANDER: [&[u8; 8]; 9] = [
     b"........",
     b"#######.",
     b"#.....#.",
@@ -17,12 +16,11 @@ const MEANDER: [&[u8; 8]; 11] = [
     b"#.......",
     b"########",
     b"........",
-    b"########",
 ];
 
-/// A Greek key; the band's cells are square where the unit is 8 to 11.
+/// A Greek key; its lines are as wide across as along where the unit's width is to its height as 8 to 9.
 pub(super) fn meander() -> Tile {
-    const CELL: usize = 10;
+    const CELL: usize = 6;
     let (width, height) = (MEANDER[0].len(), MEANDER.len());
     Tile::new(width * CELL, height * CELL, |x, y| {
         let row = height - 1 - (y * height as f64) as usize;
@@ -30,12 +28,12 @@ pub(super) fn meander() -> Tile {
     })
 }
 
-/// A tongue of a gadrooned belly: a dome with a round upper end.
+/// A tongue of a gadrooned belly: a ridge with a round upper end.
 pub(super) fn tongue() -> Tile {
     Tile::new(96, 384, |x, y| {
         let across = (2.0 * x - 1.0) / 0.94;
         let beyond = ((y - 0.86) / 0.10).max(0.0);
-        (1.0 - across * across - beyond * beyond).max(0.0).sqrt()
+        (1.0 - across * across - beyond * beyond).max(0.0)
     })
 }
 
@@ -47,7 +45,7 @@ pub(super) fn weave() -> Tile {
         let round = 1.0 - (2.0 * across - 1.0).powi(2) / 0.85;
         if round <= 0.0 { 0.0 } else { (0.3 + 0.7 * over) * round.sqrt() }
     }
-    Tile::new(128, 128, |x, y| {
+    Tile::new(64, 64, |x, y| {
         let (x, y) = (2.0 * x, 2.0 * y);
         let warp = strand(y - 0.5 + x.floor(), x.fract());
         let weft = strand(x - 0.5 + y.floor() + 1.0, y.fract());
@@ -57,7 +55,8 @@ pub(super) fn weave() -> Tile {
 
 /// Two rows of overlapping scales, open to below.
 pub(super) fn scales() -> Tile {
-    Tile::new(128, 128, |x, y| {
+    // Coarse enough to give the free edges a slope that samples can follow.
+    Tile::new(56, 56, |x, y| {
         // Scales hang from the centres of their discs, in rows half a tile apart; upper ones lie above.
         let mut height = 0.0;
         for row in (-1..=4).rev() {
@@ -81,9 +80,9 @@ pub(super) fn scales() -> Tile {
 pub(super) fn lettering() -> Tile {
     const ASPECT: f64 = 3.85;
     /// Letter height as a share of the tile's.
-    const SIZE: f64 = 0.62;
+    const SIZE: f64 = 0.72;
     const HALF_STROKE: f64 = 0.075;
-    const GAP: f64 = 0.24;
+    const GAP: f64 = 0.21;
 
     let letters = word();
     let width: f64 = letters.iter().map(|letter| letter.width + GAP).sum();
@@ -91,7 +90,7 @@ pub(super) fn lettering() -> Tile {
     const WIDTH: usize = 1408;
     Tile::new(WIDTH, (WIDTH as f64 / ASPECT) as usize, |x, y| {
         let mut p = DVec2::new(x * ASPECT / SIZE - left, (y - 0.5) / SIZE + 0.5);
-        let edge = 0.02;
+        let edge = 0.032;
         for letter in &letters {
             if p.x > -0.5 * GAP && p.x < letter.width + 0.5 * GAP {
                 return 1.0 - smooth_step(HALF_STROKE - edge, HALF_STROKE + edge, letter.distance(p));

@@ -41,7 +41,7 @@ impl Camera {
         let tangents = [tangent * aspect, tangent];
 
         // The least distance at which every corner of the box lies within the margins.
-        const MARGIN: f64 = 1.12;
+        const MARGIN: f64 = 1.04;
         let mut distance = 0.0f64;
         for corner in 0..8 {
             let pick = |bit: usize, low: f64, high: f64| if corner >> bit & 1 == 0 { low } else { high };
@@ -62,6 +62,13 @@ impl Camera {
     /// Where the eye is.
     pub fn position(&self) -> DVec3 {
         self.position
+    }
+
+    /// Where a picture of the given size shows a point: pixels from the top left corner; none where the point
+    /// is not before the camera.
+    pub fn project(&self, p: DVec3, width: u32, height: u32) -> Option<[f32; 2]> {
+        let (lens, view) = (self.lens(width, height), self.to_view(p));
+        (view.is_finite() && view.z > lens.near).then(|| lens.project(view))
     }
 
     /// The point in the middle of the picture, which is the middle of the framed box.
@@ -90,12 +97,12 @@ impl Camera {
 
     /// The lens for a picture of so many pixels.
     pub(super) fn lens(&self, width: u32, height: u32) -> Lens {
+        let scale =
+            [0.5 * width as f32 / self.tangents[0] as f32, 0.5 * height as f32 / self.tangents[1] as f32];
         Lens {
             center: [0.5 * width as f32, 0.5 * height as f32],
-            scale: [
-                0.5 * width as f32 / self.tangents[0] as f32,
-                0.5 * height as f32 / self.tangents[1] as f32,
-            ],
+            scale,
+            inverse: scale.map(f32::recip),
             near: (1e-4 * self.radius) as f32,
         }
     }
@@ -107,6 +114,8 @@ pub(super) struct Lens {
     pub center: [f32; 2],
     /// Pixels per unit at distance 1.
     pub scale: [f32; 2],
+    /// Of the scale: rays are asked for more often than anything else.
+    inverse: [f32; 2],
     /// Nearer points are not drawn.
     pub near: f32,
 }
@@ -120,8 +129,8 @@ impl Lens {
     /// The point at depth 1 that a pixel's middle shows.
     pub fn ray(&self, x: usize, y: usize) -> Vec3 {
         Vec3::new(
-            (x as f32 + 0.5 - self.center[0]) / self.scale[0],
-            (self.center[1] - y as f32 - 0.5) / self.scale[1],
+            (x as f32 + 0.5 - self.center[0]) * self.inverse[0],
+            (self.center[1] - y as f32 - 0.5) * self.inverse[1],
             1.0,
         )
     }
@@ -137,9 +146,8 @@ mod tests {
         for i in 0..40 {
             let t = f64::from(i);
             let camera = Camera::frame([low, high], t * 0.7, (t * 0.3).sin(), 0.5 + t * 0.05);
-            let lens = camera.lens(200, 100);
             for corner in [low, high, DVec3::new(low.x, high.y, low.z), DVec3::new(high.x, low.y, low.z)] {
-                let [x, y] = lens.project(camera.to_view(corner));
+                let [x, y] = camera.project(corner, 200, 100).unwrap();
                 assert!((0.0..200.0).contains(&x) && (0.0..100.0).contains(&y), "{x} {y}");
             }
         }

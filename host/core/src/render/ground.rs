@@ -46,11 +46,11 @@ impl Ground {
             if let Some(cell) = self.cell_of(point.position - slope * above) {
                 self.cast[cell] = 1.0;
             }
-            if above < self.contact_height {
-                if let Some(cell) = self.cell_of(point.position) {
-                    let near = (1.0 - above / self.contact_height) as f32;
-                    self.contact[cell] = self.contact[cell].max(near);
-                }
+            let near = (1.0 - above / self.contact_height) as f32;
+            if near > 0.0
+                && let Some(cell) = self.cell_of(point.position)
+            {
+                self.contact[cell] = self.contact[cell].max(near);
             }
         }
     }

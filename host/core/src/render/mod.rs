@@ -101,7 +101,8 @@ impl Renderer {
         }
     }
 
-    /// Second pass: blends normals and colours of the points on the nearest surface.
+    /// Second pass: blends normals and colours of the points on the nearest surface. What was not in the first
+    /// pass does not show.
     pub fn blend(&mut self, points: &[SurfacePoint]) {
         self.canvas.blend(&self.camera, points);
     }

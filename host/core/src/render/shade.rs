@@ -113,6 +113,7 @@ impl Surface {
     /// nearby takes some away (M. McGuire et al., *The Alchemy Screen-Space Ambient Obscurance Algorithm*,
     /// HPG 2011), on a spiral that is turned from sample to sample.
     fn occlusion(&self, reach: f32) -> Vec<f32> {
+        let spirals = spirals();
         (0..self.depths.len())
             .into_par_iter()
             .map(|i| {
@@ -120,16 +121,12 @@ impl Surface {
                 let Some(here) = self.point(x as isize, y as isize) else { return 1.0 };
                 let normal = self.normals[i];
                 let pixels = (reach * self.lens.scale[1] / here.z).clamp(2.0, 400.0);
-                // Sixteen turns of the spiral in a 4 x 4 pattern whose neighbours differ much.
-                let turn = ((x % OCCLUSION_TILE) * 5 + (y % OCCLUSION_TILE) * 7) % 16;
+                // Neighbours in the tile get turns that differ much.
+                let turn = ((x % OCCLUSION_TILE) * 5 + (y % OCCLUSION_TILE) * 7) % TURNS;
                 let mut sum = 0.0;
-                for k in 0..OCCLUSION_SAMPLES {
-                    let t = (k as f32 + (turn as f32 + 0.5) / 16.0) / OCCLUSION_SAMPLES as f32;
-                    // Dense in the middle: engraving and edges are small.
-                    let radius = 1.0 + pixels * t * t;
-                    let angle = std::f32::consts::TAU * (t * 7.0 + turn as f32 * 0.618_034);
-                    let (sin, cos) = angle.sin_cos();
-                    let (sx, sy) = (x as f32 + radius * cos, y as f32 + radius * sin);
+                for [dx, dy, share] in &spirals[turn] {
+                    let radius = 1.0 + pixels * share;
+                    let (sx, sy) = (x as f32 + radius * dx, y as f32 + radius * dy);
                     if let Some(there) = self.point(sx.round() as isize, sy.round() as isize) {
                         let way = there - here;
                         let distance = way.length();
@@ -174,6 +171,22 @@ impl Surface {
     }
 }
 
+/// Turns of the spiral of occlusion samples.
+const TURNS: usize = OCCLUSION_TILE * OCCLUSION_TILE;
+
+/// Directions on the picture, and how far to go there as a share of the reach, for each turn.
+fn spirals() -> [[[f32; 3]; OCCLUSION_SAMPLES]; TURNS] {
+    std::array::from_fn(|turn| {
+        std::array::from_fn(|k| {
+            let t = (k as f32 + (turn as f32 + 0.5) / TURNS as f32) / OCCLUSION_SAMPLES as f32;
+            let angle = std::f32::consts::TAU * (t * 7.0 + turn as f32 * 0.618_034);
+            let (sin, cos) = angle.sin_cos();
+            // Dense in the middle: engraving and edges are small.
+            [cos, sin, t * t]
+        })
+    })
+}
+
 /// Light of a sample: key, fill, surroundings from above and below, and a broad highlight.
 fn lit(albedo: Vec3, normal: Vec3, eye: Vec3, occlusion: f32) -> Vec3 {
     let key = normal.dot(KEY_LIGHT.normalize_or_zero()).max(0.0);
@@ -212,4 +225,55 @@ fn background(
 /// From sRGB to linear, near enough for a picture's own colours.
 fn linear(srgb: Vec3) -> Vec3 {
     srgb.map(|c| c * (c * (c * 0.305_306_02 + 0.682_171_1) + 0.012_522_88))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::SurfacePoint;
+
+    #[test]
+    fn normals_of_a_sphere_given_and_derived() {
+        const POINTS: u32 = 40_000;
+        let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
+        let points = |known: bool| -> Vec<SurfacePoint> {
+            (0..POINTS)
+                .map(|i| {
+                    let y = 1.0 - (2.0 * f64::from(i) + 1.0) / f64::from(POINTS);
+                    let (sin, cos) = (golden * f64::from(i)).sin_cos();
+                    let r = (1.0 - y * y).sqrt();
+                    let position = DVec3::new(r * cos, y, r * sin);
+                    let normal = if known { position.as_vec3() } else { Vec3::ZERO };
+                    SurfacePoint { position, normal, color: [128; 3], radius: 0.024 }
+                })
+                .collect()
+        };
+        let camera = Camera::frame([DVec3::splat(-1.0), DVec3::splat(1.0)], 0.7, 0.4, 1.0);
+        for (known, worst_allowed, mean_allowed) in [(true, 0.03, 0.01), (false, 0.5, 0.06)] {
+            let points = points(known);
+            let mut canvas = Canvas::new(400, 400);
+            canvas.depth(&camera, &points);
+            canvas.blend(&camera, &points);
+            let surface = Surface::new(&canvas, &camera);
+            let center = camera.to_view(DVec3::ZERO);
+            let (mut worst, mut sum, mut count) = (0.0f32, 0.0, 0.0);
+            for i in 0..canvas.pixels.len() {
+                let ray = surface.lens.ray(i % 400, i / 400).normalize_or_zero();
+                let nearest = ray.dot(center);
+                let inside = 1.0 - (center - ray * nearest).length_squared();
+                // The outermost part of the silhouette is steeper than any tolerance.
+                if inside < 0.15 {
+                    continue;
+                }
+                let normal = ray * (nearest - inside.sqrt()) - center;
+                let error = normal.distance(surface.normals[i]);
+                worst = worst.max(error);
+                sum += error;
+                count += 1.0;
+            }
+            assert!(count > 10_000.0);
+            assert!(worst < worst_allowed, "known: {known}, worst {worst}");
+            assert!(sum / count < mean_allowed, "known: {known}, mean {}", sum / count);
+        }
+    }
 }

@@ -12,6 +12,10 @@ const BAND: usize = 64;
 const BATCH: usize = 1 << 16;
 /// A splat reaches at least so many pixels around its middle, so that none falls between samples.
 const LEAST_REACH: f32 = 0.75;
+/// Shares of their radius to which discs seen from the front and from the back hide what is behind them; farther
+/// out they only blend in. So the discs of a steep or sharp edge hardly stand out from the surface, above all
+/// those whose back is seen, while discs as wide as their spacing still leave no holes.
+const HIDING: [f32; 2] = [0.74, 0.6];
 /// A splat reaches at most so many pixels: a wrong radius costs no minutes.
 const MOST_REACH: f32 = 256.0;
 
@@ -61,24 +65,37 @@ struct Splat {
     normal: Vec3,
     color: Vec3,
     radius: f32,
+    /// Least weight with which it hides what is behind it.
+    hiding: f32,
     pixel: [f32; 2],
     /// Pixels that it reaches around its middle.
     reach: f32,
+    /// The samples within reach: columns and rows, each from the first to beyond the last.
+    columns: [usize; 2],
+    rows: [usize; 2],
 }
 
 impl Splat {
-    fn new(camera: &Camera, lens: &Lens, point: &SurfacePoint) -> Option<Self> {
+    /// None for what is out of the picture of the given size, or no disc at all.
+    fn new(camera: &Camera, lens: &Lens, size: [usize; 2], point: &SurfacePoint) -> Option<Self> {
         let center = camera.to_view(point.position);
         if !(center.is_finite() && center.z > lens.near && point.radius >= 0.0) {
             return None;
         }
-        let normal = camera.direction_to_view(point.normal.as_dvec3()).as_vec3().normalize_or_zero();
-        let normal = if normal.dot(center) > 0.0 { -normal } else { normal };
         let pixel = lens.project(center);
         let scale = lens.scale[0].max(lens.scale[1]) / center.z;
         let reach = (point.radius * scale).clamp(LEAST_REACH, MOST_REACH);
+        let columns = covered(pixel[0], reach, size[0])?;
+        let rows = covered(pixel[1], reach, size[1])?;
+
+        let normal = camera.direction_to_view(point.normal.as_dvec3()).as_vec3().normalize_or_zero();
+        let seen_from_back = normal.dot(center) > 0.0;
+        let normal = if seen_from_back { -normal } else { normal };
         let color = Vec3::from(point.color.map(f32::from)) / 255.0;
-        Some(Self { center, normal, color, radius: reach / scale, pixel, reach })
+        // A splat as small as a sample hides wherever it is drawn: else it could fall between samples.
+        let share = HIDING[usize::from(seen_from_back)].max(LEAST_REACH / reach);
+        let (radius, hiding) = (reach / scale, weight(share * share));
+        Some(Self { center, normal, color, radius, hiding, pixel, reach, columns, rows })
     }
 
     /// Depth and weight (0 outside) along a pixel's ray; (`dx`, `dy`) is the way there from the splat's middle.
@@ -95,9 +112,14 @@ impl Splat {
             // A disc narrower than a sample is drawn as a dot of that size.
             distance = on_disc.min(on_screen / (LEAST_REACH * LEAST_REACH));
         }
-        let weight = (1.0 - distance).max(0.0);
-        (depth, weight * weight)
+        (depth, weight(distance))
     }
+}
+
+/// Weight by squared distance, in units of the radius.
+fn weight(distance: f32) -> f32 {
+    let t = (1.0 - distance).max(0.0);
+    t * t
 }
 
 impl Canvas {
@@ -112,14 +134,18 @@ impl Canvas {
 
     /// First pass: the depth of the nearest surface.
     pub fn depth(&mut self, camera: &Camera, points: &[SurfacePoint]) {
-        self.draw(camera, points, |pixel, _, depth, _| pixel.nearest = pixel.nearest.min(depth));
+        self.draw(camera, points, |pixel, splat, depth, weight| {
+            if weight >= splat.hiding {
+                pixel.nearest = pixel.nearest.min(depth);
+            }
+        });
     }
 
     /// Second pass: what lies on the nearest surface.
     pub fn blend(&mut self, camera: &Camera, points: &[SurfacePoint]) {
         self.draw(camera, points, |pixel, splat, depth, weight| {
             // Neighbouring discs of one surface differ in depth by less than they are wide.
-            if depth <= pixel.nearest + splat.radius {
+            if pixel.nearest.is_finite() && depth <= pixel.nearest + splat.radius {
                 pixel.weight += weight;
                 pixel.depth += weight * depth;
                 pixel.normal += splat.normal * weight;
@@ -135,20 +161,17 @@ impl Canvas {
         hit: impl Fn(&mut Pixel, &Splat, f32, f32) + Sync,
     ) {
         let lens = self.lens(camera);
-        let (width, height) = (self.width, self.height);
+        let size = [self.width, self.height];
         for batch in points.chunks(BATCH) {
             let splats: Vec<Splat> =
-                batch.par_iter().filter_map(|point| Splat::new(camera, &lens, point)).collect();
-            self.pixels.par_chunks_mut(BAND * width).enumerate().for_each(|(band, pixels)| {
-                let rows = [band * BAND, ((band + 1) * BAND).min(height)];
+                batch.par_iter().filter_map(|point| Splat::new(camera, &lens, size, point)).collect();
+            self.pixels.par_chunks_mut(BAND * self.width).enumerate().for_each(|(band, pixels)| {
+                let first = band * BAND;
                 for splat in &splats {
-                    let Some([top, bottom]) = covered(splat.pixel[1], splat.reach, rows) else { continue };
-                    let Some([left, right]) = covered(splat.pixel[0], splat.reach, [0, width]) else {
-                        continue;
-                    };
-                    for y in top..bottom {
-                        let row = &mut pixels[(y - rows[0]) * width..][..width];
-                        for (x, pixel) in row.iter_mut().enumerate().take(right).skip(left) {
+                    let [left, right] = splat.columns;
+                    for y in splat.rows[0].max(first)..splat.rows[1].min(first + BAND) {
+                        let row = &mut pixels[(y - first) * size[0]..][..size[0]];
+                        for (x, pixel) in (left..right).zip(&mut row[left..right]) {
                             let (dx, dy) = (x as f32 + 0.5 - splat.pixel[0], y as f32 + 0.5 - splat.pixel[1]);
                             let (depth, weight) = splat.hit(lens.ray(x, y), dx, dy);
                             if weight > 0.0 {
@@ -162,9 +185,9 @@ impl Canvas {
     }
 }
 
-/// The samples of a range whose middles lie within `reach` of a coordinate.
-fn covered(middle: f32, reach: f32, [start, end]: [usize; 2]) -> Option<[usize; 2]> {
-    let first = (middle - reach - 0.5).ceil().max(start as f32);
-    let last = (middle + reach - 0.5).floor().min(end as f32 - 1.0);
+/// The samples, of so many, whose middles lie within `reach` of a coordinate.
+fn covered(middle: f32, reach: f32, count: usize) -> Option<[usize; 2]> {
+    let first = (middle - reach - 0.5).ceil().max(0.0);
+    let last = (middle + reach - 0.5).floor().min(count as f32 - 1.0);
     (first <= last).then_some([first as usize, last as usize + 1])
 }
