@@ -22,7 +22,7 @@ use std::sync::Arc;
 const BLOCK: usize = 4096;
 
 /// Derives unit normals, one per sample, from changed positions (local coordinates).
-pub type Renormal = dyn Fn(&[Vec3]) -> Vec<Vec3> + Sync;
+pub type Renormal<'a> = dyn Fn(&[Vec3]) -> Vec<Vec3> + Sync + 'a;
 
 /// The samples as they were taken, and where.
 #[derive(Clone, Copy)]
@@ -38,7 +38,7 @@ pub struct RestShape<'a> {
     /// The model's box, model coordinates.
     pub bounds: Bounds,
     /// Normals for changed positions, for layers that need them after others. Without it they get the old ones.
-    pub renormal: Option<&'a Renormal>,
+    pub renormal: Option<&'a Renormal<'a>>,
 }
 
 /// A checked list of deformations, not tied to any samples.
