@@ -63,9 +63,9 @@ impl Layout {
             }
         }
         // Normals of another type, or not all three, are properties like any other.
-        let is_normal =
-            |n: &&str| vertex.properties.iter().any(|p| p.name == **n && floating(p.shape).is_some());
-        let has_normals = NORMAL.iter().all(is_normal);
+        let has_normals = NORMAL
+            .iter()
+            .all(|n| vertex.properties.iter().any(|p| p.name == *n && floating(p.shape).is_some()));
         let names = if has_normals { [POSITION, NORMAL].concat() } else { POSITION.to_vec() };
 
         let mut components: Vec<Component> =
@@ -74,26 +74,27 @@ impl Layout {
         let mut stride = (encoding != Encoding::Ascii).then_some(0);
         for property in &vertex.properties {
             let index = names.iter().position(|n| *n == property.name);
-            slots.push(match (property.shape, index) {
-                (Shape::List { count, item }, _) => {
-                    stride = None;
-                    Slot::List { count, item }
-                }
-                (Shape::Scalar(t), None) => Slot::Other { size: t.size() },
-                (Shape::Scalar(t), Some(index)) => {
-                    let scalar = floating(property.shape).unwrap_or(Scalar::F32);
-                    components[index].scalar = scalar;
-                    components[index].offset = stride.unwrap_or(0);
-                    file_order.push(index);
-                    Slot::Component { index, size: t.size() }
-                }
-            });
             if index.is_none() {
                 other.push(property.describe());
             }
-            if let (Some(bytes), Shape::Scalar(t)) = (&mut stride, property.shape) {
-                *bytes += t.size();
-            }
+            let slot = match property.shape {
+                Shape::List { count, item } => {
+                    stride = None;
+                    slots.push(Slot::List { count, item });
+                    continue;
+                }
+                Shape::Scalar(t) => (index.zip(floating(property.shape)), t.size()),
+            };
+            slots.push(match slot {
+                (Some((index, scalar)), size) => {
+                    components[index].scalar = scalar;
+                    components[index].offset = stride.unwrap_or(0);
+                    file_order.push(index);
+                    Slot::Component { index, size }
+                }
+                (None, size) => Slot::Other { size },
+            });
+            stride = stride.map(|bytes| bytes + slot.1);
         }
         Ok(Self { encoding, components, file_order, slots, stride, other })
     }
