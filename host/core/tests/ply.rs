@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use simod_core::model::{self, CHUNK_VERTICES, Model, Scalar, VertexChunk, ply};
+use simod_core::output::{OutputFile, write_file};
 use simod_core::progress::Silent;
 use simod_core::{Error, ErrorKind, Progress, Result};
 
@@ -538,6 +539,54 @@ fn a_large_file_cut_off_is_noticed_when_opened() {
 }
 
 #[test]
+fn a_length_that_fits_by_chance_does_not_pass() {
+    let spec = Spec { faces: Faces::Mixed, ..Spec::new(Little) };
+    let bytes = spec.build(&grid(300_000));
+    // As long as if all faces were like the first one: group, triangle, no texcoord, flags; and two edges.
+    let faces = 150_000;
+    let first = 2 + 1 + 3 * 4 + 1 + 2;
+    let all: usize = (0..faces).map(|face| first + face % 3 * 4 + face % 2 * 4).sum();
+    let start = bytes.len() - all - 8;
+    assert!(open(&bytes[..start + faces * first + 8]).is_err());
+}
+
+#[test]
+fn elements_after_triangles_count() {
+    let bytes = Spec::new(Little).build(&grid(300_000));
+    let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap();
+    let (header, data) = bytes.split_at(end);
+    let bytes = [header, b"element edge 3\nproperty double d\n", data, &[1; 24]].concat();
+    assert!(rewrite(&*open(&bytes).unwrap(), |_| {}).unwrap() == bytes);
+    for cut in [1, 8, 24, 25] {
+        assert!(open(&bytes[..bytes.len() - cut]).is_err());
+    }
+}
+
+#[test]
+fn a_model_can_be_rewritten_in_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model.ply");
+    let spec = Spec::new(Big);
+    let mut vertices = grid(100_000);
+    write_file(&path, &spec.build(&vertices)).unwrap();
+    let model = model::open(&path).unwrap();
+    let double = |chunk: &mut VertexChunk| {
+        chunk.positions.iter_mut().for_each(|p| *p *= 2.0);
+        Ok(())
+    };
+    let begin = || OutputFile::create(&path, model.info().bytes).unwrap();
+    let cancel = CancelAfter(1_000_000, AtomicU64::new(0));
+    model.rewrite(&mut begin(), &mut { double }, &cancel).unwrap_err();
+    assert!(fs::read(&path).unwrap() == spec.build(&vertices));
+    let mut out = begin();
+    model.rewrite(&mut out, &mut { double }, &Silent).unwrap();
+    out.commit().unwrap();
+    vertices.iter_mut().for_each(|v| v[..3].iter_mut().for_each(|x| *x *= 2.0));
+    assert!(fs::read(&path).unwrap() == spec.build(&vertices));
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
 fn vertices_that_are_not_finite_keep_their_bytes() {
     for encoding in [Little, Big] {
         let spec = Spec { faces: Faces::None, ..Spec::new(encoding) };
@@ -766,6 +815,10 @@ fn files_that_are_no_models_are_named() {
     assert!(missing.to_string().starts_with("cannot open no such file.ply"));
     let folder = model::open(&std::env::temp_dir()).err().unwrap();
     assert!(folder.hint().contains("not of a folder"));
+    if cfg!(unix) {
+        let device = model::open(std::path::Path::new("/dev/null")).err().unwrap();
+        assert_eq!(device.to_string(), "/dev/null is a pipe or a device, not a file");
+    }
 }
 
 #[test]

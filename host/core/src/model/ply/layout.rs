@@ -62,39 +62,35 @@ impl Layout {
                 Some(_) => {}
             }
         }
+        let scalar_of =
+            |name: &str| vertex.properties.iter().find(|p| p.name == name).and_then(|p| floating(p.shape));
         // Normals of another type, or not all three, are properties like any other.
-        let has_normals = NORMAL
-            .iter()
-            .all(|n| vertex.properties.iter().any(|p| p.name == *n && floating(p.shape).is_some()));
+        let has_normals = NORMAL.iter().all(|name| scalar_of(name).is_some());
         let names = if has_normals { [POSITION, NORMAL].concat() } else { POSITION.to_vec() };
-
-        let mut components: Vec<Component> =
-            names.iter().map(|name| Component { name, scalar: Scalar::F32, offset: 0 }).collect();
+        let mut components: Vec<Component> = names
+            .iter()
+            .filter_map(|&name| Some(Component { name, scalar: scalar_of(name)?, offset: 0 }))
+            .collect();
         let (mut slots, mut other, mut file_order) = (Vec::new(), Vec::new(), Vec::new());
         let mut stride = (encoding != Encoding::Ascii).then_some(0);
         for property in &vertex.properties {
             let index = names.iter().position(|n| *n == property.name);
+            slots.push(match (property.shape, index) {
+                (Shape::List { count, item }, _) => Slot::List { count, item },
+                (Shape::Scalar(t), None) => Slot::Other { size: t.size() },
+                (Shape::Scalar(t), Some(index)) => {
+                    components[index].offset = stride.unwrap_or(0);
+                    file_order.push(index);
+                    Slot::Component { index, size: t.size() }
+                }
+            });
             if index.is_none() {
                 other.push(property.describe());
             }
-            let slot = match property.shape {
-                Shape::List { count, item } => {
-                    stride = None;
-                    slots.push(Slot::List { count, item });
-                    continue;
-                }
-                Shape::Scalar(t) => (index.zip(floating(property.shape)), t.size()),
+            stride = match property.shape {
+                Shape::Scalar(t) => stride.map(|bytes| bytes + t.size()),
+                Shape::List { .. } => None,
             };
-            slots.push(match slot {
-                (Some((index, scalar)), size) => {
-                    components[index].scalar = scalar;
-                    components[index].offset = stride.unwrap_or(0);
-                    file_order.push(index);
-                    Slot::Component { index, size }
-                }
-                (None, size) => Slot::Other { size },
-            });
-            stride = stride.map(|bytes| bytes + slot.1);
         }
         Ok(Self { encoding, components, file_order, slots, stride, other })
     }
