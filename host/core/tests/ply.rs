@@ -5,7 +5,7 @@
 use std::fs;
 use std::io::{self, Write};
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::{DVec3, Vec3};
@@ -14,6 +14,7 @@ use simod_core::model::{self, CHUNK_VERTICES, Model, Scalar, VertexChunk, ply};
 use simod_core::output::{OutputFile, write_file};
 use simod_core::progress::Silent;
 use simod_core::{Error, ErrorKind, Progress, Result};
+use tempfile::NamedTempFile;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Encoding {
@@ -243,33 +244,15 @@ impl Data<'_> {
     }
 }
 
-/// A file of its own for each caller, gone when dropped.
-struct Temp(PathBuf);
-
-impl Temp {
-    fn new(bytes: &[u8]) -> Self {
-        static NEXT: AtomicU64 = AtomicU64::new(0);
-        let name = format!("simod-ply-{}-{}.ply", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
-        let path = std::env::temp_dir().join(name);
-        let mut file = fs::File::create(&path).unwrap();
-        file.write_all(bytes).unwrap();
-        Self(path)
-    }
-
-    fn open(&self) -> Result<Box<dyn Model>> {
-        model::open(&self.0)
-    }
-}
-
-impl Drop for Temp {
-    fn drop(&mut self) {
-        let _ = fs::remove_file(&self.0);
-    }
+fn temp(bytes: &[u8]) -> NamedTempFile {
+    let mut file = tempfile::Builder::new().suffix(".ply").tempfile().unwrap();
+    file.write_all(bytes).unwrap();
+    file
 }
 
 fn open(bytes: &[u8]) -> Result<Box<dyn Model>> {
     // The open file outlives its name.
-    Temp::new(bytes).open()
+    model::open(temp(bytes).path())
 }
 
 fn read(model: &dyn Model, range: Range<u64>) -> Result<(Vec<DVec3>, Vec<Vec3>)> {
@@ -358,8 +341,8 @@ fn specs() -> impl Strategy<Value = Spec> {
 
 fn vertices() -> impl Strategy<Value = Vec<[f64; 6]>> {
     let value = prop_oneof![
-        8 => -1000.0..1000.0f64,
-        1 => prop::sample::select(vec![0.0, -0.0, 1.0, f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e15, 1e-5]),
+        60 => -1000.0..1000.0f64,
+        1 => prop::sample::select(vec![0.0, -0.0, 1.0, f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e15, 1e-4]),
     ];
     prop::collection::vec(prop::array::uniform6(value), 0..40)
 }
@@ -397,7 +380,7 @@ proptest! {
             let p = DVec3::from_array(p);
             if p.is_finite() {
                 vertex[..3].copy_from_slice(&(p + shift).to_array());
-                for (c, v) in vertex.iter_mut().enumerate().skip(3) {
+                for (c, v) in vertex.iter_mut().enumerate().skip(3).filter(|(_, v)| !v.is_nan()) {
                     *v = -f64::from(spec.round(c, *v) as f32);
                 }
             }
@@ -406,9 +389,9 @@ proptest! {
             chunk.positions.iter_mut().for_each(|p| *p += shift);
             chunk.normals.iter_mut().for_each(|n| *n = -*n);
         }).unwrap();
-        if !edited.is_empty() && vertices.iter().all(|v| v.iter().all(|x| !x.is_nan() && x.abs() < 1e14)) {
+        // In text, numbers too large for `Display` differ, and those that are not finite.
+        if spec.encoding != Ascii || vertices.iter().flatten().all(|x| x.abs() < 1e14) {
             let expected = spec.build(&moved);
-            // Text of a double normal that did not change (-0 of 0) may be longer than its rounding to float.
             prop_assert_eq!(edited.escape_ascii().to_string(), expected.escape_ascii().to_string());
         }
         let again = open(&edited).unwrap();
@@ -487,33 +470,29 @@ fn every_truncation_is_an_error() {
 #[test]
 fn large_files_are_read_from_anywhere() {
     let vertices = grid(200_000);
-    for encoding in ENCODINGS {
-        for list_in_vertex in [false, true] {
-            let spec = Spec { list_in_vertex, order: vec![0, 1, 2, 3, 4, 5], ..Spec::new(encoding) };
-            let bytes = spec.build(&vertices);
-            let model = open(&bytes).unwrap();
-            let expected = spec.expected(&vertices);
-            for range in
-                [199_999..200_000, 70_000..140_000, 0..200_000, 131_072..131_073, 65_530..65_550, 7..7]
-            {
-                let (positions, normals) = read(&*model, range.clone()).unwrap();
-                let range = range.start as usize..range.end as usize;
-                assert!(positions == expected.0[range.clone()], "{spec:?} {range:?}");
-                assert!(normals == expected.1[range.clone()], "{spec:?} {range:?}");
-            }
-            assert!(rewrite(&*model, |_| {}).unwrap() == bytes);
-            // The vertex bytes are what the chunks hold.
-            let mut reader = model.vertices(0..u64::MAX).unwrap();
-            let (mut chunk, mut raw) = (VertexChunk::default(), 0);
-            while reader.read(&mut chunk).unwrap() {
-                raw += chunk.raw().len() as u64;
-            }
-            if encoding == Ascii {
-                let ratio = model.info().vertex_bytes as f64 / raw as f64;
-                assert!((0.8..1.2).contains(&ratio), "{ratio}");
-            } else {
-                assert_eq!(model.info().vertex_bytes, raw);
-            }
+    for (encoding, list_in_vertex) in [(Ascii, false), (Little, false), (Big, true)] {
+        let spec = Spec { list_in_vertex, ..Spec::new(encoding) };
+        let bytes = spec.build(&vertices);
+        let model = open(&bytes).unwrap();
+        let expected = spec.expected(&vertices);
+        for range in [199_999..200_000, 70_000..140_000, 0..200_000, 131_072..131_073, 65_530..65_550, 7..7] {
+            let (positions, normals) = read(&*model, range.clone()).unwrap();
+            let range = range.start as usize..range.end as usize;
+            assert!(positions == expected.0[range.clone()], "{spec:?} {range:?}");
+            assert!(normals == expected.1[range.clone()], "{spec:?} {range:?}");
+        }
+        assert!(rewrite(&*model, |_| {}).unwrap() == bytes);
+        // The vertex bytes are what the chunks hold.
+        let mut reader = model.vertices(0..u64::MAX).unwrap();
+        let (mut chunk, mut raw) = (VertexChunk::default(), 0);
+        while reader.read(&mut chunk).unwrap() {
+            raw += chunk.raw().len() as u64;
+        }
+        if encoding == Ascii {
+            let ratio = model.info().vertex_bytes as f64 / raw as f64;
+            assert!((0.8..1.2).contains(&ratio), "{ratio}");
+        } else {
+            assert_eq!(model.info().vertex_bytes, raw);
         }
     }
 }
@@ -743,12 +722,11 @@ fn a_panic_of_the_edit_comes_through() {
 
 #[test]
 fn a_file_that_changes_its_length_is_an_error() {
-    let file = Temp::new(&Spec::new(Little).build(&grid(200_000)));
-    let model = file.open().unwrap();
-    let handle = fs::OpenOptions::new().write(true).open(&file.0).unwrap();
+    let file = temp(&Spec::new(Little).build(&grid(200_000)));
+    let model = model::open(file.path()).unwrap();
     let length = model.info().bytes;
     for changed in [length + 1, length - 1, 1000] {
-        handle.set_len(changed).unwrap();
+        file.as_file().set_len(changed).unwrap();
         assert_eq!(rewrite(&*model, |_| {}).unwrap_err().kind(), ErrorKind::Mismatch);
         assert_eq!(model.check_complete().unwrap_err().kind(), ErrorKind::Mismatch);
     }
@@ -810,13 +788,13 @@ fn files_that_are_no_models_are_named() {
     let endless = b"ply\nformat ascii 1.0\n".iter().copied().chain(b"comment\n".iter().copied().cycle());
     let endless: Vec<u8> = endless.take(3 << 20).collect();
     assert_eq!(message(open(&endless)), "no end_header within the first 1 MiB");
-    let missing = model::open(std::path::Path::new("no such file.ply")).err().unwrap();
+    let missing = model::open(Path::new("no such file.ply")).err().unwrap();
     assert_eq!(missing.kind(), ErrorKind::Io);
     assert!(missing.to_string().starts_with("cannot open no such file.ply"));
     let folder = model::open(&std::env::temp_dir()).err().unwrap();
     assert!(folder.hint().contains("not of a folder"));
     if cfg!(unix) {
-        let device = model::open(std::path::Path::new("/dev/null")).err().unwrap();
+        let device = model::open(Path::new("/dev/null")).err().unwrap();
         assert_eq!(device.to_string(), "/dev/null is a pipe or a device, not a file");
     }
 }

@@ -149,12 +149,11 @@ fn parse_triple(raw: &[u8], of: [Component; 3], spans: &[[u32; 2]]) -> Result<[f
 
 /// A number of the given type, which a decimal one is rounded to.
 fn parse(scalar: Scalar, word: &[u8]) -> Option<f64> {
-    let text = std::str::from_utf8(word).ok()?;
     let value = match scalar {
-        Scalar::F32 => text.parse::<f32>().ok().map(f64::from),
-        Scalar::F64 => text.parse().ok(),
+        Scalar::F32 => fast_float2::parse::<f32, _>(word).ok().map(f64::from),
+        Scalar::F64 => fast_float2::parse(word).ok(),
     };
-    value.or_else(|| is_microsoft_nan(text).then_some(f64::NAN))
+    value.or_else(|| is_microsoft_nan(std::str::from_utf8(word).ok()?).then_some(f64::NAN))
 }
 
 /// Numbers that are not finite, as Microsoft's C library prints them: such vertices are left alone anyway.
