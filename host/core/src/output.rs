@@ -1,9 +1,9 @@
 //! Files that appear whole or not at all.
 //!
 //! Whatever the program writes goes to a hidden file beside the target first, which takes the target's name
-//! only when it is complete and on the disk. Killed at any moment, the program leaves the old file or the new one.
+//! only when it is complete and on the disk. Killed at any moment, the program leaves the old file or the new one
+//! (and perhaps the hidden one, `.simod-….part`).
 
-use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -36,10 +36,10 @@ impl OutputFile {
     /// The folder is missing or cannot be written to, `path` is a folder or a device, or the disk is too full.
     pub fn create(path: &Path, expected_bytes: u64) -> Result<Self> {
         let target = follow_links(path)?;
-        let Some(name) = target.file_name() else {
-            return Err(Error::io("write", path, &io::ErrorKind::IsADirectory.into()));
-        };
         match fs::metadata(&target) {
+            _ if target.file_name().is_none() => {
+                return Err(Error::io("write", path, &io::ErrorKind::IsADirectory.into()));
+            }
             Ok(meta) if meta.is_dir() => {
                 return Err(Error::io("write", path, &io::ErrorKind::IsADirectory.into()));
             }
@@ -55,11 +55,8 @@ impl OutputFile {
         }
         let folder = folder_of(&target);
         check_space(path, folder, expected_bytes)?;
-        let mut prefix = OsString::from(".");
-        prefix.push(name);
-        prefix.push(".");
         let mut builder = tempfile::Builder::new();
-        builder.prefix(&prefix).suffix(".part");
+        builder.prefix(".simod-").suffix(".part");
         #[cfg(unix)]
         {
             use std::os::unix::fs::PermissionsExt;

@@ -133,8 +133,8 @@ pub trait Model: Send + Sync {
     ///
     /// A vertex whose position is not finite keeps its bytes, whatever `edit` writes, and so does a component
     /// that `edit` left as it was. Reading, `edit` and writing overlap, with at most four chunks in flight;
-    /// `edit` is called on one thread, in the file's order. Advances `progress` by the bytes of the file
-    /// written; the caller begins the stage.
+    /// `edit` is called on one thread, in the file's order. Advances `progress` by those bytes of this
+    /// file whose new version is written; the caller begins the stage.
     ///
     /// # Errors
     /// The file cannot be read, is not what its header says, or changed length; `out` cannot be written; `edit`

@@ -149,12 +149,11 @@ fn parse_triple(raw: &[u8], of: [Component; 3], spans: &[[u32; 2]]) -> Result<[f
 
 /// A number of the given type, which a decimal one is rounded to.
 fn parse(scalar: Scalar, word: &[u8]) -> Option<f64> {
-    let text = std::str::from_utf8(word).ok()?;
     let value = match scalar {
-        Scalar::F32 => text.parse::<f32>().ok().map(f64::from),
-        Scalar::F64 => text.parse().ok(),
+        Scalar::F32 => fast_float2::parse::<f32, _>(word).ok().map(f64::from),
+        Scalar::F64 => fast_float2::parse(word).ok(),
     };
-    value.or_else(|| is_microsoft_nan(text).then_some(f64::NAN))
+    value.or_else(|| is_microsoft_nan(std::str::from_utf8(word).ok()?).then_some(f64::NAN))
 }
 
 /// Numbers that are not finite, as Microsoft's C library prints them: such vertices are left alone anyway.
@@ -171,15 +170,64 @@ fn round(scalar: Scalar, value: f64) -> f64 {
 }
 
 /// Appends the fewest digits that are read back as this very number of the given type.
-pub(super) fn write_number(text: &mut Vec<u8>, scalar: Scalar, value: f64) {
-    // Beyond these bounds the digits would drown in zeros.
-    let plain = value == 0.0 || !value.is_finite() || (1e-5..1e16).contains(&value.abs());
-    let value32 = value as f32;
+fn write_number(text: &mut Vec<u8>, scalar: Scalar, value: f64) {
+    macro_rules! write_shortest {
+        ($value:expr) => {{
+            let value = $value;
+            // Beyond these bounds the digits would drown in zeros.
+            if value == 0.0 || !value.is_finite() || (1e-5..1e16).contains(&value.abs()) {
+                write!(text, "{value}")
+            } else {
+                write!(text, "{value:e}")
+            }
+        }};
+    }
     // Writing to a vector cannot fail.
-    let _ = match (scalar, plain) {
-        (Scalar::F32, true) => write!(text, "{value32}"),
-        (Scalar::F32, false) => write!(text, "{value32:e}"),
-        (Scalar::F64, true) => write!(text, "{value}"),
-        (Scalar::F64, false) => write!(text, "{value:e}"),
+    let _ = match scalar {
+        Scalar::F32 => write_shortest!(value as f32),
+        Scalar::F64 => write_shortest!(value),
     };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn written(scalar: Scalar, value: f64) -> String {
+        let mut text = Vec::new();
+        write_number(&mut text, scalar, value);
+        String::from_utf8(text).unwrap()
+    }
+
+    #[test]
+    fn numbers_come_back_from_their_shortest_text() {
+        let values =
+            [0.0, -0.0, 0.1, 1e-5, -9.999e-6, 123_456_789.0, 1e16, 1e38, 1e-40, 1.0 / 3.0, f64::INFINITY];
+        for value in values {
+            for (scalar, value) in [(Scalar::F32, f64::from(value as f32)), (Scalar::F64, value)] {
+                let text = written(scalar, value);
+                assert!(text.len() <= 24, "{text}");
+                assert_eq!(parse(scalar, text.as_bytes()).unwrap().to_bits(), value.to_bits(), "{text}");
+            }
+        }
+        assert_eq!(written(Scalar::F32, f64::from(0.1f32)), "0.1");
+        assert_eq!(written(Scalar::F64, f64::from(0.1f32)), "0.10000000149011612");
+        assert!(parse(Scalar::F32, written(Scalar::F32, f64::NAN).as_bytes()).unwrap().is_nan());
+    }
+
+    #[test]
+    fn what_others_write_is_understood() {
+        let words =
+            ["nan", "-NaN", "inf", "-Infinity", "1.#QNAN", "-1.#IND00", "1.#INF", "-nan(ind)", "1e999"];
+        for word in words {
+            assert!(!parse(Scalar::F64, word.as_bytes()).unwrap().is_finite(), "{word}");
+        }
+        for (word, value) in [("+1.", 1.0), (".5", 0.5), ("-1E-2", -0.01), ("007", 7.0)] {
+            assert_eq!(parse(Scalar::F64, word.as_bytes()), Some(value), "{word}");
+        }
+        for word in ["", "-", "1,5", "0x10", "1e", "x", "\u{e9}", "1_000", "nano"] {
+            assert_eq!(parse(Scalar::F64, word.as_bytes()), None, "{word}");
+        }
+        assert_eq!(parse(Scalar::F64, b"\xff"), None);
+    }
 }

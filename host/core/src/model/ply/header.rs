@@ -414,6 +414,18 @@ mod tests {
     }
 
     #[test]
+    fn types_have_two_names_each() {
+        let names = "char int8 uchar uint8 short int16 ushort uint16 int int32 uint uint32 float float32 double float64";
+        let types: Vec<Type> = names.split(' ').map(|n| n.parse().unwrap()).collect();
+        for (pair, name) in types.chunks(2).zip(names.split(' ').step_by(2)) {
+            assert_eq!(pair[0], pair[1]);
+            assert_eq!(pair[0].name(), name);
+        }
+        assert_eq!(types.iter().map(|t| t.size()).sum::<usize>(), 2 * (1 + 1 + 2 + 2 + 4 + 4 + 4 + 8));
+        assert!("Float".parse::<Type>().is_err());
+    }
+
+    #[test]
     fn quotes_are_short_and_printable() {
         assert_eq!(quoted("a\u{7}b"), "\"a\\u{7}b\"");
         assert_eq!(quoted(&"x".repeat(100)).len(), 45);

@@ -62,27 +62,23 @@ impl Layout {
                 Some(_) => {}
             }
         }
+        let scalar_of =
+            |name: &str| vertex.properties.iter().find(|p| p.name == name).and_then(|p| floating(p.shape));
         // Normals of another type, or not all three, are properties like any other.
-        let is_normal =
-            |n: &&str| vertex.properties.iter().any(|p| p.name == **n && floating(p.shape).is_some());
-        let has_normals = NORMAL.iter().all(is_normal);
+        let has_normals = NORMAL.iter().all(|name| scalar_of(name).is_some());
         let names = if has_normals { [POSITION, NORMAL].concat() } else { POSITION.to_vec() };
-
-        let mut components: Vec<Component> =
-            names.iter().map(|name| Component { name, scalar: Scalar::F32, offset: 0 }).collect();
+        let mut components: Vec<Component> = names
+            .iter()
+            .filter_map(|&name| Some(Component { name, scalar: scalar_of(name)?, offset: 0 }))
+            .collect();
         let (mut slots, mut other, mut file_order) = (Vec::new(), Vec::new(), Vec::new());
         let mut stride = (encoding != Encoding::Ascii).then_some(0);
         for property in &vertex.properties {
             let index = names.iter().position(|n| *n == property.name);
             slots.push(match (property.shape, index) {
-                (Shape::List { count, item }, _) => {
-                    stride = None;
-                    Slot::List { count, item }
-                }
+                (Shape::List { count, item }, _) => Slot::List { count, item },
                 (Shape::Scalar(t), None) => Slot::Other { size: t.size() },
                 (Shape::Scalar(t), Some(index)) => {
-                    let scalar = floating(property.shape).unwrap_or(Scalar::F32);
-                    components[index].scalar = scalar;
                     components[index].offset = stride.unwrap_or(0);
                     file_order.push(index);
                     Slot::Component { index, size: t.size() }
@@ -91,9 +87,10 @@ impl Layout {
             if index.is_none() {
                 other.push(property.describe());
             }
-            if let (Some(bytes), Shape::Scalar(t)) = (&mut stride, property.shape) {
-                *bytes += t.size();
-            }
+            stride = match property.shape {
+                Shape::Scalar(t) => stride.map(|bytes| bytes + t.size()),
+                Shape::List { .. } => None,
+            };
         }
         Ok(Self { encoding, components, file_order, slots, stride, other })
     }

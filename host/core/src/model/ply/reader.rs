@@ -75,7 +75,6 @@ impl<'a> Reader<'a> {
         let VertexChunk { raw, spans, .. } = chunk;
         raw.clear();
         raw.append(&mut self.ahead);
-        spans.clear();
         spans.resize(limit * components, [0; 2]);
         let (mut count, mut parsed) = (0, 0);
         let mut whole_file = self.offset + raw.len() as u64 == model.source.len();

@@ -91,7 +91,7 @@ impl PlyModel {
         let path = self.source.path().display();
         if value.is_finite() {
             let what =
-                format!("{path}: vertex {vertex} moves to {value}, too far for the type float of the file");
+                format!("{path}: vertex {vertex} moves to {value:e}, too far for the type float of the file");
             Error::new(
                 ErrorKind::Degenerate,
                 what,

@@ -177,13 +177,16 @@ impl Walker {
     fn feed_binary(&mut self, bytes: &[u8]) -> Result<usize, String> {
         let big = self.encoding == Encoding::Big;
         let mut at = 0;
-        loop {
-            let passed = self.skip.min((bytes.len() - at) as u64);
-            at += passed as usize;
-            if passed > 0 {
+        while !self.is_done() {
+            if self.skip > 0 {
+                let passed = self.skip.min((bytes.len() - at) as u64);
+                if passed == 0 {
+                    break;
+                }
+                at += passed as usize;
                 self.pass(passed);
             }
-            let Some((kind, item)) = self.expected_count() else { return Ok(at) };
+            let Some((kind, item)) = self.expected_count() else { continue };
             let rest = &bytes[at..];
             let wanted = kind.size() - self.partial.len();
             if rest.len() < wanted {
@@ -202,6 +205,7 @@ impl Walker {
             let length = u64::try_from(length).map_err(|_| self.bad_length(&length.to_string()))?;
             self.begin_list(length, item);
         }
+        Ok(at)
     }
 
     fn feed_words(&mut self, bytes: &[u8]) -> Result<usize, String> {
@@ -352,4 +356,90 @@ fn uniform_lists(
         }
     }
     Some(end)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::ply::header::Property;
+
+    const ENCODINGS: [Encoding; 3] = [Encoding::Ascii, Encoding::Little, Encoding::Big];
+
+    /// Two elements with and without lists, and the data of two and three records of them.
+    fn elements() -> Vec<Element> {
+        let scalar = |t| Property { name: "s".into(), shape: Shape::Scalar(t) };
+        let list = |count, item| Property { name: "l".into(), shape: Shape::List { count, item } };
+        let element = |name: &str, count, properties| Element { name: name.into(), count, properties };
+        vec![
+            element("empty", 5, vec![]),
+            element("none", 0, vec![list(Type::U8, Type::U8)]),
+            element("plain", 2, vec![scalar(Type::F64), scalar(Type::U8)]),
+            element(
+                "lists",
+                3,
+                vec![scalar(Type::I16), list(Type::U32, Type::I16), list(Type::I8, Type::F64)],
+            ),
+        ]
+    }
+
+    fn data(encoding: Encoding) -> Vec<u8> {
+        if encoding == Encoding::Ascii {
+            return b"1.5 2\n3 4 \n 0 2 7 7 1 8.25\r\n0 0 0\n0 1 7\t0".to_vec();
+        }
+        let mut data = vec![7; 2 * 9];
+        for (a, b) in [(2u32, 1u8), (0, 0), (1, 0)] {
+            data.extend([0; 2]);
+            data.extend(if encoding == Encoding::Big { a.to_be_bytes() } else { a.to_le_bytes() });
+            data.extend(vec![7; 2 * a as usize]);
+            data.push(b);
+            data.extend(vec![7; 8 * b as usize]);
+        }
+        data
+    }
+
+    /// Feeds blocks of the given size up to the end; returns how many bytes were taken.
+    fn feed(walker: &mut Walker, data: &[u8], block: usize) -> Result<usize, String> {
+        let mut taken = 0;
+        for block in data.chunks(block) {
+            taken += walker.feed(block)?;
+        }
+        walker.finish().map(|()| taken)
+    }
+
+    #[test]
+    fn blocks_of_any_size_give_the_same() {
+        for encoding in ENCODINGS {
+            let data = data(encoding);
+            for tail in [&b""[..], b"\n", b" 12 and \x00 more"] {
+                let all = [&data, tail].concat();
+                for block in 1..=all.len() {
+                    let taken = feed(&mut Walker::new(&elements(), encoding), &all, block);
+                    assert_eq!(taken, Ok(data.len()), "{encoding:?} {block}");
+                }
+            }
+            for end in 0..data.len() {
+                for block in [1, 2, 7, 100] {
+                    let error =
+                        feed(&mut Walker::new(&elements(), encoding), &data[..end], block).unwrap_err();
+                    assert!(error.starts_with("the file ends within element"), "{error}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn lengths_that_cannot_be_are_named() {
+        let lists = &elements()[3..];
+        let mut walker = Walker::new(lists, Encoding::Big);
+        let error = walker.feed(&[0, 0, 0, 0, 0, 0, 0x80]).unwrap_err();
+        assert_eq!(error, "element \"lists\", record 0: a list of length -128");
+        for (text, length) in [("0 -1 ", "\"-1\""), ("0 1.5 ", "\"1.5\""), ("0 x ", "\"x\"")] {
+            let error = Walker::new(lists, Encoding::Ascii).feed(text.as_bytes()).unwrap_err();
+            assert_eq!(error, format!("element \"lists\", record 0: a list of length {length}"));
+        }
+        let endless = "0 ".to_string() + &"9".repeat(100);
+        for block in [1, 100] {
+            feed(&mut Walker::new(lists, Encoding::Ascii), endless.as_bytes(), block).unwrap_err();
+        }
+    }
 }
