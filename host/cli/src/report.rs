@@ -59,7 +59,8 @@ impl<'a> Report<'a> {
         let seconds = self.seconds();
         let stages = self.console.stages();
         if self.timed {
-            let phase = |(name, time): &(&str, std::time::Duration)| format!("{name} {:.2} s", time.as_secs_f64());
+            let phase =
+                |(name, time): &(&str, std::time::Duration)| format!("{name} {:.2} s", time.as_secs_f64());
             let phases: Vec<String> = stages.iter().map(phase).collect();
             self.lines.push(format!("{seconds:.2} s: {}", phases.join(", ")));
             if let Some(peak) = self.console.peak_memory() {
@@ -92,7 +93,7 @@ pub fn count(n: u64) -> String {
     let digits = n.to_string();
     let mut out = String::new();
     for (i, c) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i) % 3 == 0 {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
             out.push(' ');
         }
         out.push(c);
@@ -103,7 +104,11 @@ pub fn count(n: u64) -> String {
 /// A rate of vertices: "12.3 M vertices/s".
 pub fn rate(vertices: u64, seconds: f64) -> String {
     let rate = vertices as f64 / seconds.max(1e-9);
-    if rate >= 1e6 { format!("{:.1} M vertices/s", rate / 1e6) } else { format!("{:.0} k vertices/s", rate / 1e3) }
+    if rate >= 1e6 {
+        format!("{:.1} M vertices/s", rate / 1e6)
+    } else {
+        format!("{:.0} k vertices/s", rate / 1e3)
+    }
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Small dense geometry: symmetric 3×3 eigenproblems, orthonormal frames, bounds.
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DMat3, DVec3};
 
 /// An axis-aligned box in the model's coordinates, empty at first.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -94,11 +94,6 @@ pub fn symmetric_eigen(matrix: DMat3) -> (DVec3, DMat3) {
     let value = |i: usize| a[order[i]][order[i]];
     let vectors = DMat3::from_cols(v[order[0]], v[order[1]], v[order[2]]);
     (DVec3::new(value(0), value(1), value(2)), vectors)
-}
-
-/// Two unit vectors that form a right-handed orthonormal frame with the unit vector `n`: t₁ × t₂ = n.
-pub fn tangents(n: Vec3) -> (Vec3, Vec3) {
-    n.any_orthonormal_pair()
 }
 
 /// The kernel of the paper's §5, h(t) = 1 − 3t² + 2t³ on [0, 1], and 0 beyond.

@@ -2,9 +2,9 @@
 
 use crate::deformer::Plugin;
 use glam::DVec3;
-use simod_core::{Error, ErrorKind, Result};
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
+use simod_core::{Error, ErrorKind, Result};
 use simod_plugin_api::{Descriptor, Param, ParamDesc, ParamKind, Unit};
 
 /// A parameter's value, of the kind that its description asks for.
@@ -189,7 +189,9 @@ fn in_range(d: &ParamDesc, value: &ParamValue) -> std::result::Result<(), String
     }
     let [min, max] = d.hard_range;
     match value {
-        ParamValue::Float(_) | ParamValue::Length(_) | ParamValue::Int(_) if components[0] < min || components[0] > max => {
+        ParamValue::Float(_) | ParamValue::Length(_) | ParamValue::Int(_)
+            if components[0] < min || components[0] > max =>
+        {
             Err(format!("parameter `{}` is {}, out of its range", d.id, components[0]))
         }
         _ => Ok(()),
@@ -318,7 +320,7 @@ mod tests {
         let params = check("angle = 30\ncenter = [101, 2.5, 3]").unwrap();
         assert_eq!(params.get("angle"), Some(&ParamValue::Float(30.0)));
         assert_eq!(params.get("operation"), Some(&ParamValue::Choice("bend".to_owned())));
-        let bounds = [DVec3::new(100.0, 0.0, 0.0), DVec3::new(102.0, 4.0, 0.0)];
+        let bounds = Bounds { min: DVec3::new(100.0, 0.0, 0.0), max: DVec3::new(102.0, 4.0, 0.0) };
         let frame = Frame { origin: DVec3::new(100.0, 0.0, 0.0), scale: 1.0 };
         assert_eq!(params.to_local(&frame, &bounds).0[5].2, [1.0, 2.5, 3.0]);
         assert_eq!(check("").unwrap().to_local(&frame, &bounds).0[5].2, [1.0, 2.0, 0.0]);

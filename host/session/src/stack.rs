@@ -325,7 +325,11 @@ impl PreparedStack {
         points.par_chunks_mut(BLOCK).try_for_each_init(Vec::new, |local, points| {
             local.clear();
             // Plugins are promised finite points.
-            local.extend(points.iter().map(|p| if p.is_finite() { self.frame.to_local_exact(*p) } else { DVec3::ZERO }));
+            local.extend(
+                points
+                    .iter()
+                    .map(|p| if p.is_finite() { self.frame.to_local_exact(*p) } else { DVec3::ZERO }),
+            );
             for layer in &self.layers {
                 progress.check()?;
                 // Blocks are too small for progress of their own: size 0 tells nothing.

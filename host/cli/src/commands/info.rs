@@ -60,7 +60,11 @@ impl Info {
             Target::Samples(n) => format!("{} samples", count(n)),
             Target::Error(e) => format!("an error of {e} of the diagonal"),
         };
-        report.line(format!("asked for {target}; {} cells of {:.4}", count(sampled.cells), sampled.cell_size));
+        report.line(format!(
+            "asked for {target}; {} cells of {:.4}",
+            count(sampled.cells),
+            sampled.cell_size
+        ));
         let (min, max) = (sampled.bounds.min, sampled.bounds.max);
         report.line(format!("bounding box {min} to {max}, diagonal {:.6}", sampled.bounds.diagonal()));
         report.figure("vertices", source.vertices);

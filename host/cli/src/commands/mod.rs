@@ -18,7 +18,11 @@ use crate::report::{Report, count};
 /// Sets the number of threads of everything that follows.
 pub fn set_threads(n: usize) -> Result<()> {
     rayon::ThreadPoolBuilder::new().num_threads(n).build_global().map_err(|e| {
-        Error::new(ErrorKind::Argument, format!("cannot use {n} threads: {e}"), "leave --threads out to use all cores")
+        Error::new(
+            ErrorKind::Argument,
+            format!("cannot use {n} threads: {e}"),
+            "leave --threads out to use all cores",
+        )
     })
 }
 

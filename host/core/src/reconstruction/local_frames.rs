@@ -1,14 +1,15 @@
 //! The gradient of the deformation at each sample, from its neighbours before and after.
 //!
-//! Along the surface the images of the two tangents are fitted by weighted least squares. Across it nothing is
-//! known but the surface's own turning and stretch: the normal goes to the new normal, scaled by the root of
-//! the change of area. Rigid motions and similarities are reproduced exactly, because the same fit is made at
-//! rest, which gives the plane to which the neighbours' offsets off the tangent plane tilt it.
+//! An affine map is fitted to the neighbours by weighted least squares. Across the plane through them it is held
+//! by a small ridge to a prior, for a flat neighbourhood tells nothing there: the plane's normal goes to the
+//! new normal, scaled by the root of the change of area, as a similarity does. Where the surface has relief, its
+//! neighbours off the plane tell more than the prior, and outweigh it.
 
-use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, Mat3, Vec3};
+use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
-use crate::geometry::{hermite, tangents};
+use super::neighbours::same_sheet;
+use crate::geometry::{hermite, symmetric_eigen};
 use crate::sampling::SampleSet;
 
 /// Neighbours in a fit: two rings.
@@ -16,6 +17,9 @@ const FIT_NEIGHBOURS: usize = 16;
 
 /// Neighbours whose extent across their line is below this part of that along it are collinear.
 const COLLINEAR: f64 = 1e-3;
+
+/// Weight of the prior for the direction across, relative to the neighbours' whole spread.
+const NORMAL_RIDGE: f64 = 1e-4;
 
 /// What the fits give.
 pub struct LocalFrames {
@@ -42,7 +46,6 @@ impl LocalFrames {
 }
 
 fn fit_one(samples: &SampleSet, deformed: &[Vec3], i: usize) -> DMat3 {
-    let normal = samples.normals[i];
     let near = samples.neighbours.of(i);
     let near = &near[..near.len().min(FIT_NEIGHBOURS)];
     let (q, q_star) = (samples.positions[i], deformed[i]);
@@ -50,56 +53,56 @@ fn fit_one(samples: &SampleSet, deformed: &[Vec3], i: usize) -> DMat3 {
         return DMat3::IDENTITY;
     }
 
-    // One beyond the last neighbour used is where the kernel vanishes.
-    let radius = samples.neighbours.of(i).get(near.len()).or(near.last()).map_or(0.0, |j| {
-        samples.positions[*j as usize].distance(q) * if near.len() < FIT_NEIGHBOURS { 1.5 } else { 1.0 }
-    });
-    let (t1, t2) = tangents(normal);
-    let mut a = DMat2::ZERO;
-    let mut at_rest = [DVec3::ZERO; 2];
-    let mut after = [DVec3::ZERO; 2];
+    // The kernel vanishes at the first neighbour that is left out.
+    let distance = |j: &u32| samples.positions[*j as usize].distance(q);
+    let radius = match samples.neighbours.of(i).get(near.len()) {
+        Some(beyond) => distance(beyond),
+        None => 1.5 * near.last().map_or(0.0, distance),
+    };
+    let (mut a, mut b) = (DMat3::ZERO, DMat3::ZERO);
     for j in near {
         let j = *j as usize;
         // Another sheet does not tell how this one is stretched.
-        if samples.normals[j].dot(normal) <= 0.0 {
+        if !same_sheet(samples.normals[j], samples.normals[i]) {
             continue;
         }
         let d = samples.positions[j] - q;
         let w = f64::from(hermite(d.length() / radius.max(f32::MIN_POSITIVE)));
-        let x = DVec2::new(f64::from(d.dot(t1)), f64::from(d.dot(t2)));
         let (d, d_star) = (d.as_dvec3(), deformed[j].as_dvec3() - q_star.as_dvec3());
-        a += DMat2::from_cols(x * x.x, x * x.y) * w;
-        for (axis, x) in [x.x, x.y].into_iter().enumerate() {
-            at_rest[axis] += d * (w * x);
-            after[axis] += d_star * (w * x);
-        }
+        a += outer(d, d) * w;
+        b += outer(d_star, d) * w;
     }
-    // Principal directions of the neighbourhood in the tangent plane.
-    let angle = 0.5 * (2.0 * a.x_axis.y).atan2(a.x_axis.x - a.y_axis.y);
-    let (s, c) = angle.sin_cos();
-    let along = |e: DVec2, m: [DVec3; 2]| m[0] * e.x + m[1] * e.y;
-    let (e1, e2) = (DVec2::new(c, s), DVec2::new(-s, c));
-    let (l1, l2) = (e1.dot(a * e1), e2.dot(a * e2));
-    if l1 <= 0.0 || !l1.is_finite() {
+
+    let (spread, axes) = symmetric_eigen(a);
+    let (across, e2, e1) = (axes.x_axis, axes.y_axis, axes.z_axis);
+    if !(spread.z > 0.0 && spread.z.is_finite()) {
         return DMat3::IDENTITY;
     }
-    let (u1, v1) = (along(e1, at_rest) / l1, along(e1, after) / l1);
-    if l2 > COLLINEAR * COLLINEAR * l1 {
-        let (u2, v2) = (along(e2, at_rest) / l2, along(e2, after) / l2);
-        let (m, m_star) = (u1.cross(u2), v1.cross(v2));
-        let stretch = (m_star.length() / m.length()).sqrt();
-        if let (Some(m), Some(m_star)) = (m.try_normalize(), m_star.try_normalize()) {
-            let f = DMat3::from_cols(v1, v2, m_star * stretch) * DMat3::from_cols(u1, u2, m).inverse();
+    let v1 = b * e1 / spread.z;
+    if spread.y > COLLINEAR * COLLINEAR * spread.z {
+        let v2 = b * e2 / spread.y;
+        let turned = v1.cross(v2);
+        if let Some(normal) = turned.try_normalize() {
+            // Right-handed, as the image is.
+            let across = across * e1.cross(e2).dot(across).signum();
+            let prior = normal * turned.length().sqrt();
+            let ridge = NORMAL_RIDGE * (spread.x + spread.y + spread.z);
+            let f = (b + outer(prior, across) * ridge) * (a + outer(across, across) * ridge).inverse();
             if f.is_finite() {
                 return f;
             }
         }
     }
     // Samples on a line, before or after: turned and stretched as the line is, by the least rotation.
-    match (u1.try_normalize(), v1.try_normalize()) {
-        (Some(u), Some(v)) => DMat3::from_quat(DQuat::from_rotation_arc(u, v)) * (v1.length() / u1.length()),
-        _ => DMat3::IDENTITY,
+    match v1.try_normalize() {
+        Some(v) => DMat3::from_quat(DQuat::from_rotation_arc(e1, v)) * v1.length(),
+        None => DMat3::IDENTITY,
     }
+}
+
+/// a bᵀ
+fn outer(a: DVec3, b: DVec3) -> DMat3 {
+    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
 //! Reconstruction: the deformation P_S → P_S* is transferred to every vertex of P_L, in one stream (paper §5).
 //!
-//! P_S and P_S* sample an unknown map D of space. [`local_frames`] fits its gradient at each sample once;
-//! [`neighbours`] finds the samples around a vertex, following the stream; [`projected_barycentric`] carries the
-//! vertex over; [`stream`] does so for the whole file. [`transfer_error`] compares a result with the exact map.
+//! P_S and P_S* sample an unknown map D of space. Its gradient is fitted at each sample once (`local_frames`);
+//! the samples around a vertex are found by following the stream (`neighbours`); the vertex is carried over by
+//! `projected_barycentric`; `stream` does so for the whole file. [`transfer_error`] compares a result with
+//! the exact map.
 
 mod local_frames;
 mod neighbours;

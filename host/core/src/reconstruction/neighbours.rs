@@ -62,15 +62,15 @@ pub struct Neighbourhood {
 impl Neighbourhood {
     /// Gathers the neighbourhood of `p` from the candidates of its nearest sample.
     ///
-    /// Samples whose normal is opposed to that of the vertex (or of the nearest sample) belong to another sheet
-    /// of the surface and are left out; they fade out before, so that nothing jumps.
+    /// Samples that face away from the vertex (or from the nearest sample) belong to another sheet of the surface
+    /// and are left out.
     pub fn gather(samples: &SampleSet, nearest: usize, p: Vec3, n: Option<Vec3>) -> Self {
         let candidates = samples.neighbours.of(nearest);
         let mut found = [(0.0f32, 0u32); NEIGHBOURS + 1];
         let side = side_of(samples, nearest, p, n);
         let mut len = 0;
         let mut take = |i: u32| {
-            if samples.normals[i as usize].dot(side) > 0.0 {
+            if same_sheet(samples.normals[i as usize], side) {
                 found[len] = (samples.positions[i as usize].distance_squared(p), i);
                 len += 1;
             }
@@ -98,8 +98,7 @@ impl Neighbourhood {
         let mut near = [(0, 0.0); K];
         for (slot, (squared, i)) in near.iter_mut().zip(&*found) {
             let distance = if radius > 0.0 { squared.sqrt() / radius } else { 0.0 };
-            let facing = (2.0 * samples.normals[*i as usize].dot(side)).clamp(0.0, 1.0);
-            *slot = (*i, hermite(distance) * facing);
+            *slot = (*i, hermite(distance) * facing(samples.normals[*i as usize], side));
         }
         // All at one distance: no one is nearer than another.
         if near[..count].iter().map(|(_, w)| w).sum::<f32>() < 1e-6 {
@@ -112,6 +111,17 @@ impl Neighbourhood {
     pub fn weighted(&self) -> &[(u32, f32)] {
         &self.near[..self.len]
     }
+}
+
+/// How much a sample of normal `n` belongs to a sheet of normal `side`: wholly up to a right angle, which the walls
+/// of a groove make, and not at all beyond 120°, as the far side of a thin plate. The change is gradual.
+fn facing(n: Vec3, side: Vec3) -> f32 {
+    (2.0 * n.dot(side) + 1.0).clamp(0.0, 1.0)
+}
+
+/// Whether a sample belongs to the sheet at all.
+pub fn same_sheet(n: Vec3, side: Vec3) -> bool {
+    facing(n, side) > 0.0
 }
 
 /// The normal of the sheet that the vertex is on: that of the nearest sample that agrees with the vertex' own.

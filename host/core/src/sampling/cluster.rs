@@ -20,10 +20,11 @@ pub struct Sample {
 
 /// How much of a cluster's extent counts as error, whatever its shape: it bounds the spacing where the surface
 /// is flat and any geometric error is zero, for a deformation need not be flat there.
-const SPREAD_WEIGHT: f64 = 0.04;
+const SPREAD_WEIGHT: f64 = 0.1;
 
-/// Strength of the ridge towards the mean, relative to the trace of the quadric.
-const QUADRIC_RIDGE: f64 = 1e-3;
+/// Strength of the ridge towards the mean, relative to the trace of the quadric: weaker ones follow smooth surfaces
+/// more closely, but throw samples off surfaces with steep relief.
+const QUADRIC_RIDGE: f64 = 1e-2;
 
 /// Additive moments of a cluster, about the model's origin.
 #[derive(Debug, Clone, Copy)]
@@ -109,6 +110,12 @@ impl Moments {
         symmetric(self.outer[0] / self.count - mean * mean, self.outer[1] / self.count - cross)
     }
 
+    /// Root mean square distance to the mean.
+    pub fn spread(&self) -> f64 {
+        let variance = self.outer[0] / self.count - self.mean() * self.mean();
+        variance.element_sum().max(0.0).sqrt()
+    }
+
     /// Σ n nᵀ, whose largest eigenvector is the mean normal up to sign.
     pub fn normal_scatter(&self) -> DMat3 {
         symmetric(self.quadric[0], self.quadric[1])
@@ -130,7 +137,7 @@ impl Moments {
             return 0.0;
         }
         let covariance = self.covariance();
-        let spread = (covariance.x_axis.x + covariance.y_axis.y + covariance.z_axis.z).max(0.0).sqrt();
+        let spread = self.spread();
         let normal = self.mean_normal();
         let shape = if self.with_normal > 0.5 * self.count {
             let distance = normal.dot(covariance * normal).max(0.0).sqrt();
@@ -150,7 +157,8 @@ impl Moments {
         let point = if self.with_normal > 0.0 {
             let a = self.normal_scatter();
             let ridge = DMat3::from_diagonal(DVec3::splat(QUADRIC_RIDGE * self.with_normal));
-            mean + (a + ridge).inverse() * (self.quadric_b - a * mean)
+            let offset = (a + ridge).inverse() * (self.quadric_b - a * mean);
+            mean + offset.clamp_length_max(self.spread())
         } else {
             mean
         };

@@ -1,8 +1,8 @@
 //! Sampling: P_L is streamed twice and leaves the small point set P_S (paper §4).
 //!
-//! Pass 1 ([`lattice`]) counts samples per cell of a coarse grid. Pass 2 ([`finalization`]) puts each sample in its
-//! cell and clusters a cell ([`vs_tree`], [`cluster`]) once it is complete. A cut through all trees ([`cut`])
-//! gives the samples, which [`sample_set`] completes with neighbours, spacing and normals.
+//! Pass 1 ([`lattice`]) counts samples per cell of a coarse grid. Pass 2 (`finalization`) puts each sample in its
+//! cell and clusters a cell ([`vs_tree`], [`cluster`]) once it is complete. A cut through all trees (`cut`)
+//! gives the samples, which [`SampleSet`] completes with neighbours, spacing and normals.
 
 pub mod cluster;
 mod cut;
