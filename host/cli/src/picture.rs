@@ -94,7 +94,7 @@ pub fn of_samples(sampled: &SampledModel, positions: &[Vec3], normals: &[Vec3], 
     let points: Vec<SurfacePoint> = positions
         .iter()
         .zip(normals)
-        .zip(&sampled.samples.spacing)
+        .zip(sampled.samples.spacing())
         .map(|((p, n), spacing)| SurfacePoint {
             position: view.up.turned(sampled.frame.to_model(*p)),
             normal: view.up.turned(n.as_dvec3()).as_vec3(),
