@@ -17,6 +17,10 @@ const KEEP_AT_MOST: usize = 3;
 /// … down to this many times the target.
 const PRUNE_TO: usize = 2;
 
+/// Bytes for each sample of the target: [`KEEP_AT_MOST`] clusters in trees of about 1.4 nodes per cluster, once more
+/// while they are pruned, and the sample itself.
+pub const BYTES_PER_SAMPLE: u64 = 200;
+
 /// The trees of all cells seen so far.
 ///
 /// Memory: 36 bytes for each of about 1.4 nodes per cluster, at most [`KEEP_AT_MOST`] clusters per sample of
