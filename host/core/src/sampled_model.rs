@@ -237,6 +237,8 @@ impl SampledModel {
             ));
         }
         let path = folder.join(&description.model.path);
+        // Without the detours that a relative path makes, where it still exists.
+        let path = path.canonicalize().unwrap_or(path);
         Ok(Self {
             source: Source { path, ..description.model },
             sampling: Sampling { target: description.sampling.target, grid: description.sampling.grid },

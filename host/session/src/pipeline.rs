@@ -38,7 +38,7 @@ pub fn deform(sampled: &SampledModel, stack: &Stack, progress: &dyn Progress) ->
     let shape = RestShape {
         positions: &samples.positions,
         normals: &samples.normals,
-        spacing: &samples.spacing,
+        spacing: samples.spacing(),
         frame: sampled.frame,
         bounds: sampled.bounds,
         renormal: Some(&|positions| deformed_normals(samples, positions)),

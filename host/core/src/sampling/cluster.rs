@@ -223,8 +223,9 @@ mod tests {
             .collect();
         let m = Moments::of(&corner);
         let r = m.representative();
-        assert!(r.distance(Vec3::ONE) < 0.01, "{r}");
-        assert!(m.mean().distance(DVec3::ONE) > 0.5);
+        // All the way from the mean but for what the ridge holds back, which is about its own strength.
+        let way = m.mean().distance(DVec3::ONE);
+        assert!(way > 0.5 && f64::from(r.distance(Vec3::ONE)) < 4.0 * QUADRIC_RIDGE * way, "{r}");
     }
 
     #[test]

@@ -11,14 +11,15 @@ use glam::Vec3;
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::cluster::{Moments, Sample};
-use super::lattice::Grid;
+use super::lattice::{Grid, cell_box};
 use super::vs_tree::{VsTree, mix};
 use crate::frame::Frame;
+use crate::geometry::Bounds;
 use crate::model::{Model, VertexChunk};
 use crate::{Error, ErrorKind, Progress, Result};
 
-/// Most samples that wait for, or are in, clustering: 24 MiB of them. Beyond it the stream stands still.
-const MAX_QUEUED_SAMPLES: usize = 1 << 20;
+/// Most samples that wait for, or are in, clustering: 6 MiB of them. Beyond it the stream stands still.
+const MAX_QUEUED_SAMPLES: usize = 1 << 18;
 
 /// The clusters of one finalized cell.
 pub struct ClusteredCell {
@@ -54,25 +55,26 @@ pub fn finalize_cells(
         open.resize_with(grid.keys.len(), Vec::new);
         let mut left: Vec<u64> = grid.records.iter().map(|r| r.count).collect();
         let mut queued = 0usize;
-        let mut last = None;
+        let mut current = None;
 
         let mut reader = model.vertices(0..model.info().vertices)?;
         let mut chunk = VertexChunk::default();
         while reader.read(&mut chunk)? {
             progress.check()?;
             for (i, p) in chunk.positions.iter().enumerate() {
-                if !p.is_finite() {
-                    continue;
-                }
-                let key = grid.key_of(*p);
-                let cell = match last {
-                    Some((k, cell)) if k == key => cell,
-                    _ => grid.find(&key).ok_or_else(|| changed(model))?,
+                let cell = match &current {
+                    Some((inside, cell)) if Bounds::contains(inside, *p) => *cell,
+                    _ if !p.is_finite() => continue,
+                    _ => {
+                        let key = grid.key_of(*p);
+                        let cell = grid.find(&key).ok_or_else(|| changed(model))?;
+                        current = Some((cell_box(key, grid.level), cell));
+                        cell
+                    }
                 };
-                last = Some((key, cell));
                 let c = cell as usize;
                 left[c] = left[c].checked_sub(1).ok_or_else(|| changed(model))?;
-                let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| n.normalize_or_zero());
+                let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
                 let samples = &mut open[c];
                 if samples.capacity() == 0 {
                     samples.reserve_exact(grid.records[c].count as usize);
@@ -112,6 +114,12 @@ pub fn finalize_cells(
     drop(send);
     receive.into_iter().for_each(|(_, cell)| collect(cell));
     Ok(())
+}
+
+/// The direction of a normal; zero where it has none. Most are of unit length as they are.
+#[inline]
+fn unit(n: Vec3) -> Vec3 {
+    if (n.length_squared() - 1.0).abs() < 1e-6 { n } else { n.normalize_or_zero() }
 }
 
 /// The model holds other vertices in pass 2 than in pass 1.

@@ -108,9 +108,12 @@ pub fn sample(model: &dyn Model, sampling: &Sampling, progress: &dyn Progress) -
     )
 }
 
+/// Samples are indexed by 32 bits.
+const MAX_SAMPLES: u64 = u32::MAX as u64;
+
 fn check(sampling: &Sampling) -> Result<()> {
     let bad = match sampling.target {
-        Target::Samples(0) => "the target of 0 samples".to_owned(),
+        Target::Samples(n) if n == 0 || n > MAX_SAMPLES => format!("the target of {n} samples"),
         Target::Error(e) if !(e.is_finite() && e > 0.0) => format!("the error bound {e}"),
         _ => match sampling.grid {
             Some(r @ (0 | 1 | 4097..)) => format!("a grid of {r} cells along an axis"),
@@ -120,7 +123,7 @@ fn check(sampling: &Sampling) -> Result<()> {
     Err(Error::new(
         ErrorKind::Argument,
         format!("{bad} is out of range"),
-        "give a number of samples from 1, an error above 0 (a fraction of the diagonal), a grid from 2 to 4096",
+        "give a number of samples from 1 to 2^32 - 1, an error above 0 (a fraction of the diagonal), a grid from 2 to 4096",
     ))
 }
 
