@@ -2,7 +2,6 @@
 //! that are neither. Independent of the program's reader, and holding the whole file.
 
 use std::ops::Range;
-use std::path::Path;
 
 use glam::DVec3;
 
@@ -48,14 +47,6 @@ struct Element {
 }
 
 impl Ply {
-    /// Reads a file.
-    ///
-    /// # Panics
-    /// It cannot be read, or is no PLY file with positions.
-    pub fn read(path: &Path) -> Self {
-        Self::parse(std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display())))
-    }
-
     /// Finds the vertices in a file's bytes.
     ///
     /// # Panics
@@ -120,12 +111,15 @@ impl Ply {
         if self.types.len() == 6 { self.vectors(3) } else { Vec::new() }
     }
 
-    /// Diagonal of the box around the finite positions.
+    /// The box around the finite positions.
+    pub fn bounds(&self) -> [DVec3; 2] {
+        let finite = self.positions().into_iter().filter(|p| p.is_finite());
+        finite.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[min, max], p| [min.min(p), max.max(p)])
+    }
+
+    /// Diagonal of that box.
     pub fn diagonal(&self) -> f64 {
-        let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        for p in self.positions().into_iter().filter(|p| p.is_finite()) {
-            (min, max) = (min.min(p), max.max(p));
-        }
+        let [min, max] = self.bounds();
         (max - min).length()
     }
 

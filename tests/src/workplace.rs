@@ -6,10 +6,11 @@ use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
 use std::time::SystemTime;
 
+use glam::DVec3;
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::built;
+use crate::{Ply, built};
 
 /// A temporary folder in which the program runs, so that files are called by their names alone.
 pub struct Workplace {
@@ -63,6 +64,24 @@ impl Workplace {
         let path = self.path(name);
         std::fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
         std::fs::File::create(path).and_then(|mut f| f.write_all(bytes.as_ref())).expect("a written file");
+    }
+
+    /// Writes `edit.toml`: a session on `model` with so many samples and these steps, which writes `edited.ply`.
+    pub fn write_session(&self, model: &str, samples: u64, steps: &str) {
+        let model = format!("[model]\npath = \"{model}\"\n[sampling]\nsamples = {samples}\n");
+        self.write("edit.toml", format!("{model}{steps}\n[output]\npath = \"edited.ply\"\n"));
+    }
+
+    /// Deforms the samples in the folder `sampled` without any plugin, as any program may: `deformed.ply`.
+    pub fn move_samples(&self, sampled: &str, to: impl FnMut(DVec3) -> DVec3) {
+        let mut samples = self.ply(&format!("{sampled}/samples.ply"));
+        samples.move_vertices(to);
+        self.write("deformed.ply", &samples.bytes);
+    }
+
+    /// Reads a PLY file.
+    pub fn ply(&self, name: &str) -> Ply {
+        Ply::parse(self.read(name))
     }
 
     /// Reads a file.
@@ -233,5 +252,6 @@ pub fn real_model(name: &str) -> Option<PathBuf> {
 
 /// Says that something is not tested here; also where the test harness keeps what tests print to itself.
 pub fn skip(why: &str) {
-    writeln!(std::io::stdout(), "skipped: {why}").expect("standard output");
+    // On a line of its own, wherever the harness is.
+    writeln!(std::io::stdout(), "\nskipped: {why}").expect("standard output");
 }
