@@ -37,8 +37,17 @@ pub struct Generate {
     #[arg(long)]
     no_faces: bool,
     /// Added to all positions
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_negative_numbers = true)]
-    offset: Option<Vec<f64>>,
+    #[arg(long, value_name = "X,Y,Z", default_value = "0,0,0", hide_default_value = true)]
+    #[arg(value_parser = parse_offset, allow_hyphen_values = true)]
+    offset: DVec3,
+}
+
+fn parse_offset(text: &str) -> std::result::Result<DVec3, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    let numbers = numbers.and_then(|n| <[f64; 3]>::try_from(n).ok()).map(DVec3::from_array);
+    numbers
+        .filter(|p| p.is_finite())
+        .ok_or_else(|| "an offset is three numbers, as 500000,4649776,120".to_owned())
 }
 
 /// The shapes that there are.
@@ -78,7 +87,7 @@ impl Generate {
             normals: !self.no_normals,
             colors: !self.no_colors,
             faces: !self.no_faces,
-            offset: self.offset.as_deref().map_or(DVec3::ZERO, DVec3::from_slice),
+            offset: self.offset,
         };
         let info = write(&options, &self.output, report.progress())?;
         report.figure("vertices", info.vertices);

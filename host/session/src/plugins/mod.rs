@@ -146,6 +146,14 @@ impl PluginRegistry {
     /// The plugin of an id; an error that suggests another where there is none.
     pub fn get(&self, id: &str) -> Result<&Arc<Plugin>> {
         self.plugins.iter().find(|p| p.id() == id).ok_or_else(|| {
+            // Perhaps it is there, and was not loaded: then that is what to tell.
+            if let Some(Rejected { error, .. }) = self.rejected.iter().find(|r| is_named(&r.path, id)) {
+                return Error::new(
+                    ErrorKind::Plugin,
+                    format!("there is no plugin `{id}`: {error}"),
+                    error.hint(),
+                );
+            }
             let ids = self.plugins.iter().map(|p| p.id());
             let hint = match nearest(id, ids.clone()) {
                 Some(near) => format!("did you mean `{near}`?"),
@@ -179,6 +187,13 @@ fn libraries(folder: &PluginFolder) -> Result<Vec<PathBuf>> {
     }
     files.sort();
     Ok(files)
+}
+
+/// Whether a library's file is named as that of the plugin `id` would be: `rbf.so`, `librbf.so`, `libsimod_rbf.so`.
+fn is_named(file: &Path, id: &str) -> bool {
+    let stem = file.file_stem().and_then(|s| s.to_str()).unwrap_or_default();
+    let stem = stem.strip_prefix(DLL_PREFIX).unwrap_or(stem);
+    stem.strip_prefix("simod_").unwrap_or(stem) == id.replace('-', "_")
 }
 
 /// `major.minor.patch`, by numbers; what is no number counts as 0, and a pre-release is older than its release.

@@ -1,0 +1,153 @@
+//! Plugins that are none, of another version, or misbehave: an error each, and the others go on.
+
+use std::env::consts::DLL_SUFFIX;
+
+use simod_tests::{Workplace, cargo_build, library, run_build, workspace};
+
+/// A model and its samples, and a folder `plugins` to look in.
+fn sampled() -> Workplace {
+    let work = Workplace::new().with_plugins("plugins");
+    work.simod("generate -o model.ply --vertices 5000");
+    work.simod("sample model.ply -o model.simod --samples 500");
+    work
+}
+
+fn install(work: &Workplace, name: &str, bytes: impl AsRef<[u8]>) {
+    work.write(&format!("plugins/{name}{DLL_SUFFIX}"), bytes);
+}
+
+fn step(plugin: &str) -> String {
+    format!("[[step]]\ndeform = \"{plugin}\"\n")
+}
+
+const DEFORM: &str = "deform model.simod --session edit.toml -o out.ply";
+
+/// `name` is there, but cannot be loaded: a warning where plugins are listed, no obstacle to others, and an error
+/// that says so where it is asked for.
+fn check_rejected(work: &Workplace, name: &str, reason: &str) {
+    let file = format!("{name}{DLL_SUFFIX}");
+    let list = work.simod("plugin list --json");
+    let [warning] = list.lines("warning: ")[..] else { panic!("{}", list.stderr) };
+    assert!(warning.contains(&file) && warning.contains(reason), "{warning}");
+    let plugins = list.json()["plugins"].as_array().expect("a list").len();
+    assert_eq!(plugins, 2, "{}", list.stdout);
+
+    work.write_session("model.ply", 500, &step("warp"));
+    work.simod("run edit.toml");
+    std::fs::remove_file(work.path("edited.ply")).expect("the output");
+
+    work.write_session("model.ply", 500, &step(name));
+    work.refuses("run edit.toml", &["edit.toml, line 5", &file, reason]);
+    work.refuses(DEFORM, &["edit.toml, line 5", &file, reason]);
+    work.refuses(&format!("plugin info {name}"), &[&file, reason]);
+}
+
+#[test]
+fn a_library_that_is_no_plugin() {
+    let work = sampled();
+    install(&work, "letter", "a text is no library, be it ever so long\n".repeat(50));
+    check_rejected(&work, "letter", "no library");
+    std::fs::remove_dir_all(work.path("plugins")).expect("the folder");
+
+    let warp = std::fs::read(library("simod_warp")).expect("a library");
+    install(&work, "half", &warp[..warp.len() / 2]);
+    check_rejected(&work, "half", "cut off");
+}
+
+/// A plugin that was built against another version of the interface.
+#[test]
+fn a_plugin_of_another_abi_version() {
+    let work = sampled();
+    // The interface's next version, and a plugin made for it, in a workspace of their own.
+    let root = std::fs::read_to_string(workspace().join("Cargo.toml")).expect("a manifest");
+    let mut root: toml::Table = root.parse().expect("TOML");
+    let table = root["workspace"].as_table_mut().expect("a table");
+    table.insert("members".into(), vec!["plugin-api", "plugin"].into());
+    table["package"]["version"] = "0.2.0".into();
+    work.write("next/Cargo.toml", root.to_string());
+    work.write("next/Cargo.lock", std::fs::read(workspace().join("Cargo.lock")).expect("a lock file"));
+    for file in std::fs::read_dir(workspace().join("plugin-api/src")).expect("sources") {
+        let path = file.expect("a source").path();
+        let name = path.file_name().and_then(|n| n.to_str()).expect("a name");
+        work.write(&format!("next/plugin-api/src/{name}"), std::fs::read(&path).expect("a source"));
+    }
+    let api = std::fs::read(workspace().join("plugin-api/Cargo.toml")).expect("a manifest");
+    work.write("next/plugin-api/Cargo.toml", api);
+    work.write(
+        "next/plugin/Cargo.toml",
+        "[package]\nname = \"from-the-future\"\nversion = \"1.0.0\"\nedition = \"2024\"\n\
+         [lib]\ncrate-type = [\"cdylib\"]\n[dependencies]\nsimod-plugin-api.workspace = true\n",
+    );
+    work.write("next/plugin/src/lib.rs", FROM_THE_FUTURE);
+    let mut cargo = cargo_build(&work.path("next"));
+    cargo.args(["--offline", "-p", "from-the-future"]);
+    run_build(cargo);
+
+    install(&work, "from_the_future", std::fs::read(library("from_the_future")).expect("a library"));
+    check_rejected(&work, "from_the_future", "interface 0.2.0, this program has 0.1.0");
+}
+
+const FROM_THE_FUTURE: &str = r#"
+use simod_plugin_api::{DeformInput, Deformer, Descriptor, Host, PluginResult, PrepareInput};
+
+struct Still;
+
+impl Deformer for Still {
+    type State = ();
+    type Scratch = ();
+
+    fn descriptor() -> Descriptor {
+        Descriptor::new("from-the-future", "From the future", "1.0.0")
+    }
+
+    fn prepare(_: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<()> {
+        Ok(())
+    }
+
+    fn deform(
+        _: &(), input: &DeformInput<'_>, _: &mut (), out: &mut [[f32; 3]], _: &Host<'_>,
+    ) -> PluginResult<()> {
+        out.copy_from_slice(input.samples.positions());
+        Ok(())
+    }
+}
+
+simod_plugin_api::export_plugin!(Still);
+"#;
+
+#[test]
+fn a_plugin_that_misbehaves() {
+    let work = sampled();
+    install(&work, "misbehaving", std::fs::read(library("misbehaving")).expect("a library"));
+    let session = |how: &str| {
+        let step = step("misbehaving") + &format!("params = {{ how = \"{how}\" }}\n");
+        work.write_session("model.ply", 500, &step);
+    };
+    let bad = [
+        ("panic-in-prepare", "panic"),
+        ("panic-in-deform", "panic"),
+        ("panic-payload", "panic"),
+        ("error-in-prepare", "this does not please me"),
+        ("error-in-deform", "not today"),
+        ("cancel-unasked", "stopped unasked"),
+        ("nan", "not finite"),
+        ("unwritten", "unwritten"),
+    ];
+    for (how, reason) in bad {
+        session(how);
+        work.refuses("run edit.toml", &["misbehaving", reason]);
+        work.refuses(DEFORM, &["misbehaving", reason]);
+    }
+    // Asked for the exact map, after the model was written: that stays.
+    session("panic-in-evaluate");
+    work.simod("run edit.toml");
+    work.refuses("plugin info misbehavin", &["misbehavin"]);
+    // The same plugin, when it behaves, and when only its state cannot be freed.
+    for how in ["well", "panic-in-drop"] {
+        session(how);
+        let outcome = work.simod("run edit.toml");
+        assert!(outcome.lines("warning: ").iter().any(|w| w.contains("all is well")), "{}", outcome.stderr);
+    }
+    let (before, after) = (work.ply("model.ply").positions(), work.ply("edited.ply").positions());
+    assert!(before.iter().zip(&after).all(|(p, q)| (q.x - p.x - 1.0).abs() < 1e-5));
+}

@@ -1,0 +1,38 @@
+//! Ctrl-C: the work stops, and nothing of it is left.
+#![cfg(unix)]
+
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use simod_tests::{Outcome, Workplace, skip};
+
+#[test]
+fn an_interrupted_run_leaves_nothing() {
+    let work = Workplace::new();
+    work.simod("generate -o model.ply --vertices 3000000 --no-colors");
+    work.write_session("model.ply", 200_000, "[[step]]\ndeform = \"warp\"\n");
+    let before = work.snapshot();
+    let mut interrupted = 0;
+    for wait in [50, 200, 400, 800, 1600].map(Duration::from_millis) {
+        let mut command = work.command("run edit.toml");
+        let child =
+            command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the program starts");
+        std::thread::sleep(wait);
+        let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill runs");
+        assert!(sent.success());
+        let outcome = Outcome::from(child.wait_with_output().expect("an end"));
+        if outcome.code == Some(0) {
+            // It was done before.
+            std::fs::remove_file(work.path("edited.ply")).expect("an output");
+            continue;
+        }
+        interrupted += 1;
+        assert_eq!(outcome.code, Some(130), "after {wait:?}: {}", outcome.stderr);
+        assert_eq!(outcome.lines("error: "), ["cancelled"]);
+        assert_eq!(outcome.lines("hint: ").len(), 1);
+        assert_eq!(work.snapshot(), before, "after {wait:?}");
+    }
+    if interrupted == 0 {
+        skip("every run was done before it could be interrupted");
+    }
+}

@@ -1,0 +1,62 @@
+//! The commands of the manual, on a real scan.
+
+use glam::DVec3;
+use simod_tests::{Workplace, real_model};
+
+#[test]
+fn the_horse_turns_its_head() {
+    let Some(horse) = real_model("horse.ply") else { return };
+    let work = Workplace::new();
+    std::fs::copy(horse, work.path("horse.ply")).expect("a copy");
+    let before = work.ply("horse.ply");
+    let [min, max] = before.bounds();
+    // Twisted about its longest side, the other half masked out.
+    let size = max - min;
+    let axis = DVec3::AXES[size.max_position()];
+    let (middle, end) = ((min + max) / 2.0, (min + max) / 2.0 + size / 2.0 * axis);
+    let half = format!("{{ half-space = {{ point = {}, normal = {} }} }}", vector(middle), vector(axis));
+    let steps = format!(
+        "[[step]]\ndeform = \"warp\"\nparams = {{ operation = \"twist\", angle = 40, axis = {}, center = {}, \
+         from = 0, to = 0.3 }}\n[[step.region]]\nrole = \"mask\"\nshapes = [{half}]\n",
+        vector(axis),
+        vector(middle),
+    );
+    work.write_session("horse.ply", 10_000, &steps);
+
+    let info = work.report("info horse.ply");
+    assert_eq!((&info["vertices"], &info["faces"]), (&48_485.into(), &96_966.into()));
+    let report = work.report("sample horse.ply -o horse.simod --samples 10000");
+    let samples = report["samples"].as_u64().expect("a number");
+    assert!((9800..=10_000).contains(&samples), "{samples} samples");
+    work.simod("deform horse.simod --session edit.toml -o deformed.ply");
+    work.simod("reconstruct horse.simod --deformed deformed.ply -o horse-edited.ply");
+    let report = work.report("run edit.toml --measure");
+    assert!(work.read("edited.ply") == work.read("horse-edited.ply"));
+
+    let after = work.ply("edited.ply");
+    assert!(after.other_bytes() == before.other_bytes());
+    let (mut still, mut turned) = (0, 0);
+    for (p, q) in before.positions().into_iter().zip(after.positions()) {
+        let along = (p - middle).dot(axis);
+        let near = 0.05 * before.diagonal();
+        if along < -near {
+            assert_eq!(p, q);
+            still += 1;
+        } else if along > near {
+            // A turn: along the axis nothing changes, nor the distance from it.
+            let radius = |v: DVec3| (v - end).reject_from(axis).length();
+            assert!((q - p).dot(axis).abs() < 0.01 * before.diagonal(), "{p} went to {q}");
+            assert!((radius(p) - radius(q)).abs() < 0.01 * before.diagonal(), "{p} went to {q}");
+            turned += 1;
+        }
+    }
+    assert!(still > 10_000 && turned > 10_000, "{still} stand still, {turned} turned");
+    let error = &report["transfer_error"];
+    assert!(error["rms"].as_f64().is_some_and(|e| e < 1e-3), "{error}");
+    assert!(error["max"].as_f64().is_some_and(|e| e < 2e-2), "{error}");
+}
+
+/// As TOML has it.
+fn vector(v: DVec3) -> String {
+    format!("[{}, {}, {}]", v.x, v.y, v.z)
+}
