@@ -37,8 +37,8 @@ pub struct Generate {
     #[arg(long)]
     no_faces: bool,
     /// Added to all positions
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_negative_numbers = true)]
-    offset: Option<Vec<f64>>,
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
+    offset: Option<DVec3>,
 }
 
 /// The shapes that there are.
@@ -60,6 +60,14 @@ enum EncodingName {
     BigEndian,
 }
 
+fn parse_point(text: &str) -> std::result::Result<DVec3, String> {
+    let numbers: Vec<f64> = text.split(',').map_while(|n| n.trim().parse().ok()).collect();
+    match (text.split(',').count(), numbers.as_slice()) {
+        (3, &[x, y, z]) => Ok(DVec3::new(x, y, z)),
+        _ => Err("a point is like 100,0,-2.5".to_owned()),
+    }
+}
+
 impl Generate {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let options = ModelOptions {
@@ -78,7 +86,7 @@ impl Generate {
             normals: !self.no_normals,
             colors: !self.no_colors,
             faces: !self.no_faces,
-            offset: self.offset.as_deref().map_or(DVec3::ZERO, DVec3::from_slice),
+            offset: self.offset.unwrap_or_default(),
         };
         let info = write(&options, &self.output, report.progress())?;
         report.figure("vertices", info.vertices);
