@@ -1,5 +1,6 @@
 //! The lessons under `examples/`: the commands of their pages do what the pages say, on smaller models.
 #![cfg(unix)]
+#![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
 
 use std::fs;
 use std::path::{Path, PathBuf};
