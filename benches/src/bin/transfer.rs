@@ -57,7 +57,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
     let model = model::open(arguments.model.as_deref().unwrap_or(&generated))?;
 
     let start = Instant::now();
-    let sampling = Sampling { target: Target::Samples(arguments.samples), grid: None };
+    let sampling = Sampling { target: Target::Samples(arguments.samples), ..Sampling::default() };
     let sampled = sample(model.as_ref(), &sampling, &Silent)?;
     println!(
         "{} vertices, {} samples in {:.2} s; errors as fractions of the diagonal\n",
