@@ -6,10 +6,13 @@ use simod_core::render::{Camera, Image, Renderer, Spacing, Style, SurfacePoint};
 use simod_core::sampled_model::SampledModel;
 use simod_core::{Progress, Result};
 
-use glam::Vec3;
+use glam::{DVec3, Vec3, swizzles::Vec3Swizzles};
 
 /// Colour of the clay where a point has none of its own.
 const CLAY: [u8; 3] = [200, 190, 180];
+
+/// Radius of a sample's disc over its spacing: wide enough to leave no holes where the density changes.
+const SAMPLE_RADIUS: f64 = 1.35;
 
 /// From where, and how large.
 #[derive(Clone, Copy)]
@@ -22,15 +25,37 @@ pub struct View {
     pub pitch: f64,
     /// Picture size in pixels.
     pub size: [u32; 2],
+    /// Which of the model's axes points up.
+    pub up: Up,
+}
+
+/// The model's axis that points up in the picture.
+#[derive(Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Up {
+    X,
+    #[default]
+    Y,
+    Z,
+}
+
+impl Up {
+    /// Turns the model's axes, in their order, so that the one that is up becomes y.
+    fn turned(self, p: DVec3) -> DVec3 {
+        match self {
+            Self::X => p.zxy(),
+            Self::Y => p,
+            Self::Z => p.yzx(),
+        }
+    }
 }
 
 impl View {
     fn renderer(&self) -> Renderer {
         let [w, h] = self.size;
-        let bounds = [self.bounds.min, self.bounds.max];
+        let bounds = [self.up.turned(self.bounds.min), self.up.turned(self.bounds.max)];
         let aspect = f64::from(w) / f64::from(h.max(1));
         let camera = Camera::frame(bounds, self.yaw.to_radians(), self.pitch.to_radians(), aspect);
-        Renderer::new(w, h, camera, Style { own_colors: false, ground: Some(self.bounds.min.y) })
+        Renderer::new(w, h, camera, Style { own_colors: false, ground: Some(bounds[0].y) })
     }
 }
 
@@ -51,8 +76,8 @@ pub fn of_model(model: &dyn Model, bounds: &Bounds, view: &View, progress: &dyn 
     let mut points_of = |chunk: &VertexChunk| {
         points.clear();
         points.extend(chunk.positions.iter().enumerate().map(|(i, p)| SurfacePoint {
-            position: *p,
-            normal: chunk.normals.get(i).copied().unwrap_or(Vec3::ZERO),
+            position: view.up.turned(*p),
+            normal: view.up.turned(chunk.normals.get(i).map_or(DVec3::ZERO, |n| n.as_dvec3())).as_vec3(),
             color: CLAY,
             radius: spacing.radius_at(*p),
         }));
@@ -69,12 +94,12 @@ pub fn of_samples(sampled: &SampledModel, positions: &[Vec3], normals: &[Vec3], 
     let points: Vec<SurfacePoint> = positions
         .iter()
         .zip(normals)
-        .zip(&sampled.samples.spacing)
+        .zip(sampled.samples.spacing())
         .map(|((p, n), spacing)| SurfacePoint {
-            position: sampled.frame.to_model(*p),
-            normal: *n,
+            position: view.up.turned(sampled.frame.to_model(*p)),
+            normal: view.up.turned(n.as_dvec3()).as_vec3(),
             color: CLAY,
-            radius: (f64::from(*spacing) * sampled.frame.scale) as f32,
+            radius: (SAMPLE_RADIUS * f64::from(*spacing) * sampled.frame.scale) as f32,
         })
         .collect();
     let mut renderer = view.renderer();

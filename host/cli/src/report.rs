@@ -49,6 +49,11 @@ impl<'a> Report<'a> {
         }
     }
 
+    /// Peak anonymous memory so far; `None` where the system does not tell.
+    pub fn peak_memory(&self) -> Option<u64> {
+        self.console.peak_memory()
+    }
+
     /// Seconds since the command began.
     pub fn seconds(&self) -> f64 {
         self.started.elapsed().as_secs_f64()

@@ -48,7 +48,8 @@ impl Frame {
     /// As [`to_local`](Self::to_local), in double precision.
     #[inline]
     pub fn to_local_exact(&self, p: DVec3) -> DVec3 {
-        (p - self.origin) / self.scale
+        // The inverse of a power of two is exact.
+        (p - self.origin) * (1.0 / self.scale)
     }
 
     /// As [`to_model`](Self::to_model), in double precision.

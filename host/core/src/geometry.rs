@@ -31,6 +31,12 @@ impl Bounds {
         self.max = self.max.max(p);
     }
 
+    /// Whether the point lies in the box or on its faces; no point with a NaN does.
+    #[inline]
+    pub fn contains(&self, p: DVec3) -> bool {
+        p.cmpge(self.min).all() && p.cmple(self.max).all()
+    }
+
     /// Whether no point was included yet.
     pub fn is_empty(&self) -> bool {
         self.min.x > self.max.x

@@ -253,7 +253,7 @@ pub fn describe_params(plugin: &Plugin) -> Vec<ParamText> {
         };
         let unit = match d.unit {
             Unit::DEGREES => " degrees",
-            Unit::MODEL_LENGTH => " in the model's unit",
+            Unit::MODEL_LENGTH if d.kind != ParamKind::POINT => " in the model's unit",
             Unit::DIAGONAL => " of the diagonal",
             _ => "",
         };
@@ -267,7 +267,8 @@ pub fn describe_params(plugin: &Plugin) -> Vec<ParamText> {
             ParamKind::INT => format!("a whole number {}", range_text(d.hard_range)),
             _ => format!("a number {}", range_text(d.hard_range)),
         };
-        ParamText { id: d.id.to_string(), text: format!("{}; {kind}; default {default}{unit}", d.hint) }
+        let hint = if d.hint.is_empty() { &d.name } else { &d.hint };
+        ParamText { id: d.id.to_string(), text: format!("{hint}: {kind}; default {default}{unit}") }
     };
     plugin.params().iter().map(describe).collect()
 }

@@ -9,7 +9,7 @@ use simod_core::{Error, Result, model, output};
 use simod_session::{PluginRegistry, Run, SessionFile};
 
 use super::run::{describe, describe_error};
-use crate::picture::{self, View};
+use crate::picture::{self, Up, View};
 use crate::report::{Report, count};
 
 /// Do the main job on a generated model: sample it, deform the samples with two plugins, write the deformed
@@ -52,7 +52,7 @@ impl Demo {
         let mut all = run.sampled.bounds;
         all.include(after_bounds.min);
         all.include(after_bounds.max);
-        let view = View { bounds: all, yaw: 20.0, pitch: 10.0, size: [720, 900] };
+        let view = View { bounds: all, yaw: 20.0, pitch: 10.0, size: [560, 700], up: Up::Y };
         let samples = &run.sampled.samples;
         let pictures = [
             picture::of_model(before.as_ref(), &run.sampled.bounds, &view, progress)?,

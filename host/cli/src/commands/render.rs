@@ -6,7 +6,7 @@ use clap::Args;
 use simod_core::sampled_model::SampledModel;
 use simod_core::{Error, ErrorKind, Result, model, output};
 
-use crate::picture::{self, View};
+use crate::picture::{self, Up, View};
 use crate::report::Report;
 
 /// Draw a model, or the samples of a sampled model, as a PNG picture
@@ -24,6 +24,9 @@ pub struct Render {
     /// Look down, in degrees
     #[arg(long, default_value_t = 12.0, allow_negative_numbers = true)]
     pitch: f64,
+    /// The model's axis that points up
+    #[arg(long, value_enum, default_value_t)]
+    up: Up,
     /// Size of the picture in pixels
     #[arg(long, default_value = "1000x1000", value_name = "WxH", value_parser = parse_size)]
     size: [u32; 2],
@@ -40,7 +43,7 @@ fn parse_size(text: &str) -> std::result::Result<[u32; 2], String> {
 
 impl Render {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        let view = |bounds| View { bounds, yaw: self.yaw, pitch: self.pitch, size: self.size };
+        let view = |bounds| View { bounds, yaw: self.yaw, pitch: self.pitch, size: self.size, up: self.up };
         let image = if self.path.is_dir() {
             let sampled = SampledModel::load(&self.path)?;
             let samples = &sampled.samples;

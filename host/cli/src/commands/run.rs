@@ -59,6 +59,11 @@ pub fn describe(run: &Pipeline, report: &mut Report) {
         count(samples as u64),
         rate(vertices, run.seconds)
     ));
+    // Here, before anything is measured or drawn, which is not part of an edit.
+    if let Some(peak) = report.peak_memory() {
+        report.figure("run_peak_memory_bytes", peak);
+        report.line(format!("peak memory of the edit {} MB", peak.div_ceil(1 << 20)));
+    }
 }
 
 /// Reports how far a run is from the exact deformation.

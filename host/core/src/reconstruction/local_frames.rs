@@ -46,7 +46,7 @@ impl LocalFrames {
 }
 
 fn fit_one(samples: &SampleSet, deformed: &[Vec3], i: usize) -> DMat3 {
-    let near = samples.neighbours.of(i);
+    let near = samples.neighbours().of(i);
     let near = &near[..near.len().min(FIT_NEIGHBOURS)];
     let (q, q_star) = (samples.positions[i], deformed[i]);
     if near.iter().all(|j| samples.positions[*j as usize] == deformed[*j as usize]) && q == q_star {
@@ -55,7 +55,7 @@ fn fit_one(samples: &SampleSet, deformed: &[Vec3], i: usize) -> DMat3 {
 
     // The kernel vanishes at the first neighbour that is left out.
     let distance = |j: &u32| samples.positions[*j as usize].distance(q);
-    let radius = match samples.neighbours.of(i).get(near.len()) {
+    let radius = match samples.neighbours().of(i).get(near.len()) {
         Some(beyond) => distance(beyond),
         None => 1.5 * near.last().map_or(0.0, distance),
     };
@@ -131,8 +131,9 @@ mod tests {
         let frames = LocalFrames::fit(&set, &deformed);
         let expected = Mat3::from_quat(rotation) * 1.7;
         for (i, f) in frames.gradient.iter().enumerate() {
-            assert!(f.abs_diff_eq(expected, 2e-4), "{i}: {f} is not {expected}");
-            assert!(frames.normal[i].distance(rotation * set.normals[i]) < 1e-4);
+            // The images are rounded to about 2e-7, and neighbours may lie as little as 1e-3 off the plane.
+            assert!(f.abs_diff_eq(expected, 1e-3), "{i}: {f} is not {expected}");
+            assert!(frames.normal[i].distance(rotation * set.normals[i]) < 1e-3);
         }
     }
 

@@ -71,7 +71,7 @@ impl<'a> DeformationField<'a> {
         assert_eq!(samples.len(), deformed.len(), "P_S* corresponds to P_S one to one");
         let moved: Vec<bool> = samples.positions.iter().zip(deformed).map(|(p, q)| p != q).collect();
         let active = (0..samples.len())
-            .map(|i| moved[i] || samples.neighbours.of(i).iter().any(|j| moved[*j as usize]))
+            .map(|i| moved[i] || samples.neighbours().of(i).iter().any(|j| moved[*j as usize]))
             .collect();
         Self { samples, deformed, frames: LocalFrames::fit(samples, deformed), active }
     }

@@ -40,7 +40,7 @@ fn walk(samples: &SampleSet, from: u32, p: Vec3) -> Option<u32> {
     let squared = |i: u32| samples.positions[i as usize].distance_squared(p);
     let (mut at, mut distance) = (from, squared(from));
     loop {
-        let near = samples.neighbours.of(at as usize);
+        let near = samples.neighbours().of(at as usize);
         let near = &near[..near.len().min(STEP_NEIGHBOURS)];
         let best = near.iter().map(|j| (squared(*j), *j)).min_by(|a, b| a.0.total_cmp(&b.0));
         match best {
@@ -48,7 +48,7 @@ fn walk(samples: &SampleSet, from: u32, p: Vec3) -> Option<u32> {
             _ => break,
         }
     }
-    let far = LOST * samples.spacing[at as usize];
+    let far = LOST * samples.spacing()[at as usize];
     (distance <= far * far).then_some(at)
 }
 
@@ -65,7 +65,7 @@ impl Neighbourhood {
     /// Samples that face away from the vertex (or from the nearest sample) belong to another sheet of the surface
     /// and are left out.
     pub fn gather(samples: &SampleSet, nearest: usize, p: Vec3, n: Option<Vec3>) -> Self {
-        let candidates = samples.neighbours.of(nearest);
+        let candidates = samples.neighbours().of(nearest);
         let mut found = [(0.0f32, 0u32); NEIGHBOURS + 1];
         let side = side_of(samples, nearest, p, n);
         let mut len = 0;
@@ -131,7 +131,7 @@ fn side_of(samples: &SampleSet, nearest: usize, p: Vec3, n: Option<Vec3>) -> Vec
     if own.dot(n) > 0.0 {
         return own;
     }
-    let agreeing = samples.neighbours.of(nearest).iter().map(|j| *j as usize);
+    let agreeing = samples.neighbours().of(nearest).iter().map(|j| *j as usize);
     let agreeing = agreeing.filter(|j| samples.normals[*j].dot(n) > 0.0);
     let distance = |j: &usize| samples.positions[*j].distance_squared(p);
     agreeing.min_by(|a, b| distance(a).total_cmp(&distance(b))).map_or(own, |j| samples.normals[j])

@@ -10,7 +10,8 @@ use glam::{DMat3, DVec3, Vec3};
 use crate::geometry::symmetric_eigen;
 
 /// A sample of P_L inside a cell: position relative to the model's origin, and unit normal.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
 pub struct Sample {
     /// Position in local coordinates.
     pub position: Vec3,
@@ -223,8 +224,9 @@ mod tests {
             .collect();
         let m = Moments::of(&corner);
         let r = m.representative();
-        assert!(r.distance(Vec3::ONE) < 0.01, "{r}");
-        assert!(m.mean().distance(DVec3::ONE) > 0.5);
+        // All the way from the mean but for what the ridge holds back, which is about its own strength.
+        let way = m.mean().distance(DVec3::ONE);
+        assert!(way > 0.5 && f64::from(r.distance(Vec3::ONE)) < 4.0 * QUADRIC_RIDGE * way, "{r}");
     }
 
     #[test]

@@ -66,6 +66,8 @@ pub struct Lattice {
     key_max: CellKey,
     /// The cell of the last sample: streams are coherent, so the map is seldom asked.
     current: Option<(CellKey, CellRecord)>,
+    /// What is surely inside that cell and the bounds: most samples are, and need no further look.
+    inside: Bounds,
     bounds: Bounds,
 }
 
@@ -80,6 +82,7 @@ impl Lattice {
             key_min: [i64::MAX; 3],
             key_max: [i64::MIN; 3],
             current: None,
+            inside: Bounds::default(),
             bounds: Bounds::default(),
         }
     }
@@ -87,6 +90,23 @@ impl Lattice {
     /// Counts the sample of the given index in the stream. Its position must be finite.
     #[inline]
     pub fn add(&mut self, p: DVec3, index: u64) {
+        if let Some((_, record)) = &mut self.current
+            && self.inside.contains(p)
+        {
+            record.count += 1;
+            record.first = record.first.min(index);
+            record.last = record.last.max(index);
+            return;
+        }
+        self.enter(p, index);
+        if let Some((key, _)) = self.current {
+            let cell = cell_box(key, self.level);
+            self.inside = Bounds { min: cell.min.max(self.bounds.min), max: cell.max.min(self.bounds.max) };
+        }
+    }
+
+    /// Counts a sample that may lie in another cell than the last, or outside the bounds so far.
+    fn enter(&mut self, p: DVec3, index: u64) {
         self.bounds.include(p);
         // Keys stay below 2^53, exact in a double and far from overflow.
         let finest = exponent(p.abs().max_element()) - 52;
@@ -202,6 +222,15 @@ fn merge(cells: &mut CellMap<CellRecord>, key: CellKey, record: CellRecord) {
 #[inline]
 fn exponent(x: f64) -> i32 {
     ((x.to_bits() >> 52) & 0x7ff).max(1) as i32 - 1023
+}
+
+/// The points that are surely in a cell: its upper faces are not, and neither is what rounding may have moved.
+pub fn cell_box(key: CellKey, level: i32) -> Bounds {
+    let half = level / 2;
+    let (a, b) = (power_of_two(half), power_of_two(level - half));
+    let corner = |k: [i64; 3]| DVec3::from_array(k.map(|k| k as f64 * a * b));
+    let max = corner(key.map(|k| k + 1));
+    Bounds { min: corner(key), max: DVec3::from_array(max.to_array().map(f64::next_down)) }
 }
 
 /// ⌊p / 2^level⌋, exact.

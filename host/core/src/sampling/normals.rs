@@ -23,9 +23,6 @@ const ORIENT_NEIGHBOURS: usize = 12;
 /// normal of its highest sample (along z) points up; whether that is outwards is known for closed surfaces only.
 pub fn complete(positions: &[Vec3], neighbours: &NeighbourGraph, normals: &mut [Vec3]) {
     let missing: Vec<bool> = normals.par_iter().map(|n| *n == Vec3::ZERO).collect();
-    if !missing.contains(&true) {
-        return;
-    }
     normals.par_iter_mut().enumerate().filter(|(i, _)| missing[*i]).for_each(|(i, normal)| {
         let near = neighbours.of(i);
         *normal = plane_normal(positions, i, &near[..near.len().min(PLANE_NEIGHBOURS)]);

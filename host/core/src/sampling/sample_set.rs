@@ -1,6 +1,7 @@
 //! P_S: the samples, with what a deformation tool and the reconstruction need of them.
 
 use std::num::NonZeroUsize;
+use std::sync::OnceLock;
 
 use glam::Vec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -38,41 +39,92 @@ impl NeighbourGraph {
 
 /// The small point set P_S, in local coordinates (see [`Frame`](crate::frame::Frame)).
 ///
-/// Memory: about 170 bytes per sample. The index of a sample never changes.
+/// Memory: 24 bytes per sample; about 160 more once the neighbours are asked for. The index of a sample
+/// never changes.
 pub struct SampleSet {
     /// Positions.
     pub positions: Vec<Vec3>,
     /// Unit normals, consistently oriented.
     pub normals: Vec<Vec3>,
-    /// Mean distance to the nearest neighbours; 0 for a single sample.
-    pub spacing: Vec<f32>,
-    /// The k-nearest-neighbour graph.
-    pub neighbours: NeighbourGraph,
+    surroundings: OnceLock<Surroundings>,
+}
+
+/// Who is near whom: found when it is first asked for, as writing the samples does not need it.
+struct Surroundings {
     tree: ImmutableKdTree<f32, 3>,
+    neighbours: NeighbourGraph,
+    spacing: Vec<f32>,
 }
 
 impl SampleSet {
-    /// Completes a set of samples: the neighbour graph and spacing, and normals where they are zero.
+    /// A set of samples; normals that are zero or missing are estimated.
     ///
     /// # Errors
     /// There is no sample, or one that is not finite.
-    pub fn new(positions: Vec<Vec3>, mut normals: Vec<Vec3>) -> Result<Self> {
-        if let Some(i) = positions.iter().position(|p| !p.is_finite()) {
-            return Err(Error::new(
-                ErrorKind::Degenerate,
-                format!("sample {i} has no finite position"),
-                "the samples are damaged: sample the model again",
-            ));
+    pub fn new(positions: Vec<Vec3>, normals: Vec<Vec3>) -> Result<Self> {
+        let refused = |what: String| Err(Error::new(ErrorKind::Degenerate, what, "sample the model again"));
+        if positions.is_empty() {
+            return refused("there are no samples".to_owned());
         }
-        let tree = index(&positions)?;
+        if let Some(i) = positions.iter().position(|p| !p.is_finite()) {
+            return refused(format!("sample {i} has no finite position"));
+        }
+        let mut set = Self { positions, normals, surroundings: OnceLock::new() };
+        set.normals.resize(set.positions.len(), Vec3::ZERO);
+        if set.normals.contains(&Vec3::ZERO) {
+            let mut normals = std::mem::take(&mut set.normals);
+            normals::complete(&set.positions, set.neighbours(), &mut normals);
+            set.normals = normals;
+        }
+        Ok(set)
+    }
+
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Never: a set has at least one sample.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// The k-nearest-neighbour graph.
+    #[inline]
+    pub fn neighbours(&self) -> &NeighbourGraph {
+        &self.surroundings().neighbours
+    }
+
+    /// Mean distance to the nearest neighbours, for each sample; 0 for a single one.
+    #[inline]
+    pub fn spacing(&self) -> &[f32] {
+        &self.surroundings().spacing
+    }
+
+    /// The sample nearest to a finite point. Costs about a microsecond: not for every vertex of P_L.
+    pub fn nearest(&self, p: Vec3) -> u32 {
+        let query = p.to_array();
+        self.surroundings().tree.query(&query).nearest_one::<SquaredEuclidean<f32>>().execute().item
+    }
+
+    #[inline]
+    fn surroundings(&self) -> &Surroundings {
+        self.surroundings.get_or_init(|| Surroundings::of(&self.positions))
+    }
+}
+
+impl Surroundings {
+    fn of(positions: &[Vec3]) -> Self {
+        let points: Vec<[f32; 3]> = positions.iter().map(Vec3::to_array).collect();
+        let tree = ImmutableKdTree::new_from_slice(&points);
+        let tree = tree.expect("finite points, at least one and fewer than 2^32");
         let k = NEIGHBOURS.min(positions.len() - 1);
         // One more, as a sample is its own nearest neighbour.
         let wanted = NonZeroUsize::MIN.saturating_add(k);
         let mut flat = vec![0; positions.len() * k];
         if k > 0 {
-            flat.par_chunks_mut(k).enumerate().for_each(|(i, neighbours)| {
-                let found =
-                    tree.query(&positions[i].to_array()).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
+            flat.par_chunks_mut(k).zip(&points).enumerate().for_each(|(i, (neighbours, p))| {
+                let found = tree.query(p).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
                 let others = found.iter().map(|f| f.item).filter(|j| *j != i as u32);
                 // Among more coincident samples than k, the sample itself may be missing from what was found.
                 neighbours.iter_mut().zip(others).for_each(|(slot, j)| *slot = j);
@@ -87,43 +139,8 @@ impl SampleSet {
                 neighbours.of(i)[..near].iter().map(distance).sum::<f32>() / near.max(1) as f32
             })
             .collect();
-        normals.resize(positions.len(), Vec3::ZERO);
-        normals::complete(&positions, &neighbours, &mut normals);
-        Ok(Self { positions, normals, spacing, neighbours, tree })
+        Self { tree, neighbours, spacing }
     }
-
-    /// Number of samples.
-    pub fn len(&self) -> usize {
-        self.positions.len()
-    }
-
-    /// Never: a set has at least one sample.
-    pub fn is_empty(&self) -> bool {
-        self.positions.is_empty()
-    }
-
-    /// The sample nearest to a finite point. Costs about a microsecond: not for every vertex of P_L.
-    pub fn nearest(&self, p: Vec3) -> u32 {
-        self.tree.query(&p.to_array()).nearest_one::<SquaredEuclidean<f32>>().execute().item
-    }
-}
-
-fn index(positions: &[Vec3]) -> Result<ImmutableKdTree<f32, 3>> {
-    let points: Vec<[f32; 3]> = positions.iter().map(Vec3::to_array).collect();
-    if points.is_empty() {
-        return Err(Error::new(
-            ErrorKind::Degenerate,
-            "there are no samples",
-            "a sampled model has at least one: sample the model again",
-        ));
-    }
-    ImmutableKdTree::new_from_slice(&points).map_err(|e| {
-        Error::new(
-            ErrorKind::Degenerate,
-            format!("cannot index {} samples: {e:?}", points.len()),
-            "ask for fewer samples",
-        )
-    })
 }
 
 #[cfg(test)]
@@ -145,10 +162,10 @@ mod tests {
                 let mut all: Vec<f32> =
                     points.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, q)| p.distance(*q)).collect();
                 all.sort_by(f32::total_cmp);
-                let found = set.neighbours.of(i);
+                let found = set.neighbours().of(i);
                 prop_assert!(!found.contains(&(i as u32)));
                 let found: Vec<f32> = found.iter().map(|j| points[*j as usize].distance(*p)).collect();
-                prop_assert_eq!(&found[..], &all[..set.neighbours.k()]);
+                prop_assert_eq!(&found[..], &all[..set.neighbours().k()]);
                 prop_assert!(set.normals[i].is_normalized());
             }
         }

@@ -12,7 +12,7 @@ use std::sync::OnceLock;
 const PLUGINS: [(&str, &str); 3] = [
     ("simod-plugin-warp", "simod_warp"),
     ("simod-plugin-rbf", "simod_rbf"),
-    ("simod-plugin-misbehaving", "simod_misbehaving"),
+    ("simod-plugin-misbehaving", "misbehaving"),
 ];
 
 /// The folder with the built plugins: that of the profile that the tests run in.
