@@ -58,7 +58,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
 
     let start = Instant::now();
     let sampling = Sampling { target: Target::Samples(arguments.samples), ..Sampling::default() };
-    let sampled = sample(model.as_ref(), &sampling, &Silent)?;
+    let sampled = sample(model.as_ref(), &sampling, folder.path(), &Silent)?;
     println!(
         "{} vertices, {} samples in {:.2} s; errors as fractions of the diagonal\n",
         model.info().vertices,
