@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use glam::Vec3;
-use simod_core::output::folder_of;
 use simod_core::model;
+use simod_core::output::folder_of;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{deformed_normals, reconstruct};
 use simod_core::sampled_model::SampledModel;

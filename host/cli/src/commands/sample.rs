@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use simod_core::sampling::{Sampling, Target, sample};
 use simod_core::output::folder_of;
+use simod_core::sampling::{Sampling, Target, sample};
 use simod_core::{Result, model};
 
 use super::warn_non_finite;
@@ -45,11 +45,15 @@ fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
     let upper = text.to_ascii_uppercase();
     let upper = upper.strip_suffix("IB").or(upper.strip_suffix('B')).unwrap_or(&upper);
     let (number, shift) = match upper.char_indices().last() {
-        Some((at, unit @ ('K' | 'M' | 'G' | 'T'))) => (&upper[..at], 10 * (1 + "KMGT".find(unit).unwrap_or(0))),
+        Some((at, unit @ ('K' | 'M' | 'G' | 'T'))) => {
+            (&upper[..at], 10 * (1 + "KMGT".find(unit).unwrap_or(0)))
+        }
         _ => (upper, 0),
     };
     let bytes = number.trim().parse::<f64>().ok().filter(|n| n.is_finite() && *n > 0.0);
-    bytes.map(|n| (n * 2f64.powi(shift as i32)) as u64).ok_or_else(|| "a size is like 500M or 1.5G".to_owned())
+    bytes
+        .map(|n| (n * 2f64.powi(shift as i32)) as u64)
+        .ok_or_else(|| "a size is like 500M or 1.5G".to_owned())
 }
 
 impl SamplingArguments {
@@ -91,7 +95,9 @@ mod tests {
 
     #[test]
     fn sizes_have_units() {
-        for (text, bytes) in [("1", 1), ("64k", 65_536), ("1.5M", 3 << 19), ("2GiB", 2 << 30), ("100 MB", 100 << 20)] {
+        for (text, bytes) in
+            [("1", 1), ("64k", 65_536), ("1.5M", 3 << 19), ("2GiB", 2 << 30), ("100 MB", 100 << 20)]
+        {
             assert_eq!(parse_bytes(text), Ok(bytes), "{text}");
         }
         for text in ["", "M", "-1", "0", "1X", "nan", "1e999"] {

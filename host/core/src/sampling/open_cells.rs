@@ -255,7 +255,8 @@ impl CellSamples {
             at = former;
         }
         let total = self.spilled + self.held.len() as u64;
-        let mut part: Vec<Sample> = Vec::with_capacity(usize::try_from(total).map_or(limit, |n| n.min(limit)));
+        let mut part: Vec<Sample> =
+            Vec::with_capacity(usize::try_from(total).map_or(limit, |n| n.min(limit)));
         for (mut at, mut count) in pieces.into_iter().rev() {
             while count > 0 {
                 let n = ((limit - part.len()) as u64).min(count) as usize;

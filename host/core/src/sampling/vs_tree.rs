@@ -399,7 +399,9 @@ mod tests {
     fn a_joined_tree_cuts_as_both() {
         let set = |z: f32| -> Vec<Sample> {
             (0..400)
-                .map(|i| sample(Vec3::new((i % 20) as f32, (i as f32 * 0.7).sin(), z + (i / 20) as f32), Vec3::Y))
+                .map(|i| {
+                    sample(Vec3::new((i % 20) as f32, (i as f32 * 0.7).sin(), z + (i / 20) as f32), Vec3::Y)
+                })
                 .collect()
         };
         let (a, b) = (set(0.0), set(20.0));
