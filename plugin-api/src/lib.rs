@@ -101,6 +101,6 @@ pub use root::{EvaluateExtension, PluginMod, PluginModRef};
 /// What the macros and the host need of the crates below; not for plugins.
 #[doc(hidden)]
 pub mod __private {
-    pub use crate::deformer::{evaluate_extension, no_extension, root_module};
+    pub use crate::deformer::{evaluate_extension, no_extension, quiet_panics, root_module};
     pub use abi_stable;
 }
