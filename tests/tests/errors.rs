@@ -257,7 +257,7 @@ fn a_session_that_makes_no_sense() {
 fn numbers_out_of_range() {
     let work = sampled();
     work.refuses("sample model.ply -o out.simod --samples 0", &["0 samples"]);
-    work.refuses("sample model.ply -o out.simod --error -1", &["-1"]);
+    work.refuses("sample model.ply -o out.simod --error 0", &["0"]);
     work.refuses("sample model.ply -o out.simod --error nan", &["NaN"]);
     work.refuses("sample model.ply -o out.simod --grid 1", &["1"]);
     work.refuses("generate -o out.ply --vertices 3", &["3"]);
