@@ -13,6 +13,7 @@ pub mod generate;
 pub mod geometry;
 pub mod model;
 pub mod output;
+mod positioned;
 pub mod progress;
 pub mod reconstruction;
 pub mod render;

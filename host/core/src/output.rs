@@ -129,8 +129,8 @@ fn follow_links(path: &Path) -> Result<PathBuf> {
     ))
 }
 
-/// The folder that holds a file.
-fn folder_of(path: &Path) -> &Path {
+/// The folder that holds a file: that of the same name but for its last part.
+pub fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if folder != Path::new("") => folder,
         _ => Path::new("."),

@@ -136,10 +136,7 @@ impl SampledModel {
                 "give the name of a new folder, or of a sampled model to replace",
             ));
         }
-        let parent = match folder.parent() {
-            Some(p) if p != Path::new("") => p,
-            _ => Path::new("."),
-        };
+        let parent = output::folder_of(folder);
         let io = |e: std::io::Error| Error::io("write", folder, &e);
         let new = tempfile::Builder::new().prefix(".simod-").tempdir_in(parent).map_err(io)?;
         let description = Description {
@@ -247,7 +244,11 @@ impl SampledModel {
         let path = path.canonicalize().unwrap_or(path);
         Ok(Self {
             source: Source { path, ..description.model },
-            sampling: Sampling { target: description.sampling.target, grid: description.sampling.grid },
+            sampling: Sampling {
+                target: description.sampling.target,
+                grid: description.sampling.grid,
+                memory_limit: None,
+            },
             cells: description.sampling.cells,
             cell_size: description.sampling.cell_size,
             bounds,

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use glam::Vec3;
 use simod_core::model;
+use simod_core::output::folder_of;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{deformed_normals, reconstruct};
 use simod_core::sampled_model::SampledModel;
@@ -82,7 +83,8 @@ impl Run {
             )
         })?;
         let model = model::open(path)?;
-        let sampled = sample(model.as_ref(), &session.sampling.into(), progress)?;
+        let folder = folder_of(output);
+        let sampled = sample(model.as_ref(), &session.sampling.into(), folder, progress)?;
         let deformed = deform(&sampled, &stack, progress)?;
         reconstruct(&sampled, model.as_ref(), &deformed.positions, output, progress)?;
         Ok(Self { sampled, deformed, output: output.to_owned(), seconds: start.elapsed().as_secs_f64() })
@@ -116,6 +118,6 @@ impl From<session_file::Sampling> for Sampling {
             (None, Some(e)) => Target::Error(e),
             (None, None) => Target::default(),
         };
-        Self { target, grid: from.grid }
+        Self { target, grid: from.grid, memory_limit: None }
     }
 }

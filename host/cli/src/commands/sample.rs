@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use simod_core::output::folder_of;
 use simod_core::sampling::{Sampling, Target, sample};
 use simod_core::{Result, model};
 
@@ -33,6 +34,26 @@ pub struct SamplingArguments {
     /// Most cells of the coarse grid along an axis [default: 16 to 512, by the model's size]
     #[arg(long, value_name = "R")]
     grid: Option<u32>,
+    /// Memory to stay below, as 500M or 2G; beyond it samples wait in a temporary file beside the output
+    /// [default: a quarter of the machine's, at most 2G]
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+    memory_limit: Option<u64>,
+}
+
+/// A size in bytes, with K, M, G or T for powers of 1024.
+fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
+    let upper = text.to_ascii_uppercase();
+    let upper = upper.strip_suffix("IB").or(upper.strip_suffix('B')).unwrap_or(&upper);
+    let (number, shift) = match upper.char_indices().last() {
+        Some((at, unit @ ('K' | 'M' | 'G' | 'T'))) => {
+            (&upper[..at], 10 * (1 + "KMGT".find(unit).unwrap_or(0)))
+        }
+        _ => (upper, 0),
+    };
+    let bytes = number.trim().parse::<f64>().ok().filter(|n| n.is_finite() && *n > 0.0);
+    bytes
+        .map(|n| (n * 2f64.powi(shift as i32)) as u64)
+        .ok_or_else(|| "a size is like 500M or 1.5G".to_owned())
 }
 
 impl SamplingArguments {
@@ -42,14 +63,15 @@ impl SamplingArguments {
             (None, Some(e)) => Target::Error(e),
             (None, None) => Target::default(),
         };
-        Sampling { target, grid: self.grid }
+        Sampling { target, grid: self.grid, memory_limit: self.memory_limit }
     }
 }
 
 impl Sample {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let model = model::open(&self.model)?;
-        let sampled = sample(model.as_ref(), &self.sampling.sampling(), report.progress())?;
+        let folder = folder_of(&self.output);
+        let sampled = sample(model.as_ref(), &self.sampling.sampling(), folder, report.progress())?;
         sampled.save(&self.output)?;
         let vertices = model.info().vertices;
         warn_non_finite(&sampled, report);
@@ -64,5 +86,22 @@ impl Sample {
             rate(vertices, report.seconds()),
         ));
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::parse_bytes;
+
+    #[test]
+    fn sizes_have_units() {
+        for (text, bytes) in
+            [("1", 1), ("64k", 65_536), ("1.5M", 3 << 19), ("2GiB", 2 << 30), ("100 MB", 100 << 20)]
+        {
+            assert_eq!(parse_bytes(text), Ok(bytes), "{text}");
+        }
+        for text in ["", "M", "-1", "0", "1X", "nan", "1e999"] {
+            assert!(parse_bytes(text).is_err(), "{text}");
+        }
     }
 }

@@ -6,6 +6,7 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
+use crate::positioned::Positioned;
 use crate::{Error, ErrorKind, Result};
 
 /// An open file of known length that several threads read at once, each where it likes.
@@ -93,52 +94,5 @@ impl Source {
             format!("{} changed its length while it was read", self.path.display()),
             "wait until the program that writes it is done, then try again",
         )
-    }
-}
-
-/// Positioned reads, by the operating system where it has them.
-#[cfg(unix)]
-#[derive(Debug)]
-struct Positioned(File);
-
-#[cfg(unix)]
-impl Positioned {
-    fn new(file: File) -> Self {
-        Self(file)
-    }
-
-    fn read_at(&self, buffer: &mut [u8], offset: u64) -> std::io::Result<usize> {
-        std::os::unix::fs::FileExt::read_at(&self.0, buffer, offset)
-    }
-
-    fn len(&self) -> std::io::Result<u64> {
-        Ok(self.0.metadata()?.len())
-    }
-}
-
-/// Elsewhere seek and read are two calls, which a lock keeps together.
-#[cfg(not(unix))]
-#[derive(Debug)]
-struct Positioned(std::sync::Mutex<File>);
-
-#[cfg(not(unix))]
-impl Positioned {
-    fn new(file: File) -> Self {
-        Self(std::sync::Mutex::new(file))
-    }
-
-    fn lock(&self) -> std::sync::MutexGuard<'_, File> {
-        self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
-    }
-
-    fn read_at(&self, buffer: &mut [u8], offset: u64) -> std::io::Result<usize> {
-        use std::io::{Read, Seek, SeekFrom};
-        let mut file = self.lock();
-        file.seek(SeekFrom::Start(offset))?;
-        file.read(buffer)
-    }
-
-    fn len(&self) -> std::io::Result<u64> {
-        Ok(self.lock().metadata()?.len())
     }
 }

@@ -10,7 +10,8 @@ use glam::{DMat3, DVec3, Vec3};
 use crate::geometry::symmetric_eigen;
 
 /// A sample of P_L inside a cell: position relative to the model's origin, and unit normal.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
 pub struct Sample {
     /// Position in local coordinates.
     pub position: Vec3,

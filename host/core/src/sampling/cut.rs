@@ -4,7 +4,7 @@
 //! number of occupied cells, or a large flat region, is met as well.
 //!
 //! For a target number N no second look at the model is needed: the clusters of all cells seen so far are kept
-//! down to a running bound ε, raised whenever they are more than 3N. More cells can only add clusters, so the final
+//! down to a running bound ε, raised whenever they are more than 2N. More cells can only add clusters, so the final
 //! bound is never below the running one, and what was dropped would not have been in the cut.
 
 use super::cluster::Moments;
@@ -13,9 +13,13 @@ use super::lattice::{CellKey, CellMap, Grid};
 use super::vs_tree::{Node, VsTree};
 
 /// Clusters are pruned when there are more than this many times the target …
-const KEEP_AT_MOST: usize = 3;
+const KEEP_AT_MOST: f64 = 2.0;
 /// … down to this many times the target.
-const PRUNE_TO: usize = 2;
+const PRUNE_TO: f64 = 1.3;
+
+/// Bytes for each sample of the target: [`KEEP_AT_MOST`] clusters in trees of about 1.4 nodes per cluster, once more
+/// while they are pruned, and the sample itself.
+pub const BYTES_PER_SAMPLE: u64 = 150;
 
 /// The trees of all cells seen so far.
 ///
@@ -43,11 +47,12 @@ impl Forest {
         self.leaves += tree.leaves();
         self.cells[cell as usize] = Some((tree, moments));
         if let Some(target) = self.target
-            && self.leaves > KEEP_AT_MOST * target.max(1024)
+            && self.leaves as f64 > KEEP_AT_MOST * target.max(1024) as f64
         {
             let trees = || self.cells.iter().flatten().map(|(tree, _)| tree);
             let roots = trees().count();
-            let bound = threshold_for(trees().flat_map(VsTree::splits), roots, PRUNE_TO * target.max(1024));
+            let wanted = (PRUNE_TO * target.max(1024) as f64) as usize;
+            let bound = threshold_for(trees().flat_map(VsTree::splits), roots, wanted);
             self.threshold = self.threshold.max(bound);
             self.leaves = 0;
             for (tree, _) in self.cells.iter_mut().flatten() {

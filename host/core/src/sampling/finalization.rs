@@ -4,6 +4,7 @@
 //! Each sample goes to its cell; when the cell's counter reaches zero no sample of the rest of the stream belongs
 //! to it: it is clustered, on any core, while the stream goes on.
 
+use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc;
 
@@ -12,6 +13,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 
 use super::cluster::{Moments, Sample};
 use super::lattice::{Grid, cell_box};
+use super::open_cells::{CellSamples, OpenCells};
 use super::vs_tree::{VsTree, mix};
 use crate::frame::Frame;
 use crate::geometry::Bounds;
@@ -20,6 +22,9 @@ use crate::{Error, ErrorKind, Progress, Result};
 
 /// Most samples that wait for, or are in, clustering: 6 MiB of them. Beyond it the stream stands still.
 const MAX_QUEUED_SAMPLES: usize = 1 << 18;
+
+/// Least number of samples that a cell is clustered in at once, however little memory there is.
+const MIN_PART: u64 = 1 << 16;
 
 /// The clusters of one finalized cell.
 pub struct ClusteredCell {
@@ -31,89 +36,127 @@ pub struct ClusteredCell {
     pub moments: Moments,
 }
 
-/// Streams the model through the grid and hands each cell, clustered down to the current value of `stop`
-/// (an error in local units, as the bits of an f32), to `collect`, in no particular order. `hash` takes in the
-/// bytes of all vertices.
-///
-/// Memory: the samples of the cells that are open at a time (24 bytes each), which for a stream in spatial order
-/// is a small part of the model, and [`MAX_QUEUED_SAMPLES`].
-///
-/// # Errors
-/// The model cannot be read, or is not the one that the grid was made from; the user cancelled.
-pub fn finalize_cells(
-    model: &dyn Model,
-    grid: &Grid,
-    frame: &Frame,
-    stop: &AtomicU32,
-    hash: &mut Xxh3Default,
-    progress: &dyn Progress,
-    mut collect: impl FnMut(ClusteredCell),
-) -> Result<()> {
-    let (send, receive) = mpsc::channel();
-    rayon::in_place_scope(|scope| {
-        let mut open: Vec<Vec<Sample>> = Vec::new();
-        open.resize_with(grid.keys.len(), Vec::new);
-        let mut left: Vec<u64> = grid.records.iter().map(|r| r.count).collect();
-        let mut queued = 0usize;
-        let mut current = None;
+/// What pass 2 works on.
+pub struct Pass<'a> {
+    /// The model.
+    pub model: &'a dyn Model,
+    /// Its grid, from pass 1.
+    pub grid: &'a Grid,
+    /// Its local coordinates.
+    pub frame: &'a Frame,
+    /// Bytes of samples that may be held.
+    pub memory: u64,
+    /// Where a temporary file goes if that is not enough.
+    pub folder: &'a Path,
+    /// Watches.
+    pub progress: &'a dyn Progress,
+}
 
-        let mut reader = model.vertices(0..model.info().vertices)?;
-        let mut chunk = VertexChunk::default();
-        while reader.read(&mut chunk)? {
-            progress.check()?;
-            for (i, p) in chunk.positions.iter().enumerate() {
-                let cell = match &current {
-                    Some((inside, cell)) if Bounds::contains(inside, *p) => *cell,
-                    _ if !p.is_finite() => continue,
-                    _ => {
-                        let key = grid.key_of(*p);
-                        let cell = grid.find(&key).ok_or_else(|| changed(model))?;
-                        current = Some((cell_box(key, grid.level), cell));
-                        cell
+impl Pass<'_> {
+    /// Streams the model through the grid and hands each cell, clustered down to the current value of `stop` (an
+    /// error in local units, as the bits of an f32), to `collect`, in no particular order. `hash` takes in the
+    /// bytes of all vertices.
+    ///
+    /// Memory: half of `memory` for the samples of open cells ([`OpenCells`]), the other half for cells in
+    /// clustering; [`MAX_QUEUED_SAMPLES`]; a chunk of the model.
+    ///
+    /// # Errors
+    /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be written;
+    /// the user cancelled.
+    pub fn run(
+        &self,
+        stop: &AtomicU32,
+        hash: &mut Xxh3Default,
+        mut collect: impl FnMut(ClusteredCell),
+    ) -> Result<()> {
+        let Self { model, grid, frame, .. } = *self;
+        let (send, receive) = mpsc::channel::<(usize, Result<ClusteredCell>)>();
+        // Each thread holds a part of a cell, and a copy of it to sort.
+        let threads = 2 * rayon::current_num_threads() as u64;
+        let part = (self.memory / 2 / threads / size_of::<Sample>() as u64).max(MIN_PART) as usize;
+        rayon::in_place_scope(|scope| {
+            let mut open = OpenCells::new(grid.keys.len(), self.memory / 2, self.folder);
+            let mut left: Vec<u64> = grid.records.iter().map(|r| r.count).collect();
+            let mut queued = 0usize;
+            let mut current = None;
+
+            let mut reader = model.vertices(0..model.info().vertices)?;
+            let mut chunk = VertexChunk::default();
+            while reader.read(&mut chunk)? {
+                self.progress.check()?;
+                for (i, p) in chunk.positions.iter().enumerate() {
+                    let cell = match &current {
+                        Some((inside, cell)) if Bounds::contains(inside, *p) => *cell,
+                        _ if !p.is_finite() => continue,
+                        _ => {
+                            let key = grid.key_of(*p);
+                            let cell = grid.find(&key).ok_or_else(|| changed(model))?;
+                            current = Some((cell_box(key, grid.level), cell));
+                            cell
+                        }
+                    };
+                    let c = cell as usize;
+                    left[c] = left[c].checked_sub(1).ok_or_else(|| changed(model))?;
+                    let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
+                    open.push(cell, Sample { position: frame.to_local(*p), normal })?;
+                    if left[c] == 0 {
+                        let samples = open.take(cell);
+                        let held = samples.held();
+                        queued += held;
+                        let send = send.clone();
+                        let seed = grid.keys[c].iter().fold(0, |seed, k| mix(seed, *k as u64));
+                        scope.spawn(move |_| {
+                            let clustered = cluster(cell, samples, part, stop, seed);
+                            // The receiver is gone only when the stream has failed already.
+                            let _ = send.send((held, clustered));
+                        });
+                        while queued > MAX_QUEUED_SAMPLES {
+                            let Ok((samples, cell)) = receive.recv() else { break };
+                            queued -= samples;
+                            collect(cell?);
+                        }
                     }
-                };
-                let c = cell as usize;
-                left[c] = left[c].checked_sub(1).ok_or_else(|| changed(model))?;
-                let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
-                let samples = &mut open[c];
-                if samples.capacity() == 0 {
-                    samples.reserve_exact(grid.records[c].count as usize);
                 }
-                samples.push(Sample { position: frame.to_local(*p), normal });
-                if left[c] == 0 {
-                    let mut samples = std::mem::take(samples);
-                    queued += samples.len();
-                    let send = send.clone();
-                    let seed = grid.keys[c].iter().fold(0, |seed, k| mix(seed, *k as u64));
-                    scope.spawn(move |_| {
-                        let stop = f32::from_bits(stop.load(Ordering::Relaxed));
-                        let mut scratch = Vec::new();
-                        let (tree, moments) = VsTree::build(&mut samples, &mut scratch, stop, seed);
-                        // The receiver is gone only when the stream has failed already.
-                        let _ = send.send((samples.len(), ClusteredCell { cell, tree, moments }));
-                    });
-                    while queued > MAX_QUEUED_SAMPLES {
-                        let Ok((samples, cell)) = receive.recv() else { break };
-                        queued -= samples;
-                        collect(cell);
-                    }
+                while let Ok((samples, cell)) = receive.try_recv() {
+                    queued -= samples;
+                    collect(cell?);
                 }
+                hash.update(chunk.raw());
+                self.progress.advance(chunk.raw().len() as u64);
             }
-            while let Ok((samples, cell)) = receive.try_recv() {
-                queued -= samples;
-                collect(cell);
+            if left.iter().any(|n| *n > 0) {
+                return Err(changed(model));
             }
-            hash.update(chunk.raw());
-            progress.advance(chunk.raw().len() as u64);
-        }
-        if left.iter().any(|n| *n > 0) {
-            return Err(changed(model));
-        }
-        Ok(())
+            Ok(())
+        })?;
+        drop(send);
+        receive.into_iter().try_for_each(|(_, cell)| cell.map(&mut collect))
+    }
+}
+
+/// Clusters a complete cell; one that is larger than `part` samples in parts, whose trees are joined.
+fn cluster(
+    cell: u32,
+    samples: CellSamples,
+    part: usize,
+    stop: &AtomicU32,
+    seed: u64,
+) -> Result<ClusteredCell> {
+    let mut scratch = Vec::new();
+    let mut whole: Option<(VsTree, Moments)> = None;
+    samples.in_parts(part, |samples| {
+        let stop = f32::from_bits(stop.load(Ordering::Relaxed));
+        let (tree, moments) = VsTree::build(samples, &mut scratch, stop, seed);
+        whole = Some(match whole.take() {
+            None => (tree, moments),
+            Some((first, mut both)) => {
+                both.add(&moments);
+                (VsTree::join(first, tree, &both), both)
+            }
+        });
     })?;
-    drop(send);
-    receive.into_iter().for_each(|(_, cell)| collect(cell));
-    Ok(())
+    let (tree, moments) = whole.unwrap_or_default();
+    Ok(ClusteredCell { cell, tree, moments })
 }
 
 /// The direction of a normal; zero where it has none. Most are of unit length as they are.

@@ -9,9 +9,11 @@ mod cut;
 mod finalization;
 pub mod lattice;
 mod normals;
+mod open_cells;
 mod sample_set;
 pub mod vs_tree;
 
+use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::Vec3;
@@ -25,6 +27,7 @@ use crate::model::{Model, VertexChunk};
 use crate::sampled_model::{SampledModel, Source};
 use crate::{Error, ErrorKind, Progress, Result};
 use cut::Forest;
+use finalization::Pass;
 use lattice::{Grid, Lattice};
 
 /// How fine P_S shall be.
@@ -50,14 +53,52 @@ pub struct Sampling {
     pub target: Target,
     /// Most cells of the coarse grid along an axis; by the model's size where not given.
     pub grid: Option<u32>,
+    /// Bytes of memory to stay below, for any order of the vertices; a quarter of the machine's, and at most
+    /// 2 GiB, where not given.
+    pub memory_limit: Option<u64>,
 }
 
-/// Samples a model.
+/// Memory that is needed whatever the limit: chunks of the model, the queue of cells, the program itself.
+const OVERHEAD: u64 = 32 << 20;
+
+/// Least memory for samples, however low the limit.
+const MIN_SAMPLE_MEMORY: u64 = 8 << 20;
+
+impl Sampling {
+    /// What is left of the memory limit for the samples of cells, after the clusters that are kept and the table
+    /// of so many cells.
+    fn sample_memory(&self, cells: usize) -> u64 {
+        let limit = self.memory_limit.unwrap_or_else(|| (total_memory() / 4).min(2 << 30));
+        let clusters = match self.target {
+            Target::Samples(n) => n.saturating_mul(cut::BYTES_PER_SAMPLE),
+            Target::Error(_) => limit / 4,
+        };
+        let taken = OVERHEAD.saturating_add(clusters).saturating_add(512 * cells as u64);
+        limit.saturating_sub(taken).max(MIN_SAMPLE_MEMORY)
+    }
+}
+
+/// Memory of the machine in bytes; 4 GiB where it does not tell.
+fn total_memory() -> u64 {
+    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let total = text
+        .lines()
+        .find_map(|l| l.strip_prefix("MemTotal:")?.trim().strip_suffix("kB")?.trim().parse().ok());
+    total.unwrap_or(4 << 20) * 1024
+}
+
+/// Samples a model. If the memory limit is reached, a temporary file without a name is made in `folder`, of at most
+/// 25 bytes per vertex.
 ///
 /// # Errors
 /// The model cannot be read, changes meanwhile, or has no vertex with a finite position; the target is zero or not
-/// finite; the user cancelled.
-pub fn sample(model: &dyn Model, sampling: &Sampling, progress: &dyn Progress) -> Result<SampledModel> {
+/// finite; the temporary file cannot be written; the user cancelled.
+pub fn sample(
+    model: &dyn Model,
+    sampling: &Sampling,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<SampledModel> {
     check(sampling)?;
     let info = model.info();
     if info.vertices == 0 {
@@ -83,9 +124,9 @@ pub fn sample(model: &dyn Model, sampling: &Sampling, progress: &dyn Progress) -
     let mut forest = Forest::new(grid.keys.len(), target, bound);
     let stop = AtomicU32::new(bound.to_bits());
     let mut hash = Xxh3Default::new();
-    finalization::finalize_cells(model, &grid, &frame, &stop, &mut hash, progress, |cell| {
-        stop.store(forest.add(cell).to_bits(), Ordering::Relaxed);
-    })?;
+    let memory = sampling.sample_memory(grid.keys.len());
+    let pass = Pass { model, grid: &grid, frame: &frame, memory, folder, progress };
+    pass.run(&stop, &mut hash, |cell| stop.store(forest.add(cell).to_bits(), Ordering::Relaxed))?;
 
     progress.begin("completing the samples", 0);
     let clusters = forest.cut(&grid);

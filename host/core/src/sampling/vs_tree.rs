@@ -68,6 +68,23 @@ impl VsTree {
         (tree, moments)
     }
 
+    /// One tree of two over disjoint sets of samples, below a cluster with the moments of both.
+    pub fn join(first: Self, second: Self, both: &Moments) -> Self {
+        let key = |tree: &Self| tree.nodes.first().map_or(0.0, |root| root.key);
+        let root = Node {
+            position: both.representative(),
+            normal: both.mean_normal().as_vec3(),
+            // No less than what is below it.
+            key: (both.error() as f32).max(key(&first)).max(key(&second)),
+            end: (1 + first.nodes.len() + second.nodes.len()) as u32,
+        };
+        let behind = 1 + first.nodes.len() as u32;
+        let mut nodes = vec![root];
+        nodes.extend(first.nodes.into_iter().map(|n| Node { end: n.end + 1, ..n }));
+        nodes.extend(second.nodes.into_iter().map(|n| Node { end: n.end + behind, ..n }));
+        Self { nodes }
+    }
+
     /// Calls `visit` with each cluster of the cut at `threshold`, in order.
     pub fn cut(&self, threshold: f32, mut visit: impl FnMut(&Node)) {
         let mut i = 0;
@@ -376,6 +393,30 @@ mod tests {
             let added: u32 = tree.splits().filter(|(key, _)| *key > threshold).map(|(_, n)| n).sum();
             prop_assert_eq!(1 + added as usize, clusters(&tree, threshold).len());
         }
+    }
+
+    #[test]
+    fn a_joined_tree_cuts_as_both() {
+        let set = |z: f32| -> Vec<Sample> {
+            (0..400)
+                .map(|i| {
+                    sample(Vec3::new((i % 20) as f32, (i as f32 * 0.7).sin(), z + (i / 20) as f32), Vec3::Y)
+                })
+                .collect()
+        };
+        let (a, b) = (set(0.0), set(20.0));
+        let mut both = Moments::of(&a);
+        both.add(&Moments::of(&b));
+        let joined = VsTree::join(full(&a), full(&b), &both);
+        for threshold in [0.0, 0.1, 0.5, 1.0] {
+            let mut apart = clusters(&full(&a), threshold);
+            apart.extend(clusters(&full(&b), threshold));
+            let places = |nodes: &[Node]| nodes.iter().map(|n| n.position).collect::<Vec<_>>();
+            assert_eq!(places(&clusters(&joined, threshold)), places(&apart));
+        }
+        assert_eq!(clusters(&joined, f32::INFINITY).len(), 1);
+        let added: u32 = joined.splits().map(|(_, n)| n).sum();
+        assert_eq!(1 + added as usize, joined.leaves());
     }
 
     #[test]

@@ -1,0 +1,201 @@
+//! The paper's Table 1 (§7): the time of each step as models grow, beside a copy of the same file.
+//!
+//! The real `simod` runs, a process for each step, and is asked for its own clock and memory (`--json`).
+#![allow(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a program whose result is the table that it prints"
+)]
+
+use std::error::Error;
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+use std::time::Instant;
+
+use clap::Parser;
+use serde_json::Value;
+use simod_benches::{Map, generate, head, median, row};
+use simod_core::generate::ModelOptions;
+use simod_core::sampled_model::SampledModel;
+
+type Result<T> = std::result::Result<T, Box<dyn Error>>;
+
+/// Measure time and memory on models of growing size, as a Markdown table
+#[derive(Parser)]
+#[command(max_term_width = 100)]
+struct Arguments {
+    /// Vertices of the generated models, in millions
+    #[arg(long, value_delimiter = ',', default_value = "0.4,2,8,32", value_name = "M,...")]
+    millions: Vec<f64>,
+    /// Number of samples
+    #[arg(long, default_value_t = 100_000, value_name = "N")]
+    samples: u64,
+    /// Runs of each step; the table has their medians
+    #[arg(long, default_value_t = 3, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    runs: u32,
+    /// The program to measure [default: the one beside this program]
+    #[arg(long, value_name = "PATH")]
+    simod: Option<PathBuf>,
+    /// Where the temporary files go: on the disk to be measured, with room for the largest model twice
+    #[arg(long, value_name = "DIR", default_value_os_t = std::env::temp_dir())]
+    folder: PathBuf,
+}
+
+const COLUMNS: [&str; 13] = [
+    "vertices",
+    "normals",
+    "file, MB",
+    "samples",
+    "first pass, s",
+    "second pass, s",
+    "post-process, s",
+    "sampling, M vertices/s",
+    "post-process, M vertices/s",
+    "sampling, peak MB",
+    "post-process, peak MB",
+    "copy, s",
+    "post-process / copy",
+];
+
+/// What one round of all steps took.
+#[derive(Default)]
+struct Round {
+    first_pass: f64,
+    second_pass: f64,
+    post_process: f64,
+    sampling: f64,
+    copy: f64,
+    sampling_memory: f64,
+    post_process_memory: f64,
+}
+
+fn main() -> ExitCode {
+    match measure(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn measure(arguments: &Arguments) -> Result<()> {
+    let simod = match &arguments.simod {
+        Some(path) => path.clone(),
+        None => std::env::current_exe()?.with_file_name(format!("simod{}", std::env::consts::EXE_SUFFIX)),
+    };
+    if !simod.is_file() {
+        return Err(
+            format!("{} is missing: build it first, with `cargo build --release`", simod.display()).into()
+        );
+    }
+    println!("{}", head(&COLUMNS));
+    for millions in &arguments.millions {
+        for normals in [true, false] {
+            // One model at a time: the folder is deleted with all that is in it.
+            let folder = tempfile::tempdir_in(&arguments.folder)?;
+            let model = folder.path().join("model.ply");
+            let vertices = (millions * 1e6) as u64;
+            let info = generate(&ModelOptions { vertices, normals, ..ModelOptions::default() }, &model)?;
+
+            let rounds = (0..arguments.runs)
+                .map(|_| round(&simod, &model, folder.path(), arguments.samples))
+                .collect::<Result<Vec<_>>>()?;
+            let middle = |figure: fn(&Round) -> f64| median(rounds.iter().map(figure).collect());
+            let samples = SampledModel::load(&folder.path().join("samples.simod"))?.samples.len();
+            let rate = |seconds: f64| format!("{:.2}", info.vertices as f64 / seconds / 1e6);
+            let megabytes = |bytes: f64| format!("{:.0}", bytes / 1e6);
+            println!(
+                "{}",
+                row([
+                    info.vertices.to_string(),
+                    if normals { "yes" } else { "no" }.to_owned(),
+                    megabytes(info.bytes as f64),
+                    samples.to_string(),
+                    format!("{:.2}", middle(|r| r.first_pass)),
+                    format!("{:.2}", middle(|r| r.second_pass)),
+                    format!("{:.2}", middle(|r| r.post_process)),
+                    rate(middle(|r| r.sampling)),
+                    rate(middle(|r| r.post_process)),
+                    megabytes(middle(|r| r.sampling_memory)),
+                    megabytes(middle(|r| r.post_process_memory)),
+                    format!("{:.2}", middle(|r| r.copy)),
+                    // Of the same round: what disturbs one disturbs the other.
+                    format!("{:.1}", middle(|r| r.post_process / r.copy)),
+                ])
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Does all steps once.
+fn round(simod: &Path, model: &Path, folder: &Path, samples: u64) -> Result<Round> {
+    let sampled = folder.join("samples.simod");
+    let (deformed, output) = (folder.join("deformed.ply"), folder.join("output.ply"));
+
+    let mut command = Command::new(simod);
+    command.arg("sample").arg(model).arg("--samples").arg(samples.to_string()).arg("-o").arg(&sampled);
+    let sampling = report(command)?;
+
+    // The deformation itself, whatever it may cost, is not what is measured here.
+    let loaded = SampledModel::load(&sampled)?;
+    loaded.write_deformed(&deformed, &Map::Twist.deform(&loaded), &loaded.samples.normals)?;
+
+    let mut command = Command::new(simod);
+    command.arg("reconstruct").arg(&sampled).arg("--deformed").arg(&deformed).arg("-o").arg(&output);
+    let post_process = report(command)?;
+    fs::remove_file(&output)?;
+
+    let copy = copy(model, &output)?;
+    fs::remove_file(&output)?;
+    Ok(Round {
+        first_pass: phase(&sampling, "counting")?,
+        second_pass: phase(&sampling, "clustering")? + phase(&sampling, "completing the samples")?,
+        post_process: number(&post_process, "seconds")?,
+        sampling: number(&sampling, "seconds")?,
+        copy,
+        // Known on Linux alone.
+        sampling_memory: number(&sampling, "peak_memory_bytes").unwrap_or(f64::NAN),
+        post_process_memory: number(&post_process, "peak_memory_bytes").unwrap_or(f64::NAN),
+    })
+}
+
+/// Runs a command of `simod`, and returns what it reports of itself.
+fn report(mut command: Command) -> Result<Value> {
+    let output = command.arg("--json").output()?;
+    if !output.status.success() {
+        return Err(format!("{command:?} failed: {}", String::from_utf8_lossy(&output.stderr).trim()).into());
+    }
+    Ok(serde_json::from_slice(&output.stdout)?)
+}
+
+/// A figure of a report.
+fn number(report: &Value, name: &str) -> Result<f64> {
+    report[name].as_f64().ok_or_else(|| format!("simod reports no `{name}`").into())
+}
+
+/// The seconds of a phase of a report.
+fn phase(report: &Value, name: &str) -> Result<f64> {
+    let phases = report["phases"].as_array().into_iter().flatten();
+    let phase = phases.filter(|phase| phase["name"] == name).find_map(|phase| phase["seconds"].as_f64());
+    phase.ok_or_else(|| format!("simod reports no phase `{name}`").into())
+}
+
+/// Copies a file to the disk, as `cp` and `sync` do: the least that any program takes which writes the file anew. Not
+/// `std::fs::copy`, which on some file systems shares the blocks and writes nothing.
+fn copy(from: &Path, to: &Path) -> Result<f64> {
+    let start = Instant::now();
+    let (mut from, mut to) = (File::open(from)?, File::create(to)?);
+    let mut block = vec![0; 1 << 20];
+    loop {
+        match from.read(&mut block)? {
+            0 => break,
+            n => to.write_all(&block[..n])?,
+        }
+    }
+    to.sync_all()?;
+    Ok(start.elapsed().as_secs_f64())
+}

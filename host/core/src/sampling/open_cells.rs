@@ -1,0 +1,340 @@
+//! The samples of the cells that are not complete yet, in bounded memory for any order of the stream.
+//!
+//! A stream in spatial order has few open cells at a time. A shuffled one opens all of them, and would hold the
+//! model: when the limit is reached, the fullest cells go to a temporary file and wait there. The file has no name
+//! (or loses it at once), so nothing is left of it however the process ends.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use bytemuck::Zeroable;
+
+use super::cluster::Sample;
+use crate::positioned::Positioned;
+use crate::{Error, Result};
+
+/// Samples in a block of memory, 768 bytes: a cell's last block is half empty in the mean.
+const BLOCK: usize = 32;
+
+/// Blocks that memory is taken in, 192 KiB of them.
+const SLAB: usize = 256;
+
+/// End of a chain of blocks.
+const NONE: u32 = u32::MAX;
+
+/// Where the chain of pieces in the file ends.
+const NO_PIECE: u64 = u64::MAX;
+
+/// Bytes of a piece's header: where the cell's former piece is, and how many samples this one has.
+const HEADER: usize = 16;
+
+const SAMPLE_BYTES: usize = size_of::<Sample>();
+
+/// All open cells.
+///
+/// Memory: `limit` bytes of blocks, and 32 bytes per occupied cell of the grid.
+pub struct OpenCells {
+    cells: Vec<OpenCell>,
+    pool: Pool,
+    spill: Spill,
+}
+
+#[derive(Clone, Copy)]
+struct OpenCell {
+    /// First and last block.
+    head: u32,
+    tail: u32,
+    /// Samples in memory.
+    held: u32,
+    /// Samples in the file, and their last piece there.
+    spilled: u64,
+    piece: u64,
+}
+
+/// Blocks of samples, chained.
+struct Pool {
+    slabs: Vec<Box<[[Sample; BLOCK]]>>,
+    next: Vec<u32>,
+    free: u32,
+    limit: usize,
+}
+
+/// The temporary file: pieces of cells, each with a pointer to the cell's former piece.
+struct Spill {
+    folder: PathBuf,
+    file: Option<Arc<Positioned>>,
+    end: u64,
+}
+
+impl OpenCells {
+    /// No samples yet, of so many cells. At most `limit` bytes of samples stay in memory (but at least a slab);
+    /// what is more goes to a temporary file in `folder`.
+    pub fn new(cells: usize, limit: u64, folder: &Path) -> Self {
+        let cell = OpenCell { head: NONE, tail: NONE, held: 0, spilled: 0, piece: NO_PIECE };
+        let blocks = limit / (BLOCK * SAMPLE_BYTES) as u64;
+        Self {
+            cells: vec![cell; cells],
+            pool: Pool {
+                slabs: Vec::new(),
+                next: Vec::new(),
+                free: NONE,
+                limit: usize::try_from(blocks).unwrap_or(usize::MAX).clamp(SLAB, NONE as usize),
+            },
+            spill: Spill { folder: folder.to_owned(), file: None, end: 0 },
+        }
+    }
+
+    /// Adds a sample to a cell.
+    ///
+    /// # Errors
+    /// The temporary file cannot be written.
+    #[inline]
+    pub fn push(&mut self, cell: u32, sample: Sample) -> Result<()> {
+        let at = self.cells[cell as usize].held as usize % BLOCK;
+        if at == 0 {
+            self.append_block(cell as usize)?;
+        }
+        let cell = &mut self.cells[cell as usize];
+        self.pool.block_mut(cell.tail)[cell.held as usize % BLOCK] = sample;
+        cell.held += 1;
+        Ok(())
+    }
+
+    fn append_block(&mut self, cell: usize) -> Result<()> {
+        if self.pool.is_full() {
+            self.spill()?;
+        }
+        let block = self.pool.take();
+        let cell = &mut self.cells[cell];
+        if cell.head == NONE {
+            cell.head = block;
+        } else {
+            self.pool.next[cell.tail as usize] = block;
+        }
+        cell.tail = block;
+        Ok(())
+    }
+
+    /// Moves the fullest cells to the file until half of the memory is free.
+    fn spill(&mut self) -> Result<()> {
+        let mut fullest: Vec<u32> =
+            (0..self.cells.len() as u32).filter(|c| self.cells[*c as usize].held > 0).collect();
+        fullest.sort_by_key(|c| std::cmp::Reverse(self.cells[*c as usize].held));
+        let mut freed = 0;
+        let mut bytes = Vec::new();
+        for c in fullest {
+            let cell = &mut self.cells[c as usize];
+            bytes.clear();
+            bytes.extend_from_slice(&cell.piece.to_le_bytes());
+            bytes.extend_from_slice(&u64::from(cell.held).to_le_bytes());
+            self.pool.drain(cell, |samples| bytes.extend_from_slice(bytemuck::cast_slice(samples)));
+            cell.spilled += u64::from(cell.held);
+            freed += (cell.held as usize).div_ceil(BLOCK);
+            cell.held = 0;
+            cell.piece = self.spill.append(&bytes)?;
+            if freed * 2 >= self.pool.limit {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Removes all samples of a cell.
+    pub fn take(&mut self, cell: u32) -> CellSamples {
+        let cell = &mut self.cells[cell as usize];
+        let mut held = Vec::with_capacity(cell.held as usize);
+        self.pool.drain(cell, |samples| held.extend_from_slice(samples));
+        cell.held = 0;
+        let piece = std::mem::replace(&mut cell.piece, NO_PIECE);
+        let file = self.spill.file.clone().filter(|_| piece != NO_PIECE);
+        CellSamples {
+            held,
+            spilled: std::mem::take(&mut cell.spilled),
+            pieces: file.map(|file| (file, piece)),
+            folder: self.spill.folder.clone(),
+        }
+    }
+}
+
+impl Pool {
+    fn is_full(&self) -> bool {
+        self.free == NONE && self.next.len() + SLAB > self.limit
+    }
+
+    fn take(&mut self) -> u32 {
+        if self.free == NONE {
+            let first = self.next.len() as u32;
+            self.slabs.push(vec![[Sample::zeroed(); BLOCK]; SLAB].into_boxed_slice());
+            self.next.extend((first + 1..first + SLAB as u32).chain([NONE]));
+            self.free = first;
+        }
+        let block = self.free;
+        self.free = std::mem::replace(&mut self.next[block as usize], NONE);
+        block
+    }
+
+    #[inline]
+    fn block_mut(&mut self, block: u32) -> &mut [Sample; BLOCK] {
+        &mut self.slabs[block as usize / SLAB][block as usize % SLAB]
+    }
+
+    /// Hands out a cell's samples, in their order, and takes its blocks back.
+    fn drain(&mut self, cell: &mut OpenCell, mut visit: impl FnMut(&[Sample])) {
+        let mut left = cell.held as usize;
+        let mut block = cell.head;
+        while block != NONE {
+            let count = left.min(BLOCK);
+            visit(&self.block_mut(block)[..count]);
+            left -= count;
+            let next = std::mem::replace(&mut self.next[block as usize], self.free);
+            self.free = block;
+            block = next;
+        }
+        (cell.head, cell.tail) = (NONE, NONE);
+    }
+}
+
+impl Spill {
+    /// Writes a piece behind all others; where it is.
+    fn append(&mut self, piece: &[u8]) -> Result<u64> {
+        let refused = |e: std::io::Error| refused("write", &self.folder, &e);
+        let file = match &self.file {
+            Some(file) => file,
+            None => {
+                let file = tempfile::tempfile_in(&self.folder).map_err(refused)?;
+                self.file.insert(Arc::new(Positioned::new(file)))
+            }
+        };
+        let at = self.end;
+        file.write_all_at(piece, at).map_err(refused)?;
+        self.end += piece.len() as u64;
+        Ok(at)
+    }
+}
+
+fn refused(action: &str, folder: &Path, e: &std::io::Error) -> Error {
+    let what = Error::io(&format!("{action} a temporary file in"), folder, e);
+    let hint = format!("{}; or raise --memory-limit", what.hint());
+    Error::new(what.kind(), what.to_string(), hint)
+}
+
+/// All samples of a complete cell: those in memory, and where the others are.
+pub struct CellSamples {
+    held: Vec<Sample>,
+    spilled: u64,
+    pieces: Option<(Arc<Positioned>, u64)>,
+    folder: PathBuf,
+}
+
+impl CellSamples {
+    /// Samples in memory.
+    pub fn held(&self) -> usize {
+        self.held.len()
+    }
+
+    /// Hands out the samples in the order of the stream, in as many parts as it takes for none to have more than
+    /// `limit`, read from the file where they are there.
+    ///
+    /// # Errors
+    /// The temporary file cannot be read.
+    pub fn in_parts(mut self, limit: usize, mut visit: impl FnMut(&mut [Sample])) -> Result<()> {
+        let limit = limit.max(1);
+        let Some((file, last)) = &self.pieces else {
+            self.held.chunks_mut(limit).for_each(visit);
+            return Ok(());
+        };
+        let refused = |e: std::io::Error| refused("read", &self.folder, &e);
+        // The chain leads from the last piece to the first.
+        let mut pieces = Vec::new();
+        let mut at = *last;
+        while at != NO_PIECE {
+            let mut header = [0u64; HEADER / 8];
+            file.read_exact_at(bytemuck::cast_slice_mut(&mut header), at).map_err(refused)?;
+            let [former, count] = header.map(u64::from_le);
+            pieces.push((at + HEADER as u64, count));
+            at = former;
+        }
+        let total = self.spilled + self.held.len() as u64;
+        let mut part: Vec<Sample> =
+            Vec::with_capacity(usize::try_from(total).map_or(limit, |n| n.min(limit)));
+        for (mut at, mut count) in pieces.into_iter().rev() {
+            while count > 0 {
+                let n = ((limit - part.len()) as u64).min(count) as usize;
+                let old = part.len();
+                part.resize(old + n, Sample::zeroed());
+                file.read_exact_at(bytemuck::cast_slice_mut(&mut part[old..]), at).map_err(refused)?;
+                at += (n * SAMPLE_BYTES) as u64;
+                count -= n as u64;
+                if part.len() == limit {
+                    visit(&mut part);
+                    part.clear();
+                }
+            }
+        }
+        let mut held = &self.held[..];
+        while !held.is_empty() {
+            let (now, later) = held.split_at(held.len().min(limit - part.len()));
+            part.extend_from_slice(now);
+            held = later;
+            if part.len() == limit {
+                visit(&mut part);
+                part.clear();
+            }
+        }
+        if !part.is_empty() {
+            visit(&mut part);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+    use proptest::prelude::*;
+
+    fn sample(i: usize) -> Sample {
+        Sample { position: Vec3::splat(i as f32), normal: Vec3::Y }
+    }
+
+    proptest! {
+        #[test]
+        fn every_cell_gets_its_samples_back_in_their_order(
+            cells in proptest::collection::vec(0u32..40, 1..30_000), part in 1usize..500, blocks in 0u64..600,
+        ) {
+            let folder = tempfile::tempdir().expect("a folder");
+            let mut open = OpenCells::new(40, blocks * (BLOCK * SAMPLE_BYTES) as u64, folder.path());
+            for (i, c) in cells.iter().enumerate() {
+                open.push(*c, sample(i)).expect("space");
+            }
+            // The temporary file has no name.
+            prop_assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0);
+            let limit = open.pool.limit;
+            prop_assert!(open.pool.next.len() <= limit);
+            for c in 0..40 {
+                let mut found = Vec::new();
+                let samples = open.take(c);
+                samples
+                    .in_parts(part, |s| {
+                        assert!(s.len() <= part);
+                        found.extend(s.iter().map(|s| s.position.x as usize));
+                    })
+                    .expect("readable");
+                let wanted: Vec<usize> = (0..cells.len()).filter(|i| cells[*i] == c).collect();
+                prop_assert_eq!(found, wanted);
+            }
+        }
+    }
+
+    #[test]
+    fn a_cell_can_be_filled_again() {
+        let mut open = OpenCells::new(1, 0, std::env::temp_dir().as_path());
+        for round in 0..3 {
+            (0..100_000).for_each(|i| open.push(0, sample(i)).expect("space"));
+            let mut count = 0;
+            open.take(0).in_parts(usize::MAX, |s| count += s.len()).expect("readable");
+            assert_eq!(count, 100_000, "round {round}");
+        }
+    }
+}

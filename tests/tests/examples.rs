@@ -1,0 +1,129 @@
+//! The lessons under `examples/`: the commands of their pages do what the pages say, on smaller models.
+#![cfg(unix)]
+#![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+use simod_core::model::{self, VertexChunk};
+
+#[test]
+fn a_first_edit() {
+    let lesson = Lesson::follow("01-first-edit");
+    // The lesson itself compares the three commands with the one.
+    lesson.assert_deformed("amphora.ply", "amphora-edited.ply");
+}
+
+#[test]
+fn any_program_is_a_deformer() {
+    if Command::new("python3").arg("--version").output().is_err() {
+        println!("skipped: python3 is not installed");
+        return;
+    }
+    let lesson = Lesson::follow("02-any-program-is-a-deformer");
+    lesson.assert_deformed("amphora.ply", "amphora-wave.ply");
+}
+
+#[test]
+fn your_own_plugin() {
+    let lesson = Lesson::follow("03-your-own-plugin");
+    lesson.assert_deformed("pond.ply", "pond-rippled.ply");
+    assert!(lesson.said.contains("transfer error"), "{}", lesson.said);
+}
+
+/// A copy of a lesson's folder, after the commands of its page.
+struct Lesson {
+    folder: PathBuf,
+    /// What the commands wrote to their standard output.
+    said: String,
+}
+
+impl Lesson {
+    /// Copies a lesson and gives the commands in the ```sh blocks of its page to a shell, as a reader would.
+    fn follow(name: &str) -> Self {
+        let repository = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+        // Kept from one run to the next, so that what a plugin depends on is built once.
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("examples").join(name);
+        copy(&repository.join("examples").join(name), &folder, repository);
+        // The same versions as here: nothing has to be looked up or downloaded.
+        fs::copy(repository.join("Cargo.lock"), folder.join("Cargo.lock")).unwrap();
+
+        let page = fs::read_to_string(folder.join("README.md")).unwrap();
+        let blocks = page.split("```sh\n").skip(1).filter_map(|rest| rest.split("```").next());
+        let script: String = blocks.collect();
+        assert!(!script.is_empty(), "{name} has no commands");
+
+        let path = std::env::var("PATH").unwrap_or_default();
+        let output = Command::new("sh")
+            .args(["-e", "-u", "-c", &script])
+            .current_dir(&folder)
+            .env("PATH", format!("{}:{path}", built().display()))
+            .env_remove("CARGO_TARGET_DIR")
+            .env_remove("SIMOD_PLUGIN_PATH")
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        let complaint = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{name}:\n{script}\n{said}\n{complaint}");
+        Self { folder, said }
+    }
+
+    /// The result has all vertices of the model, most of them elsewhere.
+    fn assert_deformed(&self, model: &str, result: &str) {
+        let positions = |file: &str| {
+            let model = model::open(&self.folder.join(file)).unwrap();
+            let mut reader = model.vertices(0..model.info().vertices).unwrap();
+            let (mut chunk, mut all) = (VertexChunk::default(), Vec::new());
+            while reader.read(&mut chunk).unwrap() {
+                all.extend_from_slice(&chunk.positions);
+            }
+            all
+        };
+        let (before, after) = (positions(model), positions(result));
+        assert_eq!(before.len(), after.len());
+        let moved = before.iter().zip(&after).filter(|(a, b)| a.distance(**b) > 1e-3).count();
+        assert!(2 * moved > before.len(), "{moved} of {} vertices moved", before.len());
+    }
+}
+
+/// Copies a lesson's sources, with smaller models, fewer samples, and absolute paths to the rest of the repository.
+fn copy(from: &Path, to: &Path, repository: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
+        let (path, target) = (entry.path(), to.join(entry.file_name()));
+        let is_source = path.extension().is_some_and(|e| ["md", "toml", "py", "rs"].iter().any(|x| e == *x));
+        if path.is_dir() && entry.file_name() != "target" {
+            copy(&path, &target, repository);
+        } else if is_source {
+            let text = fs::read_to_string(&path)
+                .unwrap()
+                .replace("2000000", "30000")
+                .replace("200000", "8000")
+                .replace("50000", "4000")
+                .replace("\"../../", &format!("\"{}/", repository.display()));
+            #[expect(clippy::disallowed_methods, reason = "half a file is made whole by the next run")]
+            fs::write(target, text).unwrap();
+        }
+    }
+}
+
+/// The folder with `simod` and the plugins: that of the profile that the tests run in.
+fn built() -> &'static Path {
+    static BUILT: OnceLock<PathBuf> = OnceLock::new();
+    BUILT.get_or_init(|| {
+        // target/<profile>/deps/<test>
+        let test = std::env::current_exe().unwrap();
+        let profile = test.parent().and_then(Path::parent).unwrap();
+        let name = profile.file_name().and_then(|n| n.to_str()).unwrap();
+        let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+        cargo.arg("build").arg("--target-dir").arg(profile.parent().unwrap());
+        cargo.arg("--profile").arg(if name == "debug" { "dev" } else { name });
+        cargo.args(["-p", "simod-cli", "-p", "simod-plugin-warp", "-p", "simod-plugin-rbf"]);
+        cargo.current_dir(env!("CARGO_MANIFEST_DIR"));
+        let output = cargo.output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        profile.to_owned()
+    })
+}
