@@ -5,9 +5,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::OnceLock;
 
-use simod_core::model::{self, VertexChunk};
+use simod_tests::{Ply, built, skip, workspace};
 
 #[test]
 fn a_first_edit() {
@@ -19,8 +18,7 @@ fn a_first_edit() {
 #[test]
 fn any_program_is_a_deformer() {
     if Command::new("python3").arg("--version").output().is_err() {
-        println!("skipped: python3 is not installed");
-        return;
+        return skip("python3 is not installed");
     }
     let lesson = Lesson::follow("02-any-program-is-a-deformer");
     lesson.assert_deformed("amphora.ply", "amphora-wave.ply");
@@ -43,7 +41,7 @@ struct Lesson {
 impl Lesson {
     /// Copies a lesson and gives the commands in the ```sh blocks of its page to a shell, as a reader would.
     fn follow(name: &str) -> Self {
-        let repository = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+        let repository = workspace();
         // Kept from one run to the next, so that what a plugin depends on is built once.
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("examples").join(name);
         copy(&repository.join("examples").join(name), &folder, repository);
@@ -72,15 +70,7 @@ impl Lesson {
 
     /// The result has all vertices of the model, most of them elsewhere.
     fn assert_deformed(&self, model: &str, result: &str) {
-        let positions = |file: &str| {
-            let model = model::open(&self.folder.join(file)).unwrap();
-            let mut reader = model.vertices(0..model.info().vertices).unwrap();
-            let (mut chunk, mut all) = (VertexChunk::default(), Vec::new());
-            while reader.read(&mut chunk).unwrap() {
-                all.extend_from_slice(&chunk.positions);
-            }
-            all
-        };
+        let positions = |file: &str| Ply::parse(fs::read(self.folder.join(file)).unwrap()).positions();
         let (before, after) = (positions(model), positions(result));
         assert_eq!(before.len(), after.len());
         let moved = before.iter().zip(&after).filter(|(a, b)| a.distance(**b) > 1e-3).count();
@@ -107,23 +97,4 @@ fn copy(from: &Path, to: &Path, repository: &Path) {
             fs::write(target, text).unwrap();
         }
     }
-}
-
-/// The folder with `simod` and the plugins: that of the profile that the tests run in.
-fn built() -> &'static Path {
-    static BUILT: OnceLock<PathBuf> = OnceLock::new();
-    BUILT.get_or_init(|| {
-        // target/<profile>/deps/<test>
-        let test = std::env::current_exe().unwrap();
-        let profile = test.parent().and_then(Path::parent).unwrap();
-        let name = profile.file_name().and_then(|n| n.to_str()).unwrap();
-        let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-        cargo.arg("build").arg("--target-dir").arg(profile.parent().unwrap());
-        cargo.arg("--profile").arg(if name == "debug" { "dev" } else { name });
-        cargo.args(["-p", "simod-cli", "-p", "simod-plugin-warp", "-p", "simod-plugin-rbf"]);
-        cargo.current_dir(env!("CARGO_MANIFEST_DIR"));
-        let output = cargo.output().unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        profile.to_owned()
-    })
 }
