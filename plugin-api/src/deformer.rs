@@ -75,6 +75,16 @@ fn guarded<T>(call: impl FnOnce() -> PluginResult<T>) -> RResult<T, PluginError>
     }
 }
 
+/// Keeps panics from writing to standard error, since the host reports them as errors; with `RUST_BACKTRACE` set,
+/// the plugin's author sees them all the same.
+///
+/// Called when the library is loaded. The hook is its own: a cdylib has a standard library to itself.
+pub fn quiet_panics() {
+    if std::env::var_os("RUST_BACKTRACE").is_none_or(|value| value == "0") {
+        std::panic::set_hook(Box::new(|_| {}));
+    }
+}
+
 fn content<D: Deformer>(state: &State) -> PluginResult<&D::State> {
     state.get().ok_or_else(|| PluginError::internal("the host passed the state of another plugin"))
 }
@@ -163,6 +173,7 @@ macro_rules! __export_plugin {
             use $crate::__private::abi_stable::library as __library;
 
             fn root_module() -> $crate::PluginModRef {
+                $crate::__private::quiet_panics();
                 $crate::__private::root_module::<$deformer>($extension)
             }
 

@@ -29,7 +29,7 @@ impl<'a> Samples<'a> {
         self.normals.as_slice()
     }
 
-    /// Distance to the nearest other samples, in the model's unit of length; or nothing.
+    /// Distance to the nearest other samples, in local coordinates; or nothing.
     pub fn spacing(&self) -> &'a [f32] {
         self.spacing.as_slice()
     }
@@ -46,7 +46,7 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// Length of the diagonal, in the model's unit of length.
+    /// Length of the diagonal, in local coordinates.
     pub fn diagonal(&self) -> f64 {
         (0..3).map(|i| (self.max[i] - self.min[i]).powi(2)).sum::<f64>().sqrt()
     }

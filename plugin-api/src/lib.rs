@@ -56,9 +56,10 @@
 //!
 //! # Coordinates and units
 //!
-//! Everything a plugin sees is in *local* coordinates: the model's own, in its own unit of length, minus an
-//! origin that the host chose so that `f32` positions keep their digits. Axes are the model's, untouched.
-//! Points given as parameters and the handles' transforms are local as well. Indices are sample indices.
+//! Everything a plugin sees is in *local* coordinates: the model's own, minus an origin and divided by a scale
+//! that the host chose so that `f32` positions keep their digits and the model's diagonal lies between 1 and 2.
+//! Axes are the model's, untouched. Points and lengths given as parameters ([`Unit::MODEL_LENGTH`]) and the
+//! handles' transforms are local as well. Indices are sample indices.
 //!
 //! # Threads, ownership, errors
 //!
@@ -101,6 +102,6 @@ pub use root::{EvaluateExtension, PluginMod, PluginModRef};
 /// What the macros and the host need of the crates below; not for plugins.
 #[doc(hidden)]
 pub mod __private {
-    pub use crate::deformer::{evaluate_extension, no_extension, root_module};
+    pub use crate::deformer::{evaluate_extension, no_extension, quiet_panics, root_module};
     pub use abi_stable;
 }

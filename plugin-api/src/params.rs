@@ -39,7 +39,7 @@ impl Unit {
     pub const NONE: Self = Self(0);
     /// Degrees of an angle.
     pub const DEGREES: Self = Self(1);
-    /// The model's unit of length.
+    /// The model's unit of length, for the user; the host turns it into local coordinates for the plugin.
     pub const MODEL_LENGTH: Self = Self(2);
     /// Fractions of the diagonal of the bounding box.
     pub const DIAGONAL: Self = Self(3);

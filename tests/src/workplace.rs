@@ -219,7 +219,7 @@ impl Outcome {
         let context = format!("simod {line}: exit {code:?}\n{stdout}{stderr}");
         assert_eq!(*code, Some(1), "{context}");
         assert_eq!(stdout, "", "{context}");
-        assert!(!stderr.contains("panicked"), "{context}");
+        assert!(!stderr.contains("panicked at"), "{context}");
         let (errors, hints) = (self.lines("error: "), self.lines("hint: "));
         assert_eq!((errors.len(), hints.len()), (1, 1), "{context}");
         assert_eq!(stderr.lines().count() - self.lines("warning: ").len(), 2, "{context}");

@@ -65,17 +65,8 @@ fn a_header_that_lies() {
     let face = "element face 9223372036854775807\nproperty list uchar int vertex_indices\nend_header";
     for format in ["ascii", "binary_little_endian", "binary_big_endian"] {
         for count in [1000, 1 << 62, u64::MAX] {
-            let header = format!("ply\nformat {format} 1.0\nelement vertex {count}\n{tail}");
-            work.write("lie.ply", &header);
+            work.write("lie.ply", format!("ply\nformat {format} 1.0\nelement vertex {count}\n{tail}"));
             work.refuses("sample lie.ply -o out.simod", &["lie.ply"]);
-            work.write(
-                "lie.ply",
-                header.replace("vertex", "face").replace(
-                    "end_header",
-                    "element vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header",
-                ),
-            );
-            work.refuses("info lie.ply", &["lie.ply"]);
         }
         let beyond = format!("ply\nformat {format} 1.0\nelement vertex 99999999999999999999999\n{tail}");
         work.write("lie.ply", beyond);
@@ -257,7 +248,7 @@ fn a_session_that_makes_no_sense() {
 fn numbers_out_of_range() {
     let work = sampled();
     work.refuses("sample model.ply -o out.simod --samples 0", &["0 samples"]);
-    work.refuses("sample model.ply -o out.simod --error -1", &["-1"]);
+    work.refuses("sample model.ply -o out.simod --error 0", &["0"]);
     work.refuses("sample model.ply -o out.simod --error nan", &["NaN"]);
     work.refuses("sample model.ply -o out.simod --grid 1", &["1"]);
     work.refuses("generate -o out.ply --vertices 3", &["3"]);
@@ -283,10 +274,8 @@ fn usage_errors_are_told_apart() {
     for line in lines {
         let outcome = work.run(line);
         assert_eq!(outcome.code, Some(2), "simod {line}: {}", outcome.stderr);
-        assert!(
-            outcome.stdout.is_empty() && outcome.stderr.contains("Usage")
-                || outcome.stderr.contains("--help")
-        );
+        assert_eq!(outcome.stdout, "", "simod {line}");
+        assert!(outcome.stderr.contains("--help"), "simod {line}: {}", outcome.stderr);
     }
     assert!(work.names().is_empty());
     assert_eq!(work.run("--help").code, Some(0));

@@ -163,8 +163,14 @@ impl SampledModel {
         let text = toml::to_string(&description).map_err(|e| {
             Error::new(ErrorKind::Io, format!("cannot describe the samples: {e}"), "report this")
         })?;
-        output::write_file(&new.path().join("simod.toml"), text.as_bytes())?;
-        self.write_points(&new.path().join("samples.ply"), &self.samples.positions, &self.samples.normals)?;
+        // What fails is told of the folder that was asked for, not of its temporary name.
+        let named = |e: Error| {
+            let what = e.to_string().replace(&*new.path().to_string_lossy(), &folder.to_string_lossy());
+            Error::new(e.kind(), what, e.hint())
+        };
+        output::write_file(&new.path().join("simod.toml"), text.as_bytes()).map_err(named)?;
+        let SampleSet { positions, normals, .. } = &self.samples;
+        self.write_points(&new.path().join("samples.ply"), positions, normals).map_err(named)?;
         set_folder_permissions(new.path()).map_err(io)?;
 
         if folder.symlink_metadata().is_ok() {
