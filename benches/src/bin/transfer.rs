@@ -14,7 +14,7 @@ use clap::Parser;
 use simod_benches::{Map, generate, head, row};
 use simod_core::generate::ModelOptions;
 use simod_core::progress::Silent;
-use simod_core::reconstruction::{reconstruct, transfer_error};
+use simod_core::reconstruction::{Method, reconstruct, transfer_error};
 use simod_core::sampling::{Sampling, Target, sample};
 use simod_core::{Error, Result, model};
 
@@ -65,12 +65,14 @@ fn measure(arguments: &Arguments) -> Result<()> {
         sampled.samples.len(),
         start.elapsed().as_secs_f64()
     );
-    println!("{}", head(&["map", "rms", "99.9 % below", "worst", "jump", "reconstruction, s"]));
+    println!("{}", head(&["method", "map", "rms", "99.9 % below", "worst", "jump", "reconstruction, s"]));
     let bounds = sampled.bounds;
-    for map in Map::ALL {
+    let methods =
+        [("projected-barycentric", Method::ProjectedBarycentric), ("blended-jets", Method::BlendedJets)];
+    for ((name, method), map) in methods.into_iter().flat_map(|m| Map::ALL.map(|map| (m, map))) {
         let samples = map.deform(&sampled);
         let start = Instant::now();
-        reconstruct(&sampled, model.as_ref(), &samples, &deformed, &Silent)?;
+        reconstruct(&sampled, model.as_ref(), &samples, method, &deformed, &Silent)?;
         let seconds = start.elapsed().as_secs_f64();
 
         let result = model::open(&deformed)?;
@@ -84,7 +86,10 @@ fn measure(arguments: &Arguments) -> Result<()> {
             .map(|x| if x == 0.0 { "0".to_owned() } else { format!("{x:.1e}") });
         println!(
             "{}",
-            row([map.name().to_owned()].into_iter().chain(figures).chain([format!("{seconds:.2}")]))
+            row([name.to_owned(), map.name().to_owned()]
+                .into_iter()
+                .chain(figures)
+                .chain([format!("{seconds:.2}")]))
         );
     }
     Ok(())

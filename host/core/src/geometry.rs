@@ -102,6 +102,43 @@ pub fn symmetric_eigen(matrix: DMat3) -> (DVec3, DMat3) {
     (DVec3::new(value(0), value(1), value(2)), vectors)
 }
 
+/// Solves A x = b for a symmetric positive definite A, of which the lower triangle is read, and vectors as
+/// unknowns, by Cholesky's decomposition. `None` if A is not positive definite.
+pub fn solve_positive_definite<const N: usize>(
+    mut a: [[f64; N]; N],
+    mut b: [DVec3; N],
+) -> Option<[DVec3; N]> {
+    for j in 0..N {
+        for k in 0..j {
+            let ljk = a[j][k];
+            for row in &mut a[j..] {
+                row[j] -= row[k] * ljk;
+            }
+        }
+        let pivot = a[j][j].sqrt();
+        // Written so that NaN is refused.
+        if !(pivot > 0.0 && pivot.is_finite()) {
+            return None;
+        }
+        for row in &mut a[j..] {
+            row[j] /= pivot;
+        }
+    }
+    for i in 0..N {
+        for k in 0..i {
+            b[i] = b[i] - b[k] * a[i][k];
+        }
+        b[i] /= a[i][i];
+    }
+    for i in (0..N).rev() {
+        for k in i + 1..N {
+            b[i] = b[i] - b[k] * a[k][i];
+        }
+        b[i] /= a[i][i];
+    }
+    Some(b)
+}
+
 /// The kernel of the paper's §5, h(t) = 1 − 3t² + 2t³ on [0, 1], and 0 beyond.
 #[inline]
 pub fn hermite(t: f32) -> f32 {
@@ -129,6 +166,18 @@ mod tests {
             prop_assert!((vectors * vectors.transpose()).abs_diff_eq(DMat3::IDENTITY, 1e-12));
             prop_assert!(values.x <= values.y && values.y <= values.z);
         }
+    }
+
+    #[test]
+    fn positive_definite_systems_are_solved_and_others_refused() {
+        let a = [[4.0, 0.0, 0.0], [2.0, 5.0, 0.0], [-1.0, 0.5, 3.0]];
+        let x = [DVec3::new(1.0, -2.0, 0.5), DVec3::new(3.0, 0.0, 1.0), DVec3::new(-1.0, 4.0, 2.0)];
+        let full = |i: usize, k: usize| if k <= i { a[i][k] } else { a[k][i] };
+        let b = std::array::from_fn(|i| (0..3).map(|k| x[k] * full(i, k)).sum());
+        let found = solve_positive_definite(a, b).expect("positive definite");
+        assert!(found.iter().zip(x).all(|(f, x)| f.distance(x) < 1e-12));
+        assert!(solve_positive_definite([[1.0, 0.0], [2.0, 1.0]], [DVec3::ONE; 2]).is_none());
+        assert!(solve_positive_definite([[f64::NAN]], [DVec3::ONE]).is_none());
     }
 
     #[test]

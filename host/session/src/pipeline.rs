@@ -7,7 +7,7 @@ use glam::Vec3;
 use simod_core::model;
 use simod_core::output::folder_of;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
-use simod_core::reconstruction::{deformed_normals, reconstruct};
+use simod_core::reconstruction::{Method, deformed_normals, reconstruct};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
 use simod_core::{Error, ErrorKind, Progress, Result};
@@ -70,6 +70,7 @@ impl Run {
     pub fn execute(
         session: &SessionFile,
         plugins: &PluginRegistry,
+        method: Method,
         output: &Path,
         progress: &dyn Progress,
     ) -> Result<Self> {
@@ -86,7 +87,7 @@ impl Run {
         let folder = folder_of(output);
         let sampled = sample(model.as_ref(), &session.sampling.into(), folder, progress)?;
         let deformed = deform(&sampled, &stack, progress)?;
-        reconstruct(&sampled, model.as_ref(), &deformed.positions, output, progress)?;
+        reconstruct(&sampled, model.as_ref(), &deformed.positions, method, output, progress)?;
         Ok(Self { sampled, deformed, output: output.to_owned(), seconds: start.elapsed().as_secs_f64() })
     }
 

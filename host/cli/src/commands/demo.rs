@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use simod_core::generate::ModelOptions;
+use simod_core::reconstruction::Method;
 use simod_core::render::Image;
 use simod_core::{Error, Result, model, output};
 use simod_session::{PluginRegistry, Run, SessionFile};
@@ -43,7 +44,7 @@ impl Demo {
 
         let session = SessionFile::load(&file("session.toml"))?;
         let edited = file("amphora-edited.ply");
-        let run = Run::execute(&session, &PluginRegistry::discover(), &edited, progress)?;
+        let run = Run::execute(&session, &PluginRegistry::discover(), Method::default(), &edited, progress)?;
         describe(&run, report);
         describe_error(&run.transfer_error(progress)?, report);
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use simod_core::Result;
-use simod_core::reconstruction::reconstruct;
+use simod_core::reconstruction::{Method, reconstruct};
 use simod_core::sampled_model::SampledModel;
 
 use super::warn_non_finite;
@@ -27,24 +27,41 @@ pub struct Reconstruct {
     model: Option<PathBuf>,
     /// How to transfer the deformation
     #[arg(long, value_enum, default_value_t)]
-    method: Method,
+    method: MethodName,
 }
 
 /// The methods of the reconstruction.
 #[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
-pub enum Method {
-    /// The paper's: normal offset over a projected triangle of samples
-    #[default]
+pub enum MethodName {
+    /// The paper's: an offset along the normal over a projected triangle of samples
     ProjectedBarycentric,
+    /// A blend of second-order expansions around the nearest samples
+    #[default]
+    BlendedJets,
+}
+
+impl From<MethodName> for Method {
+    fn from(name: MethodName) -> Self {
+        match name {
+            MethodName::ProjectedBarycentric => Self::ProjectedBarycentric,
+            MethodName::BlendedJets => Self::BlendedJets,
+        }
+    }
 }
 
 impl Reconstruct {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        let Method::ProjectedBarycentric = self.method;
         let sampled = SampledModel::load(&self.sampled)?;
         let deformed = sampled.read_deformed(&self.deformed)?;
         let model = sampled.open_source(self.model.as_deref())?;
-        let done = reconstruct(&sampled, model.as_ref(), &deformed, &self.output, report.progress())?;
+        let done = reconstruct(
+            &sampled,
+            model.as_ref(),
+            &deformed,
+            self.method.into(),
+            &self.output,
+            report.progress(),
+        )?;
         warn_non_finite(&sampled, report);
         report.figure("vertices", done.vertices);
         report.figure("samples", sampled.samples.len());

@@ -8,6 +8,7 @@ use simod_core::reconstruction::transfer_error::TransferError;
 use simod_core::{Error, ErrorKind, Result};
 use simod_session::{PluginRegistry, Run as Pipeline, SessionFile};
 
+use super::reconstruct::MethodName;
 use super::warn_non_finite;
 use crate::report::{Report, count, rate};
 
@@ -19,6 +20,9 @@ pub struct Run {
     /// The deformed model to write, instead of the session's own output
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+    /// How to transfer the deformation
+    #[arg(long, value_enum, default_value_t)]
+    method: MethodName,
     /// Compare the result with the exact deformation of every vertex, where all plugins know it
     #[arg(long)]
     measure: bool,
@@ -35,7 +39,8 @@ impl Run {
             )
         })?;
         let progress = report.progress();
-        let run = Pipeline::execute(&session, &PluginRegistry::discover(), &output, progress)?;
+        let run =
+            Pipeline::execute(&session, &PluginRegistry::discover(), self.method.into(), &output, progress)?;
         describe(&run, report);
         if self.measure {
             describe_error(&run.transfer_error(progress)?, report);

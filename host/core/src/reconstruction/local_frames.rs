@@ -19,7 +19,7 @@ const FIT_NEIGHBOURS: usize = 16;
 const COLLINEAR: f64 = 1e-3;
 
 /// Weight of the prior for the direction across, relative to the neighbours' whole spread.
-const NORMAL_RIDGE: f64 = 1e-4;
+const NORMAL_RIDGE: f64 = 1e-6;
 
 /// What the fits give.
 pub struct LocalFrames {

@@ -2,9 +2,10 @@
 //!
 //! P_S and P_S* sample an unknown map D of space. Its gradient is fitted at each sample once (`local_frames`);
 //! the samples around a vertex are found by following the stream (`neighbours`); the vertex is carried over by
-//! `projected_barycentric`; `stream` does so for the whole file. [`transfer_error`] compares a result with
+//! `blended_jets` or `projected_barycentric`; `stream` does so for the whole file. [`transfer_error`] compares a result with
 //! the exact map.
 
+mod blended_jets;
 mod local_frames;
 mod neighbours;
 mod projected_barycentric;
@@ -14,6 +15,7 @@ pub mod transfer_error;
 use glam::{Mat3, Vec3};
 
 use crate::sampling::SampleSet;
+use blended_jets::Jet;
 use local_frames::LocalFrames;
 use neighbours::Neighbourhood;
 pub use neighbours::Walk;
@@ -51,13 +53,25 @@ pub fn deformed_normals(samples: &SampleSet, deformed: &[Vec3]) -> Vec<Vec3> {
     LocalFrames::fit(samples, deformed).normal
 }
 
+/// How a vertex is carried over.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Method {
+    /// The paper's (§5), guarded: an offset along the normal of an average plane, over a projected triangle.
+    ProjectedBarycentric,
+    /// A blend of second-order expansions around the nearest samples.
+    #[default]
+    BlendedJets,
+}
+
 /// The deformation that P_S and P_S* sample, ready to be evaluated anywhere near P_S.
 ///
-/// Memory: about 100 bytes per sample.
+/// Memory: about 170 bytes per sample.
 pub struct DeformationField<'a> {
     samples: &'a SampleSet,
     deformed: &'a [Vec3],
+    method: Method,
     frames: LocalFrames,
+    jets: Vec<Jet>,
     /// Whether anything moves among the candidates of a vertex nearest to this sample.
     active: Vec<bool>,
 }
@@ -67,13 +81,15 @@ impl<'a> DeformationField<'a> {
     ///
     /// # Panics
     /// The number of deformed positions is not that of the samples.
-    pub fn new(samples: &'a SampleSet, deformed: &'a [Vec3]) -> Self {
+    pub fn new(samples: &'a SampleSet, deformed: &'a [Vec3], method: Method) -> Self {
         assert_eq!(samples.len(), deformed.len(), "P_S* corresponds to P_S one to one");
         let moved: Vec<bool> = samples.positions.iter().zip(deformed).map(|(p, q)| p != q).collect();
         let active = (0..samples.len())
             .map(|i| moved[i] || samples.neighbours().of(i).iter().any(|j| moved[*j as usize]))
             .collect();
-        Self { samples, deformed, frames: LocalFrames::fit(samples, deformed), active }
+        let frames = LocalFrames::fit(samples, deformed);
+        let jets = blended_jets::expand(samples, deformed, &frames);
+        Self { samples, deformed, method, frames, jets, active }
     }
 
     /// Carries a vertex over. `p` is finite, `n` its normal where the model has one; `walk` remembers where the
@@ -83,21 +99,14 @@ impl<'a> DeformationField<'a> {
         if !self.active[nearest] {
             return Transport::STILL;
         }
-        let around = Neighbourhood::gather(self.samples, nearest, p, n);
-        projected_barycentric::transport(self, &around, p).unwrap_or_else(|| self.blend_frames(&around, p))
-    }
-
-    /// The samples' own affine maps, blended: what stands in where no triangle of samples is fit to be used. It
-    /// never leaves the neighbours' range by more than their own gradients explain.
-    fn blend_frames(&self, around: &Neighbourhood, p: Vec3) -> Transport {
-        let (mut displacement, mut gradient, mut sum) = (Vec3::ZERO, Mat3::ZERO, 0.0);
-        for &(i, w) in around.weighted() {
-            let i = i as usize;
-            let (q, f) = (self.samples.positions[i], self.frames.gradient[i]);
-            displacement += w * ((self.deformed[i] - q) + (f * (p - q) - (p - q)));
-            gradient += w * f;
-            sum += w;
-        }
-        Transport { displacement: displacement / sum, gradient: gradient * (1.0 / sum) }
+        let gather = |k| Neighbourhood::gather(self.samples, nearest, k, p, n);
+        let by_triangle = match self.method {
+            Method::ProjectedBarycentric => {
+                projected_barycentric::transport(self, &gather(projected_barycentric::NEIGHBOURS), p)
+            }
+            Method::BlendedJets => None,
+        };
+        // Jets also stand in where no triangle of samples is fit to be used.
+        by_triangle.unwrap_or_else(|| blended_jets::transport(self, &gather(blended_jets::BLENDED), p))
     }
 }

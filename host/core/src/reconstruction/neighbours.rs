@@ -8,8 +8,8 @@ use glam::Vec3;
 use crate::geometry::hermite;
 use crate::sampling::{NEIGHBOURS, SampleSet};
 
-/// Samples in a neighbourhood (k in the paper, which uses 10 to 30).
-pub const K: usize = 12;
+/// Most samples in a neighbourhood.
+pub const MAX_K: usize = 12;
 
 /// Neighbours looked at in a step of the walk.
 const STEP_NEIGHBOURS: usize = 12;
@@ -55,16 +55,17 @@ fn walk(samples: &SampleSet, from: u32, p: Vec3) -> Option<u32> {
 /// The k nearest samples of a vertex on its own side of the surface, with their weights.
 pub struct Neighbourhood {
     /// Index and kernel weight, the nearest first.
-    near: [(u32, f32); K],
+    near: [(u32, f32); MAX_K],
     len: usize,
 }
 
 impl Neighbourhood {
-    /// Gathers the neighbourhood of `p` from the candidates of its nearest sample.
+    /// Gathers the `k` nearest samples of `p`, at most [`MAX_K`], from the candidates of its nearest one.
     ///
     /// Samples that face away from the vertex (or from the nearest sample) belong to another sheet of the surface
     /// and are left out.
-    pub fn gather(samples: &SampleSet, nearest: usize, p: Vec3, n: Option<Vec3>) -> Self {
+    pub fn gather(samples: &SampleSet, nearest: usize, k: usize, p: Vec3, n: Option<Vec3>) -> Self {
+        let k = k.min(MAX_K);
         let candidates = samples.neighbours().of(nearest);
         let mut found = [(0.0f32, 0u32); NEIGHBOURS + 1];
         let side = side_of(samples, nearest, p, n);
@@ -85,18 +86,18 @@ impl Neighbourhood {
 
         let found = &mut found[..len];
         let order = |a: &(f32, u32), b: &(f32, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
-        if len > K {
-            found.select_nth_unstable_by(K, order);
+        if len > k {
+            found.select_nth_unstable_by(k, order);
         }
-        let count = len.min(K);
+        let count = len.min(k);
         found[..count].sort_unstable_by(order);
         // The kernel vanishes at the first sample that is left out, so that samples come and go smoothly.
-        let radius = match found.get(K) {
+        let radius = match found.get(k) {
             Some(beyond) => beyond.0.sqrt(),
             None => 1.5 * found[count - 1].0.sqrt(),
         };
-        let mut near = [(0, 0.0); K];
-        for (slot, (squared, i)) in near.iter_mut().zip(&*found) {
+        let mut near = [(0, 0.0); MAX_K];
+        for (slot, (squared, i)) in near.iter_mut().zip(&found[..count]) {
             let distance = if radius > 0.0 { squared.sqrt() / radius } else { 0.0 };
             *slot = (*i, hermite(distance) * facing(samples.normals[*i as usize], side));
         }
@@ -175,7 +176,7 @@ mod tests {
             // Nearer to the other plate, but facing its own.
             let p = Vec3::new(0.93, y, 0.97);
             let nearest = set.nearest(p) as usize;
-            let around = Neighbourhood::gather(&set, nearest, p, Some(normal));
+            let around = Neighbourhood::gather(&set, nearest, MAX_K, p, Some(normal));
             assert!(around.weighted().iter().all(|(i, _)| range.contains(&(*i as usize))));
             assert!(around.weighted().len() > 3);
         }
@@ -185,11 +186,11 @@ mod tests {
     fn weights_fall_with_distance_and_coincident_samples_are_fine() {
         let set = wavy(30);
         let p = Vec3::new(0.51, 0.0, 0.49);
-        let around = Neighbourhood::gather(&set, set.nearest(p) as usize, p, None);
-        assert_eq!(around.weighted().len(), K);
+        let around = Neighbourhood::gather(&set, set.nearest(p) as usize, MAX_K, p, None);
+        assert_eq!(around.weighted().len(), MAX_K);
         assert!(around.weighted().windows(2).all(|w| w[0].1 >= w[1].1 - 0.05));
         let same = SampleSet::new(vec![Vec3::ONE; 40], Vec::new()).expect("samples");
-        let around = Neighbourhood::gather(&same, 7, Vec3::ONE, None);
+        let around = Neighbourhood::gather(&same, 7, MAX_K, Vec3::ONE, None);
         assert!(around.weighted().iter().map(|(_, w)| w).sum::<f32>() > 0.0);
     }
 }

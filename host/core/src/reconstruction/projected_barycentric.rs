@@ -13,6 +13,9 @@ use glam::{Mat3, Vec3};
 use super::neighbours::Neighbourhood;
 use super::{DeformationField, Transport};
 
+/// Samples in a neighbourhood (k in the paper, which uses 10 to 30).
+pub const NEIGHBOURS: usize = 12;
+
 /// Half the opening of the cone with the solid angle 2π/3 that a neighbour discards: 2π(1 − cos θ) = 2π/3.
 const CONE: f32 = 0.841_068_7;
 
@@ -75,7 +78,7 @@ fn average_plane(around: &Neighbourhood, positions: &[Vec3], normals: &[Vec3]) -
 fn vote(around: &Neighbourhood, rest: &[Vec3], n: Vec3, flat: Vec3) -> Option<([u32; 3], [f32; 3])> {
     let near = around.weighted();
     let position = |m: usize| rest[near[m].0 as usize];
-    let mut directions = [Vec3::ZERO; super::neighbours::K];
+    let mut directions = [Vec3::ZERO; super::neighbours::MAX_K];
     for (m, direction) in directions.iter_mut().enumerate().take(near.len()) {
         let offset = position(m) - flat;
         *direction = (offset - offset.dot(n) * n).normalize_or_zero();

@@ -7,7 +7,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use xxhash_rust::xxh3::Xxh3Default;
 
-use super::{DeformationField, Walk};
+use super::{DeformationField, Method, Walk};
 use crate::model::Model;
 use crate::output::OutputFile;
 use crate::sampled_model::SampledModel;
@@ -37,11 +37,12 @@ pub fn reconstruct(
     sampled: &SampledModel,
     model: &dyn Model,
     deformed: &[Vec3],
+    method: Method,
     output: &Path,
     progress: &dyn Progress,
 ) -> Result<Reconstructed> {
     progress.begin("preparing", 0);
-    let field = DeformationField::new(&sampled.samples, deformed);
+    let field = DeformationField::new(&sampled.samples, deformed, method);
     let frame = sampled.frame;
     let mut out = OutputFile::create(output, model.info().bytes)?;
     let mut hash = Xxh3Default::new();
