@@ -243,27 +243,3 @@ fn stops_when_asked() {
     let error = Setup::bar(2000).prepare(&StopAfter(AtomicUsize::new(0))).err().unwrap();
     assert_eq!(error.code, ErrorCode::CANCELLED);
 }
-
-#[test]
-#[ignore = "a measurement: run in release with --nocapture"]
-fn preparation_time() {
-    for tolerance in [1e-3, 1e-4, 1e-9] {
-        let setup = Setup { tolerance, ..Setup::bar(100_000) };
-        let start = std::time::Instant::now();
-        let state = setup.prepare(&()).unwrap();
-        let prepared = start.elapsed();
-        let start = std::time::Instant::now();
-        setup.deform(&state, &[turn(90.0, [0.0; 3], [0.0; 3])]);
-        let deformed = start.elapsed();
-        let mut points: Vec<Point> = setup.points.iter().map(|p| p.map(f64::from)).collect();
-        let start = std::time::Instant::now();
-        setup.evaluate(&state, &[turn(90.0, [0.0; 3], [0.0; 3])], &mut points);
-        println!(
-            "tolerance {tolerance:.0e}: {} centres, residual {:.1e}, prepare {prepared:?}, deform {deformed:?}, \
-             evaluate on one thread {:?}",
-            state.fit.functions.centers.len(),
-            state.fit.residual,
-            start.elapsed()
-        );
-    }
-}

@@ -8,12 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
-/// The plugins' packages, and their libraries' names.
-const PLUGINS: [(&str, &str); 3] = [
-    ("simod-plugin-warp", "simod_warp"),
-    ("simod-plugin-rbf", "simod_rbf"),
-    ("simod-plugin-misbehaving", "misbehaving"),
-];
+/// The plugins' libraries.
+const PLUGINS: [&str; 3] = ["simod_warp", "simod_rbf", "misbehaving"];
 
 /// The folder with the built plugins: that of the profile that the tests run in.
 pub fn built() -> &'static Path {
@@ -26,10 +22,8 @@ pub fn built() -> &'static Path {
         let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
         cargo.arg("build").arg("--target-dir").arg(profile.parent().unwrap());
         cargo.arg("--profile").arg(if name == "debug" { "dev" } else { name });
-        for (package, _) in PLUGINS {
-            cargo.args(["-p", package]);
-        }
-        cargo.current_dir(env!("CARGO_MANIFEST_DIR"));
+        // All of it: a choice of packages would be built with other features of what they depend on, once more.
+        cargo.arg("--workspace").current_dir(env!("CARGO_MANIFEST_DIR"));
         let output = cargo.output().unwrap();
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         profile.to_owned()
@@ -58,7 +52,7 @@ pub fn registry() -> &'static PluginRegistry {
     static REGISTRY: OnceLock<PluginRegistry> = OnceLock::new();
     REGISTRY.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
-        for (_, name) in PLUGINS {
+        for name in PLUGINS {
             copy(name, folder.path(), name);
         }
         load(folder.path())
