@@ -48,7 +48,7 @@ pub(crate) fn scratch_folder() -> PathBuf {
 
 /// The folder with what is built. All of the workspace is, as by a plain `cargo build`: a choice of packages would
 /// be built with other features of what they depend on, once more.
-fn built() -> &'static Path {
+pub fn built() -> &'static Path {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
     BUILT.get_or_init(|| {
         let mut cargo = cargo_build(workspace());

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use simod_tests::{Ply, program, skip, workspace};
+use simod_tests::{Ply, built, skip, workspace};
 
 #[test]
 fn a_first_edit() {
@@ -42,7 +42,6 @@ impl Lesson {
     /// Copies a lesson and gives the commands in the ```sh blocks of its page to a shell, as a reader would.
     fn follow(name: &str) -> Self {
         let repository = workspace();
-        let program = program();
         // Kept from one run to the next, so that what a plugin depends on is built once.
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("examples").join(name);
         copy(&repository.join("examples").join(name), &folder, repository);
@@ -58,7 +57,7 @@ impl Lesson {
         let output = Command::new("sh")
             .args(["-e", "-u", "-c", &script])
             .current_dir(&folder)
-            .env("PATH", format!("{}:{path}", program.parent().unwrap().display()))
+            .env("PATH", format!("{}:{path}", built().display()))
             .env_remove("CARGO_TARGET_DIR")
             .env_remove("SIMOD_PLUGIN_PATH")
             .output()
