@@ -126,13 +126,13 @@ pub fn solve_positive_definite<const N: usize>(
     }
     for i in 0..N {
         for k in 0..i {
-            b[i] = b[i] - b[k] * a[i][k];
+            b[i] -= b[k] * a[i][k];
         }
         b[i] /= a[i][i];
     }
     for i in (0..N).rev() {
         for k in i + 1..N {
-            b[i] = b[i] - b[k] * a[k][i];
+            b[i] -= b[k] * a[k][i];
         }
         b[i] /= a[i][i];
     }
