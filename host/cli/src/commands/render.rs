@@ -32,8 +32,8 @@ pub struct Render {
     size: [u32; 2],
 }
 
-/// Largest picture: 4 times as many pixels are held, of 40 bytes each.
-const MAX_SIDE: u32 = 8192;
+/// Longest side of a picture: 4 times as many pixels are held, of 64 bytes each, which is 3.5 GiB at most.
+const MAX_SIDE: u32 = 3840;
 
 fn parse_size(text: &str) -> std::result::Result<[u32; 2], String> {
     let side = |s: &str| s.parse().ok().filter(|n| (1..=MAX_SIDE).contains(n));
