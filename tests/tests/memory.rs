@@ -2,6 +2,32 @@
 
 use simod_tests::{OPTIMISED, Workplace, skip};
 
+/// Anonymous memory at its peak while a shuffled model, of 384 MB of samples, is sampled below a limit.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_limit_holds_for_a_shuffled_model() {
+    if !OPTIMISED {
+        return skip("16 million vertices take minutes in a build without optimisation");
+    }
+    const LIMIT: u64 = 160 * 1024 * 1024;
+    let work = Workplace::new();
+    work.simod("generate -o model.ply --vertices 16000000 --no-faces --no-colors");
+    let mut bytes = work.read("model.ply");
+    let header = bytes.len() - 16_000_000 * 24;
+    let (head, body) = bytes.split_at_mut(header);
+    // 7 919 477 is odd and no multiple of 5: it visits all vertices once.
+    let vertices = body.chunks_exact(24).collect::<Vec<_>>();
+    let shuffled = (0..vertices.len()).map(|i| vertices[i * 7_919_477 % vertices.len()]);
+    let shuffled: Vec<u8> = head.iter().copied().chain(shuffled.flatten().copied()).collect();
+    work.write("model.ply", shuffled);
+    let report =
+        work.report(&format!("sample model.ply -o model.simod --samples 100000 --memory-limit {LIMIT}"));
+    let peak = report["peak_memory_bytes"].as_u64().expect("a peak");
+    assert!(peak < LIMIT, "{} MB", peak / MEGABYTE);
+    // Half of the limit is used before anything waits in a file.
+    assert!(peak > LIMIT / 4, "{} MB", peak / MEGABYTE);
+}
+
 /// Peaks of anonymous memory while a point cloud is sampled, and while it is reconstructed.
 struct Peaks {
     sample: u64,
