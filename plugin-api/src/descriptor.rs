@@ -20,8 +20,6 @@ pub struct Consumes {
     pub min_fixed: u32,
     /// Normals that fit the positions: the host derives them anew between layers.
     pub normals: bool,
-    /// The neighbour graph, a host extension.
-    pub graph: bool,
 }
 
 /// A plugin's description of itself.

@@ -233,7 +233,7 @@ impl<'a> Params<'a> {
         })
     }
 
-    /// The value of a [`ParamKind::FLOAT`], in its unit.
+    /// The value of a [`ParamKind::FLOAT`], in its unit; a [`Unit::MODEL_LENGTH`] in local units.
     pub fn float(&self, id: &str) -> PluginResult<f64> {
         self.array::<1>(id, &[ParamKind::FLOAT]).map(|[v]| v)
     }

@@ -1,7 +1,7 @@
-//! The commands of the manual, on a real scan.
+//! A real scan, and the session and commands of the manual on it.
 
 use glam::DVec3;
-use simod_tests::{Workplace, real_model};
+use simod_tests::{Workplace, real_model, workspace};
 
 #[test]
 fn the_horse_turns_its_head() {
@@ -53,6 +53,27 @@ fn the_horse_turns_its_head() {
     let error = &report["transfer_error"];
     assert!(error["rms"].as_f64().is_some_and(|e| e < 1e-3), "{error}");
     assert!(error["max"].as_f64().is_some_and(|e| e < 2e-2), "{error}");
+}
+
+/// The README's session and its commands, as they stand there.
+#[test]
+fn the_manual_is_right() {
+    let Some(horse) = real_model("horse.ply") else { return };
+    let work = Workplace::new();
+    std::fs::copy(horse, work.path("horse.ply")).expect("a copy");
+    let manual = std::fs::read_to_string(workspace().join("README.md")).expect("a README");
+    let lines: Vec<&str> = manual.lines().filter_map(|line| line.strip_prefix("    ")).collect();
+    let session = lines.iter().skip_while(|line| **line != "[model]").copied().collect::<Vec<_>>();
+    let end = session.iter().position(|line| *line == "[output]").expect("an output") + 2;
+    work.write("edit.toml", session[..end].join("\n"));
+    let commands: Vec<&str> = lines.iter().filter_map(|line| line.strip_prefix("simod ")).collect();
+    assert_eq!(commands.len(), 3, "{commands:?}");
+    commands.into_iter().for_each(|command| drop(work.simod(command)));
+    let by_steps = work.read("horse-edited.ply");
+    work.simod("run edit.toml");
+    assert!(work.read("horse-edited.ply") == by_steps);
+    let moved = work.ply("horse.ply").positions().into_iter().zip(work.ply("horse-edited.ply").positions());
+    assert!(moved.filter(|(p, q)| p.distance(*q) > 1e-3).count() > 10_000);
 }
 
 /// As TOML has it.

@@ -55,13 +55,13 @@ impl Console {
         self.stages();
         let mut err = std::io::stderr().lock();
         // Nothing is left to tell it to where standard error is closed.
-        let _ = writeln!(err, "error: {error}\nhint: {}", error.hint());
+        let _ = writeln!(err, "error: {}\nhint: {}", line(&error.to_string()), line(error.hint()));
     }
 
     /// Prints a line that the user should see though the work goes on.
     pub fn warn(&self, text: &str) {
         let stages = self.stages.lock().unwrap_or_else(PoisonError::into_inner);
-        let line = format!("warning: {text}");
+        let line = format!("warning: {}", line(text));
         match &stages.bar {
             Some(bar) if !bar.is_hidden() => bar.println(line),
             _ => {
@@ -69,6 +69,11 @@ impl Console {
             }
         }
     }
+}
+
+/// Text that may quote a file's content, on one line of a terminal.
+fn line(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
 impl Stages {

@@ -60,7 +60,7 @@ impl Error {
 
     /// The user asked to stop.
     pub fn cancelled() -> Self {
-        Self::new(ErrorKind::Cancelled, "cancelled", "nothing was written; start again when you like")
+        Self::new(ErrorKind::Cancelled, "cancelled", "nothing is left half done; start again when you like")
     }
 
     /// What sort of failure it was.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
+use xxhash_rust::xxh3::xxh3_128;
 
 use crate::frame::Frame;
 use crate::geometry::Bounds;
@@ -61,6 +62,8 @@ pub struct SampledModel {
 struct Description {
     format: String,
     samples: u64,
+    /// Hash of `samples.ply`, which deformers must not write to.
+    samples_fingerprint: String,
     position_type: String,
     model: Source,
     sampling: SamplingRecord,
@@ -129,19 +132,21 @@ impl SampledModel {
     /// # Errors
     /// The folder cannot be written, or something else is there.
     pub fn save(&self, folder: &Path) -> Result<()> {
-        if folder.symlink_metadata().is_ok() && !folder.join("simod.toml").is_file() {
-            return Err(Error::new(
-                ErrorKind::Argument,
-                format!("{} exists and is no sampled model", folder.display()),
-                "give the name of a new folder, or of a sampled model to replace",
-            ));
-        }
+        Self::check_target(folder)?;
         let parent = output::folder_of(folder);
         let io = |e: std::io::Error| Error::io("write", folder, &e);
         let new = tempfile::Builder::new().prefix(".simod-").tempdir_in(parent).map_err(io)?;
+        // What fails is told of the folder that was asked for, not of its temporary name.
+        let named = |e: Error| {
+            let what = e.to_string().replace(&*new.path().to_string_lossy(), &folder.to_string_lossy());
+            Error::new(e.kind(), what, e.hint())
+        };
+        let points = new.path().join("samples.ply");
+        self.write_points(&points, &self.samples.positions, &self.samples.normals).map_err(named)?;
         let description = Description {
             format: FORMAT.to_owned(),
             samples: self.samples.len() as u64,
+            samples_fingerprint: file_fingerprint(&points).map_err(named)?,
             position_type: match self.position_type {
                 Scalar::F32 => "float".to_owned(),
                 Scalar::F64 => "double".to_owned(),
@@ -163,14 +168,7 @@ impl SampledModel {
         let text = toml::to_string(&description).map_err(|e| {
             Error::new(ErrorKind::Io, format!("cannot describe the samples: {e}"), "report this")
         })?;
-        // What fails is told of the folder that was asked for, not of its temporary name.
-        let named = |e: Error| {
-            let what = e.to_string().replace(&*new.path().to_string_lossy(), &folder.to_string_lossy());
-            Error::new(e.kind(), what, e.hint())
-        };
         output::write_file(&new.path().join("simod.toml"), text.as_bytes()).map_err(named)?;
-        let SampleSet { positions, normals, .. } = &self.samples;
-        self.write_points(&new.path().join("samples.ply"), positions, normals).map_err(named)?;
         set_folder_permissions(new.path()).map_err(io)?;
 
         if folder.symlink_metadata().is_ok() {
@@ -187,6 +185,21 @@ impl SampledModel {
         // Moved away: there is nothing to remove under the temporary name.
         let _ = new.keep();
         Ok(())
+    }
+
+    /// Whether [`save`](Self::save) may write there: better known before a large model is sampled.
+    ///
+    /// # Errors
+    /// Something is there that is no sampled model.
+    pub fn check_target(folder: &Path) -> Result<()> {
+        if folder.symlink_metadata().is_err() || folder.join("simod.toml").is_file() {
+            return Ok(());
+        }
+        Err(Error::new(
+            ErrorKind::Argument,
+            format!("{} exists and is no sampled model", folder.display()),
+            "give the name of a new folder, or of a sampled model to replace",
+        ))
     }
 
     /// Reads a folder.
@@ -226,6 +239,13 @@ impl SampledModel {
             other => return Err(damaged(format!("position-type is {other:?}, not \"float\" or \"double\""))),
         };
         let samples = folder.join("samples.ply");
+        if file_fingerprint(&samples)? != description.samples_fingerprint {
+            return Err(Error::new(
+                ErrorKind::Mismatch,
+                format!("{} is not what was sampled any more", samples.display()),
+                "deformed samples go to another file: sample the model again",
+            ));
+        }
         let (positions, normals) = read_points(&samples)?;
         if positions.len() as u64 != description.samples {
             return Err(Error::new(
@@ -342,6 +362,22 @@ impl SampledModel {
         }
         Ok(local)
     }
+}
+
+/// Hash of a whole file. For P_S only, which fits in memory.
+fn file_fingerprint(path: &Path) -> Result<String> {
+    let bytes = std::fs::read(path).map_err(|e| Error::io("read", path, &e))?;
+    Ok(fingerprint(xxh3_128(&bytes)))
+}
+
+/// A hash as it stands in files.
+pub(crate) fn fingerprint(hash: u128) -> String {
+    format!("xxh3-128:{hash:032x}")
+}
+
+/// Whether both paths lead to the same file.
+pub(crate) fn same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
 /// Reads a point set whole. For P_S and P_S* only, which fit in memory.

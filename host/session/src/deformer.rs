@@ -33,6 +33,18 @@ pub struct Message {
     pub text: String,
 }
 
+impl Message {
+    /// Whether the result may not be what the user wants.
+    pub fn is_warning(&self) -> bool {
+        self.level.0 >= LogLevel::WARNING.0
+    }
+
+    /// Whether it is for the plugin's author alone.
+    pub fn is_debug(&self) -> bool {
+        self.level.0 <= LogLevel::DEBUG.0
+    }
+}
+
 impl std::fmt::Debug for Plugin {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Plugin").field("descriptor", &self.descriptor).field("path", &self.path).finish()

@@ -292,6 +292,16 @@ pub(crate) fn check_description(descriptor: &Descriptor) -> std::result::Result<
         if !(fine(d.hard_range) && fine(d.soft_range)) {
             return Err(format!("parameter `{}` has an empty range", d.id));
         }
+        if d.unit.0 > Unit::RATIO.0 {
+            return Err(format!("parameter `{}` has a unit that this version does not know", d.id));
+        }
+        if d.unit == Unit::MODEL_LENGTH && ![ParamKind::FLOAT, ParamKind::POINT].contains(&d.kind) {
+            return Err(format!("parameter `{}` is a length, but no float", d.id));
+        }
+        let bounded = d.hard_range.iter().any(|x| x.is_finite());
+        if bounded && [ParamKind::DIRECTION, ParamKind::POINT].contains(&d.kind) {
+            return Err(format!("parameter `{}` is a vector, which has no range", d.id));
+        }
         default(d)?;
     }
     Ok(())

@@ -64,6 +64,7 @@ pub struct Run {
 
 impl Run {
     /// Samples the session's model, deforms the samples and writes the deformed model, whole or not at all.
+    /// `measure` says that [`transfer_error`](Self::transfer_error) will be asked for.
     ///
     /// # Errors
     /// Any step fails; what is wrong in the session is noticed before the model is read.
@@ -71,6 +72,7 @@ impl Run {
         session: &SessionFile,
         plugins: &PluginRegistry,
         method: Method,
+        measure: bool,
         output: &Path,
         progress: &dyn Progress,
     ) -> Result<Self> {
@@ -83,6 +85,9 @@ impl Run {
                 "add [model] path = \"…\" to it; the path is relative to the session's folder",
             )
         })?;
+        if measure && !stack.plugins().all(|p| p.can_evaluate()) {
+            return Err(not_evaluable());
+        }
         let model = model::open(path)?;
         let folder = folder_of(output);
         let sampled = sample(model.as_ref(), &session.sampling.into(), folder, progress)?;
@@ -98,11 +103,7 @@ impl Run {
     pub fn transfer_error(&self, progress: &dyn Progress) -> Result<TransferError> {
         let exact = &self.deformed.stack;
         if !exact.can_evaluate() {
-            return Err(Error::new(
-                ErrorKind::Plugin,
-                "a plugin of the session deforms samples only, so the exact deformation is not known",
-                "measure sessions of space deformations, as warp and rbf",
-            ));
+            return Err(not_evaluable());
         }
         let model = self.sampled.open_source(None)?;
         let output = model::open(&self.output)?;
@@ -110,6 +111,14 @@ impl Run {
         let map = |points: &mut [glam::DVec3]| exact.evaluate_with(points, progress);
         transfer_error::measure(model.as_ref(), output.as_ref(), diagonal, &map, progress)
     }
+}
+
+fn not_evaluable() -> Error {
+    Error::new(
+        ErrorKind::Plugin,
+        "a plugin of the session deforms samples only, so the exact deformation is not known",
+        "measure sessions of space deformations, as warp and rbf",
+    )
 }
 
 impl From<session_file::Sampling> for Sampling {

@@ -4,9 +4,14 @@ use crate::motion::Motion;
 use crate::shapes::{Shape, Shapes};
 use serde::Deserialize;
 use simod_core::{Error, ErrorKind, Result};
+use std::fs::File;
+use std::io::{ErrorKind as ErrorOfIo, Read};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use toml::Spanned;
+
+/// No session is longer than this; a model that is given in its place may be.
+const LARGEST: u64 = 16 << 20;
 
 /// A session. Paths are as the program needs them: relative to the current folder, or absolute.
 #[derive(Debug, Clone, PartialEq)]
@@ -114,10 +119,14 @@ struct RawRegion {
 impl SessionFile {
     /// Reads a session; its paths are relative to the file's folder.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| match e.kind() {
+        let mut text = String::new();
+        let read = File::open(path).and_then(|file| file.take(LARGEST).read_to_string(&mut text));
+        let read =
+            read.and_then(|n| if n as u64 == LARGEST { Err(ErrorOfIo::InvalidData.into()) } else { Ok(()) });
+        read.map_err(|e| match e.kind() {
             std::io::ErrorKind::InvalidData => Error::new(
                 ErrorKind::Format,
-                format!("{} is not UTF-8 text", path.display()),
+                format!("{} is no session: not UTF-8 text, or too long", path.display()),
                 "give a session file (session.toml), not a model",
             ),
             _ => Error::io("read the session", path, &e),

@@ -49,6 +49,8 @@ pub struct Stack {
 
 #[derive(Debug)]
 struct Layer {
+    /// Where in the session it stands; for errors.
+    place: String,
     plugin: Arc<Plugin>,
     params: Params,
     /// Fixed and handle regions.
@@ -110,10 +112,7 @@ impl Rest {
 impl Stack {
     /// Finds the steps' plugins, and checks parameters and regions against what they ask for.
     pub fn build(steps: &[Step], registry: &PluginRegistry) -> Result<Self> {
-        let layer = |step: &Step| {
-            Layer::build(step, registry)
-                .map_err(|e| Error::new(e.kind(), format!("{}: {e}", step.place), e.hint()))
-        };
+        let layer = |step: &Step| Layer::build(step, registry).map_err(|e| at(&step.place, e));
         Ok(Self { layers: steps.iter().map(layer).collect::<Result<_>>()? })
     }
 
@@ -154,7 +153,7 @@ impl Stack {
             }
             let rest = Rest { positions, normals: normals.clone(), spacing: spacing.clone(), bounds };
             let watch = Watch::new(progress, layer.plugin.id(), size_of_val(shape.positions) as u64);
-            let (prepared, deformed) = layer.apply(rest, shape, &watch)?;
+            let (prepared, deformed) = layer.apply(rest, shape, &watch).map_err(|e| at(&layer.place, e))?;
             messages.extend(watch.into_messages());
             layers.push(prepared);
             positions = deformed;
@@ -194,8 +193,14 @@ impl Layer {
     fn build(step: &Step, registry: &PluginRegistry) -> Result<Self> {
         let plugin = registry.get(&step.deform)?.clone();
         let params = Params::check(plugin.id(), plugin.params(), &step.params)?;
-        let mut layer =
-            Self { plugin, params, regions: Vec::new(), transforms: Vec::new(), masks: Vec::new() };
+        let mut layer = Self {
+            place: step.place.clone(),
+            plugin,
+            params,
+            regions: Vec::new(),
+            transforms: Vec::new(),
+            masks: Vec::new(),
+        };
         for region in &step.regions {
             match region.role {
                 Role::Mask => layer.masks.push(region.shapes.clone()),
@@ -261,6 +266,11 @@ impl Layer {
         let deformed = prepared.deform(&frame, watch)?;
         Ok((prepared, deformed))
     }
+}
+
+/// An error of a layer, with its place; a cancel has none.
+fn at(place: &str, e: Error) -> Error {
+    if e.kind() == ErrorKind::Cancelled { e } else { Error::new(e.kind(), format!("{place}: {e}"), e.hint()) }
 }
 
 /// As plugins take it.

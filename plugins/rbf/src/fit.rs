@@ -137,6 +137,8 @@ fn solve(constraints: &Constraints, functions: &Functions, rows: &[usize]) -> Pl
             right[(AFFINE + i, f)] = constraints.target(row, f);
         }
     }
+    // On one thread: a result that depends on the number of cores would not be the same elsewhere.
+    faer::set_global_parallelism(faer::Par::Seq);
     let solution = matrix.qr().solve_lstsq(&right);
     let weights = solution.subrows(0, unknowns).to_owned();
     if weights.col_iter().any(|c| c.iter().any(|x| !x.is_finite())) {

@@ -95,7 +95,7 @@ impl Deformer for Rbf {
         let fit = fit::fit(&constraints, goal, host, FIT_SHARE)?;
         if fit.residual > goal.tolerance {
             host.warn(&format!(
-                "rbf: the regions are met to {:.1e} of the handles' motion, not {:.1e}, with {} centres",
+                "the regions are met to {:.1e} of the handles' motion, not {:.1e}, with {} centres",
                 fit.residual,
                 goal.tolerance,
                 fit.functions.centers.len()

@@ -7,6 +7,7 @@ use simod_core::Result;
 use simod_core::sampled_model::SampledModel;
 use simod_session::{PluginRegistry, SessionFile, Stack, deform};
 
+use super::tell;
 use crate::report::{Report, count};
 
 /// Deform the samples by the steps of a session
@@ -29,8 +30,9 @@ impl Deform {
         let stack = Stack::build(&session.steps, &PluginRegistry::discover())?;
         let sampled = SampledModel::load(&self.sampled)?;
         let deformed = deform(&sampled, &stack, report.progress())?;
-        deformed.messages.iter().for_each(|m| report.warn(format!("{}: {}", m.plugin, m.text)));
+        tell(&deformed.messages, report);
         sampled.write_deformed(&self.output, &deformed.positions, &deformed.normals)?;
+        report.figure("vertices", sampled.source.vertices);
         report.figure("samples", sampled.samples.len());
         report.figure("layers", stack.len());
         report.line(format!(

@@ -44,7 +44,8 @@ impl Demo {
 
         let session = SessionFile::load(&file("session.toml"))?;
         let edited = file("amphora-edited.ply");
-        let run = Run::execute(&session, &PluginRegistry::discover(), Method::default(), &edited, progress)?;
+        let run =
+            Run::execute(&session, &PluginRegistry::discover(), Method::default(), true, &edited, progress)?;
         describe(&run, report);
         describe_error(&run.transfer_error(progress)?, report);
 

@@ -13,6 +13,8 @@ pub mod sample;
 use simod_core::sampled_model::SampledModel;
 use simod_core::{Error, ErrorKind, Result};
 
+use simod_session::Message;
+
 use crate::report::{Report, count};
 
 /// Sets the number of threads of everything that follows.
@@ -24,6 +26,14 @@ pub fn set_threads(n: usize) -> Result<()> {
             "leave --threads out to use all cores",
         )
     })
+}
+
+/// Passes on what plugins had to say.
+fn tell(messages: &[Message], report: &mut Report) {
+    for message in messages.iter().filter(|m| !m.is_debug()) {
+        let text = format!("{}: {}", message.plugin, message.text);
+        if message.is_warning() { report.warn(text) } else { report.line(text) }
+    }
 }
 
 /// Says which vertices will stay as they are.

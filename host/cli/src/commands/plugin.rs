@@ -23,7 +23,7 @@ impl Plugin {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let registry = PluginRegistry::discover();
         for rejected in registry.rejected() {
-            report.warn(format!("{}: {}", rejected.path.display(), rejected.error));
+            report.warn(rejected.error.to_string());
         }
         match self {
             Self::List => list(&registry, report),
@@ -65,6 +65,23 @@ fn info(plugin: &Loaded, report: &mut Report) {
         report.line(plugin.citation());
     }
     report.line(format!("library {}", plugin.path().display()));
+    let consumes = plugin.consumes();
+    let mut needs = Vec::new();
+    for (used, least, role) in [
+        (consumes.fixed_regions, consumes.min_fixed, "fixed"),
+        (consumes.handle_regions, consumes.min_handles, "handle"),
+    ] {
+        if used {
+            needs.push(format!("{role} regions, at least {least}"));
+        }
+        report.figure(&format!("{role}_regions"), used.then_some(least));
+    }
+    if consumes.normals {
+        needs.push("normals".to_owned());
+    }
+    report.figure("needs_normals", consumes.normals);
+    let needs = if needs.is_empty() { "nothing but the samples".to_owned() } else { needs.join("; ") };
+    report.line(format!("takes {needs}"));
     for param in simod_session::describe_params(plugin) {
         report.line(format!("  {:14} {}", param.id, param.text));
     }

@@ -9,7 +9,7 @@ use simod_core::{Error, ErrorKind, Result};
 use simod_session::{PluginRegistry, Run as Pipeline, SessionFile};
 
 use super::reconstruct::MethodName;
-use super::warn_non_finite;
+use super::{tell, warn_non_finite};
 use crate::report::{Report, count, rate};
 
 /// Do a whole session: sample its model, deform the samples, write the deformed model
@@ -39,8 +39,14 @@ impl Run {
             )
         })?;
         let progress = report.progress();
-        let run =
-            Pipeline::execute(&session, &PluginRegistry::discover(), self.method.into(), &output, progress)?;
+        let run = Pipeline::execute(
+            &session,
+            &PluginRegistry::discover(),
+            self.method.into(),
+            self.measure,
+            &output,
+            progress,
+        )?;
         describe(&run, report);
         if self.measure {
             describe_error(&run.transfer_error(progress)?, report);
@@ -53,7 +59,7 @@ impl Run {
 /// Reports a finished run.
 pub fn describe(run: &Pipeline, report: &mut Report) {
     warn_non_finite(&run.sampled, report);
-    run.deformed.messages.iter().for_each(|m| report.warn(format!("{}: {}", m.plugin, m.text)));
+    tell(&run.deformed.messages, report);
     let (vertices, samples) = (run.sampled.source.vertices, run.sampled.samples.len());
     report.figure("vertices", vertices);
     report.figure("samples", samples);

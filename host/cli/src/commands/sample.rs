@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use simod_core::output::folder_of;
+use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
 use simod_core::{Result, model};
 
@@ -69,6 +70,7 @@ impl SamplingArguments {
 
 impl Sample {
     pub fn execute(self, report: &mut Report) -> Result<()> {
+        SampledModel::check_target(&self.output)?;
         let model = model::open(&self.model)?;
         let folder = folder_of(&self.output);
         let sampled = sample(model.as_ref(), &self.sampling.sampling(), folder, report.progress())?;

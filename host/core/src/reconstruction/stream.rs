@@ -10,8 +10,8 @@ use xxhash_rust::xxh3::Xxh3Default;
 use super::{DeformationField, Method, Walk};
 use crate::model::Model;
 use crate::output::OutputFile;
-use crate::sampled_model::SampledModel;
-use crate::{Progress, Result};
+use crate::sampled_model::{SampledModel, fingerprint, same_file};
+use crate::{Error, ErrorKind, Progress, Result};
 
 /// Vertices that share a walk. A fixed number, so that the result does not depend on the number of threads.
 const WALK_VERTICES: usize = 1024;
@@ -28,11 +28,11 @@ pub struct Reconstructed {
 /// Transfers the deformation of the samples to their model and writes it to `output`, which appears whole or not
 /// at all. `deformed` holds the samples' finite local positions after the deformation.
 ///
-/// Memory: the field (about 100 bytes per sample) and the chunks of [`Model::rewrite`].
+/// Memory: the field (see [`DeformationField`]) and the chunks of [`Model::rewrite`].
 ///
 /// # Errors
-/// The model cannot be read or is not what was sampled; the output cannot be written, or a new position does not
-/// fit its type; the user cancelled.
+/// The model cannot be read or is not what was sampled; the output cannot be written or is the model itself, or a new
+/// position does not fit its type; the user cancelled.
 pub fn reconstruct(
     sampled: &SampledModel,
     model: &dyn Model,
@@ -41,10 +41,18 @@ pub fn reconstruct(
     output: &Path,
     progress: &dyn Progress,
 ) -> Result<Reconstructed> {
+    // Before the work begins: a target that cannot be written, or must not be.
+    if same_file(model.path(), output) {
+        return Err(Error::new(
+            ErrorKind::Argument,
+            format!("{} is the model itself", output.display()),
+            "write the deformed model to another file; the samples belong to the original",
+        ));
+    }
+    let mut out = OutputFile::create(output, model.info().bytes)?;
     progress.begin("preparing", 0);
     let field = DeformationField::new(&sampled.samples, deformed, method);
     let frame = sampled.frame;
-    let mut out = OutputFile::create(output, model.info().bytes)?;
     let mut hash = Xxh3Default::new();
     let mut done = Reconstructed { vertices: 0, non_finite: 0 };
 
@@ -85,7 +93,7 @@ pub fn reconstruct(
         },
         progress,
     )?;
-    if sampled.source.fingerprint != format!("xxh3-128:{:032x}", hash.digest128()) {
+    if sampled.source.fingerprint != fingerprint(hash.digest128()) {
         return Err(sampled.source_changed(model.path()));
     }
     out.commit()?;

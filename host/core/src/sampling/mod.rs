@@ -24,7 +24,7 @@ pub use sample_set::{NEIGHBOURS, NeighbourGraph, SampleSet};
 
 use crate::frame::Frame;
 use crate::model::{Model, VertexChunk};
-use crate::sampled_model::{SampledModel, Source};
+use crate::sampled_model::{SampledModel, Source, fingerprint};
 use crate::{Error, ErrorKind, Progress, Result};
 use cut::Forest;
 use finalization::Pass;
@@ -139,7 +139,7 @@ pub fn sample(
             vertices: info.vertices,
             non_finite: non_finite.count,
             first_non_finite: non_finite.first,
-            fingerprint: format!("xxh3-128:{:032x}", hash.digest128()),
+            fingerprint: fingerprint(hash.digest128()),
         },
         *sampling,
         &grid,
