@@ -1,4 +1,4 @@
-//! Small dense geometry: symmetric 3×3 eigenproblems, orthonormal frames, bounds.
+//! Small dense geometry: bounds, symmetric eigenproblems and definite systems, the kernel.
 
 use glam::{DMat3, DVec3};
 

@@ -104,7 +104,7 @@ impl SampledModel {
         // Far from zero, or at sizes beyond its exponent, single precision would spoil the samples.
         let diagonal = bounds.diagonal();
         let largest = bounds.min.abs().max(bounds.max.abs()).max_element();
-        let single = position_type == Scalar::F32 && largest <= 16.0 * diagonal && diagonal > 1e-30;
+        let single = position_type == Scalar::F32 && largest <= 2.0 * diagonal && diagonal > 1e-30;
         let position_type = if single { Scalar::F32 } else { Scalar::F64 };
         for p in &mut positions {
             *p = frame.to_local(rounded(frame.to_model(*p), position_type));
@@ -175,8 +175,10 @@ impl SampledModel {
             let old = tempfile::Builder::new().prefix(".simod-old-").tempdir_in(parent).map_err(io)?;
             std::fs::rename(folder, old.path().join("old")).map_err(io)?;
             if let Err(e) = std::fs::rename(new.path(), folder) {
-                // Back as it was.
-                std::fs::rename(old.path().join("old"), folder).map_err(io)?;
+                // Back as it was; if even that fails, it stays where it is.
+                let old = old.keep();
+                std::fs::rename(old.join("old"), folder).map_err(io)?;
+                let _ = std::fs::remove_dir(old);
                 return Err(io(e));
             }
         } else {
@@ -190,16 +192,25 @@ impl SampledModel {
     /// Whether [`save`](Self::save) may write there: better known before a large model is sampled.
     ///
     /// # Errors
-    /// Something is there that is no sampled model.
+    /// Something is there that is no sampled model, or holds other files as well.
     pub fn check_target(folder: &Path) -> Result<()> {
-        if folder.symlink_metadata().is_err() || folder.join("simod.toml").is_file() {
+        let refused = |what: String| {
+            let hint = "give the name of a new folder, or of a sampled model to replace";
+            Err(Error::new(ErrorKind::Argument, format!("{} {what}", folder.display()), hint))
+        };
+        if folder.symlink_metadata().is_err() {
             return Ok(());
         }
-        Err(Error::new(
-            ErrorKind::Argument,
-            format!("{} exists and is no sampled model", folder.display()),
-            "give the name of a new folder, or of a sampled model to replace",
-        ))
+        if !folder.join("simod.toml").is_file() {
+            return refused("exists and is no sampled model".to_owned());
+        }
+        // What is replaced is removed: nothing of the user's own.
+        let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
+        let own = |name: &std::ffi::OsStr| name != "simod.toml" && name != "samples.ply";
+        match entries.flatten().map(|e| e.file_name()).find(|name| own(name)) {
+            Some(name) => refused(format!("holds {} beside the samples", name.display())),
+            None => Ok(()),
+        }
     }
 
     /// Reads a folder.

@@ -50,7 +50,8 @@ impl Jet {
     /// From the sample's displacement to that of a point at `d` from it, and the gradient there.
     fn at(&self, d: Vec3) -> (Vec3, Mat3) {
         let [xx, yy, zz, xy, xz, yz] = self.second;
-        // Beyond its reach the second order grows no faster than the first.
+        // Beyond its reach, where no neighbour told, the second order stays what it is there; its slope with it, which
+        // only normals see.
         let damped = (self.reach / d.length_squared()).min(1.0);
         let h = Mat3::from_cols(
             2.0 * xx * d.x + xy * d.y + xz * d.z,

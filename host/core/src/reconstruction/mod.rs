@@ -72,7 +72,7 @@ pub struct DeformationField<'a> {
     method: Method,
     frames: LocalFrames,
     jets: Vec<Jet>,
-    /// Whether anything moves among the candidates of a vertex nearest to this sample.
+    /// Whether any jet moves that a vertex nearest to this sample may blend.
     active: Vec<bool>,
 }
 
@@ -84,9 +84,8 @@ impl<'a> DeformationField<'a> {
     pub fn new(samples: &'a SampleSet, deformed: &'a [Vec3], method: Method) -> Self {
         assert_eq!(samples.len(), deformed.len(), "P_S* corresponds to P_S one to one");
         let moved: Vec<bool> = samples.positions.iter().zip(deformed).map(|(p, q)| p != q).collect();
-        let active = (0..samples.len())
-            .map(|i| moved[i] || samples.neighbours().of(i).iter().any(|j| moved[*j as usize]))
-            .collect();
+        // A jet is fitted to moved samples one step away, and blended by vertices nearest to samples another step away.
+        let active = beside(samples, &beside(samples, &moved));
         let frames = LocalFrames::fit(samples, deformed);
         let jets = blended_jets::expand(samples, deformed, &frames);
         Self { samples, deformed, method, frames, jets, active }
@@ -109,4 +108,10 @@ impl<'a> DeformationField<'a> {
         // Jets also stand in where no triangle of samples is fit to be used.
         by_triangle.unwrap_or_else(|| blended_jets::transport(self, &gather(blended_jets::BLENDED), p))
     }
+}
+
+/// The samples that are marked, or have a neighbour that is.
+fn beside(samples: &SampleSet, marked: &[bool]) -> Vec<bool> {
+    let near = |i: usize| samples.neighbours().of(i).iter().any(|j| marked[*j as usize]);
+    (0..samples.len()).map(|i| marked[i] || near(i)).collect()
 }

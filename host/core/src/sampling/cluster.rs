@@ -122,6 +122,11 @@ impl Moments {
         symmetric(self.quadric[0], self.quadric[1])
     }
 
+    /// Whether most samples have a normal.
+    pub fn has_normals(&self) -> bool {
+        self.with_normal > 0.5 * self.count
+    }
+
     /// Direction of the sum of the normals; zero where they cancel or there are none.
     pub fn mean_normal(&self) -> DVec3 {
         self.normal.try_normalize().unwrap_or(DVec3::ZERO)
@@ -140,7 +145,7 @@ impl Moments {
         let covariance = self.covariance();
         let spread = self.spread();
         let normal = self.mean_normal();
-        let shape = if self.with_normal > 0.5 * self.count {
+        let shape = if self.has_normals() {
             let distance = normal.dot(covariance * normal).max(0.0).sqrt();
             let deviation = (2.0 * (1.0 - self.normal.length() / self.with_normal)).clamp(0.0, 2.0).sqrt();
             // Normals that cancel give no plane: then the extent itself is the distance.

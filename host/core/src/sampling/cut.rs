@@ -4,8 +4,10 @@
 //! number of occupied cells, or a large flat region, is met as well.
 //!
 //! For a target number N no second look at the model is needed: the clusters of all cells seen so far are kept
-//! down to a running bound ε, raised whenever they are more than 2N. More cells can only add clusters, so the final
-//! bound is never below the running one, and what was dropped would not have been in the cut.
+//! down to a running bound ε, raised whenever they are more than 2N beyond one per cell. A node above the cells counts as
+//! no better than what is below it, so the final cut splits all of them before it splits a cell's tree further, and
+//! more cells can only add clusters: the final bound is never below the running one, and what was dropped would
+//! not have been in the cut.
 
 use super::cluster::Moments;
 use super::finalization::ClusteredCell;
@@ -30,13 +32,15 @@ pub struct Forest {
     /// Running bound.
     threshold: f32,
     leaves: usize,
+    /// Cells taken in.
+    added: usize,
     cells: Vec<Option<(VsTree, Moments)>>,
 }
 
 impl Forest {
     /// An empty forest of so many cells, for a target number of samples or for a fixed bound.
     pub fn new(cells: usize, target: Option<usize>, threshold: f32) -> Self {
-        let mut forest = Self { target, threshold, leaves: 0, cells: Vec::new() };
+        let mut forest = Self { target, threshold, leaves: 0, added: 0, cells: Vec::new() };
         forest.cells.resize_with(cells, || None);
         forest
     }
@@ -45,14 +49,13 @@ impl Forest {
     pub fn add(&mut self, ClusteredCell { cell, mut tree, moments }: ClusteredCell) -> f32 {
         tree.prune(self.threshold);
         self.leaves += tree.leaves();
+        self.added += 1;
         self.cells[cell as usize] = Some((tree, moments));
         if let Some(target) = self.target
-            && self.leaves as f64 > KEEP_AT_MOST * target.max(1024) as f64
+            && self.leaves > self.added + most_kept(target)
         {
-            let trees = || self.cells.iter().flatten().map(|(tree, _)| tree);
-            let roots = trees().count();
-            let wanted = (PRUNE_TO * target.max(1024) as f64) as usize;
-            let bound = threshold_for(trees().flat_map(VsTree::splits), roots, wanted);
+            let trees = self.cells.iter().flatten().map(|(tree, _)| tree);
+            let bound = running_bound(trees, target);
             self.threshold = self.threshold.max(bound);
             self.leaves = 0;
             for (tree, _) in self.cells.iter_mut().flatten() {
@@ -66,15 +69,11 @@ impl Forest {
     /// The representatives of the final cut, in the order in which the stream meets their cells.
     pub fn cut(self, grid: &Grid) -> Vec<Node> {
         let (trees, moments): (Vec<VsTree>, Vec<Moments>) = self.cells.into_iter().flatten().unzip();
-        let upper = Upper::build(&grid.keys, &moments);
+        let upper = Upper::build(&grid.keys, &moments, &trees);
         let threshold = match self.target {
             None => self.threshold,
             Some(target) => {
-                let bounds = upper.bounds();
-                let below = trees.iter().zip(&bounds).flat_map(|(tree, bound)| {
-                    tree.splits().map(move |(key, added)| (key.min(*bound), added))
-                });
-                threshold_for(upper.splits().chain(below), 1, target)
+                threshold_for(upper.splits().chain(trees.iter().flat_map(VsTree::splits)), 1, target)
             }
         };
         // Cells, or merged cells, in the order of the stream.
@@ -86,6 +85,16 @@ impl Forest {
         samples.sort_by_key(|(cell, _)| *cell);
         samples.into_iter().map(|(_, node)| node).collect()
     }
+}
+
+/// Clusters beyond one per tree that are kept for a target, until they are pruned.
+pub fn most_kept(target: usize) -> usize {
+    (KEEP_AT_MOST * target.max(1024) as f64) as usize
+}
+
+/// A bound that no cut of so many samples through these trees, and any others, is below.
+pub fn running_bound<'a>(trees: impl Iterator<Item = &'a VsTree>, target: usize) -> f32 {
+    threshold_for(trees.flat_map(VsTree::splits), 0, (PRUNE_TO * target.max(1024) as f64) as usize)
 }
 
 /// The least bound at which a cut has at most `target` clusters, given the clusters that can be split (their key and
@@ -111,7 +120,7 @@ struct Upper {
 
 struct UpperNode {
     moments: Moments,
-    /// Own error, or 0 for a cell, whose own tree tells.
+    /// Own error or that of a node below, whichever is greater.
     error: f32,
     /// The first cell below, in the order of the stream.
     first: u32,
@@ -125,10 +134,10 @@ enum Piece {
 }
 
 impl Upper {
-    fn build(keys: &[CellKey], moments: &[Moments]) -> Self {
+    fn build(keys: &[CellKey], moments: &[Moments], trees: &[VsTree]) -> Self {
         let cells = |i: usize| UpperNode {
             moments: moments[i],
-            error: f32::INFINITY,
+            error: trees[i].nodes.first().map_or(0.0, |root| root.key),
             first: i as u32,
             children: Vec::new(),
         };
@@ -153,11 +162,12 @@ impl Upper {
                     level.len() - 1
                 });
                 level[at].moments.add(&node.moments);
+                level[at].error = level[at].error.max(node.error);
                 level[at].first = level[at].first.min(node.first);
                 level[at].children.push(i as u32);
             }
             for node in &mut level {
-                node.error = node.moments.error() as f32;
+                node.error = node.error.max(node.moments.error() as f32);
             }
             levels.push(level);
             keys = parents;
@@ -165,62 +175,28 @@ impl Upper {
         Self { levels }
     }
 
-    /// Calls `visit(level, index, key)` for each node from the root down, the key being the least error on its path.
-    fn walk(&self, mut visit: impl FnMut(usize, &UpperNode, f32) -> bool) {
-        let top = self.levels.len() - 1;
-        let mut stack: Vec<_> = (0..self.levels[top].len()).map(|i| (top, i, f32::INFINITY)).collect();
-        while let Some((level, i, above)) = stack.pop() {
-            let node = &self.levels[level][i];
-            let key = above.min(node.error);
-            if visit(level, node, key) && level > 0 {
-                stack.extend(node.children.iter().map(|c| (level - 1, *c as usize, key)));
-            }
-        }
-    }
-
-    /// The least error above each cell.
-    fn bounds(&self) -> Vec<f32> {
-        let mut bounds = vec![f32::INFINITY; self.levels[0].len()];
-        self.walk(|level, node, key| {
-            if level == 0 {
-                bounds[node.first as usize] = key;
-            }
-            true
-        });
-        bounds
-    }
-
+    /// The nodes above the cells that a cut can split.
     fn splits(&self) -> impl Iterator<Item = (f32, u32)> {
-        let mut splits = Vec::new();
-        self.walk(|level, node, key| {
-            if level > 0 && node.children.len() > 1 {
-                splits.push((key, node.children.len() as u32 - 1));
-            }
-            true
-        });
-        splits.into_iter()
+        let above = self.levels.iter().skip(1).flatten().filter(|node| node.children.len() > 1);
+        above.map(|node| (node.error, node.children.len() as u32 - 1))
     }
 
+    /// The cells, and what is merged above them, of the cut at `threshold`.
     fn cut(&self, threshold: f32, mut emit: impl FnMut(Piece)) {
-        self.walk(|level, node, key| {
+        let top = self.levels.len() - 1;
+        let mut stack: Vec<_> = (0..self.levels[top].len()).map(|i| (top, i)).collect();
+        while let Some((level, i)) = stack.pop() {
+            let node = &self.levels[level][i];
             if level == 0 {
                 emit(Piece::Cell(node.first));
-                return false;
+            } else if node.error > threshold {
+                stack.extend(node.children.iter().map(|c| (level - 1, *c as usize)));
+            } else {
+                let (position, normal) =
+                    (node.moments.representative(), node.moments.mean_normal().as_vec3());
+                emit(Piece::Merged(node.first, Node { position, normal, key: node.error, end: 0 }));
             }
-            if key > threshold {
-                return true;
-            }
-            emit(Piece::Merged(
-                node.first,
-                Node {
-                    position: node.moments.representative(),
-                    normal: node.moments.mean_normal().as_vec3(),
-                    key,
-                    end: 0,
-                },
-            ));
-            false
-        });
+        }
     }
 }
 

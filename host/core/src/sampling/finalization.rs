@@ -4,6 +4,7 @@
 //! Each sample goes to its cell; when the cell's counter reaches zero no sample of the rest of the stream belongs
 //! to it: it is clustered, on any core, while the stream goes on.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc;
@@ -12,6 +13,7 @@ use glam::Vec3;
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::cluster::{Moments, Sample};
+use super::cut::{most_kept, running_bound};
 use super::lattice::{Grid, cell_box};
 use super::open_cells::{CellSamples, OpenCells};
 use super::vs_tree::{VsTree, mix};
@@ -23,8 +25,9 @@ use crate::{Error, ErrorKind, Progress, Result};
 /// Most samples that wait for, or are in, clustering: 6 MiB of them. Beyond it the stream stands still.
 const MAX_QUEUED_SAMPLES: usize = 1 << 18;
 
-/// Least number of samples that a cell is clustered in at once, however little memory there is.
-const MIN_PART: u64 = 1 << 16;
+/// Most samples of a cell that are clustered at once: 6 MiB, and as much to sort them, on each thread. A constant, so
+/// that the result depends neither on the machine's memory nor on the number of threads.
+const PART: usize = 1 << 18;
 
 /// The clusters of one finalized cell.
 pub struct ClusteredCell {
@@ -44,6 +47,8 @@ pub struct Pass<'a> {
     pub grid: &'a Grid,
     /// Its local coordinates.
     pub frame: &'a Frame,
+    /// Number of samples that is aimed at, if any.
+    pub target: Option<usize>,
     /// Bytes of samples that may be held.
     pub memory: u64,
     /// Where a temporary file goes if that is not enough.
@@ -57,8 +62,9 @@ impl Pass<'_> {
     /// error in local units, as the bits of an f32), to `collect`, in no particular order. `hash` takes in the
     /// bytes of all vertices.
     ///
-    /// Memory: half of `memory` for the samples of open cells ([`OpenCells`]), the other half for cells in
-    /// clustering; [`MAX_QUEUED_SAMPLES`]; a chunk of the model.
+    /// Memory: `memory` for the samples of open cells ([`OpenCells`]); [`MAX_QUEUED_SAMPLES`], and two
+    /// parts of a cell on each thread; a chunk of the model. Not to be called on a thread of the pool that clusters,
+    /// which it waits for.
     ///
     /// # Errors
     /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be written;
@@ -71,11 +77,8 @@ impl Pass<'_> {
     ) -> Result<()> {
         let Self { model, grid, frame, .. } = *self;
         let (send, receive) = mpsc::channel::<(usize, Result<ClusteredCell>)>();
-        // Each thread holds a part of a cell, and a copy of it to sort.
-        let threads = 2 * rayon::current_num_threads() as u64;
-        let part = (self.memory / 2 / threads / size_of::<Sample>() as u64).max(MIN_PART) as usize;
-        rayon::in_place_scope(|scope| {
-            let mut open = OpenCells::new(grid.keys.len(), self.memory / 2, self.folder);
+        rayon::in_place_scope(move |scope| {
+            let mut open = OpenCells::new(grid.keys.len(), self.memory, self.folder);
             let mut left: Vec<u64> = grid.records.iter().map(|r| r.count).collect();
             let mut queued = 0usize;
             let mut current = None;
@@ -101,14 +104,17 @@ impl Pass<'_> {
                     open.push(cell, Sample { position: frame.to_local(*p), normal })?;
                     if left[c] == 0 {
                         let samples = open.take(cell);
-                        let held = samples.held();
-                        queued += held;
+                        // Those in the file as well: they will be read, and their trees held.
+                        let count = usize::try_from(grid.records[c].count).unwrap_or(usize::MAX / 2);
+                        queued += count;
                         let send = send.clone();
                         let seed = grid.keys[c].iter().fold(0, |seed, k| mix(seed, *k as u64));
                         scope.spawn(move |_| {
-                            let clustered = cluster(cell, samples, part, stop, seed);
+                            let job = || cluster(cell, samples, stop, self.target, seed);
+                            let clustered =
+                                catch_unwind(AssertUnwindSafe(job)).unwrap_or_else(|_| Err(panicked()));
                             // The receiver is gone only when the stream has failed already.
-                            let _ = send.send((held, clustered));
+                            let _ = send.send((count, clustered));
                         });
                         while queued > MAX_QUEUED_SAMPLES {
                             let Ok((samples, cell)) = receive.recv() else { break };
@@ -127,31 +133,36 @@ impl Pass<'_> {
             if left.iter().any(|n| *n > 0) {
                 return Err(changed(model));
             }
-            Ok(())
-        })?;
-        drop(send);
-        receive.into_iter().try_for_each(|(_, cell)| cell.map(&mut collect))
+            // Taken in as they come: the bound that they raise shortens the work on the rest.
+            drop(send);
+            receive.iter().try_for_each(|(_, cell)| cell.map(&mut collect))
+        })
     }
 }
 
-/// Clusters a complete cell; one that is larger than `part` samples in parts, whose trees are joined.
+/// Clusters a complete cell; one that is larger than a part in parts, whose trees are joined, and kept to what a cut
+/// of `target` samples can reach.
 fn cluster(
     cell: u32,
     samples: CellSamples,
-    part: usize,
     stop: &AtomicU32,
+    target: Option<usize>,
     seed: u64,
 ) -> Result<ClusteredCell> {
     let mut scratch = Vec::new();
     let mut whole: Option<(VsTree, Moments)> = None;
-    samples.in_parts(part, |samples| {
+    samples.in_parts(PART, |samples| {
         let stop = f32::from_bits(stop.load(Ordering::Relaxed));
         let (tree, moments) = VsTree::build(samples, &mut scratch, stop, seed);
         whole = Some(match whole.take() {
             None => (tree, moments),
             Some((first, mut both)) => {
                 both.add(&moments);
-                (VsTree::join(first, tree, &both), both)
+                let mut joined = VsTree::join(first, tree, &both);
+                if let Some(target) = target.filter(|n| joined.leaves() > most_kept(*n)) {
+                    joined.prune(running_bound(std::iter::once(&joined), target));
+                }
+                (joined, both)
             }
         });
     })?;
@@ -163,6 +174,15 @@ fn cluster(
 #[inline]
 fn unit(n: Vec3) -> Vec3 {
     if (n.length_squared() - 1.0).abs() < 1e-6 { n } else { n.normalize_or_zero() }
+}
+
+/// A thread that clusters panicked.
+fn panicked() -> Error {
+    Error::new(
+        ErrorKind::Degenerate,
+        "clustering a cell failed",
+        "this is a bug: please report it, with the model",
+    )
 }
 
 /// The model holds other vertices in pass 2 than in pass 1.

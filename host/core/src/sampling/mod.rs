@@ -88,7 +88,7 @@ fn total_memory() -> u64 {
 }
 
 /// Samples a model. If the memory limit is reached, a temporary file without a name is made in `folder`, of at most
-/// 25 bytes per vertex.
+/// 40 bytes per vertex.
 ///
 /// # Errors
 /// The model cannot be read, changes meanwhile, or has no vertex with a finite position; the target is zero or not
@@ -125,7 +125,7 @@ pub fn sample(
     let stop = AtomicU32::new(bound.to_bits());
     let mut hash = Xxh3Default::new();
     let memory = sampling.sample_memory(grid.keys.len());
-    let pass = Pass { model, grid: &grid, frame: &frame, memory, folder, progress };
+    let pass = Pass { model, grid: &grid, frame: &frame, target, memory, folder, progress };
     pass.run(&stop, &mut hash, |cell| stop.store(forest.add(cell).to_bits(), Ordering::Relaxed))?;
 
     progress.begin("completing the samples", 0);

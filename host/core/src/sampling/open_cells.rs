@@ -227,11 +227,6 @@ pub struct CellSamples {
 }
 
 impl CellSamples {
-    /// Samples in memory.
-    pub fn held(&self) -> usize {
-        self.held.len()
-    }
-
     /// Hands out the samples in the order of the stream, in as many parts as it takes for none to have more than
     /// `limit`, read from the file where they are there.
     ///

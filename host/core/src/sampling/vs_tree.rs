@@ -267,7 +267,7 @@ enum Shape {
 fn examine(samples: &[Sample], m: &Moments) -> Shape {
     let normal = m.mean_normal();
     let covariance = m.covariance();
-    if samples.iter().any(|s| s.normal == Vec3::ZERO) {
+    if !m.has_normals() {
         let (values, vectors) = symmetric_eigen(covariance);
         return if values.x <= FLATNESS * FLATNESS * values.y {
             Shape::Sheet([vectors.z_axis.as_vec3(), vectors.y_axis.as_vec3()])
@@ -275,14 +275,16 @@ fn examine(samples: &[Sample], m: &Moments) -> Shape {
             Shape::Folded
         };
     }
+    // A few vertices without a normal do not hide the sheets that the others show.
+    let known = || samples.iter().map(|s| s.normal).filter(|n| *n != Vec3::ZERO);
     let n = normal.as_vec3();
-    if normal != DVec3::ZERO && samples.iter().all(|s| s.normal.dot(n) > FOLD_COSINE) {
+    if normal != DVec3::ZERO && known().all(|s| s.dot(n) > FOLD_COSINE) {
         return Shape::Sheet(principal_tangents(covariance, normal));
     }
     let axis = symmetric_eigen(m.normal_scatter()).1.z_axis.as_vec3();
     let mut sides = [false; 2];
-    for s in samples {
-        let cosine = s.normal.dot(axis);
+    for s in known() {
+        let cosine = s.dot(axis);
         if cosine.abs() <= FOLD_COSINE {
             return Shape::Folded;
         }
@@ -431,6 +433,16 @@ mod tests {
             assert!(node.normal.y.abs() > 0.99, "{node:?}");
         }
         assert_eq!(tree.splits().next().map(|(_, added)| added), Some(1));
+    }
+
+    #[test]
+    fn a_vertex_without_a_normal_does_not_merge_sheets() {
+        let side = |y: f32| (0..400).map(move |i| Vec3::new((i % 20) as f32, y, (i / 20) as f32) / 20.0);
+        let mut plate: Vec<_> = side(0.0).map(|p| sample(p, -Vec3::Y)).collect();
+        plate.extend(side(0.001).map(|p| sample(p, Vec3::Y)));
+        plate[123].normal = Vec3::ZERO;
+        let full = full(&plate);
+        assert!(full.nodes[1..].iter().all(|n| n.normal.y.abs() > 0.99 || n.normal == Vec3::ZERO));
     }
 
     #[test]
