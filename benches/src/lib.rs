@@ -1,14 +1,9 @@
 //! What the benchmark programs share: exact maps of space, and tables.
 
 use std::f64::consts::{FRAC_PI_2, PI};
-use std::path::Path;
 
 use glam::{DQuat, DVec3, EulerRot, Vec3};
-use simod_core::Result;
-use simod_core::generate::{GeneratedInfo, ModelOptions, expected_bytes, write_ply};
 use simod_core::geometry::Bounds;
-use simod_core::output::OutputFile;
-use simod_core::progress::Silent;
 use simod_core::sampled_model::SampledModel;
 
 /// A map of space that is known everywhere.
@@ -66,17 +61,6 @@ impl Map {
         let image = |p: &Vec3| frame.to_local(self.apply(&sampled.bounds, frame.to_model(*p)));
         sampled.rounded(&sampled.samples.positions.iter().map(image).collect::<Vec<_>>())
     }
-}
-
-/// Writes a generated model.
-///
-/// # Errors
-/// The disk is too full, or cannot be written to.
-pub fn generate(options: &ModelOptions, path: &Path) -> Result<GeneratedInfo> {
-    let mut out = OutputFile::create(path, expected_bytes(options)?.unwrap_or(0))?;
-    let info = write_ply(options, &mut out, &Silent)?;
-    out.commit()?;
-    Ok(info)
 }
 
 /// A row of a Markdown table.

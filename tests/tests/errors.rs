@@ -197,6 +197,9 @@ fn a_folder_that_is_no_sampled_model() {
     work.write("precious/letter.txt", "dear");
     work.refuses("sample model.ply -o precious", &["precious"]);
     work.simod("sample model.ply -o model.simod --samples 500");
+    work.write("model.simod/letter.txt", "dear");
+    work.refuses("sample model.ply -o model.simod", &["model.simod", "letter.txt"]);
+    std::fs::remove_file(work.path("model.simod/letter.txt")).expect("a letter");
 
     let description = String::from_utf8(work.read("model.simod/simod.toml")).expect("text");
     work.write("model.simod/simod.toml", &description[..description.len() / 2]);
@@ -207,6 +210,17 @@ fn a_folder_that_is_no_sampled_model() {
     let samples = work.read("model.simod/samples.ply");
     work.write("model.simod/samples.ply", &samples[..samples.len() / 2]);
     work.refuses("info model.simod", &["samples.ply"]);
+    // Deformed in place: the samples at rest are lost, and nothing may be reconstructed from that.
+    work.write("model.simod/samples.ply", &samples);
+    work.move_samples("model.simod", |p| 2.0 * p);
+    std::fs::rename(work.path("deformed.ply"), work.path("model.simod/samples.ply")).expect("a move");
+    let line = "reconstruct model.simod --deformed model.simod/samples.ply -o out.ply";
+    work.refuses(line, &["samples.ply", "not what was sampled"]);
+    // The model itself is no place for its deformation.
+    work.write("model.simod/samples.ply", &samples);
+    work.move_samples("model.simod", |p| 2.0 * p);
+    let line = "reconstruct model.simod --deformed deformed.ply -o model.ply";
+    work.refuses(line, &["model.ply", "the model itself"]);
 }
 
 #[test]

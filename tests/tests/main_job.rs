@@ -74,6 +74,11 @@ fn threads_do_not_change_a_byte() {
     for threads in [2, 3] {
         assert!(with_threads(threads) == one, "{threads} threads give another result");
     }
+    // Plugins have threads of their own.
+    let mut command = work.command("run edit.toml -o edited.ply");
+    let status = command.env("RAYON_NUM_THREADS", "7").status().expect("the program runs");
+    assert!(status.success());
+    assert!(work.read("edited.ply") == one.1, "threads in plugins give another result");
 }
 
 #[test]

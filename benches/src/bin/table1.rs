@@ -16,8 +16,9 @@ use std::time::Instant;
 
 use clap::Parser;
 use serde_json::Value;
-use simod_benches::{Map, generate, head, median, row};
-use simod_core::generate::ModelOptions;
+use simod_benches::{Map, head, median, row};
+use simod_core::generate::{ModelOptions, write_file};
+use simod_core::progress::Silent;
 use simod_core::sampled_model::SampledModel;
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -98,7 +99,8 @@ fn measure(arguments: &Arguments) -> Result<()> {
             let folder = tempfile::tempdir_in(&arguments.folder)?;
             let model = folder.path().join("model.ply");
             let vertices = (millions * 1e6) as u64;
-            let info = generate(&ModelOptions { vertices, normals, ..ModelOptions::default() }, &model)?;
+            let options = ModelOptions { vertices, normals, ..ModelOptions::default() };
+            let info = write_file(&options, &model, &Silent)?;
 
             let rounds = (0..arguments.runs)
                 .map(|_| round(&simod, &model, folder.path(), arguments.samples))

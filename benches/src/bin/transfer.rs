@@ -11,8 +11,8 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Parser;
-use simod_benches::{Map, generate, head, row};
-use simod_core::generate::ModelOptions;
+use simod_benches::{Map, head, row};
+use simod_core::generate::{ModelOptions, write_file};
 use simod_core::progress::Silent;
 use simod_core::reconstruction::{Method, reconstruct, transfer_error};
 use simod_core::sampling::{Sampling, Target, sample};
@@ -52,7 +52,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
     let (generated, deformed) = (folder.path().join("model.ply"), folder.path().join("deformed.ply"));
     if arguments.model.is_none() {
         let options = ModelOptions { vertices: arguments.vertices, ..ModelOptions::default() };
-        generate(&options, &generated)?;
+        write_file(&options, &generated, &Silent)?;
     }
     let model = model::open(arguments.model.as_deref().unwrap_or(&generated))?;
 

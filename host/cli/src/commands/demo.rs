@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use simod_core::generate::ModelOptions;
+use simod_core::generate::{ModelOptions, write_file};
 use simod_core::reconstruction::Method;
 use simod_core::render::Image;
 use simod_core::{Error, Result, model, output};
@@ -38,7 +38,7 @@ impl Demo {
         let progress = report.progress();
 
         let options = ModelOptions { vertices: self.vertices, ..ModelOptions::default() };
-        super::generate::write(&options, &file("amphora.ply"), progress)?;
+        write_file(&options, &file("amphora.ply"), progress)?;
         let text = SESSION.replace("samples = 100000", &format!("samples = {}", self.samples));
         output::write_file(&file("session.toml"), text.as_bytes())?;
 

@@ -1,13 +1,12 @@
 //! `simod generate`: models of any size to try things on, without any download.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use glam::DVec3;
-use simod_core::generate::{Encoding, GeneratedInfo, ModelOptions, Shape, expected_bytes, write_ply};
+use simod_core::Result;
+use simod_core::generate::{Encoding, ModelOptions, Shape, write_file};
 use simod_core::model::Scalar;
-use simod_core::output::OutputFile;
-use simod_core::{Progress, Result};
 
 use crate::report::{Report, count, rate};
 
@@ -89,7 +88,7 @@ impl Generate {
             faces: !self.no_faces,
             offset: self.offset,
         };
-        let info = write(&options, &self.output, report.progress())?;
+        let info = write_file(&options, &self.output, report.progress())?;
         report.figure("vertices", info.vertices);
         report.figure("faces", info.faces);
         report.figure("bytes", info.bytes);
@@ -103,12 +102,4 @@ impl Generate {
         ));
         Ok(())
     }
-}
-
-/// Generates a model into a file, which appears whole or not at all.
-pub fn write(options: &ModelOptions, path: &Path, progress: &dyn Progress) -> Result<GeneratedInfo> {
-    let mut out = OutputFile::create(path, expected_bytes(options)?.unwrap_or(0))?;
-    let info = write_ply(options, &mut out, progress)?;
-    out.commit()?;
-    Ok(info)
 }

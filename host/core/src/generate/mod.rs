@@ -23,7 +23,7 @@ use rayon::prelude::*;
 use crate::{Error, ErrorKind, Result};
 use layout::{Layout, Patch};
 
-pub use ply::{Encoding, GeneratedInfo, ModelOptions, expected_bytes, write_ply};
+pub use ply::{Encoding, GeneratedInfo, ModelOptions, expected_bytes, write_file, write_ply};
 
 /// Fewest vertices of a generated model; with fewer, the shapes fall apart.
 pub const MIN_VERTICES: u64 = 1000;

@@ -1,11 +1,13 @@
 //! Writes a generated surface as PLY.
 
 use std::io::Write;
+use std::path::Path;
 
 use glam::DVec3;
 
 use super::{Piece, Shape, Surface, SurfaceVertex};
 use crate::model::Scalar;
+use crate::output::OutputFile;
 use crate::{Error, ErrorKind, Progress, Result};
 
 /// How a PLY file stores its numbers.
@@ -73,6 +75,17 @@ pub struct GeneratedInfo {
 /// As [`write_ply`] has for its options.
 pub fn expected_bytes(options: &ModelOptions) -> Result<Option<u64>> {
     Ok(Format::new(options, &Surface::new(options.shape, options.vertices)?)?.bytes())
+}
+
+/// Generates a model into a file, which appears whole or not at all.
+///
+/// # Errors
+/// As [`write_ply`] has; the file cannot be made there.
+pub fn write_file(options: &ModelOptions, path: &Path, progress: &dyn Progress) -> Result<GeneratedInfo> {
+    let mut out = OutputFile::create(path, expected_bytes(options)?.unwrap_or(0))?;
+    let info = write_ply(options, &mut out, progress)?;
+    out.commit()?;
+    Ok(info)
 }
 
 /// Generates a model and writes it, in constant memory (but for the rows' table; see [`Surface`]).
