@@ -72,16 +72,14 @@ pub fn bounds(model: &dyn Model, progress: &dyn Progress) -> Result<Bounds> {
 pub fn of_model(model: &dyn Model, bounds: &Bounds, view: &View, progress: &dyn Progress) -> Result<Image> {
     let mut spacing = Spacing::new([bounds.min, bounds.max]);
     stream(model, "drawing", progress, |chunk| spacing.add(chunk.positions.iter().copied()))?;
-    let mut points = Vec::new();
-    let mut points_of = |chunk: &VertexChunk| {
-        points.clear();
-        points.extend(chunk.positions.iter().enumerate().map(|(i, p)| SurfacePoint {
+    let points_of = |chunk: &VertexChunk| -> Vec<SurfacePoint> {
+        let point = |(i, p): (usize, &DVec3)| SurfacePoint {
             position: view.up.turned(*p),
             normal: view.up.turned(chunk.normals.get(i).map_or(DVec3::ZERO, |n| n.as_dvec3())).as_vec3(),
             color: CLAY,
             radius: spacing.radius_at(*p),
-        }));
-        std::mem::take(&mut points)
+        };
+        chunk.positions.iter().enumerate().map(point).collect()
     };
     let mut renderer = view.renderer();
     stream(model, "drawing", progress, |chunk| renderer.depth(&points_of(chunk)))?;

@@ -286,14 +286,14 @@ move = { translate = [10, 0, 0], axis = [0, 1, 0], degrees = 30, pivot = [0, 300
 [[step]]
 deform = "warp"
 [output]
-path = "/tmp/out.ply"
+path = "/elsewhere/out.ply"
 "#;
 
     #[test]
     fn reads_a_session() {
         let session = parse(GOOD).unwrap();
         assert_eq!(session.model.unwrap(), Path::new("edits/nefertiti.ply"));
-        assert_eq!(session.output.unwrap(), Path::new("/tmp/out.ply"));
+        assert_eq!(session.output.unwrap(), Path::new("/elsewhere/out.ply"));
         assert_eq!(session.sampling.samples, Some(50_000));
         let [rbf, warp] = session.steps.as_slice() else { panic!() };
         assert_eq!((rbf.deform.as_str(), rbf.regions.len()), ("rbf", 2));

@@ -68,14 +68,8 @@ pub fn expand(samples: &SampleSet, deformed: &[Vec3], frames: &LocalFrames) -> V
 }
 
 fn fit(samples: &SampleSet, deformed: &[Vec3], gradient: Mat3, i: usize) -> Jet {
-    let all = samples.neighbours().of(i);
-    let near = &all[..all.len().min(FIT_NEIGHBOURS)];
+    let (near, radius) = samples.around(i, FIT_NEIGHBOURS);
     let (q, q_star) = (samples.positions[i], deformed[i]);
-    let distance = |j: &u32| samples.positions[*j as usize].distance(q);
-    let radius = match all.get(near.len()) {
-        Some(beyond) => distance(beyond),
-        None => 1.5 * near.last().map_or(0.0, distance),
-    };
     let affine = Jet { gradient, second: [Vec3::ZERO; 6], reach: radius * radius };
     let scale = 1.0 / f64::from(radius);
     if !scale.is_finite() {

@@ -46,19 +46,12 @@ impl LocalFrames {
 }
 
 fn fit_one(samples: &SampleSet, deformed: &[Vec3], i: usize) -> DMat3 {
-    let near = samples.neighbours().of(i);
-    let near = &near[..near.len().min(FIT_NEIGHBOURS)];
+    let (near, radius) = samples.around(i, FIT_NEIGHBOURS);
     let (q, q_star) = (samples.positions[i], deformed[i]);
     if near.iter().all(|j| samples.positions[*j as usize] == deformed[*j as usize]) && q == q_star {
         return DMat3::IDENTITY;
     }
 
-    // The kernel vanishes at the first neighbour that is left out.
-    let distance = |j: &u32| samples.positions[*j as usize].distance(q);
-    let radius = match samples.neighbours().of(i).get(near.len()) {
-        Some(beyond) => distance(beyond),
-        None => 1.5 * near.last().map_or(0.0, distance),
-    };
     let (mut a, mut b) = (DMat3::ZERO, DMat3::ZERO);
     for j in near {
         let j = *j as usize;

@@ -25,7 +25,7 @@ pub const BYTES_PER_SAMPLE: u64 = 150;
 
 /// The trees of all cells seen so far.
 ///
-/// Memory: 36 bytes for each of about 1.4 nodes per cluster, at most [`KEEP_AT_MOST`] clusters per sample of
+/// Memory: 32 bytes for each of about 1.4 nodes per cluster, at most [`KEEP_AT_MOST`] clusters per sample of
 /// the target and what one cell has; and the moments of each occupied cell.
 pub struct Forest {
     target: Option<usize>,

@@ -173,8 +173,8 @@ impl Builder<'_> {
             key,
             end: 0,
         });
-        if key > self.stop && !self.split(samples, &m, key, stage, depth, seed) {
-            self.nodes[at].key = 0.0;
+        if key > self.stop {
+            self.split(samples, &m, key, stage, depth, seed);
         }
         // A cluster that is not split here ends the tree: a cut stops at it whatever its error.
         if self.nodes.len() == at + 1 {
@@ -183,23 +183,16 @@ impl Builder<'_> {
         self.nodes[at].end = self.nodes.len() as u32;
     }
 
-    /// Splits a cluster and goes on with its parts; `false` if nothing tells its samples apart.
-    fn split(
-        &mut self,
-        samples: &mut [Sample],
-        m: &Moments,
-        key: f32,
-        stage: Stage,
-        depth: u32,
-        seed: u64,
-    ) -> bool {
+    /// Splits a cluster and goes on with its parts, if anything tells its samples apart.
+    fn split(&mut self, samples: &mut [Sample], m: &Moments, key: f32, stage: Stage, depth: u32, seed: u64) {
         let stage = match stage {
             Stage::Surface(_) if m.mean_normal() != DVec3::ZERO => stage,
             _ => match examine(samples, m) {
                 Shape::Sheet(frame) => Stage::Surface(frame),
                 Shape::TwoSheets(axis) => {
                     let side = |s: &Sample| usize::from(s.normal.dot(axis) < 0.0);
-                    return self.part(samples, side, key, Stage::Volume, depth, seed);
+                    self.part(samples, side, key, Stage::Volume, depth, seed);
+                    return;
                 }
                 Shape::Folded => Stage::Volume,
             },
@@ -207,12 +200,12 @@ impl Builder<'_> {
         if let Stage::Surface([t1, t2]) = stage {
             let code = octant(samples, |p| Vec3::new(p.dot(t1), p.dot(t2), 0.0));
             if self.part(samples, code, key, stage, depth, seed) {
-                return true;
+                return;
             }
             // All on one line along the normal.
         }
         let code = octant(samples, |p| p);
-        self.part(samples, code, key, Stage::Volume, depth, seed)
+        self.part(samples, code, key, Stage::Volume, depth, seed);
     }
 
     /// Parts the samples by `code` < 8, and goes on with each part; `false` if they all have the same code.
