@@ -1,7 +1,8 @@
-//! Models behind one streaming interface: vertices come in chunks, and go out as patched chunks.
+//! Models behind one streaming interface: vertices come in chunks, and go out as patched chunks; faces come as
+//! triangles.
 //!
-//! A model is never held: readers keep one chunk of at most [`CHUNK_VERTICES`] vertices, and
-//! [`Model::rewrite`] at most four of them at a time.
+//! A model is never held: readers keep one chunk of at most [`CHUNK_VERTICES`] vertices or [`CHUNK_TRIANGLES`]
+//! triangles, and [`Model::rewrite`] at most four of them at a time.
 
 mod pipeline;
 pub mod ply;
@@ -18,6 +19,9 @@ use source::Source;
 
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
 pub const CHUNK_VERTICES: usize = 1 << 16;
+
+/// Most triangles in a chunk.
+pub const CHUNK_TRIANGLES: usize = 1 << 16;
 
 /// How positions are stored in the file. They are written back in the same type.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -48,6 +52,8 @@ pub struct ModelInfo {
     /// Bytes of the file that hold vertices (what one streaming pass reads). In a text file where other things
     /// follow the vertices, an estimate.
     pub vertex_bytes: u64,
+    /// Bytes of the file that hold faces which have triangles. In a text file, an estimate.
+    pub face_bytes: u64,
 }
 
 /// A run of consecutive vertices, in the file's order.
@@ -82,6 +88,17 @@ impl VertexChunk {
     }
 }
 
+/// Triangles of consecutive faces, in the file's order.
+#[derive(Debug, Default)]
+pub struct FaceChunk {
+    /// Indices of each triangle's corners, at most [`CHUNK_TRIANGLES`] triangles. Nothing is checked: there may be
+    /// no vertex of an index, and corners may be equal. An index that no vertex can have, as it is negative or
+    /// 2³² - 1 or more, is given as [`u32::MAX`].
+    pub triangles: Vec<[u32; 3]>,
+    /// Bytes of the file that this chunk took.
+    pub bytes: u64,
+}
+
 /// Opens a model, of whatever format its content is (its name does not matter).
 ///
 /// # Errors
@@ -106,6 +123,19 @@ pub trait VertexReader: Send {
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool>;
 }
 
+/// Reads triangles of consecutive faces, a chunk at a time.
+pub trait FaceReader: Send {
+    /// Reads the next triangles into `chunk`, whose buffer is reused; `false` (and an empty chunk) at the end.
+    ///
+    /// Before the end a chunk may be empty, too: for other things in the file that have to be passed over. The
+    /// triangles of a polygon or a strip may lie in two chunks or more.
+    ///
+    /// # Errors
+    /// The file cannot be read, ends early, or holds a list of negative length or, in a text format, something
+    /// that is no whole number. Nothing more can be read then.
+    fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool>;
+}
+
 /// A model on disk that can be streamed any number of times, from several threads.
 pub trait Model: Send + Sync {
     /// What is known without reading the vertices.
@@ -120,9 +150,17 @@ pub trait Model: Send + Sync {
     /// The file cannot be read.
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
 
+    /// A reader of all faces, in the file's order, as triangles: a polygon of more than three corners becomes a
+    /// fan about its first corner, one of fewer gives none, and a strip's triangles are turned to the same side.
+    ///
+    /// In a text file the end of the vertices has to be found, where it is not known from reading them.
+    ///
+    /// # Errors
+    /// The file cannot be read, or ends within the vertices.
+    fn faces(&self) -> Result<Box<dyn FaceReader + '_>>;
+
     /// Checks that the file holds all that its header speaks of. Most formats know once the file is open, and
-    /// this takes no time; text has to be read to its end, and nothing but this and [`rewrite`](Self::rewrite)
-    /// reads what follows the vertices.
+    /// this takes no time; text has to be read to its end, which [`rewrite`](Self::rewrite) does as well.
     ///
     /// # Errors
     /// The file cannot be read, or ends early.

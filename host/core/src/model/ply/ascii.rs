@@ -19,7 +19,7 @@ pub(super) fn is_space(byte: u8) -> bool {
 
 /// The next word of `bytes` from `at` on; `None` if it may go on after them, which it does not at the file's end.
 #[inline(always)]
-fn next_word(bytes: &[u8], at: usize, whole_file: bool) -> Option<(usize, usize)> {
+pub(super) fn next_word(bytes: &[u8], at: usize, whole_file: bool) -> Option<(usize, usize)> {
     let start = at + bytes[at..].iter().position(|&b| !is_space(b))?;
     match bytes[start..].iter().position(|&b| is_space(b)) {
         Some(len) => Some((start, start + len)),
@@ -162,6 +162,20 @@ fn is_microsoft_nan(text: &str) -> bool {
     text.starts_with("1.#") || text.starts_with("nan(")
 }
 
+/// A whole number; one that is too large becomes the largest.
+pub(super) fn integer(word: &[u8]) -> Option<i64> {
+    let (negative, digits) = match word {
+        [b'-', digits @ ..] => (true, digits),
+        [b'+', digits @ ..] | digits => (false, digits),
+    };
+    if digits.is_empty() || !digits.iter().all(u8::is_ascii_digit) {
+        return None;
+    }
+    let value =
+        digits.iter().fold(0i64, |value, b| value.saturating_mul(10).saturating_add(i64::from(b - b'0')));
+    Some(if negative { -value } else { value })
+}
+
 fn round(scalar: Scalar, value: f64) -> f64 {
     match scalar {
         Scalar::F32 => f64::from(value as f32),
@@ -213,6 +227,19 @@ mod tests {
         assert_eq!(written(Scalar::F32, f64::from(0.1f32)), "0.1");
         assert_eq!(written(Scalar::F64, f64::from(0.1f32)), "0.10000000149011612");
         assert!(parse(Scalar::F32, written(Scalar::F32, f64::NAN).as_bytes()).unwrap().is_nan());
+    }
+
+    #[test]
+    fn whole_numbers_are_read_however_long() {
+        let words =
+            [("0", 0), ("-0", 0), ("+7", 7), ("-1", -1), ("00042", 42), ("4294967295", 4_294_967_295)];
+        for (word, value) in words {
+            assert_eq!(integer(word.as_bytes()), Some(value), "{word}");
+        }
+        assert_eq!(integer(&[b'9'; 1000]), Some(i64::MAX));
+        for word in ["", "-", "+", "--1", "1.0", "1e3", "0x1", "x", "\u{e9}"] {
+            assert_eq!(integer(word.as_bytes()), None, "{word}");
+        }
     }
 
     #[test]

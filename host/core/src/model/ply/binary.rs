@@ -71,13 +71,14 @@ impl<const BIG: bool> Codec for Any<BIG> {
 }
 
 #[inline(always)]
-fn bytes_at<const N: usize>(raw: &[u8], at: usize) -> [u8; N] {
+pub(super) fn bytes_at<const N: usize>(raw: &[u8], at: usize) -> [u8; N] {
     let mut bytes = [0; N];
     bytes.copy_from_slice(&raw[at..at + N]);
     bytes
 }
 
 /// The integer of type `kind` that `raw` begins with.
+#[inline]
 pub(super) fn integer(kind: Type, big: bool, raw: &[u8]) -> i64 {
     macro_rules! read {
         ($t:ty) => {{
@@ -91,7 +92,7 @@ pub(super) fn integer(kind: Type, big: bool, raw: &[u8]) -> i64 {
         Type::I16 => read!(i16),
         Type::U16 => read!(u16),
         Type::I32 => read!(i32),
-        // The header lets no list be counted in floating-point numbers.
+        // The header lets no list be counted in floating-point numbers, and no such list is read as corners.
         Type::U32 | Type::F32 | Type::F64 => read!(u32),
     }
 }

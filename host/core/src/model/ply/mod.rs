@@ -12,12 +12,14 @@
 //! | `layout` | where a vertex record keeps its numbers |
 //! | `walk` | going over elements of no interest; noticing that a file is cut off |
 //! | `reader` | chunks of vertices from anywhere in the file |
+//! | `faces` | triangles of all faces |
 //! | `binary`, `ascii` | numbers in and out of a chunk's bytes |
 //! | `rewrite` | the whole file anew |
 //! | `writer` | files of our own |
 
 mod ascii;
 mod binary;
+mod faces;
 mod header;
 mod layout;
 mod reader;
@@ -33,8 +35,9 @@ pub(super) use header::is_ply;
 pub use writer::write_points;
 
 use super::source::Source;
-use super::{Model, ModelInfo, VertexChunk, VertexReader, pipeline};
+use super::{FaceReader, Model, ModelInfo, VertexChunk, VertexReader, pipeline};
 use crate::{Progress, Result};
+use faces::Faces;
 use header::{Element, Encoding, Header};
 use layout::Layout;
 use reader::{Offsets, Reader};
@@ -49,6 +52,8 @@ pub struct PlyModel {
     layout: Layout,
     /// Where in the file the vertices begin.
     vertices_start: u64,
+    /// In a binary file, where each element begins, and after them the end of the last one. Empty in a text file.
+    starts: Vec<u64>,
     offsets: Offsets,
     info: ModelInfo,
 }
@@ -79,20 +84,23 @@ impl PlyModel {
             other_properties: layout.other.clone(),
             bytes: source.len(),
             vertex_bytes: 0,
+            face_bytes: 0,
         };
+        let mut starts = Vec::new();
         let vertices_start = if header.encoding == Encoding::Ascii {
             check_room_for_words(&source, &header)?;
             walk::walk(&source, header.encoding, &header.elements[..vertex], header.len)?
         } else {
-            let starts = walk::extents(&source, header.encoding, &header.elements, header.len)?;
+            starts = walk::extents(&source, header.encoding, &header.elements, header.len)?;
             info.vertex_bytes = starts[vertex + 1] - starts[vertex];
             starts[vertex]
         };
         let mut model =
-            Self { source, header, vertex, layout, vertices_start, offsets: Offsets::new(), info };
+            Self { source, header, vertex, layout, vertices_start, starts, offsets: Offsets::new(), info };
         if model.header.encoding == Encoding::Ascii {
             model.info.vertex_bytes = model.estimate_vertex_bytes();
         }
+        model.info.face_bytes = faces::bytes(&model);
         Ok(model)
     }
 
@@ -133,6 +141,10 @@ impl Model for PlyModel {
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         Ok(Box::new(Reader::new(self, range)?))
+    }
+
+    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
+        Ok(Box::new(Faces::new(self)?))
     }
 
     fn check_complete(&self) -> Result<()> {

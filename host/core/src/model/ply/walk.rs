@@ -4,9 +4,11 @@
 //! The walker is fed the file block by block, of whatever size, and keeps a few bytes between them. It counts
 //! in bytes in a binary file, and in words in a text file; all the rest is the same for both.
 
+use std::fmt::Display;
+
 use super::ascii::is_space;
 use super::binary;
-use super::header::{DAMAGED, Element, Encoding, Shape, Type, quoted};
+use super::header::{DAMAGED, Element, Encoding, Property, Shape, Type, quoted};
 use crate::Result;
 use crate::model::source::Source;
 
@@ -20,25 +22,25 @@ const LONGEST_COUNT: usize = 32;
 const BLOCK: usize = 1 << 18;
 
 #[derive(Debug, Clone, Copy)]
-enum Step {
+pub(super) enum Step {
     /// So many units (bytes or words) of no interest.
     Skip(u64),
-    /// The length of a list, whose items take so many units each.
-    Count { kind: Type, item: u64 },
+    /// The length of the list that the property of this index is, whose items take so many units each.
+    Count { property: usize, kind: Type, item: u64 },
 }
 
 /// The steps of one record, and how often they are gone through.
 #[derive(Debug)]
-struct Plan {
+pub(super) struct Plan {
     name: String,
-    count: u64,
-    steps: Vec<Step>,
+    pub(super) count: u64,
+    pub(super) steps: Vec<Step>,
     /// Without lists all records are one skip: how many units a record is of.
     fixed: Option<u64>,
 }
 
 impl Plan {
-    fn new(element: &Element, encoding: Encoding) -> Self {
+    pub(super) fn new(element: &Element, encoding: Encoding) -> Self {
         let size = |t: Type| if encoding == Encoding::Ascii { 1 } else { t.size() as u64 };
         let (name, count) = (element.name.clone(), element.count);
         if !element.has_lists() {
@@ -50,16 +52,30 @@ impl Plan {
             return Self { name, count: 1, steps: vec![Step::Skip(all)], fixed: Some(record) };
         }
         let mut steps = Vec::new();
-        for property in &element.properties {
-            match (property.shape, steps.last_mut()) {
+        for (property, Property { shape, .. }) in element.properties.iter().enumerate() {
+            match (*shape, steps.last_mut()) {
                 (Shape::Scalar(t), Some(Step::Skip(units))) => *units += size(t),
                 (Shape::Scalar(t), _) => steps.push(Step::Skip(size(t))),
                 (Shape::List { count, item }, _) => {
-                    steps.push(Step::Count { kind: count, item: size(item) });
+                    steps.push(Step::Count { property, kind: count, item: size(item) });
                 }
             }
         }
         Self { name, count, steps, fixed: None }
+    }
+
+    /// What is wrong where the file ends within this record.
+    pub(super) fn ends_early(&self, record: u64) -> String {
+        let (name, count) = (quoted(&self.name), self.count);
+        match self.fixed {
+            Some(_) => format!("the file ends within element {name}"),
+            None => format!("the file ends within element {name}, record {record} of {count}"),
+        }
+    }
+
+    /// What is wrong with this record.
+    pub(super) fn wrong(&self, record: u64, what: impl Display) -> String {
+        format!("element {}, record {record}: {what}", quoted(&self.name))
     }
 }
 
@@ -122,17 +138,9 @@ impl Walker {
     }
 
     fn ends_early(&self) -> String {
-        let Some(plan) = self.plans.get(self.plan) else { return "the file ends early".into() };
-        match plan.fixed {
-            Some(_) => format!("the file ends within element {}", quoted(&plan.name)),
-            None => {
-                format!(
-                    "the file ends within element {}, record {} of {}",
-                    quoted(&plan.name),
-                    self.record,
-                    plan.count
-                )
-            }
+        match self.plans.get(self.plan) {
+            Some(plan) => plan.ends_early(self.record),
+            None => "the file ends early".into(),
         }
     }
 
@@ -158,7 +166,7 @@ impl Walker {
             return None;
         }
         match self.plans.get(self.plan)?.steps.get(self.step)? {
-            Step::Count { kind, item } => Some((*kind, *item)),
+            Step::Count { kind, item, .. } => Some((*kind, *item)),
             Step::Skip(_) => None,
         }
     }
@@ -170,8 +178,11 @@ impl Walker {
     }
 
     fn bad_length(&self, length: &str) -> String {
-        let name = self.plans.get(self.plan).map_or("", |p| &p.name);
-        format!("element {}, record {}: a list of length {length}", quoted(name), self.record)
+        let what = format!("a list of length {length}");
+        match self.plans.get(self.plan) {
+            Some(plan) => plan.wrong(self.record, what),
+            None => what,
+        }
     }
 
     fn feed_binary(&mut self, bytes: &[u8]) -> Result<usize, String> {
@@ -361,7 +372,6 @@ fn uniform_lists(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::ply::header::Property;
 
     const ENCODINGS: [Encoding; 3] = [Encoding::Ascii, Encoding::Little, Encoding::Big];
 
