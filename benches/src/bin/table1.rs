@@ -144,7 +144,7 @@ fn round(simod: &Path, model: &Path, folder: &Path, samples: u64) -> Result<Roun
 
     // The deformation itself, whatever it may cost, is not what is measured here.
     let loaded = SampledModel::load(&sampled)?;
-    loaded.write_deformed(&deformed, &Map::Twist.deform(&loaded), &loaded.samples.normals)?;
+    loaded.write_deformed(&deformed, &Map::Twist.deform(&loaded), loaded.samples.normals())?;
 
     let mut command = Command::new(simod);
     command.arg("reconstruct").arg(&sampled).arg("--deformed").arg(&deformed).arg("-o").arg(&output);

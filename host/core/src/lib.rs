@@ -19,6 +19,7 @@ pub mod reconstruction;
 pub mod render;
 pub mod sampled_model;
 pub mod sampling;
+mod scratch;
 
 pub use error::{Error, ErrorKind, Result};
 pub use progress::Progress;

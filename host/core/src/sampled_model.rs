@@ -1,21 +1,27 @@
 //! A sampled model: P_S and where it came from, in memory or as a folder of plain files (design: `simod.toml`
 //! and `samples.ply`, which any tool opens and any program may deform).
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
-use xxhash_rust::xxh3::xxh3_128;
+use xxhash_rust::xxh3::Xxh3Default;
 
 use crate::frame::Frame;
 use crate::geometry::Bounds;
-use crate::model::{self, Model, Scalar, VertexChunk};
+use crate::model::{self, FaceChunk, Model, Scalar, VertexChunk};
+use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::lattice::Grid;
-use crate::sampling::{SampleSet, Sampling, Target};
-use crate::{Error, ErrorKind, Result, output};
+use crate::sampling::triangles::Triangles;
+use crate::sampling::{Grouping, SampleSet, Sampling, Skip, Splitting, Target};
+use crate::{Error, ErrorKind, Progress, Result, output};
 
 /// What is written on the first line of `simod.toml`.
 const FORMAT: &str = "simod-sampled-model/1";
+
+/// The file with the cells: see [`KeptCells`].
+const CELLS: &str = "cells.bin";
 
 /// The model that was sampled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -54,6 +60,14 @@ pub struct SampledModel {
     pub position_type: Scalar,
     /// The samples.
     pub samples: SampleSet,
+    /// Triangles between samples, from the model's faces; none where it has none, or they were not wanted.
+    pub triangles: Vec<[u32; 3]>,
+    /// Number of triangles of the model that refer to a vertex that there is not. Not kept in the folder.
+    pub faces_without_vertex: u64,
+    /// The model's faces are such a tangle that no triangles were made of them. Not kept in the folder.
+    pub tangled_faces: bool,
+    /// The cells, after sampling; see [`cells`](Self::cells).
+    kept: Option<KeptCells>,
 }
 
 /// The content of `simod.toml`.
@@ -78,6 +92,10 @@ struct SamplingRecord {
     grid: Option<u32>,
     cells: u64,
     cell_size: f64,
+    splitting: Splitting,
+    /// Level of the groups that open cells held, if they held groups.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    group_level: Option<u32>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -97,8 +115,9 @@ impl SampledModel {
         sampling: Sampling,
         grid: &Grid,
         position_type: Scalar,
-        mut positions: Vec<Vec3>,
-        normals: Vec<Vec3>,
+        (mut positions, normals): (Vec<Vec3>, Vec<Vec3>),
+        triangles: Triangles,
+        kept: Option<KeptCells>,
     ) -> Result<Self> {
         let (bounds, frame) = (grid.bounds, Frame::of(&grid.bounds));
         // Far from zero, or at sizes beyond its exponent, single precision would spoil the samples.
@@ -118,6 +137,10 @@ impl SampledModel {
             frame,
             position_type,
             samples: SampleSet::new(positions, normals)?,
+            triangles: triangles.triangles,
+            faces_without_vertex: triangles.without_vertex,
+            tangled_faces: triangles.tangled,
+            kept,
         })
     }
 
@@ -142,7 +165,9 @@ impl SampledModel {
             Error::new(e.kind(), what, e.hint())
         };
         let points = new.path().join("samples.ply");
-        self.write_points(&points, &self.samples.positions, &self.samples.normals).map_err(named)?;
+        let normals =
+            if self.sampling.skip.normals { self.samples.known_normals() } else { self.samples.normals() };
+        self.write_points(&points, &self.samples.positions, normals).map_err(named)?;
         let description = Description {
             format: FORMAT.to_owned(),
             samples: self.samples.len() as u64,
@@ -157,6 +182,11 @@ impl SampledModel {
                 grid: self.sampling.grid,
                 cells: self.cells,
                 cell_size: self.cell_size,
+                splitting: self.sampling.splitting,
+                group_level: match self.sampling.grouping {
+                    Grouping::Level(level) => Some(level),
+                    _ => None,
+                },
             },
             frame: FrameRecord {
                 origin: self.frame.origin,
@@ -169,6 +199,10 @@ impl SampledModel {
             Error::new(ErrorKind::Io, format!("cannot describe the samples: {e}"), "report this")
         })?;
         output::write_file(&new.path().join("simod.toml"), text.as_bytes()).map_err(named)?;
+        if let Some(kept) = &self.kept {
+            let bytes = kept.encode(&description.samples_fingerprint)?;
+            output::write_file(&new.path().join(CELLS), &bytes).map_err(named)?;
+        }
         set_folder_permissions(new.path()).map_err(io)?;
 
         if folder.symlink_metadata().is_ok() {
@@ -206,7 +240,7 @@ impl SampledModel {
         }
         // What is replaced is removed: nothing of the user's own.
         let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
-        let own = |name: &std::ffi::OsStr| name != "simod.toml" && name != "samples.ply";
+        let own = |name: &std::ffi::OsStr| name != "simod.toml" && name != "samples.ply" && name != CELLS;
         match entries.flatten().map(|e| e.file_name()).find(|name| own(name)) {
             Some(name) => refused(format!("holds {} beside the samples", name.display())),
             None => Ok(()),
@@ -257,7 +291,7 @@ impl SampledModel {
                 "deformed samples go to another file: sample the model again",
             ));
         }
-        let (positions, normals) = read_points(&samples)?;
+        let (positions, normals, triangles) = read_samples(&samples)?;
         if positions.len() as u64 != description.samples {
             return Err(Error::new(
                 ErrorKind::Mismatch,
@@ -279,6 +313,9 @@ impl SampledModel {
                 target: description.sampling.target,
                 grid: description.sampling.grid,
                 memory_limit: None,
+                splitting: description.sampling.splitting,
+                grouping: description.sampling.group_level.map_or(Grouping::Never, Grouping::Level),
+                skip: Skip::default(),
             },
             cells: description.sampling.cells,
             cell_size: description.sampling.cell_size,
@@ -286,7 +323,43 @@ impl SampledModel {
             frame,
             position_type,
             samples: SampleSet::new(positions.iter().map(|p| frame.to_local(*p)).collect(), normals)?,
+            triangles,
+            faces_without_vertex: 0,
+            tangled_faces: false,
+            kept: None,
         })
+    }
+
+    /// The cells of a sampled model, from its folder; if the file is missing or damaged, the model is sampled
+    /// again, which gives the same cells, and the file is made anew.
+    ///
+    /// # Errors
+    /// As for [`open_source`](Self::open_source) and [`sample`](crate::sampling::sample); the model is not what was
+    /// sampled; the file cannot be written.
+    pub fn cells(&self, folder: &Path, progress: &dyn Progress) -> Result<KeptCells> {
+        let file = folder.join(CELLS);
+        let samples_fingerprint = file_fingerprint(&folder.join("samples.ply"))?;
+        let kept = std::fs::read(&file).ok().and_then(|bytes| KeptCells::decode(&bytes).ok());
+        if let Some((of, kept)) = kept
+            && of == samples_fingerprint
+        {
+            return Ok(kept);
+        }
+        let source = self.open_source(None)?;
+        let skip = Skip { triangles: true, cells: false, normals: true };
+        let again = crate::sampling::sample(&*source, &Sampling { skip, ..self.sampling }, folder, progress)?;
+        let same = again.source.fingerprint == self.source.fingerprint
+            && again.samples.positions == self.samples.positions;
+        let Some(kept) = again.kept.filter(|_| same) else {
+            return Err(self.source_changed(source.path()));
+        };
+        output::write_file(&file, &kept.encode(&samples_fingerprint)?)?;
+        Ok(kept)
+    }
+
+    /// Whether the cells' file is there and whole.
+    pub fn has_cells(folder: &Path) -> bool {
+        std::fs::read(folder.join(CELLS)).is_ok_and(|bytes| KeptCells::decode(&bytes).is_ok())
     }
 
     /// Opens the model that was sampled, or `elsewhere` if it was moved.
@@ -330,7 +403,14 @@ impl SampledModel {
 
     fn write_points(&self, path: &Path, positions: &[Vec3], normals: &[Vec3]) -> Result<()> {
         let positions: Vec<DVec3> = positions.iter().map(|p| self.frame.to_model(*p)).collect();
-        model::ply::write_points(path, &positions, normals, self.position_type, &["SIMOD samples".to_owned()])
+        model::ply::write_points(
+            path,
+            &positions,
+            normals,
+            &self.triangles,
+            self.position_type,
+            &["SIMOD samples".to_owned()],
+        )
     }
 
     /// Deformed positions as they are after having been written and read again.
@@ -375,10 +455,17 @@ impl SampledModel {
     }
 }
 
-/// Hash of a whole file. For P_S only, which fits in memory.
+/// Hash of a whole file.
 fn file_fingerprint(path: &Path) -> Result<String> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io("read", path, &e))?;
-    Ok(fingerprint(xxh3_128(&bytes)))
+    let failed = |e: std::io::Error| Error::io("read", path, &e);
+    let mut file = std::fs::File::open(path).map_err(failed)?;
+    let (mut hash, mut block) = (Xxh3Default::new(), vec![0; 1 << 16]);
+    loop {
+        match file.read(&mut block).map_err(failed)? {
+            0 => return Ok(fingerprint(hash.digest128())),
+            n => hash.update(&block[..n]),
+        }
+    }
 }
 
 /// A hash as it stands in files.
@@ -389,6 +476,19 @@ pub(crate) fn fingerprint(hash: u128) -> String {
 /// Whether both paths lead to the same file.
 pub(crate) fn same_file(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// Reads P_S whole.
+#[expect(clippy::type_complexity, reason = "what a file of samples holds")]
+fn read_samples(path: &Path) -> Result<(Vec<DVec3>, Vec<Vec3>, Vec<[u32; 3]>)> {
+    let (positions, normals) = read_points(path)?;
+    let model = model::open(path)?;
+    let (mut faces, mut chunk, mut triangles) = (model.faces()?, FaceChunk::default(), Vec::new());
+    while faces.read(&mut chunk)? {
+        triangles.extend_from_slice(&chunk.triangles);
+    }
+    triangles.retain(|corners| corners.iter().all(|corner| (*corner as usize) < positions.len()));
+    Ok((positions, normals, triangles))
 }
 
 /// Reads a point set whole. For P_S and P_S* only, which fit in memory.

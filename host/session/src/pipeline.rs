@@ -38,7 +38,7 @@ pub fn deform(sampled: &SampledModel, stack: &Stack, progress: &dyn Progress) ->
     let samples = &sampled.samples;
     let shape = RestShape {
         positions: &samples.positions,
-        normals: &samples.normals,
+        normals: samples.normals(),
         spacing: samples.spacing(),
         frame: sampled.frame,
         bounds: sampled.bounds,
@@ -128,6 +128,6 @@ impl From<session_file::Sampling> for Sampling {
             (None, Some(e)) => Target::Error(e),
             (None, None) => Target::default(),
         };
-        Self { target, grid: from.grid, memory_limit: None }
+        Self { target, grid: from.grid, ..Self::default() }
     }
 }

@@ -58,7 +58,7 @@ impl Demo {
         let samples = &run.sampled.samples;
         let pictures = [
             picture::of_model(before.as_ref(), &run.sampled.bounds, &view, progress)?,
-            picture::of_samples(&run.sampled, &samples.positions, &samples.normals, &view),
+            picture::of_samples(&run.sampled, &samples.positions, samples.normals(), &view),
             picture::of_samples(&run.sampled, &run.deformed.positions, &run.deformed.normals, &view),
             picture::of_model(after.as_ref(), &after_bounds, &view, progress)?,
         ];

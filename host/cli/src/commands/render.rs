@@ -48,7 +48,7 @@ impl Render {
             let sampled = SampledModel::load(&self.path)?;
             let samples = &sampled.samples;
             report.figure("samples", samples.len());
-            picture::of_samples(&sampled, &samples.positions, &samples.normals, &view(sampled.bounds))
+            picture::of_samples(&sampled, &samples.positions, samples.normals(), &view(sampled.bounds))
         } else {
             let model = model::open(&self.path)?;
             let progress = report.progress();

@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use simod_core::output::folder_of;
 use simod_core::sampled_model::SampledModel;
-use simod_core::sampling::{Sampling, Target, sample};
+use simod_core::sampling::{Grouping, Sampling, Skip, Splitting, Target, sample};
 use simod_core::{Result, model};
 
 use super::warn_non_finite;
@@ -39,6 +39,30 @@ pub struct SamplingArguments {
     /// [default: a quarter of the machine's, at most 2G]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     memory_limit: Option<u64>,
+    /// How clusters are split: in space and then in their plane, or in space alone
+    #[arg(long, value_enum, default_value_t, value_name = "TREE")]
+    tree: Tree,
+    /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be estimated
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
+    skip: Vec<Part>,
+}
+
+/// How clusters are split.
+#[derive(Clone, Copy, Default, ValueEnum)]
+enum Tree {
+    /// Octree, then quadtree (VS-Tree)
+    #[default]
+    Vs,
+    /// Octree alone
+    Octree,
+}
+
+/// Parts of a sampled model.
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Part {
+    Triangles,
+    Cells,
+    Normals,
 }
 
 /// A size in bytes, with K, M, G or T for powers of 1024.
@@ -64,7 +88,22 @@ impl SamplingArguments {
             (None, Some(e)) => Target::Error(e),
             (None, None) => Target::default(),
         };
-        Sampling { target, grid: self.grid, memory_limit: self.memory_limit }
+        let skips = |part| self.skip.contains(&part);
+        Sampling {
+            target,
+            grid: self.grid,
+            memory_limit: self.memory_limit,
+            splitting: match self.tree {
+                Tree::Vs => Splitting::VolumeSurface,
+                Tree::Octree => Splitting::Octree,
+            },
+            grouping: Grouping::Automatic,
+            skip: Skip {
+                triangles: skips(Part::Triangles),
+                cells: skips(Part::Cells),
+                normals: skips(Part::Normals),
+            },
+        }
     }
 }
 
@@ -80,6 +119,7 @@ impl Sample {
         report.figure("vertices", vertices);
         report.figure("samples", sampled.samples.len());
         report.figure("cells", sampled.cells);
+        report.figure("triangles", sampled.triangles.len());
         report.line(format!(
             "{} vertices to {} samples in {}, {}",
             count(vertices),

@@ -11,6 +11,8 @@ mod source;
 use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
+use std::sync::mpsc::sync_channel;
+use std::thread;
 
 use glam::{DVec3, Vec3};
 
@@ -18,7 +20,7 @@ use crate::{Progress, Result};
 use source::Source;
 
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
-pub const CHUNK_VERTICES: usize = 1 << 16;
+pub const CHUNK_VERTICES: usize = 1 << 14;
 
 /// Most triangles in a chunk.
 pub const CHUNK_TRIANGLES: usize = 1 << 16;
@@ -49,6 +51,8 @@ pub struct ModelInfo {
     pub other_properties: Vec<String>,
     /// Size of the file in bytes.
     pub bytes: u64,
+    /// Whether reading can begin at any vertex without going over those before it.
+    pub random_access: bool,
     /// Bytes of the file that hold vertices (what one streaming pass reads). In a text file where other things
     /// follow the vertices, an estimate.
     pub vertex_bytes: u64,
@@ -134,6 +138,61 @@ pub trait FaceReader: Send {
     /// The file cannot be read, ends early, or holds a list of negative length or, in a text format, something
     /// that is no whole number. Nothing more can be read then.
     fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool>;
+}
+
+/// Chunks that are read ahead: one that is worked on, one that is ready, one that is filled.
+const CHUNKS_AHEAD: usize = 3;
+
+/// Streams all vertices of a model through `visit`, on this thread, while another one reads on.
+///
+/// Memory: three chunks.
+///
+/// # Errors
+/// The model cannot be read, or `visit` failed.
+pub fn for_vertices(model: &dyn Model, visit: impl FnMut(&VertexChunk) -> Result<()>) -> Result<()> {
+    let mut reader = model.vertices(0..model.info().vertices)?;
+    read_ahead(move |chunk| reader.read(chunk), visit)
+}
+
+/// Streams all faces of a model through `visit`, likewise.
+///
+/// # Errors
+/// The model cannot be read, or `visit` failed.
+pub fn for_faces(model: &dyn Model, visit: impl FnMut(&FaceChunk) -> Result<()>) -> Result<()> {
+    let mut reader = model.faces()?;
+    read_ahead(move |chunk| reader.read(chunk), visit)
+}
+
+fn read_ahead<C: Default + Send>(
+    mut read: impl FnMut(&mut C) -> Result<bool> + Send,
+    mut visit: impl FnMut(&C) -> Result<()>,
+) -> Result<()> {
+    let (recycle, empty) = sync_channel(CHUNKS_AHEAD);
+    let (full, ready) = sync_channel(CHUNKS_AHEAD);
+    for _ in 0..CHUNKS_AHEAD {
+        // The channel holds them all.
+        let _ = recycle.send(C::default());
+    }
+    thread::scope(|scope| {
+        // Its ends of the channels are dropped with the thread, so that no end waits for another in vain.
+        let reading = scope.spawn(move || -> Result<()> {
+            while let Ok(mut chunk) = empty.recv() {
+                if !read(&mut chunk)? || full.send(chunk).is_err() {
+                    break;
+                }
+            }
+            Ok(())
+        });
+        let visited = ready.into_iter().try_for_each(|chunk| {
+            visit(&chunk)?;
+            // The reader may be at its end.
+            let _ = recycle.send(chunk);
+            Ok(())
+        });
+        drop(recycle);
+        let read = reading.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        visited.and(read)
+    })
 }
 
 /// A model on disk that can be streamed any number of times, from several threads.

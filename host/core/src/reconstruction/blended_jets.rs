@@ -82,7 +82,7 @@ fn fit(samples: &SampleSet, deformed: &[Vec3], gradient: Mat3, i: usize) -> Jet 
     let (mut weights, mut largest) = (0.0, 0.0f64);
     for j in near {
         let j = *j as usize;
-        if !same_sheet(samples.normals[j], samples.normals[i]) {
+        if !same_sheet(samples.normals()[j], samples.normals()[i]) {
             continue;
         }
         let d = (samples.positions[j] - q).as_dvec3();

@@ -36,7 +36,7 @@ impl LocalFrames {
             .into_par_iter()
             .map(|i| {
                 let gradient = fit_one(samples, deformed, i).as_mat3();
-                let at_rest = samples.normals[i];
+                let at_rest = samples.normals()[i];
                 let moved = super::Transport { displacement: Vec3::ZERO, gradient };
                 (gradient, moved.normal(at_rest).normalize_or(at_rest))
             })
@@ -56,7 +56,7 @@ fn fit_one(samples: &SampleSet, deformed: &[Vec3], i: usize) -> DMat3 {
     for j in near {
         let j = *j as usize;
         // Another sheet does not tell how this one is stretched.
-        if !same_sheet(samples.normals[j], samples.normals[i]) {
+        if !same_sheet(samples.normals()[j], samples.normals()[i]) {
             continue;
         }
         let d = samples.positions[j] - q;
@@ -126,7 +126,7 @@ mod tests {
         for (i, f) in frames.gradient.iter().enumerate() {
             // The images are rounded to about 2e-7, and neighbours may lie as little as 1e-3 off the plane.
             assert!(f.abs_diff_eq(expected, 1e-3), "{i}: {f} is not {expected}");
-            assert!(frames.normal[i].distance(rotation * set.normals[i]) < 1e-3);
+            assert!(frames.normal[i].distance(rotation * set.normals()[i]) < 1e-3);
         }
     }
 

@@ -71,7 +71,7 @@ impl Neighbourhood {
         let side = side_of(samples, nearest, p, n);
         let mut len = 0;
         let mut take = |i: u32| {
-            if same_sheet(samples.normals[i as usize], side) {
+            if same_sheet(samples.normals()[i as usize], side) {
                 found[len] = (samples.positions[i as usize].distance_squared(p), i);
                 len += 1;
             }
@@ -99,7 +99,7 @@ impl Neighbourhood {
         let mut near = [(0, 0.0); MAX_K];
         for (slot, (squared, i)) in near.iter_mut().zip(&found[..count]) {
             let distance = if radius > 0.0 { squared.sqrt() / radius } else { 0.0 };
-            *slot = (*i, hermite(distance) * facing(samples.normals[*i as usize], side));
+            *slot = (*i, hermite(distance) * facing(samples.normals()[*i as usize], side));
         }
         // All at one distance: no one is nearer than another.
         if near[..count].iter().map(|(_, w)| w).sum::<f32>() < 1e-6 {
@@ -127,15 +127,15 @@ pub fn same_sheet(n: Vec3, side: Vec3) -> bool {
 
 /// The normal of the sheet that the vertex is on: that of the nearest sample that agrees with the vertex' own.
 fn side_of(samples: &SampleSet, nearest: usize, p: Vec3, n: Option<Vec3>) -> Vec3 {
-    let own = samples.normals[nearest];
+    let own = samples.normals()[nearest];
     let Some(n) = n.filter(|n| n.is_finite() && *n != Vec3::ZERO) else { return own };
     if own.dot(n) > 0.0 {
         return own;
     }
     let agreeing = samples.neighbours().of(nearest).iter().map(|j| *j as usize);
-    let agreeing = agreeing.filter(|j| samples.normals[*j].dot(n) > 0.0);
+    let agreeing = agreeing.filter(|j| samples.normals()[*j].dot(n) > 0.0);
     let distance = |j: &usize| samples.positions[*j].distance_squared(p);
-    agreeing.min_by(|a, b| distance(a).total_cmp(&distance(b))).map_or(own, |j| samples.normals[j])
+    agreeing.min_by(|a, b| distance(a).total_cmp(&distance(b))).map_or(own, |j| samples.normals()[j])
 }
 
 #[cfg(test)]

@@ -31,7 +31,7 @@ const MIN_COORDINATE: f32 = -0.25;
 /// Carries a vertex over; `None` where no triangle of samples is fit to be used, as outside an open boundary.
 pub fn transport(field: &DeformationField, around: &Neighbourhood, p: Vec3) -> Option<Transport> {
     let (rest, deformed) = (&field.samples.positions, field.deformed);
-    let plane = average_plane(around, rest, &field.samples.normals)?;
+    let plane = average_plane(around, rest, field.samples.normals())?;
     let plane_star = average_plane(around, deformed, &field.frames.normal)?;
     let d = (p - plane.center).dot(plane.normal);
     let flat = p - d * plane.normal;

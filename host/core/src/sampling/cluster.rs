@@ -9,6 +9,18 @@ use glam::{DMat3, DVec3, Vec3};
 
 use crate::geometry::symmetric_eigen;
 
+/// What a VS-Tree is built of: samples of P_L, or small groups of them.
+pub trait Element: bytemuck::Pod + Send + Sync {
+    /// Mean position, in local coordinates.
+    fn position(&self) -> Vec3;
+    /// Unit mean normal; zero where there is none.
+    fn normal(&self) -> Vec3;
+    /// Its place in its cell, in the order of the stream.
+    fn index(&self) -> u32;
+    /// Adds its samples to the moments of a cluster.
+    fn add_to(&self, moments: &mut Moments);
+}
+
 /// A sample of P_L inside a cell: position relative to the model's origin, and unit normal.
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
@@ -17,11 +29,133 @@ pub struct Sample {
     pub position: Vec3,
     /// Unit normal, or zero where the model has none (or none that is finite) at this vertex.
     pub normal: Vec3,
+    /// Place in the cell, in the order of the stream.
+    pub index: u32,
+}
+
+impl Element for Sample {
+    #[inline]
+    fn position(&self) -> Vec3 {
+        self.position
+    }
+
+    #[inline]
+    fn normal(&self) -> Vec3 {
+        self.normal
+    }
+
+    #[inline]
+    fn index(&self) -> u32 {
+        self.index
+    }
+
+    #[inline]
+    fn add_to(&self, m: &mut Moments) {
+        m.min = m.min.min(self.position);
+        m.max = m.max.max(self.position);
+        let (p, n) = (self.position.as_dvec3(), self.normal.as_dvec3());
+        m.count += 1.0;
+        m.position += p;
+        m.outer[0] += p * p;
+        m.outer[1] += DVec3::new(p.x * p.y, p.x * p.z, p.y * p.z);
+        m.normal += n;
+        m.quadric[0] += n * n;
+        m.quadric[1] += DVec3::new(n.x * n.y, n.x * n.z, n.y * n.z);
+        m.quadric_b += n * n.dot(p);
+        m.with_normal += n.length_squared();
+    }
+}
+
+/// A few samples that lie close together, as the sums over them: what an open cell keeps of a model with very many
+/// samples for each one of P_S. A VS-Tree over these differs from one over the samples in that no
+/// group is parted.
+#[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub struct Group {
+    /// What the positions are relative to: the middle of a cube that holds them all.
+    center: Vec3,
+    /// Half of that cube's edge.
+    half: f32,
+    index: u32,
+    count: u32,
+    position: Vec3,
+    outer: [Vec3; 2],
+    normal: Vec3,
+    quadric: [Vec3; 2],
+    quadric_b: Vec3,
+    with_normal: f32,
+}
+
+impl Group {
+    /// Most samples in a group: the sums are in single precision.
+    const MAX: u32 = 1 << 16;
+
+    /// A group of none yet, in a cube, of this place in its cell.
+    pub fn new(center: Vec3, half: f32, index: u32) -> Self {
+        Self { center, half, index, ..bytemuck::Zeroable::zeroed() }
+    }
+
+    /// Whether a sample with this normal belongs here, if its position does: it is not of an opposite sheet.
+    #[inline]
+    pub fn takes(&self, normal: Vec3) -> bool {
+        self.count < Self::MAX && self.normal.dot(normal) >= 0.0
+    }
+
+    /// Takes in a sample.
+    #[inline]
+    pub fn add(&mut self, position: Vec3, n: Vec3) {
+        let p = position - self.center;
+        self.count += 1;
+        self.position += p;
+        self.outer[0] += p * p;
+        self.outer[1] += Vec3::new(p.x * p.y, p.x * p.z, p.y * p.z);
+        self.normal += n;
+        self.quadric[0] += n * n;
+        self.quadric[1] += Vec3::new(n.x * n.y, n.x * n.z, n.y * n.z);
+        self.quadric_b += n * n.dot(p);
+        self.with_normal += n.length_squared();
+    }
+}
+
+impl Element for Group {
+    #[inline]
+    fn position(&self) -> Vec3 {
+        self.center + self.position / self.count as f32
+    }
+
+    #[inline]
+    fn normal(&self) -> Vec3 {
+        self.normal.normalize_or_zero()
+    }
+
+    #[inline]
+    fn index(&self) -> u32 {
+        self.index
+    }
+
+    fn add_to(&self, m: &mut Moments) {
+        m.min = m.min.min(self.center - self.half);
+        m.max = m.max.max(self.center + self.half);
+        let (count, c, p) = (f64::from(self.count), self.center.as_dvec3(), self.position.as_dvec3());
+        m.count += count;
+        m.position += p + c * count;
+        m.outer[0] += self.outer[0].as_dvec3() + c * p * 2.0 + c * c * count;
+        let cross = |a: DVec3, b: DVec3| DVec3::new(a.x * b.y, a.x * b.z, a.y * b.z);
+        m.outer[1] += self.outer[1].as_dvec3() + cross(c, p) + cross(p, c) + cross(c, c) * count;
+        m.normal += self.normal.as_dvec3();
+        let quadric = self.quadric.map(|q| q.as_dvec3());
+        m.quadric[0] += quadric[0];
+        m.quadric[1] += quadric[1];
+        m.quadric_b += self.quadric_b.as_dvec3() + symmetric(quadric[0], quadric[1]) * c;
+        m.with_normal += f64::from(self.with_normal);
+    }
 }
 
 /// How much of a cluster's extent counts as error, whatever its shape: it bounds the spacing where the surface
 /// is flat and any geometric error is zero, for a deformation need not be flat there.
-const SPREAD_WEIGHT: f64 = 0.1;
+///
+/// So a sample is within error / `REACH_WEIGHT` of every vertex that it stands for.
+pub const REACH_WEIGHT: f64 = 0.058;
 
 /// Strength of the ridge towards the mean, relative to the trace of the quadric: weaker ones follow smooth surfaces
 /// more closely, but throw samples off surfaces with steep relief.
@@ -65,22 +199,9 @@ impl Default for Moments {
 
 impl Moments {
     /// The moments of a set of samples.
-    pub fn of(samples: &[Sample]) -> Self {
+    pub fn of<E: Element>(elements: &[E]) -> Self {
         let mut m = Self::default();
-        for s in samples {
-            m.min = m.min.min(s.position);
-            m.max = m.max.max(s.position);
-            let (p, n) = (s.position.as_dvec3(), s.normal.as_dvec3());
-            m.position += p;
-            m.outer[0] += p * p;
-            m.outer[1] += DVec3::new(p.x * p.y, p.x * p.z, p.y * p.z);
-            m.normal += n;
-            m.quadric[0] += n * n;
-            m.quadric[1] += DVec3::new(n.x * n.y, n.x * n.z, n.y * n.z);
-            m.quadric_b += n * n.dot(p);
-            m.with_normal += n.length_squared();
-        }
-        m.count = samples.len() as f64;
+        elements.iter().for_each(|e| e.add_to(&mut m));
         m
     }
 
@@ -132,20 +253,27 @@ impl Moments {
         self.normal.try_normalize().unwrap_or(DVec3::ZERO)
     }
 
+    /// What stands for the cluster: position, unit normal (zero where unknown), and the error that this makes.
+    pub fn representative(&self) -> (Vec3, Vec3, f32) {
+        let position = self.position();
+        (position, self.mean_normal().as_vec3(), self.error(position) as f32)
+    }
+
     /// Error of standing for the cluster by one sample, a length in the model's unit.
     ///
     /// With normals √(d·ν·s), where d is the rms distance to the mean plane (L²), ν the rms deviation of the
     /// normals (L²·¹) and s the rms distance to the mean: the product of both metrics, as a length. For a patch of
     /// size h and curvature κ it behaves as κh², the height of the surface over its chord. Without normals
-    /// d alone, which does so too. A part of s is added (see `SPREAD_WEIGHT`).
-    pub fn error(&self) -> f64 {
+    /// d alone, which does so too. A part of the distance to the farthest corner of the box is added (see
+    /// [`REACH_WEIGHT`]).
+    fn error(&self, representative: Vec3) -> f64 {
         if self.count <= 1.0 {
             return 0.0;
         }
         let covariance = self.covariance();
-        let spread = self.spread();
         let normal = self.mean_normal();
         let shape = if self.has_normals() {
+            let spread = self.spread();
             let distance = normal.dot(covariance * normal).max(0.0).sqrt();
             let deviation = (2.0 * (1.0 - self.normal.length() / self.with_normal)).clamp(0.0, 2.0).sqrt();
             // Normals that cancel give no plane: then the extent itself is the distance.
@@ -154,11 +282,12 @@ impl Moments {
         } else {
             symmetric_eigen(covariance).0.x.max(0.0).sqrt()
         };
-        shape + SPREAD_WEIGHT * spread
+        let reach = (representative - self.min).max(self.max - representative).as_dvec3().length();
+        shape + REACH_WEIGHT * reach
     }
 
-    /// The point that stands for the cluster, inside the box of its samples.
-    pub fn representative(&self) -> Vec3 {
+    /// The minimum of the quadric, inside the box of the samples.
+    fn position(&self) -> Vec3 {
         let mean = self.mean();
         let point = if self.with_normal > 0.0 {
             let a = self.normal_scatter();
@@ -189,15 +318,16 @@ mod tests {
         let grid = |i: i32| i as f32 / 20.0 - 0.5;
         (0..21 * 21)
             .map(|i| f(grid(i % 21), grid(i / 21)))
-            .map(|(position, normal)| Sample { position, normal })
+            .map(|(position, normal)| Sample { position, normal, index: 0 })
             .collect()
     }
 
     #[test]
-    fn a_flat_cluster_has_the_error_of_its_spread_alone() {
+    fn a_flat_cluster_has_the_error_of_its_reach_alone() {
         let m = Moments::of(&samples(|u, v| (Vec3::new(u, 3.0, v), Vec3::Y)));
-        let spread = m.covariance().x_axis.x * 2.0;
-        assert!((m.error() - SPREAD_WEIGHT * spread.sqrt()).abs() < 1e-6);
+        let (position, normal, error) = m.representative();
+        assert!(position.distance(Vec3::Y * 3.0) < 1e-6 && normal == Vec3::Y);
+        assert!((f64::from(error) - REACH_WEIGHT * 0.5f64.sqrt()).abs() < 1e-6);
     }
 
     #[test]
@@ -207,11 +337,32 @@ mod tests {
                 let (x, z) = (u * h, v * h);
                 (Vec3::new(x, 0.5 * (x * x + z * z), z), Vec3::new(-x, 1.0, -z).normalize_or(Vec3::Y))
             }));
-            let covariance = m.covariance();
-            m.error() - SPREAD_WEIGHT * (covariance * DVec3::ONE).dot(DVec3::ONE).sqrt()
+            let (position, _, error) = m.representative();
+            let reach = (position - m.min).max(m.max - position).length();
+            f64::from(error) - REACH_WEIGHT * f64::from(reach)
         };
         let ratio = bowl(0.2) / bowl(0.1);
         assert!((3.0..5.0).contains(&ratio), "{ratio}");
+    }
+
+    #[test]
+    fn groups_have_the_moments_of_their_samples() {
+        let all = samples(|u, v| (Vec3::new(u, u * v, v), Vec3::new(v, 1.0, u).normalize_or(Vec3::Y)));
+        let groups: Vec<Group> = all
+            .chunks(21)
+            .map(|row| {
+                let mut group = Group::new(row[10].position, 0.8, 0);
+                row.iter().for_each(|s| group.add(s.position, s.normal));
+                group
+            })
+            .collect();
+        let (of_samples, of_groups) = (Moments::of(&all), Moments::of(&groups));
+        let ((p, n, _), (q, m, _)) = (of_samples.representative(), of_groups.representative());
+        assert!(p.distance(q) < 1e-5 && n.distance(m) < 1e-5, "{p} {q}");
+        assert!((of_samples.covariance() - of_groups.covariance()).x_axis.length() < 1e-6);
+        assert!(of_groups.min.cmple(of_samples.min).all() && of_groups.max.cmpge(of_samples.max).all());
+        // A group of one sheet leaves the other to another.
+        assert!(groups[0].takes(Vec3::Y) && !groups[0].takes(-Vec3::Y));
     }
 
     #[test]
@@ -228,7 +379,7 @@ mod tests {
             })
             .collect();
         let m = Moments::of(&corner);
-        let r = m.representative();
+        let (r, _, _) = m.representative();
         // All the way from the mean but for what the ridge holds back, which is about its own strength.
         let way = m.mean().distance(DVec3::ONE);
         assert!(way > 0.5 && f64::from(r.distance(Vec3::ONE)) < 4.0 * QUADRIC_RIDGE * way, "{r}");
@@ -240,7 +391,7 @@ mod tests {
         let mut sum = Moments::of(&all[..100]);
         sum.add(&Moments::of(&all[100..]));
         let whole = Moments::of(&all);
-        assert!((sum.error() - whole.error()).abs() < 1e-12);
+        assert!((sum.representative().2 - whole.representative().2).abs() < 1e-6);
         assert!(sum.mean().distance(whole.mean()) < 1e-12);
     }
 }

@@ -4,7 +4,7 @@
 //! number of occupied cells, or a large flat region, is met as well.
 //!
 //! For a target number N no second look at the model is needed: the clusters of all cells seen so far are kept
-//! down to a running bound ε, raised whenever they are more than 2N beyond one per cell. A node above the cells counts as
+//! down to a running bound ε, raised whenever they are more than 1.6N beyond one per cell. A node above the cells counts as
 //! no better than what is below it, so the final cut splits all of them before it splits a cell's tree further, and
 //! more cells can only add clusters: the final bound is never below the running one, and what was dropped would
 //! not have been in the cut.
@@ -13,11 +13,13 @@ use super::cluster::Moments;
 use super::finalization::ClusteredCell;
 use super::lattice::{CellKey, CellMap, Grid};
 use super::vs_tree::{Node, VsTree};
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 /// Clusters are pruned when there are more than this many times the target …
-const KEEP_AT_MOST: f64 = 2.0;
+const KEEP_AT_MOST: f64 = 1.6;
 /// … down to this many times the target.
-const PRUNE_TO: f64 = 1.3;
+const PRUNE_TO: f64 = 1.2;
 
 /// Bytes for each sample of the target: [`KEEP_AT_MOST`] clusters in trees of about 1.4 nodes per cluster, once more
 /// while they are pruned, and the sample itself.
@@ -25,7 +27,7 @@ pub const BYTES_PER_SAMPLE: u64 = 150;
 
 /// The trees of all cells seen so far.
 ///
-/// Memory: 32 bytes for each of about 1.4 nodes per cluster, at most [`KEEP_AT_MOST`] clusters per sample of
+/// Memory: 36 bytes for each of about 1.4 nodes per cluster, at most [`KEEP_AT_MOST`] clusters per sample of
 /// the target and what one cell has; and the moments of each occupied cell.
 pub struct Forest {
     target: Option<usize>,
@@ -66,8 +68,8 @@ impl Forest {
         self.threshold
     }
 
-    /// The representatives of the final cut, in the order in which the stream meets their cells.
-    pub fn cut(self, grid: &Grid) -> Vec<Node> {
+    /// The final cut, in the order in which the stream meets the cells.
+    pub fn cut(self, grid: &Grid) -> Cut {
         let (trees, moments): (Vec<VsTree>, Vec<Moments>) = self.cells.into_iter().flatten().unzip();
         let upper = Upper::build(&grid.keys, &moments, &trees);
         let threshold = match self.target {
@@ -76,15 +78,84 @@ impl Forest {
                 threshold_for(upper.splits().chain(trees.iter().flat_map(VsTree::splits)), 1, target)
             }
         };
-        // Cells, or merged cells, in the order of the stream.
-        let mut samples = Vec::new();
-        upper.cut(threshold, |piece| match piece {
-            Piece::Cell(c) => trees[c as usize].cut(threshold, |node| samples.push((c, *node))),
-            Piece::Merged(first, node) => samples.push((first, node)),
+        let mut merged: Vec<Option<u32>> = vec![None; trees.len()];
+        let mut above = Vec::new();
+        upper.cut(threshold, |cells, node| {
+            cells.iter().for_each(|c| merged[*c as usize] = Some(above.len() as u32));
+            above.push((node, None));
         });
-        samples.sort_by_key(|(cell, _)| *cell);
-        samples.into_iter().map(|(_, node)| node).collect()
+        drop(upper);
+
+        let mut cut = Cut::default();
+        let mut first_leaf = 0u32;
+        for ((mut tree, record), merged) in trees.into_iter().zip(&grid.records).zip(merged) {
+            let next = cut.samples() as u32;
+            match merged {
+                None => {
+                    tree.prune(threshold);
+                    let errors = tree.nodes.iter().map(|n| n.key).collect();
+                    let children: Vec<u8> = (0..tree.nodes.len()).map(|i| tree.children(i) as u8).collect();
+                    let leaves = tree.nodes.iter().zip(&children).filter(|(_, children)| **children == 0);
+                    leaves.for_each(|(node, _)| cut.push(node, first_leaf));
+                    cut.trees.push(CutTree { first_sample: next, children, errors });
+                }
+                Some(piece) => {
+                    let (node, sample) = &mut above[piece as usize];
+                    let sample = *sample.get_or_insert(next);
+                    if sample == next {
+                        cut.push(node, first_leaf);
+                    } else {
+                        cut.starts.push((first_leaf, sample));
+                    }
+                    cut.trees.push(CutTree {
+                        first_sample: sample,
+                        children: vec![0],
+                        errors: vec![node.key],
+                    });
+                }
+            }
+            // Beyond 2^32 vertices nobody asks for it.
+            first_leaf = first_leaf.wrapping_add(record.count as u32);
+        }
+        cut
     }
+}
+
+/// P_S as it comes from the trees.
+#[derive(Default)]
+pub struct Cut {
+    /// Positions in local coordinates.
+    pub positions: Vec<Vec3>,
+    /// Unit normals; zero where unknown.
+    pub normals: Vec<Vec3>,
+    /// The tree of each cell.
+    pub trees: Vec<CutTree>,
+    /// Ascending: from this leaf on (all cells' leaves are counted in one row, in which each cell has as many
+    /// places as samples), up to that of the next entry, leaves belong to this sample.
+    pub starts: Vec<(u32, u32)>,
+}
+
+impl Cut {
+    fn samples(&self) -> usize {
+        self.positions.len()
+    }
+
+    fn push(&mut self, node: &Node, first_leaf: u32) {
+        self.starts.push((first_leaf.wrapping_add(node.first), self.samples() as u32));
+        self.positions.push(node.position);
+        self.normals.push(node.normal);
+    }
+}
+
+/// A cell's tree down to the samples, in preorder.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct CutTree {
+    /// The sample of its first leaf; those of the others follow. A tree of one node may share it with other cells.
+    pub first_sample: u32,
+    /// Number of children of each node; none for a sample.
+    pub children: Vec<u8>,
+    /// Error of each node, or of one above if that is less; a length in local units.
+    pub errors: Vec<f32>,
 }
 
 /// Clusters beyond one per tree that are kept for a target, until they are pruned.
@@ -128,11 +199,6 @@ struct UpperNode {
     children: Vec<u32>,
 }
 
-enum Piece {
-    Cell(u32),
-    Merged(u32, Node),
-}
-
 impl Upper {
     fn build(keys: &[CellKey], moments: &[Moments], trees: &[VsTree]) -> Self {
         let cells = |i: usize| UpperNode {
@@ -167,7 +233,7 @@ impl Upper {
                 level[at].children.push(i as u32);
             }
             for node in &mut level {
-                node.error = node.error.max(node.moments.error() as f32);
+                node.error = node.error.max(node.moments.representative().2);
             }
             levels.push(level);
             keys = parents;
@@ -181,22 +247,32 @@ impl Upper {
         above.map(|node| (node.error, node.children.len() as u32 - 1))
     }
 
-    /// The cells, and what is merged above them, of the cut at `threshold`.
-    fn cut(&self, threshold: f32, mut emit: impl FnMut(Piece)) {
+    /// What the cut at `threshold` merges above the cells: the cells, and what stands for them.
+    fn cut(&self, threshold: f32, mut emit: impl FnMut(&[u32], Node)) {
         let top = self.levels.len() - 1;
         let mut stack: Vec<_> = (0..self.levels[top].len()).map(|i| (top, i)).collect();
         while let Some((level, i)) = stack.pop() {
             let node = &self.levels[level][i];
             if level == 0 {
-                emit(Piece::Cell(node.first));
-            } else if node.error > threshold {
+                continue;
+            }
+            if node.error > threshold {
                 stack.extend(node.children.iter().map(|c| (level - 1, *c as usize)));
             } else {
-                let (position, normal) =
-                    (node.moments.representative(), node.moments.mean_normal().as_vec3());
-                emit(Piece::Merged(node.first, Node { position, normal, key: node.error, end: 0 }));
+                let (position, normal, _) = node.moments.representative();
+                emit(&self.cells(level, i), Node { position, normal, key: node.error, end: 0, first: 0 });
             }
         }
+    }
+
+    /// The cells below a node.
+    fn cells(&self, level: usize, i: usize) -> Vec<u32> {
+        let mut nodes = vec![i as u32];
+        for level in (1..=level).rev() {
+            nodes =
+                nodes.iter().flat_map(|i| self.levels[level][*i as usize].children.iter().copied()).collect();
+        }
+        nodes
     }
 }
 
@@ -205,15 +281,15 @@ mod tests {
     use super::*;
     use crate::sampling::cluster::Sample;
     use crate::sampling::lattice::Lattice;
-    use glam::Vec3;
+    use crate::sampling::vs_tree::{Splitting, Workspace};
 
     /// A wavy sheet of 100 × 100 samples, clustered as it streams, for a target.
-    fn sampled(target: Option<usize>, bound: f32, resolution: u32) -> Vec<Node> {
+    fn sampled(target: Option<usize>, bound: f32, resolution: u32) -> Cut {
         let samples: Vec<Sample> = (0..10_000)
             .map(|i| {
                 let (x, z) = ((i % 100) as f32 / 100.0 - 0.5, (i / 100) as f32 / 100.0 - 0.5);
                 let normal = Vec3::new(-(9.0 * x).cos(), 1.0, 0.0).normalize_or(Vec3::Y);
-                Sample { position: Vec3::new(x, (9.0 * x).sin() / 9.0, z), normal }
+                Sample { position: Vec3::new(x, (9.0 * x).sin() / 9.0, z), normal, index: 0 }
             })
             .collect();
         let mut lattice = Lattice::new(resolution);
@@ -226,17 +302,35 @@ mod tests {
         let mut forest = Forest::new(cells.len(), target, bound);
         let mut stop = bound;
         for (cell, mut samples) in cells.into_iter().enumerate() {
-            let (tree, moments) = VsTree::build(&mut samples, &mut Vec::new(), stop, cell as u64);
+            (0..).zip(&mut samples).for_each(|(i, s)| s.index = i);
+            let workspace = &mut Workspace::default();
+            let (tree, moments) =
+                VsTree::build(&mut samples, workspace, Splitting::VolumeSurface, stop, cell as u64);
             stop = forest.add(ClusteredCell { cell: cell as u32, tree, moments });
         }
         forest.cut(&grid)
+    }
+
+    /// All samples are the leaves of the trees, and each has leaves of its own; their number.
+    fn check(cut: &Cut) -> usize {
+        let mut seen = vec![0; cut.samples()];
+        for tree in &cut.trees {
+            let leaves = tree.children.iter().filter(|n| **n == 0).count();
+            (0..leaves).for_each(|i| seen[tree.first_sample as usize + i] += 1);
+            assert_eq!(tree.children.iter().map(|n| *n as usize).sum::<usize>(), tree.children.len() - 1);
+        }
+        assert!(seen.iter().all(|n| *n > 0));
+        assert!(cut.starts.is_sorted_by(|a, b| a.0 < b.0));
+        cut.starts.iter().for_each(|(_, sample)| seen[*sample as usize] = 0);
+        assert!(seen.iter().all(|n| *n == 0));
+        cut.samples()
     }
 
     #[test]
     fn targets_are_met_from_one_sample_to_all() {
         for target in [1, 7, 50, 333, 1000, 5000, 9900, 10_000, 50_000] {
             for resolution in [2, 32] {
-                let n = sampled(Some(target), 0.0, resolution).len();
+                let n = check(&sampled(Some(target), 0.0, resolution));
                 let wanted = target.min(10_000);
                 // A split in space adds up to seven clusters at once.
                 let slack = 6 + wanted / 50;
@@ -248,16 +342,19 @@ mod tests {
     #[test]
     fn clusters_that_are_alike_are_split_evenly() {
         let samples = sampled(Some(3000), 0.0, 16);
-        let half = samples.iter().filter(|s| s.position.z < 0.0).count();
-        assert!((1350..1650).contains(&half), "{half} of {} in one half", samples.len());
+        let half = samples.positions.iter().filter(|p| p.z < 0.0).count();
+        assert!((1350..1650).contains(&half), "{half} of {} in one half", samples.samples());
     }
 
     #[test]
     fn an_error_bound_is_kept_by_every_cluster() {
         for bound in [0.01, 0.002] {
             let few = sampled(None, bound, 16);
-            assert!(few.iter().all(|node| node.key <= bound));
-            assert!(few.len() < sampled(None, bound / 2.0, 16).len());
+            for tree in &few.trees {
+                let leaves = tree.errors.iter().zip(&tree.children).filter(|(_, children)| **children == 0);
+                assert!(leaves.map(|(error, _)| *error).all(|error| error <= bound));
+            }
+            assert!(check(&few) < check(&sampled(None, bound / 2.0, 16)));
         }
     }
 }

@@ -5,29 +5,31 @@
 //! to it: it is clustered, on any core, while the stream goes on.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::mpsc;
+use std::sync::{Mutex, PoisonError, mpsc};
 
 use glam::Vec3;
 use xxhash_rust::xxh3::Xxh3Default;
 
-use super::cluster::{Moments, Sample};
+use super::cluster::{Element, Moments};
 use super::cut::{most_kept, running_bound};
+use super::gather::Gather;
 use super::lattice::{Grid, cell_box};
-use super::open_cells::{CellSamples, OpenCells};
-use super::vs_tree::{VsTree, mix};
+use super::membership::{Leaves, Membership};
+use super::open_cells::CellItems;
+use super::ranges::Ranges;
+use super::vs_tree::{Splitting, VsTree, Workspace, mix};
 use crate::frame::Frame;
 use crate::geometry::Bounds;
-use crate::model::{Model, VertexChunk};
+use crate::model::{Model, for_vertices};
 use crate::{Error, ErrorKind, Progress, Result};
 
-/// Most samples that wait for, or are in, clustering: 6 MiB of them. Beyond it the stream stands still.
-const MAX_QUEUED_SAMPLES: usize = 1 << 18;
+/// Most bytes of items that wait for, or are in, clustering. Beyond it the stream stands still.
+const MAX_QUEUED: usize = 4 << 20;
 
-/// Most samples of a cell that are clustered at once: 6 MiB, and as much to sort them, on each thread. A constant, so
+/// Most bytes of a cell's items that are clustered at once, and as much to sort them, on each thread. A constant, so
 /// that the result depends neither on the machine's memory nor on the number of threads.
-const PART: usize = 1 << 18;
+const PART: usize = 6 << 20;
 
 /// The clusters of one finalized cell.
 pub struct ClusteredCell {
@@ -47,127 +49,157 @@ pub struct Pass<'a> {
     pub grid: &'a Grid,
     /// Its local coordinates.
     pub frame: &'a Frame,
+    /// How clusters are split.
+    pub splitting: Splitting,
     /// Number of samples that is aimed at, if any.
     pub target: Option<usize>,
-    /// Bytes of samples that may be held.
-    pub memory: u64,
-    /// Where a temporary file goes if that is not enough.
-    pub folder: &'a Path,
     /// Watches.
     pub progress: &'a dyn Progress,
 }
 
+/// What pass 2 learns beside the clusters.
+pub struct Found<'a> {
+    /// Takes in the bytes of all vertices.
+    pub hash: &'a mut Xxh3Default,
+    /// Where in the stream each cell's vertices are.
+    pub ranges: &'a mut Ranges,
+    /// Which cluster each vertex belongs to, if that is asked for.
+    pub membership: Option<&'a mut Membership>,
+}
+
 impl Pass<'_> {
     /// Streams the model through the grid and hands each cell, clustered down to the current value of `stop` (an
-    /// error in local units, as the bits of an f32), to `collect`, in no particular order. `hash` takes in the
-    /// bytes of all vertices.
+    /// error in local units, as the bits of an f32), to `collect`, in no particular order.
     ///
-    /// Memory: `memory` for the samples of open cells ([`OpenCells`]); [`MAX_QUEUED_SAMPLES`], and two
-    /// parts of a cell on each thread; a chunk of the model. Not to be called on a thread of the pool that clusters,
-    /// which it waits for.
+    /// Memory: that of `gather`; [`MAX_QUEUED`], and two parts of a cell on each thread; the chunks of
+    /// [`for_vertices`]. Not to be called on a thread of the pool that clusters, which it waits for.
     ///
     /// # Errors
     /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be written;
     /// the user cancelled.
-    pub fn run(
+    pub fn run<G: Gather>(
         &self,
+        mut gather: G,
         stop: &AtomicU32,
-        hash: &mut Xxh3Default,
+        found: &mut Found,
         mut collect: impl FnMut(ClusteredCell),
     ) -> Result<()> {
         let Self { model, grid, frame, .. } = *self;
+        let leaves = found.membership.as_ref().map(|members| members.leaves());
         let (send, receive) = mpsc::channel::<(usize, Result<ClusteredCell>)>();
+        let workspaces = Mutex::new(Vec::<Workspace<G::Item>>::new());
+        let workspaces = &workspaces;
         rayon::in_place_scope(move |scope| {
-            let mut open = OpenCells::new(grid.keys.len(), self.memory, self.folder);
             let mut left: Vec<u64> = grid.records.iter().map(|r| r.count).collect();
             let mut queued = 0usize;
-            let mut current = None;
+            let mut current: Option<(Bounds, u32)> = None;
 
-            let mut reader = model.vertices(0..model.info().vertices)?;
-            let mut chunk = VertexChunk::default();
-            while reader.read(&mut chunk)? {
+            for_vertices(model, |chunk| {
                 self.progress.check()?;
                 for (i, p) in chunk.positions.iter().enumerate() {
                     let cell = match &current {
-                        Some((inside, cell)) if Bounds::contains(inside, *p) => *cell,
-                        _ if !p.is_finite() => continue,
+                        Some((inside, cell)) if inside.contains(*p) => *cell,
+                        _ if !p.is_finite() => {
+                            found.membership.as_mut().map_or(Ok(()), |members| members.push(None))?;
+                            continue;
+                        }
                         _ => {
                             let key = grid.key_of(*p);
                             let cell = grid.find(&key).ok_or_else(|| changed(model))?;
                             current = Some((cell_box(key, grid.level), cell));
+                            found.ranges.enter(cell, chunk.first + i as u64);
                             cell
                         }
                     };
                     let c = cell as usize;
                     left[c] = left[c].checked_sub(1).ok_or_else(|| changed(model))?;
                     let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
-                    open.push(cell, Sample { position: frame.to_local(*p), normal })?;
+                    let index = gather.add(cell, frame.to_local(*p), normal)?;
+                    if let Some(members) = &mut found.membership {
+                        members.push(Some((cell, index)))?;
+                    }
                     if left[c] == 0 {
-                        let samples = open.take(cell);
+                        let items = gather.take(cell);
                         // Those in the file as well: they will be read, and their trees held.
-                        let count = usize::try_from(grid.records[c].count).unwrap_or(usize::MAX / 2);
-                        queued += count;
-                        let send = send.clone();
-                        let seed = grid.keys[c].iter().fold(0, |seed, k| mix(seed, *k as u64));
+                        let bytes = items.bytes();
+                        queued += bytes;
+                        let (send, leaves) = (send.clone(), leaves.clone());
                         scope.spawn(move |_| {
-                            let job = || cluster(cell, samples, stop, self.target, seed);
+                            let free = || workspaces.lock().unwrap_or_else(PoisonError::into_inner);
+                            let job = || {
+                                let mut workspace = free().pop().unwrap_or_default();
+                                let clustered =
+                                    self.cluster(cell, items, stop, leaves.as_deref(), &mut workspace);
+                                free().push(workspace);
+                                clustered
+                            };
                             let clustered =
                                 catch_unwind(AssertUnwindSafe(job)).unwrap_or_else(|_| Err(panicked()));
                             // The receiver is gone only when the stream has failed already.
-                            let _ = send.send((count, clustered));
+                            let _ = send.send((bytes, clustered));
                         });
-                        while queued > MAX_QUEUED_SAMPLES {
-                            let Ok((samples, cell)) = receive.recv() else { break };
-                            queued -= samples;
+                        while queued > MAX_QUEUED {
+                            let Ok((bytes, cell)) = receive.recv() else { break };
+                            queued -= bytes;
                             collect(cell?);
                         }
                     }
                 }
-                while let Ok((samples, cell)) = receive.try_recv() {
-                    queued -= samples;
+                while let Ok((bytes, cell)) = receive.try_recv() {
+                    queued -= bytes;
                     collect(cell?);
                 }
-                hash.update(chunk.raw());
+                found.hash.update(chunk.raw());
                 self.progress.advance(chunk.raw().len() as u64);
-            }
+                Ok(())
+            })?;
             if left.iter().any(|n| *n > 0) {
                 return Err(changed(model));
             }
+            found.ranges.finish(model.info().vertices);
             // Taken in as they come: the bound that they raise shortens the work on the rest.
             drop(send);
             receive.iter().try_for_each(|(_, cell)| cell.map(&mut collect))
         })
     }
-}
 
-/// Clusters a complete cell; one that is larger than a part in parts, whose trees are joined, and kept to what a cut
-/// of `target` samples can reach.
-fn cluster(
-    cell: u32,
-    samples: CellSamples,
-    stop: &AtomicU32,
-    target: Option<usize>,
-    seed: u64,
-) -> Result<ClusteredCell> {
-    let mut scratch = Vec::new();
-    let mut whole: Option<(VsTree, Moments)> = None;
-    samples.in_parts(PART, |samples| {
-        let stop = f32::from_bits(stop.load(Ordering::Relaxed));
-        let (tree, moments) = VsTree::build(samples, &mut scratch, stop, seed);
-        whole = Some(match whole.take() {
-            None => (tree, moments),
-            Some((first, mut both)) => {
-                both.add(&moments);
-                let mut joined = VsTree::join(first, tree, &both);
-                if let Some(target) = target.filter(|n| joined.leaves() > most_kept(*n)) {
-                    joined.prune(running_bound(std::iter::once(&joined), target));
-                }
-                (joined, both)
+    /// Clusters a complete cell; one that is larger than a part in parts, whose trees are joined, and kept to
+    /// what a cut of the target number of samples can reach.
+    fn cluster<E: Element>(
+        &self,
+        cell: u32,
+        items: CellItems<E>,
+        stop: &AtomicU32,
+        members: Option<&Leaves>,
+        workspace: &mut Workspace<E>,
+    ) -> Result<ClusteredCell> {
+        let seed = self.grid.keys[cell as usize].iter().fold(0, |seed, k| mix(seed, *k as u64));
+        let mut whole: Option<(VsTree, Moments)> = None;
+        items.in_parts(PART / size_of::<E>(), |items| {
+            let stop = f32::from_bits(stop.load(Ordering::Relaxed));
+            let first = items.first().map_or(0, E::index);
+            let (tree, moments) = VsTree::build(items, workspace, self.splitting, stop, seed);
+            if let Some(members) = members {
+                let before = whole.as_ref().map_or(0, |(tree, _)| tree.built());
+                workspace.leaves.iter_mut().for_each(|leaf| *leaf += before);
+                members.record(cell, first, &mut workspace.leaves)?;
             }
-        });
-    })?;
-    let (tree, moments) = whole.unwrap_or_default();
-    Ok(ClusteredCell { cell, tree, moments })
+            whole = Some(match whole.take() {
+                None => (tree, moments),
+                Some((first, mut both)) => {
+                    both.add(&moments);
+                    let mut joined = VsTree::join(first, tree, &both);
+                    if let Some(target) = self.target.filter(|n| joined.leaves() > most_kept(*n)) {
+                        joined.prune(running_bound(std::iter::once(&joined), target));
+                    }
+                    (joined, both)
+                }
+            });
+            Ok(())
+        })?;
+        let (tree, moments) = whole.unwrap_or_default();
+        Ok(ClusteredCell { cell, tree, moments })
+    }
 }
 
 /// The direction of a normal; zero where it has none. Most are of unit length as they are.

@@ -124,17 +124,27 @@ impl Lattice {
         }
         self.flush();
         self.current = Some((key, CellRecord { count: 1, first: index, last: index }));
-        let mut extent = 0;
+        let mut grown = false;
         for (k, (low, high)) in key.iter().zip(self.key_min.iter_mut().zip(&mut self.key_max)) {
+            grown |= k < low || k > high;
             *low = *k.min(low);
             *high = *k.max(high);
-            extent = extent.max(*high - *low + 1);
         }
-        if extent > self.resolution {
-            let mut shift = 1;
-            while (0..3).any(|a| (self.key_max[a] >> shift) - (self.key_min[a] >> shift) >= self.resolution) {
-                shift += 1;
-            }
+        if grown {
+            self.fit();
+        }
+    }
+
+    /// Merges cells until there are no more than the resolution along each axis.
+    fn fit(&mut self) {
+        let extent = |shift: i32| {
+            (0..3).map(|a| (self.key_max[a] >> shift) - (self.key_min[a] >> shift) + 1).max().unwrap_or(0)
+        };
+        let mut shift = 0;
+        while extent(shift) > self.resolution {
+            shift += 1;
+        }
+        if shift > 0 {
             self.coarsen_to(self.level + shift);
         }
     }
@@ -160,6 +170,28 @@ impl Lattice {
             self.key_max = self.key_max.map(|k| k >> shift);
         }
         self.level = level;
+    }
+
+    /// Takes in what another lattice of the same resolution has counted: the result is that of one that counted
+    /// all samples.
+    pub fn absorb(&mut self, mut other: Self) {
+        other.flush();
+        if other.cells.is_empty() {
+            return;
+        }
+        let level = self.level.max(other.level);
+        self.coarsen_to(level);
+        other.coarsen_to(level);
+        self.bounds.min = self.bounds.min.min(other.bounds.min);
+        self.bounds.max = self.bounds.max.max(other.bounds.max);
+        for a in 0..3 {
+            self.key_min[a] = self.key_min[a].min(other.key_min[a]);
+            self.key_max[a] = self.key_max[a].max(other.key_max[a]);
+        }
+        for (key, record) in other.cells {
+            merge(&mut self.cells, key, record);
+        }
+        self.fit();
     }
 
     /// The finished grid.
@@ -281,6 +313,23 @@ mod tests {
                 let high = g.keys.iter().map(|k| k[a]).max().expect("a cell");
                 prop_assert!(high - low < i64::from(resolution));
             }
+        }
+
+        #[test]
+        fn lattices_that_share_the_work_agree_with_one(
+            points in proptest::collection::vec(point(), 0..100), cut in 0usize..100, resolution in 2u32..64,
+        ) {
+            let cut = cut.min(points.len());
+            let mut parts = [Lattice::new(resolution), Lattice::new(resolution), Lattice::new(resolution)];
+            for (i, p) in points.iter().enumerate() {
+                parts[usize::from(i >= cut)].add(*p, i as u64);
+            }
+            let [mut first, second, empty] = parts;
+            first.absorb(empty);
+            first.absorb(second);
+            let (shared, one) = (first.finish(), grid(&points, resolution));
+            prop_assert_eq!((shared.level, shared.bounds), (one.level, one.bounds));
+            prop_assert_eq!((shared.keys, shared.records), (one.keys, one.records));
         }
 
         #[test]

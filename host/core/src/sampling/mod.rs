@@ -7,28 +7,41 @@
 pub mod cluster;
 mod cut;
 mod finalization;
+mod gather;
+pub mod kept_cells;
 pub mod lattice;
+mod membership;
 mod normals;
 mod open_cells;
+mod ranges;
 mod sample_set;
+pub(crate) mod triangles;
 pub mod vs_tree;
 
+use std::ops::Range;
 use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use glam::Vec3;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3Default;
 
+pub use gather::Grouping;
 pub use sample_set::{NEIGHBOURS, NeighbourGraph, SampleSet};
+pub use vs_tree::Splitting;
 
 use crate::frame::Frame;
 use crate::model::{Model, VertexChunk};
 use crate::sampled_model::{SampledModel, Source, fingerprint};
 use crate::{Error, ErrorKind, Progress, Result};
 use cut::Forest;
-use finalization::Pass;
+use finalization::{Found, Pass};
+use gather::{Groups, Samples};
+use kept_cells::{KeptCell, KeptCells};
 use lattice::{Grid, Lattice};
+use membership::Membership;
+use ranges::Ranges;
+use triangles::Triangles;
 
 /// How fine P_S shall be.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -56,6 +69,23 @@ pub struct Sampling {
     /// Bytes of memory to stay below, for any order of the vertices; a quarter of the machine's, and at most
     /// 2 GiB, where not given.
     pub memory_limit: Option<u64>,
+    /// How clusters are split.
+    pub splitting: Splitting,
+    /// Whether open cells hold samples or groups of them.
+    pub grouping: Grouping,
+    /// What is not wanted.
+    pub skip: Skip,
+}
+
+/// Parts of a sampled model that can be left out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Skip {
+    /// The triangles of P_S, which take a pass over the faces, and temporary files of at most 12 bytes per vertex.
+    pub triangles: bool,
+    /// The cells, which a refinement needs.
+    pub cells: bool,
+    /// Estimating normals where the model has none: whoever needs them estimates them again.
+    pub normals: bool,
 }
 
 /// Memory that is needed whatever the limit: chunks of the model, the queue of cells, the program itself.
@@ -112,7 +142,7 @@ pub fn sample(
     model.check_complete()?;
 
     progress.begin("counting", info.vertex_bytes);
-    let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices));
+    let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
     let (grid, non_finite) = count_cells(model, resolution, progress)?;
     let frame = Frame::of(&grid.bounds);
 
@@ -121,17 +151,38 @@ pub fn sample(
         Target::Samples(n) => (Some(usize::try_from(n).unwrap_or(usize::MAX / 8)), 0.0),
         Target::Error(e) => (None, (e * grid.bounds.diagonal() / frame.scale) as f32),
     };
-    let mut forest = Forest::new(grid.keys.len(), target, bound);
+    let cells = grid.keys.len();
+    let mut forest = Forest::new(cells, target, bound);
     let stop = AtomicU32::new(bound.to_bits());
     let mut hash = Xxh3Default::new();
-    let memory = sampling.sample_memory(grid.keys.len());
-    let pass = Pass { model, grid: &grid, frame: &frame, target, memory, folder, progress };
-    pass.run(&stop, &mut hash, |cell| stop.store(forest.add(cell).to_bits(), Ordering::Relaxed))?;
+    let mut ranges = Ranges::new(cells);
+    let wanted = !sampling.skip.triangles && info.faces > 0 && info.vertices <= Membership::MAX_VERTICES;
+    let mut membership = wanted.then(|| Membership::new(&grid, info.vertices, folder)).transpose()?;
+    let mut found = Found { hash: &mut hash, ranges: &mut ranges, membership: membership.as_mut() };
+
+    let memory = sampling.sample_memory(cells);
+    let grouping = sampling.grouping.resolve(&grid, &frame, sampling.target);
+    let pass = Pass { model, grid: &grid, frame: &frame, splitting: sampling.splitting, target, progress };
+    let collect = |cell| stop.store(forest.add(cell).to_bits(), Ordering::Relaxed);
+    match grouping {
+        Grouping::Level(level) => {
+            let edge = (grid.cell_size() / frame.scale / f64::from(1u32 << level.min(20))) as f32;
+            pass.run(Groups::new(cells, edge, memory, folder), &stop, &mut found, collect)?;
+        }
+        _ => pass.run(Samples::new(cells, memory, folder), &stop, &mut found, collect)?,
+    }
 
     progress.begin("completing the samples", 0);
-    let clusters = forest.cut(&grid);
-    let (positions, normals): (Vec<Vec3>, Vec<Vec3>) =
-        clusters.iter().map(|c| (c.position, c.normal)).unzip();
+    let cut = forest.cut(&grid);
+    let triangles = match membership {
+        None => Triangles::default(),
+        Some(members) => {
+            let sample_of = members.finish(&cut.starts, folder, progress)?;
+            progress.begin("reindexing the faces", info.face_bytes);
+            triangles::reindex(model, sample_of.all(), cut.positions.len(), progress)?
+        }
+    };
+    let kept = (!sampling.skip.cells).then(|| keep(&grid, ranges, cut.trees));
     SampledModel::new(
         Source {
             path: model.path().to_owned(),
@@ -141,12 +192,25 @@ pub fn sample(
             first_non_finite: non_finite.first,
             fingerprint: fingerprint(hash.digest128()),
         },
-        *sampling,
+        Sampling { grouping, ..*sampling },
         &grid,
         info.position_type,
-        positions,
-        normals,
+        (cut.positions, cut.normals),
+        triangles,
+        kept,
     )
+}
+
+/// What is kept of the cells.
+fn keep(grid: &Grid, ranges: Ranges, trees: Vec<cut::CutTree>) -> KeptCells {
+    let cells = grid.keys.iter().zip(&grid.records).zip(ranges.into_cells()).zip(trees);
+    let cell = |(((key, record), ranges), tree): (((&[i64; 3], &lattice::CellRecord), _), _)| KeptCell {
+        key: *key,
+        vertices: record.count,
+        ranges,
+        tree,
+    };
+    KeptCells { level: grid.level, cells: cells.map(cell).collect() }
 }
 
 /// Samples are indexed by 32 bits.
@@ -169,10 +233,16 @@ fn check(sampling: &Sampling) -> Result<()> {
 }
 
 /// About 2000 vertices per cell of a surface, which meets about 3R² cells: enough for a tree to be adaptive, few
-/// enough that the open cells of a coherent stream stay small.
-fn default_grid(vertices: u64) -> u32 {
-    let resolution = (vertices as f64 / 6000.0).sqrt() as u32;
-    resolution.next_power_of_two().clamp(16, 512)
+/// enough that the open cells of a coherent stream stay small. No more cells than a small part of the samples,
+/// so that they take less memory than these: groups keep the open cells small as well.
+fn default_grid(vertices: u64, target: Target) -> u32 {
+    let resolution = |cells: f64| (cells / 3.0).sqrt();
+    let by_vertices = (resolution(vertices as f64 / 2000.0) as u32).next_power_of_two();
+    let most = match target {
+        Target::Samples(n) => 1 << resolution(n as f64 / 12.0).max(1.0).log2() as u32,
+        Target::Error(_) => 128,
+    };
+    by_vertices.min(most).clamp(16, 512)
 }
 
 /// Vertices whose position is not finite: they are left out of P_S, and keep their bytes.
@@ -182,11 +252,46 @@ struct NonFinite {
     first: Option<u64>,
 }
 
-/// Pass 1.
+impl NonFinite {
+    fn absorb(&mut self, other: Self) {
+        self.count += other.count;
+        self.first = self.first.into_iter().chain(other.first).min();
+    }
+}
+
+/// Pass 1, on all cores where the file can be read from anywhere.
 fn count_cells(model: &dyn Model, resolution: u32, progress: &dyn Progress) -> Result<(Grid, NonFinite)> {
+    let info = model.info();
+    let parts = if info.random_access { rayon::current_num_threads() as u64 } else { 1 };
+    let part = info.vertices.div_ceil(parts);
+    let counted: Result<Vec<_>> = (0..parts)
+        .into_par_iter()
+        .map(|i| count_range(model, i * part..(i + 1) * part, resolution, progress))
+        .collect();
+    let (mut lattice, mut non_finite) = (Lattice::new(resolution), NonFinite::default());
+    for (cells, others) in counted? {
+        lattice.absorb(cells);
+        non_finite.absorb(others);
+    }
+    if non_finite.count == info.vertices {
+        return Err(Error::new(
+            ErrorKind::Degenerate,
+            format!("none of the {} vertices of {} is finite", non_finite.count, model.path().display()),
+            "check how the file was written: all of its positions hold NaN or infinity",
+        ));
+    }
+    Ok((lattice.finish(), non_finite))
+}
+
+fn count_range(
+    model: &dyn Model,
+    range: Range<u64>,
+    resolution: u32,
+    progress: &dyn Progress,
+) -> Result<(Lattice, NonFinite)> {
     let mut lattice = Lattice::new(resolution);
     let mut non_finite = NonFinite::default();
-    let mut reader = model.vertices(0..model.info().vertices)?;
+    let mut reader = model.vertices(range)?;
     let mut chunk = VertexChunk::default();
     while reader.read(&mut chunk)? {
         progress.check()?;
@@ -200,12 +305,5 @@ fn count_cells(model: &dyn Model, resolution: u32, progress: &dyn Progress) -> R
         }
         progress.advance(chunk.raw().len() as u64);
     }
-    if non_finite.count == model.info().vertices {
-        return Err(Error::new(
-            ErrorKind::Degenerate,
-            format!("none of the {} vertices of {} is finite", non_finite.count, model.path().display()),
-            "check how the file was written: all of its positions hold NaN or infinity",
-        ));
-    }
-    Ok((lattice.finish(), non_finite))
+    Ok((lattice, non_finite))
 }

@@ -11,23 +11,23 @@ use rayon::prelude::*;
 use super::sample_set::NeighbourGraph;
 use crate::geometry::symmetric_eigen;
 
-/// Neighbours that span the tangent plane.
-const PLANE_NEIGHBOURS: usize = 12;
+/// Neighbours that span the tangent plane, and along which the orientation spreads.
+const NEIGHBOURS: usize = 12;
 
-/// Neighbours along which the orientation spreads.
-const ORIENT_NEIGHBOURS: usize = 12;
-
-/// Fills in the normals that are zero, and leaves the others as they are. Afterwards all are of unit length.
+/// All normals, where only some are known (the others are zero, or all if there are none). All are of unit length.
 ///
 /// Known normals spread their orientation to those filled in. A part without any is oriented so that the
 /// normal of its highest sample (along z) points up; whether that is outwards is known for closed surfaces only.
-pub fn complete(positions: &[Vec3], neighbours: &NeighbourGraph, normals: &mut [Vec3]) {
-    let missing: Vec<bool> = normals.par_iter().map(|n| *n == Vec3::ZERO).collect();
+pub fn completed(positions: &[Vec3], known: &[Vec3]) -> Vec<Vec3> {
+    let graph = NeighbourGraph::new(positions, NEIGHBOURS);
+    let mut normals = known.to_vec();
+    normals.resize(positions.len(), Vec3::ZERO);
+    let missing: Vec<bool> = normals.iter().map(|n| *n == Vec3::ZERO).collect();
     normals.par_iter_mut().enumerate().filter(|(i, _)| missing[*i]).for_each(|(i, normal)| {
-        let near = neighbours.of(i);
-        *normal = plane_normal(positions, i, &near[..near.len().min(PLANE_NEIGHBOURS)]);
+        *normal = plane_normal(positions, i, graph.of(i));
     });
-    orient(positions, neighbours, normals, missing);
+    orient(positions, &graph, &mut normals, missing);
+    normals
 }
 
 /// The direction of least variance of a sample and its neighbours.
@@ -45,10 +45,7 @@ fn plane_normal(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Vec3 {
 /// first. `unknown` says whose sign is open.
 fn orient(positions: &[Vec3], neighbours: &NeighbourGraph, normals: &mut [Vec3], mut unknown: Vec<bool>) {
     // Neighbourhood is not symmetric: the reverse edges as well, or a part could fall into pieces.
-    let reach = |i: usize| {
-        let near = neighbours.of(i);
-        near[..near.len().min(ORIENT_NEIGHBOURS)].iter().map(|j| *j as usize)
-    };
+    let reach = |i: usize| neighbours.of(i).iter().map(|j| *j as usize);
     let mut degree = vec![0u32; positions.len() + 1];
     (0..positions.len()).flat_map(reach).for_each(|j| degree[j + 1] += 1);
     for i in 0..positions.len() {
@@ -67,10 +64,16 @@ fn orient(positions: &[Vec3], neighbours: &NeighbourGraph, normals: &mut [Vec3],
     let cost =
         |normals: &[Vec3], i: usize, j: usize| (1.0 - normals[i].dot(normals[j]).abs()).max(0.0).to_bits();
     let mut queue = BinaryHeap::new();
-    let spread = |i: usize, normals: &[Vec3], unknown: &[bool], queue: &mut BinaryHeap<_>| {
+    // The cheapest edge to each sample so far: only a cheaper one is of use.
+    let mut cheapest = vec![u32::MAX; positions.len()];
+    let mut spread = |i: usize, normals: &[Vec3], unknown: &[bool], queue: &mut BinaryHeap<_>| {
         let back = &reverse[degree[i] as usize..degree[i + 1] as usize];
         for j in reach(i).chain(back.iter().map(|j| *j as usize)).filter(|j| unknown[*j]) {
-            queue.push(Reverse((cost(normals, i, j), j as u32, i as u32)));
+            let cost = cost(normals, i, j);
+            if cost < cheapest[j] {
+                cheapest[j] = cost;
+                queue.push(Reverse((cost, j as u32, i as u32)));
+            }
         }
     };
     for i in (0..positions.len()).filter(|i| !unknown[*i]) {
@@ -122,7 +125,7 @@ mod tests {
         let mut points = sphere(2000, Vec3::ZERO);
         points.extend(sphere(1000, Vec3::new(5.0, 0.0, 0.0)));
         let set = SampleSet::new(points.clone(), Vec::new()).expect("points");
-        for (i, (p, n)) in points.iter().zip(&set.normals).enumerate() {
+        for (i, (p, n)) in points.iter().zip(set.normals()).enumerate() {
             let center = if i < 2000 { Vec3::ZERO } else { Vec3::new(5.0, 0.0, 0.0) };
             assert!(n.dot(*p - center) > 0.99, "{i}: {n}");
         }
@@ -134,7 +137,7 @@ mod tests {
         let mut known = vec![Vec3::ZERO; points.len()];
         known[700] = -points[700];
         let set = SampleSet::new(points.clone(), known).expect("points");
-        assert_eq!(set.normals[700], -points[700]);
-        assert!(points.iter().zip(&set.normals).all(|(p, n)| n.dot(*p) < -0.99));
+        assert_eq!(set.normals()[700], -points[700]);
+        assert!(points.iter().zip(set.normals()).all(|(p, n)| n.dot(*p) < -0.99));
     }
 }

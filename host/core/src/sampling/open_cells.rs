@@ -1,4 +1,4 @@
-//! The samples of the cells that are not complete yet, in bounded memory for any order of the stream.
+//! What is held of the cells that are not complete yet, in bounded memory for any order of the stream.
 //!
 //! A stream in spatial order has few open cells at a time. A shuffled one opens all of them, and would hold the
 //! model: when the limit is reached, the fullest cells go to a temporary file and wait there. The file has no name
@@ -7,16 +7,15 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use bytemuck::Zeroable;
+use bytemuck::Pod;
 
-use super::cluster::Sample;
-use crate::positioned::Positioned;
-use crate::{Error, Result};
+use crate::Result;
+use crate::scratch::Scratch;
 
-/// Samples in a block of memory, 768 bytes: a cell's last block is half empty in the mean.
+/// Items (samples, or groups of them) in a block of memory: a cell's last block is half empty in the mean.
 const BLOCK: usize = 32;
 
-/// Blocks that memory is taken in, 192 KiB of them.
+/// Blocks that memory is taken in.
 const SLAB: usize = 256;
 
 /// End of a chain of blocks.
@@ -25,17 +24,15 @@ const NONE: u32 = u32::MAX;
 /// Where the chain of pieces in the file ends.
 const NO_PIECE: u64 = u64::MAX;
 
-/// Bytes of a piece's header: where the cell's former piece is, and how many samples this one has.
+/// Bytes of a piece's header: where the cell's former piece is, and how many items this one has.
 const HEADER: usize = 16;
-
-const SAMPLE_BYTES: usize = size_of::<Sample>();
 
 /// All open cells.
 ///
 /// Memory: `limit` bytes of blocks, and 32 bytes per occupied cell of the grid.
-pub struct OpenCells {
+pub struct OpenCells<T> {
     cells: Vec<OpenCell>,
-    pool: Pool,
+    pool: Pool<T>,
     spill: Spill,
 }
 
@@ -44,16 +41,16 @@ struct OpenCell {
     /// First and last block.
     head: u32,
     tail: u32,
-    /// Samples in memory.
+    /// Items in memory.
     held: u32,
-    /// Samples in the file, and their last piece there.
+    /// Items in the file, and their last piece there.
     spilled: u64,
     piece: u64,
 }
 
-/// Blocks of samples, chained.
-struct Pool {
-    slabs: Vec<Box<[[Sample; BLOCK]]>>,
+/// Blocks of items, chained.
+struct Pool<T> {
+    slabs: Vec<Box<[[T; BLOCK]]>>,
     next: Vec<u32>,
     free: u32,
     limit: usize,
@@ -62,42 +59,62 @@ struct Pool {
 /// The temporary file: pieces of cells, each with a pointer to the cell's former piece.
 struct Spill {
     folder: PathBuf,
-    file: Option<Arc<Positioned>>,
+    file: Option<Arc<Scratch>>,
     end: u64,
 }
 
-impl OpenCells {
-    /// No samples yet, of so many cells. At most `limit` bytes of samples stay in memory (but at least a slab);
+impl<T: Pod> OpenCells<T> {
+    /// Nothing yet, of so many cells. At most `limit` bytes of items stay in memory (but at least a slab);
     /// what is more goes to a temporary file in `folder`.
     pub fn new(cells: usize, limit: u64, folder: &Path) -> Self {
         let cell = OpenCell { head: NONE, tail: NONE, held: 0, spilled: 0, piece: NO_PIECE };
-        let blocks = limit / (BLOCK * SAMPLE_BYTES) as u64;
+        let blocks = limit / (BLOCK * size_of::<T>()) as u64;
         Self {
             cells: vec![cell; cells],
             pool: Pool {
                 slabs: Vec::new(),
                 next: Vec::new(),
                 free: NONE,
-                limit: usize::try_from(blocks).unwrap_or(usize::MAX).clamp(SLAB, NONE as usize),
+                // Places are counted in 32 bits.
+                limit: usize::try_from(blocks).unwrap_or(usize::MAX).clamp(SLAB, u32::MAX as usize / BLOCK),
             },
             spill: Spill { folder: folder.to_owned(), file: None, end: 0 },
         }
     }
 
-    /// Adds a sample to a cell.
+    /// Adds an item to a cell; where it is, until other items are moved to the file.
     ///
     /// # Errors
     /// The temporary file cannot be written.
     #[inline]
-    pub fn push(&mut self, cell: u32, sample: Sample) -> Result<()> {
+    pub fn push(&mut self, cell: u32, item: T) -> Result<u32> {
         let at = self.cells[cell as usize].held as usize % BLOCK;
         if at == 0 {
             self.append_block(cell as usize)?;
         }
         let cell = &mut self.cells[cell as usize];
-        self.pool.block_mut(cell.tail)[cell.held as usize % BLOCK] = sample;
+        self.pool.block_mut(cell.tail)[at] = item;
         cell.held += 1;
-        Ok(())
+        Ok(cell.tail * BLOCK as u32 + at as u32)
+    }
+
+    /// The item at a place.
+    #[inline]
+    pub fn at_mut(&mut self, place: u32) -> &mut T {
+        &mut self.pool.block_mut(place / BLOCK as u32)[place as usize % BLOCK]
+    }
+
+    /// Number of a cell's items that are not in memory any more: the first ones.
+    #[inline]
+    pub fn spilled(&self, cell: u32) -> u64 {
+        self.cells[cell as usize].spilled
+    }
+
+    /// Number of a cell's items.
+    #[inline]
+    pub fn count(&self, cell: u32) -> u64 {
+        let cell = &self.cells[cell as usize];
+        cell.spilled + u64::from(cell.held)
     }
 
     fn append_block(&mut self, cell: usize) -> Result<()> {
@@ -139,24 +156,19 @@ impl OpenCells {
         Ok(())
     }
 
-    /// Removes all samples of a cell.
-    pub fn take(&mut self, cell: u32) -> CellSamples {
+    /// Removes all items of a cell.
+    pub fn take(&mut self, cell: u32) -> CellItems<T> {
         let cell = &mut self.cells[cell as usize];
         let mut held = Vec::with_capacity(cell.held as usize);
         self.pool.drain(cell, |samples| held.extend_from_slice(samples));
         cell.held = 0;
         let piece = std::mem::replace(&mut cell.piece, NO_PIECE);
         let file = self.spill.file.clone().filter(|_| piece != NO_PIECE);
-        CellSamples {
-            held,
-            spilled: std::mem::take(&mut cell.spilled),
-            pieces: file.map(|file| (file, piece)),
-            folder: self.spill.folder.clone(),
-        }
+        CellItems { held, spilled: std::mem::take(&mut cell.spilled), pieces: file.map(|file| (file, piece)) }
     }
 }
 
-impl Pool {
+impl<T: Pod> Pool<T> {
     fn is_full(&self) -> bool {
         self.free == NONE && self.next.len() + SLAB > self.limit
     }
@@ -164,7 +176,7 @@ impl Pool {
     fn take(&mut self) -> u32 {
         if self.free == NONE {
             let first = self.next.len() as u32;
-            self.slabs.push(vec![[Sample::zeroed(); BLOCK]; SLAB].into_boxed_slice());
+            self.slabs.push(vec![[T::zeroed(); BLOCK]; SLAB].into_boxed_slice());
             self.next.extend((first + 1..first + SLAB as u32).chain([NONE]));
             self.free = first;
         }
@@ -174,12 +186,12 @@ impl Pool {
     }
 
     #[inline]
-    fn block_mut(&mut self, block: u32) -> &mut [Sample; BLOCK] {
+    fn block_mut(&mut self, block: u32) -> &mut [T; BLOCK] {
         &mut self.slabs[block as usize / SLAB][block as usize % SLAB]
     }
 
-    /// Hands out a cell's samples, in their order, and takes its blocks back.
-    fn drain(&mut self, cell: &mut OpenCell, mut visit: impl FnMut(&[Sample])) {
+    /// Hands out a cell's items, in their order, and takes its blocks back.
+    fn drain(&mut self, cell: &mut OpenCell, mut visit: impl FnMut(&[T])) {
         let mut left = cell.held as usize;
         let mut block = cell.head;
         while block != NONE {
@@ -197,71 +209,63 @@ impl Pool {
 impl Spill {
     /// Writes a piece behind all others; where it is.
     fn append(&mut self, piece: &[u8]) -> Result<u64> {
-        let refused = |e: std::io::Error| refused("write", &self.folder, &e);
         let file = match &self.file {
             Some(file) => file,
-            None => {
-                let file = tempfile::tempfile_in(&self.folder).map_err(refused)?;
-                self.file.insert(Arc::new(Positioned::new(file)))
-            }
+            None => self.file.insert(Arc::new(Scratch::new(&self.folder, "raise --memory-limit")?)),
         };
         let at = self.end;
-        file.write_all_at(piece, at).map_err(refused)?;
+        file.write_at(piece, at)?;
         self.end += piece.len() as u64;
         Ok(at)
     }
 }
 
-fn refused(action: &str, folder: &Path, e: &std::io::Error) -> Error {
-    let what = Error::io(&format!("{action} a temporary file in"), folder, e);
-    let hint = format!("{}; or raise --memory-limit", what.hint());
-    Error::new(what.kind(), what.to_string(), hint)
-}
-
-/// All samples of a complete cell: those in memory, and where the others are.
-pub struct CellSamples {
-    held: Vec<Sample>,
+/// All items of a complete cell: those in memory, and where the others are.
+pub struct CellItems<T> {
+    held: Vec<T>,
     spilled: u64,
-    pieces: Option<(Arc<Positioned>, u64)>,
-    folder: PathBuf,
+    pieces: Option<(Arc<Scratch>, u64)>,
 }
 
-impl CellSamples {
-    /// Hands out the samples in the order of the stream, in as many parts as it takes for none to have more than
+impl<T: Pod> CellItems<T> {
+    /// Memory that all of them take, also those that are in the file.
+    pub fn bytes(&self) -> usize {
+        let count = usize::try_from(self.spilled).unwrap_or(usize::MAX).saturating_add(self.held.len());
+        count.saturating_mul(size_of::<T>()).min(usize::MAX / 2)
+    }
+
+    /// Hands out the items in the order of the stream, in as many parts as it takes for none to have more than
     /// `limit`, read from the file where they are there.
     ///
     /// # Errors
     /// The temporary file cannot be read.
-    pub fn in_parts(mut self, limit: usize, mut visit: impl FnMut(&mut [Sample])) -> Result<()> {
+    pub fn in_parts(mut self, limit: usize, mut visit: impl FnMut(&mut [T]) -> Result<()>) -> Result<()> {
         let limit = limit.max(1);
         let Some((file, last)) = &self.pieces else {
-            self.held.chunks_mut(limit).for_each(visit);
-            return Ok(());
+            return self.held.chunks_mut(limit).try_for_each(visit);
         };
-        let refused = |e: std::io::Error| refused("read", &self.folder, &e);
         // The chain leads from the last piece to the first.
         let mut pieces = Vec::new();
         let mut at = *last;
         while at != NO_PIECE {
             let mut header = [0u64; HEADER / 8];
-            file.read_exact_at(bytemuck::cast_slice_mut(&mut header), at).map_err(refused)?;
+            file.read_at(bytemuck::cast_slice_mut(&mut header), at)?;
             let [former, count] = header.map(u64::from_le);
             pieces.push((at + HEADER as u64, count));
             at = former;
         }
         let total = self.spilled + self.held.len() as u64;
-        let mut part: Vec<Sample> =
-            Vec::with_capacity(usize::try_from(total).map_or(limit, |n| n.min(limit)));
+        let mut part: Vec<T> = Vec::with_capacity(usize::try_from(total).map_or(limit, |n| n.min(limit)));
         for (mut at, mut count) in pieces.into_iter().rev() {
             while count > 0 {
                 let n = ((limit - part.len()) as u64).min(count) as usize;
                 let old = part.len();
-                part.resize(old + n, Sample::zeroed());
-                file.read_exact_at(bytemuck::cast_slice_mut(&mut part[old..]), at).map_err(refused)?;
-                at += (n * SAMPLE_BYTES) as u64;
+                part.resize(old + n, T::zeroed());
+                file.read_at(bytemuck::cast_slice_mut(&mut part[old..]), at)?;
+                at += (n * size_of::<T>()) as u64;
                 count -= n as u64;
                 if part.len() == limit {
-                    visit(&mut part);
+                    visit(&mut part)?;
                     part.clear();
                 }
             }
@@ -272,12 +276,12 @@ impl CellSamples {
             part.extend_from_slice(now);
             held = later;
             if part.len() == limit {
-                visit(&mut part);
+                visit(&mut part)?;
                 part.clear();
             }
         }
         if !part.is_empty() {
-            visit(&mut part);
+            visit(&mut part)?;
         }
         Ok(())
     }
@@ -286,12 +290,9 @@ impl CellSamples {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
     use proptest::prelude::*;
 
-    fn sample(i: usize) -> Sample {
-        Sample { position: Vec3::splat(i as f32), normal: Vec3::Y }
-    }
+    type Item = [u64; 4];
 
     proptest! {
         #[test]
@@ -299,9 +300,11 @@ mod tests {
             cells in proptest::collection::vec(0u32..40, 1..30_000), part in 1usize..500, blocks in 0u64..600,
         ) {
             let folder = tempfile::tempdir().expect("a folder");
-            let mut open = OpenCells::new(40, blocks * (BLOCK * SAMPLE_BYTES) as u64, folder.path());
+            let mut open = OpenCells::<Item>::new(40, blocks * (BLOCK * size_of::<Item>()) as u64, folder.path());
             for (i, c) in cells.iter().enumerate() {
-                open.push(*c, sample(i)).expect("space");
+                let place = open.push(*c, [i as u64; 4]).expect("space");
+                prop_assert_eq!(open.at_mut(place)[0], i as u64);
+                prop_assert!(open.spilled(*c) < open.count(*c));
             }
             // The temporary file has no name.
             prop_assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0);
@@ -313,7 +316,8 @@ mod tests {
                 samples
                     .in_parts(part, |s| {
                         assert!(s.len() <= part);
-                        found.extend(s.iter().map(|s| s.position.x as usize));
+                        found.extend(s.iter().map(|s| s[0] as usize));
+                        Ok(())
                     })
                     .expect("readable");
                 let wanted: Vec<usize> = (0..cells.len()).filter(|i| cells[*i] == c).collect();
@@ -324,11 +328,17 @@ mod tests {
 
     #[test]
     fn a_cell_can_be_filled_again() {
-        let mut open = OpenCells::new(1, 0, std::env::temp_dir().as_path());
+        let mut open = OpenCells::<Item>::new(1, 0, std::env::temp_dir().as_path());
         for round in 0..3 {
-            (0..100_000).for_each(|i| open.push(0, sample(i)).expect("space"));
+            (0..100_000).for_each(|i| {
+                open.push(0, [i; 4]).expect("space");
+            });
             let mut count = 0;
-            open.take(0).in_parts(usize::MAX, |s| count += s.len()).expect("readable");
+            let visit = |s: &mut [Item]| {
+                count += s.len();
+                Ok(())
+            };
+            open.take(0).in_parts(usize::MAX, visit).expect("readable");
             assert_eq!(count, 100_000, "round {round}");
         }
     }

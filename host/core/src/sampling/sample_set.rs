@@ -39,13 +39,17 @@ impl NeighbourGraph {
 
 /// The small point set P_S, in local coordinates (see [`Frame`](crate::frame::Frame)).
 ///
-/// Memory: 24 bytes per sample; about 160 more once the neighbours are asked for. The index of a sample
-/// never changes.
+/// Memory: 24 bytes per sample; 12 more where normals were estimated (about 150 meanwhile), and 160 once the
+/// neighbours are asked for. The index of a sample never changes.
 pub struct SampleSet {
     /// Positions.
     pub positions: Vec<Vec3>,
-    /// Unit normals, consistently oriented.
-    pub normals: Vec<Vec3>,
+    /// Unit normals of the model, averaged; zero, or none at all, where it has none.
+    known: Vec<Vec3>,
+    /// Whether none of them is missing.
+    all_known: bool,
+    /// All normals, where some had to be estimated.
+    estimated: OnceLock<Vec<Vec3>>,
     surroundings: OnceLock<Surroundings>,
 }
 
@@ -57,7 +61,7 @@ struct Surroundings {
 }
 
 impl SampleSet {
-    /// A set of samples; normals that are zero or missing are estimated.
+    /// A set of samples; normals that are zero or missing will be estimated when they are asked for.
     ///
     /// # Errors
     /// There is no sample, or one that is not finite.
@@ -69,14 +73,27 @@ impl SampleSet {
         if let Some(i) = positions.iter().position(|p| !p.is_finite()) {
             return refused(format!("sample {i} has no finite position"));
         }
-        let mut set = Self { positions, normals, surroundings: OnceLock::new() };
-        set.normals.resize(set.positions.len(), Vec3::ZERO);
-        if set.normals.contains(&Vec3::ZERO) {
-            let mut normals = std::mem::take(&mut set.normals);
-            normals::complete(&set.positions, set.neighbours(), &mut normals);
-            set.normals = normals;
+        let mut known = normals;
+        known.resize(positions.len(), Vec3::ZERO);
+        if known.iter().all(|n| *n == Vec3::ZERO) {
+            known = Vec::new();
         }
-        Ok(set)
+        let all_known = !known.is_empty() && !known.contains(&Vec3::ZERO);
+        Ok(Self { positions, known, all_known, estimated: OnceLock::new(), surroundings: OnceLock::new() })
+    }
+
+    /// Unit normals, consistently oriented.
+    #[inline]
+    pub fn normals(&self) -> &[Vec3] {
+        if self.all_known {
+            return &self.known;
+        }
+        self.estimated.get_or_init(|| normals::completed(&self.positions, &self.known))
+    }
+
+    /// The normals that stem from the model; zero where there is none, and empty if there are none at all.
+    pub fn known_normals(&self) -> &[Vec3] {
+        &self.known
     }
 
     /// Number of samples.
@@ -128,23 +145,9 @@ impl SampleSet {
 
 impl Surroundings {
     fn of(positions: &[Vec3]) -> Self {
-        let points: Vec<[f32; 3]> = positions.iter().map(Vec3::to_array).collect();
-        let tree = ImmutableKdTree::new_from_slice(&points);
-        let tree = tree.expect("finite points, at least one and fewer than 2^32");
-        let k = NEIGHBOURS.min(positions.len() - 1);
-        // One more, as a sample is its own nearest neighbour.
-        let wanted = NonZeroUsize::MIN.saturating_add(k);
-        let mut flat = vec![0; positions.len() * k];
-        if k > 0 {
-            flat.par_chunks_mut(k).zip(&points).enumerate().for_each(|(i, (neighbours, p))| {
-                let found = tree.query(p).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
-                let others = found.iter().map(|f| f.item).filter(|j| *j != i as u32);
-                // Among more coincident samples than k, the sample itself may be missing from what was found.
-                neighbours.iter_mut().zip(others).for_each(|(slot, j)| *slot = j);
-            });
-        }
-        let neighbours = NeighbourGraph { k, flat };
-        let near = SPACING_NEIGHBOURS.min(k);
+        let tree = kd_tree(positions);
+        let neighbours = NeighbourGraph::of_points(positions, &tree, NEIGHBOURS);
+        let near = SPACING_NEIGHBOURS.min(neighbours.k);
         let spacing = (0..positions.len())
             .into_par_iter()
             .map(|i| {
@@ -153,6 +156,36 @@ impl Surroundings {
             })
             .collect();
         Self { tree, neighbours, spacing }
+    }
+}
+
+/// Of finite points, of which there is at least one.
+fn kd_tree(positions: &[Vec3]) -> ImmutableKdTree<f32, 3> {
+    let points: &[[f32; 3]] = bytemuck::cast_slice(positions);
+    ImmutableKdTree::new_from_slice(points).expect("finite points, at least one and fewer than 2^32")
+}
+
+impl NeighbourGraph {
+    /// The graph of points to `k` neighbours, if there are as many.
+    pub(super) fn new(positions: &[Vec3], k: usize) -> Self {
+        Self::of_points(positions, &kd_tree(positions), k)
+    }
+
+    fn of_points(positions: &[Vec3], tree: &ImmutableKdTree<f32, 3>, k: usize) -> Self {
+        let k = k.min(positions.len() - 1);
+        // One more, as a sample is its own nearest neighbour.
+        let wanted = NonZeroUsize::MIN.saturating_add(k);
+        let mut flat = vec![0; positions.len() * k];
+        if k > 0 {
+            flat.par_chunks_mut(k).zip(positions).enumerate().for_each(|(i, (neighbours, p))| {
+                let query = p.to_array();
+                let found = tree.query(&query).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
+                let others = found.iter().map(|f| f.item).filter(|j| *j != i as u32);
+                // Among more coincident samples than k, the sample itself may be missing from what was found.
+                neighbours.iter_mut().zip(others).for_each(|(slot, j)| *slot = j);
+            });
+        }
+        Self { k, flat }
     }
 }
 
@@ -179,7 +212,7 @@ mod tests {
                 prop_assert!(!found.contains(&(i as u32)));
                 let found: Vec<f32> = found.iter().map(|j| points[*j as usize].distance(*p)).collect();
                 prop_assert_eq!(&found[..], &all[..set.neighbours().k()]);
-                prop_assert!(set.normals[i].is_normalized());
+                prop_assert!(set.normals()[i].is_normalized());
             }
         }
     }

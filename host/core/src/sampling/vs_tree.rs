@@ -7,11 +7,13 @@
 //! normals are parted at once, by the sign of their normals, instead of splitting down to their distance.
 //!
 //! A node's *key* is its error, or its parent's if that is less: the clusters of a cut at ε are those reached
-//! from the root by going on while the key exceeds ε, and their number falls as ε grows.
+//! from the root by going on while the key exceeds ε and there is something below, and their number falls as ε
+//! grows.
 
 use glam::{DMat3, DVec3, Vec3};
+use serde::{Deserialize, Serialize};
 
-use super::cluster::{Moments, Sample};
+use super::cluster::{Element, Moments};
 use crate::geometry::symmetric_eigen;
 
 /// A cluster projects on its mean plane without folding if its normals lie within this cosine of the plane's.
@@ -30,6 +32,17 @@ const DITHER: f64 = 0.02;
 /// Splits below this depth are coincident points in all but name.
 const MAX_DEPTH: u32 = 96;
 
+/// How clusters are split.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Splitting {
+    /// In space first, and in the plane of the cluster once it is flat enough.
+    #[default]
+    VolumeSurface,
+    /// In space alone: what the paper compares the VS-Tree with.
+    Octree,
+}
+
 /// A cluster in a [`VsTree`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Node {
@@ -37,10 +50,12 @@ pub struct Node {
     pub position: Vec3,
     /// Its unit normal; zero where unknown.
     pub normal: Vec3,
-    /// The least error of this cluster and those above it; 0 if it cannot be split.
+    /// The least error of this cluster and those above it.
     pub key: f32,
     /// Index of the first node behind this one's subtree; the children follow their parent.
     pub end: u32,
+    /// The first of the leaves below it, counted in the tree as it was built.
+    pub first: u32,
 }
 
 /// The clusters of a cell in preorder.
@@ -48,48 +63,66 @@ pub struct Node {
 pub struct VsTree {
     /// All clusters, a parent before its children.
     pub nodes: Vec<Node>,
+    /// Number of leaves that it was built with.
+    built: u32,
 }
 
 impl VsTree {
-    /// Builds the tree down to clusters of key `stop` or less. Reorders `samples`, which must not be empty.
+    /// Builds the tree down to clusters of key `stop` or less. Reorders `elements`, which must not be empty.
     ///
-    /// Memory: `scratch` grows to the number of samples; the recursion is at most `MAX_DEPTH` deep.
-    pub fn build(samples: &mut [Sample], scratch: &mut Vec<Sample>, stop: f32, seed: u64) -> (Self, Moments) {
-        let moments = Moments::of(samples);
-        let mut tree = Self::default();
-        Builder { stop, scratch, nodes: &mut tree.nodes }.node(
-            samples,
-            moments,
-            f32::INFINITY,
-            Stage::Volume,
-            0,
-            seed,
-        );
-        (tree, moments)
+    /// `workspace.leaves` then has for each element, by its index less that of the first one, the leaf that it is in.
+    ///
+    /// Memory: `workspace` grows to the number of elements; the recursion is at most `MAX_DEPTH` deep.
+    pub fn build<E: Element>(
+        elements: &mut [E],
+        workspace: &mut Workspace<E>,
+        splitting: Splitting,
+        stop: f32,
+        seed: u64,
+    ) -> (Self, Moments) {
+        let Workspace { spare, leaves, nodes } = workspace;
+        let moments = Moments::of(elements);
+        spare.clear();
+        spare.extend_from_slice(elements);
+        leaves.clear();
+        leaves.resize(elements.len(), 0);
+        nodes.clear();
+        let first_index = elements.first().map_or(0, E::index);
+        let mut builder = Builder { splitting, stop, nodes, built: 0, leaves, first_index };
+        builder.node(elements, spare, moments, f32::INFINITY, Stage::Volume, 0, seed);
+        let built = builder.built;
+        // A copy is just as long as it has to be.
+        (Self { nodes: nodes.clone(), built }, moments)
     }
 
     /// One tree of two over disjoint sets of samples, below a cluster with the moments of both.
     pub fn join(first: Self, second: Self, both: &Moments) -> Self {
         let key = |tree: &Self| tree.nodes.first().map_or(0.0, |root| root.key);
+        let (position, normal, error) = both.representative();
         let root = Node {
-            position: both.representative(),
-            normal: both.mean_normal().as_vec3(),
+            position,
+            normal,
             // No less than what is below it.
-            key: (both.error() as f32).max(key(&first)).max(key(&second)),
+            key: error.max(key(&first)).max(key(&second)),
             end: (1 + first.nodes.len() + second.nodes.len()) as u32,
+            first: 0,
         };
         let behind = 1 + first.nodes.len() as u32;
         let mut nodes = vec![root];
         nodes.extend(first.nodes.into_iter().map(|n| Node { end: n.end + 1, ..n }));
-        nodes.extend(second.nodes.into_iter().map(|n| Node { end: n.end + behind, ..n }));
-        Self { nodes }
+        nodes.extend(second.nodes.into_iter().map(|n| Node {
+            end: n.end + behind,
+            first: n.first + first.built,
+            ..n
+        }));
+        Self { nodes, built: first.built + second.built }
     }
 
     /// Calls `visit` with each cluster of the cut at `threshold`, in order.
     pub fn cut(&self, threshold: f32, mut visit: impl FnMut(&Node)) {
         let mut i = 0;
         while let Some(node) = self.nodes.get(i) {
-            if node.key > threshold {
+            if self.goes_on(i, threshold) {
                 i += 1;
             } else {
                 visit(node);
@@ -98,14 +131,22 @@ impl VsTree {
         }
     }
 
-    /// Number of clusters that cannot be split further.
-    pub fn leaves(&self) -> usize {
-        let mut leaves = 0;
-        self.cut(0.0, |_| leaves += 1);
-        leaves
+    /// Number of leaves that it was built with: more than it has, if it was pruned since.
+    pub fn built(&self) -> u32 {
+        self.built
     }
 
-    /// Drops everything below the cut at `threshold`, whose clusters keep their keys but become leaves.
+    /// Whether a cut at `threshold` goes on below node `i`.
+    fn goes_on(&self, i: usize, threshold: f32) -> bool {
+        self.nodes[i].key > threshold && self.nodes[i].end as usize > i + 1
+    }
+
+    /// Number of clusters that have nothing below them.
+    pub fn leaves(&self) -> usize {
+        self.nodes.iter().enumerate().filter(|(i, node)| node.end as usize == i + 1).count()
+    }
+
+    /// Drops everything below the cut at `threshold`.
     pub fn prune(&mut self, threshold: f32) {
         let mut kept: Vec<Node> = Vec::new();
         // Kept ancestors of the node at hand: their place in `kept`, and where their subtrees end.
@@ -115,12 +156,12 @@ impl VsTree {
             while let Some((at, _)) = open.pop_if(|(_, end)| *end as usize <= i) {
                 kept[at].end = kept.len() as u32;
             }
-            if node.key > threshold {
+            if self.goes_on(i, threshold) {
                 open.push((kept.len(), node.end));
                 kept.push(*node);
                 i += 1;
             } else {
-                kept.push(Node { key: 0.0, end: kept.len() as u32 + 1, ..*node });
+                kept.push(Node { end: kept.len() as u32 + 1, ..*node });
                 i = node.end as usize;
             }
         }
@@ -133,14 +174,32 @@ impl VsTree {
 
     /// The clusters that a cut can split: their key, and how many clusters the split adds.
     pub fn splits(&self) -> impl Iterator<Item = (f32, u32)> + '_ {
-        self.nodes.iter().enumerate().filter(|(_, node)| node.key > 0.0).map(|(i, node)| {
-            let (mut child, mut children) = (i as u32 + 1, 0);
-            while child < node.end {
-                children += 1;
-                child = self.nodes[child as usize].end;
-            }
-            (node.key, children - 1)
-        })
+        let inner = (0..self.nodes.len()).filter(|i| self.goes_on(*i, f32::NEG_INFINITY));
+        inner.map(|i| (self.nodes[i].key, self.children(i) - 1))
+    }
+
+    /// Number of clusters that node `i` is split into.
+    pub fn children(&self, i: usize) -> u32 {
+        let (mut child, mut children) = (i + 1, 0);
+        while child < self.nodes[i].end as usize {
+            children += 1;
+            child = self.nodes[child].end as usize;
+        }
+        children
+    }
+}
+
+/// Memory that is used again from cell to cell.
+pub struct Workspace<E> {
+    spare: Vec<E>,
+    nodes: Vec<Node>,
+    /// The leaf of each element.
+    pub leaves: Vec<u32>,
+}
+
+impl<E> Default for Workspace<E> {
+    fn default() -> Self {
+        Self { spare: Vec::new(), nodes: Vec::new(), leaves: Vec::new() }
     }
 }
 
@@ -154,92 +213,111 @@ enum Stage {
 }
 
 struct Builder<'a> {
+    splitting: Splitting,
     stop: f32,
-    scratch: &'a mut Vec<Sample>,
     nodes: &'a mut Vec<Node>,
+    built: u32,
+    leaves: &'a mut [u32],
+    first_index: u32,
 }
 
 impl Builder<'_> {
-    fn node(&mut self, samples: &mut [Sample], m: Moments, above: f32, stage: Stage, depth: u32, seed: u64) {
+    /// Adds the cluster of some elements, and those below. `spare` is as long as they are, and of any content.
+    #[expect(clippy::too_many_arguments, reason = "what the recursion carries along")]
+    fn node<E: Element>(
+        &mut self,
+        elements: &mut [E],
+        spare: &mut [E],
+        m: Moments,
+        above: f32,
+        stage: Stage,
+        depth: u32,
+        seed: u64,
+    ) {
         let dither = 1.0 + DITHER * (seed >> 40) as f64 / (1u64 << 24) as f64;
-        let mut key = above.min((m.error() * dither) as f32);
-        if samples.len() == 1 || m.min == m.max || depth == MAX_DEPTH {
-            key = 0.0;
-        }
+        let (position, normal, error) = m.representative();
+        let key = above.min((f64::from(error) * dither) as f32);
         let at = self.nodes.len();
-        self.nodes.push(Node {
-            position: m.representative(),
-            normal: m.mean_normal().as_vec3(),
-            key,
-            end: 0,
-        });
-        if key > self.stop {
-            self.split(samples, &m, key, stage, depth, seed);
-        }
-        // A cluster that is not split here ends the tree: a cut stops at it whatever its error.
-        if self.nodes.len() == at + 1 {
-            self.nodes[at].key = 0.0;
+        self.nodes.push(Node { position, normal, key, end: 0, first: self.built });
+        let whole = key <= self.stop || elements.len() == 1 || m.min == m.max || depth == MAX_DEPTH;
+        if whole || !self.split(elements, spare, &m, key, stage, depth, seed) {
+            for e in elements.iter() {
+                self.leaves[e.index().wrapping_sub(self.first_index) as usize] = self.built;
+            }
+            self.built += 1;
         }
         self.nodes[at].end = self.nodes.len() as u32;
     }
 
-    /// Splits a cluster and goes on with its parts, if anything tells its samples apart.
-    fn split(&mut self, samples: &mut [Sample], m: &Moments, key: f32, stage: Stage, depth: u32, seed: u64) {
+    /// Splits a cluster and goes on with its parts; `false` if nothing tells its elements apart.
+    #[expect(clippy::too_many_arguments, reason = "what the recursion carries along")]
+    fn split<E: Element>(
+        &mut self,
+        elements: &mut [E],
+        spare: &mut [E],
+        m: &Moments,
+        key: f32,
+        stage: Stage,
+        depth: u32,
+        seed: u64,
+    ) -> bool {
         let stage = match stage {
             Stage::Surface(_) if m.mean_normal() != DVec3::ZERO => stage,
-            _ => match examine(samples, m) {
+            _ if self.splitting == Splitting::Octree => Stage::Volume,
+            _ => match examine(elements, m) {
                 Shape::Sheet(frame) => Stage::Surface(frame),
                 Shape::TwoSheets(axis) => {
-                    let side = |s: &Sample| usize::from(s.normal.dot(axis) < 0.0);
-                    self.part(samples, side, key, Stage::Volume, depth, seed);
-                    return;
+                    let side = |e: &E| usize::from(e.normal().dot(axis) < 0.0);
+                    return self.part(elements, spare, side, key, Stage::Volume, depth, seed);
                 }
                 Shape::Folded => Stage::Volume,
             },
         };
         if let Stage::Surface([t1, t2]) = stage {
-            let code = octant(samples, |p| Vec3::new(p.dot(t1), p.dot(t2), 0.0));
-            if self.part(samples, code, key, stage, depth, seed) {
-                return;
+            let code = octant(elements, |p| Vec3::new(p.dot(t1), p.dot(t2), 0.0));
+            if self.part(elements, spare, code, key, stage, depth, seed) {
+                return true;
             }
             // All on one line along the normal.
         }
-        let code = octant(samples, |p| p);
-        self.part(samples, code, key, Stage::Volume, depth, seed);
+        let code = octant(elements, |p| p);
+        self.part(elements, spare, code, key, Stage::Volume, depth, seed)
     }
 
-    /// Parts the samples by `code` < 8, and goes on with each part; `false` if they all have the same code.
-    fn part(
+    /// Parts the elements by `code` < 8, and goes on with each part; `false` if they all have the same code.
+    #[expect(clippy::too_many_arguments, reason = "what the recursion carries along")]
+    fn part<E: Element>(
         &mut self,
-        samples: &mut [Sample],
-        code: impl Fn(&Sample) -> usize,
+        elements: &mut [E],
+        spare: &mut [E],
+        code: impl Fn(&E) -> usize,
         key: f32,
         stage: Stage,
         depth: u32,
         seed: u64,
     ) -> bool {
         let mut counts = [0usize; 8];
-        samples.iter().for_each(|s| counts[code(s)] += 1);
-        if counts.contains(&samples.len()) {
+        elements.iter().for_each(|e| counts[code(e)] += 1);
+        if counts.contains(&elements.len()) {
             return false;
         }
         let mut starts = [0usize; 9];
         for i in 0..8 {
             starts[i + 1] = starts[i] + counts[i];
         }
-        self.scratch.clear();
-        self.scratch.extend_from_slice(samples);
+        // The parts are in the other half of the memory, and theirs again in this one.
         let mut next = starts;
-        for s in self.scratch.iter() {
-            let c = code(s);
-            samples[next[c]] = *s;
+        for e in elements.iter() {
+            let c = code(e);
+            spare[next[c]] = *e;
             next[c] += 1;
         }
         for c in 0..8 {
-            let part = &mut samples[starts[c]..starts[c + 1]];
-            if !part.is_empty() {
-                let moments = Moments::of(part);
-                self.node(part, moments, key, stage, depth + 1, mix(seed, c as u64 + 1));
+            let range = starts[c]..starts[c + 1];
+            if !range.is_empty() {
+                let moments = Moments::of(&spare[range.clone()]);
+                let (part, rest) = (&mut spare[range.clone()], &mut elements[range]);
+                self.node(part, rest, moments, key, stage, depth + 1, mix(seed, c as u64 + 1));
             }
         }
         true
@@ -257,7 +335,7 @@ enum Shape {
 }
 
 /// The transition predicate of the VS-Tree: normals within a cone, or without normals a strict flatness test.
-fn examine(samples: &[Sample], m: &Moments) -> Shape {
+fn examine<E: Element>(samples: &[E], m: &Moments) -> Shape {
     let normal = m.mean_normal();
     let covariance = m.covariance();
     if !m.has_normals() {
@@ -269,7 +347,7 @@ fn examine(samples: &[Sample], m: &Moments) -> Shape {
         };
     }
     // A few vertices without a normal do not hide the sheets that the others show.
-    let known = || samples.iter().map(|s| s.normal).filter(|n| *n != Vec3::ZERO);
+    let known = || samples.iter().map(E::normal).filter(|n| *n != Vec3::ZERO);
     let n = normal.as_vec3();
     if normal != DVec3::ZERO && known().all(|s| s.dot(n) > FOLD_COSINE) {
         return Shape::Sheet(principal_tangents(covariance, normal));
@@ -296,20 +374,20 @@ fn principal_tangents(covariance: DMat3, normal: DVec3) -> [Vec3; 2] {
 }
 
 /// Least and greatest coordinates of the samples in a frame.
-fn extent(samples: &[Sample], frame: impl Fn(Vec3) -> Vec3) -> (Vec3, Vec3) {
+fn extent<E: Element>(samples: &[E], frame: impl Fn(Vec3) -> Vec3) -> (Vec3, Vec3) {
     samples.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(min, max), s| {
-        let q = frame(s.position);
+        let q = frame(s.position());
         (min.min(q), max.max(q))
     })
 }
 
 /// The code of a sample's place in the cluster's tight box in a frame: one bit per axis that is split.
-fn octant<F: Fn(Vec3) -> Vec3>(samples: &[Sample], frame: F) -> impl Fn(&Sample) -> usize + use<F> {
+fn octant<E: Element, F: Fn(Vec3) -> Vec3>(samples: &[E], frame: F) -> impl Fn(&E) -> usize + use<E, F> {
     let (min, max) = extent(samples, &frame);
     let extent = max - min;
     let split = extent.cmpgt(Vec3::splat(extent.max_element() * SPLIT_ASPECT)).bitmask();
     let middle = min * 0.5 + max * 0.5;
-    move |s| (frame(s.position).cmpgt(middle).bitmask() & split) as usize
+    move |s| (frame(s.position()).cmpgt(middle).bitmask() & split) as usize
 }
 
 /// A new pseudo-random number from a node's and its child's place: SplitMix64's finaliser.
@@ -322,15 +400,28 @@ pub(super) fn mix(seed: u64, x: u64) -> u64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::cluster::Sample;
     use super::*;
     use proptest::prelude::*;
 
     fn sample(position: Vec3, normal: Vec3) -> Sample {
-        Sample { position, normal }
+        Sample { position, normal, index: 0 }
     }
 
     fn full(samples: &[Sample]) -> VsTree {
-        VsTree::build(&mut samples.to_vec(), &mut Vec::new(), 0.0, 7).0
+        let mut elements = samples.to_vec();
+        (0..).zip(&mut elements).for_each(|(i, e)| e.index = i);
+        let mut workspace = Workspace::default();
+        let (tree, _) = VsTree::build(&mut elements, &mut workspace, Splitting::VolumeSurface, 0.0, 7);
+        // Every element is in the leaf that it is told to be in.
+        assert_eq!(tree.leaves(), tree.built() as usize);
+        let mut found = Vec::new();
+        tree.cut(0.0, |node| found.push(node.position));
+        for (s, leaf) in samples.iter().zip(&workspace.leaves) {
+            // Samples in one leaf are the same point, or nearly.
+            assert!(found[*leaf as usize].distance(s.position) < 1e-20);
+        }
+        tree
     }
 
     fn clusters(tree: &VsTree, threshold: f32) -> Vec<Node> {

@@ -83,6 +83,7 @@ impl PlyModel {
             position_type: layout.position_type(),
             other_properties: layout.other.clone(),
             bytes: source.len(),
+            random_access: layout.stride.is_some(),
             vertex_bytes: 0,
             face_bytes: 0,
         };

@@ -11,8 +11,8 @@ use crate::{Error, ErrorKind, Result};
 
 /// Writes points to a binary little-endian PLY file, which appears whole or not at all.
 ///
-/// `scalar` is the type of the positions; normals, one for each position or none at all, are of type float. Line
-/// breaks in comments become further comments.
+/// `scalar` is the type of the positions; normals, one for each position or none at all, are of type float.
+/// Triangles, if there are any, become faces. Line breaks in comments become further comments.
 ///
 /// # Errors
 /// The counts differ, a position does not fit the type, or the file cannot be written.
@@ -20,6 +20,7 @@ pub fn write_points(
     path: &Path,
     positions: &[DVec3],
     normals: &[Vec3],
+    triangles: &[[u32; 3]],
     scalar: Scalar,
     comments: &[String],
 ) -> Result<()> {
@@ -30,12 +31,12 @@ pub fn write_points(
             "give a normal for each position, or none",
         ));
     }
-    let header = header(positions.len(), !normals.is_empty(), scalar, comments);
+    let header = header(positions.len(), !normals.is_empty(), triangles.len(), scalar, comments);
     let position_bytes = match scalar {
         Scalar::F32 => 12,
         Scalar::F64 => 24,
     };
-    let bytes = header.len() + positions.len() * position_bytes + normals.len() * 12;
+    let bytes = header.len() + positions.len() * position_bytes + normals.len() * 12 + triangles.len() * 13;
     let mut out = OutputFile::create(path, bytes as u64)?;
     let failed = |e: std::io::Error| e.downcast().unwrap_or_else(|e| Error::io("write", path, &e));
     out.write_all(header.as_bytes()).map_err(failed)?;
@@ -58,10 +59,14 @@ pub fn write_points(
             write_all(&mut out, normal.to_array().map(f32::to_le_bytes)).map_err(failed)?;
         }
     }
+    for corners in triangles {
+        out.write_all(&[3]).map_err(failed)?;
+        write_all(&mut out, corners.map(u32::to_le_bytes)).map_err(failed)?;
+    }
     out.commit()
 }
 
-fn header(count: usize, has_normals: bool, scalar: Scalar, comments: &[String]) -> String {
+fn header(count: usize, has_normals: bool, triangles: usize, scalar: Scalar, comments: &[String]) -> String {
     let mut header = String::from("ply\nformat binary_little_endian 1.0\n");
     for comment in comments.iter().flat_map(|c| c.split(['\n', '\r'])) {
         header.push_str(&format!("comment {comment}\n"));
@@ -76,6 +81,9 @@ fn header(count: usize, has_normals: bool, scalar: Scalar, comments: &[String]) 
     }
     for name in ["nx", "ny", "nz"].iter().filter(|_| has_normals) {
         header.push_str(&format!("property float {name}\n"));
+    }
+    if triangles > 0 {
+        header.push_str(&format!("element face {triangles}\nproperty list uchar uint vertex_indices\n"));
     }
     header.push_str("end_header\n");
     header

@@ -1,0 +1,311 @@
+//! What is gathered of a cell while it is open: its samples as they are, or small groups of them.
+//!
+//! Samples as they are take memory by the number of vertices in open cells, which grows with the model. Where that
+//! is too much, samples in the same little cube are summed up as they come ([`Group`]): a cell then holds as many
+//! groups as the surface in it meets cubes, however many vertices the model has.
+
+use std::collections::HashMap;
+use std::hash::BuildHasherDefault;
+use std::path::Path;
+
+use glam::Vec3;
+
+use super::Target;
+use super::cluster::{Element, Group, Sample};
+use super::lattice::{CellHasher, CellRecord, Grid};
+use super::open_cells::{CellItems, OpenCells};
+use crate::Result;
+use crate::frame::Frame;
+
+/// Memory for the samples of open cells beyond which they are summed up in groups, if that helps.
+const SAMPLES_AT_EASE: u64 = 12 << 20;
+
+/// Groups for each sample of P_S: a cluster is then about as well formed as from the samples themselves.
+const GROUPS_PER_SAMPLE: f64 = 12.0;
+
+/// Most levels of little cubes below a cell, so that its groups are few enough to be clustered at once.
+const MAX_LEVEL: u32 = 6;
+
+/// Bytes of a group, with its place in the table of its cell.
+const GROUP_BYTES: u64 = size_of::<Group>() as u64 + 32;
+
+/// Holds what the stream has brought of each open cell.
+pub trait Gather {
+    /// What a cell's VS-Tree is built of.
+    type Item: Element;
+
+    /// Adds a sample to a cell; the index of the item that it is, or is part of.
+    ///
+    /// # Errors
+    /// The temporary file cannot be written.
+    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<u32>;
+
+    /// Removes all items of a cell.
+    fn take(&mut self, cell: u32) -> CellItems<Self::Item>;
+}
+
+/// Samples as they are.
+pub struct Samples(OpenCells<Sample>);
+
+impl Samples {
+    /// For so many cells, in `memory` bytes and otherwise in a file in `folder`.
+    pub fn new(cells: usize, memory: u64, folder: &Path) -> Self {
+        Self(OpenCells::new(cells, memory, folder))
+    }
+}
+
+impl Gather for Samples {
+    type Item = Sample;
+
+    #[inline]
+    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<u32> {
+        // Who asks for the index has fewer than 2^32 vertices.
+        let index = self.0.count(cell) as u32;
+        self.0.push(cell, Sample { position, normal, index })?;
+        Ok(index)
+    }
+
+    fn take(&mut self, cell: u32) -> CellItems<Sample> {
+        self.0.take(cell)
+    }
+}
+
+/// The group that stands at a place in [`OpenCells`], and its index.
+type Table = HashMap<u64, (u32, u32), BuildHasherDefault<CellHasher>>;
+
+/// Samples summed up in little cubes.
+pub struct Groups {
+    open: OpenCells<Group>,
+    edge: f32,
+    /// For each open cell the latest group of each cube, by [`key`].
+    tables: Vec<Option<Table>>,
+    /// Tables of closed cells, to be filled again.
+    spare: Vec<Table>,
+    last: Option<Last>,
+}
+
+/// Where the last sample went: the next one is probably near.
+struct Last {
+    cell: u32,
+    cube: Vec3,
+    place: u32,
+    index: u32,
+}
+
+impl Groups {
+    /// For so many cells, with cubes of this edge, in `memory` bytes and otherwise in a file in `folder`.
+    pub fn new(cells: usize, edge: f32, memory: u64, folder: &Path) -> Self {
+        let mut tables = Vec::new();
+        tables.resize_with(cells, || None);
+        // The tables take their part of the memory.
+        let memory = memory / GROUP_BYTES * size_of::<Group>() as u64;
+        Self { open: OpenCells::new(cells, memory, folder), edge, tables, spare: Vec::new(), last: None }
+    }
+}
+
+impl Gather for Groups {
+    type Item = Group;
+
+    #[inline]
+    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<u32> {
+        let cube = (position * (1.0 / self.edge)).floor();
+        if let Some(last) = &self.last
+            && last.cell == cell
+            && last.cube == cube
+        {
+            let group = self.open.at_mut(last.place);
+            if group.takes(normal) {
+                group.add(position, normal);
+                return Ok(last.index);
+            }
+        }
+        self.find_and_add(cell, cube, position, normal)
+    }
+
+    fn take(&mut self, cell: u32) -> CellItems<Group> {
+        self.last = None;
+        if let Some(mut table) = self.tables[cell as usize].take() {
+            table.clear();
+            self.spare.push(table);
+        }
+        self.open.take(cell)
+    }
+}
+
+impl Groups {
+    fn find_and_add(&mut self, cell: u32, cube: Vec3, position: Vec3, normal: Vec3) -> Result<u32> {
+        let spare = &mut self.spare;
+        let table = self.tables[cell as usize].get_or_insert_with(|| spare.pop().unwrap_or_default());
+        let spilled = self.open.spilled(cell);
+        let mut key = key(cube);
+        for _ in 0..SHEETS {
+            match table.get(&key) {
+                Some((place, index)) if u64::from(*index) >= spilled => {
+                    let (place, index) = (*place, *index);
+                    let group = self.open.at_mut(place);
+                    if group.takes(normal) {
+                        group.add(position, normal);
+                        self.last = Some(Last { cell, cube, place, index });
+                        return Ok(index);
+                    }
+                }
+                _ => break,
+            }
+            key += NEXT_SHEET;
+        }
+        let index = self.open.count(cell) as u32;
+        let mut group = Group::new((cube + 0.5) * self.edge, 0.5 * self.edge, index);
+        group.add(position, normal);
+        let place = self.open.push(cell, group)?;
+        table.insert(key, (place, index));
+        self.last = Some(Last { cell, cube, place, index });
+        Ok(index)
+    }
+}
+
+/// Groups of one cube that are looked at before another is begun.
+const SHEETS: u32 = 8;
+const NEXT_SHEET: u64 = 1 << 60;
+
+/// A cube's coordinates, which are within ±2^19, in one number of less than 2^60.
+fn key(cube: Vec3) -> u64 {
+    let [x, y, z] = cube.to_array().map(|x| (x as i64 + (1 << 19)) as u64 & 0xf_ffff);
+    x | y << 20 | z << 40
+}
+
+/// How the samples of open cells are held.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Grouping {
+    /// As they are, unless too many are held at a time, and groups of them would be fewer.
+    #[default]
+    Automatic,
+    /// As they are.
+    Never,
+    /// In groups, by cubes of 2^-level of a cell.
+    Level(u32),
+}
+
+impl Grouping {
+    /// What it comes to for a model, of which pass 1 has told when each cell is open: never
+    /// [`Grouping::Automatic`]. It does not depend on the machine, and so neither do the samples.
+    pub fn resolve(self, grid: &Grid, frame: &Frame, target: Target) -> Self {
+        if self != Self::Automatic {
+            return self;
+        }
+        let samples = most_open(&grid.records, |r| r.count.saturating_mul(size_of::<Sample>() as u64));
+        let Some(level) = level(grid, frame, target) else { return Self::Never };
+        // A surface meets about twice as many little cubes as its area has.
+        let cubes = 2 << (2 * level);
+        let groups = most_open(&grid.records, |r| r.count.min(cubes).saturating_mul(GROUP_BYTES));
+        if samples > SAMPLES_AT_EASE && 2 * groups < samples { Self::Level(level) } else { Self::Never }
+    }
+}
+
+/// The level of cubes that are fine enough for the target; `None` if there is none.
+fn level(grid: &Grid, frame: &Frame, target: Target) -> Option<u32> {
+    match target {
+        Target::Samples(n) => {
+            let per_cell = GROUPS_PER_SAMPLE * n as f64 / grid.keys.len() as f64;
+            let level = (per_cell.max(1.0).log2() / 2.0).round() as u32;
+            (level <= MAX_LEVEL).then_some(level)
+        }
+        Target::Error(e) => {
+            // The error of a cube's samples is about its edge at most, so that no group breaks the bound.
+            let edge = 0.5 * e * grid.bounds.diagonal();
+            let level = (grid.cell_size() / edge).log2().ceil().max(0.0);
+            (edge / frame.scale > 0.0 && level <= f64::from(MAX_LEVEL)).then_some(level as u32)
+        }
+    }
+}
+
+/// Most of something that open cells hold at a time; a cell is open from its first sample to its last one.
+fn most_open(records: &[CellRecord], size: impl Fn(&CellRecord) -> u64) -> u64 {
+    let mut events: Vec<(u64, bool, u32)> = Vec::with_capacity(2 * records.len());
+    for (i, r) in records.iter().enumerate() {
+        events.push((r.first, false, i as u32));
+        events.push((r.last, true, i as u32));
+    }
+    events.sort_unstable();
+    let (mut now, mut most) = (0u64, 0);
+    for (_, closes, i) in events {
+        let size = size(&records[i as usize]);
+        if closes {
+            now -= size;
+        } else {
+            now = now.saturating_add(size);
+            most = most.max(now);
+        }
+    }
+    most
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sampling::cluster::Moments;
+
+    fn gathered<G: Gather>(gather: &mut G, samples: &[(u32, Vec3, Vec3)]) -> Vec<(Vec<u32>, Vec<G::Item>)> {
+        let mut indices = vec![Vec::new(); 3];
+        for (cell, p, n) in samples {
+            indices[*cell as usize].push(gather.add(*cell, *p, *n).expect("space"));
+        }
+        let items = |cell| {
+            let mut items = Vec::new();
+            let collect = |part: &mut [G::Item]| {
+                items.extend_from_slice(part);
+                Ok(())
+            };
+            gather.take(cell).in_parts(1000, collect).expect("readable");
+            items
+        };
+        let items: Vec<_> = (0..3).map(items).collect();
+        indices.into_iter().zip(items).collect()
+    }
+
+    /// Two sheets with opposite normals, a thousandth apart, in three cells that take turns.
+    fn samples() -> Vec<(u32, Vec3, Vec3)> {
+        let one = |i: u32| {
+            let (a, b) = ((i * 7919 % 1000) as f32 / 1000.0, (i * 104_729 % 997) as f32 / 997.0);
+            let up = i % 2 == 0;
+            let p = Vec3::new(a - 0.5, if up { 0.001 } else { 0.0 }, b);
+            (i % 3, p, if up { Vec3::Y } else { -Vec3::Y })
+        };
+        (0..60_000).map(one).collect()
+    }
+
+    #[test]
+    fn groups_add_up_to_the_samples_of_their_cell_with_and_without_a_file() {
+        let samples = samples();
+        let folder = tempfile::tempdir().expect("a folder");
+        for (memory, edge) in [(0, 1.0 / 128.0), (1 << 30, 1.0 / 32.0)] {
+            let groups = gathered(&mut Groups::new(3, edge, memory, folder.path()), &samples);
+            for (cell, (indices, groups)) in groups.iter().enumerate() {
+                let own: Vec<_> = samples.iter().filter(|(c, ..)| *c as usize == cell).collect();
+                if memory > 0 {
+                    assert!(groups.len() <= 2 * 33 * 33, "{} groups", groups.len());
+                }
+                assert!(groups.iter().enumerate().all(|(i, g)| g.index() as usize == i));
+                for ((_, p, n), i) in own.iter().zip(indices) {
+                    let group = &groups[*i as usize];
+                    assert!((group.position() - *p).abs().max_element() <= edge, "{p}");
+                    assert!(group.normal().dot(*n) > 0.99, "sheets are mixed");
+                }
+                let all: Vec<_> = own
+                    .iter()
+                    .map(|(_, position, normal)| Sample { position: *position, normal: *normal, index: 0 })
+                    .collect();
+                let (a, b) = (Moments::of(&all), Moments::of(groups));
+                assert!(a.mean().distance(b.mean()) < 1e-6 && (a.spread() - b.spread()).abs() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn the_most_that_is_open_is_counted() {
+        let record = |first, last| CellRecord { count: last - first + 1, first, last };
+        let records = [record(0, 9), record(5, 20), record(9, 9), record(21, 30)];
+        assert_eq!(most_open(&records, |_| 1), 3);
+        assert_eq!(most_open(&records, |r| r.count), 10 + 16 + 1);
+        assert_eq!(most_open(&[], |r| r.count), 0);
+    }
+}

@@ -1,0 +1,81 @@
+//! Triangles of P_S: the faces of P_L whose corners are in three different clusters, between their samples
+//! (J. Rossignac, P. Borrel, *Multi-resolution 3D approximations for rendering complex scenes*, 1993).
+
+use crate::model::{Model, for_faces};
+use crate::{Progress, Result};
+
+/// Most triangles for each sample. A closed surface has two, and any that is worth the name not many more; beyond
+/// it the faces are a tangle that tells nothing of P_S, as large as P_L's own.
+const MOST_PER_SAMPLE: usize = 16;
+
+/// Triangles of P_S, as found in a model's faces.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Triangles {
+    /// Samples of each triangle, in the orientation of its faces; each triangle once, in no order that means
+    /// anything.
+    pub triangles: Vec<[u32; 3]>,
+    /// Number of triangles of P_L that refer to a vertex that there is not.
+    pub without_vertex: u64,
+    /// There were more than [`MOST_PER_SAMPLE`], and all were dropped.
+    pub tangled: bool,
+}
+
+/// Streams the faces of a model. `sample_of` says which sample each vertex belongs to.
+///
+/// Memory: the chunks of [`for_faces`], and 12 bytes for each of twice [`MOST_PER_SAMPLE`] triangles per sample at the most; a surface has about two,
+/// found once or twice each.
+///
+/// # Errors
+/// The model cannot be read; the user cancelled.
+pub fn reindex(
+    model: &dyn Model,
+    sample_of: &[u32],
+    samples: usize,
+    progress: &dyn Progress,
+) -> Result<Triangles> {
+    let most = MOST_PER_SAMPLE * samples.max(64);
+    let mut found = Triangles::default();
+    for_faces(model, |chunk| {
+        progress.check()?;
+        if found.tangled {
+            return Ok(());
+        }
+        for corners in &chunk.triangles {
+            let [Some(a), Some(b), Some(c)] = corners.map(|corner| sample_of.get(corner as usize)) else {
+                found.without_vertex += 1;
+                continue;
+            };
+            // Vertices without a finite position have no sample.
+            if a != b && b != c && c != a && [a, b, c].iter().all(|s| (**s as usize) < samples) {
+                found.triangles.push(first_least([*a, *b, *c]));
+            }
+        }
+        if found.triangles.len() > 2 * most {
+            once_each(&mut found.triangles);
+            if found.triangles.len() > most {
+                (found.triangles, found.tangled) = (Vec::new(), true);
+            }
+        }
+        progress.advance(chunk.bytes);
+        Ok(())
+    })?;
+    once_each(&mut found.triangles);
+    found.triangles.shrink_to_fit();
+    Ok(found)
+}
+
+/// The same triangle, beginning with its least corner.
+fn first_least([a, b, c]: [u32; 3]) -> [u32; 3] {
+    if a < b && a < c {
+        [a, b, c]
+    } else if b < c {
+        [b, c, a]
+    } else {
+        [c, a, b]
+    }
+}
+
+fn once_each(triangles: &mut Vec<[u32; 3]>) {
+    triangles.sort_unstable();
+    triangles.dedup();
+}
