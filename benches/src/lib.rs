@@ -1,4 +1,6 @@
-//! What the benchmark programs share: exact maps of space, and tables.
+//! What the benchmark programs share: exact maps of space, child processes, and tables.
+
+pub mod process;
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
