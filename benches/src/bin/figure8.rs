@@ -76,6 +76,7 @@ fn main() -> ExitCode {
 
 fn measure(arguments: &Arguments) -> Result<()> {
     let simod = process::simod(arguments.simod.as_deref())?;
+    std::fs::create_dir_all(&arguments.output)?;
     let mut sizes = arguments.millions.clone();
     sizes.sort_by(f64::total_cmp);
     let grids_at = arguments.grids_at.unwrap_or(sizes[sizes.len() / 2]);
@@ -125,8 +126,7 @@ const TITLE: f64 = 19.0;
 const AXIS: f64 = 15.0;
 const LABEL: f64 = 14.0;
 
-/// Colours that are told apart on white, also by the colour-blind (Okabe and Ito), and in the order of their darkness as
-/// far as may be.
+/// Colours that are told apart on white, by the colour-blind too (Okabe and Ito).
 const COLORS: [RGBColor; 6] = [
     RGBColor(230, 159, 0),
     RGBColor(86, 180, 233),
@@ -211,7 +211,7 @@ fn label(value: f64, largest: f64) -> String {
     format!("{value:.digits$}")
 }
 
-/// A curve of at most `most` points (no fewer than two) that keeps the ends and, of each stretch, the least and the most.
+/// A curve of at most `most` points (six or more) that keeps the ends and, of each stretch, the least and the most.
 fn thin(curve: &[MemoryPoint], most: usize) -> Vec<MemoryPoint> {
     if curve.len() <= most {
         return curve.to_vec();
