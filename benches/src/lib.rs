@@ -1,4 +1,8 @@
-//! What the benchmark programs share: exact maps of space, and tables.
+//! What the benchmark programs share: exact maps of space, models like scans, distances, child processes, and tables.
+
+pub mod distance;
+pub mod process;
+pub mod scan;
 
 use std::f64::consts::{FRAC_PI_2, PI};
 

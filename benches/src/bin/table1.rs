@@ -7,21 +7,16 @@
     reason = "a program whose result is the table that it prints"
 )]
 
-use std::error::Error;
-use std::fs::{self, File};
-use std::io::{Read, Write};
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
-use std::time::Instant;
 
 use clap::Parser;
-use serde_json::Value;
+use simod_benches::process::{self, Result, copy, number, phase, report};
 use simod_benches::{Map, head, median, row};
 use simod_core::generate::{ModelOptions, write_file};
 use simod_core::progress::Silent;
 use simod_core::sampled_model::SampledModel;
-
-type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
 /// Measure time and memory on models of growing size, as a Markdown table
 #[derive(Parser)]
@@ -83,15 +78,7 @@ fn main() -> ExitCode {
 }
 
 fn measure(arguments: &Arguments) -> Result<()> {
-    let simod = match &arguments.simod {
-        Some(path) => path.clone(),
-        None => std::env::current_exe()?.with_file_name(format!("simod{}", std::env::consts::EXE_SUFFIX)),
-    };
-    if !simod.is_file() {
-        return Err(
-            format!("{} is missing: build it first, with `cargo build --release`", simod.display()).into()
-        );
-    }
+    let simod = process::simod(arguments.simod.as_deref())?;
     println!("{}", head(&COLUMNS));
     for millions in &arguments.millions {
         for normals in [true, false] {
@@ -140,7 +127,7 @@ fn round(simod: &Path, model: &Path, folder: &Path, samples: u64) -> Result<Roun
 
     let mut command = Command::new(simod);
     command.arg("sample").arg(model).arg("--samples").arg(samples.to_string()).arg("-o").arg(&sampled);
-    let sampling = report(command)?;
+    let sampling = report(&mut command)?;
 
     // The deformation itself, whatever it may cost, is not what is measured here.
     let loaded = SampledModel::load(&sampled)?;
@@ -148,7 +135,7 @@ fn round(simod: &Path, model: &Path, folder: &Path, samples: u64) -> Result<Roun
 
     let mut command = Command::new(simod);
     command.arg("reconstruct").arg(&sampled).arg("--deformed").arg(&deformed).arg("-o").arg(&output);
-    let post_process = report(command)?;
+    let post_process = report(&mut command)?;
     fs::remove_file(&output)?;
 
     let copy = copy(model, &output)?;
@@ -163,41 +150,4 @@ fn round(simod: &Path, model: &Path, folder: &Path, samples: u64) -> Result<Roun
         sampling_memory: number(&sampling, "peak_memory_bytes").unwrap_or(f64::NAN),
         post_process_memory: number(&post_process, "peak_memory_bytes").unwrap_or(f64::NAN),
     })
-}
-
-/// Runs a command of `simod`, and returns what it reports of itself.
-fn report(mut command: Command) -> Result<Value> {
-    let output = command.arg("--json").output()?;
-    if !output.status.success() {
-        return Err(format!("{command:?} failed: {}", String::from_utf8_lossy(&output.stderr).trim()).into());
-    }
-    Ok(serde_json::from_slice(&output.stdout)?)
-}
-
-/// A figure of a report.
-fn number(report: &Value, name: &str) -> Result<f64> {
-    report[name].as_f64().ok_or_else(|| format!("simod reports no `{name}`").into())
-}
-
-/// The seconds of a phase of a report.
-fn phase(report: &Value, name: &str) -> Result<f64> {
-    let phases = report["phases"].as_array().into_iter().flatten();
-    let phase = phases.filter(|phase| phase["name"] == name).find_map(|phase| phase["seconds"].as_f64());
-    phase.ok_or_else(|| format!("simod reports no phase `{name}`").into())
-}
-
-/// Copies a file to the disk, as `cp` and `sync` do: the least that any program takes which writes the file anew. Not
-/// `std::fs::copy`, which on some file systems shares the blocks and writes nothing.
-fn copy(from: &Path, to: &Path) -> Result<f64> {
-    let start = Instant::now();
-    let (mut from, mut to) = (File::open(from)?, File::create(to)?);
-    let mut block = vec![0; 1 << 20];
-    loop {
-        match from.read(&mut block)? {
-            0 => break,
-            n => to.write_all(&block[..n])?,
-        }
-    }
-    to.sync_all()?;
-    Ok(start.elapsed().as_secs_f64())
 }
