@@ -155,11 +155,11 @@ impl Element for Group {
 /// is flat and any geometric error is zero, for a deformation need not be flat there.
 ///
 /// So a sample is within error / `REACH_WEIGHT` of every vertex that it stands for.
-pub const REACH_WEIGHT: f64 = 0.058;
+pub const REACH_WEIGHT: f64 = 0.08;
 
 /// Strength of the ridge towards the mean, relative to the trace of the quadric: weaker ones follow smooth surfaces
 /// more closely, but throw samples off surfaces with steep relief.
-const QUADRIC_RIDGE: f64 = 1e-2;
+const QUADRIC_RIDGE: f64 = 3e-4;
 
 /// Additive moments of a cluster, about the model's origin.
 #[derive(Debug, Clone, Copy)]
@@ -241,6 +241,20 @@ impl Moments {
     /// Σ n nᵀ, whose largest eigenvector is the mean normal up to sign.
     pub fn normal_scatter(&self) -> DMat3 {
         symmetric(self.quadric[0], self.quadric[1])
+    }
+
+    /// How much the surface bends along each of two directions across the mean normal, as a part of the greater of
+    /// both: the root of the ratio of the normals' standard deviations, which is by how much a cluster has to be
+    /// longer to deviate as much from its plane. 1 where nothing is known.
+    pub fn bending(&self, directions: [Vec3; 2]) -> [f32; 2] {
+        let mean = self.normal / self.with_normal;
+        let scatter = self.normal_scatter() * (1.0 / self.with_normal);
+        let variance = directions.map(|t| {
+            let t = t.as_dvec3();
+            t.dot(scatter * t) - mean.dot(t) * mean.dot(t)
+        });
+        let most = variance[0].max(variance[1]);
+        if most > 0.0 { variance.map(|v| (v.max(0.0) / most).sqrt().sqrt() as f32) } else { [1.0; 2] }
     }
 
     /// Whether most samples have a normal.
