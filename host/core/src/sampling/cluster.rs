@@ -5,7 +5,7 @@
 //! proposes. The representative minimises the quadric of the samples' tangent planes (M. Garland,
 //! P. Heckbert 1997; P. Lindstrom 2000), held to the mean by a small ridge.
 
-use glam::{DMat3, DVec3, Vec3};
+use glam::{DMat3, DVec3, Vec3, Vec3A, Vec3Swizzles};
 
 use crate::geometry::symmetric_eigen;
 
@@ -17,8 +17,8 @@ pub trait Element: bytemuck::Pod + Send + Sync {
     fn normal(&self) -> Vec3;
     /// Its place in its cell, in the order of the stream.
     fn index(&self) -> u32;
-    /// Adds its samples to the moments of a cluster.
-    fn add_to(&self, moments: &mut Moments);
+    /// Adds the samples of some elements to the moments of a cluster.
+    fn add_to(elements: &[Self], moments: &mut Moments);
 }
 
 /// A sample of P_L inside a cell: position relative to the model's origin, and unit normal.
@@ -49,20 +49,54 @@ impl Element for Sample {
         self.index
     }
 
-    #[inline]
-    fn add_to(&self, m: &mut Moments) {
-        m.min = m.min.min(self.position);
-        m.max = m.max.max(self.position);
-        let (p, n) = (self.position.as_dvec3(), self.normal.as_dvec3());
-        m.count += 1.0;
-        m.position += p;
-        m.outer[0] += p * p;
-        m.outer[1] += DVec3::new(p.x * p.y, p.x * p.z, p.y * p.z);
-        m.normal += n;
-        m.quadric[0] += n * n;
-        m.quadric[1] += DVec3::new(n.x * n.y, n.x * n.z, n.y * n.z);
-        m.quadric_b += n * n.dot(p);
-        m.with_normal += n.length_squared();
+    fn add_to(samples: &[Self], moments: &mut Moments) {
+        // In single precision about one of them, which is exact enough for so many, and much faster.
+        for samples in samples.chunks(SAMPLES_AT_ONCE) {
+            let mut sums = Sums::about(samples[0].position);
+            let (mut min, mut max) = (Vec3A::from(moments.min), Vec3A::from(moments.max));
+            for s in samples {
+                let position = Vec3A::from(s.position);
+                (min, max) = (min.min(position), max.max(position));
+                sums.add(position, Vec3A::from(s.normal));
+            }
+            (moments.min, moments.max) = (min.into(), max.into());
+            moments.add_sums(&sums, samples.len() as f64);
+        }
+    }
+}
+
+/// Samples that are summed up in single precision.
+const SAMPLES_AT_ONCE: usize = 256;
+
+/// Sums over samples, in single precision, with their positions relative to a point. Products of two different
+/// coordinates are in the order xy, yz, zx.
+#[derive(Debug, Clone, Copy)]
+struct Sums {
+    center: Vec3A,
+    position: Vec3A,
+    outer: [Vec3A; 2],
+    normal: Vec3A,
+    quadric: [Vec3A; 2],
+    /// Σ n (n·p).
+    quadric_b: Vec3A,
+}
+
+impl Sums {
+    fn about(center: Vec3) -> Self {
+        let (zero, center) = (Vec3A::ZERO, center.into());
+        Self { center, position: zero, outer: [zero; 2], normal: zero, quadric: [zero; 2], quadric_b: zero }
+    }
+
+    #[inline(always)]
+    fn add(&mut self, position: Vec3A, n: Vec3A) {
+        let p = position - self.center;
+        self.position += p;
+        self.outer[0] += p * p;
+        self.outer[1] += p * p.yzx();
+        self.normal += n;
+        self.quadric[0] += n * n;
+        self.quadric[1] += n * n.yzx();
+        self.quadric_b += n * n.dot(p);
     }
 }
 
@@ -83,7 +117,6 @@ pub struct Group {
     normal: Vec3,
     quadric: [Vec3; 2],
     quadric_b: Vec3,
-    with_normal: f32,
 }
 
 impl Group {
@@ -103,17 +136,27 @@ impl Group {
 
     /// Takes in a sample.
     #[inline]
-    pub fn add(&mut self, position: Vec3, n: Vec3) {
-        let p = position - self.center;
+    pub fn add(&mut self, position: Vec3, normal: Vec3) {
+        let mut sums = self.sums();
+        sums.add(position.into(), normal.into());
         self.count += 1;
-        self.position += p;
-        self.outer[0] += p * p;
-        self.outer[1] += Vec3::new(p.x * p.y, p.x * p.z, p.y * p.z);
-        self.normal += n;
-        self.quadric[0] += n * n;
-        self.quadric[1] += Vec3::new(n.x * n.y, n.x * n.z, n.y * n.z);
-        self.quadric_b += n * n.dot(p);
-        self.with_normal += n.length_squared();
+        self.position = sums.position.into();
+        self.outer = sums.outer.map(Vec3::from);
+        self.normal = sums.normal.into();
+        self.quadric = sums.quadric.map(Vec3::from);
+        self.quadric_b = sums.quadric_b.into();
+    }
+
+    #[inline(always)]
+    fn sums(&self) -> Sums {
+        Sums {
+            center: self.center.into(),
+            position: self.position.into(),
+            outer: self.outer.map(Vec3A::from),
+            normal: self.normal.into(),
+            quadric: self.quadric.map(Vec3A::from),
+            quadric_b: self.quadric_b.into(),
+        }
     }
 }
 
@@ -133,21 +176,12 @@ impl Element for Group {
         self.index
     }
 
-    fn add_to(&self, m: &mut Moments) {
-        m.min = m.min.min(self.center - self.half);
-        m.max = m.max.max(self.center + self.half);
-        let (count, c, p) = (f64::from(self.count), self.center.as_dvec3(), self.position.as_dvec3());
-        m.count += count;
-        m.position += p + c * count;
-        m.outer[0] += self.outer[0].as_dvec3() + c * p * 2.0 + c * c * count;
-        let cross = |a: DVec3, b: DVec3| DVec3::new(a.x * b.y, a.x * b.z, a.y * b.z);
-        m.outer[1] += self.outer[1].as_dvec3() + cross(c, p) + cross(p, c) + cross(c, c) * count;
-        m.normal += self.normal.as_dvec3();
-        let quadric = self.quadric.map(|q| q.as_dvec3());
-        m.quadric[0] += quadric[0];
-        m.quadric[1] += quadric[1];
-        m.quadric_b += self.quadric_b.as_dvec3() + symmetric(quadric[0], quadric[1]) * c;
-        m.with_normal += f64::from(self.with_normal);
+    fn add_to(groups: &[Self], moments: &mut Moments) {
+        for group in groups {
+            moments.min = moments.min.min(group.center - group.half);
+            moments.max = moments.max.max(group.center + group.half);
+            moments.add_sums(&group.sums(), f64::from(group.count));
+        }
     }
 }
 
@@ -161,6 +195,9 @@ pub const REACH_WEIGHT: f64 = 0.08;
 /// more closely, but throw samples off surfaces with steep relief.
 const QUADRIC_RIDGE: f64 = 3e-4;
 
+/// Variance of the normals below which a surface is flat: they are stored to so many digits.
+const FLAT: f64 = 1e-6;
+
 /// Additive moments of a cluster, about the model's origin.
 #[derive(Debug, Clone, Copy)]
 pub struct Moments {
@@ -170,7 +207,7 @@ pub struct Moments {
     pub max: Vec3,
     count: f64,
     position: DVec3,
-    /// Σ p pᵀ: xx, yy, zz and xy, xz, yz.
+    /// Σ p pᵀ: xx, yy, zz and xy, yz, zx.
     outer: [DVec3; 2],
     normal: DVec3,
     /// Σ n nᵀ, likewise.
@@ -201,8 +238,24 @@ impl Moments {
     /// The moments of a set of samples.
     pub fn of<E: Element>(elements: &[E]) -> Self {
         let mut m = Self::default();
-        elements.iter().for_each(|e| e.add_to(&mut m));
+        E::add_to(elements, &mut m);
         m
+    }
+
+    /// Adds the sums over so many samples; not the box.
+    fn add_sums(&mut self, sums: &Sums, count: f64) {
+        let (c, p) = (sums.center.as_dvec3(), sums.position.as_dvec3());
+        let quadric = sums.quadric.map(|q| q.as_dvec3());
+        self.count += count;
+        self.position += p + c * count;
+        self.outer[0] += sums.outer[0].as_dvec3() + c * p * 2.0 + c * c * count;
+        self.outer[1] += sums.outer[1].as_dvec3() + c * p.yzx() + p * c.yzx() + c * c.yzx() * count;
+        self.normal += sums.normal.as_dvec3();
+        self.quadric[0] += quadric[0];
+        self.quadric[1] += quadric[1];
+        self.quadric_b += sums.quadric_b.as_dvec3() + symmetric(quadric[0], quadric[1]) * c;
+        // Normals are of unit length, or none.
+        self.with_normal += quadric[0].element_sum();
     }
 
     /// Adds the moments of another, disjoint set.
@@ -228,8 +281,7 @@ impl Moments {
     /// Covariance of the positions.
     pub fn covariance(&self) -> DMat3 {
         let mean = self.mean();
-        let cross = DVec3::new(mean.x * mean.y, mean.x * mean.z, mean.y * mean.z);
-        symmetric(self.outer[0] / self.count - mean * mean, self.outer[1] / self.count - cross)
+        symmetric(self.outer[0] / self.count - mean * mean, self.outer[1] / self.count - mean * mean.yzx())
     }
 
     /// Root mean square distance to the mean.
@@ -245,16 +297,16 @@ impl Moments {
 
     /// How much the surface bends along each of two directions across the mean normal, as a part of the greater of
     /// both: the root of the ratio of the normals' standard deviations, which is by how much a cluster has to be
-    /// longer to deviate as much from its plane. 1 where nothing is known.
+    /// longer to deviate as much from its plane. 1 where it is flat.
     pub fn bending(&self, directions: [Vec3; 2]) -> [f32; 2] {
-        let mean = self.normal / self.with_normal;
-        let scatter = self.normal_scatter() * (1.0 / self.with_normal);
+        let count = self.with_normal.max(1.0);
+        let (mean, scatter) = (self.normal / count, self.normal_scatter() * (1.0 / count));
         let variance = directions.map(|t| {
             let t = t.as_dvec3();
-            t.dot(scatter * t) - mean.dot(t) * mean.dot(t)
+            (t.dot(scatter * t) - mean.dot(t) * mean.dot(t)).max(0.0) + FLAT
         });
         let most = variance[0].max(variance[1]);
-        if most > 0.0 { variance.map(|v| (v.max(0.0) / most).sqrt().sqrt() as f32) } else { [1.0; 2] }
+        variance.map(|v| (v / most).sqrt().sqrt() as f32)
     }
 
     /// Whether most samples have a normal.
@@ -316,11 +368,12 @@ impl Moments {
     }
 }
 
+/// The matrix of xx, yy, zz and xy, yz, zx.
 fn symmetric(diagonal: DVec3, off: DVec3) -> DMat3 {
     DMat3::from_cols(
-        DVec3::new(diagonal.x, off.x, off.y),
-        DVec3::new(off.x, diagonal.y, off.z),
-        DVec3::new(off.y, off.z, diagonal.z),
+        DVec3::new(diagonal.x, off.x, off.z),
+        DVec3::new(off.x, diagonal.y, off.y),
+        DVec3::new(off.z, off.y, diagonal.z),
     )
 }
 
@@ -406,6 +459,6 @@ mod tests {
         sum.add(&Moments::of(&all[100..]));
         let whole = Moments::of(&all);
         assert!((sum.representative().2 - whole.representative().2).abs() < 1e-6);
-        assert!(sum.mean().distance(whole.mean()) < 1e-12);
+        assert!(sum.mean().distance(whole.mean()) < 1e-6);
     }
 }

@@ -35,7 +35,10 @@ impl Hasher for CellHasher {
         self.0
     }
     fn write(&mut self, bytes: &[u8]) {
-        bytes.iter().for_each(|&b| self.write_u64(u64::from(b)));
+        // Arrays come as their bytes.
+        let (words, rest) = bytes.as_chunks();
+        words.iter().for_each(|word| self.write_u64(u64::from_le_bytes(*word)));
+        rest.iter().for_each(|&b| self.write_u64(u64::from(b)));
     }
     fn write_i64(&mut self, x: i64) {
         self.write_u64(x as u64);

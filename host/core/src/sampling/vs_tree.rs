@@ -2,8 +2,8 @@
 //! *Volume-Surface Trees*, Eurographics 2006, as used for clustering in the paper's §4.
 //!
 //! A cluster is split in space (octree) until it projects on its mean plane without folding, and from there on
-//! in that plane (quadtree, 1 for 4). Splits are at the middle of the cluster's tight box, and leave out axes that
-//! are much shorter than the longest, so that clusters stay about as wide as long; where the surface bends along one
+//! in that plane (quadtree, 1 for 4). Splits are at the middle of the cluster's tight box, or at its mean in the
+//! plane, and leave out axes that are much shorter than the longest, so that clusters stay about as wide as long; where the surface bends along one
 //! axis alone, somewhat longer along the other. Two sheets with opposite
 //! normals are parted at once, by the sign of their normals, instead of splitting down to their distance.
 //!
@@ -84,15 +84,16 @@ impl VsTree {
         stop: f32,
         seed: u64,
     ) -> (Self, Moments) {
-        let Workspace { spare, leaves, nodes } = workspace;
+        let Workspace { spare, codes, leaves, nodes } = workspace;
         let moments = Moments::of(elements);
         spare.clear();
         spare.extend_from_slice(elements);
         leaves.clear();
         leaves.resize(elements.len(), 0);
         nodes.clear();
+        codes.resize(elements.len(), 0);
         let first_index = elements.first().map_or(0, E::index);
-        let mut builder = Builder { splitting, stop, nodes, built: 0, leaves, first_index };
+        let mut builder = Builder { splitting, stop, nodes, built: 0, codes, leaves, first_index };
         builder.node(elements, spare, moments, f32::INFINITY, Stage::Volume, 0, seed);
         let built = builder.built;
         // A copy is just as long as it has to be.
@@ -196,6 +197,7 @@ impl VsTree {
 /// Memory that is used again from cell to cell.
 pub struct Workspace<E> {
     spare: Vec<E>,
+    codes: Vec<u8>,
     nodes: Vec<Node>,
     /// The leaf of each element.
     pub leaves: Vec<u32>,
@@ -203,7 +205,7 @@ pub struct Workspace<E> {
 
 impl<E> Default for Workspace<E> {
     fn default() -> Self {
-        Self { spare: Vec::new(), nodes: Vec::new(), leaves: Vec::new() }
+        Self { spare: Vec::new(), codes: Vec::new(), nodes: Vec::new(), leaves: Vec::new() }
     }
 }
 
@@ -221,6 +223,8 @@ struct Builder<'a> {
     stop: f32,
     nodes: &'a mut Vec<Node>,
     built: u32,
+    /// Where the elements of the cluster at hand go.
+    codes: &'a mut [u8],
     leaves: &'a mut [u32],
     first_index: u32,
 }
@@ -277,17 +281,13 @@ impl Builder<'_> {
                 Shape::Folded => Stage::Volume,
             },
         };
-        if let Stage::Surface([t1, t2]) = stage {
-            let [bend1, bend2] = m.bending([t1, t2]).map(|bending| bending.max(LEAST_BENDING));
-            let (t1, t2) = (t1 * bend1, t2 * bend2);
-            let code = octant(elements, |p| Vec3::new(p.dot(t1), p.dot(t2), 0.0));
-            if self.part(elements, spare, code, key, stage, depth, seed) {
-                return true;
-            }
-            // All on one line along the normal.
+        if let Stage::Surface(tangents) = stage
+            && self.part(elements, spare, quadrant(m, tangents), key, stage, depth, seed)
+        {
+            return true;
         }
-        let code = octant(elements, |p| p);
-        self.part(elements, spare, code, key, Stage::Volume, depth, seed)
+        // Or all are on one line along the normal, or too close to tell apart in the plane.
+        self.part(elements, spare, octant(m), key, Stage::Volume, depth, seed)
     }
 
     /// Parts the elements by `code` < 8, and goes on with each part; `false` if they all have the same code.
@@ -303,7 +303,12 @@ impl Builder<'_> {
         seed: u64,
     ) -> bool {
         let mut counts = [0usize; 8];
-        elements.iter().for_each(|e| counts[code(e)] += 1);
+        let codes = &mut self.codes[..elements.len()];
+        for (slot, e) in codes.iter_mut().zip(elements.iter()) {
+            let c = code(e) & 7;
+            counts[c] += 1;
+            *slot = c as u8;
+        }
         if counts.contains(&elements.len()) {
             return false;
         }
@@ -313,10 +318,10 @@ impl Builder<'_> {
         }
         // The parts are in the other half of the memory, and theirs again in this one.
         let mut next = starts;
-        for e in elements.iter() {
-            let c = code(e);
-            spare[next[c]] = *e;
-            next[c] += 1;
+        for (c, e) in codes.iter().zip(elements.iter()) {
+            let next = &mut next[*c as usize & 7];
+            spare[*next] = *e;
+            *next += 1;
         }
         for c in 0..8 {
             let range = starts[c]..starts[c + 1];
@@ -379,21 +384,26 @@ fn principal_tangents(covariance: DMat3, normal: DVec3) -> [Vec3; 2] {
     [t.as_vec3(), normal.cross(t).as_vec3()]
 }
 
-/// Least and greatest coordinates of the samples in a frame.
-fn extent<E: Element>(samples: &[E], frame: impl Fn(Vec3) -> Vec3) -> (Vec3, Vec3) {
-    samples.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(min, max), s| {
-        let q = frame(s.position());
-        (min.min(q), max.max(q))
-    })
+/// The code of an element's place in the cluster's box: one bit per axis that is split, at the middle.
+fn octant<E: Element>(m: &Moments) -> impl Fn(&E) -> usize + use<E> {
+    let extent = m.max - m.min;
+    let split = extent.cmpgt(Vec3::splat(extent.max_element() * SPLIT_ASPECT)).bitmask() as usize;
+    let middle = m.min * 0.5 + m.max * 0.5;
+    move |e| e.position().cmpgt(middle).bitmask() as usize & split
 }
 
-/// The code of a sample's place in the cluster's tight box in a frame: one bit per axis that is split.
-fn octant<E: Element, F: Fn(Vec3) -> Vec3>(samples: &[E], frame: F) -> impl Fn(&E) -> usize + use<E, F> {
-    let (min, max) = extent(samples, &frame);
-    let extent = max - min;
-    let split = extent.cmpgt(Vec3::splat(extent.max_element() * SPLIT_ASPECT)).bitmask();
-    let middle = min * 0.5 + max * 0.5;
-    move |s| (frame(s.position()).cmpgt(middle).bitmask() & split) as usize
+/// Likewise in the plane of two unit vectors, at the mean.
+fn quadrant<E: Element>(m: &Moments, tangents: [Vec3; 2]) -> impl Fn(&E) -> usize + use<E> {
+    let (mean, covariance) = (m.mean().as_vec3(), m.covariance());
+    let deviation = |t: Vec3| t.as_dvec3().dot(covariance * t.as_dvec3()).max(0.0).sqrt() as f32;
+    let [bend1, bend2] = m.bending(tangents).map(|bending| bending.max(LEAST_BENDING));
+    let [t1, t2] = tangents;
+    let (a, b) = (bend1 * deviation(t1), bend2 * deviation(t2));
+    let split = usize::from(a > b * SPLIT_ASPECT) | usize::from(b > a * SPLIT_ASPECT) << 1;
+    move |e| {
+        let p = e.position() - mean;
+        (usize::from(p.dot(t1) > 0.0) | usize::from(p.dot(t2) > 0.0) << 1) & split
+    }
 }
 
 /// A new pseudo-random number from a node's and its child's place: SplitMix64's finaliser.
@@ -467,7 +477,8 @@ mod tests {
             let tree = full(&samples);
             let (low, high) = (t.min(u), t.max(u));
             prop_assert!(clusters(&tree, low).len() >= clusters(&tree, high).len());
-            let (min, max) = extent(&samples, |p| p);
+            let m = Moments::of(&samples);
+            let (min, max) = (m.min, m.max);
             for node in &tree.nodes {
                 prop_assert!(node.position.cmpge(min).all() && node.position.cmple(max).all());
             }
