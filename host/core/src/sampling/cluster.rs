@@ -7,7 +7,7 @@
 
 use glam::{DMat3, DVec3, Vec3, Vec3A, Vec3Swizzles};
 
-use crate::geometry::symmetric_eigen;
+use crate::geometry::least_eigenvalue;
 
 /// What a VS-Tree is built of: samples of P_L, or small groups of them.
 pub trait Element: bytemuck::Pod + Send + Sync {
@@ -346,7 +346,7 @@ impl Moments {
             let distance = if normal == DVec3::ZERO { spread } else { distance };
             (distance * deviation * spread).sqrt()
         } else {
-            symmetric_eigen(covariance).0.x.max(0.0).sqrt()
+            least_eigenvalue(covariance).sqrt()
         };
         let reach = (representative - self.min).max(self.max - representative).as_dvec3().length();
         shape + REACH_WEIGHT * reach

@@ -4,7 +4,7 @@
 //! number of occupied cells, or a large flat region, is met as well.
 //!
 //! For a target number N no second look at the model is needed: the clusters of all cells seen so far are kept
-//! down to a running bound ε, raised whenever they are more than 2N beyond one per cell. A node above the cells counts as
+//! down to a running bound ε, raised whenever they are more than 1.6N beyond one per cell. A node above the cells counts as
 //! no better than what is below it, so the final cut splits all of them before it splits a cell's tree further, and
 //! more cells can only add clusters: the final bound is never below the running one, and what was dropped would
 //! not have been in the cut.
@@ -17,7 +17,7 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// Clusters are pruned when there are more than this many times the target …
-const KEEP_AT_MOST: f64 = 2.0;
+const KEEP_AT_MOST: f64 = 1.6;
 /// … down to this many times the target.
 const PRUNE_TO: f64 = 1.2;
 

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
 use std::path::Path;
 
-use glam::Vec3;
+use glam::{IVec3, Vec3};
 
 use super::Target;
 use super::cluster::{Element, Group, Sample};
@@ -87,7 +87,7 @@ pub struct Groups {
 /// Where the last sample went: the next one is probably near.
 struct Last {
     cell: u32,
-    cube: Vec3,
+    cube: IVec3,
     place: u32,
     index: u32,
 }
@@ -108,7 +108,7 @@ impl Gather for Groups {
 
     #[inline]
     fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<u32> {
-        let cube = (position * (1.0 / self.edge)).floor();
+        let cube = floor(position * (1.0 / self.edge));
         if let Some(last) = &self.last
             && last.cell == cell
             && last.cube == cube
@@ -133,7 +133,7 @@ impl Gather for Groups {
 }
 
 impl Groups {
-    fn find_and_add(&mut self, cell: u32, cube: Vec3, position: Vec3, normal: Vec3) -> Result<u32> {
+    fn find_and_add(&mut self, cell: u32, cube: IVec3, position: Vec3, normal: Vec3) -> Result<u32> {
         let spare = &mut self.spare;
         let table = self.tables[cell as usize].get_or_insert_with(|| spare.pop().unwrap_or_default());
         let spilled = self.open.spilled(cell);
@@ -154,7 +154,7 @@ impl Groups {
             key += NEXT_SHEET;
         }
         let index = self.open.count(cell) as u32;
-        let mut group = Group::new((cube + 0.5) * self.edge, 0.5 * self.edge, index);
+        let mut group = Group::new((cube.as_vec3() + 0.5) * self.edge, 0.5 * self.edge, index);
         group.add(position, normal);
         let place = self.open.push(cell, group)?;
         table.insert(key, (place, index));
@@ -168,9 +168,17 @@ const SHEETS: u32 = 8;
 const NEXT_SHEET: u64 = 1 << 60;
 
 /// A cube's coordinates, which are within ±2^19, in one number of less than 2^60.
-fn key(cube: Vec3) -> u64 {
-    let [x, y, z] = cube.to_array().map(|x| (x as i64 + (1 << 19)) as u64 & 0xf_ffff);
+fn key(cube: IVec3) -> u64 {
+    let [x, y, z] = cube.to_array().map(|x| (x + (1 << 19)) as u64 & 0xf_ffff);
     x | y << 20 | z << 40
+}
+
+/// ⌊x⌋ of numbers that are not large, without the call that it is on older processors.
+#[inline]
+fn floor(x: Vec3) -> IVec3 {
+    let towards_zero = x.as_ivec3();
+    let above = towards_zero.as_vec3().cmpgt(x);
+    IVec3::select(above, towards_zero - 1, towards_zero)
 }
 
 /// How the samples of open cells are held.

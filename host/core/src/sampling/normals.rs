@@ -8,24 +8,34 @@ use std::collections::BinaryHeap;
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::sample_set::NeighbourGraph;
+use super::sample_set::{NeighbourGraph, kd_tree, nearest};
 use crate::geometry::symmetric_eigen;
 
-/// Neighbours that span the tangent plane, and along which the orientation spreads.
-const NEIGHBOURS: usize = 12;
+/// Neighbours that span the tangent plane.
+const PLANE_NEIGHBOURS: usize = 12;
+
+/// Neighbours along which the orientation spreads.
+const ORIENT_NEIGHBOURS: usize = 8;
 
 /// All normals, where only some are known (the others are zero, or all if there are none). All are of unit length.
 ///
 /// Known normals spread their orientation to those filled in. A part without any is oriented so that the
 /// normal of its highest sample (along z) points up; whether that is outwards is known for closed surfaces only.
 pub fn completed(positions: &[Vec3], known: &[Vec3]) -> Vec<Vec3> {
-    let graph = NeighbourGraph::new(positions, NEIGHBOURS);
     let mut normals = known.to_vec();
     normals.resize(positions.len(), Vec3::ZERO);
     let missing: Vec<bool> = normals.iter().map(|n| *n == Vec3::ZERO).collect();
-    normals.par_iter_mut().enumerate().filter(|(i, _)| missing[*i]).for_each(|(i, normal)| {
-        *normal = plane_normal(positions, i, graph.of(i));
-    });
+    let tree = kd_tree(positions);
+    normals.par_iter_mut().enumerate().filter(|(i, _)| missing[*i]).for_each_init(
+        Vec::new,
+        |near, (i, n)| {
+            near.clear();
+            near.extend(nearest(&tree, positions, i, PLANE_NEIGHBOURS));
+            *n = plane_normal(positions, i, near);
+        },
+    );
+    let graph = NeighbourGraph::of_points(positions, &tree, ORIENT_NEIGHBOURS);
+    drop(tree);
     orient(positions, &graph, &mut normals, missing);
     normals
 }
@@ -64,33 +74,38 @@ fn orient(positions: &[Vec3], neighbours: &NeighbourGraph, normals: &mut [Vec3],
     let cost =
         |normals: &[Vec3], i: usize, j: usize| (1.0 - normals[i].dot(normals[j]).abs()).max(0.0).to_bits();
     let mut queue = BinaryHeap::new();
-    // The cheapest edge to each sample so far: only a cheaper one is of use.
-    let mut cheapest = vec![u32::MAX; positions.len()];
-    let mut spread = |i: usize, normals: &[Vec3], unknown: &[bool], queue: &mut BinaryHeap<_>| {
+    // The cheapest edge to each sample so far, and from where: only a cheaper one is of use.
+    let mut cheapest = vec![(u32::MAX, 0u32); positions.len()];
+    let spread = |i: usize,
+                  normals: &[Vec3],
+                  unknown: &[bool],
+                  cheapest: &mut [(u32, u32)],
+                  queue: &mut BinaryHeap<_>| {
         let back = &reverse[degree[i] as usize..degree[i + 1] as usize];
         for j in reach(i).chain(back.iter().map(|j| *j as usize)).filter(|j| unknown[*j]) {
             let cost = cost(normals, i, j);
-            if cost < cheapest[j] {
-                cheapest[j] = cost;
-                queue.push(Reverse((cost, j as u32, i as u32)));
+            if cost < cheapest[j].0 {
+                cheapest[j] = (cost, i as u32);
+                queue.push(Reverse((cost, j as u32)));
             }
         }
     };
     for i in (0..positions.len()).filter(|i| !unknown[*i]) {
-        spread(i, normals, &unknown, &mut queue);
+        spread(i, normals, &unknown, &mut cheapest, &mut queue);
     }
     let mut highest: Vec<u32> = (0..positions.len() as u32).filter(|i| unknown[*i as usize]).collect();
     highest.sort_by(|i, j| positions[*j as usize].z.total_cmp(&positions[*i as usize].z));
     let mut highest = highest.into_iter();
     loop {
-        while let Some(Reverse((_, j, i))) = queue.pop() {
-            let (j, i) = (j as usize, i as usize);
+        while let Some(Reverse((_, j))) = queue.pop() {
+            let j = j as usize;
+            let i = cheapest[j].1 as usize;
             if unknown[j] {
                 unknown[j] = false;
                 if normals[i].dot(normals[j]) < 0.0 {
                     normals[j] = -normals[j];
                 }
-                spread(j, normals, &unknown, &mut queue);
+                spread(j, normals, &unknown, &mut cheapest, &mut queue);
             }
         }
         let Some(seed) = highest.by_ref().find(|i| unknown[*i as usize]) else { break };
@@ -99,7 +114,7 @@ fn orient(positions: &[Vec3], neighbours: &NeighbourGraph, normals: &mut [Vec3],
         if normals[seed].z < 0.0 {
             normals[seed] = -normals[seed];
         }
-        spread(seed, normals, &unknown, &mut queue);
+        spread(seed, normals, &unknown, &mut cheapest, &mut queue);
     }
 }
 

@@ -160,28 +160,34 @@ impl Surroundings {
 }
 
 /// Of finite points, of which there is at least one.
-fn kd_tree(positions: &[Vec3]) -> ImmutableKdTree<f32, 3> {
+pub(super) fn kd_tree(positions: &[Vec3]) -> ImmutableKdTree<f32, 3> {
     let points: &[[f32; 3]] = bytemuck::cast_slice(positions);
     ImmutableKdTree::new_from_slice(points).expect("finite points, at least one and fewer than 2^32")
 }
 
+/// At most `count` nearest neighbours of point `i` in the tree of all points, nearest first.
+pub(super) fn nearest(
+    tree: &ImmutableKdTree<f32, 3>,
+    positions: &[Vec3],
+    i: usize,
+    count: usize,
+) -> impl Iterator<Item = u32> {
+    // One more, as a point is its own nearest neighbour.
+    let wanted = NonZeroUsize::MIN.saturating_add(count);
+    let query = positions[i].to_array();
+    let found = tree.query(&query).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
+    // Among more coincident points than that, the point itself may be missing from what was found.
+    found.into_iter().map(|f| f.item).filter(move |j| *j != i as u32).take(count)
+}
+
 impl NeighbourGraph {
     /// The graph of points to `k` neighbours, if there are as many.
-    pub(super) fn new(positions: &[Vec3], k: usize) -> Self {
-        Self::of_points(positions, &kd_tree(positions), k)
-    }
-
-    fn of_points(positions: &[Vec3], tree: &ImmutableKdTree<f32, 3>, k: usize) -> Self {
+    pub(super) fn of_points(positions: &[Vec3], tree: &ImmutableKdTree<f32, 3>, k: usize) -> Self {
         let k = k.min(positions.len() - 1);
-        // One more, as a sample is its own nearest neighbour.
-        let wanted = NonZeroUsize::MIN.saturating_add(k);
         let mut flat = vec![0; positions.len() * k];
         if k > 0 {
-            flat.par_chunks_mut(k).zip(positions).enumerate().for_each(|(i, (neighbours, p))| {
-                let query = p.to_array();
-                let found = tree.query(&query).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
-                let others = found.iter().map(|f| f.item).filter(|j| *j != i as u32);
-                // Among more coincident samples than k, the sample itself may be missing from what was found.
+            flat.par_chunks_mut(k).enumerate().for_each(|(i, neighbours)| {
+                let others = nearest(tree, positions, i, k);
                 neighbours.iter_mut().zip(others).for_each(|(slot, j)| *slot = j);
             });
         }
