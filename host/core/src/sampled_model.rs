@@ -402,10 +402,9 @@ impl SampledModel {
     }
 
     fn write_points(&self, path: &Path, positions: &[Vec3], normals: &[Vec3]) -> Result<()> {
-        let positions: Vec<DVec3> = positions.iter().map(|p| self.frame.to_model(*p)).collect();
         model::ply::write_points(
             path,
-            &positions,
+            positions.iter().map(|p| self.frame.to_model(*p)),
             normals,
             &self.triangles,
             self.position_type,

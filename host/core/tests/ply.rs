@@ -891,15 +891,17 @@ fn our_own_point_sets_are_read_back() {
                 Spec { position: [kind; 3], normal: has_normals.then_some("float"), ..Spec::new(Little) };
             let (positions, normals) = spec.expected(&vertices);
             let comments = ["one".to_string(), "two\nend_header".to_string()];
-            ply::write_points(&path, &positions, &normals, &[], scalar, &comments).unwrap();
+            ply::write_points(&path, positions.iter().copied(), &normals, &[], scalar, &comments).unwrap();
             let model = model::open(&path).unwrap();
             assert_eq!(model.info().position_type, scalar);
             assert_eq!(read(&*model, 0..u64::MAX).unwrap(), (positions, normals));
         }
     }
-    let far = ply::write_points(&path, &[DVec3::splat(1e300)], &[], &[], Scalar::F32, &[]).unwrap_err();
+    let far =
+        ply::write_points(&path, [DVec3::splat(1e300)].into_iter(), &[], &[], Scalar::F32, &[]).unwrap_err();
     assert_eq!(far.kind(), ErrorKind::Degenerate);
-    let fewer = ply::write_points(&path, &[DVec3::ZERO; 2], &[Vec3::X], &[], Scalar::F32, &[]).unwrap_err();
+    let fewer = ply::write_points(&path, [DVec3::ZERO; 2].into_iter(), &[Vec3::X], &[], Scalar::F32, &[])
+        .unwrap_err();
     assert_eq!(fewer.kind(), ErrorKind::Mismatch);
     // What was there is still there, and nothing else.
     assert_eq!(model::open(&path).unwrap().info().vertices, 1000);

@@ -40,7 +40,7 @@ fn shuffled<T: Copy>(all: &[T]) -> Vec<T> {
 
 fn sampled(folder: &Path, positions: &[DVec3], normals: &[Vec3], sampling: Sampling) -> SampledModel {
     let path = folder.join("model.ply");
-    write_points(&path, positions, normals, &[], Scalar::F64, &[]).unwrap();
+    write_points(&path, positions.iter().copied(), normals, &[], Scalar::F64, &[]).unwrap();
     let model = model::open(&path).unwrap();
     let sampled = sample(model.as_ref(), &sampling, folder, &Silent).unwrap();
     std::fs::remove_file(path).unwrap();

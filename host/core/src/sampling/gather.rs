@@ -27,7 +27,7 @@ const GROUPS_PER_SAMPLE: f64 = 12.0;
 const MAX_LEVEL: u32 = 6;
 
 /// Bytes of a group, with its place in the table of its cell.
-const GROUP_BYTES: u64 = size_of::<Group>() as u64 + 32;
+const GROUP_BYTES: u64 = size_of::<Group>() as u64 + 18;
 
 /// Holds what the stream has brought of each open cell.
 pub trait Gather {
@@ -70,14 +70,19 @@ impl Gather for Samples {
     }
 }
 
-/// The group that stands at a place in [`OpenCells`], and its index.
-type Table = HashMap<u64, (u32, u32), BuildHasherDefault<CellHasher>>;
+/// The groups of a cell that are in memory.
+#[derive(Default)]
+struct Table {
+    /// Where the group of each cube is, by [`key`].
+    places: HashMap<u32, u32, BuildHasherDefault<CellHasher>>,
+    /// Number of the cell's groups that were in the file at the time.
+    spilled: u64,
+}
 
 /// Samples summed up in little cubes.
 pub struct Groups {
     open: OpenCells<Group>,
     edge: f32,
-    /// For each open cell the latest group of each cube, by [`key`].
     tables: Vec<Option<Table>>,
     /// Tables of closed cells, to be filled again.
     spare: Vec<Table>,
@@ -125,7 +130,8 @@ impl Gather for Groups {
     fn take(&mut self, cell: u32) -> CellItems<Group> {
         self.last = None;
         if let Some(mut table) = self.tables[cell as usize].take() {
-            table.clear();
+            table.places.clear();
+            table.spilled = 0;
             self.spare.push(table);
         }
         self.open.take(cell)
@@ -137,19 +143,20 @@ impl Groups {
         let spare = &mut self.spare;
         let table = self.tables[cell as usize].get_or_insert_with(|| spare.pop().unwrap_or_default());
         let spilled = self.open.spilled(cell);
+        if table.spilled != spilled {
+            // All that were in memory are in the file now.
+            table.places.clear();
+            table.spilled = spilled;
+        }
         let mut key = key(cube);
         for _ in 0..SHEETS {
-            match table.get(&key) {
-                Some((place, index)) if u64::from(*index) >= spilled => {
-                    let (place, index) = (*place, *index);
-                    let group = self.open.at_mut(place);
-                    if group.takes(normal) {
-                        group.add(position, normal);
-                        self.last = Some(Last { cell, cube, place, index });
-                        return Ok(index);
-                    }
-                }
-                _ => break,
+            let Some(place) = table.places.get(&key).copied() else { break };
+            let group = self.open.at_mut(place);
+            if group.takes(normal) {
+                group.add(position, normal);
+                let index = group.index();
+                self.last = Some(Last { cell, cube, place, index });
+                return Ok(index);
             }
             key += NEXT_SHEET;
         }
@@ -157,7 +164,8 @@ impl Groups {
         let mut group = Group::new((cube.as_vec3() + 0.5) * self.edge, 0.5 * self.edge, index);
         group.add(position, normal);
         let place = self.open.push(cell, group)?;
-        table.insert(key, (place, index));
+        // If that moved this cell's groups to the file, its table is cleared before it is used again.
+        table.places.insert(key, place);
         self.last = Some(Last { cell, cube, place, index });
         Ok(index)
     }
@@ -165,12 +173,13 @@ impl Groups {
 
 /// Groups of one cube that are looked at before another is begun.
 const SHEETS: u32 = 8;
-const NEXT_SHEET: u64 = 1 << 60;
+const NEXT_SHEET: u32 = 1 << 24;
 
-/// A cube's coordinates, which are within ±2^19, in one number of less than 2^60.
-fn key(cube: IVec3) -> u64 {
-    let [x, y, z] = cube.to_array().map(|x| (x + (1 << 19)) as u64 & 0xf_ffff);
-    x | y << 20 | z << 40
+/// A cube's place among those of its cell, which are at most 2^[`MAX_LEVEL`] and one along each axis: so a part of
+/// the coordinates' digits will do.
+fn key(cube: IVec3) -> u32 {
+    let [x, y, z] = cube.to_array().map(|x| x as u32 & 0xff);
+    x | y << 8 | z << 16
 }
 
 /// ⌊x⌋ of numbers that are not large, without the call that it is on older processors.
@@ -189,7 +198,7 @@ pub enum Grouping {
     Automatic,
     /// As they are.
     Never,
-    /// In groups, by cubes of 2^-level of a cell.
+    /// In groups, by cubes of 2^-level of a cell; the level is at most 6.
     Level(u32),
 }
 
@@ -197,8 +206,10 @@ impl Grouping {
     /// What it comes to for a model, of which pass 1 has told when each cell is open: never
     /// [`Grouping::Automatic`]. It does not depend on the machine, and so neither do the samples.
     pub fn resolve(self, grid: &Grid, frame: &Frame, target: Target) -> Self {
-        if self != Self::Automatic {
-            return self;
+        match self {
+            Self::Automatic => {}
+            Self::Never => return self,
+            Self::Level(level) => return Self::Level(level.min(MAX_LEVEL)),
         }
         let samples = most_open(&grid.records, |r| r.count.saturating_mul(size_of::<Sample>() as u64));
         let Some(level) = level(grid, frame, target) else { return Self::Never };

@@ -43,6 +43,9 @@ impl Hasher for CellHasher {
     fn write_i64(&mut self, x: i64) {
         self.write_u64(x as u64);
     }
+    fn write_u32(&mut self, x: u32) {
+        self.write_u64(u64::from(x));
+    }
     fn write_u64(&mut self, x: u64) {
         let mixed = (self.0 ^ x).wrapping_add(0x9E37_79B9_7F4A_7C15);
         let product = u128::from(mixed) * 0xD6E8_FEB8_6659_FD93;

@@ -166,7 +166,7 @@ pub fn sample(
     let collect = |cell| stop.store(forest.add(cell).to_bits(), Ordering::Relaxed);
     match grouping {
         Grouping::Level(level) => {
-            let edge = (grid.cell_size() / frame.scale / f64::from(1u32 << level.min(20))) as f32;
+            let edge = (grid.cell_size() / frame.scale / f64::from(1u32 << level)) as f32;
             pass.run(Groups::new(cells, edge, memory, folder), &stop, &mut found, collect)?;
         }
         _ => pass.run(Samples::new(cells, memory, folder), &stop, &mut found, collect)?,

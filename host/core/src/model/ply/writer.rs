@@ -18,29 +18,30 @@ use crate::{Error, ErrorKind, Result};
 /// The counts differ, a position does not fit the type, or the file cannot be written.
 pub fn write_points(
     path: &Path,
-    positions: &[DVec3],
+    positions: impl ExactSizeIterator<Item = DVec3>,
     normals: &[Vec3],
     triangles: &[[u32; 3]],
     scalar: Scalar,
     comments: &[String],
 ) -> Result<()> {
-    if !normals.is_empty() && normals.len() != positions.len() {
+    let count = positions.len();
+    if !normals.is_empty() && normals.len() != count {
         return Err(Error::new(
             ErrorKind::Mismatch,
-            format!("{}: {} normals for {} positions", path.display(), normals.len(), positions.len()),
+            format!("{}: {} normals for {} positions", path.display(), normals.len(), count),
             "give a normal for each position, or none",
         ));
     }
-    let header = header(positions.len(), !normals.is_empty(), triangles.len(), scalar, comments);
+    let header = header(count, !normals.is_empty(), triangles.len(), scalar, comments);
     let position_bytes = match scalar {
         Scalar::F32 => 12,
         Scalar::F64 => 24,
     };
-    let bytes = header.len() + positions.len() * position_bytes + normals.len() * 12 + triangles.len() * 13;
+    let bytes = header.len() + count * position_bytes + normals.len() * 12 + triangles.len() * 13;
     let mut out = OutputFile::create(path, bytes as u64)?;
     let failed = |e: std::io::Error| e.downcast().unwrap_or_else(|e| Error::io("write", path, &e));
     out.write_all(header.as_bytes()).map_err(failed)?;
-    for (i, position) in positions.iter().enumerate() {
+    for (i, position) in positions.enumerate() {
         match scalar {
             Scalar::F64 => write_all(&mut out, position.to_array().map(f64::to_le_bytes)).map_err(failed)?,
             Scalar::F32 => {
