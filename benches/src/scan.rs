@@ -359,7 +359,7 @@ mod tests {
         let info = model.info();
         assert_eq!((info.vertices, info.faces), (20_000, mesh.triangles.len() as u64));
         assert_eq!(info.vertex_bytes, (20_000 * VERTEX_BYTES) as u64);
-        model.check_complete().expect("a whole file");
+        model.check_complete(&simod_core::progress::Silent).expect("a whole file");
         let mut chunk = model::VertexChunk::default();
         model.vertices(0..20_000).expect("a reader").read(&mut chunk).expect("vertices");
         assert_eq!(chunk.positions, mesh.positions);

@@ -52,6 +52,28 @@ fn peaks(vertices: u64) -> Peaks {
     Peaks { sample: sample.expect("a peak"), reconstruct: reconstruct.expect("a peak") }
 }
 
+/// With as many samples, a coarse grid of the same resolution, and 8 times the vertices.
+#[test]
+#[cfg(target_os = "linux")]
+fn of_sampling_does_not_depend_on_the_number_of_vertices() {
+    if !OPTIMISED {
+        return skip("32 million vertices take minutes in a build without optimisation");
+    }
+    let peak = |vertices: u64| {
+        let work = Workplace::new();
+        let line = format!("generate -o model.ply --vertices {vertices} --no-faces --no-colors --no-normals");
+        work.simod(&line);
+        let report = work.report("sample model.ply -o model.simod --samples 200000 --grid 64 --threads 2");
+        report["peak_memory_bytes"].as_u64().expect("a peak")
+    };
+    let (four, thirty_two) = (peak(4_000_000), peak(32_000_000));
+    // About 60 MB; what the allocator keeps in reserve varies.
+    for peak in [four, thirty_two] {
+        assert!(peak < 80 * MEGABYTE, "{} MB", peak / MEGABYTE);
+    }
+    assert!(thirty_two < four + 12 * MEGABYTE, "{} MB, {} MB", four / MEGABYTE, thirty_two / MEGABYTE);
+}
+
 #[test]
 #[cfg(target_os = "linux")]
 fn of_16_million_vertices_is_below_200_megabytes() {

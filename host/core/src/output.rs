@@ -137,7 +137,8 @@ pub fn folder_of(path: &Path) -> &Path {
     }
 }
 
-fn check_space(path: &Path, folder: &Path, needed: u64) -> Result<()> {
+/// An error where the disk of `folder` has no room for so many bytes of `path`.
+pub(crate) fn check_space(path: &Path, folder: &Path, needed: u64) -> Result<()> {
     // A file system that cannot tell is no reason to stop; a missing folder is reported when it is written to.
     let Ok(stats) = fs4::statvfs(folder) else { return Ok(()) };
     if stats.total_space() == 0 || stats.available_space() >= needed {

@@ -360,7 +360,7 @@ proptest! {
         prop_assert_eq!(info.has_normals, spec.normal.is_some());
         prop_assert_eq!(info.position_type == Scalar::F64, spec.position.contains(&"double"));
         prop_assert_eq!(info.other_properties.len(), 2 * usize::from(spec.colour) + usize::from(spec.list_in_vertex));
-        model.check_complete().unwrap();
+        model.check_complete(&Silent).unwrap();
 
         let all = read(&*model, 0..u64::MAX).unwrap();
         prop_assert_eq!(bits(&all), bits(&spec.expected(&vertices)));
@@ -428,7 +428,7 @@ proptest! {
 /// Does with a file all that can be done, up to the first error.
 fn exhaust(bytes: &[u8]) -> Result<()> {
     let model = open(bytes)?;
-    model.check_complete()?;
+    model.check_complete(&Silent)?;
     read(&*model, 0..u64::MAX)?;
     read(&*model, 1..3)?;
     assert_eq!(rewrite(&*model, |_| {})?, bytes);
@@ -455,7 +455,7 @@ fn every_truncation_is_an_error() {
                     if encoding != Ascii {
                         assert!(open(&bytes[..end]).is_err(), "{spec:?} opened when cut to {end}");
                     } else if let Ok(model) = open(&bytes[..end]) {
-                        assert!(model.check_complete().is_err(), "{spec:?} cut to {end}");
+                        assert!(model.check_complete(&Silent).is_err(), "{spec:?} cut to {end}");
                         assert!(rewrite(&*model, |_| {}).is_err(), "{spec:?} cut to {end}");
                     }
                 }
@@ -728,7 +728,7 @@ fn a_file_that_changes_its_length_is_an_error() {
     for changed in [length + 1, length - 1, 1000] {
         file.as_file().set_len(changed).unwrap();
         assert_eq!(rewrite(&*model, |_| {}).unwrap_err().kind(), ErrorKind::Mismatch);
-        assert_eq!(model.check_complete().unwrap_err().kind(), ErrorKind::Mismatch);
+        assert_eq!(model.check_complete(&Silent).unwrap_err().kind(), ErrorKind::Mismatch);
     }
     assert_eq!(read(&*model, 0..u64::MAX).unwrap_err().kind(), ErrorKind::Mismatch);
 }
@@ -833,11 +833,11 @@ fn long_lists_are_read_and_rewritten() {
         data.put("uint", 20_000_000.0);
         data.bytes.extend(b"1 ".repeat(if encoding == Ascii { 20_000_000 } else { 10_000_000 }));
         let model = open(&bytes).unwrap();
-        model.check_complete().unwrap();
+        model.check_complete(&Silent).unwrap();
         assert!(rewrite(&*model, |_| {}).unwrap() == bytes);
         assert_eq!(read(&*model, 2..3).unwrap().0, [DVec3::new(1.0, 2.0, 3.0)]);
         let cut = open(&bytes[..bytes.len() - 2]);
-        assert!(cut.and_then(|m| m.check_complete()).is_err());
+        assert!(cut.and_then(|m| m.check_complete(&Silent)).is_err());
     }
 }
 

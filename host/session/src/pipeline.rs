@@ -9,7 +9,7 @@ use simod_core::output::folder_of;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{Method, deformed_normals, reconstruct};
 use simod_core::sampled_model::SampledModel;
-use simod_core::sampling::{Sampling, Target, sample};
+use simod_core::sampling::{Sampling, Skip, Target, sample};
 use simod_core::{Error, ErrorKind, Progress, Result};
 
 use crate::deformer::Message;
@@ -128,6 +128,8 @@ impl From<session_file::Sampling> for Sampling {
             (None, Some(e)) => Target::Error(e),
             (None, None) => Target::default(),
         };
-        Self { target, grid: from.grid, ..Self::default() }
+        // Nothing that follows asks for them.
+        let skip = Skip { triangles: true, cells: true, normals: false };
+        Self { target, grid: from.grid, skip, ..Self::default() }
     }
 }

@@ -26,7 +26,7 @@ impl Info {
 
     fn model(&self, report: &mut Report) -> Result<()> {
         let model = model::open(&self.path)?;
-        model.check_complete()?;
+        model.check_complete(report.progress())?;
         let info = model.info();
         let scalar = scalar_name(info.position_type);
         report.line(format!("{}: {}, {} bytes", self.path.display(), info.format, count(info.bytes)));
@@ -65,11 +65,15 @@ impl Info {
             count(sampled.cells),
             sampled.cell_size
         ));
+        let cells = if SampledModel::has_cells(&self.path) { "kept" } else { "not kept, or damaged" };
+        report.line(format!("{} triangles; cells and trees {cells}", count(sampled.triangles.len() as u64)));
         let (min, max) = (sampled.bounds.min, sampled.bounds.max);
         report.line(format!("bounding box {min} to {max}, diagonal {:.6}", sampled.bounds.diagonal()));
         report.figure("vertices", source.vertices);
         report.figure("samples", sampled.samples.len());
         report.figure("cells", sampled.cells);
+        report.figure("triangles", sampled.triangles.len());
+        report.figure("cells_kept", cells == "kept");
         report.figure("source", source.path.display().to_string());
         report.figure("bounds", json!([min.to_array(), max.to_array()]));
         report.figure("diagonal", sampled.bounds.diagonal());

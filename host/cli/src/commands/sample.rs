@@ -116,6 +116,7 @@ impl Sample {
         sampled.save(&self.output)?;
         let vertices = model.info().vertices;
         warn_non_finite(&sampled, report);
+        warn_faces(&sampled, report);
         report.figure("vertices", vertices);
         report.figure("samples", sampled.samples.len());
         report.figure("cells", sampled.cells);
@@ -128,6 +129,22 @@ impl Sample {
             rate(vertices, report.seconds()),
         ));
         Ok(())
+    }
+}
+
+/// Says which of the model's faces gave no triangles of the samples.
+fn warn_faces(sampled: &SampledModel, report: &mut Report) {
+    if sampled.faces_without_vertex > 0 {
+        report.warn(format!(
+            "{} triangles of the model refer to vertices that it does not have; they are left as they are",
+            count(sampled.faces_without_vertex)
+        ));
+    }
+    if sampled.tangled_faces {
+        report.warn(
+            "the model's faces connect vertices far from each other: no triangles were made of them"
+                .to_owned(),
+        );
     }
 }
 

@@ -219,11 +219,12 @@ pub trait Model: Send + Sync {
     fn faces(&self) -> Result<Box<dyn FaceReader + '_>>;
 
     /// Checks that the file holds all that its header speaks of. Most formats know once the file is open, and
-    /// this takes no time; text has to be read to its end, which [`rewrite`](Self::rewrite) does as well.
+    /// this takes no time; text has to be read to its end, as a stage of its own, which
+    /// [`rewrite`](Self::rewrite) does as well.
     ///
     /// # Errors
-    /// The file cannot be read, or ends early.
-    fn check_complete(&self) -> Result<()>;
+    /// The file cannot be read, or ends early; the user cancelled.
+    fn check_complete(&self, progress: &dyn Progress) -> Result<()>;
 
     /// Streams the whole file to `out`, with every vertex passing through `edit`, which may change positions
     /// and normals in place; every other byte is copied as it is.

@@ -7,16 +7,20 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use bytemuck::{cast_slice, cast_slice_mut};
+use bytemuck::cast_slice;
 use memmap2::Mmap;
 use rayon::prelude::*;
 
 use super::lattice::Grid;
+use crate::output::check_space;
 use crate::scratch::Scratch;
-use crate::{Progress, Result};
+use crate::{Error, Progress, Result};
 
 /// Numbers written at a time, by the stream and by each thread.
 const BUFFER: usize = 1 << 16;
+
+/// Files of so many numbers: items, leaves and samples.
+const FILES: u64 = 3;
 
 const BYTES: u64 = size_of::<u32>() as u64;
 
@@ -49,8 +53,11 @@ impl Membership {
     /// Of no vertex yet. The files go to `folder`.
     ///
     /// # Errors
-    /// They cannot be made.
+    /// They cannot be made, or the disk has no room for them.
     pub fn new(grid: &Grid, vertices: u64, folder: &Path) -> Result<Self> {
+        // Better known before a large model is clustered.
+        check_space(folder, folder, FILES * BYTES * vertices)
+            .map_err(|e| Error::new(e.kind(), e.to_string(), format!("{}; or {ADVICE}", e.hint())))?;
         let mut next = 0u32;
         let starts = grid.records.iter().map(|r| {
             let start = next;
@@ -125,7 +132,8 @@ impl Membership {
                     }
                     found.push(sample);
                 }
-                samples.write_at(cast_slice_mut(&mut found), (chunk * BUFFER) as u64 * BYTES)
+                progress.advance(found.len() as u64);
+                samples.write_at(cast_slice(&found), (chunk * BUFFER) as u64 * BYTES)
             })?;
         }
         Ok(SampleOf(samples.map()?))

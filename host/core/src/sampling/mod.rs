@@ -139,7 +139,7 @@ pub fn sample(
         ));
     }
 
-    model.check_complete()?;
+    model.check_complete(progress)?;
 
     progress.begin("counting", info.vertex_bytes);
     let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
@@ -177,6 +177,7 @@ pub fn sample(
     let triangles = match membership {
         None => Triangles::default(),
         Some(members) => {
+            progress.begin("looking up each vertex' sample", info.vertices);
             let sample_of = members.finish(&cut.starts, folder, progress)?;
             progress.begin("reindexing the faces", info.face_bytes);
             triangles::reindex(model, sample_of.all(), cut.positions.len(), progress)?

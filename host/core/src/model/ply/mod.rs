@@ -36,6 +36,7 @@ pub use writer::write_points;
 
 use super::source::Source;
 use super::{FaceReader, Model, ModelInfo, VertexChunk, VertexReader, pipeline};
+use crate::progress::Silent;
 use crate::{Progress, Result};
 use faces::Faces;
 use header::{Element, Encoding, Header};
@@ -90,7 +91,7 @@ impl PlyModel {
         let mut starts = Vec::new();
         let vertices_start = if header.encoding == Encoding::Ascii {
             check_room_for_words(&source, &header)?;
-            walk::walk(&source, header.encoding, &header.elements[..vertex], header.len)?
+            walk::walk(&source, header.encoding, &header.elements[..vertex], header.len, &Silent)?
         } else {
             starts = walk::extents(&source, header.encoding, &header.elements, header.len)?;
             info.vertex_bytes = starts[vertex + 1] - starts[vertex];
@@ -148,9 +149,11 @@ impl Model for PlyModel {
         Ok(Box::new(Faces::new(self)?))
     }
 
-    fn check_complete(&self) -> Result<()> {
+    fn check_complete(&self, progress: &dyn Progress) -> Result<()> {
         if self.header.encoding == Encoding::Ascii {
-            walk::walk(&self.source, self.header.encoding, &self.header.elements, self.header.len)?;
+            progress.begin("checking the text", self.source.len());
+            let Header { encoding, elements, len, .. } = &self.header;
+            walk::walk(&self.source, *encoding, elements, *len, progress)?;
         }
         self.source.check_unchanged()
     }

@@ -9,8 +9,9 @@ use std::fmt::Display;
 use super::ascii::is_space;
 use super::binary;
 use super::header::{DAMAGED, Element, Encoding, Property, Shape, Type, quoted};
-use crate::Result;
 use crate::model::source::Source;
+use crate::progress::Silent;
+use crate::{Progress, Result};
 
 /// Hint for files that end too early.
 pub(super) const CUT_OFF: &str = "the file is cut off, or its header lies: copy or export it again";
@@ -255,8 +256,14 @@ impl Walker {
 }
 
 /// Goes over `elements`, which begin at `start` of the file; returns where they end.
-pub(super) fn walk(source: &Source, encoding: Encoding, elements: &[Element], start: u64) -> Result<u64> {
-    walk_by(BLOCK, source, encoding, elements, start)
+pub(super) fn walk(
+    source: &Source,
+    encoding: Encoding,
+    elements: &[Element],
+    start: u64,
+    progress: &dyn Progress,
+) -> Result<u64> {
+    walk_by(BLOCK, source, encoding, elements, start, progress)
 }
 
 /// Like [`walk`], reading so many bytes at a time.
@@ -266,11 +273,13 @@ fn walk_by(
     encoding: Encoding,
     elements: &[Element],
     start: u64,
+    progress: &dyn Progress,
 ) -> Result<u64> {
     let mut walker = Walker::new(elements, encoding);
     let mut block = Vec::new();
     let mut at = start;
     while !walker.is_done() {
+        progress.check()?;
         let passable = walker.passable();
         if passable > block_size as u64 {
             let passed = passable.min(source.len() - at);
@@ -283,7 +292,9 @@ fn walk_by(
             walker.finish().map_err(|what| source.malformed(what, CUT_OFF))?;
             break;
         }
-        at += walker.feed(&block).map_err(|what| source.malformed(what, DAMAGED))? as u64;
+        let fed = walker.feed(&block).map_err(|what| source.malformed(what, DAMAGED))? as u64;
+        at += fed;
+        progress.advance(fed);
     }
     Ok(at)
 }
@@ -323,7 +334,7 @@ pub(super) fn extents(
         } else if let Some(end) = uniform_lists(source, encoding, element, &elements[i + 1..], at) {
             end
         } else {
-            walk(source, encoding, std::slice::from_ref(element), at)?
+            walk(source, encoding, std::slice::from_ref(element), at, &Silent)?
         };
         starts.push(at);
     }
@@ -351,8 +362,9 @@ fn uniform_lists(
     }
     let one = Element { count: 1, ..element.clone() };
     // What is wrong with a record is told by the walk over all of them.
-    let record_size =
-        |at| walk_by(PROBE_BLOCK, source, encoding, std::slice::from_ref(&one), at).map(|end| end - at);
+    let record_size = |at| {
+        walk_by(PROBE_BLOCK, source, encoding, std::slice::from_ref(&one), at, &Silent).map(|end| end - at)
+    };
     let Ok(size) = record_size(start) else { return None };
     let tail = after.iter().try_fold(0u64, |sum, e| sum.checked_add(e.count.checked_mul(e.min_bytes())?));
     let end = size.checked_mul(element.count).and_then(|all| all.checked_add(start));
