@@ -94,7 +94,8 @@ impl VsTree {
         codes.resize(elements.len(), 0);
         let first_index = elements.first().map_or(0, E::index);
         let mut builder = Builder { splitting, stop, nodes, built: 0, codes, leaves, first_index };
-        builder.node(elements, spare, moments, f32::INFINITY, Stage::Volume, 0, seed);
+        let root = Place { above: f32::INFINITY, stage: Stage::Volume, depth: 0, seed };
+        builder.node(elements, spare, moments, root);
         let built = builder.built;
         // A copy is just as long as it has to be.
         (Self { nodes: nodes.clone(), built }, moments)
@@ -218,6 +219,24 @@ enum Stage {
     Surface([Vec3; 2]),
 }
 
+/// Where in the tree a cluster is.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    /// The key of the cluster above.
+    above: f32,
+    stage: Stage,
+    depth: u32,
+    /// Different for each place.
+    seed: u64,
+}
+
+impl Place {
+    /// Of a part of a cluster with this key here.
+    fn below(self, key: f32, stage: Stage, part: usize) -> Self {
+        Self { above: key, stage, depth: self.depth + 1, seed: mix(self.seed, part as u64 + 1) }
+    }
+}
+
 struct Builder<'a> {
     splitting: Splitting,
     stop: f32,
@@ -231,24 +250,14 @@ struct Builder<'a> {
 
 impl Builder<'_> {
     /// Adds the cluster of some elements, and those below. `spare` is as long as they are, and of any content.
-    #[expect(clippy::too_many_arguments, reason = "what the recursion carries along")]
-    fn node<E: Element>(
-        &mut self,
-        elements: &mut [E],
-        spare: &mut [E],
-        m: Moments,
-        above: f32,
-        stage: Stage,
-        depth: u32,
-        seed: u64,
-    ) {
-        let dither = 1.0 + DITHER * (seed >> 40) as f64 / (1u64 << 24) as f64;
+    fn node<E: Element>(&mut self, elements: &mut [E], spare: &mut [E], m: Moments, place: Place) {
+        let dither = 1.0 + DITHER * (place.seed >> 40) as f64 / (1u64 << 24) as f64;
         let (position, normal, error) = m.representative();
-        let key = above.min((f64::from(error) * dither) as f32);
+        let key = place.above.min((f64::from(error) * dither) as f32);
         let at = self.nodes.len();
         self.nodes.push(Node { position, normal, key, end: 0, first: self.built });
-        let whole = key <= self.stop || elements.len() == 1 || m.min == m.max || depth == MAX_DEPTH;
-        if whole || !self.split(elements, spare, &m, key, stage, depth, seed) {
+        let whole = key <= self.stop || elements.len() == 1 || m.min == m.max || place.depth == MAX_DEPTH;
+        if whole || !self.split(elements, spare, &m, key, place) {
             for e in elements.iter() {
                 self.leaves[e.index().wrapping_sub(self.first_index) as usize] = self.built;
             }
@@ -258,49 +267,44 @@ impl Builder<'_> {
     }
 
     /// Splits a cluster and goes on with its parts; `false` if nothing tells its elements apart.
-    #[expect(clippy::too_many_arguments, reason = "what the recursion carries along")]
     fn split<E: Element>(
         &mut self,
         elements: &mut [E],
         spare: &mut [E],
         m: &Moments,
         key: f32,
-        stage: Stage,
-        depth: u32,
-        seed: u64,
+        place: Place,
     ) -> bool {
-        let stage = match stage {
-            Stage::Surface(_) if m.mean_normal() != DVec3::ZERO => stage,
+        let stage = match place.stage {
+            Stage::Surface(_) if m.mean_normal() != DVec3::ZERO => place.stage,
             _ if self.splitting == Splitting::Octree => Stage::Volume,
             _ => match examine(elements, m) {
-                Shape::Sheet(frame) => Stage::Surface(frame),
+                Shape::Sheet(tangents) => Stage::Surface(tangents),
                 Shape::TwoSheets(axis) => {
                     let side = |e: &E| usize::from(e.normal().dot(axis) < 0.0);
-                    return self.part(elements, spare, side, key, Stage::Volume, depth, seed);
+                    let below = |part| place.below(key, Stage::Volume, part);
+                    return self.part(elements, spare, side, below);
                 }
                 Shape::Folded => Stage::Volume,
             },
         };
-        if let Stage::Surface(tangents) = stage
-            && self.part(elements, spare, quadrant(m, tangents), key, stage, depth, seed)
-        {
-            return true;
+        if let Stage::Surface(tangents) = stage {
+            let below = |part| place.below(key, stage, part);
+            if self.part(elements, spare, quadrant(m, tangents), below) {
+                return true;
+            }
+            // All on one line along the normal, or too close to tell apart in the plane.
         }
-        // Or all are on one line along the normal, or too close to tell apart in the plane.
-        self.part(elements, spare, octant(m), key, Stage::Volume, depth, seed)
+        self.part(elements, spare, octant(m), |part| place.below(key, Stage::Volume, part))
     }
 
     /// Parts the elements by `code` < 8, and goes on with each part; `false` if they all have the same code.
-    #[expect(clippy::too_many_arguments, reason = "what the recursion carries along")]
     fn part<E: Element>(
         &mut self,
         elements: &mut [E],
         spare: &mut [E],
         code: impl Fn(&E) -> usize,
-        key: f32,
-        stage: Stage,
-        depth: u32,
-        seed: u64,
+        below: impl Fn(usize) -> Place,
     ) -> bool {
         let mut counts = [0usize; 8];
         let codes = &mut self.codes[..elements.len()];
@@ -328,7 +332,7 @@ impl Builder<'_> {
             if !range.is_empty() {
                 let moments = Moments::of(&spare[range.clone()]);
                 let (part, rest) = (&mut spare[range.clone()], &mut elements[range]);
-                self.node(part, rest, moments, key, stage, depth + 1, mix(seed, c as u64 + 1));
+                self.node(part, rest, moments, below(c));
             }
         }
         true
