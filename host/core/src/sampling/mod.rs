@@ -49,7 +49,8 @@ use triangles::Triangles;
 pub enum Target {
     /// This many samples, at most, and only less where the model has no more to tell apart.
     Samples(u64),
-    /// No cluster has a larger error (see [`cluster::Moments::error`]); a fraction of the diagonal.
+    /// No cluster has a larger error (see [`cluster::Moments::representative`]); a fraction of the diagonal. So every
+    /// vertex has a sample within this / [`cluster::REACH_WEIGHT`].
     Error(f64),
 }
 
