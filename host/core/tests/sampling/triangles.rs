@@ -105,6 +105,19 @@ fn groups_leave_the_surface_nearly_closed_too() {
     }
 }
 
+/// One vertex far away, as scans have them, and all others are in one cell: more than are clustered at once.
+#[test]
+fn a_cell_of_several_parts_has_one_surface() {
+    let mut body = Body::generated(Shape::BumpySphere, 600_000);
+    body.positions.iter_mut().for_each(|p| *p += 5.0);
+    body.positions[0] = DVec3::splat(500.0);
+    let sampled = body.sampled(samples(5000));
+    assert_eq!(sampled.cells, 2);
+    check_each(&sampled);
+    let quality = Quality::of(&sampled);
+    assert!(quality.closed > 0.99 && quality.outside > 0.99, "{quality:?}");
+}
+
 #[test]
 fn an_open_surface_keeps_its_border() {
     let sampled = Body::generated(Shape::Plane, 40_000).sampled(samples(1000));
