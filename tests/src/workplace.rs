@@ -150,12 +150,23 @@ impl Workplace {
     /// As [`refuses`](Self::refuses), where no file may grow beyond `bytes`: how a full disk feels.
     #[cfg(unix)]
     pub fn refuses_beyond(&self, bytes: u64, line: &str, named: &[&str]) -> Outcome {
+        self.refused(line, self.limited(bytes, line), named)
+    }
+
+    /// As [`run`](Self::run), where no file may grow beyond `bytes`.
+    #[cfg(unix)]
+    pub fn run_beyond(&self, bytes: u64, line: &str) -> Outcome {
+        self.limited(bytes, line).output().expect("the program starts").into()
+    }
+
+    #[cfg(unix)]
+    fn limited(&self, bytes: u64, line: &str) -> Command {
         // Without the signal, a write beyond the limit returns an error.
         let script = format!("trap '' XFSZ; ulimit -f {}; exec \"$@\"", bytes / 512);
         let mut shell = Command::new("/bin/sh");
         shell.args(["-c", &script, "sh"]).arg(built::program()).args(line.split_whitespace());
         self.prepare(&mut shell);
-        self.refused(line, shell, named)
+        shell
     }
 
     fn refused(&self, line: &str, mut command: Command, named: &[&str]) -> Outcome {

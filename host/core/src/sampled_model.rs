@@ -125,8 +125,10 @@ impl SampledModel {
         let largest = bounds.min.abs().max(bounds.max.abs()).max_element();
         let single = position_type == Scalar::F32 && largest <= 2.0 * diagonal && diagonal > 1e-30;
         let position_type = if single { Scalar::F32 } else { Scalar::F64 };
+        // A cluster of groups knows its box but roughly.
+        let (min, max) = (frame.to_local(bounds.min), frame.to_local(bounds.max));
         for p in &mut positions {
-            *p = frame.to_local(rounded(frame.to_model(*p), position_type));
+            *p = frame.to_local(rounded(frame.to_model(p.clamp(min, max)), position_type));
         }
         Ok(Self {
             source,
@@ -337,12 +339,7 @@ impl SampledModel {
     /// As for [`open_source`](Self::open_source) and [`sample`](crate::sampling::sample); the model is not what was
     /// sampled; the file cannot be written.
     pub fn cells(&self, folder: &Path, progress: &dyn Progress) -> Result<KeptCells> {
-        let file = folder.join(CELLS);
-        let samples_fingerprint = file_fingerprint(&folder.join("samples.ply"))?;
-        let kept = std::fs::read(&file).ok().and_then(|bytes| KeptCells::decode(&bytes).ok());
-        if let Some((of, kept)) = kept
-            && of == samples_fingerprint
-        {
+        if let Some(kept) = Self::kept_cells(folder) {
             return Ok(kept);
         }
         let source = self.open_source(None)?;
@@ -353,13 +350,15 @@ impl SampledModel {
         let Some(kept) = again.kept.filter(|_| same) else {
             return Err(self.source_changed(source.path()));
         };
-        output::write_file(&file, &kept.encode(&samples_fingerprint)?)?;
+        let samples_fingerprint = file_fingerprint(&folder.join("samples.ply"))?;
+        output::write_file(&folder.join(CELLS), &kept.encode(&samples_fingerprint)?)?;
         Ok(kept)
     }
 
-    /// Whether the cells' file is there and whole.
-    pub fn has_cells(folder: &Path) -> bool {
-        std::fs::read(folder.join(CELLS)).is_ok_and(|bytes| KeptCells::decode(&bytes).is_ok())
+    /// The cells in a folder, if their file is there, whole, and of the samples there.
+    pub fn kept_cells(folder: &Path) -> Option<KeptCells> {
+        let (of, kept) = KeptCells::decode(&std::fs::read(folder.join(CELLS)).ok()?).ok()?;
+        (of == file_fingerprint(&folder.join("samples.ply")).ok()?).then_some(kept)
     }
 
     /// Opens the model that was sampled, or `elsewhere` if it was moved.

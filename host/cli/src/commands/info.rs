@@ -65,7 +65,8 @@ impl Info {
             count(sampled.cells),
             sampled.cell_size
         ));
-        let cells = if SampledModel::has_cells(&self.path) { "kept" } else { "not kept, or damaged" };
+        let kept = SampledModel::kept_cells(&self.path).is_some();
+        let cells = if kept { "kept" } else { "not kept, or damaged" };
         report.line(format!("{} triangles; cells and trees {cells}", count(sampled.triangles.len() as u64)));
         let (min, max) = (sampled.bounds.min, sampled.bounds.max);
         report.line(format!("bounding box {min} to {max}, diagonal {:.6}", sampled.bounds.diagonal()));
@@ -73,7 +74,7 @@ impl Info {
         report.figure("samples", sampled.samples.len());
         report.figure("cells", sampled.cells);
         report.figure("triangles", sampled.triangles.len());
-        report.figure("cells_kept", cells == "kept");
+        report.figure("cells_kept", kept);
         report.figure("source", source.path.display().to_string());
         report.figure("bounds", json!([min.to_array(), max.to_array()]));
         report.figure("diagonal", sampled.bounds.diagonal());

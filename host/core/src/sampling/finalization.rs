@@ -5,6 +5,7 @@
 //! to it: it is clustered, on any core, while the stream goes on.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError, mpsc};
 
@@ -12,7 +13,7 @@ use glam::Vec3;
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::cluster::{Element, Moments};
-use super::cut::{most_kept, running_bound};
+use super::cut::{Forest, most_kept, running_bound};
 use super::gather::Gather;
 use super::lattice::{Grid, cell_box};
 use super::membership::{Leaves, Membership};
@@ -53,43 +54,65 @@ pub struct Pass<'a> {
     pub splitting: Splitting,
     /// Number of samples that is aimed at, if any.
     pub target: Option<usize>,
+    /// Error down to which cells are clustered, in local units.
+    pub bound: f32,
+    /// Whether it shall be known which cluster each vertex belongs to.
+    pub with_members: bool,
+    /// Where temporary files go.
+    pub folder: &'a Path,
     /// Watches.
     pub progress: &'a dyn Progress,
 }
 
-/// What pass 2 learns beside the clusters.
-pub struct Found<'a> {
-    /// Takes in the bytes of all vertices.
-    pub hash: &'a mut Xxh3Default,
+/// What pass 2 finds.
+pub struct Clustered {
+    /// The trees of all cells.
+    pub forest: Forest,
+    /// Of the bytes of all vertices.
+    pub hash: Xxh3Default,
     /// Where in the stream each cell's vertices are.
-    pub ranges: &'a mut Ranges,
-    /// Which cluster each vertex belongs to, if that is asked for.
-    pub membership: Option<&'a mut Membership>,
+    pub ranges: Ranges,
+    /// Which cluster each vertex belongs to.
+    pub membership: Option<Membership>,
 }
 
 impl Pass<'_> {
-    /// Streams the model through the grid and hands each cell, clustered down to the current value of `stop` (an
-    /// error in local units, as the bits of an f32), to `collect`, in no particular order.
+    /// Streams the model through the grid and clusters each cell, down to the bound or to that which the target has
+    /// come to meanwhile. `None` if `gather` finds no room.
     ///
-    /// Memory: that of `gather`; [`MAX_QUEUED`], and two parts of a cell on each thread; the chunks of
-    /// [`for_vertices`]. Not to be called on a thread of the pool that clusters, which it waits for.
+    /// Memory: that of `gather`, [`Forest`], [`Ranges`] and [`Membership`]; [`MAX_QUEUED`], and two parts of a cell on
+    /// each thread; the chunks of [`for_vertices`]. Not to be called on a thread of the pool that clusters, which it
+    /// waits for.
     ///
     /// # Errors
     /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be written;
     /// the user cancelled.
-    pub fn run<G: Gather>(
-        &self,
-        mut gather: G,
-        stop: &AtomicU32,
-        found: &mut Found,
-        mut collect: impl FnMut(ClusteredCell),
-    ) -> Result<()> {
+    pub fn run<G: Gather>(&self, gather: G) -> Result<Option<Clustered>> {
+        let info = self.model.info();
+        self.progress.begin("clustering", info.vertex_bytes);
+        let cells = self.grid.keys.len();
+        let members = || Membership::new(self.grid, info.vertices, self.folder);
+        let mut clustered = Clustered {
+            forest: Forest::new(cells, self.target, self.bound),
+            hash: Xxh3Default::new(),
+            ranges: Ranges::new(cells),
+            membership: self.with_members.then(members).transpose()?,
+        };
+        let has_room = self.stream(gather, &mut clustered)?;
+        Ok(has_room.then_some(clustered))
+    }
+
+    /// Whether there was room.
+    fn stream<G: Gather>(&self, mut gather: G, found: &mut Clustered) -> Result<bool> {
         let Self { model, grid, frame, .. } = *self;
-        let leaves = found.membership.as_ref().map(|members| members.leaves());
+        let Clustered { forest, hash, ranges, membership } = found;
+        let leaves = membership.as_ref().map(Membership::leaves);
+        let stop = &AtomicU32::new(self.bound.to_bits());
+        let mut collect = |cell| stop.store(forest.add(cell).to_bits(), Ordering::Relaxed);
+        let workspaces = &Mutex::new(Vec::<Workspace<G::Item>>::new());
         let (send, receive) = mpsc::channel::<(usize, Result<ClusteredCell>)>();
-        let workspaces = Mutex::new(Vec::<Workspace<G::Item>>::new());
-        let workspaces = &workspaces;
-        rayon::in_place_scope(move |scope| {
+        let mut has_room = true;
+        let streamed = rayon::in_place_scope(|scope| {
             let mut left: Vec<u64> = grid.records.iter().map(|r| r.count).collect();
             let mut queued = 0usize;
             let mut current: Option<(Bounds, u32)> = None;
@@ -100,22 +123,25 @@ impl Pass<'_> {
                     let cell = match &current {
                         Some((inside, cell)) if inside.contains(*p) => *cell,
                         _ if !p.is_finite() => {
-                            found.membership.as_mut().map_or(Ok(()), |members| members.push(None))?;
+                            membership.as_mut().map_or(Ok(()), |members| members.push(None))?;
                             continue;
                         }
                         _ => {
                             let key = grid.key_of(*p);
                             let cell = grid.find(&key).ok_or_else(|| changed(model))?;
                             current = Some((cell_box(key, grid.level), cell));
-                            found.ranges.enter(cell, chunk.first + i as u64);
+                            ranges.enter(cell, chunk.first + i as u64);
                             cell
                         }
                     };
                     let c = cell as usize;
                     left[c] = left[c].checked_sub(1).ok_or_else(|| changed(model))?;
                     let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
-                    let index = gather.add(cell, frame.to_local(*p), normal)?;
-                    if let Some(members) = &mut found.membership {
+                    let Some(index) = gather.add(cell, frame.to_local(*p), normal)? else {
+                        has_room = false;
+                        return Err(Error::cancelled());
+                    };
+                    if let Some(members) = membership.as_mut() {
                         members.push(Some((cell, index)))?;
                     }
                     if left[c] == 0 {
@@ -149,18 +175,19 @@ impl Pass<'_> {
                     queued -= bytes;
                     collect(cell?);
                 }
-                found.hash.update(chunk.raw());
+                hash.update(chunk.raw());
                 self.progress.advance(chunk.raw().len() as u64);
                 Ok(())
             })?;
             if left.iter().any(|n| *n > 0) {
                 return Err(changed(model));
             }
-            found.ranges.finish(model.info().vertices);
+            ranges.finish(model.info().vertices);
             // Taken in as they come: the bound that they raise shortens the work on the rest.
             drop(send);
             receive.iter().try_for_each(|(_, cell)| cell.map(&mut collect))
-        })
+        });
+        if has_room { streamed.map(|()| true) } else { Ok(false) }
     }
 
     /// Clusters a complete cell; one that is larger than a part in parts, whose trees are joined, and kept to

@@ -34,11 +34,11 @@ pub trait Gather {
     /// What a cell's VS-Tree is built of.
     type Item: Element;
 
-    /// Adds a sample to a cell; the index of the item that it is, or is part of.
+    /// Adds a sample to a cell; the index of the item that it is, or is part of. `None` if there is no room.
     ///
     /// # Errors
     /// The temporary file cannot be written.
-    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<u32>;
+    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<Option<u32>>;
 
     /// Removes all items of a cell.
     fn take(&mut self, cell: u32) -> CellItems<Self::Item>;
@@ -58,11 +58,11 @@ impl Gather for Samples {
     type Item = Sample;
 
     #[inline]
-    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<u32> {
+    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<Option<u32>> {
         // Who asks for the index has fewer than 2^32 vertices.
         let index = self.0.count(cell) as u32;
         self.0.push(cell, Sample { position, normal, index })?;
-        Ok(index)
+        Ok(Some(index))
     }
 
     fn take(&mut self, cell: u32) -> CellItems<Sample> {
@@ -70,16 +70,10 @@ impl Gather for Samples {
     }
 }
 
-/// The groups of a cell that are in memory.
-#[derive(Default)]
-struct Table {
-    /// Where the group of each cube is, by [`key`].
-    places: HashMap<u32, u32, BuildHasherDefault<CellHasher>>,
-    /// Number of the cell's groups that were in the file at the time.
-    spilled: u64,
-}
+/// Where the latest group of each cube of a cell is, by [`key`].
+type Table = HashMap<u32, u32, BuildHasherDefault<CellHasher>>;
 
-/// Samples summed up in little cubes.
+/// Samples summed up in little cubes. They stay in memory: sums that were parted by a file would be other sums.
 pub struct Groups {
     open: OpenCells<Group>,
     edge: f32,
@@ -98,13 +92,19 @@ struct Last {
 }
 
 impl Groups {
-    /// For so many cells, with cubes of this edge, in `memory` bytes and otherwise in a file in `folder`.
-    pub fn new(cells: usize, edge: f32, memory: u64, folder: &Path) -> Self {
+    /// For so many cells, with cubes of this edge, in `memory` bytes.
+    pub fn new(cells: usize, edge: f32, memory: u64) -> Self {
         let mut tables = Vec::new();
         tables.resize_with(cells, || None);
         // The tables take their part of the memory.
         let memory = memory / GROUP_BYTES * size_of::<Group>() as u64;
-        Self { open: OpenCells::new(cells, memory, folder), edge, tables, spare: Vec::new(), last: None }
+        Self {
+            open: OpenCells::new(cells, memory, Path::new("")),
+            edge,
+            tables,
+            spare: Vec::new(),
+            last: None,
+        }
     }
 }
 
@@ -112,7 +112,7 @@ impl Gather for Groups {
     type Item = Group;
 
     #[inline]
-    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<u32> {
+    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<Option<u32>> {
         let cube = floor(position * (1.0 / self.edge));
         if let Some(last) = &self.last
             && last.cell == cell
@@ -121,7 +121,7 @@ impl Gather for Groups {
             let group = self.open.at_mut(last.place);
             if group.takes(normal) {
                 group.add(position, normal);
-                return Ok(last.index);
+                return Ok(Some(last.index));
             }
         }
         self.find_and_add(cell, cube, position, normal)
@@ -130,8 +130,7 @@ impl Gather for Groups {
     fn take(&mut self, cell: u32) -> CellItems<Group> {
         self.last = None;
         if let Some(mut table) = self.tables[cell as usize].take() {
-            table.places.clear();
-            table.spilled = 0;
+            table.clear();
             self.spare.push(table);
         }
         self.open.take(cell)
@@ -139,35 +138,31 @@ impl Gather for Groups {
 }
 
 impl Groups {
-    fn find_and_add(&mut self, cell: u32, cube: IVec3, position: Vec3, normal: Vec3) -> Result<u32> {
+    fn find_and_add(&mut self, cell: u32, cube: IVec3, position: Vec3, normal: Vec3) -> Result<Option<u32>> {
         let spare = &mut self.spare;
         let table = self.tables[cell as usize].get_or_insert_with(|| spare.pop().unwrap_or_default());
-        let spilled = self.open.spilled(cell);
-        if table.spilled != spilled {
-            // All that were in memory are in the file now.
-            table.places.clear();
-            table.spilled = spilled;
-        }
         let mut key = key(cube);
         for _ in 0..SHEETS {
-            let Some(place) = table.places.get(&key).copied() else { break };
+            let Some(place) = table.get(&key).copied() else { break };
             let group = self.open.at_mut(place);
             if group.takes(normal) {
                 group.add(position, normal);
                 let index = group.index();
                 self.last = Some(Last { cell, cube, place, index });
-                return Ok(index);
+                return Ok(Some(index));
             }
             key += NEXT_SHEET;
+        }
+        if !self.open.has_room(cell) {
+            return Ok(None);
         }
         let index = self.open.count(cell) as u32;
         let mut group = Group::new((cube.as_vec3() + 0.5) * self.edge, 0.5 * self.edge, index);
         group.add(position, normal);
         let place = self.open.push(cell, group)?;
-        // If that moved this cell's groups to the file, its table is cleared before it is used again.
-        table.places.insert(key, place);
+        table.insert(key, place);
         self.last = Some(Last { cell, cube, place, index });
-        Ok(index)
+        Ok(Some(index))
     }
 }
 
@@ -204,19 +199,32 @@ pub enum Grouping {
 
 impl Grouping {
     /// What it comes to for a model, of which pass 1 has told when each cell is open: never
-    /// [`Grouping::Automatic`]. It does not depend on the machine, and so neither do the samples.
+    /// [`Grouping::Automatic`]. It does not depend on the machine.
     pub fn resolve(self, grid: &Grid, frame: &Frame, target: Target) -> Self {
-        match self {
-            Self::Automatic => {}
-            Self::Never => return self,
-            Self::Level(level) => return Self::Level(level.min(MAX_LEVEL)),
-        }
-        let samples = most_open(&grid.records, |r| r.count.saturating_mul(size_of::<Sample>() as u64));
-        let Some(level) = level(grid, frame, target) else { return Self::Never };
-        // A surface meets about twice as many little cubes as its area has.
-        let cubes = 2 << (2 * level);
-        let groups = most_open(&grid.records, |r| r.count.min(cubes).saturating_mul(GROUP_BYTES));
-        if samples > SAMPLES_AT_EASE && 2 * groups < samples { Self::Level(level) } else { Self::Never }
+        let resolved = match self {
+            Self::Never => Self::Never,
+            Self::Level(level) => Self::Level(level.min(MAX_LEVEL)),
+            Self::Automatic => {
+                let samples =
+                    most_open(&grid.records, |r| r.count.saturating_mul(size_of::<Sample>() as u64));
+                level(grid, frame, target).map_or(Self::Never, |level| {
+                    // A surface meets about twice as many little cubes as its area has.
+                    let cubes = 2 << (2 * level);
+                    let groups = most_open(&grid.records, |r| r.count.min(cubes) * GROUP_BYTES);
+                    let helps = samples > SAMPLES_AT_EASE && 2 * groups < samples;
+                    if helps { Self::Level(level) } else { Self::Never }
+                })
+            }
+        };
+        // Where all is in one place, cubes have no size.
+        resolved.edge(grid, frame).map_or(Self::Never, |_| resolved)
+    }
+
+    /// Edge of the cubes in local units; `None` without groups, or if it is too small to count cubes.
+    pub fn edge(self, grid: &Grid, frame: &Frame) -> Option<f32> {
+        let Self::Level(level) = self else { return None };
+        let edge = (grid.cell_size() / frame.scale / f64::from(1u32 << level)) as f32;
+        (edge > 1e-6).then_some(edge)
     }
 }
 
@@ -245,17 +253,17 @@ fn most_open(records: &[CellRecord], size: impl Fn(&CellRecord) -> u64) -> u64 {
         events.push((r.last, true, i as u32));
     }
     events.sort_unstable();
-    let (mut now, mut most) = (0u64, 0);
+    let (mut now, mut most) = (0u128, 0);
     for (_, closes, i) in events {
-        let size = size(&records[i as usize]);
+        let size = u128::from(size(&records[i as usize]));
         if closes {
             now -= size;
         } else {
-            now = now.saturating_add(size);
+            now += size;
             most = most.max(now);
         }
     }
-    most
+    u64::try_from(most).unwrap_or(u64::MAX)
 }
 
 #[cfg(test)]
@@ -266,7 +274,8 @@ mod tests {
     fn gathered<G: Gather>(gather: &mut G, samples: &[(u32, Vec3, Vec3)]) -> Vec<(Vec<u32>, Vec<G::Item>)> {
         let mut indices = vec![Vec::new(); 3];
         for (cell, p, n) in samples {
-            indices[*cell as usize].push(gather.add(*cell, *p, *n).expect("space"));
+            let index = gather.add(*cell, *p, *n).expect("no file is written").expect("room");
+            indices[*cell as usize].push(index);
         }
         let items = |cell| {
             let mut items = Vec::new();
@@ -293,16 +302,14 @@ mod tests {
     }
 
     #[test]
-    fn groups_add_up_to_the_samples_of_their_cell_with_and_without_a_file() {
+    fn groups_add_up_to_the_samples_of_their_cell() {
         let samples = samples();
-        let folder = tempfile::tempdir().expect("a folder");
-        for (memory, edge) in [(0, 1.0 / 128.0), (1 << 30, 1.0 / 32.0)] {
-            let groups = gathered(&mut Groups::new(3, edge, memory, folder.path()), &samples);
+        let edge = 1.0 / 32.0;
+        let groups = gathered(&mut Groups::new(3, edge, 1 << 30), &samples);
+        {
             for (cell, (indices, groups)) in groups.iter().enumerate() {
                 let own: Vec<_> = samples.iter().filter(|(c, ..)| *c as usize == cell).collect();
-                if memory > 0 {
-                    assert!(groups.len() <= 2 * 33 * 33, "{} groups", groups.len());
-                }
+                assert!(groups.len() <= 2 * 33 * 33, "{} groups", groups.len());
                 assert!(groups.iter().enumerate().all(|(i, g)| g.index() as usize == i));
                 for ((_, p, n), i) in own.iter().zip(indices) {
                     let group = &groups[*i as usize];
@@ -317,6 +324,13 @@ mod tests {
                 assert!(a.mean().distance(b.mean()) < 1e-6 && (a.spread() - b.spread()).abs() < 1e-6);
             }
         }
+    }
+
+    #[test]
+    fn groups_that_find_no_room_say_so() {
+        let mut groups = Groups::new(3, 1.0 / 512.0, 0);
+        let added = samples().into_iter().map(|(cell, p, n)| groups.add(cell, p, n).expect("no file"));
+        assert!(added.collect::<Vec<_>>().contains(&None));
     }
 
     #[test]

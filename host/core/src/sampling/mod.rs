@@ -20,11 +20,9 @@ pub mod vs_tree;
 
 use std::ops::Range;
 use std::path::Path;
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use xxhash_rust::xxh3::Xxh3Default;
 
 pub use gather::Grouping;
 pub use sample_set::{NEIGHBOURS, NeighbourGraph, SampleSet};
@@ -34,8 +32,7 @@ use crate::frame::Frame;
 use crate::model::{Model, VertexChunk};
 use crate::sampled_model::{SampledModel, Source, fingerprint};
 use crate::{Error, ErrorKind, Progress, Result};
-use cut::Forest;
-use finalization::{Found, Pass};
+use finalization::{Clustered, Pass};
 use gather::{Groups, Samples};
 use kept_cells::{KeptCell, KeptCells};
 use lattice::{Grid, Lattice};
@@ -147,31 +144,36 @@ pub fn sample(
     let (grid, non_finite) = count_cells(model, resolution, progress)?;
     let frame = Frame::of(&grid.bounds);
 
-    progress.begin("clustering", info.vertex_bytes);
     let (target, bound) = match sampling.target {
         Target::Samples(n) => (Some(usize::try_from(n).unwrap_or(usize::MAX / 8)), 0.0),
         Target::Error(e) => (None, (e * grid.bounds.diagonal() / frame.scale) as f32),
     };
+    let pass = Pass {
+        model,
+        grid: &grid,
+        frame: &frame,
+        splitting: sampling.splitting,
+        target,
+        bound,
+        with_members: !sampling.skip.triangles && info.faces > 0 && info.vertices <= Membership::MAX_VERTICES,
+        folder,
+        progress,
+    };
     let cells = grid.keys.len();
-    let mut forest = Forest::new(cells, target, bound);
-    let stop = AtomicU32::new(bound.to_bits());
-    let mut hash = Xxh3Default::new();
-    let mut ranges = Ranges::new(cells);
-    let wanted = !sampling.skip.triangles && info.faces > 0 && info.vertices <= Membership::MAX_VERTICES;
-    let mut membership = wanted.then(|| Membership::new(&grid, info.vertices, folder)).transpose()?;
-    let mut found = Found { hash: &mut hash, ranges: &mut ranges, membership: membership.as_mut() };
-
     let memory = sampling.sample_memory(cells);
     let grouping = sampling.grouping.resolve(&grid, &frame, sampling.target);
-    let pass = Pass { model, grid: &grid, frame: &frame, splitting: sampling.splitting, target, progress };
-    let collect = |cell| stop.store(forest.add(cell).to_bits(), Ordering::Relaxed);
-    match grouping {
-        Grouping::Level(level) => {
-            let edge = (grid.cell_size() / frame.scale / f64::from(1u32 << level)) as f32;
-            pass.run(Groups::new(cells, edge, memory, folder), &stop, &mut found, collect)?;
-        }
-        _ => pass.run(Samples::new(cells, memory, folder), &stop, &mut found, collect)?,
-    }
+    let in_groups = match grouping.edge(&grid, &frame) {
+        Some(edge) => pass.run(Groups::new(cells, edge, memory))?,
+        None => None,
+    };
+    let (Clustered { forest, hash, ranges, membership }, grouping) = match in_groups {
+        Some(clustered) => (clustered, grouping),
+        // Those that find no room in memory do so in a file.
+        None => match pass.run(Samples::new(cells, memory, folder))? {
+            Some(clustered) => (clustered, Grouping::Never),
+            None => unreachable!("samples always find room, or an error says why not"),
+        },
+    };
 
     progress.begin("completing the samples", 0);
     let cut = forest.cut(&grid);

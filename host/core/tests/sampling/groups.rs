@@ -1,0 +1,131 @@
+//! Groups of samples in open cells.
+
+use glam::{DVec3, Vec3};
+use simod_core::generate::Shape;
+use simod_core::sampling::{Grouping, Sampling, Target};
+
+use crate::body::{Body, rms_distance};
+
+fn samples(n: u64, grouping: Grouping) -> Sampling {
+    Sampling { target: Target::Samples(n), grouping, ..Sampling::default() }
+}
+
+#[test]
+fn groups_sample_about_as_well() {
+    let body = Body::generated(Shape::Amphora, 300_000).without_faces();
+    let single = body.sampled(samples(3000, Grouping::Never));
+    let best = rms_distance(&single, &body.positions);
+    // From about five groups for each sample to about as many as vertices.
+    for level in [2, 3, 4, 5] {
+        let grouped = body.sampled(samples(3000, Grouping::Level(level)));
+        assert_eq!(grouped.sampling.grouping, Grouping::Level(level));
+        let n = grouped.samples.len();
+        assert!((2940..=3000).contains(&n), "{n} samples at level {level}");
+        let rms = rms_distance(&grouped, &body.positions);
+        assert!((0.9..1.1).contains(&(rms / best)), "{rms} instead of {best} at level {level}");
+    }
+}
+
+/// There can be no more samples than groups; each vertex is in one of them, and not far from it.
+#[test]
+fn coarse_groups_give_fewer_samples_that_still_cover_the_model() {
+    let body = Body::generated(Shape::Amphora, 300_000).without_faces();
+    let grouped = body.sampled(samples(3000, Grouping::Level(1)));
+    let n = grouped.samples.len();
+    assert!((500..2000).contains(&n), "{n} samples");
+    let worst = crate::body::worst_distance(&grouped, &body.positions);
+    // Within the diagonal of a cube.
+    let diagonal = 3f64.sqrt() * grouped.cell_size / grouped.frame.scale / 2.0;
+    assert!(f64::from(worst) <= diagonal, "{worst} beyond {diagonal}");
+}
+
+/// A wall without a thickness to speak of: `n`² vertices on either side.
+fn wall(n: usize, thickness: f64) -> Body {
+    let mut body = Body::default();
+    for i in 0..n * n {
+        // A little off the raster, so that no line of them is where cubes end.
+        let turn = i as f64;
+        let x = ((i % n) as f64 + 0.3 * turn.sin()) / n as f64;
+        let z = ((i / n) as f64 + 0.3 * turn.cos()) / n as f64;
+        for (y, normal) in [(0.0, -Vec3::Y), (thickness, Vec3::Y)] {
+            body.positions.push(DVec3::new(x, y, z));
+            body.normals.push(normal);
+        }
+    }
+    // Moves the middle of the model, where cubes end, away from between the sides.
+    body.positions.push(DVec3::new(0.5, LIFTED, 0.5));
+    body.normals.push(Vec3::Y);
+    body
+}
+
+/// Height of a single vertex above the wall.
+const LIFTED: f64 = 0.137;
+
+#[test]
+fn the_two_sides_of_a_thin_wall_are_never_mixed() {
+    let thickness = 1e-3;
+    let body = wall(150, thickness);
+    for body in [body.clone(), body.shuffled()] {
+        for level in [None, Some(0), Some(1), Some(2), Some(3)] {
+            let grouping = level.map_or(Grouping::Never, Grouping::Level);
+            let sampled = body.sampled(samples(3000, grouping));
+            let edge = sampled.cell_size / f64::from(1 << level.unwrap_or(0));
+            let cube = |y: f64| ((y - 0.5 * LIFTED) / edge).floor();
+            assert_eq!(cube(0.0), cube(thickness), "the sides are in different cubes anyway");
+            let mut sides = [0usize; 2];
+            for (p, n) in sampled.samples.positions.iter().zip(sampled.samples.normals()) {
+                let p = sampled.frame.to_model(*p);
+                if p.y > 0.5 * LIFTED {
+                    continue;
+                }
+                let upper = p.y > 0.5 * thickness;
+                let (height, normal) = if upper { (thickness, Vec3::Y) } else { (0.0, -Vec3::Y) };
+                assert!((p.y - height).abs() < 0.02 * thickness, "{grouping:?}: {p} is between the sides");
+                assert!(n.dot(normal) > 0.999, "{grouping:?}: {n} at {p}");
+                sides[usize::from(upper)] += 1;
+            }
+            // As many on either side.
+            assert!(sides[0].abs_diff(sides[1]) * 20 < sides[0], "{grouping:?}: {sides:?}");
+        }
+    }
+}
+
+/// 14 MB of samples are open at a time in this order, and next to none in that of the generator.
+fn shuffled() -> Body {
+    let coherent = Body::generated(Shape::Amphora, 500_000).without_faces();
+    assert_eq!(coherent.sampled(samples(1000, Grouping::Automatic)).sampling.grouping, Grouping::Never);
+    coherent.shuffled()
+}
+
+#[test]
+fn whether_there_are_groups_depends_on_the_memory_only_if_it_cannot_hold_them() {
+    let body = shuffled();
+    let limited = |limit| {
+        let sampling = Sampling { memory_limit: limit, ..samples(1000, Grouping::Automatic) };
+        body.sampled(sampling)
+    };
+    let (free, enough, tight) = (limited(None), limited(Some(60 << 20)), limited(Some(1)));
+    assert!(matches!(free.sampling.grouping, Grouping::Level(_)), "{:?}", free.sampling.grouping);
+    assert_eq!(free.sampling.grouping, enough.sampling.grouping);
+    assert_eq!(free.samples.positions, enough.samples.positions);
+    assert_eq!(free.samples.normals(), enough.samples.normals());
+    // A thousand samples take few groups: they find room even so.
+    assert_eq!(free.samples.positions, tight.samples.positions);
+}
+
+#[test]
+fn groups_that_find_no_room_give_way_to_samples_in_a_file() {
+    let body = Body::generated(Shape::Amphora, 500_000).without_faces().shuffled();
+    let tight = Sampling { memory_limit: Some(1), ..samples(3000, Grouping::Level(6)) };
+    let (tight, never) = (body.sampled(tight), body.sampled(samples(3000, Grouping::Never)));
+    assert_eq!(tight.sampling.grouping, Grouping::Never);
+    assert_eq!(tight.samples.positions, never.samples.positions);
+}
+
+#[test]
+fn one_place_is_one_sample() {
+    for place in [DVec3::ZERO, DVec3::splat(1e-30), DVec3::ONE, DVec3::splat(1e300)] {
+        let body = Body { positions: vec![place; 600_000], ..Body::default() };
+        assert_eq!(body.sampled(samples(100, Grouping::Automatic)).samples.len(), 1, "{place}");
+    }
+}
