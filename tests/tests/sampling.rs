@@ -204,11 +204,21 @@ fn less_memory_than_it_takes_is_enough() {
     let work = shuffled();
     work.simod(SAMPLE);
     let free = contents(&work, "model.simod");
-    for limit in ["1", "40M"] {
+    for limit in ["38M", "60M"] {
         work.simod(&format!("{SAMPLE} --memory-limit {limit}"));
-        assert!(contents(&work, "model.simod") == free, "{limit} bytes give other samples");
+        assert!(contents(&work, "model.simod") == free, "{limit} give other samples");
     }
     assert_eq!(work.names(), ["model.ply", "model.simod"]);
+}
+
+#[test]
+fn memory_that_cannot_be_enough_is_refused() {
+    let work = Workplace::new();
+    work.simod("generate -o model.ply --vertices 5000 --no-faces");
+    let outcome =
+        work.refuses("sample model.ply -o model.simod --samples 40000 --memory-limit 20M", &["21.0 MB"]);
+    assert!(outcome.hint().contains("--memory-limit 38M"), "{}", outcome.hint());
+    assert_eq!(work.names(), ["model.ply"]);
 }
 
 /// Memory that is less than what the samples of open cells take, and a model beyond what tests hold otherwise.
@@ -240,7 +250,7 @@ fn a_disk_that_fills_while_sampling() {
     let work = shuffled();
     work.simod("sample model.ply -o model.simod --samples 1000 --skip normals");
     let before = contents(&work, "model.simod");
-    let tight = "sample model.ply -o model.simod --samples 40000 --memory-limit 1";
+    let tight = "sample model.ply -o model.simod --samples 40000 --memory-limit 38M";
     let refused = |limit: u64, line: &str, advice: &str| {
         let outcome = work.refuses_beyond(limit, line, &["a temporary file"]);
         assert!(outcome.hint().ends_with(advice), "{}", outcome.hint());
@@ -324,7 +334,7 @@ fn a_killed_sampling_leaves_the_former_one_as_it_was() {
     let (work, whole) = slow("--no-colors");
     let before = contents(&work, "model.simod");
     for tenth in [2, 5, 8] {
-        let mut child = start(&work, &format!("{SAMPLE} --memory-limit 1"), whole * tenth / 10);
+        let mut child = start(&work, &format!("{SAMPLE} --memory-limit 38M"), whole * tenth / 10);
         child.kill().expect("our own process");
         let killed = child.wait().expect("an end").code().is_none();
         if !killed {

@@ -176,7 +176,7 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
 }
 
 /// Bytes for people, as "1.5 GB".
-fn human_size(bytes: u64) -> String {
+pub(crate) fn human_size(bytes: u64) -> String {
     const UNITS: [&str; 6] = ["kB", "MB", "GB", "TB", "PB", "EB"];
     if bytes < 1000 {
         return format!("{bytes} bytes");

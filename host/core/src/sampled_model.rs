@@ -235,7 +235,13 @@ impl SampledModel {
             Err(Error::new(ErrorKind::Argument, format!("{} {what}", folder.display()), hint))
         };
         if folder.symlink_metadata().is_err() {
-            return Ok(());
+            let failed = |e: std::io::Error| Error::io("write", folder, &e);
+            let parent = std::fs::metadata(output::folder_of(folder)).map_err(failed)?;
+            return if parent.is_dir() {
+                Ok(())
+            } else {
+                Err(failed(std::io::ErrorKind::NotADirectory.into()))
+            };
         }
         if !folder.join("simod.toml").is_file() {
             return refused("exists and is no sampled model".to_owned());

@@ -25,12 +25,19 @@ use crate::geometry::Bounds;
 use crate::model::{Model, for_vertices};
 use crate::{Error, ErrorKind, Progress, Result};
 
-/// Most bytes of items that wait for, or are in, clustering. Beyond it the stream stands still.
+/// Bytes of items that wait for, or are in, clustering, beyond which the stream stands still. The last cell may be
+/// larger.
 const MAX_QUEUED: usize = 4 << 20;
 
 /// Most bytes of a cell's items that are clustered at once, and as much to sort them, on each thread. A constant, so
 /// that the result depends neither on the machine's memory nor on the number of threads.
-const PART: usize = 6 << 20;
+const PART: usize = 3 << 20;
+
+/// Memory that a thread takes to cluster cells of which the largest has so many bytes: a part of it twice, and its
+/// tree, of at most 1.4 nodes per sample, twice.
+pub fn work_memory(largest: u64) -> u64 {
+    largest.min(PART as u64) * 6
+}
 
 /// The clusters of one finalized cell.
 pub struct ClusteredCell {

@@ -30,6 +30,7 @@ pub use vs_tree::Splitting;
 
 use crate::frame::Frame;
 use crate::model::{Model, VertexChunk};
+use crate::output::human_size;
 use crate::sampled_model::{SampledModel, Source, fingerprint};
 use crate::{Error, ErrorKind, Progress, Result};
 use finalization::{Clustered, Pass};
@@ -86,23 +87,31 @@ pub struct Skip {
     pub normals: bool,
 }
 
-/// Memory that is needed whatever the limit: chunks of the model, the queue of cells, the program itself.
-const OVERHEAD: u64 = 32 << 20;
+/// Least memory limit, for a few samples: chunks of the model, the queue of cells, the program itself. Each
+/// [`Target::Samples`] takes some more.
+pub const LEAST_MEMORY: u64 = 32 << 20;
 
-/// Least memory for samples, however low the limit.
-const MIN_SAMPLE_MEMORY: u64 = 8 << 20;
+/// Least memory for samples of open cells.
+const LEAST_FOR_CELLS: u64 = 4 << 20;
 
 impl Sampling {
-    /// What is left of the memory limit for the samples of cells, after the clusters that are kept and the table
-    /// of so many cells.
-    fn sample_memory(&self, cells: usize) -> u64 {
+    /// What is left of the memory limit for the samples of open cells, after all else.
+    fn memory_for_cells(&self, grid: &Grid) -> u64 {
         let limit = self.memory_limit.unwrap_or_else(|| (total_memory() / 4).min(2 << 30));
         let clusters = match self.target {
             Target::Samples(n) => n.saturating_mul(cut::BYTES_PER_SAMPLE),
             Target::Error(_) => limit / 4,
         };
-        let taken = OVERHEAD.saturating_add(clusters).saturating_add(512 * cells as u64);
-        limit.saturating_sub(taken).max(MIN_SAMPLE_MEMORY)
+        let largest = grid.records.iter().map(|r| r.count).max().unwrap_or(0);
+        let largest = largest.saturating_mul(size_of::<cluster::Sample>() as u64);
+        let work = rayon::current_num_threads() as u64 * finalization::work_memory(largest);
+        let taken = (LEAST_MEMORY - LEAST_FOR_CELLS)
+            .saturating_add(clusters)
+            .saturating_add(512 * grid.keys.len() as u64)
+            .saturating_add(work);
+        let left = limit.saturating_sub(taken);
+        // A complete cell is copied out of what is held.
+        (left - largest.min(left / 2)).max(LEAST_FOR_CELLS)
     }
 }
 
@@ -160,7 +169,7 @@ pub fn sample(
         progress,
     };
     let cells = grid.keys.len();
-    let memory = sampling.sample_memory(cells);
+    let memory = sampling.memory_for_cells(&grid);
     let grouping = sampling.grouping.resolve(&grid, &frame, sampling.target);
     let in_groups = match grouping.edge(&grid, &frame) {
         Some(edge) => pass.run(Groups::new(cells, edge, memory))?,
@@ -226,7 +235,7 @@ fn check(sampling: &Sampling) -> Result<()> {
         Target::Error(e) if !(e.is_finite() && e > 0.0) => format!("the error bound {e}"),
         _ => match sampling.grid {
             Some(r @ (0 | 1 | 4097..)) => format!("a grid of {r} cells along an axis"),
-            _ => return Ok(()),
+            _ => return check_memory(sampling),
         },
     };
     Err(Error::new(
@@ -234,6 +243,23 @@ fn check(sampling: &Sampling) -> Result<()> {
         format!("{bad} is out of range"),
         "give a number of samples from 1 to 2^32 - 1, an error above 0 (a fraction of the diagonal), a grid from 2 to 4096",
     ))
+}
+
+/// An error where the limit does not even leave room for the clusters.
+fn check_memory(sampling: &Sampling) -> Result<()> {
+    let clusters = match sampling.target {
+        Target::Samples(n) => n.saturating_mul(cut::BYTES_PER_SAMPLE),
+        Target::Error(_) => 0,
+    };
+    let least = LEAST_MEMORY.saturating_add(clusters);
+    match sampling.memory_limit {
+        Some(limit) if limit < least => Err(Error::new(
+            ErrorKind::Argument,
+            format!("a memory limit of {} is too small", human_size(limit)),
+            format!("give --memory-limit {}M or more, or ask for fewer samples", least.div_ceil(1 << 20)),
+        )),
+        _ => Ok(()),
+    }
 }
 
 /// About 2000 vertices per cell of a surface, which meets about 3R² cells: enough for a tree to be adaptive, few

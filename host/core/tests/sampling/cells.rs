@@ -279,8 +279,10 @@ fn a_file_that_is_missing_or_damaged_is_made_again() {
 #[test]
 fn what_waited_in_a_file_is_made_again_in_memory() {
     let body = Body::generated(Shape::Amphora, 500_000).without_faces().shuffled();
-    let saved =
-        Saved::new(&body, Sampling { memory_limit: Some(1), grouping: Grouping::Never, ..samples(3000) });
+    let saved = Saved::new(
+        &body,
+        Sampling { memory_limit: Some(33 << 20), grouping: Grouping::Never, ..samples(3000) },
+    );
     let bytes = saved.bytes();
     fs::remove_file(saved.file()).unwrap();
     saved.cells();
@@ -326,7 +328,7 @@ fn a_model_that_is_gone_has_no_cells_to_be_made() {
 fn what_found_no_room_in_groups_is_made_again() {
     let body = Body::generated(Shape::Amphora, 500_000).without_faces().shuffled();
     let grouping = Grouping::Level(6);
-    let sampling = Sampling { memory_limit: Some(1), grouping, ..samples(3000) };
+    let sampling = Sampling { memory_limit: Some(33 << 20), grouping, ..samples(3000) };
     let saved = Saved::new(&body, sampling);
     let before = saved.load().cells(&saved.folder(), &Silent).unwrap();
     std::fs::remove_file(saved.folder().join("cells.bin")).unwrap();

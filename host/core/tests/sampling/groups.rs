@@ -104,7 +104,7 @@ fn whether_there_are_groups_depends_on_the_memory_only_if_it_cannot_hold_them() 
         let sampling = Sampling { memory_limit: limit, ..samples(1000, Grouping::Automatic) };
         body.sampled(sampling)
     };
-    let (free, enough, tight) = (limited(None), limited(Some(60 << 20)), limited(Some(1)));
+    let (free, enough, tight) = (limited(None), limited(Some(60 << 20)), limited(Some(33 << 20)));
     assert!(matches!(free.sampling.grouping, Grouping::Level(_)), "{:?}", free.sampling.grouping);
     assert_eq!(free.sampling.grouping, enough.sampling.grouping);
     assert_eq!(free.samples.positions, enough.samples.positions);
@@ -116,7 +116,7 @@ fn whether_there_are_groups_depends_on_the_memory_only_if_it_cannot_hold_them() 
 #[test]
 fn groups_that_find_no_room_give_way_to_samples_in_a_file() {
     let body = Body::generated(Shape::Amphora, 500_000).without_faces().shuffled();
-    let tight = Sampling { memory_limit: Some(1), ..samples(3000, Grouping::Level(6)) };
+    let tight = Sampling { memory_limit: Some(33 << 20), ..samples(3000, Grouping::Level(6)) };
     let (tight, never) = (body.sampled(tight), body.sampled(samples(3000, Grouping::Never)));
     assert_eq!(tight.sampling.grouping, Grouping::Never);
     assert_eq!(tight.samples.positions, never.samples.positions);

@@ -18,8 +18,8 @@ use body::{Body, worst_distance};
 fn a_memory_limit_changes_nothing_and_order_little() {
     let body = Body::generated(Shape::Amphora, 500_000).without_faces();
     let free = Sampling { target: Target::Samples(5000), ..Sampling::default() };
-    // Least memory: 8 MiB of the 14 MB of samples, so that many wait in the file.
-    let tight = Sampling { memory_limit: Some(1), ..free };
+    // Least memory: 4 MiB of the 14 MB of samples, so that most wait in the file.
+    let tight = Sampling { memory_limit: Some(33 << 20), ..free };
     let coherent = body.sampled(free);
 
     let body = body.shuffled();

@@ -190,7 +190,7 @@ fn the_order_of_the_vertices_changes_nothing_but_numbers() {
 fn waiting_in_a_file_changes_no_triangle() {
     let body = Body::generated(Shape::Amphora, 500_000).shuffled();
     let free = Sampling { grouping: Grouping::Never, ..samples(5000) };
-    let tight = Sampling { memory_limit: Some(1), ..free };
+    let tight = Sampling { memory_limit: Some(33 << 20), ..free };
     let (free, tight) = (body.sampled(free), body.sampled(tight));
     assert!(free.triangles.len() > 9000);
     assert_eq!(free.samples.positions, tight.samples.positions);
