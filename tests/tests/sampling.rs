@@ -389,3 +389,27 @@ fn a_model_that_changes_while_it_is_sampled() {
         }
     }
 }
+
+#[test]
+fn an_error_that_takes_too_many_samples_is_refused() {
+    let work = Workplace::new();
+    work.simod("generate -o model.ply --vertices 400000 --no-faces --no-colors");
+    let line = "sample model.ply -o model.simod --error 1e-300 --memory-limit 64M";
+    let outcome = work.refuses(line, &["so small an error takes more than"]);
+    assert!(outcome.hint().contains("a larger --error"), "{}", outcome.hint());
+    assert_eq!(work.names(), ["model.ply"]);
+}
+
+/// What is known of the samples is found out by the same threads that then ask for it.
+#[test]
+fn many_threads_do_not_wait_for_each_other() {
+    let work = Workplace::new();
+    for options in ["", "--no-normals"] {
+        work.simod(&format!("generate -o model.ply --vertices 60000 --no-faces {options}"));
+        work.simod("sample model.ply -o model.simod --samples 20000 --skip normals");
+        work.move_samples("model.simod", |p| 2.0 * p);
+        for _ in 0..5 {
+            work.simod("reconstruct model.simod --deformed deformed.ply -o out.ply --threads 24");
+        }
+    }
+}

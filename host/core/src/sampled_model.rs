@@ -92,6 +92,7 @@ struct SamplingRecord {
     grid: Option<u32>,
     cells: u64,
     cell_size: f64,
+    #[serde(default)]
     splitting: Splitting,
     /// Level of the groups that open cells held, if they held groups.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -248,8 +249,11 @@ impl SampledModel {
         }
         // What is replaced is removed: nothing of the user's own.
         let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
-        let own = |name: &std::ffi::OsStr| name != "simod.toml" && name != "samples.ply" && name != CELLS;
-        match entries.flatten().map(|e| e.file_name()).find(|name| own(name)) {
+        let foreign = |name: &std::ffi::OsStr| {
+            let left = name.to_str().is_some_and(|n| n.starts_with(".simod-") && n.ends_with(".part"));
+            name != "simod.toml" && name != "samples.ply" && name != CELLS && !left
+        };
+        match entries.flatten().map(|e| e.file_name()).find(|name| foreign(name)) {
             Some(name) => refused(format!("holds {} beside the samples", name.display())),
             None => Ok(()),
         }
@@ -339,22 +343,33 @@ impl SampledModel {
     }
 
     /// The cells of a sampled model, from its folder; if the file is missing or damaged, the model is sampled
-    /// again, which gives the same cells, and the file is made anew.
+    /// again, which gives the same cells, and the file is made anew. `elsewhere` is the model if it was moved.
     ///
     /// # Errors
     /// As for [`open_source`](Self::open_source) and [`sample`](crate::sampling::sample); the model is not what was
     /// sampled; the file cannot be written.
-    pub fn cells(&self, folder: &Path, progress: &dyn Progress) -> Result<KeptCells> {
+    pub fn cells(
+        &self,
+        folder: &Path,
+        elsewhere: Option<&Path>,
+        progress: &dyn Progress,
+    ) -> Result<KeptCells> {
         if let Some(kept) = Self::kept_cells(folder) {
             return Ok(kept);
         }
-        let source = self.open_source(None)?;
+        let source = self.open_source(elsewhere)?;
         let skip = Skip { triangles: true, cells: false, normals: true };
         let again = crate::sampling::sample(&*source, &Sampling { skip, ..self.sampling }, folder, progress)?;
-        let same = again.source.fingerprint == self.source.fingerprint
-            && again.samples.positions == self.samples.positions;
-        let Some(kept) = again.kept.filter(|_| same) else {
+        if again.source.fingerprint != self.source.fingerprint {
             return Err(self.source_changed(source.path()));
+        }
+        let same = again.samples.positions == self.samples.positions;
+        let Some(kept) = again.kept.filter(|_| same) else {
+            return Err(Error::new(
+                ErrorKind::Mismatch,
+                format!("{} was sampled by another version of SIMOD", folder.display()),
+                "sample the model again",
+            ));
         };
         let samples_fingerprint = file_fingerprint(&folder.join("samples.ply"))?;
         output::write_file(&folder.join(CELLS), &kept.encode(&samples_fingerprint)?)?;

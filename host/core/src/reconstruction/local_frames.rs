@@ -32,6 +32,7 @@ pub struct LocalFrames {
 impl LocalFrames {
     /// Fits all samples.
     pub fn fit(samples: &SampleSet, deformed: &[Vec3]) -> Self {
+        samples.prepare();
         let (gradient, normal) = (0..samples.len())
             .into_par_iter()
             .map(|i| {

@@ -193,7 +193,7 @@ pub const REACH_WEIGHT: f64 = 0.08;
 
 /// Strength of the ridge towards the mean, relative to the trace of the quadric: weaker ones follow smooth surfaces
 /// more closely, but throw samples off surfaces with steep relief.
-const QUADRIC_RIDGE: f64 = 3e-4;
+const QUADRIC_RIDGE: f64 = 1e-3;
 
 /// Variance of the normals below which a surface is flat: they are stored to so many digits.
 const FLAT: f64 = 1e-6;

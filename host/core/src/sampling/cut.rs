@@ -16,6 +16,8 @@ use super::vs_tree::{Node, VsTree};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
+use crate::{Error, ErrorKind, Result};
+
 /// Clusters are pruned when there are more than this many times the target …
 const KEEP_AT_MOST: f64 = 1.6;
 /// … down to this many times the target.
@@ -33,6 +35,8 @@ pub struct Forest {
     target: Option<usize>,
     /// Running bound.
     threshold: f32,
+    /// Most leaves without a target.
+    most: usize,
     leaves: usize,
     /// Cells taken in.
     added: usize,
@@ -40,15 +44,18 @@ pub struct Forest {
 }
 
 impl Forest {
-    /// An empty forest of so many cells, for a target number of samples or for a fixed bound.
-    pub fn new(cells: usize, target: Option<usize>, threshold: f32) -> Self {
-        let mut forest = Self { target, threshold, leaves: 0, added: 0, cells: Vec::new() };
+    /// An empty forest of so many cells, for a target number of samples, or for a fixed bound and at most so many.
+    pub fn new(cells: usize, target: Option<usize>, threshold: f32, most: usize) -> Self {
+        let mut forest = Self { target, threshold, most, leaves: 0, added: 0, cells: Vec::new() };
         forest.cells.resize_with(cells, || None);
         forest
     }
 
     /// Takes in a clustered cell; the bound down to which further cells need clustering.
-    pub fn add(&mut self, ClusteredCell { cell, mut tree, moments }: ClusteredCell) -> f32 {
+    ///
+    /// # Errors
+    /// The bound takes more clusters than there may be.
+    pub fn add(&mut self, ClusteredCell { cell, mut tree, moments }: ClusteredCell) -> Result<f32> {
         tree.prune(self.threshold);
         self.leaves += tree.leaves();
         self.added += 1;
@@ -65,7 +72,17 @@ impl Forest {
                 self.leaves += tree.leaves();
             }
         }
-        self.threshold
+        if self.target.is_none() && self.leaves > self.most {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!(
+                    "so small an error takes more than {} samples, which memory does not hold",
+                    self.most
+                ),
+                "give a larger --error, a number of --samples, or more memory with --memory-limit",
+            ));
+        }
+        Ok(self.threshold)
     }
 
     /// The final cut, in the order in which the stream meets the cells.
@@ -299,14 +316,14 @@ mod tests {
         for s in samples {
             cells[grid.find(&grid.key_of(s.position.as_dvec3())).expect("a cell") as usize].push(s);
         }
-        let mut forest = Forest::new(cells.len(), target, bound);
+        let mut forest = Forest::new(cells.len(), target, bound, usize::MAX);
         let mut stop = bound;
         for (cell, mut samples) in cells.into_iter().enumerate() {
             (0..).zip(&mut samples).for_each(|(i, s)| s.index = i);
             let workspace = &mut Workspace::default();
             let (tree, moments) =
                 VsTree::build(&mut samples, workspace, Splitting::VolumeSurface, stop, cell as u64);
-            stop = forest.add(ClusteredCell { cell: cell as u32, tree, moments });
+            stop = forest.add(ClusteredCell { cell: cell as u32, tree, moments }).expect("room");
         }
         forest.cut(&grid)
     }

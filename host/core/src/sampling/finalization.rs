@@ -33,10 +33,11 @@ const MAX_QUEUED: usize = 4 << 20;
 /// that the result depends neither on the machine's memory nor on the number of threads.
 const PART: usize = 3 << 20;
 
-/// Memory that a thread takes to cluster cells of which the largest has so many bytes: a part of it twice, and its
-/// tree, of at most 1.4 nodes per sample, twice.
+/// Memory that it takes to cluster cells of which the largest has so many bytes: each part twice, and its tree, of at
+/// most 1.4 nodes per sample, twice.
 pub fn work_memory(largest: u64) -> u64 {
-    largest.min(PART as u64) * 6
+    // Whatever the number of threads: no more is in work than may be queued, and the last cell.
+    6 * (largest.min(PART as u64) + MAX_QUEUED as u64)
 }
 
 /// The clusters of one finalized cell.
@@ -63,6 +64,8 @@ pub struct Pass<'a> {
     pub target: Option<usize>,
     /// Error down to which cells are clustered, in local units.
     pub bound: f32,
+    /// Most clusters that may be kept if there is no target.
+    pub most: usize,
     /// Whether it shall be known which cluster each vertex belongs to.
     pub with_members: bool,
     /// Where temporary files go.
@@ -100,7 +103,7 @@ impl Pass<'_> {
         let cells = self.grid.keys.len();
         let members = || Membership::new(self.grid, info.vertices, self.folder);
         let mut clustered = Clustered {
-            forest: Forest::new(cells, self.target, self.bound),
+            forest: Forest::new(cells, self.target, self.bound, self.most),
             hash: Xxh3Default::new(),
             ranges: Ranges::new(cells),
             membership: self.with_members.then(members).transpose()?,
@@ -115,7 +118,10 @@ impl Pass<'_> {
         let Clustered { forest, hash, ranges, membership } = found;
         let leaves = membership.as_ref().map(Membership::leaves);
         let stop = &AtomicU32::new(self.bound.to_bits());
-        let mut collect = |cell| stop.store(forest.add(cell).to_bits(), Ordering::Relaxed);
+        let mut collect = |cell| -> Result<()> {
+            stop.store(forest.add(cell)?.to_bits(), Ordering::Relaxed);
+            Ok(())
+        };
         let workspaces = &Mutex::new(Vec::<Workspace<G::Item>>::new());
         let (send, receive) = mpsc::channel::<(usize, Result<ClusteredCell>)>();
         let mut has_room = true;
@@ -174,13 +180,13 @@ impl Pass<'_> {
                         while queued > MAX_QUEUED {
                             let Ok((bytes, cell)) = receive.recv() else { break };
                             queued -= bytes;
-                            collect(cell?);
+                            collect(cell?)?;
                         }
                     }
                 }
                 while let Ok((bytes, cell)) = receive.try_recv() {
                     queued -= bytes;
-                    collect(cell?);
+                    collect(cell?)?;
                 }
                 hash.update(chunk.raw());
                 self.progress.advance(chunk.raw().len() as u64);
@@ -192,7 +198,7 @@ impl Pass<'_> {
             ranges.finish(model.info().vertices);
             // Taken in as they come: the bound that they raise shortens the work on the rest.
             drop(send);
-            receive.iter().try_for_each(|(_, cell)| cell.map(&mut collect))
+            receive.iter().try_for_each(|(_, cell)| collect(cell?))
         });
         if has_room { streamed.map(|()| true) } else { Ok(false) }
     }
@@ -210,6 +216,7 @@ impl Pass<'_> {
         let seed = self.grid.keys[cell as usize].iter().fold(0, |seed, k| mix(seed, *k as u64));
         let mut whole: Option<(VsTree, Moments)> = None;
         items.in_parts(PART / size_of::<E>(), |items| {
+            self.progress.check()?;
             let stop = f32::from_bits(stop.load(Ordering::Relaxed));
             let first = items.first().map_or(0, E::index);
             let (tree, moments) = VsTree::build(items, workspace, self.splitting, stop, seed);
@@ -239,7 +246,11 @@ impl Pass<'_> {
 /// The direction of a normal; zero where it has none. Most are of unit length as they are.
 #[inline]
 fn unit(n: Vec3) -> Vec3 {
-    if (n.length_squared() - 1.0).abs() < 1e-6 { n } else { n.normalize_or_zero() }
+    if (n.length_squared() - 1.0).abs() < 1e-6 {
+        return n;
+    }
+    // Of a size that can be squared.
+    (n / n.abs().max_element()).normalize_or_zero()
 }
 
 /// A thread that clusters panicked.

@@ -91,24 +91,30 @@ pub struct Skip {
 /// [`Target::Samples`] takes some more.
 pub const LEAST_MEMORY: u64 = 32 << 20;
 
+/// Most memory for groups where there is no limit: without one, the result does not depend on the machine.
+const GROUPS_AT_EASE: u64 = 256 << 20;
+
 /// Least memory for samples of open cells.
 const LEAST_FOR_CELLS: u64 = 4 << 20;
 
 impl Sampling {
+    fn limit(&self) -> u64 {
+        self.memory_limit.unwrap_or_else(|| (total_memory() / 4).min(2 << 30))
+    }
+
     /// What is left of the memory limit for the samples of open cells, after all else.
     fn memory_for_cells(&self, grid: &Grid) -> u64 {
-        let limit = self.memory_limit.unwrap_or_else(|| (total_memory() / 4).min(2 << 30));
+        let limit = self.limit();
         let clusters = match self.target {
             Target::Samples(n) => n.saturating_mul(cut::BYTES_PER_SAMPLE),
-            Target::Error(_) => limit / 4,
+            Target::Error(_) => limit / 2,
         };
         let largest = grid.records.iter().map(|r| r.count).max().unwrap_or(0);
         let largest = largest.saturating_mul(size_of::<cluster::Sample>() as u64);
-        let work = rayon::current_num_threads() as u64 * finalization::work_memory(largest);
         let taken = (LEAST_MEMORY - LEAST_FOR_CELLS)
             .saturating_add(clusters)
             .saturating_add(512 * grid.keys.len() as u64)
-            .saturating_add(work);
+            .saturating_add(finalization::work_memory(largest));
         let left = limit.saturating_sub(taken);
         // A complete cell is copied out of what is held.
         (left - largest.min(left / 2)).max(LEAST_FOR_CELLS)
@@ -151,6 +157,13 @@ pub fn sample(
     progress.begin("counting", info.vertex_bytes);
     let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
     let (grid, non_finite) = count_cells(model, resolution, progress)?;
+    if !grid.bounds.diagonal().is_finite() {
+        return Err(Error::new(
+            ErrorKind::Degenerate,
+            format!("{} is too large for its own numbers", model.path().display()),
+            "scale it down: its extent has to be below 1e308",
+        ));
+    }
     let frame = Frame::of(&grid.bounds);
 
     let (target, bound) = match sampling.target {
@@ -164,6 +177,7 @@ pub fn sample(
         splitting: sampling.splitting,
         target,
         bound,
+        most: usize::try_from(sampling.limit() / 2 / cut::BYTES_PER_SAMPLE).unwrap_or(usize::MAX),
         with_members: !sampling.skip.triangles && info.faces > 0 && info.vertices <= Membership::MAX_VERTICES,
         folder,
         progress,
@@ -171,8 +185,15 @@ pub fn sample(
     let cells = grid.keys.len();
     let memory = sampling.memory_for_cells(&grid);
     let grouping = sampling.grouping.resolve(&grid, &frame, sampling.target);
+    let for_groups = match (sampling.memory_limit, sampling.grouping) {
+        (Some(_), _) => memory,
+        // Not by the machine's memory, so that the samples do not depend on it …
+        (None, Grouping::Automatic) => GROUPS_AT_EASE,
+        // … and none other than asked for.
+        (None, _) => u64::MAX,
+    };
     let in_groups = match grouping.edge(&grid, &frame) {
-        Some(edge) => pass.run(Groups::new(cells, edge, memory))?,
+        Some(edge) => pass.run(Groups::new(cells, edge, for_groups))?,
         None => None,
     };
     let (Clustered { forest, hash, ranges, membership }, grouping) = match in_groups {
@@ -192,11 +213,15 @@ pub fn sample(
             progress.begin("looking up each vertex' sample", info.vertices);
             let sample_of = members.finish(&cut.starts, folder, progress)?;
             progress.begin("reindexing the faces", info.face_bytes);
-            triangles::reindex(model, sample_of.all(), cut.positions.len(), progress)?
+            triangles::reindex(model, sample_of.all(), cut.positions.len(), progress).map_err(|e| {
+                let hint = format!("{}; or leave the triangles out with --skip triangles", e.hint());
+                if e.kind() == ErrorKind::Format { Error::new(e.kind(), e.to_string(), hint) } else { e }
+            })?
         }
     };
+    progress.check()?;
     let kept = (!sampling.skip.cells).then(|| keep(&grid, ranges, cut.trees));
-    SampledModel::new(
+    let sampled = SampledModel::new(
         Source {
             path: model.path().to_owned(),
             bytes: info.bytes,
@@ -211,7 +236,13 @@ pub fn sample(
         (cut.positions, cut.normals),
         triangles,
         kept,
-    )
+    )?;
+    if !sampling.skip.normals && !sampled.samples.knows_normals() {
+        progress.begin("estimating normals", 0);
+        sampled.samples.normals();
+    }
+    progress.check()?;
+    Ok(sampled)
 }
 
 /// What is kept of the cells.

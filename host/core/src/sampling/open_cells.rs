@@ -24,6 +24,9 @@ const NONE: u32 = u32::MAX;
 /// Where the chain of pieces in the file ends.
 const NO_PIECE: u64 = u64::MAX;
 
+/// Bytes of a piece, about: what is collected to be written at once.
+const PIECE: usize = 1 << 20;
+
 /// Bytes of a piece's header: where the cell's former piece is, and how many items this one has.
 const HEADER: usize = 16;
 
@@ -141,14 +144,22 @@ impl<T: Pod> OpenCells<T> {
         let mut bytes = Vec::new();
         for c in fullest {
             let cell = &mut self.cells[c as usize];
+            let (spill, mut piece, mut written) = (&mut self.spill, cell.piece, Ok(()));
             bytes.clear();
-            bytes.extend_from_slice(&cell.piece.to_le_bytes());
-            bytes.extend_from_slice(&u64::from(cell.held).to_le_bytes());
-            self.pool.drain(cell, |samples| bytes.extend_from_slice(bytemuck::cast_slice(samples)));
+            self.pool.drain(cell, |items| {
+                bytes.extend_from_slice(bytemuck::cast_slice(items));
+                if bytes.len() >= PIECE && written.is_ok() {
+                    written = spill.append(&mut piece, &mut bytes, size_of::<T>());
+                }
+            });
+            written?;
+            if !bytes.is_empty() {
+                spill.append(&mut piece, &mut bytes, size_of::<T>())?;
+            }
+            cell.piece = piece;
             cell.spilled += u64::from(cell.held);
             freed += (cell.held as usize).div_ceil(BLOCK);
             cell.held = 0;
-            cell.piece = self.spill.append(&bytes)?;
             if freed * 2 >= self.pool.limit {
                 break;
             }
@@ -207,16 +218,20 @@ impl<T: Pod> Pool<T> {
 }
 
 impl Spill {
-    /// Writes a piece behind all others; where it is.
-    fn append(&mut self, piece: &[u8]) -> Result<u64> {
+    /// Writes a piece of items behind all others, with a pointer to the cell's former piece, which it becomes.
+    /// Empties `items`, the bytes of items of this size.
+    fn append(&mut self, former: &mut u64, items: &mut Vec<u8>, size: usize) -> Result<()> {
         let file = match &self.file {
             Some(file) => file,
             None => self.file.insert(Arc::new(Scratch::new(&self.folder, "raise --memory-limit")?)),
         };
-        let at = self.end;
-        file.write_at(piece, at)?;
-        self.end += piece.len() as u64;
-        Ok(at)
+        let header = [*former, (items.len() / size) as u64].map(u64::to_le);
+        file.write_at(bytemuck::cast_slice(&header), self.end)?;
+        file.write_at(items, self.end + HEADER as u64)?;
+        *former = self.end;
+        self.end += (HEADER + items.len()) as u64;
+        items.clear();
+        Ok(())
     }
 }
 

@@ -91,6 +91,11 @@ impl SampleSet {
         self.estimated.get_or_init(|| normals::completed(&self.positions, &self.known))
     }
 
+    /// Whether the model has told all normals, and none has to be estimated.
+    pub fn knows_normals(&self) -> bool {
+        self.all_known
+    }
+
     /// The normals that stem from the model; zero where there is none, and empty if there are none at all.
     pub fn known_normals(&self) -> &[Vec3] {
         &self.known
@@ -104,6 +109,14 @@ impl SampleSet {
     /// Never: a set has at least one sample.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
+    }
+
+    /// Finds out now what is otherwise found when it is first asked for: neighbours, spacing and normals.
+    ///
+    /// To be called before these are asked for by jobs of a thread pool: finding them takes jobs of the pool, and a
+    /// thread that waits for these could take one that waits for it.
+    pub fn prepare(&self) {
+        let _ = (self.surroundings(), self.normals());
     }
 
     /// The k-nearest-neighbour graph.

@@ -37,16 +37,18 @@ pub fn reindex(
     let mut found = Triangles::default();
     for_faces(model, |chunk| {
         progress.check()?;
-        if found.tangled {
-            return Ok(());
-        }
         for corners in &chunk.triangles {
             let [Some(a), Some(b), Some(c)] = corners.map(|corner| sample_of.get(corner as usize)) else {
                 found.without_vertex += 1;
                 continue;
             };
             // Vertices without a finite position have no sample.
-            if a != b && b != c && c != a && [a, b, c].iter().all(|s| (**s as usize) < samples) {
+            if !found.tangled
+                && a != b
+                && b != c
+                && c != a
+                && [a, b, c].iter().all(|s| (**s as usize) < samples)
+            {
                 found.triangles.push(first_least([*a, *b, *c]));
             }
         }

@@ -118,10 +118,10 @@ impl VsTree {
         nodes.extend(first.nodes.into_iter().map(|n| Node { end: n.end + 1, ..n }));
         nodes.extend(second.nodes.into_iter().map(|n| Node {
             end: n.end + behind,
-            first: n.first + first.built,
+            first: n.first.wrapping_add(first.built),
             ..n
         }));
-        Self { nodes, built: first.built + second.built }
+        Self { nodes, built: first.built.wrapping_add(second.built) }
     }
 
     /// Calls `visit` with each cluster of the cut at `threshold`, in order.
