@@ -20,7 +20,10 @@ use crate::{Progress, Result};
 use source::Source;
 
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
-pub const CHUNK_VERTICES: usize = 1 << 14;
+pub const CHUNK_VERTICES: usize = 1 << 16;
+
+/// Most vertices in a chunk where they are only looked at: several chunks are held then, and large ones gain nothing.
+pub const SMALL_CHUNK: usize = 1 << 14;
 
 /// Most triangles in a chunk.
 pub const CHUNK_TRIANGLES: usize = 1 << 16;
@@ -120,6 +123,9 @@ pub fn open(path: &Path) -> Result<Box<dyn Model>> {
 
 /// Reads consecutive vertices of a model, a chunk at a time.
 pub trait VertexReader: Send {
+    /// From now on chunks have at most so many vertices: [`CHUNK_VERTICES`] until then, and at most.
+    fn set_chunk(&mut self, vertices: usize);
+
     /// Reads the next vertices into `chunk`, whose buffers are reused; `false` (and an empty chunk) at the end.
     ///
     /// # Errors
@@ -151,6 +157,7 @@ const CHUNKS_AHEAD: usize = 3;
 /// The model cannot be read, or `visit` failed.
 pub fn for_vertices(model: &dyn Model, visit: impl FnMut(&VertexChunk) -> Result<()>) -> Result<()> {
     let mut reader = model.vertices(0..model.info().vertices)?;
+    reader.set_chunk(SMALL_CHUNK);
     read_ahead(move |chunk| reader.read(chunk), visit)
 }
 

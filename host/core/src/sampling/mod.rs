@@ -29,7 +29,7 @@ pub use sample_set::{NEIGHBOURS, NeighbourGraph, SampleSet};
 pub use vs_tree::Splitting;
 
 use crate::frame::Frame;
-use crate::model::{Model, VertexChunk};
+use crate::model::{Model, SMALL_CHUNK, VertexChunk};
 use crate::output::human_size;
 use crate::sampled_model::{SampledModel, Source, fingerprint};
 use crate::{Error, ErrorKind, Progress, Result};
@@ -353,6 +353,7 @@ fn count_range(
     let mut lattice = Lattice::new(resolution);
     let mut non_finite = NonFinite::default();
     let mut reader = model.vertices(range)?;
+    reader.set_chunk(SMALL_CHUNK);
     let mut chunk = VertexChunk::default();
     while reader.read(&mut chunk)? {
         progress.check()?;

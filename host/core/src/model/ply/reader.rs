@@ -24,6 +24,8 @@ pub(super) struct Reader<'a> {
     model: &'a PlyModel,
     /// The vertices that are still to be read.
     range: Range<u64>,
+    /// Most vertices of a chunk.
+    chunk: usize,
     /// Where in the file the next vertex begins.
     offset: u64,
     /// What has been read of the file from `offset` on, where records differ in length: at most `BLOCK` bytes, or
@@ -37,10 +39,11 @@ impl<'a> Reader<'a> {
         let range = range.start.min(end)..end;
         if let Some(stride) = model.layout.stride {
             let offset = model.vertices_start + range.start * stride as u64;
-            return Ok(Self { model, range, offset, ahead: Vec::new() });
+            return Ok(Self { model, range, chunk: CHUNK_VERTICES, offset, ahead: Vec::new() });
         }
         let (vertex, offset) = model.offsets.before(range.start).unwrap_or((0, model.vertices_start));
-        let mut reader = Self { model, range: vertex..end, offset, ahead: Vec::new() };
+        let chunk = CHUNK_VERTICES;
+        let mut reader = Self { model, range: vertex..end, chunk, offset, ahead: Vec::new() };
         let mut skipped = VertexChunk::default();
         while reader.range.start < range.start {
             reader.scan(&mut skipped, range.start - reader.range.start)?;
@@ -123,12 +126,16 @@ impl<'a> Reader<'a> {
 }
 
 impl VertexReader for Reader<'_> {
+    fn set_chunk(&mut self, vertices: usize) {
+        self.chunk = vertices.clamp(1, CHUNK_VERTICES);
+    }
+
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
         let model = self.model;
         chunk.first = self.range.start;
         chunk.positions.clear();
         chunk.normals.clear();
-        let limit = (self.range.end - self.range.start).min(CHUNK_VERTICES as u64);
+        let limit = (self.range.end - self.range.start).min(self.chunk as u64);
         if limit == 0 {
             chunk.raw.clear();
             chunk.spans.clear();
