@@ -265,7 +265,7 @@ fn a_file_that_is_missing_or_damaged_is_made_again() {
                 Some(damage) => write(&saved.file(), &damage),
                 None => fs::remove_file(saved.file()).unwrap(),
             }
-            assert!(!SampledModel::kept_cells(&saved.folder()).is_some());
+            assert!(SampledModel::kept_cells(&saved.folder()).is_none());
             assert!(saved.cells() == cells);
             assert!(saved.bytes() == bytes, "{sampling:?}: the file is not what it was");
             assert_eq!(saved.names(), names);
