@@ -130,12 +130,14 @@ fn total_memory() -> u64 {
     total.unwrap_or(4 << 20) * 1024
 }
 
-/// Samples a model. If the memory limit is reached, a temporary file without a name is made in `folder`, of at most
-/// 40 bytes per vertex.
+/// Samples a model. Temporary files without a name are made in `folder`: of at most 40 bytes per vertex if the memory
+/// limit is reached, and of 12 bytes per vertex for the triangles.
+///
+/// Not to be called on a thread of the pool of threads that it uses, and waits for.
 ///
 /// # Errors
 /// The model cannot be read, changes meanwhile, or has no vertex with a finite position; the target is zero or not
-/// finite; the temporary file cannot be written; the user cancelled.
+/// finite, or takes more than the memory limit; a temporary file cannot be written; the user cancelled.
 pub fn sample(
     model: &dyn Model,
     sampling: &Sampling,
