@@ -4,18 +4,18 @@
 //! number of occupied cells, or a large flat region, is met as well.
 //!
 //! For a target number N no second look at the model is needed: the clusters of all cells seen so far are kept
-//! down to a running bound ε, raised whenever they are more than 1.6N beyond one per cell. A node above the cells counts as
-//! no better than what is below it, so the final cut splits all of them before it splits a cell's tree further, and
-//! more cells can only add clusters: the final bound is never below the running one, and what was dropped would
-//! not have been in the cut.
+//! down to a running bound ε, raised whenever they are more than 1.6N beyond one per cell. A node above the cells
+//! counts as no better than what is below it, so the final cut splits all of them before it splits a cell's tree
+//! further, and more cells can only add clusters: the final bound is never below the running one, and what was
+//! dropped would not have been in the cut.
+
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 use super::cluster::Moments;
 use super::finalization::ClusteredCell;
 use super::lattice::{CellKey, CellMap, Grid};
 use super::vs_tree::{Node, VsTree};
-use glam::Vec3;
-use serde::{Deserialize, Serialize};
-
 use crate::{Error, ErrorKind, Result};
 
 /// Clusters are pruned when there are more than this many times the target …

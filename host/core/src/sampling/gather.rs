@@ -306,23 +306,21 @@ mod tests {
         let samples = samples();
         let edge = 1.0 / 32.0;
         let groups = gathered(&mut Groups::new(3, edge, 1 << 30), &samples);
-        {
-            for (cell, (indices, groups)) in groups.iter().enumerate() {
-                let own: Vec<_> = samples.iter().filter(|(c, ..)| *c as usize == cell).collect();
-                assert!(groups.len() <= 2 * 33 * 33, "{} groups", groups.len());
-                assert!(groups.iter().enumerate().all(|(i, g)| g.index() as usize == i));
-                for ((_, p, n), i) in own.iter().zip(indices) {
-                    let group = &groups[*i as usize];
-                    assert!((group.position() - *p).abs().max_element() <= edge, "{p}");
-                    assert!(group.normal().dot(*n) > 0.99, "sheets are mixed");
-                }
-                let all: Vec<_> = own
-                    .iter()
-                    .map(|(_, position, normal)| Sample { position: *position, normal: *normal, index: 0 })
-                    .collect();
-                let (a, b) = (Moments::of(&all), Moments::of(groups));
-                assert!(a.mean().distance(b.mean()) < 1e-6 && (a.spread() - b.spread()).abs() < 1e-6);
+        for (cell, (indices, groups)) in groups.iter().enumerate() {
+            let own: Vec<_> = samples.iter().filter(|(c, ..)| *c as usize == cell).collect();
+            assert!(groups.len() <= 2 * 33 * 33, "{} groups", groups.len());
+            assert!(groups.iter().enumerate().all(|(i, g)| g.index() as usize == i));
+            for ((_, p, n), i) in own.iter().zip(indices) {
+                let group = &groups[*i as usize];
+                assert!((group.position() - *p).abs().max_element() <= edge, "{p}");
+                assert!(group.normal().dot(*n) > 0.99, "sheets are mixed");
             }
+            let all: Vec<_> = own
+                .iter()
+                .map(|(_, position, normal)| Sample { position: *position, normal: *normal, index: 0 })
+                .collect();
+            let (a, b) = (Moments::of(&all), Moments::of(groups));
+            assert!(a.mean().distance(b.mean()) < 1e-6 && (a.spread() - b.spread()).abs() < 1e-6);
         }
     }
 

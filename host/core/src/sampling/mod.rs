@@ -102,20 +102,23 @@ impl Sampling {
         self.memory_limit.unwrap_or_else(|| (total_memory() / 4).min(2 << 30))
     }
 
+    /// Part of the memory limit that is for the clusters: what a target takes, or half of the limit.
+    fn memory_for_clusters(&self) -> u64 {
+        match self.target {
+            Target::Samples(n) => n.saturating_mul(cut::BYTES_PER_SAMPLE),
+            Target::Error(_) => self.limit() / 2,
+        }
+    }
+
     /// What is left of the memory limit for the samples of open cells, after all else.
     fn memory_for_cells(&self, grid: &Grid) -> u64 {
-        let limit = self.limit();
-        let clusters = match self.target {
-            Target::Samples(n) => n.saturating_mul(cut::BYTES_PER_SAMPLE),
-            Target::Error(_) => limit / 2,
-        };
         let largest = grid.records.iter().map(|r| r.count).max().unwrap_or(0);
         let largest = largest.saturating_mul(size_of::<cluster::Sample>() as u64);
         let taken = (LEAST_MEMORY - LEAST_FOR_CELLS)
-            .saturating_add(clusters)
+            .saturating_add(self.memory_for_clusters())
             .saturating_add(512 * grid.keys.len() as u64)
             .saturating_add(finalization::work_memory(largest));
-        let left = limit.saturating_sub(taken);
+        let left = self.limit().saturating_sub(taken);
         // A complete cell is copied out of what is held.
         (left - largest.min(left / 2)).max(LEAST_FOR_CELLS)
     }
@@ -179,7 +182,7 @@ pub fn sample(
         splitting: sampling.splitting,
         target,
         bound,
-        most: usize::try_from(sampling.limit() / 2 / cut::BYTES_PER_SAMPLE).unwrap_or(usize::MAX),
+        most: usize::try_from(sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE).unwrap_or(usize::MAX),
         with_members: !sampling.skip.triangles && info.faces > 0 && info.vertices <= Membership::MAX_VERTICES,
         folder,
         progress,

@@ -22,8 +22,8 @@ pub struct Triangles {
 
 /// Streams the faces of a model. `sample_of` says which sample each vertex belongs to.
 ///
-/// Memory: the chunks of [`for_faces`], and 12 bytes for each of twice [`MOST_PER_SAMPLE`] triangles per sample at the most; a surface has about two,
-/// found once or twice each.
+/// Memory: the chunks of [`for_faces`], and 12 bytes for each of at most twice [`MOST_PER_SAMPLE`] triangles per sample,
+/// twice while the list grows; a surface has about two, found once or twice each.
 ///
 /// # Errors
 /// The model cannot be read; the user cancelled.
