@@ -54,14 +54,27 @@ pub fn to_points(points: &[DVec3], set: &[DVec3]) -> Option<Distances> {
 /// # Panics
 /// A triangle has a vertex that does not exist.
 pub fn to_triangles(points: &[DVec3], vertices: &[DVec3], triangles: &[[u32; 3]]) -> Option<Distances> {
+    let mesh = triangle_mesh(vertices, triangles).filter(|_| !points.is_empty())?;
+    Some(Distances::of(points, |p| mesh.distance_to_local_point(vector(p), false)))
+}
+
+/// Triangles among which the closest point can be found (a tree of boxes), without those that have no area; `None` if
+/// none is left.
+///
+/// # Panics
+/// A triangle has a vertex that does not exist.
+pub fn triangle_mesh(vertices: &[DVec3], triangles: &[[u32; 3]]) -> Option<TriMesh> {
     let area = |[a, b, c]: [u32; 3]| {
         let [a, b, c] = [a, b, c].map(|i| vertices[i as usize]);
         (b - a).cross(c - a).length_squared()
     };
     let triangles: Vec<[u32; 3]> = triangles.iter().copied().filter(|t| area(*t) > 0.0).collect();
-    let vertices = vertices.iter().map(|p| Vector::new(p.x, p.y, p.z)).collect();
-    let mesh = TriMesh::new(vertices, triangles).ok().filter(|_| !points.is_empty())?;
-    Some(Distances::of(points, |p| mesh.distance_to_local_point(Vector::new(p.x, p.y, p.z), false)))
+    TriMesh::new(vertices.iter().copied().map(vector).collect(), triangles).ok()
+}
+
+/// A point as the tree takes it.
+pub fn vector(p: DVec3) -> Vector {
+    Vector::new(p.x, p.y, p.z)
 }
 
 #[cfg(test)]

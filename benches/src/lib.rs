@@ -10,8 +10,11 @@ use glam::{DQuat, DVec3, EulerRot, Vec3};
 use simod_core::geometry::Bounds;
 use simod_core::sampled_model::SampledModel;
 
+/// A unit vector along no axis: hardly ever along a surface, or perpendicular to it.
+pub const TILTED: DVec3 = DVec3::new(0.6, 0.48, 0.64);
+
 /// A map of space that is known everywhere.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Map {
     /// Moves nothing.
     Identity,
@@ -19,15 +22,20 @@ pub enum Map {
     Rigid,
     /// Turns and scales, to nearly twice the size.
     Similarity,
+    /// Stretches and shears, by factors between 0.5 and 1.5.
+    Affine,
     /// Half a turn about y, from the bottom of the box to its top.
     Twist,
     /// Bends y into a quarter of a circle, towards +x.
     Bend,
+    /// Moves what is around a point by up to 5 % of the diagonal: a Gaussian of radius 10 % of the diagonal.
+    Bump(DVec3),
 }
 
 impl Map {
-    /// All of them, the rigid ones first.
-    pub const ALL: [Self; 5] = [Self::Identity, Self::Rigid, Self::Similarity, Self::Twist, Self::Bend];
+    /// Those that need no place on the model, the rigid ones first.
+    pub const ALL: [Self; 6] =
+        [Self::Identity, Self::Rigid, Self::Similarity, Self::Affine, Self::Twist, Self::Bend];
 
     /// What a table calls it.
     pub fn name(self) -> &'static str {
@@ -35,8 +43,10 @@ impl Map {
             Self::Identity => "identity",
             Self::Rigid => "rigid",
             Self::Similarity => "similarity",
+            Self::Affine => "affine",
             Self::Twist => "half-turn twist",
             Self::Bend => "quarter-turn bend",
+            Self::Bump(_) => "local bump",
         }
     }
 
@@ -50,11 +60,18 @@ impl Map {
             Self::Identity => p,
             Self::Rigid => center + turn() * d + DVec3::splat(bounds.diagonal() / 3.0),
             Self::Similarity => center + turn() * d * 1.9,
+            Self::Affine => {
+                center + DVec3::new(1.5 * d.x + 0.4 * d.y, 0.7 * d.y - 0.3 * d.z, 0.2 * d.x + 0.9 * d.z)
+            }
             Self::Twist => center + DQuat::from_rotation_y(PI * (p.y - bounds.min.y) / height) * d,
             Self::Bend => {
                 let radius = height / FRAC_PI_2;
                 let (sin, cos) = (d.y / radius).sin_cos();
                 center + DVec3::new(radius - (radius - d.x) * cos, (radius - d.x) * sin, d.z)
+            }
+            Self::Bump(at) => {
+                let (height, radius) = (0.05 * bounds.diagonal(), 0.1 * bounds.diagonal());
+                p + TILTED * (height * (-p.distance_squared(at) / (radius * radius)).exp())
             }
         }
     }
@@ -76,6 +93,15 @@ pub fn row<S: AsRef<str>>(cells: impl IntoIterator<Item = S>) -> String {
 pub fn head(titles: &[&str]) -> String {
     let rule = titles.iter().enumerate().map(|(i, _)| if i == 0 { "---" } else { "---:" });
     format!("{}\n{}", row(titles), row(rule))
+}
+
+/// An error of a table: two digits.
+pub fn error_figure(error: f64) -> String {
+    match error {
+        0.0 => "0".to_owned(),
+        x if x.is_nan() => "-".to_owned(),
+        x => format!("{x:.1e}"),
+    }
 }
 
 /// The middle of some measurements: what a shared machine disturbs least.
@@ -113,6 +139,14 @@ mod tests {
         assert!((length - 5.0).abs() < 1e-4, "{length}");
         let turned = (at(1) - at(0)).normalize_or_zero().dot((at(n) - at(n - 1)).normalize_or_zero());
         assert!(turned.abs() < 1e-2, "the ends are not perpendicular: {turned}");
+    }
+
+    #[test]
+    fn a_bump_is_local() {
+        let bump = Map::Bump(BOUNDS.center());
+        let moved = |p: DVec3| bump.apply(&BOUNDS, p).distance(p) / BOUNDS.diagonal();
+        assert!((moved(BOUNDS.center()) - 0.05).abs() < 1e-12);
+        assert!(moved(BOUNDS.min) < 1e-9);
     }
 
     #[test]

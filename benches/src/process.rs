@@ -158,20 +158,39 @@ fn anonymous(process: u32) -> Option<f64> {
     Some(kilobytes * 1024.0)
 }
 
+/// Processor seconds of this process so far, of all its threads, in user mode and in the system; NaN where the system
+/// does not tell.
+pub fn own_cpu() -> f64 {
+    cpu(Whose::Own)
+}
+
 /// Processor seconds of all children that have ended.
-#[cfg(unix)]
 fn children_cpu() -> f64 {
+    cpu(Whose::Children)
+}
+
+enum Whose {
+    Own,
+    Children,
+}
+
+#[cfg(unix)]
+fn cpu(whose: Whose) -> f64 {
     use nix::sys::resource::{UsageWho, getrusage};
     use nix::sys::time::TimeValLike;
 
-    getrusage(UsageWho::RUSAGE_CHILDREN).map_or(f64::NAN, |usage| {
+    let who = match whose {
+        Whose::Own => UsageWho::RUSAGE_SELF,
+        Whose::Children => UsageWho::RUSAGE_CHILDREN,
+    };
+    getrusage(who).map_or(f64::NAN, |usage| {
         (usage.user_time().num_microseconds() + usage.system_time().num_microseconds()) as f64 * 1e-6
     })
 }
 
 /// Not known on this system.
 #[cfg(not(unix))]
-fn children_cpu() -> f64 {
+fn cpu(_: Whose) -> f64 {
     f64::NAN
 }
 

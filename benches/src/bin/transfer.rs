@@ -11,7 +11,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use clap::Parser;
-use simod_benches::{Map, head, row};
+use simod_benches::{Map, error_figure, head, row};
 use simod_core::generate::{ModelOptions, write_file};
 use simod_core::progress::Silent;
 use simod_core::reconstruction::{Method, reconstruct, transfer_error};
@@ -82,8 +82,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
         };
         let error =
             transfer_error::measure(model.as_ref(), result.as_ref(), bounds.diagonal(), &truth, &Silent)?;
-        let figures = [error.rms, error.p999, error.max, error.jump]
-            .map(|x| if x == 0.0 { "0".to_owned() } else { format!("{x:.1e}") });
+        let figures = [error.rms, error.p999, error.max, error.jump].map(error_figure);
         println!(
             "{}",
             row([name.to_owned(), map.name().to_owned()]
