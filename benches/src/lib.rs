@@ -1,6 +1,7 @@
-//! What the benchmark programs share: exact maps of space, models like scans, distances, child processes, and tables.
+//! What the benchmark programs share: exact maps of space, models like scans, distances, peers, child processes, and tables.
 
 pub mod distance;
+pub mod peers;
 pub mod process;
 pub mod scan;
 
