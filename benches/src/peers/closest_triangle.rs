@@ -43,7 +43,10 @@ impl Field for ClosestTriangle {
         let (from, to) = (at(before), at(after));
         match self.offset {
             Offset::Kept => to - from,
-            Offset::Carried => to - p + frame(after) * (frame(before).inverse() * (p - from)),
+            Offset::Carried => {
+                let change = frame(after) - frame(before);
+                to - from + change * (frame(before).inverse() * (p - from))
+            }
         }
     }
 }

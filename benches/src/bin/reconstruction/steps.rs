@@ -44,6 +44,7 @@ impl Change {
 
     fn name(self) -> String {
         match self {
+            Self::Ramp(1.0) => "ramp over 1 spacing".to_owned(),
             Self::Ramp(width) => format!("ramp over {width} spacings"),
             Self::Stroke => format!("stroke of radius {STROKE} spacings"),
             Self::RigidPart => "a part moved rigidly".to_owned(),
