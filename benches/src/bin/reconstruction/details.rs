@@ -13,15 +13,19 @@ use crate::method::Method;
 use crate::scene::Scene;
 use crate::{Arguments, pictures};
 
-const COLUMNS: [&str; 7] = [
+const COLUMNS: [&str; 8] = [
     "model",
     "map",
     "method",
     "edges, rms",
     "edges, 99.9 % below",
+    "edges off by more than a tenth",
     "angles, rms, degrees",
     "angles, 99.9 % below, degrees",
 ];
+
+/// A deviation of an edge that makes a fold or a hole to be seen.
+const LARGE: f64 = 0.1;
 
 /// Measures, prints a table, and draws.
 pub fn measure(arguments: &Arguments) -> Result<()> {
@@ -53,6 +57,7 @@ fn measure_map(scene: &Scene, edges: &[Edge], map: Map) -> Result<()> {
     let print = |method: &str, result: &[DVec3]| {
         let (lengths, angles) = deviations(edges, &truth, result);
         let figures = [lengths.rms, lengths.p999].map(error_figure).into_iter();
+        let figures = figures.chain([lengths.large.to_string()]);
         let figures = figures.chain([angles.rms, angles.p999].map(|x| format!("{:.3}", x.to_degrees())));
         let names = [&scene.name, map.name(), method].map(str::to_owned);
         println!("{}", row(names.into_iter().chain(figures)));
@@ -123,6 +128,8 @@ impl Edge {
 struct Spread {
     rms: f64,
     p999: f64,
+    /// The number of those above [`LARGE`].
+    large: usize,
 }
 
 impl Spread {
@@ -130,13 +137,14 @@ impl Spread {
     fn of(deviations: impl ParallelIterator<Item = f64>) -> Self {
         let mut all: Vec<f64> = deviations.filter(|x| x.is_finite()).map(f64::abs).collect();
         if all.is_empty() {
-            return Self { rms: f64::NAN, p999: f64::NAN };
+            return Self { rms: f64::NAN, p999: f64::NAN, large: 0 };
         }
         let squares: f64 = all.iter().map(|x| x * x).sum();
         let rms = (squares / all.len() as f64).sqrt();
         let rank = (0.999 * (all.len() - 1) as f64) as usize;
+        let large = all.iter().filter(|x| **x > LARGE).count();
         let (_, p999, _) = all.select_nth_unstable_by(rank, f64::total_cmp);
-        Self { rms, p999: *p999 }
+        Self { rms, p999: *p999, large }
     }
 }
 
