@@ -15,7 +15,7 @@ use crate::method::Method;
 use crate::scene::Scene;
 
 const CLAY: [u8; 3] = [200, 190, 180];
-const SIZE: [u32; 2] = [720, 720];
+const SIZE: [u32; 2] = [480, 560];
 /// From where: to the right of +z, and down, in radians.
 const VIEW: [f64; 2] = [0.5, 0.25];
 /// Radius of a sample's disc over its spacing: too small to hide that there are few.

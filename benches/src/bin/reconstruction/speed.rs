@@ -16,13 +16,14 @@ use simod_core::sampled_model::SampledModel;
 
 use crate::Arguments;
 
-const COLUMNS: [&str; 10] = [
+const COLUMNS: [&str; 11] = [
     "vertices",
     "file, MB",
     "samples",
     "wall, s",
     "copy, s",
     "wall / copy",
+    "CPU, s",
     "CPU, ns/vertex",
     "vertices per CPU second",
     "of inverse distances'",
@@ -64,6 +65,7 @@ pub fn measure(arguments: &Arguments) -> Result<()> {
                 format!("{:.2}", middle(&|r| r.copy)),
                 // Of the same round: what disturbs one disturbs the other.
                 format!("{:.1}", middle(&|r| r.wall / r.copy)),
+                format!("{cpu:.2}"),
                 format!("{:.0}", cpu * 1e9 / vertices),
                 format!("{:.0}", vertices / cpu),
                 format!("{:.2}", middle(&|r| r.inverse_distance * vertices / r.cpu)),
