@@ -13,7 +13,7 @@ const NEIGHBOURS: NonZeroUsize = NonZeroUsize::new(17).expect("more than 0");
 
 /// How strongly the map is drawn towards a translation, in parts of the sum of the second moments: across a surface the
 /// samples tell little of the gradient, in a plane nothing. With 1e-6 rigid maps are off by 1e-5 of the diagonal; with
-/// less than 1e-9 samples in a plane, rounded to floats, make noise.
+/// far less, the rounding of samples that lie in a plane may count.
 const RIDGE: f64 = 1e-8;
 
 pub struct AffineLeastSquares(pub Cloud);
