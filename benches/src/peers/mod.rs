@@ -190,6 +190,16 @@ mod tests {
     }
 
     #[test]
+    fn thin_plates_are_those_of_scipy() {
+        let (_, cloud) = clouds(|p| p + 0.3 * (p * 4.0).map(f64::sin));
+        let p = DVec3::new(0.73, 1.08, 0.1);
+        // SciPy 1.17: RBFInterpolator(samples, displacements, neighbors=16, kernel="thin_plate_spline").
+        let expected = DVec3::new(0.798_049_5, 0.848_662_2, 0.210_107_7);
+        let found = p + ThinPlate(cloud).displacement(p);
+        assert!(found.distance(expected) < 1e-5, "{found}");
+    }
+
+    #[test]
     fn thin_plates_take_samples_of_a_plane() {
         let rest: Vec<Vec3> = sheet().into_iter().map(|p| Vec3::new(p.x, p.y, 0.0)).collect();
         let deformed: Vec<Vec3> = rest.iter().map(|p| affine(p.as_dvec3()).as_vec3()).collect();
