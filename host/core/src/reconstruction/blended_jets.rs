@@ -1,9 +1,9 @@
 //! Transfer by a partition of unity of local Taylor expansions ("jets").
 //!
 //! Around each sample the deformation is expanded to second order in all three directions, by least squares over
-//! the sample's neighbours at rest and deformed. A vertex goes where the blend of the nearest expansions
-//! takes it: p* = Σ wᵢ(p)·Jᵢ(p) / Σ wᵢ(p). The first-order case is the form of embedded deformation
-//! (R. Sumner, J. Schmid, M. Pauly, *Embedded Deformation for Shape Manipulation*, 2007).
+//! the sample's neighbours at rest and deformed. A vertex goes where the [`blend`](super::blend) of the expansions
+//! around it takes it. The first-order case is the form of embedded deformation (R. Sumner, J. Schmid, M. Pauly,
+//! *Embedded Deformation for Shape Manipulation*, 2007).
 //!
 //! The fit is of what the affine maps of [`local_frames`](super::local_frames) leave over, with a small ridge towards
 //! nothing: where the neighbours do not tell, as across a flat neighbourhood, those maps stand. They reproduce
@@ -12,13 +12,13 @@
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
+use super::expansion::Expansion;
 use super::local_frames::LocalFrames;
-use super::neighbours::{Neighbourhood, same_sheet};
-use super::{DeformationField, Transport};
+use super::sheets::{Sheets, facing};
 use crate::geometry::{hermite, solve_positive_definite};
 use crate::sampling::SampleSet;
 
-/// Samples that are blended at a vertex.
+/// Samples that are blended at a vertex which no support reaches.
 pub const BLENDED: usize = 6;
 
 /// Neighbours in a fit: three times its terms.
@@ -27,50 +27,176 @@ const FIT_NEIGHBOURS: usize = 28;
 /// Ridge relative to terms of the size of the neighbourhood.
 const RIDGE: f64 = 1e-7;
 
+/// What a fit leaves over counts as noise of its data: so much of it, as a part of the data's square, is added to the
+/// ridge, as Wiener's filter would.
+const NOISE: f64 = 0.3;
+
+/// What a fit to a smooth map may leave over, as a part of the data's square.
+const SMOOTH: f64 = 0.01;
+
 /// What rounding to single precision may leave over of an affine map, in local units: nothing to expand.
 const ROUNDING: f64 = 5e-7;
 
 /// Terms of a second-order expansion without its constant.
 const TERMS: usize = 9;
 
-/// The expansion at a sample: J(p) = q* + F·d + Σ Hₐᵦ dₐ dᵦ with d = p − q.
-///
-/// Memory: 112 bytes.
+/// A fit that leaves over more than this part of what there was to fit is in doubt …
+const DOUBTFUL: f64 = 0.1;
+/// … and one that leaves over more than this is not to be believed.
+const USELESS: f64 = 0.3;
+
+/// The power of the ratio of costs by which an expansion is preferred to another.
+const CHOICE: i32 = 8;
+
+/// Rings of samples in doubt, of about three spacings each, through which the gradient around them is handed on.
+const ROUNDS: usize = 3;
+
+/// What rounding makes of a cost: the root of about 1e-7, for each neighbour.
+const LEAST_COST: f32 = 1e-2;
+
+/// What a fit gives.
 #[derive(Debug, Clone, Copy)]
-pub struct Jet {
-    /// F.
-    gradient: Mat3,
-    /// H: xx, yy, zz and the sums of both mixed terms xy, xz, yz.
+struct Jet {
+    /// Gradient of the deformation.
+    slope: Mat3,
+    /// The second-order terms xx, xy, xz, yy, yz, zz.
     second: [Vec3; 6],
-    /// Square of the neighbourhood's radius, up to which the second order is known.
-    reach: f32,
+    /// How little the fit is to be believed, from 0 to 1.
+    doubt: f64,
 }
 
 impl Jet {
-    /// From the sample's displacement to that of a point at `d` from it, and the gradient there.
+    /// The image of a point at `d` from the sample, relative to the sample's image, and the gradient there.
     fn at(&self, d: Vec3) -> (Vec3, Mat3) {
-        let [xx, yy, zz, xy, xz, yz] = self.second;
-        // Beyond its reach, where no neighbour told, the second order stays what it is there; its slope with it, which
-        // only normals see.
-        let damped = (self.reach / d.length_squared()).min(1.0);
-        let h = Mat3::from_cols(
-            2.0 * xx * d.x + xy * d.y + xz * d.z,
-            xy * d.x + 2.0 * yy * d.y + yz * d.z,
-            xz * d.x + yz * d.y + 2.0 * zz * d.z,
-        ) * damped;
-        (self.gradient * d - d + 0.5 * (h * d), self.gradient + h)
+        let [xx, xy, xz, yy, yz, zz] = self.second;
+        let half = Mat3::from_cols(xx * d.x + xy * d.y + xz * d.z, yy * d.y + yz * d.z, zz * d.z);
+        let other = Mat3::from_cols(xx * d.x, xy * d.x + yy * d.y, xz * d.x + yz * d.y + zz * d.z);
+        ((self.slope + half) * d, self.slope + half + other)
     }
 }
 
-/// Expands the deformation at all samples.
-pub fn expand(samples: &SampleSet, deformed: &[Vec3], frames: &LocalFrames) -> Vec<Jet> {
-    (0..samples.len()).into_par_iter().map(|i| fit(samples, deformed, frames.gradient[i], i)).collect()
+/// The expansions of all samples, and what is known of those that their neighbours leave in doubt.
+pub struct Expanded {
+    /// The expansion at each sample.
+    pub expansions: Vec<Expansion>,
+    /// The samples in doubt, ascending.
+    pub doubtful: Vec<(u32, Doubt)>,
 }
 
-fn fit(samples: &SampleSet, deformed: &[Vec3], gradient: Mat3, i: usize) -> Jet {
-    let (near, radius) = samples.around(i, FIT_NEIGHBOURS);
+/// A sample beside a step, a crease, or noise: what its expansion has to be compared with.
+#[derive(Debug, Clone, Copy)]
+pub struct Doubt {
+    /// How little its expansion is to be believed, from 0 to 1.
+    pub amount: f32,
+    /// The gradient of the displacement that prevails around it.
+    pub prevailing: Mat3,
+}
+
+/// Expands the deformation at all samples.
+pub fn expand(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], frames: &LocalFrames) -> Expanded {
+    let all = || (0..samples.len()).into_par_iter();
+    let jets: Vec<Jet> = all().map(|i| fit(samples, sheets, deformed, frames.gradient[i], i)).collect();
+    let in_doubt: Vec<u32> = (0..).zip(&jets).filter(|(_, jet)| jet.doubt > 0.0).map(|(i, _)| i).collect();
+    let prevailing = prevailing(samples, sheets, &jets, &in_doubt);
+    let mended: Vec<(u32, Jet, Doubt)> = in_doubt
+        .par_iter()
+        .zip(prevailing)
+        .map(|(i, slope)| {
+            let jet = &jets[*i as usize];
+            let amount = jet.doubt as f32;
+            let one_sided = one_sided(samples, sheets, deformed, &jets, *i as usize);
+            (*i, jet.mixed(&one_sided, amount), Doubt { amount, prevailing: slope - Mat3::IDENTITY })
+        })
+        .collect();
+    let expansion = |i: usize, jet: &Jet| {
+        let q = samples.positions[i];
+        Expansion::new(q, deformed[i] - q, jet.slope - Mat3::IDENTITY, jet.second)
+    };
+    let mut expansions: Vec<Expansion> = jets.iter().enumerate().map(|(i, jet)| expansion(i, jet)).collect();
+    mended.iter().for_each(|(i, jet, _)| expansions[*i as usize] = expansion(*i as usize, jet));
+    Expanded { expansions, doubtful: mended.into_iter().map(|(i, _, doubt)| (i, doubt)).collect() }
+}
+
+/// The gradient around each sample in doubt: that of its neighbours which are in none, or in their turn of theirs.
+fn prevailing(samples: &SampleSet, sheets: &Sheets, jets: &[Jet], in_doubt: &[u32]) -> Vec<Mat3> {
+    // The gradient at each sample, as far as it is known, and how well: from 0 to 1.
+    let mut known: Vec<(Mat3, f32)> =
+        jets.iter().map(|jet| (jet.slope, (1.0 - jet.doubt as f32).powi(2))).collect();
+    let mut slopes = Vec::new();
+    for _ in 0..ROUNDS {
+        slopes = in_doubt
+            .par_iter()
+            .map(|i| {
+                let i = *i as usize;
+                let (near, _) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
+                let (mut slope, mut sum) = (known[i].0 * known[i].1, known[i].1);
+                for j in near.iter().map(|j| *j as usize) {
+                    let w = known[j].1;
+                    slope += known[j].0 * w;
+                    sum += w;
+                }
+                if sum > 0.0 { (slope * (1.0 / sum), sum.min(1.0)) } else { (jets[i].slope, 0.0) }
+            })
+            .collect::<Vec<_>>();
+        in_doubt.iter().zip(&slopes).for_each(|(i, slope)| known[*i as usize] = *slope);
+    }
+    slopes.into_iter().map(|(slope, _)| slope).collect()
+}
+
+/// The expansion at a sample whose neighbours do not agree, as beside a step: of those of the neighbours, moved to the
+/// sample, the ones that explain the neighbours best.
+///
+/// This is the choice of the smoothest stencil in essentially non-oscillatory schemes (ENO; with weights as in
+/// X.-D. Liu, S. Osher, T. Chan, *Weighted Essentially Non-oscillatory Schemes*, 1994). Best is the least sum of
+/// square roots of distances: a few neighbours that are far off matter little.
+fn one_sided(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], jets: &[Jet], i: usize) -> Jet {
+    let (near, radius) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
+    let (positions, normals) = (&samples.positions, samples.normals());
+    let neighbours: Vec<(Vec3, Vec3, f32)> = near
+        .iter()
+        .map(|j| {
+            let j = *j as usize;
+            let d = positions[j] - positions[i];
+            (d, deformed[j] - deformed[i], hermite(d.length() / radius) * facing(normals[j], normals[i]))
+        })
+        .collect();
+    let cost = |jet: &Jet| {
+        let costs = neighbours.iter().map(|(d, image, w)| w * (jet.at(*d).0 - image).length().sqrt());
+        costs.sum::<f32>() + LEAST_COST
+    };
+    let others = near.iter().map(|j| {
+        let jet = jets[*j as usize];
+        Jet { slope: jet.at(positions[i] - positions[*j as usize]).1, ..jet }
+    });
+    let own = [jets[i], Jet { second: [Vec3::ZERO; 6], ..jets[i] }];
+    let candidates: Vec<(Jet, f32)> = others.chain(own).map(|jet| (jet, cost(&jet))).collect();
+
+    let least = candidates.iter().map(|(_, cost)| *cost).fold(f32::INFINITY, f32::min);
+    let mut chosen = Jet { slope: Mat3::ZERO, second: [Vec3::ZERO; 6], ..jets[i] };
+    let mut sum = 0.0;
+    for (jet, cost) in &candidates {
+        let w = (least / cost).powi(CHOICE);
+        chosen.slope += jet.slope * w;
+        chosen.second.iter_mut().zip(jet.second).for_each(|(total, h)| *total += h * w);
+        sum += w;
+    }
+    chosen.slope *= 1.0 / sum;
+    chosen.second.iter_mut().for_each(|h| *h /= sum);
+    chosen
+}
+
+impl Jet {
+    fn mixed(&self, other: &Self, t: f32) -> Self {
+        let slope = self.slope * (1.0 - t) + other.slope * t;
+        let second = std::array::from_fn(|a| self.second[a].lerp(other.second[a], t));
+        Self { slope, second, ..*self }
+    }
+}
+
+fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, i: usize) -> Jet {
+    let (near, radius) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
     let (q, q_star) = (samples.positions[i], deformed[i]);
-    let affine = Jet { gradient, second: [Vec3::ZERO; 6], reach: radius * radius };
+    let affine = Jet { slope: gradient, second: [Vec3::ZERO; 6], doubt: 0.0 };
     let scale = 1.0 / f64::from(radius);
     if !scale.is_finite() {
         return affine;
@@ -79,109 +205,50 @@ fn fit(samples: &SampleSet, deformed: &[Vec3], gradient: Mat3, i: usize) -> Jet 
     let prior = gradient.as_dmat3();
     let mut matrix = [[0.0; TERMS]; TERMS];
     let mut right = [DVec3::ZERO; TERMS];
-    let (mut weights, mut largest) = (0.0, 0.0f64);
+    let (mut weights, mut largest, mut squares) = (0.0, 0.0f64, 0.0);
     for j in near {
         let j = *j as usize;
-        if !same_sheet(samples.normals()[j], samples.normals()[i]) {
-            continue;
-        }
         let d = (samples.positions[j] - q).as_dvec3();
         let left_over = deformed[j].as_dvec3() - q_star.as_dvec3() - prior * d;
-        let w = f64::from(hermite((d.length() * scale) as f32));
+        let facing = facing(samples.normals()[j], samples.normals()[i]);
+        let w = f64::from(facing * hermite((d.length() * scale) as f32));
         let DVec3 { x, y, z } = d * scale;
-        let terms = [x, y, z, x * x, y * y, z * z, x * y, x * z, y * z];
+        let terms = [x, y, z, x * x, x * y, x * z, y * y, y * z, z * z];
         for (a, term) in terms.iter().enumerate() {
+            let weighted = w * term;
             for (b, other) in terms[..=a].iter().enumerate() {
-                matrix[a][b] += w * term * other;
+                matrix[a][b] += weighted * other;
             }
-            right[a] += left_over * (w * term);
+            right[a] += left_over * weighted;
         }
         weights += w;
+        squares += w * left_over.length_squared();
         largest = largest.max(left_over.length());
     }
     if largest < ROUNDING {
         return affine;
     }
-    for (a, row) in matrix.iter_mut().enumerate() {
-        row[a] += RIDGE * weights;
-    }
-    let Some(c) = solve_positive_definite(matrix, right) else { return affine };
-    let first = |a: usize| (c[a] * scale).as_vec3();
-    let second = |a: usize| (c[a] * scale * scale).as_vec3();
-    let jet = Jet {
-        gradient: gradient + Mat3::from_cols(first(0), first(1), first(2)),
-        second: [second(3), second(4), second(5), second(6), second(7), second(8)],
-        ..affine
-    };
-    if jet.gradient.is_finite() && jet.second.iter().all(|h| h.is_finite()) { jet } else { affine }
-}
-
-/// Carries a vertex over.
-pub fn transport(field: &DeformationField, around: &Neighbourhood, p: Vec3) -> Transport {
-    let (mut displacement, mut gradient, mut sum) = (Vec3::ZERO, Mat3::ZERO, 0.0);
-    for &(i, w) in around.weighted() {
-        let i = i as usize;
-        let q = field.samples.positions[i];
-        let (beyond, slope) = field.jets[i].at(p - q);
-        displacement += w * (field.deformed[i] - q + beyond);
-        gradient += w * slope;
-        sum += w;
-    }
-    Transport { displacement: displacement / sum, gradient: gradient * (1.0 / sum) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::{Method, Walk};
-    use super::*;
-    use glam::Mat3;
-
-    /// A curved patch with irregular samples, and points on it between them.
-    fn patch(n: usize) -> impl Iterator<Item = Vec3> {
-        (0..n * n).map(move |i| {
-            let jitter = |k: u32| ((i as u32 * 7919 + k * 104_729) % 1000) as f32 / 1500.0;
-            let (x, y) = ((i % n) as f32 + jitter(1), (i / n) as f32 + jitter(2));
-            let (x, y) = (x / n as f32, y / n as f32);
-            Vec3::new(x, 0.1 * (6.0 * x).sin() + 0.07 * (9.0 * y).cos(), y)
-        })
-    }
-
-    fn worst(map: impl Fn(Vec3) -> Vec3) -> f32 {
-        let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
-        let deformed: Vec<Vec3> = set.positions.iter().map(|p| map(*p)).collect();
-        let field = DeformationField::new(&set, &deformed, Method::BlendedJets);
-        let mut walk = Walk::default();
-        let inner = patch(97).filter(|p| p.x.min(p.z) > 0.05 && p.x.max(p.z) < 0.95);
-        inner
-            .map(|p| (p + field.transport(p, None, &mut walk).displacement).distance(map(p)))
-            .fold(0.0, f32::max)
-    }
-
-    #[test]
-    fn affine_and_quadratic_maps_are_reproduced() {
-        let m = Mat3::from_cols_array(&[1.2, 0.3, -0.1, 0.2, 0.8, 0.4, -0.3, 0.1, 1.1]);
-        let affine = worst(|p| m * p + Vec3::ONE);
-        assert!(affine < 1e-6, "{affine}");
-        assert!(worst(|p| p + Vec3::new(p.z * p.z, p.x * p.y, 0.5 * p.x * p.z)) < 2e-5);
-    }
-
-    #[test]
-    fn a_smooth_map_is_followed_to_third_order() {
-        let twist = |p: Vec3| glam::Quat::from_rotation_z(2.0 * p.z) * p;
-        assert!(worst(twist) < 1e-4, "{}", worst(twist));
-    }
-
-    #[test]
-    fn nothing_leaves_the_range_of_the_samples_by_much() {
-        // A step: half of the samples jump by one.
-        let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
-        let step = |p: Vec3| if p.x > 0.5 { Vec3::Y } else { Vec3::ZERO };
-        let deformed: Vec<Vec3> = set.positions.iter().map(|p| *p + step(*p)).collect();
-        let field = DeformationField::new(&set, &deformed, Method::BlendedJets);
-        let mut walk = Walk::default();
-        for p in patch(97) {
-            let y = field.transport(p, None, &mut walk).displacement.y;
-            assert!((-0.5..1.5).contains(&y), "{p}: {y}");
+    let ridged = |ridge: f64| {
+        let mut matrix = matrix;
+        for (a, row) in matrix.iter_mut().enumerate() {
+            row[a] += ridge * weights;
         }
+        let c = solve_positive_definite(matrix, right)?;
+        // For the least squares c, what is left over is Σ w|r|² − c·b, up to the ridge.
+        let explained: f64 = c.iter().zip(&right).map(|(c, b)| c.dot(*b)).sum();
+        Some((c, (1.0 - explained / squares).max(0.0)))
+    };
+    let Some((_, left)) = ridged(RIDGE) else { return affine };
+    let Some((c, part)) = ridged(RIDGE + NOISE * (left - SMOOTH).max(0.0)) else { return affine };
+    let first = |a: usize| (c[a] * scale).as_vec3();
+    let second = [3, 4, 5, 6, 7, 8].map(|a: usize| (c[a] * scale * scale).as_vec3());
+    let slope = gradient + Mat3::from_cols(first(0), first(1), first(2));
+    if !(slope.is_finite() && second.iter().all(|h| h.is_finite())) {
+        return affine;
     }
+    let part = part.sqrt();
+    let left = part * (squares / weights).sqrt();
+    let t = ((part - DOUBTFUL) / (USELESS - DOUBTFUL)).clamp(0.0, 1.0);
+    let doubt = if left < ROUNDING { 0.0 } else { t * t * (3.0 - 2.0 * t) };
+    Jet { slope, second, doubt }
 }

@@ -8,7 +8,7 @@
 use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
-use super::neighbours::same_sheet;
+use super::sheets::{Sheets, facing};
 use crate::geometry::{hermite, symmetric_eigen};
 use crate::sampling::SampleSet;
 
@@ -19,7 +19,7 @@ const FIT_NEIGHBOURS: usize = 16;
 const COLLINEAR: f64 = 1e-3;
 
 /// Weight of the prior for the direction across, relative to the neighbours' whole spread.
-const NORMAL_RIDGE: f64 = 1e-6;
+const NORMAL_RIDGE: f64 = 1e-7;
 
 /// What the fits give.
 pub struct LocalFrames {
@@ -31,12 +31,11 @@ pub struct LocalFrames {
 
 impl LocalFrames {
     /// Fits all samples.
-    pub fn fit(samples: &SampleSet, deformed: &[Vec3]) -> Self {
-        samples.prepare();
+    pub fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3]) -> Self {
         let (gradient, normal) = (0..samples.len())
             .into_par_iter()
             .map(|i| {
-                let gradient = fit_one(samples, deformed, i).as_mat3();
+                let gradient = fit_one(samples, sheets, deformed, i).as_mat3();
                 let at_rest = samples.normals()[i];
                 let moved = super::Transport { displacement: Vec3::ZERO, gradient };
                 (gradient, moved.normal(at_rest).normalize_or(at_rest))
@@ -46,8 +45,8 @@ impl LocalFrames {
     }
 }
 
-fn fit_one(samples: &SampleSet, deformed: &[Vec3], i: usize) -> DMat3 {
-    let (near, radius) = samples.around(i, FIT_NEIGHBOURS);
+fn fit_one(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) -> DMat3 {
+    let (near, radius) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
     let (q, q_star) = (samples.positions[i], deformed[i]);
     if near.iter().all(|j| samples.positions[*j as usize] == deformed[*j as usize]) && q == q_star {
         return DMat3::IDENTITY;
@@ -56,12 +55,9 @@ fn fit_one(samples: &SampleSet, deformed: &[Vec3], i: usize) -> DMat3 {
     let (mut a, mut b) = (DMat3::ZERO, DMat3::ZERO);
     for j in near {
         let j = *j as usize;
-        // Another sheet does not tell how this one is stretched.
-        if !same_sheet(samples.normals()[j], samples.normals()[i]) {
-            continue;
-        }
         let d = samples.positions[j] - q;
-        let w = f64::from(hermite(d.length() / radius.max(f32::MIN_POSITIVE)));
+        let facing = facing(samples.normals()[j], samples.normals()[i]);
+        let w = f64::from(facing * hermite(d.length() / radius.max(f32::MIN_POSITIVE)));
         let (d, d_star) = (d.as_dvec3(), deformed[j].as_dvec3() - q_star.as_dvec3());
         a += outer(d, d) * w;
         b += outer(d_star, d) * w;
@@ -118,11 +114,13 @@ mod tests {
     #[test]
     fn similarities_are_exact() {
         let set = SampleSet::new(patch(), Vec::new()).expect("samples");
+        set.prepare();
+        let sheets = Sheets::of(&set);
         let rotation = Quat::from_euler(glam::EulerRot::XYZ, 1.0, -2.0, 0.5);
         let map =
             Affine3A::from_scale_rotation_translation(Vec3::splat(1.7), rotation, Vec3::new(1.0, 2.0, 3.0));
         let deformed: Vec<Vec3> = set.positions.iter().map(|p| map.transform_point3(*p)).collect();
-        let frames = LocalFrames::fit(&set, &deformed);
+        let frames = LocalFrames::fit(&set, &sheets, &deformed);
         let expected = Mat3::from_quat(rotation) * 1.7;
         for (i, f) in frames.gradient.iter().enumerate() {
             // The images are rounded to about 2e-7, and neighbours may lie as little as 1e-3 off the plane.
@@ -135,14 +133,17 @@ mod tests {
     fn degenerate_neighbourhoods_stay_bounded() {
         let line: Vec<Vec3> = (0..50).map(|i| Vec3::X * i as f32 / 50.0).collect();
         let set = SampleSet::new(line, Vec::new()).expect("samples");
+        set.prepare();
+        let sheets = Sheets::of(&set);
         let turned: Vec<Vec3> = set.positions.iter().map(|p| Vec3::new(0.0, 2.0 * p.x, 0.0)).collect();
         let collapsed = vec![Vec3::ONE; 50];
         for deformed in [turned, collapsed] {
-            for f in LocalFrames::fit(&set, &deformed).gradient {
+            for f in LocalFrames::fit(&set, &sheets, &deformed).gradient {
                 assert!(f.is_finite() && f.to_cols_array().iter().all(|x| x.abs() < 4.0), "{f}");
             }
         }
         let one = SampleSet::new(vec![Vec3::ONE], Vec::new()).expect("a sample");
-        assert_eq!(LocalFrames::fit(&one, &[Vec3::ZERO]).gradient[0], Mat3::IDENTITY);
+        one.prepare();
+        assert_eq!(LocalFrames::fit(&one, &Sheets::of(&one), &[Vec3::ZERO]).gradient[0], Mat3::IDENTITY);
     }
 }

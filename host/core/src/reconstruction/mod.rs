@@ -1,24 +1,41 @@
 //! Reconstruction: the deformation P_S → P_S* is transferred to every vertex of P_L, in one stream (paper §5).
 //!
-//! P_S and P_S* sample an unknown map D of space. Its gradient is fitted at each sample once (`local_frames`);
-//! the samples around a vertex are found by following the stream (`neighbours`); the vertex is carried over by
-//! `blended_jets` or `projected_barycentric`; `stream` does so for the whole file. [`transfer_error`] compares a result with
-//! the exact map.
+//! P_S and P_S* sample an unknown map D of space. Before streaming, `sheets` finds which samples belong together,
+//! `local_frames` fits D's gradient at each, and `blended_jets` expands D about it to second order. While streaming,
+//! `homes` finds the sample around which a vertex lies, by following the stream; `blend` carries whole blocks of
+//! vertices over by the expansions around their homes, or `projected_barycentric` each vertex in the paper's way;
+//! `stream` does so for the whole file. [`transfer_error`] compares a result with the exact map.
 
+mod blend;
 mod blended_jets;
+mod block;
+mod expansion;
+mod homes;
+mod lanes;
+mod limiter;
 mod local_frames;
-mod neighbours;
+mod neighbourhood;
 mod projected_barycentric;
+mod sheets;
 mod stream;
+#[cfg(test)]
+mod tests;
 pub mod transfer_error;
 
-use glam::{Mat3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
+use rayon::prelude::*;
 
+use crate::frame::Frame;
 use crate::sampling::SampleSet;
-use blended_jets::Jet;
+use blend::Supports;
+use blended_jets::Expanded;
+use block::{BLOCK, Workspaces};
+use expansion::Expansion;
+use homes::Homes;
+use limiter::Limiter;
 use local_frames::LocalFrames;
-use neighbours::Neighbourhood;
-pub use neighbours::Walk;
+use neighbourhood::Neighbourhood;
+use sheets::Sheets;
 pub use stream::{Reconstructed, reconstruct};
 
 /// What happens to one vertex.
@@ -50,7 +67,8 @@ impl Transport {
 
 /// The unit normals of the deformed samples: those at rest, turned as their neighbourhoods are.
 pub fn deformed_normals(samples: &SampleSet, deformed: &[Vec3]) -> Vec<Vec3> {
-    LocalFrames::fit(samples, deformed).normal
+    samples.prepare();
+    LocalFrames::fit(samples, &Sheets::of(samples), deformed).normal
 }
 
 /// How a vertex is carried over.
@@ -65,15 +83,19 @@ pub enum Method {
 
 /// The deformation that P_S and P_S* sample, ready to be evaluated anywhere near P_S.
 ///
-/// Memory: about 170 bytes per sample.
+/// Memory: about 900 bytes per sample.
 pub struct DeformationField<'a> {
     samples: &'a SampleSet,
     deformed: &'a [Vec3],
     method: Method,
+    sheets: Sheets,
     frames: LocalFrames,
-    jets: Vec<Jet>,
-    /// Whether any jet moves that a vertex nearest to this sample may blend.
+    supports: Supports,
+    expansions: Vec<Expansion>,
+    limiter: Limiter,
+    /// Whether anything moves around the sample as a home.
     active: Vec<bool>,
+    workspaces: Workspaces,
 }
 
 impl<'a> DeformationField<'a> {
@@ -83,35 +105,53 @@ impl<'a> DeformationField<'a> {
     /// The number of deformed positions is not that of the samples.
     pub fn new(samples: &'a SampleSet, deformed: &'a [Vec3], method: Method) -> Self {
         assert_eq!(samples.len(), deformed.len(), "P_S* corresponds to P_S one to one");
-        let moved: Vec<bool> = samples.positions.iter().zip(deformed).map(|(p, q)| p != q).collect();
-        // A jet is fitted to moved samples one step away, and blended by vertices nearest to samples another step away.
-        let active = beside(samples, &beside(samples, &moved));
-        let frames = LocalFrames::fit(samples, deformed);
-        let jets = blended_jets::expand(samples, deformed, &frames);
-        Self { samples, deformed, method, frames, jets, active }
-    }
-
-    /// Carries a vertex over. `p` is finite, `n` its normal where the model has one; `walk` remembers where the
-    /// last vertex was.
-    pub fn transport(&self, p: Vec3, n: Option<Vec3>, walk: &mut Walk) -> Transport {
-        let nearest = walk.nearest(self.samples, p) as usize;
-        if !self.active[nearest] {
-            return Transport::STILL;
+        samples.prepare();
+        let sheets = Sheets::of(samples);
+        let frames = LocalFrames::fit(samples, &sheets, deformed);
+        let supports = Supports::of(samples, &sheets);
+        let Expanded { mut expansions, doubtful } = blended_jets::expand(samples, &sheets, deformed, &frames);
+        for (e, radius) in expansions.iter_mut().zip(&supports.radius) {
+            e.inverse_square = (1.0 / (radius * radius)).min(Expansion::NO_SUPPORT);
         }
-        let gather = |k| Neighbourhood::gather(self.samples, nearest, k, p, n);
-        let by_triangle = match self.method {
-            Method::ProjectedBarycentric => {
-                projected_barycentric::transport(self, &gather(projected_barycentric::NEIGHBOURS), p)
-            }
-            Method::BlendedJets => None,
-        };
-        // Jets also stand in where no triangle of samples is fit to be used.
-        by_triangle.unwrap_or_else(|| blended_jets::transport(self, &gather(blended_jets::BLENDED), p))
+        let moves: Vec<bool> = expansions.par_iter().map(|e| !e.is_still()).collect();
+        let around = |home| supports.samples_of_home(home).any(|j| moves[j]);
+        let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || around(home)).collect();
+        let limiter = Limiter::new(&supports, &expansions, &doubtful);
+        let workspaces = Workspaces::default();
+        Self { samples, deformed, method, sheets, frames, supports, expansions, limiter, active, workspaces }
     }
-}
 
-/// The samples that are marked, or have a neighbour that is.
-fn beside(samples: &SampleSet, marked: &[bool]) -> Vec<bool> {
-    let near = |i: usize| samples.neighbours().of(i).iter().any(|j| marked[*j as usize]);
-    (0..samples.len()).map(|i| marked[i] || near(i)).collect()
+    /// Carries consecutive vertices of the model over, on all cores: `positions`, in the model's coordinates, and
+    /// `normals`, as many or none, become what they are after the deformation. Returns how many vertices have no finite
+    /// position, and are left as they are.
+    ///
+    /// The result depends on how the vertices are divided into calls, but not on the number of threads.
+    pub fn carry(&self, frame: &Frame, positions: &mut [DVec3], normals: &mut [Vec3]) -> u64 {
+        let carry_block = |positions: &mut [DVec3], normals: &mut [Vec3]| {
+            self.workspaces.with(|workspace| workspace.carry_block(self, frame, positions, normals))
+        };
+        if normals.is_empty() {
+            return positions.par_chunks_mut(BLOCK).map(|p| carry_block(p, &mut [])).sum();
+        }
+        let blocks = positions.par_chunks_mut(BLOCK).zip(normals.par_chunks_mut(BLOCK));
+        blocks.map(|(p, n)| carry_block(p, n)).sum()
+    }
+
+    fn homes(&self) -> Homes<'_> {
+        Homes::new(self.samples, &self.sheets, &self.supports)
+    }
+
+    /// Carries a vertex over that no support reaches, as one that lies far off the samples.
+    fn beyond(&self, home: usize, p: Vec3) -> Transport {
+        let around = Neighbourhood::gather(self.samples, &self.sheets, home, blended_jets::BLENDED, p);
+        let (mut displacement, mut gradient, mut sum) = (Vec3::ZERO, Mat3::ZERO, 0.0);
+        for &(i, w) in around.weighted() {
+            let i = i as usize;
+            let (u, slope) = self.expansions[i].beyond(p, self.limiter.doubt(i));
+            displacement += w * u;
+            gradient += w * slope;
+            sum += w;
+        }
+        Transport { displacement: displacement / sum, gradient: Mat3::IDENTITY + gradient * (1.0 / sum) }
+    }
 }

@@ -10,7 +10,7 @@
 
 use glam::{Mat3, Vec3};
 
-use super::neighbours::Neighbourhood;
+use super::neighbourhood::{MAX_K, Neighbourhood};
 use super::{DeformationField, Transport};
 
 /// Samples in a neighbourhood (k in the paper, which uses 10 to 30).
@@ -28,8 +28,14 @@ const MIN_SHAPE: f32 = 0.25;
 /// Least barycentric coordinate: how far outside the triangle a vertex may lie.
 const MIN_COORDINATE: f32 = -0.25;
 
-/// Carries a vertex over; `None` where no triangle of samples is fit to be used, as outside an open boundary.
-pub fn transport(field: &DeformationField, around: &Neighbourhood, p: Vec3) -> Option<Transport> {
+/// Carries a vertex over. Expansions stand in where no triangle of samples is fit to be used, as outside an open
+/// boundary.
+pub fn carry(field: &DeformationField, home: usize, p: Vec3) -> Transport {
+    let around = Neighbourhood::gather(field.samples, &field.sheets, home, NEIGHBOURS, p);
+    over_triangle(field, &around, p).unwrap_or_else(|| field.beyond(home, p))
+}
+
+fn over_triangle(field: &DeformationField, around: &Neighbourhood, p: Vec3) -> Option<Transport> {
     let (rest, deformed) = (&field.samples.positions, field.deformed);
     let plane = average_plane(around, rest, field.samples.normals())?;
     let plane_star = average_plane(around, deformed, &field.frames.normal)?;
@@ -78,7 +84,7 @@ fn average_plane(around: &Neighbourhood, positions: &[Vec3], normals: &[Vec3]) -
 fn vote(around: &Neighbourhood, rest: &[Vec3], n: Vec3, flat: Vec3) -> Option<([u32; 3], [f32; 3])> {
     let near = around.weighted();
     let position = |m: usize| rest[near[m].0 as usize];
-    let mut directions = [Vec3::ZERO; super::neighbours::MAX_K];
+    let mut directions = [Vec3::ZERO; MAX_K];
     for (m, direction) in directions.iter_mut().enumerate().take(near.len()) {
         let offset = position(m) - flat;
         *direction = (offset - offset.dot(n) * n).normalize_or_zero();

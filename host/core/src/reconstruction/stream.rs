@@ -4,17 +4,13 @@
 use std::path::Path;
 
 use glam::Vec3;
-use rayon::prelude::*;
 use xxhash_rust::xxh3::Xxh3Default;
 
-use super::{DeformationField, Method, Walk};
+use super::{DeformationField, Method};
 use crate::model::Model;
 use crate::output::OutputFile;
 use crate::sampled_model::{SampledModel, fingerprint, same_file};
 use crate::{Error, ErrorKind, Progress, Result};
-
-/// Vertices that share a walk. A fixed number, so that the result does not depend on the number of threads.
-const WALK_VERTICES: usize = 1024;
 
 /// What was done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -52,7 +48,6 @@ pub fn reconstruct(
     let mut out = OutputFile::create(output, model.info().bytes)?;
     progress.begin("preparing", 0);
     let field = DeformationField::new(&sampled.samples, deformed, method);
-    let frame = sampled.frame;
     let mut hash = Xxh3Default::new();
     let mut done = Reconstructed { vertices: 0, non_finite: 0 };
 
@@ -62,33 +57,7 @@ pub fn reconstruct(
         &mut |chunk| {
             hash.update(chunk.raw());
             done.vertices += chunk.len() as u64;
-            let (positions, normals) = (&mut chunk.positions, &mut chunk.normals);
-            let with_normals = !normals.is_empty();
-            // Blocks of normals beside those of positions: empty ones where the model has none.
-            normals.resize(positions.len(), Vec3::ZERO);
-            done.non_finite += positions
-                .par_chunks_mut(WALK_VERTICES)
-                .zip(normals.par_chunks_mut(WALK_VERTICES))
-                .map(|(positions, normals)| {
-                    let mut walk = Walk::default();
-                    let mut non_finite = 0;
-                    for (p, n) in positions.iter_mut().zip(normals) {
-                        if !p.is_finite() {
-                            non_finite += 1;
-                            continue;
-                        }
-                        let moved =
-                            field.transport(frame.to_local(*p), with_normals.then_some(*n), &mut walk);
-                        // Only the displacement is in single precision.
-                        *p += moved.displacement.as_dvec3() * frame.scale;
-                        *n = moved.normal(*n);
-                    }
-                    non_finite
-                })
-                .sum::<u64>();
-            if !with_normals {
-                normals.clear();
-            }
+            done.non_finite += field.carry(&sampled.frame, &mut chunk.positions, &mut chunk.normals);
             Ok(())
         },
         progress,

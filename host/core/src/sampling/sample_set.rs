@@ -125,23 +125,15 @@ impl SampleSet {
         &self.surroundings().neighbours
     }
 
-    /// At most `count` nearest neighbours of sample `i`, and the radius at which a kernel over them vanishes: the
-    /// distance of the first neighbour that is left out, or half as much again as the last where there is none.
-    pub(crate) fn around(&self, i: usize, count: usize) -> (&[u32], f32) {
-        let all = self.neighbours().of(i);
-        let near = &all[..all.len().min(count)];
-        let distance = |j: &u32| self.positions[*j as usize].distance(self.positions[i]);
-        let radius = match all.get(near.len()) {
-            Some(beyond) => distance(beyond),
-            None => 1.5 * near.last().map_or(0.0, distance),
-        };
-        (near, radius)
-    }
-
     /// Mean distance to the nearest neighbours, for each sample; 0 for a single one.
     #[inline]
     pub fn spacing(&self) -> &[f32] {
         &self.surroundings().spacing
+    }
+
+    /// At most `count` nearest neighbours of sample `i`, nearest first.
+    pub(crate) fn nearest_neighbours(&self, i: usize, count: usize) -> Vec<u32> {
+        nearest(&self.surroundings().tree, &self.positions, i, count).collect()
     }
 
     /// The sample nearest to a finite point. Costs about a microsecond: not for every vertex of P_L.

@@ -1,0 +1,262 @@
+//! The blend of expansions over whole blocks of vertices: a partition of unity whose parts are known beforehand.
+//!
+//! u(p) = Σ wᵢ(p)·uᵢ(p) / Σ wᵢ(p), where wᵢ vanishes at a fixed distance from sample i. So no vertex has to search
+//! and sort its neighbours: around each sample, its *home*, all supports that reach there are listed once, and a vertex
+//! goes through the list of its home. As nothing depends on who is nearest, the blend is as smooth as its
+//! weights, and the gradient (for normals) is the exact one of what the vertices do.
+//!
+//! Vertices of a block are grouped by their homes and processed as many at once as the processor's vector registers
+//! take, which is found out at run time. Every vertex' numbers are computed by the same operations in the same order on
+//! any processor, and none of them is fused: the result has the same bytes everywhere.
+
+use std::ops::Range;
+
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+use super::expansion::Expansion;
+use super::lanes::Lanes;
+use super::sheets::{Sheets, facing};
+use crate::sampling::SampleSet;
+
+/// The support of a sample ends at this one of its neighbours.
+const SUPPORT_NEIGHBOURS: usize = 7;
+
+/// Least sum of weights at which the blend is that of the supports. Less is the margin of the last one.
+pub const LEAST_WEIGHT: f32 = 1e-6;
+
+/// A support that reaches the vertices of a home.
+#[derive(Debug, Clone, Copy)]
+pub struct Reaching {
+    /// Vertices nearer to the home's sample than this are not reached.
+    from: f32,
+    /// The sample.
+    pub sample: u32,
+    /// How much it belongs to the home's sheet.
+    pub facing: f32,
+}
+
+/// For each sample, the supports that reach where it is the home.
+///
+/// Memory: about 30 supports of 12 bytes per sample.
+pub struct Supports {
+    /// Radius of each sample's support.
+    pub radius: Vec<f32>,
+    starts: Vec<u32>,
+    reaching: Vec<Reaching>,
+}
+
+impl Supports {
+    /// Of the samples on their sheets.
+    pub fn of(samples: &SampleSet, sheets: &Sheets) -> Self {
+        let positions = &samples.positions;
+        let n = samples.len();
+        let radius: Vec<f32> =
+            (0..n).into_par_iter().map(|i| sheets.around(positions, i, SUPPORT_NEIGHBOURS - 1).1).collect();
+        let entry = |home: usize, j: usize| {
+            let distance = positions[home].distance(positions[j]);
+            let facing = facing(samples.normals()[j], samples.normals()[home]);
+            (distance < radius[home] + radius[j] && facing > 0.0).then_some(Reaching {
+                from: distance - radius[j],
+                sample: j as u32,
+                facing,
+            })
+        };
+        // Where a sample is among the neighbours of another, but not the other way round: as between sparse and dense.
+        let mut one_way: Vec<(u32, u32)> = (0..n)
+            .into_par_iter()
+            .flat_map_iter(|j| {
+                let unknown = move |home: &u32| !sheets.of_sample(*home as usize).contains(&(j as u32));
+                let overlapping = move |home: &u32| entry(*home as usize, j).is_some();
+                sheets
+                    .of_sample(j)
+                    .iter()
+                    .copied()
+                    .filter(overlapping)
+                    .filter(unknown)
+                    .map(move |home| (home, j as u32))
+            })
+            .collect();
+        one_way.par_sort_unstable();
+
+        let lists: Vec<Vec<Reaching>> = (0..n)
+            .into_par_iter()
+            .map(|home| {
+                let first = one_way.partition_point(|(h, _)| (*h as usize) < home);
+                let others = one_way[first..].iter().take_while(|(h, _)| *h as usize == home).map(|(_, j)| j);
+                let itself = [home as u32];
+                let all = itself.iter().chain(sheets.of_sample(home)).chain(others);
+                let mut list: Vec<Reaching> = all.filter_map(|j| entry(home, *j as usize)).collect();
+                list.sort_unstable_by(|a, b| a.from.total_cmp(&b.from).then(a.sample.cmp(&b.sample)));
+                list
+            })
+            .collect();
+        let mut starts = vec![0];
+        let mut reaching = Vec::with_capacity(lists.iter().map(Vec::len).sum());
+        for list in lists {
+            reaching.extend(list);
+            starts.push(reaching.len() as u32);
+        }
+        Self { radius, starts, reaching }
+    }
+
+    /// The supports that reach where `home` is the home.
+    pub fn of_home(&self, home: usize) -> &[Reaching] {
+        &self.reaching[self.starts[home] as usize..self.starts[home + 1] as usize]
+    }
+
+    /// The samples whose supports reach where `home` is the home.
+    pub fn samples_of_home(&self, home: usize) -> impl Iterator<Item = usize> + '_ {
+        self.of_home(home).iter().map(|r| r.sample as usize)
+    }
+}
+
+/// Vertices of a block, grouped by their homes, in separate arrays by coordinate.
+///
+/// Memory: 68 bytes per vertex, at most [`PACKET`] vertices' more for each group.
+#[derive(Debug, Default)]
+pub struct Grouped {
+    /// The groups: their home, and their vertices. Each begins at a multiple of [`PACKET`]; what is between them is
+    /// of no meaning, but finite.
+    pub groups: Vec<(u32, Range<usize>)>,
+    /// Local coordinates.
+    pub positions: [Vec<f32>; 3],
+    /// The displacement.
+    pub displacement: [Vec<f32>; 3],
+    /// The sum of weights: at less than [`LEAST_WEIGHT`] the displacement means nothing.
+    pub sum: Vec<f32>,
+    /// The gradient of the displacement, column by column, if it is asked for.
+    pub gradient: [Vec<f32>; 9],
+}
+
+/// The most vertices that any processor takes at once.
+pub const PACKET: usize = 16;
+
+/// Blends the expansions for all groups.
+pub fn blend(supports: &Supports, expansions: &[Expansion], gradient: bool, grouped: &mut Grouped) {
+    let arch = Arch::new();
+    if gradient {
+        arch.dispatch(Kernel::<true> { supports, expansions, grouped });
+    } else {
+        arch.dispatch(Kernel::<false> { supports, expansions, grouped });
+    }
+}
+
+struct Kernel<'a, const GRADIENT: bool> {
+    supports: &'a Supports,
+    expansions: &'a [Expansion],
+    grouped: &'a mut Grouped,
+}
+
+impl<const GRADIENT: bool> WithSimd for Kernel<'_, GRADIENT> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { supports, expansions, grouped } = self;
+        let Grouped { groups, positions, displacement, sum, gradient } = grouped;
+        // All lengths are multiples of the packet: nothing is left over.
+        let positions = positions.each_ref().map(|v| S::as_simd_f32s(v).0);
+        let displacement = displacement.each_mut().map(|v| S::as_mut_simd_f32s(v).0);
+        let gradient = gradient.each_mut().map(|v| S::as_mut_simd_f32s(v).0);
+        let sum = S::as_mut_simd_f32s(sum).0;
+        for (home, range) in groups {
+            let list = supports.of_home(*home as usize);
+            let center = expansions[*home as usize].center;
+            for at in range.start / S::F32_LANES..range.end.div_ceil(S::F32_LANES) {
+                let p = [0, 1, 2].map(|i| Lanes(simd, positions[i][at]));
+                let blended = packet::<S, GRADIENT>(simd, p, center, list, expansions);
+                (0..3).for_each(|i| displacement[i][at] = blended.displacement[i].1);
+                sum[at] = blended.sum.1;
+                if GRADIENT {
+                    (0..9).for_each(|i| gradient[i][at] = blended.gradient[i].1);
+                }
+            }
+        }
+    }
+}
+
+/// What a packet of vertices gets.
+struct Blended<S: Simd> {
+    displacement: [Lanes<S>; 3],
+    sum: Lanes<S>,
+    gradient: [Lanes<S>; 9],
+}
+
+/// Goes through the supports for as many vertices as there are lanes.
+#[inline(always)]
+fn packet<S: Simd, const GRADIENT: bool>(
+    simd: S,
+    p: [Lanes<S>; 3],
+    home: [f32; 3],
+    list: &[Reaching],
+    expansions: &[Expansion],
+) -> Blended<S> {
+    let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
+    let mut blended = Blended { displacement: [zero; 3], sum: zero, gradient: [zero; 9] };
+    let mut sum_slope = [zero; 3];
+
+    let furthest = length_squared(from(simd, p, home)).largest().sqrt();
+    for support in list {
+        if support.from > furthest {
+            break;
+        }
+        let e = &expansions[support.sample as usize];
+        let d = from(simd, p, e.center);
+        // The kernel (1 - t²)³ and, but for d, its gradient -6 (1 - t²)² d / r²
+        let s = one - length_squared(d) * Lanes::splat(simd, e.inverse_square);
+        if s.largest() <= 0.0 {
+            continue;
+        }
+        let s = s.max(zero);
+        let w = s * s * s * Lanes::splat(simd, support.facing);
+        let w_slope = s * s * Lanes::splat(simd, -6.0 * support.facing * e.inverse_square);
+        blended.sum += w;
+        if GRADIENT {
+            sum_slope.iter_mut().zip(d).for_each(|(total, d)| *total += w_slope * d);
+        }
+        let [dx, dy, dz] = d;
+        for o in 0..3 {
+            // As in `Expansion::at`.
+            let row = &e.rows[o];
+            let [xx, xy, xz] =
+                [Lanes::splat(simd, row[4]), Lanes::splat(simd, row[5]), Lanes::splat(simd, row[6])];
+            let [yy, yz, zz] =
+                [Lanes::splat(simd, row[7]), Lanes::splat(simd, row[8]), Lanes::splat(simd, row[9])];
+            let a = Lanes::splat(simd, row[1]) + xx * dx + (xy * dy + xz * dz);
+            let b = Lanes::splat(simd, row[2]) + yy * dy + yz * dz;
+            let c = Lanes::splat(simd, row[3]) + zz * dz;
+            let u = Lanes::splat(simd, row[0]) + a * dx + (b * dy + c * dz);
+            blended.displacement[o] += w * u;
+            if GRADIENT {
+                let pull = w_slope * u;
+                blended.gradient[o] += w * (a + xx * dx) + pull * dx;
+                blended.gradient[3 + o] += w * (b + (xy * dx + yy * dy)) + pull * dy;
+                blended.gradient[6 + o] += w * (c + (xz * dx + (yz * dy + zz * dz))) + pull * dz;
+            }
+        }
+    }
+    // A vertex without a support divides by one; its sum tells.
+    let inverse = blended.sum.inverse_or_one();
+    for o in 0..3 {
+        let u = blended.displacement[o] * inverse;
+        blended.displacement[o] = u;
+        if GRADIENT {
+            for (column, slope) in sum_slope.into_iter().enumerate() {
+                let g = &mut blended.gradient[3 * column + o];
+                *g = (*g - u * slope) * inverse;
+            }
+        }
+    }
+    blended
+}
+
+#[inline(always)]
+fn from<S: Simd>(simd: S, p: [Lanes<S>; 3], q: [f32; 3]) -> [Lanes<S>; 3] {
+    [p[0] - Lanes::splat(simd, q[0]), p[1] - Lanes::splat(simd, q[1]), p[2] - Lanes::splat(simd, q[2])]
+}
+
+#[inline(always)]
+fn length_squared<S: Simd>(d: [Lanes<S>; 3]) -> Lanes<S> {
+    d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+}

@@ -1,0 +1,193 @@
+//! Which samples lie on the same sheet of the surface: a deformation must not bleed from a finger to the next one,
+//! or from one side of a thin wall to the other, however near they are in space.
+//!
+//! Two samples that see each other along the surface have normals that do not oppose, and lie near each other's
+//! tangent planes. For an arc the chord is perpendicular to the mean of both normals, whatever its curvature, so the
+//! chord's part along that mean tells how far one sample is *above* the other: it is counted [`STACKED`]-fold. Each
+//! sample is linked to the nearest few others in that measure, and its sheet is what these links reach among its
+//! neighbours in space.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::sampling::SampleSet;
+
+/// Most neighbours of a sample on its sheet.
+pub const SHEET_NEIGHBOURS: usize = 32;
+
+/// Neighbours in space that are looked at where several sheets are near.
+const CROWDED_NEIGHBOURS: usize = 96;
+
+/// How much more a distance across the surface counts than one along it.
+const STACKED: f32 = 10.0;
+
+/// Links of each sample: a ring.
+const LINKS: usize = 6;
+
+/// A chord within this sine of the tangent planes is one along the surface.
+const ALONG: f32 = 0.2;
+
+/// A chord beyond this sine is no link.
+const ACROSS: f32 = 0.5;
+
+/// The neighbours of each sample on its own sheet.
+///
+/// Memory: at most 133 bytes per sample.
+pub struct Sheets {
+    starts: Vec<u32>,
+    neighbours: Vec<u32>,
+    crowded: Vec<bool>,
+}
+
+impl Sheets {
+    /// Of samples that are [prepared](SampleSet::prepare).
+    pub fn of(samples: &SampleSet) -> Self {
+        let (positions, normals, graph) = (&samples.positions[..], samples.normals(), samples.neighbours());
+        let links: Vec<[u32; LINKS]> =
+            (0..samples.len()).into_par_iter().map(|i| links(positions, normals, graph.of(i), i)).collect();
+        let lists: Vec<Option<Vec<u32>>> = (0..samples.len())
+            .into_par_iter()
+            .map(|i| {
+                let near = graph.of(i);
+                if near.iter().all(|j| surely_along(positions, normals, i, *j as usize))
+                    || all_reached(&links, i, near)
+                {
+                    return None;
+                }
+                let near = samples.nearest_neighbours(i, CROWDED_NEIGHBOURS);
+                let same: Vec<u32> = reached(&links, i, &near).take(SHEET_NEIGHBOURS).copied().collect();
+                // Noise and creases alone do not make a second sheet.
+                (same[..] != near[..same.len()]).then_some(same)
+            })
+            .collect();
+        let (mut starts, mut neighbours) = (vec![0], Vec::with_capacity(samples.len() * graph.k()));
+        let mut crowded = Vec::with_capacity(samples.len());
+        for (i, same) in lists.iter().enumerate() {
+            neighbours.extend_from_slice(same.as_deref().unwrap_or(graph.of(i)));
+            starts.push(neighbours.len() as u32);
+            crowded.push(same.is_some());
+        }
+        Self { starts, neighbours, crowded }
+    }
+
+    /// The neighbours of sample `i` on its sheet, nearest first, without itself.
+    #[inline]
+    pub fn of_sample(&self, i: usize) -> &[u32] {
+        &self.neighbours[self.starts[i] as usize..self.starts[i + 1] as usize]
+    }
+
+    /// Whether another sheet is near the sample.
+    #[inline]
+    pub fn is_crowded(&self, i: usize) -> bool {
+        self.crowded[i]
+    }
+
+    /// At most `count` nearest neighbours of sample `i` on its sheet, and the radius at which a kernel over them
+    /// vanishes: the distance of the first neighbour that is left out, or half as much again as the last where there
+    /// is none; 0 without any neighbours.
+    pub fn around(&self, positions: &[Vec3], i: usize, count: usize) -> (&[u32], f32) {
+        let all = self.of_sample(i);
+        let near = &all[..all.len().min(count)];
+        let distance = |j: &u32| positions[*j as usize].distance(positions[i]);
+        let radius = match all.get(near.len()) {
+            Some(beyond) => distance(beyond),
+            None => 1.5 * near.last().map_or(0.0, distance),
+        };
+        (near, radius)
+    }
+}
+
+/// How much a sample of normal `n` belongs to a sheet of normal `side`: wholly up to a right angle, which the walls
+/// of a groove make, and not at all beyond 120°, as the far side of a thin plate. The change is gradual.
+#[inline]
+pub fn facing(n: Vec3, side: Vec3) -> f32 {
+    (2.0 * n.dot(side) + 1.0).clamp(0.0, 1.0)
+}
+
+/// The square of how far a point at `d` from a sample is, where the surface between them has the normal `n`.
+#[inline]
+pub fn sheet_distance(d: Vec3, n: Vec3) -> f32 {
+    let across = STACKED * d.dot(n);
+    d.length_squared() + across * across
+}
+
+/// The chord from sample `i` to sample `j`, and the surface's normal between them (not of unit length).
+fn chord(positions: &[Vec3], normals: &[Vec3], i: usize, j: usize) -> (Vec3, Vec3) {
+    (positions[j] - positions[i], 0.5 * (normals[i] + normals[j]))
+}
+
+fn within(d: Vec3, n: Vec3, sine: f32) -> bool {
+    let across = d.dot(n);
+    across * across <= sine * sine * d.length_squared()
+}
+
+/// Whether sample `j` is so plainly beside sample `i` that nothing else has to be looked at.
+fn surely_along(positions: &[Vec3], normals: &[Vec3], i: usize, j: usize) -> bool {
+    let (d, n) = chord(positions, normals, i, j);
+    normals[i].dot(normals[j]) >= 0.0 && within(d, n, ALONG)
+}
+
+/// The nearest samples along the surface; the sample itself in unused places.
+fn links(positions: &[Vec3], normals: &[Vec3], near: &[u32], i: usize) -> [u32; LINKS] {
+    let mut best = [(f32::INFINITY, i as u32); LINKS];
+    for j in near {
+        let (d, n) = chord(positions, normals, i, *j as usize);
+        if facing(normals[i], normals[*j as usize]) == 0.0 || !within(d, n, ACROSS) {
+            continue;
+        }
+        let entry = (sheet_distance(d, n), *j);
+        if entry.0 < best[LINKS - 1].0 {
+            best[LINKS - 1] = entry;
+            best.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        }
+    }
+    best.map(|(_, j)| j)
+}
+
+/// Whether links within `near` (fewer than 128) lead from sample `i` to all of them: `false` may be wrong, as links are
+/// followed one way alone.
+fn all_reached(links: &[[u32; LINKS]], i: usize, near: &[u32]) -> bool {
+    let all = (1u128 << near.len()) - 1;
+    let (mut seen, mut done) = (0u128, 0u128);
+    let mut at = i;
+    loop {
+        for j in links[at] {
+            if let Some(place) = near.iter().position(|n| *n == j) {
+                seen |= 1 << place;
+            }
+        }
+        let open = seen & !done;
+        if seen == all || open == 0 {
+            return seen == all;
+        }
+        done |= open & open.wrapping_neg();
+        at = near[open.trailing_zeros() as usize] as usize;
+    }
+}
+
+/// Those of `near` (fewer than 128) that links within them reach from sample `i`, in their order.
+fn reached<'a>(links: &[[u32; LINKS]], i: usize, near: &'a [u32]) -> impl Iterator<Item = &'a u32> {
+    let mut by_index = [(u32::MAX, 0u8); CROWDED_NEIGHBOURS + 1];
+    let nodes = near.len() + 1;
+    // The sample itself has the last place.
+    let node = |at: usize| near.get(at).copied().unwrap_or(i as u32);
+    (0..nodes).for_each(|at| by_index[at] = (node(at), at as u8));
+    let by_index = &mut by_index[..nodes];
+    by_index.sort_unstable();
+    let place = |j: u32| by_index.binary_search_by_key(&j, |e| e.0).ok().map(|at| by_index[at].1);
+    // Links go both ways.
+    let mut linked = [0u128; CROWDED_NEIGHBOURS + 1];
+    for at in 0..nodes {
+        for to in links[node(at) as usize].into_iter().filter_map(place) {
+            linked[at] |= 1 << to;
+            linked[to as usize] |= 1 << at;
+        }
+    }
+    let (mut seen, mut open) = (0u128, 1u128 << near.len());
+    while open != 0 {
+        let at = open.trailing_zeros();
+        seen |= 1 << at;
+        open = (open | linked[at as usize]) & !seen;
+    }
+    near.iter().enumerate().filter(move |(at, _)| seen >> at & 1 == 1).map(|(_, j)| j)
+}

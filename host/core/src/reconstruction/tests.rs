@@ -1,0 +1,211 @@
+//! The field as a whole: what it reproduces, how it behaves at steps, and that sheets do not bleed.
+
+use glam::{Affine3A, DVec3, EulerRot, Mat3, Quat, Vec3};
+
+use super::{DeformationField, Method};
+use crate::frame::Frame;
+use crate::sampling::SampleSet;
+
+const LOCAL: Frame = Frame { origin: DVec3::ZERO, scale: 1.0 };
+
+/// A curved patch with irregular samples, and points on it between them.
+fn patch(n: usize) -> impl Iterator<Item = Vec3> {
+    (0..n * n).map(move |i| {
+        let jitter = |k: u32| ((i as u32 * 7919 + k * 104_729) % 1000) as f32 / 1500.0;
+        let (x, y) = ((i % n) as f32 + jitter(1), (i / n) as f32 + jitter(2));
+        on_patch(x / n as f32, y / n as f32)
+    })
+}
+
+fn on_patch(x: f32, z: f32) -> Vec3 {
+    Vec3::new(x, 0.1 * (6.0 * x).sin() + 0.07 * (9.0 * z).cos(), z)
+}
+
+fn inner(p: &Vec3) -> bool {
+    p.x.min(p.z) > 0.05 && p.x.max(p.z) < 0.95
+}
+
+/// Where the field takes points.
+fn carried(field: &DeformationField, points: &[Vec3]) -> Vec<Vec3> {
+    let mut positions: Vec<DVec3> = points.iter().map(|p| p.as_dvec3()).collect();
+    assert_eq!(field.carry(&LOCAL, &mut positions, &mut []), 0);
+    positions.iter().map(|p| p.as_vec3()).collect()
+}
+
+/// The largest error of a map that is applied to the samples of the patch alone.
+fn worst(method: Method, map: impl Fn(Vec3) -> Vec3) -> f32 {
+    let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
+    let deformed: Vec<Vec3> = set.positions.iter().map(|p| map(*p)).collect();
+    let field = DeformationField::new(&set, &deformed, method);
+    let points: Vec<Vec3> = patch(97).filter(inner).collect();
+    let images = carried(&field, &points);
+    points.iter().zip(images).map(|(p, image)| map(*p).distance(image)).fold(0.0, f32::max)
+}
+
+#[test]
+fn the_identity_is_the_identity_bit_for_bit() {
+    let set = SampleSet::new(patch(30).collect(), Vec::new()).expect("samples");
+    for method in [Method::BlendedJets, Method::ProjectedBarycentric] {
+        let field = DeformationField::new(&set, &set.positions, method);
+        let mut positions: Vec<DVec3> = patch(71).map(|p| p.as_dvec3() * 1.000_000_1).collect();
+        let before = positions.clone();
+        field.carry(&LOCAL, &mut positions, &mut []);
+        assert_eq!(positions, before);
+    }
+}
+
+#[test]
+fn similarities_affine_and_quadratic_maps_are_reproduced() {
+    let rotation = Quat::from_euler(EulerRot::XYZ, 1.0, -2.0, 0.5);
+    let similarity = Affine3A::from_scale_rotation_translation(Vec3::splat(1.7), rotation, Vec3::ONE);
+    for method in [Method::BlendedJets, Method::ProjectedBarycentric] {
+        let error = worst(method, |p| similarity.transform_point3(p));
+        assert!(error < 2e-6, "{method:?}: {error}");
+    }
+    let m = Mat3::from_cols_array(&[1.2, 0.3, -0.1, 0.2, 0.8, 0.4, -0.3, 0.1, 1.1]);
+    let affine = worst(Method::BlendedJets, |p| m * p + Vec3::ONE);
+    assert!(affine < 2e-6, "{affine}");
+    let quadratic = worst(Method::BlendedJets, |p| p + Vec3::new(p.z * p.z, p.x * p.y, 0.5 * p.x * p.z));
+    assert!(quadratic < 2e-5, "{quadratic}");
+}
+
+#[test]
+fn a_smooth_map_is_followed_to_third_order() {
+    let twist = |p: Vec3| Quat::from_rotation_z(2.0 * p.z) * p;
+    let error = worst(Method::BlendedJets, twist);
+    assert!(error < 5e-5, "{error}");
+}
+
+#[test]
+fn at_steps_nothing_leaves_the_range_of_the_samples_by_much() {
+    let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
+    for (width, side) in [(0.01, Vec3::X), (0.03, Vec3::new(0.6, 0.0, 0.8)), (0.1, Vec3::Z)] {
+        let step = |p: Vec3| ((p - Vec3::splat(0.5)).dot(side) / width + 0.5).clamp(0.0, 1.0);
+        let deformed: Vec<Vec3> = set.positions.iter().map(|p| *p + Vec3::Y * step(*p)).collect();
+        let field = DeformationField::new(&set, &deformed, Method::BlendedJets);
+        let points: Vec<Vec3> = patch(97).collect();
+        for (p, image) in points.iter().zip(carried(&field, &points)) {
+            let moved = image - *p;
+            assert!((-0.1..1.1).contains(&moved.y), "{width}: {p}: {moved}");
+            assert!(moved.x.abs().max(moved.z.abs()) < 0.1, "{width}: {p}: {moved}");
+        }
+    }
+}
+
+#[test]
+fn the_gradient_is_that_of_what_the_vertices_do() {
+    let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
+    let twist = |p: Vec3| Quat::from_rotation_z(2.0 * p.z) * p + Vec3::Y * (9.0 * p.x).sin() * 0.02;
+    let deformed: Vec<Vec3> = set.positions.iter().map(|p| twist(*p)).collect();
+    let field = DeformationField::new(&set, &deformed, Method::BlendedJets);
+    let points: Vec<Vec3> = patch(37).filter(inner).collect();
+    let tangents = |p: &Vec3| [1e-3, -1e-3].map(|h| (on_patch(p.x + h, p.z), on_patch(p.x, p.z + h)));
+    let normal = |ends: [(Vec3, Vec3); 2]| (ends[0].1 - ends[1].1).cross(ends[0].0 - ends[1].0).normalize();
+    let mut positions: Vec<DVec3> = points.iter().map(|p| p.as_dvec3()).collect();
+    let mut normals: Vec<Vec3> = points.iter().map(|p| 3.0 * normal(tangents(p))).collect();
+    field.carry(&LOCAL, &mut positions, &mut normals);
+    for (p, n) in points.iter().zip(normals) {
+        let ends = tangents(p).map(|(x, z)| (carried(&field, &[x])[0], carried(&field, &[z])[0]));
+        assert!(n.distance(3.0 * normal(ends)) < 0.02, "{p}: {n} is not {}", normal(ends));
+    }
+}
+
+#[test]
+fn how_vertices_are_divided_into_calls_matters_little() {
+    // Each walk begins anew, and may find another home; but all homes know the same supports.
+    let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
+    let deformed: Vec<Vec3> = set.positions.iter().map(|p| Quat::from_rotation_z(2.0 * p.z) * *p).collect();
+    let field = DeformationField::new(&set, &deformed, Method::BlendedJets);
+    let points: Vec<Vec3> = patch(97).collect();
+    let whole = carried(&field, &points);
+    let one_by_one: Vec<Vec3> = points.iter().map(|p| carried(&field, &[*p])[0]).collect();
+    let worst = whole.iter().zip(one_by_one).map(|(a, b)| a.distance(b)).fold(0.0, f32::max);
+    assert!(worst < 1e-6, "{worst}");
+}
+
+/// Two plates a part of the spacing apart, with jitter; `facing` of the upper one over the lower.
+fn plates(gap: f32, up: [Vec3; 2]) -> (Vec<Vec3>, Vec<Vec3>) {
+    let plate = |k: usize| {
+        (0..900).map(move |i| {
+            let jitter = |a: usize| ((i * 7919 + a * 104_729 + k * 331) % 1000) as f32 / 2000.0;
+            let (x, z) = ((i % 30) as f32 + jitter(1), (i / 30) as f32 + jitter(2));
+            Vec3::new(x / 30.0, k as f32 * gap / 30.0, z / 30.0)
+        })
+    };
+    let normals = [vec![up[0]; 900], vec![up[1]; 900]].concat();
+    (plate(0).chain(plate(1)).collect(), normals)
+}
+
+#[test]
+fn plates_closer_than_the_spacing_move_apart_without_dragging_each_other() {
+    for gap in [0.8, 0.5, 0.3] {
+        for up in [[-Vec3::Y, Vec3::Y], [Vec3::Y, -Vec3::Y], [Vec3::Y, Vec3::Y]] {
+            let (positions, normals) = plates(gap, up);
+            let set = SampleSet::new(positions, normals).expect("samples");
+            let lift = Vec3::new(0.1, 0.5, 0.0);
+            let deformed: Vec<Vec3> =
+                set.positions.iter().enumerate().map(|(i, p)| if i < 900 { *p } else { *p + lift }).collect();
+            for method in [Method::BlendedJets, Method::ProjectedBarycentric] {
+                let field = DeformationField::new(&set, &deformed, method);
+                for with_normals in [true, false] {
+                    for k in 0..2 {
+                        let y = k as f32 * gap / 30.0;
+                        let points: Vec<Vec3> = (0..2000)
+                            .map(|i| Vec3::new((i % 50) as f32 / 50.0, y, (i / 50) as f32 / 40.0))
+                            .collect();
+                        let mut images: Vec<DVec3> = points.iter().map(|p| p.as_dvec3()).collect();
+                        let mut turned = if with_normals { vec![up[k]; points.len()] } else { Vec::new() };
+                        field.carry(&LOCAL, &mut images, &mut turned);
+                        let expected = lift * k as f32;
+                        for (p, image) in points.iter().zip(&images) {
+                            let error = (image.as_vec3() - *p - expected).length();
+                            assert!(
+                                error < 1e-4,
+                                "{gap} {up:?} {method:?} {with_normals}: plate {k}, {p}: {error}"
+                            );
+                        }
+                        assert!(turned.iter().all(|n| n.distance(up[k]) < 1e-4));
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn degenerate_samples_make_no_spikes() {
+    let line: Vec<Vec3> = (0..60).map(|i| Vec3::X * i as f32 / 60.0).collect();
+    let isolated: Vec<Vec3> = patch(20).chain([Vec3::new(3.0, 2.0, 1.0)]).collect();
+    let coincident: Vec<Vec3> = patch(12).flat_map(|p| [p; 9]).collect();
+    let sparse_and_dense: Vec<Vec3> =
+        patch(10).chain(patch(60).map(|p| p * Vec3::new(0.1, 1.0, 0.1))).collect();
+    let all_at_once = vec![Vec3::ONE; 50];
+    let few = vec![Vec3::ZERO, Vec3::X, Vec3::Z];
+    for rest in [line, isolated, coincident, sparse_and_dense, all_at_once, few, vec![Vec3::Y]] {
+        let set = SampleSet::new(rest.clone(), Vec::new()).expect("samples");
+        let noise = |i: usize, k: usize| ((i * 7919 + k * 104_729) % 1000) as f32 / 1000.0;
+        let maps: [Box<dyn Fn(usize, Vec3) -> Vec3>; 4] = [
+            // Collapsed to a point, to a plane, turned inside out in part, and noise.
+            Box::new(|_, _| Vec3::ONE),
+            Box::new(|_, p| p * Vec3::new(1.0, 0.0, 1.0)),
+            Box::new(|_, p| if p.x > 0.5 { Vec3::new(1.0 - p.x, p.y, p.z) } else { p }),
+            Box::new(|i, p| p + Vec3::new(noise(i, 1), noise(i, 2), noise(i, 3))),
+        ];
+        for (m, map) in maps.iter().enumerate() {
+            let deformed: Vec<Vec3> = rest.iter().enumerate().map(|(i, p)| map(i, *p)).collect();
+            for method in [Method::BlendedJets, Method::ProjectedBarycentric] {
+                let field = DeformationField::new(&set, &deformed, method);
+                let points: Vec<Vec3> =
+                    rest.iter().flat_map(|p| [*p, *p + Vec3::new(0.002, 0.01, -0.001)]).collect();
+                for (i, image) in carried(&field, &points).iter().enumerate() {
+                    // The displacements differ by 1.8 at most: no further from the image of its own sample than twice that.
+                    let own = deformed[i / 2];
+                    assert!(
+                        image.is_finite() && image.distance(own) < 3.6,
+                        "map {m}, {method:?}: {own} {image}"
+                    );
+                }
+            }
+        }
+    }
+}
