@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
-use simod_core::model::{self, CHUNK_VERTICES, Model, Scalar, VertexChunk, ply};
+use simod_core::model::{self, CHUNK_VERTICES, Edited, Model, Normals, Rewriting, Scalar, VertexChunk, ply};
 use simod_core::output::{OutputFile, write_file};
 use simod_core::progress::Silent;
 use simod_core::{Error, ErrorKind, Progress, Result};
@@ -269,12 +269,21 @@ fn read(model: &dyn Model, range: Range<u64>) -> Result<(Vec<DVec3>, Vec<Vec3>)>
     Ok((positions, normals))
 }
 
-fn rewrite(model: &dyn Model, mut edit: impl FnMut(&mut VertexChunk) + Send) -> Result<Vec<u8>> {
+fn rewrite(model: &dyn Model, edit: impl FnMut(&mut Edited) + Send) -> Result<Vec<u8>> {
+    rewrite_as(model, Normals::Transform, edit)
+}
+
+fn rewrite_as(
+    model: &dyn Model,
+    normals: Normals,
+    mut edit: impl FnMut(&mut Edited) + Send,
+) -> Result<Vec<u8>> {
     let mut out = Vec::new();
     model.rewrite(
-        &mut out,
-        &mut |chunk| {
-            edit(chunk);
+        &mut [&mut out],
+        Rewriting { normals, ..Rewriting::default() },
+        &mut |_, versions| {
+            versions.iter_mut().for_each(&mut edit);
             Ok(())
         },
         &Silent,
@@ -549,16 +558,16 @@ fn a_model_can_be_rewritten_in_place() {
     let mut vertices = grid(100_000);
     write_file(&path, &spec.build(&vertices)).unwrap();
     let model = model::open(&path).unwrap();
-    let double = |chunk: &mut VertexChunk| {
-        chunk.positions.iter_mut().for_each(|p| *p *= 2.0);
+    let double = |_: &VertexChunk, versions: &mut [Edited]| {
+        versions[0].positions.iter_mut().for_each(|p| *p *= 2.0);
         Ok(())
     };
     let begin = || OutputFile::create(&path, model.info().bytes).unwrap();
     let cancel = CancelAfter(1_000_000, AtomicU64::new(0));
-    model.rewrite(&mut begin(), &mut { double }, &cancel).unwrap_err();
+    model.rewrite(&mut [&mut begin()], Rewriting::default(), &mut { double }, &cancel).unwrap_err();
     assert!(fs::read(&path).unwrap() == spec.build(&vertices));
     let mut out = begin();
-    model.rewrite(&mut out, &mut { double }, &Silent).unwrap();
+    model.rewrite(&mut [&mut out], Rewriting::default(), &mut { double }, &Silent).unwrap();
     out.commit().unwrap();
     vertices.iter_mut().for_each(|v| v[..3].iter_mut().for_each(|x| *x *= 2.0));
     assert!(fs::read(&path).unwrap() == spec.build(&vertices));
@@ -627,7 +636,7 @@ fn what_an_edit_may_not_do_is_an_error() {
         let fewer = message(rewrite(&*model, |chunk| chunk.positions.truncate(3)));
         assert_eq!(fewer, "the 9 vertices from 0 on came back as 3");
         message(rewrite(&*model, |chunk| chunk.normals.clear()));
-        message(rewrite(&*model, |chunk| *chunk = VertexChunk::default()));
+        message(rewrite(&*model, |chunk| *chunk = Edited::default()));
     }
 }
 
@@ -642,8 +651,9 @@ fn an_error_of_the_edit_stops_everything() {
         let model = three_chunks(encoding);
         let mut calls = 0;
         let result = model.rewrite(
-            &mut io::sink(),
-            &mut |_| {
+            &mut [&mut io::sink()],
+            Rewriting::default(),
+            &mut |_, _| {
                 calls += 1;
                 if calls == 2 { Err(Error::new(ErrorKind::Plugin, "no", "never")) } else { Ok(()) }
             },
@@ -674,12 +684,12 @@ fn an_error_of_the_output_stops_everything() {
     let model = three_chunks(Little);
     let bytes = model.info().bytes as usize;
     for room in [0, 10, 1000, bytes / 2, bytes - 1, bytes] {
-        let result = model.rewrite(&mut Full(room), &mut |_| Ok(()), &Silent);
+        let result = model.rewrite(&mut [&mut Full(room)], Rewriting::default(), &mut |_, _| Ok(()), &Silent);
         let error = result.unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Io);
         assert!(error.to_string().starts_with("cannot write the new version of"), "{error}");
     }
-    model.rewrite(&mut Full(bytes + 1), &mut |_| Ok(()), &Silent).unwrap();
+    model.rewrite(&mut [&mut Full(bytes + 1)], Rewriting::default(), &mut |_, _| Ok(()), &Silent).unwrap();
 }
 
 /// Cancels after so many bytes; counts them.
@@ -702,11 +712,12 @@ fn cancelling_stops_everything() {
         let bytes = model.info().bytes;
         for after in [0, 1, bytes / 2] {
             let progress = CancelAfter(after, AtomicU64::new(0));
-            let result = model.rewrite(&mut io::sink(), &mut |_| Ok(()), &progress);
+            let result =
+                model.rewrite(&mut [&mut io::sink()], Rewriting::default(), &mut |_, _| Ok(()), &progress);
             assert_eq!(result.unwrap_err().kind(), ErrorKind::Cancelled);
         }
         let progress = CancelAfter(u64::MAX, AtomicU64::new(0));
-        model.rewrite(&mut io::sink(), &mut |_| Ok(()), &progress).unwrap();
+        model.rewrite(&mut [&mut io::sink()], Rewriting::default(), &mut |_, _| Ok(()), &progress).unwrap();
         assert_eq!(progress.1.into_inner(), bytes);
     }
 }
@@ -715,7 +726,11 @@ fn cancelling_stops_everything() {
 fn a_panic_of_the_edit_comes_through() {
     let model = three_chunks(Little);
     let result = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-        rewrite(&*model, |chunk| assert!(chunk.first == 0, "as it should"))
+        let mut calls = 0;
+        rewrite(&*model, |_| {
+            calls += 1;
+            assert!(calls == 1, "as it should");
+        })
     }));
     assert!(result.is_err());
 }

@@ -14,12 +14,13 @@ pub mod transfer_error;
 
 use glam::{Mat3, Vec3};
 
+pub use crate::model::Normals;
 use crate::sampling::SampleSet;
 use blended_jets::Jet;
 use local_frames::LocalFrames;
 use neighbours::Neighbourhood;
 pub use neighbours::Walk;
-pub use stream::{Reconstructed, reconstruct};
+pub use stream::{PART_BYTES, Reconstructed, Reconstruction, Version, reconstruct};
 
 /// What happens to one vertex.
 #[derive(Debug, Clone, Copy, PartialEq)]
