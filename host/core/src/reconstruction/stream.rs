@@ -198,6 +198,8 @@ impl<'a> Work<'a> {
             return Err(self.sampled.source_changed(self.model.path()));
         }
         self.pass.iter_mut().try_for_each(|(_, file)| file.complete(several))?;
+        // That may have taken a while.
+        self.progress.check()?;
         for (_, file) in &mut self.pass {
             self.finished.push(file.commit()?);
         }
