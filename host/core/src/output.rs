@@ -2,8 +2,7 @@
 //!
 //! Whatever the program writes goes to a hidden file beside the target first, which takes the target's name
 //! only when it is complete and on the disk. Killed at any moment, the program leaves the old file or the new one
-//! (and perhaps the hidden one, `.simod-….part`). Models, which take long, are written as [`resumable`](crate::resumable)
-//! files.
+//! (and perhaps the hidden one, `.simod-….part`). Models, which take long, are written in parts (`resumable`).
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};

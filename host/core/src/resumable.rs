@@ -51,7 +51,7 @@ pub(crate) struct ResumableFile {
 /// What [`ResumableFile::open`] finds.
 pub(crate) enum Opened {
     /// There is something to write.
-    Unfinished(ResumableFile),
+    Unfinished(Box<ResumableFile>),
     /// An earlier call wrote all of it, and it stands in its place.
     Finished(Finished),
 }
@@ -100,7 +100,7 @@ impl ResumableFile {
         if found.is_complete {
             return Ok(Opened::Finished(this.commit()?));
         }
-        Ok(Opened::Unfinished(this))
+        Ok(Opened::Unfinished(Box::new(this)))
     }
 
     /// What an earlier call left that can be relied on.
@@ -571,7 +571,7 @@ mod tests {
 
     fn open(path: &Path, key: &str, resume: bool) -> Result<ResumableFile> {
         match ResumableFile::open(path, key.into(), resume, 10, &Silent)? {
-            Opened::Unfinished(file) => Ok(file),
+            Opened::Unfinished(file) => Ok(*file),
             Opened::Finished(_) => panic!("it is finished"),
         }
     }

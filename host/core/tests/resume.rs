@@ -94,10 +94,13 @@ fn how(resume: bool) -> Reconstruction {
     Reconstruction { resume, part_bytes: PART, ..Reconstruction::default() }
 }
 
+/// Names and contents.
+type Files = Vec<(PathBuf, Vec<u8>)>;
+
 /// What a process leaves that is killed, at each time that anything is reported: copies of all hidden files.
 struct Snapshots<'a> {
     folder: &'a Path,
-    taken: Mutex<Vec<Vec<(PathBuf, Vec<u8>)>>>,
+    taken: Mutex<Vec<Files>>,
 }
 
 impl<'a> Snapshots<'a> {

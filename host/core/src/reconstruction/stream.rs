@@ -140,7 +140,7 @@ struct Work<'a> {
     how: &'a Reconstruction,
     progress: &'a dyn Progress,
     /// The versions that share a reading: at most [`MAX_VERSIONS`].
-    pass: Vec<(Version<'a>, ResumableFile)>,
+    pass: Vec<(Version<'a>, Box<ResumableFile>)>,
     /// Those in their places. Their journals tell a later call so, should this one be killed.
     finished: Vec<Finished>,
     taken_over: u64,
@@ -192,7 +192,7 @@ impl<'a> Work<'a> {
         self.progress.begin("reconstructing", self.model.info().bytes);
         let how = Rewriting { normals: self.how.normals, pieces_done };
         let mut outputs: Vec<&mut dyn Output> =
-            self.pass.iter_mut().map(|(_, file)| file as &mut dyn Output).collect();
+            self.pass.iter_mut().map(|(_, file)| &mut **file as &mut dyn Output).collect();
         self.model.rewrite(&mut outputs, how, &mut edit, self.progress)?;
         if self.sampled.source.fingerprint != fingerprint(hash.digest128()) {
             return Err(self.sampled.source_changed(self.model.path()));
