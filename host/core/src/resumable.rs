@@ -146,13 +146,17 @@ impl ResumableFile {
         self.journal.parts.iter().map(|p| p.pieces)
     }
 
-    /// Goes on after so many pieces: at one of the [boundaries](Self::boundaries), or at the beginning. Returns how many
-    /// bytes are there.
+    /// Goes on after so many pieces: at one of the [boundaries](Self::boundaries), or at the beginning. Has to be called
+    /// before anything is written to what an earlier call left. Returns how many bytes are there.
     ///
     /// # Errors
-    /// The part file cannot be cut.
+    /// The journal cannot be written, or the part file cannot be cut.
     pub(crate) fn go_on_after(&mut self, pieces: u64) -> Result<u64> {
-        self.journal.parts.retain(|p| p.pieces <= pieces);
+        if !self.journal.parts.is_empty() {
+            // First, so that it never speaks of bytes that are gone.
+            self.journal.parts.retain(|p| p.pieces <= pieces);
+            self.journal.replace(&self.places, true).map_err(|e| self.failed(&e))?;
+        }
         self.pieces = pieces;
         self.end = self.journal.parts.last().map_or(0, |p| p.end);
         (self.hash, self.since) = (Xxh3Default::new(), 0);

@@ -305,6 +305,28 @@ fn what_is_damaged_is_done_again() {
     assert_eq!(resumed(&Watch::new(u64::MAX)), 0);
 }
 
+/// Versions of one reading go on from where all of them are good, and no later call takes the rest for damaged.
+#[test]
+fn versions_go_on_together() {
+    let work = Work::new(Encoding::BinaryLittleEndian);
+    let expected = work.expected(&[1, 2], Normals::Transform);
+    let bytes = work.model.info().bytes;
+    work.write(&[1, 2], &how(true), &Watch::new(bytes * 2 / 3)).unwrap_err();
+    let part = work.path(".simod-out-2.part");
+    let mut spoilt = fs::read(&part).unwrap();
+    let middle = spoilt.len() / 2;
+    spoilt[middle] ^= 1;
+    put(&part, &spoilt);
+    // Checking takes two thirds of each, up to the damage; then little is written.
+    let watch = Watch::new(bytes * 3 / 2);
+    work.write(&[1, 2], &how(true), &watch).unwrap_err();
+    assert!(watch.note().contains("out-2") && !watch.note().contains("out-1"), "{}", watch.note());
+    let watch = Watch::new(u64::MAX);
+    assert!(work.write(&[1, 2], &how(true), &watch).unwrap() > 0);
+    assert_eq!(watch.note(), "");
+    work.check(&[1, 2], &expected);
+}
+
 #[test]
 fn another_key_starts_anew() {
     let mut work = Work::new(Encoding::BinaryLittleEndian);
