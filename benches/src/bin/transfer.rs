@@ -14,7 +14,7 @@ use clap::Parser;
 use simod_benches::{Map, error_figure, head, row};
 use simod_core::generate::{ModelOptions, write_file};
 use simod_core::progress::Silent;
-use simod_core::reconstruction::{Method, reconstruct, transfer_error};
+use simod_core::reconstruction::{Method, Reconstruction, Version, reconstruct, transfer_error};
 use simod_core::sampling::{Sampling, Target, sample};
 use simod_core::{Error, Result, model};
 
@@ -72,7 +72,9 @@ fn measure(arguments: &Arguments) -> Result<()> {
     for ((name, method), map) in methods.into_iter().flat_map(|m| Map::ALL.map(|map| (m, map))) {
         let samples = map.deform(&sampled);
         let start = Instant::now();
-        reconstruct(&sampled, model.as_ref(), &samples, method, &deformed, &Silent)?;
+        let version = Version { deformed: &samples, output: &deformed };
+        let how = Reconstruction { method, ..Reconstruction::default() };
+        reconstruct(&sampled, model.as_ref(), &[version], &how, &Silent)?;
         let seconds = start.elapsed().as_secs_f64();
 
         let result = model::open(&deformed)?;

@@ -60,8 +60,12 @@ impl Console {
 
     /// Prints a line that the user should see though the work goes on.
     pub fn warn(&self, text: &str) {
+        self.say("warning", text);
+    }
+
+    fn say(&self, what: &str, text: &str) {
         let stages = self.stages.lock().unwrap_or_else(PoisonError::into_inner);
-        let line = format!("warning: {}", line(text));
+        let line = format!("{what}: {}", line(text));
         match &stages.bar {
             Some(bar) if !bar.is_hidden() => bar.println(line),
             _ => {
@@ -117,6 +121,10 @@ impl Progress for Console {
                 bar.set_message(format!("{stage} ({} MB)", peak >> 20));
             }
         }
+    }
+
+    fn note(&self, text: &str) {
+        self.say("note", text);
     }
 
     fn is_cancelled(&self) -> bool {

@@ -5,6 +5,7 @@ mod console;
 mod memory;
 mod picture;
 mod report;
+mod versions;
 
 use std::process::ExitCode;
 

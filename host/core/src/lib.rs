@@ -17,6 +17,7 @@ mod positioned;
 pub mod progress;
 pub mod reconstruction;
 pub mod render;
+mod resumable;
 pub mod sampled_model;
 pub mod sampling;
 mod scratch;

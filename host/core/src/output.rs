@@ -2,7 +2,7 @@
 //!
 //! Whatever the program writes goes to a hidden file beside the target first, which takes the target's name
 //! only when it is complete and on the disk. Killed at any moment, the program leaves the old file or the new one
-//! (and perhaps the hidden one, `.simod-….part`).
+//! (and perhaps the hidden one, `.simod-….part`). Models, which take long, are written in parts (`resumable`).
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -35,24 +35,7 @@ impl OutputFile {
     /// # Errors
     /// The folder is missing or cannot be written to, `path` is a folder or a device, or the disk is too full.
     pub fn create(path: &Path, expected_bytes: u64) -> Result<Self> {
-        let target = follow_links(path)?;
-        match fs::metadata(&target) {
-            _ if target.file_name().is_none() => {
-                return Err(Error::io("write", path, &io::ErrorKind::IsADirectory.into()));
-            }
-            Ok(meta) if meta.is_dir() => {
-                return Err(Error::io("write", path, &io::ErrorKind::IsADirectory.into()));
-            }
-            // Renaming a file over a device would replace the device.
-            Ok(meta) if !meta.is_file() => {
-                return Err(Error::new(
-                    ErrorKind::Argument,
-                    format!("cannot write {}: it is a pipe or a device", path.display()),
-                    "give the path of a file",
-                ));
-            }
-            _ => {}
-        }
+        let target = regular_target(path)?;
         let folder = folder_of(&target);
         check_space(path, folder, expected_bytes)?;
         let mut builder = tempfile::Builder::new();
@@ -111,6 +94,37 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
     file.commit()
 }
 
+/// The file that `path` means in the end: one that need not exist, but can be created or replaced.
+///
+/// # Errors
+/// It is a folder or a device, or links lead nowhere.
+pub(crate) fn regular_target(path: &Path) -> Result<PathBuf> {
+    let target = follow_links(path)?;
+    match fs::metadata(&target) {
+        _ if target.file_name().is_none() => {
+            Err(Error::io("write", path, &io::ErrorKind::IsADirectory.into()))
+        }
+        Ok(meta) if meta.is_dir() => Err(Error::io("write", path, &io::ErrorKind::IsADirectory.into())),
+        // Renaming a file over a device would replace the device.
+        Ok(meta) if !meta.is_file() => Err(Error::new(
+            ErrorKind::Argument,
+            format!("cannot write {}: it is a pipe or a device", path.display()),
+            "give the path of a file",
+        )),
+        _ => Ok(target),
+    }
+}
+
+/// That file by the one name that all paths to it share, where its folder exists.
+///
+/// # Errors
+/// As for [`regular_target`], and the folder is missing.
+pub(crate) fn canonical_target(path: &Path) -> Result<PathBuf> {
+    let target = regular_target(path)?;
+    let folder = folder_of(&target).canonicalize().map_err(|e| Error::io("write", path, &e))?;
+    Ok(folder.join(target.file_name().unwrap_or_default()))
+}
+
 /// The file that a path means in the end. It need not exist.
 fn follow_links(path: &Path) -> Result<PathBuf> {
     let mut target = path.to_owned();
@@ -157,7 +171,7 @@ pub(crate) fn check_space(path: &Path, folder: &Path, needed: u64) -> Result<()>
 }
 
 /// Makes the new name last through a power failure.
-fn sync_folder(folder: &Path) -> io::Result<()> {
+pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
     if !cfg!(unix) {
         return Ok(());
     }

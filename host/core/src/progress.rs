@@ -15,6 +15,9 @@ pub trait Progress: Sync {
     /// Whether the user asked to stop. Work looks at it at least every 100 ms.
     fn is_cancelled(&self) -> bool;
 
+    /// Something that the user should know, though the work goes on: one line.
+    fn note(&self, _text: &str) {}
+
     /// An error of kind [`Cancelled`](crate::ErrorKind::Cancelled) once the user asked to stop.
     fn check(&self) -> Result<()> {
         if self.is_cancelled() { Err(Error::cancelled()) } else { Ok(()) }

@@ -10,7 +10,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
-use simod_core::model::{self, CHUNK_VERTICES, Model, Scalar, VertexChunk, ply};
+use simod_core::model::{
+    self, CHUNK_VERTICES, Edited, MAX_VERSIONS, Model, Normals, Output, Rewriting, Scalar, VertexChunk, ply,
+};
 use simod_core::output::{OutputFile, write_file};
 use simod_core::progress::Silent;
 use simod_core::{Error, ErrorKind, Progress, Result};
@@ -269,12 +271,21 @@ fn read(model: &dyn Model, range: Range<u64>) -> Result<(Vec<DVec3>, Vec<Vec3>)>
     Ok((positions, normals))
 }
 
-fn rewrite(model: &dyn Model, mut edit: impl FnMut(&mut VertexChunk) + Send) -> Result<Vec<u8>> {
+fn rewrite(model: &dyn Model, edit: impl FnMut(&mut Edited) + Send) -> Result<Vec<u8>> {
+    rewrite_as(model, Normals::Transform, edit)
+}
+
+fn rewrite_as(
+    model: &dyn Model,
+    normals: Normals,
+    mut edit: impl FnMut(&mut Edited) + Send,
+) -> Result<Vec<u8>> {
     let mut out = Vec::new();
     model.rewrite(
-        &mut out,
-        &mut |chunk| {
-            edit(chunk);
+        &mut [&mut out],
+        Rewriting { normals, ..Rewriting::default() },
+        &mut |_, versions| {
+            versions.iter_mut().for_each(&mut edit);
             Ok(())
         },
         &Silent,
@@ -396,6 +407,56 @@ proptest! {
         }
         let again = open(&edited).unwrap();
         prop_assert_eq!(bits(&read(&*again, 0..u64::MAX).unwrap()), bits(&spec.expected(&moved)));
+
+        // Without normals it is the file made without them.
+        let shifted = |normals| rewrite_as(&*model, normals, |chunk| {
+            chunk.positions.iter_mut().for_each(|p| *p += shift);
+        }).unwrap();
+        let kept = shifted(Normals::Keep);
+        let dropped = shifted(Normals::Drop);
+        let without = Spec { normal: None, ..spec.clone() };
+        prop_assert_eq!(
+            rewrite_as(&*open(&kept).unwrap(), Normals::Drop, |_| {}).unwrap().escape_ascii().to_string(),
+            dropped.escape_ascii().to_string()
+        );
+        if spec.encoding != Ascii || vertices.iter().flatten().all(|x| x.abs() < 1e14) {
+            prop_assert_eq!(dropped.escape_ascii().to_string(), without.build(&moved).escape_ascii().to_string());
+        }
+        let again = open(&dropped).unwrap();
+        prop_assert!(!again.info().has_normals);
+        prop_assert_eq!(bits(&read(&*again, 0..u64::MAX).unwrap()), bits(&without.expected(&moved)));
+        let normals = read(&*open(&kept).unwrap(), 0..u64::MAX).unwrap().1;
+        prop_assert_eq!(bits(&(Vec::new(), normals)).1, bits(&all).1);
+    }
+
+    #[test]
+    fn versions_of_one_reading_are_those_of_several(spec in specs(), vertices in vertices(), drop in any::<bool>()) {
+        let model = open(&spec.build(&vertices)).unwrap();
+        let normals = if drop { Normals::Drop } else { Normals::Transform };
+        let edit = |version: usize, edited: &mut Edited| {
+            edited.positions.iter_mut().for_each(|p| p.y += version as f64);
+            edited.normals.iter_mut().for_each(|n| *n *= version as f32);
+        };
+        let mut together = vec![Vec::new(); 4];
+        let mut outputs: Vec<&mut dyn Output> = together.iter_mut().map(|o| o as &mut dyn Output).collect();
+        let how = Rewriting { normals, ..Rewriting::default() };
+        model.rewrite(
+            &mut outputs,
+            how,
+            &mut |chunk, versions| {
+                assert_eq!(versions.len(), 4);
+                for (version, edited) in versions.iter_mut().enumerate() {
+                    assert_eq!(bits(&(edited.positions.clone(), vec![])), bits(&(chunk.positions.clone(), vec![])));
+                    edit(version, edited);
+                }
+                Ok(())
+            },
+            &Silent,
+        ).unwrap();
+        for (version, bytes) in together.into_iter().enumerate() {
+            let alone = rewrite_as(&*model, normals, |edited| edit(version, edited)).unwrap();
+            prop_assert!(alone == bytes, "version {}", version);
+        }
     }
 
     #[test]
@@ -549,16 +610,16 @@ fn a_model_can_be_rewritten_in_place() {
     let mut vertices = grid(100_000);
     write_file(&path, &spec.build(&vertices)).unwrap();
     let model = model::open(&path).unwrap();
-    let double = |chunk: &mut VertexChunk| {
-        chunk.positions.iter_mut().for_each(|p| *p *= 2.0);
+    let double = |_: &VertexChunk, versions: &mut [Edited]| {
+        versions[0].positions.iter_mut().for_each(|p| *p *= 2.0);
         Ok(())
     };
     let begin = || OutputFile::create(&path, model.info().bytes).unwrap();
     let cancel = CancelAfter(1_000_000, AtomicU64::new(0));
-    model.rewrite(&mut begin(), &mut { double }, &cancel).unwrap_err();
+    model.rewrite(&mut [&mut begin()], Rewriting::default(), &mut { double }, &cancel).unwrap_err();
     assert!(fs::read(&path).unwrap() == spec.build(&vertices));
     let mut out = begin();
-    model.rewrite(&mut out, &mut { double }, &Silent).unwrap();
+    model.rewrite(&mut [&mut out], Rewriting::default(), &mut { double }, &Silent).unwrap();
     out.commit().unwrap();
     vertices.iter_mut().for_each(|v| v[..3].iter_mut().for_each(|x| *x *= 2.0));
     assert!(fs::read(&path).unwrap() == spec.build(&vertices));
@@ -627,8 +688,76 @@ fn what_an_edit_may_not_do_is_an_error() {
         let fewer = message(rewrite(&*model, |chunk| chunk.positions.truncate(3)));
         assert_eq!(fewer, "the 9 vertices from 0 on came back as 3");
         message(rewrite(&*model, |chunk| chunk.normals.clear()));
-        message(rewrite(&*model, |chunk| *chunk = VertexChunk::default()));
+        message(rewrite(&*model, |chunk| *chunk = Edited::default()));
     }
+}
+
+/// The outputs get what comes after the pieces that they have, and the edit sees all of the model.
+#[test]
+fn pieces_that_are_done_are_read_alone() {
+    for (encoding, normals) in [(Little, Normals::Transform), (Big, Normals::Drop), (Ascii, Normals::Keep)] {
+        let spec = Spec { faces: Faces::Mixed, element_before: true, ..Spec::new(encoding) };
+        let model = open(&spec.build(&grid(3 * CHUNK_VERTICES))).unwrap();
+        let rewrite = |pieces_done| {
+            let (mut out, mut raw, mut edited) = (Pieces::default(), 0, 0);
+            let how = Rewriting { normals, pieces_done };
+            let mut edit = |chunk: &VertexChunk, versions: &mut [Edited]| {
+                raw += chunk.raw().len();
+                edited += versions.len();
+                versions.iter_mut().for_each(|v| v.positions.iter_mut().for_each(|p| p.x += 1.0));
+                Ok(())
+            };
+            model.rewrite(&mut [&mut out], how, &mut edit, &Silent).unwrap();
+            (out.0, raw, edited)
+        };
+        let (pieces, raw, edited) = rewrite(0);
+        assert!(pieces.len() > 4 && edited >= 3);
+        for done in 1..=pieces.len() {
+            let (rest, raw_again, edited_again) = rewrite(done as u64);
+            assert!(rest == pieces[done..], "after {done} of {} pieces", pieces.len());
+            assert_eq!(raw_again, raw);
+            assert!(edited_again <= edited && edited_again + done >= edited);
+        }
+    }
+}
+
+/// What was written, piece by piece.
+#[derive(Default)]
+struct Pieces(Vec<Vec<u8>>);
+
+impl Output for Pieces {
+    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64) -> io::Result<()> {
+        self.0.push(bytes.to_vec());
+        Ok(())
+    }
+
+    fn finish(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn more_versions_than_memory_is_held_for_are_refused() {
+    let model = open(&Spec::new(Little).build(&grid(3))).unwrap();
+    let mut outputs: Vec<Vec<u8>> = vec![Vec::new(); MAX_VERSIONS + 1];
+    let mut outputs: Vec<&mut dyn Output> = outputs.iter_mut().map(|o| o as &mut dyn Output).collect();
+    let result = model.rewrite(&mut outputs, Rewriting::default(), &mut |_, _| Ok(()), &Silent);
+    assert_eq!(result.unwrap_err().kind(), ErrorKind::Argument);
+}
+
+#[test]
+fn text_without_normals_keeps_its_form() {
+    let header = |normals: &str| {
+        format!(
+            "ply\nformat ascii 1.0\ncomment property float nx\nelement vertex 3\nproperty float x\n{normals}property \
+             float y\nproperty float z\nelement other 1\nproperty float nx\nend_header\n"
+        )
+    };
+    let with = header("property float nx\nproperty float ny\n property  float nz \n");
+    let text = with + "1 0 0 1 2 3\n  4\t.5 .5 .5  5 6 \n nan 1 1 1 8 9\n7\n";
+    let dropped = rewrite_as(&*open(text.as_bytes()).unwrap(), Normals::Drop, |_| {}).unwrap();
+    let expected = header("") + "1 2 3\n  4  5 6 \n nan 8 9\n7\n";
+    assert_eq!(String::from_utf8(dropped).unwrap(), expected);
 }
 
 fn three_chunks(encoding: Encoding) -> Box<dyn Model> {
@@ -642,8 +771,9 @@ fn an_error_of_the_edit_stops_everything() {
         let model = three_chunks(encoding);
         let mut calls = 0;
         let result = model.rewrite(
-            &mut io::sink(),
-            &mut |_| {
+            &mut [&mut io::sink()],
+            Rewriting::default(),
+            &mut |_, _| {
                 calls += 1;
                 if calls == 2 { Err(Error::new(ErrorKind::Plugin, "no", "never")) } else { Ok(()) }
             },
@@ -674,12 +804,12 @@ fn an_error_of_the_output_stops_everything() {
     let model = three_chunks(Little);
     let bytes = model.info().bytes as usize;
     for room in [0, 10, 1000, bytes / 2, bytes - 1, bytes] {
-        let result = model.rewrite(&mut Full(room), &mut |_| Ok(()), &Silent);
+        let result = model.rewrite(&mut [&mut Full(room)], Rewriting::default(), &mut |_, _| Ok(()), &Silent);
         let error = result.unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Io);
         assert!(error.to_string().starts_with("cannot write the new version of"), "{error}");
     }
-    model.rewrite(&mut Full(bytes + 1), &mut |_| Ok(()), &Silent).unwrap();
+    model.rewrite(&mut [&mut Full(bytes + 1)], Rewriting::default(), &mut |_, _| Ok(()), &Silent).unwrap();
 }
 
 /// Cancels after so many bytes; counts them.
@@ -702,11 +832,12 @@ fn cancelling_stops_everything() {
         let bytes = model.info().bytes;
         for after in [0, 1, bytes / 2] {
             let progress = CancelAfter(after, AtomicU64::new(0));
-            let result = model.rewrite(&mut io::sink(), &mut |_| Ok(()), &progress);
+            let result =
+                model.rewrite(&mut [&mut io::sink()], Rewriting::default(), &mut |_, _| Ok(()), &progress);
             assert_eq!(result.unwrap_err().kind(), ErrorKind::Cancelled);
         }
         let progress = CancelAfter(u64::MAX, AtomicU64::new(0));
-        model.rewrite(&mut io::sink(), &mut |_| Ok(()), &progress).unwrap();
+        model.rewrite(&mut [&mut io::sink()], Rewriting::default(), &mut |_, _| Ok(()), &progress).unwrap();
         assert_eq!(progress.1.into_inner(), bytes);
     }
 }
@@ -715,7 +846,11 @@ fn cancelling_stops_everything() {
 fn a_panic_of_the_edit_comes_through() {
     let model = three_chunks(Little);
     let result = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-        rewrite(&*model, |chunk| assert!(chunk.first == 0, "as it should"))
+        let mut calls = 0;
+        rewrite(&*model, |_| {
+            calls += 1;
+            assert!(calls == 1, "as it should");
+        })
     }));
     assert!(result.is_err());
 }

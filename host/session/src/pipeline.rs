@@ -7,7 +7,7 @@ use glam::Vec3;
 use simod_core::model;
 use simod_core::output::folder_of;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
-use simod_core::reconstruction::{Method, deformed_normals, reconstruct};
+use simod_core::reconstruction::{Reconstruction, Version, deformed_normals, reconstruct};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
 use simod_core::{Error, ErrorKind, Progress, Result};
@@ -71,7 +71,7 @@ impl Run {
     pub fn execute(
         session: &SessionFile,
         plugins: &PluginRegistry,
-        method: Method,
+        how: &Reconstruction,
         measure: bool,
         output: &Path,
         progress: &dyn Progress,
@@ -92,7 +92,8 @@ impl Run {
         let folder = folder_of(output);
         let sampled = sample(model.as_ref(), &session.sampling.into(), folder, progress)?;
         let deformed = deform(&sampled, &stack, progress)?;
-        reconstruct(&sampled, model.as_ref(), &deformed.positions, method, output, progress)?;
+        let version = Version { deformed: &deformed.positions, output };
+        reconstruct(&sampled, model.as_ref(), &[version], how, progress)?;
         Ok(Self { sampled, deformed, output: output.to_owned(), seconds: start.elapsed().as_secs_f64() })
     }
 

@@ -7,14 +7,14 @@ use glam::{DVec3, Vec3};
 use simod_benches::Map;
 use simod_benches::peers::{self, Peer};
 use simod_benches::process::{Result, own_cpu};
+use simod_core::Progress;
 use simod_core::generate::{ModelOptions, Shape, write_file};
-use simod_core::model::{self, Model};
+use simod_core::model::{self, Edited, Model, Rewriting, VertexChunk};
 use simod_core::output::OutputFile;
 use simod_core::progress::Silent;
-use simod_core::reconstruction::{self, reconstruct};
+use simod_core::reconstruction::{self, Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
-use simod_core::{Progress, model::VertexChunk};
 use tempfile::TempDir;
 
 use crate::method::Method;
@@ -141,7 +141,9 @@ impl Scene {
     fn reconstruct(&self, method: reconstruction::Method, deformed: &[Vec3]) -> Result<Cost> {
         let clock = StageClock::default();
         let start = own_cpu();
-        reconstruct(&self.sampled, self.model.as_ref(), deformed, method, &self.output(), &clock)?;
+        let version = Version { deformed, output: &self.output() };
+        let how = Reconstruction { method, ..Reconstruction::default() };
+        reconstruct(&self.sampled, self.model.as_ref(), &[version], &how, &clock)?;
         let (end, began) = (own_cpu(), clock.began("reconstructing").unwrap_or(start));
         Ok(Cost { preparation: self.neighbours + began - start, transfer: end - began })
     }
@@ -155,14 +157,14 @@ impl Scene {
         let cost = Cost { preparation: began - start, transfer: own_cpu() - began };
 
         let mut rest = moved.as_slice();
-        let mut replace = |chunk: &mut VertexChunk| {
+        let mut replace = |chunk: &VertexChunk, versions: &mut [Edited]| {
             let (positions, after) = rest.split_at(chunk.len());
-            chunk.positions.copy_from_slice(positions);
+            versions.iter_mut().for_each(|edited| edited.positions.copy_from_slice(positions));
             rest = after;
             Ok(())
         };
         let mut file = OutputFile::create(&self.output(), self.model.info().bytes)?;
-        self.model.rewrite(&mut file, &mut replace, &Silent)?;
+        self.model.rewrite(&mut [&mut file], Rewriting::default(), &mut replace, &Silent)?;
         file.commit()?;
         Ok(cost)
     }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use simod_core::generate::{ModelOptions, write_file};
-use simod_core::reconstruction::Method;
+use simod_core::reconstruction::Reconstruction;
 use simod_core::render::Image;
 use simod_core::{Error, Result, model, output};
 use simod_session::{PluginRegistry, Run, SessionFile};
@@ -44,8 +44,14 @@ impl Demo {
 
         let session = SessionFile::load(&file("session.toml"))?;
         let edited = file("amphora-edited.ply");
-        let run =
-            Run::execute(&session, &PluginRegistry::discover(), Method::default(), true, &edited, progress)?;
+        let run = Run::execute(
+            &session,
+            &PluginRegistry::discover(),
+            &Reconstruction::default(),
+            true,
+            &edited,
+            progress,
+        )?;
         describe(&run, report);
         describe_error(&run.transfer_error(progress)?, report);
 

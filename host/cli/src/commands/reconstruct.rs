@@ -4,22 +4,26 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use simod_core::Result;
-use simod_core::reconstruction::{Method, reconstruct};
+use simod_core::reconstruction::{Method, Normals, PART_BYTES, Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
 
+use super::sample::parse_bytes;
 use super::warn_non_finite;
 use crate::report::{Report, count, rate};
+use crate::versions::versions;
 
-/// Stream the deformation of the samples onto every vertex of the model
+/// Stream the deformation of the samples onto every vertex of the model, or several deformations at once
 #[derive(Args)]
 pub struct Reconstruct {
     /// The sampled model
     #[arg(value_name = "DIR")]
     sampled: PathBuf,
-    /// The deformed samples: samples.ply with other positions, from `simod deform` or any other program
-    #[arg(long, value_name = "FILE")]
-    deformed: PathBuf,
-    /// The deformed model to write
+    /// The deformed samples: samples.ply with other positions, from `simod deform` or any other program. Several files,
+    /// or a pattern as 'frame-*.ply', give a model each
+    #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
+    deformed: Vec<PathBuf>,
+    /// The deformed model to write. {} in it stands for what the * of --deformed matched, or for a file's name without
+    /// its ending
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// The model that was sampled, if it was moved since
@@ -28,6 +32,37 @@ pub struct Reconstruct {
     /// How to transfer the deformation
     #[arg(long, value_enum, default_value_t)]
     method: MethodName,
+    /// What becomes of the model's normals
+    #[arg(long, value_enum, default_value_t)]
+    normals: NormalsName,
+    /// Go on with what an interrupted run of this command left; with it, Ctrl-C and a full disk keep what is done
+    #[arg(long)]
+    resume: bool,
+    /// How much of the model is lost at most when a run is killed; for tests
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes, default_value_t = PART_BYTES, hide = true)]
+    part_size: u64,
+}
+
+/// What becomes of normals.
+#[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
+pub enum NormalsName {
+    /// They keep their bytes
+    Keep,
+    /// They turn with the surface
+    #[default]
+    Transform,
+    /// They are left out
+    Drop,
+}
+
+impl From<NormalsName> for Normals {
+    fn from(name: NormalsName) -> Self {
+        match name {
+            NormalsName::Keep => Self::Keep,
+            NormalsName::Transform => Self::Transform,
+            NormalsName::Drop => Self::Drop,
+        }
+    }
 }
 
 /// The methods of the reconstruction.
@@ -51,25 +86,39 @@ impl From<MethodName> for Method {
 
 impl Reconstruct {
     pub fn execute(self, report: &mut Report) -> Result<()> {
+        let paths = versions(&self.deformed, &self.output)?;
         let sampled = SampledModel::load(&self.sampled)?;
-        let deformed = sampled.read_deformed(&self.deformed)?;
+        let deformed =
+            paths.iter().map(|v| sampled.read_deformed(&v.deformed)).collect::<Result<Vec<_>>>()?;
         let model = sampled.open_source(self.model.as_deref())?;
-        let done = reconstruct(
-            &sampled,
-            model.as_ref(),
-            &deformed,
-            self.method.into(),
-            &self.output,
-            report.progress(),
-        )?;
+        let versions: Vec<Version<'_>> = paths
+            .iter()
+            .zip(&deformed)
+            .map(|(v, deformed)| Version { deformed, output: &v.output })
+            .collect();
+        let how = Reconstruction {
+            method: self.method.into(),
+            normals: self.normals.into(),
+            resume: self.resume,
+            part_bytes: self.part_size,
+        };
+        let done = reconstruct(&sampled, model.as_ref(), &versions, &how, report.progress())?;
         warn_non_finite(&sampled, report);
         report.figure("vertices", done.vertices);
+        report.figure("versions", versions.len());
         report.figure("samples", sampled.samples.len());
+        let into = match &paths[..] {
+            [one] => one.output.display().to_string(),
+            several => format!("each of {} versions", several.len()),
+        };
+        if self.resume {
+            report.figure("resumed_bytes", done.taken_over);
+            report.line(format!("{} bytes were there from an earlier run", count(done.taken_over)));
+        }
         report.line(format!(
-            "{} vertices in {}, {}",
+            "{} vertices in {into}, {}",
             count(done.vertices),
-            self.output.display(),
-            rate(done.vertices, report.seconds())
+            rate(done.vertices * versions.len() as u64, report.seconds())
         ));
         Ok(())
     }

@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde_json::json;
+use simod_core::reconstruction::Reconstruction;
 use simod_core::reconstruction::transfer_error::TransferError;
 use simod_core::{Error, ErrorKind, Result};
 use simod_session::{PluginRegistry, Run as Pipeline, SessionFile};
 
-use super::reconstruct::MethodName;
+use super::reconstruct::{MethodName, NormalsName};
 use super::{tell, warn_non_finite};
 use crate::report::{Report, count, rate};
 
@@ -23,6 +24,9 @@ pub struct Run {
     /// How to transfer the deformation
     #[arg(long, value_enum, default_value_t)]
     method: MethodName,
+    /// What becomes of the model's normals
+    #[arg(long, value_enum, default_value_t)]
+    normals: NormalsName,
     /// Compare the result with the exact deformation of every vertex, where all plugins know it
     #[arg(long)]
     measure: bool,
@@ -38,15 +42,14 @@ impl Run {
                 "add [output] path = \"…\" to the session, or give -o FILE",
             )
         })?;
+        let how = Reconstruction {
+            method: self.method.into(),
+            normals: self.normals.into(),
+            ..Reconstruction::default()
+        };
         let progress = report.progress();
-        let run = Pipeline::execute(
-            &session,
-            &PluginRegistry::discover(),
-            self.method.into(),
-            self.measure,
-            &output,
-            progress,
-        )?;
+        let run =
+            Pipeline::execute(&session, &PluginRegistry::discover(), &how, self.measure, &output, progress)?;
         describe(&run, report);
         if self.measure {
             describe_error(&run.transfer_error(progress)?, report);

@@ -66,7 +66,7 @@ enum Part {
 }
 
 /// A size in bytes, with K, M, G or T for powers of 1024.
-fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
+pub(super) fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
     let upper = text.to_ascii_uppercase();
     let upper = upper.strip_suffix("IB").or(upper.strip_suffix('B')).unwrap_or(&upper);
     let (number, shift) = match upper.char_indices().last() {

@@ -2,13 +2,13 @@
 //! triangles.
 //!
 //! A model is never held: readers keep one chunk of at most [`CHUNK_VERTICES`] vertices or [`CHUNK_TRIANGLES`]
-//! triangles, and [`Model::rewrite`] at most four of them at a time.
+//! triangles, and [`Model::rewrite`] at most four of them at a time, each with up to [`MAX_VERSIONS`] new versions.
 
 mod pipeline;
 pub mod ply;
 mod source;
 
-use std::io::Write;
+use std::io::{self, Write};
 use std::ops::Range;
 use std::path::Path;
 use std::sync::mpsc::sync_channel;
@@ -28,6 +28,9 @@ pub const SMALL_CHUNK: usize = 1 << 14;
 /// Most triangles in a chunk.
 pub const CHUNK_TRIANGLES: usize = 1 << 16;
 
+/// Most versions that one reading of a model writes: the bound of what is held beside each chunk.
+pub const MAX_VERSIONS: usize = 4;
+
 /// How positions are stored in the file. They are written back in the same type.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scalar {
@@ -35,6 +38,16 @@ pub enum Scalar {
     F32,
     /// 64-bit IEEE float.
     F64,
+}
+
+impl Scalar {
+    /// Bytes of a number in binary files.
+    pub(crate) fn size(self) -> usize {
+        match self {
+            Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
 }
 
 /// What is known of a model once it is open, before any vertex is read.
@@ -92,6 +105,65 @@ impl VertexChunk {
     /// The bytes of the file that these vertices were read from.
     pub fn raw(&self) -> &[u8] {
         &self.raw
+    }
+}
+
+/// What the vertices of a chunk become in one version of the model.
+///
+/// Memory: 36 bytes per vertex, so at most 2.3 MiB; [`Model::rewrite`] holds one for each version and each of its four
+/// chunks.
+#[derive(Debug, Default)]
+pub struct Edited {
+    /// Positions, as many as the chunk has.
+    pub positions: Vec<DVec3>,
+    /// Normals, as many as the chunk has; empty where the model has none, or they are not to be transformed.
+    pub normals: Vec<Vec3>,
+}
+
+/// What becomes of a model's normals when it is rewritten. Of no effect where it has none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Normals {
+    /// They keep their bytes.
+    Keep,
+    /// They change with the positions.
+    #[default]
+    Transform,
+    /// They are left out of the new file, header and vertices.
+    Drop,
+}
+
+/// How a model is rewritten.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Rewriting {
+    /// What becomes of the normals.
+    pub normals: Normals,
+    /// So many pieces at the beginning are read, but neither edited nor written: the outputs have them already.
+    pub pieces_done: u64,
+}
+
+/// Where a new version of a model goes. Anything that can be written to is one.
+pub trait Output: Send {
+    /// Takes the next piece of the new file, which stands for `source_bytes` of the model. The same model, rewritten in
+    /// the same way, comes in the same pieces each time.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64) -> io::Result<()>;
+
+    /// Is called after the last piece.
+    ///
+    /// # Errors
+    /// What is still held cannot be written.
+    fn finish(&mut self) -> io::Result<()>;
+}
+
+impl<W: Write + Send> Output for W {
+    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64) -> io::Result<()> {
+        self.write_all(bytes)
+    }
+
+    fn finish(&mut self) -> io::Result<()> {
+        self.flush()
     }
 }
 
@@ -233,21 +305,26 @@ pub trait Model: Send + Sync {
     /// The file cannot be read, or ends early; the user cancelled.
     fn check_complete(&self, progress: &dyn Progress) -> Result<()>;
 
-    /// Streams the whole file to `out`, with every vertex passing through `edit`, which may change positions
-    /// and normals in place; every other byte is copied as it is.
+    /// Streams the whole file to all `outputs` in one reading: each gets a version of its own, with the positions and
+    /// normals that `edit` gives its vertices. Every other byte is copied as it is.
     ///
-    /// A vertex whose position is not finite keeps its bytes, whatever `edit` writes, and so does a component
-    /// that `edit` left as it was. Reading, `edit` and writing overlap, with at most four chunks in flight;
-    /// `edit` is called on one thread, in the file's order. Advances `progress` by those bytes of this
-    /// file whose new version is written; the caller begins the stage.
+    /// `edit` sees each chunk as it is in the file, and for each output an [`Edited`], which is as the chunk until it
+    /// is changed. For the pieces that `how` says are done there are none of these. A vertex whose position is not
+    /// finite keeps its bytes, whatever `edit` writes, and so does a component that `edit` left as it was.
+    ///
+    /// Reading, `edit` and writing overlap, with at most four chunks in flight; `edit` is called on one thread, in the
+    /// file's order. Advances `progress` by those bytes of this file whose new versions are written; the caller begins
+    /// the stage.
     ///
     /// # Errors
-    /// The file cannot be read, is not what its header says, or changed length; `out` cannot be written; `edit`
-    /// failed or gave a finite vertex a non-finite position; the user cancelled.
+    /// The file cannot be read, is not what its header says, or changed length; an output cannot be written; `edit`
+    /// failed, gave a finite vertex a non-finite position, or changed the number of vertices; there are more than
+    /// [`MAX_VERSIONS`] outputs; the user cancelled.
     fn rewrite(
         &self,
-        out: &mut (dyn Write + Send),
-        edit: &mut (dyn FnMut(&mut VertexChunk) -> Result<()> + Send),
+        outputs: &mut [&mut dyn Output],
+        how: Rewriting,
+        edit: &mut (dyn FnMut(&VertexChunk, &mut [Edited]) -> Result<()> + Send),
         progress: &dyn Progress,
     ) -> Result<()>;
 }

@@ -104,11 +104,6 @@ impl Supports {
     pub fn of_home(&self, home: usize) -> &[Reaching] {
         &self.reaching[self.starts[home] as usize..self.starts[home + 1] as usize]
     }
-
-    /// The samples whose supports reach where `home` is the home.
-    pub fn samples_of_home(&self, home: usize) -> impl Iterator<Item = usize> + '_ {
-        self.of_home(home).iter().map(|r| r.sample as usize)
-    }
 }
 
 /// Vertices of a block, grouped by their homes, in separate arrays by coordinate.
@@ -127,6 +122,16 @@ pub struct Grouped {
     pub sum: Vec<f32>,
     /// The gradient of the displacement, column by column, if it is asked for.
     pub gradient: [Vec<f32>; 9],
+}
+
+impl Grouped {
+    /// Makes room for the results.
+    pub fn make_room(&mut self, gradient: bool) {
+        let length = self.positions[0].len();
+        let results = self.displacement.iter_mut().chain([&mut self.sum]);
+        let gradient = self.gradient.iter_mut().take(if gradient { 9 } else { 0 });
+        results.chain(gradient).for_each(|v| v.resize(length, 0.0));
+    }
 }
 
 /// The most vertices that any processor takes at once.

@@ -4,11 +4,12 @@
 use std::sync::{Mutex, PoisonError};
 
 use glam::{DVec3, Mat3, Vec3};
+use rayon::prelude::*;
 
 use super::blend::{Grouped, LEAST_WEIGHT, PACKET, blend};
-use crate::frame::Frame;
-
+use super::homes::Homes;
 use super::{DeformationField, Method, Transport, projected_barycentric};
+use crate::frame::Frame;
 
 /// Vertices of a block: many, so that there are several of each home. A fixed number, so that the result does not
 /// depend on the number of threads.
@@ -46,88 +47,121 @@ impl Workspaces {
     }
 }
 
+/// What vertices become: as they are until then.
+pub struct Moved<'a> {
+    /// In the model's coordinates.
+    pub positions: &'a mut [DVec3],
+    /// Normals that are to be turned: as many, or none.
+    pub normals: &'a mut [Vec3],
+}
+
+/// Carries consecutive vertices of the model over, by each of the fields for one of `moved`, on all cores. `positions`
+/// are theirs at rest, in the model's coordinates, and `normals` as many or none. Vertices without a finite position
+/// stay as they are.
+///
+/// All fields are of the same samples. The result may depend on how vertices are divided into calls, to rounding, but not
+/// on the number of threads.
+pub fn carry(
+    fields: &[DeformationField<'_>],
+    frame: &Frame,
+    positions: &[DVec3],
+    normals: &[Vec3],
+    moved: &mut [Moved<'_>],
+) {
+    let Some(first) = fields.first() else { return };
+    let mut blocks: Vec<Vec<Moved<'_>>> = Vec::new();
+    blocks.resize_with(positions.len().div_ceil(BLOCK), Vec::new);
+    for Moved { positions, normals } in moved {
+        let mut of_normals = normals.chunks_mut(BLOCK);
+        for (block, positions) in blocks.iter_mut().zip(positions.chunks_mut(BLOCK)) {
+            block.push(Moved { positions, normals: of_normals.next().unwrap_or_default() });
+        }
+    }
+    blocks.into_par_iter().zip(positions.par_chunks(BLOCK)).enumerate().for_each(
+        |(i, (moved, positions))| {
+            let normals = normals.chunks(BLOCK).nth(i).unwrap_or_default();
+            first.around.workspaces.with(|workspace| {
+                workspace.begin(fields, frame, positions, normals);
+                fields
+                    .iter()
+                    .zip(moved)
+                    .for_each(|(field, moved)| workspace.carry(field, frame, positions, moved));
+            });
+        },
+    );
+}
+
 impl Workspace {
-    /// Carries a block over, as [`DeformationField::carry`].
-    pub fn carry_block(
+    /// Finds the homes of a block.
+    fn begin(
         &mut self,
-        field: &DeformationField,
+        fields: &[DeformationField<'_>],
         frame: &Frame,
-        positions: &mut [DVec3],
-        normals: &mut [Vec3],
-    ) -> u64 {
-        let mut local = std::mem::take(&mut self.local);
-        local.clear();
-        local.extend(positions.iter().map(|p| frame.to_local(*p)));
-        let mut non_finite = 0;
-        for (p, local) in positions.iter().zip(&mut local) {
-            if !p.is_finite() {
-                non_finite += 1;
-                // Anywhere: what comes of it is not used.
-                *local = Vec3::ZERO;
-            }
-        }
-        self.transports(field, &local, normals);
-        for (i, p) in positions.iter_mut().enumerate() {
-            if let Some(moved) = self.transport(field, i, local[i], !normals.is_empty())
-                && p.is_finite()
-            {
-                // Only the displacement is in single precision.
-                *p += moved.displacement.as_dvec3() * frame.scale;
-                if let Some(n) = normals.get_mut(i) {
-                    *n = moved.normal(*n);
-                }
-            }
-        }
-        self.local = local;
-        non_finite
+        positions: &[DVec3],
+        normals: &[Vec3],
+    ) {
+        self.local.clear();
+        // Anywhere, if it is not finite: what comes of it is not used.
+        self.local
+            .extend(positions.iter().map(|p| if p.is_finite() { frame.to_local(*p) } else { Vec3::ZERO }));
+        Homes::new(fields[0].around).of(&self.local, normals, &mut self.homes);
+        self.group(fields);
     }
 
-    /// Finds out what happens to the vertices of a block at these finite local positions, with normals or none.
-    fn transports(&mut self, field: &DeformationField, positions: &[Vec3], normals: &[Vec3]) {
-        field.homes().of(positions, normals, &mut self.homes);
+    /// Carries the block over.
+    fn carry(&mut self, field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3], moved: Moved<'_>) {
+        let Moved { positions: images, normals } = moved;
+        let gradient = !normals.is_empty();
         if field.method == Method::BlendedJets {
-            let gradient = !normals.is_empty();
-            self.group(field, positions, gradient);
-            blend(&field.supports, &field.expansions, gradient, &mut self.grouped);
+            self.grouped.make_room(gradient);
+            blend(&field.around.supports, &field.expansions, gradient, &mut self.grouped);
+        }
+        for (i, (p, image)) in positions.iter().zip(images).enumerate() {
+            if !p.is_finite() || !field.active[self.homes[i] as usize] {
+                continue;
+            }
+            let moved = self.transport(field, i, gradient);
+            // Only the displacement is in single precision.
+            *image += moved.displacement.as_dvec3() * frame.scale;
+            if let Some(n) = normals.get_mut(i) {
+                *n = moved.normal(*n);
+            }
         }
     }
 
-    /// What happens to vertex `i` of the block; `None` if it stays. Without `gradient` that of the result is not known.
-    fn transport(&self, field: &DeformationField, i: usize, p: Vec3, gradient: bool) -> Option<Transport> {
-        let home = self.homes[i] as usize;
-        if !field.active[home] {
-            return None;
-        }
+    /// What happens to vertex `i` of the block. Without `gradient` that of the result is not known.
+    fn transport(&self, field: &DeformationField<'_>, i: usize, gradient: bool) -> Transport {
+        let (home, p) = (self.homes[i] as usize, self.local[i]);
         if field.method == Method::ProjectedBarycentric {
-            return Some(projected_barycentric::carry(field, home, p));
+            return projected_barycentric::carry(field, home, p);
         }
         let (at, g) = (self.place[i] as usize, &self.grouped);
         if g.sum[at] < LEAST_WEIGHT {
-            return Some(field.beyond(home, p));
+            return field.beyond(home, p);
         }
         let mut displacement = Vec3::from_array(g.displacement.each_ref().map(|v| v[at]));
         if field.limiter.concerns(home) {
-            displacement = field.limiter.limited(&field.supports, &field.expansions, home, p, displacement);
+            let supports = &field.around.supports;
+            displacement = field.limiter.limited(supports, &field.expansions, home, p, displacement);
         }
         let gradient = if gradient {
             Mat3::IDENTITY + Mat3::from_cols_array(&g.gradient.each_ref().map(|v| v[at]))
         } else {
             Mat3::IDENTITY
         };
-        Some(Transport { displacement, gradient })
+        Transport { displacement, gradient }
     }
 
     /// Puts the vertices of each home that moves side by side.
-    fn group(&mut self, field: &DeformationField, positions: &[Vec3], gradient: bool) {
-        let Self { homes, group_of, next, place, grouped, .. } = self;
-        group_of.resize(field.active.len(), u32::MAX);
+    fn group(&mut self, fields: &[DeformationField<'_>]) {
+        let Self { local, homes, group_of, next, place, grouped } = self;
+        let samples = &fields[0].around.samples.positions;
+        let moves = |home: usize| fields.iter().any(|field| field.active[home]);
+        group_of.resize(samples.len(), u32::MAX);
         next.clear();
         grouped.groups.clear();
-        for home in homes.iter() {
+        for home in homes.iter().filter(|home| moves(**home as usize)) {
             let h = *home as usize;
-            if !field.active[h] {
-                continue;
-            }
             // What an earlier block left is no group of this one, unless that group is of the same home.
             let group = group_of[h] as usize;
             if grouped.groups.get(group).is_some_and(|(of, _)| of == home) {
@@ -144,18 +178,16 @@ impl Workspace {
             *next = end;
             end = range.end.next_multiple_of(PACKET);
         }
-        let arrays = grouped.positions.iter_mut().chain(&mut grouped.displacement).chain([&mut grouped.sum]);
-        let gradient = grouped.gradient.iter_mut().take(if gradient { 9 } else { 0 });
-        arrays.chain(gradient).for_each(|v| v.resize(end, 0.0));
+        grouped.positions.iter_mut().for_each(|v| v.resize(end, 0.0));
         for (home, range) in &grouped.groups {
             // Lanes that are left over are at the home, where they disturb nobody.
-            let center = field.samples.positions[*home as usize];
+            let center = samples[*home as usize];
             let rest = range.end..range.end.next_multiple_of(PACKET);
             (0..3).for_each(|i| grouped.positions[i][rest.clone()].fill(center[i]));
         }
         place.clear();
-        place.extend(positions.iter().zip(homes).map(|(p, home)| {
-            if !field.active[*home as usize] {
+        place.extend(local.iter().zip(homes).map(|(p, home)| {
+            if !moves(*home as usize) {
                 return u32::MAX;
             }
             let next = &mut next[group_of[*home as usize] as usize];

@@ -6,7 +6,7 @@
 
 use glam::Vec3;
 
-use super::blend::Supports;
+use super::Surroundings;
 use super::sheets::{Sheets, facing, sheet_distance};
 use crate::sampling::SampleSet;
 
@@ -22,7 +22,8 @@ pub struct Homes<'a> {
 
 impl<'a> Homes<'a> {
     /// Of samples that are prepared.
-    pub fn new(samples: &'a SampleSet, sheets: &'a Sheets, supports: &'a Supports) -> Self {
+    pub fn new(around: &'a Surroundings<'a>) -> Self {
+        let Surroundings { samples, sheets, supports, .. } = around;
         Self {
             positions: &samples.positions,
             normals: samples.normals(),

@@ -22,21 +22,21 @@ mod stream;
 mod tests;
 pub mod transfer_error;
 
-use glam::{DVec3, Mat3, Vec3};
+use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
-use crate::frame::Frame;
+pub use crate::model::Normals;
 use crate::sampling::SampleSet;
 use blend::Supports;
 use blended_jets::Expanded;
-use block::{BLOCK, Workspaces};
+use block::Workspaces;
+pub use block::{Moved, carry};
 use expansion::Expansion;
-use homes::Homes;
 use limiter::Limiter;
 use local_frames::LocalFrames;
 use neighbourhood::Neighbourhood;
 use sheets::Sheets;
-pub use stream::{Reconstructed, reconstruct};
+pub use stream::{PART_BYTES, Reconstructed, Reconstruction, Version, reconstruct};
 
 /// What happens to one vertex.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -48,9 +48,6 @@ pub struct Transport {
 }
 
 impl Transport {
-    /// A vertex that stays, as every sample around it does.
-    pub const STILL: Self = Self { displacement: Vec3::ZERO, gradient: Mat3::IDENTITY };
-
     /// The normal after the deformation, of the same length as before.
     pub fn normal(&self, n: Vec3) -> Vec3 {
         if self.gradient == Mat3::IDENTITY || !n.is_finite() {
@@ -81,21 +78,39 @@ pub enum Method {
     BlendedJets,
 }
 
+/// What there is to know of the samples at rest, for all deformations of them: who is on whose sheet, and whose word
+/// counts where.
+///
+/// Memory: about 500 bytes per sample, and what [`SampleSet::prepare`] finds.
+pub struct Surroundings<'a> {
+    samples: &'a SampleSet,
+    sheets: Sheets,
+    supports: Supports,
+    workspaces: Workspaces,
+}
+
+impl<'a> Surroundings<'a> {
+    /// Of the samples at rest.
+    pub fn of(samples: &'a SampleSet) -> Self {
+        samples.prepare();
+        let sheets = Sheets::of(samples);
+        let supports = Supports::of(samples, &sheets);
+        Self { samples, sheets, supports, workspaces: Workspaces::default() }
+    }
+}
+
 /// The deformation that P_S and P_S* sample, ready to be evaluated anywhere near P_S.
 ///
-/// Memory: about 900 bytes per sample.
+/// Memory: about 190 bytes per sample.
 pub struct DeformationField<'a> {
-    samples: &'a SampleSet,
+    around: &'a Surroundings<'a>,
     deformed: &'a [Vec3],
     method: Method,
-    sheets: Sheets,
     frames: LocalFrames,
-    supports: Supports,
     expansions: Vec<Expansion>,
     limiter: Limiter,
     /// Whether anything moves around the sample as a home.
     active: Vec<bool>,
-    workspaces: Workspaces,
 }
 
 impl<'a> DeformationField<'a> {
@@ -103,47 +118,24 @@ impl<'a> DeformationField<'a> {
     ///
     /// # Panics
     /// The number of deformed positions is not that of the samples.
-    pub fn new(samples: &'a SampleSet, deformed: &'a [Vec3], method: Method) -> Self {
+    pub fn new(around: &'a Surroundings<'a>, deformed: &'a [Vec3], method: Method) -> Self {
+        let Surroundings { samples, sheets, supports, .. } = around;
         assert_eq!(samples.len(), deformed.len(), "P_S* corresponds to P_S one to one");
-        samples.prepare();
-        let sheets = Sheets::of(samples);
-        let frames = LocalFrames::fit(samples, &sheets, deformed);
-        let supports = Supports::of(samples, &sheets);
-        let Expanded { mut expansions, doubtful } = blended_jets::expand(samples, &sheets, deformed, &frames);
+        let frames = LocalFrames::fit(samples, sheets, deformed);
+        let Expanded { mut expansions, doubtful } = blended_jets::expand(samples, sheets, deformed, &frames);
         for (e, radius) in expansions.iter_mut().zip(&supports.radius) {
             e.inverse_square = (1.0 / (radius * radius)).min(Expansion::NO_SUPPORT);
         }
         let moves: Vec<bool> = expansions.par_iter().map(|e| !e.is_still()).collect();
-        let around = |home| supports.samples_of_home(home).any(|j| moves[j]);
-        let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || around(home)).collect();
-        let limiter = Limiter::new(&supports, &expansions, &doubtful);
-        let workspaces = Workspaces::default();
-        Self { samples, deformed, method, sheets, frames, supports, expansions, limiter, active, workspaces }
-    }
-
-    /// Carries consecutive vertices of the model over, on all cores: `positions`, in the model's coordinates, and
-    /// `normals`, as many or none, become what they are after the deformation. Returns how many vertices have no finite
-    /// position, and are left as they are.
-    ///
-    /// The result depends on how the vertices are divided into calls, but not on the number of threads.
-    pub fn carry(&self, frame: &Frame, positions: &mut [DVec3], normals: &mut [Vec3]) -> u64 {
-        let carry_block = |positions: &mut [DVec3], normals: &mut [Vec3]| {
-            self.workspaces.with(|workspace| workspace.carry_block(self, frame, positions, normals))
-        };
-        if normals.is_empty() {
-            return positions.par_chunks_mut(BLOCK).map(|p| carry_block(p, &mut [])).sum();
-        }
-        let blocks = positions.par_chunks_mut(BLOCK).zip(normals.par_chunks_mut(BLOCK));
-        blocks.map(|(p, n)| carry_block(p, n)).sum()
-    }
-
-    fn homes(&self) -> Homes<'_> {
-        Homes::new(self.samples, &self.sheets, &self.supports)
+        let reached = |home| supports.of_home(home).iter().any(|r| moves[r.sample as usize]);
+        let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || reached(home)).collect();
+        let limiter = Limiter::new(supports, &expansions, &doubtful);
+        Self { around, deformed, method, frames, expansions, limiter, active }
     }
 
     /// Carries a vertex over that no support reaches, as one that lies far off the samples.
     fn beyond(&self, home: usize, p: Vec3) -> Transport {
-        let around = Neighbourhood::gather(self.samples, &self.sheets, home, blended_jets::BLENDED, p);
+        let around = Neighbourhood::gather(self.around, home, blended_jets::BLENDED, p);
         let (mut displacement, mut gradient, mut sum) = (Vec3::ZERO, Mat3::ZERO, 0.0);
         for &(i, w) in around.weighted() {
             let i = i as usize;

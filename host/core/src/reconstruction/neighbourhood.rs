@@ -2,9 +2,9 @@
 
 use glam::Vec3;
 
-use super::sheets::{SHEET_NEIGHBOURS, Sheets, facing};
+use super::Surroundings;
+use super::sheets::{SHEET_NEIGHBOURS, facing};
 use crate::geometry::hermite;
-use crate::sampling::SampleSet;
 
 /// Most samples in a neighbourhood.
 pub const MAX_K: usize = 12;
@@ -18,7 +18,8 @@ pub struct Neighbourhood {
 
 impl Neighbourhood {
     /// Gathers the `k` nearest samples of `p`, at most [`MAX_K`], from the sheet of its home.
-    pub fn gather(samples: &SampleSet, sheets: &Sheets, home: usize, k: usize, p: Vec3) -> Self {
+    pub fn gather(around: &Surroundings<'_>, home: usize, k: usize, p: Vec3) -> Self {
+        let Surroundings { samples, sheets, .. } = around;
         let k = k.min(MAX_K);
         let normals = samples.normals();
         let mut found = [(0.0f32, 0u32); SHEET_NEIGHBOURS + 1];

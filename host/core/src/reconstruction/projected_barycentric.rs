@@ -31,13 +31,14 @@ const MIN_COORDINATE: f32 = -0.25;
 /// Carries a vertex over. Expansions stand in where no triangle of samples is fit to be used, as outside an open
 /// boundary.
 pub fn carry(field: &DeformationField, home: usize, p: Vec3) -> Transport {
-    let around = Neighbourhood::gather(field.samples, &field.sheets, home, NEIGHBOURS, p);
+    let around = Neighbourhood::gather(field.around, home, NEIGHBOURS, p);
     over_triangle(field, &around, p).unwrap_or_else(|| field.beyond(home, p))
 }
 
 fn over_triangle(field: &DeformationField, around: &Neighbourhood, p: Vec3) -> Option<Transport> {
-    let (rest, deformed) = (&field.samples.positions, field.deformed);
-    let plane = average_plane(around, rest, field.samples.normals())?;
+    let samples = field.around.samples;
+    let (rest, deformed) = (&samples.positions, field.deformed);
+    let plane = average_plane(around, rest, samples.normals())?;
     let plane_star = average_plane(around, deformed, &field.frames.normal)?;
     let d = (p - plane.center).dot(plane.normal);
     let flat = p - d * plane.normal;

@@ -1,16 +1,59 @@
 //! The second streaming step: every vertex of P_L passes through the deformation field, and out goes the same file
-//! with other positions (and normals) (paper §5, "Streaming Deformation Reconstruction").
+//! with other positions (and normals) (paper §5, "Streaming Deformation Reconstruction"). Several deformations of the same
+//! samples share a reading of the model.
 
+use std::collections::BTreeMap;
 use std::path::Path;
+use std::time::UNIX_EPOCH;
 
 use glam::Vec3;
 use xxhash_rust::xxh3::Xxh3Default;
 
-use super::{DeformationField, Method};
-use crate::model::Model;
-use crate::output::OutputFile;
+use super::{DeformationField, Method, Moved, Surroundings, carry};
+use crate::model::{Edited, MAX_VERSIONS, Model, Normals, Output, Rewriting, VertexChunk};
+use crate::output::{canonical_target, check_space, folder_of};
+use crate::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
 use crate::sampled_model::{SampledModel, fingerprint, same_file};
 use crate::{Error, ErrorKind, Progress, Result};
+
+/// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on with then.
+const REVISION: u32 = 2;
+
+/// What is lost at most, in bytes of the model, when the program is killed: see [`Reconstruction::part_bytes`].
+pub const PART_BYTES: u64 = 256 << 20;
+
+/// Most parts that an output is recorded in: those of a very large model are larger.
+const MAX_PARTS: u64 = 1024;
+
+/// A deformation of the samples, and where the model that is deformed likewise goes.
+#[derive(Debug, Clone, Copy)]
+pub struct Version<'a> {
+    /// The samples' finite local positions after the deformation.
+    pub deformed: &'a [Vec3],
+    /// The file to write, which appears whole or not at all.
+    pub output: &'a Path,
+}
+
+/// How a deformation is transferred.
+#[derive(Debug, Clone, Copy)]
+pub struct Reconstruction {
+    /// How a vertex is carried over.
+    pub method: Method,
+    /// What becomes of the model's normals.
+    pub normals: Normals,
+    /// Goes on with what an earlier call left that was killed, or stopped with `resume`, as far as it is good. Without
+    /// it, what was left is replaced.
+    pub resume: bool,
+    /// A part of an output is on the disk, and can be relied on by a later call, each time so many bytes of the model are
+    /// done; more where that would be over 1024 parts.
+    pub part_bytes: u64,
+}
+
+impl Default for Reconstruction {
+    fn default() -> Self {
+        Self { method: Method::default(), normals: Normals::default(), resume: false, part_bytes: PART_BYTES }
+    }
+}
 
 /// What was done.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,52 +62,203 @@ pub struct Reconstructed {
     pub vertices: u64,
     /// Those that have no finite position and were left as they are.
     pub non_finite: u64,
+    /// Bytes of the outputs that an earlier call wrote.
+    pub taken_over: u64,
 }
 
-/// Transfers the deformation of the samples to their model and writes it to `output`, which appears whole or not
-/// at all. `deformed` holds the samples' finite local positions after the deformation.
+/// Transfers each deformation of the samples to their model and writes it to its output. Up to [`MAX_VERSIONS`] of them
+/// share a reading of the model, and are in their places when it is over.
 ///
-/// Memory: the field (see [`DeformationField`]) and the chunks of [`Model::rewrite`].
+/// An error leaves nothing of the versions that are not in their places; but with `resume` the finished parts are kept if the
+/// user cancelled or the disk is full.
+///
+/// Memory: a field for each version of a reading (see [`DeformationField`]), and the chunks of [`Model::rewrite`].
 ///
 /// # Errors
-/// The model cannot be read or is not what was sampled; the output cannot be written or is the model itself, or a new
-/// position does not fit its type; the user cancelled.
+/// The model cannot be read or is not what was sampled; an output cannot be written, is written by another process, is
+/// the model itself or that of another version; a new position does not fit its type; the user cancelled.
 pub fn reconstruct(
     sampled: &SampledModel,
     model: &dyn Model,
-    deformed: &[Vec3],
-    method: Method,
-    output: &Path,
+    versions: &[Version<'_>],
+    how: &Reconstruction,
     progress: &dyn Progress,
 ) -> Result<Reconstructed> {
-    // Before the work begins: a target that cannot be written, or must not be.
-    if same_file(model.path(), output) {
-        return Err(Error::new(
-            ErrorKind::Argument,
-            format!("{} is the model itself", output.display()),
-            "write the deformed model to another file; the samples belong to the original",
-        ));
+    // Before the work begins: targets that cannot be written, or must not be.
+    check_targets(model, versions, how)?;
+    let mut work =
+        Work { sampled, model, how, progress, pass: Vec::new(), finished: Vec::new(), taken_over: 0 };
+    match work.write(versions) {
+        Ok(()) => Ok(Reconstructed {
+            vertices: model.info().vertices,
+            non_finite: sampled.source.non_finite,
+            taken_over: work.taken_over,
+        }),
+        Err(error) => Err(work.stop(error, versions)),
     }
-    let mut out = OutputFile::create(output, model.info().bytes)?;
-    progress.begin("preparing", 0);
-    let field = DeformationField::new(&sampled.samples, deformed, method);
-    let mut hash = Xxh3Default::new();
-    let mut done = Reconstructed { vertices: 0, non_finite: 0 };
+}
 
-    progress.begin("reconstructing", model.info().bytes);
-    model.rewrite(
-        &mut out,
-        &mut |chunk| {
-            hash.update(chunk.raw());
-            done.vertices += chunk.len() as u64;
-            done.non_finite += field.carry(&sampled.frame, &mut chunk.positions, &mut chunk.normals);
-            Ok(())
-        },
-        progress,
-    )?;
-    if sampled.source.fingerprint != fingerprint(hash.digest128()) {
-        return Err(sampled.source_changed(model.path()));
+/// An error where an output is the model or two are the same, or the disk has no room for them.
+fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &Reconstruction) -> Result<()> {
+    let mut targets = BTreeMap::new();
+    for Version { output, .. } in versions {
+        if same_file(model.path(), output) {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("{} is the model itself", output.display()),
+                "write the deformed model to another file; the samples belong to the original",
+            ));
+        }
+        if targets.insert(canonical_target(output)?, *output).is_some() {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("two versions go to {}", output.display()),
+                "give each of them an output of its own",
+            ));
+        }
     }
-    out.commit()?;
-    Ok(done)
+    // Three numbers take at least six bytes.
+    let info = model.info();
+    let left_out = if how.normals == Normals::Drop && info.has_normals { 6 * info.vertices } else { 0 };
+    let mut rooms: BTreeMap<&Path, (&Path, u64)> = BTreeMap::new();
+    for (target, output) in &targets {
+        let needed = (info.bytes - left_out).saturating_sub(bytes_there(output, how.resume));
+        rooms.entry(folder_of(target)).or_insert((output, 0)).1 += needed;
+    }
+    rooms.into_iter().try_for_each(|(folder, (output, needed))| check_space(output, folder, needed))
+}
+
+/// A call of [`reconstruct`].
+struct Work<'a> {
+    sampled: &'a SampledModel,
+    model: &'a dyn Model,
+    how: &'a Reconstruction,
+    progress: &'a dyn Progress,
+    /// The versions that share a reading: at most [`MAX_VERSIONS`].
+    pass: Vec<(Version<'a>, Box<ResumableFile>)>,
+    /// Those in their places. Their journals tell a later call so, should this one be killed.
+    finished: Vec<Finished>,
+    taken_over: u64,
+}
+
+impl<'a> Work<'a> {
+    fn write(&mut self, versions: &[Version<'a>]) -> Result<()> {
+        for (number, version) in versions.iter().enumerate() {
+            let (key, part_bytes) = (self.key(version.deformed), self.part_bytes());
+            match ResumableFile::open(version.output, key, self.how.resume, part_bytes, self.progress)? {
+                Opened::Unfinished(file) => self.pass.push((*version, file)),
+                Opened::Finished(file) => {
+                    self.taken_over += file.bytes();
+                    self.finished.push(file);
+                }
+            }
+            if self.pass.len() == MAX_VERSIONS || number + 1 == versions.len() {
+                self.write_pass(versions.len() > 1)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads the model once, for all versions of the pass.
+    fn write_pass(&mut self, several: bool) -> Result<()> {
+        if self.pass.is_empty() {
+            return Ok(());
+        }
+        let pieces_done = self.pieces_done();
+        for (_, file) in &mut self.pass {
+            self.taken_over += file.go_on_after(pieces_done)?;
+        }
+
+        self.progress.begin("preparing", 0);
+        let surroundings = Surroundings::of(&self.sampled.samples);
+        let field = |(version, _): &(Version<'a>, _)| {
+            DeformationField::new(&surroundings, version.deformed, self.how.method)
+        };
+        let fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
+        let mut hash = Xxh3Default::new();
+        let mut edit = |chunk: &VertexChunk, versions: &mut [Edited]| {
+            hash.update(chunk.raw());
+            // No versions for what is written already.
+            let mut moved: Vec<Moved<'_>> = versions
+                .iter_mut()
+                .map(|Edited { positions, normals }| Moved { positions, normals })
+                .collect();
+            carry(&fields[..moved.len()], &self.sampled.frame, &chunk.positions, &chunk.normals, &mut moved);
+            Ok(())
+        };
+
+        self.progress.begin("reconstructing", self.model.info().bytes);
+        let how = Rewriting { normals: self.how.normals, pieces_done };
+        let mut outputs: Vec<&mut dyn Output> =
+            self.pass.iter_mut().map(|(_, file)| &mut **file as &mut dyn Output).collect();
+        self.model.rewrite(&mut outputs, how, &mut edit, self.progress)?;
+        if self.sampled.source.fingerprint != fingerprint(hash.digest128()) {
+            return Err(self.sampled.source_changed(self.model.path()));
+        }
+        self.pass.iter_mut().try_for_each(|(_, file)| file.complete(several))?;
+        // That may have taken a while.
+        self.progress.check()?;
+        for (_, file) in &mut self.pass {
+            self.finished.push(file.commit()?);
+        }
+        self.pass.clear();
+        Ok(())
+    }
+
+    /// Number of pieces that every version of the pass has, and that a part ends with in each.
+    fn pieces_done(&self) -> u64 {
+        let mut boundaries = self.pass.iter().map(|(_, file)| file.boundaries().collect::<Vec<_>>());
+        let mut common = boundaries.next().unwrap_or_default();
+        for others in boundaries {
+            common.retain(|pieces| others.binary_search(pieces).is_ok());
+        }
+        common.last().copied().unwrap_or(0)
+    }
+
+    fn part_bytes(&self) -> u64 {
+        self.how.part_bytes.max(self.model.info().bytes / MAX_PARTS)
+    }
+
+    /// Hash of all that determines the bytes of a version.
+    fn key(&self, deformed: &[Vec3]) -> String {
+        let Self { sampled, model, how, .. } = self;
+        let source = &sampled.source;
+        // The fingerprint is of the vertices alone.
+        let changed = std::fs::metadata(model.path()).and_then(|meta| meta.modified()).ok();
+        let changed = changed.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+        let (origin, scale) = (sampled.frame.origin.to_array(), sampled.frame.scale);
+        let small = format!(
+            "{REVISION} {} {:?} {:?} {} {} {changed:?} {origin:?} {scale:?}",
+            env!("CARGO_PKG_VERSION"),
+            how.method,
+            how.normals,
+            source.fingerprint,
+            model.info().bytes,
+        );
+        let samples = &sampled.samples;
+        let points = [&samples.positions, samples.known_normals(), deformed].map(bytemuck::cast_slice);
+        let mut hash = Xxh3Default::new();
+        for bytes in [small.as_bytes()].into_iter().chain(points) {
+            hash.update(&(bytes.len() as u64).to_le_bytes());
+            hash.update(bytes);
+        }
+        fingerprint(hash.digest128())
+    }
+
+    /// Ends a call that failed.
+    fn stop(self, error: Error, versions: &[Version<'_>]) -> Error {
+        use ErrorKind::{Cancelled, Degenerate, Format, Io, Mismatch};
+        // What is wrong with the content is so the next time, too.
+        if !self.how.resume || matches!(error.kind(), Format | Degenerate | Mismatch) {
+            return error;
+        }
+        self.pass.into_iter().for_each(|(_, file)| file.keep());
+        self.finished.into_iter().for_each(Finished::keep);
+        if !matches!(error.kind(), Cancelled | Io) || !versions.iter().any(|v| is_left(v.output)) {
+            return error;
+        }
+        let then = if error.kind() == Cancelled { "when you like" } else { error.hint() };
+        let hint = format!("what is done is kept, --resume goes on from there: {then}");
+        Error::new(error.kind(), error.to_string(), hint)
+    }
 }

@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use super::header::quoted;
 use super::layout::{Component, Layout, Slot};
 use super::rewrite::{Unfit, same_normal};
-use crate::model::{Scalar, VertexChunk};
+use crate::model::{Edited, Scalar, VertexChunk};
 
 /// Whether a byte separates words. Control characters do, so that a NUL is no part of a number.
 #[inline(always)]
@@ -91,38 +91,46 @@ pub(super) fn decode(layout: &Layout, chunk: &mut VertexChunk) -> Result<(), Not
     Ok(())
 }
 
-/// Appends the chunk's bytes to `text`, with those numbers replaced that differ from what stands there.
-pub(super) fn splice(layout: &Layout, chunk: &VertexChunk, text: &mut Vec<u8>) -> Result<(), Unfit> {
+/// Appends the chunk's bytes to `text`, with those numbers replaced that were edited, and without normals if they are to
+/// be dropped.
+pub(super) fn splice(
+    layout: &Layout,
+    chunk: &VertexChunk,
+    edited: &Edited,
+    drop_normals: bool,
+    text: &mut Vec<u8>,
+) -> Result<(), Unfit> {
     let VertexChunk { positions, normals, raw, spans, .. } = chunk;
-    // What could be read before can be read again.
-    let read = |of, spans: &[_]| parse_triple(raw, of, spans).unwrap_or([f64::NAN; 3]);
     let mut copied = 0;
     for (vertex, spans) in spans.chunks_exact(layout.components.len()).enumerate() {
-        let old_position = read(layout.triple(0), spans);
-        if !old_position.iter().all(|v| v.is_finite()) {
+        let is_finite = positions[vertex].is_finite();
+        if !is_finite && !drop_normals {
             continue;
         }
-        let new_position = positions[vertex].to_array();
-        let mut old_normal = [0.0; 3];
-        let mut new_normal = [0.0; 3];
-        if layout.has_normals() {
-            old_normal = read(layout.triple(3), &spans[3..]).map(|v| v as f32);
-            new_normal = normals[vertex].to_array();
-        }
         for &c in &layout.file_order {
+            let [start, end] = spans[c].map(|v| v as usize);
+            if c >= 3 && drop_normals {
+                text.extend_from_slice(&raw[copied..start]);
+                copied = drop_word(text, raw, end);
+                continue;
+            }
             let scalar = layout.components[c].scalar;
-            let value = if c < 3 {
-                let value = round(scalar, new_position[c]);
+            let value = if !is_finite {
+                None
+            } else if c < 3 {
+                let (old, new) = (positions[vertex][c], edited.positions[vertex][c]);
+                let value = round(scalar, new);
                 if !value.is_finite() {
-                    return Err(Unfit { vertex, value: new_position[c] });
+                    return Err(Unfit { vertex, value: new });
                 }
-                (value.to_bits() != old_position[c].to_bits()).then_some(value)
+                (value.to_bits() != old.to_bits()).then_some(value)
             } else {
-                let (old, new) = (old_normal[c - 3], new_normal[c - 3]);
+                // Normals are edited all or none.
+                let old = normals[vertex][c - 3];
+                let new = edited.normals.get(vertex).map_or(old, |n| n[c - 3]);
                 (!same_normal(old, new)).then_some(f64::from(new))
             };
             if let Some(value) = value {
-                let [start, end] = spans[c].map(|v| v as usize);
                 text.extend_from_slice(&raw[copied..start]);
                 write_number(text, scalar, value);
                 copied = end;
@@ -131,6 +139,18 @@ pub(super) fn splice(layout: &Layout, chunk: &VertexChunk, text: &mut Vec<u8>) -
     }
     text.extend_from_slice(&raw[copied..]);
     Ok(())
+}
+
+/// Drops a word that ends at `end` of `raw`, what stands before it being in `text` already: with the blanks before it,
+/// or at the start of a line with those behind it. Returns where to go on.
+fn drop_word(text: &mut Vec<u8>, raw: &[u8], end: usize) -> usize {
+    let is_blank = |byte: &u8| is_space(*byte) && !matches!(byte, b'\n' | b'\r');
+    if text.last().is_some_and(is_blank) {
+        let kept = text.iter().rposition(|b| !is_blank(b)).map_or(0, |last| last + 1);
+        text.truncate(kept);
+        return end;
+    }
+    end + raw[end..].iter().take_while(|b| is_blank(b)).count()
 }
 
 fn word(raw: &[u8], span: [u32; 2]) -> &[u8] {
@@ -256,5 +276,29 @@ mod tests {
             assert_eq!(parse(Scalar::F64, word.as_bytes()), None, "{word}");
         }
         assert_eq!(parse(Scalar::F64, b"\xff"), None);
+    }
+
+    #[test]
+    fn a_dropped_word_glues_no_others() {
+        let drop = |line: &str, words: &[&str]| {
+            let (mut text, mut copied) = (Vec::new(), 0);
+            for word in words {
+                let start = line.find(word).unwrap();
+                text.extend_from_slice(&line.as_bytes()[copied..start]);
+                copied = drop_word(&mut text, line.as_bytes(), start + word.len());
+            }
+            text.extend_from_slice(&line.as_bytes()[copied..]);
+            String::from_utf8(text).unwrap()
+        };
+        let all = ["a", "b", "c"];
+        assert_eq!(drop("a b c 1 2\n", &all), "1 2\n");
+        assert_eq!(drop("\na b c 1 2\n", &all), "\n1 2\n");
+        assert_eq!(drop("1 2 a b c\r\n3", &all), "1 2\r\n3");
+        assert_eq!(drop("1 a  b\tc 2", &all), "1 2");
+        assert_eq!(drop("1 a 2 b 3 c \n", &all), "1 2 3 \n");
+        assert_eq!(drop(" a b c 1", &all), " 1");
+        assert_eq!(drop("1\na\n2\n", &["a"]), "1\n\n2\n");
+        assert_eq!(drop("1\na 2\n", &["a"]), "1\n2\n");
+        assert_eq!(drop("1 a", &["a"]), "1");
     }
 }

@@ -6,8 +6,8 @@ use glam::{DVec3, Vec3};
 
 use super::header::{Encoding, Type};
 use super::layout::{Layout, Slot};
-use super::rewrite::{Unfit, same_normal};
-use crate::model::{Scalar, VertexChunk};
+use super::rewrite::{Rest, Unfit, same_normal};
+use crate::model::{Edited, Scalar, VertexChunk};
 
 /// How a floating-point number lies in the file.
 trait Codec: Copy {
@@ -179,42 +179,39 @@ fn get<C: Codec>(codecs: [C; 3], raw: &[u8], at: [usize; 3]) -> [f64; 3] {
     [codecs[0].get(raw, at[0]), codecs[1].get(raw, at[1]), codecs[2].get(raw, at[2])]
 }
 
-/// Writes those positions and normals into the chunk's bytes that differ from what stands there.
-///
-/// Leaves the chunk's positions unspecified.
-pub(super) fn patch(layout: &Layout, chunk: &mut VertexChunk) -> Result<(), Unfit> {
-    let VertexChunk { positions, normals, raw, spans, .. } = chunk;
+/// Writes those edited positions and normals into `raw`, the chunk's bytes, that differ from those at rest.
+pub(super) fn patch(layout: &Layout, rest: Rest<'_>, edited: &Edited, raw: &mut [u8]) -> Result<(), Unfit> {
+    let spans = rest.spans;
     let components = layout.triple(0);
     with_codecs!(layout.encoding, components, codecs => {
         with_places!(layout, raw, spans, 0, components, places => {
-            patch_positions(codecs, raw, places, positions)?;
+            patch_positions(codecs, raw, places, rest.positions, &edited.positions)?;
         });
     });
-    if layout.has_normals() {
+    // Empty where there are none or they keep their bytes.
+    if !edited.normals.is_empty() {
         let components = layout.triple(3);
         with_codecs!(layout.encoding, components, codecs => {
             with_places!(layout, raw, spans, 3, components, places => {
-                patch_normals(codecs, raw, places, positions, normals);
+                patch_normals(codecs, raw, places, rest, &edited.normals);
             });
         });
     }
     Ok(())
 }
 
-/// Positions that were not finite in the file become NaN in `positions`, whatever they were edited to.
 fn patch_positions<C: Codec>(
     codecs: [C; 3],
     raw: &mut [u8],
     places: impl Iterator<Item = [usize; 3]>,
-    positions: &mut [DVec3],
+    rest: &[DVec3],
+    edited: &[DVec3],
 ) -> Result<(), Unfit> {
-    for ((vertex, new), at) in positions.iter_mut().enumerate().zip(places) {
-        let old = get(codecs, raw, at);
-        if !old.iter().all(|v| v.is_finite()) {
-            *new = DVec3::NAN;
+    for ((vertex, (old, new)), at) in rest.iter().zip(edited).enumerate().zip(places) {
+        if !old.is_finite() {
             continue;
         }
-        for (c, (old, new)) in old.into_iter().zip(new.to_array()).enumerate() {
+        for (c, (old, new)) in old.to_array().into_iter().zip(new.to_array()).enumerate() {
             if old.to_bits() != new.to_bits() {
                 codecs[c].put(raw, at[c], new);
                 // Also where a finite number is too large for the type that the file keeps it in.
@@ -231,20 +228,52 @@ fn patch_normals<C: Codec>(
     codecs: [C; 3],
     raw: &mut [u8],
     places: impl Iterator<Item = [usize; 3]>,
-    positions: &[DVec3],
-    normals: &[Vec3],
+    rest: Rest<'_>,
+    edited: &[Vec3],
 ) {
-    for ((new, position), at) in normals.iter().zip(positions).zip(places) {
+    let of_vertex = rest.positions.iter().zip(rest.normals).zip(edited).zip(places);
+    for (((position, old), new), at) in of_vertex {
         if !position.is_finite() {
             continue;
         }
-        let old = get(codecs, raw, at).map(|v| v as f32);
-        for (c, (old, new)) in old.into_iter().zip(new.to_array()).enumerate() {
+        for (c, (old, new)) in old.to_array().into_iter().zip(new.to_array()).enumerate() {
             if !same_normal(old, new) {
                 codecs[c].put(raw, at[c], f64::from(new));
             }
         }
     }
+}
+
+/// Takes the normals out of `raw`, the bytes of whole vertices.
+pub(super) fn cut_normals(layout: &Layout, spans: &[[u32; 2]], raw: &mut Vec<u8>) {
+    let normals = || layout.file_order.iter().copied().filter(|c| *c >= 3);
+    match layout.stride {
+        Some(stride) => {
+            let in_record: Vec<[usize; 2]> = normals()
+                .map(|c| &layout.components[c])
+                .map(|c| [c.offset, c.offset + c.scalar.size()])
+                .collect();
+            let records = (0..raw.len()).step_by(stride);
+            cut(raw, records.flat_map(|record| in_record.iter().map(move |span| span.map(|at| record + at))));
+        }
+        None => {
+            let of_vertex = spans.chunks_exact(layout.components.len());
+            cut(raw, of_vertex.flat_map(|spans| normals().map(|c| spans[c].map(|at| at as usize))));
+        }
+    }
+}
+
+/// Takes spans out of `raw`, which come in ascending order and do not overlap.
+fn cut(raw: &mut Vec<u8>, spans: impl Iterator<Item = [usize; 2]>) {
+    let (mut kept, mut at) = (0, 0);
+    for [start, end] in spans {
+        raw.copy_within(at..start, kept);
+        kept += start - at;
+        at = end;
+    }
+    raw.copy_within(at.., kept);
+    kept += raw.len() - at;
+    raw.truncate(kept);
 }
 
 /// Goes over the record that `bytes` begin with: notes where its components lie (in the chunk's bytes, where the

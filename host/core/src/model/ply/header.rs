@@ -2,6 +2,7 @@
 
 use std::str::FromStr;
 
+use super::layout::NORMAL;
 use crate::Result;
 use crate::model::source::Source;
 
@@ -192,6 +193,23 @@ impl Header {
     }
 }
 
+/// The text of a header that can be parsed, without the lines of the vertices' normals.
+pub(super) fn without_normals(header: &[u8]) -> Vec<u8> {
+    let separator = line_separator(header);
+    let mut of_vertices = false;
+    let lines = header.split_inclusive(|byte| *byte == separator).filter(|line| {
+        let text = String::from_utf8_lossy(line);
+        let words: Vec<&str> = text.split_ascii_whitespace().collect();
+        match *words {
+            ["element", name, _] => of_vertices = name == "vertex",
+            ["property", _, name] if of_vertices => return !NORMAL.contains(&name),
+            _ => {}
+        }
+        true
+    });
+    lines.flatten().copied().collect()
+}
+
 /// What is wrong on which line.
 #[derive(Debug)]
 struct Wrong {
@@ -202,12 +220,7 @@ struct Wrong {
 
 /// Parses what `bytes` begins with; `None` if the header goes on after it.
 fn parse(bytes: &[u8], whole_file: bool) -> Result<Option<Header>, Wrong> {
-    // The first line tells how lines end. Binary data may begin with a byte that looks like a line feed, so a
-    // carriage return ends lines only where the first one ends in it alone.
-    let separator = match memchr::memchr2(b'\r', b'\n', bytes) {
-        Some(at) if bytes[at] == b'\r' && bytes.get(at + 1).is_some_and(|&b| b != b'\n') => b'\r',
-        _ => b'\n',
-    };
+    let separator = line_separator(bytes);
     let mut encoding = None;
     let mut elements = Vec::new();
     let mut at = 0;
@@ -228,6 +241,17 @@ fn parse(bytes: &[u8], whole_file: bool) -> Result<Option<Header>, Wrong> {
         }
     }
     Ok(None)
+}
+
+/// The byte that ends the lines of a header.
+///
+/// The first line tells. Binary data may begin with a byte that looks like a line feed, so a carriage return ends lines
+/// only where the first one ends in it alone.
+fn line_separator(bytes: &[u8]) -> u8 {
+    match memchr::memchr2(b'\r', b'\n', bytes) {
+        Some(at) if bytes[at] == b'\r' && bytes.get(at + 1).is_some_and(|&b| b != b'\n') => b'\r',
+        _ => b'\n',
+    }
 }
 
 enum Line {

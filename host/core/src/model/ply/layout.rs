@@ -42,7 +42,7 @@ pub(super) struct Layout {
 }
 
 const POSITION: [&str; 3] = ["x", "y", "z"];
-const NORMAL: [&str; 3] = ["nx", "ny", "nz"];
+pub(super) const NORMAL: [&str; 3] = ["nx", "ny", "nz"];
 
 impl Layout {
     pub(super) fn new(source: &Source, encoding: Encoding, vertex: &Element) -> Result<Self> {

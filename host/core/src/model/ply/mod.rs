@@ -27,7 +27,6 @@ mod rewrite;
 mod walk;
 mod writer;
 
-use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
 
@@ -35,7 +34,7 @@ pub(super) use header::is_ply;
 pub use writer::write_points;
 
 use super::source::Source;
-use super::{FaceReader, Model, ModelInfo, VertexChunk, VertexReader, pipeline};
+use super::{Edited, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, VertexReader, pipeline};
 use crate::progress::Silent;
 use crate::{Progress, Result};
 use faces::Faces;
@@ -160,11 +159,12 @@ impl Model for PlyModel {
 
     fn rewrite(
         &self,
-        out: &mut (dyn Write + Send),
-        edit: &mut (dyn FnMut(&mut VertexChunk) -> Result<()> + Send),
+        outputs: &mut [&mut dyn Output],
+        how: Rewriting,
+        edit: &mut (dyn FnMut(&VertexChunk, &mut [Edited]) -> Result<()> + Send),
         progress: &dyn Progress,
     ) -> Result<()> {
-        pipeline::rewrite(self, out, edit, progress)
+        pipeline::rewrite(self, outputs, how, edit, progress)
     }
 }
 

@@ -1,14 +1,16 @@
-//! Writing a model's file anew, with other positions and normals.
+//! Writing a model's file anew, with other positions and normals, or without normals.
 
 use std::io;
 
+use glam::{DVec3, Vec3};
+
 use super::PlyModel;
-use super::header::{DAMAGED, Encoding};
+use super::header::{self, DAMAGED, Encoding};
 use super::reader::{CHUNK_BYTES, Reader};
 use super::walk::{CUT_OFF, Walker};
 use super::{ascii, binary};
 use crate::model::pipeline::{Belt, Rewritable};
-use crate::model::{VertexChunk, VertexReader};
+use crate::model::{Edited, Normals, VertexChunk, VertexReader};
 use crate::{Error, ErrorKind, Result};
 
 /// A vertex of a chunk whose edited position the file cannot hold.
@@ -18,6 +20,14 @@ pub(super) struct Unfit {
     pub(super) value: f64,
 }
 
+/// A chunk of a binary file but for its bytes, as they were read.
+#[derive(Clone, Copy)]
+pub(super) struct Rest<'a> {
+    pub(super) positions: &'a [DVec3],
+    pub(super) normals: &'a [Vec3],
+    pub(super) spans: &'a [[u32; 2]],
+}
+
 /// Whether a coordinate of a normal was left as it was. Any NaN is as good as another: keep the file's.
 #[inline(always)]
 pub(super) fn same_normal(old: f32, new: f32) -> bool {
@@ -25,49 +35,71 @@ pub(super) fn same_normal(old: f32, new: f32) -> bool {
 }
 
 impl Rewritable for PlyModel {
-    fn read_pieces(&self, belt: &Belt) -> Result<()> {
+    fn read_pieces(&self, belt: &Belt, normals: Normals) -> Result<()> {
         let mut at = 0;
+        if normals == Normals::Drop && self.layout.has_normals() {
+            let Some(mut piece) = belt.take() else { return Ok(()) };
+            at = self.read_bytes(&mut piece.chunk, 0, self.header.len as usize)?;
+            piece.chunk.raw = header::without_normals(&piece.chunk.raw);
+            belt.give(piece);
+        }
         while at < self.vertices_start {
             let Some(mut piece) = belt.take() else { return Ok(()) };
             let wanted = (self.vertices_start - at).min(CHUNK_BYTES as u64) as usize;
-            at += self.read_bytes(&mut piece, at, wanted)?;
+            at += self.read_bytes(&mut piece.chunk, at, wanted)?;
             belt.give(piece);
         }
 
         let mut vertices = Reader::new(self, 0..self.info.vertices)?;
         loop {
-            let Some(mut chunk) = belt.take() else { return Ok(()) };
-            if !vertices.read(&mut chunk)? {
+            let Some(mut piece) = belt.take() else { return Ok(()) };
+            if !vertices.read(&mut piece.chunk)? {
                 break;
             }
-            belt.give(chunk);
+            belt.give(piece);
         }
 
         at = vertices.offset();
         let mut walker = Walker::new(&self.header.elements[self.vertex + 1..], self.header.encoding);
         while at < self.source.len() {
             let Some(mut piece) = belt.take() else { return Ok(()) };
-            at += self.read_bytes(&mut piece, at, CHUNK_BYTES)?;
+            at += self.read_bytes(&mut piece.chunk, at, CHUNK_BYTES)?;
             // Once it is done, it takes nothing: what follows is copied without being looked at.
-            walker.feed(&piece.raw).map_err(|what| self.source.malformed(what, DAMAGED))?;
+            walker.feed(&piece.chunk.raw).map_err(|what| self.source.malformed(what, DAMAGED))?;
             belt.give(piece);
         }
         walker.finish().map_err(|what| self.source.malformed(what, CUT_OFF))?;
         self.source.check_unchanged()
     }
 
-    fn encode<'b>(&self, chunk: &'b mut VertexChunk, text: &'b mut Vec<u8>) -> Result<&'b [u8]> {
+    fn encode<'b>(
+        &self,
+        chunk: &'b mut VertexChunk,
+        edited: &Edited,
+        normals: Normals,
+        last: bool,
+        buffer: &'b mut Vec<u8>,
+    ) -> Result<&'b [u8]> {
         let first = chunk.first;
-        match self.header.encoding {
-            Encoding::Ascii => {
-                ascii::splice(&self.layout, chunk, text).map_err(|e| self.unfit(first, e))?;
-                Ok(text)
-            }
-            Encoding::Little | Encoding::Big => {
-                binary::patch(&self.layout, chunk).map_err(|e| self.unfit(first, e))?;
-                Ok(&chunk.raw)
-            }
+        let drop_normals = normals == Normals::Drop && self.layout.has_normals();
+        if self.header.encoding == Encoding::Ascii {
+            ascii::splice(&self.layout, chunk, edited, drop_normals, buffer)
+                .map_err(|e| self.unfit(first, e))?;
+            return Ok(buffer);
         }
+        let VertexChunk { positions, normals, raw, spans, .. } = chunk;
+        let rest = Rest { positions, normals, spans };
+        let bytes = if last {
+            raw
+        } else {
+            buffer.extend_from_slice(raw);
+            buffer
+        };
+        binary::patch(&self.layout, rest, edited, bytes).map_err(|e| self.unfit(first, e))?;
+        if drop_normals {
+            binary::cut_normals(&self.layout, spans, bytes);
+        }
+        Ok(bytes)
     }
 
     fn write_error(&self, error: &io::Error) -> Error {

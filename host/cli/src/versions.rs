@@ -1,0 +1,202 @@
+//! Which deformed samples become which outputs, where a command line names several at once.
+
+use std::cmp::Ordering;
+use std::path::{Component, Path, PathBuf};
+
+use glob::MatchOptions;
+use simod_core::{Error, ErrorKind, Result};
+
+/// Stands in an output's name for what tells the versions apart.
+const PLACE: &str = "{}";
+
+/// Deformed samples, and the model to write.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct VersionPaths {
+    pub deformed: PathBuf,
+    pub output: PathBuf,
+}
+
+/// All versions that `deformed`, files or patterns, and `output` speak of; those of a pattern in natural order.
+///
+/// # Errors
+/// A pattern matches no file; several versions would have the same output, or an output is one of the deformed files.
+pub fn versions(deformed: &[PathBuf], output: &Path) -> Result<Vec<VersionPaths>> {
+    let mut versions: Vec<VersionPaths> = Vec::new();
+    for named in deformed {
+        for (deformed, name) in files(named)? {
+            let output = match output.to_str() {
+                Some(text) => PathBuf::from(text.replace(PLACE, &name)),
+                None => output.to_owned(),
+            };
+            versions.push(VersionPaths { deformed, output });
+        }
+    }
+    if versions.len() > 1 && !output.to_str().is_some_and(|text| text.contains(PLACE)) {
+        return Err(Error::new(
+            ErrorKind::Argument,
+            format!("{} versions of the model cannot all be written to {}", versions.len(), output.display()),
+            "put {} where they differ, as in -o 'out-{}.ply': it stands for what the * of --deformed matched",
+        ));
+    }
+    for (i, version) in versions.iter().enumerate() {
+        if let Some(other) = versions[..i].iter().find(|v| v.output == version.output) {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!(
+                    "{} and {} would both be written to {}",
+                    other.deformed.display(),
+                    version.deformed.display(),
+                    version.output.display()
+                ),
+                "name each file once, and let {} in -o stand for what differs",
+            ));
+        }
+        let is_output = |v: &&VersionPaths| is_same_file(&v.deformed, &version.output);
+        if let Some(read) = versions.iter().find(is_output) {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("{} is one of the deformed files", read.deformed.display()),
+                "write the deformed model to another file",
+            ));
+        }
+    }
+    Ok(versions)
+}
+
+/// The files that a path or a pattern means, each with what `{}` stands for: what the only `*` of the pattern matched,
+/// and otherwise the file's name without its ending.
+fn files(named: &Path) -> Result<Vec<(PathBuf, String)>> {
+    let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let pattern = named.to_str().filter(|text| text.contains(['*', '?', '[']) && !named.exists());
+    let Some(pattern) = pattern else {
+        // Whether there is such a file is told when it is read.
+        return Ok(vec![(named.to_owned(), stem(named))]);
+    };
+    let refused = |what: String| {
+        let hint = "give a pattern as 'frame-*.ply', in quotes, or the names of files";
+        Error::new(ErrorKind::Argument, what, hint)
+    };
+    // As a shell has it.
+    let options = MatchOptions {
+        case_sensitive: true,
+        require_literal_separator: true,
+        require_literal_leading_dot: true,
+    };
+    let found = glob::glob_with(pattern, options)
+        .map_err(|e| refused(format!("--deformed {pattern} is no pattern: {}", e.msg)))?;
+    let mut paths = Vec::new();
+    for path in found {
+        let path = path.map_err(|e| Error::io("look for files in", e.path(), e.error()))?;
+        if path.is_file() {
+            paths.push(path);
+        }
+    }
+    if paths.is_empty() {
+        return Err(refused(format!("--deformed {pattern} matches no file")));
+    }
+    paths.sort_by(|a, b| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
+    let name = |path: &Path| matched(named, path).unwrap_or_else(|| stem(path));
+    Ok(paths.into_iter().map(|path| (path.clone(), name(&path))).collect())
+}
+
+/// What the only wildcard of a pattern, a `*`, stands for in a path that it matches.
+fn matched(pattern: &Path, path: &Path) -> Option<String> {
+    let text = pattern.to_str()?;
+    if text.matches('*').count() != 1 || text.contains(['?', '[']) {
+        return None;
+    }
+    // From the end, as a leading "./" may be missing in the path.
+    let mut pairs = pattern.components().rev().zip(path.components().rev());
+    pairs.find_map(|(pattern, found)| {
+        let (Component::Normal(pattern), Component::Normal(found)) = (pattern, found) else { return None };
+        let (before, after) = pattern.to_str()?.split_once('*')?;
+        Some(found.to_str()?.strip_prefix(before)?.strip_suffix(after)?.to_owned())
+    })
+}
+
+/// The order of people: numbers in names count as numbers, so that frame-2 comes before frame-10.
+fn natural_order(a: &str, b: &str) -> Ordering {
+    let (mut left, mut right) = (a, b);
+    loop {
+        let (Some(x), Some(y)) = (left.chars().next(), right.chars().next()) else {
+            // One of them is at its end. What differs in zeros alone is told apart by them.
+            return left.len().cmp(&right.len()).then_with(|| a.cmp(b));
+        };
+        let order = if x.is_ascii_digit() && y.is_ascii_digit() {
+            let (x, y);
+            ((x, left), (y, right)) = (number(left), number(right));
+            x.len().cmp(&y.len()).then_with(|| x.cmp(y))
+        } else {
+            (left, right) = (&left[x.len_utf8()..], &right[y.len_utf8()..]);
+            x.cmp(&y)
+        };
+        if order.is_ne() {
+            return order;
+        }
+    }
+}
+
+/// The number that a text begins with, without leading zeros, and the rest.
+fn number(text: &str) -> (&str, &str) {
+    let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (digits, rest) = text.split_at(end);
+    (digits.trim_start_matches('0'), rest)
+}
+
+fn is_same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_count_as_numbers() {
+        let sorted =
+            ["a", "a-1", "a-02", "a-2", "a-2b", "a-10", "a-010-1", "b-1", "b-99999999999999999999999", "é"];
+        for (i, a) in sorted.iter().enumerate() {
+            for (j, b) in sorted.iter().enumerate() {
+                assert_eq!(natural_order(a, b), i.cmp(&j), "{a} {b}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_star_is_what_it_matched() {
+        let matched = |pattern: &str, path: &str| matched(Path::new(pattern), Path::new(path));
+        assert_eq!(matched("frame-*.ply", "frame-07.ply").as_deref(), Some("07"));
+        assert_eq!(matched("./frame-*", "frame-").as_deref(), Some(""));
+        assert_eq!(matched("/a/*/d.ply", "/a/b c/d.ply").as_deref(), Some("b c"));
+        assert_eq!(matched("*-*.ply", "a-b.ply"), None);
+        assert_eq!(matched("frame-?.ply", "frame-1.ply"), None);
+    }
+
+    #[test]
+    fn patterns_and_files_become_versions() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for name in ["f-10.ply", "f-2.ply", "f-.ply", "g.ply", ".f-3.ply"] {
+            std::fs::File::create(at(name)).unwrap();
+        }
+        std::fs::create_dir(at("f-4.ply")).unwrap();
+        let outputs = |deformed: &[&str], output: &str| -> Result<Vec<PathBuf>> {
+            let deformed: Vec<PathBuf> = deformed.iter().map(|d| at(d)).collect();
+            Ok(versions(&deformed, &at(output))?.into_iter().map(|v| v.output).collect())
+        };
+        let error = |deformed: &[&str], output: &str| outputs(deformed, output).unwrap_err().to_string();
+        assert_eq!(outputs(&["f-*.ply"], "o-{}").unwrap(), [at("o-"), at("o-2"), at("o-10")]);
+        assert_eq!(outputs(&["f-2.ply", "g.ply"], "o-{}").unwrap(), [at("o-f-2"), at("o-g")]);
+        assert_eq!(outputs(&["g*"], "o").unwrap(), [at("o")]);
+        assert_eq!(outputs(&["missing.ply"], "{}.o").unwrap(), [at("missing.o")]);
+        assert!(error(&["h*"], "o").ends_with("h* matches no file"));
+        assert!(error(&["f***"], "o").contains("is no pattern"));
+        assert!(error(&["f-*.ply"], "o").starts_with("3 versions of the model cannot all be written to"));
+        let twice = error(&["f-*.ply", "f-2.ply", "g.ply", "g.ply"], "o-{}");
+        assert!(twice.contains("g.ply and ") && twice.ends_with("o-g"), "{twice}");
+        assert!(error(&["f-*.ply"], "f-{}.ply").ends_with("f-.ply is one of the deformed files"));
+        // A file of that very name is meant.
+        std::fs::File::create(at("f-[2].ply")).unwrap();
+        assert_eq!(outputs(&["f-[2].ply"], "{}").unwrap(), [at("f-[2]")]);
+    }
+}
