@@ -120,27 +120,29 @@ pub struct Grouped {
     pub displacement: [Vec<f32>; 3],
     /// The sum of weights: at less than [`LEAST_WEIGHT`] the displacement means nothing.
     pub sum: Vec<f32>,
-    /// The gradient of the displacement, column by column, if it is asked for.
+    /// Normals, which are turned; empty if there are none.
+    pub normals: [Vec<f32>; 3],
+    /// The gradient of the deformation, column by column; empty unless it is asked for.
     pub gradient: [Vec<f32>; 9],
 }
 
 impl Grouped {
     /// Makes room for the results.
-    pub fn make_room(&mut self, gradient: bool) {
+    fn make_room(&mut self, gradient: bool) {
         let length = self.positions[0].len();
-        let results = self.displacement.iter_mut().chain([&mut self.sum]);
-        let gradient = self.gradient.iter_mut().take(if gradient { 9 } else { 0 });
-        results.chain(gradient).for_each(|v| v.resize(length, 0.0));
+        self.displacement.iter_mut().chain([&mut self.sum]).for_each(|v| v.resize(length, 0.0));
+        self.gradient.iter_mut().for_each(|v| v.resize(if gradient { length } else { 0 }, 0.0));
     }
 }
 
 /// The most vertices that any processor takes at once.
 pub const PACKET: usize = 16;
 
-/// Blends the expansions for all groups.
+/// Blends the expansions for all groups, and turns their normals; `gradient` says whether the gradient is asked for.
 pub fn blend(supports: &Supports, expansions: &[Expansion], gradient: bool, grouped: &mut Grouped) {
+    grouped.make_room(gradient);
     let arch = Arch::new();
-    if gradient {
+    if gradient || !grouped.normals[0].is_empty() {
         arch.dispatch(Kernel::<true> { supports, expansions, grouped });
     } else {
         arch.dispatch(Kernel::<false> { supports, expansions, grouped });
@@ -159,10 +161,11 @@ impl<const GRADIENT: bool> WithSimd for Kernel<'_, GRADIENT> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { supports, expansions, grouped } = self;
-        let Grouped { groups, positions, displacement, sum, gradient } = grouped;
+        let Grouped { groups, positions, displacement, sum, normals, gradient } = grouped;
         // All lengths are multiples of the packet: nothing is left over.
         let positions = positions.each_ref().map(|v| S::as_simd_f32s(v).0);
         let displacement = displacement.each_mut().map(|v| S::as_mut_simd_f32s(v).0);
+        let normals = normals.each_mut().map(|v| S::as_mut_simd_f32s(v).0);
         let gradient = gradient.each_mut().map(|v| S::as_mut_simd_f32s(v).0);
         let sum = S::as_mut_simd_f32s(sum).0;
         for (home, range) in groups {
@@ -173,12 +176,37 @@ impl<const GRADIENT: bool> WithSimd for Kernel<'_, GRADIENT> {
                 let blended = packet::<S, GRADIENT>(simd, p, center, list, expansions);
                 (0..3).for_each(|i| displacement[i][at] = blended.displacement[i].1);
                 sum[at] = blended.sum.1;
-                if GRADIENT {
+                if GRADIENT && !normals[0].is_empty() {
+                    let n = [0, 1, 2].map(|i| Lanes(simd, normals[i][at]));
+                    let turned = turn(n, &blended.gradient);
+                    (0..3).for_each(|i| normals[i][at] = turned[i].1);
+                }
+                if GRADIENT && !gradient[0].is_empty() {
                     (0..9).for_each(|i| gradient[i][at] = blended.gradient[i].1);
                 }
             }
         }
     }
+}
+
+/// Normals after a deformation of this gradient, of the same length as before: as `Transport::normal`.
+#[inline(always)]
+fn turn<S: Simd>(n: [Lanes<S>; 3], gradient: &[Lanes<S>; 9]) -> [Lanes<S>; 3] {
+    let [ax, ay, az, bx, by, bz, cx, cy, cz] = *gradient;
+    let [x, y, z] = n;
+    // The columns' cross products, b × c, c × a and a × b.
+    let (ux, uy, uz) = (by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx);
+    let (vx, vy, vz) = (cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax);
+    let (wx, wy, wz) = (ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx);
+    let determinant = ax * ux + ay * uy + az * uz;
+    let turned = [ux * x + vx * y + wx * z, uy * x + vy * y + wy * z, uz * x + vz * y + wz * z];
+    let simd = x.0;
+    let length = length_squared(n).sqrt();
+    let square = length_squared(turned);
+    let factor = length * square.sqrt().inverse_or_one();
+    let factor = determinant.where_positive(factor, Lanes::splat(simd, 0.0) - factor);
+    // Where nothing is left of it, it stays; and so it does where it was no number.
+    [0, 1, 2].map(|i| square.where_positive(turned[i] * factor, n[i]))
 }
 
 /// What a packet of vertices gets.
@@ -248,8 +276,10 @@ fn packet<S: Simd, const GRADIENT: bool>(
         blended.displacement[o] = u;
         if GRADIENT {
             for (column, slope) in sum_slope.into_iter().enumerate() {
+                // Of the deformation, not of the displacement.
                 let g = &mut blended.gradient[3 * column + o];
-                *g = (*g - u * slope) * inverse;
+                let itself = if column == o { one } else { zero };
+                *g = itself + (*g - u * slope) * inverse;
             }
         }
     }

@@ -3,17 +3,20 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use glam::{DVec3, Mat3, Vec3};
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::blend::{Grouped, LEAST_WEIGHT, PACKET, blend};
 use super::homes::Homes;
-use super::{DeformationField, Method, Transport, projected_barycentric};
+use super::{DeformationField, Method, projected_barycentric};
 use crate::frame::Frame;
 
 /// Vertices of a block: many, so that there are several of each home. A fixed number, so that the result does not
 /// depend on the number of threads.
 pub const BLOCK: usize = 1 << 13;
+
+/// The place of a vertex that does not move.
+const NOWHERE: u32 = u32::MAX;
 
 /// Memory that is used again from block to block.
 ///
@@ -111,45 +114,49 @@ impl Workspace {
     /// Carries the block over.
     fn carry(&mut self, field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3], moved: Moved<'_>) {
         let Moved { positions: images, normals } = moved;
-        let gradient = !normals.is_empty();
         if field.method == Method::BlendedJets {
-            self.grouped.make_room(gradient);
-            blend(&field.around.supports, &field.expansions, gradient, &mut self.grouped);
+            self.grouped.normals.iter_mut().for_each(|v| {
+                v.resize(if normals.is_empty() { 0 } else { self.grouped.positions[0].len() }, 0.0)
+            });
+            for (n, place) in normals.iter().zip(&self.place).filter(|(_, place)| **place != NOWHERE) {
+                (0..3).for_each(|i| self.grouped.normals[i][*place as usize] = n[i]);
+            }
+            blend(&field.around.supports, &field.expansions, false, &mut self.grouped);
         }
         for (i, (p, image)) in positions.iter().zip(images).enumerate() {
-            if !p.is_finite() || !field.active[self.homes[i] as usize] {
+            let home = self.homes[i] as usize;
+            if !p.is_finite() || !field.active[home] {
                 continue;
             }
-            let moved = self.transport(field, i, gradient);
+            let n = normals.get_mut(i);
             // Only the displacement is in single precision.
-            *image += moved.displacement.as_dvec3() * frame.scale;
-            if let Some(n) = normals.get_mut(i) {
-                *n = moved.normal(*n);
-            }
+            *image += self.displacement(field, i, n).as_dvec3() * frame.scale;
         }
     }
 
-    /// What happens to vertex `i` of the block. Without `gradient` that of the result is not known.
-    fn transport(&self, field: &DeformationField<'_>, i: usize, gradient: bool) -> Transport {
+    /// What moves vertex `i` of the block, and its normal turned.
+    fn displacement(&self, field: &DeformationField<'_>, i: usize, normal: Option<&mut Vec3>) -> Vec3 {
         let (home, p) = (self.homes[i] as usize, self.local[i]);
-        if field.method == Method::ProjectedBarycentric {
-            return projected_barycentric::carry(field, home, p);
-        }
         let (at, g) = (self.place[i] as usize, &self.grouped);
-        if g.sum[at] < LEAST_WEIGHT {
-            return field.beyond(home, p);
-        }
-        let mut displacement = Vec3::from_array(g.displacement.each_ref().map(|v| v[at]));
-        if field.limiter.concerns(home) {
-            let supports = &field.around.supports;
-            displacement = field.limiter.limited(supports, &field.expansions, home, p, displacement);
-        }
-        let gradient = if gradient {
-            Mat3::IDENTITY + Mat3::from_cols_array(&g.gradient.each_ref().map(|v| v[at]))
-        } else {
-            Mat3::IDENTITY
+        let one_by_one = match field.method {
+            Method::ProjectedBarycentric => Some(projected_barycentric::carry(field, home, p)),
+            Method::BlendedJets if g.sum[at] < LEAST_WEIGHT => Some(field.beyond(home, p)),
+            Method::BlendedJets => None,
         };
-        Transport { displacement, gradient }
+        if let Some(moved) = one_by_one {
+            if let Some(n) = normal {
+                *n = moved.normal(*n);
+            }
+            return moved.displacement;
+        }
+        if let Some(n) = normal.filter(|n| n.is_finite()) {
+            *n = Vec3::from_array(g.normals.each_ref().map(|v| v[at]));
+        }
+        let displacement = Vec3::from_array(g.displacement.each_ref().map(|v| v[at]));
+        if !field.limiter.concerns(home) {
+            return displacement;
+        }
+        field.limiter.limited(&field.around.supports, &field.expansions, home, p, displacement)
     }
 
     /// Puts the vertices of each home that moves side by side.
@@ -188,7 +195,7 @@ impl Workspace {
         place.clear();
         place.extend(local.iter().zip(homes).map(|(p, home)| {
             if !moves(*home as usize) {
-                return u32::MAX;
+                return NOWHERE;
             }
             let next = &mut next[group_of[*home as usize] as usize];
             let at = *next;

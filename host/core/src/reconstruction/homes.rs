@@ -10,6 +10,10 @@ use super::Surroundings;
 use super::sheets::{Sheets, facing, sheet_distance};
 use crate::sampling::SampleSet;
 
+/// A vertex keeps the home of the last one if it lies within this part of its support: the home need not be the nearest
+/// sample, as every sample knows all supports that meet its own.
+const STAYS: f32 = 0.5;
+
 /// What homes are found with.
 #[derive(Clone, Copy)]
 pub struct Homes<'a> {
@@ -49,12 +53,16 @@ impl<'a> Homes<'a> {
         }));
     }
 
-    /// Steps to ever nearer samples; `None` where that ends beyond the support of the last one, so that its home does not
+    /// Steps to ever nearer samples, unless the vertex is near enough to the first one; `None` where that ends beyond the support of the last one, so that its home does not
     /// know all supports there.
     #[inline]
     fn walk(&self, from: u32, p: Vec3) -> Option<u32> {
         let squared = |i: u32| self.positions[i as usize].distance_squared(p);
         let (mut at, mut distance) = (from, squared(from));
+        let stays = STAYS * self.radius[from as usize];
+        if distance < stays * stays {
+            return Some(from);
+        }
         loop {
             let here = self.positions[at as usize];
             let reach = 4.0 * distance;

@@ -27,13 +27,25 @@ impl<S: Simd> Lanes<S> {
         self.0.reduce_max_f32s(self.1)
     }
 
+    /// Its square root.
+    #[inline(always)]
+    pub fn sqrt(self) -> Self {
+        Self(self.0, self.0.sqrt_f32s(self.1))
+    }
+
+    /// `positive` where it is more than zero, and `other` elsewhere.
+    #[inline(always)]
+    pub fn where_positive(self, positive: Self, other: Self) -> Self {
+        let simd = self.0;
+        let mask = simd.greater_than_f32s(self.1, simd.splat_f32s(0.0));
+        Self(simd, simd.select_f32s(mask, positive.1, other.1))
+    }
+
     /// 1 / x, but 1 where x is not positive.
     #[inline(always)]
     pub fn inverse_or_one(self) -> Self {
-        let simd = self.0;
-        let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
-        let divisor = simd.select_f32s(simd.greater_than_f32s(self.1, zero), self.1, one);
-        Self(simd, simd.div_f32s(one, divisor))
+        let one = Self::splat(self.0, 1.0);
+        Self(self.0, self.0.div_f32s(one.1, self.where_positive(self, one).1))
     }
 }
 
