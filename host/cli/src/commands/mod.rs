@@ -1,5 +1,6 @@
 //! The subcommands, a file each.
 
+pub mod bind;
 pub mod deform;
 pub mod demo;
 pub mod generate;

@@ -7,6 +7,7 @@ use simod_core::Result;
 use simod_core::reconstruction::{Method, Normals, PART_BYTES, Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
 
+use super::bind::BINDING;
 use super::sample::parse_bytes;
 use super::warn_non_finite;
 use crate::report::{Report, count, rate};
@@ -96,11 +97,13 @@ impl Reconstruct {
             .zip(&deformed)
             .map(|(v, deformed)| Version { deformed, output: &v.output })
             .collect();
+        let binding = self.sampled.join(BINDING);
         let how = Reconstruction {
             method: self.method.into(),
             normals: self.normals.into(),
             resume: self.resume,
             part_bytes: self.part_size,
+            binding: Some(&binding),
         };
         let done = reconstruct(&sampled, model.as_ref(), &versions, &how, report.progress())?;
         warn_non_finite(&sampled, report);

@@ -13,10 +13,11 @@ use std::ops::Range;
 
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::expansion::Expansion;
 use super::lanes::Lanes;
-use super::sheets::{Sheets, facing};
+use super::sheets::{Sheets, are_lists, facing};
 use crate::sampling::SampleSet;
 
 /// The support of a sample ends at this one of its neighbours.
@@ -26,7 +27,7 @@ const SUPPORT_NEIGHBOURS: usize = 7;
 pub const LEAST_WEIGHT: f32 = 1e-6;
 
 /// A support that reaches the vertices of a home.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct Reaching {
     /// Vertices nearer to the home's sample than this are not reached.
     from: f32,
@@ -39,6 +40,7 @@ pub struct Reaching {
 /// For each sample, the supports that reach where it is the home.
 ///
 /// Memory: about 30 supports of 12 bytes per sample.
+#[derive(Debug, Serialize, Deserialize)]
 pub struct Supports {
     /// Radius of each sample's support.
     pub radius: Vec<f32>,
@@ -98,6 +100,13 @@ impl Supports {
             starts.push(reaching.len() as u32);
         }
         Self { radius, starts, reaching }
+    }
+
+    /// Whether it is of so many samples: one that was read may be anything.
+    pub fn is_valid(&self, samples: usize) -> bool {
+        self.radius.len() == samples
+            && are_lists(&self.starts, samples, self.reaching.len())
+            && self.reaching.iter().all(|r| (r.sample as usize) < samples)
     }
 
     /// The supports that reach where `home` is the home.

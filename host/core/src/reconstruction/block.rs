@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::blend::{Grouped, LEAST_WEIGHT, PACKET, blend};
 use super::homes::Homes;
-use super::{DeformationField, Method, projected_barycentric};
+use super::{DeformationField, Method, Surroundings, projected_barycentric};
 use crate::frame::Frame;
 
 /// Vertices of a block: many, so that there are several of each home. A fixed number, so that the result does not
@@ -60,7 +60,7 @@ pub struct Moved<'a> {
 
 /// Carries consecutive vertices of the model over, by each of the fields for one of `moved`, on all cores. `positions`
 /// are theirs at rest, in the model's coordinates, and `normals` as many or none. Vertices without a finite position
-/// stay as they are.
+/// stay as they are. `homes` are as [`bind`](super::bind) kept them, if it did.
 ///
 /// All fields are of the same samples. The result may depend on how vertices are divided into calls, to rounding, but not
 /// on the number of threads.
@@ -69,6 +69,7 @@ pub fn carry(
     frame: &Frame,
     positions: &[DVec3],
     normals: &[Vec3],
+    homes: Option<&[u32]>,
     moved: &mut [Moved<'_>],
 ) {
     let Some(first) = fields.first() else { return };
@@ -84,7 +85,12 @@ pub fn carry(
         |(i, (moved, positions))| {
             let normals = normals.chunks(BLOCK).nth(i).unwrap_or_default();
             first.around.workspaces.with(|workspace| {
-                workspace.begin(fields, frame, positions, normals);
+                workspace.place(frame, positions);
+                match homes {
+                    Some(homes) => workspace.take_homes(homes.chunks(BLOCK).nth(i).unwrap_or_default()),
+                    None => workspace.find_homes(first.around, normals),
+                }
+                workspace.group(fields);
                 fields
                     .iter()
                     .zip(moved)
@@ -94,21 +100,41 @@ pub fn carry(
     );
 }
 
+/// The homes of consecutive vertices of the model, which `carry` finds itself unless it is told them.
+pub fn homes(
+    around: &Surroundings<'_>,
+    frame: &Frame,
+    positions: &[DVec3],
+    normals: &[Vec3],
+    homes: &mut Vec<u32>,
+) {
+    homes.resize(positions.len(), 0);
+    let blocks = positions.par_chunks(BLOCK).zip(homes.par_chunks_mut(BLOCK));
+    blocks.enumerate().for_each(|(i, (positions, homes))| {
+        around.workspaces.with(|workspace| {
+            workspace.place(frame, positions);
+            workspace.find_homes(around, normals.chunks(BLOCK).nth(i).unwrap_or_default());
+            homes.copy_from_slice(&workspace.homes);
+        });
+    });
+}
+
 impl Workspace {
-    /// Finds the homes of a block.
-    fn begin(
-        &mut self,
-        fields: &[DeformationField<'_>],
-        frame: &Frame,
-        positions: &[DVec3],
-        normals: &[Vec3],
-    ) {
+    /// Takes the positions of a block.
+    fn place(&mut self, frame: &Frame, positions: &[DVec3]) {
         self.local.clear();
         // Anywhere, if it is not finite: what comes of it is not used.
         self.local
             .extend(positions.iter().map(|p| if p.is_finite() { frame.to_local(*p) } else { Vec3::ZERO }));
-        Homes::new(fields[0].around).of(&self.local, normals, &mut self.homes);
-        self.group(fields);
+    }
+
+    fn find_homes(&mut self, around: &Surroundings<'_>, normals: &[Vec3]) {
+        Homes::new(around).of(&self.local, normals, &mut self.homes);
+    }
+
+    fn take_homes(&mut self, homes: &[u32]) {
+        self.homes.clear();
+        self.homes.extend_from_slice(homes);
     }
 
     /// Carries the block over.

@@ -6,6 +6,7 @@
 //! vertices over by the expansions around their homes, or `projected_barycentric` each vertex in the paper's way;
 //! `stream` does so for the whole file. [`transfer_error`] compares a result with the exact map.
 
+mod binding;
 mod blend;
 mod blended_jets;
 mod block;
@@ -27,6 +28,7 @@ use rayon::prelude::*;
 
 pub use crate::model::Normals;
 use crate::sampling::SampleSet;
+pub use binding::bind;
 use blend::Supports;
 use blended_jets::Expanded;
 use block::Workspaces;
@@ -95,6 +97,11 @@ impl<'a> Surroundings<'a> {
         samples.prepare();
         let sheets = Sheets::of(samples);
         let supports = Supports::of(samples, &sheets);
+        Self::known(samples, sheets, supports)
+    }
+
+    /// What was found out before.
+    fn known(samples: &'a SampleSet, sheets: Sheets, supports: Supports) -> Self {
         Self { samples, sheets, supports, workspaces: Workspaces::default() }
     }
 }

@@ -9,6 +9,7 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::sampling::SampleSet;
 
@@ -33,6 +34,7 @@ const ACROSS: f32 = 0.5;
 /// The neighbours of each sample on its own sheet.
 ///
 /// Memory: at most 133 bytes per sample.
+#[derive(Debug, Serialize, Deserialize)]
 pub struct Sheets {
     starts: Vec<u32>,
     neighbours: Vec<u32>,
@@ -70,6 +72,14 @@ impl Sheets {
         Self { starts, neighbours, crowded }
     }
 
+    /// Whether it is of so many samples: one that was read may be anything.
+    pub fn is_valid(&self, samples: usize) -> bool {
+        self.crowded.len() == samples
+            && are_lists(&self.starts, samples, self.neighbours.len())
+            && self.starts.windows(2).all(|s| s[1] - s[0] <= SHEET_NEIGHBOURS as u32)
+            && self.neighbours.iter().all(|j| (*j as usize) < samples)
+    }
+
     /// The neighbours of sample `i` on its sheet, nearest first, without itself.
     #[inline]
     pub fn of_sample(&self, i: usize) -> &[u32] {
@@ -95,6 +105,14 @@ impl Sheets {
         };
         (near, radius)
     }
+}
+
+/// Whether these are where `lists` lists begin, one after the other, and the last ends.
+pub fn are_lists(starts: &[u32], lists: usize, entries: usize) -> bool {
+    starts.len() == lists + 1
+        && starts.first() == Some(&0)
+        && starts.is_sorted()
+        && starts.last().is_some_and(|end| *end as usize == entries)
 }
 
 /// How much a sample of normal `n` belongs to a sheet of normal `side`: wholly up to a right angle, which the walls

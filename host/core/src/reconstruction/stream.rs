@@ -9,6 +9,7 @@ use std::time::UNIX_EPOCH;
 use glam::Vec3;
 use xxhash_rust::xxh3::Xxh3Default;
 
+use super::binding::Binding;
 use super::{DeformationField, Method, Moved, Surroundings, carry};
 use crate::model::{Edited, MAX_VERSIONS, Model, Normals, Output, Rewriting, VertexChunk};
 use crate::output::{canonical_target, check_space, folder_of};
@@ -36,7 +37,7 @@ pub struct Version<'a> {
 
 /// How a deformation is transferred.
 #[derive(Debug, Clone, Copy)]
-pub struct Reconstruction {
+pub struct Reconstruction<'a> {
     /// How a vertex is carried over.
     pub method: Method,
     /// What becomes of the model's normals.
@@ -47,11 +48,19 @@ pub struct Reconstruction {
     /// A part of an output is on the disk, and can be relied on by a later call, each time so many bytes of the model are
     /// done; more where that would be over 1024 parts.
     pub part_bytes: u64,
+    /// Where [`bind`](super::bind) may have kept what does not depend on the deformation. It is used if it fits.
+    pub binding: Option<&'a Path>,
 }
 
-impl Default for Reconstruction {
+impl Default for Reconstruction<'_> {
     fn default() -> Self {
-        Self { method: Method::default(), normals: Normals::default(), resume: false, part_bytes: PART_BYTES }
+        Self {
+            method: Method::default(),
+            normals: Normals::default(),
+            resume: false,
+            part_bytes: PART_BYTES,
+            binding: None,
+        }
     }
 }
 
@@ -81,7 +90,7 @@ pub fn reconstruct(
     sampled: &SampledModel,
     model: &dyn Model,
     versions: &[Version<'_>],
-    how: &Reconstruction,
+    how: &Reconstruction<'_>,
     progress: &dyn Progress,
 ) -> Result<Reconstructed> {
     // Before the work begins: targets that cannot be written, or must not be.
@@ -132,7 +141,7 @@ fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &Reconstructi
 struct Work<'a> {
     sampled: &'a SampledModel,
     model: &'a dyn Model,
-    how: &'a Reconstruction,
+    how: &'a Reconstruction<'a>,
     progress: &'a dyn Progress,
     /// The versions that share a reading: at most [`MAX_VERSIONS`].
     pass: Vec<(Version<'a>, Box<ResumableFile>)>,
@@ -170,7 +179,7 @@ impl<'a> Work<'a> {
         }
 
         self.progress.begin("preparing", 0);
-        let surroundings = Surroundings::of(&self.sampled.samples);
+        let (mut binding, surroundings) = self.surroundings()?;
         let field = |(version, _): &(Version<'a>, _)| {
             DeformationField::new(&surroundings, version.deformed, self.how.method)
         };
@@ -183,7 +192,9 @@ impl<'a> Work<'a> {
                 .iter_mut()
                 .map(|Edited { positions, normals }| Moved { positions, normals })
                 .collect();
-            carry(&fields[..moved.len()], &self.sampled.frame, &chunk.positions, &chunk.normals, &mut moved);
+            let homes = binding.as_mut().map(|binding| binding.next(chunk.len())).transpose()?;
+            let (fields, frame) = (&fields[..moved.len()], &self.sampled.frame);
+            carry(fields, frame, &chunk.positions, &chunk.normals, homes, &mut moved);
             Ok(())
         };
 
@@ -203,6 +214,18 @@ impl<'a> Work<'a> {
         }
         self.pass.clear();
         Ok(())
+    }
+
+    /// Who is near whom: as it was kept, or found out now.
+    fn surroundings(&self) -> Result<(Option<Binding>, Surroundings<'a>)> {
+        if let Some(path) = self.how.binding {
+            match Binding::open(path, self.sampled) {
+                Ok(Some((binding, surroundings))) => return Ok((Some(binding), surroundings)),
+                Ok(None) => {}
+                Err(why) => self.progress.note(&format!("{} is not used: {why}", path.display())),
+            }
+        }
+        Ok((None, Surroundings::of(&self.sampled.samples)))
     }
 
     /// Number of pieces that every version of the pass has, and that a part ends with in each.

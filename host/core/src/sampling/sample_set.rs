@@ -91,6 +91,20 @@ impl SampleSet {
         self.estimated.get_or_init(|| normals::completed(&self.positions, &self.known))
     }
 
+    /// Takes all normals, as they were estimated before; none, where the model has told them. `false` if they are not
+    /// what they should be.
+    pub(crate) fn set_normals(&self, normals: Vec<Vec3>) -> bool {
+        if self.all_known {
+            return normals.is_empty();
+        }
+        let fit = normals.len() == self.len() && normals.iter().all(|n| n.is_normalized());
+        if fit {
+            // Where they are known by now, they are the same.
+            let _ = self.estimated.set(normals);
+        }
+        fit
+    }
+
     /// Whether the model has told all normals, and none has to be estimated.
     pub fn knows_normals(&self) -> bool {
         self.all_known

@@ -1,0 +1,44 @@
+//! `simod bind`: what every reconstruction of a model finds out anew, once for all.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use simod_core::Result;
+use simod_core::reconstruction::bind;
+use simod_core::sampled_model::SampledModel;
+
+use crate::report::{Report, count};
+
+/// The file in the folder of a sampled model.
+pub const BINDING: &str = "binding.bin";
+
+/// Find out once who is near whom, for a model that will be reconstructed again and again
+#[derive(Args)]
+pub struct Bind {
+    /// The sampled model. `binding.bin` is added to it, which `simod reconstruct` uses by itself
+    #[arg(value_name = "DIR")]
+    sampled: PathBuf,
+    /// The model that was sampled, if it was moved since
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+}
+
+impl Bind {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        let sampled = SampledModel::load(&self.sampled)?;
+        let model = sampled.open_source(self.model.as_deref())?;
+        let path = self.sampled.join(BINDING);
+        let bytes = bind(&sampled, model.as_ref(), &path, report.progress())?;
+        report.figure("vertices", model.info().vertices);
+        report.figure("samples", sampled.samples.len());
+        report.figure("bytes", bytes);
+        report.line(format!(
+            "{} vertices bound to {} samples in {}, {} bytes",
+            count(model.info().vertices),
+            count(sampled.samples.len() as u64),
+            path.display(),
+            count(bytes)
+        ));
+        Ok(())
+    }
+}

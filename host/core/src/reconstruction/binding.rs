@@ -1,0 +1,263 @@
+//! What does not depend on the deformation, kept in a file: who is near whom in P_S, and the home of every vertex. A
+//! model that is deformed again and again is bound to its samples once.
+//!
+//! The file begins with eight letters and a version, and what is known of the samples with a checksum. Then follow the
+//! homes, a part with its own checksum for each chunk that the model is read in: runs of vertices with the same home, as
+//! the difference to the last home and a length.
+
+use std::fs::File;
+use std::io::{self, BufReader, Read, Write};
+use std::path::Path;
+
+use glam::Vec3;
+use serde::Deserialize;
+use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
+
+use super::Surroundings;
+use super::blend::Supports;
+use super::block::homes;
+use super::sheets::Sheets;
+use crate::model::{Model, VertexChunk};
+use crate::output::OutputFile;
+use crate::sampled_model::{SampledModel, fingerprint};
+use crate::{Error, ErrorKind, Progress, Result};
+
+const MAGIC: &[u8; 8] = b"SIMODBND";
+
+/// To be counted up whenever the format changes, or the homes or surroundings of the same samples.
+const VERSION: u32 = 1;
+
+/// Most bytes of a part: a chunk's vertices, each with another home.
+const MOST_BYTES: usize = 10 * crate::model::CHUNK_VERTICES;
+
+/// What is known of the samples.
+#[derive(Deserialize)]
+struct Head {
+    /// Hash of all that it depends on.
+    key: String,
+    /// Normals, if some had to be estimated.
+    normals: Vec<Vec3>,
+    sheets: Sheets,
+    supports: Supports,
+}
+
+/// Binds a model to its samples: writes `path`, whole or not at all. Returns its size in bytes.
+///
+/// Memory: the [`Surroundings`], twice while they are encoded, and a chunk of the model.
+///
+/// # Errors
+/// The model cannot be read or is not what was sampled, the file cannot be written, or the user cancelled.
+pub fn bind(sampled: &SampledModel, model: &dyn Model, path: &Path, progress: &dyn Progress) -> Result<u64> {
+    let failed = |e: io::Error| match e.downcast::<Error>() {
+        Ok(error) => error,
+        Err(e) => Error::io("write", path, &e),
+    };
+    progress.begin("preparing", 0);
+    let samples = &sampled.samples;
+    let around = Surroundings::of(samples);
+    let normals = if samples.knows_normals() { Vec::new() } else { samples.normals().to_vec() };
+    let Surroundings { sheets, supports, .. } = &around;
+    let head = postcard::to_allocvec(&(key(sampled), normals, sheets, supports)).map_err(|e| {
+        Error::new(ErrorKind::Format, format!("cannot write {}: {e}", path.display()), "report it")
+    })?;
+
+    let mut file = OutputFile::create(path, head.len() as u64)?;
+    let mut bytes = (MAGIC.len() + 12 + 16 + head.len()) as u64;
+    for part in [&MAGIC[..], &VERSION.to_le_bytes(), &(head.len() as u64).to_le_bytes(), &head] {
+        file.write_all(part).map_err(failed)?;
+    }
+    file.write_all(&xxh3_128(&head).to_le_bytes()).map_err(failed)?;
+    drop(head);
+
+    progress.begin("binding", model.info().vertex_bytes);
+    let mut reader = model.vertices(0..model.info().vertices)?;
+    let (mut chunk, mut found, mut runs) = (VertexChunk::default(), Vec::new(), Vec::new());
+    let mut hash = xxhash_rust::xxh3::Xxh3Default::new();
+    while reader.read(&mut chunk)? {
+        progress.check()?;
+        hash.update(chunk.raw());
+        homes(&around, &sampled.frame, &chunk.positions, &chunk.normals, &mut found);
+        runs.clear();
+        encode(&found, &mut runs);
+        file.write_all(&(found.len() as u32).to_le_bytes()).map_err(failed)?;
+        file.write_all(&(runs.len() as u32).to_le_bytes()).map_err(failed)?;
+        file.write_all(&xxh3_64(&runs).to_le_bytes()).map_err(failed)?;
+        file.write_all(&runs).map_err(failed)?;
+        bytes += 16 + runs.len() as u64;
+        progress.advance(chunk.raw().len() as u64);
+    }
+    if sampled.source.fingerprint != fingerprint(hash.digest128()) {
+        return Err(sampled.source_changed(model.path()));
+    }
+    file.commit()?;
+    Ok(bytes)
+}
+
+/// Hash of all that a binding depends on.
+fn key(sampled: &SampledModel) -> String {
+    let source = &sampled.source;
+    let (origin, scale) = (sampled.frame.origin.to_array(), sampled.frame.scale);
+    let small =
+        format!("{} {} {} {origin:?} {scale:?}", env!("CARGO_PKG_VERSION"), source.fingerprint, source.bytes);
+    let samples = &sampled.samples;
+    let points = [&samples.positions, samples.known_normals()].map(|v| bytemuck::cast_slice::<Vec3, u8>(v));
+    fingerprint(xxh3_128(
+        &[small.as_bytes(), points[0], points[1]].map(xxh3_128).map(u128::to_le_bytes).concat(),
+    ))
+}
+
+fn encode(homes: &[u32], runs: &mut Vec<u8>) {
+    let mut last = 0;
+    for run in homes.chunk_by(|a, b| a == b) {
+        let step = i64::from(run[0]) - last;
+        number(((step << 1) ^ (step >> 63)) as u64, runs);
+        number(run.len() as u64, runs);
+        last = i64::from(run[0]);
+    }
+}
+
+/// Seven bits in each byte, the lowest first; the highest bit says that there are more.
+fn number(mut x: u64, to: &mut Vec<u8>) {
+    while x >= 0x80 {
+        to.push(x as u8 | 0x80);
+        x >>= 7;
+    }
+    to.push(x as u8);
+}
+
+/// The homes of runs, each less than `samples`, `count` in all; `None` if that is not what they are.
+fn decode(mut runs: &[u8], count: usize, samples: usize, homes: &mut Vec<u32>) -> Option<()> {
+    homes.clear();
+    let mut next = || -> Option<u64> {
+        let mut x = 0;
+        for shift in (0..63).step_by(7) {
+            let (byte, rest) = runs.split_first()?;
+            runs = rest;
+            x |= u64::from(byte & 0x7f) << shift;
+            if *byte < 0x80 {
+                return Some(x);
+            }
+        }
+        None
+    };
+    let mut home = 0i64;
+    while homes.len() < count {
+        let (step, length) = (next()?, next()?);
+        home = home.checked_add((step >> 1) as i64 ^ -((step & 1) as i64))?;
+        let length = usize::try_from(length).ok().filter(|n| (1..=count - homes.len()).contains(n))?;
+        let valid = u32::try_from(home).ok().filter(|home| (*home as usize) < samples)?;
+        homes.resize(homes.len() + length, valid);
+    }
+    runs.is_empty().then_some(())
+}
+
+/// A binding that is read.
+pub(super) struct Binding {
+    file: BufReader<File>,
+    samples: usize,
+    bytes: Vec<u8>,
+    homes: Vec<u32>,
+}
+
+impl Binding {
+    /// Opens the binding of a sampled model, if there is one; why it is of no use, if it is not.
+    pub(super) fn open<'a>(
+        path: &Path,
+        sampled: &'a SampledModel,
+    ) -> std::result::Result<Option<(Self, Surroundings<'a>)>, String> {
+        let file = match File::open(path) {
+            Ok(file) => file,
+            Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(e) => return Err(e.to_string()),
+        };
+        let length = file.metadata().map_err(|e| e.to_string())?.len();
+        let mut file = BufReader::with_capacity(1 << 18, file);
+        let cut_off = |_| "it is cut off".to_owned();
+        let mut start = [0; MAGIC.len() + 12];
+        file.read_exact(&mut start).map_err(cut_off)?;
+        let (magic, rest) = start.split_at(MAGIC.len());
+        let (version, bytes) = rest.split_at(4);
+        if (magic, version) != (&MAGIC[..], &VERSION.to_le_bytes()[..]) {
+            return Err("it is of another version".to_owned());
+        }
+        let bytes = u64::from_le_bytes(bytes.try_into().unwrap_or_default());
+        if bytes > length {
+            return Err("it is cut off".to_owned());
+        }
+        let mut head = vec![0; bytes as usize];
+        file.read_exact(&mut head).map_err(cut_off)?;
+        let mut checksum = [0; 16];
+        file.read_exact(&mut checksum).map_err(cut_off)?;
+        if xxh3_128(&head) != u128::from_le_bytes(checksum) {
+            return Err("its checksum is wrong".to_owned());
+        }
+        let head: Head = postcard::from_bytes(&head).map_err(|e| e.to_string())?;
+        let samples = &sampled.samples;
+        if head.key != key(sampled) {
+            return Err("it belongs to other samples".to_owned());
+        }
+        let n = samples.len();
+        if !head.sheets.is_valid(n) || !head.supports.is_valid(n) || !samples.set_normals(head.normals) {
+            return Err("its numbers make no sense".to_owned());
+        }
+        let around = Surroundings::known(samples, head.sheets, head.supports);
+        Ok(Some((Self { file, samples: n, bytes: Vec::new(), homes: Vec::new() }, around)))
+    }
+
+    /// The homes of the next vertices, which are a chunk.
+    pub(super) fn next(&mut self, vertices: usize) -> Result<&[u32]> {
+        let io = |e: io::Error| damaged(&e.to_string());
+        let mut start = [0; 16];
+        self.file.read_exact(&mut start).map_err(io)?;
+        let word = |at: usize| u32::from_le_bytes([start[at], start[at + 1], start[at + 2], start[at + 3]]);
+        let (count, bytes) = (word(0) as usize, word(4) as usize);
+        if count != vertices || bytes > MOST_BYTES {
+            return Err(damaged("its parts are not those of the model"));
+        }
+        self.bytes.resize(bytes, 0);
+        self.file.read_exact(&mut self.bytes).map_err(io)?;
+        if xxh3_64(&self.bytes).to_le_bytes() != start[8..] {
+            return Err(damaged("a checksum is wrong"));
+        }
+        decode(&self.bytes, count, self.samples, &mut self.homes)
+            .ok_or_else(|| damaged("its numbers make no sense"))?;
+        Ok(&self.homes)
+    }
+}
+
+fn damaged(what: &str) -> Error {
+    Error::new(
+        ErrorKind::Format,
+        format!("the binding of the model to its samples is of no use: {what}"),
+        "run simod bind again, or delete binding.bin",
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn runs_come_back(lengths in proptest::collection::vec((0u32..1000, 1usize..20), 0..50)) {
+            let homes: Vec<u32> = lengths.iter().flat_map(|(home, n)| vec![*home; *n]).collect();
+            let (mut runs, mut back) = (Vec::new(), Vec::new());
+            encode(&homes, &mut runs);
+            prop_assert!(decode(&runs, homes.len(), 1000, &mut back).is_some());
+            prop_assert_eq!(&back, &homes);
+            // Too few samples, too many or too few vertices.
+            prop_assert!(homes.iter().all(|h| *h < 500) == decode(&runs, homes.len(), 500, &mut back).is_some());
+            prop_assert!(decode(&runs, homes.len() + 1, 1000, &mut back).is_none());
+            prop_assert!(homes.is_empty() || decode(&runs, homes.len() - 1, 1000, &mut back).is_none());
+        }
+
+        #[test]
+        fn any_bytes_are_refused_or_fit(bytes in proptest::collection::vec(any::<u8>(), 0..100), count in 0usize..200) {
+            let mut homes = Vec::new();
+            if decode(&bytes, count, 50, &mut homes).is_some() {
+                prop_assert!(homes.len() == count && homes.iter().all(|h| *h < 50));
+            }
+        }
+    }
+}
