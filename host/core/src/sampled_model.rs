@@ -20,6 +20,9 @@ use crate::{Error, ErrorKind, Progress, Result, output};
 /// What is written on the first line of `simod.toml`.
 const FORMAT: &str = "simod-sampled-model/1";
 
+/// The file of a folder that [`bind`](crate::reconstruction::bind) adds.
+pub const BINDING: &str = "binding.bin";
+
 /// The file with the cells: see [`KeptCells`].
 const CELLS: &str = "cells.bin";
 
@@ -251,7 +254,7 @@ impl SampledModel {
         let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
         let foreign = |name: &std::ffi::OsStr| {
             let left = name.to_str().is_some_and(|n| n.starts_with(".simod-") && n.ends_with(".part"));
-            name != "simod.toml" && name != "samples.ply" && name != CELLS && !left
+            name != "simod.toml" && name != "samples.ply" && name != CELLS && name != BINDING && !left
         };
         match entries.flatten().map(|e| e.file_name()).find(|name| foreign(name)) {
             Some(name) => refused(format!("holds {} beside the samples", name.display())),

@@ -5,12 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 use simod_core::Result;
 use simod_core::reconstruction::bind;
-use simod_core::sampled_model::SampledModel;
+use simod_core::sampled_model::{BINDING, SampledModel};
 
 use crate::report::{Report, count};
-
-/// The file in the folder of a sampled model.
-pub const BINDING: &str = "binding.bin";
 
 /// Find out once who is near whom, for a model that will be reconstructed again and again
 #[derive(Args)]

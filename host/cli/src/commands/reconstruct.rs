@@ -5,9 +5,8 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use simod_core::Result;
 use simod_core::reconstruction::{Method, Normals, PART_BYTES, Reconstruction, Version, reconstruct};
-use simod_core::sampled_model::SampledModel;
+use simod_core::sampled_model::{BINDING, SampledModel};
 
-use super::bind::BINDING;
 use super::sample::parse_bytes;
 use super::warn_non_finite;
 use crate::report::{Report, count, rate};

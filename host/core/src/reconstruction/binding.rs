@@ -206,7 +206,7 @@ impl Binding {
 
     /// The homes of the next vertices, which are a chunk.
     pub(super) fn next(&mut self, vertices: usize) -> Result<&[u32]> {
-        let io = |e: io::Error| damaged(&e.to_string());
+        let io = |_| damaged("it is cut off");
         let mut start = [0; 16];
         self.file.read_exact(&mut start).map_err(io)?;
         let word = |at: usize| u32::from_le_bytes([start[at], start[at + 1], start[at + 2], start[at + 3]]);
