@@ -27,8 +27,8 @@ const FIT_NEIGHBOURS: usize = 28;
 /// Ridge relative to terms of the size of the neighbourhood.
 const RIDGE: f64 = 1e-7;
 
-/// What a fit leaves over counts as noise of its data: so much of it, as a part of the data's square, is added to the
-/// ridge, as Wiener's filter would.
+/// What a fit leaves over counts as noise of its data: a ridge of so much of it, as a part of the data's square, shows what
+/// the fit explains by terms that the noise leaves undetermined (as Wiener's filter would).
 const NOISE: f64 = 0.3;
 
 /// What a fit to a smooth map may leave over, as a part of the data's square.
@@ -238,8 +238,9 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
         let explained: f64 = c.iter().zip(&right).map(|(c, b)| c.dot(*b)).sum();
         Some((c, (1.0 - explained / squares).max(0.0)))
     };
-    let Some((_, left)) = ridged(RIDGE) else { return affine };
-    let Some((c, part)) = ridged(RIDGE + NOISE * (left - SMOOTH).max(0.0)) else { return affine };
+    let Some((c, left)) = ridged(RIDGE) else { return affine };
+    // What terms explain that noise of this size leaves undetermined is not relied on.
+    let Some((_, part)) = ridged(RIDGE + NOISE * (left - SMOOTH).max(0.0)) else { return affine };
     let first = |a: usize| (c[a] * scale).as_vec3();
     let second = [3, 4, 5, 6, 7, 8].map(|a: usize| (c[a] * scale * scale).as_vec3());
     let slope = gradient + Mat3::from_cols(first(0), first(1), first(2));

@@ -63,16 +63,12 @@ impl Expansion {
         (Vec3::from_array(parts.map(|(u, _)| u)), gradient)
     }
 
-    /// The displacement of a point beyond the support, and its gradient: the second order stays what it is at the margin,
-    /// as no neighbour told what it is there; and as far as the expansion is in doubt, it goes on as the sample itself.
-    pub fn beyond(&self, p: Vec3, doubt: f32) -> (Vec3, Mat3) {
-        let d = p - Vec3::from_array(self.center);
+    /// The displacement of a point at `d`, beyond the support, and its gradient: the second order stays what it is at the
+    /// margin, as no neighbour told what it is there.
+    pub fn beyond(&self, d: Vec3) -> (Vec3, Mat3) {
         let margin = (1.0 / (d.length_squared() * self.inverse_square)).min(1.0);
         let mut inner = *self;
-        for row in &mut inner.rows {
-            row[1..4].iter_mut().for_each(|x| *x *= 1.0 - doubt);
-            row[4..].iter_mut().for_each(|x| *x *= margin);
-        }
+        inner.rows.iter_mut().flat_map(|row| &mut row[4..]).for_each(|x| *x *= margin);
         inner.at(d)
     }
 }

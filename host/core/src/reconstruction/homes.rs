@@ -14,6 +14,9 @@ use crate::sampling::SampleSet;
 /// sample, as every sample knows all supports that meet its own.
 const STAYS: f32 = 0.5;
 
+/// A vertex further from the last home than this many of its supports is not walked to: vertices in no order.
+const LOST: f32 = 4.0;
+
 /// What homes are found with.
 #[derive(Clone, Copy)]
 pub struct Homes<'a> {
@@ -53,8 +56,8 @@ impl<'a> Homes<'a> {
         }));
     }
 
-    /// Steps to ever nearer samples, unless the vertex is near enough to the first one; `None` where that ends beyond the support of the last one, so that its home does not
-    /// know all supports there.
+    /// Steps to ever nearer samples, unless the vertex is near enough to the first one; `None` where it is too far away,
+    /// or beyond the support of the last one, which does not know all supports there.
     #[inline]
     fn walk(&self, from: u32, p: Vec3) -> Option<u32> {
         let squared = |i: u32| self.positions[i as usize].distance_squared(p);
@@ -62,6 +65,10 @@ impl<'a> Homes<'a> {
         let stays = STAYS * self.radius[from as usize];
         if distance < stays * stays {
             return Some(from);
+        }
+        let lost = LOST * self.radius[from as usize];
+        if distance > lost * lost {
+            return None;
         }
         loop {
             let here = self.positions[at as usize];

@@ -17,13 +17,13 @@ const OVERSHOOT: f32 = 0.02;
 
 /// The homes that samples in doubt reach, and what prevails around them.
 ///
-/// Memory: four bytes per sample, and 44 for each home that is concerned.
+/// Memory: eight bytes per sample, and 40 for each home that is concerned, unless no sample is in doubt.
 #[derive(Debug, Default)]
 pub struct Limiter {
     /// For each home its place in `prevailing`, or [`NONE`]; empty if no sample is in doubt.
     concerned: Vec<u32>,
-    /// The mean gradient of the displacement around a home, and the most that it may make of a way: half of the
-    /// displacements' spread, as supports end halfway to the furthest of these samples.
+    /// The mean gradient of the displacement around a home, and the most that it may make of a way: the largest
+    /// difference of their displacements from the home's.
     prevailing: Vec<(Mat3, f32)>,
     /// How little the expansion of each sample is to be believed, from 0 to 1; empty if no sample is in doubt.
     doubt: Vec<f32>,
@@ -64,9 +64,17 @@ impl Limiter {
         self.concerned.get(home).is_some_and(|place| *place != NONE)
     }
 
-    /// How little the expansion of a sample is to be believed, from 0 to 1.
-    pub fn doubt(&self, sample: usize) -> f32 {
-        self.doubt.get(sample).copied().unwrap_or(0.0)
+    /// The displacement of a point at `d` from a sample, beyond its support, and the gradient there.
+    pub fn beyond(&self, expansions: &[Expansion], sample: usize, d: Vec3) -> (Vec3, Mat3) {
+        let e = &expansions[sample];
+        let (u, slope) = e.beyond(d);
+        if !self.concerns(sample) {
+            return (u, slope);
+        }
+        let (prevailing, most) = self.prevailing[self.concerned[sample] as usize];
+        let doubt = self.doubt[sample];
+        let held = e.displacement() + (prevailing * d).clamp_length_max(most);
+        (u.lerp(held, doubt), slope * (1.0 - doubt) + prevailing * doubt)
     }
 
     /// The displacement of a vertex at `p`, for which the expansions around its home, which is concerned, give
@@ -84,7 +92,8 @@ impl Limiter {
             supports.of_home(home).iter().filter_map(|r| {
                 let e = &expansions[r.sample as usize];
                 let d = p - Vec3::from_array(e.center);
-                let w = r.facing * (1.0 - d.length_squared() * e.inverse_square).max(0.0).powi(3);
+                let s = (1.0 - d.length_squared() * e.inverse_square).max(0.0);
+                let w = r.facing * s * s * s;
                 (w > 0.0).then(|| {
                     (
                         w,

@@ -146,7 +146,8 @@ impl<'a> DeformationField<'a> {
         let (mut displacement, mut gradient, mut sum) = (Vec3::ZERO, Mat3::ZERO, 0.0);
         for &(i, w) in around.weighted() {
             let i = i as usize;
-            let (u, slope) = self.expansions[i].beyond(p, self.limiter.doubt(i));
+            let d = p - Vec3::from_array(self.expansions[i].center);
+            let (u, slope) = self.limiter.beyond(&self.expansions, i, d);
             displacement += w * u;
             gradient += w * slope;
             sum += w;
