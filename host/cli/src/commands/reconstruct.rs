@@ -140,10 +140,9 @@ impl Reconstruct {
 fn describe_folding(paths: &[VersionPaths], folding: &[Option<Folding>], report: &mut Report) {
     let known = || paths.iter().zip(folding).filter_map(|(paths, folding)| Some((paths, (*folding)?)));
     report.figure("folded_samples", known().map(|(_, f)| f.samples).sum::<u64>());
-    if let Some(vertices) =
-        known().map(|(_, f)| f.vertices).sum::<Option<u64>>().filter(|_| !paths.is_empty())
-    {
-        report.figure("folded_vertices", vertices);
+    let vertices = || known().filter_map(|(_, f)| f.vertices);
+    if vertices().next().is_some() {
+        report.figure("folded_vertices", vertices().sum::<u64>());
     }
     for (paths, folding) in known() {
         let Some(first) = folding.first else { continue };
