@@ -123,7 +123,7 @@ fn stretches_of_an_affine_map() {
 #[test]
 fn what_is_turned_inside_out_is_marked() {
     let work = sampled("--shape bumpy-sphere");
-    let height = middle(&work).y + 0.2 * work.ply("model.ply").diagonal();
+    let height = middle(&work).y + 0.1 * work.ply("model.ply").diagonal();
     let inwards = |p: DVec3| if p.y > height { DVec3::new(p.x, 2.0 * height - p.y, p.z) } else { p };
     let mirrored = |p: DVec3| p * DVec3::new(-1.0, 1.0, 1.0);
     let spacing = 0.05 * work.ply("model.ply").diagonal();

@@ -136,7 +136,7 @@ impl Reconstruct {
     }
 }
 
-/// Says what the versions turn inside out.
+/// Says where the versions fold the surface.
 fn describe_folding(paths: &[VersionPaths], folding: &[Option<Folding>], report: &mut Report) {
     let known = || paths.iter().zip(folding).filter_map(|(paths, folding)| Some((paths, (*folding)?)));
     report.figure("folded_samples", known().map(|(_, f)| f.samples).sum::<u64>());

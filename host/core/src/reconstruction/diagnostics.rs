@@ -46,11 +46,13 @@ pub fn principal_stretches(gradient: &Mat3, normal: Vec3) -> [f32; 2] {
     [largest, smallest.min(largest)]
 }
 
-/// Where a deformation turns the samples' surroundings inside out.
+/// Where a deformation folds the surface, so that a part of it is turned inside out.
 ///
-/// Counted are samples at which the sign of the gradient's determinant is not that of most samples: so a mirror of the
-/// whole model folds nothing. Where the surface is flat, nothing tells the sign, and nothing is counted.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Folded are samples at which the sign of the gradient's determinant is not that of most samples: so a mirror of the
+/// whole model folds nothing. What lies off the surface is known from its relief alone, and a dent or a bend may
+/// look mirrored by that. So they count only if the surface doubles back somewhere around them: if the images of its
+/// tangent planes, from one sample to the next, turn by more than a right angle.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Folds {
     /// Number of folded samples.
     pub samples: u64,
@@ -58,25 +60,64 @@ pub struct Folds {
     pub first: Option<usize>,
     /// Most of the samples are mirrored.
     mirrored: bool,
+    /// Whether each sample is folded, or a neighbour of it is.
+    near: Vec<bool>,
 }
 
 impl Folds {
-    /// Of the expansions of all samples, and whether the surface around each tells the sign of its determinant.
-    pub fn of(expansions: &[Expansion], is_told: &[bool]) -> Self {
-        let told = || expansions.iter().zip(is_told).enumerate().filter(|(_, (_, told))| **told);
-        let signs = || told().map(|(i, (e, _))| (i, (Mat3::IDENTITY + e.slope()).determinant()));
-        let negative = signs().filter(|(_, d)| *d < 0.0).count();
-        let positive = signs().filter(|(_, d)| *d > 0.0).count();
-        let mut folds = Self { samples: 0, first: None, mirrored: negative > positive };
-        folds.samples = negative.min(positive) as u64;
-        folds.first = signs().find(|(_, d)| folds.differs(*d)).map(|(i, _)| i);
+    /// Of the expansions at all samples, which have these normals and neighbours at rest; `is_told` says of each whether
+    /// the surface around it tells the sign of its determinant.
+    pub fn of<'s>(
+        expansions: &[Expansion],
+        is_told: &[bool],
+        normals: &[Vec3],
+        neighbours: impl Fn(usize) -> &'s [u32],
+    ) -> Self {
+        let all = || 0..expansions.len();
+        let gradients: Vec<Mat3> = expansions.iter().map(|e| Mat3::IDENTITY + e.slope()).collect();
+        let signs = || gradients.iter().zip(is_told).filter(|(_, told)| **told).map(|(g, _)| g.determinant());
+        let mirrored = signs().filter(|d| *d < 0.0).count() > signs().filter(|d| *d > 0.0).count();
+        let mut folds = Self { samples: 0, first: None, mirrored, near: Vec::new() };
+
+        let differs = |i: usize| is_told[i] && folds.differs(&gradients[i]);
+        let doubles_back = |i: usize, j: usize| {
+            let image = |i: usize| area_image(&gradients[i], normals[i]);
+            normals[i].dot(normals[j]) > 0.0 && image(i).dot(image(j)) < 0.0
+        };
+        let around = |i: usize| neighbours(i).iter().map(|j| *j as usize);
+        let at_the_fold = |i: &usize| differs(*i) && around(*i).any(|j| !differs(j) && doubles_back(*i, j));
+        let mut to_visit: Vec<usize> = all().filter(at_the_fold).collect();
+        let mut folded = vec![false; expansions.len()];
+        while let Some(i) = to_visit.pop() {
+            if !std::mem::replace(&mut folded[i], true) {
+                to_visit.extend(around(i).filter(|j| differs(*j) && !folded[*j]));
+            }
+        }
+        folds.samples = folded.iter().filter(|f| **f).count() as u64;
+        folds.first = folded.iter().position(|f| *f);
+        if folds.samples > 0 {
+            folds.near = all().map(|i| folded[i] || around(i).any(|j| folded[j])).collect();
+        }
         folds
     }
 
-    /// Whether a determinant has not the sign that most samples have.
-    pub fn differs(&self, determinant: f32) -> bool {
+    /// Whether a vertex of this home is folded, where the deformation has this gradient.
+    pub fn contains(&self, home: usize, gradient: &Mat3) -> bool {
+        self.near.get(home).is_some_and(|near| *near) && self.differs(gradient)
+    }
+
+    /// Whether the determinant has not the sign that most samples have.
+    fn differs(&self, gradient: &Mat3) -> bool {
+        let determinant = gradient.determinant();
         if self.mirrored { determinant > 0.0 } else { determinant < 0.0 }
     }
+}
+
+/// What becomes of a piece of surface across `normal`, as a vector across its image: on the same side as seen within the
+/// surface, whether or not the deformation mirrors.
+fn area_image(gradient: &Mat3, normal: Vec3) -> Vec3 {
+    let (s, t) = normal.any_orthonormal_pair();
+    (*gradient * s).cross(*gradient * t) * s.cross(t).dot(normal).signum()
 }
 
 /// A file of figures in the making, vertex by vertex: a binary PLY file with the deformed positions, which any viewer
@@ -191,18 +232,29 @@ mod tests {
     }
 
     #[test]
-    fn the_minority_is_folded() {
-        let of = |scales: &[f32], is_told: &[bool]| {
-            let along_x = |s: &f32| Mat3::from_diagonal(Vec3::new(s - 1.0, 0.0, 0.0));
-            let expansion = |s| Expansion::new(Vec3::ZERO, Vec3::ZERO, along_x(s), [Vec3::ZERO; 6]);
-            let folds = Folds::of(&scales.iter().map(expansion).collect::<Vec<_>>(), is_told);
+    fn the_minority_is_folded_if_the_surface_doubles_back() {
+        // A row of samples on a plane.
+        let of = |scales: &[Vec3], is_told: &[bool]| {
+            let expansion = |s: &Vec3| {
+                Expansion::new(Vec3::ZERO, Vec3::ZERO, Mat3::from_diagonal(*s - 1.0), [Vec3::ZERO; 6])
+            };
+            let expansions: Vec<Expansion> = scales.iter().map(expansion).collect();
+            let neighbours = |i: usize| -> &[u32] { [&[1][..], &[0, 2], &[1, 3], &[2]][i] };
+            let folds = Folds::of(&expansions, is_told, &[Vec3::Z; 4][..scales.len()], neighbours);
             (folds.samples, folds.first)
         };
-        assert_eq!(of(&[1.0, 2.0, 0.5], &[true; 3]), (0, None));
-        assert_eq!(of(&[1.0, -2.0, 0.5], &[true; 3]), (1, Some(1)));
-        assert_eq!(of(&[-1.0, -2.0, 0.5], &[true; 3]), (1, Some(2)));
-        assert_eq!(of(&[-1.0, -2.0, -0.5], &[true; 3]), (0, None));
-        assert_eq!(of(&[1.0, 0.0, f32::NAN], &[true; 3]), (0, None));
-        assert_eq!(of(&[1.0, -2.0, 0.5], &[true, false, true]), (0, None));
+        let along = |x: f32| Vec3::new(x, 1.0, 1.0);
+        let (plain, back, across) = (Vec3::ONE, along(-1.0), Vec3::new(1.0, 1.0, -1.0));
+        let all = &[true; 4];
+        assert_eq!(of(&[plain, along(2.0), along(0.5), plain], all), (0, None));
+        assert_eq!(of(&[plain, plain, plain, back], all), (1, Some(3)));
+        assert_eq!(of(&[plain, plain, along(-2.0), back], all), (2, Some(2)));
+        assert_eq!(of(&[back, along(-2.0), back, plain], all), (1, Some(3)));
+        assert_eq!(of(&[back; 4], all), (0, None));
+        assert_eq!(of(&[plain, along(0.0), along(f32::NAN), plain], all), (0, None));
+        assert_eq!(of(&[plain, plain, plain, back], &[true, true, true, false]), (0, None));
+        // By its relief alone.
+        assert_eq!(of(&[plain, plain, across, plain], all), (0, None));
+        assert_eq!(of(&[back, plain, plain, across], all), (1, Some(0)));
     }
 }

@@ -133,19 +133,20 @@ impl<'a> DeformationField<'a> {
         let reached = |home| supports.of_home(home).iter().any(|r| moves[r.sample as usize]);
         let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || reached(home)).collect();
         let limiter = Limiter::new(supports, &expansions, &doubtful);
-        let folds = Folds::of(&expansions, &frames.tells_side);
+        let neighbours = |i| sheets.of_sample(i);
+        let folds = Folds::of(&expansions, &frames.tells_side, samples.normals(), neighbours);
         Self { around, deformed, method, frames, expansions, limiter, active, folds }
     }
 
-    /// Where it turns the samples' surroundings inside out.
-    pub fn folds(&self) -> Folds {
-        self.folds
+    /// Where it folds the surface.
+    pub fn folds(&self) -> &Folds {
+        &self.folds
     }
 
     /// What becomes of the surface at a vertex of this home. `distance` is how far it moves, in the model's unit.
     fn figures(&self, home: usize, distance: f64, gradient: &Mat3) -> Figures {
         let stretch = principal_stretches(gradient, self.around.samples.normals()[home]);
-        let folded = self.frames.tells_side[home] && self.folds.differs(gradient.determinant());
+        let folded = self.folds.contains(home, gradient);
         Figures { displacement: distance as f32, stretch, folded }
     }
 

@@ -60,15 +60,16 @@ impl Default for Reconstruction {
     }
 }
 
-/// What a deformation turns inside out: parts where it is mirrored and most of the model is not, or the other way round.
-/// A mirror of the whole model turns nothing inside out.
+/// Where a deformation folds the surface: parts of it are mirrored and most of the model is not, or the other way round,
+/// and between them it doubles back. A mirror of the whole model folds nothing; and where the surface is flat, nothing
+/// tells, and nothing is counted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Folding {
-    /// Number of samples where it does.
+    /// Number of folded samples.
     pub samples: u64,
     /// The first of them, in the model's coordinates at rest.
     pub first: Option<DVec3>,
-    /// Number of vertices where it does, if diagnostics were asked for.
+    /// Number of folded vertices, if diagnostics were asked for.
     pub vertices: Option<u64>,
 }
 
@@ -81,7 +82,7 @@ pub struct Reconstructed {
     pub non_finite: u64,
     /// Bytes of the outputs that an earlier call wrote.
     pub taken_over: u64,
-    /// What each version turns inside out; nothing is known of those that an earlier call had finished.
+    /// Where each version folds the surface; nothing is known of those that an earlier call had finished.
     pub folding: Vec<Option<Folding>>,
 }
 
