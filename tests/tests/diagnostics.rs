@@ -90,7 +90,8 @@ fn displacements_are_between_both_files() {
             assert_eq!(figures.len(), before.len());
             for ((f, p), q) in figures.iter().zip(before).zip(after) {
                 assert!((f.displacement - p.distance(q)).abs() < 1e-6 * diagonal, "{p}: {}", f.displacement);
-                assert!(f.smallest <= f.largest && f.smallest > 0.2 && f.largest < 4.0 && f.folded == 0);
+                assert!((0.0..=f.largest).contains(&f.smallest) && f.largest.is_finite(), "{p}");
+                assert_eq!(f.folded, 0, "{p}");
             }
         }
     }
