@@ -72,7 +72,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
     for ((name, method), map) in methods.into_iter().flat_map(|m| Map::ALL.map(|map| (m, map))) {
         let samples = map.deform(&sampled);
         let start = Instant::now();
-        let version = Version { deformed: &samples, output: &deformed };
+        let version = Version { deformed: &samples, output: &deformed, diagnostics: None };
         let how = Reconstruction { method, ..Reconstruction::default() };
         reconstruct(&sampled, model.as_ref(), &[version], &how, &Silent)?;
         let seconds = start.elapsed().as_secs_f64();

@@ -9,32 +9,41 @@ use simod_core::{Error, ErrorKind, Result};
 /// Stands in an output's name for what tells the versions apart.
 const PLACE: &str = "{}";
 
-/// Deformed samples, and the model to write.
+/// Deformed samples, the model to write, and the diagnostics, if they are asked for.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct VersionPaths {
     pub deformed: PathBuf,
     pub output: PathBuf,
+    pub diagnostics: Option<PathBuf>,
 }
 
-/// All versions that `deformed`, files or patterns, and `output` speak of; those of a pattern in natural order.
+/// All versions that `deformed`, files or patterns, and `output` and `diagnostics` speak of; those of a pattern in natural
+/// order.
 ///
 /// # Errors
-/// A pattern matches no file; several versions would have the same output, or an output is one of the deformed files.
-pub fn versions(deformed: &[PathBuf], output: &Path) -> Result<Vec<VersionPaths>> {
+/// A pattern matches no file; two files to write would be the same, or one is one of the deformed files.
+pub fn versions(
+    deformed: &[PathBuf],
+    output: &Path,
+    diagnostics: Option<&Path>,
+) -> Result<Vec<VersionPaths>> {
     let mut versions: Vec<VersionPaths> = Vec::new();
     for named in deformed {
         for (deformed, name) in files(named)? {
-            let output = match output.to_str() {
+            let named = |target: &Path| match target.to_str() {
                 Some(text) => PathBuf::from(text.replace(PLACE, &name)),
-                None => output.to_owned(),
+                None => target.to_owned(),
             };
-            versions.push(VersionPaths { deformed, output });
+            let (output, diagnostics) = (named(output), diagnostics.map(named));
+            versions.push(VersionPaths { deformed, output, diagnostics });
         }
     }
-    if versions.len() > 1 && !output.to_str().is_some_and(|text| text.contains(PLACE)) {
+    let is_one = |target: &&Path| !target.to_str().is_some_and(|text| text.contains(PLACE));
+    if let Some(target) = [output].into_iter().chain(diagnostics).find(is_one).filter(|_| versions.len() > 1)
+    {
         return Err(Error::new(
             ErrorKind::Argument,
-            format!("{} versions of the model cannot all be written to {}", versions.len(), output.display()),
+            format!("{} versions of the model cannot all be written to {}", versions.len(), target.display()),
             "put {} where they differ, as in -o 'out-{}.ply': it stands for what the * of --deformed matched",
         ));
     }
@@ -51,12 +60,13 @@ pub fn versions(deformed: &[PathBuf], output: &Path) -> Result<Vec<VersionPaths>
                 "name each file once, and let {} in -o stand for what differs",
             ));
         }
-        let is_output = |v: &&VersionPaths| is_same_file(&v.deformed, &version.output);
+        let targets = || [&version.output].into_iter().chain(&version.diagnostics);
+        let is_output = |v: &&VersionPaths| targets().any(|target| is_same_file(&v.deformed, target));
         if let Some(read) = versions.iter().find(is_output) {
             return Err(Error::new(
                 ErrorKind::Argument,
                 format!("{} is one of the deformed files", read.deformed.display()),
-                "write the deformed model to another file",
+                "write to another file",
             ));
         }
     }
@@ -182,7 +192,7 @@ mod tests {
         std::fs::create_dir(at("f-4.ply")).unwrap();
         let outputs = |deformed: &[&str], output: &str| -> Result<Vec<PathBuf>> {
             let deformed: Vec<PathBuf> = deformed.iter().map(|d| at(d)).collect();
-            Ok(versions(&deformed, &at(output))?.into_iter().map(|v| v.output).collect())
+            Ok(versions(&deformed, &at(output), None)?.into_iter().map(|v| v.output).collect())
         };
         let error = |deformed: &[&str], output: &str| outputs(deformed, output).unwrap_err().to_string();
         assert_eq!(outputs(&["f-*.ply"], "o-{}").unwrap(), [at("o-"), at("o-2"), at("o-10")]);

@@ -63,7 +63,7 @@ impl Work {
         let versions: Vec<Version<'_>> = versions
             .iter()
             .zip(&outputs)
-            .map(|(v, output)| Version { deformed: &self.deformed[*v], output })
+            .map(|(v, output)| Version { deformed: &self.deformed[*v], output, diagnostics: None })
             .collect();
         Ok(reconstruct(&self.sampled, self.model.as_ref(), &versions, how, progress)?.taken_over)
     }
@@ -354,10 +354,11 @@ fn another_key_starts_anew() {
 fn two_outputs_that_are_one_file_are_refused() {
     let work = Work::new(Encoding::BinaryLittleEndian);
     let outputs = [work.path("out"), work.path("./out")];
-    let versions = outputs.each_ref().map(|output| Version { deformed: &work.deformed[0], output });
+    let deformed = &work.deformed[0];
+    let versions = outputs.each_ref().map(|output| Version { deformed, output, diagnostics: None });
     let error = reconstruct(&work.sampled, work.model.as_ref(), &versions, &how(false), &Silent).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Argument);
-    assert!(error.to_string().starts_with("two versions go to "), "{error}");
+    assert!(error.to_string().starts_with("two files go to "), "{error}");
     assert!(work.names().is_empty());
 }
 

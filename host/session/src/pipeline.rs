@@ -92,7 +92,7 @@ impl Run {
         let folder = folder_of(output);
         let sampled = sample(model.as_ref(), &session.sampling.into(), folder, progress)?;
         let deformed = deform(&sampled, &stack, progress)?;
-        let version = Version { deformed: &deformed.positions, output };
+        let version = Version { deformed: &deformed.positions, output, diagnostics: None };
         reconstruct(&sampled, model.as_ref(), &[version], how, progress)?;
         Ok(Self { sampled, deformed, output: output.to_owned(), seconds: start.elapsed().as_secs_f64() })
     }

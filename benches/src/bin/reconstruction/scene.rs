@@ -141,7 +141,7 @@ impl Scene {
     fn reconstruct(&self, method: reconstruction::Method, deformed: &[Vec3]) -> Result<Cost> {
         let clock = StageClock::default();
         let start = own_cpu();
-        let version = Version { deformed, output: &self.output() };
+        let version = Version { deformed, output: &self.output(), diagnostics: None };
         let how = Reconstruction { method, ..Reconstruction::default() };
         reconstruct(&self.sampled, self.model.as_ref(), &[version], &how, &clock)?;
         let (end, began) = (own_cpu(), clock.began("reconstructing").unwrap_or(start));

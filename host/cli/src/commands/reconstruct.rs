@@ -4,13 +4,15 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use simod_core::Result;
-use simod_core::reconstruction::{Method, Normals, PART_BYTES, Reconstruction, Version, reconstruct};
+use simod_core::reconstruction::{
+    Folding, Method, Normals, PART_BYTES, Reconstruction, Version, reconstruct,
+};
 use simod_core::sampled_model::{BINDING, SampledModel};
 
 use super::sample::parse_bytes;
 use super::warn_non_finite;
 use crate::report::{Report, count, rate};
-use crate::versions::versions;
+use crate::versions::{VersionPaths, versions};
 
 /// Stream the deformation of the samples onto every vertex of the model, or several deformations at once
 #[derive(Args)]
@@ -26,6 +28,11 @@ pub struct Reconstruct {
     /// its ending
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// A PLY file to write beside it, for viewers of scalar fields: each vertex' new position, its displacement, the largest
+    /// and the smallest stretch of the surface, and whether it is folded (turned inside out). {} as in -o; not with
+    /// --resume
+    #[arg(long, value_name = "FILE")]
+    diagnostics: Option<PathBuf>,
     /// The model that was sampled, if it was moved since
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -86,7 +93,7 @@ impl From<MethodName> for Method {
 
 impl Reconstruct {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        let paths = versions(&self.deformed, &self.output)?;
+        let paths = versions(&self.deformed, &self.output, self.diagnostics.as_deref())?;
         let sampled = SampledModel::load(&self.sampled)?;
         let deformed =
             paths.iter().map(|v| sampled.read_deformed(&v.deformed)).collect::<Result<Vec<_>>>()?;
@@ -94,7 +101,11 @@ impl Reconstruct {
         let versions: Vec<Version<'_>> = paths
             .iter()
             .zip(&deformed)
-            .map(|(v, deformed)| Version { deformed, output: &v.output })
+            .map(|(v, deformed)| Version {
+                deformed,
+                output: &v.output,
+                diagnostics: v.diagnostics.as_deref(),
+            })
             .collect();
         let binding = self.sampled.join(BINDING);
         let how = Reconstruction {
@@ -106,6 +117,7 @@ impl Reconstruct {
         };
         let done = reconstruct(&sampled, model.as_ref(), &versions, &how, report.progress())?;
         warn_non_finite(&sampled, report);
+        describe_folding(&paths, &done.folding, report);
         report.figure("vertices", done.vertices);
         report.figure("versions", versions.len());
         report.figure("samples", sampled.samples.len());
@@ -123,5 +135,27 @@ impl Reconstruct {
             rate(done.vertices * versions.len() as u64, report.seconds())
         ));
         Ok(())
+    }
+}
+
+/// Says where the versions fold the surface.
+fn describe_folding(paths: &[VersionPaths], folding: &[Option<Folding>], report: &mut Report) {
+    let known = || paths.iter().zip(folding).filter_map(|(paths, folding)| Some((paths, (*folding)?)));
+    report.figure("folded_samples", known().map(|(_, f)| f.samples).sum::<u64>());
+    let vertices = || known().filter_map(|(_, f)| f.vertices);
+    if vertices().next().is_some() {
+        report.figure("folded_vertices", vertices().sum::<u64>());
+    }
+    for (paths, folding) in known() {
+        let Some(first) = folding.first else { continue };
+        let which = if known().count() > 1 { format!("{}: ", paths.output.display()) } else { String::new() };
+        report.warn(format!(
+            "{which}the deformation folds the surface at {} samples, first near ({:.6}, {:.6}, {:.6}); deform it less \
+             there, or look at it with --diagnostics",
+            count(folding.samples),
+            first.x,
+            first.y,
+            first.z
+        ));
     }
 }

@@ -3,12 +3,12 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::blend::{Grouped, LEAST_WEIGHT, PACKET, blend};
 use super::homes::Homes;
-use super::{DeformationField, Method, Surroundings, projected_barycentric};
+use super::{DeformationField, Figures, Method, Surroundings, Transport, projected_barycentric};
 use crate::frame::Frame;
 
 /// Vertices of a block: many, so that there are several of each home. A fixed number, so that the result does not
@@ -56,6 +56,8 @@ pub struct Moved<'a> {
     pub positions: &'a mut [DVec3],
     /// Normals that are to be turned: as many, or none.
     pub normals: &'a mut [Vec3],
+    /// What becomes of the surface, which is filled in: as many, or none.
+    pub figures: &'a mut [Figures],
 }
 
 /// Carries consecutive vertices of the model over, by each of the fields for one of `moved`, on all cores. `positions`
@@ -75,10 +77,11 @@ pub fn carry(
     let Some(first) = fields.first() else { return };
     let mut blocks: Vec<Vec<Moved<'_>>> = Vec::new();
     blocks.resize_with(positions.len().div_ceil(BLOCK), Vec::new);
-    for Moved { positions, normals } in moved {
-        let mut of_normals = normals.chunks_mut(BLOCK);
+    for Moved { positions, normals, figures } in moved {
+        let (mut of_normals, mut of_figures) = (normals.chunks_mut(BLOCK), figures.chunks_mut(BLOCK));
         for (block, positions) in blocks.iter_mut().zip(positions.chunks_mut(BLOCK)) {
-            block.push(Moved { positions, normals: of_normals.next().unwrap_or_default() });
+            let normals = of_normals.next().unwrap_or_default();
+            block.push(Moved { positions, normals, figures: of_figures.next().unwrap_or_default() });
         }
     }
     blocks.into_par_iter().zip(positions.par_chunks(BLOCK)).enumerate().for_each(
@@ -139,7 +142,7 @@ impl Workspace {
 
     /// Carries the block over.
     fn carry(&mut self, field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3], moved: Moved<'_>) {
-        let Moved { positions: images, normals } = moved;
+        let Moved { positions: images, normals, figures } = moved;
         if field.method == Method::BlendedJets {
             self.grouped.normals.iter_mut().for_each(|v| {
                 v.resize(if normals.is_empty() { 0 } else { self.grouped.positions[0].len() }, 0.0)
@@ -147,28 +150,58 @@ impl Workspace {
             for (n, place) in normals.iter().zip(&self.place).filter(|(_, place)| **place != NOWHERE) {
                 (0..3).for_each(|i| self.grouped.normals[i][*place as usize] = n[i]);
             }
-            blend(&field.around.supports, &field.expansions, false, &mut self.grouped);
+            blend(&field.around.supports, &field.expansions, !figures.is_empty(), &mut self.grouped);
         }
         for (i, (p, image)) in positions.iter().zip(images).enumerate() {
             let home = self.homes[i] as usize;
+            let figures = figures.get_mut(i);
             if !p.is_finite() || !field.active[home] {
+                let still = || field.figures(home, 0.0, &Mat3::IDENTITY);
+                figures.into_iter().for_each(|f| *f = if p.is_finite() { still() } else { Figures::UNKNOWN });
                 continue;
             }
+            let one_by_one = self.one_by_one(field, i);
             let n = normals.get_mut(i);
             // Only the displacement is in single precision.
-            *image += self.displacement(field, i, n).as_dvec3() * frame.scale;
+            let way = self.displacement(field, i, n, one_by_one.as_ref()).as_dvec3() * frame.scale;
+            *image += way;
+            if let Some(figures) = figures {
+                let gradient = one_by_one.map_or_else(|| self.gradient(i), |moved| moved.gradient);
+                *figures = field.figures(home, way.length(), &gradient);
+            }
         }
     }
 
+    /// What happens to vertex `i` of the block, where that is no blend.
+    #[inline]
+    fn one_by_one(&self, field: &DeformationField<'_>, i: usize) -> Option<Transport> {
+        let (home, p) = (self.homes[i] as usize, self.local[i]);
+        match field.method {
+            Method::ProjectedBarycentric => Some(projected_barycentric::carry(field, home, p)),
+            Method::BlendedJets if self.grouped.sum[self.place[i] as usize] < LEAST_WEIGHT => {
+                Some(field.beyond(home, p))
+            }
+            Method::BlendedJets => None,
+        }
+    }
+
+    /// The gradient of the blend at vertex `i` of the block, which was asked for.
+    fn gradient(&self, i: usize) -> Mat3 {
+        let at = self.place[i] as usize;
+        Mat3::from_cols_array(&self.grouped.gradient.each_ref().map(|v| v[at]))
+    }
+
     /// What moves vertex `i` of the block, and its normal turned.
-    fn displacement(&self, field: &DeformationField<'_>, i: usize, normal: Option<&mut Vec3>) -> Vec3 {
+    #[inline]
+    fn displacement(
+        &self,
+        field: &DeformationField<'_>,
+        i: usize,
+        normal: Option<&mut Vec3>,
+        one_by_one: Option<&Transport>,
+    ) -> Vec3 {
         let (home, p) = (self.homes[i] as usize, self.local[i]);
         let (at, g) = (self.place[i] as usize, &self.grouped);
-        let one_by_one = match field.method {
-            Method::ProjectedBarycentric => Some(projected_barycentric::carry(field, home, p)),
-            Method::BlendedJets if g.sum[at] < LEAST_WEIGHT => Some(field.beyond(home, p)),
-            Method::BlendedJets => None,
-        };
         if let Some(moved) = one_by_one {
             if let Some(n) = normal {
                 *n = moved.normal(*n);

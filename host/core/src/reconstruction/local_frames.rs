@@ -21,35 +21,46 @@ const COLLINEAR: f64 = 1e-3;
 /// Weight of the prior for the direction across, relative to the neighbours' whole spread.
 const NORMAL_RIDGE: f64 = 1e-7;
 
+/// Relief that outweighs the prior so many times tells on which side of the surface things come to lie.
+const TELLING: f64 = 4.0;
+
 /// What the fits give.
 pub struct LocalFrames {
     /// Gradient of the deformation at each sample.
     pub gradient: Vec<Mat3>,
     /// Unit normal of the deformed surface at each sample.
     pub normal: Vec<Vec3>,
+    /// Whether the neighbours of each sample tell the sign of the gradient's determinant, which is otherwise positive.
+    pub tells_side: Vec<bool>,
 }
 
 impl LocalFrames {
     /// Fits all samples.
     pub fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3]) -> Self {
-        let (gradient, normal) = (0..samples.len())
+        let fits: Vec<(Mat3, Vec3, bool)> = (0..samples.len())
             .into_par_iter()
             .map(|i| {
-                let gradient = fit_one(samples, sheets, deformed, i).as_mat3();
+                let (gradient, tells_side) = fit_one(samples, sheets, deformed, i);
+                let gradient = gradient.as_mat3();
                 let at_rest = samples.normals()[i];
                 let moved = super::Transport { displacement: Vec3::ZERO, gradient };
-                (gradient, moved.normal(at_rest).normalize_or(at_rest))
+                (gradient, moved.normal(at_rest).normalize_or(at_rest), tells_side)
             })
-            .unzip();
-        Self { gradient, normal }
+            .collect();
+        Self {
+            gradient: fits.iter().map(|fit| fit.0).collect(),
+            normal: fits.iter().map(|fit| fit.1).collect(),
+            tells_side: fits.iter().map(|fit| fit.2).collect(),
+        }
     }
 }
 
-fn fit_one(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) -> DMat3 {
+/// The gradient at a sample, and whether its neighbours tell the sign of the determinant.
+fn fit_one(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) -> (DMat3, bool) {
     let (near, radius) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
     let (q, q_star) = (samples.positions[i], deformed[i]);
     if near.iter().all(|j| samples.positions[*j as usize] == deformed[*j as usize]) && q == q_star {
-        return DMat3::IDENTITY;
+        return (DMat3::IDENTITY, true);
     }
 
     let (mut a, mut b) = (DMat3::ZERO, DMat3::ZERO);
@@ -66,7 +77,7 @@ fn fit_one(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) ->
     let (spread, axes) = symmetric_eigen(a);
     let (across, e2, e1) = (axes.x_axis, axes.y_axis, axes.z_axis);
     if !(spread.z > 0.0 && spread.z.is_finite()) {
-        return DMat3::IDENTITY;
+        return (DMat3::IDENTITY, false);
     }
     let v1 = b * e1 / spread.z;
     if spread.y > COLLINEAR * COLLINEAR * spread.z {
@@ -79,15 +90,16 @@ fn fit_one(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) ->
             let ridge = NORMAL_RIDGE * (spread.x + spread.y + spread.z);
             let f = (b + outer(prior, across) * ridge) * (a + outer(across, across) * ridge).inverse();
             if f.is_finite() {
-                return f;
+                return (f, spread.x > TELLING * ridge);
             }
         }
     }
     // Samples on a line, before or after: turned and stretched as the line is, by the least rotation.
-    match v1.try_normalize() {
+    let along = match v1.try_normalize() {
         Some(v) => DMat3::from_quat(DQuat::from_rotation_arc(e1, v)) * v1.length(),
         None => DMat3::IDENTITY,
-    }
+    };
+    (along, false)
 }
 
 /// a bᵀ

@@ -4,12 +4,13 @@
 //! `local_frames` fits D's gradient at each, and `blended_jets` expands D about it to second order. While streaming,
 //! `homes` finds the sample around which a vertex lies, by following the stream; `blend` carries whole blocks of
 //! vertices over by the expansions around their homes, or `projected_barycentric` each vertex in the paper's way;
-//! `stream` does so for the whole file. [`transfer_error`] compares a result with the exact map.
+//! `stream` does so for the whole file. `diagnostics` says what it does to the surface. [`transfer_error`] compares a result with the exact map.
 
 mod binding;
 mod blend;
 mod blended_jets;
 mod block;
+mod diagnostics;
 mod expansion;
 mod homes;
 mod lanes;
@@ -33,12 +34,13 @@ use blend::Supports;
 use blended_jets::Expanded;
 use block::Workspaces;
 pub use block::{Moved, carry};
+pub use diagnostics::{Figures, Folds, principal_stretches};
 use expansion::Expansion;
 use limiter::Limiter;
 use local_frames::LocalFrames;
 use neighbourhood::Neighbourhood;
 use sheets::Sheets;
-pub use stream::{PART_BYTES, Reconstructed, Reconstruction, Version, reconstruct};
+pub use stream::{Folding, PART_BYTES, Reconstructed, Reconstruction, Version, reconstruct};
 
 /// What happens to one vertex.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -118,6 +120,7 @@ pub struct DeformationField<'a> {
     limiter: Limiter,
     /// Whether anything moves around the sample as a home.
     active: Vec<bool>,
+    folds: Folds,
 }
 
 impl<'a> DeformationField<'a> {
@@ -137,7 +140,21 @@ impl<'a> DeformationField<'a> {
         let reached = |home| supports.of_home(home).iter().any(|r| moves[r.sample as usize]);
         let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || reached(home)).collect();
         let limiter = Limiter::new(supports, &expansions, &doubtful);
-        Self { around, deformed, method, frames, expansions, limiter, active }
+        let neighbours = |i| sheets.of_sample(i);
+        let folds = Folds::of(&expansions, &frames.tells_side, samples.normals(), neighbours);
+        Self { around, deformed, method, frames, expansions, limiter, active, folds }
+    }
+
+    /// Where it folds the surface.
+    pub fn folds(&self) -> &Folds {
+        &self.folds
+    }
+
+    /// What becomes of the surface at a vertex of this home. `distance` is how far it moves, in the model's unit.
+    fn figures(&self, home: usize, distance: f64, gradient: &Mat3) -> Figures {
+        let stretch = principal_stretches(gradient, self.around.samples.normals()[home]);
+        let folded = self.folds.contains(home, gradient);
+        Figures { displacement: distance as f32, stretch, folded }
     }
 
     /// Carries a vertex over that no support reaches, as one that lies far off the samples.

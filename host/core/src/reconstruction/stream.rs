@@ -6,11 +6,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::UNIX_EPOCH;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::binding::Binding;
-use super::{DeformationField, Method, Moved, Surroundings, carry};
+use super::diagnostics::DiagnosticsFile;
+use super::{DeformationField, Figures, Method, Moved, Surroundings, carry};
 use crate::model::{Edited, MAX_VERSIONS, Model, Normals, Output, Rewriting, VertexChunk};
 use crate::output::{canonical_target, check_space, folder_of};
 use crate::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
@@ -33,6 +34,10 @@ pub struct Version<'a> {
     pub deformed: &'a [Vec3],
     /// The file to write, which appears whole or not at all.
     pub output: &'a Path,
+    /// A file that is to say what becomes of the surface at each vertex, likewise: a binary PLY file of the deformed
+    /// positions with `displacement` (in the model's unit), `stretch_max` and `stretch_min` (1 at rest), and `folded` (0
+    /// or 1). The numbers of a vertex without a finite position are NaN, and it is not folded.
+    pub diagnostics: Option<&'a Path>,
 }
 
 /// How a deformation is transferred.
@@ -64,8 +69,21 @@ impl Default for Reconstruction<'_> {
     }
 }
 
+/// Where a deformation folds the surface: parts of it are mirrored and most of the model is not, or the other way round,
+/// and between them it doubles back. A mirror of the whole model folds nothing; and where the surface is flat, nothing
+/// tells, and nothing is counted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Folding {
+    /// Number of folded samples.
+    pub samples: u64,
+    /// The first of them, in the model's coordinates at rest.
+    pub first: Option<DVec3>,
+    /// Number of folded vertices, if diagnostics were asked for.
+    pub vertices: Option<u64>,
+}
+
 /// What was done.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Reconstructed {
     /// Vertices of the model.
     pub vertices: u64,
@@ -73,6 +91,8 @@ pub struct Reconstructed {
     pub non_finite: u64,
     /// Bytes of the outputs that an earlier call wrote.
     pub taken_over: u64,
+    /// Where each version folds the surface; nothing is known of those that an earlier call had finished.
+    pub folding: Vec<Option<Folding>>,
 }
 
 /// Transfers each deformation of the samples to their model and writes it to its output. Up to [`MAX_VERSIONS`] of them
@@ -81,11 +101,12 @@ pub struct Reconstructed {
 /// An error leaves nothing of the versions that are not in their places; but with `resume` the finished parts are kept if the
 /// user cancelled or the disk is full.
 ///
-/// Memory: a field for each version of a reading (see [`DeformationField`]), and the chunks of [`Model::rewrite`].
+/// Memory: a field for each version of a reading (see [`DeformationField`]), the chunks of [`Model::rewrite`], and with
+/// diagnostics 16 bytes for each vertex of a chunk and version.
 ///
 /// # Errors
 /// The model cannot be read or is not what was sampled; an output cannot be written, is written by another process, is
-/// the model itself or that of another version; a new position does not fit its type; the user cancelled.
+/// the model itself or that of another version; diagnostics are asked for with `resume`; a new position does not fit its type; the user cancelled.
 pub fn reconstruct(
     sampled: &SampledModel,
     model: &dyn Model,
@@ -95,13 +116,23 @@ pub fn reconstruct(
 ) -> Result<Reconstructed> {
     // Before the work begins: targets that cannot be written, or must not be.
     check_targets(model, versions, how)?;
-    let mut work =
-        Work { sampled, model, how, progress, pass: Vec::new(), finished: Vec::new(), taken_over: 0 };
+    let folding = vec![None; versions.len()];
+    let mut work = Work {
+        sampled,
+        model,
+        how,
+        progress,
+        pass: Vec::new(),
+        finished: Vec::new(),
+        taken_over: 0,
+        folding,
+    };
     match work.write(versions) {
         Ok(()) => Ok(Reconstructed {
             vertices: model.info().vertices,
             non_finite: sampled.source.non_finite,
             taken_over: work.taken_over,
+            folding: work.folding,
         }),
         Err(error) => Err(work.stop(error, versions)),
     }
@@ -109,8 +140,24 @@ pub fn reconstruct(
 
 /// An error where an output is the model or two are the same, or the disk has no room for them.
 fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &Reconstruction) -> Result<()> {
+    if how.resume && versions.iter().any(|v| v.diagnostics.is_some()) {
+        return Err(Error::new(
+            ErrorKind::Argument,
+            "diagnostics of an interrupted reconstruction cannot be gone on with",
+            "leave out either --diagnostics or --resume",
+        ));
+    }
+    let info = model.info();
+    // Three numbers take at least six bytes.
+    let left_out = if how.normals == Normals::Drop && info.has_normals { 6 * info.vertices } else { 0 };
+    let of_model =
+        |output| info.bytes.saturating_sub(left_out).saturating_sub(bytes_there(output, how.resume));
     let mut targets = BTreeMap::new();
-    for Version { output, .. } in versions {
+    let outputs = versions.iter().flat_map(|v| {
+        let diagnostics = v.diagnostics.map(|path| (path, DiagnosticsFile::expected_bytes(info)));
+        [(v.output, of_model(v.output))].into_iter().chain(diagnostics)
+    });
+    for (output, needed) in outputs {
         if same_file(model.path(), output) {
             return Err(Error::new(
                 ErrorKind::Argument,
@@ -118,20 +165,16 @@ fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &Reconstructi
                 "write the deformed model to another file; the samples belong to the original",
             ));
         }
-        if targets.insert(canonical_target(output)?, *output).is_some() {
+        if targets.insert(canonical_target(output)?, (output, needed)).is_some() {
             return Err(Error::new(
                 ErrorKind::Argument,
-                format!("two versions go to {}", output.display()),
-                "give each of them an output of its own",
+                format!("two files go to {}", output.display()),
+                "give each of them a name of its own",
             ));
         }
     }
-    // Three numbers take at least six bytes.
-    let info = model.info();
-    let left_out = if how.normals == Normals::Drop && info.has_normals { 6 * info.vertices } else { 0 };
     let mut rooms: BTreeMap<&Path, (&Path, u64)> = BTreeMap::new();
-    for (target, output) in &targets {
-        let needed = (info.bytes - left_out).saturating_sub(bytes_there(output, how.resume));
+    for (target, (output, needed)) in &targets {
         rooms.entry(folder_of(target)).or_insert((output, 0)).1 += needed;
     }
     rooms.into_iter().try_for_each(|(folder, (output, needed))| check_space(output, folder, needed))
@@ -144,10 +187,22 @@ struct Work<'a> {
     how: &'a Reconstruction<'a>,
     progress: &'a dyn Progress,
     /// The versions that share a reading: at most [`MAX_VERSIONS`].
-    pass: Vec<(Version<'a>, Box<ResumableFile>)>,
+    pass: Vec<Begun<'a>>,
     /// Those in their places. Their journals tell a later call so, should this one be killed.
     finished: Vec<Finished>,
     taken_over: u64,
+    /// Of each version, as far as it is known.
+    folding: Vec<Option<Folding>>,
+}
+
+/// A version that is being written.
+struct Begun<'a> {
+    number: usize,
+    version: Version<'a>,
+    file: Box<ResumableFile>,
+    diagnostics: Option<DiagnosticsFile>,
+    /// Of the vertices of a chunk, if there are diagnostics.
+    figures: Vec<Figures>,
 }
 
 impl<'a> Work<'a> {
@@ -155,7 +210,17 @@ impl<'a> Work<'a> {
         for (number, version) in versions.iter().enumerate() {
             let (key, part_bytes) = (self.key(version.deformed), self.part_bytes());
             match ResumableFile::open(version.output, key, self.how.resume, part_bytes, self.progress)? {
-                Opened::Unfinished(file) => self.pass.push((*version, file)),
+                Opened::Unfinished(file) => {
+                    let create = |path| DiagnosticsFile::create(path, self.model.info());
+                    let diagnostics = version.diagnostics.map(create).transpose()?;
+                    self.pass.push(Begun {
+                        number,
+                        version: *version,
+                        file,
+                        diagnostics,
+                        figures: Vec::new(),
+                    });
+                }
                 Opened::Finished(file) => {
                     self.taken_over += file.bytes();
                     self.finished.push(file);
@@ -174,42 +239,65 @@ impl<'a> Work<'a> {
             return Ok(());
         }
         let pieces_done = self.pieces_done();
-        for (_, file) in &mut self.pass {
+        for Begun { file, .. } in &mut self.pass {
             self.taken_over += file.go_on_after(pieces_done)?;
         }
 
         self.progress.begin("preparing", 0);
         let (mut binding, surroundings) = self.surroundings()?;
-        let field = |(version, _): &(Version<'a>, _)| {
-            DeformationField::new(&surroundings, version.deformed, self.how.method)
-        };
+        let field =
+            |begun: &Begun<'a>| DeformationField::new(&surroundings, begun.version.deformed, self.how.method);
         let fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
+        for (field, begun) in fields.iter().zip(&self.pass) {
+            let folds = field.folds();
+            let first = folds.first.map(|i| self.sampled.frame.to_model(self.sampled.samples.positions[i]));
+            self.folding[begun.number] = Some(Folding { samples: folds.samples, first, vertices: None });
+        }
+        let mut outputs: Vec<&mut dyn Output> = Vec::new();
+        let mut surveys: Vec<(&mut Option<DiagnosticsFile>, &mut Vec<Figures>)> = Vec::new();
+        for Begun { file, diagnostics, figures, .. } in &mut self.pass {
+            outputs.push(&mut **file);
+            surveys.push((diagnostics, figures));
+        }
         let mut hash = Xxh3Default::new();
         let mut edit = |chunk: &VertexChunk, versions: &mut [Edited]| {
             hash.update(chunk.raw());
+            for (_, figures) in surveys.iter_mut().filter(|(file, _)| file.is_some()) {
+                figures.resize(chunk.len(), Figures::UNKNOWN);
+            }
             // No versions for what is written already.
             let mut moved: Vec<Moved<'_>> = versions
                 .iter_mut()
-                .map(|Edited { positions, normals }| Moved { positions, normals })
+                .zip(&mut surveys)
+                .map(|(Edited { positions, normals }, (_, figures))| Moved { positions, normals, figures })
                 .collect();
             let homes = binding.as_mut().map(|binding| binding.next(chunk.len())).transpose()?;
             let (fields, frame) = (&fields[..moved.len()], &self.sampled.frame);
             carry(fields, frame, &chunk.positions, &chunk.normals, homes, &mut moved);
+            for (Edited { positions, .. }, (file, figures)) in versions.iter().zip(&mut surveys) {
+                if let Some(file) = file {
+                    file.write(positions, figures)?;
+                }
+            }
             Ok(())
         };
 
         self.progress.begin("reconstructing", self.model.info().bytes);
         let how = Rewriting { normals: self.how.normals, pieces_done };
-        let mut outputs: Vec<&mut dyn Output> =
-            self.pass.iter_mut().map(|(_, file)| &mut **file as &mut dyn Output).collect();
         self.model.rewrite(&mut outputs, how, &mut edit, self.progress)?;
         if self.sampled.source.fingerprint != fingerprint(hash.digest128()) {
             return Err(self.sampled.source_changed(self.model.path()));
         }
-        self.pass.iter_mut().try_for_each(|(_, file)| file.complete(several))?;
+        self.pass.iter_mut().try_for_each(|begun| begun.file.complete(several))?;
         // That may have taken a while.
         self.progress.check()?;
-        for (_, file) in &mut self.pass {
+        for Begun { number, file, diagnostics, .. } in &mut self.pass {
+            // First, as they may still fill the disk.
+            if let Some(diagnostics) = diagnostics.take() {
+                self.folding[*number] =
+                    self.folding[*number].map(|f| Folding { vertices: Some(diagnostics.folded), ..f });
+                diagnostics.commit()?;
+            }
             self.finished.push(file.commit()?);
         }
         self.pass.clear();
@@ -230,7 +318,7 @@ impl<'a> Work<'a> {
 
     /// Number of pieces that every version of the pass has, and that a part ends with in each.
     fn pieces_done(&self) -> u64 {
-        let mut boundaries = self.pass.iter().map(|(_, file)| file.boundaries().collect::<Vec<_>>());
+        let mut boundaries = self.pass.iter().map(|begun| begun.file.boundaries().collect::<Vec<_>>());
         let mut common = boundaries.next().unwrap_or_default();
         for others in boundaries {
             common.retain(|pieces| others.binary_search(pieces).is_ok());
@@ -275,7 +363,7 @@ impl<'a> Work<'a> {
         if !self.how.resume || matches!(error.kind(), Format | Degenerate | Mismatch) {
             return error;
         }
-        self.pass.into_iter().for_each(|(_, file)| file.keep());
+        self.pass.into_iter().for_each(|begun| begun.file.keep());
         self.finished.into_iter().for_each(Finished::keep);
         if !matches!(error.kind(), Cancelled | Io) || !versions.iter().any(|v| is_left(v.output)) {
             return error;

@@ -38,7 +38,7 @@ fn carried_with_normals(
 ) -> (Vec<Vec3>, Vec<Vec3>) {
     let rest: Vec<DVec3> = points.iter().map(|p| p.as_dvec3()).collect();
     let (mut positions, mut turned) = (rest.clone(), normals.to_vec());
-    let moved = Moved { positions: &mut positions, normals: &mut turned };
+    let moved = Moved { positions: &mut positions, normals: &mut turned, figures: &mut [] };
     carry(std::slice::from_ref(field), &LOCAL, &rest, normals, None, &mut [moved]);
     (positions.iter().map(|p| p.as_vec3()).collect(), turned)
 }
