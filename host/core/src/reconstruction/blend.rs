@@ -148,20 +148,27 @@ impl Grouped {
 /// The most vertices that any processor takes at once.
 pub const PACKET: usize = 16;
 
-/// Blends the expansions for all groups, and turns their normals; `gradient` says whether the gradient is asked for.
-pub fn blend(supports: &Supports, expansions: &[Expansion], gradient: bool, grouped: &mut Grouped) {
+/// Blends the expansions for all groups, and turns their normals (`mirrored` as for `Transport::normal`); `gradient` says whether the gradient is asked for.
+pub fn blend(
+    supports: &Supports,
+    expansions: &[Expansion],
+    mirrored: bool,
+    gradient: bool,
+    grouped: &mut Grouped,
+) {
     grouped.make_room(gradient);
     let arch = Arch::new();
     if gradient || !grouped.normals[0].is_empty() {
-        arch.dispatch(Kernel::<true> { supports, expansions, grouped });
+        arch.dispatch(Kernel::<true> { supports, expansions, mirrored, grouped });
     } else {
-        arch.dispatch(Kernel::<false> { supports, expansions, grouped });
+        arch.dispatch(Kernel::<false> { supports, expansions, mirrored, grouped });
     }
 }
 
 struct Kernel<'a, const GRADIENT: bool> {
     supports: &'a Supports,
     expansions: &'a [Expansion],
+    mirrored: bool,
     grouped: &'a mut Grouped,
 }
 
@@ -170,7 +177,8 @@ impl<const GRADIENT: bool> WithSimd for Kernel<'_, GRADIENT> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { supports, expansions, grouped } = self;
+        let Self { supports, expansions, mirrored, grouped } = self;
+        let side = Lanes::splat(simd, if mirrored { -1.0 } else { 1.0 });
         let Grouped { groups, positions, displacement, sum, normals, gradient } = grouped;
         // All lengths are multiples of the packet: nothing is left over.
         let positions = positions.each_ref().map(|v| S::as_simd_f32s(v).0);
@@ -188,7 +196,7 @@ impl<const GRADIENT: bool> WithSimd for Kernel<'_, GRADIENT> {
                 sum[at] = blended.sum.1;
                 if GRADIENT && !normals[0].is_empty() {
                     let n = [0, 1, 2].map(|i| Lanes(simd, normals[i][at]));
-                    let turned = turn(n, &blended.gradient);
+                    let turned = turn(n, &blended.gradient, side);
                     (0..3).for_each(|i| normals[i][at] = turned[i].1);
                 }
                 if GRADIENT && !gradient[0].is_empty() {
@@ -201,21 +209,16 @@ impl<const GRADIENT: bool> WithSimd for Kernel<'_, GRADIENT> {
 
 /// Normals after a deformation of this gradient, of the same length as before: as `Transport::normal`.
 #[inline(always)]
-fn turn<S: Simd>(n: [Lanes<S>; 3], gradient: &[Lanes<S>; 9]) -> [Lanes<S>; 3] {
+fn turn<S: Simd>(n: [Lanes<S>; 3], gradient: &[Lanes<S>; 9], side: Lanes<S>) -> [Lanes<S>; 3] {
     let [ax, ay, az, bx, by, bz, cx, cy, cz] = *gradient;
     let [x, y, z] = n;
     // The columns' cross products, b × c, c × a and a × b.
     let (ux, uy, uz) = (by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx);
     let (vx, vy, vz) = (cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax);
     let (wx, wy, wz) = (ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx);
-    let determinant = ax * ux + ay * uy + az * uz;
     let turned = [ux * x + vx * y + wx * z, uy * x + vy * y + wy * z, uz * x + vz * y + wz * z];
-    let simd = x.0;
-    let length = length_squared(n).sqrt();
     let square = length_squared(turned);
-    let factor = length * square.sqrt().inverse_or_one();
-    let factor =
-        (Lanes::splat(simd, 0.0) - determinant).where_positive(Lanes::splat(simd, 0.0) - factor, factor);
+    let factor = side * length_squared(n).sqrt() * square.sqrt().inverse_or_one();
     // Where nothing is left of it, it stays; and so it does where it was no number.
     [0, 1, 2].map(|i| square.where_positive(turned[i] * factor, n[i]))
 }

@@ -150,7 +150,9 @@ impl Workspace {
             for (n, place) in normals.iter().zip(&self.place).filter(|(_, place)| **place != NOWHERE) {
                 (0..3).for_each(|i| self.grouped.normals[i][*place as usize] = n[i]);
             }
-            blend(&field.around.supports, &field.expansions, !figures.is_empty(), &mut self.grouped);
+            let mirrored = field.frames.mirrored;
+            let (supports, gradient) = (&field.around.supports, !figures.is_empty());
+            blend(supports, &field.expansions, mirrored, gradient, &mut self.grouped);
         }
         for (i, (p, image)) in positions.iter().zip(images).enumerate() {
             let home = self.homes[i] as usize;
@@ -204,7 +206,7 @@ impl Workspace {
         let (at, g) = (self.place[i] as usize, &self.grouped);
         if let Some(moved) = one_by_one {
             if let Some(n) = normal {
-                *n = moved.normal(*n);
+                *n = moved.normal(*n, field.frames.mirrored);
             }
             return moved.displacement;
         }

@@ -8,6 +8,7 @@
 use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
+use super::Transport;
 use super::sheets::{Sheets, facing};
 use crate::geometry::{hermite, symmetric_eigen};
 use crate::sampling::SampleSet;
@@ -32,26 +33,29 @@ pub struct LocalFrames {
     pub normal: Vec<Vec3>,
     /// Whether the neighbours of each sample tell the sign of the gradient's determinant, which is otherwise positive.
     pub tells_side: Vec<bool>,
+    /// Whether the deformation as a whole turns left into right: at most of the samples that tell.
+    pub mirrored: bool,
 }
 
 impl LocalFrames {
     /// Fits all samples.
     pub fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3]) -> Self {
-        let fits: Vec<(Mat3, Vec3, bool)> = (0..samples.len())
+        let fits: Vec<(Mat3, bool)> = (0..samples.len())
             .into_par_iter()
             .map(|i| {
                 let (gradient, tells_side) = fit_one(samples, sheets, deformed, i);
-                let gradient = gradient.as_mat3();
-                let at_rest = samples.normals()[i];
-                let moved = super::Transport { displacement: Vec3::ZERO, gradient };
-                (gradient, moved.normal(at_rest).normalize_or(at_rest), tells_side)
+                (gradient.as_mat3(), tells_side)
             })
             .collect();
-        Self {
-            gradient: fits.iter().map(|fit| fit.0).collect(),
-            normal: fits.iter().map(|fit| fit.1).collect(),
-            tells_side: fits.iter().map(|fit| fit.2).collect(),
-        }
+        let (gradient, tells_side): (Vec<Mat3>, Vec<bool>) = fits.into_iter().unzip();
+        let told = gradient.iter().zip(&tells_side).filter(|(_, told)| **told);
+        let mirrored = told.map(|(gradient, _)| gradient.determinant().signum()).sum::<f32>() < 0.0;
+        let turned = |(gradient, n): (&Mat3, &Vec3)| {
+            let moved = Transport { displacement: Vec3::ZERO, gradient: *gradient };
+            moved.normal(*n, mirrored).normalize_or(*n)
+        };
+        let normal = gradient.iter().zip(samples.normals()).map(turned).collect();
+        Self { gradient, normal, tells_side, mirrored }
     }
 }
 

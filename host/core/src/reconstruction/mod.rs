@@ -52,17 +52,18 @@ pub struct Transport {
 }
 
 impl Transport {
-    /// The normal after the deformation, of the same length as before.
-    pub fn normal(&self, n: Vec3) -> Vec3 {
+    /// The normal after the deformation, of the same length as before. `mirrored` says that the deformation as a whole
+    /// turns left into right, where what is outside stays outside.
+    pub fn normal(&self, n: Vec3, mirrored: bool) -> Vec3 {
         if self.gradient == Mat3::IDENTITY || !n.is_finite() {
             return n;
         }
-        // F⁻ᵀ up to a positive factor: the cofactors, which exist for a singular F too. Their sign is that of the
-        // determinant, which would turn normals inside out under a reflection.
+        // F⁻ᵀ up to a factor: the cofactors, which exist for a singular F too. The sign of the determinant here, which
+        // a flat surface hardly tells, would turn single normals round.
         let [a, b, c] = [self.gradient.x_axis, self.gradient.y_axis, self.gradient.z_axis];
         let cofactors = Mat3::from_cols(b.cross(c), c.cross(a), a.cross(b));
-        let turned = (cofactors * n) * self.gradient.determinant().signum();
-        turned.try_normalize().map_or(n, |t| t * n.length())
+        let turned = cofactors * n;
+        turned.try_normalize().map_or(n, |t| t * if mirrored { -n.length() } else { n.length() })
     }
 }
 
