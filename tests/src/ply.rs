@@ -99,7 +99,8 @@ impl Ply {
         let mut bytes = format!("{header} {}\n{properties}end_header\n", positions.len()).into_bytes();
         let mut normals = normals.iter();
         for p in positions {
-            let numbers = p.to_array().into_iter().chain(normals.next().into_iter().flat_map(|n| n.to_array()));
+            let numbers =
+                p.to_array().into_iter().chain(normals.next().into_iter().flat_map(|n| n.to_array()));
             numbers.for_each(|x| bytes.extend_from_slice(&(x as f32).to_le_bytes()));
         }
         Self::parse(bytes)

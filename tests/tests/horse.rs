@@ -94,9 +94,12 @@ fn the_horse_spreads_its_legs() {
         work.simod(&format!("sample horse.ply -o horse.simod --samples {samples}"));
         work.move_samples("horse.simod", |p| legs.spread(p));
         for (method, tolerance) in [("blended-jets", jets), ("projected-barycentric", barycentric)] {
-            work.simod(&format!("reconstruct horse.simod --deformed deformed.ply -o out.ply --method {method}"));
+            work.simod(&format!(
+                "reconstruct horse.simod --deformed deformed.ply -o out.ply --method {method}"
+            ));
             let after = work.ply("out.ply").positions();
-            let deviations = before.positions().into_iter().zip(after).map(|(p, q)| legs.spread(p).distance(q));
+            let deviations =
+                before.positions().into_iter().zip(after).map(|(p, q)| legs.spread(p).distance(q));
             let worst = deviations.max_by(f64::total_cmp).expect("vertices") / diagonal;
             assert!(worst < tolerance, "{method}, {samples} samples: off by {worst:.1e}");
         }

@@ -30,14 +30,6 @@ fn neither_threads_nor_the_order_of_vertices_matter() {
     for name in ["ordered", "shuffled"] {
         work.simod(&format!("sample {name}.ply -o {name}.simod --samples 6000"));
     }
-    let samples = ["ordered", "shuffled"].map(|name| work.ply(&format!("{name}.simod/samples.ply")));
-    println!("samples: {} {}", samples[0].len(), samples[1].len());
-    if samples[0].len() == samples[1].len() {
-        let key = |p: &DVec3| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits()];
-        let a: std::collections::BTreeSet<_> = samples[0].positions().iter().map(key).collect();
-        let far = samples[1].positions().iter().filter(|p| !a.contains(&key(p))).count() as f64;
-        println!("samples differ by {far:.2e}, bytes equal: {}", samples[0].bytes == samples[1].bytes);
-    }
     for method in METHODS {
         let results = ["ordered", "shuffled"].map(|name| {
             work.move_samples(&format!("{name}.simod"), twisted);
@@ -54,10 +46,15 @@ fn neither_threads_nor_the_order_of_vertices_matter() {
         });
         let diagonal = results[0].diagonal();
         let [ordered, shuffled] = results.each_ref().map(Ply::positions);
-        let mut off: Vec<f64> = from.iter().zip(&shuffled).map(|(i, q)| ordered[*i].distance(*q) / diagonal).collect();
+        let off = from.iter().zip(&shuffled).map(|(i, q)| ordered[*i].distance(*q) / diagonal);
+        let mut off: Vec<f64> = off.collect();
         off.sort_by(f64::total_cmp);
-        let worst = off[off.len() - 1];
-        println!("{method}: shuffled differs by {worst:.2e}, median {:.2e}, above 1e-6: {}", off[off.len() / 2], off.iter().filter(|x| **x > 1e-6).count());
+        let (half, most, worst) = (off[off.len() / 2], off[off.len() * 97 / 100], off[off.len() - 1]);
+        // Not all: at edges and where sheets meet, it matters where the walk to a home came from, and the samples
+        // are rounded in another order. The paper's method changes its triangles there.
+        assert!(half < 1e-7 && most < 1e-6, "{method}: half differ by {half:.1e}, 97 % by {most:.1e}");
+        let tolerance = if method == "blended-jets" { 1e-3 } else { 4e-2 };
+        assert!(worst < tolerance, "{method}: one differs by {worst:.1e}");
     }
 }
 
@@ -79,15 +76,15 @@ fn broken_samples_make_no_spikes() {
         work.simod(&format!("reconstruct model.simod --deformed deformed.ply -o out.ply --method {method}"));
         let out = work.ply("out.ply");
         assert!(out.normals().iter().all(|n| n.is_finite()), "{method}: a normal that is none");
-        let mut ratios: Vec<(f64, f64, DVec3, DVec3)> = Vec::new();
         for (p, q) in vertices.iter().zip(out.positions()).step_by(7) {
             assert!(q.is_finite(), "{method}: {p} went to {q}");
             let (near, spread) = spread_around(&rest, &deformed, *p);
-            ratios.push((q.distance(deformed[near]) / spread, spread, *p, q));
+            let far = q.distance(deformed[near]);
+            assert!(
+                far < 1.5 * spread,
+                "{method}: {p} went to {q}, {far:.3} from its sample; spread {spread:.3}"
+            );
         }
-        ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
-        for at in [0.5, 0.99, 0.999] { println!("{method} {at}: {:?}", ratios[(at * ratios.len() as f64) as usize]); }
-        println!("{method} {:?}", ratios.last());
     }
 }
 
@@ -104,7 +101,8 @@ fn broken(p: DVec3) -> DVec3 {
 /// The nearest sample of a point, and how far the images of the samples around it are from its own, at most, together
 /// with the samples' own distances.
 fn spread_around(rest: &[DVec3], deformed: &[DVec3], p: DVec3) -> (usize, f64) {
-    let mut order: Vec<(f64, usize)> = rest.iter().enumerate().map(|(i, q)| (q.distance_squared(p), i)).collect();
+    let mut order: Vec<(f64, usize)> =
+        rest.iter().enumerate().map(|(i, q)| (q.distance_squared(p), i)).collect();
     order.select_nth_unstable_by(SPREAD_NEIGHBOURS, |a, b| a.0.total_cmp(&b.0));
     order.truncate(SPREAD_NEIGHBOURS);
     order.sort_by(|a, b| a.0.total_cmp(&b.0));

@@ -53,8 +53,8 @@ impl<'a> Homes<'a> {
         }));
     }
 
-    /// Steps to ever nearer samples, unless the vertex is near enough to the first one; `None` where that ends beyond the support of the last one, so that its home does not
-    /// know all supports there.
+    /// Steps to ever nearer samples, unless the vertex is near enough to the first one; `None` where that ends beyond
+    /// the support of the last one, so that its home does not know all supports there.
     #[inline]
     fn walk(&self, from: u32, p: Vec3) -> Option<u32> {
         let squared = |i: u32| self.positions[i as usize].distance_squared(p);
