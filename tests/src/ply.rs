@@ -91,6 +91,21 @@ impl Ply {
         ply
     }
 
+    /// A binary file of floats: these positions, and normals as many or none.
+    pub fn of(positions: &[DVec3], normals: &[DVec3]) -> Self {
+        let names = if normals.is_empty() { &NAMES[..3] } else { &NAMES[..] };
+        let properties: String = names.iter().map(|name| format!("property float {name}\n")).collect();
+        let header = "ply\nformat binary_little_endian 1.0\nelement vertex";
+        let mut bytes = format!("{header} {}\n{properties}end_header\n", positions.len()).into_bytes();
+        let mut normals = normals.iter();
+        for p in positions {
+            let numbers =
+                p.to_array().into_iter().chain(normals.next().into_iter().flat_map(|n| n.to_array()));
+            numbers.for_each(|x| bytes.extend_from_slice(&(x as f32).to_le_bytes()));
+        }
+        Self::parse(bytes)
+    }
+
     /// Number of vertices.
     pub fn len(&self) -> usize {
         self.spots.len()

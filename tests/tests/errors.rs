@@ -156,6 +156,11 @@ fn deformed_samples_that_do_not_fit() {
     }
     work.write("deformed.ply", &broken.bytes);
     work.refuses(RECONSTRUCT, &["deformed.ply", "2", "17"]);
+    (100..350).for_each(|vertex| broken.set_position(vertex, DVec3::new(f64::INFINITY, 0.0, f64::NAN)));
+    work.write("deformed.ply", &broken.bytes);
+    for method in ["blended-jets", "projected-barycentric"] {
+        work.refuses(&format!("{RECONSTRUCT} --method {method}"), &["deformed.ply", "252", "17"]);
+    }
 
     work.write("deformed.ply", &samples.bytes[..samples.bytes.len() - 10]);
     work.refuses(RECONSTRUCT, &["deformed.ply"]);

@@ -1,7 +1,7 @@
 //! A real scan, and the session and commands of the manual on it.
 
 use glam::DVec3;
-use simod_tests::{Workplace, real_model, workspace};
+use simod_tests::{Ply, Workplace, real_model, workspace};
 
 #[test]
 fn the_horse_turns_its_head() {
@@ -79,4 +79,60 @@ fn the_manual_is_right() {
 /// As TOML has it.
 fn vector(v: DVec3) -> String {
     format!("[{}, {}, {}]", v.x, v.y, v.z)
+}
+
+/// Each leg is drawn away from the others, and none drags another.
+#[test]
+fn the_horse_spreads_its_legs() {
+    let Some(horse) = real_model("horse.ply") else { return };
+    let work = Workplace::new();
+    std::fs::copy(horse, work.path("horse.ply")).expect("a copy");
+    let before = work.ply("horse.ply");
+    let (legs, diagonal) = (Legs::of(&before), before.diagonal());
+    // The largest deviation of any vertex, as a fraction of the diagonal: of both methods, for so many samples.
+    for (samples, jets, barycentric) in [(10_000, 1e-4, 6e-3), (2000, 4e-4, 4e-2)] {
+        work.simod(&format!("sample horse.ply -o horse.simod --samples {samples}"));
+        work.move_samples("horse.simod", |p| legs.spread(p));
+        for (method, tolerance) in [("blended-jets", jets), ("projected-barycentric", barycentric)] {
+            work.simod(&format!(
+                "reconstruct horse.simod --deformed deformed.ply -o out.ply --method {method}"
+            ));
+            let after = work.ply("out.ply").positions();
+            let deviations =
+                before.positions().into_iter().zip(after).map(|(p, q)| legs.spread(p).distance(q));
+            let worst = deviations.max_by(f64::total_cmp).expect("vertices") / diagonal;
+            assert!(worst < tolerance, "{method}, {samples} samples: off by {worst:.1e}");
+        }
+    }
+}
+
+/// The horse's legs: what is below its hips, on four sides of the place between them.
+struct Legs {
+    hips: f64,
+    length: f64,
+    between: DVec3,
+}
+
+impl Legs {
+    fn of(horse: &Ply) -> Self {
+        let [min, max] = horse.bounds();
+        let size = max - min;
+        let hips = min.z + 0.35 * size.z;
+        let between = min + DVec3::new(0.64, 0.33, 0.0) * size;
+        Self { hips, length: hips - min.z, between }
+    }
+
+    fn leg(&self, p: DVec3) -> Option<usize> {
+        let side = |far: bool| usize::from(far);
+        (p.z < self.hips).then(|| 2 * side(p.x > self.between.x) + side(p.y > self.between.y))
+    }
+
+    /// From the hips on downwards, each foot goes its own way by half the length of a leg.
+    fn spread(&self, p: DVec3) -> DVec3 {
+        let Some(leg) = self.leg(p) else { return p };
+        let down = (self.hips - p.z) / self.length;
+        let sign = |far: bool| if far { 1.0 } else { -1.0 };
+        let way = DVec3::new(sign(leg >= 2), 0.6 * sign(leg % 2 == 1), 0.2 * leg as f64);
+        p + 0.5 * self.length * down * down * way
+    }
 }
