@@ -90,7 +90,7 @@ impl Work {
     }
 }
 
-fn how(resume: bool) -> Reconstruction {
+fn how(resume: bool) -> Reconstruction<'static> {
     Reconstruction { resume, part_bytes: PART, ..Reconstruction::default() }
 }
 

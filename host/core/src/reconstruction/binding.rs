@@ -100,7 +100,7 @@ fn key(sampled: &SampledModel) -> String {
     let small =
         format!("{} {} {} {origin:?} {scale:?}", env!("CARGO_PKG_VERSION"), source.fingerprint, source.bytes);
     let samples = &sampled.samples;
-    let points = [&samples.positions, samples.known_normals()].map(|v| bytemuck::cast_slice::<Vec3, u8>(v));
+    let points = [&samples.positions, samples.known_normals()].map(bytemuck::cast_slice::<Vec3, u8>);
     fingerprint(xxh3_128(
         &[small.as_bytes(), points[0], points[1]].map(xxh3_128).map(u128::to_le_bytes).concat(),
     ))

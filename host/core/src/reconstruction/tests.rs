@@ -113,7 +113,8 @@ fn the_gradient_is_that_of_what_the_vertices_do() {
     let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
     let points: Vec<Vec3> = patch(37).filter(inner).collect();
     let tangents = |p: &Vec3| [1e-3, -1e-3].map(|h| (on_patch(p.x + h, p.z), on_patch(p.x, p.z + h)));
-    let normal = |ends: [(Vec3, Vec3); 2]| (ends[0].1 - ends[1].1).cross(ends[0].0 - ends[1].0).normalize();
+    let normal =
+        |ends: [(Vec3, Vec3); 2]| (ends[0].1 - ends[1].1).cross(ends[0].0 - ends[1].0).normalize_or(Vec3::Y);
     let normals: Vec<Vec3> = points.iter().map(|p| 3.0 * normal(tangents(p))).collect();
     let (_, normals) = carried_with_normals(&field, &points, &normals);
     for (p, n) in points.iter().zip(normals) {
