@@ -27,7 +27,7 @@ fn plates(gap: f64) -> (Vec<DVec3>, Vec<DVec3>) {
             let [(sin_x, cos_x), (sin_z, cos_z)] = [x, z].map(|a| (wave * a).sin_cos());
             let slope = -height * wave * DVec3::new(cos_x * sin_z, 0.0, sin_x * cos_z);
             let p = DVec3::new(x, level + height * sin_x * sin_z, z);
-            (p, side * (DVec3::Y + slope).normalize())
+            (p, side * (DVec3::Y + slope).normalize_or(DVec3::Y))
         })
     };
     plate(0.0, -1.0).chain(plate(gap, 1.0)).unzip()
