@@ -188,10 +188,10 @@ impl<const GRADIENT: bool> WithSimd for Kernel<'_, GRADIENT> {
         let sum = S::as_mut_simd_f32s(sum).0;
         for (home, range) in groups {
             let list = supports.of_home(*home as usize);
-            let center = expansions[*home as usize].center;
+            let home = &expansions[*home as usize];
             for at in range.start / S::F32_LANES..range.end.div_ceil(S::F32_LANES) {
                 let p = [0, 1, 2].map(|i| Lanes(simd, positions[i][at]));
-                let blended = packet::<S, GRADIENT>(simd, p, center, list, expansions);
+                let blended = packet::<S, GRADIENT>(simd, p, home, list, expansions);
                 (0..3).for_each(|i| displacement[i][at] = blended.displacement[i].1);
                 sum[at] = blended.sum.1;
                 if GRADIENT && !normals[0].is_empty() {
@@ -235,7 +235,7 @@ struct Blended<S: Simd> {
 fn packet<S: Simd, const GRADIENT: bool>(
     simd: S,
     p: [Lanes<S>; 3],
-    home: [f32; 3],
+    home: &Expansion,
     list: &[Reaching],
     expansions: &[Expansion],
 ) -> Blended<S> {
@@ -243,7 +243,7 @@ fn packet<S: Simd, const GRADIENT: bool>(
     let mut blended = Blended { displacement: [zero; 3], sum: zero, gradient: [zero; 9] };
     let mut sum_slope = [zero; 3];
 
-    let furthest = length_squared(from(simd, p, home)).largest().sqrt();
+    let furthest = length_squared(from(simd, p, home.center)).largest().sqrt();
     for support in list {
         if support.from > furthest {
             break;
@@ -273,7 +273,8 @@ fn packet<S: Simd, const GRADIENT: bool>(
             let a = Lanes::splat(simd, row[1]) + xx * dx + (xy * dy + xz * dz);
             let b = Lanes::splat(simd, row[2]) + yy * dy + yz * dz;
             let c = Lanes::splat(simd, row[3]) + zz * dz;
-            let u = Lanes::splat(simd, row[0]) + a * dx + (b * dy + c * dz);
+            // Beyond the home's, for precision: weights that vanish have steep logarithms.
+            let u = Lanes::splat(simd, row[0] - home.rows[o][0]) + a * dx + (b * dy + c * dz);
             blended.displacement[o] += w * u;
             if GRADIENT {
                 let pull = w_slope * u;
@@ -287,7 +288,7 @@ fn packet<S: Simd, const GRADIENT: bool>(
     let inverse = blended.sum.inverse_or_one();
     for o in 0..3 {
         let u = blended.displacement[o] * inverse;
-        blended.displacement[o] = u;
+        blended.displacement[o] = u + Lanes::splat(simd, home.rows[o][0]);
         if GRADIENT {
             for (column, slope) in sum_slope.into_iter().enumerate() {
                 // Of the deformation, not of the displacement.

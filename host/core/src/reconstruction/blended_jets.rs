@@ -13,7 +13,7 @@ use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::expansion::Expansion;
-use super::local_frames::LocalFrames;
+use super::local_frames::{LocalFrames, ROUNDING};
 use super::sheets::{Sheets, facing};
 use crate::geometry::{hermite, solve_positive_definite};
 use crate::sampling::SampleSet;
@@ -33,9 +33,6 @@ const NOISE: f64 = 0.3;
 
 /// What a fit to a smooth map may leave over, as a part of the data's square.
 const SMOOTH: f64 = 0.01;
-
-/// What rounding to single precision may leave over of an affine map, in local units: nothing to expand.
-const ROUNDING: f64 = 5e-7;
 
 /// Terms of a second-order expansion without its constant.
 const TERMS: usize = 9;

@@ -22,6 +22,12 @@ const COLLINEAR: f64 = 1e-3;
 /// Weight of the prior for the direction across, relative to the neighbours' whole spread.
 const NORMAL_RIDGE: f64 = 1e-7;
 
+/// Weight of the prior where it is nearly all that counts.
+const PRIOR: f64 = 1.0;
+
+/// What rounding to single precision may leave over, in local units.
+pub const ROUNDING: f64 = 5e-7;
+
 /// Relief that outweighs the prior so many times tells on which side of the surface things come to lie.
 const TELLING: f64 = 4.0;
 
@@ -91,10 +97,23 @@ fn fit_one(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) ->
             // Right-handed, as the image is.
             let across = across * e1.cross(e2).dot(across).signum();
             let prior = normal * turned.length().sqrt();
-            let ridge = NORMAL_RIDGE * (spread.x + spread.y + spread.z);
-            let f = (b + outer(prior, across) * ridge) * (a + outer(across, across) * ridge).inverse();
+            let whole = spread.x + spread.y + spread.z;
+            let held = |ridge: f64| {
+                (b + outer(prior, across) * ridge) * (a + outer(across, across) * ridge).inverse()
+            };
+            // Where the prior explains all neighbours to rounding, the little that they tell is rounding.
+            let f = held(PRIOR * whole);
+            let off = |j: &u32| {
+                let (j, q) = (*j as usize, q.as_dvec3());
+                let d_star = deformed[j].as_dvec3() - q_star.as_dvec3();
+                (f * (samples.positions[j].as_dvec3() - q) - d_star).length()
+            };
+            if near.iter().all(|j| off(j) < ROUNDING) {
+                return (f, spread.x > TELLING * NORMAL_RIDGE * whole);
+            }
+            let f = held(NORMAL_RIDGE * whole);
             if f.is_finite() {
-                return (f, spread.x > TELLING * ridge);
+                return (f, spread.x > TELLING * NORMAL_RIDGE * whole);
             }
         }
     }
