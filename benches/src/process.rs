@@ -5,13 +5,25 @@ use std::error::Error;
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, ExitCode, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
 /// What can go wrong in a measurement is only ever shown to a person.
 pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
+
+/// How a benchmark program ends: with its error told, if there is one.
+#[expect(clippy::print_stderr, reason = "the error of a program is told there")]
+pub fn exit(done: Result<()>) -> ExitCode {
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
 
 /// The anonymous memory of a process at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]

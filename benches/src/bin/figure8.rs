@@ -15,7 +15,7 @@ use std::time::Duration;
 use clap::Parser;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use simod_benches::process::{self, MemoryPoint, Result};
+use simod_benches::process::{self, MemoryPoint, Result, exit};
 use simod_benches::{head, row};
 use simod_core::generate::{ModelOptions, write_file};
 use simod_core::output;
@@ -65,13 +65,7 @@ fn main() -> ExitCode {
         eprintln!("error: the memory of a process can be looked at on Linux only (/proc/PID/status)");
         return ExitCode::FAILURE;
     }
-    match measure(&Arguments::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    exit(measure(&Arguments::parse()))
 }
 
 fn measure(arguments: &Arguments) -> Result<()> {

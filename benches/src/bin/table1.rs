@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use clap::Parser;
-use simod_benches::process::{self, Result, copy, number, phase, report};
+use simod_benches::process::{self, Result, copy, exit, number, phase, report};
 use simod_benches::{Map, head, median, row};
 use simod_core::generate::{ModelOptions, write_file};
 use simod_core::progress::Silent;
@@ -68,13 +68,7 @@ struct Round {
 }
 
 fn main() -> ExitCode {
-    match measure(&Arguments::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    exit(measure(&Arguments::parse()))
 }
 
 fn measure(arguments: &Arguments) -> Result<()> {

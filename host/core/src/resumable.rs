@@ -564,14 +564,8 @@ impl Recorder {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::output::tests::names;
     use crate::progress::Silent;
-
-    fn names(folder: &Path) -> Vec<String> {
-        let mut names: Vec<_> =
-            fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
-    }
 
     fn open(path: &Path, key: &str, resume: bool) -> Result<ResumableFile> {
         match ResumableFile::open(path, key.into(), resume, 10, &Silent)? {

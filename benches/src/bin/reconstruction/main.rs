@@ -18,7 +18,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, ValueEnum};
-use simod_benches::process::Result;
+use simod_benches::process::{Result, exit};
 
 /// Measure the transfer of deformations to all vertices, beside other methods, as Markdown tables
 #[derive(Parser)]
@@ -75,13 +75,7 @@ enum Section {
 }
 
 fn main() -> ExitCode {
-    match measure(&Arguments::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    exit(measure(&Arguments::parse()))
 }
 
 fn measure(arguments: &Arguments) -> Result<()> {

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand, ValueEnum};
-use simod_benches::process::{self, Result};
+use simod_benches::process::{self, Result, exit};
 
 /// Measure the quality and the speed of sampling, as Markdown tables
 #[derive(Parser)]
@@ -75,13 +75,7 @@ fn main() -> ExitCode {
         Some(Hidden::Peer(job)) => job.execute(),
         None => measure(&arguments),
     };
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    exit(done)
 }
 
 fn measure(arguments: &Arguments) -> Result<()> {

@@ -237,7 +237,8 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
     };
     let Some((c, left)) = ridged(RIDGE) else { return affine };
     // What terms explain that noise of this size leaves undetermined is not relied on.
-    let Some((_, part)) = ridged(RIDGE + NOISE * (left - SMOOTH).max(0.0)) else { return affine };
+    let relied_on = if left > SMOOTH { ridged(RIDGE + NOISE * (left - SMOOTH)) } else { Some((c, left)) };
+    let Some((_, part)) = relied_on else { return affine };
     let first = |a: usize| (c[a] * scale).as_vec3();
     let second = [3, 4, 5, 6, 7, 8].map(|a: usize| (c[a] * scale * scale).as_vec3());
     let slope = gradient + Mat3::from_cols(first(0), first(1), first(2));
