@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::expansion::Expansion;
 use super::lanes::Lanes;
-use super::sheets::{Sheets, are_lists, facing};
+use super::sheets::{Sheets, are_lists};
 use crate::sampling::SampleSet;
 
 /// The support of a sample ends at this one of its neighbours.
@@ -33,13 +33,11 @@ pub struct Reaching {
     from: f32,
     /// The sample.
     pub sample: u32,
-    /// How much it belongs to the home's sheet.
-    pub facing: f32,
 }
 
 /// For each sample, the supports that reach where it is the home.
 ///
-/// Memory: about 30 supports of 12 bytes per sample.
+/// Memory: about 30 supports of 8 bytes per sample.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Supports {
     /// Radius of each sample's support.
@@ -57,12 +55,8 @@ impl Supports {
             (0..n).into_par_iter().map(|i| sheets.around(positions, i, SUPPORT_NEIGHBOURS - 1).1).collect();
         let entry = |home: usize, j: usize| {
             let distance = positions[home].distance(positions[j]);
-            let facing = facing(samples.normals()[j], samples.normals()[home]);
-            (distance < radius[home] + radius[j] && facing > 0.0).then_some(Reaching {
-                from: distance - radius[j],
-                sample: j as u32,
-                facing,
-            })
+            (distance < radius[home] + radius[j])
+                .then_some(Reaching { from: distance - radius[j], sample: j as u32 })
         };
         // Where a sample is among the neighbours of another, but not the other way round: as between sparse and dense.
         let mut one_way: Vec<(u32, u32)> = (0..n)
@@ -256,8 +250,8 @@ fn packet<S: Simd, const GRADIENT: bool>(
             continue;
         }
         let s = s.max(zero);
-        let w = s * s * s * Lanes::splat(simd, support.facing);
-        let w_slope = s * s * Lanes::splat(simd, -6.0 * support.facing * e.inverse_square);
+        let w = s * s * s;
+        let w_slope = s * s * Lanes::splat(simd, -6.0 * e.inverse_square);
         blended.sum += w;
         if GRADIENT {
             sum_slope.iter_mut().zip(d).for_each(|(total, d)| *total += w_slope * d);

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::expansion::Expansion;
 use super::local_frames::{LocalFrames, ROUNDING};
-use super::sheets::{Sheets, facing};
+use super::sheets::Sheets;
 use crate::geometry::{hermite, solve_positive_definite};
 use crate::sampling::SampleSet;
 
@@ -148,13 +148,13 @@ fn prevailing(samples: &SampleSet, sheets: &Sheets, jets: &[Jet], in_doubt: &[u3
 /// square roots of distances: a few neighbours that are far off matter little.
 fn one_sided(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], jets: &[Jet], i: usize) -> Jet {
     let (near, radius) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
-    let (positions, normals) = (&samples.positions, samples.normals());
+    let positions = &samples.positions;
     let neighbours: Vec<(Vec3, Vec3, f32)> = near
         .iter()
         .map(|j| {
             let j = *j as usize;
             let d = positions[j] - positions[i];
-            (d, deformed[j] - deformed[i], hermite(d.length() / radius) * facing(normals[j], normals[i]))
+            (d, deformed[j] - deformed[i], hermite(d.length() / radius))
         })
         .collect();
     let cost = |jet: &Jet| {
@@ -207,8 +207,7 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
         let j = *j as usize;
         let d = (samples.positions[j] - q).as_dvec3();
         let left_over = deformed[j].as_dvec3() - q_star.as_dvec3() - prior * d;
-        let facing = facing(samples.normals()[j], samples.normals()[i]);
-        let w = f64::from(facing * hermite((d.length() * scale) as f32));
+        let w = f64::from(hermite((d.length() * scale) as f32));
         let DVec3 { x, y, z } = d * scale;
         let terms = [x, y, z, x * x, x * y, x * z, y * y, y * z, z * z];
         for (a, term) in terms.iter().enumerate() {

@@ -93,7 +93,7 @@ impl Limiter {
                 let e = &expansions[r.sample as usize];
                 let d = p - Vec3::from_array(e.center);
                 let s = (1.0 - d.length_squared() * e.inverse_square).max(0.0);
-                let w = r.facing * s * s * s;
+                let w = s * s * s;
                 (w > 0.0).then(|| {
                     (
                         w,

@@ -9,7 +9,7 @@ use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::Transport;
-use super::sheets::{Sheets, facing};
+use super::sheets::Sheets;
 use crate::geometry::{hermite, symmetric_eigen};
 use crate::sampling::SampleSet;
 
@@ -77,8 +77,7 @@ fn fit_one(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) ->
     for j in near {
         let j = *j as usize;
         let d = samples.positions[j] - q;
-        let facing = facing(samples.normals()[j], samples.normals()[i]);
-        let w = f64::from(facing * hermite(d.length() / radius.max(f32::MIN_POSITIVE)));
+        let w = f64::from(hermite(d.length() / radius.max(f32::MIN_POSITIVE)));
         let (d, d_star) = (d.as_dvec3(), deformed[j].as_dvec3() - q_star.as_dvec3());
         a += outer(d, d) * w;
         b += outer(d_star, d) * w;

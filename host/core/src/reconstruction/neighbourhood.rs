@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 use super::Surroundings;
-use super::sheets::{SHEET_NEIGHBOURS, facing};
+use super::sheets::SHEET_NEIGHBOURS;
 use crate::geometry::hermite;
 
 /// Most samples in a neighbourhood.
@@ -21,7 +21,6 @@ impl Neighbourhood {
     pub fn gather(around: &Surroundings<'_>, home: usize, k: usize, p: Vec3) -> Self {
         let Surroundings { samples, sheets, .. } = around;
         let k = k.min(MAX_K);
-        let normals = samples.normals();
         let mut found = [(0.0f32, 0u32); SHEET_NEIGHBOURS + 1];
         let mut len = 0;
         let mut take = |i: u32| {
@@ -46,7 +45,7 @@ impl Neighbourhood {
         let mut near = [(0, 0.0); MAX_K];
         for (slot, (squared, i)) in near.iter_mut().zip(&found[..count]) {
             let distance = if radius > 0.0 { squared.sqrt() / radius } else { 0.0 };
-            *slot = (*i, hermite(distance) * facing(normals[*i as usize], normals[home]));
+            *slot = (*i, hermite(distance));
         }
         // All at one distance: no one is nearer than another.
         if near[..count].iter().map(|(_, w)| w).sum::<f32>() < 1e-6 {

@@ -293,7 +293,7 @@ mod tests {
     /// Two sheets with opposite normals, a thousandth apart, in three cells that take turns.
     fn samples() -> Vec<(u32, Vec3, Vec3)> {
         let one = |i: u32| {
-            let (a, b) = ((i * 7919 % 1000) as f32 / 1000.0, (i * 104_729 % 997) as f32 / 997.0);
+            let (a, b) = ((i * 7919 % 1000) as f32 / 1000.0, (i.wrapping_mul(104_729) % 997) as f32 / 997.0);
             let up = i.is_multiple_of(2);
             let p = Vec3::new(a - 0.5, if up { 0.001 } else { 0.0 }, b);
             (i % 3, p, if up { Vec3::Y } else { -Vec3::Y })
