@@ -37,7 +37,7 @@ const SMOOTH: f64 = 0.01;
 /// Terms of a second-order expansion without its constant.
 const TERMS: usize = 9;
 
-/// A fit that leaves over more than this part of what there was to fit is in doubt …
+/// A fit that leaves over more than this part of the displacement's variation is in doubt …
 const DOUBTFUL: f64 = 0.1;
 /// … and one that leaves over more than this is not to be believed.
 const USELESS: f64 = 0.3;
@@ -202,7 +202,7 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
     let prior = gradient.as_dmat3();
     let mut matrix = [[0.0; TERMS]; TERMS];
     let mut right = [DVec3::ZERO; TERMS];
-    let (mut weights, mut largest, mut squares) = (0.0, 0.0f64, 0.0);
+    let (mut weights, mut largest, mut squares, mut variation) = (0.0, 0.0f64, 0.0, 0.0);
     for j in near {
         let j = *j as usize;
         let d = (samples.positions[j] - q).as_dvec3();
@@ -218,6 +218,7 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
             right[a] += left_over * weighted;
         }
         weights += w;
+        variation += w * (deformed[j].as_dvec3() - q_star.as_dvec3() - d).length_squared();
         squares += w * left_over.length_squared();
         largest = largest.max(left_over.length());
     }
@@ -244,9 +245,10 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
     if !(slope.is_finite() && second.iter().all(|h| h.is_finite())) {
         return affine;
     }
-    let part = part.sqrt();
-    let left = part * (squares / weights).sqrt();
+    // Beside how much the displacement varies, little matters that is left over of little.
+    let left = part * squares;
+    let part = (left / squares.max(variation)).sqrt();
     let t = ((part - DOUBTFUL) / (USELESS - DOUBTFUL)).clamp(0.0, 1.0);
-    let doubt = if left < ROUNDING { 0.0 } else { t * t * (3.0 - 2.0 * t) };
+    let doubt = if (left / weights).sqrt() < ROUNDING { 0.0 } else { t * t * (3.0 - 2.0 * t) };
     Jet { slope, second, doubt }
 }

@@ -151,7 +151,8 @@ impl Workspace {
                 (0..3).for_each(|i| self.grouped.normals[i][*place as usize] = n[i]);
             }
             let mirrored = field.frames.mirrored;
-            let (supports, gradient) = (&field.around.supports, !figures.is_empty());
+            let supports = &field.around.supports;
+            let gradient = !figures.is_empty() || !normals.is_empty() && field.limiter.is_needed();
             blend(supports, &field.expansions, mirrored, gradient, &mut self.grouped);
         }
         for (i, (p, image)) in positions.iter().zip(images).enumerate() {
@@ -163,10 +164,16 @@ impl Workspace {
                 continue;
             }
             let one_by_one = self.one_by_one(field, i);
-            let n = normals.get_mut(i);
             // Only the displacement is in single precision.
-            let way = self.displacement(field, i, n, one_by_one.as_ref()).as_dvec3() * frame.scale;
+            let way = one_by_one.map_or_else(|| self.displacement(i), |moved| moved.displacement);
+            let way = way.as_dvec3() * frame.scale;
             *image += way;
+            if let Some(n) = normals.get_mut(i).filter(|n| n.is_finite()) {
+                *n = match one_by_one {
+                    Some(moved) => moved.normal(*n, field.frames.mirrored),
+                    None => self.normal(i),
+                };
+            }
             if let Some(figures) = figures {
                 let gradient = one_by_one.map_or_else(|| self.gradient(i), |moved| moved.gradient);
                 *figures = field.figures(home, way.length(), &gradient);
@@ -174,7 +181,7 @@ impl Workspace {
         }
     }
 
-    /// What happens to vertex `i` of the block, where that is no blend.
+    /// What happens to vertex `i` of the block, where that is not just the blend.
     #[inline]
     fn one_by_one(&self, field: &DeformationField<'_>, i: usize) -> Option<Transport> {
         let (home, p) = (self.homes[i] as usize, self.local[i]);
@@ -183,41 +190,33 @@ impl Workspace {
             Method::BlendedJets if self.grouped.sum[self.place[i] as usize] < LEAST_WEIGHT => {
                 Some(field.beyond(home, p))
             }
+            Method::BlendedJets if field.limiter.concerns(home) => {
+                let blended = Transport { displacement: self.displacement(i), gradient: self.gradient(i) };
+                Some(field.limiter.limited(&field.around.supports, &field.expansions, home, p, blended))
+            }
             Method::BlendedJets => None,
         }
     }
 
-    /// The gradient of the blend at vertex `i` of the block, which was asked for.
-    fn gradient(&self, i: usize) -> Mat3 {
+    /// The blend at vertex `i` of the block.
+    #[inline]
+    fn displacement(&self, i: usize) -> Vec3 {
         let at = self.place[i] as usize;
-        Mat3::from_cols_array(&self.grouped.gradient.each_ref().map(|v| v[at]))
+        Vec3::from_array(self.grouped.displacement.each_ref().map(|v| v[at]))
     }
 
-    /// What moves vertex `i` of the block, and its normal turned.
+    /// The normal that the blend turned.
     #[inline]
-    fn displacement(
-        &self,
-        field: &DeformationField<'_>,
-        i: usize,
-        normal: Option<&mut Vec3>,
-        one_by_one: Option<&Transport>,
-    ) -> Vec3 {
-        let (home, p) = (self.homes[i] as usize, self.local[i]);
-        let (at, g) = (self.place[i] as usize, &self.grouped);
-        if let Some(moved) = one_by_one {
-            if let Some(n) = normal {
-                *n = moved.normal(*n, field.frames.mirrored);
-            }
-            return moved.displacement;
-        }
-        if let Some(n) = normal.filter(|n| n.is_finite()) {
-            *n = Vec3::from_array(g.normals.each_ref().map(|v| v[at]));
-        }
-        let displacement = Vec3::from_array(g.displacement.each_ref().map(|v| v[at]));
-        if !field.limiter.concerns(home) {
-            return displacement;
-        }
-        field.limiter.limited(&field.around.supports, &field.expansions, home, p, displacement)
+    fn normal(&self, i: usize) -> Vec3 {
+        let at = self.place[i] as usize;
+        Vec3::from_array(self.grouped.normals.each_ref().map(|v| v[at]))
+    }
+
+    /// The gradient of the blend; nothing, if it was not asked for.
+    fn gradient(&self, i: usize) -> Mat3 {
+        let at = self.place[i] as usize;
+        let entry = |v: &Vec<f32>| v.get(at).copied().unwrap_or_default();
+        Mat3::from_cols_array(&self.grouped.gradient.each_ref().map(entry))
     }
 
     /// Puts the vertices of each home that moves side by side.
