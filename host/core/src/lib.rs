@@ -21,6 +21,7 @@ mod resumable;
 pub mod sampled_model;
 pub mod sampling;
 mod scratch;
+mod uncached;
 
 pub use error::{Error, ErrorKind, Result};
 pub use progress::Progress;

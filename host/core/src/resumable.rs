@@ -16,6 +16,7 @@ use xxhash_rust::xxh3::{Xxh3Default, xxh3_128};
 
 use crate::model::Output;
 use crate::output::{folder_of, regular_target, sync_folder};
+use crate::uncached::UncachedFile;
 use crate::{Error, ErrorKind, Progress, Result};
 
 /// What a journal begins with.
@@ -30,11 +31,11 @@ const LONGEST_NAME: usize = 200;
 /// A file in the making, a piece at a time. Dropped before [`commit`](Self::commit), it leaves no trace, unless it is
 /// to be [kept](Self::keep).
 ///
-/// Memory: the journal, of some 60 bytes for each part.
+/// Memory: 2 MiB, and the journal, of some 60 bytes for each part.
 pub(crate) struct ResumableFile {
     places: Places,
     /// The part file, locked.
-    file: File,
+    file: UncachedFile,
     journal: Journal,
     recorder: Recorder,
     /// What is written: pieces, and bytes.
@@ -75,7 +76,7 @@ impl ResumableFile {
         let mut this = Self {
             recorder: Recorder::new(&file, &places)?,
             places,
-            file,
+            file: UncachedFile::new(file),
             journal: Journal { key, parts: Vec::new(), is_complete: false },
             pieces: 0,
             end: 0,
@@ -93,7 +94,7 @@ impl ResumableFile {
         }
         if found.parts.is_empty() {
             // In this order: a journal never speaks of bytes that are gone.
-            let begun = remove(&this.places.journal).and_then(|()| this.file.set_len(0));
+            let begun = remove(&this.places.journal).and_then(|()| this.file.file().set_len(0));
             begun.and_then(|()| this.journal.replace(&this.places, false)).map_err(|e| this.failed(&e))?;
         }
         this.journal.parts = found.parts;
@@ -118,12 +119,12 @@ impl ResumableFile {
             return Ok(Found::default());
         }
         let bytes = parts.last().map_or(0, |p| p.end);
-        let in_target = is_complete && self.file.metadata().is_ok_and(|m| m.len() == 0);
+        let in_target = is_complete && self.file.file().metadata().is_ok_and(|m| m.len() == 0);
         let target = in_target.then(|| File::open(&self.places.target).ok()).flatten();
         // Whoever cancels now has lost nothing.
         self.leave = true;
         progress.begin("checking what is there", bytes);
-        let good = good_parts(target.as_ref().unwrap_or(&self.file), &parts, progress)?;
+        let good = good_parts(target.as_ref().unwrap_or(self.file.file()), &parts, progress)?;
         self.leave = false;
         let all = good == parts.len();
         let length = |file: &File| file.metadata().is_ok_and(|m| m.len() == bytes);
@@ -138,7 +139,7 @@ impl ResumableFile {
             progress.note(&format!("{name}: what was left of it is damaged; going on from before that"));
         }
         parts.truncate(good);
-        Ok(Found { is_complete: all && is_complete && length(&self.file), parts, in_target: false })
+        Ok(Found { is_complete: all && is_complete && length(self.file.file()), parts, in_target: false })
     }
 
     /// After how many pieces each of the parts ends.
@@ -160,8 +161,8 @@ impl ResumableFile {
         self.pieces = pieces;
         self.end = self.journal.parts.last().map_or(0, |p| p.end);
         (self.hash, self.since) = (Xxh3Default::new(), 0);
-        let cut = self.file.set_len(self.end).and_then(|()| self.file.seek(SeekFrom::Start(self.end)));
-        cut.map_err(|e| self.failed(&e))
+        self.file.go_on_at(self.end).map_err(|e| self.failed(&e))?;
+        Ok(self.end)
     }
 
     /// What is written since the last part.
@@ -171,6 +172,7 @@ impl ResumableFile {
 
     /// Ends the current part, which is recorded once it is on the disk.
     fn end_part(&mut self) -> io::Result<()> {
+        self.file.flush()?;
         self.journal.parts.push(self.open_part());
         (self.hash, self.since) = (Xxh3Default::new(), 0);
         self.recorder.record(self.journal.clone())
@@ -184,7 +186,8 @@ impl ResumableFile {
     pub(crate) fn complete(&mut self, one_of_several: bool) -> Result<()> {
         let mut complete = || {
             self.recorder.finish()?;
-            self.file.sync_all()?;
+            self.file.flush()?;
+            self.file.file().sync_all()?;
             if one_of_several || !self.journal.parts.is_empty() {
                 if self.journal.parts.last().is_none_or(|p| p.pieces < self.pieces) {
                     self.journal.parts.push(self.open_part());
@@ -219,7 +222,7 @@ impl ResumableFile {
         let Some(Some(journal)) = Journal::read(&self.places) else { return };
         if let Some(last) = journal.parts.last() {
             // The rest may be what fills the disk. If it cannot be cut off, it is when the file is gone on with.
-            let _ = self.file.set_len(last.end);
+            let _ = self.file.file().set_len(last.end);
             let _ = remove(&self.places.new_journal);
             self.leave = true;
         }
@@ -233,7 +236,7 @@ impl ResumableFile {
 impl Output for ResumableFile {
     fn write_piece(&mut self, bytes: &[u8], source_bytes: u64) -> io::Result<()> {
         let mut write = || {
-            self.file.write_all(bytes)?;
+            self.file.write(bytes)?;
             self.hash.update(bytes);
             self.pieces += 1;
             self.end += bytes.len() as u64;
