@@ -31,6 +31,9 @@ const ALONG: f32 = 0.2;
 /// A chord beyond this sine is no link.
 const ACROSS: f32 = 0.5;
 
+/// The place of a sample that has none.
+const NOWHERE: u8 = u8::MAX;
+
 /// The neighbours of each sample on its own sheet.
 ///
 /// Memory: at most 133 bytes per sample.
@@ -47,17 +50,19 @@ impl Sheets {
         let (positions, normals, graph) = (&samples.positions[..], samples.normals(), samples.neighbours());
         let links: Vec<[u32; LINKS]> =
             (0..samples.len()).into_par_iter().map(|i| links(positions, normals, graph.of(i), i)).collect();
+        let nowhere = || vec![NOWHERE; samples.len()];
         let lists: Vec<Option<Vec<u32>>> = (0..samples.len())
             .into_par_iter()
-            .map(|i| {
+            .map_init(nowhere, |places, i| {
                 let near = graph.of(i);
                 if near.iter().all(|j| surely_along(positions, normals, i, *j as usize))
-                    || all_reached(&links, i, near)
+                    || reached(&links, i, near, places).count() == near.len()
                 {
                     return None;
                 }
                 let near = samples.nearest_neighbours(i, CROWDED_NEIGHBOURS);
-                let same: Vec<u32> = reached(&links, i, &near).take(SHEET_NEIGHBOURS).copied().collect();
+                let same: Vec<u32> =
+                    reached(&links, i, &near, places).take(SHEET_NEIGHBOURS).copied().collect();
                 // Noise and creases alone do not make a second sheet.
                 (same[..] != near[..same.len()]).then_some(same)
             })
@@ -162,45 +167,26 @@ fn links(positions: &[Vec3], normals: &[Vec3], near: &[u32], i: usize) -> [u32; 
     best.map(|(_, j)| j)
 }
 
-/// Whether links within `near` (fewer than 128) lead from sample `i` to all of them: `false` may be wrong, as links are
-/// followed one way alone.
-fn all_reached(links: &[[u32; LINKS]], i: usize, near: &[u32]) -> bool {
-    let all = (1u128 << near.len()) - 1;
-    let (mut seen, mut done) = (0u128, 0u128);
-    let mut at = i;
-    loop {
-        for j in links[at] {
-            if let Some(place) = near.iter().position(|n| *n == j) {
-                seen |= 1 << place;
-            }
-        }
-        let open = seen & !done;
-        if seen == all || open == 0 {
-            return seen == all;
-        }
-        done |= open & open.wrapping_neg();
-        at = near[open.trailing_zeros() as usize] as usize;
-    }
-}
-
-/// Those of `near` (fewer than 128) that links within them reach from sample `i`, in their order.
-fn reached<'a>(links: &[[u32; LINKS]], i: usize, near: &'a [u32]) -> impl Iterator<Item = &'a u32> {
-    let mut by_index = [(u32::MAX, 0u8); CROWDED_NEIGHBOURS + 1];
-    let nodes = near.len() + 1;
+/// Those of `near` (fewer than 128) that links within them reach from sample `i`, in their order. `places` has one for
+/// each sample, all [`NOWHERE`], before and after.
+fn reached<'a>(
+    links: &[[u32; LINKS]],
+    i: usize,
+    near: &'a [u32],
+    places: &mut [u8],
+) -> impl Iterator<Item = &'a u32> + use<'a> {
     // The sample itself has the last place.
-    let node = |at: usize| near.get(at).copied().unwrap_or(i as u32);
-    (0..nodes).for_each(|at| by_index[at] = (node(at), at as u8));
-    let by_index = &mut by_index[..nodes];
-    by_index.sort_unstable();
-    let place = |j: u32| by_index.binary_search_by_key(&j, |e| e.0).ok().map(|at| by_index[at].1);
+    let nodes = || (0..).zip(near.iter().copied().chain([i as u32]));
+    nodes().for_each(|(at, node)| places[node as usize] = at);
     // Links go both ways.
     let mut linked = [0u128; CROWDED_NEIGHBOURS + 1];
-    for at in 0..nodes {
-        for to in links[node(at) as usize].into_iter().filter_map(place) {
-            linked[at] |= 1 << to;
+    for (at, node) in nodes() {
+        for to in links[node as usize].map(|to| places[to as usize]).into_iter().filter(|to| *to != NOWHERE) {
+            linked[at as usize] |= 1 << to;
             linked[to as usize] |= 1 << at;
         }
     }
+    nodes().for_each(|(_, node)| places[node as usize] = NOWHERE);
     let (mut seen, mut open) = (0u128, 1u128 << near.len());
     while open != 0 {
         let at = open.trailing_zeros();
