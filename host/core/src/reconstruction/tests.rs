@@ -105,6 +105,54 @@ fn at_steps_nothing_leaves_the_range_of_the_samples_by_much() {
 }
 
 #[test]
+fn at_the_ends_of_a_ramp_neighbouring_vertices_stay_neighbours() {
+    // Samples with gaps between them, as where cells of the sampling meet.
+    let hole = |p: &Vec3| (p.x * 7.0).fract() > 0.8 && (p.z * 7.0).fract() > 0.8;
+    let set = SampleSet::new(patch(50).filter(|p| !hole(p)).collect(), Vec::new()).expect("samples");
+    let around = Surroundings::of(&set);
+    for width in [0.08, 0.16, 0.32] {
+        let step = |p: Vec3| ((p.x + 0.3 * p.z - 0.6) / width + 0.5).clamp(0.0, 1.0);
+        let deformed: Vec<Vec3> = set.positions.iter().map(|p| *p + Vec3::Y * 0.3 * step(*p)).collect();
+        let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
+        for row in 1..40 {
+            let at = |i: usize| on_patch(i as f32 / 2000.0, row as f32 / 40.0);
+            let points: Vec<Vec3> = (100..1900).map(at).collect();
+            let moved: Vec<f32> =
+                carried(&field, &points).iter().zip(&points).map(|(a, b)| a.y - b.y).collect();
+            let steepest = moved.windows(2).map(|m| (m[1] - m[0]).abs()).fold(0.0, f32::max);
+            assert!(
+                steepest < 2.5 * 0.3 / width / 2000.0,
+                "{width} {row}: {}",
+                steepest * 2000.0 * width / 0.3
+            );
+        }
+    }
+}
+
+#[test]
+fn normals_of_a_rough_scan_do_not_come_between() {
+    // Relief of the size of the spacing, and normals that go with it up to 110° off: two may oppose each other.
+    let rough = |i: usize, p: Vec3| {
+        let noise = |k: usize| ((i * 7919 + k * 104_729) % 997) as f32 / 997.0;
+        let (tilt, around) = ((110.0 * noise(1).sqrt()).to_radians(), 6.3 * noise(2));
+        let normal = Vec3::new(tilt.sin() * around.cos(), tilt.cos(), tilt.sin() * around.sin());
+        (p + Vec3::Y * 0.01 * noise(3), normal)
+    };
+    let (positions, normals): (Vec<Vec3>, Vec<Vec3>) =
+        patch(60).enumerate().map(|(i, p)| rough(i, p)).unzip();
+    let set = SampleSet::new(positions, normals).expect("samples");
+    let around = Surroundings::of(&set);
+    let map = |p: Vec3| Quat::from_rotation_z(1.5 * p.z) * p;
+    let deformed: Vec<Vec3> = set.positions.iter().map(|p| map(*p)).collect();
+    let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
+    let (points, normals): (Vec<Vec3>, Vec<Vec3>) =
+        patch(127).enumerate().map(|(i, p)| rough(i, p)).filter(|(p, _)| inner(p)).unzip();
+    let (images, _) = carried_with_normals(&field, &points, &normals);
+    let worst = points.iter().zip(images).map(|(p, image)| map(*p).distance(image)).fold(0.0, f32::max);
+    assert!(worst < 4e-5, "{worst}");
+}
+
+#[test]
 fn the_gradient_is_that_of_what_the_vertices_do() {
     let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
     let around = Surroundings::of(&set);
