@@ -1,14 +1,25 @@
 //! What a plugin is, and what it wants.
 
-use crate::ParamDesc;
+use crate::{Graph, InputPart, ParamDesc, Triangles};
 use abi_stable::{
     StableAbi,
     std_types::{RString, RVec},
 };
 
-/// Which inputs a plugin uses, so that the host offers just those.
+/// One input that a plugin uses beside the samples' positions. Inputs are known by ids, as extensions are: what later
+/// versions offer is a new id, not a new field.
 #[repr(C)]
-#[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(StableAbi, Debug, Clone, PartialEq, Eq)]
+pub struct InputDesc {
+    /// Such as `simod.handle-regions/1`.
+    pub id: RString,
+    /// How many the plugin needs: where there are less, it is not called. 0 for one that it uses if it is there. A host
+    /// that does not know the id passes over it if it is 0, and refuses the plugin otherwise.
+    pub at_least: u32,
+}
+
+/// Which of the inputs of this version a plugin uses, so that the host offers just those.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Consumes {
     /// Regions that stay where they are.
     pub fixed_regions: bool,
@@ -18,8 +29,51 @@ pub struct Consumes {
     pub min_handles: u32,
     /// Fewest fixed regions that it needs.
     pub min_fixed: u32,
-    /// Normals that fit the positions: the host derives them anew between layers.
+    /// Normals that fit the positions: the host derives them anew between layers. Without them it is not called.
     pub normals: bool,
+    /// [`Triangles`](crate::Triangles) between the samples, where there are any.
+    pub triangles: bool,
+    /// The [`Graph`](crate::Graph) of the samples' nearest neighbours.
+    pub graph: bool,
+}
+
+impl Consumes {
+    /// Regions that stay where they are.
+    pub const FIXED_REGIONS: &'static str = "simod.fixed-regions/1";
+    /// Regions that follow a transform.
+    pub const HANDLE_REGIONS: &'static str = "simod.handle-regions/1";
+    /// Normals that fit the positions.
+    pub const NORMALS: &'static str = "simod.normals/1";
+
+    fn inputs(&self) -> [(&'static str, bool, u32); 5] {
+        [
+            (Self::FIXED_REGIONS, self.fixed_regions, self.min_fixed),
+            (Self::HANDLE_REGIONS, self.handle_regions, self.min_handles),
+            (Self::NORMALS, self.normals, 1),
+            (Triangles::ID, self.triangles, 0),
+            (Graph::ID, self.graph, 0),
+        ]
+    }
+
+    /// What a plugin's inputs come to; the first one that this version does not have, if the plugin needs it.
+    ///
+    /// # Errors
+    /// Its id.
+    pub fn from_inputs(inputs: &[InputDesc]) -> Result<Self, &str> {
+        let mut this = Self::default();
+        for InputDesc { id, at_least } in inputs {
+            match id.as_str() {
+                Self::FIXED_REGIONS => (this.fixed_regions, this.min_fixed) = (true, *at_least),
+                Self::HANDLE_REGIONS => (this.handle_regions, this.min_handles) = (true, *at_least),
+                Self::NORMALS => this.normals = true,
+                Triangles::ID => this.triangles = true,
+                Graph::ID => this.graph = true,
+                id if *at_least > 0 => return Err(id),
+                _ => {}
+            }
+        }
+        Ok(this)
+    }
 }
 
 /// A plugin's description of itself.
@@ -39,7 +93,7 @@ pub struct Descriptor {
     /// Its parameters, in the order to show them.
     pub params: RVec<ParamDesc>,
     /// Which inputs it uses.
-    pub consumes: Consumes,
+    pub inputs: RVec<InputDesc>,
 }
 
 impl Descriptor {
@@ -52,7 +106,7 @@ impl Descriptor {
             summary: RString::new(),
             citation: RString::new(),
             params: RVec::new(),
-            consumes: Consumes::default(),
+            inputs: RVec::new(),
         }
     }
 
@@ -80,7 +134,31 @@ impl Descriptor {
     /// Which inputs it uses.
     #[must_use]
     pub fn consumes(mut self, consumes: Consumes) -> Self {
-        self.consumes = consumes;
+        let used = consumes.inputs().into_iter().filter(|(_, used, _)| *used);
+        self.inputs.extend(used.map(|(id, _, at_least)| InputDesc { id: id.into(), at_least }));
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn inputs_are_known_by_ids() {
+        let consumes = Consumes {
+            handle_regions: true,
+            min_handles: 2,
+            normals: true,
+            graph: true,
+            ..Consumes::default()
+        };
+        let mut inputs = Descriptor::new("x", "X", "1.0.0").consumes(consumes).inputs;
+        assert_eq!(Consumes::from_inputs(&inputs), Ok(consumes));
+        // What a later version has: passed over where it is not needed.
+        inputs.push(InputDesc { id: "simod.strokes/1".into(), at_least: 0 });
+        assert_eq!(Consumes::from_inputs(&inputs), Ok(consumes));
+        inputs.push(InputDesc { id: "simod.sound/1".into(), at_least: 1 });
+        assert_eq!(Consumes::from_inputs(&inputs), Err("simod.sound/1"));
     }
 }

@@ -1,6 +1,8 @@
 //! What a plugin works on. Borrowed from the host for the length of one call; nothing is copied.
 
+use crate::opaque::Part;
 use crate::params::{Param, Params};
+use crate::parts::{Graph, InputPart, Triangles};
 use abi_stable::{StableAbi, std_types::RSlice};
 
 /// The samples' arrays, of one length (spacing and normals may be empty where the host has none).
@@ -116,6 +118,7 @@ pub struct PrepareInput<'a> {
     pub bounds: Bounds,
     regions: RSlice<'a, Region<'a>>,
     params: RSlice<'a, Param<'a>>,
+    parts: RSlice<'a, Part<'a>>,
 }
 
 impl<'a> PrepareInput<'a> {
@@ -126,7 +129,29 @@ impl<'a> PrepareInput<'a> {
         regions: &'a [Region<'a>],
         params: &'a [Param<'a>],
     ) -> Self {
-        Self { samples, bounds, regions: regions.into(), params: params.into() }
+        Self { samples, bounds, regions: regions.into(), params: params.into(), parts: RSlice::EMPTY }
+    }
+
+    /// With inputs that are known by ids.
+    #[must_use]
+    pub fn with_parts(self, parts: &'a [Part<'a>]) -> Self {
+        Self { parts: parts.into(), ..self }
+    }
+
+    /// An input that is known by an id; nothing where the host has none, or was not told that the plugin
+    /// [uses](crate::Descriptor::inputs) it.
+    pub fn part<T: InputPart<'a>>(&self) -> Option<&'a T> {
+        self.parts.as_slice().iter().find_map(Part::get)
+    }
+
+    /// The triangles between the samples, where there are any.
+    pub fn triangles(&self) -> Option<&'a Triangles<'a>> {
+        self.part()
+    }
+
+    /// The graph of the samples' nearest neighbours.
+    pub fn graph(&self) -> Option<&'a Graph<'a>> {
+        self.part()
     }
 
     /// The regions, in the user's order.
@@ -150,6 +175,7 @@ pub struct DeformInput<'a> {
     pub bounds: Bounds,
     transforms: RSlice<'a, Affine>,
     params: RSlice<'a, Param<'a>>,
+    parts: RSlice<'a, Part<'a>>,
 }
 
 impl<'a> DeformInput<'a> {
@@ -160,7 +186,18 @@ impl<'a> DeformInput<'a> {
         transforms: &'a [Affine],
         params: &'a [Param<'a>],
     ) -> Self {
-        Self { samples, bounds, transforms: transforms.into(), params: params.into() }
+        Self { samples, bounds, transforms: transforms.into(), params: params.into(), parts: RSlice::EMPTY }
+    }
+
+    /// With inputs that are known by ids.
+    #[must_use]
+    pub fn with_parts(self, parts: &'a [Part<'a>]) -> Self {
+        Self { parts: parts.into(), ..self }
+    }
+
+    /// An input that is known by an id, such as later versions may add.
+    pub fn part<T: InputPart<'a>>(&self) -> Option<&'a T> {
+        self.parts.as_slice().iter().find_map(Part::get)
     }
 
     /// One map for each *handle* region of the preparation, in their order; all finite.

@@ -77,7 +77,8 @@
 //!
 //! The root module and all types that cross the boundary are frozen with the first release: the loader
 //! compares their layouts. What comes later is an extension, a frozen struct of its own, queried by a string id:
-//! the plugin's by the host (`simod.evaluate/1`), the host's by the plugin ([`Host::extension`]). Codes
+//! the plugin's by the host (`simod.evaluate/1`), the host's by the plugin ([`Host::extension`]), and inputs beside
+//! positions, regions and parameters ([`Part`]), which a description names by their ids ([`InputDesc`]). Codes
 //! ([`ErrorCode`], [`ParamKind`], [`Unit`], [`Role`], [`LogLevel`]) are numbers, not enums, since an enum with a
 //! value that one side does not know is undefined behaviour; an unknown code is refused, politely.
 
@@ -88,15 +89,17 @@ mod host;
 mod input;
 mod opaque;
 mod params;
+mod parts;
 mod root;
 
 pub use deformer::{Deformer, Evaluate};
-pub use descriptor::{Consumes, Descriptor};
+pub use descriptor::{Consumes, Descriptor, InputDesc};
 pub use error::{ErrorCode, PluginError, PluginResult};
 pub use host::{HostCalls, LogLevel};
 pub use input::{Affine, Bounds, DeformInput, PrepareInput, Region, Role, Samples};
 pub use opaque::{Extension, ExtensionInterface, Host, Scratch, State};
 pub use params::{ChoiceDesc, Param, ParamDesc, ParamKind, Params, Unit};
+pub use parts::{Graph, InputPart, Part, Triangles};
 pub use root::{EvaluateExtension, PluginMod, PluginModRef};
 
 /// What the macros and the host need of the crates below; not for plugins.

@@ -5,16 +5,17 @@
 //! construction, since the fields are private. What a handle's content is read back as is checked at run time.
 #![allow(unsafe_code, reason = "type-erased pointers cross the boundary; each block has its argument")]
 
-use crate::{EvaluateExtension, HostCalls, LogLevel};
+use crate::{EvaluateExtension, Graph, HostCalls, LogLevel, PluginError, PluginResult, Triangles};
 use abi_stable::{
     StableAbi,
     std_types::{ROption, RStr},
 };
-use std::any::TypeId;
+use std::any::{Any, TypeId};
 use std::ffi::c_void;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::marker::PhantomData;
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::sync::{Mutex, PoisonError};
 
 /// Tells types of one library apart, and nearly surely those of different ones.
 fn type_tag<T: 'static>() -> u64 {
@@ -108,6 +109,7 @@ pub struct Host<'a> {
     progress: extern "C" fn(*const c_void, f64) -> bool,
     log: extern "C" fn(*const c_void, LogLevel, RStr<'_>),
     extension: extern "C" fn(*const c_void, RStr<'_>) -> ROption<Extension>,
+    parallel: extern "C" fn(*const c_void, usize, &Job) -> bool,
     lifetime: PhantomData<&'a c_void>,
 }
 
@@ -124,6 +126,7 @@ impl<'a> Host<'a> {
             progress: call_progress::<T>,
             log: call_log::<T>,
             extension: call_extension::<T>,
+            parallel: call_parallel::<T>,
             lifetime: PhantomData,
         }
     }
@@ -135,6 +138,47 @@ impl<'a> Host<'a> {
     /// A line for the user.
     pub fn log(&self, level: LogLevel, message: &str) {
         (self.log)(self.context, level, message.into());
+    }
+
+    /// Calls `body` once for each number below `count`, in any order, several at once on the host's threads: a plugin with
+    /// threads of its own would crowd the cores. Returns when all is done; may be called from within itself.
+    ///
+    /// A call costs about a microsecond, and so should `body`, or more: give it a block of samples, not a single one.
+    ///
+    /// # Errors
+    /// The user asked to stop: some were not called. To be returned as it is.
+    ///
+    /// # Panics
+    /// If `body` does, once the others are done.
+    pub fn parallel_for(&self, count: usize, body: impl Fn(usize) + Sync) -> PluginResult<()> {
+        let work = Work { body: &body, panic: Mutex::new(None) };
+        let job = Job { work: std::ptr::from_ref(&work).cast(), run };
+        let done = (self.parallel)(self.context, count, &job);
+        if let Some(payload) = work.panic.into_inner().unwrap_or_else(PoisonError::into_inner) {
+            resume_unwind(payload);
+        }
+        if done { Ok(()) } else { Err(PluginError::cancelled()) }
+    }
+
+    /// Calls `body` for blocks of `size` entries (the last one may have less), with the place of the first: as
+    /// [`parallel_for`](Self::parallel_for).
+    ///
+    /// # Errors
+    /// The user asked to stop.
+    ///
+    /// # Panics
+    /// If `body` does, or `size` is 0.
+    pub fn parallel_blocks<T: Send>(
+        &self,
+        entries: &mut [T],
+        size: usize,
+        body: impl Fn(usize, &mut [T]) + Sync,
+    ) -> PluginResult<()> {
+        let blocks: Vec<Mutex<&mut [T]>> = entries.chunks_mut(size).map(Mutex::new).collect();
+        self.parallel_for(blocks.len(), |i| {
+            // Each is locked once.
+            body(i * size, &mut blocks[i].lock().unwrap_or_else(PoisonError::into_inner));
+        })
     }
 
     /// A capability of the host, by id, such as later versions may add.
@@ -160,6 +204,38 @@ extern "C" fn call_progress<T: HostCalls>(context: *const c_void, fraction: f64)
 
 extern "C" fn call_log<T: HostCalls>(context: *const c_void, level: LogLevel, message: RStr<'_>) {
     guarded(context, (), |calls: &T| calls.log(level, message.as_str()));
+}
+
+/// What a plugin has done in parallel, and the first panic of it.
+struct Work<'b> {
+    body: &'b (dyn Fn(usize) + Sync),
+    panic: Mutex<Option<Box<dyn Any + Send>>>,
+}
+
+/// The same across the boundary.
+#[repr(C)]
+#[derive(StableAbi)]
+struct Job {
+    work: *const c_void,
+    run: extern "C" fn(&Job, usize),
+}
+
+// SAFETY: `work` points to a `Work`, which is `Sync`.
+unsafe impl Sync for Job {}
+
+extern "C" fn run(job: &Job, i: usize) {
+    // SAFETY: a `Job` is made in `parallel_for` alone, of the `Work` there, which outlives the host's call; only shared
+    // references to it are made.
+    let work = unsafe { &*job.work.cast::<Work<'_>>() };
+    if let Err(payload) = catch_unwind(AssertUnwindSafe(|| (work.body)(i))) {
+        let mut first = work.panic.lock().unwrap_or_else(PoisonError::into_inner);
+        // A payload's destructor may panic again.
+        std::mem::forget(if first.is_none() { first.replace(payload) } else { Some(payload) });
+    }
+}
+
+extern "C" fn call_parallel<T: HostCalls>(context: *const c_void, count: usize, job: &Job) -> bool {
+    guarded(context, false, |calls: &T| calls.parallel_for(count, &|i| (job.run)(job, i)))
 }
 
 extern "C" fn call_extension<T: HostCalls>(context: *const c_void, id: RStr<'_>) -> ROption<Extension> {
@@ -214,6 +290,62 @@ impl Extension {
     }
 }
 
+/// An input that is known by an id.
+///
+/// # Safety
+///
+/// The type is `repr(C)`, of an ABI-stable layout that never changes under this id: a change needs another id. It borrows
+/// for `'a` what it borrows.
+pub unsafe trait InputPart<'a>: Sync + 'a {
+    /// The id, such as `simod.triangles/1`; one per type and layout.
+    const ID: &'static str;
+}
+
+// SAFETY: `repr(C)`, of ABI-stable fields; frozen.
+unsafe impl<'a> InputPart<'a> for Triangles<'a> {
+    const ID: &'static str = "simod.triangles/1";
+}
+
+// SAFETY: as above.
+unsafe impl<'a> InputPart<'a> for Graph<'a> {
+    const ID: &'static str = "simod.graph/1";
+}
+
+/// An untyped pointer to an [`InputPart`], with its id.
+#[repr(C)]
+#[derive(StableAbi, Debug, Clone, Copy)]
+pub struct Part<'a> {
+    id: RStr<'static>,
+    size: usize,
+    data: *const c_void,
+    lifetime: PhantomData<&'a c_void>,
+}
+
+// SAFETY: what it points to is borrowed for `'a`, and `Sync`, as `InputPart` asks.
+unsafe impl Send for Part<'_> {}
+// SAFETY: as above.
+unsafe impl Sync for Part<'_> {}
+
+impl<'a> Part<'a> {
+    /// Offers an input.
+    pub fn new<T: InputPart<'a>>(part: &'a T) -> Self {
+        Self {
+            id: RStr::from_str(T::ID),
+            size: size_of::<T>(),
+            data: std::ptr::from_ref(part).cast(),
+            lifetime: PhantomData,
+        }
+    }
+
+    /// The input, where it is a `T`.
+    pub fn get<T: InputPart<'a>>(&self) -> Option<&'a T> {
+        let fits = self.id.as_str() == T::ID && self.size == size_of::<T>();
+        // SAFETY: the other side made it with `new` from a `&'a` of this id, whose layout is frozen by the contract of
+        // `InputPart`; the size is checked besides. `T` borrows for `'a`, as what was offered did.
+        fits.then(|| unsafe { &*self.data.cast::<T>() })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -254,5 +386,25 @@ mod tests {
         assert!(Host::new(&Bad).progress(0.5).is_err());
         assert!(Host::new(&()).progress(0.5).is_ok());
         assert!(Host::new(&()).extension("simod.graph/1").is_none());
+    }
+
+    #[test]
+    fn work_is_handed_out_whole_and_panics_come_back() {
+        let host = Host::new(&());
+        let mut numbers = vec![0; 1001];
+        host.parallel_blocks(&mut numbers, 10, |first, block| {
+            block.iter_mut().enumerate().for_each(|(i, n)| *n += first + i);
+        })
+        .unwrap();
+        assert!(numbers.iter().enumerate().all(|(i, n)| i == *n));
+        let done = AtomicUsize::new(0);
+        let panic = catch_unwind(AssertUnwindSafe(|| {
+            host.parallel_for(9, |i| {
+                assert!(i % 4 != 3, "at {i}");
+                done.fetch_add(1, Ordering::Relaxed);
+            })
+        }));
+        assert_eq!(panic.unwrap_err().downcast_ref::<String>().map(String::as_str), Some("at 3"));
+        assert_eq!(done.load(Ordering::Relaxed), 7);
     }
 }

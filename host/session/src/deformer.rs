@@ -5,6 +5,7 @@
 //! values that are not finite, descriptions that make no sense.
 
 use crate::params::check_description;
+use rayon::prelude::*;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::{
     Consumes, DeformInput, Descriptor, ErrorCode, EvaluateExtension, ExtensionInterface, Host, HostCalls,
@@ -19,6 +20,7 @@ pub struct Plugin {
     module: PluginModRef,
     evaluate: Option<&'static EvaluateExtension>,
     descriptor: Descriptor,
+    consumes: Consumes,
     path: PathBuf,
 }
 
@@ -62,7 +64,15 @@ impl Plugin {
         check_description(&descriptor).map_err(|what| refused(&what))?;
         let extension = module.extension()(EvaluateExtension::ID.into()).into_option();
         let evaluate = extension.and_then(|e| e.get());
-        Ok(Self { module, evaluate, descriptor, path: path.to_owned() })
+        let consumes = Consumes::from_inputs(&descriptor.inputs).map_err(|id| {
+            let what = format!("{} needs the input `{id}`, which this program does not have", path.display());
+            Error::new(
+                ErrorKind::Plugin,
+                what,
+                "use a later version of the program, or an earlier one of the plugin",
+            )
+        })?;
+        Ok(Self { module, evaluate, consumes, descriptor, path: path.to_owned() })
     }
 
     /// Stable id, such as `warp`.
@@ -97,7 +107,7 @@ impl Plugin {
 
     /// Which inputs it uses.
     pub fn consumes(&self) -> Consumes {
-        self.descriptor.consumes
+        self.consumes
     }
 
     /// Whether it knows its map at any point of space.
@@ -227,6 +237,17 @@ impl<'a> Watch<'a> {
 }
 
 impl HostCalls for Watch<'_> {
+    fn parallel_for(&self, count: usize, body: &(dyn Fn(usize) + Sync)) -> bool {
+        let work = (0..count).into_par_iter().try_for_each(|i| {
+            if self.progress.is_cancelled() {
+                return Err(());
+            }
+            body(i);
+            Ok(())
+        });
+        work.is_ok()
+    }
+
     fn progress(&self, fraction: f64) -> bool {
         // NaN becomes 0; a fraction that went back is ignored.
         let bytes = (fraction.clamp(0.0, 1.0) * self.size as f64) as u64;

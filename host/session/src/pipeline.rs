@@ -42,6 +42,8 @@ pub fn deform(sampled: &SampledModel, stack: &Stack, progress: &dyn Progress) ->
         spacing: samples.spacing(),
         frame: sampled.frame,
         bounds: sampled.bounds,
+        triangles: &sampled.triangles,
+        neighbours: Some(samples.neighbours()),
         renormal: Some(&|positions| deformed_normals(samples, positions)),
     };
     let deformed = stack.apply(&shape, progress)?;

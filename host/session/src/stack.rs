@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
 use simod_core::progress::Silent;
+use simod_core::sampling::NeighbourGraph;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api as api;
 use std::sync::Arc;
@@ -33,6 +34,10 @@ pub struct RestShape<'a> {
     pub normals: &'a [Vec3],
     /// Distance to the nearest other samples, one per sample, or none at all.
     pub spacing: &'a [f32],
+    /// Triangles between the samples, or none.
+    pub triangles: &'a [[u32; 3]],
+    /// The samples' nearest neighbours.
+    pub neighbours: Option<&'a NeighbourGraph>,
     /// The map between model and local coordinates.
     pub frame: Frame,
     /// The model's box, model coordinates.
@@ -257,7 +262,17 @@ impl Layer {
 
         let params = self.params.to_local(&frame, &shape.bounds);
         let values = params.views();
-        let input = api::PrepareInput::new(rest.samples(), rest.bounds, &regions, &values);
+        let triangles = api::Triangles::new(shape.triangles);
+        let lists = shape
+            .neighbours
+            .filter(|_| self.plugin.consumes().graph)
+            .map(|n| neighbour_lists(n, rest.positions.len()));
+        let graph = lists.as_ref().map(|(starts, neighbours)| api::Graph::new(starts, neighbours));
+        let mut parts: Vec<api::Part<'_>> = graph.iter().map(api::Part::new).collect();
+        if self.plugin.consumes().triangles && !shape.triangles.is_empty() {
+            parts.push(api::Part::new(&triangles));
+        }
+        let input = api::PrepareInput::new(rest.samples(), rest.bounds, &regions, &values).with_parts(&parts);
         let state = self.plugin.prepare(&input, watch)?;
         drop(values);
         let transforms = self.transforms.iter().map(|&t| rows(to_local(t, &frame))).collect();
@@ -266,6 +281,11 @@ impl Layer {
         let deformed = prepared.deform(&frame, watch)?;
         Ok((prepared, deformed))
     }
+}
+
+/// Where the neighbours of each sample begin, and all of them.
+fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u32>, &[u32]) {
+    ((0..=samples).map(|i| (i * graph.k()) as u32).collect(), graph.all())
 }
 
 /// An error of a layer, with its place; a cancel has none.

@@ -33,7 +33,16 @@ fn about_origin(p: Vec3) -> Vec3 {
 fn rest(positions: &[Vec3]) -> RestShape<'_> {
     let corner = |p| p + ORIGIN;
     let bounds = Bounds { min: corner(DVec3::new(-1.0, 0.0, -1.0)), max: corner(DVec3::new(1.0, 8.0, 1.0)) };
-    RestShape { positions, normals: &[], spacing: &[], frame: FRAME, bounds, renormal: None }
+    RestShape {
+        positions,
+        normals: &[],
+        spacing: &[],
+        triangles: &[],
+        neighbours: None,
+        frame: FRAME,
+        bounds,
+        renormal: None,
+    }
 }
 
 fn stack(session: &str) -> Result<Stack, Error> {

@@ -4,11 +4,11 @@
 //! constraints next, until all are met. Unlike there, each round adds half as many centres as there are, so that
 //! all rounds together cost little more than the last, and the fit is taken anew by a QR factorisation.
 
+use crate::TOGETHER;
 use crate::constraints::Constraints;
 use crate::kernel::{AFFINE, BLOCK, Block, Functions, Kernel, Point};
 use faer::Mat;
 use faer::linalg::solvers::SolveLstsq;
-use rayon::prelude::*;
 use simod_plugin_api::{Host, PluginError, PluginResult};
 
 /// Centres of the first round.
@@ -159,17 +159,17 @@ fn residuals(
     host: &Host<'_>,
 ) -> PluginResult<Vec<f64>> {
     let mut residuals = vec![0.0; constraints.points.len()];
-    let blocks = residuals.par_chunks_mut(BLOCK).zip(constraints.points.par_chunks(BLOCK)).enumerate();
-    blocks.try_for_each_init(Block::default, |scratch, (block, (residuals, points))| {
-        if block % 64 == 0 {
-            host.progress(0.0)?;
+    host.parallel_blocks(&mut residuals, TOGETHER * BLOCK, |first, residuals| {
+        let mut scratch = Block::default();
+        for (block, residuals) in residuals.chunks_mut(BLOCK).enumerate() {
+            let first = first + block * BLOCK;
+            let points = &constraints.points[first..first + residuals.len()];
+            let sums = functions.sums(points, weights.as_ref(), &mut scratch);
+            for (i, residual) in residuals.iter_mut().enumerate() {
+                let off = |f: usize| (sums[(i, f)] - constraints.target(first + i, f)).abs();
+                *residual = (0..constraints.functions()).map(off).fold(0.0, f64::max);
+            }
         }
-        let sums = functions.sums(points, weights.as_ref(), scratch);
-        for (i, residual) in residuals.iter_mut().enumerate() {
-            let off = |f: usize| (sums[(i, f)] - constraints.target(block * BLOCK + i, f)).abs();
-            *residual = (0..constraints.functions()).map(off).fold(0.0, f64::max);
-        }
-        Ok(())
     })?;
     Ok(residuals)
 }

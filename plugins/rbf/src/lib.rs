@@ -14,7 +14,6 @@ use constraints::{Constraints, HandleFrame, PER_HANDLE};
 use faer::Mat;
 use fit::{Fit, Goal};
 use kernel::{BLOCK, Block, Frame, Kernel, Point};
-use rayon::prelude::*;
 use simod_plugin_api::{
     Affine, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, ParamDesc, PluginError,
     PluginResult, PrepareInput,
@@ -24,8 +23,10 @@ use simod_plugin_api::{
 const MOST_ROWS: usize = 20_000;
 /// Share of the preparation's progress that the fit has; the samples' table has the rest.
 const FIT_SHARE: f64 = 0.7;
-/// Samples between two looks at the host's wish to stop.
+/// Samples that are deformed at once on one thread.
 const DEFORM_BLOCK: usize = 8192;
+/// Blocks of points on one thread, which share their working memory.
+const TOGETHER: usize = 64;
 
 /// The plugin.
 struct Rbf;
@@ -118,18 +119,16 @@ impl Deformer for Rbf {
         if out.len() * functions != state.table.len() || input.samples.positions().len() != out.len() {
             return Err(PluginError::internal("the samples are not those of the preparation"));
         }
-        let rest = input.samples.positions().par_chunks(DEFORM_BLOCK);
-        let table = state.table.par_chunks(DEFORM_BLOCK * functions);
-        out.par_chunks_mut(DEFORM_BLOCK).zip(rest).zip(table).try_for_each(|((out, rest), table)| {
-            host.progress(0.0)?;
-            for ((o, p), values) in out.iter_mut().zip(rest).zip(table.chunks_exact(functions)) {
+        let rest = input.samples.positions();
+        host.parallel_blocks(out, DEFORM_BLOCK, |first, out| {
+            let table = state.table[first * functions..].chunks_exact(functions);
+            for ((o, p), values) in out.iter_mut().zip(&rest[first..]).zip(table) {
                 let mut q = motion.common.apply(p.map(f64::from));
                 for (&value, k) in values.iter().zip(&motion.coefficients) {
                     (0..3).for_each(|i| q[i] += f64::from(value) * k[i]);
                 }
                 *o = q.map(|x| x as f32);
             }
-            Ok(())
         })
     }
 }
@@ -204,18 +203,20 @@ fn mean(transforms: &[Affine]) -> Affine {
 fn table(fit: &Fit, frame: Frame, positions: &[[f32; 3]], host: &Host<'_>) -> PluginResult<Vec<f32>> {
     let functions = fit.weights.ncols();
     let mut table = vec![0.0; positions.len() * functions];
-    let blocks = table.par_chunks_mut(BLOCK * functions).zip(positions.par_chunks(BLOCK)).enumerate();
     let total = positions.len().max(1) as f64;
-    blocks.try_for_each_init(Block::default, |scratch, (block, (table, positions))| {
-        if block % 64 == 0 {
-            host.progress(FIT_SHARE + (1.0 - FIT_SHARE) * (block * BLOCK) as f64 / total)?;
+    let entries = BLOCK * functions;
+    host.parallel_blocks(&mut table, TOGETHER * entries, |first, table| {
+        let first = first / functions;
+        // Whether to go on is looked after by whoever hands out the blocks.
+        let _ = host.progress(FIT_SHARE + (1.0 - FIT_SHARE) * first as f64 / total);
+        let mut scratch = Block::default();
+        for (table, positions) in table.chunks_mut(entries).zip(positions[first..].chunks(BLOCK)) {
+            let points: Vec<Point> = positions.iter().map(|p| frame.to_unit(p.map(f64::from))).collect();
+            let sums = fit.functions.sums(&points, fit.weights.as_ref(), &mut scratch);
+            for (i, values) in table.chunks_exact_mut(functions).enumerate() {
+                values.iter_mut().enumerate().for_each(|(f, value)| *value = sums[(i, f)] as f32);
+            }
         }
-        let points: Vec<Point> = positions.iter().map(|p| frame.to_unit(p.map(f64::from))).collect();
-        let sums = fit.functions.sums(&points, fit.weights.as_ref(), scratch);
-        for (i, values) in table.chunks_exact_mut(functions).enumerate() {
-            values.iter_mut().enumerate().for_each(|(f, value)| *value = sums[(i, f)] as f32);
-        }
-        Ok(())
     })?;
     Ok(table)
 }

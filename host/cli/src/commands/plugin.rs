@@ -80,6 +80,15 @@ fn info(plugin: &Loaded, report: &mut Report) {
         needs.push("normals".to_owned());
     }
     report.figure("needs_normals", consumes.normals);
+    for (used, what, figure) in [
+        (consumes.triangles, "triangles, if there are any", "uses_triangles"),
+        (consumes.graph, "the samples' neighbours", "uses_graph"),
+    ] {
+        if used {
+            needs.push(what.to_owned());
+        }
+        report.figure(figure, used);
+    }
     let needs = if needs.is_empty() { "nothing but the samples".to_owned() } else { needs.join("; ") };
     report.line(format!("takes {needs}"));
     for param in simod_session::describe_params(plugin) {

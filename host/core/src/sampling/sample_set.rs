@@ -31,6 +31,11 @@ impl NeighbourGraph {
         &self.flat[i * self.k..(i + 1) * self.k]
     }
 
+    /// The neighbours of all samples, [`k`](Self::k) of each.
+    pub fn all(&self) -> &[u32] {
+        &self.flat
+    }
+
     /// How many neighbours each sample has: [`NEIGHBOURS`], or fewer in a set of fewer samples.
     pub fn k(&self) -> usize {
         self.k
