@@ -375,3 +375,94 @@ impl PreparedStack {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use simod_core::sampling::SampleSet;
+    use simod_plugin_api::__private::{no_extension, root_module};
+    use std::path::Path;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    /// Moves each sample to the mean of its neighbours and of the corners of its triangles.
+    struct Smooth;
+
+    impl api::Deformer for Smooth {
+        type State = Vec<[f32; 3]>;
+        type Scratch = ();
+
+        fn descriptor() -> api::Descriptor {
+            let consumes = api::Consumes { triangles: true, graph: true, ..api::Consumes::default() };
+            api::Descriptor::new("smooth", "Smooth", "1.0.0").consumes(consumes)
+        }
+
+        fn prepare(input: &api::PrepareInput<'_>, host: &api::Host<'_>) -> api::PluginResult<Vec<[f32; 3]>> {
+            let missing = || api::PluginError::input("it is not there");
+            let (graph, triangles) =
+                (input.graph().ok_or_else(missing)?, input.triangles().ok_or_else(missing)?);
+            let positions = input.samples.positions();
+            let mut means = vec![[0.0; 3]; positions.len()];
+            let seen = AtomicUsize::new(0);
+            host.parallel_blocks(&mut means, 7, |first, means| {
+                for (i, mean) in (first..).zip(means) {
+                    let corners = triangles.indices().iter().filter(|t| t.contains(&(i as u32))).flatten();
+                    let near: Vec<usize> = graph.of(i).iter().chain(corners).map(|j| *j as usize).collect();
+                    let sum = near.iter().map(|j| Vec3::from_array(positions[*j])).sum::<Vec3>();
+                    *mean = (sum / near.len() as f32).to_array();
+                    seen.fetch_add(1, Ordering::Relaxed);
+                }
+            })?;
+            assert_eq!(seen.into_inner(), positions.len());
+            Ok(means)
+        }
+
+        fn deform(
+            state: &Vec<[f32; 3]>,
+            _: &api::DeformInput<'_>,
+            _: &mut (),
+            out: &mut [[f32; 3]],
+            _: &api::Host<'_>,
+        ) -> api::PluginResult<()> {
+            out.copy_from_slice(state);
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn triangles_and_neighbours_reach_a_plugin_that_asks_for_them() {
+        let positions = (0..50).map(|i| Vec3::new(i as f32, (i * i) as f32 / 9.0, 0.0)).collect();
+        let set = SampleSet::new(positions, Vec::new()).unwrap();
+        let triangles: Vec<[u32; 3]> = (0..48).map(|i| [i, i + 1, i + 2]).collect();
+        let plugin = Plugin::new(root_module::<Smooth>(no_extension), Path::new("smooth")).unwrap();
+        let layer = Layer {
+            place: "step 1".to_owned(),
+            params: Params::check(plugin.id(), plugin.params(), &toml::Table::new()).unwrap(),
+            plugin: Arc::new(plugin),
+            regions: Vec::new(),
+            transforms: Vec::new(),
+            masks: Vec::new(),
+        };
+        let shape = RestShape {
+            positions: &set.positions,
+            normals: &[],
+            spacing: &[],
+            triangles: &triangles,
+            neighbours: Some(set.neighbours()),
+            frame: Frame { origin: DVec3::ZERO, scale: 1.0 },
+            bounds: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
+            renormal: None,
+        };
+        let stack = Stack { layers: vec![layer] };
+        let deformed = stack.apply(&shape, &Silent).unwrap().positions;
+        let near = |i: usize| {
+            let corners = triangles.iter().filter(move |t| t.contains(&(i as u32))).flatten();
+            set.neighbours().of(i).iter().chain(corners).map(|j| set.positions[*j as usize])
+        };
+        for (i, p) in deformed.iter().enumerate() {
+            let mean = near(i).sum::<Vec3>() / near(i).count() as f32;
+            assert!(p.abs_diff_eq(mean, 1e-4), "{i}: {p} is not {mean}");
+        }
+        let without = stack.apply(&RestShape { triangles: &[], ..shape }, &Silent).unwrap_err();
+        assert!(without.to_string().contains("it is not there"), "{without}");
+    }
+}
