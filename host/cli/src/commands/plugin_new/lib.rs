@@ -8,33 +8,22 @@ mod tests;
 
 use simod_plugin_api::*;
 
-/// A point at distance `r < radius` from the centre goes to `1 + strength · (1 - (r / radius)²)^falloff` times that
-/// distance; all others stay exactly where they are.
-struct __TYPE__ {
-    center: [f64; 3],
-    radius: f64,
-    strength: f64,
-    falloff: f64,
-}
+struct __TYPE__;
 
-impl __TYPE__ {
-    /// The values are all there, and in their ranges: SIMOD has checked them against the descriptor.
-    fn new(params: Params<'_>, bounds: &Bounds) -> PluginResult<Self> {
-        Ok(Self {
-            center: params.vec3("center")?,
-            // A fraction of the model's diagonal, so that the default suits a model of any size.
-            radius: params.float("radius")? * bounds.diagonal(),
-            strength: params.float("strength")?,
-            falloff: params.float("falloff")?,
-        })
-    }
-
-    fn apply(&self, p: [f64; 3]) -> [f64; 3] {
-        let d = [0, 1, 2].map(|i| p[i] - self.center[i]);
-        let t = d.iter().map(|x| x * x).sum::<f64>() / self.radius.powi(2);
-        let push = if t < 1.0 { self.strength * (1.0 - t).powf(self.falloff) } else { 0.0 };
+/// The map: a point at distance `r < radius` from the centre goes to `1 + strength · (1 - (r / radius)²)^falloff` times
+/// that distance; all others stay exactly where they are.
+fn bulge(params: Params<'_>, bounds: &Bounds) -> PluginResult<impl Fn([f64; 3]) -> [f64; 3]> {
+    // The values are all there, and in their ranges: SIMOD has checked them against the descriptor.
+    let (center, strength) = (params.vec3("center")?, params.float("strength")?);
+    let falloff = params.float("falloff")?;
+    // A fraction of the model's diagonal, so that the default suits a model of any size.
+    let radius = params.float("radius")? * bounds.diagonal();
+    Ok(move |p: [f64; 3]| {
+        let d = [0, 1, 2].map(|i| p[i] - center[i]);
+        let t = d.iter().map(|x| x * x).sum::<f64>() / radius.powi(2);
+        let push = if t < 1.0 { strength * (1.0 - t).powf(falloff) } else { 0.0 };
         [0, 1, 2].map(|i| p[i] + push * d[i])
-    }
+    })
 }
 
 impl Deformer for __TYPE__ {
@@ -64,8 +53,8 @@ impl Deformer for __TYPE__ {
         out: &mut [[f32; 3]],
         _: &Host<'_>,
     ) -> PluginResult<()> {
-        let map = Self::new(input.params(), &input.bounds)?;
-        let images = input.samples.positions().iter().map(|p| map.apply(p.map(f64::from)));
+        let map = bulge(input.params(), &input.bounds)?;
+        let images = input.samples.positions().iter().map(|p| map(p.map(f64::from)));
         out.iter_mut().zip(images).for_each(|(out, p)| *out = p.map(|x| x as f32));
         Ok(())
     }
@@ -75,8 +64,8 @@ impl Deformer for __TYPE__ {
 /// and `evaluate` below with it.
 impl Evaluate for __TYPE__ {
     fn evaluate(_: &(), input: &DeformInput<'_>, points: &mut [[f64; 3]], _: &Host<'_>) -> PluginResult<()> {
-        let map = Self::new(input.params(), &input.bounds)?;
-        points.iter_mut().for_each(|p| *p = map.apply(*p));
+        let map = bulge(input.params(), &input.bounds)?;
+        points.iter_mut().for_each(|p| *p = map(*p));
         Ok(())
     }
 }
