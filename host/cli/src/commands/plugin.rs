@@ -17,6 +17,7 @@ pub enum Plugin {
         /// The plugin's id, as `warp`
         id: String,
     },
+    New(super::plugin_new::New),
 }
 
 impl Plugin {
@@ -28,6 +29,7 @@ impl Plugin {
         match self {
             Self::List => list(&registry, report),
             Self::Info { id } => info(registry.get(&id)?, report),
+            Self::New(new) => new.execute(report)?,
         }
         Ok(())
     }

@@ -1,0 +1,284 @@
+//! `simod plugin new`: a project for a plugin in Rust that builds, tests itself and works as it is.
+//!
+//! The interface crate travels along, so that the project needs neither SIMOD's sources nor a path to them.
+
+use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde_json::json;
+use simod_core::output::{folder_of, write_file};
+use simod_core::{Error, ErrorKind, Result};
+
+use crate::report::Report;
+
+/// Begin a plugin of your own: a project in Rust that builds, tests itself and works
+#[derive(Args)]
+pub struct New {
+    /// The plugin's name, in kebab-case, as `soft-bulge`: its id in sessions, and the project's folder
+    name: String,
+    /// The folder to make the project's folder in (default: the current one)
+    #[arg(long, value_name = "DIR")]
+    path: Option<PathBuf>,
+}
+
+/// The project's files; words between underscores are filled in. The manifests have other names here, so that cargo
+/// takes the folder for no package.
+const PROJECT: [(&str, &str); 9] = [
+    ("Cargo.toml", include_str!("plugin_new/manifest.toml")),
+    ("README.md", include_str!("plugin_new/README.md")),
+    ("session.toml", include_str!("plugin_new/session.toml")),
+    ("rustfmt.toml", "max_width = 110\nuse_small_heuristics = \"Max\"\n"),
+    (".gitignore", include_str!("plugin_new/gitignore")),
+    ("src/lib.rs", include_str!("plugin_new/lib.rs")),
+    ("src/tests.rs", include_str!("plugin_new/tests.rs")),
+    ("simod-plugin-api/Cargo.toml", INTERFACE_MANIFEST),
+    ("simod-plugin-api/.gitignore", "/target\n/Cargo.lock\n"),
+];
+
+/// The interface's manifest without a workspace.
+const INTERFACE_MANIFEST: &str = include_str!("plugin_new/interface.toml");
+
+/// The interface's sources.
+const INTERFACE: [(&str, &str); 9] = [
+    ("deformer.rs", include_str!("../../../../plugin-api/src/deformer.rs")),
+    ("descriptor.rs", include_str!("../../../../plugin-api/src/descriptor.rs")),
+    ("error.rs", include_str!("../../../../plugin-api/src/error.rs")),
+    ("host.rs", include_str!("../../../../plugin-api/src/host.rs")),
+    ("input.rs", include_str!("../../../../plugin-api/src/input.rs")),
+    ("lib.rs", include_str!("../../../../plugin-api/src/lib.rs")),
+    ("opaque.rs", include_str!("../../../../plugin-api/src/opaque.rs")),
+    ("params.rs", include_str!("../../../../plugin-api/src/params.rs")),
+    ("root.rs", include_str!("../../../../plugin-api/src/root.rs")),
+];
+
+/// Names that Rust, its standard library, the interface or Windows keep for themselves.
+const RESERVED: &str = "abstract alloc as async aux await become box break con const continue core crate do dyn else enum \
+    extern false final fn for gen if impl in let loop macro match mod move mut nul override priv prn \
+    proc-macro pub ref return self simod-plugin-api static std struct super test trait true try type \
+    typeof union unsafe unsized use virtual where while yield";
+
+/// The longest name, in letters.
+const LONGEST: usize = 64;
+
+impl New {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        let names = Names::of(&self.name)?;
+        let folder = self.path.unwrap_or_default().join(&names.id);
+        write_project(&folder, &names)?;
+        report.line(format!(
+            "{} is ready: a bulge about a point, to be changed in src/lib.rs",
+            folder.display()
+        ));
+        report.line("next:");
+        for command in [
+            format!("cd {}", folder.display()),
+            "cargo build --release".to_owned(),
+            format!("simod plugin check {}", names.library),
+        ] {
+            report.line(format!("  {command}"));
+        }
+        report.line("README.md goes on from there");
+        report.figure("id", names.id);
+        report.figure("folder", folder.display().to_string());
+        report.figure("library", names.library);
+        report.figure("files", json!(paths()));
+        Ok(())
+    }
+}
+
+/// What is called after the plugin.
+struct Names {
+    /// `soft-bulge`: the id, the package and the folder.
+    id: String,
+    /// `Soft bulge`: what the user reads.
+    title: String,
+    /// `SoftBulge`.
+    type_name: String,
+    /// `target/release/libsoft_bulge.so`, or as the system has it.
+    library: String,
+}
+
+impl Names {
+    fn of(name: &str) -> Result<Self> {
+        let refused = |what: &str, hint: &str| {
+            Err(Error::new(ErrorKind::Argument, format!("a plugin cannot be called `{name}`: {what}"), hint))
+        };
+        let is_small = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit();
+        if !name.chars().all(|c| is_small(c) || c == '-') || name.split('-').any(str::is_empty) {
+            let hint = "use words of small letters and digits with a hyphen between, such as soft-bulge";
+            return refused("it is not kebab-case", hint);
+        }
+        if name.starts_with(|c: char| c.is_ascii_digit()) {
+            return refused("it begins with a digit", "begin with a letter, such as soft-bulge");
+        }
+        if name.len() > LONGEST {
+            return refused("it is too long", &format!("use {LONGEST} letters at most"));
+        }
+        if RESERVED.split(' ').any(|word| word == name) {
+            return refused("the name is taken", &format!("add a word, such as {name}-tool"));
+        }
+        let words: Vec<String> = name.split('-').map(capitalised).collect();
+        let mut type_name = words.concat();
+        if is_known(&type_name) {
+            type_name.push_str("Deformation");
+        }
+        Ok(Self {
+            id: name.to_owned(),
+            title: capitalised(&name.replace('-', " ")),
+            type_name,
+            library: format!("target/release/{DLL_PREFIX}{}{DLL_SUFFIX}", name.replace('-', "_")),
+        })
+    }
+
+    /// A file of the project with the names in their places.
+    fn fill_in(&self, text: &str) -> String {
+        text.replace("__NAME__", &self.id)
+            .replace("__TITLE__", &self.title)
+            .replace("__TYPE__", &self.type_name)
+            .replace("__LIBRARY__", &self.library)
+    }
+}
+
+fn capitalised(word: &str) -> String {
+    let mut letters = word.chars();
+    letters.next().into_iter().flat_map(char::to_uppercase).chain(letters).collect()
+}
+
+/// Whether the interface or the project uses a type's name, or may: its own would hide it. Says so too often rather
+/// than too rarely.
+fn is_known(type_name: &str) -> bool {
+    let has_it = |text: &str| text.split(|c: char| !c.is_alphanumeric()).any(|word| word == type_name);
+    PROJECT.iter().chain(&INTERFACE).any(|(_, text)| has_it(text))
+}
+
+/// All files of a project.
+fn paths() -> Vec<String> {
+    let own = PROJECT.iter().map(|(path, _)| (*path).to_owned());
+    own.chain(INTERFACE.iter().map(|(file, _)| format!("simod-plugin-api/src/{file}"))).collect()
+}
+
+/// Makes the project's folder, whole or not at all. There may be an empty one.
+fn write_project(folder: &Path, names: &Names) -> Result<()> {
+    let failed = |e: &io::Error| Error::io("create", folder, e);
+    let is_there = folder.symlink_metadata().is_ok();
+    if is_there && !fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none()) {
+        let what = format!("{} is there already, and is no empty folder", folder.display());
+        let hint = "choose another name, or another place by --path";
+        return Err(Error::new(ErrorKind::Argument, what, hint));
+    }
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".simod-");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        // As any other new folder: the system takes away what the user's umask says.
+        builder.permissions(fs::Permissions::from_mode(0o777));
+    }
+    let new = builder.tempdir_in(folder_of(folder)).map_err(|e| failed(&e))?;
+    for sub in ["src", "simod-plugin-api/src"] {
+        fs::create_dir_all(new.path().join(sub)).map_err(|e| failed(&e))?;
+    }
+    // What fails is told of the folder that was asked for, not of its temporary name.
+    let write = |path: String, text: &str| {
+        write_file(&new.path().join(path), text.as_bytes()).map_err(|e| {
+            let what = e.to_string().replace(&*new.path().to_string_lossy(), &folder.to_string_lossy());
+            Error::new(e.kind(), what, e.hint())
+        })
+    };
+    for (path, text) in PROJECT {
+        write(path.to_owned(), &names.fill_in(text))?;
+    }
+    for (file, text) in INTERFACE {
+        write(format!("simod-plugin-api/src/{file}"), text)?;
+    }
+    if is_there {
+        // Refused where something came into it meanwhile.
+        fs::remove_dir(folder).map_err(|e| failed(&e))?;
+    }
+    fs::rename(new.path(), folder).map_err(|e| failed(&e))?;
+    // Moved away: there is nothing to remove under the temporary name.
+    let _ = new.keep();
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file of the workspace.
+    fn read(path: &str) -> String {
+        fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(path)).unwrap()
+    }
+
+    #[test]
+    fn the_whole_interface_travels_along() {
+        let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../plugin-api/src");
+        let entries = fs::read_dir(sources).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
+        let mut files: Vec<String> = entries.collect();
+        files.sort();
+        assert_eq!(files, INTERFACE.map(|(file, _)| file));
+    }
+
+    #[test]
+    fn the_interface_keeps_its_manifest_and_the_versions_of_the_workspace() {
+        let (manifest, workspace) = (read("plugin-api/Cargo.toml"), read("Cargo.toml"));
+        let (kept, _) = manifest.split_once("\n[lints]").unwrap();
+        let spelt_out = |line: &str| match line.strip_suffix(".workspace = true") {
+            Some(key) => {
+                let begins = |l: &&str| l.split_once(" = ").is_some_and(|(k, _)| k == key);
+                workspace.lines().find(begins).unwrap().to_owned()
+            }
+            None => line.to_owned(),
+        };
+        let expected: Vec<String> = kept.trim_end().lines().map(spelt_out).collect();
+        assert_eq!(INTERFACE_MANIFEST.lines().collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn names_follow_from_one() {
+        let names = Names::of("soft-bulge-2").unwrap();
+        assert_eq!((&*names.title, &*names.type_name), ("Soft bulge 2", "SoftBulge2"));
+        assert!(names.library.contains("soft_bulge_2"));
+        assert_eq!(Names::of("host").unwrap().type_name, "HostDeformation");
+        assert_eq!(Names::of("vec").unwrap().type_name, "VecDeformation");
+        for bad in
+            ["", "-", "Bulge", "soft_bulge", "soft--bulge", "bulge-", "-bulge", "2d", "bülge", "a/b", "fn"]
+        {
+            let error = Names::of(bad).err().unwrap();
+            assert!(error.to_string().contains(&format!("`{bad}`")) && !error.hint().is_empty(), "{error}");
+        }
+        assert!(Names::of(&"a".repeat(LONGEST)).is_ok() && Names::of(&"a".repeat(LONGEST + 1)).is_err());
+    }
+
+    #[test]
+    fn all_words_are_filled_in() {
+        let names = Names::of("soft-bulge").unwrap();
+        for (path, text) in PROJECT {
+            let text = names.fill_in(text);
+            assert!(
+                !["__NAME__", "__TITLE__", "__TYPE__", "__LIBRARY__"].iter().any(|w| text.contains(w)),
+                "{path}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_project_is_written_whole_or_not_at_all() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = place.path().join("soft-bulge");
+        let names = Names::of("soft-bulge").unwrap();
+        let found =
+            || fs::read_dir(place.path()).unwrap().map(|e| e.unwrap().file_name()).collect::<Vec<_>>();
+        write_project(&place.path().join("missing/soft-bulge"), &names).unwrap_err();
+        assert!(found().is_empty());
+        fs::create_dir(&folder).unwrap();
+        write_project(&folder, &names).unwrap();
+        assert!(paths().iter().all(|path| folder.join(path).is_file()));
+        let error = write_project(&folder, &names).unwrap_err();
+        assert!(error.to_string().contains("is there already"), "{error}");
+        assert_eq!(found(), ["soft-bulge"]);
+    }
+}
