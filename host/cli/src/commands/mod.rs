@@ -6,6 +6,7 @@ pub mod demo;
 pub mod generate;
 pub mod info;
 pub mod plugin;
+mod plugin_check;
 pub mod reconstruct;
 pub mod render;
 pub mod run;
