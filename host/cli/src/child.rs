@@ -157,17 +157,20 @@ pub const LIMITS_MEMORY: bool = cfg!(target_os = "linux");
 /// Lets this process have no more than so many bytes of memory from now on, leave no image of it on the disk when it
 /// crashes, and end with the one that started it. On Linux; other systems have no such limits.
 ///
-/// The system limits addresses, of which threads reserve many that they do not use: these come on top.
+/// What threads reserve comes on top: their stacks, and for all addresses, which also count where they are not used, the
+/// arenas of the C library.
 #[cfg(target_os = "linux")]
 pub fn limit_memory(bytes: u64) -> Result<()> {
     use rustix::process::{Resource, Rlimit, Signal, getrlimit, set_parent_process_death_signal, setrlimit};
-    /// An arena of the C library and a stack.
-    const OF_A_THREAD: u64 = 128 << 20;
+    const STACK: u64 = 8 << 20;
+    const ARENA: u64 = 128 << 20;
     // Where it does not work, an endless rule goes on when the other process is killed: no reason not to check.
     let _ = set_parent_process_death_signal(Some(Signal::KILL));
-    let threads = std::thread::available_parallelism().map_or(1, usize::from) as u64;
-    let most = bytes.saturating_add(2 * threads * OF_A_THREAD);
-    for (resource, most) in [(Resource::As, most), (Resource::Core, 0)] {
+    // The program's and the plugin's.
+    let threads = 2 * std::thread::available_parallelism().map_or(1, usize::from) as u64;
+    let data = bytes.saturating_add(threads * STACK);
+    let addresses = data.saturating_add(threads * ARENA);
+    for (resource, most) in [(Resource::Data, data), (Resource::As, addresses), (Resource::Core, 0)] {
         let before = getrlimit(resource).maximum;
         let most = Some(before.map_or(most, |before| before.min(most)));
         setrlimit(resource, Rlimit { current: most, maximum: most }).map_err(|e| {

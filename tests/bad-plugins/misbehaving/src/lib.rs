@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 struct Misbehaving;
 
-const HOW: [(&str, &str); 23] = [
+const HOW: [(&str, &str); 24] = [
     ("well", "Does what it should"),
     ("panic-in-prepare", "Panics while it prepares"),
     ("panic-in-deform", "Panics half-way through the samples"),
@@ -35,6 +35,7 @@ const HOW: [(&str, &str); 23] = [
     ("not-identity", "Moves samples though its handle does not move"),
     ("not-repeatable", "Moves a little farther each time"),
     ("evaluate-disagrees", "Moves points elsewhere than samples"),
+    ("nan-at-bounds", "Writes what is no number when it shall shift by 2"),
 ];
 
 /// What goes wrong: known by the descriptor too where the environment says it.
@@ -143,6 +144,7 @@ impl Deformer for Misbehaving {
                     std::thread::sleep(Duration::from_millis(10));
                 }
             }
+            "nan-at-bounds" if by == 2.0 => by = f32::NAN,
             "not-repeatable" => by += CALLS.fetch_add(1, Ordering::Relaxed) as f32 * 1e-3,
             _ => {}
         }
