@@ -141,7 +141,7 @@ impl Check {
             ),
             End::Badly(how) => Finding::fail(
                 because(how),
-                "run what reproduces it under a debugger: the process that crashes is a child",
+                "`simod plugin check-rule FILE RULE` does it in a single process, for a debugger",
             ),
         })
     }
@@ -174,7 +174,7 @@ impl Check {
             let failed = all.iter().filter(|c| c.finding.verdict == Verdict::Fail).map(|c| c.rule.id);
             let failed = failed.collect::<Vec<_>>().join(", ");
             let what = format!("{} breaks rules: {failed}", file.display());
-            let hint = "each has its hint above; tell the plugin's author if that is somebody else";
+            let hint = "the report has a hint for each; tell the plugin's author if that is somebody else";
             report.fail(Error::new(ErrorKind::Plugin, what, hint));
         }
     }

@@ -188,6 +188,6 @@ pub(super) fn answer<T>(call: &str, result: PluginResult<T>) -> Checked<Answer<T
 pub(super) fn panicked(call: &str, error: &PluginError) -> Finding {
     Finding::fail(
         format!("{call} {}", line(&error.message)),
-        "return an error instead; with RUST_BACKTRACE=1 and --rule … the panic says where it was",
+        "return an error instead; `RUST_BACKTRACE=1 simod plugin check-rule FILE RULE` shows where it panics",
     )
 }
