@@ -15,18 +15,36 @@ pub struct Report<'a> {
     lines: Vec<String>,
     figures: Map<String, Value>,
     timed: bool,
+    failure: Option<Error>,
 }
 
 impl<'a> Report<'a> {
     /// An empty report; its clock starts now.
     pub fn new(console: &'a Console) -> Self {
-        Self { console, started: Instant::now(), lines: Vec::new(), figures: Map::new(), timed: false }
+        Self {
+            console,
+            started: Instant::now(),
+            lines: Vec::new(),
+            figures: Map::new(),
+            timed: false,
+            failure: None,
+        }
     }
 
     /// Where work tells its progress. A command that uses it gets the times of its phases into the report.
     pub fn progress(&mut self) -> &'a dyn Progress {
         self.timed = true;
         self.console
+    }
+
+    /// As [`progress`](Self::progress), where nobody wants to know how long each phase took.
+    pub fn untimed(&self) -> &'a dyn Progress {
+        self.console
+    }
+
+    /// The command did its work, and what it found is a failure: told after the report.
+    pub fn fail(&mut self, error: Error) {
+        self.failure = Some(error);
     }
 
     /// Adds a line for people.
@@ -59,7 +77,7 @@ impl<'a> Report<'a> {
         self.started.elapsed().as_secs_f64()
     }
 
-    /// Prints the report.
+    /// Prints the report. An error where there is a [failure](Self::fail) to tell.
     pub fn finish(mut self, as_json: bool) -> Result<()> {
         let seconds = self.seconds();
         let stages = self.console.stages();
@@ -88,7 +106,7 @@ impl<'a> Report<'a> {
             Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
                 Err(Error::io("write to", "standard output".as_ref(), &e))
             }
-            _ => Ok(()),
+            _ => self.failure.map_or(Ok(()), Err),
         }
     }
 }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::{
     Consumes, DeformInput, Descriptor, ErrorCode, EvaluateExtension, ExtensionInterface, Host, HostCalls,
-    LogLevel, ParamDesc, PluginError, PluginModRef, PrepareInput, Scratch, State,
+    LogLevel, ParamDesc, PluginError, PluginModRef, PluginResult, PrepareInput, Scratch, State,
 };
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -56,12 +56,14 @@ impl std::fmt::Debug for Plugin {
 impl Plugin {
     /// Asks a library's root module what it is, and checks the answer.
     pub(crate) fn new(module: PluginModRef, path: &Path) -> Result<Self> {
-        let refused = |what: &str| {
-            let what = format!("{}: {what}", path.display());
-            Error::new(ErrorKind::Plugin, what, "this is a bug of the plugin; tell its author")
-        };
-        let descriptor = module.descriptor()().into_result().map_err(|e| refused(&line(&e.message)))?;
-        check_description(&descriptor).map_err(|what| refused(&what))?;
+        let plugin = Self::unchecked(module, path)?;
+        check_description(&plugin.descriptor).map_err(|what| refused(path, &what))?;
+        Ok(plugin)
+    }
+
+    /// Asks a library's root module what it is, and takes any answer: for those who look at it more closely.
+    pub(crate) fn unchecked(module: PluginModRef, path: &Path) -> Result<Self> {
+        let descriptor = module.descriptor()().into_result().map_err(|e| refused(path, &line(&e.message)))?;
         let extension = module.extension()(EvaluateExtension::ID.into()).into_option();
         let evaluate = extension.and_then(|e| e.get());
         let consumes = Consumes::from_inputs(&descriptor.inputs).map_err(|id| {
@@ -123,14 +125,14 @@ impl Plugin {
     /// Does the work that does not depend on the transforms.
     pub(crate) fn prepare(&self, input: &PrepareInput<'_>, watch: &Watch<'_>) -> Result<State> {
         watch.begin("preparing the deformation");
-        let state = self.module.prepare()(input, &Host::new(watch)).into_result();
+        let state = self.call_prepare(input, watch);
         watch.progress.check()?;
         state.map_err(|e| self.failed(&e))
     }
 
     /// Working memory for a sequence of deformations.
     pub(crate) fn new_scratch(&self) -> Result<Scratch> {
-        self.module.new_scratch()().into_result().map_err(|e| self.failed(&e))
+        self.call_new_scratch().map_err(|e| self.failed(&e))
     }
 
     /// Fills `out` with the samples' deformed positions. On an error its content is meaningless.
@@ -145,8 +147,7 @@ impl Plugin {
         watch.begin("deforming");
         // What is not written stays visible.
         out.fill([f32::NAN; 3]);
-        let done =
-            self.module.deform()(state, input, scratch, (&mut *out).into(), &Host::new(watch)).into_result();
+        let done = self.call_deform(state, input, scratch, out, watch);
         watch.progress.check()?;
         done.map_err(|e| self.failed(&e))?;
         let bad = |p: &[f32; 3]| !p.iter().all(|x| x.is_finite());
@@ -161,14 +162,13 @@ impl Plugin {
         points: &mut [[f64; 3]],
         watch: &Watch<'_>,
     ) -> Result<()> {
-        let Some(extension) = self.evaluate else {
+        let Some(done) = self.call_evaluate(state, input, points, watch) else {
             return Err(Error::new(
                 ErrorKind::Plugin,
                 format!("plugin {} deforms samples only, not any point of space", self.id()),
                 "use a reconstruction method instead of the exact map",
             ));
         };
-        let done = (extension.evaluate)(state, input, (&mut *points).into(), &Host::new(watch)).into_result();
         watch.progress.check()?;
         done.map_err(|e| self.failed(&e))?;
         let bad = |p: &[f64; 3]| !p.iter().all(|x| x.is_finite());
@@ -202,8 +202,64 @@ impl Plugin {
     }
 }
 
+/// The calls as the plugin answers them, with error codes, and output of any kind: for checks of just that.
+impl Plugin {
+    /// Its description, as it was told at load.
+    pub(crate) fn descriptor(&self) -> &Descriptor {
+        &self.descriptor
+    }
+
+    /// Its description, told anew.
+    pub(crate) fn call_descriptor(&self) -> PluginResult<Descriptor> {
+        self.module.descriptor()().into_result()
+    }
+
+    /// See [`prepare`](Self::prepare).
+    pub(crate) fn call_prepare(
+        &self,
+        input: &PrepareInput<'_>,
+        calls: &impl HostCalls,
+    ) -> PluginResult<State> {
+        self.module.prepare()(input, &Host::new(calls)).into_result()
+    }
+
+    /// See [`new_scratch`](Self::new_scratch).
+    pub(crate) fn call_new_scratch(&self) -> PluginResult<Scratch> {
+        self.module.new_scratch()().into_result()
+    }
+
+    /// See [`deform`](Self::deform).
+    pub(crate) fn call_deform(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        scratch: &mut Scratch,
+        out: &mut [[f32; 3]],
+        calls: &impl HostCalls,
+    ) -> PluginResult<()> {
+        self.module.deform()(state, input, scratch, out.into(), &Host::new(calls)).into_result()
+    }
+
+    /// See [`evaluate`](Self::evaluate); nothing where it is not offered.
+    pub(crate) fn call_evaluate(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        points: &mut [[f64; 3]],
+        calls: &impl HostCalls,
+    ) -> Option<PluginResult<()>> {
+        let extension = self.evaluate?;
+        Some((extension.evaluate)(state, input, points.into(), &Host::new(calls)).into_result())
+    }
+}
+
+fn refused(path: &Path, what: &str) -> Error {
+    let what = format!("{}: {what}", path.display());
+    Error::new(ErrorKind::Plugin, what, "this is a bug of the plugin; tell its author")
+}
+
 /// A plugin's text on one line, of bounded length.
-fn line(text: &str) -> String {
+pub(crate) fn line(text: &str) -> String {
     const LONGEST: usize = 500;
     text.split_whitespace().collect::<Vec<_>>().join(" ").chars().take(LONGEST).collect()
 }

@@ -9,6 +9,7 @@
 //! [`Frame`](simod_core::frame::Frame)). The translation between both happens in [`stack`] alone; foreign code is called in
 //! [`deformer`] alone.
 
+pub mod check;
 pub mod deformer;
 pub mod motion;
 pub mod params;

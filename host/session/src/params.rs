@@ -6,6 +6,7 @@ use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
 use simod_core::{Error, ErrorKind, Result};
 use simod_plugin_api::{Descriptor, Param, ParamDesc, ParamKind, Unit};
+use std::hash::{Hash, Hasher};
 
 /// A parameter's value, of the kind that its description asks for.
 #[derive(Debug, Clone, PartialEq)]
@@ -93,6 +94,15 @@ impl Params {
 /// Values in the form that crosses the border.
 #[derive(Debug, Clone)]
 pub(crate) struct LocalParams(Vec<(String, ParamKind, Vec<f64>, String)>);
+
+impl Hash for LocalParams {
+    fn hash<H: Hasher>(&self, hasher: &mut H) {
+        for (id, kind, numbers, text) in &self.0 {
+            (id, kind.0, text).hash(hasher);
+            numbers.iter().for_each(|x| x.to_bits().hash(hasher));
+        }
+    }
+}
 
 impl LocalParams {
     /// Views of them.
@@ -273,11 +283,13 @@ pub fn describe_params(plugin: &Plugin) -> Vec<ParamText> {
     plugin.params().iter().map(describe).collect()
 }
 
+/// Whether a text is kebab-case.
+pub(crate) fn is_id(id: &str) -> bool {
+    !id.is_empty() && id.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-')
+}
+
 /// What is wrong with a plugin's description of itself.
 pub(crate) fn check_description(descriptor: &Descriptor) -> std::result::Result<(), String> {
-    let is_id = |id: &str| {
-        !id.is_empty() && id.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-')
-    };
     if !is_id(&descriptor.id) {
         return Err(format!("the plugin's id `{}` is not kebab-case", descriptor.id));
     }

@@ -294,7 +294,7 @@ fn at(place: &str, e: Error) -> Error {
 }
 
 /// As plugins take it.
-fn rows(map: DAffine3) -> api::Affine {
+pub(crate) fn rows(map: DAffine3) -> api::Affine {
     let (m, t) = (map.matrix3, map.translation);
     let row = |i: usize| [m.x_axis[i], m.y_axis[i], m.z_axis[i], t[i]];
     api::Affine { rows: [row(0), row(1), row(2)] }

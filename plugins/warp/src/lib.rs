@@ -27,7 +27,10 @@ impl Deformer for WarpPlugin {
         Descriptor::new("warp", "Warp", env!("CARGO_PKG_VERSION"))
             .summary("Twists, bends or tapers the whole model along an axis")
             .citation("A. H. Barr, Global and local deformations of solid primitives, SIGGRAPH 1984")
-            .param(ParamDesc::choice("operation", "Operation", "twist", &operations))
+            .param(
+                ParamDesc::choice("operation", "Operation", "twist", &operations)
+                    .hint("What happens along the axis"),
+            )
             .param(
                 ParamDesc::point("center", "Centre", [0.5; 3])
                     .unit(Unit::MODEL_LENGTH)

@@ -5,9 +5,11 @@ use serde_json::json;
 use simod_core::Result;
 use simod_session::{Plugin as Loaded, PluginRegistry};
 
+use super::plugin_check::{Check, CheckRule};
+use super::plugin_new::New;
 use crate::report::Report;
 
-/// List the deformation plugins, or show one
+/// List the deformation plugins, show one, check one, or begin a new one
 #[derive(Subcommand)]
 pub enum Plugin {
     /// List the plugins that were found
@@ -17,22 +19,31 @@ pub enum Plugin {
         /// The plugin's id, as `warp`
         id: String,
     },
-    New(super::plugin_new::New),
+    New(New),
+    Check(Check),
+    CheckRule(CheckRule),
 }
 
 impl Plugin {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        let registry = PluginRegistry::discover();
-        for rejected in registry.rejected() {
-            report.warn(rejected.error.to_string());
-        }
         match self {
-            Self::List => list(&registry, report),
-            Self::Info { id } => info(registry.get(&id)?, report),
+            Self::List => list(&discover(report), report),
+            Self::Info { id } => info(discover(report).get(&id)?, report),
             Self::New(new) => new.execute(report)?,
+            Self::Check(check) => check.execute(report)?,
+            Self::CheckRule(rule) => rule.execute(report)?,
         }
         Ok(())
     }
+}
+
+/// Loads what is in the standard folders, and says what cannot be used.
+pub(super) fn discover(report: &mut Report) -> PluginRegistry {
+    let registry = PluginRegistry::discover();
+    for rejected in registry.rejected() {
+        report.warn(rejected.error.to_string());
+    }
+    registry
 }
 
 fn list(registry: &PluginRegistry, report: &mut Report) {

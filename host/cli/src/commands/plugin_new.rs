@@ -42,7 +42,7 @@ const PROJECT: [(&str, &str); 9] = [
 const INTERFACE_MANIFEST: &str = include_str!("plugin_new/interface.toml");
 
 /// The interface's sources.
-const INTERFACE: [(&str, &str); 9] = [
+const INTERFACE: [(&str, &str); 10] = [
     ("deformer.rs", include_str!("../../../../plugin-api/src/deformer.rs")),
     ("descriptor.rs", include_str!("../../../../plugin-api/src/descriptor.rs")),
     ("error.rs", include_str!("../../../../plugin-api/src/error.rs")),
@@ -51,6 +51,7 @@ const INTERFACE: [(&str, &str); 9] = [
     ("lib.rs", include_str!("../../../../plugin-api/src/lib.rs")),
     ("opaque.rs", include_str!("../../../../plugin-api/src/opaque.rs")),
     ("params.rs", include_str!("../../../../plugin-api/src/params.rs")),
+    ("parts.rs", include_str!("../../../../plugin-api/src/parts.rs")),
     ("root.rs", include_str!("../../../../plugin-api/src/root.rs")),
 ];
 

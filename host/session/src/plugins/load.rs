@@ -8,15 +8,24 @@ use simod_plugin_api::PluginModRef;
 use std::path::Path;
 
 /// Loads a plugin for good: libraries are never unloaded.
+pub(super) fn load(path: &Path) -> Result<Plugin> {
+    Plugin::new(root_module(path)?, path)
+}
+
+/// As [`load`], whatever the plugin says about itself.
+pub(super) fn load_unchecked(path: &Path) -> Result<Plugin> {
+    Plugin::unchecked(root_module(path)?, path)
+}
+
+/// The functions that a library exports.
 ///
 /// Not by `RootModule::load_from_file`, which keeps the first library per type and returns it for all others.
-pub(super) fn load(path: &Path) -> Result<Plugin> {
+fn root_module(path: &Path) -> Result<PluginModRef> {
     // The dynamic linker maps a file that was cut off without a complaint, and the process dies on touching it.
     elf::check_complete(path)?;
     let header = lib_header_from_path(path).map_err(|e| explain(path, &e, None))?;
     let version = header.version_strings().version.as_str();
-    let module = header.init_root_module::<PluginModRef>().map_err(|e| explain(path, &e, Some(version)))?;
-    Plugin::new(module, path)
+    header.init_root_module::<PluginModRef>().map_err(|e| explain(path, &e, Some(version)))
 }
 
 /// One line instead of the hundreds that abi_stable has. `theirs` is the interface's version that the plugin

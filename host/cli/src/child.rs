@@ -1,0 +1,212 @@
+//! This program once more, as a process of its own that may come to any end.
+
+use std::io::Read;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use simod_core::{Error, ErrorKind, Progress, Result};
+
+/// Time between two looks whether the process is still there.
+const INTERVAL: Duration = Duration::from_millis(5);
+
+/// Bytes that are kept of what a process prints: the last ones.
+const KEPT: usize = 64 << 10;
+
+/// How long the last words of a process that ended are waited for. Processes of its own may hold its outputs open.
+const LAST_WORDS: Duration = Duration::from_secs(1);
+
+/// How a process ended.
+pub enum End {
+    /// By itself, with exit code 0.
+    Well,
+    /// It went on for too long, and was ended.
+    TooLong,
+    /// It asked for more memory than it may have.
+    OutOfMemory,
+    /// Otherwise: by a signal, or an exit code.
+    Badly(String),
+}
+
+/// What a process left.
+pub struct Outcome {
+    /// How it ended.
+    pub end: End,
+    /// What it printed on standard output, its end.
+    pub output: String,
+    /// The last line that it printed on standard error; may be empty.
+    pub last_error: String,
+}
+
+/// Runs this program with the given arguments for at most `time`. Where the user asks to stop, it is ended, and the
+/// error says so.
+pub fn run(command: &mut Command, time: Duration, progress: &dyn Progress) -> Result<Outcome> {
+    let refused = |e: std::io::Error| {
+        let what = format!("cannot run this program once more: {e}");
+        Error::new(ErrorKind::Io, what, "check the permissions of the program, and the limits on processes")
+    };
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = Ended(command.spawn().map_err(refused)?);
+    let output = Tail::of(child.0.stdout.take());
+    let errors = Tail::of(child.0.stderr.take());
+    let started = Instant::now();
+    let status = loop {
+        if let Some(status) = child.0.try_wait().map_err(refused)? {
+            break Some(status);
+        }
+        progress.check()?;
+        if started.elapsed() >= time {
+            break None;
+        }
+        std::thread::sleep(INTERVAL);
+    };
+    drop(child);
+    let (output, errors) = (output.text(), errors.text());
+    let end = match status {
+        None => End::TooLong,
+        Some(status) if status.success() => End::Well,
+        // What Rust, C++ and Python say before they give up.
+        Some(_)
+            if ["memory allocation of", "bad_alloc", "MemoryError"].iter().any(|t| errors.contains(t)) =>
+        {
+            End::OutOfMemory
+        }
+        Some(status) => End::Badly(describe(status)),
+    };
+    let last_error = errors.lines().rfind(|l| !l.trim().is_empty()).unwrap_or_default().trim().to_owned();
+    Ok(Outcome { end, output, last_error })
+}
+
+/// A process that does not outlive this.
+struct Ended(Child);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        // Both fail where it has ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The end of what a process prints, read by a thread, so that it never waits for a reader.
+struct Tail {
+    bytes: Arc<Mutex<Vec<u8>>>,
+    reader: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Tail {
+    fn of(source: Option<impl Read + Send + 'static>) -> Self {
+        let bytes = Arc::new(Mutex::new(Vec::new()));
+        let kept = bytes.clone();
+        let read = move |mut source: Box<dyn Read + Send>| {
+            let mut block = [0; 4096];
+            while let Ok(count @ 1..) = source.read(&mut block) {
+                let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+                kept.extend_from_slice(&block[..count]);
+                if kept.len() > 2 * KEPT {
+                    let old = kept.len() - KEPT;
+                    kept.drain(..old);
+                }
+            }
+        };
+        let reader = source.and_then(|source| {
+            let source: Box<dyn Read + Send> = Box::new(source);
+            std::thread::Builder::new().name("child".into()).spawn(move || read(source)).ok()
+        });
+        Self { bytes, reader }
+    }
+
+    fn text(&self) -> String {
+        let since = Instant::now();
+        while self.reader.as_ref().is_some_and(|r| !r.is_finished()) && since.elapsed() < LAST_WORDS {
+            std::thread::sleep(INTERVAL);
+        }
+        String::from_utf8_lossy(&self.bytes.lock().unwrap_or_else(PoisonError::into_inner)).into_owned()
+    }
+}
+
+#[cfg(unix)]
+fn describe(status: ExitStatus) -> String {
+    use std::os::unix::process::ExitStatusExt;
+    let Some(signal) = status.signal() else { return describe_code(status) };
+    let name = match signal {
+        4 => " (illegal instruction)",
+        6 => " (abort)",
+        8 => " (arithmetic error)",
+        9 => " (killed; perhaps for its memory)",
+        7 | 10 | 11 => " (invalid memory access)",
+        _ => "",
+    };
+    format!("ended by signal {signal}{name}")
+}
+
+#[cfg(not(unix))]
+fn describe(status: ExitStatus) -> String {
+    describe_code(status)
+}
+
+fn describe_code(status: ExitStatus) -> String {
+    status
+        .code()
+        .map_or_else(|| "ended for no known reason".to_owned(), |c| format!("ended with exit code {c}"))
+}
+
+/// Whether [`limit_memory`] has an effect on this system.
+pub const LIMITS_MEMORY: bool = cfg!(target_os = "linux");
+
+/// Lets this process have no more than so many bytes of memory from now on, leave no image of it on the disk when it
+/// crashes, and end with the one that started it. On Linux; other systems have no such limits.
+///
+/// What threads reserve comes on top: their stacks, and for all addresses, which also count where they are not used, the
+/// arenas of the C library.
+#[cfg(target_os = "linux")]
+pub fn limit_memory(bytes: u64) -> Result<()> {
+    use rustix::process::{Resource, Rlimit, Signal, getrlimit, set_parent_process_death_signal, setrlimit};
+    const STACK: u64 = 8 << 20;
+    const ARENA: u64 = 128 << 20;
+    // Where it does not work, an endless rule goes on when the other process is killed: no reason not to check.
+    let _ = set_parent_process_death_signal(Some(Signal::KILL));
+    // The program's and the plugin's.
+    let threads = 2 * std::thread::available_parallelism().map_or(1, usize::from) as u64;
+    let data = bytes.saturating_add(threads * STACK);
+    let addresses = data.saturating_add(threads * ARENA);
+    for (resource, most) in [(Resource::Data, data), (Resource::As, addresses), (Resource::Core, 0)] {
+        let before = getrlimit(resource).maximum;
+        let most = Some(before.map_or(most, |before| before.min(most)));
+        setrlimit(resource, Rlimit { current: most, maximum: most }).map_err(|e| {
+            let what = format!("cannot limit the memory to {bytes} bytes: {e}");
+            Error::new(ErrorKind::Io, what, "check the limits that the shell sets, with `ulimit -a`")
+        })?;
+    }
+    Ok(())
+}
+
+/// See the version for Linux.
+#[cfg(not(target_os = "linux"))]
+pub fn limit_memory(_bytes: u64) -> Result<()> {
+    Ok(())
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use simod_core::progress::Silent;
+
+    fn shell(script: &str) -> Outcome {
+        run(Command::new("sh").args(["-c", script]), Duration::from_millis(500), &Silent).expect("a shell")
+    }
+
+    #[test]
+    fn every_end_is_told() {
+        let well = shell("echo fine; echo oops >&2");
+        assert!(matches!(well.end, End::Well));
+        assert_eq!((well.output.as_str(), well.last_error.as_str()), ("fine\n", "oops"));
+        assert!(matches!(shell("exec sleep 10").end, End::TooLong));
+        assert!(matches!(shell("exit 3").end, End::Badly(how) if how == "ended with exit code 3"));
+        assert!(matches!(shell("kill -11 $$").end, End::Badly(how) if how.starts_with("ended by signal 11")));
+        let dry = "echo 'memory allocation of 8 bytes failed' >&2; exit 1";
+        assert!(matches!(shell(dry).end, End::OutOfMemory));
+        // What is too much to keep does not stop the process.
+        assert!(shell("yes | head -c 1000000").output.len() <= 2 * KEPT);
+    }
+}

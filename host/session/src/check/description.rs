@@ -1,0 +1,87 @@
+//! Rules on the library and what it says about itself.
+
+use super::subject::{Subject, answer};
+use super::{Checked, Finding};
+use crate::params::{check_description, is_id};
+use simod_plugin_api::{Descriptor, InputDesc, ParamDesc, ParamKind};
+
+/// The library is loaded already: there would be no subject else.
+pub(super) fn loads(subject: &Subject) -> Checked<Finding> {
+    let plugin = &subject.plugin;
+    Ok(Finding::pass(format!("{} {}", plugin.id(), plugin.version())))
+}
+
+/// Whether the host would not use a plugin that describes itself so.
+pub(super) fn is_wrong(subject: &Subject) -> bool {
+    wrong(subject.plugin.descriptor()).is_some()
+}
+
+/// The description makes sense, and is always the same.
+pub(super) fn descriptor(subject: &Subject) -> Checked<Finding> {
+    let descriptor = subject.plugin.descriptor();
+    let fail = |what| Err(Finding::fail(what, "correct what `Deformer::descriptor` gives"));
+    if let Some(what) = wrong(descriptor) {
+        return fail(what);
+    }
+    match answer("descriptor", subject.plugin.call_descriptor())? {
+        Ok(again) if again == *descriptor => {}
+        Ok(_) => return fail("the description is another one when asked twice".to_owned()),
+        Err(refusal) => return fail(format!("asked twice, it says {}", refusal.0)),
+    }
+    let lacking: Vec<String> = descriptor.params.iter().filter_map(lacking).collect();
+    if let Some(first) = lacking.first() {
+        let more =
+            if lacking.len() > 1 { format!(", and {} more", lacking.len() - 1) } else { String::new() };
+        return Ok(Finding::warn(format!("{first}{more}"), "tell users what they need to know"));
+    }
+    Ok(Finding::pass(format!("{} parameters", descriptor.params.len())))
+}
+
+/// What is wrong with a description.
+fn wrong(descriptor: &Descriptor) -> Option<String> {
+    if let Err(what) = check_description(descriptor) {
+        return Some(what);
+    }
+    let numbers: Vec<&str> = descriptor.version.split(['-', '+']).next().unwrap_or("").split('.').collect();
+    if numbers.len() != 3 || numbers.iter().any(|n| n.parse::<u64>().is_err()) {
+        return Some(format!("the version `{}` is not of three numbers", descriptor.version));
+    }
+    if descriptor.summary.trim().is_empty() {
+        return Some("the summary is empty".to_owned());
+    }
+    let twice = |(i, input): &(usize, &InputDesc)| descriptor.inputs[..*i].iter().any(|o| o.id == input.id);
+    if let Some((_, input)) = descriptor.inputs.iter().enumerate().find(twice) {
+        return Some(format!("it names the input `{}` twice", input.id));
+    }
+    descriptor.params.iter().find_map(wrong_choices)
+}
+
+/// What is wrong with a choice's alternatives.
+fn wrong_choices(d: &ParamDesc) -> Option<String> {
+    if let Some(choice) = d.choices.iter().find(|c| !is_id(&c.id)) {
+        return Some(format!("parameter `{}` has a choice `{}`, which is not kebab-case", d.id, choice.id));
+    }
+    let twice = d.choices.iter().enumerate().find(|(i, c)| d.choices[..*i].iter().any(|o| o.id == c.id));
+    twice.map(|(_, c)| format!("parameter `{}` has two choices `{}`", d.id, c.id))
+}
+
+/// What a parameter's description could tell besides.
+fn lacking(d: &ParamDesc) -> Option<String> {
+    if d.name.trim().is_empty() {
+        return Some(format!("parameter `{}` has no name", d.id));
+    }
+    if d.hint.trim().is_empty() {
+        return Some(format!("parameter `{}` has no hint", d.id));
+    }
+    let is_number = [ParamKind::FLOAT, ParamKind::INT].contains(&d.kind);
+    let ([hard_min, hard_max], [soft_min, soft_max]) = (d.hard_range, d.soft_range);
+    let has_soft = soft_min.is_finite() || soft_max.is_finite();
+    if is_number && has_soft && (soft_min < hard_min || soft_max > hard_max) {
+        return Some(format!("parameter `{}` has a slider that shows more than its range", d.id));
+    }
+    let outside = |x: &f64| *x < soft_min || *x > soft_max;
+    if is_number && d.default_numbers.iter().any(outside) {
+        return Some(format!("parameter `{}` has a default that its slider does not show", d.id));
+    }
+    None
+}

@@ -1,0 +1,105 @@
+//! Rules on unusual input: a plugin gives finite positions, or an error that says why not.
+
+use super::case::Case;
+use super::subject::{Answer, Subject};
+use super::{Checked, Finding};
+use glam::Vec3;
+
+/// Samples of a large case: as many as the interactive tools are made for.
+pub(super) const LARGE: usize = 200_000;
+
+/// Samples of an ordinary case.
+pub(super) const ORDINARY: usize = 2000;
+
+/// How far away samples are that lie far outside, in units of the diagonal.
+const FAR: f32 = 1e6;
+
+pub(super) fn one_sample(subject: &Subject) -> Checked<Finding> {
+    points(subject, vec![Vec3::new(0.1, 0.2, 0.3)])
+}
+
+pub(super) fn two_samples(subject: &Subject) -> Checked<Finding> {
+    points(subject, vec![Vec3::new(-0.5, 0.0, 0.2), Vec3::new(0.5, 0.7, -0.1)])
+}
+
+pub(super) fn coincident(subject: &Subject) -> Checked<Finding> {
+    points(subject, vec![Vec3::new(0.1, 0.2, 0.3); 100])
+}
+
+pub(super) fn collinear(subject: &Subject) -> Checked<Finding> {
+    let at = |i: u8| Vec3::new(-0.4, -0.5, -0.3).lerp(Vec3::new(0.4, 0.5, 0.3), f32::from(i) / 99.0);
+    points(subject, (0..100).map(at).collect())
+}
+
+pub(super) fn flat(subject: &Subject) -> Checked<Finding> {
+    let at = |i: u16| Vec3::new(f32::from(i / 20) / 19.0 - 0.5, f32::from(i % 20) / 19.0 - 0.5, 0.0);
+    points(subject, (0..400).map(at).collect())
+}
+
+/// Not unusual at all but for the number: who refuses it is of little use.
+pub(super) fn large(subject: &Subject) -> Checked<Finding> {
+    Ok(match subject.run(&Case::bumpy_sphere(&subject.plugin, LARGE)?)? {
+        Ok(_) => Finding::pass("finite"),
+        Err(refusal) => Finding::warn(
+            format!("it refuses: {}", refusal.0),
+            "a closed surface of 200 000 samples, with default parameters, should be no problem",
+        ),
+    })
+}
+
+/// As after layers that sent the samples away: the box is that of the model at rest.
+pub(super) fn huge_coordinates(subject: &Subject) -> Checked<Finding> {
+    let mut case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    let away = FAR * case.bounds.diagonal() as f32;
+    case.positions.iter_mut().flatten().for_each(|x| *x += away);
+    survives(subject, &case)
+}
+
+pub(super) fn regions_empty(subject: &Subject) -> Checked<Finding> {
+    let mut case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    if case.regions.is_empty() {
+        return Ok(Finding::skip("it uses no regions"));
+    }
+    case.regions.iter_mut().for_each(|(_, weights)| weights.fill(0.0));
+    survives(subject, &case)
+}
+
+/// All regions hold the same samples: fixed and moved at once, or moved in several ways.
+pub(super) fn regions_contradictory(subject: &Subject) -> Checked<Finding> {
+    let mut case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    let Some((_, weights)) = case.regions.first().cloned() else {
+        return Ok(Finding::skip("it uses no regions"));
+    };
+    case.regions.iter_mut().for_each(|(_, w)| w.clone_from(&weights));
+    if case.regions.len() == 1 {
+        case.regions.push(case.regions[0].clone());
+        // Twice the same motion would be no contradiction.
+        case.transforms.extend(case.transforms.first().map(|t| {
+            let mut other = *t;
+            other.rows.iter_mut().for_each(|row| row[3] += 0.1);
+            other
+        }));
+    }
+    survives(subject, &case)
+}
+
+fn points(subject: &Subject, positions: Vec<Vec3>) -> Checked<Finding> {
+    survives(subject, &Case::new(&subject.plugin, positions, Vec::new())?)
+}
+
+fn survives(subject: &Subject, case: &Case) -> Checked<Finding> {
+    Ok(Finding::pass(match all_calls(subject, case)? {
+        Ok(()) => "finite".to_owned(),
+        Err(refusal) => format!("it refuses: {}", refusal.0),
+    }))
+}
+
+/// Prepares, deforms, and evaluates at the samples, where the plugin does that: finite positions or a polite error.
+pub(super) fn all_calls(subject: &Subject, case: &Case) -> Checked<Answer<()>> {
+    let state = match subject.run(case)? {
+        Ok((state, _)) => state,
+        Err(refusal) => return Ok(Err(refusal)),
+    };
+    let points = case.positions.iter().map(|p| p.map(f64::from)).collect();
+    Ok(subject.evaluate(case, &state, points)?.unwrap_or(Ok(Vec::new())).map(drop))
+}

@@ -1,0 +1,163 @@
+//! Rules on what a deformation means: nothing for nothing, the same for the same.
+
+use super::case::{Case, motion};
+use super::inputs::ORDINARY;
+use super::subject::{Refusal, Subject};
+use super::{Checked, Finding};
+use crate::stack::rows;
+use glam::DVec3;
+use simod_core::geometry::Bounds;
+use simod_plugin_api::Affine;
+
+/// How far a rigid motion may be missed, in units of the diagonal.
+const RIGID: f64 = 1e-4;
+
+/// How far the map of space may be from the samples, in units of the diagonal.
+const AGREES: f64 = 1e-5;
+
+/// Threads that deform with one state at once.
+const THREADS: usize = 4;
+
+/// Positions as bits: what is the same is the same to the last.
+fn bits(positions: &[[f32; 3]]) -> Vec<[u32; 3]> {
+    positions.iter().map(|p| p.map(f32::to_bits)).collect()
+}
+
+/// Where two results differ in any bit: how many positions do, and which one is the first.
+pub(super) fn difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> Option<String> {
+    let (a, b) = (bits(a), bits(b));
+    let count = a.iter().zip(&b).filter(|(a, b)| a != b).count();
+    let first = a.iter().zip(&b).position(|(a, b)| a != b)?;
+    Some(format!("{count} of {} positions differ, the first at index {first}", a.len()))
+}
+
+pub(super) fn identity(subject: &Subject) -> Checked<Finding> {
+    let mut case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    if case.transforms.is_empty() {
+        return Ok(Finding::skip("it has no handles"));
+    }
+    case.transforms.fill(Affine::IDENTITY);
+    let (_, positions) = subject.run_ordinary(&case)?;
+    Ok(match difference(&case.positions, &positions) {
+        None => Finding::pass("nothing moved"),
+        Some(what) => Finding::fail(
+            format!("handles that do not move move samples: {what}"),
+            "add displacements to the rest positions, so that no motion is exactly none",
+        ),
+    })
+}
+
+pub(super) fn rigid(subject: &Subject) -> Checked<Finding> {
+    let consumes = subject.plugin.consumes();
+    if !consumes.handle_regions {
+        return Ok(Finding::skip("it has no handles"));
+    }
+    if consumes.min_fixed > 0 {
+        return Ok(Finding::skip("it needs fixed samples"));
+    }
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    let corner = DVec3::from_array;
+    let bounds = Bounds { min: corner(case.bounds.min), max: corner(case.bounds.max) };
+    let moved = rows(motion(&bounds, 0));
+    let case = case.all_handles(consumes.min_handles.max(1) as usize, moved);
+    let (_, positions) = subject.run_ordinary(&case)?;
+    let exact = case.positions.iter().map(|p| moved.apply(p.map(f64::from)));
+    let worst = farthest(exact, positions.iter().map(|p| p.map(f64::from))) / bounds.diagonal();
+    let text = format!("the motion is met to {worst:.1e} of the diagonal");
+    Ok(if worst <= RIGID {
+        Finding::pass(text)
+    } else {
+        Finding::warn(text, "users expect that what is moved as a whole keeps its shape")
+    })
+}
+
+/// The largest distance of points from those of the same index.
+fn farthest(a: impl Iterator<Item = [f64; 3]>, b: impl Iterator<Item = [f64; 3]>) -> f64 {
+    a.zip(b).map(|(a, b)| DVec3::from(a).distance(DVec3::from(b))).fold(0.0, f64::max)
+}
+
+pub(super) fn repeatable(subject: &Subject) -> Checked<Finding> {
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    let (state, first) = subject.run_ordinary(&case)?;
+    let hint = "let the result depend on the input alone: no clocks, no order of threads or of hash maps";
+    let differs = |how: &str, what: &str| Finding::fail(format!("{how}: {what}"), hint);
+
+    let (_, again) = subject.run_ordinary(&case)?;
+    if let Some(what) = difference(&first, &again) {
+        return Err(differs("prepared and deformed again", &what));
+    }
+    let one = || -> Checked<()> {
+        let mut scratch = subject.scratch()?;
+        // The second time with a scratch that was used before.
+        for _ in 0..2 {
+            let positions = subject.deform(&case, &state, &mut scratch)?.map_err(Refusal::of_ordinary)?;
+            if let Some(what) = difference(&first, &positions) {
+                return Err(differs("deformed again with the same state, by several threads", &what));
+            }
+        }
+        Ok(())
+    };
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..THREADS).map(|_| scope.spawn(one)).collect();
+        threads.into_iter().try_for_each(|thread| {
+            thread.join().unwrap_or_else(|_| Err(Finding::fail("a thread panicked outside the plugin", "")))
+        })
+    })?;
+    Ok(Finding::pass(format!("the same bytes from two states and {THREADS} threads")))
+}
+
+pub(super) fn input_unchanged(subject: &Subject) -> Checked<Finding> {
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    let before = case.fingerprint();
+    let unchanged = |call: &str| {
+        if case.fingerprint() == before {
+            return Ok(());
+        }
+        let hint = "write into `out` alone; all input is the host's, and other layers and threads read it";
+        Err(Finding::fail(format!("{call} changed its input"), hint))
+    };
+    let state = subject.prepare(&case)?;
+    unchanged("prepare")?;
+    let state = state.map_err(Refusal::of_ordinary)?;
+    let deformed = subject.deform(&case, &state, &mut subject.scratch()?);
+    unchanged("deform")?;
+    deformed?.map_err(Refusal::of_ordinary)?;
+    let points = case.positions.iter().map(|p| p.map(f64::from)).collect();
+    let evaluated = subject.evaluate(&case, &state, points);
+    unchanged("evaluate")?;
+    evaluated?;
+    Ok(Finding::pass("samples, regions, motions and parameters are as before"))
+}
+
+pub(super) fn evaluate(subject: &Subject) -> Checked<Finding> {
+    if !subject.plugin.can_evaluate() {
+        return Ok(Finding::skip("it does not evaluate"));
+    }
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    let (state, positions) = subject.run_ordinary(&case)?;
+    let points = case.positions.iter().map(|p| p.map(f64::from)).collect();
+    let images = match subject.evaluate(&case, &state, points)? {
+        Some(Ok(images)) => images,
+        Some(Err(refusal)) => {
+            let what = format!("evaluate refuses what deform does: {}", refusal.0);
+            return Err(Finding::fail(what, "both are the same map"));
+        }
+        None => return Ok(Finding::skip("it does not evaluate")),
+    };
+    let worst = farthest(positions.iter().map(|p| p.map(f64::from)), images.into_iter());
+    let worst = worst / case.bounds.diagonal();
+    let text = format!("deform and evaluate agree to {worst:.1e} of the diagonal");
+    Ok(if worst <= AGREES { Finding::pass(text) } else { Finding::fail(text, "both are the same map") })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn differences_are_of_bits() {
+        assert_eq!(difference(&[[0.0; 3]], &[[0.0; 3]]), None);
+        let found = difference(&[[1.0; 3], [0.0; 3]], &[[1.0; 3], [-0.0, 0.0, 0.0]]).unwrap();
+        assert_eq!(found, "1 of 2 positions differ, the first at index 1");
+    }
+}

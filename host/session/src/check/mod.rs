@@ -1,0 +1,182 @@
+//! Rules that every plugin has to keep, and what becomes of one rule for one library.
+//!
+//! A rule calls foreign code in ways that may end the process: whoever checks a plugin that it does not trust runs each
+//! rule in a process of its own (as `simod plugin check` does), and takes what is left of it for an answer.
+
+mod case;
+mod description;
+mod inputs;
+mod limits;
+mod meaning;
+mod parameters;
+mod random;
+mod subject;
+
+use crate::plugins::load_unchecked;
+use serde::{Deserialize, Serialize};
+use simod_core::{Error, ErrorKind, Result};
+use std::path::Path;
+use subject::Subject;
+
+/// How a plugin did on a rule.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// As it should be.
+    Pass,
+    /// The rule is broken.
+    Fail,
+    /// Not wrong, and not as good as it could be.
+    Warn,
+    /// The rule does not apply, or something else is in the way.
+    Skip,
+}
+
+impl std::fmt::Display for Verdict {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(match self {
+            Self::Pass => "pass",
+            Self::Fail => "FAIL",
+            Self::Warn => "warn",
+            Self::Skip => "skip",
+        })
+    }
+}
+
+/// What a rule found.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Finding {
+    /// How the plugin did.
+    pub verdict: Verdict,
+    /// One line on what was found.
+    pub found: String,
+    /// What to do about it, in one line; may be empty.
+    pub hint: String,
+}
+
+impl Finding {
+    /// The rule is broken.
+    pub fn fail(found: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { verdict: Verdict::Fail, found: found.into(), hint: hint.into() }
+    }
+
+    /// As it should be.
+    pub fn pass(found: impl Into<String>) -> Self {
+        Self { verdict: Verdict::Pass, found: found.into(), hint: String::new() }
+    }
+
+    /// Not wrong, and not as good as it could be.
+    pub fn warn(found: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { verdict: Verdict::Warn, found: found.into(), hint: hint.into() }
+    }
+
+    /// The rule does not apply.
+    pub fn skip(found: impl Into<String>) -> Self {
+        Self { verdict: Verdict::Skip, found: found.into(), hint: String::new() }
+    }
+}
+
+/// What goes on, or the finding that ends a rule early.
+type Checked<T> = std::result::Result<T, Finding>;
+
+/// A rule.
+#[derive(Debug)]
+pub struct Rule {
+    /// Stable id, kebab-case.
+    pub id: &'static str,
+    /// What it asks of a plugin.
+    pub asks: &'static str,
+    run: fn(&Subject) -> Checked<Finding>,
+}
+
+/// The rule that is checked first: where it is broken, there is nothing to ask by others.
+pub const LOADS: &str = "loads";
+
+/// The rule on the description, without which plugins are not used.
+const DESCRIPTOR: &str = "descriptor";
+
+/// All rules, in the order to check them.
+pub const RULES: &[Rule] = &[
+    Rule { id: LOADS, asks: "the library loads and describes itself", run: description::loads },
+    Rule { id: DESCRIPTOR, asks: "the description makes sense", run: description::descriptor },
+    Rule { id: "one-sample", asks: "a single sample is no problem", run: inputs::one_sample },
+    Rule { id: "two-samples", asks: "nor are two", run: inputs::two_samples },
+    Rule { id: "coincident", asks: "samples may lie in one point", run: inputs::coincident },
+    Rule { id: "collinear", asks: "samples may lie on a line", run: inputs::collinear },
+    Rule { id: "flat", asks: "samples may lie in a plane", run: inputs::flat },
+    Rule { id: "large", asks: "there may be 200 000 samples", run: inputs::large },
+    Rule {
+        id: "huge-coordinates",
+        asks: "samples may lie far outside the box",
+        run: inputs::huge_coordinates,
+    },
+    Rule { id: "regions-empty", asks: "regions may hold no sample", run: inputs::regions_empty },
+    Rule {
+        id: "regions-contradictory",
+        asks: "a sample may be fixed and moved at once",
+        run: inputs::regions_contradictory,
+    },
+    Rule { id: "identity", asks: "handles that do not move leave all as it is", run: meaning::identity },
+    Rule { id: "rigid", asks: "what moves as a whole moves rigidly", run: meaning::rigid },
+    Rule { id: "repeatable", asks: "the same input gives the same bytes", run: meaning::repeatable },
+    Rule { id: "input-unchanged", asks: "the input is left as it is", run: meaning::input_unchanged },
+    Rule { id: "evaluate", asks: "the map of space agrees with the samples", run: meaning::evaluate },
+    Rule { id: "bounds", asks: "parameters may take any value in range", run: parameters::bounds },
+    Rule {
+        id: "invalidation",
+        asks: "what does not invalidate the preparation does not matter to it",
+        run: parameters::invalidation,
+    },
+    Rule { id: "cancel", asks: "it stops when it is asked to", run: limits::cancel },
+    Rule { id: "log", asks: "it does not talk all the time", run: limits::log },
+    Rule { id: "latency", asks: "it deforms at an interactive rate", run: limits::latency },
+];
+
+/// The rule of an id.
+pub fn rule(id: &str) -> Result<&'static Rule> {
+    RULES.iter().find(|rule| rule.id == id).ok_or_else(|| {
+        let ids = RULES.iter().map(|rule| rule.id);
+        let hint = match crate::params::nearest(id, ids.clone()) {
+            Some(near) => format!("did you mean `{near}`?"),
+            None => format!("there are {}", ids.collect::<Vec<_>>().join(", ")),
+        };
+        Error::new(ErrorKind::Argument, format!("there is no rule `{id}`"), hint)
+    })
+}
+
+/// Checks a library against one rule. `seed` determines all that is random.
+///
+/// The library stays loaded; and what it does to this process, nobody knows.
+pub fn check_rule(file: &Path, rule: &Rule, seed: u64) -> Finding {
+    let plugin = match load_unchecked(file) {
+        Ok(plugin) => plugin,
+        Err(error) => return Finding::fail(error.to_string(), error.hint()),
+    };
+    let subject = Subject::new(plugin, seed);
+    if ![LOADS, DESCRIPTOR].contains(&rule.id) && description::is_wrong(&subject) {
+        return Finding::skip(format!("its description is wrong: see the rule `{DESCRIPTOR}`"));
+    }
+    (rule.run)(&subject).unwrap_or_else(|finding| finding)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_are_unique_and_kebab_case() {
+        for (i, rule) in RULES.iter().enumerate() {
+            assert!(crate::params::is_id(rule.id), "{}", rule.id);
+            assert!(RULES[..i].iter().all(|other| other.id != rule.id), "{}", rule.id);
+        }
+        assert!(rule("identiy").unwrap_err().hint().contains("`identity`"));
+    }
+
+    #[test]
+    fn what_is_no_library_fails() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let finding = check_rule(file.path(), rule(LOADS).unwrap(), 0);
+        assert_eq!(finding.verdict, Verdict::Fail);
+        assert!(!finding.hint.is_empty());
+    }
+}

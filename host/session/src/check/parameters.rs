@@ -1,0 +1,164 @@
+//! Rules on parameters: any value in range is answered, and the preparation depends on what it says it does.
+
+use super::case::Case;
+use super::inputs::all_calls;
+use super::meaning::difference;
+use super::random::Random;
+use super::subject::{Refusal, Subject};
+use super::{Checked, Finding};
+use simod_plugin_api::{ParamDesc, ParamKind};
+use toml::Value;
+
+/// Samples of the cases here, of which there are many.
+const SAMPLES: usize = 500;
+
+/// Assignments of random values.
+const RANDOM: usize = 32;
+
+/// Other values that are tried of a parameter that does not invalidate the preparation.
+const CHANGES: usize = 4;
+
+pub(super) fn bounds(subject: &Subject) -> Checked<Finding> {
+    let plugin = &subject.plugin;
+    if plugin.params().is_empty() {
+        return Ok(Finding::skip("it has no parameters"));
+    }
+    let case = Case::bumpy_sphere(plugin, SAMPLES)?;
+    let mut random = Random::new(subject.seed);
+    let mut tables: Vec<toml::Table> = Vec::new();
+    for d in plugin.params() {
+        tables.extend(ends(d).into_iter().map(|value| one(d, value)));
+    }
+    for _ in 0..RANDOM {
+        tables.push(plugin.params().iter().map(|d| (d.id.to_string(), any(d, &mut random))).collect());
+    }
+    let mut refused = Vec::new();
+    for given in &tables {
+        let at = |finding: Finding| Finding {
+            found: format!("with {}: {}", text(given), finding.found),
+            ..finding
+        };
+        if let Err(refusal) = all_calls(subject, &case.with_params(plugin, given)?).map_err(at)? {
+            refused.push(format!("{} ({})", text(given), refusal.0));
+        }
+    }
+    let all = tables.len();
+    Ok(Finding::pass(match refused.first() {
+        None => format!("{all} settings give finite positions"),
+        Some(first) => format!("{all} settings, {} of them refused, as {first}", refused.len()),
+    }))
+}
+
+pub(super) fn invalidation(subject: &Subject) -> Checked<Finding> {
+    let plugin = &subject.plugin;
+    let free: Vec<&ParamDesc> = plugin.params().iter().filter(|d| !d.invalidates_preparation).collect();
+    if free.is_empty() {
+        return Ok(Finding::skip("no parameter is said not to matter to the preparation"));
+    }
+    let case = Case::bumpy_sphere(plugin, SAMPLES)?;
+    let old = subject.prepare(&case)?.map_err(Refusal::of_ordinary)?;
+    let mut random = Random::new(subject.seed);
+    let mut compared = 0;
+    for d in &free {
+        for value in ends(d).into_iter().chain((0..CHANGES).map(|_| any(d, &mut random))) {
+            let given = one(d, value);
+            let changed = case.with_params(plugin, &given)?;
+            // What is refused when all is new is no result to compare with.
+            let Ok((_, fresh)) = subject.run(&changed)? else { continue };
+            let what = match subject.deform(&changed, &old, &mut subject.scratch()?)? {
+                Ok(kept) => difference(&fresh, &kept),
+                Err(refusal) => Some(format!("the old one is refused: {}", refusal.0)),
+            };
+            if let Some(what) = what {
+                return Err(Finding::fail(
+                    format!(
+                        "with {} the old state gives another result than a fresh one: {what}",
+                        text(&given)
+                    ),
+                    format!("declare `{}` with `invalidates_preparation`, or read it in deform", d.id),
+                ));
+            }
+            compared += 1;
+        }
+    }
+    Ok(Finding::pass(format!("{compared} changes of {} parameters need no new preparation", free.len())))
+}
+
+/// A setting of one parameter.
+fn one(d: &ParamDesc, value: Value) -> toml::Table {
+    [(d.id.to_string(), value)].into_iter().collect()
+}
+
+/// A setting as a user would write it.
+fn text(given: &toml::Table) -> String {
+    given.iter().map(|(id, value)| format!("{id} = {value}")).collect::<Vec<_>>().join(", ")
+}
+
+/// The values at the ends of a parameter's range, or all that there are.
+fn ends(d: &ParamDesc) -> Vec<Value> {
+    let vectors = |all: &[[f64; 3]]| all.iter().map(|v| vector(*v)).collect();
+    match d.kind {
+        ParamKind::FLOAT | ParamKind::INT => range(d).into_iter().flatten().map(|x| number(d, x)).collect(),
+        ParamKind::BOOL => vec![false.into(), true.into()],
+        ParamKind::CHOICE => d.choices.iter().map(|c| c.id.as_str().into()).collect(),
+        ParamKind::DIRECTION => {
+            vectors(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1e-30], [1e30, 1.0, 0.0]])
+        }
+        _ => vectors(&[[0.0; 3], [-1.0; 3], [1e6, 0.0, -1e6]]),
+    }
+}
+
+/// A random value in a parameter's range.
+fn any(d: &ParamDesc, random: &mut Random) -> Value {
+    match d.kind {
+        ParamKind::FLOAT | ParamKind::INT => {
+            let [min, max] = range(d);
+            let about = d.default_numbers.first().copied().unwrap_or(0.0);
+            // Where there is no end, some way from the default, or from the other end.
+            let min = min.unwrap_or_else(|| about.min(max.unwrap_or(about)) - 10.0);
+            let max = max.unwrap_or_else(|| about.max(min) + 10.0);
+            number(d, random.within([min, max]))
+        }
+        ParamKind::BOOL => (random.below(2) == 1).into(),
+        ParamKind::CHOICE => d.choices[random.below(d.choices.len())].id.as_str().into(),
+        _ => vector(std::array::from_fn(|_| random.within([-1.0, 1.0]))),
+    }
+}
+
+/// The ends of a parameter's range: the hard one, the slider's where that has none, or nothing.
+fn range(d: &ParamDesc) -> [Option<f64>; 2] {
+    std::array::from_fn(|i| [d.hard_range[i], d.soft_range[i]].into_iter().find(|x| x.is_finite()))
+}
+
+/// A number of the parameter's kind. Whole numbers stay within the range by rounding inwards.
+fn number(d: &ParamDesc, x: f64) -> Value {
+    if d.kind != ParamKind::INT {
+        return x.into();
+    }
+    let [min, max] = d.hard_range;
+    // Exact whole numbers end at 2^53.
+    const MOST: f64 = 9_007_199_254_740_992.0;
+    Value::Integer(x.round().clamp(min.ceil().max(-MOST), max.floor().min(MOST).max(min.ceil())) as i64)
+}
+
+fn vector(v: [f64; 3]) -> Value {
+    v.map(Value::from).to_vec().into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_in_range() {
+        let mut random = Random::new(1);
+        let d = ParamDesc::int("count", "Count", 3).hard(0.5, 6.5);
+        assert_eq!(ends(&d), [Value::Integer(1), Value::Integer(6)]);
+        assert!((0..100).all(|_| (1..=6).contains(&any(&d, &mut random).as_integer().unwrap())));
+        let d = ParamDesc::float("x", "X", 3.0).hard(2.0, f64::INFINITY).soft(0.0, 5.0);
+        assert_eq!(ends(&d), [Value::Float(2.0), Value::Float(5.0)]);
+        let d = ParamDesc::float("x", "X", 3.0);
+        assert!(ends(&d).is_empty());
+        assert!((0..100).all(|_| any(&d, &mut random).as_float().unwrap().is_finite()));
+    }
+}

@@ -1,0 +1,193 @@
+//! The plugin under check, and calls to it whose failures are findings.
+
+use super::case::Case;
+use super::{Checked, Finding};
+use crate::deformer::{Plugin, line};
+use simod_plugin_api::{ErrorCode, HostCalls, LogLevel, PluginError, PluginResult, Scratch, State};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// What a position is before it is written: a NaN that no computation gives.
+const UNWRITTEN: f32 = f32::from_bits(0x7fc5_1d0d);
+
+/// The host as the plugin under check sees it.
+pub(super) struct Listener {
+    /// Whether the plugin may go on.
+    go_on: bool,
+    /// How many lines it said.
+    lines: AtomicUsize,
+}
+
+impl Listener {
+    /// Lets the plugin do its work.
+    pub fn patient() -> Self {
+        Self { go_on: true, lines: AtomicUsize::new(0) }
+    }
+
+    /// Asks the plugin to stop, from the first.
+    pub fn impatient() -> Self {
+        Self { go_on: false, ..Self::patient() }
+    }
+
+    /// How many lines the plugin said.
+    pub fn lines(&self) -> usize {
+        self.lines.load(Ordering::Relaxed)
+    }
+}
+
+impl HostCalls for Listener {
+    fn progress(&self, _: f64) -> bool {
+        self.go_on
+    }
+
+    fn log(&self, _: LogLevel, _: &str) {
+        self.lines.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// What a plugin politely says instead of an answer.
+pub(super) struct Refusal(pub String);
+
+/// An answer, or a polite error.
+pub(super) type Answer<T> = Result<T, Refusal>;
+
+/// A plugin under check.
+pub(super) struct Subject {
+    pub plugin: Plugin,
+    /// Determines all that is random.
+    pub seed: u64,
+}
+
+impl Subject {
+    /// Checks this plugin.
+    pub fn new(plugin: Plugin, seed: u64) -> Self {
+        Self { plugin, seed }
+    }
+
+    /// Prepares.
+    pub fn prepare(&self, case: &Case) -> Checked<Answer<State>> {
+        answer("prepare", case.prepare_input(|input| self.plugin.call_prepare(input, &Listener::patient())))
+    }
+
+    /// Working memory.
+    pub fn scratch(&self) -> Checked<Scratch> {
+        answer("new_scratch", self.plugin.call_new_scratch())?
+            .map_err(|Refusal(what)| Finding::fail(format!("it has no working memory: {what}"), ""))
+    }
+
+    /// Deforms with a state: positions that are all written and finite.
+    pub fn deform(
+        &self,
+        case: &Case,
+        state: &State,
+        scratch: &mut Scratch,
+    ) -> Checked<Answer<Vec<[f32; 3]>>> {
+        let mut out = unwritten(case);
+        let host = Listener::patient();
+        let done = case.deform_input(|input| self.plugin.call_deform(state, input, scratch, &mut out, &host));
+        Ok(match answer("deform", done)? {
+            Ok(()) => Ok(written(out)?),
+            Err(refusal) => Err(refusal),
+        })
+    }
+
+    /// Prepares and deforms.
+    pub fn run(&self, case: &Case) -> Checked<Answer<(State, Vec<[f32; 3]>)>> {
+        let state = match self.prepare(case)? {
+            Ok(state) => state,
+            Err(refusal) => return Ok(Err(refusal)),
+        };
+        let positions = self.deform(case, &state, &mut self.scratch()?)?;
+        Ok(positions.map(|positions| (state, positions)))
+    }
+
+    /// As [`run`](Self::run), of a case that there is no reason to refuse: nothing more can be said where it is.
+    pub fn run_ordinary(&self, case: &Case) -> Checked<(State, Vec<[f32; 3]>)> {
+        self.run(case)?.map_err(Refusal::of_ordinary)
+    }
+
+    /// The images of points, finite; nothing where the plugin knows the samples' alone.
+    pub fn evaluate(
+        &self,
+        case: &Case,
+        state: &State,
+        mut points: Vec<[f64; 3]>,
+    ) -> Checked<Option<Answer<Vec<[f64; 3]>>>> {
+        let host = Listener::patient();
+        let done = case.deform_input(|input| self.plugin.call_evaluate(state, input, &mut points, &host));
+        let Some(done) = done else { return Ok(None) };
+        let answer = answer("evaluate", done)?;
+        if answer.is_ok()
+            && let Some(i) = points.iter().position(|p| !p.iter().all(|x| x.is_finite()))
+        {
+            return Err(Finding::fail(
+                format!("evaluate gives {:?} at point {i} of {}", points[i], points.len()),
+                "give finite positions, or return an error",
+            ));
+        }
+        Ok(Some(answer.map(|()| points)))
+    }
+}
+
+impl Refusal {
+    /// Of something that should be no problem: the rule cannot be checked.
+    pub fn of_ordinary(self) -> Finding {
+        Finding::skip(format!("it refuses the ordinary model: {}", self.0))
+    }
+}
+
+/// A buffer for a deformation.
+pub(super) fn unwritten(case: &Case) -> Vec<[f32; 3]> {
+    vec![[UNWRITTEN; 3]; case.positions.len()]
+}
+
+/// The positions, where all are written and finite.
+fn written(out: Vec<[f32; 3]>) -> Checked<Vec<[f32; 3]>> {
+    let is_unwritten = |p: &[f32; 3]| p.iter().any(|x| x.to_bits() == UNWRITTEN.to_bits());
+    let is_bad = |p: &[f32; 3]| !p.iter().all(|x| x.is_finite());
+    let unwritten = out.iter().filter(|p| is_unwritten(p)).count();
+    if unwritten > 0 {
+        let first = out.iter().position(is_unwritten).unwrap_or(0);
+        return Err(Finding::fail(
+            format!(
+                "deform leaves {unwritten} of {} positions unwritten, the first at index {first}",
+                out.len()
+            ),
+            "write all of `out`, or return an error",
+        ));
+    }
+    if let Some(first) = out.iter().position(is_bad) {
+        let bad = out.iter().filter(|p| is_bad(p)).count();
+        return Err(Finding::fail(
+            format!(
+                "deform gives {bad} of {} positions that are not finite, the first at index {first}",
+                out.len()
+            ),
+            "give finite positions, or return an error",
+        ));
+    }
+    Ok(out)
+}
+
+/// What a call gave: a panic and a stop unasked end the rule, other errors are polite.
+pub(super) fn answer<T>(call: &str, result: PluginResult<T>) -> Checked<Answer<T>> {
+    match result {
+        Ok(value) => Ok(Ok(value)),
+        Err(error) if error.code == ErrorCode::PANICKED => Err(panicked(call, &error)),
+        Err(error) if error.code == ErrorCode::CANCELLED => Err(Finding::fail(
+            format!("{call} says that it was cancelled, and nobody asked it to stop"),
+            "return `cancelled` where the host's `progress` says so, and nowhere else",
+        )),
+        Err(error) => Ok(Err(Refusal(match line(&error.message) {
+            text if text.is_empty() => "an error without a message".to_owned(),
+            text => text,
+        }))),
+    }
+}
+
+/// A panic, as a finding.
+pub(super) fn panicked(call: &str, error: &PluginError) -> Finding {
+    Finding::fail(
+        format!("{call} {}", line(&error.message)),
+        "return an error instead; `RUST_BACKTRACE=1 simod plugin check-rule FILE RULE` shows where it panics",
+    )
+}

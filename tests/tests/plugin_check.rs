@@ -1,0 +1,141 @@
+//! `simod plugin check`: each thing done wrong breaks its rule, whatever becomes of the process that finds it out, and
+//! the program goes on to the others.
+
+use std::env::consts::DLL_SUFFIX;
+
+use serde_json::Value;
+use simod_tests::{Outcome, Workplace, library};
+
+/// A report of `simod plugin check --json` on the misbehaving plugin, which does `how` wrong.
+fn check(work: &Workplace, how: &str, options: &str) -> (Outcome, Value) {
+    let file = library("misbehaving");
+    let mut command = work.command("plugin check --json");
+    command.arg(file).args(options.split_whitespace());
+    if !how.is_empty() {
+        command.env("SIMOD_MISBEHAVE", how);
+    }
+    let outcome = Outcome::from(command.output().expect("the program starts"));
+    let report = outcome.json();
+    (outcome, report)
+}
+
+/// What was found by a rule.
+fn rule<'a>(report: &'a Value, id: &str) -> &'a Value {
+    let rules = report["rules"].as_array().expect("rules");
+    rules.iter().find(|r| r["rule"] == id).unwrap_or_else(|| panic!("no {id}: {report}"))
+}
+
+fn with_verdict<'a>(report: &'a Value, verdict: &str) -> Vec<&'a str> {
+    let rules = report["rules"].as_array().expect("rules").iter();
+    rules.filter(|r| r["verdict"] == verdict).map(|r| r["rule"].as_str().expect("an id")).collect()
+}
+
+/// Checks that a rule is broken, with a finding that contains `found`, a hint, and what reproduces it.
+fn expect_failure(outcome: &Outcome, report: &Value, id: &str, found: &str) {
+    let rule = rule(report, id);
+    assert_eq!(rule["verdict"], "fail", "{id}: {report}");
+    assert!(rule["found"].as_str().expect("a finding").contains(found), "{rule}");
+    assert!(!rule["hint"].as_str().expect("a hint").is_empty(), "{rule}");
+    assert!(rule["again"].as_str().expect("a command").contains(&format!("--rule {id} --seed 1")), "{rule}");
+    assert_eq!(outcome.code, Some(1), "{}", outcome.stderr);
+    let [error] = outcome.lines("error: ")[..] else { panic!("{}", outcome.stderr) };
+    assert!(error.contains(id), "{error}");
+    assert_eq!(outcome.lines("hint: ").len(), 1, "{}", outcome.stderr);
+}
+
+/// One thing wrong breaks one rule, and no other.
+#[test]
+fn each_wrong_breaks_its_rule() {
+    let work = Workplace::new();
+    let wrongs = [
+        ("writes-to-input", "input-unchanged", "deform changed its input"),
+        ("blocked-cancel", "cancel", "deform went on for "),
+        ("lying-invalidation", "invalidation", "another result than a fresh one"),
+        ("not-identity", "identity", "handles that do not move move samples"),
+        ("not-repeatable", "repeatable", "prepared and deformed again"),
+        ("evaluate-disagrees", "evaluate", "agree to"),
+        ("nan-at-bounds", "bounds", "with by = 2.0: deform gives 500 of 500"),
+        ("bad-descriptor", "descriptor", "out of its range"),
+    ];
+    for (how, id, found) in wrongs {
+        let options = format!("--rule loads --rule large --rule {id}");
+        let (outcome, report) = check(&work, how, &options);
+        expect_failure(&outcome, &report, id, found);
+        assert_eq!(with_verdict(&report, "fail"), [id], "{how}");
+        assert_eq!(rule(&report, "loads")["verdict"], "pass", "{how}");
+    }
+    // Talk is no failure.
+    let (outcome, report) = check(&work, "log-spam", "--rule log");
+    assert_eq!((rule(&report, "log")["verdict"].as_str(), outcome.code), (Some("warn"), Some(0)));
+    assert!(rule(&report, "log")["found"].as_str().expect("a finding").contains("1000 lines"));
+}
+
+/// What goes wrong in every deformation breaks every rule that deforms; the others are kept.
+#[test]
+fn what_always_goes_wrong() {
+    let work = Workplace::new();
+    let wrongs = [
+        ("nan", "not finite", ""),
+        ("unwritten", "1 of 100 positions unwritten", ""),
+        ("panic-in-prepare", "panicked: no state for 100 samples", ""),
+        ("cancel-unasked", "nobody asked", ""),
+        ("abort", "ended by signal 6", ""),
+        ("segfault", "ended by signal 11", ""),
+        ("endless-loop", "still running after 2 s", "--time-limit 2"),
+        ("endless-allocation", "out of memory", "--memory-limit 200M"),
+    ];
+    for (how, found, limit) in wrongs {
+        let unix = cfg!(unix) || !found.contains("signal");
+        if !unix || (how == "endless-allocation" && !cfg!(target_os = "linux")) {
+            continue;
+        }
+        let options = format!("--rule loads --rule descriptor --rule collinear {limit}");
+        let (outcome, report) = check(&work, how, &options);
+        expect_failure(&outcome, &report, "collinear", found);
+        assert_eq!(with_verdict(&report, "pass"), ["loads", "descriptor"], "{how}");
+    }
+}
+
+/// A library that crashes the process that loads it, and a file that is no library.
+#[test]
+fn what_does_not_load() {
+    let work = Workplace::new();
+    if cfg!(unix) {
+        let (outcome, report) = check(&work, "segfault-at-load", "");
+        expect_failure(&outcome, &report, "loads", "ended by signal 11");
+        assert_eq!(with_verdict(&report, "fail"), ["loads"]);
+        assert_eq!(with_verdict(&report, "skip").len(), 20, "{report}");
+    }
+    let (outcome, report) = check(&work, "panic-at-load", "");
+    expect_failure(&outcome, &report, "loads", "panicked: who am I");
+
+    let file = format!("letter{DLL_SUFFIX}");
+    work.write(&file, "a text is no library, be it ever so long\n".repeat(50));
+    let line = format!("plugin check {file}");
+    let outcome = work.run(&line);
+    assert_eq!(outcome.code, Some(1), "{}", outcome.stderr);
+    assert!(outcome.stdout.starts_with("FAIL loads"), "{}", outcome.stdout);
+    assert!(outcome.stdout.contains("no library"), "{}", outcome.stdout);
+    assert!(outcome.stdout.ends_with("0 passed, 1 failed, 0 warned, 20 skipped\n"), "{}", outcome.stdout);
+    assert_eq!(outcome.lines("error: ").len(), 1, "{}", outcome.stderr);
+
+    work.refuses("plugin check nothing.so", &["nothing.so"]);
+    work.refuses("plugin check nobody", &["there is no plugin `nobody`"]);
+    let outcome = work.run("plugin check warp --rule identiy");
+    assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("did you mean `identity`?"), "{}", outcome.stderr);
+}
+
+/// What comes with the program breaks no rule; what could be better is printed.
+#[test]
+fn our_plugins_keep_all_rules() {
+    let work = Workplace::new();
+    for id in ["warp", "rbf"] {
+        let report = work.report(&format!("plugin check {id}"));
+        assert_eq!(with_verdict(&report, "fail"), [""; 0], "{report}");
+        assert_eq!(report["rules"].as_array().map(Vec::len), Some(21));
+        for r in report["rules"].as_array().expect("rules").iter().filter(|r| r["verdict"] != "pass") {
+            println!("{id}: {} {}: {}", r["verdict"], r["rule"], r["found"]);
+        }
+    }
+}
