@@ -193,7 +193,11 @@ mod tests {
     use simod_core::progress::Silent;
 
     fn shell(script: &str) -> Outcome {
-        run(Command::new("sh").args(["-c", script]), Duration::from_millis(500), &Silent).expect("a shell")
+        shell_for(Duration::from_secs(60), script)
+    }
+
+    fn shell_for(time: Duration, script: &str) -> Outcome {
+        run(Command::new("sh").args(["-c", script]), time, &Silent).expect("a shell")
     }
 
     #[test]
@@ -201,7 +205,7 @@ mod tests {
         let well = shell("echo fine; echo oops >&2");
         assert!(matches!(well.end, End::Well));
         assert_eq!((well.output.as_str(), well.last_error.as_str()), ("fine\n", "oops"));
-        assert!(matches!(shell("exec sleep 10").end, End::TooLong));
+        assert!(matches!(shell_for(Duration::from_millis(300), "exec sleep 100").end, End::TooLong));
         assert!(matches!(shell("exit 3").end, End::Badly(how) if how == "ended with exit code 3"));
         assert!(matches!(shell("kill -11 $$").end, End::Badly(how) if how.starts_with("ended by signal 11")));
         let dry = "echo 'memory allocation of 8 bytes failed' >&2; exit 1";

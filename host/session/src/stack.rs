@@ -284,7 +284,7 @@ impl Layer {
 }
 
 /// Where the neighbours of each sample begin, and all of them.
-fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u32>, &[u32]) {
+pub(crate) fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u32>, &[u32]) {
     ((0..=samples).map(|i| (i * graph.k()) as u32).collect(), graph.all())
 }
 

@@ -3,12 +3,14 @@
 use super::{Checked, Finding};
 use crate::deformer::Plugin;
 use crate::params::{LocalParams, Params};
-use crate::stack::rows;
+use crate::stack::{neighbour_lists, rows};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
 use simod_core::sampling::SampleSet;
-use simod_plugin_api::{Affine, DeformInput, Param, PrepareInput, Region, Role, Samples};
+use simod_plugin_api::{
+    Affine, DeformInput, Graph, Param, Part, PrepareInput, Region, Role, Samples, Triangles,
+};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// All that a plugin is given for one deformation, local coordinates.
@@ -17,6 +19,10 @@ pub(super) struct Case {
     pub positions: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
     spacing: Vec<f32>,
+    /// Each sample with its two nearest: no surface, but triangles as they may be.
+    triangles: Vec<[u32; 3]>,
+    /// Where the neighbours of each sample begin, and all of them; nothing if the plugin does not ask for them.
+    neighbours: Option<(Vec<u32>, Vec<u32>)>,
     pub bounds: simod_plugin_api::Bounds,
     pub regions: Vec<(Role, Vec<f32>)>,
     /// One for each handle region.
@@ -32,11 +38,18 @@ impl Case {
         let bounds = Bounds::of(set.positions.iter().map(|p| p.as_dvec3()));
         let params = params(plugin, &bounds, &toml::Table::new())?;
         let regions = regions(plugin, set.len());
+        let graph = set.neighbours();
+        let (starts, all) = neighbour_lists(graph, set.len());
+        let neighbours = plugin.consumes().graph.then(|| (starts, all.to_vec()));
+        let triangle = |i: usize| graph.of(i).get(..2).map(|near| [i as u32, near[0], near[1]]);
+        let triangles = (0..set.len()).filter(|_| plugin.consumes().triangles).filter_map(triangle).collect();
         let handles = regions.iter().filter(|(role, _)| *role == Role::HANDLE).count();
         Ok(Self {
             transforms: (0..handles).map(|i| rows(motion(&bounds, i))).collect(),
             normals: bytemuck::cast_slice(set.normals()).to_vec(),
             spacing: set.spacing().to_vec(),
+            triangles,
+            neighbours,
             bounds: simod_plugin_api::Bounds { min: bounds.min.to_array(), max: bounds.max.to_array() },
             positions: bytemuck::cast_slice(&set.positions).to_vec(),
             regions,
@@ -72,6 +85,8 @@ impl Case {
         bytemuck::cast_slice::<_, u8>(&self.positions).hash(&mut hasher);
         bytemuck::cast_slice::<_, u8>(&self.normals).hash(&mut hasher);
         bytemuck::cast_slice::<_, u8>(&self.spacing).hash(&mut hasher);
+        self.triangles.hash(&mut hasher);
+        self.neighbours.hash(&mut hasher);
         for (role, weights) in &self.regions {
             role.0.hash(&mut hasher);
             bytemuck::cast_slice::<_, u8>(weights).hash(&mut hasher);
@@ -91,7 +106,13 @@ impl Case {
     pub fn prepare_input<T>(&self, call: impl FnOnce(&PrepareInput<'_>) -> T) -> T {
         let regions: Vec<Region<'_>> = self.regions.iter().map(|(role, w)| Region::new(*role, w)).collect();
         let params = self.params.views();
-        call(&PrepareInput::new(self.samples(), self.bounds, &regions, &params))
+        let triangles = Triangles::new(&self.triangles);
+        let graph = self.neighbours.as_ref().map(|(starts, all)| Graph::new(starts, all));
+        let mut parts: Vec<Part<'_>> = graph.iter().map(Part::new).collect();
+        if !self.triangles.is_empty() {
+            parts.push(Part::new(&triangles));
+        }
+        call(&PrepareInput::new(self.samples(), self.bounds, &regions, &params).with_parts(&parts))
     }
 
     /// Calls with what a deformation gets.

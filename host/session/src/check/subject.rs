@@ -3,6 +3,7 @@
 use super::case::Case;
 use super::{Checked, Finding};
 use crate::deformer::{Plugin, line};
+use rayon::prelude::*;
 use simod_plugin_api::{ErrorCode, HostCalls, LogLevel, PluginError, PluginResult, Scratch, State};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -36,6 +37,13 @@ impl Listener {
 
 impl HostCalls for Listener {
     fn progress(&self, _: f64) -> bool {
+        self.go_on
+    }
+
+    fn parallel_for(&self, count: usize, body: &(dyn Fn(usize) + Sync)) -> bool {
+        if self.go_on {
+            (0..count).into_par_iter().for_each(body);
+        }
         self.go_on
     }
 
