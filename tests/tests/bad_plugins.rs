@@ -136,6 +136,7 @@ fn a_plugin_that_misbehaves() {
         ("cancel-unasked", "stopped unasked"),
         ("nan", "not finite"),
         ("unwritten", "unwritten"),
+        ("writes-to-input", "changed the samples"),
     ];
     for (how, reason) in bad {
         session(how);
