@@ -7,7 +7,7 @@
 use glam::Vec3;
 
 use super::Surroundings;
-use super::sheets::{Sheets, facing, sheet_distance};
+use super::sheets::{Sheets, faces_away, sheet_distance};
 use crate::sampling::SampleSet;
 
 /// A vertex keeps the home of the last one if it lies within this part of its support: the home need not be the nearest
@@ -102,8 +102,8 @@ impl<'a> Homes<'a> {
         // Samples that face the other way come last, those that face aside are as good as others.
         let key = |i: u32| {
             let i = i as usize;
-            let facing = n.map_or(1.0, |n| facing(self.normals[i], n));
-            (facing == 0.0, sheet_distance(p - self.positions[i], self.normals[i]))
+            let away = n.is_some_and(|n| faces_away(self.normals[i], n));
+            (away, sheet_distance(p - self.positions[i], self.normals[i]))
         };
         let mut best = (key(nearest), nearest);
         for j in around {

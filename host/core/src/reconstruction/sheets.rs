@@ -120,11 +120,10 @@ pub fn are_lists(starts: &[u32], lists: usize, entries: usize) -> bool {
         && starts.last().is_some_and(|end| *end as usize == entries)
 }
 
-/// How much a sample of normal `n` belongs to a sheet of normal `side`: wholly up to a right angle, which the walls
-/// of a groove make, and not at all beyond 120°, as the far side of a thin plate. The change is gradual.
+/// Whether normals are more than 120° apart, as on both sides of a thin plate, but not between the walls of a groove.
 #[inline]
-pub fn facing(n: Vec3, side: Vec3) -> f32 {
-    (2.0 * n.dot(side) + 1.0).clamp(0.0, 1.0)
+pub fn faces_away(n: Vec3, side: Vec3) -> bool {
+    2.0 * n.dot(side) + 1.0 <= 0.0
 }
 
 /// The square of how far a point at `d` from a sample is, where the surface between them has the normal `n`.
@@ -155,7 +154,7 @@ fn links(positions: &[Vec3], normals: &[Vec3], near: &[u32], i: usize) -> [u32; 
     let mut best = [(f32::INFINITY, i as u32); LINKS];
     for j in near {
         let (d, n) = chord(positions, normals, i, *j as usize);
-        if facing(normals[i], normals[*j as usize]) == 0.0 || !within(d, n, ACROSS) {
+        if faces_away(normals[i], normals[*j as usize]) || !within(d, n, ACROSS) {
             continue;
         }
         let entry = (sheet_distance(d, n), *j);
