@@ -1,12 +1,12 @@
 //! What a plugin's author implements, and the shims between it and the boundary.
 
 use crate::{
-    DeformInput, Descriptor, EvaluateExtension, Extension, ExtensionInterface, Host, PluginError, PluginMod,
-    PluginModRef, PluginResult, PrepareInput, Scratch, State,
+    DeformInput, Descriptor, Extension, HandleDesc, Host, PluginError, PluginMod, PluginModRef, PluginResult,
+    PrepareInput, Scratch, State,
 };
 use abi_stable::{
     prefix_type::PrefixTypeTrait,
-    std_types::{ROption, RResult, RSliceMut, RStr},
+    std_types::{ROption, RResult, RSliceMut, RStr, RVec},
 };
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -53,6 +53,23 @@ pub trait Evaluate: Deformer {
         points: &mut [[f64; 3]],
         host: &Host<'_>,
     ) -> PluginResult<()>;
+}
+
+/// A deformation with handles of its own, which users move one by one.
+pub trait Handles: Deformer {
+    /// The handles for these samples, this box, these parameters and joints; the input has no regions.
+    ///
+    /// Called before `prepare`, on any thread, and whenever the user looks at the handles: takes milliseconds at most.
+    /// Ids should stay the same for as long as they mean the same. How the handles were moved comes with
+    /// [`DeformInput::handle_motions`].
+    fn handles(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Vec<HandleDesc>>;
+}
+
+/// A deformation that knows when it does nothing.
+pub trait IsIdentity: Deformer {
+    /// Whether `deform` would leave all samples where they are, whatever they are: the host then calls neither `prepare`
+    /// nor `deform`. The input has no samples; takes microseconds. `false` is always right.
+    fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool>;
 }
 
 /// Runs the plugin's code; a panic becomes an error, since it must not unwind across the boundary.
@@ -125,17 +142,46 @@ extern "C" fn evaluate<D: Evaluate>(
     guarded(|| D::evaluate(content::<D>(state)?, input, points.as_mut_slice(), host))
 }
 
+extern "C" fn handles<D: Handles>(
+    input: &PrepareInput<'_>,
+    host: &Host<'_>,
+) -> RResult<RVec<HandleDesc>, PluginError> {
+    guarded(|| D::handles(input, host).map(RVec::from))
+}
+
+extern "C" fn is_identity<D: IsIdentity>(input: &DeformInput<'_>) -> RResult<bool, PluginError> {
+    guarded(|| D::is_identity(input))
+}
+
+/// The capabilities that `export_plugin!` knows, by the words that it takes for them.
+#[doc(hidden)]
+pub mod capability {
+    use super::{Evaluate, Handles, IsIdentity};
+    use crate::{EvaluateExtension, Extension, HandlesExtension, IsIdentityExtension};
+
+    pub fn evaluate<D: Evaluate>() -> Extension {
+        const { Extension::new(&EvaluateExtension { evaluate: super::evaluate::<D> }) }
+    }
+
+    pub fn handles<D: Handles>() -> Extension {
+        const { Extension::new(&HandlesExtension { handles: super::handles::<D> }) }
+    }
+
+    pub fn is_identity<D: IsIdentity>() -> Extension {
+        const { Extension::new(&IsIdentityExtension { is_identity: super::is_identity::<D> }) }
+    }
+}
+
+/// The extension of an id among those that a plugin has.
+#[doc(hidden)]
+pub fn find_extension(id: &str, extensions: &[fn() -> Extension]) -> ROption<Extension> {
+    extensions.iter().map(|extension| extension()).find(|e| e.id() == id).into()
+}
+
 /// The extension function of a plugin without extensions.
 #[doc(hidden)]
 pub extern "C" fn no_extension(_id: RStr<'_>) -> ROption<Extension> {
     ROption::RNone
-}
-
-/// The extension function of a plugin that evaluates.
-#[doc(hidden)]
-pub extern "C" fn evaluate_extension<D: Evaluate>(id: RStr<'_>) -> ROption<Extension> {
-    let table: &'static EvaluateExtension = const { &EvaluateExtension { evaluate: evaluate::<D> } };
-    if id.as_str() == EvaluateExtension::ID { ROption::RSome(Extension::new(table)) } else { ROption::RNone }
 }
 
 /// The root module of a plugin.
@@ -151,36 +197,32 @@ pub fn root_module<D: Deformer>(extension: extern "C" fn(RStr<'_>) -> ROption<Ex
     .leak_into_prefix()
 }
 
-/// Exports a [`Deformer`] as this library's plugin: `export_plugin!(Shift)`, or `export_plugin!(Shift,
-/// evaluate)` where it also is [`Evaluate`]. Once per library.
+/// Exports a [`Deformer`] as this library's plugin: `export_plugin!(Shift)`, or with what else it implements,
+/// `export_plugin!(Shift, evaluate, handles, is_identity)`: [`Evaluate`], [`Handles`], [`IsIdentity`]. Once per library.
 #[macro_export]
 macro_rules! export_plugin {
-    ($deformer:ty) => {
-        $crate::__export_plugin!($deformer, $crate::__private::no_extension);
-    };
-    ($deformer:ty, evaluate) => {
-        $crate::__export_plugin!($deformer, $crate::__private::evaluate_extension::<$deformer>);
-    };
-}
-
-/// What `abi_stable::export_root_module` writes, without asking for `abi_stable` among the plugin's own
-/// dependencies.
-#[doc(hidden)]
-#[macro_export]
-macro_rules! __export_plugin {
-    ($deformer:ty, $extension:expr) => {
+    ($deformer:ty $(, $capability:ident)* $(,)?) => {
         const _: () = {
-            use $crate::__private::abi_stable::library as __library;
+            use $crate::__private::abi_stable::{library as __library, std_types as __std_types};
+
+            extern "C" fn extension(id: __std_types::RStr<'_>) -> __std_types::ROption<$crate::Extension> {
+                let known: &[fn() -> $crate::Extension] =
+                    &[$($crate::__private::capability::$capability::<$deformer>),*];
+                $crate::__private::find_extension(id.as_str(), known)
+            }
 
             fn root_module() -> $crate::PluginModRef {
                 $crate::__private::quiet_panics();
-                $crate::__private::root_module::<$deformer>($extension)
+                $crate::__private::root_module::<$deformer>(extension)
             }
 
             extern "C" fn constructor() -> __library::RootModuleResult {
                 __library::__call_root_module_loader(root_module)
             }
 
+            // The name and the content are those of `abi_stable::export_root_module`, which would ask for `abi_stable`
+            // among the plugin's own dependencies.
+            //
             // SAFETY: the name is abi_stable's own for this static, and nothing else uses it; the constructor
             // gives a `PluginModRef`, the type that is named.
             #[allow(unsafe_code)]

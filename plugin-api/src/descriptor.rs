@@ -1,6 +1,6 @@
 //! What a plugin is, and what it wants.
 
-use crate::{Graph, InputPart, ParamDesc, Triangles};
+use crate::{Graph, InputPart, Joints, ParamDesc, Strokes, Triangles};
 use abi_stable::{
     StableAbi,
     std_types::{RString, RVec},
@@ -35,6 +35,10 @@ pub struct Consumes {
     pub triangles: bool,
     /// The [`Graph`](crate::Graph) of the samples' nearest neighbours.
     pub graph: bool,
+    /// [`Joints`](crate::Joints) that the user places.
+    pub joints: bool,
+    /// Brush [`Strokes`](crate::Strokes).
+    pub strokes: bool,
 }
 
 impl Consumes {
@@ -45,13 +49,15 @@ impl Consumes {
     /// Normals that fit the positions.
     pub const NORMALS: &'static str = "simod.normals/1";
 
-    fn inputs(&self) -> [(&'static str, bool, u32); 5] {
+    fn inputs(&self) -> [(&'static str, bool, u32); 7] {
         [
             (Self::FIXED_REGIONS, self.fixed_regions, self.min_fixed),
             (Self::HANDLE_REGIONS, self.handle_regions, self.min_handles),
             (Self::NORMALS, self.normals, 1),
             (Triangles::ID, self.triangles, 0),
             (Graph::ID, self.graph, 0),
+            (Joints::ID, self.joints, 0),
+            (Strokes::ID, self.strokes, 0),
         ]
     }
 
@@ -68,6 +74,8 @@ impl Consumes {
                 Self::NORMALS => this.normals = true,
                 Triangles::ID => this.triangles = true,
                 Graph::ID => this.graph = true,
+                Joints::ID => this.joints = true,
+                Strokes::ID => this.strokes = true,
                 id if *at_least > 0 => return Err(id),
                 _ => {}
             }
@@ -90,6 +98,10 @@ pub struct Descriptor {
     pub summary: RString,
     /// The publication that it implements; may be empty.
     pub citation: RString,
+    /// Who made it, and whom its users may ask; may be empty.
+    pub author: RString,
+    /// Where there is more on it; may be empty.
+    pub url: RString,
     /// Its parameters, in the order to show them.
     pub params: RVec<ParamDesc>,
     /// Which inputs it uses.
@@ -105,6 +117,8 @@ impl Descriptor {
             version: version.into(),
             summary: RString::new(),
             citation: RString::new(),
+            author: RString::new(),
+            url: RString::new(),
             params: RVec::new(),
             inputs: RVec::new(),
         }
@@ -121,6 +135,20 @@ impl Descriptor {
     #[must_use]
     pub fn citation(mut self, citation: &str) -> Self {
         self.citation = citation.into();
+        self
+    }
+
+    /// Who made it, and whom its users may ask.
+    #[must_use]
+    pub fn author(mut self, author: &str) -> Self {
+        self.author = author.into();
+        self
+    }
+
+    /// Where there is more on it.
+    #[must_use]
+    pub fn url(mut self, url: &str) -> Self {
+        self.url = url.into();
         self
     }
 
@@ -156,7 +184,7 @@ mod tests {
         let mut inputs = Descriptor::new("x", "X", "1.0.0").consumes(consumes).inputs;
         assert_eq!(Consumes::from_inputs(&inputs), Ok(consumes));
         // What a later version has: passed over where it is not needed.
-        inputs.push(InputDesc { id: "simod.strokes/1".into(), at_least: 0 });
+        inputs.push(InputDesc { id: "simod.smell/1".into(), at_least: 0 });
         assert_eq!(Consumes::from_inputs(&inputs), Ok(consumes));
         inputs.push(InputDesc { id: "simod.sound/1".into(), at_least: 1 });
         assert_eq!(Consumes::from_inputs(&inputs), Err("simod.sound/1"));

@@ -51,6 +51,21 @@ impl HostCalls for () {
     fn log(&self, _level: LogLevel, _message: &str) {}
 }
 
+impl<T: HostCalls + ?Sized> HostCalls for &T {
+    fn progress(&self, fraction: f64) -> bool {
+        (**self).progress(fraction)
+    }
+    fn log(&self, level: LogLevel, message: &str) {
+        (**self).log(level, message);
+    }
+    fn parallel_for(&self, count: usize, body: &(dyn Fn(usize) + Sync)) -> bool {
+        (**self).parallel_for(count, body)
+    }
+    fn extension(&self, id: &str) -> Option<Extension> {
+        (**self).extension(id)
+    }
+}
+
 impl Host<'_> {
     /// Tells that so much of the call is done (0 to 1), and learns whether to go on: an error of code
     /// [`CANCELLED`](crate::ErrorCode::CANCELLED), to be returned as it is, where the user asked to stop.

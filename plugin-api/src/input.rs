@@ -2,7 +2,7 @@
 
 use crate::opaque::Part;
 use crate::params::{Param, Params};
-use crate::parts::{Graph, InputPart, Triangles};
+use crate::parts::{Graph, HandleMotions, InputPart, Joint, Joints, Stroke, Strokes, Triangles};
 use abi_stable::{StableAbi, std_types::RSlice};
 
 /// The samples' arrays, of one length (spacing and normals may be empty where the host has none).
@@ -138,6 +138,12 @@ impl<'a> PrepareInput<'a> {
         Self { parts: parts.into(), ..self }
     }
 
+    /// Without regions, as where [handles are placed](crate::Handles::handles).
+    #[must_use]
+    pub fn without_regions(self) -> Self {
+        Self { regions: RSlice::EMPTY, ..self }
+    }
+
     /// An input that is known by an id; nothing where the host has none, or was not told that the plugin
     /// [uses](crate::Descriptor::inputs) it.
     pub fn part<T: InputPart<'a>>(&self) -> Option<&'a T> {
@@ -152,6 +158,11 @@ impl<'a> PrepareInput<'a> {
     /// The graph of the samples' nearest neighbours.
     pub fn graph(&self) -> Option<&'a Graph<'a>> {
         self.part()
+    }
+
+    /// The joints that the user placed; none where there are none.
+    pub fn joints(&self) -> &'a [Joint<'a>] {
+        self.part().map_or(&[], Joints::all)
     }
 
     /// The regions, in the user's order.
@@ -198,6 +209,17 @@ impl<'a> DeformInput<'a> {
     /// An input that is known by an id, such as later versions may add.
     pub fn part<T: InputPart<'a>>(&self) -> Option<&'a T> {
         self.parts.as_slice().iter().find_map(Part::get)
+    }
+
+    /// One map for each of the [handles that the plugin placed](crate::Handles::handles), in its order: see
+    /// [`HandleMotions::all`].
+    pub fn handle_motions(&self) -> &'a [Affine] {
+        self.part().map_or(&[], HandleMotions::all)
+    }
+
+    /// The brush strokes, first to last; none where there are none.
+    pub fn strokes(&self) -> &'a [Stroke<'a>] {
+        self.part().map_or(&[], Strokes::all)
     }
 
     /// One map for each *handle* region of the preparation, in their order; all finite.

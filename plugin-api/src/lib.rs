@@ -69,6 +69,8 @@
 //! | [`Deformer::prepare`] | a worker; several instances at once | may take seconds; reports progress, obeys cancel |
 //! | [`Deformer::deform`] | one at a time per scratch; several scratches of a state at once | interactive |
 //! | [`Evaluate::evaluate`] | several threads at once on one state | nanoseconds to microseconds per point |
+//! | [`Handles::handles`] | any | milliseconds |
+//! | [`IsIdentity::is_identity`] | any | microseconds |
 //!
 //! All inputs are borrowed for the length of the call. A state is immutable and owned by the host until it is
 //! dropped, as is a scratch. Failures are [`PluginError`]s; a panic is caught inside the plugin and becomes one.
@@ -78,13 +80,17 @@
 //! The root module and all types that cross the boundary are frozen with the first release: the loader
 //! compares their layouts. What comes later is an extension, a frozen struct of its own, queried by a string id:
 //! the plugin's by the host (`simod.evaluate/1`), the host's by the plugin ([`Host::extension`]), and inputs beside
-//! positions, regions and parameters ([`Part`]), which a description names by their ids ([`InputDesc`]). Codes
+//! positions, regions and parameters ([`Part`]), which a description names by their ids ([`InputDesc`]). Ids are never
+//! used for anything else again. Those of third parties begin with a domain of theirs (`org.vendor.thing/1`), those that
+//! may still change with `draft.` (`draft.simod.thing/1`): hosts and plugins of different versions do not share these. Codes
 //! ([`ErrorCode`], [`ParamKind`], [`Unit`], [`Role`], [`LogLevel`]) are numbers, not enums, since an enum with a
 //! value that one side does not know is undefined behaviour; an unknown code is refused, politely.
 
+mod curve;
 mod deformer;
 mod descriptor;
 mod error;
+mod handles;
 mod host;
 mod input;
 mod opaque;
@@ -92,19 +98,21 @@ mod params;
 mod parts;
 mod root;
 
-pub use deformer::{Deformer, Evaluate};
+pub use curve::Curve;
+pub use deformer::{Deformer, Evaluate, Handles, IsIdentity};
 pub use descriptor::{Consumes, Descriptor, InputDesc};
 pub use error::{ErrorCode, PluginError, PluginResult};
+pub use handles::{Gizmo, HandleDesc};
 pub use host::{HostCalls, LogLevel};
 pub use input::{Affine, Bounds, DeformInput, PrepareInput, Region, Role, Samples};
 pub use opaque::{Extension, ExtensionInterface, Host, Scratch, State};
 pub use params::{ChoiceDesc, Param, ParamDesc, ParamKind, Params, Unit};
-pub use parts::{Graph, InputPart, Part, Triangles};
-pub use root::{EvaluateExtension, PluginMod, PluginModRef};
+pub use parts::{Graph, HandleMotions, InputPart, Joint, Joints, Part, Stroke, Strokes, Triangles};
+pub use root::{EvaluateExtension, HandlesExtension, IsIdentityExtension, PluginMod, PluginModRef};
 
 /// What the macros and the host need of the crates below; not for plugins.
 #[doc(hidden)]
 pub mod __private {
-    pub use crate::deformer::{evaluate_extension, no_extension, quiet_panics, root_module};
+    pub use crate::deformer::{capability, find_extension, no_extension, quiet_panics, root_module};
     pub use abi_stable;
 }

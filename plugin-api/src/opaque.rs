@@ -5,7 +5,10 @@
 //! construction, since the fields are private. What a handle's content is read back as is checked at run time.
 #![allow(unsafe_code, reason = "type-erased pointers cross the boundary; each block has its argument")]
 
-use crate::{EvaluateExtension, Graph, HostCalls, LogLevel, PluginError, PluginResult, Triangles};
+use crate::{
+    EvaluateExtension, Graph, HandleMotions, HandlesExtension, HostCalls, IsIdentityExtension, Joints,
+    LogLevel, PluginError, PluginResult, Strokes, Triangles,
+};
 use abi_stable::{
     StableAbi,
     std_types::{ROption, RStr},
@@ -257,6 +260,16 @@ unsafe impl ExtensionInterface for EvaluateExtension {
     const ID: &'static str = "simod.evaluate/1";
 }
 
+// SAFETY: as above.
+unsafe impl ExtensionInterface for HandlesExtension {
+    const ID: &'static str = "simod.handles/1";
+}
+
+// SAFETY: as above.
+unsafe impl ExtensionInterface for IsIdentityExtension {
+    const ID: &'static str = "simod.is-identity/1";
+}
+
 /// A capability beyond the root module: an untyped pointer to a table, with its id.
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
@@ -279,6 +292,11 @@ impl Extension {
             size: size_of::<T>(),
             table: std::ptr::from_ref(table).cast::<c_void>(),
         }
+    }
+
+    /// The id that it is known by.
+    pub fn id(&self) -> &'static str {
+        self.id.as_str()
     }
 
     /// The table, where it is a `T`.
@@ -309,6 +327,21 @@ unsafe impl<'a> InputPart<'a> for Triangles<'a> {
 // SAFETY: as above.
 unsafe impl<'a> InputPart<'a> for Graph<'a> {
     const ID: &'static str = "simod.graph/1";
+}
+
+// SAFETY: as above.
+unsafe impl<'a> InputPart<'a> for Joints<'a> {
+    const ID: &'static str = "simod.joints/1";
+}
+
+// SAFETY: as above.
+unsafe impl<'a> InputPart<'a> for HandleMotions<'a> {
+    const ID: &'static str = "simod.handle-motions/1";
+}
+
+// SAFETY: as above.
+unsafe impl<'a> InputPart<'a> for Strokes<'a> {
+    const ID: &'static str = "simod.strokes/1";
 }
 
 /// An untyped pointer to an [`InputPart`], with its id.

@@ -3,11 +3,12 @@
 //! The host shows, stores, checks and undoes them, and passes their values by id. Descriptions and values are
 //! flat (numbers and a text), so that a later kind is a new code and not a new layout.
 
-use crate::{PluginError, PluginResult};
+use crate::{Curve, PluginError, PluginResult};
 use abi_stable::{
     StableAbi,
     std_types::{RSlice, RStr, RString, RVec},
 };
+use std::path::Path;
 
 /// What a parameter holds.
 #[repr(transparent)]
@@ -27,6 +28,13 @@ impl ParamKind {
     pub const DIRECTION: Self = Self(5);
     /// Three numbers: a point in local coordinates; its default is a fraction of the bounding box.
     pub const POINT: Self = Self(6);
+    /// Four numbers, 0 to 1: linear red, green, blue, and opacity.
+    pub const COLOUR: Self = Self(7);
+    /// Pairs of numbers, 0 to 1, of ascending first ones: points that a [`Curve`](crate::Curve) passes through.
+    pub const CURVE: Self = Self(8);
+    /// The path of a file that can be read, as text; empty where the user gave none. Its choices are the
+    /// extensions that its name may have, without a dot; any if there is none.
+    pub const FILE: Self = Self(9);
 }
 
 /// What a parameter's numbers are measured in.
@@ -77,11 +85,11 @@ pub struct ParamDesc {
     pub hard_range: [f64; 2],
     /// What a slider shows; values outside are fine.
     pub soft_range: [f64; 2],
-    /// Default numbers: one, or three, or none for a choice.
+    /// Default numbers, as many as the kind has.
     pub default_numbers: RVec<f64>,
     /// Default choice; empty for others.
     pub default_text: RString,
-    /// The alternatives of a choice; empty for others.
+    /// The alternatives of a choice, or a file's extensions; empty for others.
     pub choices: RVec<ChoiceDesc>,
     /// Whether the state must be prepared anew once the value changed.
     pub invalidates_preparation: bool,
@@ -139,6 +147,27 @@ impl ParamDesc {
     /// A point in space; the default is given as fractions of the bounding box: `[0.5; 3]` is its centre.
     pub fn point(id: &str, name: &str, default_in_box: [f64; 3]) -> Self {
         Self::new(id, name, ParamKind::POINT, &default_in_box)
+    }
+
+    /// A colour: linear red, green, blue, and opacity, 0 to 1.
+    pub fn colour(id: &str, name: &str, default: [f64; 4]) -> Self {
+        Self::new(id, name, ParamKind::COLOUR, &default)
+    }
+
+    /// A curve through points (x, y), 0 to 1, of ascending x; at least two of them.
+    pub fn curve(id: &str, name: &str, default: &[[f64; 2]]) -> Self {
+        Self::new(id, name, ParamKind::CURVE, default.as_flattened())
+    }
+
+    /// A file that the plugin reads, in `prepare` at the latest: the state depends on it. `extensions` are those
+    /// that its name may have, without a dot; any if there is none.
+    pub fn file(id: &str, name: &str, extensions: &[&str]) -> Self {
+        let choices = extensions.iter().map(|&e| ChoiceDesc { id: e.into(), label: e.into() });
+        Self {
+            choices: choices.collect(),
+            invalidates_preparation: true,
+            ..Self::new(id, name, ParamKind::FILE, &[])
+        }
     }
 
     /// One line on what it does.
@@ -204,6 +233,26 @@ impl<'a> Param<'a> {
     pub fn text(id: &'a str, kind: ParamKind, text: &'a str) -> Self {
         Self { id: id.into(), kind, numbers: RSlice::EMPTY, text: text.into() }
     }
+
+    /// Whose value it is.
+    pub fn id(&self) -> &'a str {
+        self.id.as_str()
+    }
+
+    /// What it holds.
+    pub fn kind(&self) -> ParamKind {
+        self.kind
+    }
+
+    /// Its numbers; none where it is a text.
+    pub fn as_numbers(&self) -> &'a [f64] {
+        self.numbers.as_slice()
+    }
+
+    /// Its text; empty where it is numbers.
+    pub fn as_text(&self) -> &'a str {
+        self.text.as_str()
+    }
 }
 
 /// The values of all parameters that the plugin described.
@@ -211,8 +260,14 @@ impl<'a> Param<'a> {
 pub struct Params<'a>(&'a [Param<'a>]);
 
 impl<'a> Params<'a> {
-    pub(crate) fn new(entries: &'a [Param<'a>]) -> Self {
+    /// A view of the values.
+    pub fn new(entries: &'a [Param<'a>]) -> Self {
         Self(entries)
+    }
+
+    /// The values one by one, in the plugin's order.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = &'a Param<'a>> {
+        self.0.iter()
     }
 
     fn get(&self, id: &str, kinds: &[ParamKind]) -> PluginResult<&'a Param<'a>> {
@@ -257,6 +312,25 @@ impl<'a> Params<'a> {
     /// coordinates.
     pub fn vec3(&self, id: &str) -> PluginResult<[f64; 3]> {
         self.array(id, &[ParamKind::DIRECTION, ParamKind::POINT])
+    }
+
+    /// The value of a [`ParamKind::COLOUR`]: linear red, green, blue, and opacity, 0 to 1.
+    pub fn colour(&self, id: &str) -> PluginResult<[f64; 4]> {
+        self.array(id, &[ParamKind::COLOUR])
+    }
+
+    /// The value of a [`ParamKind::CURVE`].
+    pub fn curve(&self, id: &str) -> PluginResult<Curve<'a>> {
+        let numbers = self.get(id, &[ParamKind::CURVE])?.numbers.as_slice();
+        Curve::new(numbers.as_chunks().0).ok_or_else(|| {
+            PluginError::internal(format!("parameter `{id}` is a curve of less than two points"))
+        })
+    }
+
+    /// The value of a [`ParamKind::FILE`]: a path, or nothing where the user gave none.
+    pub fn file(&self, id: &str) -> PluginResult<Option<&'a Path>> {
+        let text = self.get(id, &[ParamKind::FILE])?.text.as_str();
+        Ok((!text.is_empty()).then(|| Path::new(text)))
     }
 }
 

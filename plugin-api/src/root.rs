@@ -1,12 +1,14 @@
 //! The exported tables: the root module, which every plugin has, and the extensions.
 
-use crate::{DeformInput, Descriptor, Extension, Host, PluginError, PrepareInput, Scratch, State};
+use crate::{
+    DeformInput, Descriptor, Extension, HandleDesc, Host, PluginError, PrepareInput, Scratch, State,
+};
 use abi_stable::{
     StableAbi,
     library::RootModule,
     package_version_strings,
     sabi_types::VersionStrings,
-    std_types::{ROption, RResult, RSliceMut, RStr},
+    std_types::{ROption, RResult, RSliceMut, RStr, RVec},
 };
 
 /// The functions that every plugin exports, frozen: a plugin's `export_plugin!` fills it in.
@@ -52,4 +54,20 @@ pub struct EvaluateExtension {
         RSliceMut<'_, [f64; 3]>,
         &Host<'_>,
     ) -> RResult<(), PluginError>,
+}
+
+/// The extension `simod.handles/1`: handles that the plugin itself places.
+#[repr(C)]
+#[derive(StableAbi)]
+pub struct HandlesExtension {
+    /// [`Handles::handles`](crate::Handles::handles).
+    pub handles: extern "C" fn(&PrepareInput<'_>, &Host<'_>) -> RResult<RVec<HandleDesc>, PluginError>,
+}
+
+/// The extension `simod.is-identity/1`: whether there is anything to do at all.
+#[repr(C)]
+#[derive(StableAbi)]
+pub struct IsIdentityExtension {
+    /// [`IsIdentity::is_identity`](crate::IsIdentity::is_identity).
+    pub is_identity: extern "C" fn(&DeformInput<'_>) -> RResult<bool, PluginError>,
 }

@@ -9,7 +9,10 @@ use std::path::Path;
 
 use abi_stable::StableAbi;
 use abi_stable::type_layout::{TLField, TypeLayout};
-use simod_plugin_api::{EvaluateExtension, Graph, PluginModRef, Triangles};
+use simod_plugin_api::{
+    EvaluateExtension, Graph, HandleMotions, HandlesExtension, IsIdentityExtension, Joints, PluginModRef,
+    Strokes, Triangles,
+};
 
 /// Each type of ours by name: its size and alignment (on 64 bits), and its fields in order.
 type Shape = BTreeMap<String, String>;
@@ -71,7 +74,16 @@ fn the_shape_changes_with_the_version_alone() {
     let mut shape = Shape::new();
     describe(PluginModRef::LAYOUT, &mut shape);
     // What is asked for by an id.
-    let others = [EvaluateExtension::LAYOUT, Triangles::LAYOUT, Graph::LAYOUT];
+    let others = [
+        EvaluateExtension::LAYOUT,
+        HandlesExtension::LAYOUT,
+        IsIdentityExtension::LAYOUT,
+        Triangles::LAYOUT,
+        Graph::LAYOUT,
+        Joints::LAYOUT,
+        HandleMotions::LAYOUT,
+        Strokes::LAYOUT,
+    ];
     others.into_iter().for_each(|layout| describe(layout, &mut shape));
     shape.retain(|_, text| !text.is_empty());
     assert!(shape.len() > 15, "{:?} is not all", shape.keys());

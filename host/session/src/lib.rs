@@ -20,7 +20,7 @@ pub mod shapes;
 pub mod stack;
 mod vector;
 
-pub use deformer::{Message, Plugin};
+pub use deformer::{Capabilities, Message, Plugin};
 pub use motion::Motion;
 pub use params::{ParamValue, Params, describe_params};
 pub use pipeline::{DeformedSamples, Run, deform};

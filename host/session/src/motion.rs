@@ -16,16 +16,17 @@ pub struct Motion {
     pub axis: DVec3,
     /// How far, right-handed.
     pub degrees: f64,
-    /// The point that turning and scaling leave in place; the model's own zero unless given.
-    #[serde(deserialize_with = "crate::vector::three")]
-    pub pivot: DVec3,
+    /// The point that turning and scaling leave in place. Unless given, it is the model's own zero for a region, and
+    /// where it is at rest for a handle that a plugin placed.
+    #[serde(deserialize_with = "crate::vector::maybe_three")]
+    pub pivot: Option<DVec3>,
     /// Size after over size before; positive.
     pub scale: f64,
 }
 
 impl Default for Motion {
     fn default() -> Self {
-        Self { translate: DVec3::ZERO, axis: DVec3::Y, degrees: 0.0, pivot: DVec3::ZERO, scale: 1.0 }
+        Self { translate: DVec3::ZERO, axis: DVec3::Y, degrees: 0.0, pivot: None, scale: 1.0 }
     }
 }
 
@@ -33,7 +34,7 @@ impl Motion {
     /// What is wrong with it, or nothing.
     pub fn defect(&self) -> Option<&'static str> {
         let Self { translate, axis, degrees, pivot, scale } = *self;
-        if !(translate.is_finite() && axis.is_finite() && pivot.is_finite()) {
+        if !(translate.is_finite() && axis.is_finite() && pivot.is_none_or(DVec3::is_finite)) {
             Some("a move has a coordinate that is no finite number")
         } else if !(degrees.is_finite() && scale.is_finite()) {
             Some("the degrees or the scale of a move are no finite number")
@@ -46,14 +47,15 @@ impl Motion {
         }
     }
 
-    /// The map, in model coordinates. Exactly the identity where nothing moves.
-    pub fn to_affine(&self) -> DAffine3 {
+    /// The map, in model coordinates, about `pivot` where the motion does not say which. Exactly the identity where
+    /// nothing moves.
+    pub fn to_affine(&self, pivot: DVec3) -> DAffine3 {
         let turn = match self.axis.try_normalize() {
             Some(axis) if self.degrees != 0.0 => DMat3::from_axis_angle(axis, self.degrees.to_radians()),
             _ => DMat3::IDENTITY,
         };
         let matrix3 = turn * self.scale;
-        DAffine3 { matrix3, translation: about(matrix3, self.pivot) + self.translate }
+        DAffine3 { matrix3, translation: about(matrix3, self.pivot.unwrap_or(pivot)) + self.translate }
     }
 }
 
@@ -79,22 +81,24 @@ mod tests {
             translate: DVec3::X,
             axis: DVec3::new(0.0, 0.0, 7.0),
             degrees: 90.0,
-            pivot: DVec3::new(1.0, 1.0, 0.0),
+            pivot: Some(DVec3::new(1.0, 1.0, 0.0)),
             scale: 2.0,
         };
-        let image = motion.to_affine().transform_point3(DVec3::new(2.0, 1.0, 5.0));
+        let image = motion.to_affine(DVec3::ZERO).transform_point3(DVec3::new(2.0, 1.0, 5.0));
         assert!(image.abs_diff_eq(DVec3::new(2.0, 3.0, 10.0), 1e-12), "{image}");
         let origin = DVec3::new(1e6, -2e6, 3e5);
         let p = DVec3::new(1e6 + 3.0, -2e6, 3e5 + 1.0);
         let frame = Frame { origin, scale: 4.0 };
-        let local = to_local(motion.to_affine(), &frame).transform_point3(frame.to_local_exact(p));
-        assert!(local.abs_diff_eq(frame.to_local_exact(motion.to_affine().transform_point3(p)), 1e-8));
+        let local = to_local(motion.to_affine(DVec3::ZERO), &frame).transform_point3(frame.to_local_exact(p));
+        assert!(
+            local.abs_diff_eq(frame.to_local_exact(motion.to_affine(DVec3::ZERO).transform_point3(p)), 1e-8)
+        );
     }
 
     #[test]
     fn nothing_is_exactly_nothing() {
         let frame = Frame { origin: DVec3::ONE * 1e7, scale: 0.25 };
-        let map = to_local(Motion { pivot: DVec3::ONE, ..Motion::default() }.to_affine(), &frame);
+        let map = to_local(Motion::default().to_affine(DVec3::ONE), &frame);
         assert_eq!(map, DAffine3::IDENTITY);
     }
 

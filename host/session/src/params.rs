@@ -5,8 +5,9 @@ use glam::DVec3;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
 use simod_core::{Error, ErrorKind, Result};
-use simod_plugin_api::{Descriptor, Param, ParamDesc, ParamKind, Unit};
+use simod_plugin_api::{Curve, Descriptor, Param, ParamDesc, ParamKind, Unit};
 use std::hash::{Hash, Hasher};
+use std::path::{Path, PathBuf};
 
 /// A parameter's value, of the kind that its description asks for.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,6 +28,12 @@ pub enum ParamValue {
     Point(DVec3),
     /// A point as fractions of the model's bounding box, as defaults are given.
     PointInBox(DVec3),
+    /// Linear red, green, blue, and opacity.
+    Colour([f64; 4]),
+    /// Points that a curve passes through.
+    Curve(Vec<[f64; 2]>),
+    /// A file that can be read; nothing where none was given.
+    File(Option<PathBuf>),
 }
 
 /// All parameters of a plugin, in its order: what the user gave, and defaults.
@@ -36,8 +43,13 @@ pub struct Params {
 }
 
 impl Params {
-    /// Checks what the user gave (`plugin` names it in errors) against the descriptions.
-    pub fn check(plugin: &str, descriptions: &[ParamDesc], given: &toml::Table) -> Result<Self> {
+    /// Checks what the user gave (`plugin` names it in errors) against the descriptions. Paths are relative to `folder`.
+    pub fn check(
+        plugin: &str,
+        descriptions: &[ParamDesc],
+        given: &toml::Table,
+        folder: &Path,
+    ) -> Result<Self> {
         for id in given.keys() {
             if !descriptions.iter().any(|d| d.id == id.as_str()) {
                 let ids = descriptions.iter().map(|d| d.id.as_str());
@@ -51,7 +63,7 @@ impl Params {
         }
         let value = |d: &ParamDesc| {
             let value = match given.get(d.id.as_str()) {
-                Some(value) => checked(plugin, d, value)?,
+                Some(value) => checked(plugin, d, value, folder)?,
                 // Descriptions were checked when the plugin was loaded.
                 None => default(d).map_err(|what| argument(format!("{plugin}: {what}"), ""))?,
             };
@@ -84,6 +96,13 @@ impl Params {
                     let p = bounds.min + *t * (bounds.max - bounds.min);
                     frame.to_local_exact(p).to_array().to_vec()
                 }
+                ParamValue::Colour(colour) => colour.to_vec(),
+                ParamValue::Curve(points) => points.as_flattened().to_vec(),
+                ParamValue::File(path) => {
+                    // Checked to be text.
+                    text = path.as_ref().and_then(|p| p.to_str()).unwrap_or_default().to_owned();
+                    Vec::new()
+                }
             };
             (id.clone(), *kind, numbers, text)
         };
@@ -110,7 +129,7 @@ impl LocalParams {
         self.0
             .iter()
             .map(|(id, kind, numbers, text)| {
-                if *kind == ParamKind::CHOICE {
+                if [ParamKind::CHOICE, ParamKind::FILE].contains(kind) {
                     Param::text(id, *kind, text)
                 } else {
                     Param::numbers(id, *kind, numbers)
@@ -133,7 +152,7 @@ pub(crate) fn nearest<'a>(given: &str, candidates: impl Iterator<Item = &'a str>
         .map(|(_, c)| c)
 }
 
-fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value) -> Result<ParamValue> {
+fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> Result<ParamValue> {
     let id = &d.id;
     let wrong = |wanted: &str, example: &str| {
         argument(
@@ -167,6 +186,16 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value) -> Result<ParamValu
         ParamKind::POINT => {
             vector(value).map(ParamValue::Point).ok_or_else(|| wrong("three numbers", "[0, 0, 0]"))?
         }
+        ParamKind::COLOUR => colour(value)
+            .map(ParamValue::Colour)
+            .ok_or_else(|| wrong("three or four numbers", "[0.8, 0.2, 0.1]"))?,
+        ParamKind::CURVE => ParamValue::Curve(
+            numbers(value).ok_or_else(|| wrong("a list of points", "[[0, 1], [0.5, 0.2], [1, 0]]"))?,
+        ),
+        ParamKind::FILE => {
+            let path = value.as_str().ok_or_else(|| wrong("a text", "\"file\""))?;
+            file(d, folder, path).map_err(|(what, hint)| argument(format!("{plugin}: {what}"), hint))?
+        }
         _ => return Err(argument(format!("{plugin} has a parameter of a kind unknown here: `{id}`"), "")),
     };
     in_range(d, &parsed).map_err(|what| {
@@ -192,7 +221,9 @@ fn in_range(d: &ParamDesc, value: &ParamValue) -> std::result::Result<(), String
         ParamValue::Float(x) | ParamValue::Length(x) => &[*x],
         ParamValue::Int(i) => &[*i as f64],
         ParamValue::Direction(v) | ParamValue::Point(v) | ParamValue::PointInBox(v) => v.as_ref(),
-        ParamValue::Bool(_) | ParamValue::Choice(_) => &[],
+        ParamValue::Colour(c) => c,
+        ParamValue::Curve(points) => points.as_flattened(),
+        ParamValue::Bool(_) | ParamValue::Choice(_) | ParamValue::File(_) => &[],
     };
     if components.iter().any(|x| !x.is_finite()) {
         return Err(format!("parameter `{}` is not a finite number", d.id));
@@ -204,6 +235,15 @@ fn in_range(d: &ParamDesc, value: &ParamValue) -> std::result::Result<(), String
         {
             Err(format!("parameter `{}` is {}, out of its range", d.id, components[0]))
         }
+        ParamValue::Colour(_) | ParamValue::Curve(_)
+            if components.iter().any(|x| !(0.0..=1.0).contains(x)) =>
+        {
+            Err(format!("parameter `{}` has a number that is not from 0 to 1", d.id))
+        }
+        ParamValue::Curve(points) if Curve::new(points).is_none() => Err(format!(
+            "the points of parameter `{}` are less than two, or do not go from left to right",
+            d.id
+        )),
         _ => Ok(()),
     }
 }
@@ -217,9 +257,55 @@ fn number(value: &toml::Value) -> Option<f64> {
     value.as_float().or_else(|| value.as_integer().map(|i| i as f64))
 }
 
-fn vector(value: &toml::Value) -> Option<DVec3> {
+/// A list of so many numbers.
+fn array<const N: usize>(value: &toml::Value) -> Option<[f64; N]> {
     let numbers: Vec<f64> = value.as_array()?.iter().map(number).collect::<Option<_>>()?;
-    <[f64; 3]>::try_from(numbers).ok().map(DVec3::from_array)
+    numbers.try_into().ok()
+}
+
+fn vector(value: &toml::Value) -> Option<DVec3> {
+    array(value).map(DVec3::from_array)
+}
+
+/// Opaque, unless the opacity is given.
+fn colour(value: &toml::Value) -> Option<[f64; 4]> {
+    array(value).or_else(|| array(value).map(|[r, g, b]| [r, g, b, 1.0]))
+}
+
+/// A list of points.
+fn numbers(value: &toml::Value) -> Option<Vec<[f64; 2]>> {
+    value.as_array()?.iter().map(array).collect()
+}
+
+/// A file that is there, of a name that the plugin takes; or what is wrong, and what to do.
+fn file(d: &ParamDesc, folder: &Path, path: &str) -> std::result::Result<ParamValue, (String, String)> {
+    let id = &d.id;
+    if path.is_empty() {
+        return Ok(ParamValue::File(None));
+    }
+    let full = folder.join(path);
+    let extension = full.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    if !d.choices.is_empty() && !d.choices.iter().any(|c| c.id == extension) {
+        let taken: Vec<&str> = d.choices.iter().map(|c| c.id.as_str()).collect();
+        let what = format!("parameter `{id}` is `{path}`, not a file of a type that it takes");
+        return Err((what, format!("give a file whose name ends in .{}", taken.join(", ."))));
+    }
+    let here = |e: std::io::Error| {
+        (format!("parameter `{id}`: cannot read {}: {e}", full.display()), "check the path".to_owned())
+    };
+    let meta = std::fs::File::open(&full).and_then(|file| file.metadata()).map_err(here)?;
+    if !meta.is_file() {
+        return Err((
+            format!("parameter `{id}`: {} is no file", full.display()),
+            "check the path".to_owned(),
+        ));
+    }
+    let full = full.canonicalize().map_err(here)?;
+    if full.to_str().is_none() {
+        let what = format!("parameter `{id}`: the path {} is not UTF-8", full.display());
+        return Err((what, "rename the file or its folder".to_owned()));
+    }
+    Ok(ParamValue::File(Some(full)))
 }
 
 fn default(d: &ParamDesc) -> std::result::Result<ParamValue, String> {
@@ -232,7 +318,12 @@ fn default(d: &ParamDesc) -> std::result::Result<ParamValue, String> {
         }
         (ParamKind::DIRECTION, &[x, y, z]) => ParamValue::Direction(DVec3::new(x, y, z)),
         (ParamKind::POINT, &[x, y, z]) => ParamValue::PointInBox(DVec3::new(x, y, z)),
-        (kind, _) if kind.0 == 0 || kind.0 > ParamKind::POINT.0 => {
+        (ParamKind::COLOUR, &[r, g, b, a]) => ParamValue::Colour([r, g, b, a]),
+        (ParamKind::CURVE, numbers) if numbers.len() % 2 == 0 => {
+            ParamValue::Curve(numbers.as_chunks().0.to_vec())
+        }
+        (ParamKind::FILE, &[]) => ParamValue::File(None),
+        (kind, _) if kind.0 == 0 || kind.0 > ParamKind::FILE.0 => {
             return Err(format!("parameter `{}` is of a kind that this version does not know", d.id));
         }
         _ => return Err(format!("parameter `{}` has a default that is not of its kind", d.id)),
@@ -259,6 +350,12 @@ pub fn describe_params(plugin: &Plugin) -> Vec<ParamText> {
             ParamKind::BOOL => (d.default_numbers.first() != Some(&0.0)).to_string(),
             ParamKind::DIRECTION => format!("[{}]", numbers.join(", ")),
             ParamKind::POINT => format!("[{}] of the model's bounding box", numbers.join(", ")),
+            ParamKind::COLOUR => format!("[{}]", numbers.join(", ")),
+            ParamKind::CURVE => {
+                let points: Vec<String> = numbers.chunks(2).map(|p| format!("[{}]", p.join(", "))).collect();
+                format!("[{}]", points.join(", "))
+            }
+            ParamKind::FILE => "none".to_owned(),
             _ => numbers.join(""),
         };
         let unit = match d.unit {
@@ -274,6 +371,13 @@ pub fn describe_params(plugin: &Plugin) -> Vec<ParamText> {
             ParamKind::POINT => "a point [x, y, z]".to_owned(),
             ParamKind::DIRECTION => "a direction [x, y, z]".to_owned(),
             ParamKind::BOOL => "true | false".to_owned(),
+            ParamKind::COLOUR => "a colour [red, green, blue, opacity]".to_owned(),
+            ParamKind::CURVE => "a curve [[x, y], ...] from 0 to 1".to_owned(),
+            ParamKind::FILE if d.choices.is_empty() => "a file".to_owned(),
+            ParamKind::FILE => {
+                let extensions: Vec<String> = d.choices.iter().map(|c| format!(".{}", c.id)).collect();
+                format!("a file {}", extensions.join(" | "))
+            }
             ParamKind::INT => format!("a whole number {}", range_text(d.hard_range)),
             _ => format!("a number {}", range_text(d.hard_range)),
         };
@@ -331,11 +435,14 @@ mod tests {
             ParamDesc::choice("operation", "Operation", "bend", &[("bend", "Bend"), ("twist", "Twist")]),
             ParamDesc::direction("axis", "Axis", [0.0, 1.0, 0.0]),
             ParamDesc::point("center", "Centre", [0.5; 3]),
+            ParamDesc::colour("tint", "Tint", [1.0, 0.5, 0.0, 1.0]),
+            ParamDesc::curve("falloff", "Falloff", &[[0.0, 1.0], [1.0, 0.0]]),
+            ParamDesc::file("weights", "Weights", &["rs", "toml"]),
         ]
     }
 
     fn check(given: &str) -> Result<Params> {
-        Params::check("warp", &descriptions(), &given.parse().unwrap())
+        Params::check("warp", &descriptions(), &given.parse().unwrap(), Path::new(""))
     }
 
     #[test]
@@ -346,7 +453,17 @@ mod tests {
         let bounds = Bounds { min: DVec3::new(100.0, 0.0, 0.0), max: DVec3::new(102.0, 4.0, 0.0) };
         let frame = Frame { origin: DVec3::new(100.0, 0.0, 0.0), scale: 1.0 };
         assert_eq!(params.to_local(&frame, &bounds).0[5].2, [1.0, 2.5, 3.0]);
-        assert_eq!(check("").unwrap().to_local(&frame, &bounds).0[5].2, [1.0, 2.0, 0.0]);
+        let defaults = check("").unwrap();
+        assert_eq!(defaults.to_local(&frame, &bounds).0[5].2, [1.0, 2.0, 0.0]);
+        assert_eq!(defaults.get("weights"), Some(&ParamValue::File(None)));
+        let params = check("tint = [0, 0.5, 1]\nfalloff = [[0, 0], [0.5, 1], [1, 0]]").unwrap();
+        assert_eq!(params.get("tint"), Some(&ParamValue::Colour([0.0, 0.5, 1.0, 1.0])));
+        assert_eq!(params.to_local(&frame, &bounds).0[7].2, [0.0, 0.0, 0.5, 1.0, 1.0, 0.0]);
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml");
+        let given = toml::Table::from_iter([("weights".to_owned(), "Cargo.toml".into())]);
+        let params = Params::check("warp", &descriptions(), &given, file.parent().unwrap()).unwrap();
+        let ParamValue::File(Some(found)) = params.get("weights").unwrap() else { panic!() };
+        assert_eq!(*found, file.canonicalize().unwrap());
     }
 
     #[test]
@@ -366,6 +483,12 @@ mod tests {
         told("keep = 1", "not true or false", "true");
         told("operation = \"twits\"", "cannot be `twits`", "did you mean `twist`?");
         told("axis = [1, 2]", "not three numbers", "[0, 1, 0]");
+        told("tint = [1, 2]", "not three or four numbers", "[0.8");
+        told("tint = [1, 2, 0]", "not from 0 to 1", "");
+        told("falloff = [[0, 1]]", "less than two", "");
+        told("falloff = [[0.5, 1], [0.2, 0]]", "left to right", "");
+        told("weights = \"nowhere.toml\"", "cannot read nowhere.toml", "check the path");
+        told("weights = \"x.png\"", "not a file of a type", ".rs, .toml");
     }
 
     #[test]

@@ -87,12 +87,14 @@ impl Run {
                 "add [model] path = \"…\" to it; the path is relative to the session's folder",
             )
         })?;
-        if measure && !stack.plugins().all(|p| p.can_evaluate()) {
+        if measure && !stack.plugins().all(|p| p.capabilities().evaluate) {
             return Err(not_evaluable());
         }
         let model = model::open(path)?;
         let folder = folder_of(output);
-        let sampled = sample(model.as_ref(), &session.sampling.into(), folder, progress)?;
+        let mut sampling: Sampling = session.sampling.into();
+        sampling.skip.triangles = !stack.plugins().any(|p| p.consumes().triangles);
+        let sampled = sample(model.as_ref(), &sampling, folder, progress)?;
         let deformed = deform(&sampled, &stack, progress)?;
         let version = Version { deformed: &deformed.positions, output, diagnostics: None };
         reconstruct(&sampled, model.as_ref(), &[version], how, progress)?;
@@ -131,8 +133,8 @@ impl From<session_file::Sampling> for Sampling {
             (None, Some(e)) => Target::Error(e),
             (None, None) => Target::default(),
         };
-        // Nothing that follows asks for them.
-        let skip = Skip { triangles: true, cells: true, normals: false };
+        // Nothing that follows asks for the cells.
+        let skip = Skip { cells: true, ..Skip::default() };
         Self { target, grid: from.grid, skip, ..Self::default() }
     }
 }

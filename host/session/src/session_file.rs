@@ -2,6 +2,7 @@
 
 use crate::motion::Motion;
 use crate::shapes::{Shape, Shapes};
+use glam::DVec3;
 use serde::Deserialize;
 use simod_core::{Error, ErrorKind, Result};
 use std::fs::File;
@@ -47,8 +48,62 @@ pub struct Step {
     pub params: toml::Table,
     /// Regions, in the file's order.
     pub regions: Vec<Region>,
+    /// Joints that the user placed, in the file's order.
+    pub joints: Vec<Joint>,
+    /// How the plugin's own handles move.
+    pub handles: Vec<HandleMove>,
+    /// Brush strokes, first to last.
+    pub strokes: Vec<Stroke>,
+    /// What paths among the parameters are relative to.
+    pub folder: PathBuf,
     /// Where in the file it stands, as `session.toml, line 7`; for errors.
     pub place: String,
+}
+
+/// A joint of a skeleton.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct Joint {
+    /// Unique among the step's joints.
+    pub id: String,
+    /// Where it is at rest, model coordinates.
+    #[serde(deserialize_with = "crate::vector::three")]
+    pub at: DVec3,
+    /// The id of the joint that it hangs on, if any.
+    pub parent: Option<String>,
+}
+
+/// How a handle that the plugin placed moves.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HandleMove {
+    /// The handle's id.
+    pub id: String,
+    /// How it moves; about its place at rest unless the motion says otherwise.
+    pub motion: Motion,
+}
+
+/// A brush stroke.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct Stroke {
+    /// Of the brush, in the model's unit; above 0.
+    pub radius: f64,
+    /// 1 is full strength, negative ones do the opposite.
+    #[serde(default = "full_strength")]
+    pub strength: f64,
+    /// Its path, model coordinates.
+    #[serde(deserialize_with = "crate::vector::threes")]
+    pub points: Vec<DVec3>,
+    /// The pen's pressure at each point, 0 to 1; none where there was no pen.
+    #[serde(default)]
+    pub pressures: Vec<f32>,
+    /// The parameters that differ from the step's.
+    #[serde(default)]
+    pub params: toml::Table,
+}
+
+fn full_strength() -> f64 {
+    1.0
 }
 
 /// What a region's samples do.
@@ -101,10 +156,21 @@ struct RawStep {
     params: toml::Table,
     #[serde(default)]
     region: Vec<Spanned<RawRegion>>,
+    #[serde(default)]
+    joint: Vec<Spanned<Joint>>,
+    #[serde(default)]
+    handle: Vec<Spanned<RawHandle>>,
+    #[serde(default)]
+    stroke: Vec<Spanned<Stroke>>,
     // Known to the format, but not to this version.
-    handle: Option<Spanned<toml::Value>>,
-    stroke: Option<Spanned<toml::Value>>,
     refine: Option<Spanned<toml::Value>>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+struct RawHandle {
+    id: String,
+    r#move: Spanned<Motion>,
 }
 
 #[derive(Deserialize)]
@@ -205,22 +271,115 @@ impl Source<'_> {
     fn step(&self, step: Spanned<RawStep>) -> Result<Step> {
         let span = step.span();
         let raw = step.into_inner();
-        let later = [
-            (raw.refine, "`refine` steps"),
-            (raw.handle, "handles that the plugin places (`step.handle`)"),
-            (raw.stroke, "brush strokes (`step.stroke`)"),
-        ];
-        for (value, name) in later {
-            if let Some(value) = value {
-                let what = format!("{name} are not known to this version of SIMOD");
-                return Err(self.error(&value.span(), &what, "use a newer version, or remove them"));
-            }
+        if let Some(refine) = raw.refine {
+            let what = "`refine` steps are not known to this version of SIMOD";
+            return Err(self.error(&refine.span(), what, "use a newer version, or remove them"));
         }
         let deform = raw.deform.ok_or_else(|| {
             self.error(&span, "the step has no `deform`", "name a plugin, such as deform = \"warp\"")
         })?;
-        let regions = raw.region.into_iter().map(|r| self.region(r)).collect::<Result<_>>()?;
-        Ok(Step { deform, params: raw.params, regions, place: self.place(&span) })
+        Ok(Step {
+            deform,
+            params: raw.params,
+            regions: raw.region.into_iter().map(|r| self.region(r)).collect::<Result<_>>()?,
+            joints: self.joints(raw.joint)?,
+            handles: self.handles(raw.handle)?,
+            strokes: raw.stroke.into_iter().map(|s| self.stroke(s)).collect::<Result<_>>()?,
+            folder: self.path.parent().unwrap_or(Path::new("")).to_owned(),
+            place: self.place(&span),
+        })
+    }
+
+    /// The joints, each after the one that it hangs on.
+    fn joints(&self, raw: Vec<Spanned<Joint>>) -> Result<Vec<Joint>> {
+        let mut joints: Vec<Joint> = Vec::with_capacity(raw.len());
+        let mut waiting = raw;
+        while !waiting.is_empty() {
+            let before = joints.len();
+            let is_ready = |j: &Spanned<Joint>, joints: &[Joint]| match &j.get_ref().parent {
+                Some(parent) => joints.iter().any(|known| known.id == *parent),
+                None => true,
+            };
+            let (ready, rest): (Vec<_>, Vec<_>) = waiting.into_iter().partition(|j| is_ready(j, &joints));
+            if let (true, Some(first)) = (ready.is_empty(), rest.first()) {
+                let joint = first.get_ref();
+                let parent = joint.parent.as_deref().unwrap_or_default();
+                let what =
+                    format!("joint `{}` hangs on `{parent}`, which is no joint or hangs on it", joint.id);
+                return Err(self.error(
+                    &first.span(),
+                    &what,
+                    "name another joint of the step as its `parent`",
+                ));
+            }
+            for joint in ready {
+                let span = joint.span();
+                let joint = joint.into_inner();
+                self.check_id(&span, &joint.id, joints.iter().map(|j| &j.id))?;
+                if !joint.at.is_finite() {
+                    let what = "a joint has a coordinate that is no finite number";
+                    return Err(self.error(&span, what, "correct the joint"));
+                }
+                joints.push(joint);
+            }
+            debug_assert!(joints.len() > before);
+            waiting = rest;
+        }
+        Ok(joints)
+    }
+
+    fn handles(&self, raw: Vec<Spanned<RawHandle>>) -> Result<Vec<HandleMove>> {
+        let mut handles: Vec<HandleMove> = Vec::with_capacity(raw.len());
+        for handle in raw {
+            let span = handle.span();
+            let RawHandle { id, r#move } = handle.into_inner();
+            self.check_id(&span, &id, handles.iter().map(|h| &h.id))?;
+            let motion = *r#move.get_ref();
+            if let Some(what) = motion.defect() {
+                return Err(self.error(&r#move.span(), what, "correct the move"));
+            }
+            handles.push(HandleMove { id, motion });
+        }
+        Ok(handles)
+    }
+
+    /// Ids are words, each given once.
+    fn check_id<'b>(
+        &self,
+        span: &Range<usize>,
+        id: &str,
+        mut others: impl Iterator<Item = &'b String>,
+    ) -> Result<()> {
+        if id.is_empty() || id.contains(char::is_whitespace) {
+            return Err(self.error(span, "an `id` is empty or has white space", "give it one word"));
+        }
+        if others.any(|other| other == id) {
+            let what = format!("`{id}` is there twice");
+            return Err(self.error(span, &what, "remove one of both, or give it another id"));
+        }
+        Ok(())
+    }
+
+    fn stroke(&self, stroke: Spanned<Stroke>) -> Result<Stroke> {
+        let span = stroke.span();
+        let stroke = stroke.into_inner();
+        let wrong = |what, hint: &str| Err(self.error(&span, what, hint));
+        if !(stroke.radius > 0.0 && stroke.radius.is_finite()) {
+            return wrong("the radius of a stroke is not positive", "give a length in the model's unit");
+        }
+        if !(stroke.strength.is_finite() && stroke.points.iter().all(|p| p.is_finite())) {
+            return wrong("a stroke has a number that is not finite", "correct the stroke");
+        }
+        if stroke.points.is_empty() {
+            return wrong("the stroke has no point", "give at least one in `points`");
+        }
+        if ![0, stroke.points.len()].contains(&stroke.pressures.len()) {
+            return wrong("there is not one pressure for each point of a stroke", "give as many, or none");
+        }
+        if !stroke.pressures.iter().all(|p| (0.0..=1.0).contains(p)) {
+            return wrong("a pressure of a stroke is not from 0 to 1", "correct the stroke");
+        }
+        Ok(stroke)
     }
 
     fn region(&self, region: Spanned<RawRegion>) -> Result<Region> {
@@ -346,7 +505,29 @@ path = "/elsewhere/out.ply"
         );
         told("[[step]]\nparams = {}", 1, "no `deform`");
         told("[[step]]\nrefine = { error = 1 }", 2, "`refine` steps are not known");
-        told("[[step]]\ndeform = \"x\"\n[[step.handle]]\nid = \"0\"", 3, "`step.handle`");
-        told("[[step]]\ndeform = \"x\"\n[[step.stroke]]\nradius = 5", 3, "`step.stroke`");
+        let step = "[[step]]\ndeform = \"x\"\n";
+        told(&format!("{step}[[step.handle]]\nid = \"0\""), 3, "`move`");
+        told(&format!("{step}[[step.handle]]\nid = \"a b\"\nmove = {{}}"), 3, "white space");
+        told(&format!("{step}[[step.handle]]\nid = \"a\"\nmove = {{ scale = -1 }}"), 5, "scale");
+        told(&format!("{step}[[step.stroke]]\nradius = 0\npoints = [[0,0,0]]"), 3, "radius");
+        told(&format!("{step}[[step.stroke]]\nradius = 1\npoints = []"), 3, "no point");
+        told(&format!("{step}[[step.stroke]]\nradius = 1\npoints = [[0,0]]"), 5, "found 2");
+        told(&format!("{step}[[step.stroke]]\nradius = 1\npoints = [[0,0,0]]\npressures = [2]"), 3, "0 to 1");
+        let joint = |id: &str, parent: &str| {
+            format!("[[step.joint]]\nid = \"{id}\"\nat = [0,0,0]\nparent = \"{parent}\"\n")
+        };
+        told(&format!("{step}{}{}", joint("a", "b"), joint("b", "a")), 3, "hangs on `b`");
+        let twice = "[[step.joint]]\nid = \"a\"\nat = [0,0,0]\n";
+        told(&format!("{step}{twice}{twice}"), 6, "twice");
+    }
+
+    #[test]
+    fn joints_come_after_those_that_they_hang_on() {
+        let joint = |id: &str, rest: &str| format!("[[step.joint]]\nid = \"{id}\"\nat = [1,2,3]\n{rest}\n");
+        let text =
+            ["[[step]]\ndeform = \"x\"\n", &joint("hand", "parent = \"arm\""), &joint("arm", "")].concat();
+        let session = parse(&text).unwrap();
+        let ids: Vec<&str> = session.steps[0].joints.iter().map(|j| j.id.as_str()).collect();
+        assert_eq!(ids, ["arm", "hand"]);
     }
 }

@@ -12,3 +12,15 @@ pub(crate) fn three<'de, D: Deserializer<'de>>(deserializer: D) -> Result<DVec3,
         .map(DVec3::from_array)
         .map_err(|_| D::Error::custom(format!("expected three numbers, found {count}")))
 }
+
+/// As [`three`], for numbers that may be missing; together with `#[serde(default)]`.
+pub(crate) fn maybe_three<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<DVec3>, D::Error> {
+    three(deserializer).map(Some)
+}
+
+/// For `#[serde(deserialize_with)]`: a list of exactly three numbers each.
+pub(crate) fn threes<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<DVec3>, D::Error> {
+    #[derive(Deserialize)]
+    struct Three(#[serde(deserialize_with = "three")] DVec3);
+    Ok(Vec::<Three>::deserialize(deserializer)?.into_iter().map(|three| three.0).collect())
+}

@@ -12,7 +12,7 @@ fn plugins_stand_side_by_side() {
     assert!(registry.rejected().is_empty(), "{:?}", registry.rejected());
     let ids: Vec<&str> = registry.plugins().iter().map(|p| p.id()).collect();
     assert_eq!(ids, ["misbehaving", "rbf", "warp"]);
-    assert!(registry.plugins().iter().all(|p| p.can_evaluate()));
+    assert!(registry.plugins().iter().all(|p| p.capabilities().evaluate));
     let warp = registry.get("warp").unwrap();
     assert_eq!(warp.name(), "Warp");
     assert!(warp.params().iter().any(|p| p.id == "angle"));

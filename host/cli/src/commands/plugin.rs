@@ -65,7 +65,7 @@ fn list(registry: &PluginRegistry, report: &mut Report) {
     let describe = |p: &std::sync::Arc<Loaded>| {
         json!({
             "id": p.id(), "name": p.name(), "version": p.version(), "summary": p.summary(),
-            "path": p.path().display().to_string(), "evaluates": p.can_evaluate(),
+            "path": p.path().display().to_string(), "evaluates": p.capabilities().evaluate,
         })
     };
     report.figure("plugins", plugins.iter().map(describe).collect::<Vec<_>>());
@@ -76,6 +76,11 @@ fn info(plugin: &Loaded, report: &mut Report) {
     report.line(plugin.summary());
     if !plugin.citation().is_empty() {
         report.line(plugin.citation());
+    }
+    let by = [plugin.author(), plugin.url()].map(str::trim).into_iter().filter(|t| !t.is_empty());
+    let by = by.collect::<Vec<_>>().join(", ");
+    if !by.is_empty() {
+        report.line(format!("by {by}"));
     }
     report.line(format!("library {}", plugin.path().display()));
     let consumes = plugin.consumes();
@@ -96,11 +101,24 @@ fn info(plugin: &Loaded, report: &mut Report) {
     for (used, what, figure) in [
         (consumes.triangles, "triangles, if there are any", "uses_triangles"),
         (consumes.graph, "the samples' neighbours", "uses_graph"),
+        (consumes.joints, "joints", "uses_joints"),
+        (consumes.strokes, "strokes", "uses_strokes"),
     ] {
         if used {
             needs.push(what.to_owned());
         }
         report.figure(figure, used);
+    }
+    let can = plugin.capabilities();
+    for (yes, what, figure) in [
+        (can.evaluate, "knows its map at any point of space", "evaluates"),
+        (can.handles, "places handles of its own", "places_handles"),
+        (can.is_identity, "tells when it does nothing", "tells_identity"),
+    ] {
+        if yes {
+            report.line(what);
+        }
+        report.figure(figure, yes);
     }
     let needs = if needs.is_empty() { "nothing but the samples".to_owned() } else { needs.join("; ") };
     report.line(format!("takes {needs}"));

@@ -1,7 +1,8 @@
 //! What a plugin is given: samples, regions, motions and parameters, made the same way each time.
 
+use super::subject::{Listener, Refusal, answer};
 use super::{Checked, Finding};
-use crate::deformer::Plugin;
+use crate::deformer::{Plugin, check_handles};
 use crate::params::{LocalParams, Params};
 use crate::stack::{neighbour_lists, rows};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
@@ -9,9 +10,14 @@ use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
 use simod_core::sampling::SampleSet;
 use simod_plugin_api::{
-    Affine, DeformInput, Graph, Param, Part, PrepareInput, Region, Role, Samples, Triangles,
+    Affine, DeformInput, Graph, HandleDesc, HandleMotions, Joint, Joints, Param, Part, PrepareInput, Region,
+    Role, Samples, Stroke, Strokes, Triangles,
 };
 use std::hash::{DefaultHasher, Hash, Hasher};
+use std::path::Path;
+
+/// A brush's radius, as a fraction of the diagonal.
+const BRUSH: f64 = 0.1;
 
 /// All that a plugin is given for one deformation, local coordinates.
 #[derive(Clone)]
@@ -27,6 +33,12 @@ pub(super) struct Case {
     pub regions: Vec<(Role, Vec<f32>)>,
     /// One for each handle region.
     pub transforms: Vec<Affine>,
+    /// Joints where the plugin uses some: ids, places, and what they hang on.
+    joints: Vec<(String, [f64; 3], u32)>,
+    /// The motions of the handles that the plugin placed for these joints, samples and parameters.
+    pub handles: Vec<Affine>,
+    /// The paths of strokes, where the plugin uses some.
+    pub strokes: Vec<Vec<[f64; 3]>>,
     params: LocalParams,
 }
 
@@ -44,17 +56,52 @@ impl Case {
         let triangle = |i: usize| graph.of(i).get(..2).map(|near| [i as u32, near[0], near[1]]);
         let triangles = (0..set.len()).filter(|_| plugin.consumes().triangles).filter_map(triangle).collect();
         let handles = regions.iter().filter(|(role, _)| *role == Role::HANDLE).count();
-        Ok(Self {
+        let consumes = plugin.consumes();
+        let mut case = Self {
             transforms: (0..handles).map(|i| rows(motion(&bounds, i))).collect(),
             normals: bytemuck::cast_slice(set.normals()).to_vec(),
             spacing: set.spacing().to_vec(),
             triangles,
             neighbours,
             bounds: simod_plugin_api::Bounds { min: bounds.min.to_array(), max: bounds.max.to_array() },
+            joints: if consumes.joints { joints(&bounds) } else { Vec::new() },
+            handles: Vec::new(),
+            strokes: if consumes.strokes { strokes(&set.positions) } else { Vec::new() },
             positions: bytemuck::cast_slice(&set.positions).to_vec(),
             regions,
             params,
-        })
+        };
+        case.move_handles(plugin)?;
+        Ok(case)
+    }
+
+    /// Moves the handles that the plugin places, each a little otherwise.
+    fn move_handles(&mut self, plugin: &Plugin) -> Checked<()> {
+        let placed = self.placed_handles(plugin)?;
+        let corner = DVec3::from_array;
+        let bounds = Bounds { min: corner(self.bounds.min), max: corner(self.bounds.max) };
+        self.handles = (0..placed.len()).map(|i| rows(motion(&bounds, i % 3))).collect();
+        Ok(())
+    }
+
+    /// The handles that the plugin places.
+    pub fn placed_handles(&self, plugin: &Plugin) -> Checked<Vec<HandleDesc>> {
+        if !plugin.capabilities().handles {
+            return Ok(Vec::new());
+        }
+        let call =
+            |input: &PrepareInput<'_>| plugin.code().handles(&input.without_regions(), &Listener::patient());
+        let handles = answer("handles", self.prepare_input(call))?.map_err(Refusal::of_ordinary)?;
+        check_handles(&handles).map_err(|what| Finding::fail(what, "see `HandleDesc`"))?;
+        Ok(handles)
+    }
+
+    /// The same where nothing is moved, and nothing is painted.
+    pub fn at_rest(mut self) -> Self {
+        self.transforms.fill(Affine::IDENTITY);
+        self.handles.fill(Affine::IDENTITY);
+        self.strokes.clear();
+        self
     }
 
     /// A sphere with bumps, of so many samples.
@@ -67,7 +114,9 @@ impl Case {
     pub fn with_params(&self, plugin: &Plugin, given: &toml::Table) -> Checked<Self> {
         let corner = DVec3::from_array;
         let bounds = Bounds { min: corner(self.bounds.min), max: corner(self.bounds.max) };
-        Ok(Self { params: params(plugin, &bounds, given)?, ..self.clone() })
+        let mut case = Self { params: params(plugin, &bounds, given)?, ..self.clone() };
+        case.move_handles(plugin)?;
+        Ok(case)
     }
 
     /// All samples in handles that do the same: as many handles as the plugin needs, each with a part of the samples.
@@ -76,6 +125,7 @@ impl Case {
         let part = |h: usize| (0..count).map(|i| f32::from(u8::from(i * handles / count == h))).collect();
         self.regions = (0..handles).map(|h| (Role::HANDLE, part(h))).collect();
         self.transforms = vec![transform; handles];
+        self.handles.fill(transform);
         self
     }
 
@@ -91,7 +141,10 @@ impl Case {
             role.0.hash(&mut hasher);
             bytemuck::cast_slice::<_, u8>(weights).hash(&mut hasher);
         }
-        for x in self.transforms.iter().flat_map(|t| t.rows.as_flattened()) {
+        for x in self.transforms.iter().chain(&self.handles).flat_map(|t| t.rows.as_flattened()) {
+            x.to_bits().hash(&mut hasher);
+        }
+        for x in self.strokes.iter().flatten().flatten() {
             x.to_bits().hash(&mut hasher);
         }
         self.params.hash(&mut hasher);
@@ -112,13 +165,32 @@ impl Case {
         if !self.triangles.is_empty() {
             parts.push(Part::new(&triangles));
         }
+        let joints: Vec<_> =
+            self.joints.iter().map(|(id, at, parent)| Joint::new(id, *at, *parent)).collect();
+        let joints = Joints::new(&joints);
+        if !self.joints.is_empty() {
+            parts.push(Part::new(&joints));
+        }
         call(&PrepareInput::new(self.samples(), self.bounds, &regions, &params).with_parts(&parts))
     }
 
     /// Calls with what a deformation gets.
     pub fn deform_input<T>(&self, call: impl FnOnce(&DeformInput<'_>) -> T) -> T {
         let params: Vec<Param<'_>> = self.params.views();
-        call(&DeformInput::new(self.samples(), self.bounds, &self.transforms, &params))
+        let radius = BRUSH * self.bounds.diagonal();
+        let strokes = self.strokes.iter().enumerate();
+        let strokes: Vec<Stroke<'_>> = strokes
+            .map(|(i, path)| Stroke::new(i as u64, radius, 1.0 - 0.5 * i as f64, path, &[], &params))
+            .collect();
+        let (strokes, handles) = (Strokes::new(&strokes), HandleMotions::new(&self.handles));
+        let mut parts = Vec::new();
+        if !self.handles.is_empty() {
+            parts.push(Part::new(&handles));
+        }
+        if !self.strokes.is_empty() {
+            parts.push(Part::new(&strokes));
+        }
+        call(&DeformInput::new(self.samples(), self.bounds, &self.transforms, &params).with_parts(&parts))
     }
 }
 
@@ -160,6 +232,26 @@ fn regions(plugin: &Plugin, count: usize) -> Vec<(Role, Vec<f32>)> {
     (0..fixed + handles).map(region).collect()
 }
 
+/// A chain of joints through the box, with a branch.
+fn joints(bounds: &Bounds) -> Vec<(String, [f64; 3], u32)> {
+    let at =
+        |x: f64, y: f64, z: f64| (bounds.min + DVec3::new(x, y, z) * (bounds.max - bounds.min)).to_array();
+    [
+        ("root", at(0.5, 0.1, 0.5), Joint::ROOT),
+        ("middle", at(0.5, 0.5, 0.5), 0),
+        ("end", at(0.6, 0.9, 0.5), 1),
+        ("branch", at(0.9, 0.6, 0.4), 1),
+    ]
+    .map(|(id, at, parent)| (id.to_owned(), at, parent))
+    .into()
+}
+
+/// Two strokes near the surface, the second one of a single point.
+fn strokes(positions: &[Vec3]) -> Vec<Vec<[f64; 3]>> {
+    let at = |i: usize| positions[i.min(positions.len() - 1)].as_dvec3().to_array();
+    vec![(0..8).map(|i| at(i * positions.len() / 40)).collect(), vec![at(positions.len() / 2)]]
+}
+
 /// How a handle moves: a turn about an odd axis, and a shift.
 pub(super) fn motion(bounds: &Bounds, handle: usize) -> DAffine3 {
     let centre = bounds.center();
@@ -172,6 +264,6 @@ pub(super) fn motion(bounds: &Bounds, handle: usize) -> DAffine3 {
 
 fn params(plugin: &Plugin, bounds: &Bounds, given: &toml::Table) -> Checked<LocalParams> {
     let frame = Frame { origin: DVec3::ZERO, scale: 1.0 };
-    let params = Params::check(plugin.id(), plugin.params(), given);
+    let params = Params::check(plugin.id(), plugin.params(), given, Path::new(""));
     Ok(params.map_err(|e| Finding::skip(e.to_string()))?.to_local(&frame, bounds))
 }

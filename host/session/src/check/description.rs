@@ -23,7 +23,7 @@ pub(super) fn descriptor(subject: &Subject) -> Checked<Finding> {
     if let Some(what) = wrong(descriptor) {
         return fail(what);
     }
-    match answer("descriptor", subject.plugin.call_descriptor())? {
+    match answer("descriptor", subject.plugin.code().descriptor())? {
         Ok(again) if again == *descriptor => {}
         Ok(_) => return fail("the description is another one when asked twice".to_owned()),
         Err(refusal) => return fail(format!("asked twice, it says {}", refusal.0)),

@@ -39,7 +39,7 @@ pub(super) fn cancel(subject: &Subject) -> Checked<Finding> {
         ))
     };
     let started = Instant::now();
-    let state = case.prepare_input(|input| plugin.call_prepare(input, &stop));
+    let state = case.prepare_input(|input| plugin.code().prepare(input, &stop));
     take("prepare", started.elapsed())?;
     let state = match stopped("prepare", state)? {
         Some(state) => state,
@@ -47,12 +47,13 @@ pub(super) fn cancel(subject: &Subject) -> Checked<Finding> {
     };
     let (mut scratch, mut out) = (subject.scratch()?, unwritten(&case));
     let started = Instant::now();
-    let done = case.deform_input(|input| plugin.call_deform(&state, input, &mut scratch, &mut out, &stop));
+    let done = case.deform_input(|input| plugin.code().deform(&state, input, &mut scratch, &mut out, &stop));
     take("deform", started.elapsed())?;
     stopped("deform", done)?;
     let mut points: Vec<_> = case.positions.iter().map(|p| p.map(f64::from)).collect();
-    let started = Instant::now();
-    if let Some(done) = case.deform_input(|input| plugin.call_evaluate(&state, input, &mut points, &stop)) {
+    if plugin.capabilities().evaluate {
+        let started = Instant::now();
+        let done = case.deform_input(|input| plugin.code().evaluate(&state, input, &mut points, &stop));
         take("evaluate", started.elapsed())?;
         stopped("evaluate", done)?;
     }
@@ -72,12 +73,12 @@ fn stopped<T>(call: &str, result: PluginResult<T>) -> Checked<Option<T>> {
 pub(super) fn log(subject: &Subject) -> Checked<Finding> {
     let (plugin, case) = (&subject.plugin, Case::bumpy_sphere(&subject.plugin, ORDINARY)?);
     let host = Listener::patient();
-    let state = case.prepare_input(|input| plugin.call_prepare(input, &host));
+    let state = case.prepare_input(|input| plugin.code().prepare(input, &host));
     let mut most = ("prepare", host.lines());
     if let Ok(state) = answer("prepare", state)? {
         let (mut scratch, mut out, host) = (subject.scratch()?, unwritten(&case), Listener::patient());
         let done =
-            case.deform_input(|input| plugin.call_deform(&state, input, &mut scratch, &mut out, &host));
+            case.deform_input(|input| plugin.code().deform(&state, input, &mut scratch, &mut out, &host));
         if host.lines() > most.1 {
             most = ("deform", host.lines());
         }
@@ -103,7 +104,7 @@ pub(super) fn latency(subject: &Subject) -> Checked<Finding> {
     for _ in 0..TIMES {
         let started = Instant::now();
         let done = case
-            .deform_input(|input| subject.plugin.call_deform(&state, input, &mut scratch, &mut out, &host));
+            .deform_input(|input| subject.plugin.code().deform(&state, input, &mut scratch, &mut out, &host));
         shortest = shortest.min(started.elapsed());
         answer("deform", done)?.map_err(Refusal::of_ordinary)?;
     }

@@ -2,12 +2,11 @@
 
 use super::case::{Case, motion};
 use super::inputs::ORDINARY;
-use super::subject::{Refusal, Subject};
+use super::subject::{Refusal, Subject, answer};
 use super::{Checked, Finding};
 use crate::stack::rows;
 use glam::DVec3;
 use simod_core::geometry::Bounds;
-use simod_plugin_api::Affine;
 
 /// How far a rigid motion may be missed, in units of the diagonal.
 const RIGID: f64 = 1e-4;
@@ -32,16 +31,16 @@ pub(super) fn difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> Option<String> {
 }
 
 pub(super) fn identity(subject: &Subject) -> Checked<Finding> {
-    let mut case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
-    if case.transforms.is_empty() {
-        return Ok(Finding::skip("it has no handles"));
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    if case.transforms.is_empty() && case.handles.is_empty() && case.strokes.is_empty() {
+        return Ok(Finding::skip("it has neither handles nor strokes"));
     }
-    case.transforms.fill(Affine::IDENTITY);
+    let case = case.at_rest();
     let (_, positions) = subject.run_ordinary(&case)?;
     Ok(match difference(&case.positions, &positions) {
         None => Finding::pass("nothing moved"),
         Some(what) => Finding::fail(
-            format!("handles that do not move move samples: {what}"),
+            format!("samples move though no handle does, and nothing is painted: {what}"),
             "add displacements to the rest positions, so that no motion is exactly none",
         ),
     })
@@ -49,7 +48,7 @@ pub(super) fn identity(subject: &Subject) -> Checked<Finding> {
 
 pub(super) fn rigid(subject: &Subject) -> Checked<Finding> {
     let consumes = subject.plugin.consumes();
-    if !consumes.handle_regions {
+    if !consumes.handle_regions && !subject.plugin.capabilities().handles {
         return Ok(Finding::skip("it has no handles"));
     }
     if consumes.min_fixed > 0 {
@@ -59,7 +58,9 @@ pub(super) fn rigid(subject: &Subject) -> Checked<Finding> {
     let corner = DVec3::from_array;
     let bounds = Bounds { min: corner(case.bounds.min), max: corner(case.bounds.max) };
     let moved = rows(motion(&bounds, 0));
-    let case = case.all_handles(consumes.min_handles.max(1) as usize, moved);
+    let regions = if consumes.handle_regions { consumes.min_handles.max(1) as usize } else { 0 };
+    let mut case = case.all_handles(regions, moved);
+    case.strokes.clear();
     let (_, positions) = subject.run_ordinary(&case)?;
     let exact = case.positions.iter().map(|p| moved.apply(p.map(f64::from)));
     let worst = farthest(exact, positions.iter().map(|p| p.map(f64::from))) / bounds.diagonal();
@@ -130,7 +131,7 @@ pub(super) fn input_unchanged(subject: &Subject) -> Checked<Finding> {
 }
 
 pub(super) fn evaluate(subject: &Subject) -> Checked<Finding> {
-    if !subject.plugin.can_evaluate() {
+    if !subject.plugin.capabilities().evaluate {
         return Ok(Finding::skip("it does not evaluate"));
     }
     let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
@@ -148,6 +149,61 @@ pub(super) fn evaluate(subject: &Subject) -> Checked<Finding> {
     let worst = worst / case.bounds.diagonal();
     let text = format!("deform and evaluate agree to {worst:.1e} of the diagonal");
     Ok(if worst <= AGREES { Finding::pass(text) } else { Finding::fail(text, "both are the same map") })
+}
+
+pub(super) fn handles(subject: &Subject) -> Checked<Finding> {
+    let plugin = &subject.plugin;
+    if !plugin.capabilities().handles {
+        return Ok(Finding::skip("it places no handles"));
+    }
+    let case = Case::bumpy_sphere(plugin, ORDINARY)?;
+    let placed = case.placed_handles(plugin)?;
+    if placed != case.placed_handles(plugin)? {
+        let hint = "let the handles depend on the input alone";
+        return Err(Finding::fail("asked again it places other handles", hint));
+    }
+    // Whoever grabs a handle expects that something moves.
+    let rest = case.clone().at_rest();
+    let still = subject.run_ordinary(&rest)?.1;
+    let dead = |i: usize| -> Checked<bool> {
+        let mut one = rest.clone();
+        one.handles[i] = case.handles[i];
+        Ok(bits(&subject.run_ordinary(&one)?.1) == bits(&still))
+    };
+    const TRIED: usize = 8;
+    let step = placed.len().div_ceil(TRIED).max(1);
+    for i in (0..placed.len()).step_by(step) {
+        if dead(i)? {
+            let hint = "place handles where they reach something, or leave them out";
+            return Ok(Finding::warn(format!("the handle `{}` moves nothing", placed[i].id), hint));
+        }
+    }
+    Ok(Finding::pass(format!("{} handles", placed.len())))
+}
+
+pub(super) fn is_identity(subject: &Subject) -> Checked<Finding> {
+    let plugin = &subject.plugin;
+    if !plugin.capabilities().is_identity {
+        return Ok(Finding::skip("it does not tell"));
+    }
+    let ask = |case: &Case| {
+        let told = answer("is_identity", case.deform_input(|input| plugin.code().is_identity(input)))?;
+        told.map_err(Refusal::of_ordinary)
+    };
+    let moved = Case::bumpy_sphere(plugin, ORDINARY)?;
+    let rest = moved.clone().at_rest();
+    for (case, what) in [(&moved, "moved"), (&rest, "at rest")] {
+        if ask(case)? {
+            let (_, positions) = subject.run_ordinary(case)?;
+            if let Some(difference) = difference(&case.positions, &positions) {
+                return Err(Finding::fail(
+                    format!("it says that nothing moves ({what}), and deform moves something: {difference}"),
+                    "say `false` where in doubt",
+                ));
+            }
+        }
+    }
+    Ok(Finding::pass("what it says holds"))
 }
 
 #[cfg(test)]

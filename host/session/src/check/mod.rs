@@ -121,6 +121,8 @@ pub const RULES: &[Rule] = &[
     Rule { id: "repeatable", asks: "the same input gives the same bytes", run: meaning::repeatable },
     Rule { id: "input-unchanged", asks: "the input is left as it is", run: meaning::input_unchanged },
     Rule { id: "evaluate", asks: "the map of space agrees with the samples", run: meaning::evaluate },
+    Rule { id: "handles", asks: "handles that it places make sense", run: meaning::handles },
+    Rule { id: "is-identity", asks: "it tells the truth on doing nothing", run: meaning::is_identity },
     Rule { id: "bounds", asks: "parameters may take any value in range", run: parameters::bounds },
     Rule {
         id: "invalidation",

@@ -104,6 +104,10 @@ fn ends(d: &ParamDesc) -> Vec<Value> {
         ParamKind::DIRECTION => {
             vectors(&[[0.0; 3], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1e-30], [1e30, 1.0, 0.0]])
         }
+        ParamKind::COLOUR => vec![numbers(&[0.0; 4]), numbers(&[1.0; 4])],
+        ParamKind::CURVE => vec![curve(&[0.0, 0.0]), curve(&[1.0, 1.0]), curve(&[0.0, 1.0, 0.0, 1.0])],
+        // None is all that is known of files.
+        ParamKind::FILE => vec!["".into()],
         _ => vectors(&[[0.0; 3], [-1.0; 3], [1e6, 0.0, -1e6]]),
     }
 }
@@ -121,6 +125,12 @@ fn any(d: &ParamDesc, random: &mut Random) -> Value {
         }
         ParamKind::BOOL => (random.below(2) == 1).into(),
         ParamKind::CHOICE => d.choices[random.below(d.choices.len())].id.as_str().into(),
+        ParamKind::COLOUR => numbers(&std::array::from_fn::<_, 4, _>(|_| random.within([0.0, 1.0]))),
+        ParamKind::CURVE => {
+            let heights: Vec<f64> = (0..2 + random.below(4)).map(|_| random.within([0.0, 1.0])).collect();
+            curve(&heights)
+        }
+        ParamKind::FILE => "".into(),
         _ => vector(std::array::from_fn(|_| random.within([-1.0, 1.0]))),
     }
 }
@@ -142,7 +152,18 @@ fn number(d: &ParamDesc, x: f64) -> Value {
 }
 
 fn vector(v: [f64; 3]) -> Value {
-    v.map(Value::from).to_vec().into()
+    numbers(&v)
+}
+
+fn numbers(numbers: &[f64]) -> Value {
+    numbers.iter().copied().map(Value::from).collect::<Vec<_>>().into()
+}
+
+/// A curve of the given heights, evenly spaced from 0 to 1.
+fn curve(heights: &[f64]) -> Value {
+    let last = (heights.len() - 1) as f64;
+    let points = heights.iter().enumerate().map(|(i, y)| numbers(&[i as f64 / last, *y]));
+    points.collect::<Vec<_>>().into()
 }
 
 #[cfg(test)]

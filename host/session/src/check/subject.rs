@@ -73,12 +73,12 @@ impl Subject {
 
     /// Prepares.
     pub fn prepare(&self, case: &Case) -> Checked<Answer<State>> {
-        answer("prepare", case.prepare_input(|input| self.plugin.call_prepare(input, &Listener::patient())))
+        answer("prepare", case.prepare_input(|input| self.plugin.code().prepare(input, &Listener::patient())))
     }
 
     /// Working memory.
     pub fn scratch(&self) -> Checked<Scratch> {
-        answer("new_scratch", self.plugin.call_new_scratch())?
+        answer("new_scratch", self.plugin.code().new_scratch())?
             .map_err(|Refusal(what)| Finding::fail(format!("it has no working memory: {what}"), ""))
     }
 
@@ -91,7 +91,8 @@ impl Subject {
     ) -> Checked<Answer<Vec<[f32; 3]>>> {
         let mut out = unwritten(case);
         let host = Listener::patient();
-        let done = case.deform_input(|input| self.plugin.call_deform(state, input, scratch, &mut out, &host));
+        let done =
+            case.deform_input(|input| self.plugin.code().deform(state, input, scratch, &mut out, &host));
         Ok(match answer("deform", done)? {
             Ok(()) => Ok(written(out)?),
             Err(refusal) => Err(refusal),
@@ -121,8 +122,10 @@ impl Subject {
         mut points: Vec<[f64; 3]>,
     ) -> Checked<Option<Answer<Vec<[f64; 3]>>>> {
         let host = Listener::patient();
-        let done = case.deform_input(|input| self.plugin.call_evaluate(state, input, &mut points, &host));
-        let Some(done) = done else { return Ok(None) };
+        if !self.plugin.capabilities().evaluate {
+            return Ok(None);
+        }
+        let done = case.deform_input(|input| self.plugin.code().evaluate(state, input, &mut points, &host));
         let answer = answer("evaluate", done)?;
         if answer.is_ok()
             && let Some(i) = points.iter().position(|p| !p.iter().all(|x| x.is_finite()))

@@ -1,7 +1,7 @@
 //! Loading one library.
 
 use super::elf;
-use crate::deformer::Plugin;
+use crate::deformer::{Plugin, RustCode};
 use abi_stable::library::{LibraryError, RootModule, lib_header_from_path};
 use simod_core::{Error, ErrorKind, Result};
 use simod_plugin_api::PluginModRef;
@@ -9,12 +9,12 @@ use std::path::Path;
 
 /// Loads a plugin for good: libraries are never unloaded.
 pub(super) fn load(path: &Path) -> Result<Plugin> {
-    Plugin::new(root_module(path)?, path)
+    Plugin::in_process(root_module(path)?, path)
 }
 
 /// As [`load`], whatever the plugin says about itself.
 pub(super) fn load_unchecked(path: &Path) -> Result<Plugin> {
-    Plugin::unchecked(root_module(path)?, path)
+    Plugin::unchecked(Box::new(RustCode::new(root_module(path)?)), path)
 }
 
 /// The functions that a library exports.

@@ -83,6 +83,13 @@ fn user_folder() -> Option<PathBuf> {
 }
 
 impl PluginRegistry {
+    /// The given plugins.
+    pub fn of(plugins: impl IntoIterator<Item = Plugin>) -> Self {
+        let mut registry = Self::default();
+        plugins.into_iter().for_each(|plugin| registry.add(plugin));
+        registry
+    }
+
     /// Loads what is in the standard folders. Folders that do not exist are fine.
     pub fn discover() -> Self {
         Self::from_folders(&standard_folders())

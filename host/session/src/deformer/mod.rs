@@ -4,22 +4,28 @@
 //! errors and panics (which the plugin's side of the interface turned into errors), samples left unwritten,
 //! values that are not finite, input that was written to, descriptions that make no sense.
 
+mod code;
+
 use crate::params::check_description;
 use rayon::prelude::*;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::{
-    Consumes, DeformInput, Descriptor, ErrorCode, EvaluateExtension, ExtensionInterface, Host, HostCalls,
-    LogLevel, ParamDesc, PluginError, PluginModRef, PluginResult, PrepareInput, Samples, Scratch, State,
+    Consumes, DeformInput, Descriptor, ErrorCode, HandleDesc, HostCalls, LogLevel, ParamDesc, PluginError,
+    PluginModRef, PrepareInput, Samples, Scratch, State,
 };
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3Default;
 
-/// A loaded plugin. Stays loaded for good.
+pub use code::Capabilities;
+pub(crate) use code::{Code, RustCode};
+
+/// A plugin that is there to be used.
 pub struct Plugin {
-    module: PluginModRef,
-    evaluate: Option<&'static EvaluateExtension>,
+    code: Box<dyn Code>,
+    capabilities: Capabilities,
     descriptor: Descriptor,
     consumes: Consumes,
     path: PathBuf,
@@ -55,18 +61,22 @@ impl std::fmt::Debug for Plugin {
 }
 
 impl Plugin {
-    /// Asks a library's root module what it is, and checks the answer.
-    pub(crate) fn new(module: PluginModRef, path: &Path) -> Result<Self> {
-        let plugin = Self::unchecked(module, path)?;
+    /// A plugin in this process, by its root module.
+    pub(crate) fn in_process(module: PluginModRef, path: &Path) -> Result<Self> {
+        Self::new(Box::new(RustCode::new(module)), path)
+    }
+
+    /// Asks a plugin what it is, and checks the answer.
+    pub(crate) fn new(code: Box<dyn Code>, path: &Path) -> Result<Self> {
+        let plugin = Self::unchecked(code, path)?;
         check_description(&plugin.descriptor).map_err(|what| refused(path, &what))?;
         Ok(plugin)
     }
 
-    /// Asks a library's root module what it is, and takes any answer: for those who look at it more closely.
-    pub(crate) fn unchecked(module: PluginModRef, path: &Path) -> Result<Self> {
-        let descriptor = module.descriptor()().into_result().map_err(|e| refused(path, &line(&e.message)))?;
-        let extension = module.extension()(EvaluateExtension::ID.into()).into_option();
-        let evaluate = extension.and_then(|e| e.get());
+    /// Asks a plugin what it is, and takes any answer: for those who look at it more closely.
+    pub(crate) fn unchecked(code: Box<dyn Code>, path: &Path) -> Result<Self> {
+        let descriptor = code.descriptor().map_err(|e| refused(path, &line(&e.message)))?;
+        let capabilities = code.capabilities();
         let consumes = Consumes::from_inputs(&descriptor.inputs).map_err(|id| {
             let what = format!("{} needs the input `{id}`, which this program does not have", path.display());
             Error::new(
@@ -75,7 +85,7 @@ impl Plugin {
                 "use a later version of the program, or an earlier one of the plugin",
             )
         })?;
-        Ok(Self { module, evaluate, consumes, descriptor, path: path.to_owned() })
+        Ok(Self { code, capabilities, consumes, descriptor, path: path.to_owned() })
     }
 
     /// Stable id, such as `warp`.
@@ -103,6 +113,16 @@ impl Plugin {
         &self.descriptor.citation
     }
 
+    /// Who made it; may be empty.
+    pub fn author(&self) -> &str {
+        &self.descriptor.author
+    }
+
+    /// Where there is more on it; may be empty.
+    pub fn url(&self) -> &str {
+        &self.descriptor.url
+    }
+
     /// Its parameters.
     pub fn params(&self) -> &[ParamDesc] {
         &self.descriptor.params
@@ -113,9 +133,9 @@ impl Plugin {
         self.consumes
     }
 
-    /// Whether it knows its map at any point of space.
-    pub fn can_evaluate(&self) -> bool {
-        self.evaluate.is_some()
+    /// What it can do besides deforming samples.
+    pub fn capabilities(&self) -> Capabilities {
+        self.capabilities
     }
 
     /// The library's file.
@@ -127,7 +147,7 @@ impl Plugin {
     pub(crate) fn prepare(&self, input: &PrepareInput<'_>, watch: &Watch<'_>) -> Result<State> {
         watch.begin("preparing the deformation");
         let before = fingerprint(&input.samples);
-        let state = self.call_prepare(input, watch);
+        let state = self.code.prepare(input, watch);
         self.check_unchanged(before, &input.samples)?;
         watch.progress.check()?;
         state.map_err(|e| self.failed(&e))
@@ -135,7 +155,7 @@ impl Plugin {
 
     /// Working memory for a sequence of deformations.
     pub(crate) fn new_scratch(&self) -> Result<Scratch> {
-        self.call_new_scratch().map_err(|e| self.failed(&e))
+        self.code.new_scratch().map_err(|e| self.failed(&e))
     }
 
     /// Fills `out` with the samples' deformed positions. On an error its content is meaningless.
@@ -151,7 +171,7 @@ impl Plugin {
         // What is not written stays visible.
         out.fill([f32::NAN; 3]);
         let before = fingerprint(&input.samples);
-        let done = self.call_deform(state, input, scratch, out, watch);
+        let done = self.code.deform(state, input, scratch, out, watch);
         self.check_unchanged(before, &input.samples)?;
         watch.progress.check()?;
         done.map_err(|e| self.failed(&e))?;
@@ -167,17 +187,41 @@ impl Plugin {
         points: &mut [[f64; 3]],
         watch: &Watch<'_>,
     ) -> Result<()> {
-        let Some(done) = self.call_evaluate(state, input, points, watch) else {
+        if !self.capabilities.evaluate {
             return Err(Error::new(
                 ErrorKind::Plugin,
                 format!("plugin {} deforms samples only, not any point of space", self.id()),
                 "use a reconstruction method instead of the exact map",
             ));
-        };
+        }
+        let done = self.code.evaluate(state, input, points, watch);
         watch.progress.check()?;
         done.map_err(|e| self.failed(&e))?;
         let bad = |p: &[f64; 3]| !p.iter().all(|x| x.is_finite());
         self.all_finite(points.len(), points.iter().filter(|p| bad(p)).count(), points.iter().position(bad))
+    }
+
+    /// The handles that the plugin places for this input; none where it has no such.
+    pub(crate) fn handles(&self, input: &PrepareInput<'_>, watch: &Watch<'_>) -> Result<Vec<HandleDesc>> {
+        if !self.capabilities.handles {
+            return Ok(Vec::new());
+        }
+        let handles = self.code.handles(input, watch);
+        watch.progress.check()?;
+        let handles = handles.map_err(|e| self.failed(&e))?;
+        check_handles(&handles).map_err(|what| {
+            let what = format!("plugin {}: {what}", self.id());
+            Error::new(ErrorKind::Plugin, what, "this is a bug of the plugin; tell its author")
+        })?;
+        Ok(handles)
+    }
+
+    /// Whether the plugin would leave all samples where they are.
+    pub(crate) fn is_identity(&self, input: &DeformInput<'_>) -> Result<bool> {
+        if !self.capabilities.is_identity {
+            return Ok(false);
+        }
+        self.code.is_identity(input).map_err(|e| self.failed(&e))
     }
 
     /// What the samples were before a call, they have to be after it: later layers work on them too.
@@ -216,55 +260,37 @@ impl Plugin {
     }
 }
 
-/// The calls as the plugin answers them, with error codes, and output of any kind: for checks of just that.
+/// What is there for checks of just that.
 impl Plugin {
     /// Its description, as it was told at load.
     pub(crate) fn descriptor(&self) -> &Descriptor {
         &self.descriptor
     }
 
-    /// Its description, told anew.
-    pub(crate) fn call_descriptor(&self) -> PluginResult<Descriptor> {
-        self.module.descriptor()().into_result()
+    /// Its calls as it answers them, with error codes, and output of any kind.
+    pub(crate) fn code(&self) -> &dyn Code {
+        self.code.as_ref()
     }
+}
 
-    /// See [`prepare`](Self::prepare).
-    pub(crate) fn call_prepare(
-        &self,
-        input: &PrepareInput<'_>,
-        calls: &impl HostCalls,
-    ) -> PluginResult<State> {
-        self.module.prepare()(input, &Host::new(calls)).into_result()
+/// What is wrong with the handles that a plugin places.
+pub(crate) fn check_handles(handles: &[HandleDesc]) -> std::result::Result<(), String> {
+    let mut ids = HashSet::new();
+    for (i, handle) in handles.iter().enumerate() {
+        if handle.id.is_empty() || handle.id.contains(char::is_whitespace) {
+            return Err(format!("the id `{}` of a handle is empty, or has white space", line(&handle.id)));
+        }
+        if !ids.insert(handle.id.as_str()) {
+            return Err(format!("there are two handles `{}`", handle.id));
+        }
+        if handle.position.iter().any(|x| !x.is_finite()) {
+            return Err(format!("the handle `{}` is at {:?}", handle.id, handle.position));
+        }
+        if handle.parent != HandleDesc::ROOT && handle.parent as usize >= i {
+            return Err(format!("the handle `{}` hangs on one that does not come before it", handle.id));
+        }
     }
-
-    /// See [`new_scratch`](Self::new_scratch).
-    pub(crate) fn call_new_scratch(&self) -> PluginResult<Scratch> {
-        self.module.new_scratch()().into_result()
-    }
-
-    /// See [`deform`](Self::deform).
-    pub(crate) fn call_deform(
-        &self,
-        state: &State,
-        input: &DeformInput<'_>,
-        scratch: &mut Scratch,
-        out: &mut [[f32; 3]],
-        calls: &impl HostCalls,
-    ) -> PluginResult<()> {
-        self.module.deform()(state, input, scratch, out.into(), &Host::new(calls)).into_result()
-    }
-
-    /// See [`evaluate`](Self::evaluate); nothing where it is not offered.
-    pub(crate) fn call_evaluate(
-        &self,
-        state: &State,
-        input: &DeformInput<'_>,
-        points: &mut [[f64; 3]],
-        calls: &impl HostCalls,
-    ) -> Option<PluginResult<()>> {
-        let extension = self.evaluate?;
-        Some((extension.evaluate)(state, input, points.into(), &Host::new(calls)).into_result())
-    }
+    Ok(())
 }
 
 /// A hash of the samples' arrays; about a millisecond for 350 000.

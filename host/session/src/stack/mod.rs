@@ -3,13 +3,13 @@
 //! Regions are evaluated on the layer's own rest shape. A mask acts on the host's side, whatever the plugin:
 //! `p* = p + m(p) (D(p) - p)`.
 
+mod layer;
+
 use crate::deformer::{Message, Plugin, Watch};
-use crate::motion::to_local;
-use crate::params::{LocalParams, Params};
 use crate::plugins::PluginRegistry;
-use crate::session_file::{Role, Step};
-use crate::shapes::Shapes;
+use crate::session_file::Step;
 use glam::{DAffine3, DVec3, Vec3};
+use layer::{Layer, PreparedLayer};
 use rayon::prelude::*;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
@@ -52,20 +52,6 @@ pub struct Stack {
     layers: Vec<Layer>,
 }
 
-#[derive(Debug)]
-struct Layer {
-    /// Where in the session it stands; for errors.
-    place: String,
-    plugin: Arc<Plugin>,
-    params: Params,
-    /// Fixed and handle regions.
-    regions: Vec<(api::Role, Shapes)>,
-    /// The handle regions' motions, model coordinates.
-    transforms: Vec<DAffine3>,
-    /// Where the layer acts; everywhere if there is none.
-    masks: Vec<Shapes>,
-}
-
 /// What a stack made of samples.
 #[derive(Debug)]
 pub struct Deformed {
@@ -82,17 +68,6 @@ pub struct Deformed {
 pub struct PreparedStack {
     layers: Vec<PreparedLayer>,
     frame: Frame,
-}
-
-/// One layer, prepared on its rest shape.
-#[derive(Debug)]
-struct PreparedLayer {
-    plugin: Arc<Plugin>,
-    state: api::State,
-    rest: Rest,
-    params: LocalParams,
-    transforms: Vec<api::Affine>,
-    masks: Vec<Shapes>,
 }
 
 /// A layer's rest shape, local coordinates.
@@ -194,95 +169,6 @@ impl RestShape<'_> {
     }
 }
 
-impl Layer {
-    fn build(step: &Step, registry: &PluginRegistry) -> Result<Self> {
-        let plugin = registry.get(&step.deform)?.clone();
-        let params = Params::check(plugin.id(), plugin.params(), &step.params)?;
-        let mut layer = Self {
-            place: step.place.clone(),
-            plugin,
-            params,
-            regions: Vec::new(),
-            transforms: Vec::new(),
-            masks: Vec::new(),
-        };
-        for region in &step.regions {
-            match region.role {
-                Role::Mask => layer.masks.push(region.shapes.clone()),
-                Role::Fixed => layer.regions.push((api::Role::FIXED, region.shapes.clone())),
-                Role::Handle => {
-                    layer.regions.push((api::Role::HANDLE, region.shapes.clone()));
-                    layer.transforms.push(region.motion.to_affine());
-                }
-            }
-        }
-        layer.check_regions()?;
-        Ok(layer)
-    }
-
-    fn check_regions(&self) -> Result<()> {
-        let (id, consumes) = (self.plugin.id(), self.plugin.consumes());
-        let roles = [
-            (api::Role::FIXED, "fixed", consumes.fixed_regions, consumes.min_fixed),
-            (api::Role::HANDLE, "handle", consumes.handle_regions, consumes.min_handles),
-        ];
-        for (role, name, used, least) in roles {
-            let count = self.regions.iter().filter(|r| r.0 == role).count();
-            if count > 0 && !used {
-                let hint = "remove the region; to limit where the step acts, use role = \"mask\"";
-                let what = format!("plugin {id} uses no {name} regions");
-                return Err(Error::new(ErrorKind::Argument, what, hint));
-            }
-            if count < least as usize {
-                let what = format!("plugin {id} needs {least} {name} region(s), not {count}");
-                let hint = format!("add a [[step.region]] with role = \"{name}\"");
-                return Err(Error::new(ErrorKind::Argument, what, hint));
-            }
-        }
-        Ok(())
-    }
-
-    fn apply(
-        &self,
-        rest: Rest,
-        shape: &RestShape<'_>,
-        watch: &Watch<'_>,
-    ) -> Result<(PreparedLayer, Vec<Vec3>)> {
-        if self.plugin.consumes().normals && rest.normals.is_empty() {
-            let what = format!("plugin {} needs normals, and the samples have none", self.plugin.id());
-            return Err(Error::new(ErrorKind::Mismatch, what, "sample the model with normals"));
-        }
-        let frame = shape.frame;
-        let weigh = |shapes: &Shapes| -> Vec<f32> {
-            rest.positions.par_iter().map(|p| shapes.weight(frame.to_model(*p)) as f32).collect()
-        };
-        let weights: Vec<Vec<f32>> = self.regions.iter().map(|(_, shapes)| weigh(shapes)).collect();
-        let regions: Vec<api::Region<'_>> =
-            self.regions.iter().zip(&weights).map(|((role, _), w)| api::Region::new(*role, w)).collect();
-
-        let params = self.params.to_local(&frame, &shape.bounds);
-        let values = params.views();
-        let triangles = api::Triangles::new(shape.triangles);
-        let lists = shape
-            .neighbours
-            .filter(|_| self.plugin.consumes().graph)
-            .map(|n| neighbour_lists(n, rest.positions.len()));
-        let graph = lists.as_ref().map(|(starts, neighbours)| api::Graph::new(starts, neighbours));
-        let mut parts: Vec<api::Part<'_>> = graph.iter().map(api::Part::new).collect();
-        if self.plugin.consumes().triangles && !shape.triangles.is_empty() {
-            parts.push(api::Part::new(&triangles));
-        }
-        let input = api::PrepareInput::new(rest.samples(), rest.bounds, &regions, &values).with_parts(&parts);
-        let state = self.plugin.prepare(&input, watch)?;
-        drop(values);
-        let transforms = self.transforms.iter().map(|&t| rows(to_local(t, &frame))).collect();
-        let (plugin, masks) = (self.plugin.clone(), self.masks.clone());
-        let prepared = PreparedLayer { plugin, state, rest, params, transforms, masks };
-        let deformed = prepared.deform(&frame, watch)?;
-        Ok((prepared, deformed))
-    }
-}
-
 /// Where the neighbours of each sample begin, and all of them.
 pub(crate) fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u32>, &[u32]) {
     ((0..=samples).map(|i| (i * graph.k()) as u32).collect(), graph.all())
@@ -300,48 +186,10 @@ pub(crate) fn rows(map: DAffine3) -> api::Affine {
     api::Affine { rows: [row(0), row(1), row(2)] }
 }
 
-impl PreparedLayer {
-    fn deform(&self, frame: &Frame, watch: &Watch<'_>) -> Result<Vec<Vec3>> {
-        let rest = &self.rest.positions;
-        let mut out = vec![Vec3::NAN; rest.len()];
-        let values = self.params.views();
-        let input = api::DeformInput::new(self.rest.samples(), self.rest.bounds, &self.transforms, &values);
-        let mut scratch = self.plugin.new_scratch()?;
-        let buffer = bytemuck::cast_slice_mut(&mut out);
-        self.plugin.deform(&self.state, &input, &mut scratch, buffer, watch)?;
-        if !self.masks.is_empty() {
-            out.par_iter_mut().zip(rest).for_each(|(q, p)| {
-                let p = p.as_dvec3();
-                *q = self.masked(frame.to_model_exact(p), p, q.as_dvec3()).as_vec3();
-            });
-        }
-        Ok(out)
-    }
-
-    /// Replaces local points by their images.
-    fn evaluate(&self, frame: &Frame, points: &mut [DVec3], watch: &Watch<'_>) -> Result<()> {
-        let rest: Vec<DVec3> = if self.masks.is_empty() { Vec::new() } else { points.to_vec() };
-        let values = self.params.views();
-        let input = api::DeformInput::new(self.rest.samples(), self.rest.bounds, &self.transforms, &values);
-        self.plugin.evaluate(&self.state, &input, bytemuck::cast_slice_mut(points), watch)?;
-        for (q, p) in points.iter_mut().zip(rest) {
-            *q = self.masked(frame.to_model_exact(p), p, *q);
-        }
-        Ok(())
-    }
-
-    /// The image `q` of `p` as far as the masks let it; `at` is `p` in model coordinates.
-    fn masked(&self, at: DVec3, p: DVec3, q: DVec3) -> DVec3 {
-        let weight = self.masks.iter().map(|m| m.weight(at)).fold(0.0, f64::max);
-        // Exactly one of both where there is nothing to blend.
-        if weight >= 1.0 { q } else { p + weight * (q - p) }
-    }
-}
-
 impl PreparedStack {
     /// Whether all layers know their map at any point of space.
     pub fn can_evaluate(&self) -> bool {
-        self.layers.iter().all(|l| l.plugin.can_evaluate())
+        self.layers.iter().all(PreparedLayer::can_evaluate)
     }
 
     /// Replaces points (model coordinates) by their exact images, on all cores. Points that are not finite stay
@@ -363,7 +211,7 @@ impl PreparedStack {
             for layer in &self.layers {
                 progress.check()?;
                 // Blocks are too small for progress of their own: size 0 tells nothing.
-                let watch = Watch::new(progress, layer.plugin.id(), 0);
+                let watch = Watch::new(progress, layer.id(), 0);
                 layer.evaluate(&self.frame, local, &watch)?;
             }
             for (point, image) in points.iter_mut().zip(local.iter()) {
@@ -379,8 +227,9 @@ impl PreparedStack {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::SessionFile;
     use simod_core::sampling::SampleSet;
-    use simod_plugin_api::__private::{no_extension, root_module};
+    use simod_plugin_api::__private::{abi_stable, capability, find_extension, no_extension, root_module};
     use std::path::Path;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -433,15 +282,10 @@ mod tests {
         let positions = (0..50).map(|i| Vec3::new(i as f32, (i * i) as f32 / 9.0, 0.0)).collect();
         let set = SampleSet::new(positions, Vec::new()).unwrap();
         let triangles: Vec<[u32; 3]> = (0..48).map(|i| [i, i + 1, i + 2]).collect();
-        let plugin = Plugin::new(root_module::<Smooth>(no_extension), Path::new("smooth")).unwrap();
-        let layer = Layer {
-            place: "step 1".to_owned(),
-            params: Params::check(plugin.id(), plugin.params(), &toml::Table::new()).unwrap(),
-            plugin: Arc::new(plugin),
-            regions: Vec::new(),
-            transforms: Vec::new(),
-            masks: Vec::new(),
-        };
+        let plugin = Plugin::in_process(root_module::<Smooth>(no_extension), Path::new("smooth")).unwrap();
+        let registry = PluginRegistry::of([plugin]);
+        let session = SessionFile::parse("[[step]]\ndeform = \"smooth\"", Path::new("s.toml")).unwrap();
+        let stack = Stack::build(&session.steps, &registry).unwrap();
         let shape = RestShape {
             positions: &set.positions,
             normals: &[],
@@ -452,7 +296,6 @@ mod tests {
             bounds: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
             renormal: None,
         };
-        let stack = Stack { layers: vec![layer] };
         let deformed = stack.apply(&shape, &Silent).unwrap().positions;
         let near = |i: usize| {
             let corners = triangles.iter().filter(move |t| t.contains(&(i as u32))).flatten();
@@ -464,5 +307,115 @@ mod tests {
         }
         let without = stack.apply(&RestShape { triangles: &[], ..shape }, &Silent).unwrap_err();
         assert!(without.to_string().contains("it is not there"), "{without}");
+    }
+
+    /// Joints as handles, with one more of its own; samples follow them in turn, and strokes lift all.
+    struct Puppet;
+
+    impl api::Deformer for Puppet {
+        type State = usize;
+        type Scratch = ();
+
+        fn descriptor() -> api::Descriptor {
+            let consumes = api::Consumes { joints: true, strokes: true, ..api::Consumes::default() };
+            api::Descriptor::new("puppet", "Puppet", "1.0.0")
+                .param(api::ParamDesc::float("lift", "Lift", 1.0).unit(api::Unit::MODEL_LENGTH))
+                .consumes(consumes)
+        }
+
+        fn prepare(input: &api::PrepareInput<'_>, _: &api::Host<'_>) -> api::PluginResult<usize> {
+            Ok(input.joints().len())
+        }
+
+        fn deform(
+            joints: &usize,
+            input: &api::DeformInput<'_>,
+            _: &mut (),
+            out: &mut [[f32; 3]],
+            _: &api::Host<'_>,
+        ) -> api::PluginResult<()> {
+            let motions = input.handle_motions();
+            assert_eq!(motions.len(), joints + 1);
+            let mut lift = 0.0;
+            for stroke in input.strokes() {
+                assert!(stroke.pressures().is_empty() && stroke.points() == [[0.0; 3]]);
+                lift += stroke.params().float("lift")? * stroke.strength * stroke.radius;
+            }
+            for (i, (o, p)) in out.iter_mut().zip(input.samples.positions()).enumerate() {
+                *o = motions[i % motions.len()].apply(p.map(f64::from)).map(|x| x as f32);
+                o[2] += lift as f32;
+            }
+            Ok(())
+        }
+    }
+
+    impl api::Handles for Puppet {
+        fn handles(
+            input: &api::PrepareInput<'_>,
+            _: &api::Host<'_>,
+        ) -> api::PluginResult<Vec<api::HandleDesc>> {
+            assert!(input.regions().is_empty());
+            let of = |j: &api::Joint<'_>| api::HandleDesc::new(j.id(), j.position).parent(j.parent);
+            let tip = api::HandleDesc::new("tip", [0.0; 3]);
+            Ok(input.joints().iter().map(of).chain([tip]).collect())
+        }
+    }
+
+    impl api::IsIdentity for Puppet {
+        fn is_identity(input: &api::DeformInput<'_>) -> api::PluginResult<bool> {
+            let still = input.handle_motions().iter().all(|m| *m == api::Affine::IDENTITY);
+            Ok(still && input.strokes().is_empty())
+        }
+    }
+
+    extern "C" fn puppet_extension(
+        id: abi_stable::std_types::RStr<'_>,
+    ) -> abi_stable::std_types::ROption<api::Extension> {
+        let known = [capability::handles::<Puppet> as fn() -> _, capability::is_identity::<Puppet>];
+        find_extension(id.as_str(), &known)
+    }
+
+    /// Deforms three samples on the x axis by a step of the puppet.
+    fn puppet(step: &str) -> Result<Vec<Vec3>> {
+        let module = root_module::<Puppet>(puppet_extension);
+        let registry = PluginRegistry::of([Plugin::in_process(module, Path::new("puppet")).unwrap()]);
+        let text = format!("[[step]]\ndeform = \"puppet\"\n{step}");
+        let session = SessionFile::parse(&text, Path::new("s.toml"))?;
+        let positions = [Vec3::ZERO, Vec3::X, Vec3::X * 2.0];
+        // Local coordinates are half of the model's, and begin at 10 along y.
+        let shape = RestShape {
+            positions: &positions,
+            normals: &[],
+            spacing: &[],
+            triangles: &[],
+            neighbours: None,
+            frame: Frame { origin: DVec3::Y * 10.0, scale: 2.0 },
+            bounds: Bounds { min: DVec3::Y * 10.0, max: DVec3::new(4.0, 11.0, 1.0) },
+            renormal: None,
+        };
+        Ok(Stack::build(&session.steps, &registry)?.apply(&shape, &Silent)?.positions)
+    }
+
+    #[test]
+    fn joints_handles_and_strokes_reach_a_plugin_that_has_them() {
+        let joints = "[[step.joint]]\nid = \"hand\"\nat = [2, 10, 0]\nparent = \"arm\"\n\
+            [[step.joint]]\nid = \"arm\"\nat = [0, 10, 0]\n";
+        assert_eq!(puppet(joints).unwrap()[2], Vec3::X * 2.0, "nothing moves, and nothing is called");
+        // The arm is raised by a quarter turn about itself, and the hand, which hangs on it, by another about its place.
+        let turn =
+            |id| format!("[[step.handle]]\nid = \"{id}\"\nmove = {{ axis = [0, 0, 1], degrees = 90 }}\n");
+        let moved = puppet(&format!("{joints}{}{}", turn("arm"), turn("hand"))).unwrap();
+        let expected = [Vec3::ZERO, Vec3::Y, Vec3::X * 2.0];
+        assert!(moved.iter().zip(expected).all(|(a, b)| a.abs_diff_eq(b, 1e-6)), "{moved:?}");
+        let hand = puppet(&format!("{joints}{}", turn("hand"))).unwrap();
+        assert!(hand[1].abs_diff_eq(Vec3::X, 1e-6), "{hand:?}");
+        // Lengths of strokes and their parameters are local: (3 / 2) (4 / 2) - (1 / 2) (4 / 2).
+        let strokes = "params = { lift = 1 }\n\
+            [[step.stroke]]\nradius = 4\nparams = { lift = 3 }\npoints = [[0, 10, 0]]\n\
+            [[step.stroke]]\nradius = 4\nstrength = -1\npoints = [[0, 10, 0]]\n";
+        assert_eq!(puppet(strokes).unwrap()[1], Vec3::new(1.0, 0.0, 2.0));
+        let unknown = puppet(&format!("{joints}{}", turn("hnad"))).unwrap_err();
+        assert!(unknown.to_string().contains("no handle `hnad`"), "{unknown}");
+        assert_eq!(unknown.hint(), "did you mean `hand`?");
     }
 }

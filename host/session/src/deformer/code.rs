@@ -1,0 +1,137 @@
+//! A plugin's code, however it is reached, as the plugin answers: checked by nobody yet.
+
+use simod_plugin_api::{
+    DeformInput, Descriptor, EvaluateExtension, ExtensionInterface, HandleDesc, HandlesExtension, Host,
+    HostCalls, IsIdentityExtension, PluginModRef, PluginResult, PrepareInput, Scratch, State,
+};
+
+/// What a plugin can do besides deforming samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+pub struct Capabilities {
+    /// It knows its map at any point of space.
+    pub evaluate: bool,
+    /// It places handles of its own.
+    pub handles: bool,
+    /// It tells when it would do nothing.
+    pub is_identity: bool,
+}
+
+/// The calls of the plugin interface. Those of what a plugin cannot do, as [`capabilities`](Self::capabilities) tell, are
+/// not made.
+pub(crate) trait Code: Send + Sync {
+    /// What the plugin says that it is.
+    fn descriptor(&self) -> PluginResult<Descriptor>;
+
+    /// What it can do.
+    fn capabilities(&self) -> Capabilities;
+
+    /// See [`Deformer::prepare`](simod_plugin_api::Deformer::prepare).
+    fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State>;
+
+    /// Working memory for a sequence of deformations.
+    fn new_scratch(&self) -> PluginResult<Scratch>;
+
+    /// See [`Deformer::deform`](simod_plugin_api::Deformer::deform).
+    fn deform(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        scratch: &mut Scratch,
+        out: &mut [[f32; 3]],
+        calls: &dyn HostCalls,
+    ) -> PluginResult<()>;
+
+    /// See [`Evaluate::evaluate`](simod_plugin_api::Evaluate::evaluate).
+    fn evaluate(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        points: &mut [[f64; 3]],
+        calls: &dyn HostCalls,
+    ) -> PluginResult<()>;
+
+    /// See [`Handles::handles`](simod_plugin_api::Handles::handles).
+    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>>;
+
+    /// See [`IsIdentity::is_identity`](simod_plugin_api::IsIdentity::is_identity).
+    fn is_identity(&self, input: &DeformInput<'_>) -> PluginResult<bool>;
+}
+
+/// The code of a plugin that was built with the interface's crate, in this process. A call costs some nanoseconds.
+pub(crate) struct RustCode {
+    module: PluginModRef,
+    evaluate: Option<&'static EvaluateExtension>,
+    handles: Option<&'static HandlesExtension>,
+    is_identity: Option<&'static IsIdentityExtension>,
+}
+
+impl RustCode {
+    /// The functions of a library's root module, and of the extensions that it has.
+    pub fn new(module: PluginModRef) -> Self {
+        fn extension<T: ExtensionInterface>(module: PluginModRef) -> Option<&'static T> {
+            module.extension()(T::ID.into()).into_option().and_then(|e| e.get())
+        }
+        Self {
+            module,
+            evaluate: extension(module),
+            handles: extension(module),
+            is_identity: extension(module),
+        }
+    }
+}
+
+/// What is not offered is not called.
+const OFFERED: &str = "the plugin offers it";
+
+impl Code for RustCode {
+    fn descriptor(&self) -> PluginResult<Descriptor> {
+        self.module.descriptor()().into_result()
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            evaluate: self.evaluate.is_some(),
+            handles: self.handles.is_some(),
+            is_identity: self.is_identity.is_some(),
+        }
+    }
+
+    fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State> {
+        self.module.prepare()(input, &Host::new(&calls)).into_result()
+    }
+
+    fn new_scratch(&self) -> PluginResult<Scratch> {
+        self.module.new_scratch()().into_result()
+    }
+
+    fn deform(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        scratch: &mut Scratch,
+        out: &mut [[f32; 3]],
+        calls: &dyn HostCalls,
+    ) -> PluginResult<()> {
+        self.module.deform()(state, input, scratch, out.into(), &Host::new(&calls)).into_result()
+    }
+
+    fn evaluate(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        points: &mut [[f64; 3]],
+        calls: &dyn HostCalls,
+    ) -> PluginResult<()> {
+        let evaluate = self.evaluate.expect(OFFERED).evaluate;
+        evaluate(state, input, points.into(), &Host::new(&calls)).into_result()
+    }
+
+    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>> {
+        let handles = self.handles.expect(OFFERED).handles;
+        handles(input, &Host::new(&calls)).into_result().map(Into::into)
+    }
+
+    fn is_identity(&self, input: &DeformInput<'_>) -> PluginResult<bool> {
+        (self.is_identity.expect(OFFERED).is_identity)(input).into_result()
+    }
+}
