@@ -57,6 +57,16 @@ impl<'a> Graph<'a> {
         &self.neighbours.as_slice()[starts[i] as usize..starts[i + 1] as usize]
     }
 
+    /// Where the neighbours of each sample begin among [`all`](Self::all), and after the last one their number.
+    pub fn starts(&self) -> &'a [u32] {
+        self.starts.as_slice()
+    }
+
+    /// The neighbours of all samples, one list after the other.
+    pub fn all(&self) -> &'a [u32] {
+        self.neighbours.as_slice()
+    }
+
     /// The number of samples.
     pub fn len(&self) -> usize {
         self.starts.len() - 1

@@ -42,7 +42,7 @@ impl Workplace {
     pub fn new() -> Self {
         let root = tempfile::Builder::new().prefix("simod-test-").tempdir_in(built::scratch_folder());
         let root = root.expect("a temporary folder");
-        for folder in ["work", "home"] {
+        for folder in ["work", "home", "cache"] {
             std::fs::create_dir(root.path().join(folder)).expect("a folder");
         }
         Self { root, plugin_path: None }
@@ -99,7 +99,7 @@ impl Workplace {
         names
     }
 
-    /// The program in this folder, with no environment but a home of its own; `line` is split at blanks.
+    /// The program in this folder, with no environment but a home and a cache of its own; `line` is split at blanks.
     pub fn command(&self, line: &str) -> Command {
         let mut command = Command::new(built::program());
         command.args(line.split_whitespace());
@@ -110,6 +110,7 @@ impl Workplace {
     /// Lets a command run as the program does.
     fn prepare(&self, command: &mut Command) {
         command.env_clear().env("HOME", self.root.path().join("home"));
+        command.env("XDG_CACHE_HOME", self.root.path().join("cache"));
         if let Some(folder) = &self.plugin_path {
             command.env("SIMOD_PLUGIN_PATH", folder);
         }
@@ -177,9 +178,15 @@ impl Workplace {
         outcome
     }
 
-    /// All that there is, home included.
+    /// The file in which the program remembers plugins.
+    pub fn plugin_cache(&self) -> PathBuf {
+        self.root.path().join("cache/simod/plugins.json")
+    }
+
+    /// All that there is, home included, but what the program remembers to be faster.
     pub fn snapshot(&self) -> Snapshot {
-        let (mut found, mut folders) = (Snapshot::new(), vec![self.root.path().to_owned()]);
+        let folders = ["work", "home"].map(|folder| self.root.path().join(folder));
+        let (mut found, mut folders) = (Snapshot::new(), folders.to_vec());
         while let Some(folder) = folders.pop() {
             for entry in std::fs::read_dir(&folder).expect("a folder") {
                 let entry = entry.expect("an entry");

@@ -1,6 +1,5 @@
 //! `simod`: freeform deformation that does not care about size. One file per subcommand under `commands/`.
 
-mod child;
 mod commands;
 mod console;
 mod memory;

@@ -10,6 +10,7 @@
 //! [`deformer`] alone.
 
 pub mod check;
+pub mod child;
 pub mod deformer;
 pub mod motion;
 pub mod params;
@@ -19,12 +20,14 @@ pub mod session_file;
 pub mod shapes;
 pub mod stack;
 mod vector;
+#[cfg(unix)]
+pub mod worker;
 
-pub use deformer::{Capabilities, Message, Plugin};
+pub use deformer::{Capabilities, Code, Message, Plugin};
 pub use motion::Motion;
 pub use params::{ParamValue, Params, describe_params};
 pub use pipeline::{DeformedSamples, Run, deform};
-pub use plugins::{PluginRegistry, Rejected};
+pub use plugins::{Isolation, PluginOptions, PluginRegistry, Rejected};
 pub use session_file::SessionFile;
 pub use shapes::{Shape, Shapes};
 pub use stack::{Deformed, PreparedStack, Renormal, RestShape, Stack};

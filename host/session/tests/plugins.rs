@@ -89,3 +89,25 @@ fn a_folder_that_is_not_there_is_fine() {
     let registry = load(std::path::Path::new("/nonexistent/plugins"));
     assert!(registry.plugins().is_empty() && registry.rejected().is_empty());
 }
+
+/// A library that is written anew while the program runs is another plugin, beside which the old one goes on.
+#[test]
+fn a_changed_library_is_loaded_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = copy("simod_warp", folder.path(), "tool");
+    copy("misbehaving", folder.path(), "other");
+    let mut registry = load(folder.path());
+    let (old, other) = (registry.get("warp").unwrap().clone(), registry.get("misbehaving").unwrap().clone());
+    registry.refresh(&common::options(folder.path()));
+    assert!(std::sync::Arc::ptr_eq(registry.get("warp").unwrap(), &old), "nothing changed");
+    // As a compiler does it: another file of the same name.
+    std::fs::remove_file(&file).unwrap();
+    copy("simod_rbf", folder.path(), "tool");
+    registry.refresh(&common::options(folder.path()));
+    let ids: Vec<&str> = registry.plugins().iter().map(|p| p.id()).collect();
+    assert_eq!(ids, ["misbehaving", "rbf"]);
+    assert!(std::sync::Arc::ptr_eq(registry.get("misbehaving").unwrap(), &other));
+    assert_eq!(registry.get("rbf").unwrap().path(), file);
+    assert_eq!(old.id(), "warp");
+    assert!(registry.rejected().is_empty(), "{:?}", registry.rejected());
+}

@@ -243,3 +243,32 @@ fn shapes_that_cannot_be_deformed_are_refused() {
     let short = RestShape { normals: &[Vec3::X; 3], ..rest(&positions) };
     assert_eq!(bend.apply(&short, &Silent).unwrap_err().kind(), ErrorKind::Mismatch);
 }
+
+/// A plugin's process that came to its end takes what it prepared with it, and nothing else.
+#[test]
+#[cfg(unix)]
+fn the_next_call_starts_another_process() {
+    let folder = tempfile::tempdir().unwrap();
+    common::copy("misbehaving", folder.path(), "misbehaving");
+    let registry = common::load_isolated(folder.path());
+    assert!(registry.rejected().is_empty(), "{:?}", registry.rejected());
+    let positions = cylinder(500);
+    let apply = |how: &str| {
+        let text = format!("[[step]]\ndeform = \"misbehaving\"\nparams = {{ how = \"{how}\" }}\n");
+        let steps = SessionFile::parse(&text, Path::new("s.toml")).unwrap().steps;
+        Stack::build(&steps, &registry).unwrap().apply(&rest(&positions), &Silent)
+    };
+    let first = apply("well").unwrap();
+    assert_evaluates(&first, &positions, 1e-6);
+    // Two stacks share the process.
+    let second = apply("well").unwrap();
+    assert_eq!(first.positions, second.positions);
+    drop(second);
+    for _ in 0..2 {
+        let error = apply("segfault").unwrap_err();
+        assert!(error.to_string().contains("invalid memory access"), "{error}");
+        let gone = first.stack.evaluate(&mut [DVec3::ZERO]).unwrap_err();
+        assert!(gone.to_string().contains("process ended"), "{gone}");
+    }
+    assert_eq!(apply("well").unwrap().positions, first.positions);
+}

@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use clap::Args;
 use simod_core::Result;
 use simod_core::sampled_model::SampledModel;
-use simod_session::{PluginRegistry, SessionFile, Stack, deform};
+use simod_session::{SessionFile, Stack, deform};
 
+use super::plugin_options::PluginOptions;
 use super::tell;
 use crate::report::{Report, count};
 
@@ -22,12 +23,14 @@ pub struct Deform {
     /// The deformed samples to write (PLY)
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    #[command(flatten)]
+    plugins: PluginOptions,
 }
 
 impl Deform {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let session = SessionFile::load(&self.session)?;
-        let stack = Stack::build(&session.steps, &PluginRegistry::discover())?;
+        let stack = Stack::build(&session.steps, &self.plugins.discover(report))?;
         let sampled = SampledModel::load(&self.sampled)?;
         let deformed = deform(&sampled, &stack, report.progress())?;
         tell(&deformed.messages, report);

@@ -7,8 +7,9 @@ use simod_core::generate::{ModelOptions, write_file};
 use simod_core::reconstruction::Reconstruction;
 use simod_core::render::Image;
 use simod_core::{Error, Result, model, output};
-use simod_session::{PluginRegistry, Run, SessionFile};
+use simod_session::{Run, SessionFile};
 
+use super::plugin_options::PluginOptions;
 use super::run::{describe, describe_error};
 use crate::picture::{self, Up, View};
 use crate::report::{Report, count};
@@ -35,6 +36,7 @@ impl Demo {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         std::fs::create_dir_all(&self.output).map_err(|e| Error::io("create", &self.output, &e))?;
         let file = |name: &str| self.output.join(name);
+        let plugins = PluginOptions::default().discover(report);
         let progress = report.progress();
 
         let options = ModelOptions { vertices: self.vertices, ..ModelOptions::default() };
@@ -44,14 +46,7 @@ impl Demo {
 
         let session = SessionFile::load(&file("session.toml"))?;
         let edited = file("amphora-edited.ply");
-        let run = Run::execute(
-            &session,
-            &PluginRegistry::discover(),
-            &Reconstruction::default(),
-            true,
-            &edited,
-            progress,
-        )?;
+        let run = Run::execute(&session, &plugins, &Reconstruction::default(), true, &edited, progress)?;
         describe(&run, report);
         describe_error(&run.transfer_error(progress)?, report);
 

@@ -8,6 +8,7 @@ pub mod info;
 pub mod plugin;
 mod plugin_check;
 mod plugin_new;
+mod plugin_options;
 pub mod reconstruct;
 pub mod render;
 pub mod run;

@@ -7,18 +7,25 @@ use simod_session::{Plugin as Loaded, PluginRegistry};
 
 use super::plugin_check::{Check, CheckRule};
 use super::plugin_new::New;
+use super::plugin_options::{PluginOptions, Serve};
 use crate::report::Report;
 
 /// List the deformation plugins, show one, check one, or begin a new one
 #[derive(Subcommand)]
 pub enum Plugin {
     /// List the plugins that were found
-    List,
+    List {
+        #[command(flatten)]
+        plugins: PluginOptions,
+    },
     /// Show a plugin's parameters
     Info {
         /// The plugin's id, as `warp`
         id: String,
+        #[command(flatten)]
+        plugins: PluginOptions,
     },
+    Serve(Serve),
     New(New),
     Check(Check),
     CheckRule(CheckRule),
@@ -27,23 +34,15 @@ pub enum Plugin {
 impl Plugin {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         match self {
-            Self::List => list(&discover(report), report),
-            Self::Info { id } => info(discover(report).get(&id)?, report),
+            Self::List { plugins } => list(&plugins.discover(report), report),
+            Self::Info { id, plugins } => info(plugins.discover(report).get(&id)?, report),
+            Self::Serve(serve) => serve.execute()?,
             Self::New(new) => new.execute(report)?,
             Self::Check(check) => check.execute(report)?,
             Self::CheckRule(rule) => rule.execute(report)?,
         }
         Ok(())
     }
-}
-
-/// Loads what is in the standard folders, and says what cannot be used.
-pub(super) fn discover(report: &mut Report) -> PluginRegistry {
-    let registry = PluginRegistry::discover();
-    for rejected in registry.rejected() {
-        report.warn(rejected.error.to_string());
-    }
-    registry
 }
 
 fn list(registry: &PluginRegistry, report: &mut Report) {
@@ -82,7 +81,8 @@ fn info(plugin: &Loaded, report: &mut Report) {
     if !by.is_empty() {
         report.line(format!("by {by}"));
     }
-    report.line(format!("library {}", plugin.path().display()));
+    let place = if plugin.is_isolated() { ", in a process of its own" } else { "" };
+    report.line(format!("library {}{place}", plugin.path().display()));
     let consumes = plugin.consumes();
     let mut needs = Vec::new();
     for (used, least, role) in [

@@ -10,10 +10,10 @@ use serde_json::{Value, json};
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_session::check::{self, Finding, RULES, Rule, Verdict};
 
-use super::plugin::discover;
+use super::plugin_options::PluginOptions;
 use super::sample::parse_bytes;
-use crate::child::{self, End};
 use crate::report::Report;
+use simod_session::child::{self, End};
 
 /// Check that a plugin keeps the rules: edge cases, crashes, hangs, wrong results
 #[derive(Args)]
@@ -55,7 +55,7 @@ fn parse_rule(id: &str) -> std::result::Result<&'static Rule, String> {
     check::rule(id).map_err(|e| format!("{e}: {}", e.hint()))
 }
 
-fn parse_seconds(text: &str) -> std::result::Result<Duration, String> {
+pub(super) fn parse_seconds(text: &str) -> std::result::Result<Duration, String> {
     let seconds = text.parse::<f64>().ok().filter(|s| *s > 0.0);
     let time = seconds.and_then(|s| Duration::try_from_secs_f64(s).ok());
     time.ok_or_else(|| "a time is a number of seconds, above 0".to_owned())
@@ -71,6 +71,7 @@ struct Checked {
 impl CheckRule {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         if let Some(bytes) = self.memory_limit {
+            child::end_with_parent();
             child::limit_memory(bytes)?;
         }
         let finding = check::check_rule(&self.file, self.rule, self.seed);
@@ -110,7 +111,7 @@ impl Check {
     fn library(&self, report: &mut Report) -> Result<PathBuf> {
         let path = Path::new(&self.plugin);
         if path.extension().is_none() && path.components().count() == 1 && !path.is_file() {
-            return Ok(discover(report).get(&self.plugin)?.path().to_owned());
+            return Ok(PluginOptions::default().discover(report).get(&self.plugin)?.path().to_owned());
         }
         // The dynamic linker would look for a bare name elsewhere.
         path.canonicalize().map_err(|e| Error::io("read", path, &e))

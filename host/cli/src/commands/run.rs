@@ -7,8 +7,9 @@ use serde_json::json;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::reconstruction::transfer_error::TransferError;
 use simod_core::{Error, ErrorKind, Result};
-use simod_session::{PluginRegistry, Run as Pipeline, SessionFile};
+use simod_session::{Run as Pipeline, SessionFile};
 
+use super::plugin_options::PluginOptions;
 use super::reconstruct::{MethodName, NormalsName};
 use super::{tell, warn_non_finite};
 use crate::report::{Report, count, rate};
@@ -30,6 +31,8 @@ pub struct Run {
     /// Compare the result with the exact deformation of every vertex, where all plugins know it
     #[arg(long)]
     measure: bool,
+    #[command(flatten)]
+    plugins: PluginOptions,
 }
 
 impl Run {
@@ -47,9 +50,9 @@ impl Run {
             normals: self.normals.into(),
             ..Reconstruction::default()
         };
+        let plugins = self.plugins.discover(report);
         let progress = report.progress();
-        let run =
-            Pipeline::execute(&session, &PluginRegistry::discover(), &how, self.measure, &output, progress)?;
+        let run = Pipeline::execute(&session, &plugins, &how, self.measure, &output, progress)?;
         describe(&run, report);
         if self.measure {
             describe_error(&run.transfer_error(progress)?, report);

@@ -18,12 +18,17 @@ pub struct Capabilities {
 
 /// The calls of the plugin interface. Those of what a plugin cannot do, as [`capabilities`](Self::capabilities) tell, are
 /// not made.
-pub(crate) trait Code: Send + Sync {
+pub trait Code: Send + Sync {
     /// What the plugin says that it is.
     fn descriptor(&self) -> PluginResult<Descriptor>;
 
     /// What it can do.
     fn capabilities(&self) -> Capabilities;
+
+    /// Whether it runs in another process.
+    fn is_isolated(&self) -> bool {
+        false
+    }
 
     /// See [`Deformer::prepare`](simod_plugin_api::Deformer::prepare).
     fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State>;

@@ -4,6 +4,7 @@
 //! errors and panics (which the plugin's side of the interface turned into errors), samples left unwritten,
 //! values that are not finite, input that was written to, descriptions that make no sense.
 
+mod about;
 mod code;
 
 use crate::params::check_description;
@@ -11,7 +12,7 @@ use rayon::prelude::*;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::{
     Consumes, DeformInput, Descriptor, ErrorCode, HandleDesc, HostCalls, LogLevel, ParamDesc, PluginError,
-    PluginModRef, PrepareInput, Samples, Scratch, State,
+    PrepareInput, Samples, Scratch, State,
 };
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -19,8 +20,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3Default;
 
+pub(crate) use about::About;
 pub use code::Capabilities;
-pub(crate) use code::{Code, RustCode};
+pub use code::Code;
+pub(crate) use code::RustCode;
 
 /// A plugin that is there to be used.
 pub struct Plugin {
@@ -62,21 +65,32 @@ impl std::fmt::Debug for Plugin {
 
 impl Plugin {
     /// A plugin in this process, by its root module.
-    pub(crate) fn in_process(module: PluginModRef, path: &Path) -> Result<Self> {
+    #[cfg(test)]
+    pub(crate) fn in_process(module: simod_plugin_api::PluginModRef, path: &Path) -> Result<Self> {
         Self::new(Box::new(RustCode::new(module)), path)
     }
 
     /// Asks a plugin what it is, and checks the answer.
     pub(crate) fn new(code: Box<dyn Code>, path: &Path) -> Result<Self> {
-        let plugin = Self::unchecked(code, path)?;
-        check_description(&plugin.descriptor).map_err(|what| refused(path, &what))?;
-        Ok(plugin)
+        let about = Self::ask(code.as_ref(), path)?;
+        Self::known(code, about, path)
     }
 
-    /// Asks a plugin what it is, and takes any answer: for those who look at it more closely.
-    pub(crate) fn unchecked(code: Box<dyn Code>, path: &Path) -> Result<Self> {
+    /// A plugin of which is known what it is; checked.
+    pub(crate) fn known(code: Box<dyn Code>, about: About, path: &Path) -> Result<Self> {
+        check_description(&about.descriptor).map_err(|what| refused(path, &what))?;
+        Self::unchecked(code, about, path)
+    }
+
+    /// What a plugin says that it is.
+    pub(crate) fn ask(code: &dyn Code, path: &Path) -> Result<About> {
         let descriptor = code.descriptor().map_err(|e| refused(path, &line(&e.message)))?;
-        let capabilities = code.capabilities();
+        Ok(About { descriptor, capabilities: code.capabilities() })
+    }
+
+    /// A plugin of which is known what it is, whatever that may be: for those who look at it more closely.
+    pub(crate) fn unchecked(code: Box<dyn Code>, about: About, path: &Path) -> Result<Self> {
+        let About { descriptor, capabilities } = about;
         let consumes = Consumes::from_inputs(&descriptor.inputs).map_err(|id| {
             let what = format!("{} needs the input `{id}`, which this program does not have", path.display());
             Error::new(
@@ -136,6 +150,11 @@ impl Plugin {
     /// What it can do besides deforming samples.
     pub fn capabilities(&self) -> Capabilities {
         self.capabilities
+    }
+
+    /// Whether it runs in a process of its own.
+    pub fn is_isolated(&self) -> bool {
+        self.code.is_isolated()
     }
 
     /// The library's file.
@@ -262,13 +281,19 @@ impl Plugin {
 
 /// What is there for checks of just that.
 impl Plugin {
+    /// What it says that it is, and can do.
+    pub(crate) fn about(&self) -> About {
+        About { descriptor: self.descriptor.clone(), capabilities: self.capabilities }
+    }
+
     /// Its description, as it was told at load.
     pub(crate) fn descriptor(&self) -> &Descriptor {
         &self.descriptor
     }
 
-    /// Its calls as it answers them, with error codes, and output of any kind.
-    pub(crate) fn code(&self) -> &dyn Code {
+    /// Its calls as it answers them, with error codes, and output of any kind: to measure and check them. What deforms for
+    /// users is a [`Stack`](crate::Stack), which looks at the output.
+    pub fn code(&self) -> &dyn Code {
         self.code.as_ref()
     }
 }

@@ -1,31 +1,123 @@
 //! Loading one library.
 
 use super::elf;
-use crate::deformer::{Plugin, RustCode};
+use crate::deformer::{About, Capabilities, Code, Plugin, RustCode};
 use abi_stable::library::{LibraryError, RootModule, lib_header_from_path};
 use simod_core::{Error, ErrorKind, Result};
-use simod_plugin_api::PluginModRef;
-use std::path::Path;
+use simod_plugin_api::{
+    DeformInput, Descriptor, HandleDesc, HostCalls, PluginError, PluginModRef, PluginResult, PrepareInput,
+    Scratch, State,
+};
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+use std::sync::{LazyLock, Mutex, OnceLock, PoisonError};
 
-/// Loads a plugin for good: libraries are never unloaded.
-pub(super) fn load(path: &Path) -> Result<Plugin> {
-    Plugin::in_process(root_module(path)?, path)
-}
-
-/// As [`load`], whatever the plugin says about itself.
-pub(super) fn load_unchecked(path: &Path) -> Result<Plugin> {
-    Plugin::unchecked(Box::new(RustCode::new(root_module(path)?)), path)
-}
-
-/// The functions that a library exports.
-///
-/// Not by `RootModule::load_from_file`, which keeps the first library per type and returns it for all others.
-fn root_module(path: &Path) -> Result<PluginModRef> {
+/// Loads a plugin's code for good: libraries are never unloaded.
+pub(crate) fn load_code(path: &Path) -> Result<Box<dyn Code>> {
     // The dynamic linker maps a file that was cut off without a complaint, and the process dies on touching it.
     elf::check_complete(path)?;
-    let header = lib_header_from_path(path).map_err(|e| explain(path, &e, None))?;
+    let copy = fresh_copy(path)?;
+    // Once it is loaded, its name does not matter; where it does, the file goes when the system cleans up.
+    let loaded = root_module(copy.as_ref().map_or(path, |copy| copy.path()));
+    let module = loaded.map_err(|e| explain(path, &e.0, e.1.as_deref()))?;
+    Ok(Box::new(RustCode::new(module)))
+}
+
+/// A copy of a library, if one was loaded from that path before: the system would take it for the same.
+fn fresh_copy(path: &Path) -> Result<Option<tempfile::NamedTempFile>> {
+    static LOADED: LazyLock<Mutex<HashSet<PathBuf>>> = LazyLock::new(Mutex::default);
+    let io = |e: std::io::Error| Error::io("copy the plugin", path, &e);
+    let path = path.canonicalize().map_err(io)?;
+    if LOADED.lock().unwrap_or_else(PoisonError::into_inner).insert(path.clone()) {
+        return Ok(None);
+    }
+    let suffix = path.extension().map_or(String::new(), |e| format!(".{}", e.display()));
+    let copy = tempfile::Builder::new().prefix("simod-plugin-").suffix(&suffix).tempfile().map_err(io)?;
+    std::fs::copy(&path, copy.path()).map_err(io)?;
+    Ok(Some(copy))
+}
+
+/// The functions that a library exports; or what is wrong, and the interface's version that it was built with, where known.
+///
+/// Not by `RootModule::load_from_file`, which keeps the first library per type and returns it for all others.
+fn root_module(path: &Path) -> std::result::Result<PluginModRef, (LibraryError, Option<String>)> {
+    let header = lib_header_from_path(path).map_err(|e| (e, None))?;
     let version = header.version_strings().version.as_str();
-    header.init_root_module::<PluginModRef>().map_err(|e| explain(path, &e, Some(version)))
+    header.init_root_module::<PluginModRef>().map_err(|e| (e, Some(version.to_owned())))
+}
+
+/// The code of a library of which is known what it is: loaded when it is first called.
+pub(super) struct LazyCode {
+    path: PathBuf,
+    about: About,
+    code: OnceLock<std::result::Result<Box<dyn Code>, PluginError>>,
+}
+
+impl LazyCode {
+    /// The code of a library that says this about itself. Loads nothing.
+    pub fn new(path: &Path, about: About) -> Self {
+        Self { path: path.to_owned(), about, code: OnceLock::new() }
+    }
+
+    fn code(&self) -> PluginResult<&dyn Code> {
+        let load = || {
+            let failed = |e: Error| PluginError::internal(e.to_string()).hint(e.hint());
+            let code = load_code(&self.path).map_err(failed)?;
+            if Plugin::ask(code.as_ref(), &self.path).map_err(failed)? != self.about {
+                let what = "the library is not what it was when it was looked at";
+                return Err(PluginError::internal(what).hint("run the command again"));
+            }
+            Ok(code)
+        };
+        self.code.get_or_init(load).as_deref().map_err(Clone::clone)
+    }
+}
+
+impl Code for LazyCode {
+    fn descriptor(&self) -> PluginResult<Descriptor> {
+        Ok(self.about.descriptor.clone())
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        self.about.capabilities
+    }
+
+    fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State> {
+        self.code()?.prepare(input, calls)
+    }
+
+    fn new_scratch(&self) -> PluginResult<Scratch> {
+        self.code()?.new_scratch()
+    }
+
+    fn deform(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        scratch: &mut Scratch,
+        out: &mut [[f32; 3]],
+        calls: &dyn HostCalls,
+    ) -> PluginResult<()> {
+        self.code()?.deform(state, input, scratch, out, calls)
+    }
+
+    fn evaluate(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        points: &mut [[f64; 3]],
+        calls: &dyn HostCalls,
+    ) -> PluginResult<()> {
+        self.code()?.evaluate(state, input, points, calls)
+    }
+
+    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>> {
+        self.code()?.handles(input, calls)
+    }
+
+    fn is_identity(&self, input: &DeformInput<'_>) -> PluginResult<bool> {
+        self.code()?.is_identity(input)
+    }
 }
 
 /// One line instead of the hundreds that abi_stable has. `theirs` is the interface's version that the plugin

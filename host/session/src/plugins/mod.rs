@@ -2,17 +2,24 @@
 //!
 //! One bad library never hides the good ones: what cannot be used is listed with its reason, in one line.
 
+mod cache;
 mod elf;
 mod load;
 
-use crate::deformer::Plugin;
+use crate::deformer::{About, Plugin};
 use crate::params::nearest;
+#[cfg(unix)]
+use crate::worker::{self, WorkerCode, WorkerOptions};
+use cache::{Cache, Stamp};
+use load::LazyCode;
+pub(crate) use load::load_code;
 use simod_core::{Error, ErrorKind, Result};
 use std::cmp::Ordering;
-use std::collections::HashSet;
+use std::collections::HashMap;
 use std::env::consts::{DLL_EXTENSION, DLL_PREFIX};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 /// Environment variable with more folders to look in, before all others; separated as in `PATH`.
 pub const PATH_VARIABLE: &str = "SIMOD_PLUGIN_PATH";
@@ -44,7 +51,71 @@ pub struct PluginFolder {
     pub path: PathBuf,
     /// Whether only files named like plugins count (`libsimod_*.so` and its like), rather than every library.
     pub by_name: bool,
+    /// Whether its plugins came with the program.
+    pub shipped: bool,
 }
+
+/// Which plugins run in processes of their own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Isolation {
+    /// Those that did not come with the program.
+    #[default]
+    Others,
+    /// All of them.
+    Always,
+    /// None.
+    Never,
+}
+
+/// How plugins are looked for and run.
+#[derive(Debug, Clone)]
+pub struct PluginOptions {
+    /// The folders to look in, most important first.
+    pub folders: Vec<PluginFolder>,
+    /// Which plugins run in processes of their own.
+    pub isolation: Isolation,
+    /// How these processes are run.
+    #[cfg(unix)]
+    pub worker: Arc<WorkerOptions>,
+    /// Where to remember what libraries are, if at all.
+    pub cache: Option<PathBuf>,
+}
+
+impl PluginOptions {
+    /// The standard folders and cache.
+    #[cfg(unix)]
+    pub fn standard(isolation: Isolation, worker: WorkerOptions) -> Self {
+        let (folders, cache) = (standard_folders(), cache::standard_file());
+        Self { folders, isolation, worker: Arc::new(worker), cache }
+    }
+
+    /// The given folders in this process, and nothing to remember.
+    pub fn in_process(folders: Vec<PluginFolder>) -> Self {
+        Self {
+            folders,
+            isolation: Isolation::Never,
+            #[cfg(unix)]
+            worker: Arc::new(WorkerOptions { command: Vec::new(), silence: Duration::ZERO, memory: 0 }),
+            cache: None,
+        }
+    }
+}
+
+/// A library that took its time to say what it is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Slow {
+    /// Its file.
+    pub path: PathBuf,
+    /// How long it took.
+    pub time: Duration,
+}
+
+/// What longer takes is told.
+const SLOW: Duration = Duration::from_millis(500);
+
+/// How long a library may take to say what it is.
+#[cfg(unix)]
+const INTRODUCTION: Duration = Duration::from_secs(10);
 
 /// The plugins that are there.
 #[derive(Debug, Default)]
@@ -52,19 +123,22 @@ pub struct PluginRegistry {
     plugins: Vec<Arc<Plugin>>,
     rejected: Vec<Rejected>,
     duplicates: Vec<Duplicate>,
+    slow: Vec<Slow>,
+    /// All libraries that were looked at, as they were then, used or not.
+    seen: HashMap<PathBuf, (Stamp, Option<Arc<Plugin>>)>,
 }
 
 /// The folders that [`PluginRegistry::discover`] looks in, most important first: those in `SIMOD_PLUGIN_PATH`,
 /// the user's, `plugins/` beside the running program, and the program's own.
 pub fn standard_folders() -> Vec<PluginFolder> {
-    let any = |path| PluginFolder { path, by_name: false };
+    let any = |path| PluginFolder { path, by_name: false, shipped: false };
     let mut folders: Vec<PluginFolder> = std::env::var_os(PATH_VARIABLE)
         .map(|paths| std::env::split_paths(&paths).filter(|p| !p.as_os_str().is_empty()).map(any).collect())
         .unwrap_or_default();
     folders.extend(user_folder().map(any));
     if let Some(own) = std::env::current_exe().ok().and_then(|p| p.parent().map(Path::to_owned)) {
-        folders.push(any(own.join("plugins")));
-        folders.push(PluginFolder { path: own, by_name: true });
+        folders.push(PluginFolder { path: own.join("plugins"), by_name: false, shipped: true });
+        folders.push(PluginFolder { path: own, by_name: true, shipped: true });
     }
     folders
 }
@@ -86,53 +160,101 @@ impl PluginRegistry {
     /// The given plugins.
     pub fn of(plugins: impl IntoIterator<Item = Plugin>) -> Self {
         let mut registry = Self::default();
-        plugins.into_iter().for_each(|plugin| registry.add(plugin));
+        plugins.into_iter().for_each(|plugin| registry.add(Arc::new(plugin)));
         registry
     }
 
-    /// Loads what is in the standard folders. Folders that do not exist are fine.
-    pub fn discover() -> Self {
-        Self::from_folders(&standard_folders())
+    /// Finds out what is in the folders. Folders that do not exist are fine. Libraries that were looked at before and did
+    /// not change since are not run, nor loaded before they are used.
+    pub fn discover(options: &PluginOptions) -> Self {
+        let mut registry = Self::default();
+        registry.refresh(options);
+        registry
     }
 
-    /// Loads what is in the given folders, most important first.
-    pub fn from_folders(folders: &[PluginFolder]) -> Self {
-        let mut registry = Self::default();
-        let mut seen = HashSet::new();
-        for folder in folders {
-            let files = match libraries(folder) {
-                Ok(files) => files,
-                Err(error) => {
-                    registry.rejected.push(Rejected { path: folder.path.clone(), error });
-                    continue;
-                }
-            };
-            for file in files {
-                // The same file by another name, as through a link, is loaded once.
-                if seen.insert(file.canonicalize().unwrap_or_else(|_| file.clone())) {
-                    match load::load(&file) {
-                        Ok(plugin) => registry.add(plugin),
-                        Err(error) => registry.rejected.push(Rejected { path: file, error }),
-                    }
-                }
+    /// Looks again. Plugins whose library did not change stay the same; one that changed is a new plugin, beside which
+    /// the former one goes on to work for those that use it.
+    pub fn refresh(&mut self, options: &PluginOptions) {
+        let before = std::mem::take(self).seen;
+        let mut cache = Cache::load(options.cache.clone());
+        for folder in &options.folders {
+            match libraries(folder) {
+                Ok(files) => files.into_iter().for_each(|file| {
+                    self.look_at(file, folder.shipped, options, &before, &mut cache);
+                }),
+                Err(error) => self.rejected.push(Rejected { path: folder.path.clone(), error }),
             }
         }
-        registry.plugins.sort_by(|a, b| a.id().cmp(b.id()));
-        registry
+        cache.save();
+        self.plugins.sort_by(|a, b| a.id().cmp(b.id()));
     }
 
-    fn add(&mut self, plugin: Plugin) {
+    fn look_at(
+        &mut self,
+        file: PathBuf,
+        shipped: bool,
+        options: &PluginOptions,
+        before: &HashMap<PathBuf, (Stamp, Option<Arc<Plugin>>)>,
+        cache: &mut Cache,
+    ) {
+        // The same file by another name, as through a link, is one library.
+        let path = file.canonicalize().unwrap_or_else(|_| file.clone());
+        if self.seen.contains_key(&path) {
+            return;
+        }
+        let Some(stamp) = Stamp::of(&path) else {
+            let e = std::io::Error::from(std::io::ErrorKind::NotFound);
+            self.rejected.push(Rejected { error: Error::io("read the plugin", &file, &e), path: file });
+            return;
+        };
+        if let Some((old, Some(plugin))) = before.get(&path)
+            && *old == stamp
+        {
+            self.seen.insert(path, (stamp, Some(plugin.clone())));
+            self.add(plugin.clone());
+            return;
+        }
+        let isolated = match options.isolation {
+            Isolation::Others => !shipped,
+            Isolation::Always => true,
+            Isolation::Never => false,
+        };
+        let started = Instant::now();
+        let known = cache.get(&path, stamp);
+        let plugin = open(&file, isolated, options, known.clone()).map(Arc::new);
+        let time = started.elapsed();
+        if time > SLOW {
+            self.slow.push(Slow { path: file.clone(), time });
+        }
+        self.seen.insert(path.clone(), (stamp, plugin.as_ref().ok().cloned()));
+        match plugin {
+            Ok(plugin) => {
+                if known.is_none() {
+                    cache.put(&path, stamp, plugin.about());
+                }
+                self.add(plugin);
+            }
+            Err(error) => self.rejected.push(Rejected { path: file, error }),
+        }
+    }
+
+    fn add(&mut self, plugin: Arc<Plugin>) {
         let Some(known) = self.plugins.iter_mut().find(|p| p.id() == plugin.id()) else {
-            self.plugins.push(Arc::new(plugin));
+            self.plugins.push(plugin);
             return;
         };
         let newer = compare_versions(plugin.version(), known.version()) == Ordering::Greater;
-        let unused = if newer { std::mem::replace(known, Arc::new(plugin)) } else { Arc::new(plugin) };
+        let unused = if newer { std::mem::replace(known, plugin) } else { plugin };
         self.duplicates.push(Duplicate {
             id: known.id().to_owned(),
             used: known.path().to_owned(),
             unused: unused.path().to_owned(),
         });
+    }
+
+    /// Libraries that took their time to say what they are.
+    pub fn slow(&self) -> &[Slow] {
+        &self.slow
     }
 
     /// The plugins, by id.
@@ -174,9 +296,30 @@ impl PluginRegistry {
     }
 }
 
-/// Loads a library, whatever it says about itself.
+/// Loads a library into this process, whatever it says about itself.
 pub(crate) fn load_unchecked(path: &Path) -> Result<Plugin> {
-    load::load_unchecked(path)
+    let code = load_code(path)?;
+    let about = Plugin::ask(code.as_ref(), path)?;
+    Plugin::unchecked(code, about, path)
+}
+
+/// The plugin of a library, of which may be known what it is.
+fn open(file: &Path, isolated: bool, options: &PluginOptions, known: Option<About>) -> Result<Plugin> {
+    #[cfg(unix)]
+    if isolated {
+        elf::check_complete(file)?;
+        let introduction =
+            WorkerOptions { silence: INTRODUCTION.min(options.worker.silence), ..(*options.worker).clone() };
+        let about = known.map_or_else(|| worker::ask(file, &Arc::new(introduction)), Ok)?;
+        let code = WorkerCode::new(file, about.clone(), options.worker.clone());
+        return Plugin::known(Box::new(code), about, file);
+    }
+    // There are no such processes on other systems.
+    let _ = (isolated, options);
+    match known {
+        Some(about) => Plugin::known(Box::new(LazyCode::new(file, about.clone())), about, file),
+        None => Plugin::new(load_code(file)?, file),
+    }
 }
 
 /// The dynamic libraries in a folder, by name; none where there is no folder.

@@ -1,8 +1,8 @@
 //! Builds the plugins that the tests load, and finds them.
 #![allow(dead_code, reason = "each test file uses its part")]
 
-use simod_session::PluginRegistry;
 use simod_session::plugins::PluginFolder;
+use simod_session::{PluginOptions, PluginRegistry};
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -42,9 +42,31 @@ pub fn copy(name: &str, folder: &Path, new_name: &str) -> PathBuf {
     path
 }
 
+/// Libraries of a folder, in this process.
+pub fn options(folder: &Path) -> PluginOptions {
+    PluginOptions::in_process(vec![PluginFolder { path: folder.to_owned(), by_name: false, shipped: false }])
+}
+
 /// All libraries in a folder.
 pub fn load(folder: &Path) -> PluginRegistry {
-    PluginRegistry::from_folders(&[PluginFolder { path: folder.to_owned(), by_name: false }])
+    PluginRegistry::discover(&options(folder))
+}
+
+/// All libraries in a folder, each in a process of its own.
+#[cfg(unix)]
+pub fn load_isolated(folder: &Path) -> PluginRegistry {
+    let command = ["simod", "plugin", "serve"].map(PathBuf::from);
+    let command = vec![built().join(&command[0]), command[1].clone(), command[2].clone()];
+    let options = PluginOptions {
+        isolation: simod_session::Isolation::Always,
+        worker: std::sync::Arc::new(simod_session::worker::WorkerOptions {
+            command,
+            silence: std::time::Duration::from_secs(60),
+            memory: 1 << 30,
+        }),
+        ..options(folder)
+    };
+    PluginRegistry::discover(&options)
 }
 
 /// All built plugins.

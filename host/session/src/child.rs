@@ -1,4 +1,4 @@
-//! This program once more, as a process of its own that may come to any end.
+//! Other processes of this program, which may come to any end.
 
 use std::io::Read;
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -46,7 +46,7 @@ pub fn run(command: &mut Command, time: Duration, progress: &dyn Progress) -> Re
         Error::new(ErrorKind::Io, what, "check the permissions of the program, and the limits on processes")
     };
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let mut child = Ended(command.spawn().map_err(refused)?);
+    let mut child = Ended::new(command.spawn().map_err(refused)?);
     let output = Tail::of(child.0.stdout.take());
     let errors = Tail::of(child.0.stderr.take());
     let started = Instant::now();
@@ -65,37 +65,68 @@ pub fn run(command: &mut Command, time: Duration, progress: &dyn Progress) -> Re
     let end = match status {
         None => End::TooLong,
         Some(status) if status.success() => End::Well,
-        // What Rust, C++ and Python say before they give up.
-        Some(_)
-            if ["memory allocation of", "bad_alloc", "MemoryError"].iter().any(|t| errors.contains(t)) =>
-        {
-            End::OutOfMemory
-        }
+        Some(_) if ran_out_of_memory(&errors) => End::OutOfMemory,
         Some(status) => End::Badly(describe(status)),
     };
     let last_error = errors.lines().rfind(|l| !l.trim().is_empty()).unwrap_or_default().trim().to_owned();
     Ok(Outcome { end, output, last_error })
 }
 
+/// Whether a process that printed this had no more memory: what Rust, C++ and Python say before they give up.
+pub(crate) fn ran_out_of_memory(errors: &str) -> bool {
+    ["memory allocation of", "bad_alloc", "MemoryError"].iter().any(|text| errors.contains(text))
+}
+
 /// A process that does not outlive this.
-struct Ended(Child);
+pub(crate) struct Ended(Child);
+
+impl Ended {
+    /// Ends the process when this is dropped.
+    pub fn new(child: Child) -> Self {
+        Self(child)
+    }
+
+    /// What it prints on standard error, if that is asked for, and for the first time.
+    pub fn stderr(&mut self) -> Option<std::process::ChildStderr> {
+        self.0.stderr.take()
+    }
+
+    /// Ends it, if it does not end by itself at this moment; and how it ended, where that is known.
+    pub fn end(&mut self) -> Option<ExitStatus> {
+        let since = Instant::now();
+        while since.elapsed() < LAST_WORDS {
+            match self.0.try_wait() {
+                Ok(None) => std::thread::sleep(INTERVAL),
+                ended => return ended.ok().flatten(),
+            }
+        }
+        self.kill();
+        self.0.wait().ok()
+    }
+
+    /// Ends it at once.
+    pub fn kill(&mut self) {
+        // Fails where it has ended already.
+        let _ = self.0.kill();
+    }
+}
 
 impl Drop for Ended {
     fn drop(&mut self) {
-        // Both fail where it has ended already.
-        let _ = self.0.kill();
+        self.kill();
         let _ = self.0.wait();
     }
 }
 
 /// The end of what a process prints, read by a thread, so that it never waits for a reader.
-struct Tail {
+pub(crate) struct Tail {
     bytes: Arc<Mutex<Vec<u8>>>,
     reader: Option<std::thread::JoinHandle<()>>,
 }
 
 impl Tail {
-    fn of(source: Option<impl Read + Send + 'static>) -> Self {
+    /// Reads all that comes.
+    pub fn of(source: Option<impl Read + Send + 'static>) -> Self {
         let bytes = Arc::new(Mutex::new(Vec::new()));
         let kept = bytes.clone();
         let read = move |mut source: Box<dyn Read + Send>| {
@@ -116,7 +147,8 @@ impl Tail {
         Self { bytes, reader }
     }
 
-    fn text(&self) -> String {
+    /// What came, its end.
+    pub fn text(&self) -> String {
         let since = Instant::now();
         while self.reader.as_ref().is_some_and(|r| !r.is_finished()) && since.elapsed() < LAST_WORDS {
             std::thread::sleep(INTERVAL);
@@ -125,8 +157,9 @@ impl Tail {
     }
 }
 
+/// How a process ended, to complete a sentence.
 #[cfg(unix)]
-fn describe(status: ExitStatus) -> String {
+pub(crate) fn describe(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
     let Some(signal) = status.signal() else { return describe_code(status) };
     let name = match signal {
@@ -140,8 +173,9 @@ fn describe(status: ExitStatus) -> String {
     format!("ended by signal {signal}{name}")
 }
 
+/// See the version for Unix.
 #[cfg(not(unix))]
-fn describe(status: ExitStatus) -> String {
+pub(crate) fn describe(status: ExitStatus) -> String {
     describe_code(status)
 }
 
@@ -154,18 +188,29 @@ fn describe_code(status: ExitStatus) -> String {
 /// Whether [`limit_memory`] has an effect on this system.
 pub const LIMITS_MEMORY: bool = cfg!(target_os = "linux");
 
-/// Lets this process have no more than so many bytes of memory from now on, leave no image of it on the disk when it
-/// crashes, and end with the one that started it. On Linux; other systems have no such limits.
+/// Ends this process together with the thread that started it. On Linux; elsewhere an endless process goes on when the
+/// other one is killed.
+#[cfg(target_os = "linux")]
+pub fn end_with_parent() {
+    use rustix::process::{Signal, set_parent_process_death_signal};
+    // No reason not to go on where it does not work.
+    let _ = set_parent_process_death_signal(Some(Signal::KILL));
+}
+
+/// See the version for Linux.
+#[cfg(not(target_os = "linux"))]
+pub fn end_with_parent() {}
+
+/// Lets this process have no more than so many bytes of memory from now on, and leave no image of it on the disk when it
+/// crashes. On Linux; other systems have no such limits.
 ///
 /// What threads reserve comes on top: their stacks, and for all addresses, which also count where they are not used, the
 /// arenas of the C library.
 #[cfg(target_os = "linux")]
 pub fn limit_memory(bytes: u64) -> Result<()> {
-    use rustix::process::{Resource, Rlimit, Signal, getrlimit, set_parent_process_death_signal, setrlimit};
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
     const STACK: u64 = 8 << 20;
     const ARENA: u64 = 128 << 20;
-    // Where it does not work, an endless rule goes on when the other process is killed: no reason not to check.
-    let _ = set_parent_process_death_signal(Some(Signal::KILL));
     // The program's and the plugin's.
     let threads = 2 * std::thread::available_parallelism().map_or(1, usize::from) as u64;
     let data = bytes.saturating_add(threads * STACK);

@@ -1,0 +1,110 @@
+//! How commands look for plugins and run them.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, ValueEnum};
+use simod_core::Result;
+use simod_session::worker::{self, WorkerOptions};
+use simod_session::{Isolation, PluginOptions as Options, PluginRegistry};
+
+use super::plugin_check::parse_seconds;
+use super::sample::parse_bytes;
+use crate::report::Report;
+
+const PATIENCE: Duration = Duration::from_secs(120);
+const MEMORY: u64 = 4 << 30;
+
+/// Options on plugins
+#[derive(Args)]
+#[command(next_help_heading = "Plugins")]
+pub struct PluginOptions {
+    /// Which plugins run in processes of their own, where a crash does no harm
+    #[arg(long, value_enum, default_value_t)]
+    isolate: Isolate,
+    /// How long a plugin in a process of its own may give no sign of life
+    #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = parse_seconds)]
+    plugin_patience: Duration,
+    /// How much memory a plugin in a process of its own may take (on Linux)
+    #[arg(long, value_name = "SIZE", default_value = "4G", value_parser = parse_bytes)]
+    plugin_memory: u64,
+}
+
+#[derive(Clone, Copy, Default, ValueEnum)]
+enum Isolate {
+    /// Those that did not come with the program
+    #[default]
+    Others,
+    /// All of them
+    Always,
+    /// None
+    Never,
+}
+
+/// What is the default on the command line.
+impl Default for PluginOptions {
+    fn default() -> Self {
+        Self { isolate: Isolate::default(), plugin_patience: PATIENCE, plugin_memory: MEMORY }
+    }
+}
+
+impl PluginOptions {
+    /// Finds the plugins in the standard folders, and says what cannot be used, and what takes long.
+    pub fn discover(self, report: &mut Report) -> PluginRegistry {
+        let isolation = match self.isolate {
+            Isolate::Others => Isolation::Others,
+            Isolate::Always => Isolation::Always,
+            Isolate::Never => Isolation::Never,
+        };
+        // This program once more, however it is called now.
+        let program = std::env::current_exe().unwrap_or_else(|_| PathBuf::from("simod"));
+        let command = vec![program, "plugin".into(), "serve".into()];
+        let options = WorkerOptions { command, silence: self.plugin_patience, memory: self.plugin_memory };
+        let registry = PluginRegistry::discover(&Options::standard(isolation, options));
+        for rejected in registry.rejected() {
+            report.warn(rejected.error.to_string());
+        }
+        for slow in registry.slow() {
+            let (file, seconds) = (slow.path.display(), slow.time.as_secs_f64());
+            report.warn(format!("{file} took {seconds:.1} s to say what it is"));
+        }
+        registry
+    }
+}
+
+/// Answer the program's requests on a plugin
+#[derive(Args)]
+#[command(hide = true)]
+pub struct Serve {
+    /// The library
+    file: PathBuf,
+    /// How much memory this process may take, in bytes
+    memory: u64,
+}
+
+impl Serve {
+    pub fn execute(self) -> Result<()> {
+        worker::serve(&self.file, self.memory)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[test]
+    fn defaults_are_those_of_the_command_line() {
+        #[derive(Parser)]
+        struct Line {
+            #[command(flatten)]
+            plugins: PluginOptions,
+        }
+        let parsed = Line::parse_from(["simod"]).plugins;
+        let default = PluginOptions::default();
+        assert_eq!(
+            (parsed.plugin_patience, parsed.plugin_memory),
+            (default.plugin_patience, default.plugin_memory)
+        );
+    }
+}

@@ -1,0 +1,146 @@
+//! What libraries said about themselves when they were looked at last, so that they need not be loaded to be listed.
+//!
+//! A file in the user's cache folder, by the libraries' paths and stamps. It may be missing, or broken, or not writable:
+//! then the libraries are asked again.
+
+use crate::deformer::About;
+use abi_stable::library::RootModule;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
+
+/// Changes whenever what is kept has another form or meaning.
+const FORM: u32 = 1;
+
+/// What tells one state of a file from another.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Stamp {
+    len: u64,
+    /// Nanoseconds since 1970.
+    modified: u64,
+    inode: u64,
+}
+
+impl Stamp {
+    /// The stamp of a file, where it can be read.
+    pub fn of(path: &Path) -> Option<Self> {
+        let meta = path.metadata().ok()?;
+        let modified = meta.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
+        let modified = u64::try_from(modified.as_nanos()).ok()?;
+        #[cfg(unix)]
+        let inode = std::os::unix::fs::MetadataExt::ino(&meta);
+        #[cfg(not(unix))]
+        let inode = 0;
+        Some(Self { len: meta.len(), modified, inode })
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+struct Entry {
+    stamp: Stamp,
+    about: About,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Content {
+    form: u32,
+    /// Of this program and of its interface.
+    versions: [String; 2],
+    libraries: BTreeMap<PathBuf, Entry>,
+}
+
+/// The cache; kept on the disk by [`save`](Self::save).
+pub(super) struct Cache {
+    file: Option<PathBuf>,
+    content: Content,
+    changed: bool,
+}
+
+impl Cache {
+    /// Reads the cache from a file, or begins an empty one.
+    pub fn load(file: Option<PathBuf>) -> Self {
+        let interface = simod_plugin_api::PluginModRef::VERSION_STRINGS.version.as_str().to_owned();
+        let versions = [env!("CARGO_PKG_VERSION").to_owned(), interface];
+        let read = |file: &PathBuf| -> Option<Content> {
+            let content: Content = serde_json::from_slice(&std::fs::read(file).ok()?).ok()?;
+            (content.form == FORM && content.versions == versions).then_some(content)
+        };
+        let content = file.as_ref().and_then(read);
+        let empty = || Content { form: FORM, versions: versions.clone(), libraries: BTreeMap::new() };
+        Self { content: content.unwrap_or_else(empty), changed: false, file }
+    }
+
+    /// What a library said, if it is as it was then.
+    pub fn get(&self, path: &Path, stamp: Stamp) -> Option<About> {
+        let entry = self.content.libraries.get(path)?;
+        (entry.stamp == stamp).then(|| entry.about.clone())
+    }
+
+    /// Remembers what a library says.
+    pub fn put(&mut self, path: &Path, stamp: Stamp, about: About) {
+        self.content.libraries.insert(path.to_owned(), Entry { stamp, about });
+        self.changed = true;
+    }
+
+    /// Writes the cache, without the libraries that are gone. Where that does not work, the next one does the same again.
+    pub fn save(mut self) {
+        let Some(file) = self.file.filter(|_| self.changed) else { return };
+        self.content.libraries.retain(|path, _| path.exists());
+        let write = || -> std::io::Result<()> {
+            let folder = file.parent().unwrap_or(Path::new(""));
+            std::fs::create_dir_all(folder)?;
+            let mut temporary = tempfile::NamedTempFile::new_in(folder)?;
+            serde_json::to_writer(std::io::BufWriter::new(&mut temporary), &self.content)?;
+            temporary.persist(&file)?;
+            Ok(())
+        };
+        let _ = write();
+    }
+}
+
+/// Where the user's cache is.
+pub(super) fn standard_file() -> Option<PathBuf> {
+    let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
+    let cache = if cfg!(windows) {
+        variable("LOCALAPPDATA")
+    } else if cfg!(target_os = "macos") {
+        variable("HOME").map(|home| home.join("Library/Caches"))
+    } else {
+        variable("XDG_CACHE_HOME").or_else(|| variable("HOME").map(|home| home.join(".cache")))
+    };
+    cache.map(|cache| cache.join("simod").join("plugins.json"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::deformer::Capabilities;
+    use simod_plugin_api::Descriptor;
+
+    #[test]
+    fn what_changed_is_asked_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, library) = (folder.path().join("deep/plugins.json"), folder.path().join("x.so"));
+        let write = |text: &str| {
+            #[expect(clippy::disallowed_methods, reason = "a test's own file")]
+            std::fs::write(&library, text).unwrap();
+            Stamp::of(&library).unwrap()
+        };
+        let old = write("one");
+        let about =
+            About { descriptor: Descriptor::new("x", "X", "1.0.0"), capabilities: Capabilities::default() };
+        let mut cache = Cache::load(Some(file.clone()));
+        assert_eq!(cache.get(&library, old), None);
+        cache.put(&library, old, about.clone());
+        cache.save();
+        let cache = Cache::load(Some(file.clone()));
+        assert_eq!(cache.get(&library, old), Some(about));
+        let new = write("other");
+        assert_eq!(cache.get(&library, new), None);
+        // A broken one is as good as none.
+        #[expect(clippy::disallowed_methods, reason = "a test's own file")]
+        std::fs::write(&file, "{").unwrap();
+        assert_eq!(Cache::load(Some(file)).get(&library, old), None);
+    }
+}

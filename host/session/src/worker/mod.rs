@@ -1,0 +1,480 @@
+//! Plugins in processes of their own: what they do to themselves, they do not do to the program.
+//!
+//! The program starts itself once more for each such plugin that is called ([`serve`] is what it then does). Requests go
+//! over a socket, arrays through shared memory: those of the samples are copied once for each preparation, and a
+//! deformation copies its result. A plugin that crashes, that takes more memory than it may have, or that gives no sign
+//! of life ends that process alone; the next call starts another one.
+
+mod arena;
+mod protocol;
+mod serve;
+
+use crate::child::{Ended, Tail, describe, ran_out_of_memory};
+use crate::deformer::{About, Capabilities, Code};
+use arena::{Arena, ControlMap, Range};
+use protocol::{InputRecord, MotionRecord, Refusal, Reply, Request, Slice};
+use simod_core::{Error, ErrorKind, Result};
+use simod_plugin_api::{
+    DeformInput, Descriptor, ErrorCode, HandleDesc, HostCalls, LogLevel, PluginError, PluginResult,
+    PrepareInput, Scratch, State,
+};
+use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+pub use serve::serve;
+
+/// Time between two looks at the user's wish to stop.
+const INTERVAL: Duration = Duration::from_millis(5);
+
+/// How long a plugin may go on when it was asked to stop.
+const GRACE: Duration = Duration::from_secs(2);
+
+/// How plugins' processes are run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WorkerOptions {
+    /// The program, and the arguments that make it call [`serve`] with the two that follow them.
+    pub command: Vec<PathBuf>,
+    /// How long a call may go on without any sign of life, as progress is one.
+    pub silence: Duration,
+    /// How much memory a plugin may take, in bytes (on Linux).
+    pub memory: u64,
+}
+
+/// A plugin's code in another process, which is started when it is first called.
+pub(crate) struct WorkerCode {
+    library: PathBuf,
+    options: Arc<WorkerOptions>,
+    about: About,
+    worker: Mutex<Option<Arc<Worker>>>,
+}
+
+/// A plugin's process.
+struct Worker {
+    link: Mutex<Link>,
+    control: ControlMap,
+    child: Mutex<Ended>,
+    errors: Tail,
+    /// What is to be dropped there before the next call, with the memory that it leaves.
+    drops: Mutex<Vec<(Request, Option<Range>)>>,
+}
+
+/// The way to a process; whoever holds it has its attention.
+struct Link {
+    socket: UnixStream,
+    replies: Receiver<Reply>,
+    arena: Arena,
+    is_dead: bool,
+}
+
+/// A state in another process.
+struct WorkerState {
+    worker: Arc<Worker>,
+    id: u64,
+    input: Range,
+}
+
+/// A scratch in another process.
+struct WorkerScratch {
+    worker: Arc<Worker>,
+    id: u64,
+}
+
+impl Drop for WorkerState {
+    fn drop(&mut self) {
+        self.worker.drop_later(Request::DropState(self.id), Some(self.input));
+    }
+}
+
+impl Drop for WorkerScratch {
+    fn drop(&mut self) {
+        self.worker.drop_later(Request::DropScratch(self.id), None);
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Starts a process for a library, asks what it is, and ends it again.
+pub(crate) fn ask(library: &Path, options: &Arc<WorkerOptions>) -> Result<About> {
+    Worker::start(library, options).map(|(_, about)| about)
+}
+
+impl WorkerCode {
+    /// The code of a library that says this about itself. Starts nothing.
+    pub fn new(library: &Path, about: About, options: Arc<WorkerOptions>) -> Self {
+        Self { library: library.to_owned(), options, about, worker: Mutex::new(None) }
+    }
+
+    /// The process, started if there is none.
+    fn worker(&self) -> PluginResult<Arc<Worker>> {
+        let mut worker = lock(&self.worker);
+        if let Some(worker) = worker.as_ref()
+            && !lock(&worker.link).is_dead
+        {
+            return Ok(worker.clone());
+        }
+        let (started, about) = Worker::start(&self.library, &self.options)
+            .map_err(|e| PluginError::internal(e.to_string()).hint(e.hint()))?;
+        if about != self.about {
+            let hint = "run the command again";
+            return Err(PluginError::internal("the library was replaced meanwhile").hint(hint));
+        }
+        Ok(worker.insert(Arc::new(started)).clone())
+    }
+
+    /// Has a request answered by the plugin's process. `call` names it in errors.
+    fn call(
+        &self,
+        worker: &Worker,
+        link: &mut Link,
+        call: &str,
+        request: &Request,
+        calls: &dyn HostCalls,
+    ) -> PluginResult<Reply> {
+        worker.call(link, request, calls, self.options.silence).map_err(|end| {
+            link.is_dead = true;
+            end.explain(call, self.options.memory)
+        })
+    }
+
+    /// Has an input sent there and a request made of it answered.
+    fn call_with_input(
+        &self,
+        call: &str,
+        input: &PrepareInput<'_>,
+        calls: &dyn HostCalls,
+        request: impl FnOnce(InputRecord) -> Request,
+    ) -> PluginResult<(Arc<Worker>, Range, Reply)> {
+        let worker = self.worker()?;
+        let mut link = lock(&worker.link);
+        let (mut record, arrays) = InputRecord::new(input);
+        record.range = link.put(&arrays)?;
+        let range = record.range;
+        let reply = self.call(&worker, &mut link, call, &request(record), calls)?;
+        drop(link);
+        Ok((worker, range, reply))
+    }
+
+    /// The state, if it is one of the process that is there now.
+    fn own<'a, T>(&self, worker: &Arc<Worker>, of: &Arc<Worker>, content: &'a T) -> PluginResult<&'a T> {
+        if Arc::ptr_eq(worker, of) {
+            return Ok(content);
+        }
+        let hint = "the next edit prepares it again";
+        Err(PluginError::internal("the plugin's process ended after it had prepared this").hint(hint))
+    }
+}
+
+fn foreign() -> PluginError {
+    PluginError::internal("the state or scratch is another plugin's")
+}
+
+/// An answer to another question: the process is not what it should be.
+fn confused() -> PluginError {
+    PluginError::internal("the plugin's process answered another question")
+}
+
+impl Code for WorkerCode {
+    fn descriptor(&self) -> PluginResult<Descriptor> {
+        Ok(self.about.descriptor.clone())
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        self.about.capabilities
+    }
+
+    fn is_isolated(&self) -> bool {
+        true
+    }
+
+    fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State> {
+        let (worker, input, reply) = self.call_with_input("prepare", input, calls, Request::Prepare)?;
+        match reply {
+            Reply::Made(Ok(id)) => Ok(State::new(WorkerState { worker, id, input })),
+            Reply::Made(Err(failure)) => {
+                lock(&worker.link).arena.release(input);
+                Err(failure.into())
+            }
+            _ => Err(confused()),
+        }
+    }
+
+    fn new_scratch(&self) -> PluginResult<Scratch> {
+        let worker = self.worker()?;
+        let mut link = lock(&worker.link);
+        let reply = self.call(&worker, &mut link, "new_scratch", &Request::NewScratch, &())?;
+        drop(link);
+        match reply {
+            Reply::Made(Ok(id)) => Ok(Scratch::new(WorkerScratch { worker, id })),
+            Reply::Made(Err(failure)) => Err(failure.into()),
+            _ => Err(confused()),
+        }
+    }
+
+    fn deform(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        scratch: &mut Scratch,
+        out: &mut [[f32; 3]],
+        calls: &dyn HostCalls,
+    ) -> PluginResult<()> {
+        let worker = self.worker()?;
+        let state = state.get::<WorkerState>().ok_or_else(foreign)?;
+        let state = self.own(&worker, &state.worker, state)?.id;
+        let scratch = scratch.get_mut::<WorkerScratch>().ok_or_else(foreign)?;
+        let scratch = self.own(&worker, &scratch.worker, scratch)?.id;
+        let motion = MotionRecord::new(input);
+        self.exchange(&worker, "deform", bytemuck::cast_slice_mut(out), calls, |out| Request::Deform {
+            state,
+            scratch,
+            motion,
+            out,
+        })
+    }
+
+    fn evaluate(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        points: &mut [[f64; 3]],
+        calls: &dyn HostCalls,
+    ) -> PluginResult<()> {
+        let worker = self.worker()?;
+        let state = state.get::<WorkerState>().ok_or_else(foreign)?;
+        let state = self.own(&worker, &state.worker, state)?.id;
+        let motion = MotionRecord::new(input);
+        self.exchange(&worker, "evaluate", bytemuck::cast_slice_mut(points), calls, |points| {
+            Request::Evaluate { state, motion, points }
+        })
+    }
+
+    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>> {
+        let (worker, range, reply) = self.call_with_input("handles", input, calls, Request::Handles)?;
+        lock(&worker.link).arena.release(range);
+        match reply {
+            Reply::Handles(Ok(handles)) => Ok(handles.into_iter().map(HandleDesc::from).collect()),
+            Reply::Handles(Err(failure)) => Err(failure.into()),
+            _ => Err(confused()),
+        }
+    }
+
+    fn is_identity(&self, input: &DeformInput<'_>) -> PluginResult<bool> {
+        let worker = self.worker()?;
+        let bounds = [input.bounds.min, input.bounds.max];
+        let request = Request::IsIdentity { bounds, motion: MotionRecord::new(input) };
+        let mut link = lock(&worker.link);
+        match self.call(&worker, &mut link, "is_identity", &request, &())? {
+            Reply::Identity(answer) => answer.map_err(PluginError::from),
+            _ => Err(confused()),
+        }
+    }
+}
+
+impl WorkerCode {
+    /// Sends an array there, has the request answered that writes to it, and takes it back.
+    fn exchange(
+        &self,
+        worker: &Worker,
+        call: &str,
+        array: &mut [u8],
+        calls: &dyn HostCalls,
+        request: impl FnOnce(Slice) -> Request,
+    ) -> PluginResult<()> {
+        let mut link = lock(&worker.link);
+        let range = link.put(&[array])?;
+        let request = request(Slice { range, len: array.len() as u64 });
+        match self.call(worker, &mut link, call, &request, calls)? {
+            Reply::Done(done) => {
+                let map = link.arena.shared().map(range).map_err(no_memory)?;
+                array.copy_from_slice(&map[..array.len()]);
+                link.arena.release(range);
+                done.map_err(PluginError::from)
+            }
+            _ => Err(confused()),
+        }
+    }
+}
+
+fn no_memory(e: std::io::Error) -> PluginError {
+    PluginError::internal(format!("there is no memory to share with the plugin's process: {e}"))
+        .hint("free some memory, or run it in this process with `--isolate never`")
+}
+
+impl Link {
+    /// Copies arrays to a new range of the shared memory, one after the other.
+    fn put(&mut self, arrays: &[&[u8]]) -> PluginResult<Range> {
+        let bytes = arrays.iter().map(|a| a.len()).sum();
+        let range = self.arena.allocate(bytes).map_err(no_memory)?;
+        let mut map = self.arena.shared().map_mut(range).map_err(no_memory)?;
+        let mut rest = &mut map[..bytes];
+        for array in arrays {
+            let (to, after) = rest.split_at_mut(array.len());
+            to.copy_from_slice(array);
+            rest = after;
+        }
+        Ok(range)
+    }
+}
+
+/// How a process came to its end during a call.
+enum End {
+    /// By itself; how, and the last line that it printed.
+    Died { how: String, last_words: String, is_memory: bool },
+    /// It gave no sign of life, and was ended.
+    Silent(Duration),
+    /// It did not stop when it was asked to, and was ended.
+    Deaf,
+}
+
+impl End {
+    fn explain(self, call: &str, memory: u64) -> PluginError {
+        let check = "the session goes on without it; `simod plugin check` tells its author more";
+        let error = |what: String| PluginError::new(ErrorCode::INTERNAL, what).hint(check);
+        match self {
+            Self::Died { is_memory: true, .. } => {
+                error(format!("ran out of the {} MB that it may have, in {call}", memory >> 20))
+            }
+            Self::Died { how, last_words, .. } if last_words.is_empty() => {
+                error(format!("its process {how} in {call}"))
+            }
+            Self::Died { how, last_words, .. } => error(format!("its process {how} in {call}: {last_words}")),
+            Self::Silent(time) => error(format!(
+                "{call} gave no sign of life for {} s and was ended",
+                time.as_secs_f64().round()
+            )),
+            Self::Deaf => PluginError::cancelled(),
+        }
+    }
+}
+
+impl Worker {
+    /// Starts a process for a library, and hears what the library is.
+    fn start(library: &Path, options: &Arc<WorkerOptions>) -> Result<(Self, About)> {
+        let refused = |e: std::io::Error| {
+            let what = format!("cannot start a process for the plugin {}: {e}", library.display());
+            Error::new(
+                ErrorKind::Io,
+                what,
+                "check the limits on processes and memory, or use `--isolate never`",
+            )
+        };
+        let (socket, theirs) = UnixStream::pair().map_err(refused)?;
+        let arena = Arena::create().map_err(refused)?;
+        let control = ControlMap::new(arena.shared()).map_err(refused)?;
+        let [program, arguments @ ..] = options.command.as_slice() else {
+            return Err(refused(std::io::Error::other("no program is named")));
+        };
+        let mut command = Command::new(program);
+        command.args(arguments).arg(library).arg(options.memory.to_string());
+        command.env("RAYON_NUM_THREADS", rayon::current_num_threads().to_string());
+        // Both ends of the way are handed over as standard streams, which needs nothing unsafe. The process moves them.
+        command.stdin(Stdio::from(OwnedFd::from(theirs)));
+        command.stdout(Stdio::from(arena.shared().file().map_err(refused)?));
+        command.stderr(Stdio::piped());
+        // What the user types at the terminal to stop is this process's to handle.
+        command.process_group(0);
+        let mut child = Ended::new(command.spawn().map_err(refused)?);
+        // What is left of `command` holds their end of the socket open.
+        drop(command);
+        let errors = Tail::of(child.stderr());
+
+        let (sender, replies) = sync_channel(64);
+        let mut reader = socket.try_clone().map_err(refused)?;
+        let read = move || {
+            while let Ok(Some(reply)) = protocol::receive(&mut reader) {
+                if sender.send(reply).is_err() {
+                    break;
+                }
+            }
+        };
+        std::thread::Builder::new().name("plugin".into()).spawn(read).map_err(refused)?;
+        let this = Self {
+            link: Mutex::new(Link { socket, replies, arena, is_dead: false }),
+            control,
+            child: Mutex::new(child),
+            errors,
+            drops: Mutex::new(Vec::new()),
+        };
+        let loaded = this.wait(&lock(&this.link), &(), options.silence);
+        match loaded {
+            Ok(Reply::Loaded(Ok(about))) => Ok((this, about)),
+            Ok(Reply::Loaded(Err(Refusal { what, hint }))) => Err(Error::new(ErrorKind::Plugin, what, hint)),
+            Ok(_) => Err(refused(std::io::Error::other("it says what it was not asked"))),
+            Err(end) => {
+                let error = end.explain("loading", options.memory);
+                let what = format!("{}: {}", library.display(), error.message);
+                Err(Error::new(ErrorKind::Plugin, what, error.hint.as_str()))
+            }
+        }
+    }
+
+    fn drop_later(&self, request: Request, range: Option<Range>) {
+        lock(&self.drops).push((request, range));
+    }
+
+    /// Sends a request, and waits for its answer.
+    fn call(
+        &self,
+        link: &mut Link,
+        request: &Request,
+        calls: &dyn HostCalls,
+        silence: Duration,
+    ) -> std::result::Result<Reply, End> {
+        for (request, range) in std::mem::take(&mut *lock(&self.drops)) {
+            protocol::send(&mut link.socket, &request).map_err(|_| self.death())?;
+            range.into_iter().for_each(|range| link.arena.release(range));
+        }
+        self.control.reset();
+        protocol::send(&mut link.socket, request).map_err(|_| self.death())?;
+        self.wait(link, calls, silence)
+    }
+
+    /// Waits for an answer, and passes on what comes before it.
+    fn wait(&self, link: &Link, calls: &dyn HostCalls, silence: Duration) -> std::result::Result<Reply, End> {
+        let (mut beats, _) = self.control.read();
+        let mut heard = Instant::now();
+        let mut asked_to_stop: Option<Instant> = None;
+        loop {
+            match link.replies.recv_timeout(INTERVAL) {
+                Ok(Reply::Log { level, text }) => calls.log(LogLevel(level), &text),
+                Ok(reply) => return Ok(reply),
+                Err(RecvTimeoutError::Disconnected) => return Err(self.death()),
+                Err(RecvTimeoutError::Timeout) => {}
+            }
+            let (beats_now, fraction) = self.control.read();
+            if beats_now != beats {
+                (beats, heard) = (beats_now, Instant::now());
+            }
+            if !calls.progress(fraction) {
+                self.control.cancel.store(1, std::sync::atomic::Ordering::Relaxed);
+                if asked_to_stop.get_or_insert_with(Instant::now).elapsed() > GRACE {
+                    lock(&self.child).kill();
+                    return Err(End::Deaf);
+                }
+            } else if heard.elapsed() > silence {
+                lock(&self.child).kill();
+                return Err(End::Silent(silence));
+            }
+        }
+    }
+
+    /// How the process ended that does not answer any more.
+    fn death(&self) -> End {
+        let status = lock(&self.child).end();
+        let errors = self.errors.text();
+        let last_words = errors.lines().rfind(|l| !l.trim().is_empty()).unwrap_or_default().trim();
+        End::Died {
+            how: status.map_or_else(|| "ended for no known reason".to_owned(), describe),
+            is_memory: ran_out_of_memory(&errors),
+            last_words: crate::deformer::line(last_words),
+        }
+    }
+}

@@ -1,0 +1,333 @@
+//! What the program and a plugin's process say to each other: requests and replies over a socket, arrays in shared memory.
+
+use super::arena::Range;
+use crate::deformer::About;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use simod_plugin_api::{
+    Affine, DeformInput, ErrorCode, Graph, HandleDesc, HandleMotions, Joint, Joints, Param, ParamKind, Part,
+    PluginError, PrepareInput, Region, Role, Samples, Stroke, Strokes, Triangles,
+};
+use std::io::{Error, Read, Result, Write};
+
+/// A frame that is longer is a mistake, not a message.
+const LONGEST: u32 = 1 << 28;
+
+/// What the program asks for.
+#[derive(Serialize, Deserialize)]
+pub(super) enum Request {
+    Prepare(InputRecord),
+    NewScratch,
+    Deform { state: u64, scratch: u64, motion: MotionRecord, out: Slice },
+    Evaluate { state: u64, motion: MotionRecord, points: Slice },
+    Handles(InputRecord),
+    IsIdentity { bounds: [[f64; 3]; 2], motion: MotionRecord },
+    DropState(u64),
+    DropScratch(u64),
+}
+
+/// What the plugin's process answers: one for each request but the drops, after any number of log lines; and one
+/// [`Loaded`](Self::Loaded) before all others.
+#[derive(Serialize, Deserialize)]
+pub(super) enum Reply {
+    Loaded(std::result::Result<About, Refusal>),
+    Log {
+        level: u32,
+        text: String,
+    },
+    /// A number for what was made.
+    Made(std::result::Result<u64, Failure>),
+    Done(std::result::Result<(), Failure>),
+    Handles(std::result::Result<Vec<HandleRecord>, Failure>),
+    Identity(std::result::Result<bool, Failure>),
+}
+
+/// Why a library is not used.
+#[derive(Serialize, Deserialize)]
+pub(super) struct Refusal {
+    pub what: String,
+    pub hint: String,
+}
+
+/// A [`PluginError`].
+#[derive(Serialize, Deserialize)]
+pub(super) struct Failure {
+    code: u32,
+    message: String,
+    hint: String,
+}
+
+impl From<PluginError> for Failure {
+    fn from(e: PluginError) -> Self {
+        Self { code: e.code.0, message: e.message.into(), hint: e.hint.into() }
+    }
+}
+
+impl From<Failure> for PluginError {
+    fn from(f: Failure) -> Self {
+        Self::new(ErrorCode(f.code), f.message).hint(f.hint)
+    }
+}
+
+/// A [`HandleDesc`].
+#[derive(Serialize, Deserialize)]
+pub(super) struct HandleRecord {
+    id: String,
+    name: String,
+    position: [f64; 3],
+    gizmo: u32,
+    parent: u32,
+}
+
+impl From<HandleDesc> for HandleRecord {
+    fn from(h: HandleDesc) -> Self {
+        let (id, name) = (h.id.into(), h.name.into());
+        Self { id, name, position: h.position, gizmo: h.gizmo.0, parent: h.parent }
+    }
+}
+
+impl From<HandleRecord> for HandleDesc {
+    fn from(h: HandleRecord) -> Self {
+        let desc = Self::new(&h.id, h.position).name(&h.name).parent(h.parent);
+        desc.gizmo(simod_plugin_api::Gizmo(h.gizmo))
+    }
+}
+
+/// An array in shared memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Slice {
+    pub range: Range,
+    /// Bytes that are used of the range.
+    pub len: u64,
+}
+
+/// A [`PrepareInput`]: its arrays are one after the other in a range of the shared memory.
+#[derive(Clone, Serialize, Deserialize)]
+pub(super) struct InputRecord {
+    pub range: Range,
+    count: usize,
+    normals: bool,
+    spacing: bool,
+    roles: Vec<u32>,
+    triangles: Option<usize>,
+    /// Number of all neighbours.
+    graph: Option<usize>,
+    bounds: [[f64; 3]; 2],
+    params: Vec<ParamRecord>,
+    joints: Option<Vec<(String, [f64; 3], u32)>>,
+}
+
+impl InputRecord {
+    /// The record of an input whose arrays go to `range`; and the arrays, in their order.
+    pub fn new<'a>(input: &PrepareInput<'a>) -> (Self, Vec<&'a [u8]>) {
+        let samples = input.samples;
+        let mut arrays: Vec<&[u8]> = vec![
+            bytemuck::cast_slice(samples.positions()),
+            bytemuck::cast_slice(samples.normals()),
+            bytemuck::cast_slice(samples.spacing()),
+        ];
+        arrays.extend(input.regions().iter().map(|r| bytemuck::cast_slice(r.weights())));
+        let triangles = input.triangles().map(Triangles::indices);
+        arrays.extend(triangles.map(bytemuck::cast_slice));
+        let graph = input.graph();
+        if let Some(graph) = graph {
+            arrays.push(bytemuck::cast_slice(graph.starts()));
+            arrays.push(bytemuck::cast_slice(graph.all()));
+        }
+        let joint = |j: &Joint<'_>| (j.id().to_owned(), j.position, j.parent);
+        let record = Self {
+            range: Range { offset: 0, len: 0 },
+            count: samples.positions().len(),
+            normals: !samples.normals().is_empty(),
+            spacing: !samples.spacing().is_empty(),
+            roles: input.regions().iter().map(|r| r.role.0).collect(),
+            triangles: triangles.map(<[_]>::len),
+            graph: graph.map(|g| g.all().len()),
+            bounds: [input.bounds.min, input.bounds.max],
+            params: input.params().iter().map(ParamRecord::from).collect(),
+            joints: input.part::<Joints<'_>>().map(|j| j.all().iter().map(joint).collect()),
+        };
+        (record, arrays)
+    }
+
+    /// Calls with the input, whose arrays are in `bytes`. `None` if these are too few.
+    pub fn with<T>(&self, bytes: &[u8], call: impl FnOnce(&PrepareInput<'_>) -> T) -> Option<T> {
+        let mut rest = Arrays(bytes);
+        let samples = self.take_samples(&mut rest)?;
+        let weights: Vec<&[f32]> = self.roles.iter().map(|_| rest.take(self.count)).collect::<Option<_>>()?;
+        let regions: Vec<Region<'_>> =
+            self.roles.iter().zip(weights).map(|(role, w)| Region::new(Role(*role), w)).collect();
+        let triangles = match self.triangles {
+            Some(count) => Some(Triangles::new(rest.take(count)?)),
+            None => None,
+        };
+        let graph = match self.graph {
+            Some(all) => Some(Graph::new(rest.take(self.count + 1)?, rest.take(all)?)),
+            None => None,
+        };
+        let params: Vec<Param<'_>> = self.params.iter().map(ParamRecord::view).collect();
+        let joints: Option<Vec<Joint<'_>>> = self
+            .joints
+            .as_ref()
+            .map(|joints| joints.iter().map(|(id, at, parent)| Joint::new(id, *at, *parent)).collect());
+        let joints = joints.as_ref().map(|joints| Joints::new(joints));
+        let mut parts: Vec<Part<'_>> = graph.iter().map(Part::new).collect();
+        parts.extend(triangles.iter().map(Part::new));
+        parts.extend(joints.iter().map(Part::new));
+        Some(call(&PrepareInput::new(samples, bounds(self.bounds), &regions, &params).with_parts(&parts)))
+    }
+
+    /// The samples, of whose arrays nothing is copied.
+    pub fn samples<'a>(&self, bytes: &'a [u8]) -> Option<Samples<'a>> {
+        self.take_samples(&mut Arrays(bytes))
+    }
+
+    fn take_samples<'a>(&self, rest: &mut Arrays<'a>) -> Option<Samples<'a>> {
+        let optional = |there: bool| if there { self.count } else { 0 };
+        Some(Samples::new(
+            rest.take(self.count)?,
+            rest.take(optional(self.normals))?,
+            rest.take(optional(self.spacing))?,
+        ))
+    }
+
+    /// The model's box.
+    pub fn bounds(&self) -> simod_plugin_api::Bounds {
+        bounds(self.bounds)
+    }
+}
+
+fn bounds([min, max]: [[f64; 3]; 2]) -> simod_plugin_api::Bounds {
+    simod_plugin_api::Bounds { min, max }
+}
+
+/// Arrays one after the other.
+struct Arrays<'a>(&'a [u8]);
+
+impl<'a> Arrays<'a> {
+    fn take<T: bytemuck::Pod>(&mut self, count: usize) -> Option<&'a [T]> {
+        let (taken, rest) = self.0.split_at_checked(count.checked_mul(size_of::<T>())?)?;
+        self.0 = rest;
+        bytemuck::try_cast_slice(taken).ok()
+    }
+}
+
+/// A [`Param`].
+#[derive(Clone, Serialize, Deserialize)]
+pub(super) struct ParamRecord {
+    id: String,
+    kind: u32,
+    numbers: Vec<f64>,
+    text: String,
+}
+
+impl From<&Param<'_>> for ParamRecord {
+    fn from(p: &Param<'_>) -> Self {
+        let (id, text) = (p.id().to_owned(), p.as_text().to_owned());
+        Self { id, kind: p.kind().0, numbers: p.as_numbers().to_vec(), text }
+    }
+}
+
+impl ParamRecord {
+    fn view(&self) -> Param<'_> {
+        let kind = ParamKind(self.kind);
+        if [ParamKind::CHOICE, ParamKind::FILE].contains(&kind) {
+            Param::text(&self.id, kind, &self.text)
+        } else {
+            Param::numbers(&self.id, kind, &self.numbers)
+        }
+    }
+}
+
+/// What a [`DeformInput`] has beside the samples and the box, which are the state's.
+#[derive(Clone, Serialize, Deserialize)]
+pub(super) struct MotionRecord {
+    transforms: Vec<[[f64; 4]; 3]>,
+    params: Vec<ParamRecord>,
+    handles: Option<Vec<[[f64; 4]; 3]>>,
+    strokes: Option<Vec<StrokeRecord>>,
+}
+
+#[derive(Clone, Serialize, Deserialize)]
+struct StrokeRecord {
+    key: u64,
+    radius: f64,
+    strength: f64,
+    points: Vec<[f64; 3]>,
+    pressures: Vec<f32>,
+    params: Vec<ParamRecord>,
+}
+
+impl MotionRecord {
+    pub fn new(input: &DeformInput<'_>) -> Self {
+        let rows = |maps: &[Affine]| maps.iter().map(|a| a.rows).collect();
+        let records = |params: simod_plugin_api::Params<'_>| params.iter().map(ParamRecord::from).collect();
+        let stroke = |s: &Stroke<'_>| StrokeRecord {
+            key: s.key,
+            radius: s.radius,
+            strength: s.strength,
+            points: s.points().to_vec(),
+            pressures: s.pressures().to_vec(),
+            params: records(s.params()),
+        };
+        Self {
+            transforms: rows(input.transforms()),
+            params: records(input.params()),
+            handles: input.part::<HandleMotions<'_>>().map(|h| rows(h.all())),
+            strokes: input.part::<Strokes<'_>>().map(|s| s.all().iter().map(stroke).collect()),
+        }
+    }
+
+    /// Calls with the input of a deformation of these samples.
+    pub fn with<T>(
+        &self,
+        samples: Samples<'_>,
+        bounds: simod_plugin_api::Bounds,
+        call: impl FnOnce(&DeformInput<'_>) -> T,
+    ) -> T {
+        let affine = |rows: &Vec<[[f64; 4]; 3]>| -> Vec<Affine> {
+            rows.iter().map(|rows| Affine { rows: *rows }).collect()
+        };
+        let transforms = affine(&self.transforms);
+        let params: Vec<Param<'_>> = self.params.iter().map(ParamRecord::view).collect();
+        let handles = self.handles.as_ref().map(affine);
+        let handles = handles.as_ref().map(|all| HandleMotions::new(all));
+        let records = self.strokes.as_deref().unwrap_or_default();
+        let values: Vec<Vec<Param<'_>>> =
+            records.iter().map(|s| s.params.iter().map(ParamRecord::view).collect()).collect();
+        let strokes: Vec<Stroke<'_>> = records
+            .iter()
+            .zip(&values)
+            .map(|(s, params)| Stroke::new(s.key, s.radius, s.strength, &s.points, &s.pressures, params))
+            .collect();
+        let strokes = self.strokes.is_some().then(|| Strokes::new(&strokes));
+        let mut parts: Vec<Part<'_>> = handles.iter().map(Part::new).collect();
+        parts.extend(strokes.iter().map(Part::new));
+        call(&DeformInput::new(samples, bounds, &transforms, &params).with_parts(&parts))
+    }
+}
+
+/// Writes a message.
+pub(super) fn send(to: &mut impl Write, message: &impl Serialize) -> Result<()> {
+    let bytes = postcard::to_stdvec(message).map_err(Error::other)?;
+    let len = u32::try_from(bytes.len()).ok().filter(|len| *len <= LONGEST);
+    let len = len.ok_or_else(|| Error::other("a message is too long"))?;
+    to.write_all(&[&len.to_le_bytes()[..], &bytes].concat())?;
+    to.flush()
+}
+
+/// Reads a message; nothing where the other side has ended.
+pub(super) fn receive<T: DeserializeOwned>(from: &mut impl Read) -> Result<Option<T>> {
+    let mut len = [0; 4];
+    match from.read_exact(&mut len) {
+        Err(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => return Ok(None),
+        read => read?,
+    }
+    let len = u32::from_le_bytes(len);
+    if len > LONGEST {
+        return Err(Error::other("a message is too long"));
+    }
+    let mut bytes = vec![0; len as usize];
+    from.read_exact(&mut bytes)?;
+    postcard::from_bytes(&bytes).map(Some).map_err(Error::other)
+}

@@ -1,0 +1,238 @@
+//! A plugin's process: it answers the program's requests until there is nobody to answer.
+
+use super::arena::{ControlMap, Shared};
+use super::protocol::{self, Failure, HandleRecord, InputRecord, Refusal, Reply, Request, Slice};
+use crate::child::limit_memory;
+use crate::deformer::{Code, Plugin};
+use crate::plugins::load_code;
+use memmap2::Mmap;
+use rayon::prelude::*;
+use simod_core::{Error, ErrorKind, Result};
+use simod_plugin_api::{HostCalls, LogLevel, PluginError, PluginResult, PrepareInput, Scratch, State};
+use std::collections::HashMap;
+use std::fs::File;
+use std::os::fd::AsFd;
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::channel;
+use std::sync::{Mutex, PoisonError};
+
+/// Lines of a call that are passed on; the program keeps fewer.
+const LINES: usize = 1000;
+
+/// Answers requests on a library, as this process's standard streams bring them, until the other side ends. The plugin
+/// may take `memory` bytes.
+///
+/// # Errors
+/// The standard streams are not those that the program makes, or the memory cannot be limited.
+pub fn serve(library: &Path, memory: u64) -> Result<()> {
+    let refused = |e: std::io::Error| {
+        let what = format!("this command is for the program itself: {e}");
+        Error::new(ErrorKind::Argument, what, "see `simod help` for the others")
+    };
+    let socket = UnixStream::from(std::io::stdin().as_fd().try_clone_to_owned().map_err(refused)?);
+    let shared =
+        Shared::from_file(File::from(std::io::stdout().as_fd().try_clone_to_owned().map_err(refused)?));
+    let control = ControlMap::new(&shared).map_err(refused)?;
+    // What a plugin prints is not to end up in between.
+    rustix::stdio::dup2_stdout(std::io::stderr()).map_err(|e| refused(e.into()))?;
+    let nothing = File::open("/dev/null").map_err(refused)?;
+    rustix::stdio::dup2_stdin(nothing).map_err(|e| refused(e.into()))?;
+    limit_memory(memory)?;
+
+    let mut reader = socket.try_clone().map_err(refused)?;
+    let (sender, requests) = channel();
+    let read = move || {
+        while let Ok(Some(request)) = protocol::receive::<Request>(&mut reader) {
+            if sender.send(request).is_err() {
+                break;
+            }
+        }
+        end();
+    };
+    std::thread::Builder::new().name("requests".into()).spawn(read).map_err(refused)?;
+
+    let calls = Calls { control, socket: Mutex::new(socket), lines: AtomicUsize::new(0) };
+    let loaded = load_code(library).and_then(|code| {
+        let about = Plugin::ask(code.as_ref(), library)?;
+        Ok((code, about))
+    });
+    let code = match loaded {
+        Ok((code, about)) => {
+            calls.send(&Reply::Loaded(Ok(about)));
+            code
+        }
+        Err(e) => {
+            let refusal = Refusal { what: e.to_string(), hint: e.hint().to_owned() };
+            calls.send(&Reply::Loaded(Err(refusal)));
+            return Ok(());
+        }
+    };
+    let mut workshop =
+        Workshop { code, shared, calls, states: HashMap::new(), scratches: HashMap::new(), made: 0 };
+    for request in requests {
+        workshop.calls.lines.store(0, Ordering::Relaxed);
+        if let Some(reply) = workshop.answer(request) {
+            workshop.calls.send(&reply);
+        }
+    }
+    Ok(())
+}
+
+/// Ends this process at once, whatever the plugin's threads and destructors are about.
+fn end() -> ! {
+    let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
+    std::process::abort()
+}
+
+/// What the plugin made, and what it works on.
+struct Workshop {
+    code: Box<dyn Code>,
+    shared: Shared,
+    calls: Calls,
+    states: HashMap<u64, (State, InputRecord, Mmap)>,
+    scratches: HashMap<u64, Scratch>,
+    /// Numbers given so far.
+    made: u64,
+}
+
+fn broken(e: impl std::fmt::Display) -> PluginError {
+    PluginError::internal(format!("the plugin's process cannot reach its input: {e}"))
+}
+
+fn wrap<T>(result: PluginResult<T>) -> std::result::Result<T, Failure> {
+    result.map_err(Failure::from)
+}
+
+impl Workshop {
+    fn answer(&mut self, request: Request) -> Option<Reply> {
+        Some(match request {
+            Request::Prepare(input) => Reply::Made(wrap(self.prepare(input))),
+            Request::NewScratch => {
+                let scratch = self.code.new_scratch().map(|scratch| {
+                    self.made += 1;
+                    self.scratches.insert(self.made, scratch);
+                    self.made
+                });
+                Reply::Made(wrap(scratch))
+            }
+            Request::Deform { state, scratch, motion, out } => {
+                Reply::Done(wrap(self.deform(state, scratch, &motion, out)))
+            }
+            Request::Evaluate { state, motion, points } => {
+                Reply::Done(wrap(self.evaluate(state, &motion, points)))
+            }
+            Request::Handles(input) => {
+                let handles = self.with_input(&input, |input| self.code.handles(input, &self.calls));
+                let records = handles.map(|all| all.into_iter().map(HandleRecord::from).collect());
+                Reply::Handles(wrap(records))
+            }
+            Request::IsIdentity { bounds: [min, max], motion } => {
+                let samples = simod_plugin_api::Samples::new(&[], &[], &[]);
+                let bounds = simod_plugin_api::Bounds { min, max };
+                let answer = motion.with(samples, bounds, |input| self.code.is_identity(input));
+                Reply::Identity(wrap(answer))
+            }
+            Request::DropState(id) => {
+                self.states.remove(&id);
+                return None;
+            }
+            Request::DropScratch(id) => {
+                self.scratches.remove(&id);
+                return None;
+            }
+        })
+    }
+
+    fn with_input<T>(
+        &self,
+        input: &InputRecord,
+        call: impl FnOnce(&PrepareInput<'_>) -> PluginResult<T>,
+    ) -> PluginResult<T> {
+        let map = self.shared.map(input.range).map_err(broken)?;
+        input.with(&map, call).unwrap_or_else(|| Err(broken("it is too short")))
+    }
+
+    fn prepare(&mut self, input: InputRecord) -> PluginResult<u64> {
+        let state = self.with_input(&input, |input| self.code.prepare(input, &self.calls))?;
+        let map = self.shared.map(input.range).map_err(broken)?;
+        self.made += 1;
+        self.states.insert(self.made, (state, input, map));
+        Ok(self.made)
+    }
+
+    fn deform(
+        &mut self,
+        state: u64,
+        scratch: u64,
+        motion: &protocol::MotionRecord,
+        out: Slice,
+    ) -> PluginResult<()> {
+        let (state, input, map) = self.states.get(&state).ok_or_else(|| broken("there is no such state"))?;
+        let scratch = self.scratches.get_mut(&scratch).ok_or_else(|| broken("there is no such scratch"))?;
+        let samples = input.samples(map).ok_or_else(|| broken("it is too short"))?;
+        let mut buffer = self.shared.map_mut(out.range).map_err(broken)?;
+        let out = bytemuck::cast_slice_mut(&mut buffer[..out.len as usize]);
+        motion
+            .with(samples, input.bounds(), |input| self.code.deform(state, input, scratch, out, &self.calls))
+    }
+
+    fn evaluate(&self, state: u64, motion: &protocol::MotionRecord, points: Slice) -> PluginResult<()> {
+        let (state, input, map) = self.states.get(&state).ok_or_else(|| broken("there is no such state"))?;
+        let samples = input.samples(map).ok_or_else(|| broken("it is too short"))?;
+        let mut buffer = self.shared.map_mut(points.range).map_err(broken)?;
+        let points = bytemuck::cast_slice_mut(&mut buffer[..points.len as usize]);
+        motion.with(samples, input.bounds(), |input| self.code.evaluate(state, input, points, &self.calls))
+    }
+}
+
+/// The program as the plugin sees it from here.
+struct Calls {
+    control: ControlMap,
+    socket: Mutex<UnixStream>,
+    /// Lines passed on in this call.
+    lines: AtomicUsize,
+}
+
+impl Calls {
+    fn send(&self, reply: &Reply) {
+        let mut socket = self.socket.lock().unwrap_or_else(PoisonError::into_inner);
+        if protocol::send(&mut *socket, reply).is_err() {
+            // There is nobody to hear it.
+            end();
+        }
+    }
+
+    fn goes_on(&self) -> bool {
+        self.control.cancel.load(Ordering::Relaxed) == 0
+    }
+}
+
+impl HostCalls for Calls {
+    fn progress(&self, fraction: f64) -> bool {
+        self.control.beat(fraction);
+        self.goes_on()
+    }
+
+    fn log(&self, level: LogLevel, message: &str) {
+        let (_, fraction) = self.control.read();
+        self.control.beat(fraction);
+        if self.lines.fetch_add(1, Ordering::Relaxed) < LINES {
+            self.send(&Reply::Log { level: level.0, text: crate::deformer::line(message) });
+        }
+    }
+
+    fn parallel_for(&self, count: usize, body: &(dyn Fn(usize) + Sync)) -> bool {
+        let work = (0..count).into_par_iter().try_for_each(|i| {
+            if !self.goes_on() {
+                return Err(());
+            }
+            body(i);
+            let (_, fraction) = self.control.read();
+            self.control.beat(fraction);
+            Ok(())
+        });
+        work.is_ok()
+    }
+}
