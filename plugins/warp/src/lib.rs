@@ -6,10 +6,10 @@
 
 mod map;
 
-use map::{Operation, Warp};
+use map::{Deformation, Warp};
 use simod_plugin_api::{
-    Bounds, DeformInput, Deformer, Descriptor, Evaluate, Host, ParamDesc, Params, PluginError, PluginResult,
-    PrepareInput, Unit,
+    Bounds, Choice, DeformInput, Deformer, Descriptor, Evaluate, Host, ParamSet, Params, PluginError,
+    PluginResult, PrepareInput,
 };
 
 /// Samples between two looks at the host's wish to stop.
@@ -18,54 +18,51 @@ const BLOCK: usize = 16_384;
 /// The plugin.
 struct WarpPlugin;
 
+/// Which warp, and where.
+#[derive(ParamSet)]
+struct Settings {
+    /// What happens along the axis
+    #[param(default = Operation::Twist)]
+    operation: Operation,
+    /// A point on the axis; a bend leaves it where it is
+    #[param(point, name = "Centre", default = [0.5; 3], unit = "model-length")]
+    center: [f64; 3],
+    /// Along which the warp runs
+    #[param(direction, default = [0.0, 1.0, 0.0])]
+    axis: [f64; 3],
+    /// Where a bend turns the axis to; its part along the axis does not count
+    #[param(direction, default = [1.0, 0.0, 0.0])]
+    direction: [f64; 3],
+    /// Of a twist or bend, over the whole range
+    #[param(default = 90.0, unit = "degrees", soft = -360.0..=360.0)]
+    angle: f64,
+    /// Of a taper: size at the end of the range, relative to that at its start
+    #[param(default = 0.5, unit = "ratio", hard = f64::MIN_POSITIVE.., soft = 0.1..=4.0)]
+    factor: f64,
+    /// Start of the range along the axis, signed, from the centre
+    #[param(default = -0.5, unit = "diagonal", soft = -1.0..=1.0)]
+    from: f64,
+    /// End of the range along the axis, signed, from the centre
+    #[param(default = 0.5, unit = "diagonal", soft = -1.0..=1.0)]
+    to: f64,
+}
+
+#[derive(Choice, Clone, Copy)]
+enum Operation {
+    Twist,
+    Bend,
+    Taper,
+}
+
 impl Deformer for WarpPlugin {
     type State = ();
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
-        let operations = [("twist", "Twist"), ("bend", "Bend"), ("taper", "Taper")];
         Descriptor::new("warp", "Warp", env!("CARGO_PKG_VERSION"))
             .summary("Twists, bends or tapers the whole model along an axis")
             .citation("A. H. Barr, Global and local deformations of solid primitives, SIGGRAPH 1984")
-            .param(
-                ParamDesc::choice("operation", "Operation", "twist", &operations)
-                    .hint("What happens along the axis"),
-            )
-            .param(
-                ParamDesc::point("center", "Centre", [0.5; 3])
-                    .unit(Unit::MODEL_LENGTH)
-                    .hint("A point on the axis; a bend leaves it where it is"),
-            )
-            .param(ParamDesc::direction("axis", "Axis", [0.0, 1.0, 0.0]).hint("Along which the warp runs"))
-            .param(
-                ParamDesc::direction("direction", "Direction", [1.0, 0.0, 0.0])
-                    .hint("Where a bend turns the axis to; its part along the axis does not count"),
-            )
-            .param(
-                ParamDesc::float("angle", "Angle", 90.0)
-                    .unit(Unit::DEGREES)
-                    .soft(-360.0, 360.0)
-                    .hint("Of a twist or bend, over the whole range"),
-            )
-            .param(
-                ParamDesc::float("factor", "Factor", 0.5)
-                    .unit(Unit::RATIO)
-                    .hard(f64::MIN_POSITIVE, f64::INFINITY)
-                    .soft(0.1, 4.0)
-                    .hint("Of a taper: size at the end of the range, relative to that at its start"),
-            )
-            .param(
-                ParamDesc::float("from", "From", -0.5)
-                    .unit(Unit::DIAGONAL)
-                    .soft(-1.0, 1.0)
-                    .hint("Start of the range along the axis, signed, from the centre"),
-            )
-            .param(
-                ParamDesc::float("to", "To", 0.5)
-                    .unit(Unit::DIAGONAL)
-                    .soft(-1.0, 1.0)
-                    .hint("End of the range along the axis, signed, from the centre"),
-            )
+            .param_set::<Settings>()
     }
 
     fn prepare(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<()> {
@@ -112,22 +109,19 @@ impl Evaluate for WarpPlugin {
 
 /// The warp that the parameters describe.
 fn warp(params: Params<'_>, bounds: &Bounds) -> PluginResult<Warp> {
-    let operation = match params.choice("operation")? {
-        "twist" => Operation::Twist { angle: params.float("angle")?.to_radians() },
-        "bend" => Operation::Bend {
-            angle: params.float("angle")?.to_radians(),
-            direction: params.vec3("direction")?,
-        },
-        "taper" => Operation::Taper { factor: params.float("factor")? },
-        other => return Err(PluginError::parameter("operation", &format!("is unknown: {other}"))),
-    };
-    let (from, to) = (params.float("from")?, params.float("to")?);
+    let Settings { operation, center, axis, direction, angle, factor, from, to } = params.read()?;
     if from >= to {
         let error = PluginError::parameter("from", &format!("is {from}, not less than `to`, {to}"));
         return Err(error.hint("give a range along the axis, such as from = -0.5, to = 0.5"));
     }
-    let range = [from * bounds.diagonal(), to * bounds.diagonal()];
-    Warp::new(operation, params.vec3("center")?, params.vec3("axis")?, range)
+    let angle = angle.to_radians();
+    let deformation = match operation {
+        Operation::Twist => Deformation::Twist { angle },
+        Operation::Bend => Deformation::Bend { angle, direction },
+        Operation::Taper => Deformation::Taper { factor },
+    };
+    let diagonal = bounds.diagonal();
+    Warp::new(deformation, center, axis, [from * diagonal, to * diagonal])
 }
 
 simod_plugin_api::export_plugin!(WarpPlugin, evaluate);

@@ -13,7 +13,7 @@ type Vec3 = [f64; 3];
 
 /// Which warp. Angles in radians, over the whole range.
 #[derive(Debug, Clone, Copy)]
-pub enum Operation {
+pub enum Deformation {
     /// Turns about the axis, ever more.
     Twist {
         /// At the end of the range; right-handed about the axis.
@@ -36,7 +36,7 @@ pub enum Operation {
 /// A warp in place.
 #[derive(Debug, Clone, Copy)]
 pub struct Warp {
-    operation: Operation,
+    deformation: Deformation,
     centre: Vec3,
     axis: Vec3,
     range: [f64; 2],
@@ -45,12 +45,12 @@ pub struct Warp {
 impl Warp {
     /// A warp about the line through `centre` along `axis` (any length but zero), over a range of signed
     /// distances from the centre, `range[0] < range[1]`.
-    pub fn new(operation: Operation, centre: Vec3, axis: Vec3, range: [f64; 2]) -> PluginResult<Self> {
+    pub fn new(deformation: Deformation, centre: Vec3, axis: Vec3, range: [f64; 2]) -> PluginResult<Self> {
         let axis = unit(axis).ok_or_else(|| {
             PluginError::parameter("axis", "is zero").hint("give a direction, such as [0, 1, 0]")
         })?;
-        let operation = match operation {
-            Operation::Bend { angle, direction } => {
+        let deformation = match deformation {
+            Deformation::Bend { angle, direction } => {
                 let direction = unit(direction).ok_or_else(|| {
                     PluginError::parameter("direction", "is zero").hint("give a direction, such as [1, 0, 0]")
                 })?;
@@ -61,21 +61,21 @@ impl Warp {
                     PluginError::parameter("direction", "is parallel to `axis`")
                         .hint("a bend needs a direction across its axis")
                 })?;
-                Operation::Bend { angle, direction }
+                Deformation::Bend { angle, direction }
             }
             other => other,
         };
-        Ok(Self { operation, centre, axis, range })
+        Ok(Self { deformation, centre, axis, range })
     }
 
     /// The image of a point.
     pub fn apply(&self, p: Vec3) -> Vec3 {
-        match self.operation {
-            Operation::Twist { angle } if angle != 0.0 => self.twist(p, angle),
-            Operation::Bend { angle, direction } if angle != 0.0 => self.bend(p, angle, direction),
-            Operation::Taper { factor } if factor != 1.0 => self.taper(p, factor),
+        match self.deformation {
+            Deformation::Twist { angle } if angle != 0.0 => self.twist(p, angle),
+            Deformation::Bend { angle, direction } if angle != 0.0 => self.bend(p, angle, direction),
+            Deformation::Taper { factor } if factor != 1.0 => self.taper(p, factor),
             // Exactly, and not only up to rounding.
-            Operation::Twist { .. } | Operation::Bend { .. } | Operation::Taper { .. } => p,
+            Deformation::Twist { .. } | Deformation::Bend { .. } | Deformation::Taper { .. } => p,
         }
     }
 
@@ -167,8 +167,8 @@ mod tests {
     const AXIS: Vec3 = [1.0, 2.0, -0.5];
     const RANGE: [f64; 2] = [-0.7, 0.9];
 
-    fn warp(operation: Operation) -> Warp {
-        Warp::new(operation, CENTRE, AXIS, RANGE).unwrap()
+    fn warp(deformation: Deformation) -> Warp {
+        Warp::new(deformation, CENTRE, AXIS, RANGE).unwrap()
     }
 
     fn points() -> impl Iterator<Item = Vec3> {
@@ -191,7 +191,7 @@ mod tests {
     #[test]
     fn twist_turns_about_the_axis_by_the_angle() {
         let angle = 2.0;
-        let w = warp(Operation::Twist { angle });
+        let w = warp(Deformation::Twist { angle });
         let axis = unit(AXIS).unwrap();
         for p in points() {
             let q = w.apply(p);
@@ -209,7 +209,7 @@ mod tests {
 
     #[test]
     fn taper_scales_linearly() {
-        let w = warp(Operation::Taper { factor: 0.25 });
+        let w = warp(Deformation::Taper { factor: 0.25 });
         for p in points() {
             let (s, r) = w.along(p);
             let q = w.apply(p);
@@ -222,7 +222,7 @@ mod tests {
     fn bend_keeps_the_length_of_the_axis_and_its_centre() {
         let axis = unit(AXIS).unwrap();
         for angle in [1e-9, 0.5, PI, -2.0 * PI, 9.0] {
-            let w = warp(Operation::Bend { angle, direction: [0.0, 0.0, 1.0] });
+            let w = warp(Deformation::Bend { angle, direction: [0.0, 0.0, 1.0] });
             assert!(distance(w.apply(CENTRE), CENTRE) < 1e-12);
             let n = 20_000;
             let at = |i: i32| w.apply(add(CENTRE, axis, -1.5 + 3.0 * f64::from(i) / f64::from(n)));
@@ -235,7 +235,7 @@ mod tests {
     fn bend_turns_the_ends_by_the_angle_rigidly() {
         let axis = unit(AXIS).unwrap();
         let direction = unit(across(add(CENTRE, [0.0, 0.0, 1.0], 1.0))).unwrap();
-        let w = warp(Operation::Bend { angle: 1.2, direction });
+        let w = warp(Deformation::Bend { angle: 1.2, direction });
         let tangent = |s: f64| {
             let (a, b) = (add(CENTRE, axis, s), add(CENTRE, axis, s + 0.1));
             unit(sub(w.apply(b), w.apply(a))).unwrap()
@@ -255,7 +255,7 @@ mod tests {
     #[test]
     fn a_full_bend_of_the_range_is_a_circle() {
         let w = Warp::new(
-            Operation::Bend { angle: 2.0 * PI, direction: [1.0, 0.0, 0.0] },
+            Deformation::Bend { angle: 2.0 * PI, direction: [1.0, 0.0, 0.0] },
             [0.0; 3],
             [0.0, 1.0, 0.0],
             [-PI, PI],
@@ -272,22 +272,22 @@ mod tests {
 
     #[test]
     fn nothing_is_exactly_nothing() {
-        for operation in [
-            Operation::Twist { angle: 0.0 },
-            Operation::Bend { angle: 0.0, direction: [0.0, 0.0, 1.0] },
-            Operation::Taper { factor: 1.0 },
+        for deformation in [
+            Deformation::Twist { angle: 0.0 },
+            Deformation::Bend { angle: 0.0, direction: [0.0, 0.0, 1.0] },
+            Deformation::Taper { factor: 1.0 },
         ] {
-            assert!(points().all(|p| warp(operation).apply(p) == p));
+            assert!(points().all(|p| warp(deformation).apply(p) == p));
         }
     }
 
     #[test]
     fn senseless_directions_are_refused() {
-        let bend = |direction| Operation::Bend { angle: 1.0, direction };
-        let error = |operation, axis| Warp::new(operation, CENTRE, axis, RANGE).unwrap_err().message;
-        assert!(error(Operation::Twist { angle: 1.0 }, [0.0; 3]).contains("`axis`"));
+        let bend = |direction| Deformation::Bend { angle: 1.0, direction };
+        let error = |deformation, axis| Warp::new(deformation, CENTRE, axis, RANGE).unwrap_err().message;
+        assert!(error(Deformation::Twist { angle: 1.0 }, [0.0; 3]).contains("`axis`"));
         assert!(error(bend([0.0; 3]), AXIS).contains("`direction`"));
         assert!(error(bend([2.0, 4.0, -1.0]), AXIS).contains("parallel"));
-        assert!(Warp::new(Operation::Twist { angle: 1.0 }, CENTRE, [1e-300, 0.0, 0.0], RANGE).is_ok());
+        assert!(Warp::new(Deformation::Twist { angle: 1.0 }, CENTRE, [1e-300, 0.0, 0.0], RANGE).is_ok());
     }
 }
