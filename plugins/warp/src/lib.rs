@@ -1,4 +1,4 @@
-//! Global warps of space: twist, bend and taper along an axis.
+//! Global warps of space: twist, bend, taper, stretch and shear along an axis, between two planes across it.
 //!
 //! A. H. Barr, *Global and local deformations of solid primitives*, SIGGRAPH 1984.
 //!
@@ -24,21 +24,28 @@ struct Settings {
     /// What happens along the axis
     #[param(default = Operation::Twist)]
     operation: Operation,
-    /// A point on the axis; a bend leaves it where it is
+    /// A point on the axis; a bend, stretch or shear leaves it where it is
     #[param(point, name = "Centre", default = [0.5; 3], unit = "model-length")]
     center: [f64; 3],
     /// Along which the warp runs
     #[param(direction, default = [0.0, 1.0, 0.0])]
     axis: [f64; 3],
-    /// Where a bend turns the axis to; its part along the axis does not count
+    /// Where a bend or shear leans the axis to; its part along the axis does not count
     #[param(direction, default = [1.0, 0.0, 0.0])]
     direction: [f64; 3],
     /// Of a twist or bend, over the whole range
     #[param(default = 90.0, unit = "degrees", soft = -360.0..=360.0)]
     angle: f64,
-    /// Of a taper: size at the end of the range, relative to that at its start
+    /// Of a taper: size at the end of the range, relative to that at its start; of a stretch: the range's length,
+    /// relative to that before
     #[param(default = 0.5, unit = "ratio", hard = f64::MIN_POSITIVE.., soft = 0.1..=4.0)]
     factor: f64,
+    /// Of a stretch: makes all thinner as the range gets longer, so that the range keeps its volume
+    #[param(default = false)]
+    keep_volume: bool,
+    /// Of a shear: way across the axis, per length along it
+    #[param(default = 0.5, soft = -2.0..=2.0)]
+    slope: f64,
     /// Start of the range along the axis, signed, from the centre
     #[param(default = -0.5, unit = "diagonal", soft = -1.0..=1.0)]
     from: f64,
@@ -52,6 +59,8 @@ enum Operation {
     Twist,
     Bend,
     Taper,
+    Stretch,
+    Shear,
 }
 
 impl Deformer for WarpPlugin {
@@ -60,7 +69,7 @@ impl Deformer for WarpPlugin {
 
     fn descriptor() -> Descriptor {
         Descriptor::new("warp", "Warp", env!("CARGO_PKG_VERSION"))
-            .summary("Twists, bends or tapers the whole model along an axis")
+            .summary("Twists, bends, tapers, stretches or shears the whole model along an axis")
             .citation("A. H. Barr, Global and local deformations of solid primitives, SIGGRAPH 1984")
             .param_set::<Settings>()
     }
@@ -109,7 +118,8 @@ impl Evaluate for WarpPlugin {
 
 /// The warp that the parameters describe.
 fn warp(params: Params<'_>, bounds: &Bounds) -> PluginResult<Warp> {
-    let Settings { operation, center, axis, direction, angle, factor, from, to } = params.read()?;
+    let Settings { operation, center, axis, direction, angle, factor, keep_volume, slope, from, to } =
+        params.read()?;
     if from >= to {
         let error = PluginError::parameter("from", &format!("is {from}, not less than `to`, {to}"));
         return Err(error.hint("give a range along the axis, such as from = -0.5, to = 0.5"));
@@ -119,6 +129,8 @@ fn warp(params: Params<'_>, bounds: &Bounds) -> PluginResult<Warp> {
         Operation::Twist => Deformation::Twist { angle },
         Operation::Bend => Deformation::Bend { angle, direction },
         Operation::Taper => Deformation::Taper { factor },
+        Operation::Stretch => Deformation::Stretch { factor, keep_volume },
+        Operation::Shear => Deformation::Shear { slope, direction },
     };
     let diagonal = bounds.diagonal();
     Warp::new(deformation, center, axis, [from * diagonal, to * diagonal])
@@ -133,9 +145,11 @@ mod tests {
 
     const BOUNDS: Bounds = Bounds { min: [-1.0, -2.0, -1.0], max: [1.0, 2.0, 1.0] };
 
-    fn run(operation: &str, angle: f64, factor: f64, range: [f64; 2]) -> PluginResult<(f64, bool)> {
+    /// How far samples and space differ, and whether all stays where it is; `amount` 0 should do that.
+    fn run(operation: &str, amount: f64, range: [f64; 2]) -> PluginResult<(f64, bool)> {
         let (centre, axis, direction) = ([0.1, 0.2, 0.0], [0.0, 3.0, 0.0], [1.0, 1.0, 0.0]);
-        let (angle, factor, from, to) = ([angle], [factor], [range[0]], [range[1]]);
+        let (angle, factor, slope) = ([75.0 * amount], [1.0 - 0.7 * amount], [amount]);
+        let (from, to) = ([range[0]], [range[1]]);
         let params = [
             Param::text("operation", ParamKind::CHOICE, operation),
             Param::numbers("center", ParamKind::POINT, &centre),
@@ -143,6 +157,8 @@ mod tests {
             Param::numbers("direction", ParamKind::DIRECTION, &direction),
             Param::numbers("angle", ParamKind::FLOAT, &angle),
             Param::numbers("factor", ParamKind::FLOAT, &factor),
+            Param::numbers("keep-volume", ParamKind::BOOL, &[1.0]),
+            Param::numbers("slope", ParamKind::FLOAT, &slope),
             Param::numbers("from", ParamKind::FLOAT, &from),
             Param::numbers("to", ParamKind::FLOAT, &to),
         ];
@@ -166,18 +182,18 @@ mod tests {
 
     #[test]
     fn samples_move_as_space_does() {
-        for operation in ["twist", "bend", "taper"] {
-            let (worst, same) = run(operation, 75.0, 0.3, [-0.4, 0.3]).unwrap();
+        for operation in Operation::ALL.iter().map(Choice::id) {
+            let (worst, same) = run(operation, 1.0, [-0.4, 0.3]).unwrap();
             assert!(worst < 1e-6, "{operation}: {worst}");
             assert!(!same);
-            let (_, same) = run(operation, 0.0, 1.0, [-0.4, 0.3]).unwrap();
+            let (_, same) = run(operation, 0.0, [-0.4, 0.3]).unwrap();
             assert!(same, "{operation} of nothing moves something");
         }
     }
 
     #[test]
     fn an_empty_range_is_refused() {
-        let error = run("twist", 10.0, 1.0, [0.5, 0.5]).unwrap_err();
+        let error = run("twist", 1.0, [0.5, 0.5]).unwrap_err();
         assert!(error.message.contains("`from`"), "{error}");
     }
 }
