@@ -8,12 +8,24 @@
 //! A whole plugin:
 //!
 //! ```
-//! use simod_plugin_api::{
-//!     Deformer, DeformInput, Descriptor, Evaluate, Host, ParamDesc, PluginResult, PrepareInput, Unit,
-//! };
+//! use simod_plugin_api::*;
 //!
-//! /// Moves everything along x.
-//! struct Shift;
+//! /// Moves everything along a direction.
+//! #[derive(ParamSet)]
+//! struct Shift {
+//!     /// How far it moves, and where to
+//!     #[param(direction, default = [0.1, 0.0, 0.0])]
+//!     direction: [f64; 3],
+//!     /// So many times as far
+//!     #[param(default = 1.0, soft = 0.0..=10.0)]
+//!     times: f64,
+//! }
+//!
+//! impl Shift {
+//!     fn image(&self, p: [f64; 3]) -> [f64; 3] {
+//!         [0, 1, 2].map(|i| p[i] + self.times * self.direction[i])
+//!     }
+//! }
 //!
 //! impl Deformer for Shift {
 //!     type State = ();
@@ -21,8 +33,8 @@
 //!
 //!     fn descriptor() -> Descriptor {
 //!         Descriptor::new("shift", "Shift", env!("CARGO_PKG_VERSION"))
-//!             .summary("Moves everything along x")
-//!             .param(ParamDesc::float("by", "By", 1.0).unit(Unit::MODEL_LENGTH).hint("How far it moves"))
+//!             .summary("Moves everything along a direction")
+//!             .param_set::<Self>()
 //!     }
 //!
 //!     fn prepare(_: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<()> {
@@ -32,9 +44,9 @@
 //!     fn deform(
 //!         _: &(), input: &DeformInput<'_>, _: &mut (), out: &mut [[f32; 3]], _: &Host<'_>,
 //!     ) -> PluginResult<()> {
-//!         let by = input.params().float("by")? as f32;
+//!         let shift: Self = input.params().read()?;
 //!         for (o, p) in out.iter_mut().zip(input.samples.positions()) {
-//!             *o = [p[0] + by, p[1], p[2]];
+//!             *o = shift.image(p.map(f64::from)).map(|x| x as f32);
 //!         }
 //!         Ok(())
 //!     }
@@ -44,8 +56,8 @@
 //!     fn evaluate(
 //!         _: &(), input: &DeformInput<'_>, points: &mut [[f64; 3]], _: &Host<'_>,
 //!     ) -> PluginResult<()> {
-//!         let by = input.params().float("by")?;
-//!         points.iter_mut().for_each(|p| p[0] += by);
+//!         let shift: Self = input.params().read()?;
+//!         points.iter_mut().for_each(|p| *p = shift.image(*p));
 //!         Ok(())
 //!     }
 //! }
@@ -94,6 +106,7 @@ mod handles;
 mod host;
 mod input;
 mod opaque;
+mod param_set;
 mod params;
 mod parts;
 mod root;
@@ -106,8 +119,10 @@ pub use handles::{Gizmo, HandleDesc};
 pub use host::{HostCalls, LogLevel};
 pub use input::{Affine, Bounds, DeformInput, PrepareInput, Region, Role, Samples};
 pub use opaque::{Extension, ExtensionInterface, Host, Scratch, State};
+pub use param_set::{Choice, ParamSet, ParamType, Ranged};
 pub use params::{ChoiceDesc, Param, ParamDesc, ParamKind, Params, Unit};
 pub use parts::{Graph, HandleMotions, InputPart, Joint, Joints, Part, Stroke, Strokes, Triangles};
+pub use plugin_api_derive::{Choice, ParamSet};
 pub use root::{EvaluateExtension, HandlesExtension, IsIdentityExtension, PluginMod, PluginModRef};
 
 /// What the macros and the host need of the crates below; not for plugins.

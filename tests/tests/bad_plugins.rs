@@ -66,14 +66,18 @@ fn a_plugin_of_another_abi_version() {
     let root = std::fs::read_to_string(workspace().join("Cargo.toml")).expect("a manifest");
     let mut root: toml::Table = root.parse().expect("TOML");
     let table = root["workspace"].as_table_mut().expect("a table");
-    table.insert("members".into(), vec!["plugin-api", "plugin"].into());
+    table.insert("members".into(), vec!["plugin-api", "plugin-api/derive", "plugin"].into());
     work.write("next/Cargo.toml", root.to_string());
     work.write("next/Cargo.lock", std::fs::read(workspace().join("Cargo.lock")).expect("a lock file"));
-    for file in std::fs::read_dir(workspace().join("plugin-api/src")).expect("sources") {
-        let path = file.expect("a source").path();
-        let name = path.file_name().and_then(|n| n.to_str()).expect("a name");
-        work.write(&format!("next/plugin-api/src/{name}"), std::fs::read(&path).expect("a source"));
+    for folder in ["plugin-api/src", "plugin-api/derive/src"] {
+        for file in std::fs::read_dir(workspace().join(folder)).expect("sources") {
+            let path = file.expect("a source").path();
+            let name = path.file_name().and_then(|n| n.to_str()).expect("a name");
+            work.write(&format!("next/{folder}/{name}"), std::fs::read(&path).expect("a source"));
+        }
     }
+    let derive = std::fs::read(workspace().join("plugin-api/derive/Cargo.toml")).expect("a manifest");
+    work.write("next/plugin-api/derive/Cargo.toml", derive);
     let api = std::fs::read_to_string(workspace().join("plugin-api/Cargo.toml")).expect("a manifest");
     let api = api.replace("version = \"1.0.0\"", "version = \"2.0.0\"");
     work.write("next/plugin-api/Cargo.toml", api);

@@ -2,28 +2,36 @@
 
 use simod_plugin_api::*;
 
-/// Moves a point at distance `r` from the axis by `amplitude · cos(2π r / wavelength)` along it.
+/// Moves a point at distance `r` from the axis by `amplitude · cos(2π r / wavelength)` along it. Lengths are fractions of
+/// the model's diagonal, so that the defaults suit a model of any size.
+#[derive(ParamSet)]
 struct Ripple {
-    center: [f64; 3],
-    axis: [f64; 3],
+    /// Height of the rings
+    #[param(default = 0.02, unit = "diagonal")]
     amplitude: f64,
+    /// From ring to ring
+    #[param(default = 0.1, unit = "diagonal", hard = 1e-6..=1e6)]
     wavelength: f64,
+    /// Where the drop fell
+    #[param(point, name = "Centre", default = [0.5; 3])]
+    center: [f64; 3],
+    /// Where up is
+    #[param(direction, default = [0.0, 1.0, 0.0])]
+    axis: [f64; 3],
 }
 
 impl Ripple {
-    /// Lengths come as fractions of the model's diagonal, so that the defaults suit a model of any size.
+    /// As the user wants it, with an axis of unit length, and lengths in local coordinates.
     fn new(params: Params<'_>, bounds: &Bounds) -> PluginResult<Self> {
-        let axis = params.vec3("axis")?;
-        let length = axis.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let mut this: Self = params.read()?;
+        let length = this.axis.iter().map(|x| x * x).sum::<f64>().sqrt();
         if length == 0.0 {
             return Err(PluginError::parameter("axis", "is zero").hint("give a direction, such as [0, 1, 0]"));
         }
-        Ok(Self {
-            center: params.vec3("center")?,
-            axis: axis.map(|x| x / length),
-            amplitude: params.float("amplitude")? * bounds.diagonal(),
-            wavelength: params.float("wavelength")? * bounds.diagonal(),
-        })
+        this.axis = this.axis.map(|x| x / length);
+        this.amplitude *= bounds.diagonal();
+        this.wavelength *= bounds.diagonal();
+        Ok(this)
     }
 
     fn apply(&self, p: [f64; 3]) -> [f64; 3] {
@@ -40,13 +48,9 @@ impl Deformer for Ripple {
     type Scratch = (); // nor keeping.
 
     fn descriptor() -> Descriptor {
-        let length = |id, name, default| ParamDesc::float(id, name, default).unit(Unit::DIAGONAL);
         Descriptor::new("ripple", "Ripple", env!("CARGO_PKG_VERSION"))
             .summary("Rings about an axis, as on a pond")
-            .param(length("amplitude", "Amplitude", 0.02).hint("Height of the rings"))
-            .param(length("wavelength", "Wavelength", 0.1).hard(1e-6, 1e6).hint("From ring to ring"))
-            .param(ParamDesc::point("center", "Centre", [0.5; 3]).hint("Where the drop fell"))
-            .param(ParamDesc::direction("axis", "Axis", [0.0, 1.0, 0.0]).hint("Where up is"))
+            .param_set::<Self>()
     }
 
     fn prepare(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<()> {

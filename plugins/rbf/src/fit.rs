@@ -9,7 +9,7 @@ use crate::constraints::Constraints;
 use crate::kernel::{AFFINE, BLOCK, Block, Functions, Kernel, Point};
 use faer::Mat;
 use faer::linalg::solvers::SolveLstsq;
-use simod_plugin_api::{Host, PluginError, PluginResult};
+use simod_plugin_api::{Host, ParamSet, PluginError, PluginResult};
 
 /// Centres of the first round.
 const FIRST_CENTERS: usize = 32;
@@ -24,15 +24,19 @@ const RIDGE: f64 = 1e-9;
 /// Two centres nearer than this in the unit box are one: single-precision positions do not tell them apart.
 const COINCIDENT: f64 = 1e-7;
 
-/// What to reach, and at what expense.
-#[derive(Debug, Clone, Copy)]
+/// What to reach, and at what expense: the plugin's parameters.
+#[derive(ParamSet, Debug, Clone, Copy)]
 pub struct Goal {
-    /// The radial function.
+    /// How smooth the deformation is, and how far it reaches
+    #[param(default = Kernel::Triharmonic, invalidates_preparation)]
     pub kernel: Kernel,
-    /// Largest residual, relative to a unit motion.
+    /// How far regions may stray, relative to the handles' motion
+    #[param(default = 1e-3, hard = 1e-9..=1.0, soft = 1e-5..=1e-2, group = "Accuracy", invalidates_preparation)]
     pub tolerance: f64,
-    /// Most centres.
-    pub max_centers: usize,
+    /// Limits the time of the preparation
+    #[param(name = "Most centres", default = 1000, hard = 8..=5000, soft = 100..=2000)]
+    #[param(group = "Accuracy", invalidates_preparation)]
+    pub max_centers: i64,
 }
 
 /// A solution for all right-hand sides.
@@ -50,7 +54,7 @@ pub struct Fit {
 /// Progress runs from 0 to `until`.
 pub fn fit(constraints: &Constraints, goal: Goal, host: &Host<'_>, until: f64) -> PluginResult<Fit> {
     let count = constraints.points.len();
-    let most = goal.max_centers.clamp(1, count);
+    let most = usize::try_from(goal.max_centers).unwrap_or(0).clamp(1, count);
     let mut centers = Vec::new();
     let mut is_center = vec![false; count];
     let mut spread = 0.2;

@@ -2,6 +2,7 @@
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatMut, MatRef, Par};
+use simod_plugin_api::Choice;
 
 /// A point or vector, in whichever space.
 pub type Point = [f64; 3];
@@ -13,11 +14,13 @@ pub const BLOCK: usize = 128;
 pub const AFFINE: usize = 4;
 
 /// The radial function φ.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Choice, Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kernel {
     /// `r³`: least third-order energy in space, C² at the centres.
+    #[choice(label = "Triharmonic (smooth)")]
     Triharmonic,
     /// `r`: least second-order energy, C⁰ at the centres, more local.
+    #[choice(label = "Biharmonic (local)")]
     Biharmonic,
 }
 

@@ -13,10 +13,10 @@ mod kernel;
 use constraints::{Constraints, HandleFrame, PER_HANDLE};
 use faer::Mat;
 use fit::{Fit, Goal};
-use kernel::{BLOCK, Block, Frame, Kernel, Point};
+use kernel::{BLOCK, Block, Frame, Point};
 use simod_plugin_api::{
-    Affine, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, ParamDesc, PluginError,
-    PluginResult, PrepareInput,
+    Affine, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, PluginError, PluginResult,
+    PrepareInput,
 };
 
 /// Constraints that may take part in the least squares; all others are checked only.
@@ -46,33 +46,12 @@ impl Deformer for Rbf {
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
-        let kernels = [("triharmonic", "Triharmonic (smooth)"), ("biharmonic", "Biharmonic (local)")];
         Descriptor::new("rbf", "Radial basis functions", env!("CARGO_PKG_VERSION"))
             .summary("Moves handle regions, holds fixed ones, and bends space smoothly in between")
             .citation(
                 "M. Botsch, L. Kobbelt, Real-Time Shape Editing using Radial Basis Functions, Eurographics 2005",
             )
-            .param(
-                ParamDesc::choice("kernel", "Kernel", "triharmonic", &kernels)
-                    .hint("How smooth the deformation is, and how far it reaches")
-                    .invalidates_preparation(),
-            )
-            .param(
-                ParamDesc::float("tolerance", "Tolerance", 1e-3)
-                    .hard(1e-9, 1.0)
-                    .soft(1e-5, 1e-2)
-                    .hint("How far regions may stray, relative to the handles' motion")
-                    .group("Accuracy")
-                    .invalidates_preparation(),
-            )
-            .param(
-                ParamDesc::int("max-centers", "Most centres", 1000)
-                    .hard(8.0, 5000.0)
-                    .soft(100.0, 2000.0)
-                    .hint("Limits the time of the preparation")
-                    .group("Accuracy")
-                    .invalidates_preparation(),
-            )
+            .param_set::<Goal>()
             .consumes(Consumes {
                 fixed_regions: true,
                 handle_regions: true,
@@ -82,16 +61,7 @@ impl Deformer for Rbf {
     }
 
     fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
-        let params = input.params();
-        let kernel = match params.choice("kernel")? {
-            "triharmonic" => Kernel::Triharmonic,
-            "biharmonic" => Kernel::Biharmonic,
-            other => return Err(PluginError::parameter("kernel", &format!("is unknown: {other}"))),
-        };
-        let max_centers = usize::try_from(params.int("max-centers")?)
-            .map_err(|_| PluginError::parameter("max-centers", "is negative"))?;
-        let goal = Goal { kernel, tolerance: params.float("tolerance")?, max_centers };
-
+        let goal: Goal = input.params().read()?;
         let constraints = Constraints::gather(input, MOST_ROWS)?;
         let fit = fit::fit(&constraints, goal, host, FIT_SHARE)?;
         if fit.residual > goal.tolerance {

@@ -1,4 +1,4 @@
-//! Global warps of space: twist, bend and taper along an axis.
+//! Global warps of space: twist, bend, taper, stretch and shear along an axis, between two planes across it.
 //!
 //! A. H. Barr, *Global and local deformations of solid primitives*, SIGGRAPH 1984.
 //!
@@ -6,10 +6,10 @@
 
 mod map;
 
-use map::{Operation, Warp};
+use map::{Deformation, Warp};
 use simod_plugin_api::{
-    Bounds, DeformInput, Deformer, Descriptor, Evaluate, Host, ParamDesc, Params, PluginError, PluginResult,
-    PrepareInput, Unit,
+    Bounds, Choice, DeformInput, Deformer, Descriptor, Evaluate, Host, ParamSet, Params, PluginError,
+    PluginResult, PrepareInput,
 };
 
 /// Samples between two looks at the host's wish to stop.
@@ -18,54 +18,60 @@ const BLOCK: usize = 16_384;
 /// The plugin.
 struct WarpPlugin;
 
+/// Which warp, and where.
+#[derive(ParamSet)]
+struct Settings {
+    /// What happens along the axis
+    #[param(default = Operation::Twist)]
+    operation: Operation,
+    /// A point on the axis; a bend, stretch or shear leaves it where it is
+    #[param(point, name = "Centre", default = [0.5; 3], unit = "model-length")]
+    center: [f64; 3],
+    /// Along which the warp runs
+    #[param(direction, default = [0.0, 1.0, 0.0])]
+    axis: [f64; 3],
+    /// Where a bend or shear leans the axis to; its part along the axis does not count
+    #[param(direction, default = [1.0, 0.0, 0.0])]
+    direction: [f64; 3],
+    /// Of a twist or bend, over the whole range
+    #[param(default = 90.0, unit = "degrees", soft = -360.0..=360.0)]
+    angle: f64,
+    /// Of a taper: size at the end of the range, relative to that at its start; of a stretch: the range's length,
+    /// relative to that before
+    #[param(default = 0.5, unit = "ratio", hard = f64::MIN_POSITIVE.., soft = 0.1..=4.0)]
+    factor: f64,
+    /// Of a stretch: makes all thinner as the range gets longer, so that the range keeps its volume
+    #[param(default = false)]
+    keep_volume: bool,
+    /// Of a shear: way across the axis, per length along it
+    #[param(default = 0.5, soft = -2.0..=2.0)]
+    slope: f64,
+    /// Start of the range along the axis, signed, from the centre
+    #[param(default = -0.5, unit = "diagonal", soft = -1.0..=1.0)]
+    from: f64,
+    /// End of the range along the axis, signed, from the centre
+    #[param(default = 0.5, unit = "diagonal", soft = -1.0..=1.0)]
+    to: f64,
+}
+
+#[derive(Choice, Clone, Copy)]
+enum Operation {
+    Twist,
+    Bend,
+    Taper,
+    Stretch,
+    Shear,
+}
+
 impl Deformer for WarpPlugin {
     type State = ();
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
-        let operations = [("twist", "Twist"), ("bend", "Bend"), ("taper", "Taper")];
         Descriptor::new("warp", "Warp", env!("CARGO_PKG_VERSION"))
-            .summary("Twists, bends or tapers the whole model along an axis")
+            .summary("Twists, bends, tapers, stretches or shears the whole model along an axis")
             .citation("A. H. Barr, Global and local deformations of solid primitives, SIGGRAPH 1984")
-            .param(
-                ParamDesc::choice("operation", "Operation", "twist", &operations)
-                    .hint("What happens along the axis"),
-            )
-            .param(
-                ParamDesc::point("center", "Centre", [0.5; 3])
-                    .unit(Unit::MODEL_LENGTH)
-                    .hint("A point on the axis; a bend leaves it where it is"),
-            )
-            .param(ParamDesc::direction("axis", "Axis", [0.0, 1.0, 0.0]).hint("Along which the warp runs"))
-            .param(
-                ParamDesc::direction("direction", "Direction", [1.0, 0.0, 0.0])
-                    .hint("Where a bend turns the axis to; its part along the axis does not count"),
-            )
-            .param(
-                ParamDesc::float("angle", "Angle", 90.0)
-                    .unit(Unit::DEGREES)
-                    .soft(-360.0, 360.0)
-                    .hint("Of a twist or bend, over the whole range"),
-            )
-            .param(
-                ParamDesc::float("factor", "Factor", 0.5)
-                    .unit(Unit::RATIO)
-                    .hard(f64::MIN_POSITIVE, f64::INFINITY)
-                    .soft(0.1, 4.0)
-                    .hint("Of a taper: size at the end of the range, relative to that at its start"),
-            )
-            .param(
-                ParamDesc::float("from", "From", -0.5)
-                    .unit(Unit::DIAGONAL)
-                    .soft(-1.0, 1.0)
-                    .hint("Start of the range along the axis, signed, from the centre"),
-            )
-            .param(
-                ParamDesc::float("to", "To", 0.5)
-                    .unit(Unit::DIAGONAL)
-                    .soft(-1.0, 1.0)
-                    .hint("End of the range along the axis, signed, from the centre"),
-            )
+            .param_set::<Settings>()
     }
 
     fn prepare(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<()> {
@@ -112,22 +118,22 @@ impl Evaluate for WarpPlugin {
 
 /// The warp that the parameters describe.
 fn warp(params: Params<'_>, bounds: &Bounds) -> PluginResult<Warp> {
-    let operation = match params.choice("operation")? {
-        "twist" => Operation::Twist { angle: params.float("angle")?.to_radians() },
-        "bend" => Operation::Bend {
-            angle: params.float("angle")?.to_radians(),
-            direction: params.vec3("direction")?,
-        },
-        "taper" => Operation::Taper { factor: params.float("factor")? },
-        other => return Err(PluginError::parameter("operation", &format!("is unknown: {other}"))),
-    };
-    let (from, to) = (params.float("from")?, params.float("to")?);
+    let Settings { operation, center, axis, direction, angle, factor, keep_volume, slope, from, to } =
+        params.read()?;
     if from >= to {
         let error = PluginError::parameter("from", &format!("is {from}, not less than `to`, {to}"));
         return Err(error.hint("give a range along the axis, such as from = -0.5, to = 0.5"));
     }
-    let range = [from * bounds.diagonal(), to * bounds.diagonal()];
-    Warp::new(operation, params.vec3("center")?, params.vec3("axis")?, range)
+    let angle = angle.to_radians();
+    let deformation = match operation {
+        Operation::Twist => Deformation::Twist { angle },
+        Operation::Bend => Deformation::Bend { angle, direction },
+        Operation::Taper => Deformation::Taper { factor },
+        Operation::Stretch => Deformation::Stretch { factor, keep_volume },
+        Operation::Shear => Deformation::Shear { slope, direction },
+    };
+    let diagonal = bounds.diagonal();
+    Warp::new(deformation, center, axis, [from * diagonal, to * diagonal])
 }
 
 simod_plugin_api::export_plugin!(WarpPlugin, evaluate);
@@ -139,9 +145,11 @@ mod tests {
 
     const BOUNDS: Bounds = Bounds { min: [-1.0, -2.0, -1.0], max: [1.0, 2.0, 1.0] };
 
-    fn run(operation: &str, angle: f64, factor: f64, range: [f64; 2]) -> PluginResult<(f64, bool)> {
+    /// How far samples and space differ, and whether all stays where it is; `amount` 0 should do that.
+    fn run(operation: &str, amount: f64, range: [f64; 2]) -> PluginResult<(f64, bool)> {
         let (centre, axis, direction) = ([0.1, 0.2, 0.0], [0.0, 3.0, 0.0], [1.0, 1.0, 0.0]);
-        let (angle, factor, from, to) = ([angle], [factor], [range[0]], [range[1]]);
+        let (angle, factor, slope) = ([75.0 * amount], [1.0 - 0.7 * amount], [amount]);
+        let (from, to) = ([range[0]], [range[1]]);
         let params = [
             Param::text("operation", ParamKind::CHOICE, operation),
             Param::numbers("center", ParamKind::POINT, &centre),
@@ -149,6 +157,8 @@ mod tests {
             Param::numbers("direction", ParamKind::DIRECTION, &direction),
             Param::numbers("angle", ParamKind::FLOAT, &angle),
             Param::numbers("factor", ParamKind::FLOAT, &factor),
+            Param::numbers("keep-volume", ParamKind::BOOL, &[1.0]),
+            Param::numbers("slope", ParamKind::FLOAT, &slope),
             Param::numbers("from", ParamKind::FLOAT, &from),
             Param::numbers("to", ParamKind::FLOAT, &to),
         ];
@@ -172,18 +182,18 @@ mod tests {
 
     #[test]
     fn samples_move_as_space_does() {
-        for operation in ["twist", "bend", "taper"] {
-            let (worst, same) = run(operation, 75.0, 0.3, [-0.4, 0.3]).unwrap();
+        for operation in Operation::ALL.iter().map(Choice::id) {
+            let (worst, same) = run(operation, 1.0, [-0.4, 0.3]).unwrap();
             assert!(worst < 1e-6, "{operation}: {worst}");
             assert!(!same);
-            let (_, same) = run(operation, 0.0, 1.0, [-0.4, 0.3]).unwrap();
+            let (_, same) = run(operation, 0.0, [-0.4, 0.3]).unwrap();
             assert!(same, "{operation} of nothing moves something");
         }
     }
 
     #[test]
     fn an_empty_range_is_refused() {
-        let error = run("twist", 10.0, 1.0, [0.5, 0.5]).unwrap_err();
+        let error = run("twist", 1.0, [0.5, 0.5]).unwrap_err();
         assert!(error.message.contains("`from`"), "{error}");
     }
 }

@@ -26,7 +26,7 @@ pub struct New {
 
 /// The project's files; words between underscores are filled in. The manifests have other names here, so that cargo
 /// takes the folder for no package.
-const PROJECT: [(&str, &str); 9] = [
+const PROJECT: [(&str, &str); 10] = [
     ("Cargo.toml", include_str!("plugin_new/manifest.toml")),
     ("README.md", include_str!("plugin_new/README.md")),
     ("session.toml", include_str!("plugin_new/session.toml")),
@@ -35,24 +35,40 @@ const PROJECT: [(&str, &str); 9] = [
     ("src/lib.rs", include_str!("plugin_new/lib.rs")),
     ("src/tests.rs", include_str!("plugin_new/tests.rs")),
     ("simod-plugin-api/Cargo.toml", INTERFACE_MANIFEST),
+    ("simod-plugin-api/derive/Cargo.toml", DERIVE_MANIFEST),
     ("simod-plugin-api/.gitignore", "/target\n/Cargo.lock\n"),
 ];
 
 /// The interface's manifest without a workspace.
 const INTERFACE_MANIFEST: &str = include_str!("plugin_new/interface.toml");
 
+/// The same of its derives.
+const DERIVE_MANIFEST: &str = include_str!("plugin_new/derive.toml");
+
 /// The interface's sources.
-const INTERFACE: [(&str, &str); 10] = [
+const INTERFACE: [(&str, &str); 13] = [
+    ("curve.rs", include_str!("../../../../plugin-api/src/curve.rs")),
     ("deformer.rs", include_str!("../../../../plugin-api/src/deformer.rs")),
     ("descriptor.rs", include_str!("../../../../plugin-api/src/descriptor.rs")),
     ("error.rs", include_str!("../../../../plugin-api/src/error.rs")),
+    ("handles.rs", include_str!("../../../../plugin-api/src/handles.rs")),
     ("host.rs", include_str!("../../../../plugin-api/src/host.rs")),
     ("input.rs", include_str!("../../../../plugin-api/src/input.rs")),
     ("lib.rs", include_str!("../../../../plugin-api/src/lib.rs")),
     ("opaque.rs", include_str!("../../../../plugin-api/src/opaque.rs")),
+    ("param_set.rs", include_str!("../../../../plugin-api/src/param_set.rs")),
     ("params.rs", include_str!("../../../../plugin-api/src/params.rs")),
     ("parts.rs", include_str!("../../../../plugin-api/src/parts.rs")),
     ("root.rs", include_str!("../../../../plugin-api/src/root.rs")),
+];
+
+/// The sources of its derives.
+const DERIVE: [(&str, &str); 5] = [
+    ("choice.rs", include_str!("../../../../plugin-api/derive/src/choice.rs")),
+    ("lib.rs", include_str!("../../../../plugin-api/derive/src/lib.rs")),
+    ("names.rs", include_str!("../../../../plugin-api/derive/src/names.rs")),
+    ("param_set.rs", include_str!("../../../../plugin-api/derive/src/param_set.rs")),
+    ("words.rs", include_str!("../../../../plugin-api/derive/src/words.rs")),
 ];
 
 /// Names that Rust, its standard library, the interface or Windows keep for themselves.
@@ -155,10 +171,16 @@ fn is_known(type_name: &str) -> bool {
     PROJECT.iter().chain(&INTERFACE).any(|(_, text)| has_it(text))
 }
 
+/// The interface's and its derives' sources, by their paths in a project.
+fn interface() -> impl Iterator<Item = (String, &'static str)> {
+    let own = INTERFACE.iter().map(|(file, text)| (format!("simod-plugin-api/src/{file}"), *text));
+    own.chain(DERIVE.iter().map(|(file, text)| (format!("simod-plugin-api/derive/src/{file}"), *text)))
+}
+
 /// All files of a project.
 fn paths() -> Vec<String> {
     let own = PROJECT.iter().map(|(path, _)| (*path).to_owned());
-    own.chain(INTERFACE.iter().map(|(file, _)| format!("simod-plugin-api/src/{file}"))).collect()
+    own.chain(interface().map(|(path, _)| path)).collect()
 }
 
 /// Makes the project's folder, whole or not at all. There may be an empty one.
@@ -179,7 +201,7 @@ fn write_project(folder: &Path, names: &Names) -> Result<()> {
         builder.permissions(fs::Permissions::from_mode(0o777));
     }
     let new = builder.tempdir_in(folder_of(folder)).map_err(|e| failed(&e))?;
-    for sub in ["src", "simod-plugin-api/src"] {
+    for sub in ["src", "simod-plugin-api/src", "simod-plugin-api/derive/src"] {
         fs::create_dir_all(new.path().join(sub)).map_err(|e| failed(&e))?;
     }
     // What fails is told of the folder that was asked for, not of its temporary name.
@@ -192,8 +214,8 @@ fn write_project(folder: &Path, names: &Names) -> Result<()> {
     for (path, text) in PROJECT {
         write(path.to_owned(), &names.fill_in(text))?;
     }
-    for (file, text) in INTERFACE {
-        write(format!("simod-plugin-api/src/{file}"), text)?;
+    for (path, text) in interface() {
+        write(path, text)?;
     }
     if is_there {
         // Refused where something came into it meanwhile.
@@ -216,17 +238,21 @@ mod tests {
 
     #[test]
     fn the_whole_interface_travels_along() {
-        let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../plugin-api/src");
-        let entries = fs::read_dir(sources).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
-        let mut files: Vec<String> = entries.collect();
-        files.sort();
-        assert_eq!(files, INTERFACE.map(|(file, _)| file));
+        let files = |folder: &str| {
+            let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(folder);
+            let entries = fs::read_dir(sources).unwrap();
+            let mut files: Vec<String> =
+                entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+            files.sort();
+            files
+        };
+        assert_eq!(files("plugin-api/src"), INTERFACE.map(|(file, _)| file));
+        assert_eq!(files("plugin-api/derive/src"), DERIVE.map(|(file, _)| file));
     }
 
     #[test]
-    fn the_interface_keeps_its_manifest_and_the_versions_of_the_workspace() {
-        let (manifest, workspace) = (read("plugin-api/Cargo.toml"), read("Cargo.toml"));
-        let (kept, _) = manifest.split_once("\n[lints]").unwrap();
+    fn the_interface_keeps_its_manifests_and_the_versions_of_the_workspace() {
+        let workspace = read("Cargo.toml");
         let spelt_out = |line: &str| match line.strip_suffix(".workspace = true") {
             Some(key) => {
                 let begins = |l: &&str| l.split_once(" = ").is_some_and(|(k, _)| k == key);
@@ -234,8 +260,14 @@ mod tests {
             }
             None => line.to_owned(),
         };
-        let expected: Vec<String> = kept.trim_end().lines().map(spelt_out).collect();
-        assert_eq!(INTERFACE_MANIFEST.lines().collect::<Vec<_>>(), expected);
+        for (path, ours) in
+            [("plugin-api/Cargo.toml", INTERFACE_MANIFEST), ("plugin-api/derive/Cargo.toml", DERIVE_MANIFEST)]
+        {
+            let manifest = read(path);
+            let (kept, _) = manifest.split_once("\n[lints]").unwrap();
+            let expected: Vec<String> = kept.trim_end().lines().map(spelt_out).collect();
+            assert_eq!(ours.lines().collect::<Vec<_>>(), expected, "{path}");
+        }
     }
 
     #[test]
@@ -264,6 +296,16 @@ mod tests {
                 "{path}"
             );
         }
+    }
+
+    /// `docs/plugins.md` has all of the plugin but for its head.
+    #[test]
+    fn the_documentation_shows_the_plugin_as_it_is() {
+        let (_, library) = PROJECT.iter().find(|(path, _)| *path == "src/lib.rs").unwrap();
+        assert!(library.lines().count() < 80, "no short plugin");
+        let library = Names::of("soft-bulge").unwrap().fill_in(library);
+        let plugin = &library[library.find("use simod_plugin_api").unwrap()..];
+        assert!(read("docs/plugins.md").contains(&format!("```rust\n{plugin}```\n")), "write it anew");
     }
 
     #[test]
