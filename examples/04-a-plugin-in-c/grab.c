@@ -1,5 +1,5 @@
-// A soft grab: what lies in the ball around a handle's samples goes with the handle, and the surroundings follow, less
-// and less, as far as it reaches.
+// A soft grab: what lies in the ball around a handle's samples goes with the handle, and the surroundings
+// follow, less and less, as far as it reaches.
 #include "simod_plugin.h"
 
 #include <math.h>

@@ -1,8 +1,8 @@
 // Plugins for SIMOD in C, C++, and in whatever else can lay out C's structs.
 //
-// A plugin is a dynamic library that exports a table of functions, `simod_plugin_entry`. SIMOD hands it some hundred
-// thousand samples of a model, and it writes where each of them goes. How that reaches the model's billions of vertices is
-// none of its concern. A whole plugin, which moves everything along x:
+// A plugin is a dynamic library that exports a table of functions, `simod_plugin_entry`. SIMOD hands it some
+// hundred thousand samples of a model, and it writes where each of them goes. How that reaches the model's
+// billions of vertices is none of its concern. A whole plugin, which moves everything along x:
 //
 //     #include "simod_plugin.h"
 //
@@ -37,26 +37,27 @@
 //
 //     cc -O2 -shared -fPIC -o shift.so shift.c && simod plugin check shift.so
 //
-// Coordinates. Everything is in local coordinates: the model's own, minus an origin and divided by a scale that the host
-// chose so that float positions keep their digits and the model's diagonal lies between 1 and 2. Axes are the model's.
-// Points, lengths in SIMOD_UNIT_MODEL_LENGTH and transforms are local as well.
+// Coordinates. Everything is in local coordinates: the model's own, minus an origin and divided by a scale
+// that the host chose so that float positions keep their digits and the model's diagonal lies between 1 and
+// 2. Axes are the model's. Points, lengths in SIMOD_UNIT_MODEL_LENGTH and transforms are local as well.
 //
-// Ownership. What the host passes is the host's, must not be written to (but for `out`, `points` and `*state`), and is
-// gone when the call returns. What the plugin passes the host copies before the call returns; tables and descriptions
-// it reads for as long as the library is loaded, which is until the process ends. States and scratches are the plugin's
-// own, and the host says when to free them.
+// Ownership. What the host passes is the host's, must not be written to (but for `out`, `points` and
+// `*state`), and is gone when the call returns. What the plugin passes the host copies before the call
+// returns; tables and descriptions it reads for as long as the library is loaded, which is until the process
+// ends. States and scratches are the plugin's own, and the host says when to free them.
 //
-// Threads. Each function says on which threads it is called. Nothing may depend on the thread or on variables that are
-// not constant: several sessions and layers use a plugin at once.
+// Threads. Each function says on which threads it is called. Nothing may depend on the thread or on variables
+// that are not constant: several sessions and layers use a plugin at once.
 //
-// Errors. Calls return SIMOD_OK or another code, and say by host->error what is wrong and what to do about it. No
-// exception and no longjmp may leave a function of the plugin, and it never ends the process.
+// Errors. Calls return SIMOD_OK or another code, and say by host->error what is wrong and what to do about
+// it. No exception and no longjmp may leave a function of the plugin, and it never ends the process.
 //
 // Text is UTF-8, ends with a NUL, and is of one line.
 //
-// Evolution. Nothing here ever changes: what comes later has another id or code, and unknown ones are refused or passed
-// over. Ids of third parties begin with a domain of theirs ("org.vendor.thing/1"), those that may still change with
-// "draft.". What is left out of an initialiser is zero, and zero is fine wherever nothing else is said.
+// Evolution. Nothing here ever changes: what comes later has another id or code, and unknown ones are refused
+// or passed over. Ids of third parties begin with a domain of theirs ("org.vendor.thing/1"), those that may
+// still change with "draft.". What is left out of an initialiser is zero, and zero is fine wherever nothing
+// else is said.
 //
 // Made from plugin-api/src/c.rs: change that.
 
@@ -85,8 +86,9 @@
 #define SIMOD_IS_IDENTITY "simod.is-identity/1"
 
 
-// The version of this interface. A host refuses plugins of another major version. The minor one counts up as ids and
-// codes are added: a plugin that was built with a later header still works, as long as it needs nothing later.
+// The version of this interface. A host refuses plugins of another major version. The minor one counts up as
+// ids and codes are added: a plugin that was built with a later header still works, as long as it needs
+// nothing later.
 #define SIMOD_INTERFACE_MAJOR 1
 
 // See SIMOD_INTERFACE_MAJOR.
@@ -104,7 +106,8 @@
 // A solver did not get to an answer.
 #define SIMOD_NOT_CONVERGED 3
 
-// The host asked to stop (its `progress` or `parallel_for` gave false), and the plugin did. Needs no message.
+// The host asked to stop (its `progress` or `parallel_for` gave false), and the plugin did. Needs no
+// message.
 #define SIMOD_CANCELLED 4
 
 // A bug of the plugin or the host, or memory that ran out.
@@ -201,8 +204,8 @@ typedef struct SimodParamDesc {
     uint32_t kind;
     // What its numbers are measured in: SIMOD_UNIT_...
     uint32_t unit;
-    // The host refuses values outside, smallest and largest: {0, 0} for no limit, else -INFINITY or INFINITY for none on
-    // that side.
+    // The host refuses values outside, smallest and largest: {0, 0} for no limit, else -INFINITY or INFINITY
+    // for none on that side.
     double hard_range[2];
     // What a slider shows, in the same way; values outside are fine.
     double soft_range[2];
@@ -256,14 +259,15 @@ typedef struct SimodDescriptor {
     size_t input_count;
 } SimodDescriptor;
 
-// The samples at rest. Arrays of `count` entries; `count` is at least 1, but where the host asks whether there is
-// anything to do.
+// The samples at rest. Arrays of `count` entries; `count` is at least 1, but where the host asks whether
+// there is anything to do.
 typedef struct SimodSamples {
     // How many samples there are.
     size_t count;
     // Rest positions, local coordinates, all finite.
     const float (*positions)[3];
-    // Unit normals, or NULL. They fit the positions if the plugin uses SIMOD_INPUT_NORMALS; else they may be stale.
+    // Unit normals, or NULL. They fit the positions if the plugin uses SIMOD_INPUT_NORMALS; else they may be
+    // stale.
     const float (*normals)[3];
     // Distance to the nearest other samples, local coordinates, or NULL.
     const float *spacing;
@@ -331,18 +335,19 @@ typedef struct SimodPrepareInput {
 typedef struct SimodHost {
     // The host's own.
     const void *context;
-    // Tells that so much of the call is done, 0 to 1. Whether to go on: after false the plugin returns SIMOD_CANCELLED.
-    // Costs some nanoseconds; call it at least every 100 ms.
+    // Tells that so much of the call is done, 0 to 1. Whether to go on: after false the plugin returns
+    // SIMOD_CANCELLED. Costs some nanoseconds; call it at least every 100 ms.
     bool (*progress)(const struct SimodHost *host, double fraction);
     // A line for the user, of level SIMOD_LOG_... The host copies it, and keeps a hundred of a call.
     void (*log)(const struct SimodHost *host, uint32_t level, const char *message);
-    // Says what is wrong, in one line without a full stop, and what to do about it (may be NULL). The host copies both.
-    // Gives `code` back, so that a plugin can write: return host->error(host, SIMOD_INVALID_INPUT, "...", "...");
+    // Says what is wrong, in one line without a full stop, and what to do about it (may be NULL). The host
+    // copies both. Gives `code` back, so that a plugin can write: return host->error(host,
+    // SIMOD_INVALID_INPUT, "...", "...");
     uint32_t (*error)(const struct SimodHost *host, uint32_t code, const char *message, const char *hint);
-    // Calls body(context, i) once for each i below `count`, in any order, on several of the host's threads: threads of
-    // the plugin's own would crowd the cores. Returns when all is done; may be called from within a body. False if the
-    // user asked to stop: some were not called.
-    // A call costs about a microsecond, and so should the body, or more: give it a block of samples, not a single one.
+    // Calls body(context, i) once for each i below `count`, in any order, on several of the host's threads:
+    // threads of the plugin's own would crowd the cores. Returns when all is done; may be called from within
+    // a body. False if the user asked to stop: some were not called. A call costs about a microsecond, and
+    // so should the body, or more: give it a block of samples, not a single one.
     bool (*parallel_for)(const struct SimodHost *host,
                          size_t count,
                          void (*body)(void *context, size_t i),
@@ -351,7 +356,7 @@ typedef struct SimodHost {
     const void *(*extension)(const struct SimodHost *host, const char *id);
 } SimodHost;
 
-// An affine map: x goes to M x + t, where the rows are those of [M | t]. Local coordinates.
+// An affine map: x goes to M x + t, where the rows are those of `[M | t]`. Local coordinates.
 typedef struct SimodAffine {
     // Three rows of four.
     double rows[3][4];
@@ -377,49 +382,50 @@ typedef struct SimodDeformInput {
     size_t part_count;
 } SimodDeformInput;
 
-// A plugin: the exported table. What `[required]` does not stand at may be NULL.
+// A plugin: the exported table. What is not said to be required may be NULL.
 //
 // States and scratches are pointers to whatever the plugin likes, and NULL where it needs none.
 typedef struct SimodPlugin {
-    // SIMOD_INTERFACE_MAJOR [required]
+    // SIMOD_INTERFACE_MAJOR. Required.
     uint32_t interface_major;
-    // SIMOD_INTERFACE_MINOR [required]
+    // SIMOD_INTERFACE_MINOR. Required.
     uint32_t interface_minor;
-    // sizeof(SimodPlugin) [required]
+    // sizeof(SimodPlugin). Required.
     size_t size;
-    // What the plugin is: always the same, and valid for as long as the library is loaded. Called when the library is
-    // loaded, on any thread; takes microseconds. [required]
+    // What the plugin is: always the same, and valid for as long as the library is loaded. Called when the
+    // library is loaded, on any thread; takes microseconds. Required.
     const struct SimodDescriptor *(*describe)(void);
-    // All the work that depends neither on transforms nor on parameters that do not invalidate the preparation: writes a
-    // state to *state, which is NULL before. On an error there is none.
-    // Called on a worker thread, several at once. May take long: tells `progress`.
+    // All the work that depends neither on transforms nor on parameters that do not invalidate the
+    // preparation: writes a state to *state, which is NULL before. On an error there is none. Called on a
+    // worker thread, several at once. May take long: tells `progress`.
     uint32_t (*prepare)(const struct SimodPrepareInput *input, const struct SimodHost *host, void **state);
     // Frees a state that is not NULL, on any thread, once no call uses it.
     void (*drop_state)(void *state);
-    // Working memory that `deform` may keep from one call to the next, and never a place for results. NULL is an error:
-    // there is no memory.
+    // Working memory that `deform` may keep from one call to the next, and never a place for results. NULL
+    // is an error: there is no memory.
     void *(*new_scratch)(void);
     // Frees a scratch that is not NULL, on any thread.
     void (*drop_scratch)(void *scratch);
-    // Writes the deformed position of sample i to out[i], local coordinates: all input->samples.count of them, finite.
-    // `out` holds nothing of use before, and the host drops it on an error. Handles that do not move must leave the
-    // samples exactly where they are. The same state and input always give the same positions.
-    // Called by several threads at once on one state, each with a scratch of its own. Interactive: takes milliseconds.
-    // [required]
+    // Writes the deformed position of sample i to `out[i]`, local coordinates: all input->samples.count of
+    // them, finite. `out` holds nothing of use before, and the host drops it on an error. Handles that do
+    // not move must leave the samples exactly where they are. The same state and input always give the same
+    // positions. Called by several threads at once on one state, each with a scratch of its own.
+    // Interactive: takes milliseconds. Required.
     uint32_t (*deform)(const void *state,
                        const struct SimodDeformInput *input,
                        void *scratch,
                        float (*out)[3],
                        const struct SimodHost *host);
-    // A capability by id: a SimodEvaluate for SIMOD_EVALUATE and so on, valid for as long as the library is loaded;
-    // NULL for ids that the plugin does not know. Called when the library is loaded.
+    // A capability by id: a SimodEvaluate for SIMOD_EVALUATE and so on, valid for as long as the library is
+    // loaded; NULL for ids that the plugin does not know. Called when the library is loaded.
     const void *(*extension)(const char *id);
 } SimodPlugin;
 
 // SIMOD_EVALUATE: the deformation is a map of space, known anywhere.
 typedef struct SimodEvaluate {
-    // Replaces each of `count` points by its image, local coordinates: the same map as `deform`, up to its rounding.
-    // Called by several threads at once, on blocks of any length; points may lie anywhere, and are finite. [required]
+    // Replaces each of `count` points by its image, local coordinates: the same map as `deform`, up to its
+    // rounding. Called by several threads at once, on blocks of any length; points may lie anywhere, and are
+    // finite. Required.
     uint32_t (*evaluate)(const void *state,
                          const struct SimodDeformInput *input,
                          double (*points)[3],
@@ -437,7 +443,8 @@ typedef struct SimodHandleDesc {
     double position[3];
     // How it may be moved: SIMOD_GIZMO_... added up. 0 for SIMOD_GIZMO_TRANSLATE.
     uint32_t gizmo;
-    // The index of the handle that it hangs on, less than its own, or SIMOD_ROOT: its motion moves this one along.
+    // The index of the handle that it hangs on, less than its own, or SIMOD_ROOT: its motion moves this one
+    // along.
     uint32_t parent;
 } SimodHandleDesc;
 
@@ -451,9 +458,9 @@ typedef struct SimodHandleList {
 
 // SIMOD_HANDLES: the plugin has handles of its own, which users move one by one.
 typedef struct SimodHandles {
-    // Adds the handles for these samples, this box, these parameters and joints; the input has no regions. How they were
-    // moved comes with SIMOD_INPUT_HANDLE_MOTIONS. Called before `prepare`, on any thread, and whenever the user looks at
-    // the handles: takes milliseconds at most. [required]
+    // Adds the handles for these samples, this box, these parameters and joints; the input has no regions.
+    // How they were moved comes with SIMOD_INPUT_HANDLE_MOTIONS. Called before `prepare`, on any thread, and
+    // whenever the user looks at the handles: takes milliseconds at most. Required.
     uint32_t (*handles)(const struct SimodPrepareInput *input,
                         struct SimodHandleList *list,
                         const struct SimodHost *host);
@@ -461,15 +468,15 @@ typedef struct SimodHandles {
 
 // SIMOD_IS_IDENTITY: the plugin knows when it does nothing.
 typedef struct SimodIsIdentity {
-    // 1 if `deform` would leave all samples where they are, whatever they are: the host then calls neither `prepare` nor
-    // `deform`. 0 is always right. The input has no samples; takes microseconds. [required]
+    // 1 if `deform` would leave all samples where they are, whatever they are: the host then calls neither
+    // `prepare` nor `deform`. 0 is always right. The input has no samples; takes microseconds. Required.
     uint8_t (*is_identity)(const struct SimodDeformInput *input);
 } SimodIsIdentity;
 
 // SIMOD_INPUT_TRIANGLES, of the preparation: triangles between the samples.
 typedef struct SimodTriangles {
-    // Three samples each, counter-clockwise as seen from outside. Several may share an edge or have no area, and a
-    // sample may be in none.
+    // Three samples each, counter-clockwise as seen from outside. Several may share an edge or have no area,
+    // and a sample may be in none.
     const uint32_t (*indices)[3];
     // How many triangles there are, at least one.
     size_t count;
@@ -477,9 +484,11 @@ typedef struct SimodTriangles {
 
 // SIMOD_INPUT_GRAPH, of the preparation: the nearest neighbours of each sample at rest.
 typedef struct SimodGraph {
-    // The neighbours of sample i are those from starts[i] up to, and without, starts[i + 1]: one entry more than samples.
+    // The neighbours of sample i are those from `starts[i]` up to, and without, `starts[i + 1]`: one entry
+    // more than samples.
     const uint32_t *starts;
-    // Nearest first, without the sample itself. One that is among another's need not have that other among its own.
+    // Nearest first, without the sample itself. One that is among another's need not have that other among
+    // its own.
     const uint32_t *neighbours;
 } SimodGraph;
 
@@ -503,8 +512,8 @@ typedef struct SimodJoints {
 
 // SIMOD_INPUT_HANDLE_MOTIONS, of the deformation: how the plugin's own handles were moved.
 typedef struct SimodHandleMotions {
-    // One map of space for each handle that the plugin placed, in its order: from the rest pose to the user's. That of
-    // what a handle hangs on is included; the identity where neither was moved.
+    // One map of space for each handle that the plugin placed, in its order: from the rest pose to the
+    // user's. That of what a handle hangs on is included; the identity where neither was moved.
     const struct SimodAffine *motions;
     // How many handles there are.
     size_t count;
@@ -557,8 +566,8 @@ extern SIMOD_EXPORT const SimodPlugin simod_plugin_entry;
 }
 #endif
 
-// The input of an id, as `const SimodGraph *graph = simod_part(input->parts, input->part_count, SIMOD_INPUT_GRAPH);`:
-// NULL where the host has none, or the description does not name it.
+// The input of an id, as `const SimodGraph *graph = simod_part(input->parts, input->part_count,
+// SIMOD_INPUT_GRAPH);`: NULL where the host has none, or the description does not name it.
 static inline const void *simod_part(const SimodPart *parts, size_t count, const char *id)
 {
     for (size_t i = 0; i < count; i++)

@@ -1,18 +1,19 @@
 //! The interface for plugins in C, and in whatever else can lay out C's structs: the same calls as
 //! [`Deformer`](crate::Deformer) and its extensions, without Rust and without `abi_stable`.
 //!
-//! `include/simod_plugin.h` is made of this file, comments included, by `tests/c_header.rs`; what concerns all of it is in
-//! `cbindgen.toml`. So names and comments are those of the header.
+//! `include/simod_plugin.h` is made of this file, comments included, by `tests/c_header.rs`; what concerns
+//! all of it is in `cbindgen.toml`. So names and comments are those of the header.
 //!
 //! There are only declarations here. The host's `CCode` reads what a plugin gives, and trusts none of it.
 //!
-//! The rules of evolution are those of the Rust interface: no struct ever changes, and what comes later is known by an
-//! id. Zero is a sensible value of whatever may be left out of an initialiser.
+//! The rules of evolution are those of the Rust interface: no struct ever changes, and what comes later is
+//! known by an id. Zero is a sensible value of whatever may be left out of an initialiser.
 
 use std::ffi::{c_char, c_void};
 
-/// The version of this interface. A host refuses plugins of another major version. The minor one counts up as ids and
-/// codes are added: a plugin that was built with a later header still works, as long as it needs nothing later.
+/// The version of this interface. A host refuses plugins of another major version. The minor one counts up as
+/// ids and codes are added: a plugin that was built with a later header still works, as long as it needs
+/// nothing later.
 pub const SIMOD_INTERFACE_MAJOR: u32 = 1;
 /// See SIMOD_INTERFACE_MAJOR.
 pub const SIMOD_INTERFACE_MINOR: u32 = 0;
@@ -25,7 +26,8 @@ pub const SIMOD_INVALID_PARAMETER: u32 = 1;
 pub const SIMOD_INVALID_INPUT: u32 = 2;
 /// A solver did not get to an answer.
 pub const SIMOD_NOT_CONVERGED: u32 = 3;
-/// The host asked to stop (its `progress` or `parallel_for` gave false), and the plugin did. Needs no message.
+/// The host asked to stop (its `progress` or `parallel_for` gave false), and the plugin did. Needs no
+/// message.
 pub const SIMOD_CANCELLED: u32 = 4;
 /// A bug of the plugin or the host, or memory that ran out.
 pub const SIMOD_INTERNAL: u32 = 6;
@@ -108,8 +110,8 @@ pub struct SimodParamDesc {
     pub kind: u32,
     /// What its numbers are measured in: SIMOD_UNIT_...
     pub unit: u32,
-    /// The host refuses values outside, smallest and largest: {0, 0} for no limit, else -INFINITY or INFINITY for none on
-    /// that side.
+    /// The host refuses values outside, smallest and largest: {0, 0} for no limit, else -INFINITY or INFINITY
+    /// for none on that side.
     pub hard_range: [f64; 2],
     /// What a slider shows, in the same way; values outside are fine.
     pub soft_range: [f64; 2],
@@ -183,8 +185,8 @@ pub struct SimodParam {
     pub text: *const c_char,
 }
 
-/// The samples at rest. Arrays of `count` entries; `count` is at least 1, but where the host asks whether there is
-/// anything to do.
+/// The samples at rest. Arrays of `count` entries; `count` is at least 1, but where the host asks whether
+/// there is anything to do.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodSamples {
@@ -192,7 +194,8 @@ pub struct SimodSamples {
     pub count: usize,
     /// Rest positions, local coordinates, all finite.
     pub positions: *const [f32; 3],
-    /// Unit normals, or NULL. They fit the positions if the plugin uses SIMOD_INPUT_NORMALS; else they may be stale.
+    /// Unit normals, or NULL. They fit the positions if the plugin uses SIMOD_INPUT_NORMALS; else they may be
+    /// stale.
     pub normals: *const [f32; 3],
     /// Distance to the nearest other samples, local coordinates, or NULL.
     pub spacing: *const f32,
@@ -218,7 +221,7 @@ pub struct SimodRegion {
     pub weights: *const f32,
 }
 
-/// An affine map: x goes to M x + t, where the rows are those of [M | t]. Local coordinates.
+/// An affine map: x goes to M x + t, where the rows are those of `[M | t]`. Local coordinates.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodAffine {
@@ -284,8 +287,8 @@ pub struct SimodDeformInput {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodTriangles {
-    /// Three samples each, counter-clockwise as seen from outside. Several may share an edge or have no area, and a
-    /// sample may be in none.
+    /// Three samples each, counter-clockwise as seen from outside. Several may share an edge or have no area,
+    /// and a sample may be in none.
     pub indices: *const [u32; 3],
     /// How many triangles there are, at least one.
     pub count: usize,
@@ -295,9 +298,11 @@ pub struct SimodTriangles {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodGraph {
-    /// The neighbours of sample i are those from starts[i] up to, and without, starts[i + 1]: one entry more than samples.
+    /// The neighbours of sample i are those from `starts[i]` up to, and without, `starts[i + 1]`: one entry
+    /// more than samples.
     pub starts: *const u32,
-    /// Nearest first, without the sample itself. One that is among another's need not have that other among its own.
+    /// Nearest first, without the sample itself. One that is among another's need not have that other among
+    /// its own.
     pub neighbours: *const u32,
 }
 
@@ -327,8 +332,8 @@ pub struct SimodJoints {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodHandleMotions {
-    /// One map of space for each handle that the plugin placed, in its order: from the rest pose to the user's. That of
-    /// what a handle hangs on is included; the identity where neither was moved.
+    /// One map of space for each handle that the plugin placed, in its order: from the rest pose to the
+    /// user's. That of what a handle hangs on is included; the identity where neither was moved.
     pub motions: *const SimodAffine,
     /// How many handles there are.
     pub count: usize,
@@ -372,23 +377,24 @@ pub struct SimodStrokes {
 pub struct SimodHost {
     /// The host's own.
     pub context: *const c_void,
-    /// Tells that so much of the call is done, 0 to 1. Whether to go on: after false the plugin returns SIMOD_CANCELLED.
-    /// Costs some nanoseconds; call it at least every 100 ms.
+    /// Tells that so much of the call is done, 0 to 1. Whether to go on: after false the plugin returns
+    /// SIMOD_CANCELLED. Costs some nanoseconds; call it at least every 100 ms.
     pub progress: unsafe extern "C" fn(host: *const SimodHost, fraction: f64) -> bool,
     /// A line for the user, of level SIMOD_LOG_... The host copies it, and keeps a hundred of a call.
     pub log: unsafe extern "C" fn(host: *const SimodHost, level: u32, message: *const c_char),
-    /// Says what is wrong, in one line without a full stop, and what to do about it (may be NULL). The host copies both.
-    /// Gives `code` back, so that a plugin can write: return host->error(host, SIMOD_INVALID_INPUT, "...", "...");
+    /// Says what is wrong, in one line without a full stop, and what to do about it (may be NULL). The host
+    /// copies both. Gives `code` back, so that a plugin can write: return host->error(host,
+    /// SIMOD_INVALID_INPUT, "...", "...");
     pub error: unsafe extern "C" fn(
         host: *const SimodHost,
         code: u32,
         message: *const c_char,
         hint: *const c_char,
     ) -> u32,
-    /// Calls body(context, i) once for each i below `count`, in any order, on several of the host's threads: threads of
-    /// the plugin's own would crowd the cores. Returns when all is done; may be called from within a body. False if the
-    /// user asked to stop: some were not called.
-    /// A call costs about a microsecond, and so should the body, or more: give it a block of samples, not a single one.
+    /// Calls body(context, i) once for each i below `count`, in any order, on several of the host's threads:
+    /// threads of the plugin's own would crowd the cores. Returns when all is done; may be called from within
+    /// a body. False if the user asked to stop: some were not called. A call costs about a microsecond, and
+    /// so should the body, or more: give it a block of samples, not a single one.
     pub parallel_for: unsafe extern "C" fn(
         host: *const SimodHost,
         count: usize,
@@ -399,24 +405,24 @@ pub struct SimodHost {
     pub extension: unsafe extern "C" fn(host: *const SimodHost, id: *const c_char) -> *const c_void,
 }
 
-/// A plugin: the exported table. What `[required]` does not stand at may be NULL.
+/// A plugin: the exported table. What is not said to be required may be NULL.
 ///
 /// States and scratches are pointers to whatever the plugin likes, and NULL where it needs none.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodPlugin {
-    /// SIMOD_INTERFACE_MAJOR [required]
+    /// SIMOD_INTERFACE_MAJOR. Required.
     pub interface_major: u32,
-    /// SIMOD_INTERFACE_MINOR [required]
+    /// SIMOD_INTERFACE_MINOR. Required.
     pub interface_minor: u32,
-    /// sizeof(SimodPlugin) [required]
+    /// sizeof(SimodPlugin). Required.
     pub size: usize,
-    /// What the plugin is: always the same, and valid for as long as the library is loaded. Called when the library is
-    /// loaded, on any thread; takes microseconds. [required]
+    /// What the plugin is: always the same, and valid for as long as the library is loaded. Called when the
+    /// library is loaded, on any thread; takes microseconds. Required.
     pub describe: Option<unsafe extern "C" fn() -> *const SimodDescriptor>,
-    /// All the work that depends neither on transforms nor on parameters that do not invalidate the preparation: writes a
-    /// state to *state, which is NULL before. On an error there is none.
-    /// Called on a worker thread, several at once. May take long: tells `progress`.
+    /// All the work that depends neither on transforms nor on parameters that do not invalidate the
+    /// preparation: writes a state to *state, which is NULL before. On an error there is none. Called on a
+    /// worker thread, several at once. May take long: tells `progress`.
     pub prepare: Option<
         unsafe extern "C" fn(
             input: *const SimodPrepareInput,
@@ -426,16 +432,16 @@ pub struct SimodPlugin {
     >,
     /// Frees a state that is not NULL, on any thread, once no call uses it.
     pub drop_state: Option<unsafe extern "C" fn(state: *mut c_void)>,
-    /// Working memory that `deform` may keep from one call to the next, and never a place for results. NULL is an error:
-    /// there is no memory.
+    /// Working memory that `deform` may keep from one call to the next, and never a place for results. NULL
+    /// is an error: there is no memory.
     pub new_scratch: Option<unsafe extern "C" fn() -> *mut c_void>,
     /// Frees a scratch that is not NULL, on any thread.
     pub drop_scratch: Option<unsafe extern "C" fn(scratch: *mut c_void)>,
-    /// Writes the deformed position of sample i to out[i], local coordinates: all input->samples.count of them, finite.
-    /// `out` holds nothing of use before, and the host drops it on an error. Handles that do not move must leave the
-    /// samples exactly where they are. The same state and input always give the same positions.
-    /// Called by several threads at once on one state, each with a scratch of its own. Interactive: takes milliseconds.
-    /// [required]
+    /// Writes the deformed position of sample i to `out[i]`, local coordinates: all input->samples.count of
+    /// them, finite. `out` holds nothing of use before, and the host drops it on an error. Handles that do
+    /// not move must leave the samples exactly where they are. The same state and input always give the same
+    /// positions. Called by several threads at once on one state, each with a scratch of its own.
+    /// Interactive: takes milliseconds. Required.
     pub deform: Option<
         unsafe extern "C" fn(
             state: *const c_void,
@@ -445,8 +451,8 @@ pub struct SimodPlugin {
             host: *const SimodHost,
         ) -> u32,
     >,
-    /// A capability by id: a SimodEvaluate for SIMOD_EVALUATE and so on, valid for as long as the library is loaded;
-    /// NULL for ids that the plugin does not know. Called when the library is loaded.
+    /// A capability by id: a SimodEvaluate for SIMOD_EVALUATE and so on, valid for as long as the library is
+    /// loaded; NULL for ids that the plugin does not know. Called when the library is loaded.
     pub extension: Option<unsafe extern "C" fn(id: *const c_char) -> *const c_void>,
 }
 
@@ -454,8 +460,9 @@ pub struct SimodPlugin {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodEvaluate {
-    /// Replaces each of `count` points by its image, local coordinates: the same map as `deform`, up to its rounding.
-    /// Called by several threads at once, on blocks of any length; points may lie anywhere, and are finite. [required]
+    /// Replaces each of `count` points by its image, local coordinates: the same map as `deform`, up to its
+    /// rounding. Called by several threads at once, on blocks of any length; points may lie anywhere, and are
+    /// finite. Required.
     pub evaluate: Option<
         unsafe extern "C" fn(
             state: *const c_void,
@@ -479,7 +486,8 @@ pub struct SimodHandleDesc {
     pub position: [f64; 3],
     /// How it may be moved: SIMOD_GIZMO_... added up. 0 for SIMOD_GIZMO_TRANSLATE.
     pub gizmo: u32,
-    /// The index of the handle that it hangs on, less than its own, or SIMOD_ROOT: its motion moves this one along.
+    /// The index of the handle that it hangs on, less than its own, or SIMOD_ROOT: its motion moves this one
+    /// along.
     pub parent: u32,
 }
 
@@ -497,9 +505,9 @@ pub struct SimodHandleList {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodHandles {
-    /// Adds the handles for these samples, this box, these parameters and joints; the input has no regions. How they were
-    /// moved comes with SIMOD_INPUT_HANDLE_MOTIONS. Called before `prepare`, on any thread, and whenever the user looks at
-    /// the handles: takes milliseconds at most. [required]
+    /// Adds the handles for these samples, this box, these parameters and joints; the input has no regions.
+    /// How they were moved comes with SIMOD_INPUT_HANDLE_MOTIONS. Called before `prepare`, on any thread, and
+    /// whenever the user looks at the handles: takes milliseconds at most. Required.
     pub handles: Option<
         unsafe extern "C" fn(
             input: *const SimodPrepareInput,
@@ -513,7 +521,7 @@ pub struct SimodHandles {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodIsIdentity {
-    /// 1 if `deform` would leave all samples where they are, whatever they are: the host then calls neither `prepare` nor
-    /// `deform`. 0 is always right. The input has no samples; takes microseconds. [required]
+    /// 1 if `deform` would leave all samples where they are, whatever they are: the host then calls neither
+    /// `prepare` nor `deform`. 0 is always right. The input has no samples; takes microseconds. Required.
     pub is_identity: Option<unsafe extern "C" fn(input: *const SimodDeformInput) -> u8>,
 }

@@ -1,5 +1,5 @@
-// Looks at all that a plugin may get, and refuses what the header does not promise. Its handles are the user's joints;
-// samples shift with them, with regions and with strokes.
+// Looks at all that a plugin may get, and refuses what the header does not promise. Its handles are the
+// user's joints; samples shift with them, with regions and with strokes.
 #include "simod_plugin.h"
 
 #include <math.h>

@@ -21,8 +21,8 @@ static const SimodInputDesc inputs[] = { { "simod.smell/9", WRONG == NEEDS_MORE 
 
 static const SimodDescriptor *describe(void)
 {
-    static SimodDescriptor d = { .id = "misbehaving-c", .name = "Misbehaving", .version = "1.0.0", .summary = "Does one "
-        "thing wrong", .params = params, .param_count = 1, .inputs = inputs, .input_count = 1 };
+    static SimodDescriptor d = { .id = "misbehaving-c", .name = "Misbehaving", .version = "1.0.0",
+        .summary = "Does one thing wrong", .params = params, .param_count = 1, .inputs = inputs, .input_count = 1 };
     switch ((int)WRONG) {
     case NULL_DESCRIPTION: return NULL;
     case NULL_ID: d.id = NULL; break;

@@ -12,8 +12,8 @@ pub fn has_compiler(name: &str) -> bool {
 }
 
 impl Workplace {
-    /// Builds a library from a source of the workspace, without a warning: `plugins/NAME.so`, or as the system has it. C++
-    /// if the source says so.
+    /// Builds a library from a source of the workspace, without a warning: `plugins/NAME.so`, or as the
+    /// system has it. C++ if the source says so.
     ///
     /// # Panics
     /// It does not compile.

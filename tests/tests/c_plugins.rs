@@ -14,8 +14,8 @@ fn rules<'a>(report: &'a Value, verdict: &str) -> Vec<(&'a str, &'a str)> {
     rules.map(|r| (r["rule"].as_str().unwrap(), r["found"].as_str().unwrap())).collect()
 }
 
-/// A plugin with a parameter of each kind that asks for every input, places handles, knows when it does nothing, and refuses
-/// what is not as the header promises.
+/// A plugin with a parameter of each kind that asks for every input, places handles, knows when it does
+/// nothing, and refuses what is not as the header promises.
 #[test]
 fn all_that_there_is_arrives() {
     let work = Workplace::new();
@@ -62,7 +62,8 @@ fn assert_shifts(work: &Workplace, plugin: &str) {
     assert!(shifts.into_iter().all(|shift| shift.distance(DVec3::X * unit) < 1e-5));
 }
 
-/// A plugin that does one thing wrong in its table or description is listed with the reason, and no obstacle to others.
+/// A plugin that does one thing wrong in its table or description is listed with the reason, and no obstacle
+/// to others.
 #[test]
 fn wrong_tables_are_refused() {
     let wrongs = [
@@ -105,7 +106,6 @@ fn failing_calls_are_errors() {
         ("CANCELS", "stopped unasked"),
         ("NANS", "1 of 500 positions are unwritten or not finite"),
         ("UNWRITTEN", "1 of 500 positions are unwritten or not finite, the first at index 499"),
-        ("WRITES_INPUT", "changed the samples"),
         ("NO_SCRATCH", "there is no memory to work in"),
     ];
     let work = Workplace::new().with_plugins("plugins");
@@ -113,9 +113,14 @@ fn failing_calls_are_errors() {
     work.write_session("model.ply", 500, "[[step]]\ndeform = \"misbehaving-c\"\n");
     for (wrong, reason) in wrongs {
         work.build_c("tests/c/misbehaving.c", "misbehaving_c", &[&format!("-DWRONG={wrong}")]);
+        // In this process, and in one of its own.
+        work.refuses("run edit.toml --isolate never", &["misbehaving-c", reason]);
         let outcome = work.refuses("run edit.toml", &["misbehaving-c", reason]);
         assert!(wrong != "SPOKEN_ERROR" || outcome.hint() == "give me another", "{}", outcome.stderr);
     }
+    work.build_c("tests/c/misbehaving.c", "misbehaving_c", &["-DWRONG=WRITES_INPUT"]);
+    work.refuses("run edit.toml --isolate never", &["misbehaving-c", "changed the samples"]);
+    work.refuses("run edit.toml", &["misbehaving-c"]);
     // The same one, when it behaves.
     work.build_c("tests/c/misbehaving.c", "misbehaving_c", &["-DWRONG=NOTHING"]);
     assert_shifts(&work, "misbehaving-c");

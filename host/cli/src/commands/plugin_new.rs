@@ -345,6 +345,20 @@ mod tests {
         assert!(read("docs/plugins.md").contains(&format!("```rust\n{plugin}```\n")), "write it anew");
     }
 
+    /// What `docs/plugins.md` has in C is of the project's plugin, or of the lesson's.
+    #[test]
+    fn the_documentation_shows_c_as_it_is() {
+        let (_, plugin) = C_PROJECT.iter().find(|(path, _)| *path == "plugin.c").unwrap();
+        let sources =
+            [Names::of("soft-bulge").unwrap().fill_in(plugin), read("examples/04-a-plugin-in-c/grab.c")];
+        let page = read("docs/plugins.md");
+        let blocks: Vec<&str> = page.split("```c\n").skip(1).filter_map(|b| b.split("```").next()).collect();
+        assert!(blocks.len() >= 4, "{}", blocks.len());
+        for block in blocks {
+            assert!(sources.iter().any(|source| source.contains(block)), "write it anew: {block}");
+        }
+    }
+
     #[test]
     fn a_project_is_written_whole_or_not_at_all() {
         let place = tempfile::tempdir().unwrap();

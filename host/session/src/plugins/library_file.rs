@@ -1,6 +1,6 @@
-//! What can be told of a library without running any of its code: whether its file is all there, and which kind of plugin
-//! it is. Loading runs its initialisers, and the dynamic linker of Linux maps a file that was cut off without a complaint:
-//! the process then dies on touching it.
+//! What can be told of a library without running any of its code: whether its file is all there, and which
+//! kind of plugin it is. Loading runs its initialisers, and the dynamic linker of Linux maps a file that was
+//! cut off without a complaint: the process then dies on touching it.
 
 use object::read::macho::{FatArch, MachOFatFile32, MachOFatFile64};
 use object::{Architecture, BinaryFormat, File, FileKind, Object, ObjectSegment, ReadCache, ReadRef};
@@ -85,4 +85,62 @@ fn contents_of_one<'a, R: ReadRef<'a>>(data: R) -> Option<(BinaryFormat, Option<
     let has = |symbol: &str| exports.iter().any(|e| e.name().strip_prefix(prefix) == Some(symbol.as_bytes()));
     let kind = SYMBOLS.iter().find(|(symbol, _)| has(symbol)).map(|(_, kind)| *kind);
     Some((file.format(), kind))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ARM: u32 = 0x0100_000c;
+    const INTEL: u32 = 0x0100_0007;
+
+    /// A library of macOS for a processor that exports a symbol, and nothing else: header, table of symbols,
+    /// dynamic one.
+    fn mach_o(processor: u32, symbol: &str) -> Vec<u8> {
+        let strings = format!("\0{symbol}\0");
+        let (symbols, text) = (32 + 24 + 80, 32 + 24 + 80 + 16);
+        let mut words = vec![0xfeed_facf, processor, 0, 6, 2, 24 + 80, 0, 0];
+        words.extend([2, 24, symbols, 1, text, strings.len() as u32]);
+        words.extend([0xb, 80, 0, 0, 0, 1]);
+        words.extend([0; 14]);
+        // In the first section, external.
+        words.extend([1, 0x010f, 0, 0]);
+        words.iter().flat_map(|word| word.to_le_bytes()).chain(strings.into_bytes()).collect()
+    }
+
+    /// Several libraries of macOS in one file.
+    fn fat(libraries: &[(u32, Vec<u8>)]) -> Vec<u8> {
+        let mut words = vec![0xcafe_babe, libraries.len() as u32];
+        let mut start = 8 + 20 * libraries.len() as u32;
+        for (processor, library) in libraries {
+            words.extend([*processor, 0, start, library.len() as u32, 0]);
+            start += library.len() as u32;
+        }
+        let all = libraries.iter().flat_map(|(_, library)| library.clone());
+        words.iter().flat_map(|word| word.to_be_bytes()).chain(all).collect()
+    }
+
+    fn look_at(bytes: &[u8]) -> Option<(BinaryFormat, Option<Kind>)> {
+        contents(bytes, FileKind::parse(bytes).unwrap())
+    }
+
+    #[test]
+    fn libraries_of_macos_are_told_apart() {
+        let (ours, other) = if cfg!(target_arch = "aarch64") { (ARM, INTEL) } else { (INTEL, ARM) };
+        let plugin = mach_o(ours, "_simod_plugin_entry");
+        let stranger = mach_o(other, "_somebody");
+        assert_eq!(look_at(&plugin), Some((BinaryFormat::MachO, Some(Kind::C))));
+        let rust = mach_o(ours, "__1as_0lib_1header_0root_bmodule_bloader");
+        assert_eq!(look_at(&rust), Some((BinaryFormat::MachO, Some(Kind::Rust))));
+        assert_eq!(look_at(&stranger), Some((BinaryFormat::MachO, None)));
+        let both = fat(&[(other, stranger), (ours, plugin.clone())]);
+        assert_eq!(look_at(&both), Some((BinaryFormat::MachO, Some(Kind::C))));
+        for cut in [plugin.len() - 40, both.len() - 4] {
+            assert_eq!(
+                look_at(if cut < plugin.len() { &plugin[..cut] } else { &both[..cut] }),
+                None,
+                "{cut}"
+            );
+        }
+    }
 }

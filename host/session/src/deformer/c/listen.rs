@@ -45,8 +45,9 @@ fn guarded<R>(host: *const SimodHost, or: R, call: impl FnOnce(&Ear<'_>) -> R) -
     if host.is_null() {
         return or;
     }
-    // SAFETY: the header asks for the pointer that the plugin was given, during the call that it was given to; that one's
-    // context is the `Ear` which made it, and outlives the call. It is `Sync`: any thread may come.
+    // SAFETY: the header asks for the pointer that the plugin was given, during the call that it was given
+    // to; that one's context is the `Ear` which made it, and outlives the call. It is `Sync`: any thread may
+    // come.
     let ear = unsafe { &*(*host).context.cast::<Ear<'_>>() };
     catch_unwind(AssertUnwindSafe(|| call(ear))).unwrap_or_else(|payload| {
         // A payload's destructor may panic again.

@@ -1,8 +1,8 @@
 //! The code of a plugin in C, in this process: what `simod_plugin.h` says, from the host's side.
 //!
-//! Nothing that a plugin gives is trusted as far as it can be looked at: pointers may be NULL or misaligned, counts absurd,
-//! text without an end or not UTF-8. That a function is one, and keeps to what it is allowed to touch, nobody can see; who
-//! does not trust a plugin has it run in a process of its own.
+//! Nothing that a plugin gives is trusted as far as it can be looked at: pointers may be NULL or misaligned,
+//! counts absurd, text without an end or not UTF-8. That a function is one, and keeps to what it is allowed
+//! to touch, nobody can see; who does not trust a plugin has it run in a process of its own.
 
 mod describe;
 mod give;
@@ -38,8 +38,8 @@ type Evaluate = unsafe extern "C" fn(
 type Handles = unsafe extern "C" fn(*const SimodPrepareInput, *mut SimodHandleList, *const SimodHost) -> u32;
 type IsIdentity = unsafe extern "C" fn(*const SimodDeformInput) -> u8;
 
-/// The functions of a plugin in C. A call costs what it takes to put the input into other words: of parameters, regions
-/// and strokes; no samples are copied.
+/// The functions of a plugin in C. A call costs what it takes to put the input into other words: of
+/// parameters, regions and strokes; no samples are copied.
 pub(crate) struct CCode {
     describe: unsafe extern "C" fn() -> *const simod_plugin_api::c::SimodDescriptor,
     deform: unsafe extern "C" fn(
@@ -80,10 +80,11 @@ impl Drop for CState {
 }
 
 impl CCode {
-    /// Loads a library, for good, which is known to have the table: from `file`, which is that at `path`, or a copy of it.
+    /// Loads a library, for good, which is known to have the table: from `file`, which is that at `path`, or
+    /// a copy of it.
     pub fn load(file: &Path, path: &Path) -> Result<Self> {
-        // SAFETY: initialisers of the library run, and may do anything. Whoever puts a library into a plugin folder
-        // wants its code to run.
+        // SAFETY: initialisers of the library run, and may do anything. Whoever puts a library into a plugin
+        // folder wants its code to run.
         let library = unsafe { Library::new(file) }.map_err(|e| {
             let reason = e.source().map_or_else(|| e.to_string(), ToString::to_string);
             cannot_load(path, &reason)
@@ -100,7 +101,8 @@ impl CCode {
     /// The functions of a table.
     ///
     /// # Safety
-    /// What the pointer points to, if it is good, begins like a `SimodPlugin` as far as its version says so, and stays.
+    /// What the pointer points to, if it is good, begins like a `SimodPlugin` as far as its version says so,
+    /// and stays.
     unsafe fn new(table: *const SimodPlugin, path: &Path) -> Result<Self> {
         let refused = |what: &str, hint: &str| {
             Err(Error::new(ErrorKind::Plugin, format!("{}: {what}", path.display()), hint))
@@ -243,8 +245,8 @@ impl Code for CCode {
             return Err(PluginError::internal("the host passed a buffer of another length than the samples"));
         }
         with_deform_input(input, |input| {
-            // SAFETY: all pointers are good for the length of the call, `out` has room for all samples, and the scratch is
-            // borrowed by this call alone.
+            // SAFETY: all pointers are good for the length of the call, `out` has room for all samples, and
+            // the scratch is borrowed by this call alone.
             call(calls, |host| unsafe { (self.deform)(state, input, scratch, out.as_mut_ptr(), host) })
         })?
     }
@@ -287,8 +289,8 @@ unsafe extern "C" fn add_handle(list: *mut SimodHandleList, handle: *const Simod
     if list.is_null() {
         return;
     }
-    // SAFETY: the plugin passes the list that it was given, whose context is the one that `CCode::handles` made; it adds
-    // handles one by one.
+    // SAFETY: the plugin passes the list that it was given, whose context is the one that `CCode::handles`
+    // made; it adds handles one by one.
     let found = unsafe { &mut *(*list).context.cast::<PluginResult<Vec<HandleDesc>>>() };
     if let Ok(handles) = found {
         // SAFETY: the header asks for a good pointer.

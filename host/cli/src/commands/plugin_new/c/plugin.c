@@ -1,8 +1,9 @@
 // Swells a model about a point, or pinches it: a deformation for SIMOD, to be changed into your own.
 //
-// SIMOD takes some thousands of samples of a model of any size, asks this library where they go, and carries the whole
-// model along. All coordinates here are local ones: the model's, shifted and scaled to a diagonal of 1 to 2.
-// simod_plugin.h says what each function may rely on, on which thread it is called, and who owns what.
+// SIMOD takes some thousands of samples of a model of any size, asks this library where they go, and carries
+// the whole model along. All coordinates here are local ones: the model's, shifted and scaled to a diagonal
+// of 1 to 2. simod_plugin.h says what each function may rely on, on which thread it is called, and who owns
+// what.
 #include "simod_plugin.h"
 
 #include <math.h>
@@ -32,8 +33,8 @@ static const SimodDescriptor descriptor = {
 
 static const SimodDescriptor *describe(void) { return &descriptor; }
 
-// The map: a point at distance r < radius from the centre goes to 1 + strength (1 - (r / radius)^2)^falloff times that
-// distance; all others stay exactly where they are.
+// The map: a point at distance r < radius from the centre goes to 1 + strength (1 - (r / radius)^2)^falloff
+// times that distance; all others stay exactly where they are.
 static void bulge(const SimodDeformInput *input, double p[3])
 {
     const SimodParam *values = input->params;
@@ -64,8 +65,8 @@ static uint32_t deform(const void *state, const SimodDeformInput *input, void *s
     return SIMOD_OK;
 }
 
-// The same map at any point, by which SIMOD measures its results. Not all deformations know it: this can be left out, and
-// `extension` with it.
+// The same map at any point, by which SIMOD measures its results. Not all deformations know it: this can be
+// left out, and `extension` with it.
 static uint32_t evaluate(const void *state, const SimodDeformInput *input, double (*points)[3], size_t count,
                          const SimodHost *host)
 {
