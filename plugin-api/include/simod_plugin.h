@@ -59,7 +59,7 @@
 // still change with "draft.". What is left out of an initialiser is zero, and zero is fine wherever nothing
 // else is said.
 //
-// Made from plugin-api/src/c.rs: change that.
+// Made of plugin-api/src/c.rs in the sources of SIMOD: change that.
 
 
 #pragma once
@@ -134,7 +134,8 @@
 // Four numbers, 0 to 1: linear red, green, blue, and opacity.
 #define SIMOD_PARAM_COLOUR 7
 
-// Pairs of numbers x, y, 0 to 1, of ascending x: the points of a smooth curve, at least two.
+// Pairs of numbers x, y, 0 to 1, of ascending x: at least two points of a curve. Other plugins take it as a
+// monotone cubic (Fritsch and Carlson 1980) with harmonic means for slopes, constant beyond its ends.
 #define SIMOD_PARAM_CURVE 8
 
 // The path of a file that can be read, as text; empty where the user gave none.
@@ -393,7 +394,7 @@ typedef struct SimodPlugin {
     // sizeof(SimodPlugin). Required.
     size_t size;
     // What the plugin is: always the same, and valid for as long as the library is loaded. Called when the
-    // library is loaded, on any thread; takes microseconds. Required.
+    // library is loaded, on any thread, and perhaps again, one call at a time; takes microseconds. Required.
     const struct SimodDescriptor *(*describe)(void);
     // All the work that depends neither on transforms nor on parameters that do not invalidate the
     // preparation: writes a state to *state, which is NULL before. On an error there is none. Called on a

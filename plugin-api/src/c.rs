@@ -46,7 +46,8 @@ pub const SIMOD_PARAM_DIRECTION: u32 = 5;
 pub const SIMOD_PARAM_POINT: u32 = 6;
 /// Four numbers, 0 to 1: linear red, green, blue, and opacity.
 pub const SIMOD_PARAM_COLOUR: u32 = 7;
-/// Pairs of numbers x, y, 0 to 1, of ascending x: the points of a smooth curve, at least two.
+/// Pairs of numbers x, y, 0 to 1, of ascending x: at least two points of a curve. Other plugins take it as a
+/// monotone cubic (Fritsch and Carlson 1980) with harmonic means for slopes, constant beyond its ends.
 pub const SIMOD_PARAM_CURVE: u32 = 8;
 /// The path of a file that can be read, as text; empty where the user gave none.
 pub const SIMOD_PARAM_FILE: u32 = 9;
@@ -418,7 +419,7 @@ pub struct SimodPlugin {
     /// sizeof(SimodPlugin). Required.
     pub size: usize,
     /// What the plugin is: always the same, and valid for as long as the library is loaded. Called when the
-    /// library is loaded, on any thread; takes microseconds. Required.
+    /// library is loaded, on any thread, and perhaps again, one call at a time; takes microseconds. Required.
     pub describe: Option<unsafe extern "C" fn() -> *const SimodDescriptor>,
     /// All the work that depends neither on transforms nor on parameters that do not invalidate the
     /// preparation: writes a state to *state, which is NULL before. On an error there is none. Called on a
