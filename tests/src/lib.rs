@@ -7,7 +7,7 @@ mod motion;
 mod ply;
 mod workplace;
 
-pub use built::{built, cargo_build, library, run_build, workspace};
+pub use built::{built, cargo_build, library, run_build, target_folder, workspace};
 pub use motion::Motion;
 pub use ply::Ply;
 pub use workplace::{Outcome, Workplace, real_model, skip};
