@@ -112,6 +112,14 @@ fn a_plugin_that_fails_to_say_what_it_is_hides_no_other() {
         assert!(warning.contains(&format!("misbehaving{DLL_SUFFIX}")), "{warning}");
         assert!(list.stdout.contains("warp") && !list.stdout.contains("misbehaving"), "{}", list.stdout);
     }
+    // One that takes its time is told, once: then it is remembered.
+    for warnings in [1, 0] {
+        let mut list = work.command("plugin list");
+        let list = Outcome::from(list.env("SIMOD_MISBEHAVE", "slow-at-load").output().expect("an end"));
+        assert!(list.stdout.contains("misbehaving"), "{}", list.stdout);
+        assert_eq!(list.lines("warning: ").len(), warnings, "{}", list.stderr);
+        assert!(list.lines("warning: ").iter().all(|w| w.contains("to say what it is")), "{}", list.stderr);
+    }
 }
 
 #[test]
