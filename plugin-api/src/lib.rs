@@ -98,6 +98,7 @@
 //! ([`ErrorCode`], [`ParamKind`], [`Unit`], [`Role`], [`LogLevel`]) are numbers, not enums, since an enum with a
 //! value that one side does not know is undefined behaviour; an unknown code is refused, politely.
 
+pub mod c;
 mod curve;
 mod deformer;
 mod descriptor;

@@ -3,11 +3,13 @@
 //! Nothing here knows the program's crates: what the tests hold is what a user sees.
 
 mod built;
+mod compiler;
 mod motion;
 mod ply;
 mod workplace;
 
 pub use built::{built, cargo_build, library, run_build, target_folder, workspace};
+pub use compiler::has_compiler;
 pub use motion::Motion;
 pub use ply::Ply;
 pub use workplace::{Outcome, Workplace, real_model, skip};

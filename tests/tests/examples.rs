@@ -31,6 +31,17 @@ fn your_own_plugin() {
     assert!(lesson.said.contains("transfer error"), "{}", lesson.said);
 }
 
+#[test]
+fn a_plugin_in_c() {
+    if std::env::consts::DLL_SUFFIX != ".so" {
+        return skip("the lesson's library has the name that Linux wants");
+    }
+    let lesson = Lesson::follow("04-a-plugin-in-c");
+    lesson.assert_deformed("amphora.ply", "amphora-grabbed.ply");
+    assert!(lesson.said.contains(" 0 failed, 0 warned"), "{}", lesson.said);
+    assert!(lesson.said.contains("transfer error"), "{}", lesson.said);
+}
+
 /// A copy of a lesson's folder, after the commands of its page.
 struct Lesson {
     folder: PathBuf,
@@ -83,7 +94,8 @@ fn copy(from: &Path, to: &Path, repository: &Path) {
     fs::create_dir_all(to).unwrap();
     for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
         let (path, target) = (entry.path(), to.join(entry.file_name()));
-        let is_source = path.extension().is_some_and(|e| ["md", "toml", "py", "rs"].iter().any(|x| e == *x));
+        let is_source =
+            path.extension().is_some_and(|e| ["md", "toml", "py", "rs", "c"].iter().any(|x| e == *x));
         if path.is_dir() && entry.file_name() != "target" {
             copy(&path, &target, repository);
         } else if is_source {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use glam::DVec3;
-use simod_tests::{Workplace, workspace};
+use simod_tests::{Workplace, built, has_compiler, skip, workspace};
 
 /// Where the bulge is, how far it reaches as a fraction of the diagonal, and how strong it is.
 const CENTER: DVec3 = DVec3::new(0.8, 0.0, 0.0);
@@ -50,7 +50,42 @@ fn a_new_plugin_works_as_it_is() {
     let file = Path::new(library).file_name().unwrap();
     fs::create_dir(work.path("plugins")).unwrap();
     fs::copy(target().join(library), work.path("plugins").join(file)).unwrap();
-    let work = work.with_plugins("plugins");
+    assert_bulges(&work.with_plugins("plugins"));
+}
+
+#[test]
+fn a_new_plugin_in_c_works_as_it_is() {
+    if cfg!(windows) || !has_compiler("make") {
+        return skip("make is not installed");
+    }
+    let work = Workplace::new();
+    let report = work.report("plugin new soft-bulge --lang c");
+    let project = work.path("soft-bulge");
+    for file in report["files"].as_array().unwrap() {
+        assert!(project.join(file.as_str().unwrap()).is_file(), "{file}");
+    }
+    let make = |target: &[&str]| {
+        let path = std::env::var("PATH").unwrap_or_default();
+        let mut make = Command::new("make");
+        make.args(target).current_dir(&project).env("PATH", format!("{}:{path}", built().display()));
+        let output = make.env("CFLAGS", "-O2 -Wpedantic -Werror").output().unwrap();
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{said}{}", String::from_utf8_lossy(&output.stderr));
+        said
+    };
+    make(&[]);
+    assert!(project.join(report["library"].as_str().unwrap()).is_file(), "{report}");
+    let said = make(&["check"]);
+    assert!(said.contains(" 0 failed, 0 warned"), "{said}");
+    let work = work.with_plugins("soft-bulge/build");
+    assert_bulges(&work);
+    // Built from a clean checkout, nothing is left behind.
+    make(&["clean"]);
+    assert!(!project.join("build").exists());
+}
+
+/// The plugin is there, as a user sees it, and does what its source says.
+fn assert_bulges(work: &Workplace) {
     let info = work.report("plugin info soft-bulge");
     assert_eq!((&info["version"], &info["warnings"]), (&"0.1.0".into(), &serde_json::Value::Null));
     assert_eq!(info["parameters"].as_array().unwrap().len(), 4);
@@ -93,6 +128,9 @@ fn the_folder_can_be_elsewhere_and_empty_but_nothing_else() {
     fs::create_dir_all(work.path("tools/bulge")).unwrap();
     let outcome = work.simod("plugin new bulge --path tools");
     assert!(outcome.stdout.contains("cargo build --release"), "{}", outcome.stdout);
+    let outcome = work.simod("plugin new bump --path tools --lang c");
+    assert!(outcome.stdout.contains("  make check\n"), "{}", outcome.stdout);
+    assert_eq!(work.run("plugin new bump --lang cobol").code, Some(2));
     assert_eq!(work.names(), ["file", "mine", "tools"]);
     assert!(work.path("tools/bulge/src/lib.rs").is_file());
     work.refuses("plugin new bulge --path tools", &["bulge", "is there already"]);

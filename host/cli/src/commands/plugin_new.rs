@@ -1,20 +1,20 @@
-//! `simod plugin new`: a project for a plugin in Rust that builds, tests itself and works as it is.
+//! `simod plugin new`: a project for a plugin in Rust or in C that builds, tests itself and works as it is.
 //!
-//! The interface crate travels along, so that the project needs neither SIMOD's sources nor a path to them.
+//! The interface travels along, a crate or a header, so that the project needs neither SIMOD's sources nor a path to them.
 
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use serde_json::json;
 use simod_core::output::{folder_of, write_file};
 use simod_core::{Error, ErrorKind, Result};
 
 use crate::report::Report;
 
-/// Begin a plugin of your own: a project in Rust that builds, tests itself and works
+/// Begin a plugin of your own: a project in Rust or C that builds, tests itself and works
 #[derive(Args)]
 pub struct New {
     /// The plugin's name, in kebab-case, as `soft-bulge`: its id in sessions, and the project's folder
@@ -22,7 +22,29 @@ pub struct New {
     /// The folder to make the project's folder in (default: the current one)
     #[arg(long, value_name = "DIR")]
     path: Option<PathBuf>,
+    /// The language to write it in
+    #[arg(long, value_enum, default_value_t = Language::Rust)]
+    lang: Language,
 }
+
+/// What a plugin is written in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Language {
+    /// Rust, with the interface's crate
+    Rust,
+    /// C, with its header; for C++ too
+    C,
+}
+
+/// A project in C.
+const C_PROJECT: [(&str, &str); 6] = [
+    ("plugin.c", include_str!("plugin_new/c/plugin.c")),
+    ("simod_plugin.h", include_str!("../../../../plugin-api/include/simod_plugin.h")),
+    ("Makefile", include_str!("plugin_new/c/Makefile")),
+    ("README.md", include_str!("plugin_new/c/README.md")),
+    ("session.toml", include_str!("plugin_new/session.toml")),
+    (".gitignore", include_str!("plugin_new/c/gitignore")),
+];
 
 /// The project's files; words between underscores are filled in. The manifests have other names here, so that cargo
 /// takes the folder for no package.
@@ -46,7 +68,8 @@ const INTERFACE_MANIFEST: &str = include_str!("plugin_new/interface.toml");
 const DERIVE_MANIFEST: &str = include_str!("plugin_new/derive.toml");
 
 /// The interface's sources.
-const INTERFACE: [(&str, &str); 13] = [
+const INTERFACE: [(&str, &str); 14] = [
+    ("c.rs", include_str!("../../../../plugin-api/src/c.rs")),
     ("curve.rs", include_str!("../../../../plugin-api/src/curve.rs")),
     ("deformer.rs", include_str!("../../../../plugin-api/src/deformer.rs")),
     ("descriptor.rs", include_str!("../../../../plugin-api/src/descriptor.rs")),
@@ -84,25 +107,46 @@ impl New {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let names = Names::of(&self.name)?;
         let folder = self.path.unwrap_or_default().join(&names.id);
-        write_project(&folder, &names)?;
-        report.line(format!(
-            "{} is ready: a bulge about a point, to be changed in src/lib.rs",
-            folder.display()
-        ));
+        write_project(&folder, &names, self.lang)?;
+        let (source, library) = match self.lang {
+            Language::Rust => ("src/lib.rs", &names.library),
+            Language::C => ("plugin.c", &names.c_library),
+        };
+        report
+            .line(format!("{} is ready: a bulge about a point, to be changed in {source}", folder.display()));
         report.line("next:");
-        for command in [
-            format!("cd {}", folder.display()),
-            "cargo build --release".to_owned(),
-            format!("simod plugin check {}", names.library),
-        ] {
+        report.line(format!("  cd {}", folder.display()));
+        for command in self.lang.commands(&names) {
             report.line(format!("  {command}"));
         }
         report.line("README.md goes on from there");
         report.figure("id", names.id);
         report.figure("folder", folder.display().to_string());
-        report.figure("library", names.library);
-        report.figure("files", json!(paths()));
+        report.figure("library", library.as_str());
+        report.figure("files", json!(self.lang.files().map(|(path, _)| path).collect::<Vec<_>>()));
         Ok(())
+    }
+}
+
+impl Language {
+    /// What builds and checks a project.
+    fn commands(self, names: &Names) -> [String; 2] {
+        match self {
+            Self::Rust => {
+                ["cargo build --release".to_owned(), format!("simod plugin check {}", names.library)]
+            }
+            Self::C => ["make".to_owned(), "make check".to_owned()],
+        }
+    }
+
+    /// The files of a project, by their paths, before words are filled in.
+    fn files(self) -> impl Iterator<Item = (String, &'static str)> {
+        let own: &[_] = match self {
+            Self::Rust => &PROJECT,
+            Self::C => &C_PROJECT,
+        };
+        let own = own.iter().map(|&(path, text)| (path.to_owned(), text));
+        own.chain(interface().filter(move |_| self == Self::Rust))
     }
 }
 
@@ -116,6 +160,8 @@ struct Names {
     type_name: String,
     /// `target/release/libsoft_bulge.so`, or as the system has it.
     library: String,
+    /// `build/libsoft_bulge.so`, or as the system has it.
+    c_library: String,
 }
 
 impl Names {
@@ -147,6 +193,7 @@ impl Names {
             title: capitalised(&name.replace('-', " ")),
             type_name,
             library: format!("target/release/{DLL_PREFIX}{}{DLL_SUFFIX}", name.replace('-', "_")),
+            c_library: format!("build/{DLL_PREFIX}{}{DLL_SUFFIX}", name.replace('-', "_")),
         })
     }
 
@@ -156,6 +203,7 @@ impl Names {
             .replace("__TITLE__", &self.title)
             .replace("__TYPE__", &self.type_name)
             .replace("__LIBRARY__", &self.library)
+            .replace("__LIBRARY_NAME__", &self.id.replace('-', "_"))
     }
 }
 
@@ -177,14 +225,8 @@ fn interface() -> impl Iterator<Item = (String, &'static str)> {
     own.chain(DERIVE.iter().map(|(file, text)| (format!("simod-plugin-api/derive/src/{file}"), *text)))
 }
 
-/// All files of a project.
-fn paths() -> Vec<String> {
-    let own = PROJECT.iter().map(|(path, _)| (*path).to_owned());
-    own.chain(interface().map(|(path, _)| path)).collect()
-}
-
 /// Makes the project's folder, whole or not at all. There may be an empty one.
-fn write_project(folder: &Path, names: &Names) -> Result<()> {
+fn write_project(folder: &Path, names: &Names, language: Language) -> Result<()> {
     let failed = |e: &io::Error| Error::io("create", folder, e);
     let is_there = folder.symlink_metadata().is_ok();
     if is_there && !fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none()) {
@@ -201,9 +243,6 @@ fn write_project(folder: &Path, names: &Names) -> Result<()> {
         builder.permissions(fs::Permissions::from_mode(0o777));
     }
     let new = builder.tempdir_in(folder_of(folder)).map_err(|e| failed(&e))?;
-    for sub in ["src", "simod-plugin-api/src", "simod-plugin-api/derive/src"] {
-        fs::create_dir_all(new.path().join(sub)).map_err(|e| failed(&e))?;
-    }
     // What fails is told of the folder that was asked for, not of its temporary name.
     let write = |path: String, text: &str| {
         write_file(&new.path().join(path), text.as_bytes()).map_err(|e| {
@@ -211,11 +250,9 @@ fn write_project(folder: &Path, names: &Names) -> Result<()> {
             Error::new(e.kind(), what, e.hint())
         })
     };
-    for (path, text) in PROJECT {
-        write(path.to_owned(), &names.fill_in(text))?;
-    }
-    for (path, text) in interface() {
-        write(path, text)?;
+    for (path, text) in language.files() {
+        fs::create_dir_all(folder_of(&new.path().join(&path))).map_err(|e| failed(&e))?;
+        write(path, &names.fill_in(text))?;
     }
     if is_there {
         // Refused where something came into it meanwhile.
@@ -289,12 +326,12 @@ mod tests {
     #[test]
     fn all_words_are_filled_in() {
         let names = Names::of("soft-bulge").unwrap();
-        for (path, text) in PROJECT {
+        let words = ["__NAME__", "__TITLE__", "__TYPE__", "__LIBRARY__", "__LIBRARY_NAME__"];
+        for (path, text) in Language::Rust.files().chain(Language::C.files()) {
+            // The interface has words of its own.
+            let is_ours = !path.starts_with("simod-plugin-api/");
             let text = names.fill_in(text);
-            assert!(
-                !["__NAME__", "__TITLE__", "__TYPE__", "__LIBRARY__"].iter().any(|w| text.contains(w)),
-                "{path}"
-            );
+            assert!(!is_ours || !words.iter().any(|w| text.contains(w)), "{path}");
         }
     }
 
@@ -308,6 +345,20 @@ mod tests {
         assert!(read("docs/plugins.md").contains(&format!("```rust\n{plugin}```\n")), "write it anew");
     }
 
+    /// What `docs/plugins.md` has in C is of the project's plugin, or of the lesson's.
+    #[test]
+    fn the_documentation_shows_c_as_it_is() {
+        let (_, plugin) = C_PROJECT.iter().find(|(path, _)| *path == "plugin.c").unwrap();
+        let sources =
+            [Names::of("soft-bulge").unwrap().fill_in(plugin), read("examples/04-a-plugin-in-c/grab.c")];
+        let page = read("docs/plugins.md");
+        let blocks: Vec<&str> = page.split("```c\n").skip(1).filter_map(|b| b.split("```").next()).collect();
+        assert!(blocks.len() >= 4, "{}", blocks.len());
+        for block in blocks {
+            assert!(sources.iter().any(|source| source.contains(block)), "write it anew: {block}");
+        }
+    }
+
     #[test]
     fn a_project_is_written_whole_or_not_at_all() {
         let place = tempfile::tempdir().unwrap();
@@ -315,12 +366,12 @@ mod tests {
         let names = Names::of("soft-bulge").unwrap();
         let found =
             || fs::read_dir(place.path()).unwrap().map(|e| e.unwrap().file_name()).collect::<Vec<_>>();
-        write_project(&place.path().join("missing/soft-bulge"), &names).unwrap_err();
+        write_project(&place.path().join("missing/soft-bulge"), &names, Language::C).unwrap_err();
         assert!(found().is_empty());
         fs::create_dir(&folder).unwrap();
-        write_project(&folder, &names).unwrap();
-        assert!(paths().iter().all(|path| folder.join(path).is_file()));
-        let error = write_project(&folder, &names).unwrap_err();
+        write_project(&folder, &names, Language::Rust).unwrap();
+        assert!(Language::Rust.files().all(|(path, _)| folder.join(path).is_file()));
+        let error = write_project(&folder, &names, Language::C).unwrap_err();
         assert!(error.to_string().contains("is there already"), "{error}");
         assert_eq!(found(), ["soft-bulge"]);
     }

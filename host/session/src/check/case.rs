@@ -177,7 +177,8 @@ impl Case {
     /// Calls with what a deformation gets.
     pub fn deform_input<T>(&self, call: impl FnOnce(&DeformInput<'_>) -> T) -> T {
         let params: Vec<Param<'_>> = self.params.views();
-        let radius = BRUSH * self.bounds.diagonal();
+        // Above 0, also where all samples are in one point.
+        let radius = BRUSH * Some(self.bounds.diagonal()).filter(|d| *d > 0.0).unwrap_or(1.0);
         let strokes = self.strokes.iter().enumerate();
         let strokes: Vec<Stroke<'_>> = strokes
             .map(|(i, path)| Stroke::new(i as u64, radius, 1.0 - 0.5 * i as f64, path, &[], &params))

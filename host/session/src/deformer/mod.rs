@@ -5,6 +5,8 @@
 //! values that are not finite, input that was written to, descriptions that make no sense.
 
 mod about;
+#[allow(unsafe_code, reason = "tables and pointers of C; each block has its argument")]
+mod c;
 mod code;
 
 use crate::params::check_description;
@@ -21,6 +23,7 @@ use std::sync::{Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3Default;
 
 pub(crate) use about::About;
+pub(crate) use c::CCode;
 pub use code::Capabilities;
 pub use code::Code;
 pub(crate) use code::RustCode;
@@ -64,7 +67,7 @@ impl std::fmt::Debug for Plugin {
 }
 
 impl Plugin {
-    /// A plugin in this process, by its root module.
+    /// A plugin of a test's own.
     #[cfg(test)]
     pub(crate) fn in_process(module: simod_plugin_api::PluginModRef, path: &Path) -> Result<Self> {
         Self::new(Box::new(RustCode::new(module)), path)
@@ -325,6 +328,16 @@ fn fingerprint(samples: &Samples<'_>) -> u64 {
     hash.update(bytemuck::cast_slice(samples.normals()));
     hash.update(bytemuck::cast_slice(samples.spacing()));
     hash.digest()
+}
+
+/// The dynamic linker refuses a library, and says why.
+pub(crate) fn cannot_load(path: &Path, reason: &str) -> Error {
+    // "/path/lib.so: what is wrong": the path is ours to tell.
+    let file = path.display();
+    let reason = reason.lines().next().unwrap_or_default();
+    let reason = reason.strip_prefix(&format!("{file}: ")).unwrap_or(reason);
+    let what = format!("cannot load {file}: {reason}");
+    Error::new(ErrorKind::Plugin, what, "is it a library for this system, and complete?")
 }
 
 fn refused(path: &Path, what: &str) -> Error {

@@ -1,7 +1,7 @@
 //! Loading one library.
 
-use super::elf;
-use crate::deformer::{About, Capabilities, Code, Plugin, RustCode};
+use super::library_file::{self, Kind};
+use crate::deformer::{About, CCode, Capabilities, Code, Plugin, RustCode, cannot_load};
 use abi_stable::library::{LibraryError, RootModule, lib_header_from_path};
 use simod_core::{Error, ErrorKind, Result};
 use simod_plugin_api::{
@@ -12,15 +12,19 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::{LazyLock, Mutex, OnceLock, PoisonError};
 
-/// Loads a plugin's code for good: libraries are never unloaded.
+/// Loads a plugin's code for good: libraries are never unloaded. One that is no plugin is never loaded.
 pub(crate) fn load_code(path: &Path) -> Result<Box<dyn Code>> {
-    // The dynamic linker maps a file that was cut off without a complaint, and the process dies on touching it.
-    elf::check_complete(path)?;
+    let kind = library_file::kind(path)?;
     let copy = fresh_copy(path)?;
     // Once it is loaded, its name does not matter; where it does, the file goes when the system cleans up.
-    let loaded = root_module(copy.as_ref().map_or(path, |copy| copy.path()));
-    let module = loaded.map_err(|e| explain(path, &e.0, e.1.as_deref()))?;
-    Ok(Box::new(RustCode::new(module)))
+    let file = copy.as_ref().map_or(path, |copy| copy.path());
+    Ok(match kind {
+        Kind::Rust => {
+            let module = root_module(file).map_err(|e| explain(path, &e.0, e.1.as_deref()))?;
+            Box::new(RustCode::new(module))
+        }
+        Kind::C => Box::new(CCode::load(file, path)?),
+    })
 }
 
 /// A copy of a library, if one was loaded from that path before: the system would take it for the same.
@@ -126,16 +130,7 @@ fn explain(path: &Path, error: &LibraryError, theirs: Option<&str>) -> Error {
     let ours = PluginModRef::VERSION_STRINGS.version.as_str();
     let file = path.display();
     let (what, hint) = match error {
-        LibraryError::OpenError { err, .. } => {
-            // "/path/lib.so: what is wrong": the path is ours to tell.
-            let text = err.to_string();
-            let reason = text.lines().next().unwrap_or_default();
-            let reason = reason.strip_prefix(&format!("{file}: ")).unwrap_or(reason);
-            (
-                format!("cannot load {file}: {reason}"),
-                "is it a library for this system, and complete?".to_owned(),
-            )
-        }
+        LibraryError::OpenError { err, .. } => return cannot_load(path, &err.to_string()),
         LibraryError::GetSymbolError { .. } => {
             (format!("{file} is no SIMOD plugin"), "remove it from the plugin folder".to_owned())
         }

@@ -3,7 +3,7 @@
 //! One bad library never hides the good ones: what cannot be used is listed with its reason, in one line.
 
 mod cache;
-mod elf;
+mod library_file;
 mod load;
 
 use crate::deformer::{About, Plugin};
@@ -307,7 +307,7 @@ pub(crate) fn load_unchecked(path: &Path) -> Result<Plugin> {
 fn open(file: &Path, isolated: bool, options: &PluginOptions, known: Option<About>) -> Result<Plugin> {
     #[cfg(unix)]
     if isolated {
-        elf::check_complete(file)?;
+        library_file::kind(file)?;
         let introduction =
             WorkerOptions { silence: INTRODUCTION.min(options.worker.silence), ..(*options.worker).clone() };
         let about = known.map_or_else(|| worker::ask(file, &Arc::new(introduction)), Ok)?;

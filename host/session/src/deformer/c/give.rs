@@ -1,0 +1,151 @@
+//! What a plugin gets, in C's words: borrowed as it is, but for texts, which need an end.
+
+use simod_plugin_api::c::{
+    SimodAffine, SimodBounds, SimodDeformInput, SimodGraph, SimodHandleMotions, SimodJoint, SimodJoints,
+    SimodParam, SimodPart, SimodPrepareInput, SimodRegion, SimodSamples, SimodStroke, SimodStrokes,
+    SimodTriangles,
+};
+use simod_plugin_api::{
+    Affine, Bounds, DeformInput, Joint, Params, PluginError, PluginResult, PrepareInput, Samples, Stroke,
+};
+use std::ffi::{CStr, CString, c_void};
+use std::ptr::null;
+
+/// The start of a list; NULL if there is nothing in it.
+fn start<T>(list: &[T]) -> *const T {
+    if list.is_empty() { null() } else { list.as_ptr() }
+}
+
+fn samples(samples: &Samples<'_>) -> SimodSamples {
+    SimodSamples {
+        count: samples.positions().len(),
+        positions: start(samples.positions()),
+        normals: start(samples.normals()),
+        spacing: start(samples.spacing()),
+    }
+}
+
+fn bounds(bounds: &Bounds) -> SimodBounds {
+    SimodBounds { min: bounds.min, max: bounds.max }
+}
+
+/// Affine maps are laid out alike.
+fn affine(maps: &[Affine]) -> *const SimodAffine {
+    const { assert!(size_of::<Affine>() == size_of::<SimodAffine>()) };
+    start(maps).cast()
+}
+
+fn c_text(text: &str) -> PluginResult<CString> {
+    CString::new(text).map_err(|_| PluginError::input(format!("there is a zero in the text `{text}`")))
+}
+
+/// Parameters' ids and texts, with an end.
+struct Texts(Vec<(CString, CString)>);
+
+impl Texts {
+    fn of(params: Params<'_>) -> PluginResult<Self> {
+        params
+            .iter()
+            .map(|p| Ok((c_text(p.id())?, c_text(p.as_text())?)))
+            .collect::<PluginResult<_>>()
+            .map(Self)
+    }
+
+    /// The same parameters; they point to these texts.
+    fn params(&self, params: Params<'_>) -> Vec<SimodParam> {
+        let params = params.iter().zip(&self.0).map(|(p, (id, text))| SimodParam {
+            id: id.as_ptr(),
+            kind: p.kind().0,
+            numbers: start(p.as_numbers()),
+            count: p.as_numbers().len(),
+            text: text.as_ptr(),
+        });
+        params.collect()
+    }
+}
+
+/// An input that is known by an id.
+fn part<T>(id: &'static CStr, data: &T) -> SimodPart {
+    SimodPart { id: id.as_ptr(), data: std::ptr::from_ref(data).cast::<c_void>() }
+}
+
+/// Calls with what a preparation gets, as long as it is there.
+pub(super) fn with_prepare_input<T>(
+    input: &PrepareInput<'_>,
+    call: impl FnOnce(*const SimodPrepareInput) -> T,
+) -> PluginResult<T> {
+    let texts = Texts::of(input.params())?;
+    let params = texts.params(input.params());
+    let regions = input.regions().iter().map(|r| SimodRegion { role: r.role.0, weights: start(r.weights()) });
+    let regions: Vec<_> = regions.collect();
+
+    let triangles = input.triangles().map(|t| t.indices());
+    let triangles = triangles.map(|t| SimodTriangles { indices: start(t), count: t.len() });
+    let graph = input.graph().map(|g| SimodGraph { starts: start(g.starts()), neighbours: start(g.all()) });
+    let ids: Vec<CString> = input.joints().iter().map(|j| c_text(j.id())).collect::<PluginResult<_>>()?;
+    let joint = |(j, id): (&Joint<'_>, &CString)| SimodJoint {
+        id: id.as_ptr(),
+        position: j.position,
+        parent: j.parent,
+    };
+    let joints: Vec<SimodJoint> = input.joints().iter().zip(&ids).map(joint).collect();
+    let joints = SimodJoints { joints: start(&joints), count: joints.len() };
+
+    let mut parts = Vec::new();
+    parts.extend(triangles.as_ref().map(|t| part(c"simod.triangles/1", t)));
+    parts.extend(graph.as_ref().map(|g| part(c"simod.graph/1", g)));
+    parts.extend((joints.count > 0).then(|| part(c"simod.joints/1", &joints)));
+    let input = SimodPrepareInput {
+        samples: samples(&input.samples),
+        bounds: bounds(&input.bounds),
+        regions: start(&regions),
+        region_count: regions.len(),
+        params: start(&params),
+        param_count: params.len(),
+        parts: start(&parts),
+        part_count: parts.len(),
+    };
+    Ok(call(&input))
+}
+
+/// Calls with what a deformation gets, as long as it is there.
+pub(super) fn with_deform_input<T>(
+    input: &DeformInput<'_>,
+    call: impl FnOnce(*const SimodDeformInput) -> T,
+) -> PluginResult<T> {
+    let texts = Texts::of(input.params())?;
+    let params = texts.params(input.params());
+    let motions = input.handle_motions();
+    let motions = SimodHandleMotions { motions: affine(motions), count: motions.len() };
+    let stroke_texts: Vec<Texts> =
+        input.strokes().iter().map(|s| Texts::of(s.params())).collect::<PluginResult<_>>()?;
+    let stroke_params = input.strokes().iter().zip(&stroke_texts).map(|(s, texts)| texts.params(s.params()));
+    let stroke_params: Vec<Vec<SimodParam>> = stroke_params.collect();
+    let stroke = |(s, params): (&Stroke<'_>, &Vec<SimodParam>)| SimodStroke {
+        key: s.key,
+        radius: s.radius,
+        strength: s.strength,
+        points: start(s.points()),
+        point_count: s.points().len(),
+        pressures: start(s.pressures()),
+        params: start(params),
+        param_count: params.len(),
+    };
+    let strokes: Vec<SimodStroke> = input.strokes().iter().zip(&stroke_params).map(stroke).collect();
+    let strokes = SimodStrokes { strokes: start(&strokes), count: strokes.len() };
+
+    let mut parts = Vec::new();
+    parts.extend((motions.count > 0).then(|| part(c"simod.handle-motions/1", &motions)));
+    parts.extend((strokes.count > 0).then(|| part(c"simod.strokes/1", &strokes)));
+    let input = SimodDeformInput {
+        samples: samples(&input.samples),
+        bounds: bounds(&input.bounds),
+        transforms: affine(input.transforms()),
+        transform_count: input.transforms().len(),
+        params: start(&params),
+        param_count: params.len(),
+        parts: start(&parts),
+        part_count: parts.len(),
+    };
+    Ok(call(&input))
+}

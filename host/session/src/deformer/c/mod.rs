@@ -1,0 +1,307 @@
+//! The code of a plugin in C, in this process: what `simod_plugin.h` says, from the host's side.
+//!
+//! Nothing that a plugin gives is trusted as far as it can be looked at: pointers may be NULL or misaligned,
+//! counts absurd, text without an end or not UTF-8. That a function is one, and keeps to what it is allowed
+//! to touch, nobody can see; who does not trust a plugin has it run in a process of its own.
+
+mod describe;
+mod give;
+mod listen;
+mod read;
+
+use super::{Capabilities, Code, cannot_load};
+use give::{with_deform_input, with_prepare_input};
+use libloading::Library;
+use simod_core::{Error, ErrorKind, Result};
+use simod_plugin_api::c::{
+    SIMOD_INTERFACE_MAJOR, SIMOD_INTERFACE_MINOR, SIMOD_OK, SimodDeformInput, SimodEvaluate, SimodHandleDesc,
+    SimodHandleList, SimodHandles, SimodHost, SimodIsIdentity, SimodPlugin, SimodPrepareInput,
+};
+use simod_plugin_api::{
+    DeformInput, Descriptor, HandleDesc, HostCalls, PluginError, PluginResult, PrepareInput, Scratch, State,
+};
+use std::error::Error as _;
+use std::ffi::{CStr, c_void};
+use std::mem::offset_of;
+use std::path::Path;
+
+/// The name of the exported table.
+const ENTRY: &CStr = c"simod_plugin_entry";
+
+type Evaluate = unsafe extern "C" fn(
+    *const c_void,
+    *const SimodDeformInput,
+    *mut [f64; 3],
+    usize,
+    *const SimodHost,
+) -> u32;
+type Handles = unsafe extern "C" fn(*const SimodPrepareInput, *mut SimodHandleList, *const SimodHost) -> u32;
+type IsIdentity = unsafe extern "C" fn(*const SimodDeformInput) -> u8;
+
+/// The functions of a plugin in C. A call costs what it takes to put the input into other words: of
+/// parameters, regions and strokes; no samples are copied.
+pub(crate) struct CCode {
+    describe: unsafe extern "C" fn() -> *const simod_plugin_api::c::SimodDescriptor,
+    deform: unsafe extern "C" fn(
+        *const c_void,
+        *const SimodDeformInput,
+        *mut c_void,
+        *mut [f32; 3],
+        *const SimodHost,
+    ) -> u32,
+    evaluate: Option<Evaluate>,
+    handles: Option<Handles>,
+    is_identity: Option<IsIdentity>,
+    /// What may be missing.
+    plugin: SimodPlugin,
+}
+
+/// A plugin's state; freed by the plugin.
+struct CState {
+    data: *mut c_void,
+    free: Option<unsafe extern "C" fn(*mut c_void)>,
+}
+
+// SAFETY: the header says that several threads use a state at once, and that any of them may free it.
+unsafe impl Send for CState {}
+// SAFETY: as above.
+unsafe impl Sync for CState {}
+
+/// A plugin's working memory; freed by the plugin.
+struct CScratch(CState);
+
+impl Drop for CState {
+    fn drop(&mut self) {
+        if let Some(free) = self.free.filter(|_| !self.data.is_null()) {
+            // SAFETY: the plugin gave the pointer along with this function, and nothing uses it any more.
+            unsafe { free(self.data) };
+        }
+    }
+}
+
+impl CCode {
+    /// Loads a library, for good, which is known to have the table: from `file`, which is that at `path`, or
+    /// a copy of it.
+    pub fn load(file: &Path, path: &Path) -> Result<Self> {
+        // SAFETY: initialisers of the library run, and may do anything. Whoever puts a library into a plugin
+        // folder wants its code to run.
+        let library = unsafe { Library::new(file) }.map_err(|e| {
+            let reason = e.source().map_or_else(|| e.to_string(), ToString::to_string);
+            cannot_load(path, &reason)
+        })?;
+        // Never unloaded: states and descriptions point into it.
+        let library = Box::leak(Box::new(library));
+        // SAFETY: the symbol's address is taken, whatever is there.
+        let table = unsafe { library.get::<*const SimodPlugin>(ENTRY) };
+        let table = table.map_err(|e| cannot_load(path, &e.to_string()))?;
+        // SAFETY: the header says that this is what has the name, and the library stays loaded.
+        unsafe { Self::new(*table, path) }
+    }
+
+    /// The functions of a table.
+    ///
+    /// # Safety
+    /// What the pointer points to, if it is good, begins like a `SimodPlugin` as far as its version says so,
+    /// and stays.
+    unsafe fn new(table: *const SimodPlugin, path: &Path) -> Result<Self> {
+        let refused = |what: &str, hint: &str| {
+            Err(Error::new(ErrorKind::Plugin, format!("{}: {what}", path.display()), hint))
+        };
+        let bug = "this is a bug of the plugin; tell its author";
+        if table.is_null() || !table.is_aligned() {
+            return refused("simod_plugin_entry is no table", bug);
+        }
+        // SAFETY: by the contract; all versions of the table begin with two numbers and a size.
+        let (major, minor, size) =
+            unsafe { ((*table).interface_major, (*table).interface_minor, (*table).size) };
+        if major != SIMOD_INTERFACE_MAJOR {
+            let what = format!(
+                "it was built for plugin interface {major}.{minor}, this program has \
+                 {SIMOD_INTERFACE_MAJOR}.{SIMOD_INTERFACE_MINOR}"
+            );
+            return refused(
+                &what,
+                "rebuild it with this program's simod_plugin.h, as `simod plugin new` writes it",
+            );
+        }
+        if size < size_of::<SimodPlugin>() {
+            let what = format!("its table has {size} bytes instead of {}", size_of::<SimodPlugin>());
+            return refused(&what, "set `size` to sizeof(SimodPlugin), as the header says");
+        }
+        // SAFETY: by the contract the table is one of this version, and as large as it says.
+        let plugin = unsafe { table.read() };
+        let (Some(describe), Some(deform)) = (plugin.describe, plugin.deform) else {
+            return refused("its table lacks `describe` or `deform`", bug);
+        };
+        let missing = |id: &CStr| {
+            let what = format!("it offers {} without the function", id.to_string_lossy());
+            Error::new(ErrorKind::Plugin, format!("{}: {what}", path.display()), bug)
+        };
+        // SAFETY: the header says which struct has which id.
+        let (evaluate, handles, is_identity) = unsafe {
+            (
+                extension::<SimodEvaluate>(&plugin, c"simod.evaluate/1"),
+                extension::<SimodHandles>(&plugin, c"simod.handles/1"),
+                extension::<SimodIsIdentity>(&plugin, c"simod.is-identity/1"),
+            )
+        };
+        Ok(Self {
+            evaluate: evaluate.map(|e| e.evaluate.ok_or_else(|| missing(c"simod.evaluate/1"))).transpose()?,
+            handles: handles.map(|e| e.handles.ok_or_else(|| missing(c"simod.handles/1"))).transpose()?,
+            is_identity: is_identity
+                .map(|e| e.is_identity.ok_or_else(|| missing(c"simod.is-identity/1")))
+                .transpose()?,
+            describe,
+            deform,
+            plugin,
+        })
+    }
+}
+
+/// The table of a capability; nothing where the plugin does not have it.
+///
+/// # Safety
+/// The plugin's table of this id is a `T`.
+unsafe fn extension<T: Copy>(plugin: &SimodPlugin, id: &CStr) -> Option<T> {
+    // SAFETY: the header says that this may be called once the library is loaded, with any id.
+    let table = unsafe { plugin.extension?(id.as_ptr()) }.cast::<T>();
+    // SAFETY: by the contract.
+    (!table.is_null() && table.is_aligned()).then(|| unsafe { table.read() })
+}
+
+/// What is not offered is not called.
+const OFFERED: &str = "the plugin offers it";
+
+/// Calls the plugin with a host that hears what it says, and makes an error of what is no success.
+fn call(calls: &dyn HostCalls, call: impl FnOnce(*const SimodHost) -> u32) -> PluginResult<()> {
+    let ear = listen::Ear::new(calls);
+    match call(&ear.host()) {
+        SIMOD_OK => Ok(()),
+        status => Err(ear.into_error(status)),
+    }
+}
+
+fn content(state: &State) -> PluginResult<*const c_void> {
+    let state = state.get::<CState>();
+    state
+        .map(|s| s.data.cast_const())
+        .ok_or_else(|| PluginError::internal("the host passed the state of another plugin"))
+}
+
+impl Code for CCode {
+    fn descriptor(&self) -> PluginResult<Descriptor> {
+        // SAFETY: the header says that this may be called at any time, and what it gives stays.
+        unsafe { describe::descriptor((self.describe)()) }
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities {
+            evaluate: self.evaluate.is_some(),
+            handles: self.handles.is_some(),
+            is_identity: self.is_identity.is_some(),
+        }
+    }
+
+    fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State> {
+        let mut data = std::ptr::null_mut();
+        if let Some(prepare) = self.plugin.prepare {
+            with_prepare_input(input, |input| {
+                // SAFETY: all pointers are good for the length of the call, as the header asks of the host.
+                call(calls, |host| unsafe { prepare(input, host, &raw mut data) })
+            })??;
+        }
+        // After an error there is no state, whatever was written.
+        Ok(State::new(CState { data, free: self.plugin.drop_state }))
+    }
+
+    fn new_scratch(&self) -> PluginResult<Scratch> {
+        let mut data = std::ptr::null_mut();
+        if let Some(new_scratch) = self.plugin.new_scratch {
+            // SAFETY: the header says that this may be called at any time.
+            data = unsafe { new_scratch() };
+            if data.is_null() {
+                return Err(PluginError::internal("there is no memory to work in")
+                    .hint("close other programs, or take fewer samples"));
+            }
+        }
+        Ok(Scratch::new(CScratch(CState { data, free: self.plugin.drop_scratch })))
+    }
+
+    fn deform(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        scratch: &mut Scratch,
+        out: &mut [[f32; 3]],
+        calls: &dyn HostCalls,
+    ) -> PluginResult<()> {
+        let state = content(state)?;
+        let scratch = scratch.get_mut::<CScratch>();
+        let scratch = scratch
+            .ok_or_else(|| PluginError::internal("the host passed the scratch of another plugin"))?
+            .0
+            .data;
+        if out.len() != input.samples.positions().len() {
+            return Err(PluginError::internal("the host passed a buffer of another length than the samples"));
+        }
+        with_deform_input(input, |input| {
+            // SAFETY: all pointers are good for the length of the call, `out` has room for all samples, and
+            // the scratch is borrowed by this call alone.
+            call(calls, |host| unsafe { (self.deform)(state, input, scratch, out.as_mut_ptr(), host) })
+        })?
+    }
+
+    fn evaluate(
+        &self,
+        state: &State,
+        input: &DeformInput<'_>,
+        points: &mut [[f64; 3]],
+        calls: &dyn HostCalls,
+    ) -> PluginResult<()> {
+        let (evaluate, state) = (self.evaluate.expect(OFFERED), content(state)?);
+        with_deform_input(input, |input| {
+            let (first, count) = (points.as_mut_ptr(), points.len());
+            // SAFETY: all pointers are good for the length of the call, and there are so many points.
+            call(calls, |host| unsafe { evaluate(state, input, first, count, host) })
+        })?
+    }
+
+    fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>> {
+        let handles = self.handles.expect(OFFERED);
+        let mut found: PluginResult<Vec<HandleDesc>> = Ok(Vec::new());
+        let mut list = SimodHandleList { context: (&raw mut found).cast(), add: add_handle };
+        with_prepare_input(input, |input| {
+            // SAFETY: all pointers are good for the length of the call.
+            call(calls, |host| unsafe { handles(input, &raw mut list, host) })
+        })??;
+        found
+    }
+
+    fn is_identity(&self, input: &DeformInput<'_>) -> PluginResult<bool> {
+        let is_identity = self.is_identity.expect(OFFERED);
+        // SAFETY: the pointer is good for the length of the call.
+        with_deform_input(input, |input| unsafe { is_identity(input) } != 0)
+    }
+}
+
+/// What `SimodHandleList::add` does: the first handle that cannot be read is what is told.
+unsafe extern "C" fn add_handle(list: *mut SimodHandleList, handle: *const SimodHandleDesc) {
+    if list.is_null() {
+        return;
+    }
+    // SAFETY: the plugin passes the list that it was given, whose context is the one that `CCode::handles`
+    // made; it adds handles one by one.
+    let found = unsafe { &mut *(*list).context.cast::<PluginResult<Vec<HandleDesc>>>() };
+    if let Ok(handles) = found {
+        // SAFETY: the header asks for a good pointer.
+        match unsafe { describe::handle(handle) } {
+            Ok(handle) => handles.push(handle),
+            Err(error) => *found = Err(error),
+        }
+    }
+}
+
+// All versions of the table begin like this, whatever else they have.
+const _: () = assert!(offset_of!(SimodPlugin, interface_major) == 0);
+const _: () = assert!(offset_of!(SimodPlugin, interface_minor) == 4);
+const _: () = assert!(offset_of!(SimodPlugin, size) == 8);

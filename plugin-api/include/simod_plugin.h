@@ -1,0 +1,577 @@
+// Plugins for SIMOD in C, C++, and in whatever else can lay out C's structs.
+//
+// A plugin is a dynamic library that exports a table of functions, `simod_plugin_entry`. SIMOD hands it some
+// hundred thousand samples of a model, and it writes where each of them goes. How that reaches the model's
+// billions of vertices is none of its concern. A whole plugin, which moves everything along x:
+//
+//     #include "simod_plugin.h"
+//
+//     enum { BY };
+//     static const SimodParamDesc params[] = {
+//         [BY] = { .id = "by", .name = "By", .hint = "How far it moves", .kind = SIMOD_PARAM_FLOAT,
+//                  .unit = SIMOD_UNIT_MODEL_LENGTH, .default_numbers = { 1 } },
+//     };
+//     static const SimodDescriptor descriptor = {
+//         .id = "shift", .name = "Shift", .version = "1.0.0", .summary = "Moves everything along x",
+//         .params = params, .param_count = sizeof params / sizeof *params,
+//     };
+//     static const SimodDescriptor *describe(void) { return &descriptor; }
+//
+//     static uint32_t deform(const void *state, const SimodDeformInput *input, void *scratch, float (*out)[3],
+//                            const SimodHost *host)
+//     {
+//         float by = (float)input->params[BY].numbers[0];
+//         const float (*p)[3] = input->samples.positions;
+//         for (size_t i = 0; i < input->samples.count; i++) {
+//             out[i][0] = p[i][0] + by;
+//             out[i][1] = p[i][1];
+//             out[i][2] = p[i][2];
+//         }
+//         return SIMOD_OK;
+//     }
+//
+//     const SimodPlugin simod_plugin_entry = {
+//         .interface_major = SIMOD_INTERFACE_MAJOR, .interface_minor = SIMOD_INTERFACE_MINOR,
+//         .size = sizeof(SimodPlugin), .describe = describe, .deform = deform,
+//     };
+//
+//     cc -O2 -shared -fPIC -o shift.so shift.c && simod plugin check shift.so
+//
+// Coordinates. Everything is in local coordinates: the model's own, minus an origin and divided by a scale
+// that the host chose so that float positions keep their digits and the model's diagonal lies between 1 and
+// 2. Axes are the model's. Points, lengths in SIMOD_UNIT_MODEL_LENGTH and transforms are local as well.
+//
+// Ownership. What the host passes is the host's, must not be written to (but for `out`, `points` and
+// `*state`), and is gone when the call returns. What the plugin passes the host copies before the call
+// returns; tables and descriptions it reads for as long as the library is loaded, which is until the process
+// ends. States and scratches are the plugin's own, and the host says when to free them.
+//
+// Threads. Each function says on which threads it is called. Nothing may depend on the thread or on variables
+// that are not constant: several sessions and layers use a plugin at once.
+//
+// Errors. Calls return SIMOD_OK or another code, and say by host->error what is wrong and what to do about
+// it. No exception and no longjmp may leave a function of the plugin, and it never ends the process.
+//
+// Text is UTF-8, ends with a NUL, and is of one line.
+//
+// Evolution. Nothing here ever changes: what comes later has another id or code, and unknown ones are refused
+// or passed over. Ids of third parties begin with a domain of theirs ("org.vendor.thing/1"), those that may
+// still change with "draft.". What is left out of an initialiser is zero, and zero is fine wherever nothing
+// else is said.
+//
+// Made from plugin-api/src/c.rs: change that.
+
+
+#pragma once
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+// Inputs that a plugin names in its description.
+#define SIMOD_INPUT_FIXED_REGIONS "simod.fixed-regions/1"
+#define SIMOD_INPUT_HANDLE_REGIONS "simod.handle-regions/1"
+#define SIMOD_INPUT_NORMALS "simod.normals/1"
+#define SIMOD_INPUT_TRIANGLES "simod.triangles/1"
+#define SIMOD_INPUT_GRAPH "simod.graph/1"
+#define SIMOD_INPUT_JOINTS "simod.joints/1"
+#define SIMOD_INPUT_STROKES "simod.strokes/1"
+// An input that whoever places handles gets unasked.
+#define SIMOD_INPUT_HANDLE_MOTIONS "simod.handle-motions/1"
+
+// Capabilities that a plugin's `extension` is asked for.
+#define SIMOD_EVALUATE "simod.evaluate/1"
+#define SIMOD_HANDLES "simod.handles/1"
+#define SIMOD_IS_IDENTITY "simod.is-identity/1"
+
+
+// The version of this interface. A host refuses plugins of another major version. The minor one counts up as
+// ids and codes are added: a plugin that was built with a later header still works, as long as it needs
+// nothing later.
+#define SIMOD_INTERFACE_MAJOR 1
+
+// See SIMOD_INTERFACE_MAJOR.
+#define SIMOD_INTERFACE_MINOR 0
+
+// What a call returns if all is well. Everything else is an error.
+#define SIMOD_OK 0
+
+// A parameter's value makes no sense, alone or together with others.
+#define SIMOD_INVALID_PARAMETER 1
+
+// The samples, the regions or their transforms cannot be worked on.
+#define SIMOD_INVALID_INPUT 2
+
+// A solver did not get to an answer.
+#define SIMOD_NOT_CONVERGED 3
+
+// The host asked to stop (its `progress` or `parallel_for` gave false), and the plugin did. Needs no
+// message.
+#define SIMOD_CANCELLED 4
+
+// A bug of the plugin or the host, or memory that ran out.
+#define SIMOD_INTERNAL 6
+
+// One number.
+#define SIMOD_PARAM_FLOAT 1
+
+// One whole number, exact up to 2^53.
+#define SIMOD_PARAM_INT 2
+
+// One number, 0 or 1.
+#define SIMOD_PARAM_BOOL 3
+
+// The id of one of the choices, as text.
+#define SIMOD_PARAM_CHOICE 4
+
+// Three numbers: a direction, as the user gave it; of any length, perhaps zero.
+#define SIMOD_PARAM_DIRECTION 5
+
+// Three numbers: a point in local coordinates. Its default is in fractions of the bounding box.
+#define SIMOD_PARAM_POINT 6
+
+// Four numbers, 0 to 1: linear red, green, blue, and opacity.
+#define SIMOD_PARAM_COLOUR 7
+
+// Pairs of numbers x, y, 0 to 1, of ascending x: the points of a smooth curve, at least two.
+#define SIMOD_PARAM_CURVE 8
+
+// The path of a file that can be read, as text; empty where the user gave none.
+#define SIMOD_PARAM_FILE 9
+
+// Nothing.
+#define SIMOD_UNIT_NONE 0
+
+// Degrees of an angle.
+#define SIMOD_UNIT_DEGREES 1
+
+// A length: the model's unit for the user, local units for the plugin.
+#define SIMOD_UNIT_MODEL_LENGTH 2
+
+// A fraction of the diagonal of the bounding box, for both. The better one for defaults.
+#define SIMOD_UNIT_DIAGONAL 3
+
+// A ratio: 1 leaves things as they are.
+#define SIMOD_UNIT_RATIO 4
+
+// Samples of such a region stay where they are.
+#define SIMOD_ROLE_FIXED 1
+
+// Samples of such a region follow its transform.
+#define SIMOD_ROLE_HANDLE 2
+
+// A message for the plugin's author.
+#define SIMOD_LOG_DEBUG 1
+
+// A message for a curious user.
+#define SIMOD_LOG_INFO 2
+
+// The result may not be what the user wants.
+#define SIMOD_LOG_WARNING 3
+
+// A handle that can be shifted.
+#define SIMOD_GIZMO_TRANSLATE 1
+
+// A handle that can be turned about its position.
+#define SIMOD_GIZMO_ROTATE 2
+
+// A handle that can be scaled about its position.
+#define SIMOD_GIZMO_SCALE 4
+
+// The parent of a joint or a handle that hangs on no other.
+#define SIMOD_ROOT UINT32_MAX
+
+// One of the alternatives of a SIMOD_PARAM_CHOICE, or an extension of a SIMOD_PARAM_FILE's name.
+typedef struct SimodChoiceDesc {
+    // Stable id, kebab-case; stored in files. Of a file: the extension, without a dot.
+    const char *id;
+    // What the user reads; the id where it is NULL.
+    const char *label;
+} SimodChoiceDesc;
+
+// A parameter: described by the plugin; shown, stored, checked and undone by the host.
+typedef struct SimodParamDesc {
+    // Stable id, kebab-case, unique among the plugin's parameters; stored in files.
+    const char *id;
+    // What the user reads; the id where it is NULL.
+    const char *name;
+    // One line on what it does. May be NULL.
+    const char *hint;
+    // Parameters of one group are shown together. May be NULL.
+    const char *group;
+    // What it holds: SIMOD_PARAM_...
+    uint32_t kind;
+    // What its numbers are measured in: SIMOD_UNIT_...
+    uint32_t unit;
+    // The host refuses values outside, smallest and largest: {0, 0} for no limit, else -INFINITY or INFINITY
+    // for none on that side.
+    double hard_range[2];
+    // What a slider shows, in the same way; values outside are fine.
+    double soft_range[2];
+    // Default of the kinds of one to four numbers: as many as the kind has.
+    double default_numbers[4];
+    // Default of the kinds of any number of them, as x0, y0, x1, y1, ... of a curve. Else NULL.
+    const double *default_list;
+    // How many numbers `default_list` has.
+    size_t default_list_length;
+    // Default of a choice: the id of one. Else NULL.
+    const char *default_text;
+    // The alternatives of a choice, or the extensions that a file's name may have (NULL for any).
+    const struct SimodChoiceDesc *choices;
+    // How many choices there are.
+    size_t choice_count;
+    // 1 if the state must be prepared anew once the value changed: if `prepare` reads it.
+    uint8_t invalidates_preparation;
+} SimodParamDesc;
+
+// An input that the plugin uses besides the positions: an id SIMOD_INPUT_...
+typedef struct SimodInputDesc {
+    // The id.
+    const char *id;
+    // How many the plugin needs: where there are less, it is not called. 0 for what it uses if it is there.
+    uint32_t at_least;
+} SimodInputDesc;
+
+// What a plugin is, and what it wants.
+typedef struct SimodDescriptor {
+    // Stable id, kebab-case; what sessions call the plugin.
+    const char *id;
+    // What the user reads.
+    const char *name;
+    // The plugin's own version: "major.minor.patch".
+    const char *version;
+    // One line on what it does.
+    const char *summary;
+    // The publication that it implements. May be NULL.
+    const char *citation;
+    // Who made it, and whom its users may ask. May be NULL.
+    const char *author;
+    // Where there is more on it. May be NULL.
+    const char *url;
+    // Its parameters, in the order to show them. Their values come in this order.
+    const struct SimodParamDesc *params;
+    // How many parameters there are.
+    size_t param_count;
+    // The inputs that it uses.
+    const struct SimodInputDesc *inputs;
+    // How many inputs it uses.
+    size_t input_count;
+} SimodDescriptor;
+
+// The samples at rest. Arrays of `count` entries; `count` is at least 1, but where the host asks whether
+// there is anything to do.
+typedef struct SimodSamples {
+    // How many samples there are.
+    size_t count;
+    // Rest positions, local coordinates, all finite.
+    const float (*positions)[3];
+    // Unit normals, or NULL. They fit the positions if the plugin uses SIMOD_INPUT_NORMALS; else they may be
+    // stale.
+    const float (*normals)[3];
+    // Distance to the nearest other samples, local coordinates, or NULL.
+    const float *spacing;
+} SimodSamples;
+
+// An axis-aligned box, local coordinates.
+typedef struct SimodBounds {
+    // Smallest coordinates.
+    double min[3];
+    // Largest coordinates.
+    double max[3];
+} SimodBounds;
+
+// A part of the samples, with a role.
+typedef struct SimodRegion {
+    // What its samples do: SIMOD_ROLE_...
+    uint32_t role;
+    // One weight per sample, 0 (outside) to 1 (inside).
+    const float *weights;
+} SimodRegion;
+
+// A parameter's value, checked by the host against its description.
+typedef struct SimodParam {
+    // Whose value it is.
+    const char *id;
+    // What it holds: SIMOD_PARAM_...
+    uint32_t kind;
+    // Its numbers; NULL where it is a text.
+    const double *numbers;
+    // How many numbers there are.
+    size_t count;
+    // Its text; "" where it is numbers.
+    const char *text;
+} SimodParam;
+
+// An input that is known by an id: see `simod_part`.
+typedef struct SimodPart {
+    // SIMOD_INPUT_...
+    const char *id;
+    // The struct of that id.
+    const void *data;
+} SimodPart;
+
+// What a preparation may depend on.
+typedef struct SimodPrepareInput {
+    // The samples at rest.
+    struct SimodSamples samples;
+    // The model's box in its rest pose, the same for all steps of a session. Samples may lie outside.
+    struct SimodBounds bounds;
+    // The regions of the roles that the plugin uses, in the user's order.
+    const struct SimodRegion *regions;
+    // How many regions there are.
+    size_t region_count;
+    // The values of all parameters, in the order of the description.
+    const struct SimodParam *params;
+    // As many as there are descriptions.
+    size_t param_count;
+    // Inputs that are known by ids: triangles, graph, joints.
+    const struct SimodPart *parts;
+    // How many of these there are.
+    size_t part_count;
+} SimodPrepareInput;
+
+// The host, for the length of one call. Its functions may be called from any thread, and take this pointer.
+typedef struct SimodHost {
+    // The host's own.
+    const void *context;
+    // Tells that so much of the call is done, 0 to 1. Whether to go on: after false the plugin returns
+    // SIMOD_CANCELLED. Costs some nanoseconds; call it at least every 100 ms.
+    bool (*progress)(const struct SimodHost *host, double fraction);
+    // A line for the user, of level SIMOD_LOG_... The host copies it, and keeps a hundred of a call.
+    void (*log)(const struct SimodHost *host, uint32_t level, const char *message);
+    // Says what is wrong, in one line without a full stop, and what to do about it (may be NULL). The host
+    // copies both. Gives `code` back, so that a plugin can write: return host->error(host,
+    // SIMOD_INVALID_INPUT, "...", "...");
+    uint32_t (*error)(const struct SimodHost *host, uint32_t code, const char *message, const char *hint);
+    // Calls body(context, i) once for each i below `count`, in any order, on several of the host's threads:
+    // threads of the plugin's own would crowd the cores. Returns when all is done; may be called from within
+    // a body. False if the user asked to stop: some were not called. A call costs about a microsecond, and
+    // so should the body, or more: give it a block of samples, not a single one.
+    bool (*parallel_for)(const struct SimodHost *host,
+                         size_t count,
+                         void (*body)(void *context, size_t i),
+                         void *context);
+    // A capability of the host by id, such as later versions may have; NULL where there is none.
+    const void *(*extension)(const struct SimodHost *host, const char *id);
+} SimodHost;
+
+// An affine map: x goes to M x + t, where the rows are those of `[M | t]`. Local coordinates.
+typedef struct SimodAffine {
+    // Three rows of four.
+    double rows[3][4];
+} SimodAffine;
+
+// What one deformation depends on, besides the state.
+typedef struct SimodDeformInput {
+    // The same samples at rest as at the preparation.
+    struct SimodSamples samples;
+    // The same box as at the preparation.
+    struct SimodBounds bounds;
+    // One map for each region of role SIMOD_ROLE_HANDLE, in their order; all finite.
+    const struct SimodAffine *transforms;
+    // How many maps there are.
+    size_t transform_count;
+    // The values of all parameters, in the order of the description.
+    const struct SimodParam *params;
+    // As many as there are descriptions.
+    size_t param_count;
+    // Inputs that are known by ids: motions of handles, strokes.
+    const struct SimodPart *parts;
+    // How many of these there are.
+    size_t part_count;
+} SimodDeformInput;
+
+// A plugin: the exported table. What is not said to be required may be NULL.
+//
+// States and scratches are pointers to whatever the plugin likes, and NULL where it needs none.
+typedef struct SimodPlugin {
+    // SIMOD_INTERFACE_MAJOR. Required.
+    uint32_t interface_major;
+    // SIMOD_INTERFACE_MINOR. Required.
+    uint32_t interface_minor;
+    // sizeof(SimodPlugin). Required.
+    size_t size;
+    // What the plugin is: always the same, and valid for as long as the library is loaded. Called when the
+    // library is loaded, on any thread; takes microseconds. Required.
+    const struct SimodDescriptor *(*describe)(void);
+    // All the work that depends neither on transforms nor on parameters that do not invalidate the
+    // preparation: writes a state to *state, which is NULL before. On an error there is none. Called on a
+    // worker thread, several at once. May take long: tells `progress`.
+    uint32_t (*prepare)(const struct SimodPrepareInput *input, const struct SimodHost *host, void **state);
+    // Frees a state that is not NULL, on any thread, once no call uses it.
+    void (*drop_state)(void *state);
+    // Working memory that `deform` may keep from one call to the next, and never a place for results. NULL
+    // is an error: there is no memory.
+    void *(*new_scratch)(void);
+    // Frees a scratch that is not NULL, on any thread.
+    void (*drop_scratch)(void *scratch);
+    // Writes the deformed position of sample i to `out[i]`, local coordinates: all input->samples.count of
+    // them, finite. `out` holds nothing of use before, and the host drops it on an error. Handles that do
+    // not move must leave the samples exactly where they are. The same state and input always give the same
+    // positions. Called by several threads at once on one state, each with a scratch of its own.
+    // Interactive: takes milliseconds. Required.
+    uint32_t (*deform)(const void *state,
+                       const struct SimodDeformInput *input,
+                       void *scratch,
+                       float (*out)[3],
+                       const struct SimodHost *host);
+    // A capability by id: a SimodEvaluate for SIMOD_EVALUATE and so on, valid for as long as the library is
+    // loaded; NULL for ids that the plugin does not know. Called when the library is loaded.
+    const void *(*extension)(const char *id);
+} SimodPlugin;
+
+// SIMOD_EVALUATE: the deformation is a map of space, known anywhere.
+typedef struct SimodEvaluate {
+    // Replaces each of `count` points by its image, local coordinates: the same map as `deform`, up to its
+    // rounding. Called by several threads at once, on blocks of any length; points may lie anywhere, and are
+    // finite. Required.
+    uint32_t (*evaluate)(const void *state,
+                         const struct SimodDeformInput *input,
+                         double (*points)[3],
+                         size_t count,
+                         const struct SimodHost *host);
+} SimodEvaluate;
+
+// A handle that a plugin places.
+typedef struct SimodHandleDesc {
+    // Stable id, unique among the plugin's handles, without white space; stored in files.
+    const char *id;
+    // What the user reads; the id where it is NULL.
+    const char *name;
+    // Where it is at rest, local coordinates.
+    double position[3];
+    // How it may be moved: SIMOD_GIZMO_... added up. 0 for SIMOD_GIZMO_TRANSLATE.
+    uint32_t gizmo;
+    // The index of the handle that it hangs on, less than its own, or SIMOD_ROOT: its motion moves this one
+    // along.
+    uint32_t parent;
+} SimodHandleDesc;
+
+// Where a plugin puts its handles.
+typedef struct SimodHandleList {
+    // The host's own.
+    void *context;
+    // Adds a handle, not by several threads at once. The host copies it.
+    void (*add)(struct SimodHandleList *list, const struct SimodHandleDesc *handle);
+} SimodHandleList;
+
+// SIMOD_HANDLES: the plugin has handles of its own, which users move one by one.
+typedef struct SimodHandles {
+    // Adds the handles for these samples, this box, these parameters and joints; the input has no regions.
+    // How they were moved comes with SIMOD_INPUT_HANDLE_MOTIONS. Called before `prepare`, on any thread, and
+    // whenever the user looks at the handles: takes milliseconds at most. Required.
+    uint32_t (*handles)(const struct SimodPrepareInput *input,
+                        struct SimodHandleList *list,
+                        const struct SimodHost *host);
+} SimodHandles;
+
+// SIMOD_IS_IDENTITY: the plugin knows when it does nothing.
+typedef struct SimodIsIdentity {
+    // 1 if `deform` would leave all samples where they are, whatever they are: the host then calls neither
+    // `prepare` nor `deform`. 0 is always right. The input has no samples; takes microseconds. Required.
+    uint8_t (*is_identity)(const struct SimodDeformInput *input);
+} SimodIsIdentity;
+
+// SIMOD_INPUT_TRIANGLES, of the preparation: triangles between the samples.
+typedef struct SimodTriangles {
+    // Three samples each, counter-clockwise as seen from outside. Several may share an edge or have no area,
+    // and a sample may be in none.
+    const uint32_t (*indices)[3];
+    // How many triangles there are, at least one.
+    size_t count;
+} SimodTriangles;
+
+// SIMOD_INPUT_GRAPH, of the preparation: the nearest neighbours of each sample at rest.
+typedef struct SimodGraph {
+    // The neighbours of sample i are those from `starts[i]` up to, and without, `starts[i + 1]`: one entry
+    // more than samples.
+    const uint32_t *starts;
+    // Nearest first, without the sample itself. One that is among another's need not have that other among
+    // its own.
+    const uint32_t *neighbours;
+} SimodGraph;
+
+// A joint of a skeleton that the user placed.
+typedef struct SimodJoint {
+    // Stable id, unique among the joints.
+    const char *id;
+    // Where it is at rest, local coordinates.
+    double position[3];
+    // The index of the joint that it hangs on, less than its own, or SIMOD_ROOT.
+    uint32_t parent;
+} SimodJoint;
+
+// SIMOD_INPUT_JOINTS, of the preparation and where handles are placed.
+typedef struct SimodJoints {
+    // Parents come before those that hang on them.
+    const struct SimodJoint *joints;
+    // How many joints there are.
+    size_t count;
+} SimodJoints;
+
+// SIMOD_INPUT_HANDLE_MOTIONS, of the deformation: how the plugin's own handles were moved.
+typedef struct SimodHandleMotions {
+    // One map of space for each handle that the plugin placed, in its order: from the rest pose to the
+    // user's. That of what a handle hangs on is included; the identity where neither was moved.
+    const struct SimodAffine *motions;
+    // How many handles there are.
+    size_t count;
+} SimodHandleMotions;
+
+// A brush stroke.
+typedef struct SimodStroke {
+    // The same for strokes that are the same in every respect, and nearly surely another for others.
+    uint64_t key;
+    // Of the brush, local coordinates; above 0.
+    double radius;
+    // 1 is full strength; negative ones do the opposite, as far as the brush has one.
+    double strength;
+    // Its path on or near the surface, local coordinates: a polyline of at least one point.
+    const double (*points)[3];
+    // How many points there are: depends on the user's machine, and must not matter.
+    size_t point_count;
+    // The pen's pressure at each point, 0 to 1; NULL where there is no pen.
+    const float *pressures;
+    // The values of all parameters for this stroke, in the order of the description.
+    const struct SimodParam *params;
+    // As many as there are descriptions.
+    size_t param_count;
+} SimodStroke;
+
+// SIMOD_INPUT_STROKES, of the deformation.
+typedef struct SimodStrokes {
+    // First to last.
+    const struct SimodStroke *strokes;
+    // How many strokes there are.
+    size_t count;
+} SimodStrokes;
+
+#if defined(_WIN32)
+#define SIMOD_EXPORT __declspec(dllexport)
+#elif defined(__GNUC__)
+#define SIMOD_EXPORT __attribute__((visibility("default")))
+#else
+#define SIMOD_EXPORT
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+// The plugin, once in a library: const SimodPlugin simod_plugin_entry = { ... };
+extern SIMOD_EXPORT const SimodPlugin simod_plugin_entry;
+
+#ifdef __cplusplus
+}
+#endif
+
+// The input of an id, as `const SimodGraph *graph = simod_part(input->parts, input->part_count,
+// SIMOD_INPUT_GRAPH);`: NULL where the host has none, or the description does not name it.
+static inline const void *simod_part(const SimodPart *parts, size_t count, const char *id)
+{
+    for (size_t i = 0; i < count; i++)
+        if (strcmp(parts[i].id, id) == 0)
+            return parts[i].data;
+    return NULL;
+}
