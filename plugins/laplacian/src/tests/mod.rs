@@ -1,0 +1,5 @@
+//! The whole plugin, on generated models.
+
+mod cost;
+mod reference;
+mod scene;
