@@ -1,6 +1,6 @@
 //! From the handles' motions to a pose: coarse to fine.
 
-use crate::arap::{Level, Pose};
+use crate::arap::{Goal, Level, Pose};
 use crate::coarse::{Prolongation, coarsen};
 use crate::constraints::{Motion, Target};
 use crate::problem::Problem;
@@ -8,9 +8,9 @@ use glam::{DMat3, DQuat, DVec3};
 use simod_plugin_api::{Host, PluginResult};
 
 /// Steps on the coarse likeness, at most.
-const COARSE_STEPS: usize = 40;
-/// How much finer the coarse steps' tolerance is than that of the others.
-const COARSE_TOLERANCE: f64 = 0.3;
+const COARSE_STEPS: usize = 24;
+/// How much coarser the tolerance of these is: what is left is for the others to find.
+const COARSE_TOLERANCE: f64 = 10.0;
 
 /// The surface, and a coarse likeness of it if it is large.
 #[derive(Debug)]
@@ -39,21 +39,21 @@ impl Hierarchy {
     /// The pose: at most so many `steps` on all nodes, or until none moves farther than `tolerance`.
     pub fn deform(
         &self,
-        motion: &Motion,
+        goal: Goal<'_>,
         steps: usize,
         tolerance: f64,
         host: &Host<'_>,
     ) -> PluginResult<Pose> {
         let Some((coarse, prolongation)) = &self.coarse else {
-            let turns = self.guess(&self.fine, motion);
-            let mut pose = self.fine.pose(turns, motion, host)?;
-            self.fine.relax(&mut pose, motion, steps, tolerance, host)?;
+            let turns = self.guess(&self.fine, goal.motion);
+            let mut pose = self.fine.pose(turns, goal, host)?;
+            self.fine.relax(&mut pose, goal, steps, tolerance, host)?;
             return Ok(pose);
         };
-        let mut pose = coarse.pose(self.guess(coarse, motion), motion, host)?;
-        coarse.relax(&mut pose, motion, COARSE_STEPS, COARSE_TOLERANCE * tolerance, host)?;
-        let mut pose = self.fine.pose(prolongation.turns(&pose.turns, host)?, motion, host)?;
-        self.fine.relax(&mut pose, motion, steps, tolerance, host)?;
+        let mut pose = coarse.pose(self.guess(coarse, goal.motion), goal, host)?;
+        coarse.relax(&mut pose, goal, COARSE_STEPS, COARSE_TOLERANCE * tolerance, host)?;
+        let mut pose = self.fine.pose(prolongation.turns(&pose.turns, host)?, goal, host)?;
+        self.fine.relax(&mut pose, goal, steps, tolerance, host)?;
         Ok(pose)
     }
 
@@ -76,20 +76,26 @@ impl Hierarchy {
 fn influence(level: &Level, handles: usize, host: &Host<'_>) -> PluginResult<Vec<f64>> {
     let problem = &level.problem;
     let mut influence = vec![0.0; problem.free * handles];
-    for h in 0..handles {
+    for first in (0..handles).step_by(3) {
         host.progress(0.0)?;
-        let own = Some(Target::Handle(h as u32));
-        let mut column = vec![0.0; problem.free];
-        for (i, sum) in column.iter_mut().enumerate() {
-            let held = problem.operators.laplacian(i).filter(|(j, _)| problem.target(*j) == own);
-            *sum = -held.map(|(_, l)| l).sum::<f64>();
+        // Three at once.
+        let share = |target: Target| match target {
+            Target::Handle(h) if (first..first + 3).contains(&(h as usize)) => {
+                DVec3::AXES[h as usize - first]
+            }
+            Target::Handle(_) | Target::Fixed => DVec3::ZERO,
+        };
+        let side = |i: usize| -> DVec3 {
+            let row = problem.operators.laplacian(i);
+            row.filter_map(|(j, l)| problem.target(j).map(|target| -l * share(target))).sum()
+        };
+        let mut sides: Vec<DVec3> = (0..problem.free).map(side).collect();
+        for spring in level.springs() {
+            sides[spring.node as usize] += spring.strength * share(spring.target);
         }
-        for spring in level.springs().iter().filter(|s| Some(s.target) == own) {
-            column[spring.node as usize] += spring.strength;
-        }
-        level.solve(&mut column, host)?;
-        for (i, value) in column.into_iter().enumerate() {
-            influence[i * handles + h] = value;
+        level.solve(&mut sides)?;
+        for (row, values) in influence.chunks_exact_mut(handles).zip(sides) {
+            row[first..].iter_mut().zip(values.to_array()).for_each(|(slot, v)| *slot = v);
         }
     }
     Ok(influence)

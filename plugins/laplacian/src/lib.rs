@@ -29,6 +29,7 @@ mod rotation;
 mod stars;
 mod surface;
 
+use arap::Goal;
 use constraints::{Constraints, Motion, Target, affine};
 use followers::Followers;
 use glam::{DAffine3, DMat3, DVec3};
@@ -97,7 +98,14 @@ impl Deformer for Laplacian {
                     .invalidates_preparation(),
             )
             .param(
-                ParamDesc::int("iterations", "Iterations", 4)
+                ParamDesc::float("bending", "Bending", 0.03)
+                    .unit(Unit::DIAGONAL)
+                    .hard(0.0, 1.0)
+                    .soft(0.0, 0.2)
+                    .hint("Over how long a way the surface bends, for rigid; 0 lets it crease"),
+            )
+            .param(
+                ParamDesc::int("iterations", "Iterations", 2)
                     .hard(0.0, 10_000.0)
                     .soft(0.0, 20.0)
                     .hint("At most so many steps on all samples, after those on a coarse likeness; for rigid")
@@ -193,7 +201,9 @@ impl Deformer for Laplacian {
                     let steps = usize::try_from(params.int("iterations")?)
                         .map_err(|_| PluginError::parameter("iterations", "is negative"))?;
                     let tolerance = params.float("tolerance")? * input.bounds.diagonal();
-                    hierarchy.deform(&motion, steps, tolerance, host)?.displacements
+                    let length = params.float("bending")? * input.bounds.diagonal();
+                    let goal = Goal { motion: &motion, bending: length.powi(2) };
+                    hierarchy.deform(goal, steps, tolerance, host)?.displacements
                 }
                 Method::Bilaplacian(linear) => linear.displacements(&motion, host)?,
                 Method::Rotated(linear) => linear.rotated(&motion, host)?,

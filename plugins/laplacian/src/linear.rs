@@ -7,7 +7,7 @@
 //! Y. Lipman et al., *Differential Coordinates for Interactive Mesh Editing*, SMI 2004: the same displacements
 //! tell how each sample's surroundings turn; the surface's own Laplacians, turned so, are then met by least squares.
 
-use crate::arap::{fit_turns, solve};
+use crate::arap::fit_turns;
 use crate::constraints::{Motion, Soft, Target};
 use crate::factor::Factor;
 use crate::problem::Problem;
@@ -107,7 +107,7 @@ impl BiLaplacian {
         let problem = &self.problem;
         let naive = self.displacements(motion, host)?;
         let mut turns = vec![DMat3::IDENTITY; problem.len()];
-        fit_turns(problem, &naive, &mut turns[..problem.free], host)?;
+        fit_turns(problem, &naive, &mut turns[..problem.free], |_| DMat3::ZERO, host)?;
         for (turn, target) in turns[problem.free..].iter_mut().zip(&problem.held) {
             *turn = motion.turn(*target);
         }
@@ -148,11 +148,8 @@ impl BiLaplacian {
             let node = spring.node as usize;
             sums[node] += spring.strength * target(spring.target, rest[node]);
         }
-        let mut columns: Vec<f64> = (0..3).flat_map(|k| sums.iter().map(move |s| s[k])).collect();
-        solve(&self.factor, &mut columns, host)?;
-        for (i, d) in displacements[..*free].iter_mut().enumerate() {
-            *d = DVec3::new(columns[i], columns[free + i], columns[2 * free + i]);
-        }
+        self.factor.solve(&mut sums)?;
+        displacements[..*free].copy_from_slice(&sums);
         Ok(displacements)
     }
 }

@@ -7,10 +7,10 @@
 use crate::eigen;
 use glam::{DMat3, DQuat, DVec3};
 
-/// Steps of Newton's method; three are usual.
+/// Steps of Newton's method; two or three are usual.
 const STEPS: usize = 12;
-/// A step so small, in radians, is the last one.
-const SETTLED: f64 = 1e-9;
+/// A step so small, in radians, is the last one: what is left is its square.
+const SETTLED: f64 = 1e-6;
 /// How strongly the former rotation holds what the matrix leaves open, relative to the matrix.
 const HOLD: f64 = 1e-9;
 
@@ -26,6 +26,7 @@ pub fn nearest(s: DMat3, start: DMat3) -> DMat3 {
 }
 
 fn newton(s: DMat3, start: DMat3) -> Option<DMat3> {
+    let mut turn = DQuat::from_mat3(&start);
     let mut r = start;
     for _ in 0..STEPS {
         let p = r.transpose() * s;
@@ -43,9 +44,12 @@ fn newton(s: DMat3, start: DMat3) -> Option<DMat3> {
         if !(angle < 1.0) {
             return None;
         }
-        r *= DMat3::from_quat(DQuat::from_scaled_axis(step));
+        // Cayley's map: the same as the exponential to third order, and a rotation all the same.
+        let [x, y, z] = (step * 0.5).to_array();
+        turn = (turn * DQuat::from_xyzw(x, y, z, 1.0)).normalize();
+        r = DMat3::from_quat(turn);
         if angle < SETTLED {
-            return Some(orthonormal(r));
+            return Some(r);
         }
     }
     None
@@ -55,11 +59,6 @@ fn is_positive(m: &DMat3) -> bool {
     let minor = m.x_axis.x * m.y_axis.y - m.x_axis.y * m.y_axis.x;
     // Relative to a matrix of about 1, and well above what the hold alone gives.
     m.x_axis.x > 0.0 && minor > 0.0 && m.determinant() > 1e-30
-}
-
-/// Takes the rounding of many products away.
-fn orthonormal(r: DMat3) -> DMat3 {
-    DMat3::from_quat(DQuat::from_mat3(&r).normalize())
 }
 
 /// The eigenvector of the largest eigenvalue of Horn's matrix.

@@ -32,6 +32,7 @@ pub struct Scene {
     pub regions: Vec<(Role, Vec<f32>)>,
     pub mode: &'static str,
     pub weights: &'static str,
+    pub bending: f64,
     pub iterations: f64,
     pub tolerance: f64,
 }
@@ -45,6 +46,7 @@ impl Scene {
             regions: Vec::new(),
             mode: "arap",
             weights: "robust",
+            bending: 0.03,
             iterations: 1000.0,
             tolerance: 1e-7,
         }
@@ -92,7 +94,7 @@ impl Scene {
     /// Calls with the preparation's input.
     pub fn with_input<T>(&self, call: impl FnOnce(&PrepareInput<'_>) -> T) -> T {
         let regions: Vec<Region<'_>> = self.regions.iter().map(|(role, w)| Region::new(*role, w)).collect();
-        let numbers = ([self.iterations], [self.tolerance]);
+        let numbers = ([self.iterations], [self.tolerance], [self.bending]);
         let params = self.params(&numbers);
         let triangles = Triangles::new(&self.triangles);
         let mut starts = vec![0];
@@ -113,12 +115,13 @@ impl Scene {
         call(&PrepareInput::new(samples, self.bounds(), &regions, &params).with_parts(&parts))
     }
 
-    fn params<'a>(&'a self, numbers: &'a ([f64; 1], [f64; 1])) -> [Param<'a>; 4] {
+    fn params<'a>(&'a self, numbers: &'a ([f64; 1], [f64; 1], [f64; 1])) -> [Param<'a>; 5] {
         [
             Param::text("mode", ParamKind::CHOICE, self.mode),
             Param::text("weights", ParamKind::CHOICE, self.weights),
             Param::numbers("iterations", ParamKind::INT, &numbers.0),
             Param::numbers("tolerance", ParamKind::FLOAT, &numbers.1),
+            Param::numbers("bending", ParamKind::FLOAT, &numbers.2),
         ]
     }
 
@@ -132,7 +135,7 @@ impl Scene {
         transforms: &[Affine],
         host: &impl HostCalls,
     ) -> PluginResult<Vec<[f32; 3]>> {
-        let numbers = ([self.iterations], [self.tolerance]);
+        let numbers = ([self.iterations], [self.tolerance], [self.bending]);
         let params = self.params(&numbers);
         let input =
             DeformInput::new(Samples::new(&self.points, &[], &[]), self.bounds(), transforms, &params);
