@@ -8,7 +8,8 @@
 use crate::constraints::{Soft, Target};
 use crate::elements::Element;
 use crate::problem::{Kind, Problem};
-use glam::{DMat3, DQuat, DVec3};
+use crate::rotation;
+use glam::{DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
 
 /// Groups are merged while there are more.
@@ -19,29 +20,83 @@ const WORTH: f64 = 0.7;
 /// How rotations of groups become those of nodes.
 #[derive(Debug)]
 pub struct Prolongation {
-    starts: Vec<u32>,
-    /// Nodes of the coarse problem, and their weights, which add up to 1.
-    groups: Vec<(u32, f32)>,
+    /// For each node the groups that it takes part in, and its weights, which add up to 1.
+    groups: Lists,
+    /// For each group the nodes that take part in it, and their weights.
+    members: Lists,
+}
+
+/// Lists of numbers with weights.
+#[derive(Debug)]
+struct Lists {
+    starts: Vec<usize>,
+    all: Vec<(u32, f32)>,
+}
+
+impl Lists {
+    fn of(&self, i: usize) -> &[(u32, f32)] {
+        &self.all[self.starts[i]..self.starts[i + 1]]
+    }
+
+    fn len(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// The same the other way round, for numbers below `count`.
+    fn transposed(&self, count: usize) -> Self {
+        let mut starts = vec![0; count + 1];
+        self.all.iter().for_each(|(group, _)| starts[*group as usize + 1] += 1);
+        (0..count).for_each(|i| starts[i + 1] += starts[i]);
+        let mut next = starts.clone();
+        let mut all = vec![(0, 0.0); self.all.len()];
+        for i in 0..self.len() {
+            for &(group, weight) in self.of(i) {
+                all[next[group as usize]] = (i as u32, weight);
+                next[group as usize] += 1;
+            }
+        }
+        Self { starts, all }
+    }
+
+    /// For each list the weighted sum of what its numbers stand for.
+    fn sums(&self, of: &[DMat3], together: usize, host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
+        let mut sums = vec![DMat3::ZERO; self.len()];
+        host.parallel_blocks(&mut sums, together, |first, sums| {
+            for (i, sum) in (first..).zip(sums) {
+                for &(k, weight) in self.of(i) {
+                    *sum += of[k as usize] * f64::from(weight);
+                }
+            }
+        })?;
+        Ok(sums)
+    }
 }
 
 impl Prolongation {
-    /// Rotations of the fine problem's nodes.
-    pub fn turns(&self, coarse: &[DMat3], host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
-        const TOGETHER: usize = 4096;
-        let coarse: Vec<DQuat> = coarse.iter().map(DQuat::from_mat3).collect();
-        let mut turns = vec![DMat3::IDENTITY; self.starts.len() - 1];
-        host.parallel_blocks(&mut turns, TOGETHER, |first, turns| {
+    /// The weighted means of the groups' matrices, for the fine problem's nodes.
+    pub fn means(&self, groups: &[DMat3], host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
+        // Weights of single precision add up to 1 but nearly.
+        let changes: Vec<DMat3> = groups.iter().map(|m| *m - DMat3::IDENTITY).collect();
+        let mut means = self.groups.sums(&changes, 4096, host)?;
+        means.iter_mut().for_each(|m| *m += DMat3::IDENTITY);
+        Ok(means)
+    }
+
+    /// The weighted sums of nodes' matrices, for the groups below `count`.
+    pub fn sums(&self, nodes: &[DMat3], count: usize, host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
+        let mut sums = self.members.sums(nodes, 64, host)?;
+        sums.truncate(count);
+        Ok(sums)
+    }
+
+    /// The groups' rotations at the fine problem's nodes.
+    pub fn turns(&self, groups: &[DMat3], host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
+        let mut turns = self.means(groups, host)?;
+        host.parallel_blocks(&mut turns, 1024, |first, turns| {
             for (i, turn) in (first..).zip(turns) {
-                let near = &self.groups[self.starts[i] as usize..self.starts[i + 1] as usize];
-                let Some(&(main, _)) = near.first() else { continue };
-                let main = coarse[main as usize];
-                let mut sum = DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0);
-                for &(group, weight) in near {
-                    let q = coarse[group as usize];
-                    // q and -q are one rotation.
-                    sum = sum + q * f64::from(weight).copysign(q.dot(main));
-                }
-                *turn = DMat3::from_quat(if sum.length_squared() > 1e-12 { sum.normalize() } else { main });
+                let main =
+                    self.groups.of(i).first().map_or(DMat3::IDENTITY, |(group, _)| groups[*group as usize]);
+                *turn = rotation::nearest(*turn, main);
             }
         })?;
         Ok(turns)
@@ -184,23 +239,25 @@ pub fn coarsen(fine: &Problem, host: &Host<'_>) -> PluginResult<Option<(Problem,
 
     let mut node = vec![u32::MAX; groups];
     coarse.samples.iter().enumerate().for_each(|(k, g)| node[*g as usize] = k as u32);
-    let mut prolongation = Prolongation { starts: vec![0], groups: Vec::new() };
+    let mut lists = Lists { starts: vec![0], all: Vec::new() };
     for (p, &g) in fine.rest[..fine.rows].iter().zip(&group) {
-        let near: Vec<u32> = std::iter::once(g).chain(graph.around(g as usize).iter().map(|e| e.0)).collect();
-        prolongation
-            .push(near.iter().map(|g| (node[*g as usize], p.distance(rest[*g as usize]))), coarse.rows);
+        let near = std::iter::once(g).chain(graph.around(g as usize).iter().map(|e| e.0));
+        // Rotations of groups far from all free ones are not known, nor needed.
+        let near =
+            near.map(|g| (node[g as usize], rest[g as usize])).filter(|(g, _)| (*g as usize) < coarse.rows);
+        lists.push(near.map(|(g, at)| (g, p.distance(at))).collect());
     }
+    let prolongation = Prolongation { members: lists.transposed(coarse.len()), groups: lists };
     Ok(Some((coarse, prolongation)))
 }
 
-impl Prolongation {
-    /// Adds a node, by its groups' nodes and their distances. Groups whose rotation is not known are left out.
-    fn push(&mut self, near: impl Iterator<Item = (u32, f64)>, known: usize) {
-        let near: Vec<(u32, f64)> = near.filter(|(node, _)| (*node as usize) < known).collect();
+impl Lists {
+    /// Adds a list, given distances instead of weights: these fade out towards the farthest.
+    fn push(&mut self, near: Vec<(u32, f64)>) {
         let reach = near.iter().map(|(_, d)| *d).fold(0.0, f64::max) * 1.001;
         let weight = |d: f64| if reach > 0.0 { (1.0 - (d / reach).powi(2)).powi(2) } else { 1.0 };
         let sum: f64 = near.iter().map(|(_, d)| weight(*d)).sum();
-        self.groups.extend(near.iter().map(|(node, d)| (*node, (weight(*d) / sum) as f32)));
-        self.starts.push(self.groups.len() as u32);
+        self.all.extend(near.iter().map(|(node, d)| (*node, (weight(*d) / sum) as f32)));
+        self.starts.push(self.all.len());
     }
 }

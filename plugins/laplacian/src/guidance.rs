@@ -1,6 +1,7 @@
 //! From the handles' motions to a pose: coarse to fine.
 
-use crate::arap::{Goal, Level, Pose};
+use crate::arap::{Level, Pose, Turning};
+use crate::cells::Cells;
 use crate::coarse::{Prolongation, coarsen};
 use crate::constraints::{Motion, Target};
 use crate::problem::Problem;
@@ -17,14 +18,25 @@ const COARSE_TOLERANCE: f64 = 10.0;
 pub struct Hierarchy {
     fine: Level,
     coarse: Option<(Level, Prolongation)>,
+    /// The surroundings of the coarsest level's nodes.
+    cells: Cells,
+    /// Whether they are what turns on the fine level too, as they are wider than its own.
+    is_wide: bool,
     /// How much each handle has to say at each free node of the coarsest level, node by node.
     influence: Vec<f64>,
     handles: usize,
 }
 
 impl Hierarchy {
-    /// Factorises all that there is to factorise. `stiffness` is that of a draw, per area.
-    pub fn new(problem: Problem, stiffness: f64, handles: usize, host: &Host<'_>) -> PluginResult<Self> {
+    /// Factorises all that there is to factorise. `stiffness` is that of a draw, per area; `width` that of the
+    /// surroundings, or 0.
+    pub fn new(
+        problem: Problem,
+        stiffness: f64,
+        width: f64,
+        handles: usize,
+        host: &Host<'_>,
+    ) -> PluginResult<Self> {
         let coarse = match coarsen(&problem, host)? {
             Some((coarse, prolongation)) => Some((Level::new(coarse, stiffness, host)?, prolongation)),
             None => None,
@@ -32,28 +44,38 @@ impl Hierarchy {
         host.progress(0.4)?;
         let fine = Level::new(problem, stiffness, host)?;
         let coarsest = coarse.as_ref().map_or(&fine, |(level, _)| level);
+        let cells = Cells::new(&coarsest.problem, width, host)?;
         let influence = influence(coarsest, handles, host)?;
-        Ok(Self { fine, coarse, influence, handles })
+        Ok(Self { cells, is_wide: width > 0.0, influence, handles, fine, coarse })
     }
 
-    /// The pose: at most so many `steps` on all nodes, or until none moves farther than `tolerance`.
+    /// The pose, in at most so many `steps` on all nodes, or until none moves farther than `tolerance`.
     pub fn deform(
         &self,
-        goal: Goal<'_>,
-        steps: usize,
-        tolerance: f64,
+        motion: &Motion,
+        (steps, tolerance): (usize, f64),
         host: &Host<'_>,
     ) -> PluginResult<Pose> {
+        let (fine, cells) = (&self.fine, &self.cells);
         let Some((coarse, prolongation)) = &self.coarse else {
-            let turns = self.guess(&self.fine, goal.motion);
-            let mut pose = self.fine.pose(turns, goal, host)?;
-            self.fine.relax(&mut pose, goal, steps, tolerance, host)?;
+            let turning = Turning { cells, problem: &fine.problem, groups: None };
+            let mut pose = fine.pose(self.guess(fine, motion), turning, motion, host)?;
+            // These are as cheap as coarse ones, and all that there are.
+            fine.relax(&mut pose, turning, motion, (steps + COARSE_STEPS, tolerance), host)?;
             return Ok(pose);
         };
-        let mut pose = coarse.pose(self.guess(coarse, goal.motion), goal, host)?;
-        coarse.relax(&mut pose, goal, COARSE_STEPS, COARSE_TOLERANCE * tolerance, host)?;
-        let mut pose = self.fine.pose(prolongation.turns(&pose.turns, host)?, goal, host)?;
-        self.fine.relax(&mut pose, goal, steps, tolerance, host)?;
+        let turning = Turning { cells, problem: &coarse.problem, groups: None };
+        let mut pose = coarse.pose(self.guess(coarse, motion), turning, motion, host)?;
+        coarse.relax(&mut pose, turning, motion, (COARSE_STEPS, COARSE_TOLERANCE * tolerance), host)?;
+        let own = Cells::narrow();
+        let (turning, turns) = if self.is_wide {
+            (Turning { groups: Some(prolongation), ..turning }, pose.turns)
+        } else {
+            let turns = prolongation.turns(&pose.turns, host)?;
+            (Turning { cells: &own, problem: &fine.problem, groups: None }, turns)
+        };
+        let mut pose = fine.pose(turns, turning, motion, host)?;
+        fine.relax(&mut pose, turning, motion, (steps, tolerance), host)?;
         Ok(pose)
     }
 
@@ -90,10 +112,10 @@ fn influence(level: &Level, handles: usize, host: &Host<'_>) -> PluginResult<Vec
             row.filter_map(|(j, l)| problem.target(j).map(|target| -l * share(target))).sum()
         };
         let mut sides: Vec<DVec3> = (0..problem.free).map(side).collect();
-        for spring in level.springs() {
+        for spring in &level.springs {
             sides[spring.node as usize] += spring.strength * share(spring.target);
         }
-        level.solve(&mut sides)?;
+        level.factor.solve(&mut sides)?;
         for (row, values) in influence.chunks_exact_mut(handles).zip(sides) {
             row[first..].iter_mut().zip(values.to_array()).for_each(|(slot, v)| *slot = v);
         }

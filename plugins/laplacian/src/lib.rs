@@ -14,8 +14,10 @@
 //! limit. Parts of the surface that nothing holds follow what is next to them (`followers`).
 
 mod arap;
+mod cells;
 mod coarse;
 mod constraints;
+mod descent;
 mod eigen;
 mod elements;
 mod factor;
@@ -29,7 +31,6 @@ mod rotation;
 mod stars;
 mod surface;
 
-use arap::Goal;
 use constraints::{Constraints, Motion, Target, affine};
 use followers::Followers;
 use glam::{DAffine3, DMat3, DVec3};
@@ -102,7 +103,8 @@ impl Deformer for Laplacian {
                     .unit(Unit::DIAGONAL)
                     .hard(0.0, 1.0)
                     .soft(0.0, 0.2)
-                    .hint("Over how long a way the surface bends, for rigid; 0 lets it crease"),
+                    .hint("Over how long a way the surface bends, for rigid; 0 lets it crease")
+                    .invalidates_preparation(),
             )
             .param(
                 ParamDesc::int("iterations", "Iterations", 2)
@@ -163,7 +165,10 @@ impl Deformer for Laplacian {
         let bilaplacian =
             |problem| BiLaplacian::new(problem, length.powi(-4), frames(&constraints, &positions), host);
         let method = match params.choice("mode")? {
-            "arap" => Method::Arap(Hierarchy::new(problem, length.powi(-2), constraints.handles, host)?),
+            "arap" => {
+                let width = params.float("bending")? * diagonal;
+                Method::Arap(Hierarchy::new(problem, length.powi(-2), width, constraints.handles, host)?)
+            }
             "bi-laplacian" => Method::Bilaplacian(bilaplacian(problem)?),
             "laplacian" => Method::Rotated(bilaplacian(problem)?),
             other => return Err(PluginError::parameter("mode", &format!("is unknown: {other}"))),
@@ -201,9 +206,7 @@ impl Deformer for Laplacian {
                     let steps = usize::try_from(params.int("iterations")?)
                         .map_err(|_| PluginError::parameter("iterations", "is negative"))?;
                     let tolerance = params.float("tolerance")? * input.bounds.diagonal();
-                    let length = params.float("bending")? * input.bounds.diagonal();
-                    let goal = Goal { motion: &motion, bending: length.powi(2) };
-                    hierarchy.deform(goal, steps, tolerance, host)?.displacements
+                    hierarchy.deform(&motion, (steps, tolerance), host)?.displacements
                 }
                 Method::Bilaplacian(linear) => linear.displacements(&motion, host)?,
                 Method::Rotated(linear) => linear.rotated(&motion, host)?,

@@ -7,10 +7,11 @@
 //! Y. Lipman et al., *Differential Coordinates for Interactive Mesh Editing*, SMI 2004: the same displacements
 //! tell how each sample's surroundings turn; the surface's own Laplacians, turned so, are then met by least squares.
 
-use crate::arap::fit_turns;
+use crate::cells::covariances;
 use crate::constraints::{Motion, Soft, Target};
 use crate::factor::Factor;
 use crate::problem::Problem;
+use crate::rotation;
 use glam::{DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
 
@@ -107,7 +108,12 @@ impl BiLaplacian {
         let problem = &self.problem;
         let naive = self.displacements(motion, host)?;
         let mut turns = vec![DMat3::IDENTITY; problem.len()];
-        fit_turns(problem, &naive, &mut turns[..problem.free], |_| DMat3::ZERO, host)?;
+        let covariances = covariances(problem, &naive, host)?;
+        host.parallel_blocks(&mut turns[..problem.free], TOGETHER, |first, turns| {
+            for (turn, covariance) in turns.iter_mut().zip(&covariances[first..]) {
+                *turn = rotation::nearest(*covariance, DMat3::IDENTITY);
+            }
+        })?;
         for (turn, target) in turns[problem.free..].iter_mut().zip(&problem.held) {
             *turn = motion.turn(*target);
         }

@@ -44,3 +44,22 @@ fn cost() {
         }
     }
 }
+
+#[test]
+#[ignore = "prints differences, and asserts nothing"]
+fn steps() {
+    let mut scene = held_at_ends(tube(110, 180, 0.1), 0.15);
+    let at = turn(DVec3::X, 60.0, DVec3::new(0.0, 0.0, 0.8), DVec3::new(0.0, -0.2, -0.2));
+    let state = scene.prepare().unwrap();
+    (scene.iterations, scene.tolerance) = (500.0, 1e-6);
+    let best = scene.deform(&state, &[at]);
+    for steps in [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0] {
+        (scene.iterations, scene.tolerance) = (steps, 1e-4);
+        let found = scene.deform(&state, &[at]);
+        let d = |(a, b): (&[f32; 3], &[f32; 3])| {
+            DVec3::from(a.map(f64::from)).distance(DVec3::from(b.map(f64::from)))
+        };
+        let worst = found.iter().zip(&best).map(d).fold(0.0, f64::max);
+        println!("{steps} steps: worst {worst:.2e}");
+    }
+}
