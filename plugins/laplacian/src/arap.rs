@@ -224,3 +224,98 @@ impl Turning<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::constraints::Target;
+    use crate::elements::Element;
+    use crate::intrinsic;
+    use crate::problem::Kind;
+    use crate::tests::scene::{tube, turn};
+    use simod_plugin_api::Affine;
+
+    fn level() -> Level {
+        let scene = tube(14, 24, 0.15);
+        let rest: Vec<DVec3> = scene.points.iter().map(|p| DVec3::from(p.map(f64::from))).collect();
+        let kind = |p: &DVec3| match p.z {
+            z if z < 0.2 => Kind::Held(Target::Fixed),
+            z if z > 0.8 => Kind::Held(Target::Handle(0)),
+            _ => Kind::Free,
+        };
+        let kinds: Vec<Kind> = rest.iter().map(kind).collect();
+        let elements: Vec<Element> = intrinsic::plain(&rest, &scene.triangles);
+        let node = kinds.iter().position(|k| *k == Kind::Free).unwrap() as u32;
+        let soft = [Soft { node, target: Target::Handle(0), strength: 0.1 }];
+        let host = Host::new(&());
+        Level::new(Problem::new(&rest, &elements, &kinds, &soft, &host).unwrap(), 400.0, &host).unwrap()
+    }
+
+    fn motion() -> Motion {
+        let bend: Affine = turn(DVec3::X, 100.0, DVec3::new(0.0, 0.0, 0.6), DVec3::new(0.1, -0.3, 0.0));
+        Motion::rigid(&[bend], true)
+    }
+
+    /// From rest, with rotations that know nothing.
+    fn start(level: &Level, turning: Turning<'_>, motion: &Motion) -> Pose {
+        let held = level.problem.held.iter().map(|t| motion.turn(*t));
+        let turns = std::iter::repeat_n(DMat3::IDENTITY, level.problem.free).chain(held);
+        level.pose(turns.take(level.problem.rows).collect(), turning, motion, &Host::new(&())).unwrap()
+    }
+
+    #[test]
+    fn neither_step_raises_the_energy() {
+        let (level, motion, host) = (level(), motion(), Host::new(&()));
+        for width in [0.0, 0.1] {
+            let cells = Cells::new(&level.problem, width, &host).unwrap();
+            let turning = Turning { cells: &cells, problem: &level.problem, groups: None };
+            let mut pose = start(&level, turning, &motion);
+            let mut last = level.assess(&pose, &motion, &host).unwrap().0;
+            for step in 0..60 {
+                for local in [true, false] {
+                    if local {
+                        level.turn(&mut pose, turning, &host).unwrap();
+                    } else {
+                        level.place(&mut pose, &motion, &host).unwrap();
+                    }
+                    let energy = level.assess(&pose, &motion, &host).unwrap().0;
+                    // Coefficients are of single precision.
+                    assert!(energy <= last + 1e-7, "width {width}, step {step}: {last} to {energy}");
+                    last = energy;
+                }
+            }
+            // The faster descent comes at least as far in half of the steps, and never up.
+            let mut pose = start(&level, turning, &motion);
+            let energies = level.relax(&mut pose, turning, &motion, (30, 0.0), &host).unwrap();
+            assert!(energies.is_sorted_by(|a, b| a >= b), "{energies:?}");
+            assert!(*energies.last().unwrap() <= last + 1e-6, "{energies:?}, {last}");
+        }
+    }
+
+    #[test]
+    fn the_gradient_is_the_derivative_of_the_energy() {
+        let (level, motion, host) = (level(), motion(), Host::new(&()));
+        for width in [0.0, 0.1] {
+            let cells = Cells::new(&level.problem, width, &host).unwrap();
+            let turning = Turning { cells: &cells, problem: &level.problem, groups: None };
+            let mut pose = start(&level, turning, &motion);
+            level.turn(&mut pose, turning, &host).unwrap();
+            let (_, gradient) = level.assess(&pose, &motion, &host).unwrap();
+            let energy_at = |node: usize, by: DVec3| {
+                let mut pose = pose.clone();
+                pose.displacements[node] += by;
+                level.turn(&mut pose, turning, &host).unwrap();
+                level.assess(&pose, &motion, &host).unwrap().0
+            };
+            let largest = gradient.iter().map(|g| g.length()).fold(0.0, f64::max);
+            for node in (0..level.problem.free).step_by(17) {
+                for axis in DVec3::AXES {
+                    let h = 1e-5;
+                    let slope = (energy_at(node, axis * h) - energy_at(node, axis * -h)) / (2.0 * h);
+                    let found = gradient[node].dot(axis);
+                    assert!((slope - found).abs() < 1e-3 * largest, "width {width}, {node}: {slope} {found}");
+                }
+            }
+        }
+    }
+}

@@ -5,11 +5,11 @@ use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization};
 use faer::sparse::linalg::SupernodalThreshold;
 use faer::sparse::linalg::cholesky::supernodal::{SupernodalLltRef, SupernodeRef};
 use faer::sparse::linalg::cholesky::{
-    CholeskySymbolicParams, SymbolicCholesky, SymbolicCholeskyRaw, SymmetricOrdering,
+    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymbolicCholeskyRaw, SymmetricOrdering,
     factorize_symbolic_cholesky,
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{Par, Side};
+use faer::{Conj, Mat, Par, Side};
 use glam::DVec3;
 use simod_plugin_api::{ErrorCode, Host, PluginError, PluginResult};
 
@@ -95,18 +95,14 @@ impl Factor {
             .hint("add a fixed region, or sample the model anew"))
     }
 
-    /// The number of unknowns.
-    pub fn len(&self) -> usize {
-        self.symbolic.nrows()
-    }
-
     /// Replaces three right-hand sides by solutions, all in one pass over the factor: that is what takes the time.
     pub fn solve(&self, sides: &mut [DVec3]) -> PluginResult<()> {
-        let SymbolicCholeskyRaw::Supernodal(symbolic) = self.symbolic.raw() else {
-            return Err(PluginError::internal("the factor has no supernodes"));
+        let (SymbolicCholeskyRaw::Supernodal(symbolic), Some(order)) =
+            (self.symbolic.raw(), self.symbolic.perm().map(|p| p.arrays().0))
+        else {
+            // A diagonal matrix has none.
+            return self.solve_without_supernodes(sides);
         };
-        let order = self.symbolic.perm().map(|p| p.arrays().0);
-        let order = order.ok_or_else(|| PluginError::internal("the factor has no order"))?;
         let lower = SupernodalLltRef::new(symbolic, &self.values);
         let mut x: Vec<DVec3> = order.iter().map(|i| sides[*i]).collect();
         let mut front = Front::default();
@@ -117,6 +113,24 @@ impl Factor {
             front.backward(lower.supernode(s), &mut x);
         }
         order.iter().zip(x).for_each(|(i, x)| sides[*i] = x);
+        Ok(())
+    }
+}
+
+impl Factor {
+    fn solve_without_supernodes(&self, sides: &mut [DVec3]) -> PluginResult<()> {
+        let need = self.symbolic.solve_in_place_scratch::<f64>(3, Par::Seq);
+        let mut memory = MemBuffer::try_new(need).map_err(|_| out_of_memory())?;
+        let mut columns = Mat::from_fn(sides.len(), 3, |i, k| sides[i][k]);
+        LltRef::new(&self.symbolic, &self.values).solve_in_place_with_conj(
+            Conj::No,
+            columns.as_mut(),
+            Par::Seq,
+            MemStack::new(&mut memory),
+        );
+        for (i, side) in sides.iter_mut().enumerate() {
+            *side = DVec3::new(columns[(i, 0)], columns[(i, 1)], columns[(i, 2)]);
+        }
         Ok(())
     }
 }

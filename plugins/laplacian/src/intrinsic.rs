@@ -29,7 +29,7 @@ pub fn plain(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Element> {
 /// The intrinsic Delaunay triangulation of what the triangles make up, each of its triangles twice and by half.
 pub fn delaunay(positions: &[DVec3], triangles: &[[u32; 3]], host: &Host<'_>) -> PluginResult<Vec<Element>> {
     let (triangles, lengths) = mollified(positions, triangles);
-    let mut cover = Cover::tufted(&triangles, &lengths);
+    let mut cover = Cover::tufted(positions, &triangles, &lengths);
     cover.flip_to_delaunay(host)?;
     Ok(cover.elements().map(|e| e.scaled(0.5)).collect())
 }
@@ -62,13 +62,27 @@ struct Cover {
     twin: Vec<u32>,
 }
 
+/// Sorts triangles at an edge by the angle at which they leave it; those of one angle stay in order.
+fn sort_around(positions: &[DVec3], triangles: &[[u32; 3]], around: &mut [([u32; 2], u32, u32)]) {
+    let at = |i: u32| positions[i as usize];
+    let Some(&([from, to], ..)) = around.first() else { return };
+    let (x, y) = (at(to) - at(from)).normalize_or(DVec3::X).any_orthonormal_pair();
+    around.sort_by_cached_key(|(_, half_edge, _)| {
+        let corners = triangles[*half_edge as usize / 6];
+        let apex = corners.into_iter().find(|c| *c != from && *c != to).unwrap_or(from);
+        let v = at(apex) - at(from);
+        // As a whole number, so that rounding does not part copies.
+        (v.dot(y).atan2(v.dot(x)) * 1e6).round() as i64
+    });
+}
+
 fn next(h: usize) -> usize {
     if h % 3 == 2 { h - 2 } else { h + 1 }
 }
 
 impl Cover {
-    /// Front and back of each triangle, glued around the edges in the triangles' order.
-    fn tufted(triangles: &[[u32; 3]], lengths: &[[f64; 3]]) -> Self {
+    /// Front and back of each triangle, glued to those next to it around each edge.
+    fn tufted(positions: &[DVec3], triangles: &[[u32; 3]], lengths: &[[f64; 3]]) -> Self {
         let mut this = Self {
             tail: Vec::with_capacity(6 * triangles.len()),
             length: Vec::with_capacity(6 * triangles.len()),
@@ -86,7 +100,10 @@ impl Cover {
         }
         // Stable, so that the order of the triangles is kept.
         edges.sort_by_key(|e| e.0);
-        for around in edges.chunk_by(|a, b| a.0 == b.0) {
+        for around in edges.chunk_by_mut(|a, b| a.0 == b.0) {
+            if around.len() > 2 {
+                sort_around(positions, triangles, around);
+            }
             for (i, &(_, up, _)) in around.iter().enumerate() {
                 let (_, _, down) = around[(i + 1) % around.len()];
                 this.twin[up as usize] = down;

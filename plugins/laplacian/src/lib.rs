@@ -45,7 +45,7 @@ use std::collections::BTreeMap;
 use surface::Weights;
 
 /// How far a draw of weight 1/2 lets the surface bend before it gives in, in units of the diagonal.
-const SOFT_LENGTH: f64 = 0.05;
+const SOFT_LENGTH: f64 = 0.3;
 /// Samples that are written at once on one thread.
 const DEFORM_BLOCK: usize = 8192;
 

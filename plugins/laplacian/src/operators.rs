@@ -51,6 +51,8 @@ impl Operators {
         host.parallel_blocks(&mut rows, TOGETHER, |first, rows| {
             let mut laplacians = Vec::new();
             for (i, row) in (first..).zip(rows) {
+                // Also where there is no element.
+                entry(row, i);
                 for (element, corner) in corners.of(i) {
                     let e = &elements[element];
                     laplacians.clear();

@@ -1,9 +1,10 @@
 //! Triangles where there are none: the Delaunay star of a sample among its neighbours, in their plane.
 //!
-//! N. Sharp, K. Crane 2020, §5.7: the triangles around each sample are found in its tangent plane without a
-//! thought of the others', and their intrinsic Delaunay triangulation makes one symmetric Laplacian of them, without
-//! negative weights. M. Belkin, J. Sun, Y. Wang, *Constructing Laplace Operator from Point Clouds in R^d*, SODA 2009,
-//! has the idea of local triangulations.
+//! M. Belkin, J. Sun, Y. Wang, *Constructing Laplace Operator from Point Clouds in R^d*, SODA 2009, has the idea of
+//! triangulations that are local; N. Sharp, K. Crane 2020, §5.7, that of the Delaunay stars of all samples, found without a
+//! thought of each other. Their cotangents are summed, a third each, which makes the Laplacian symmetric: the
+//! Delaunay triangulation's own where the stars agree. Where they do not, weights may be negative, and the energy of each
+//! triangle is not.
 
 use crate::eigen;
 use glam::{DVec2, DVec3};

@@ -72,9 +72,8 @@ fn of_neighbours(
         elements.extend(near.flat_map(|&j| Element::link(i, j, LINK)));
     }
     // Each triangle of a regular neighbourhood is in the stars of all its corners.
-    let triangles = stars.concat();
-    elements
-        .extend(intrinsic::delaunay(positions, &triangles, host)?.into_iter().map(|e| e.scaled(1.0 / 3.0)));
+    let triangles = intrinsic::plain(positions, &stars.concat());
+    elements.extend(triangles.into_iter().map(|e| e.scaled(1.0 / 3.0)));
     Ok(elements)
 }
 

@@ -1,5 +1,7 @@
 //! The whole plugin, on generated models.
 
 mod cost;
+mod meaning;
 mod reference;
-mod scene;
+pub mod scene;
+mod surfaces;
