@@ -146,13 +146,11 @@ impl Graph {
         }
         // Others join the group that holds them most.
         let first = group.clone();
-        for i in 0..count {
-            if group[i] == NONE {
-                let taken = alike(i).filter(|(j, _)| first[*j as usize] != NONE);
-                let strongest = taken.max_by(|a, b| a.1.total_cmp(&b.1));
-                group[i] = strongest.map_or(groups, |(j, _)| first[*j as usize]);
-                groups += u32::from(strongest.is_none());
-            }
+        for (i, slot) in group.iter_mut().enumerate().filter(|(_, g)| **g == NONE) {
+            let taken = alike(i).filter(|(j, _)| first[*j as usize] != NONE);
+            let strongest = taken.max_by(|a, b| a.1.total_cmp(&b.1));
+            *slot = strongest.map_or(groups, |(j, _)| first[*j as usize]);
+            groups += u32::from(strongest.is_none());
         }
         (group, groups as usize)
     }

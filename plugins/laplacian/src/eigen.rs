@@ -23,9 +23,9 @@ pub fn symmetric<const N: usize>(mut a: [[f64; N]; N]) -> ([f64; N], [[f64; N]; 
                 let t = theta.signum() / (theta.abs() + theta.hypot(1.0));
                 let c = 1.0 / t.hypot(1.0);
                 let s = t * c;
-                for k in 0..N {
-                    let (x, y) = (a[k][p], a[k][q]);
-                    (a[k][p], a[k][q]) = (c * x - s * y, s * x + c * y);
+                for row in &mut a {
+                    let (x, y) = (row[p], row[q]);
+                    (row[p], row[q]) = (c * x - s * y, s * x + c * y);
                 }
                 for k in 0..N {
                     let (x, y) = (a[p][k], a[q][k]);
@@ -47,14 +47,8 @@ mod tests {
     proptest! {
         #[test]
         fn eigenvectors_diagonalise(entries in proptest::array::uniform10(-5.0..5.0_f64)) {
-            let mut a = [[0.0; 4]; 4];
-            let mut rest = entries.into_iter();
-            for i in 0..4 {
-                for j in 0..=i {
-                    a[i][j] = rest.next().unwrap();
-                    a[j][i] = a[i][j];
-                }
-            }
+            let at = |i: usize, j: usize| entries[i.max(j) * (i.max(j) + 1) / 2 + i.min(j)];
+            let a: [[f64; 4]; 4] = std::array::from_fn(|i| std::array::from_fn(|j| at(i, j)));
             let (values, vectors) = symmetric(a);
             for (value, v) in values.iter().zip(vectors) {
                 let norm: f64 = v.iter().map(|x| x * x).sum();

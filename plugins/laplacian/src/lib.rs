@@ -63,7 +63,7 @@ struct Prepared {
 }
 
 enum Method {
-    Arap(Hierarchy),
+    Arap(Box<Hierarchy>),
     Bilaplacian(BiLaplacian),
     Rotated(BiLaplacian),
 }
@@ -167,7 +167,8 @@ impl Deformer for Laplacian {
         let method = match params.choice("mode")? {
             "arap" => {
                 let width = params.float("bending")? * diagonal;
-                Method::Arap(Hierarchy::new(problem, length.powi(-2), width, constraints.handles, host)?)
+                let (stiffness, handles) = (length.powi(-2), constraints.handles);
+                Method::Arap(Box::new(Hierarchy::new(problem, stiffness, width, handles, host)?))
             }
             "bi-laplacian" => Method::Bilaplacian(bilaplacian(problem)?),
             "laplacian" => Method::Rotated(bilaplacian(problem)?),

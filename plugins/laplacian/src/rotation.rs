@@ -41,7 +41,7 @@ fn newton(s: DMat3, start: DMat3) -> Option<DMat3> {
         let step = hessian.inverse() * gradient;
         let angle = step.length();
         // So far, the quadratic model means nothing.
-        if !(angle < 1.0) {
+        if angle.is_nan() || angle > 1.0 {
             return None;
         }
         // Cayley's map: the same as the exponential to third order, and a rotation all the same.

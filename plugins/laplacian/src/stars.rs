@@ -16,6 +16,9 @@ const MOST: usize = 20;
 const REACH: f64 = 1.0;
 /// Two neighbours are one if they are nearer to each other than this, in the same units.
 const COINCIDENT: f64 = 1e-9;
+/// A neighbour that cuts off less than this, in units of its distance, does not count: of points on one circle, as in
+/// grids, rounding would take some.
+const COCIRCULAR: f64 = 1e-5;
 
 /// Triangles around sample `i`, which may be none: its neighbours are few, or on a line. `same_side` tells of which
 /// neighbours the sample knows that they are on its side of the surface.
@@ -76,7 +79,7 @@ impl Cell {
     /// Cuts off what is nearer to `q`.
     fn cut(&mut self, q: DVec2, neighbour: u32) {
         let outside = |p: DVec2| p.dot(q) - q.length_squared() / 2.0;
-        let tolerance = 1e-12 * q.length_squared();
+        let tolerance = COCIRCULAR * q.length_squared();
         let mut kept = Vec::with_capacity(self.sides.len() + 1);
         for (k, &(from, beyond)) in self.sides.iter().enumerate() {
             let to = self.sides[(k + 1) % self.sides.len()].0;

@@ -215,7 +215,7 @@ pub fn held_at_ends(scene: Scene, end: f64) -> Scene {
 
 /// Turns about an axis through a point, and moves.
 pub fn turn(axis: DVec3, degrees: f64, pivot: DVec3, by: DVec3) -> Affine {
-    let m = glam::DMat3::from_axis_angle(axis.normalize(), degrees.to_radians());
+    let m = glam::DMat3::from_axis_angle(axis.normalize_or(DVec3::Z), degrees.to_radians());
     let t = pivot - m * pivot + by;
     Affine { rows: std::array::from_fn(|r| [m.x_axis[r], m.y_axis[r], m.z_axis[r], t[r]]) }
 }
