@@ -116,6 +116,11 @@ impl<'a> Tool<'a> {
         ]
     }
 
+    /// Whether a stroke acts on the surface as it was when it began, by the most that any part of it makes samples feel.
+    pub fn sweeps(&self) -> bool {
+        !self.accumulate && matches!(self.brush, Brush::Inflate | Brush::Draw | Brush::Pinch | Brush::Crease)
+    }
+
     /// How much is felt at a distance of 0 to 1 radii. A crease is sharper than the rest.
     pub fn falloff(&self, t: f64) -> f64 {
         let f = self.falloff.at(t);

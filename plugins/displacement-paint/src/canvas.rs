@@ -30,7 +30,7 @@ struct Painted {
 
 /// The samples as painted so far.
 ///
-/// Memory: 44 bytes a sample, and up to 112 more for taking back.
+/// Memory: up to 46 bytes a sample, and 112 more for taking back.
 pub struct Canvas {
     surface: u64,
     /// Where the samples are, local coordinates.
@@ -43,6 +43,9 @@ pub struct Canvas {
     /// What the stroke under way has changed so far.
     before: Vec<Before>,
     is_remembered: Vec<bool>,
+    /// Samples whose normals are to be derived anew; empty between calls.
+    stale: Vec<u32>,
+    is_stale: Vec<bool>,
 }
 
 impl Canvas {
@@ -56,6 +59,8 @@ impl Canvas {
             painted: VecDeque::new(),
             before: Vec::new(),
             is_remembered: vec![false; positions.len()],
+            stale: Vec::new(),
+            is_stale: vec![false; positions.len()],
         }
     }
 
@@ -116,17 +121,23 @@ impl Canvas {
 
     /// Derives the normals of samples that moved, and of those beside them, anew.
     pub fn refresh_normals(&mut self, surface: &Surface, rest: &Rest<'_>, moved: &[u32]) {
-        let mut stale: Vec<u32> = moved.to_vec();
-        stale.extend(moved.iter().flat_map(|&i| surface.beside(i as usize)));
-        stale.sort_unstable();
-        stale.dedup();
-        for i in stale.into_iter().map(|i| i as usize) {
+        let mut stale = std::mem::take(&mut self.stale);
+        let with_those_beside =
+            |&i: &u32| std::iter::once(i).chain(surface.beside(i as usize).iter().copied());
+        for i in moved.iter().flat_map(with_those_beside) {
+            if !std::mem::replace(&mut self.is_stale[i as usize], true) {
+                stale.push(i);
+            }
+        }
+        for i in stale.drain(..).map(|i| i as usize) {
+            self.is_stale[i] = false;
             let normal = turned_normal(surface, rest, &self.positions, i);
             if normal != self.normals[i] {
                 self.remember(i);
                 self.normals[i] = normal;
             }
         }
+        self.stale = stale;
     }
 }
 

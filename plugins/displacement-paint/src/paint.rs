@@ -11,7 +11,7 @@
 use crate::brush::{Brush, Tool, Under};
 use crate::canvas::{Canvas, Rest};
 use crate::path::{self, IMAGES};
-use crate::spot::{Felt, Finder, Reach, Shape, Spot};
+use crate::spot::{Felt, Finder, Reach, Shape, Spot, Sweep};
 use crate::surface::Surface;
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult, Stroke};
@@ -57,6 +57,9 @@ struct Push {
     by: DVec3,
 }
 
+/// One of each mirror image that there is.
+type Images<T> = [Option<T>; IMAGES];
+
 /// Paints on a canvas.
 pub struct Painter<'a> {
     /// The samples' links.
@@ -92,10 +95,27 @@ impl Painter<'_> {
         work.covered.resize(self.surface.len(), 0.0);
         work.offsets.resize(self.surface.len(), DVec3::ZERO);
         let exposure = tool.exposure();
-        let mut before: [Option<Spot>; IMAGES] = [None; IMAGES];
-        for dab in &dabs {
+        // Whoever sweeps does so on the surface as it is now: all spots are known beforehand.
+        let all = if tool.sweeps() { &dabs[..] } else { &[] };
+        let mut spots: Vec<Images<Spot>> = Vec::with_capacity(all.len());
+        for dab in all {
             host.progress(0.0)?;
-            self.gather(canvas, work, &tool, dab, grab, &mut before);
+            spots.push(self.spots(canvas, work, &tool, dab));
+        }
+        for (k, dab) in dabs.iter().enumerate() {
+            host.progress(0.0)?;
+            if tool.sweeps() {
+                let (before, after) = (k.checked_sub(1).map(|k| &spots[k]), spots.get(k + 1));
+                let sweep = |image: usize| {
+                    let other = |spots: Option<&'_ Images<Spot>>| spots.and_then(|s| s[image]);
+                    let spot = spots[k][image]?;
+                    Some((spot, Sweep::of(other(before).as_ref(), &spot, other(after).as_ref())))
+                };
+                self.gather(canvas, work, &tool, grab, &std::array::from_fn(sweep));
+            } else {
+                let round = self.spots(canvas, work, &tool, dab);
+                self.gather(canvas, work, &tool, grab, &round.map(|s| s.map(|s| (s, Sweep::round(&s)))));
+            }
             let share = exposure * dab.share;
             match tool.brush {
                 Brush::Smooth => self.smooth(canvas, work, &tool, share),
@@ -118,6 +138,16 @@ impl Painter<'_> {
         Ok(())
     }
 
+    /// Where a dab and its mirror images are on the surface.
+    fn spots(&self, canvas: &Canvas, work: &mut Workspace, tool: &Tool<'_>, dab: &path::Dab) -> Images<Spot> {
+        let mut spots = [None; IMAGES];
+        for image in tool.symmetry.images() {
+            let p = tool.symmetry.point(dab.at, image);
+            spots[image] = self.finder().spot(canvas, &mut work.reach, p, dab.pressure, tool.radius);
+        }
+        spots
+    }
+
     /// What a dab and its mirror images do to each sample under them: the mean of what they would have it do, and the most
     /// that any of them makes it feel.
     fn gather(
@@ -125,43 +155,34 @@ impl Painter<'_> {
         canvas: &Canvas,
         work: &mut Workspace,
         tool: &Tool<'_>,
-        dab: &path::Dab,
         grab: DVec3,
-        before: &mut [Option<Spot>; IMAGES],
+        dabs: &Images<(Spot, Sweep)>,
     ) {
-        let finder = Finder { surface: self.surface, areas: self.areas };
         let falloff = |t: f64| tool.falloff(t);
         let both_sides = tool.brush == Brush::Grab;
         let shape = Shape { radius: tool.radius, falloff: &falloff, both_sides };
         work.pushed.clear();
-        for image in tool.symmetry.images() {
-            let p = tool.symmetry.point(dab.at, image);
-            let spot = finder.spot(canvas, &mut work.reach, p, dab.pressure, tool.radius);
-            if let Some(spot) = &spot {
-                // Dabs that accumulate are round; others sweep over what lies between them.
-                let sweeps = !tool.accumulate && !matches!(tool.brush, Brush::Smooth | Brush::Flatten);
-                let from = before[image].as_ref().filter(|_| sweeps).unwrap_or(spot);
-                finder.felt(canvas, &mut work.reach, [from, spot], &shape, &mut work.felt);
-                let grab = tool.symmetry.vector(grab, image);
-                for Felt { sample, weight, to_path } in &work.felt {
-                    let (p, n) = (canvas.positions[*sample as usize], canvas.normals[*sample as usize]);
-                    let under = Under {
-                        normal: spot.normal,
-                        towards: *to_path,
-                        to_plane: spot.origin - p.as_dvec3(),
-                        grab,
-                    };
-                    let by = tool.displacement(n.as_dvec3(), &under);
-                    work.pushed.push(Pushed { sample: *sample, image: image as u8, weight: *weight, by });
-                }
+        for (image, dab) in dabs.iter().enumerate() {
+            let Some((spot, sweep)) = dab else { continue };
+            self.finder().felt(canvas, &mut work.reach, sweep, &shape, &mut work.felt);
+            let grab = tool.symmetry.vector(grab, image);
+            for Felt { sample, weight, to_path, normal } in &work.felt {
+                let (p, n) = (canvas.positions[*sample as usize], canvas.normals[*sample as usize]);
+                let to_plane = spot.origin - p.as_dvec3();
+                let under = Under { normal: *normal, towards: *to_path, to_plane, grab };
+                let by = tool.displacement(n.as_dvec3(), &under);
+                work.pushed.push(Pushed { sample: *sample, image: image as u8, weight: *weight, by });
             }
-            before[image] = spot;
         }
         work.pushes.clear();
         if tool.symmetry.axes.any() {
             work.pushed.sort_unstable_by_key(|p| (p.sample, p.image));
         }
         work.pushes.extend(work.pushed.chunk_by(|a, b| a.sample == b.sample).map(Push::of));
+    }
+
+    fn finder(&self) -> Finder<'_> {
+        Finder { surface: self.surface, areas: self.areas }
     }
 
     /// Moves samples by what a dab would have them do, as far as `amount` makes of how much they feel.

@@ -7,8 +7,8 @@
 use glam::{BVec3, DVec3};
 use simod_plugin_api::{PluginError, PluginResult, Stroke};
 
-/// Most dabs of a stroke.
-const MOST_DABS: f64 = 1e6;
+/// Most dabs of a stroke, which bounds the memory that it takes.
+const MOST_DABS: f64 = 1e5;
 
 /// A place on the path.
 #[derive(Debug, Clone, Copy, PartialEq)]

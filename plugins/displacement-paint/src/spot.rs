@@ -8,8 +8,7 @@
 use crate::canvas::Canvas;
 use crate::surface::{Surface, sheet_distance};
 use glam::{DVec3, Vec3};
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::VecDeque;
 
 /// How much longer than the distance in space a way along the links may be for nothing: about 1.1 for paths on links,
 /// and that of an arc of a third of a circle to its chord.
@@ -29,37 +28,37 @@ const WHOLE: f64 = (1_u64 << 36) as f64;
 pub struct Reach {
     length: Vec<f32>,
     found: Vec<(u32, f64)>,
-    open: BinaryHeap<Reverse<u64>>,
+    /// Samples whose neighbours may be nearer by way of them.
+    open: VecDeque<u32>,
+    is_open: Vec<bool>,
 }
 
 impl Reach {
     /// The samples that are no farther than `limit` from `seed` along the surface, and how far they are.
     ///
-    /// E. W. Dijkstra, A note on two problems in connexion with graphs, 1959.
+    /// Labels are corrected first in, first out, until none improves (E. F. Moore, The shortest path through a maze, 1959):
+    /// where all links are about as long, hardly any does twice, and a queue costs less than a heap.
     fn from(&mut self, seed: usize, limit: f64, surface: &Surface, positions: &[Vec3]) -> &[(u32, f64)] {
-        self.found.iter().for_each(|(i, _)| self.length[*i as usize] = f32::INFINITY);
-        self.open.clear();
-        self.length.resize(positions.len(), f32::INFINITY);
-        self.found.clear();
-        // Lengths of no sign order as their bits do.
-        let entry = |length: f32, i: u32| Reverse(u64::from(length.to_bits()) << 32 | u64::from(i));
+        self.reset(positions.len());
+        let limit = limit as f32;
         self.length[seed] = 0.0;
         self.found.push((seed as u32, 0.0));
-        self.open.push(entry(0.0, seed as u32));
-        while let Some(Reverse(next)) = self.open.pop() {
-            let (length, i) = (f32::from_bits((next >> 32) as u32), next as u32 as usize);
-            if length > self.length[i] {
-                continue;
-            }
+        self.open.push_back(seed as u32);
+        while let Some(i) = self.open.pop_front() {
+            let i = i as usize;
+            self.is_open[i] = false;
+            let (here, length) = (positions[i], self.length[i]);
             for &j in surface.beside(i) {
-                let there = length + positions[i].distance(positions[j as usize]);
+                let there = length + here.distance(positions[j as usize]);
                 let known = &mut self.length[j as usize];
-                if there < *known && f64::from(there) <= limit {
+                if there < *known && there <= limit {
                     if *known == f32::INFINITY {
                         self.found.push((j, 0.0));
                     }
                     *known = there;
-                    self.open.push(entry(there, j));
+                    if !std::mem::replace(&mut self.is_open[j as usize], true) {
+                        self.open.push_back(j);
+                    }
                 }
             }
         }
@@ -68,20 +67,136 @@ impl Reach {
         }
         &self.found
     }
+
+    /// The samples of a ball that are connected with `seed` inside it, and their distances from its centre.
+    fn inside(
+        &mut self,
+        seed: usize,
+        center: DVec3,
+        radius: f64,
+        surface: &Surface,
+        positions: &[Vec3],
+    ) -> &[(u32, f64)] {
+        self.reset(positions.len());
+        let mut look = |i: usize, found: &mut Vec<(u32, f64)>| {
+            if self.length[i] == f32::INFINITY {
+                let distance = positions[i].as_dvec3().distance(center);
+                if distance < radius {
+                    self.length[i] = 0.0;
+                    found.push((i as u32, distance));
+                }
+            }
+        };
+        look(seed, &mut self.found);
+        let mut next = 0;
+        while let Some(&(i, _)) = self.found.get(next) {
+            surface.beside(i as usize).iter().for_each(|&j| look(j as usize, &mut self.found));
+            next += 1;
+        }
+        &self.found
+    }
+
+    fn reset(&mut self, count: usize) {
+        self.found.iter().for_each(|(i, _)| self.length[*i as usize] = f32::INFINITY);
+        self.found.clear();
+        self.length.resize(count, f32::INFINITY);
+        self.is_open.resize(count, false);
+    }
 }
 
 /// A round place on the surface.
 #[derive(Debug, Clone, Copy)]
 pub struct Spot {
-    /// Its middle, on the surface.
+    /// Its middle, and what is there.
+    pub node: Node,
+    /// A point of the mean plane under the brush.
+    pub origin: DVec3,
+    seed: usize,
+}
+
+/// A point of the brush's way.
+#[derive(Debug, Clone, Copy)]
+pub struct Node {
+    /// On the surface.
     pub at: DVec3,
     /// The mean normal under the brush.
     pub normal: DVec3,
-    /// A point of the mean plane under the brush.
-    pub origin: DVec3,
     /// The pen's pressure.
     pub pressure: f64,
+}
+
+impl Node {
+    fn mix(nodes: [&Self; 3], by: [f64; 3]) -> Self {
+        let mix = |of: &dyn Fn(&Self) -> DVec3| (0..3).fold(DVec3::ZERO, |sum, k| sum + by[k] * of(nodes[k]));
+        Self {
+            at: mix(&|n| n.at),
+            normal: mix(&|n| n.normal),
+            pressure: (0..3).map(|k| by[k] * nodes[k].pressure).sum(),
+        }
+    }
+}
+
+/// The way of the brush that a dab stands for: a part of the quadratic B-spline of the dabs, from half way since the one
+/// before to half way to the next. A path of straight pieces would show at each of its corners.
+#[derive(Debug, Clone, Copy)]
+pub struct Sweep {
+    start: Node,
+    middle: Node,
+    end: Node,
     seed: usize,
+}
+
+impl Sweep {
+    /// No way at all: a round dab.
+    pub fn round(spot: &Spot) -> Self {
+        Self::of(None, spot, None)
+    }
+
+    /// Of a dab between those before and after it, if there are any.
+    pub fn of(before: Option<&Spot>, spot: &Spot, after: Option<&Spot>) -> Self {
+        let middle = spot.node;
+        let half_way = |other: Option<&Spot>| match other {
+            Some(other) => Node::mix([&middle, &other.node, &middle], [0.5, 0.5, 0.0]),
+            None => middle,
+        };
+        Self { start: half_way(before), middle, end: half_way(after), seed: spot.seed }
+    }
+
+    fn at(&self, t: f64) -> Node {
+        let s = 1.0 - t;
+        Node::mix([&self.start, &self.middle, &self.end], [s * s, 2.0 * s * t, t * t])
+    }
+
+    /// Where it is nearest to a point.
+    fn nearest(&self, p: DVec3) -> Node {
+        const STEPS: u32 = 4;
+        const NEWTON: u32 = 3;
+        let (a, b, c) = (self.start.at, self.middle.at, self.end.at);
+        if a == b && b == c {
+            return self.middle;
+        }
+        let (first, second) = (b - a, a - 2.0 * b + c);
+        let point = |t: f64| a + 2.0 * t * first + t * t * second;
+        let distance = |t: &f64| point(*t).distance_squared(p);
+        let steps = (0..=STEPS).map(|i| f64::from(i) / f64::from(STEPS));
+        let start = steps.min_by(|x, y| distance(x).total_cmp(&distance(y))).unwrap_or(0.0);
+        let mut best = start;
+        for _ in 0..NEWTON {
+            let (off, slope) = (point(best) - p, 2.0 * (first + best * second));
+            let bend = slope.length_squared() + 2.0 * off.dot(second);
+            if bend <= 0.0 {
+                break;
+            }
+            best = (best - off.dot(slope) / bend).clamp(0.0, 1.0);
+        }
+        // Newton's steps may lead astray where the path turns back.
+        self.at(if distance(&best) <= distance(&start) { best } else { start })
+    }
+
+    /// How far its ends are from its middle, at most.
+    fn extent(&self) -> f64 {
+        self.middle.at.distance(self.start.at).max(self.middle.at.distance(self.end.at))
+    }
 }
 
 /// A sample under the brush.
@@ -91,8 +206,10 @@ pub struct Felt {
     pub sample: u32,
     /// How much of the brush it feels, 0 to 1.
     pub weight: f64,
-    /// From it to the nearest point of the path since the last dab.
+    /// From it to the nearest point of the brush's way.
     pub to_path: DVec3,
+    /// The mean normal there.
+    pub normal: DVec3,
 }
 
 /// A brush's shape.
@@ -129,13 +246,13 @@ impl Finder<'_> {
         let add = |sum: &mut [i64; 3], v: DVec3| {
             (0..3).for_each(|k| sum[k] += (WHOLE * v[k]).round() as i64);
         };
-        for &(i, _) in reach.from(seed, radius, self.surface, &canvas.positions) {
+        for &(i, distance) in reach.inside(seed, p, radius, self.surface, &canvas.positions) {
             let i = i as usize;
             let (offset, n) = ((canvas.positions[i].as_dvec3() - p) / radius, canvas.normals[i].as_dvec3());
-            let inside = 1.0 - offset.length_squared();
-            if inside <= 0.0 || n.dot(facing) <= 0.0 {
+            if n.dot(facing) <= 0.0 {
                 continue;
             }
+            let inside = 1.0 - (distance / radius).powi(2);
             let w = inside * inside * self.areas.get(i).map_or(1.0, |&a| f64::from(a));
             add(&mut origin, w * offset);
             add(&mut normal, w * n);
@@ -147,7 +264,7 @@ impl Finder<'_> {
         let origin = if weight > 0 { p + mean } else { nearest };
         let normal = real(normal).try_normalize().or_else(|| facing.try_normalize())?;
         let at = p + normal * (nearest - p).dot(normal);
-        Some(Spot { at, normal, origin, pressure, seed })
+        Some(Spot { node: Node { at, normal, pressure }, origin, seed })
     }
 
     /// The nearest sample; where several are about as near, as at thin walls, the one near whose tangent plane the point
@@ -167,38 +284,36 @@ impl Finder<'_> {
         Some(best.map_or(nearest, |(_, i)| i))
     }
 
-    /// The samples that feel the brush on its way from one spot to the next.
+    /// The samples that feel the brush on its way.
     pub fn felt(
         &self,
         canvas: &Canvas,
         reach: &mut Reach,
-        [from, to]: [&Spot; 2],
+        sweep: &Sweep,
         shape: &Shape<'_>,
         felt: &mut Vec<Felt>,
     ) {
         let radius = shape.radius;
-        let way = to.at - from.at;
-        let seed = canvas.positions[to.seed];
-        // The seed is not the spot itself.
-        let off = to.at.distance(seed.as_dvec3());
-        let limit = DETOUR * (radius.hypot(way.length()) + off) + off;
+        let middle = sweep.middle.at;
+        // The seed is not the middle itself.
+        let off = middle.distance(canvas.positions[sweep.seed].as_dvec3());
+        let limit = DETOUR * (radius + sweep.extent() + off) + off;
         felt.clear();
-        for &(sample, length) in reach.from(to.seed, limit, self.surface, &canvas.positions) {
+        for &(sample, length) in reach.from(sweep.seed, limit, self.surface, &canvas.positions) {
             let p = canvas.positions[sample as usize].as_dvec3();
-            let t = if way == DVec3::ZERO { 1.0 } else { (p - from.at).dot(way) / way.length_squared() };
-            let t = t.clamp(0.0, 1.0);
-            let to_path = from.at + t * way - p;
-            let detour = ((length - off) / DETOUR - p.distance(to.at)).max(0.0);
+            let near = sweep.nearest(p);
+            let to_path = near.at - p;
+            let detour = ((length - off) / DETOUR - p.distance(middle)).max(0.0);
             let distance = (to_path.length() + detour) / radius;
             if distance >= 1.0 {
                 continue;
             }
-            let cosine = canvas.normals[sample as usize].as_dvec3().dot(to.normal);
+            let normal = near.normal.try_normalize().unwrap_or(sweep.middle.normal);
+            let cosine = canvas.normals[sample as usize].as_dvec3().dot(normal);
             let facing = if shape.both_sides { 1.0 } else { step(AWAY, TOWARDS, cosine) };
-            let pressure = from.pressure + t * (to.pressure - from.pressure);
-            let weight = facing * pressure * (shape.falloff)(distance);
+            let weight = facing * near.pressure * (shape.falloff)(distance);
             if weight > 0.0 {
-                felt.push(Felt { sample, weight, to_path });
+                felt.push(Felt { sample, weight, to_path, normal });
             }
         }
     }
