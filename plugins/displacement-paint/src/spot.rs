@@ -20,6 +20,12 @@ const AWAY: f64 = -0.5;
 /// Within this cosine they feel all of it.
 const TOWARDS: f64 = 0.0;
 
+/// How quickly samples count less with their distance, for the brush's plane.
+const WIDE: i32 = 2;
+
+/// The same for the height of its middle: over details, but without cutting through what is round.
+const NARROW: i32 = 6;
+
 /// Sums are taken in whole multiples of one over this, so that they do not depend on the order of the samples.
 const WHOLE: f64 = (1_u64 << 36) as f64;
 
@@ -222,6 +228,34 @@ pub struct Shape<'a> {
     pub both_sides: bool,
 }
 
+/// A weighted mean of samples' places and normals, the same in whatever order they come.
+#[derive(Default)]
+struct Mean {
+    place: [i64; 3],
+    normal: [i64; 3],
+    weight: i64,
+}
+
+impl Mean {
+    /// One more, where all numbers are at most about 1.
+    fn add(&mut self, place: DVec3, normal: DVec3, weight: f64) {
+        let whole = |x: f64| (WHOLE * x).round() as i64;
+        for k in 0..3 {
+            self.place[k] += whole(weight * place[k]);
+            self.normal[k] += whole(weight * normal[k]);
+        }
+        self.weight += whole(weight);
+    }
+
+    fn place(&self) -> Option<DVec3> {
+        (self.weight > 0).then(|| DVec3::from(self.place.map(|x| x as f64)) / self.weight as f64)
+    }
+
+    fn normal(&self) -> Option<DVec3> {
+        DVec3::from(self.normal.map(|x| x as f64)).try_normalize()
+    }
+}
+
 /// Finds what is under dabs.
 pub struct Finder<'a> {
     /// The links.
@@ -241,29 +275,27 @@ impl Finder<'_> {
         radius: f64,
     ) -> Option<Spot> {
         let seed = self.seed(canvas, p, radius)?;
-        let facing = canvas.normals[seed].as_dvec3();
-        let (mut origin, mut normal, mut weight) = ([0_i64; 3], [0_i64; 3], 0_i64);
-        let add = |sum: &mut [i64; 3], v: DVec3| {
-            (0..3).for_each(|k| sum[k] += (WHOLE * v[k]).round() as i64);
-        };
-        for &(i, distance) in reach.inside(seed, p, radius, self.surface, &canvas.positions) {
-            let i = i as usize;
-            let (offset, n) = ((canvas.positions[i].as_dvec3() - p) / radius, canvas.normals[i].as_dvec3());
-            if n.dot(facing) <= 0.0 {
-                continue;
+        let near = reach.inside(seed, p, radius, self.surface, &canvas.positions);
+        // A single sample's normal may be that of a groove's wall: first those around it say which side this is.
+        let mean = |facing: DVec3, cosine: f64, sharpness: i32| {
+            let mut mean = Mean::default();
+            for &(i, distance) in near {
+                let (at, n) = (canvas.positions[i as usize].as_dvec3(), canvas.normals[i as usize].as_dvec3());
+                if n.dot(facing) > cosine {
+                    let area = self.areas.get(i as usize).map_or(1.0, |&a| f64::from(a));
+                    let inside = 1.0 - (distance / radius).powi(2);
+                    mean.add((at - p) / radius, n, area * inside.powi(sharpness));
+                }
             }
-            let inside = 1.0 - (distance / radius).powi(2);
-            let w = inside * inside * self.areas.get(i).map_or(1.0, |&a| f64::from(a));
-            add(&mut origin, w * offset);
-            add(&mut normal, w * n);
-            weight += (WHOLE * w).round() as i64;
-        }
-        let real = |v: [i64; 3]| DVec3::from(v.map(|x| x as f64));
-        let mean = if weight > 0 { radius * real(origin) / weight as f64 } else { DVec3::ZERO };
-        let nearest = canvas.positions[seed].as_dvec3();
-        let origin = if weight > 0 { p + mean } else { nearest };
-        let normal = real(normal).try_normalize().or_else(|| facing.try_normalize())?;
-        let at = p + normal * (nearest - p).dot(normal);
+            mean
+        };
+        let own = canvas.normals[seed].as_dvec3().try_normalize()?;
+        let facing = mean(own, AWAY, NARROW).normal().unwrap_or(own);
+        let (narrow, wide) = (mean(facing, 0.0, NARROW), mean(facing, 0.0, WIDE));
+        let normal = wide.normal().unwrap_or(facing);
+        let nearest = (canvas.positions[seed].as_dvec3() - p) / radius;
+        let at = p + normal * radius * narrow.place().unwrap_or(nearest).dot(normal);
+        let origin = p + radius * wide.place().unwrap_or(nearest);
         Some(Spot { node: Node { at, normal, pressure }, origin, seed })
     }
 

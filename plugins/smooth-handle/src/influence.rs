@@ -6,13 +6,13 @@
 
 use crate::distance;
 use crate::regions::Regions;
-use glam::Vec3;
+use glam::{DMat2, DVec2, Vec3};
 use simod_plugin_api::{Curve, Graph, Host, ParamDesc, Params, PluginError, PluginResult};
 
 /// Samples that are looked after at once on one thread.
 const BLOCK: usize = 4096;
 /// Neighbours over which shares are smoothed.
-const RING: usize = 8;
+const RING: usize = 12;
 /// Most passes of smoothing.
 const MOST_PASSES: f64 = 300.0;
 /// How much of the neighbours' mean is taken in a pass.
@@ -123,13 +123,15 @@ impl Shares {
         length: f64,
         host: &Host<'_>,
     ) -> PluginResult<()> {
-        let rings: Vec<[u32; RING]> = (0..held.len()).map(|i| ring(samples, i)).collect();
-        let square = |(i, ring): (usize, &[u32; RING])| {
-            let p = samples.positions[i];
-            ring.iter().map(|&j| f64::from(samples.positions[j as usize].distance_squared(p))).sum::<f64>()
-        };
-        let mean = rings.iter().enumerate().map(square).sum::<f64>() / (RING * rings.len()) as f64;
-        if mean <= 0.0 || length <= 0.0 {
+        if length <= 0.0 {
+            return Ok(());
+        }
+        let mut rings = vec![Ring::default(); held.len()];
+        host.parallel_blocks(&mut rings, BLOCK, |first, block| {
+            block.iter_mut().zip(first..).for_each(|(ring, i)| *ring = Ring::around(samples, i));
+        })?;
+        let mean = rings.iter().map(|r| f64::from(r.square)).sum::<f64>() / rings.len() as f64;
+        if mean <= 0.0 {
             return Ok(());
         }
         // A pass is a step of diffusion that spreads by so much of the squared distance.
@@ -144,10 +146,12 @@ impl Shares {
                     if held[i] {
                         continue;
                     }
+                    let ring = &rings[i];
                     for (c, share) in shares.iter_mut().enumerate() {
-                        let near = rings[i].iter().map(|&j| now[j as usize * columns + c]).sum::<f32>();
+                        let mean = |(j, w): (&u32, &f32)| w * now[*j as usize * columns + c];
+                        let near: f32 = ring.samples.iter().zip(&ring.weights).map(mean).sum();
                         let own = now[i * columns + c];
-                        *share = own + PART as f32 * (near / RING as f32 - own);
+                        *share = own + PART as f32 * (near - own);
                     }
                 }
             })?;
@@ -157,13 +161,55 @@ impl Shares {
     }
 }
 
-/// The nearest neighbours on the same side of the surface; the sample itself in unused places.
-fn ring(samples: &Samples<'_>, i: usize) -> [u32; RING] {
-    let mut ring = [i as u32; RING];
-    let same_side = |j: &&u32| samples.normals[i].dot(samples.normals[**j as usize]) > -0.5;
-    let near = samples.graph.of(i).iter().filter(same_side);
-    ring.iter_mut().zip(near).for_each(|(place, j)| *place = *j);
-    ring
+/// The nearest neighbours of a sample on its side of the surface, with weights that sum up to 1.
+#[derive(Debug, Clone, Default)]
+struct Ring {
+    samples: [u32; RING],
+    weights: [f32; RING],
+    /// Mean of their squared distances.
+    square: f32,
+}
+
+impl Ring {
+    /// Their weighted mean is the sample itself, as far as positive weights can do that: so what grows evenly is left as it
+    /// is, though samples lie unevenly. Of all such weights these are the most alike.
+    ///
+    /// M. Arroyo, M. Ortiz, Local maximum-entropy approximation schemes, Int. J. Numer. Meth. Engng. 65 (2006).
+    fn around(of: &Samples<'_>, i: usize) -> Self {
+        const NEWTON: usize = 8;
+        /// Weights differ by no more than the exponential of twice this.
+        const STEEPEST: f64 = 4.0;
+        let p = of.positions[i];
+        let same_side = |j: &&u32| of.normals[i].dot(of.normals[**j as usize]) > -0.5;
+        let mut ring = Self { samples: [i as u32; RING], ..Self::default() };
+        let near = of.graph.of(i).iter().filter(same_side);
+        ring.samples.iter_mut().zip(near).for_each(|(place, j)| *place = *j);
+        let to = ring.samples.map(|j| (of.positions[j as usize] - p).as_dvec3());
+        let radius = to.iter().map(|d| d.length()).fold(0.0, f64::max);
+        ring.weights = [1.0 / RING as f32; RING];
+        let Some(normal) = of.normals[i].as_dvec3().try_normalize().filter(|_| radius > 0.0) else {
+            return ring;
+        };
+        let (s, t) = normal.any_orthonormal_pair();
+        let at = to.map(|d| DVec2::new(d.dot(s), d.dot(t)) / radius);
+        let mut slope = DVec2::ZERO;
+        let mut weights = [1.0 / RING as f64; RING];
+        for _ in 0..NEWTON {
+            let mean: DVec2 = at.iter().zip(&weights).map(|(u, w)| *w * *u).sum();
+            let spread = at.iter().zip(&weights).map(|(u, w)| {
+                let d = *u - mean;
+                *w * DMat2::from_cols(d * d.x, d * d.y)
+            });
+            let spread = spread.fold(DMat2::from_diagonal(DVec2::splat(1e-9)), |sum, m| sum + m);
+            slope = (slope + spread.inverse() * mean).clamp_length_max(STEEPEST);
+            weights = at.map(|u| (-slope.dot(u)).exp());
+            let sum: f64 = weights.iter().sum();
+            weights.iter_mut().for_each(|w| *w /= sum);
+        }
+        ring.weights = weights.map(|w| w as f32);
+        ring.square = to.iter().zip(weights).map(|(d, w)| w * d.length_squared()).sum::<f64>() as f32;
+        ring
+    }
 }
 
 /// The shares of the reciprocals of distances in their sum.
@@ -263,6 +309,39 @@ impl<'a> Profile<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_grows_evenly_is_smooth_already() {
+        // A plane, its samples scattered about those of a lattice.
+        let mut state = 1_u64;
+        let mut random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 40) as f32 / (1 << 24) as f32
+        };
+        let at = |k: i32, random: f32| (k as f32 + 0.8 * random) / 30.0;
+        let positions: Vec<Vec3> =
+            (0..900).map(|i| Vec3::new(at(i % 30, random()), at(i / 30, random()), 0.0)).collect();
+        let normals = vec![Vec3::Z; positions.len()];
+        let mut neighbours = Vec::new();
+        for p in &positions {
+            let mut near: Vec<u32> = (0..positions.len() as u32).collect();
+            near.sort_by(|a, b| {
+                positions[*a as usize].distance(*p).total_cmp(&positions[*b as usize].distance(*p))
+            });
+            neighbours.extend(&near[1..=16]);
+        }
+        let starts: Vec<u32> = (0..=positions.len() as u32).map(|i| 16 * i).collect();
+        let graph = Graph::new(&starts, &neighbours);
+        let samples = Samples { positions: &positions, normals: &normals, graph: &graph };
+        let inner = (0..positions.len()).filter(|&i| (positions[i] - 0.5).truncate().abs().max_element() < 0.35);
+        for i in inner {
+            let ring = Ring::around(&samples, i);
+            let mean: Vec3 =
+                ring.samples.iter().zip(ring.weights).map(|(j, w)| w * positions[*j as usize]).sum();
+            assert!(mean.distance(positions[i]) < 1e-3, "{i}: {mean} {}", positions[i]);
+            assert!(ring.weights.iter().all(|w| *w > 0.0));
+        }
+    }
 
     #[test]
     fn shares_of_two_are_the_papers_parameter() {
