@@ -10,7 +10,7 @@ use simod_plugin_api::{Curve, ParamDesc, Params, PluginError, PluginResult, Stro
 /// What a brush does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Brush {
-    /// Moves samples along their own normals.
+    /// Moves samples along their own normals: details puff up, where drawing carries them along.
     Inflate,
     /// Moves them along the mean normal.
     Draw,
@@ -93,7 +93,7 @@ impl<'a> Tool<'a> {
         let mirror = |id, name, hint| ParamDesc::bool(id, name, false).hint(hint).group("Symmetry");
         vec![
             ParamDesc::choice("brush", "Brush", "inflate", &brushes)
-                .hint("What strokes do; smooth and grab know no pressure or opposite of their own"),
+                .hint("What strokes do; negative strengths do the opposite, which smooth has not"),
             ParamDesc::float("depth", "Depth", 0.2)
                 .hard(0.0, 4.0)
                 .soft(0.0, 1.0)

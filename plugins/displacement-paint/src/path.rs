@@ -34,6 +34,9 @@ pub fn dabs(stroke: &Stroke<'_>, step: f64) -> PluginResult<Vec<Dab>> {
         return Err(error.hint("give it a larger radius, or a wider `spacing`"));
     }
     let mut dabs = vec![Dab { at: first.into(), pressure: pressure(0), share: 1.0 }];
+    if length == 0.0 {
+        return Ok(dabs);
+    }
     // Arc length up to the segment's start; the multiple of the step that comes next.
     let (mut before, mut next) = (0.0, 1_u32);
     for (i, w) in points.windows(2).enumerate() {
@@ -127,6 +130,7 @@ mod tests {
         // A click, and one with a trembling hand.
         assert_eq!(dabs(&stroke(&path[..1], &[]), 0.1).unwrap().len(), 1);
         assert_eq!(dabs(&stroke(&[[1.0; 3]; 3], &[]), 0.1).unwrap().len(), 1);
+        assert_eq!(dabs(&stroke(&[[1.0; 3]; 3], &[]), 0.0).unwrap().len(), 1);
     }
 
     #[test]

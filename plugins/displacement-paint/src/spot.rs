@@ -280,7 +280,8 @@ impl Finder<'_> {
         let mean = |facing: DVec3, cosine: f64, sharpness: i32| {
             let mut mean = Mean::default();
             for &(i, distance) in near {
-                let (at, n) = (canvas.positions[i as usize].as_dvec3(), canvas.normals[i as usize].as_dvec3());
+                let (at, n) =
+                    (canvas.positions[i as usize].as_dvec3(), canvas.normals[i as usize].as_dvec3());
                 if n.dot(facing) > cosine {
                     let area = self.areas.get(i as usize).map_or(1.0, |&a| f64::from(a));
                     let inside = 1.0 - (distance / radius).powi(2);

@@ -333,7 +333,8 @@ mod tests {
         let starts: Vec<u32> = (0..=positions.len() as u32).map(|i| 16 * i).collect();
         let graph = Graph::new(&starts, &neighbours);
         let samples = Samples { positions: &positions, normals: &normals, graph: &graph };
-        let inner = (0..positions.len()).filter(|&i| (positions[i] - 0.5).truncate().abs().max_element() < 0.35);
+        let inner =
+            (0..positions.len()).filter(|&i| (positions[i] - 0.5).truncate().abs().max_element() < 0.35);
         for i in inner {
             let ring = Ring::around(&samples, i);
             let mean: Vec3 =
