@@ -64,6 +64,7 @@ fn profile_folder() -> PathBuf {
     test.ancestors().nth(2).expect("a test in a target folder").to_owned()
 }
 
-fn target_folder() -> PathBuf {
+/// The target folder.
+pub fn target_folder() -> PathBuf {
     profile_folder().parent().expect("a profile in a target folder").to_owned()
 }

@@ -112,6 +112,14 @@ fn a_plugin_that_fails_to_say_what_it_is_hides_no_other() {
         assert!(warning.contains(&format!("misbehaving{DLL_SUFFIX}")), "{warning}");
         assert!(list.stdout.contains("warp") && !list.stdout.contains("misbehaving"), "{}", list.stdout);
     }
+    // One that takes its time is told, once: then it is remembered.
+    for warnings in [1, 0] {
+        let mut list = work.command("plugin list");
+        let list = Outcome::from(list.env("SIMOD_MISBEHAVE", "slow-at-load").output().expect("an end"));
+        assert!(list.stdout.contains("misbehaving"), "{}", list.stdout);
+        assert_eq!(list.lines("warning: ").len(), warnings, "{}", list.stderr);
+        assert!(list.lines("warning: ").iter().all(|w| w.contains("to say what it is")), "{}", list.stderr);
+    }
 }
 
 #[test]
@@ -182,7 +190,7 @@ fn the_plugins_process_ends_with_the_program() {
         std::thread::sleep(Duration::from_millis(20));
     }
     // Interrupted: a plugin that does not listen is ended.
-    let before = work.snapshot();
+    let before = work.names();
     let child = endless(&work);
     let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill runs");
     assert!(sent.success());
@@ -194,5 +202,5 @@ fn the_plugins_process_ends_with_the_program() {
         outcome.stderr
     );
     assert_eq!(processes(&work), 0);
-    assert_eq!(work.snapshot(), before);
+    assert_eq!(work.names(), before);
 }

@@ -6,6 +6,9 @@ use std::env::consts::DLL_SUFFIX;
 use serde_json::Value;
 use simod_tests::{Outcome, Workplace, library};
 
+/// All rules.
+const RULES: usize = 25;
+
 /// A report of `simod plugin check --json` on the misbehaving plugin, which does `how` wrong.
 fn check(work: &Workplace, how: &str, options: &str) -> (Outcome, Value) {
     let file = library("misbehaving");
@@ -51,11 +54,13 @@ fn each_wrong_breaks_its_rule() {
         ("writes-to-input", "input-unchanged", "deform changed its input"),
         ("blocked-cancel", "cancel", "deform went on for "),
         ("lying-invalidation", "invalidation", "another result than a fresh one"),
-        ("not-identity", "identity", "handles that do not move move samples"),
+        ("not-identity", "identity", "samples move though no handle does"),
         ("not-repeatable", "repeatable", "prepared and deformed again"),
         ("evaluate-disagrees", "evaluate", "agree to"),
         ("nan-at-bounds", "bounds", "with by = 2.0: deform gives 500 of 500"),
         ("bad-descriptor", "descriptor", "out of its range"),
+        ("log-spam", "log", "1000 lines"),
+        ("error-in-prepare", "ordinary", "this does not please me"),
     ];
     for (how, id, found) in wrongs {
         let options = format!("--rule loads --rule large --rule {id}");
@@ -64,10 +69,15 @@ fn each_wrong_breaks_its_rule() {
         assert_eq!(with_verdict(&report, "fail"), [id], "{how}");
         assert_eq!(rule(&report, "loads")["verdict"], "pass", "{how}");
     }
-    // Talk is no failure.
-    let (outcome, report) = check(&work, "log-spam", "--rule log");
-    assert_eq!((rule(&report, "log")["verdict"].as_str(), outcome.code), (Some("warn"), Some(0)));
-    assert!(rule(&report, "log")["found"].as_str().expect("a finding").contains("1000 lines"));
+}
+
+/// A plugin of the same id would take the place of one that comes with the program.
+#[test]
+fn ids_are_not_taken_from_the_programs_own_plugins() {
+    let work = Workplace::new();
+    work.write(&format!("mine{DLL_SUFFIX}"), std::fs::read(library("simod_warp")).expect("a library"));
+    let outcome = work.run(&format!("plugin check mine{DLL_SUFFIX} --rule loads --rule own-id --json"));
+    expect_failure(&outcome, &outcome.json(), "own-id", "the id `warp`");
 }
 
 /// What goes wrong in every deformation breaks every rule that deforms; the others are kept.
@@ -104,7 +114,7 @@ fn what_does_not_load() {
         let (outcome, report) = check(&work, "segfault-at-load", "");
         expect_failure(&outcome, &report, "loads", "ended by signal 11");
         assert_eq!(with_verdict(&report, "fail"), ["loads"]);
-        assert_eq!(with_verdict(&report, "skip").len(), 20, "{report}");
+        assert_eq!(with_verdict(&report, "skip").len(), RULES - 1, "{report}");
     }
     let (outcome, report) = check(&work, "panic-at-load", "");
     expect_failure(&outcome, &report, "loads", "panicked: who am I");
@@ -116,7 +126,8 @@ fn what_does_not_load() {
     assert_eq!(outcome.code, Some(1), "{}", outcome.stderr);
     assert!(outcome.stdout.starts_with("FAIL loads"), "{}", outcome.stdout);
     assert!(outcome.stdout.contains("no library"), "{}", outcome.stdout);
-    assert!(outcome.stdout.ends_with("0 passed, 1 failed, 0 warned, 20 skipped\n"), "{}", outcome.stdout);
+    let all = format!("0 passed, 1 failed, 0 warned, {} skipped\n", RULES - 1);
+    assert!(outcome.stdout.ends_with(&all), "{}", outcome.stdout);
     assert_eq!(outcome.lines("error: ").len(), 1, "{}", outcome.stderr);
 
     work.refuses("plugin check nothing.so", &["nothing.so"]);
@@ -130,10 +141,10 @@ fn what_does_not_load() {
 #[test]
 fn our_plugins_keep_all_rules() {
     let work = Workplace::new();
-    for id in ["warp", "rbf"] {
+    for id in ["warp", "rbf", "laplacian"] {
         let report = work.report(&format!("plugin check {id}"));
         assert_eq!(with_verdict(&report, "fail"), [""; 0], "{report}");
-        assert_eq!(report["rules"].as_array().map(Vec::len), Some(21));
+        assert_eq!(report["rules"].as_array().map(Vec::len), Some(RULES));
         for r in report["rules"].as_array().expect("rules").iter().filter(|r| r["verdict"] != "pass") {
             println!("{id}: {} {}: {}", r["verdict"], r["rule"], r["found"]);
         }

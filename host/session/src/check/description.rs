@@ -3,7 +3,10 @@
 use super::subject::{Subject, answer};
 use super::{Checked, Finding};
 use crate::params::{check_description, is_id};
+use crate::plugins::standard_folders;
+use crate::{PluginOptions, PluginRegistry};
 use simod_plugin_api::{Descriptor, InputDesc, ParamDesc, ParamKind};
+use std::path::Path;
 
 /// The library is loaded already: there would be no subject else.
 pub(super) fn loads(subject: &Subject) -> Checked<Finding> {
@@ -35,6 +38,21 @@ pub(super) fn descriptor(subject: &Subject) -> Checked<Finding> {
         return Ok(Finding::warn(format!("{first}{more}"), "tell users what they need to know"));
     }
     Ok(Finding::pass(format!("{} parameters", descriptor.params.len())))
+}
+
+/// Nobody who installs the plugin loses one that came with the program.
+pub(super) fn own_id(subject: &Subject) -> Checked<Finding> {
+    let plugin = &subject.plugin;
+    let shipped = standard_folders().into_iter().filter(|folder| folder.shipped).collect();
+    let registry = PluginRegistry::discover(&PluginOptions::in_process(shipped));
+    let place = |path: &Path| path.canonicalize().ok();
+    match registry.plugins().iter().find(|other| other.id() == plugin.id()) {
+        Some(other) if place(other.path()) != place(plugin.path()) => Err(Finding::fail(
+            format!("the id `{}` is that of a plugin that comes with the program", plugin.id()),
+            "choose another id: of two plugins with one id, one is not used",
+        )),
+        _ => Ok(Finding::pass(format!("no plugin that comes with the program is called `{}`", plugin.id()))),
+    }
 }
 
 /// What is wrong with a description.

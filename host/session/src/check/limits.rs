@@ -84,14 +84,22 @@ pub(super) fn log(subject: &Subject) -> Checked<Finding> {
         }
         // A refusal may be told in as few lines as anything else.
         let _ = answer("deform", done)?;
+        if plugin.capabilities().evaluate {
+            let host = Listener::patient();
+            let mut points: Vec<_> = case.positions.iter().map(|p| p.map(f64::from)).collect();
+            let done = case.deform_input(|input| plugin.code().evaluate(&state, input, &mut points, &host));
+            if host.lines() > most.1 {
+                most = ("evaluate", host.lines());
+            }
+            let _ = answer("evaluate", done)?;
+        }
     }
     let (call, lines) = most;
-    Ok(if lines > LINES {
+    if lines > LINES {
         let hint = "say in one line what matters; the host shows no more than 100 a call";
-        Finding::warn(format!("{call} says {lines} lines"), hint)
-    } else {
-        Finding::pass(format!("at most {lines} lines a call"))
-    })
+        return Err(Finding::fail(format!("{call} says {lines} lines"), hint));
+    }
+    Ok(Finding::pass(format!("at most {lines} lines a call")))
 }
 
 /// The shortest of a few deformations, as other programs take their time too.

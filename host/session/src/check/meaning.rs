@@ -30,6 +30,20 @@ pub(super) fn difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> Option<String> {
     Some(format!("{count} of {} positions differ, the first at index {first}", a.len()))
 }
 
+pub(super) fn ordinary(subject: &Subject) -> Checked<Finding> {
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    match subject.run(&case)? {
+        Ok((_, positions)) => Ok(match difference(&case.positions, &positions) {
+            Some(_) => Finding::pass("it is deformed"),
+            None => Finding::pass("nothing moves"),
+        }),
+        Err(Refusal(what)) => {
+            let hint = "choose defaults that deform any model, and use what the description asks for alone";
+            Err(Finding::fail(format!("it refuses a sphere with bumps: {what}"), hint))
+        }
+    }
+}
+
 pub(super) fn identity(subject: &Subject) -> Checked<Finding> {
     let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     if case.transforms.is_empty() && case.handles.is_empty() && case.strokes.is_empty() {

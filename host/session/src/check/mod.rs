@@ -99,6 +99,8 @@ const DESCRIPTOR: &str = "descriptor";
 pub const RULES: &[Rule] = &[
     Rule { id: LOADS, asks: "the library loads and describes itself", run: description::loads },
     Rule { id: DESCRIPTOR, asks: "the description makes sense", run: description::descriptor },
+    Rule { id: "own-id", asks: "no plugin of the program has its id", run: description::own_id },
+    Rule { id: "ordinary", asks: "an ordinary model is deformed by the defaults", run: meaning::ordinary },
     Rule { id: "one-sample", asks: "a single sample is no problem", run: inputs::one_sample },
     Rule { id: "two-samples", asks: "nor are two", run: inputs::two_samples },
     Rule { id: "coincident", asks: "samples may lie in one point", run: inputs::coincident },

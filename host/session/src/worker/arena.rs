@@ -49,14 +49,14 @@ impl Shared {
         // SAFETY: the range is within the file, which is never truncated. The other process may write to it at any time,
         // as foreign code runs there: all that is read is plain numbers, of which any bits are valid, and nothing relies
         // on reading the same twice.
-        unsafe { MmapOptions::new().offset(range.offset).len(range.len as usize).map(&self.0) }
+        unsafe { options(range).map(&self.0) }
     }
 
     /// Maps a range to write.
     pub fn map_mut(&self, range: Range) -> Result<MmapMut> {
         self.check(range)?;
         // SAFETY: as above; of this process, one thread at a time maps a range to write: the one whose call it belongs to.
-        unsafe { MmapOptions::new().offset(range.offset).len(range.len as usize).map_mut(&self.0) }
+        unsafe { options(range).map_mut(&self.0) }
     }
 
     /// A range beyond the end of the file cannot be touched.
@@ -67,6 +67,13 @@ impl Shared {
         }
         Err(std::io::Error::other("a range is beyond the end of the shared memory"))
     }
+}
+
+/// All pages at once: a fault for each would take longer than all the rest.
+fn options(range: Range) -> MmapOptions {
+    let mut options = MmapOptions::new();
+    options.offset(range.offset).len(range.len as usize).populate();
+    options
 }
 
 /// Hands out ranges of a shared file. Bounded by what is in use at a time: the arrays of the states that are alive.

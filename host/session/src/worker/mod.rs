@@ -232,12 +232,14 @@ impl Code for WorkerCode {
         let scratch = scratch.get_mut::<WorkerScratch>().ok_or_else(foreign)?;
         let scratch = self.own(&worker, &scratch.worker, scratch)?.id;
         let motion = MotionRecord::new(input);
-        self.exchange(&worker, "deform", bytemuck::cast_slice_mut(out), calls, |out| Request::Deform {
-            state,
-            scratch,
-            motion,
-            out,
-        })
+        let mut link = lock(&worker.link);
+        let range = link.arena.allocate(size_of_val(out)).map_err(no_memory)?;
+        // What is not written shows by what the caller has filled all of it with.
+        let fill = out.first().copied().unwrap_or_default();
+        let array = bytemuck::cast_slice_mut(out);
+        let slice = Slice { range, len: array.len() as u64 };
+        let request = Request::Deform { state, scratch, motion, out: slice, fill };
+        self.take_back(&worker, &mut link, "deform", &request, range, array, calls)
     }
 
     fn evaluate(
@@ -251,9 +253,12 @@ impl Code for WorkerCode {
         let state = state.get::<WorkerState>().ok_or_else(foreign)?;
         let state = self.own(&worker, &state.worker, state)?.id;
         let motion = MotionRecord::new(input);
-        self.exchange(&worker, "evaluate", bytemuck::cast_slice_mut(points), calls, |points| {
-            Request::Evaluate { state, motion, points }
-        })
+        let mut link = lock(&worker.link);
+        let array = bytemuck::cast_slice_mut(points);
+        let range = link.put(&[array])?;
+        let slice = Slice { range, len: array.len() as u64 };
+        let request = Request::Evaluate { state, motion, points: slice };
+        self.take_back(&worker, &mut link, "evaluate", &request, range, array, calls)
     }
 
     fn handles(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<Vec<HandleDesc>> {
@@ -279,19 +284,19 @@ impl Code for WorkerCode {
 }
 
 impl WorkerCode {
-    /// Sends an array there, has the request answered that writes to it, and takes it back.
-    fn exchange(
+    /// Has a request answered that writes an array to a range of the shared memory, and takes it from there.
+    #[expect(clippy::too_many_arguments, reason = "the call's own, and the two places")]
+    fn take_back(
         &self,
         worker: &Worker,
+        link: &mut Link,
         call: &str,
+        request: &Request,
+        range: Range,
         array: &mut [u8],
         calls: &dyn HostCalls,
-        request: impl FnOnce(Slice) -> Request,
     ) -> PluginResult<()> {
-        let mut link = lock(&worker.link);
-        let range = link.put(&[array])?;
-        let request = request(Slice { range, len: array.len() as u64 });
-        match self.call(worker, &mut link, call, &request, calls)? {
+        match self.call(worker, link, call, request, calls)? {
             Reply::Done(done) => {
                 let map = link.arena.shared().map(range).map_err(no_memory)?;
                 array.copy_from_slice(&map[..array.len()]);
@@ -405,7 +410,7 @@ impl Worker {
         };
         let loaded = this.wait(&lock(&this.link), &(), options.silence);
         match loaded {
-            Ok(Reply::Loaded(Ok(about))) => Ok((this, about)),
+            Ok(Reply::Loaded(Ok(about))) => Ok((this, *about)),
             Ok(Reply::Loaded(Err(Refusal { what, hint }))) => Err(Error::new(ErrorKind::Plugin, what, hint)),
             Ok(_) => Err(refused(std::io::Error::other("it says what it was not asked"))),
             Err(end) => {

@@ -18,10 +18,24 @@ const LONGEST: u32 = 1 << 28;
 pub(super) enum Request {
     Prepare(InputRecord),
     NewScratch,
-    Deform { state: u64, scratch: u64, motion: MotionRecord, out: Slice },
-    Evaluate { state: u64, motion: MotionRecord, points: Slice },
+    /// `fill` is what `out` is filled with before.
+    Deform {
+        state: u64,
+        scratch: u64,
+        motion: MotionRecord,
+        out: Slice,
+        fill: [f32; 3],
+    },
+    Evaluate {
+        state: u64,
+        motion: MotionRecord,
+        points: Slice,
+    },
     Handles(InputRecord),
-    IsIdentity { bounds: [[f64; 3]; 2], motion: MotionRecord },
+    IsIdentity {
+        bounds: [[f64; 3]; 2],
+        motion: MotionRecord,
+    },
     DropState(u64),
     DropScratch(u64),
 }
@@ -30,7 +44,7 @@ pub(super) enum Request {
 /// [`Loaded`](Self::Loaded) before all others.
 #[derive(Serialize, Deserialize)]
 pub(super) enum Reply {
-    Loaded(std::result::Result<About, Refusal>),
+    Loaded(std::result::Result<Box<About>, Refusal>),
     Log {
         level: u32,
         text: String,

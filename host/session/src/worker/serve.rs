@@ -60,7 +60,7 @@ pub fn serve(library: &Path, memory: u64) -> Result<()> {
     });
     let code = match loaded {
         Ok((code, about)) => {
-            calls.send(&Reply::Loaded(Ok(about)));
+            calls.send(&Reply::Loaded(Ok(Box::new(about))));
             code
         }
         Err(e) => {
@@ -117,8 +117,8 @@ impl Workshop {
                 });
                 Reply::Made(wrap(scratch))
             }
-            Request::Deform { state, scratch, motion, out } => {
-                Reply::Done(wrap(self.deform(state, scratch, &motion, out)))
+            Request::Deform { state, scratch, motion, out, fill } => {
+                Reply::Done(wrap(self.deform(state, scratch, &motion, out, fill)))
             }
             Request::Evaluate { state, motion, points } => {
                 Reply::Done(wrap(self.evaluate(state, &motion, points)))
@@ -168,12 +168,14 @@ impl Workshop {
         scratch: u64,
         motion: &protocol::MotionRecord,
         out: Slice,
+        fill: [f32; 3],
     ) -> PluginResult<()> {
         let (state, input, map) = self.states.get(&state).ok_or_else(|| broken("there is no such state"))?;
         let scratch = self.scratches.get_mut(&scratch).ok_or_else(|| broken("there is no such scratch"))?;
         let samples = input.samples(map).ok_or_else(|| broken("it is too short"))?;
         let mut buffer = self.shared.map_mut(out.range).map_err(broken)?;
-        let out = bytemuck::cast_slice_mut(&mut buffer[..out.len as usize]);
+        let out: &mut [[f32; 3]] = bytemuck::cast_slice_mut(&mut buffer[..out.len as usize]);
+        out.fill(fill);
         motion
             .with(samples, input.bounds(), |input| self.code.deform(state, input, scratch, out, &self.calls))
     }

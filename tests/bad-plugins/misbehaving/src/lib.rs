@@ -86,6 +86,7 @@ impl Deformer for Misbehaving {
         match how.as_str() {
             "segfault-at-load" => write_nowhere(),
             "panic-at-load" => panic!("who am I"),
+            "slow-at-load" => std::thread::sleep(Duration::from_millis(800)),
             _ => {}
         }
         Descriptor::new("misbehaving", "Misbehaving", env!("CARGO_PKG_VERSION"))

@@ -1,0 +1,173 @@
+//! The brushes: where each would have its samples go.
+//!
+//! They are those of today's sculpting programs: each would have every sample under it go somewhere, and how far it goes
+//! there is how much of the brush it feels.
+
+use crate::path::Symmetry;
+use glam::{BVec3, DVec3};
+use simod_plugin_api::{Curve, ParamDesc, Params, PluginError, PluginResult, Stroke, Unit};
+
+/// What a brush does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Brush {
+    /// Moves samples along their own normals: details puff up, where drawing carries them along.
+    Inflate,
+    /// Moves them along the mean normal.
+    Draw,
+    /// Moves what is under the stroke's start along with it.
+    Grab,
+    /// Lowers the curvature.
+    Smooth,
+    /// Moves samples towards their mean plane.
+    Flatten,
+    /// Moves them along the surface towards the stroke.
+    Pinch,
+    /// Draws, and pinches.
+    Crease,
+}
+
+/// How far a full stroke pinches: the part of the distance to the stroke.
+const PINCH: f64 = 0.5;
+
+/// The most that it can, whatever the strength: never beyond the stroke.
+const MOST_PINCH: f64 = 0.9;
+
+/// A brush as it was set for a stroke.
+pub struct Tool<'a> {
+    /// What it does.
+    pub brush: Brush,
+    /// Local coordinates.
+    pub radius: f64,
+    /// 1 is full; negative ones do the opposite.
+    pub strength: f64,
+    /// Between dabs, in radii.
+    pub spacing: f64,
+    /// Whether a stroke that crosses itself adds up.
+    pub accumulate: bool,
+    /// Mirrors.
+    pub symmetry: Symmetry,
+    /// How far a full stroke draws or inflates, local coordinates.
+    depth: f64,
+    falloff: Curve<'a>,
+}
+
+impl<'a> Tool<'a> {
+    /// The tool of a stroke.
+    pub fn of(stroke: &Stroke<'a>) -> PluginResult<Self> {
+        let params: Params<'a> = stroke.params();
+        let brush = match params.choice("brush")? {
+            "inflate" => Brush::Inflate,
+            "draw" => Brush::Draw,
+            "grab" => Brush::Grab,
+            "smooth" => Brush::Smooth,
+            "flatten" => Brush::Flatten,
+            "pinch" => Brush::Pinch,
+            "crease" => Brush::Crease,
+            other => return Err(PluginError::parameter("brush", &format!("is unknown: {other}"))),
+        };
+        let axis = |id| params.bool(id);
+        let axes = BVec3::new(axis("symmetry-x")?, axis("symmetry-y")?, axis("symmetry-z")?);
+        Ok(Self {
+            brush,
+            radius: stroke.radius,
+            strength: stroke.strength,
+            spacing: params.float("spacing")?,
+            accumulate: params.bool("accumulate")?,
+            symmetry: Symmetry { center: params.vec3("symmetry-center")?.into(), axes },
+            depth: params.float("depth")? * stroke.radius,
+            falloff: params.curve("falloff")?,
+        })
+    }
+
+    /// The parameters that it reads.
+    pub fn params() -> Vec<ParamDesc> {
+        let brushes = [
+            ("inflate", "Inflate"),
+            ("draw", "Draw"),
+            ("grab", "Grab"),
+            ("smooth", "Smooth"),
+            ("flatten", "Flatten"),
+            ("pinch", "Pinch"),
+            ("crease", "Crease"),
+        ];
+        let mirror = |id, name, hint| ParamDesc::bool(id, name, false).hint(hint).group("Symmetry");
+        vec![
+            ParamDesc::choice("brush", "Brush", "inflate", &brushes)
+                .hint("What strokes do; negative strengths do the opposite, which smooth has not"),
+            ParamDesc::float("depth", "Depth", 0.2)
+                .hard(0.0, 4.0)
+                .soft(0.0, 1.0)
+                .hint("How far a full stroke of inflate, draw or crease moves the surface, in radii"),
+            ParamDesc::curve("falloff", "Falloff", &[[0.0, 1.0], [1.0, 0.0]])
+                .hint("How much of the brush is felt, from its middle to its rim"),
+            ParamDesc::float("spacing", "Spacing", 0.2)
+                .hard(0.01, 1.0)
+                .soft(0.05, 0.5)
+                .hint("Between dabs along the stroke, in radii"),
+            ParamDesc::bool("accumulate", "Accumulate", false)
+                .hint("Whether a stroke that crosses itself adds up; smooth and flatten always do"),
+            mirror("symmetry-x", "Mirror x", "Paints the mirror image across x as well"),
+            mirror("symmetry-y", "Mirror y", "Paints the mirror image across y as well"),
+            mirror("symmetry-z", "Mirror z", "Paints the mirror image across z as well"),
+            ParamDesc::point("symmetry-center", "Mirror centre", [0.5; 3])
+                .unit(Unit::MODEL_LENGTH)
+                .hint("A point on all mirrors")
+                .group("Symmetry"),
+        ]
+    }
+
+    /// Whether a stroke acts on the surface as it was when it began, by the most that any part of it makes samples feel.
+    pub fn sweeps(&self) -> bool {
+        !self.accumulate && matches!(self.brush, Brush::Inflate | Brush::Draw | Brush::Pinch | Brush::Crease)
+    }
+
+    /// How much is felt at a distance of 0 to 1 radii. A crease is sharper than the rest.
+    pub fn falloff(&self, t: f64) -> f64 {
+        let f = self.falloff.at(t);
+        if self.brush == Brush::Crease { f * f } else { f }
+    }
+
+    /// What a dab contributes to the middle of a long straight stroke, as a part of the whole: the length of path that it
+    /// stands for, over that which the falloff is worth.
+    pub fn exposure(&self) -> f64 {
+        /// Intervals of Simpson's rule.
+        const INTERVALS: u32 = 64;
+        let at = |i: u32| self.falloff(f64::from(i) / f64::from(INTERVALS));
+        let inner: f64 = (1..INTERVALS).map(|i| if i % 2 == 1 { 4.0 * at(i) } else { 2.0 * at(i) }).sum();
+        let mean = (at(0) + inner + at(INTERVALS)) / (3.0 * f64::from(INTERVALS));
+        // A brush of next to no width still has dabs.
+        self.spacing / (2.0 * mean).max(self.spacing)
+    }
+
+    /// The displacement of a sample that feels all of the brush. `towards` leads to the stroke, `plane` to the mean
+    /// plane, and `grab` is what the stroke moved.
+    pub fn displacement(&self, own_normal: DVec3, under: &Under) -> DVec3 {
+        let lift = self.depth * self.strength;
+        let pinch = |strength: f64| {
+            let along = under.towards - under.normal * under.towards.dot(under.normal);
+            (PINCH * strength).clamp(-MOST_PINCH, MOST_PINCH) * along
+        };
+        match self.brush {
+            Brush::Inflate => lift * own_normal,
+            Brush::Draw => lift * under.normal,
+            Brush::Grab => self.strength * under.grab,
+            Brush::Pinch => pinch(self.strength),
+            Brush::Crease => lift * under.normal + pinch(self.strength.abs()),
+            Brush::Flatten => under.normal * under.to_plane.dot(under.normal),
+            Brush::Smooth => DVec3::ZERO,
+        }
+    }
+}
+
+/// What is under a dab, as seen from one sample.
+#[derive(Debug, Clone, Copy)]
+pub struct Under {
+    /// The mean normal.
+    pub normal: DVec3,
+    /// To the nearest point of the stroke.
+    pub towards: DVec3,
+    /// To a point of the mean plane.
+    pub to_plane: DVec3,
+    /// From the stroke's start to its end.
+    pub grab: DVec3,
+}

@@ -1,0 +1,278 @@
+//! Painting a stroke, dab by dab.
+//!
+//! Draw, inflate, pinch and crease move the surface as it was when the stroke began: a sample feels the most that any part
+//! of the stroke makes it feel, as a brush that is drawn along sweeps a capsule. So a stroke is even however it was
+//! divided, and crosses itself without a lump. If they accumulate, as smooth and flatten always do, each dab acts on what
+//! the dabs before have made, and counts by the length of path that it stands for: the limit of many is a line integral.
+//!
+//! Normals are derived anew after every step that moved something: strokes over strokes bulge in the direction of the
+//! surface as it is.
+
+use crate::brush::{Brush, Tool, Under};
+use crate::canvas::{Canvas, Rest};
+use crate::path::{self, IMAGES};
+use crate::spot::{Felt, Finder, Reach, Shape, Spot, Sweep};
+use crate::surface::Surface;
+use glam::DVec3;
+use simod_plugin_api::{Host, PluginResult, Stroke};
+
+/// How far the smooth brush evens out at full strength, in radii.
+const SMOOTH_LENGTH: f64 = 0.2;
+/// Most passes of smoothing a dab: where samples are so dense that more would be due, it smooths less.
+const MOST_PASSES: f64 = 12.0;
+/// The largest part of the way to the neighbours' mean in one pass.
+const STABLE: f64 = 0.5;
+/// How much of the distance to the plane a full stroke leaves: its logarithm.
+const FLATTEN: f64 = 2.0;
+
+/// Working memory, kept from stroke to stroke.
+#[derive(Default)]
+pub struct Workspace {
+    reach: Reach,
+    felt: Vec<Felt>,
+    /// What a dab and its mirror images do.
+    pushed: Vec<Pushed>,
+    /// The same, each sample once.
+    pushes: Vec<Push>,
+    /// How much of the stroke each sample has felt so far, and where that moves it; 0 between strokes.
+    covered: Vec<f64>,
+    offsets: Vec<DVec3>,
+    moved: Vec<u32>,
+}
+
+/// What one image of a dab does to a sample.
+#[derive(Debug, Clone, Copy)]
+struct Pushed {
+    sample: u32,
+    image: u8,
+    weight: f64,
+    by: DVec3,
+}
+
+/// What a dab does to a sample, with all its images.
+#[derive(Debug, Clone, Copy)]
+struct Push {
+    sample: u32,
+    weight: f64,
+    by: DVec3,
+}
+
+/// One of each mirror image that there is.
+type Images<T> = [Option<T>; IMAGES];
+
+/// Paints on a canvas.
+pub struct Painter<'a> {
+    /// The samples' links.
+    pub surface: &'a Surface,
+    /// The samples before anything was painted.
+    pub rest: Rest<'a>,
+    /// What each sample stands for, relative to the others; or nothing.
+    pub areas: &'a [f32],
+}
+
+impl Painter<'_> {
+    /// Paints one stroke.
+    pub fn stroke(
+        &self,
+        canvas: &mut Canvas,
+        work: &mut Workspace,
+        stroke: &Stroke<'_>,
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        let tool = Tool::of(stroke)?;
+        if tool.radius.is_nan() || tool.radius <= 0.0 {
+            return Ok(());
+        }
+        let points = stroke.points();
+        let mut dabs = path::dabs(stroke, tool.spacing * tool.radius)?;
+        let mut grab = DVec3::ZERO;
+        if let (Brush::Grab, [first, .., last]) = (tool.brush, points) {
+            grab = DVec3::from(*last) - DVec3::from(*first);
+            dabs.truncate(1);
+            // A pen's pressure is 0 where it touches down.
+            dabs[0].pressure = 1.0;
+        }
+        work.covered.resize(self.surface.len(), 0.0);
+        work.offsets.resize(self.surface.len(), DVec3::ZERO);
+        let exposure = tool.exposure();
+        // Whoever sweeps does so on the surface as it is now: all spots are known beforehand.
+        let all = if tool.sweeps() { &dabs[..] } else { &[] };
+        let mut spots: Vec<Images<Spot>> = Vec::with_capacity(all.len());
+        for dab in all {
+            host.progress(0.0)?;
+            spots.push(self.spots(canvas, work, &tool, dab));
+        }
+        for (k, dab) in dabs.iter().enumerate() {
+            host.progress(0.0)?;
+            if tool.sweeps() {
+                let (before, after) = (k.checked_sub(1).map(|k| &spots[k]), spots.get(k + 1));
+                let sweep = |image: usize| {
+                    let other = |spots: Option<&'_ Images<Spot>>| spots.and_then(|s| s[image]);
+                    let spot = spots[k][image]?;
+                    Some((spot, Sweep::of(other(before).as_ref(), &spot, other(after).as_ref())))
+                };
+                self.gather(canvas, work, &tool, grab, &std::array::from_fn(sweep));
+            } else {
+                let round = self.spots(canvas, work, &tool, dab);
+                self.gather(canvas, work, &tool, grab, &round.map(|s| s.map(|s| (s, Sweep::round(&s)))));
+            }
+            let share = exposure * dab.share;
+            match tool.brush {
+                Brush::Smooth => self.smooth(canvas, work, &tool, share),
+                Brush::Flatten => {
+                    self.shift(canvas, work, |w| relaxed(FLATTEN * tool.strength * share * w));
+                }
+                Brush::Grab => self.shift(canvas, work, |w| w),
+                _ if tool.accumulate => self.shift(canvas, work, |w| share * w),
+                _ => cover(work),
+            }
+        }
+        // What was covered moves at last.
+        for &i in &work.moved {
+            let i = i as usize;
+            canvas.shift(i, std::mem::take(&mut work.offsets[i]));
+            work.covered[i] = 0.0;
+        }
+        canvas.refresh_normals(self.surface, &self.rest, &work.moved);
+        work.moved.clear();
+        Ok(())
+    }
+
+    /// Where a dab and its mirror images are on the surface.
+    fn spots(&self, canvas: &Canvas, work: &mut Workspace, tool: &Tool<'_>, dab: &path::Dab) -> Images<Spot> {
+        let mut spots = [None; IMAGES];
+        for image in tool.symmetry.images() {
+            let p = tool.symmetry.point(dab.at, image);
+            spots[image] = self.finder().spot(canvas, &mut work.reach, p, dab.pressure, tool.radius);
+        }
+        spots
+    }
+
+    /// What a dab and its mirror images do to each sample under them: the mean of what they would have it do, and the most
+    /// that any of them makes it feel.
+    fn gather(
+        &self,
+        canvas: &Canvas,
+        work: &mut Workspace,
+        tool: &Tool<'_>,
+        grab: DVec3,
+        dabs: &Images<(Spot, Sweep)>,
+    ) {
+        let falloff = |t: f64| tool.falloff(t);
+        let both_sides = tool.brush == Brush::Grab;
+        let shape = Shape { radius: tool.radius, falloff: &falloff, both_sides };
+        work.pushed.clear();
+        for (image, dab) in dabs.iter().enumerate() {
+            let Some((spot, sweep)) = dab else { continue };
+            self.finder().felt(canvas, &mut work.reach, sweep, &shape, &mut work.felt);
+            let grab = tool.symmetry.vector(grab, image);
+            for Felt { sample, weight, to_path, normal } in &work.felt {
+                let (p, n) = (canvas.positions[*sample as usize], canvas.normals[*sample as usize]);
+                let to_plane = spot.origin - p.as_dvec3();
+                let under = Under { normal: *normal, towards: *to_path, to_plane, grab };
+                let by = tool.displacement(n.as_dvec3(), &under);
+                work.pushed.push(Pushed { sample: *sample, image: image as u8, weight: *weight, by });
+            }
+        }
+        work.pushes.clear();
+        if tool.symmetry.axes.any() {
+            work.pushed.sort_unstable_by_key(|p| (p.sample, p.image));
+        }
+        work.pushes.extend(work.pushed.chunk_by(|a, b| a.sample == b.sample).map(Push::of));
+    }
+
+    fn finder(&self) -> Finder<'_> {
+        Finder { surface: self.surface, areas: self.areas }
+    }
+
+    /// Moves samples by what a dab would have them do, as far as `amount` makes of how much they feel.
+    fn shift(&self, canvas: &mut Canvas, work: &mut Workspace, amount: impl Fn(f64) -> f64) {
+        for push in &work.pushes {
+            canvas.shift(push.sample as usize, amount(push.weight) * push.by);
+        }
+        self.refresh(canvas, work);
+    }
+
+    /// Lowers the curvature by steps of its flow, along the normals: samples do not slide on the surface, whatever their
+    /// density, so that details are neither drawn together nor apart.
+    ///
+    /// M. Desbrun, M. Meyer, P. Schröder, A. H. Barr, Implicit fairing of irregular meshes using diffusion and curvature
+    /// flow, SIGGRAPH 1999; the Laplacian is that of the links, in units of their mean squared length.
+    fn smooth(&self, canvas: &mut Canvas, work: &mut Workspace, tool: &Tool<'_>, share: f64) {
+        let time = (SMOOTH_LENGTH * tool.radius).powi(2) * tool.strength.max(0.0) * share;
+        let steps = |canvas: &Canvas, push: &Push| {
+            let (_, square) = self.bump(canvas, push.sample as usize);
+            if square > 0.0 { 4.0 * time * push.weight / square } else { 0.0 }
+        };
+        for push in &mut work.pushes {
+            push.weight = steps(canvas, push);
+        }
+        let most = work.pushes.iter().map(|p| p.weight).fold(0.0, f64::max);
+        let passes = (most / STABLE).ceil().min(MOST_PASSES);
+        for _ in 0..passes as usize {
+            for push in &mut work.pushes {
+                let (height, _) = self.bump(canvas, push.sample as usize);
+                push.by = (push.weight / passes).min(STABLE) * height;
+            }
+            work.pushes.iter().for_each(|push| canvas.shift(push.sample as usize, push.by));
+        }
+        self.refresh(canvas, work);
+    }
+
+    /// How far the samples beside one lie above it on average, along its normal, and their mean squared distance.
+    fn bump(&self, canvas: &Canvas, i: usize) -> (DVec3, f64) {
+        let (p, n) = (canvas.positions[i], canvas.normals[i].as_dvec3());
+        let beside = self.surface.beside(i);
+        let (mut sum, mut square) = (DVec3::ZERO, 0.0);
+        for &j in beside {
+            let d = (canvas.positions[j as usize] - p).as_dvec3();
+            (sum, square) = (sum + d, square + d.length_squared());
+        }
+        let count = beside.len().max(1) as f64;
+        (n * (sum.dot(n) / count), square / count)
+    }
+
+    fn refresh(&self, canvas: &mut Canvas, work: &mut Workspace) {
+        work.moved.extend(work.pushes.iter().map(|push| push.sample));
+        canvas.refresh_normals(self.surface, &self.rest, &work.moved);
+        work.moved.clear();
+    }
+}
+
+/// Adds what a dab makes samples feel more than any before it.
+fn cover(work: &mut Workspace) {
+    for push in &work.pushes {
+        let i = push.sample as usize;
+        let more = push.weight - work.covered[i];
+        if more > 0.0 {
+            if work.covered[i] == 0.0 {
+                work.moved.push(push.sample);
+            }
+            work.covered[i] = push.weight;
+            work.offsets[i] += more * push.by;
+        }
+    }
+}
+
+/// The part of the way that is gone after so much time, if what is left decreases steadily; away from the target where
+/// the time is negative.
+fn relaxed(time: f64) -> f64 {
+    (1.0 - (-time.abs()).exp()).copysign(time)
+}
+
+impl Push {
+    /// Of all images of a dab that a sample feels.
+    fn of(images: &[Pushed]) -> Self {
+        let sample = images[0].sample;
+        if let [only] = images {
+            return Self { sample, weight: only.weight, by: only.by };
+        }
+        let (mut weights, mut sums) = ([0.0; IMAGES], [DVec3::ZERO; IMAGES]);
+        for p in images {
+            weights[p.image as usize] = p.weight;
+            sums[p.image as usize] = p.weight * p.by;
+        }
+        let weight = weights.iter().copied().fold(0.0, f64::max);
+        Self { sample, weight, by: path::sum(sums) / path::sum(weights) }
+    }
+}

@@ -1,0 +1,359 @@
+//! What lies under a dab, and how much of the brush each sample feels.
+//!
+//! A sample feels as much as its distance in space tells, as long as the way along the surface is not much longer: paths
+//! on the samples' links are, by nature, somewhat longer than the surface's own, and these somewhat longer than the chord.
+//! What they are longer beyond that is added to the distance. So the brush fades where the surface turns away, and does
+//! not reach the next finger, without any step as it moves.
+
+use crate::canvas::Canvas;
+use crate::surface::{Surface, sheet_distance};
+use glam::{DVec3, Vec3};
+use std::collections::VecDeque;
+
+/// How much longer than the distance in space a way along the links may be for nothing: about 1.1 for paths on links,
+/// and that of an arc of a third of a circle to its chord.
+const DETOUR: f64 = 1.3;
+
+/// Samples whose normals are farther from the dab's than this cosine feel nothing: the back of a thin wall.
+const AWAY: f64 = -0.5;
+
+/// Within this cosine they feel all of it.
+const TOWARDS: f64 = 0.0;
+
+/// How quickly samples count less with their distance, for the brush's plane.
+const WIDE: i32 = 2;
+
+/// The same for the height of its middle: over details, but without cutting through what is round.
+const NARROW: i32 = 6;
+
+/// Sums are taken in whole multiples of one over this, so that they do not depend on the order of the samples.
+const WHOLE: f64 = (1_u64 << 36) as f64;
+
+/// Ways along the surface from one sample, and memory for finding them.
+#[derive(Default)]
+pub struct Reach {
+    length: Vec<f32>,
+    found: Vec<(u32, f64)>,
+    /// Samples whose neighbours may be nearer by way of them.
+    open: VecDeque<u32>,
+    is_open: Vec<bool>,
+}
+
+impl Reach {
+    /// The samples that are no farther than `limit` from `seed` along the surface, and how far they are.
+    ///
+    /// Labels are corrected first in, first out, until none improves (E. F. Moore, The shortest path through a maze, 1959):
+    /// where all links are about as long, hardly any does twice, and a queue costs less than a heap.
+    fn from(&mut self, seed: usize, limit: f64, surface: &Surface, positions: &[Vec3]) -> &[(u32, f64)] {
+        self.reset(positions.len());
+        let limit = limit as f32;
+        self.length[seed] = 0.0;
+        self.found.push((seed as u32, 0.0));
+        self.open.push_back(seed as u32);
+        while let Some(i) = self.open.pop_front() {
+            let i = i as usize;
+            self.is_open[i] = false;
+            let (here, length) = (positions[i], self.length[i]);
+            for &j in surface.beside(i) {
+                let there = length + here.distance(positions[j as usize]);
+                let known = &mut self.length[j as usize];
+                if there < *known && there <= limit {
+                    if *known == f32::INFINITY {
+                        self.found.push((j, 0.0));
+                    }
+                    *known = there;
+                    if !std::mem::replace(&mut self.is_open[j as usize], true) {
+                        self.open.push_back(j);
+                    }
+                }
+            }
+        }
+        for (i, length) in &mut self.found {
+            *length = f64::from(self.length[*i as usize]);
+        }
+        &self.found
+    }
+
+    /// The samples of a ball that are connected with `seed` inside it, and their distances from its centre.
+    fn inside(
+        &mut self,
+        seed: usize,
+        center: DVec3,
+        radius: f64,
+        surface: &Surface,
+        positions: &[Vec3],
+    ) -> &[(u32, f64)] {
+        self.reset(positions.len());
+        let mut look = |i: usize, found: &mut Vec<(u32, f64)>| {
+            if self.length[i] == f32::INFINITY {
+                let distance = positions[i].as_dvec3().distance(center);
+                if distance < radius {
+                    self.length[i] = 0.0;
+                    found.push((i as u32, distance));
+                }
+            }
+        };
+        look(seed, &mut self.found);
+        let mut next = 0;
+        while let Some(&(i, _)) = self.found.get(next) {
+            surface.beside(i as usize).iter().for_each(|&j| look(j as usize, &mut self.found));
+            next += 1;
+        }
+        &self.found
+    }
+
+    fn reset(&mut self, count: usize) {
+        self.found.iter().for_each(|(i, _)| self.length[*i as usize] = f32::INFINITY);
+        self.found.clear();
+        self.length.resize(count, f32::INFINITY);
+        self.is_open.resize(count, false);
+    }
+}
+
+/// A round place on the surface.
+#[derive(Debug, Clone, Copy)]
+pub struct Spot {
+    /// Its middle, and what is there.
+    pub node: Node,
+    /// A point of the mean plane under the brush.
+    pub origin: DVec3,
+    seed: usize,
+}
+
+/// A point of the brush's way.
+#[derive(Debug, Clone, Copy)]
+pub struct Node {
+    /// On the surface.
+    pub at: DVec3,
+    /// The mean normal under the brush.
+    pub normal: DVec3,
+    /// The pen's pressure.
+    pub pressure: f64,
+}
+
+impl Node {
+    fn mix(nodes: [&Self; 3], by: [f64; 3]) -> Self {
+        let mix = |of: &dyn Fn(&Self) -> DVec3| (0..3).fold(DVec3::ZERO, |sum, k| sum + by[k] * of(nodes[k]));
+        Self {
+            at: mix(&|n| n.at),
+            normal: mix(&|n| n.normal),
+            pressure: (0..3).map(|k| by[k] * nodes[k].pressure).sum(),
+        }
+    }
+}
+
+/// The way of the brush that a dab stands for: a part of the quadratic B-spline of the dabs, from half way since the one
+/// before to half way to the next. A path of straight pieces would show at each of its corners.
+#[derive(Debug, Clone, Copy)]
+pub struct Sweep {
+    start: Node,
+    middle: Node,
+    end: Node,
+    seed: usize,
+}
+
+impl Sweep {
+    /// No way at all: a round dab.
+    pub fn round(spot: &Spot) -> Self {
+        Self::of(None, spot, None)
+    }
+
+    /// Of a dab between those before and after it, if there are any.
+    pub fn of(before: Option<&Spot>, spot: &Spot, after: Option<&Spot>) -> Self {
+        let middle = spot.node;
+        let half_way = |other: Option<&Spot>| match other {
+            Some(other) => Node::mix([&middle, &other.node, &middle], [0.5, 0.5, 0.0]),
+            None => middle,
+        };
+        Self { start: half_way(before), middle, end: half_way(after), seed: spot.seed }
+    }
+
+    fn at(&self, t: f64) -> Node {
+        let s = 1.0 - t;
+        Node::mix([&self.start, &self.middle, &self.end], [s * s, 2.0 * s * t, t * t])
+    }
+
+    /// Where it is nearest to a point.
+    fn nearest(&self, p: DVec3) -> Node {
+        const STEPS: u32 = 4;
+        const NEWTON: u32 = 3;
+        let (a, b, c) = (self.start.at, self.middle.at, self.end.at);
+        if a == b && b == c {
+            return self.middle;
+        }
+        let (first, second) = (b - a, a - 2.0 * b + c);
+        let point = |t: f64| a + 2.0 * t * first + t * t * second;
+        let distance = |t: &f64| point(*t).distance_squared(p);
+        let steps = (0..=STEPS).map(|i| f64::from(i) / f64::from(STEPS));
+        let start = steps.min_by(|x, y| distance(x).total_cmp(&distance(y))).unwrap_or(0.0);
+        let mut best = start;
+        for _ in 0..NEWTON {
+            let (off, slope) = (point(best) - p, 2.0 * (first + best * second));
+            let bend = slope.length_squared() + 2.0 * off.dot(second);
+            if bend <= 0.0 {
+                break;
+            }
+            best = (best - off.dot(slope) / bend).clamp(0.0, 1.0);
+        }
+        // Newton's steps may lead astray where the path turns back.
+        self.at(if distance(&best) <= distance(&start) { best } else { start })
+    }
+
+    /// How far its ends are from its middle, at most.
+    fn extent(&self) -> f64 {
+        self.middle.at.distance(self.start.at).max(self.middle.at.distance(self.end.at))
+    }
+}
+
+/// A sample under the brush.
+#[derive(Debug, Clone, Copy)]
+pub struct Felt {
+    /// Which one.
+    pub sample: u32,
+    /// How much of the brush it feels, 0 to 1.
+    pub weight: f64,
+    /// From it to the nearest point of the brush's way.
+    pub to_path: DVec3,
+    /// The mean normal there.
+    pub normal: DVec3,
+}
+
+/// A brush's shape.
+pub struct Shape<'a> {
+    /// Local coordinates.
+    pub radius: f64,
+    /// How much is felt at a distance of 0 to 1 radii.
+    pub falloff: &'a dyn Fn(f64) -> f64,
+    /// Whether what faces away feels it as well.
+    pub both_sides: bool,
+}
+
+/// A weighted mean of samples' places and normals, the same in whatever order they come.
+#[derive(Default)]
+struct Mean {
+    place: [i64; 3],
+    normal: [i64; 3],
+    weight: i64,
+}
+
+impl Mean {
+    /// One more, where all numbers are at most about 1.
+    fn add(&mut self, place: DVec3, normal: DVec3, weight: f64) {
+        let whole = |x: f64| (WHOLE * x).round() as i64;
+        for k in 0..3 {
+            self.place[k] += whole(weight * place[k]);
+            self.normal[k] += whole(weight * normal[k]);
+        }
+        self.weight += whole(weight);
+    }
+
+    fn place(&self) -> Option<DVec3> {
+        (self.weight > 0).then(|| DVec3::from(self.place.map(|x| x as f64)) / self.weight as f64)
+    }
+
+    fn normal(&self) -> Option<DVec3> {
+        DVec3::from(self.normal.map(|x| x as f64)).try_normalize()
+    }
+}
+
+/// Finds what is under dabs.
+pub struct Finder<'a> {
+    /// The links.
+    pub surface: &'a Surface,
+    /// What each sample stands for, relative to the others.
+    pub areas: &'a [f32],
+}
+
+impl Finder<'_> {
+    /// The place on the surface near `p`; nothing if there is none within the radius.
+    pub fn spot(
+        &self,
+        canvas: &Canvas,
+        reach: &mut Reach,
+        p: DVec3,
+        pressure: f64,
+        radius: f64,
+    ) -> Option<Spot> {
+        let seed = self.seed(canvas, p, radius)?;
+        let near = reach.inside(seed, p, radius, self.surface, &canvas.positions);
+        // A single sample's normal may be that of a groove's wall: first those around it say which side this is.
+        let mean = |facing: DVec3, cosine: f64, sharpness: i32| {
+            let mut mean = Mean::default();
+            for &(i, distance) in near {
+                let (at, n) =
+                    (canvas.positions[i as usize].as_dvec3(), canvas.normals[i as usize].as_dvec3());
+                if n.dot(facing) > cosine {
+                    let area = self.areas.get(i as usize).map_or(1.0, |&a| f64::from(a));
+                    let inside = 1.0 - (distance / radius).powi(2);
+                    mean.add((at - p) / radius, n, area * inside.powi(sharpness));
+                }
+            }
+            mean
+        };
+        let own = canvas.normals[seed].as_dvec3().try_normalize()?;
+        let facing = mean(own, AWAY, NARROW).normal().unwrap_or(own);
+        let (narrow, wide) = (mean(facing, 0.0, NARROW), mean(facing, 0.0, WIDE));
+        let normal = wide.normal().unwrap_or(facing);
+        let nearest = (canvas.positions[seed].as_dvec3() - p) / radius;
+        let at = p + normal * radius * narrow.place().unwrap_or(nearest).dot(normal);
+        let origin = p + radius * wide.place().unwrap_or(nearest);
+        Some(Spot { node: Node { at, normal, pressure }, origin, seed })
+    }
+
+    /// The nearest sample; where several are about as near, as at thin walls, the one near whose tangent plane the point
+    /// lies.
+    fn seed(&self, canvas: &Canvas, p: DVec3, radius: f64) -> Option<usize> {
+        let nearest = canvas.grid.nearest(&canvas.positions, p, radius)?;
+        let distance = |i: usize| canvas.positions[i].as_dvec3().distance(p);
+        // Samples within a cell's width are all in the cells around.
+        let as_near = (distance(nearest) + 0.5 * canvas.grid.cell()).min(radius);
+        if as_near > canvas.grid.cell() {
+            return Some(nearest);
+        }
+        let near = canvas.grid.around(p).filter(|&i| distance(i) <= as_near);
+        let near = near
+            .map(|i| (sheet_distance((p - canvas.positions[i].as_dvec3()).as_vec3(), canvas.normals[i]), i));
+        let best = near.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        Some(best.map_or(nearest, |(_, i)| i))
+    }
+
+    /// The samples that feel the brush on its way.
+    pub fn felt(
+        &self,
+        canvas: &Canvas,
+        reach: &mut Reach,
+        sweep: &Sweep,
+        shape: &Shape<'_>,
+        felt: &mut Vec<Felt>,
+    ) {
+        let radius = shape.radius;
+        let middle = sweep.middle.at;
+        // The seed is not the middle itself.
+        let off = middle.distance(canvas.positions[sweep.seed].as_dvec3());
+        let limit = DETOUR * (radius + sweep.extent() + off) + off;
+        felt.clear();
+        for &(sample, length) in reach.from(sweep.seed, limit, self.surface, &canvas.positions) {
+            let p = canvas.positions[sample as usize].as_dvec3();
+            let near = sweep.nearest(p);
+            let to_path = near.at - p;
+            let detour = ((length - off) / DETOUR - p.distance(middle)).max(0.0);
+            let distance = (to_path.length() + detour) / radius;
+            if distance >= 1.0 {
+                continue;
+            }
+            let normal = near.normal.try_normalize().unwrap_or(sweep.middle.normal);
+            let cosine = canvas.normals[sample as usize].as_dvec3().dot(normal);
+            let facing = if shape.both_sides { 1.0 } else { step(AWAY, TOWARDS, cosine) };
+            let weight = facing * near.pressure * (shape.falloff)(distance);
+            if weight > 0.0 {
+                felt.push(Felt { sample, weight, to_path, normal });
+            }
+        }
+    }
+}
+
+/// 0 below the first number, 1 above the second, smooth in between.
+fn step(from: f64, to: f64, x: f64) -> f64 {
+    let t = ((x - from) / (to - from)).clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
+}

@@ -1,0 +1,146 @@
+//! What is known of the surface before anything is painted: which samples are beside each other on it.
+//!
+//! The nearest samples in space may be those of the other side of a thin wall, or of the next finger. Two samples of one
+//! sheet have normals that do not oppose, and lie near each other's tangent planes: the chord of an arc is perpendicular
+//! to the mean of both ends' normals, whatever the curvature.
+
+use crate::grid::Grid;
+use glam::Vec3;
+use simod_plugin_api::{Graph, Host, PluginResult};
+
+/// Links of each sample, before they are made to go both ways.
+const LINKS: usize = 10;
+
+/// Most of them where several are equally far: left and right of a mirror, all or none are linked.
+const MOST_LINKS: usize = 16;
+
+/// How much more a distance across the surface counts than one along it.
+const STACKED: f32 = 10.0;
+
+/// The sine against the surface beyond which a chord is no link.
+const ACROSS: f32 = 0.5;
+
+/// Samples whose links are found at once on one thread.
+const BLOCK: usize = 4096;
+
+/// Width of the grid's cells, in spacings of the samples.
+const CELL: f64 = 2.0;
+
+/// The samples' links on the surface, and where they are at rest.
+pub struct Surface {
+    starts: Vec<u32>,
+    links: Vec<u32>,
+    /// Where all samples are at rest.
+    pub grid: Grid,
+    /// Tells it from other surfaces of this process.
+    pub id: u64,
+}
+
+impl Surface {
+    /// Of samples at rest.
+    pub fn new(
+        positions: &[Vec3],
+        normals: &[Vec3],
+        graph: &Graph<'_>,
+        host: &Host<'_>,
+    ) -> PluginResult<Self> {
+        static SURFACES: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(0);
+        let count = positions.len();
+        let mut nearest = vec![[u32::MAX; MOST_LINKS]; count];
+        host.parallel_blocks(&mut nearest, BLOCK, |first, block| {
+            for (links, i) in block.iter_mut().zip(first..) {
+                *links = nearest_on_sheet(positions, normals, graph.of(i), i);
+            }
+        })?;
+        host.progress(0.5)?;
+        let (starts, links) = both_ways(&nearest);
+        let link_lengths = nearest.iter().enumerate().filter(|(_, l)| l[0] != u32::MAX);
+        let mut lengths: Vec<f32> =
+            link_lengths.map(|(i, l)| positions[i].distance(positions[l[0] as usize])).collect();
+        lengths.sort_unstable_by(f32::total_cmp);
+        let spacing = lengths.get(lengths.len() / 2).map_or(0.0, |&l| f64::from(l));
+        // Where all samples are in one place, any width will do.
+        let grid = Grid::new(positions, if spacing > 0.0 { CELL * spacing } else { 1.0 });
+        let id = SURFACES.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+        Ok(Self { starts, links, grid, id })
+    }
+
+    /// The samples beside sample `i` on the surface; links go both ways.
+    #[inline]
+    pub fn beside(&self, i: usize) -> &[u32] {
+        &self.links[self.starts[i] as usize..self.starts[i + 1] as usize]
+    }
+
+    /// The number of samples.
+    pub fn len(&self) -> usize {
+        self.starts.len() - 1
+    }
+}
+
+/// The square of how far a point at `d` from a sample is, where the surface between them has the normal `n`.
+pub fn sheet_distance(d: Vec3, n: Vec3) -> f32 {
+    let across = STACKED * d.dot(n);
+    d.length_squared() + across * across
+}
+
+/// The nearest of sample `i`'s neighbours that lie on its sheet; `u32::MAX` in unused places.
+fn nearest_on_sheet(positions: &[Vec3], normals: &[Vec3], near: &[u32], i: usize) -> [u32; MOST_LINKS] {
+    let mut best = [(f32::INFINITY, u32::MAX); MOST_LINKS];
+    for &j in near {
+        let (p, q) = (positions[i], positions[j as usize]);
+        let (m, n) = (normals[i], normals[j as usize]);
+        let (d, between) = (q - p, 0.5 * (m + n));
+        // More than 120° apart, as on both sides of a thin plate, but not as the walls of a groove.
+        let faces_away = 2.0 * m.dot(n) + 1.0 <= 0.0;
+        let across = d.dot(between);
+        if faces_away || across * across > ACROSS * ACROSS * d.length_squared() {
+            continue;
+        }
+        let entry = (sheet_distance(d, between), j);
+        if entry.0 < best[MOST_LINKS - 1].0 {
+            best[MOST_LINKS - 1] = entry;
+            best.sort_by(|a, b| a.0.total_cmp(&b.0));
+        }
+    }
+    let last = best[LINKS - 1].0;
+    best.map(|(distance, j)| if distance <= last { j } else { u32::MAX })
+}
+
+/// The links of all samples, and their reverses: where each one's begin, and all of them. Own links come first.
+fn both_ways(nearest: &[[u32; MOST_LINKS]]) -> (Vec<u32>, Vec<u32>) {
+    let own = |i: usize| nearest[i].iter().copied().filter(|&j| j != u32::MAX);
+    let reverses = || {
+        (0..nearest.len())
+            .flat_map(|i| own(i).map(move |j| (j as usize, i as u32)))
+            .filter(|&(j, i)| !nearest[j].contains(&i))
+    };
+    let mut starts = vec![0_u32; nearest.len() + 1];
+    (0..nearest.len()).for_each(|i| starts[i + 1] = own(i).count() as u32);
+    reverses().for_each(|(j, _)| starts[j + 1] += 1);
+    (0..nearest.len()).for_each(|i| starts[i + 1] += starts[i]);
+    let mut links = vec![0; starts[nearest.len()] as usize];
+    let mut next = starts.clone();
+    let mut add = |i: usize, j: u32| {
+        links[next[i] as usize] = j;
+        next[i] += 1;
+    };
+    for i in 0..nearest.len() {
+        own(i).for_each(|j| add(i, j));
+    }
+    reverses().for_each(|(j, i)| add(j, i));
+    (starts, links)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_go_both_ways() {
+        let mut nearest = vec![[u32::MAX; MOST_LINKS]; 3];
+        nearest[0][0] = 1;
+        nearest[2][..2].copy_from_slice(&[1, 0]);
+        let (starts, links) = both_ways(&nearest);
+        assert_eq!((starts, links), (vec![0, 2, 4, 6], vec![1, 2, 0, 2, 1, 0]));
+    }
+}

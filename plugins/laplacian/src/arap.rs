@@ -1,0 +1,321 @@
+//! As rigid as possible: surroundings turn as a whole, as well as those next to them let them.
+//!
+//! O. Sorkine, M. Alexa, *As-Rigid-As-Possible Surface Modeling*, SGP 2007. In turns, rotations are fitted to where the
+//! samples are (the local step), and the samples are placed by the rotations, by one system of equations that never
+//! changes (the global step). Neither can raise the energy. All is reckoned in displacements.
+
+use crate::cells::{Cells, covariances};
+use crate::coarse::Prolongation;
+use crate::constraints::{Motion, Soft};
+use crate::descent::Past;
+use crate::factor::Factor;
+use crate::problem::Problem;
+use glam::{DMat3, DVec3};
+use simod_plugin_api::{Host, PluginResult};
+
+/// Nodes at once on one thread.
+const TOGETHER: usize = 1024;
+/// The part of what the slope promises by which the energy has to go down.
+const SUFFICIENT: f64 = 1e-4;
+/// Steps are not made shorter than this part.
+const LEAST_PART: f64 = 0.05;
+
+/// The surface, or a coarse likeness of it, with its factorised Laplacian.
+#[derive(Debug)]
+pub struct Level {
+    /// Its nodes.
+    pub problem: Problem,
+    /// The draws at free nodes.
+    pub springs: Vec<Soft>,
+    /// Of the Laplacian with the springs.
+    pub factor: Factor,
+}
+
+/// What turns: the surroundings of a problem's nodes.
+#[derive(Debug, Clone, Copy)]
+pub struct Turning<'a> {
+    /// How wide they are.
+    pub cells: &'a Cells,
+    /// Whose nodes they are around.
+    pub problem: &'a Problem,
+    /// How these nodes' rotations become those of a finer problem, if they are not its own.
+    pub groups: Option<&'a Prolongation>,
+}
+
+/// Where a level's nodes are, and how they are turned.
+#[derive(Debug, Clone)]
+pub struct Pose {
+    /// From rest, before the motion that all share.
+    pub displacements: Vec<DVec3>,
+    /// Rotations of what turns.
+    pub turns: Vec<DMat3>,
+    /// What they come to at each of the level's nodes whose surroundings are whole: means of rotations.
+    pub blends: Vec<DMat3>,
+}
+
+impl Level {
+    /// Factorises. `stiffness` is that of a draw, per area.
+    pub fn new(problem: Problem, stiffness: f64, host: &Host<'_>) -> PluginResult<Self> {
+        let springs = problem.springs(stiffness);
+        let factor = problem.factor(problem.laplacian(), &springs, host)?;
+        Ok(Self { problem, springs, factor })
+    }
+
+    /// The pose of given rotations.
+    pub fn pose(
+        &self,
+        turns: Vec<DMat3>,
+        turning: Turning<'_>,
+        motion: &Motion,
+        host: &Host<'_>,
+    ) -> PluginResult<Pose> {
+        let displacements = self.problem.held_displacements(|target, at| motion.displacement(target, at));
+        let blends = turning.blend(&turns, host)?;
+        let mut pose = Pose { displacements, turns, blends };
+        self.place(&mut pose, motion, host)?;
+        Ok(pose)
+    }
+
+    /// The global step: places the free nodes by the rotations.
+    fn place(&self, pose: &mut Pose, motion: &Motion, host: &Host<'_>) -> PluginResult<()> {
+        let problem = &self.problem;
+        let mut sums = vec![DVec3::ZERO; problem.free];
+        host.parallel_blocks(&mut sums, TOGETHER, |first, sums| {
+            for (i, sum) in (first..).zip(sums) {
+                for e in problem.operators.row(i) {
+                    *sum += pose.blends[e.column] * e.out - e.out;
+                    if e.column >= problem.free {
+                        *sum -= e.stiffness * pose.displacements[e.column];
+                    }
+                }
+            }
+        })?;
+        for spring in &self.springs {
+            let node = spring.node as usize;
+            sums[node] += spring.strength * motion.displacement(spring.target, problem.rest[node]);
+        }
+        self.factor.solve(&mut sums)?;
+        pose.displacements[..problem.free].copy_from_slice(&sums);
+        Ok(())
+    }
+
+    /// The local step: fits the rotations to where the nodes are.
+    fn turn(&self, pose: &mut Pose, turning: Turning<'_>, host: &Host<'_>) -> PluginResult<()> {
+        let covariances = covariances(&self.problem, &pose.displacements, host)?;
+        turning.fit(covariances, &mut pose.turns, host)?;
+        pose.blends = turning.blend(&pose.turns, host)?;
+        Ok(())
+    }
+
+    /// The energy, but for a constant, and its derivative by the free nodes' displacements. As the rotations are
+    /// those that fit best, they count as constant.
+    fn assess(&self, pose: &Pose, motion: &Motion, host: &Host<'_>) -> PluginResult<(f64, Vec<DVec3>)> {
+        let problem = &self.problem;
+        let Pose { displacements, blends, .. } = pose;
+        let at = |i: usize| problem.rest[i] + displacements[i];
+        let mut parts = vec![(0.0, DVec3::ZERO); problem.rows];
+        host.parallel_blocks(&mut parts, TOGETHER, |first, parts| {
+            for (i, (energy, gradient)) in (first..).zip(parts) {
+                let (mut free, mut held, mut turned) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO);
+                for e in problem.operators.row(i) {
+                    let edge = at(e.column) - at(i);
+                    *energy -= edge.dot(blends[i] * e.into - e.into);
+                    if i < problem.free {
+                        let laplacian = e.stiffness * displacements[e.column];
+                        *(if e.column < problem.free { &mut free } else { &mut held }) += laplacian;
+                        turned += blends[e.column] * e.out - e.out;
+                    }
+                }
+                if i < problem.free {
+                    *energy += displacements[i].dot(0.5 * free + held);
+                    *gradient = free + held - turned;
+                }
+            }
+        })?;
+        let mut energy: f64 = parts.iter().map(|p| p.0).sum();
+        let mut gradient: Vec<DVec3> = parts[..problem.free].iter().map(|p| p.1).collect();
+        for spring in &self.springs {
+            let node = spring.node as usize;
+            let off = displacements[node] - motion.displacement(spring.target, problem.rest[node]);
+            energy += 0.5 * spring.strength * off.length_squared();
+            gradient[node] += spring.strength * off;
+        }
+        Ok((energy, gradient))
+    }
+
+    /// Takes the energy down until no node moves farther than `tolerance`, in at most so many `steps`. Gives the
+    /// energies on the way.
+    ///
+    /// A local and a global step are one of Newton's method with the Laplacian for the second derivative. What the
+    /// steps before tell of the derivative makes it better, and saves most of the steps (limited-memory BFGS, as in
+    /// T. Liu, S. Bouaziz, L. Kavan, *Quasi-Newton Methods for Real-Time Simulation of Hyperelastic Materials*, TOG 2017).
+    pub fn relax(
+        &self,
+        pose: &mut Pose,
+        turning: Turning<'_>,
+        motion: &Motion,
+        (steps, tolerance): (usize, f64),
+        host: &Host<'_>,
+    ) -> PluginResult<Vec<f64>> {
+        if steps == 0 || self.problem.free == 0 {
+            return Ok(Vec::new());
+        }
+        self.turn(pose, turning, host)?;
+        let (mut energy, mut gradient) = self.assess(pose, motion, host)?;
+        let mut energies = vec![energy];
+        let mut past = Past::default();
+        for _ in 0..steps {
+            host.progress(0.0)?;
+            let step = past.step(&gradient, &self.factor)?;
+            let slope: f64 = step.iter().zip(&gradient).map(|(s, g)| s.dot(*g)).sum();
+            let before = pose.clone();
+            let mut part = 1.0;
+            let taken = loop {
+                for ((d, b), s) in pose.displacements.iter_mut().zip(&before.displacements).zip(&step) {
+                    *d = *b + part * *s;
+                }
+                self.turn(pose, turning, host)?;
+                let (lower, next) = self.assess(pose, motion, host)?;
+                if lower <= energy + SUFFICIENT * part * slope {
+                    break Some((lower, next));
+                }
+                part *= 0.5;
+                if part < LEAST_PART {
+                    break None;
+                }
+            };
+            let Some((lower, next)) = taken else {
+                *pose = before;
+                // The plain step goes down, but for rounding.
+                if past.is_empty() {
+                    break;
+                }
+                past = Past::default();
+                continue;
+            };
+            energies.push(lower);
+            let moved = part * step.iter().map(|s| s.length()).fold(0.0, f64::max);
+            if moved <= tolerance {
+                break;
+            }
+            past.push(&step, part, &gradient, &next);
+            (energy, gradient) = (lower, next);
+        }
+        Ok(energies)
+    }
+}
+
+impl Turning<'_> {
+    /// Fits rotations to the covariances of a level's nodes.
+    fn fit(&self, covariances: Vec<DMat3>, turns: &mut [DMat3], host: &Host<'_>) -> PluginResult<()> {
+        let own = match self.groups {
+            Some(groups) => groups.sums(&covariances, self.problem.rows, host)?,
+            None => covariances,
+        };
+        self.cells.fit(self.problem, own, turns, host)
+    }
+
+    /// The rotations' means at a level's nodes.
+    fn blend(&self, turns: &[DMat3], host: &Host<'_>) -> PluginResult<Vec<DMat3>> {
+        let own = self.cells.blend(self.problem, turns, host)?;
+        match self.groups {
+            Some(groups) => groups.means(&own, host),
+            None => Ok(own),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::constraints::Target;
+    use crate::elements::Element;
+    use crate::intrinsic;
+    use crate::problem::Kind;
+    use crate::tests::scene::{tube, turn};
+    use simod_plugin_api::Affine;
+
+    fn level() -> Level {
+        let scene = tube(14, 24, 0.15);
+        let rest: Vec<DVec3> = scene.points.iter().map(|p| DVec3::from(p.map(f64::from))).collect();
+        let kind = |p: &DVec3| match p.z {
+            z if z < 0.2 => Kind::Held(Target::Fixed),
+            z if z > 0.8 => Kind::Held(Target::Handle(0)),
+            _ => Kind::Free,
+        };
+        let kinds: Vec<Kind> = rest.iter().map(kind).collect();
+        let elements: Vec<Element> = intrinsic::plain(&rest, &scene.triangles);
+        let node = kinds.iter().position(|k| *k == Kind::Free).unwrap() as u32;
+        let soft = [Soft { node, target: Target::Handle(0), strength: 0.1 }];
+        let host = Host::new(&());
+        Level::new(Problem::new(&rest, &elements, &kinds, &soft, &host).unwrap(), 400.0, &host).unwrap()
+    }
+
+    fn motion() -> Motion {
+        let bend: Affine = turn(DVec3::X, 100.0, DVec3::new(0.0, 0.0, 0.6), DVec3::new(0.1, -0.3, 0.0));
+        Motion::rigid(&[bend], true)
+    }
+
+    /// From rest, with rotations that know nothing.
+    fn start(level: &Level, turning: Turning<'_>, motion: &Motion) -> Pose {
+        let held = level.problem.held.iter().map(|t| motion.turn(*t));
+        let turns = std::iter::repeat_n(DMat3::IDENTITY, level.problem.free).chain(held);
+        level.pose(turns.take(level.problem.rows).collect(), turning, motion, &Host::new(&())).unwrap()
+    }
+
+    #[test]
+    fn neither_step_raises_the_energy() {
+        let (level, motion, host) = (level(), motion(), Host::new(&()));
+        for width in [0.0, 0.1] {
+            let cells = Cells::new(&level.problem, width, &host).unwrap();
+            let turning = Turning { cells: &cells, problem: &level.problem, groups: None };
+            let mut pose = start(&level, turning, &motion);
+            let mut last = level.assess(&pose, &motion, &host).unwrap().0;
+            for step in 0..60 {
+                for local in [true, false] {
+                    if local {
+                        level.turn(&mut pose, turning, &host).unwrap();
+                    } else {
+                        level.place(&mut pose, &motion, &host).unwrap();
+                    }
+                    let energy = level.assess(&pose, &motion, &host).unwrap().0;
+                    // Coefficients are of single precision.
+                    assert!(energy <= last + 1e-7, "width {width}, step {step}: {last} to {energy}");
+                    last = energy;
+                }
+            }
+            // The faster descent comes at least as far in half of the steps, and never up.
+            let mut pose = start(&level, turning, &motion);
+            let energies = level.relax(&mut pose, turning, &motion, (30, 0.0), &host).unwrap();
+            assert!(energies.is_sorted_by(|a, b| a >= b), "{energies:?}");
+            assert!(*energies.last().unwrap() <= last + 1e-6, "{energies:?}, {last}");
+        }
+    }
+
+    #[test]
+    fn the_gradient_is_the_derivative_of_the_energy() {
+        let (level, motion, host) = (level(), motion(), Host::new(&()));
+        for width in [0.0, 0.1] {
+            let cells = Cells::new(&level.problem, width, &host).unwrap();
+            let turning = Turning { cells: &cells, problem: &level.problem, groups: None };
+            let mut pose = start(&level, turning, &motion);
+            level.turn(&mut pose, turning, &host).unwrap();
+            let (_, gradient) = level.assess(&pose, &motion, &host).unwrap();
+            let energy_at = |node: usize, by: DVec3| {
+                let mut pose = pose.clone();
+                pose.displacements[node] += by;
+                level.turn(&mut pose, turning, &host).unwrap();
+                level.assess(&pose, &motion, &host).unwrap().0
+            };
+            let largest = gradient.iter().map(|g| g.length()).fold(0.0, f64::max);
+            for node in (0..level.problem.free).step_by(17) {
+                for axis in DVec3::AXES {
+                    let h = 1e-5;
+                    let slope = (energy_at(node, axis * h) - energy_at(node, axis * -h)) / (2.0 * h);
+                    let found = gradient[node].dot(axis);
+                    assert!((slope - found).abs() < 1e-3 * largest, "width {width}, {node}: {slope} {found}");
+                }
+            }
+        }
+    }
+}

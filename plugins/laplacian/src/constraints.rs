@@ -1,0 +1,170 @@
+//! What the regions ask of the samples.
+
+use glam::{DAffine3, DMat3, DVec3};
+use simod_plugin_api::{Affine, PluginError, PluginResult, PrepareInput, Role};
+
+use crate::rotation;
+
+/// A weight from which on a sample does exactly what its region does.
+const HARD: f32 = 1.0 - 1e-6;
+/// A weight below which a region does not reach a sample.
+const NONE: f32 = 1e-4;
+
+/// What a sample is asked to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Target {
+    /// To stay.
+    Fixed,
+    /// To follow the handle of this number.
+    Handle(u32),
+}
+
+/// A region that draws at a sample, and lets it go where others draw more.
+#[derive(Debug, Clone, Copy)]
+pub struct Soft {
+    /// The sample.
+    pub node: u32,
+    /// Where it is drawn to.
+    pub target: Target,
+    /// How strongly, from 0 (not at all) to infinity (where a weight would be 1).
+    pub strength: f64,
+}
+
+/// The regions, sample by sample.
+#[derive(Debug)]
+pub struct Constraints {
+    /// The samples that do exactly what a region does.
+    pub hard: Vec<Option<Target>>,
+    /// The draws at others, by sample; where regions overlap, at one sample several.
+    pub soft: Vec<Soft>,
+    /// How many handles there are.
+    pub handles: usize,
+    /// Whether any sample is fixed.
+    pub has_fixed: bool,
+}
+
+impl Constraints {
+    /// Gathers the regions. Of several that hold a sample exactly, the first one does.
+    pub fn gather(input: &PrepareInput<'_>) -> PluginResult<Self> {
+        let count = input.samples.positions().len();
+        let regions = input.regions();
+        let mut this = Self { hard: vec![None; count], soft: Vec::new(), handles: 0, has_fixed: false };
+        let mut targets = Vec::new();
+        for (i, region) in regions.iter().enumerate() {
+            if region.weights().len() != count {
+                return Err(PluginError::internal(format!("region {} has not one weight per sample", i + 1)));
+            }
+            let is_handle = region.role == Role::HANDLE;
+            if !region.weights().iter().any(|w| *w >= NONE) {
+                let what = if is_handle { "handle" } else { "fixed" };
+                return Err(PluginError::input(format!("region {} ({what}) holds no sample", i + 1))
+                    .hint("enlarge or move its shapes, or take more samples"));
+            }
+            targets.push(if is_handle { Target::Handle(this.handles as u32) } else { Target::Fixed });
+            this.handles += usize::from(is_handle);
+            this.has_fixed |= !is_handle;
+        }
+        if this.handles == 0 {
+            return Err(PluginError::input("there is no handle region")
+                .hint("add a region with role = \"handle\" and a move"));
+        }
+        for node in 0..count {
+            let weights = || regions.iter().map(|r| r.weights()[node]).zip(&targets);
+            if let Some((_, target)) = weights().find(|(w, _)| *w >= HARD) {
+                this.hard[node] = Some(*target);
+                continue;
+            }
+            for (weight, &target) in weights().filter(|(w, _)| *w >= NONE) {
+                let strength = f64::from(weight) / f64::from(1.0 - weight);
+                this.soft.push(Soft { node: node as u32, target, strength });
+            }
+        }
+        Ok(this)
+    }
+}
+
+/// What the handles do, beside a motion that all share.
+#[derive(Debug)]
+pub struct Motion {
+    /// What all share, to be applied last; nothing where samples are fixed.
+    pub common: DAffine3,
+    /// For each handle where it moves a point to, minus the point, before the common motion. Of linear methods:
+    /// minus the point's image under the common motion, after it.
+    displacements: Vec<DAffine3>,
+}
+
+impl Motion {
+    /// For methods that know rotations: the common motion is rigid.
+    pub fn rigid(transforms: &[Affine], has_fixed: bool) -> Self {
+        let maps: Vec<DAffine3> = transforms.iter().map(affine).collect();
+        let mut common = DAffine3::IDENTITY;
+        if !has_fixed && let Some(first) = maps.first() {
+            let turn = rotation::nearest(first.matrix3, DMat3::IDENTITY);
+            // Rounding apart, it is the handle's own, which then is met to the last bit.
+            let is_rigid = turn.abs_diff_eq(first.matrix3, 1e-12);
+            common.matrix3 = if is_rigid { first.matrix3 } else { turn };
+            common.translation = first.translation;
+        }
+        let back = common.matrix3.transpose();
+        // Exactly nothing for the common motion itself.
+        let displacement = |map: &DAffine3| DAffine3 {
+            matrix3: back * (map.matrix3 - common.matrix3),
+            translation: back * (map.translation - common.translation),
+        };
+        Self { displacements: maps.iter().map(displacement).collect(), common }
+    }
+
+    /// For linear methods: the common motion is the handles' mean.
+    pub fn affine(transforms: &[Affine], has_fixed: bool) -> Self {
+        let maps: Vec<DAffine3> = transforms.iter().map(affine).collect();
+        let mut common = DAffine3::IDENTITY;
+        if !has_fixed && let Some(first) = maps.first() {
+            let share = 1.0 / maps.len() as f64;
+            common = *first;
+            for map in &maps {
+                // Exactly the map where all are the same.
+                common.matrix3 += (map.matrix3 - first.matrix3) * share;
+                common.translation += (map.translation - first.translation) * share;
+            }
+        }
+        let displacement = |map: &DAffine3| DAffine3 {
+            matrix3: map.matrix3 - common.matrix3,
+            translation: map.translation - common.translation,
+        };
+        Self { displacements: maps.iter().map(displacement).collect(), common }
+    }
+
+    /// Whether the common motion is all there is.
+    pub fn is_common(&self) -> bool {
+        self.displacements.iter().all(|d| d.matrix3 == DMat3::ZERO && d.translation == DVec3::ZERO)
+    }
+
+    /// The displacement of a point that follows a target.
+    pub fn displacement(&self, target: Target, at: DVec3) -> DVec3 {
+        match target {
+            Target::Fixed => DVec3::ZERO,
+            Target::Handle(h) => self.displacements[h as usize].transform_point3(at),
+        }
+    }
+
+    /// The map to the displacements of a handle.
+    pub fn of_handle(&self, handle: usize) -> DAffine3 {
+        self.displacements[handle]
+    }
+
+    /// How a target turns, before the common motion; for methods that know rotations.
+    pub fn turn(&self, target: Target) -> DMat3 {
+        match target {
+            Target::Fixed => DMat3::IDENTITY,
+            Target::Handle(h) => {
+                rotation::nearest(DMat3::IDENTITY + self.displacements[h as usize].matrix3, DMat3::IDENTITY)
+            }
+        }
+    }
+}
+
+/// As the mathematics library has it.
+pub fn affine(map: &Affine) -> DAffine3 {
+    let column = |k: usize| DVec3::new(map.rows[0][k], map.rows[1][k], map.rows[2][k]);
+    DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
+}

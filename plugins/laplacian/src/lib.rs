@@ -1,0 +1,314 @@
+//! Surface editing with the Laplacian: regions are held or moved, and the surface between follows.
+//!
+//! Three methods on one discretisation (cotangents, made robust: see `intrinsic`, `stars`):
+//!
+//! - `arap`, the default: as rigid as possible (Sorkine and Alexa 2007; `arap`). Rotations are found on a coarse likeness
+//!   of the surface first (`coarse`), from the handles' own by harmonic interpolation (R. Zayer et al., *Harmonic Guidance for
+//!   Surface Deformation*, Eurographics 2005), then on the surface itself. Details turn, and limbs keep their
+//!   length and girth.
+//! - `bi-laplacian`: the smoothest displacement (Botsch and Kobbelt 2004; `linear`). Linear, and the fastest; details do
+//!   not turn, and large turns make things shrink.
+//! - `laplacian`: one linear step more, in which details turn (Lipman et al. 2004; `linear`).
+//!
+//! Regions' weights: 1 holds exactly, less draws as springs do, by `w / (1 - w)`, so that 0 is nothing and 1 the
+//! limit. Parts of the surface that nothing holds follow what is next to them (`followers`).
+
+mod arap;
+mod cells;
+mod coarse;
+mod constraints;
+mod descent;
+mod eigen;
+mod elements;
+mod factor;
+mod followers;
+mod guidance;
+mod intrinsic;
+mod linear;
+mod operators;
+mod problem;
+mod rotation;
+mod stars;
+mod surface;
+
+use constraints::{Constraints, Motion, Target, affine};
+use followers::Followers;
+use glam::{DAffine3, DMat3, DVec3};
+use guidance::Hierarchy;
+use linear::BiLaplacian;
+use problem::{Kind, Problem};
+use simod_plugin_api::{
+    Consumes, DeformInput, Deformer, Descriptor, Host, ParamDesc, PluginError, PluginResult, PrepareInput,
+    Unit,
+};
+use std::collections::BTreeMap;
+use surface::Weights;
+
+/// How far a draw of weight 1/2 lets the surface bend before it gives in, in units of the diagonal.
+const SOFT_LENGTH: f64 = 0.3;
+/// Samples that are written at once on one thread.
+const DEFORM_BLOCK: usize = 8192;
+
+/// The plugin.
+struct Laplacian;
+
+/// What does not depend on the handles' motions.
+struct Prepared {
+    /// What becomes of each sample.
+    places: Vec<Place>,
+    method: Method,
+    has_fixed: bool,
+    handles: usize,
+    followers: Followers,
+}
+
+enum Method {
+    Arap(Box<Hierarchy>),
+    Bilaplacian(BiLaplacian),
+    Rotated(BiLaplacian),
+}
+
+/// Where a sample's image is found.
+#[derive(Debug, Clone, Copy)]
+enum Place {
+    /// A free node.
+    Node(u32),
+    /// What a region does.
+    Held(Target),
+    /// What a loose part does.
+    Part(u32),
+}
+
+impl Deformer for Laplacian {
+    type State = Prepared;
+    type Scratch = ();
+
+    fn descriptor() -> Descriptor {
+        let modes = [
+            ("arap", "As rigid as possible"),
+            ("laplacian", "Rotated Laplacian coordinates"),
+            ("bi-laplacian", "Bi-Laplacian (smoothest)"),
+        ];
+        let weights = [("robust", "Robust (intrinsic Delaunay)"), ("cotangent", "Cotangents as they are")];
+        Descriptor::new("laplacian", "Laplacian surface editing", env!("CARGO_PKG_VERSION"))
+            .summary("Moves handle regions, holds fixed ones, and bends the surface in between like a skin")
+            .citation("O. Sorkine, M. Alexa, As-Rigid-As-Possible Surface Modeling, SGP 2007")
+            .param(
+                ParamDesc::choice("mode", "Mode", "arap", &modes)
+                    .hint("Rigid keeps shapes and turns details; smoothest is linear and does neither")
+                    .invalidates_preparation(),
+            )
+            .param(
+                ParamDesc::float("bending", "Bending", 0.03)
+                    .unit(Unit::DIAGONAL)
+                    .hard(0.0, 1.0)
+                    .soft(0.0, 0.2)
+                    .hint("Over how long a way the surface bends, for rigid; 0 lets it crease")
+                    .invalidates_preparation(),
+            )
+            .param(
+                ParamDesc::int("iterations", "Iterations", 2)
+                    .hard(0.0, 10_000.0)
+                    .soft(0.0, 20.0)
+                    .hint("At most so many steps on all samples, after those on a coarse likeness; for rigid")
+                    .group("Accuracy"),
+            )
+            .param(
+                ParamDesc::float("tolerance", "Tolerance", 1e-4)
+                    .unit(Unit::DIAGONAL)
+                    .hard(0.0, 1.0)
+                    .soft(1e-6, 1e-2)
+                    .hint("Steps end when no sample moves farther; for rigid")
+                    .group("Accuracy"),
+            )
+            .param(
+                ParamDesc::choice("weights", "Weights", "robust", &weights)
+                    .hint("Robust takes any triangles; cotangents as they are compare with other programs")
+                    .group("Accuracy")
+                    .invalidates_preparation(),
+            )
+            .consumes(Consumes {
+                fixed_regions: true,
+                handle_regions: true,
+                min_handles: 1,
+                triangles: true,
+                graph: true,
+                ..Consumes::default()
+            })
+    }
+
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+        host.progress(0.0)?;
+        let params = input.params();
+        let weights = match params.choice("weights")? {
+            "robust" => Weights::Robust,
+            "cotangent" => Weights::Cotangent,
+            other => return Err(PluginError::parameter("weights", &format!("is unknown: {other}"))),
+        };
+        let constraints = Constraints::gather(input)?;
+        let positions: Vec<DVec3> =
+            input.samples.positions().iter().map(|p| DVec3::from(p.map(f64::from))).collect();
+        let elements = surface::elements(input, &positions, weights, host)?;
+        host.progress(0.15)?;
+
+        let kinds = kinds(&constraints, &surface::components(positions.len(), &elements));
+        let parts = parts(&kinds, &surface::components(positions.len(), &elements));
+        let is_loose = |i: u32| kinds[i as usize] == Kind::Loose;
+        let followers = Followers::new(input.samples.positions(), &parts, is_loose, input.graph(), host)?;
+        let problem = Problem::new(&positions, &elements, &kinds, &constraints.soft, host)?;
+        drop(elements);
+        host.progress(0.3)?;
+
+        let places = places(&kinds, &parts, &problem);
+        let diagonal = input.bounds.diagonal();
+        let length = SOFT_LENGTH * if diagonal > 0.0 { diagonal } else { 1.0 };
+        let bilaplacian =
+            |problem| BiLaplacian::new(problem, length.powi(-4), frames(&constraints, &positions), host);
+        let method = match params.choice("mode")? {
+            "arap" => {
+                let width = params.float("bending")? * diagonal;
+                let (stiffness, handles) = (length.powi(-2), constraints.handles);
+                Method::Arap(Box::new(Hierarchy::new(problem, stiffness, width, handles, host)?))
+            }
+            "bi-laplacian" => Method::Bilaplacian(bilaplacian(problem)?),
+            "laplacian" => Method::Rotated(bilaplacian(problem)?),
+            other => return Err(PluginError::parameter("mode", &format!("is unknown: {other}"))),
+        };
+        let Constraints { handles, has_fixed, .. } = constraints;
+        Ok(Prepared { places, method, has_fixed, handles, followers })
+    }
+
+    fn deform(
+        state: &Prepared,
+        input: &DeformInput<'_>,
+        _: &mut (),
+        out: &mut [[f32; 3]],
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        let rest = input.samples.positions();
+        let transforms = input.transforms();
+        if transforms.len() != state.handles || rest.len() != state.places.len() || out.len() != rest.len() {
+            return Err(PluginError::internal("the samples or handles are not those of the preparation"));
+        }
+        let motion = match &state.method {
+            Method::Bilaplacian(_) => Motion::affine(transforms, state.has_fixed),
+            Method::Arap(_) | Method::Rotated(_) => Motion::rigid(transforms, state.has_fixed),
+        };
+        if motion.common == DAffine3::IDENTITY && motion.is_common() {
+            out.copy_from_slice(rest);
+            return Ok(());
+        }
+        let displacements = if motion.is_common() {
+            Vec::new()
+        } else {
+            match &state.method {
+                Method::Arap(hierarchy) => {
+                    let params = input.params();
+                    let steps = usize::try_from(params.int("iterations")?)
+                        .map_err(|_| PluginError::parameter("iterations", "is negative"))?;
+                    let tolerance = params.float("tolerance")? * input.bounds.diagonal();
+                    hierarchy.deform(&motion, (steps, tolerance), host)?.displacements
+                }
+                Method::Bilaplacian(linear) => linear.displacements(&motion, host)?,
+                Method::Rotated(linear) => linear.rotated(&motion, host)?,
+            }
+        };
+        let handles: Vec<DAffine3> = transforms.iter().map(affine).collect();
+        // Displacements of linear methods are added after the common motion.
+        let turn = if matches!(state.method, Method::Bilaplacian(_)) {
+            DMat3::IDENTITY
+        } else {
+            motion.common.matrix3
+        };
+        let at = |i: usize| DVec3::from(rest[i].map(f64::from));
+        let image = |i: usize| match state.places[i] {
+            Place::Node(node) => {
+                let displacement = displacements.get(node as usize).copied().unwrap_or(DVec3::ZERO);
+                motion.common.transform_point3(at(i)) + turn * displacement
+            }
+            Place::Held(Target::Handle(h)) => handles[h as usize].transform_point3(at(i)),
+            Place::Held(Target::Fixed) | Place::Part(_) => at(i),
+        };
+        let parts = if motion.is_common() {
+            Vec::new()
+        } else {
+            state.followers.motions(rest, |i| image(i as usize), host)?
+        };
+        host.parallel_blocks(out, DEFORM_BLOCK, |first, out| {
+            for (i, o) in (first..).zip(out) {
+                let q = match state.places[i] {
+                    Place::Part(part) => {
+                        parts.get(part as usize).unwrap_or(&motion.common).transform_point3(at(i))
+                    }
+                    _ => image(i),
+                };
+                *o = q.as_vec3().to_array();
+            }
+        })
+    }
+}
+
+/// What becomes of each sample: what is held, and what is connected to anything that is held or drawn.
+fn kinds(constraints: &Constraints, components: &[u32]) -> Vec<Kind> {
+    let mut is_tied = vec![false; components.len()];
+    let held = constraints.hard.iter().enumerate().filter(|(_, t)| t.is_some()).map(|(i, _)| i);
+    for i in held.chain(constraints.soft.iter().map(|s| s.node as usize)) {
+        is_tied[components[i] as usize] = true;
+    }
+    let kind = |(target, component): (&Option<Target>, &u32)| match target {
+        Some(target) => Kind::Held(*target),
+        None if is_tied[*component as usize] => Kind::Free,
+        None => Kind::Loose,
+    };
+    constraints.hard.iter().zip(components).map(kind).collect()
+}
+
+/// The samples of each loose part, by its component.
+fn parts(kinds: &[Kind], components: &[u32]) -> BTreeMap<u32, Vec<u32>> {
+    let mut parts: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for (i, (_, component)) in
+        kinds.iter().zip(components).enumerate().filter(|(_, (k, _))| **k == Kind::Loose)
+    {
+        parts.entry(*component).or_default().push(i as u32);
+    }
+    parts
+}
+
+fn places(kinds: &[Kind], parts: &BTreeMap<u32, Vec<u32>>, problem: &Problem) -> Vec<Place> {
+    let mut places: Vec<Place> = kinds
+        .iter()
+        .map(|kind| match kind {
+            Kind::Held(target) => Place::Held(*target),
+            Kind::Free | Kind::Loose => Place::Held(Target::Fixed),
+        })
+        .collect();
+    for (node, sample) in problem.samples[..problem.free].iter().enumerate() {
+        places[*sample as usize] = Place::Node(node as u32);
+    }
+    for (part, samples) in parts.values().enumerate() {
+        samples.iter().for_each(|i| places[*i as usize] = Place::Part(part as u32));
+    }
+    places
+}
+
+/// Middle and size of each handle.
+fn frames(constraints: &Constraints, positions: &[DVec3]) -> Vec<(DVec3, f64)> {
+    let members = |handle: u32| {
+        let own = Target::Handle(handle);
+        let hard = constraints.hard.iter().enumerate().filter(move |(_, t)| **t == Some(own)).map(|(i, _)| i);
+        let soft = constraints.soft.iter().filter(move |s| s.target == own).map(|s| s.node as usize);
+        hard.chain(soft).map(|i| positions[i])
+    };
+    let frame = |handle: u32| {
+        let count = members(handle).count().max(1) as f64;
+        let middle = members(handle).sum::<DVec3>() / count;
+        let size = members(handle).map(|p| p.distance(middle)).fold(0.0, f64::max);
+        (middle, if size > 0.0 { size } else { 1.0 })
+    };
+    (0..constraints.handles as u32).map(frame).collect()
+}
+
+simod_plugin_api::export_plugin!(Laplacian);
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,7 @@
+//! The whole plugin, on generated models.
+
+mod cost;
+mod meaning;
+mod reference;
+pub mod scene;
+mod surfaces;

@@ -1,0 +1,154 @@
+//! Point-based free-form deformation with smooth handles: no mesh, and no system to solve.
+//!
+//! M. Pauly, R. Keiser, L. Kobbelt, M. Gross, *Shape modeling with point-sampled geometry*, SIGGRAPH 2003, §5: what is
+//! fixed is the zero-region, a handle the one-region. Each sample makes a part of the handle's motion, which a scale
+//! function gives from its distances to the two; parts of motions are those of a screw. The tool of most of the SIMOD
+//! paper's figures.
+
+mod distance;
+mod influence;
+mod motion;
+mod regions;
+
+use glam::{DVec3, Vec3};
+use influence::{Measure, Profile, Shares};
+use motion::Motion;
+use regions::Regions;
+use simod_plugin_api::{
+    Affine, Consumes, DeformInput, Deformer, Descriptor, Host, IsIdentity, ParamDesc, PluginError,
+    PluginResult, PrepareInput, Unit,
+};
+
+/// Samples that are deformed at once on one thread.
+const BLOCK: usize = 4096;
+
+/// The plugin.
+struct SmoothHandle;
+
+/// Who follows whom.
+struct Prepared {
+    shares: Shares,
+    /// The handles' middles, about which they stretch.
+    centers: Vec<DVec3>,
+}
+
+impl Deformer for SmoothHandle {
+    type State = Prepared;
+    type Scratch = ();
+
+    fn descriptor() -> Descriptor {
+        let distances = [("euclidean", "Through space"), ("surface", "Along the surface")];
+        let [profile, curve] = Profile::params();
+        Descriptor::new("smooth-handle", "Smooth handles", env!("CARGO_PKG_VERSION"))
+            .summary("Moves handles, and what lies between them and fixed regions by parts of their motions")
+            .citation(
+                "M. Pauly, R. Keiser, L. Kobbelt, M. Gross, Shape modeling with point-sampled geometry, SIGGRAPH 2003",
+            )
+            .param(profile)
+            .param(curve)
+            .param(
+                ParamDesc::choice("distance", "Distance", "euclidean", &distances)
+                    .hint("How far samples are from regions: fingers that nearly touch are far along the surface")
+                    .invalidates_preparation(),
+            )
+            .param(
+                ParamDesc::float("reach", "Reach", 0.25)
+                    .unit(Unit::DIAGONAL)
+                    .hard(0.0, f64::INFINITY)
+                    .soft(0.0, 1.0)
+                    .hint("How far handles reach if nothing is fixed")
+                    .invalidates_preparation(),
+            )
+            .param(
+                ParamDesc::float("smoothing", "Smoothing", 0.02)
+                    .unit(Unit::DIAGONAL)
+                    .hard(0.0, 1.0)
+                    .soft(0.0, 0.1)
+                    .hint("Over what length the ridges are smoothed that distances have")
+                    .invalidates_preparation(),
+            )
+            .consumes(Consumes {
+                fixed_regions: true,
+                handle_regions: true,
+                min_handles: 1,
+                normals: true,
+                graph: true,
+                ..Consumes::default()
+            })
+    }
+
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+        let params = input.params();
+        let positions: &[Vec3] = bytemuck::cast_slice(input.samples.positions());
+        let normals: &[Vec3] = bytemuck::cast_slice(input.samples.normals());
+        let graph = input.graph().filter(|g| g.len() == positions.len() && normals.len() == positions.len());
+        let graph = graph
+            .ok_or_else(|| PluginError::internal("the host gave no neighbours or normals of the samples"))?;
+        let on_surface = match params.choice("distance")? {
+            "euclidean" => false,
+            "surface" => true,
+            other => return Err(PluginError::parameter("distance", &format!("is unknown: {other}"))),
+        };
+        let measure = Measure {
+            on_surface,
+            reach: params.float("reach")? * input.bounds.diagonal(),
+            smoothing: params.float("smoothing")? * input.bounds.diagonal(),
+        };
+        let regions = Regions::gather(input)?;
+        let handles = regions.parts.iter().skip(usize::from(regions.has_fixed));
+        let center = |core: &[u32]| {
+            core.iter().map(|&i| positions[i as usize].as_dvec3()).sum::<DVec3>() / core.len() as f64
+        };
+        let centers = handles.map(|part| center(&part.core)).collect();
+        let samples = influence::Samples { positions, normals, graph };
+        Ok(Prepared { shares: Shares::new(&regions, &samples, &measure, host)?, centers })
+    }
+
+    fn deform(
+        state: &Prepared,
+        input: &DeformInput<'_>,
+        _: &mut (),
+        out: &mut [[f32; 3]],
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        let (rest, transforms) = (input.samples.positions(), input.transforms());
+        if transforms.len() != state.shares.handles() {
+            let message = format!("{} transforms for {} handles", transforms.len(), state.shares.handles());
+            return Err(PluginError::internal(message));
+        }
+        if [rest.len(), out.len()] != [state.shares.samples(); 2] {
+            return Err(PluginError::internal("the samples are not those of the preparation"));
+        }
+        let profile = Profile::of(input.params())?;
+        let motions: Vec<Motion> =
+            transforms.iter().zip(&state.centers).map(|(t, &center)| Motion::new(t, center)).collect();
+        host.parallel_blocks(out, BLOCK, |first, block| {
+            let mut amounts = vec![0.0; motions.len()];
+            for ((i, out), p) in (first..).zip(block).zip(&rest[first..]) {
+                profile.amounts(state.shares.of(i), &mut amounts);
+                let moves = |(motion, t): &(&Motion, f64)| *t != 0.0 && !motion.is_none();
+                let mut parts = motions.iter().zip(amounts.iter().copied()).filter(moves);
+                let p64 = Vec3::from(*p).as_dvec3();
+                // Exactly where it was, or where its handle takes it.
+                *out = match parts.next() {
+                    None => *p,
+                    Some((motion, 1.0)) if amounts.iter().sum::<f64>() == 1.0 => {
+                        motion.all(p64).as_vec3().to_array()
+                    }
+                    Some(part) => motion::blend(p64, std::iter::once(part).chain(parts)).as_vec3().to_array(),
+                };
+            }
+        })
+    }
+}
+
+impl IsIdentity for SmoothHandle {
+    fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
+        Ok(input.transforms().iter().all(|t| *t == Affine::IDENTITY))
+    }
+}
+
+simod_plugin_api::export_plugin!(SmoothHandle, is_identity);
+
+#[cfg(test)]
+mod tests;

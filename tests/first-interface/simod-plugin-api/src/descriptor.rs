@@ -1,0 +1,169 @@
+//! What a plugin is, and what it wants.
+
+use crate::{Graph, InputPart, Joints, ParamDesc, Strokes, Triangles};
+use abi_stable::{
+    StableAbi,
+    std_types::{RString, RVec},
+};
+
+/// One input that a plugin uses beside the samples' positions. Inputs are known by ids, as extensions are: what later
+/// versions offer is a new id, not a new field.
+#[repr(C)]
+#[derive(StableAbi, Debug, Clone, PartialEq, Eq)]
+pub struct InputDesc {
+    /// Such as `simod.handle-regions/1`.
+    pub id: RString,
+    /// How many the plugin needs: where there are less, it is not called. 0 for one that it uses if it is there. A host
+    /// that does not know the id passes over it if it is 0, and refuses the plugin otherwise.
+    pub at_least: u32,
+}
+
+/// Which of the inputs of this version a plugin uses, so that the host offers just those.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Consumes {
+    /// Regions that stay where they are.
+    pub fixed_regions: bool,
+    /// Regions that follow a transform.
+    pub handle_regions: bool,
+    /// Fewest handle regions that it needs.
+    pub min_handles: u32,
+    /// Fewest fixed regions that it needs.
+    pub min_fixed: u32,
+    /// Normals that fit the positions: the host derives them anew between layers. Without them it is not called.
+    pub normals: bool,
+    /// [`Triangles`](crate::Triangles) between the samples, where there are any.
+    pub triangles: bool,
+    /// The [`Graph`](crate::Graph) of the samples' nearest neighbours.
+    pub graph: bool,
+    /// [`Joints`](crate::Joints) that the user places.
+    pub joints: bool,
+    /// Brush [`Strokes`](crate::Strokes).
+    pub strokes: bool,
+}
+
+impl Consumes {
+    /// Regions that stay where they are.
+    pub const FIXED_REGIONS: &'static str = "simod.fixed-regions/1";
+    /// Regions that follow a transform.
+    pub const HANDLE_REGIONS: &'static str = "simod.handle-regions/1";
+    /// Normals that fit the positions.
+    pub const NORMALS: &'static str = "simod.normals/1";
+
+    fn inputs(&self) -> [(&'static str, bool, u32); 7] {
+        [
+            (Self::FIXED_REGIONS, self.fixed_regions, self.min_fixed),
+            (Self::HANDLE_REGIONS, self.handle_regions, self.min_handles),
+            (Self::NORMALS, self.normals, 1),
+            (Triangles::ID, self.triangles, 0),
+            (Graph::ID, self.graph, 0),
+            (Joints::ID, self.joints, 0),
+            (Strokes::ID, self.strokes, 0),
+        ]
+    }
+
+    /// What a plugin's inputs come to; the first one that this version does not have, if the plugin needs it.
+    ///
+    /// # Errors
+    /// Its id.
+    pub fn from_inputs(inputs: &[InputDesc]) -> Result<Self, &str> {
+        let mut this = Self::default();
+        for InputDesc { id, at_least } in inputs {
+            match id.as_str() {
+                Self::FIXED_REGIONS => (this.fixed_regions, this.min_fixed) = (true, *at_least),
+                Self::HANDLE_REGIONS => (this.handle_regions, this.min_handles) = (true, *at_least),
+                Self::NORMALS => this.normals = true,
+                Triangles::ID => this.triangles = true,
+                Graph::ID => this.graph = true,
+                Joints::ID => this.joints = true,
+                Strokes::ID => this.strokes = true,
+                id if *at_least > 0 => return Err(id),
+                _ => {}
+            }
+        }
+        Ok(this)
+    }
+}
+
+/// A plugin's description of itself.
+#[repr(C)]
+#[derive(StableAbi, Debug, Clone, PartialEq)]
+pub struct Descriptor {
+    /// Stable id, kebab-case; what a session file calls it.
+    pub id: RString,
+    /// What the user reads.
+    pub name: RString,
+    /// The plugin's own version, `major.minor.patch`.
+    pub version: RString,
+    /// One line on what it does.
+    pub summary: RString,
+    /// The publication that it implements; may be empty.
+    pub citation: RString,
+    /// Who made it, and whom its users may ask; may be empty.
+    pub author: RString,
+    /// Where there is more on it; may be empty.
+    pub url: RString,
+    /// Its parameters, in the order to show them.
+    pub params: RVec<ParamDesc>,
+    /// Which inputs it uses.
+    pub inputs: RVec<InputDesc>,
+}
+
+impl Descriptor {
+    /// A plugin without parameters that consumes the positions alone.
+    pub fn new(id: &str, name: &str, version: &str) -> Self {
+        Self {
+            id: id.into(),
+            name: name.into(),
+            version: version.into(),
+            summary: RString::new(),
+            citation: RString::new(),
+            author: RString::new(),
+            url: RString::new(),
+            params: RVec::new(),
+            inputs: RVec::new(),
+        }
+    }
+
+    /// One line on what it does.
+    #[must_use]
+    pub fn summary(mut self, summary: &str) -> Self {
+        self.summary = summary.into();
+        self
+    }
+
+    /// The publication that it implements.
+    #[must_use]
+    pub fn citation(mut self, citation: &str) -> Self {
+        self.citation = citation.into();
+        self
+    }
+
+    /// Who made it, and whom its users may ask.
+    #[must_use]
+    pub fn author(mut self, author: &str) -> Self {
+        self.author = author.into();
+        self
+    }
+
+    /// Where there is more on it.
+    #[must_use]
+    pub fn url(mut self, url: &str) -> Self {
+        self.url = url.into();
+        self
+    }
+
+    /// One more parameter.
+    #[must_use]
+    pub fn param(mut self, param: ParamDesc) -> Self {
+        self.params.push(param);
+        self
+    }
+
+    /// Which inputs it uses.
+    #[must_use]
+    pub fn consumes(mut self, consumes: Consumes) -> Self {
+        let used = consumes.inputs().into_iter().filter(|(_, used, _)| *used);
+        self.inputs.extend(used.map(|(id, _, at_least)| InputDesc { id: id.into(), at_least }));
+        self
+    }
+}

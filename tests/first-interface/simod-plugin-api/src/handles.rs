@@ -1,0 +1,77 @@
+//! Handles that a plugin itself places: a lattice's points, a skeleton's joints, a cage's corners.
+
+use abi_stable::{StableAbi, std_types::RString};
+
+/// How a handle may be moved; what a viewer offers to grab.
+#[repr(transparent)]
+#[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Gizmo(pub u32);
+
+impl Gizmo {
+    /// It can be shifted.
+    pub const TRANSLATE: Self = Self(1);
+    /// It can be turned about its position.
+    pub const ROTATE: Self = Self(2);
+    /// It can be scaled about its position.
+    pub const SCALE: Self = Self(4);
+
+    /// Whether all of `other` is among these.
+    pub fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+}
+
+impl std::ops::BitOr for Gizmo {
+    type Output = Self;
+    fn bitor(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+}
+
+/// A handle that a plugin places.
+#[repr(C)]
+#[derive(StableAbi, Debug, Clone, PartialEq)]
+pub struct HandleDesc {
+    /// Stable id, unique among the plugin's handles; stored in files. Any text without white space, such as `3,3,3`.
+    pub id: RString,
+    /// What the user reads; the id where it is empty.
+    pub name: RString,
+    /// Where it is at rest, local coordinates.
+    pub position: [f64; 3],
+    /// How it may be moved. Bits that the host does not know are passed over.
+    pub gizmo: Gizmo,
+    /// The index of the handle that it hangs on, less than its own, or [`HandleDesc::ROOT`]: a viewer draws a bone
+    /// between the two, and the parent's motion moves it along.
+    pub parent: u32,
+}
+
+impl HandleDesc {
+    /// The parent of a handle that hangs on no other.
+    pub const ROOT: u32 = u32::MAX;
+
+    /// A handle at `position` that can be shifted, and hangs on no other.
+    pub fn new(id: &str, position: [f64; 3]) -> Self {
+        Self { id: id.into(), name: RString::new(), position, gizmo: Gizmo::TRANSLATE, parent: Self::ROOT }
+    }
+
+    /// What the user reads.
+    #[must_use]
+    pub fn name(mut self, name: &str) -> Self {
+        self.name = name.into();
+        self
+    }
+
+    /// How it may be moved.
+    #[must_use]
+    pub fn gizmo(mut self, gizmo: Gizmo) -> Self {
+        self.gizmo = gizmo;
+        self
+    }
+
+    /// The index of the handle that it hangs on.
+    #[must_use]
+    pub fn parent(mut self, parent: u32) -> Self {
+        self.parent = parent;
+        self
+    }
+}

@@ -1,0 +1,86 @@
+//! Brush strokes and smooth handles, from a session to the model's vertices.
+
+use simod_tests::{Workplace, library};
+
+/// A stroke over a generated sphere lifts what is under it, and leaves every byte elsewhere.
+#[test]
+fn a_stroke_lifts_what_is_under_it() {
+    let work = Workplace::new();
+    work.simod("generate -o sphere.ply --shape bumpy-sphere --vertices 60000");
+    let stroke = |points: &str, params: &str| {
+        format!("[[step.stroke]]\nradius = 0.3\nparams = {{ {params} }}\npoints = {points}\n")
+    };
+    let step = "[[step]]\ndeform = \"displacement-paint\"\nparams = { brush = \"draw\", depth = 0.4 }\n";
+    let path = "[[0.1, -0.2, 1], [0.15, 0, 1.02], [0.1, 0.2, 1]]";
+    work.write_session("sphere.ply", 10_000, &format!("{step}{}", stroke(path, "")));
+    work.simod("run edit.toml");
+    let (before, after) = (work.ply("sphere.ply"), work.ply("edited.ply"));
+    assert!(after.other_bytes() == before.other_bytes());
+    let (mut highest, mut still): (f64, usize) = (0.0, 0);
+    for (p, q) in before.positions().into_iter().zip(after.positions()) {
+        let moved = p.distance(q);
+        highest = highest.max(moved);
+        if p.z < 0.6 {
+            assert_eq!(p, q);
+            still += 1;
+        }
+    }
+    assert!((highest - 0.12).abs() < 0.01, "{highest}");
+    assert!(still > 40_000, "{still}");
+
+    // Parameters of a stroke's own; a second stroke that undoes the first; and none at all.
+    let back = stroke(path, "brush = \"draw\"").replace("radius = 0.3", "radius = 0.3\nstrength = -1");
+    work.write_session("sphere.ply", 10_000, &format!("{step}{}{back}", stroke(path, "")));
+    work.simod("run edit.toml");
+    let after = work.ply("edited.ply");
+    let moved = before.positions().into_iter().zip(after.positions()).map(|(p, q)| p.distance(q));
+    let left = moved.fold(0.0, f64::max);
+    assert!(left < 0.4 * highest, "{left} of {highest}");
+    work.write_session("sphere.ply", 10_000, step);
+    work.simod("run edit.toml");
+    assert!(work.read("edited.ply") == work.read("sphere.ply"));
+    work.write_session("sphere.ply", 10_000, &format!("{step}{}", stroke(path, "brush = \"chisel\"")));
+    work.refuses("run edit.toml", &["brush", "chisel"]);
+}
+
+/// A handle turns a part of the model exactly, and what lies between it and what is fixed by parts of the angle.
+#[test]
+fn a_smooth_handle_turns_by_parts() {
+    let work = Workplace::new();
+    work.simod("generate -o amphora.ply --vertices 100000");
+    let steps = "[[step]]\ndeform = \"smooth-handle\"\n\
+        [[step.region]]\nrole = \"fixed\"\n\
+        shapes = [{ half-space = { point = [0, 0.5, 0], normal = [0, -1, 0] } }]\n\
+        [[step.region]]\nrole = \"handle\"\n\
+        shapes = [{ half-space = { point = [0, 1.5, 0], normal = [0, 1, 0] } }]\n\
+        move = { axis = [0, 1, 0], degrees = 90 }\n";
+    work.write_session("amphora.ply", 20_000, steps);
+    work.simod("run edit.toml");
+    let (before, after) = (work.ply("amphora.ply"), work.ply("edited.ply"));
+    assert!(after.other_bytes() == before.other_bytes());
+    let mut between = 0;
+    for (p, q) in before.positions().into_iter().zip(after.positions()) {
+        // The reconstruction reaches a few spacings of the samples over the borders.
+        if p.y < 0.35 {
+            assert_eq!(p, q);
+        } else if p.y > 1.6 {
+            assert!(q.distance(glam::DVec3::new(p.z, p.y, -p.x)) < 1e-5, "{p} went to {q}");
+        } else {
+            let radius = |v: glam::DVec3| v.x.hypot(v.z);
+            assert!((radius(p) - radius(q)).abs() < 5e-3 && (p.y - q.y).abs() < 5e-3, "{p} went to {q}");
+            between += 1;
+        }
+    }
+    assert!(between > 10_000, "{between}");
+}
+
+/// Both keep all rules of the plugin interface.
+#[test]
+fn both_tools_keep_the_rules() {
+    let work = Workplace::new();
+    for name in ["simod_displacement_paint", "simod_smooth_handle"] {
+        let mut command = work.command("plugin check --json");
+        let output = command.arg(library(name)).output().expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+    }
+}
