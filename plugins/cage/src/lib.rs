@@ -86,11 +86,11 @@ impl Deformer for CagePlugin {
                     .invalidates_preparation(),
             )
             .param(
-                ParamDesc::float("margin", "Margin", 0.03)
+                ParamDesc::float("margin", "Margin", 0.05)
                     .unit(Unit::DIAGONAL)
                     .hard(0.001, 1.0)
                     .soft(0.005, 0.1)
-                    .hint("How far a cage that is made stays away from the model")
+                    .hint("How far a cage that is made stays away from the model; the edges of a near one show")
                     .invalidates_preparation(),
             )
             .param(

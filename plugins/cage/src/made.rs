@@ -98,15 +98,15 @@ pub fn hull(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: usize) -
     };
 
     // The outermost samples of parts of triangles, to begin with.
-    let mut outermost: HashMap<(usize, [u8; 3]), Seen> = HashMap::new();
+    let mut outermost: Vec<Option<Seen>> = vec![None; sphere.mesh.triangles.len() * PARTS * PARTS];
     for seen in samples.iter().filter_map(seen) {
-        let part = (seen.triangle, (seen.share * PARTS as f64).to_array().map(|x| x as u8));
-        let most = outermost.entry(part).or_insert(seen);
-        if seen.size > most.size {
-            *most = seen;
+        let [_, b, c] = seen.share.to_array().map(|x| ((x * PARTS as f64) as usize).min(PARTS - 1));
+        let part = &mut outermost[(seen.triangle * PARTS + b) * PARTS + c];
+        if part.is_none_or(|other| other.size < seen.size) {
+            *part = Some(seen);
         }
     }
-    let outermost: Vec<Seen> = outermost.into_values().collect();
+    let outermost: Vec<Seen> = outermost.into_iter().flatten().collect();
     let unit: Vec<f64> = sphere.mesh.grid.iter().map(|v| v.as_dvec3().length()).collect();
     let mut x: Vec<f64> = unit.iter().map(|length| length / 4.0).collect();
     let mut limits = Vec::new();
@@ -169,8 +169,8 @@ impl Corners {
 struct Octahedron {
     n: i32,
     mesh: Corners,
-    /// The triangles at the points of the grid where they begin, octant by octant, upright or upside down.
-    by_place: HashMap<(u8, i32, i32, bool), usize>,
+    /// The triangles by the points of the grid where they begin: see [`Octahedron::place`].
+    by_place: Vec<usize>,
 }
 
 /// Where the corners of a triangle are that begins at a point of the grid, in two coordinates.
@@ -196,7 +196,8 @@ struct Seen {
 
 impl Octahedron {
     fn new(n: i32) -> Self {
-        let mut this = Self { n, mesh: Corners::default(), by_place: HashMap::new() };
+        let mut this = Self { n, mesh: Corners::default(), by_place: Vec::new() };
+        this.by_place.resize(16 * (n * n) as usize, usize::MAX);
         for octant in 0..8_u8 {
             let sign = |bit: u8| if octant >> bit & 1 == 0 { 1 } else { -1 };
             let signs = IVec3::new(sign(0), sign(1), sign(2));
@@ -205,13 +206,19 @@ impl Octahedron {
                     for upright in [true, false].into_iter().filter(|upright| *upright || i + j < n - 1) {
                         let corners = corners(i, j, upright)
                             .map(|(i, j)| this.mesh.vertex(signs * IVec3::new(i, j, n - i - j)));
-                        this.by_place.insert((octant, i, j, upright), this.mesh.triangles.len());
+                        let place = this.place(octant, i, j, upright);
+                        this.by_place[place] = this.mesh.triangles.len();
                         this.mesh.triangle(corners, is_mirrored(octant));
                     }
                 }
             }
         }
         this
+    }
+
+    /// Where in the table a triangle is.
+    fn place(&self, octant: u8, i: i32, j: i32, upright: bool) -> usize {
+        (((i32::from(octant) * self.n + i) * self.n + j) * 2 + i32::from(upright)) as usize
     }
 
     /// The triangle in front of a point; nothing for the centre.
@@ -228,8 +235,7 @@ impl Octahedron {
         let upright = x + y <= 1.0 || i + j == self.n - 1;
         let [a, b, c] = if upright { [1.0 - x - y, x, y] } else { [x + y - 1.0, 1.0 - x, 1.0 - y] };
         let share = if is_mirrored(octant) { DVec3::new(a, c, b) } else { DVec3::new(a, b, c) };
-        let triangle = *self.by_place.get(&(octant, i, j, upright))?;
-        Some(Seen { triangle, share, size })
+        Some(Seen { triangle: self.by_place[self.place(octant, i, j, upright)], share, size })
     }
 
     /// For each vertex, the most that its triangles' samples come to; 0 where there is none.
