@@ -11,8 +11,8 @@ use glam::DVec3;
 use mean_value::View;
 use mesh::Cage;
 use simod_plugin_api::{
-    Affine, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host, IsIdentity, ParamDesc,
-    PluginError, PluginResult, PrepareInput, Unit,
+    Affine, Choice, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host, IsIdentity,
+    ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -27,6 +27,41 @@ const BLOCK: usize = 256;
 /// The plugin.
 struct CagePlugin;
 
+/// How a cage is made.
+#[derive(ParamSet)]
+struct Made {
+    /// Made about the model, unless there is a file
+    #[param(default = Kind::Hull, invalidates_preparation)]
+    cage: Kind,
+    /// About how many vertices a cage has that is made
+    #[param(default = 40, hard = 6..=400, soft = 6..=150, invalidates_preparation)]
+    detail: i64,
+    /// How far a cage that is made stays away from the model; the edges of a near one show
+    #[param(default = 0.05, unit = "diagonal", hard = 0.001..=1.0, soft = 0.01..=0.1, invalidates_preparation)]
+    margin: f64,
+}
+
+#[derive(Choice, Clone, Copy)]
+enum Kind {
+    #[choice(label = "About the model")]
+    Hull,
+    #[choice(label = "A box")]
+    Box,
+}
+
+/// Where a file's cage is.
+#[derive(ParamSet)]
+struct Placed {
+    /// Where the file's origin lies; [0, 0, 0] for a file in the model's own coordinates
+    #[param(point, name = "Origin", default = [0.5; 3], unit = "model-length", group = "File")]
+    #[param(invalidates_preparation)]
+    file_origin: [f64; 3],
+    /// The file's unit of length in the model's
+    #[param(name = "Unit", default = 1.0, unit = "model-length", hard = f64::MIN_POSITIVE.., group = "File")]
+    #[param(soft = 0.001..=1000.0, invalidates_preparation)]
+    file_unit: f64,
+}
+
 /// A cage with the coordinates of all samples.
 struct Prepared {
     cage: Cage,
@@ -38,18 +73,16 @@ struct Prepared {
 fn cage(input: &PrepareInput<'_>) -> PluginResult<Cage> {
     let params = input.params();
     if let Some(path) = params.file("file")? {
-        let (origin, unit) = (DVec3::from(params.vec3("file-origin")?), params.float("file-unit")?);
-        return Cage::read(path, |p| origin + unit * p);
+        let Placed { file_origin, file_unit } = params.read()?;
+        return Cage::read(path, |p| DVec3::from(file_origin) + file_unit * p);
     }
-    let margin = params.float("margin")? * input.bounds.diagonal();
-    let detail = usize::try_from(params.int("detail")?)
-        .map_err(|_| PluginError::parameter("detail", "is negative"))?;
-    let make = match params.choice("cage")? {
-        "hull" => made::hull,
-        "box" => made::divided_box,
-        other => return Err(PluginError::parameter("cage", &format!("is unknown: {other}"))),
+    let Made { cage, detail, margin } = params.read()?;
+    let detail = usize::try_from(detail).map_err(|_| PluginError::parameter("detail", "is negative"))?;
+    let make = match cage {
+        Kind::Hull => made::hull,
+        Kind::Box => made::divided_box,
     };
-    make(&input.bounds, input.samples.positions(), margin, detail)
+    make(&input.bounds, input.samples.positions(), margin * input.bounds.diagonal(), detail)
 }
 
 /// The vertices that were moved, and how far.
@@ -67,53 +100,18 @@ impl Deformer for CagePlugin {
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
-        let cages = [("hull", "About the model"), ("box", "A box")];
         Descriptor::new("cage", "Cage", env!("CARGO_PKG_VERSION"))
             .summary("Bends the model by the vertices of a coarse cage about it")
             .citation(
                 "T. Ju, S. Schaefer, J. Warren, Mean value coordinates for closed triangular meshes, SIGGRAPH 2005",
             )
-            .param(
-                ParamDesc::choice("cage", "Cage", "hull", &cages)
-                    .hint("Made about the model, unless there is a file")
-                    .invalidates_preparation(),
-            )
-            .param(
-                ParamDesc::int("detail", "Detail", 40)
-                    .hard(6.0, 400.0)
-                    .soft(6.0, 150.0)
-                    .hint("About how many vertices a cage has that is made")
-                    .invalidates_preparation(),
-            )
-            .param(
-                ParamDesc::float("margin", "Margin", 0.05)
-                    .unit(Unit::DIAGONAL)
-                    .hard(0.001, 1.0)
-                    .soft(0.005, 0.1)
-                    .hint("How far a cage that is made stays away from the model; the edges of a near one show")
-                    .invalidates_preparation(),
-            )
+            .param_set::<Made>()
             .param(
                 ParamDesc::file("file", "File", &["obj"])
                     .hint("A closed surface of polygons, as an OBJ file; its vertices are the handles 0, 1, 2, ...")
                     .group("File"),
             )
-            .param(
-                ParamDesc::point("file-origin", "Origin", [0.5; 3])
-                    .unit(Unit::MODEL_LENGTH)
-                    .hint("Where the file's origin lies; [0, 0, 0] for a file in the model's own coordinates")
-                    .group("File")
-                    .invalidates_preparation(),
-            )
-            .param(
-                ParamDesc::float("file-unit", "Unit", 1.0)
-                    .unit(Unit::MODEL_LENGTH)
-                    .hard(f64::MIN_POSITIVE, f64::INFINITY)
-                    .soft(0.001, 1000.0)
-                    .hint("The file's unit of length in the model's")
-                    .group("File")
-                    .invalidates_preparation(),
-            )
+            .param_set::<Placed>()
     }
 
     fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {

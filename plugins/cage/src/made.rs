@@ -224,7 +224,7 @@ impl Octahedron {
     /// The triangle in front of a point; nothing for the centre.
     fn locate(&self, p: DVec3) -> Option<Seen> {
         let size = p.abs().element_sum() / f64::from(self.n);
-        if !(size > 0.0) {
+        if size == 0.0 {
             return None;
         }
         let octant: u8 = p.to_array().iter().enumerate().map(|(bit, x)| u8::from(*x < 0.0) << bit).sum();

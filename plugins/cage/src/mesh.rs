@@ -39,7 +39,7 @@ impl Cage {
     /// The surface of these triangles, which may all look inwards as well.
     ///
     /// # Errors
-    /// It is not closed, not consistently oriented, or flat; vertices are not finite. Vertices are numbered from 1 there,
+    /// It is not closed, not consistently oriented, or flat; vertices are not finite, or in no triangle. Vertices are numbered from 1 there,
     /// as in OBJ files.
     pub fn new(vertices: Vec<DVec3>, mut corners: Vec<[usize; 3]>) -> PluginResult<Self> {
         if let Some(v) = vertices.iter().position(|p| !p.is_finite()) {
@@ -53,8 +53,8 @@ impl Cage {
             a.cross(b).dot(c) / 6.0
         };
         let volume: f64 = corners.iter().map(volume).sum();
-        // Also where it is not a number, as without any vertex, or with all of them in one point.
-        if !(volume.abs() > FLAT) {
+        // It is not a number with all vertices in one point.
+        if volume.is_nan() || volume.abs() <= FLAT {
             return Err(refused("holds a cage without a volume".to_owned()));
         }
         if volume < 0.0 {
@@ -68,7 +68,12 @@ impl Cage {
             radius,
         };
         this.connect(&corners)?;
-        Ok(this)
+        let mut used = vec![false; this.vertices.len()];
+        corners.iter().flatten().for_each(|v| used[*v] = true);
+        match used.iter().position(|used| !used) {
+            Some(v) => Err(refused(format!("has a vertex in no face, number {}", v + 1))),
+            None => Ok(this),
+        }
     }
 
     /// Finds the edges.
@@ -197,6 +202,7 @@ mod tests {
         );
         told(&format!("{VERTICES}f 1 3 2\nf 1 2 4\nf 3 2 4\nf 1 4 3"), "look in and out");
         told(&format!("{VERTICES}f 1 3 2\nf 1 2 4\nf 3 4 2\nf 1 4 3\nf 1 4 3\nf 1 3 4"), "faces at");
+        told(&format!("{VERTICES}v 1 1 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3"), "in no face, number 5");
         told(&format!("{VERTICES}f 1 3 9"), "line 7");
         told(&format!("{VERTICES}f 1 0 2"), "line 7");
         told(&format!("{VERTICES}f 1 2"), "line 7");

@@ -101,8 +101,9 @@ impl Basis {
     pub fn place(&self, u: f64) -> Place {
         let inside = u.clamp(0.0, 1.0);
         let over = u - inside;
-        let Beyond::Smooth { reach } = self.beyond else {
-            return Place { inside, fade: 1.0, below: 0.0, above: 0.0 };
+        let reach = match self.beyond {
+            Beyond::Smooth { reach } if over != 0.0 => reach,
+            _ => return Place { inside, fade: 1.0, below: 0.0, above: 0.0 },
         };
         let t = (over.abs() / reach).min(1.0);
         let left = 1.0 - t;

@@ -1,7 +1,8 @@
 //! The lattice's box: where it stands in space.
 
+use crate::Settings;
 use glam::{DQuat, DVec3};
-use simod_plugin_api::{Bounds, Params, PluginError, PluginResult};
+use simod_plugin_api::{Bounds, PluginError, PluginResult};
 
 /// Left free around what a box is made for, relative to its size.
 const MARGIN: f64 = 0.02;
@@ -12,16 +13,16 @@ const THINNEST: f64 = 0.05;
 #[derive(Debug, Clone, Copy)]
 pub struct Frame {
     centre: DVec3,
-    /// Orthonormal.
-    axes: [DVec3; 3],
-    /// Above 0.
-    sizes: [f64; 3],
+    /// The edges, at right angles.
+    edges: [DVec3; 3],
+    /// Unit vectors along them, over their lengths.
+    inverses: [DVec3; 3],
 }
 
 impl Frame {
-    /// The box that the parameters describe, for a model with this box (at rest) and these samples.
-    pub fn new(params: Params<'_>, bounds: &Bounds, samples: &[[f32; 3]]) -> PluginResult<Self> {
-        let (axis, angle) = (DVec3::from(params.vec3("axis")?), params.float("angle")?.to_radians());
+    /// The box of these settings, for a model with this box (at rest) and these samples.
+    pub fn new(settings: &Settings, bounds: &Bounds, samples: &[[f32; 3]]) -> PluginResult<Self> {
+        let (axis, angle) = (DVec3::from(settings.axis), settings.angle.to_radians());
         // Scaled first, so that neither tiny nor huge vectors are lost in their squares.
         let turn = match (axis / axis.abs().max_element()).try_normalize() {
             Some(axis) => DQuat::from_axis_angle(axis, angle),
@@ -32,28 +33,29 @@ impl Frame {
             }
         };
         let axes = [DVec3::X, DVec3::Y, DVec3::Z].map(|a| turn * a);
-        let centre = DVec3::from(params.vec3("center")?);
+        let centre = DVec3::from(settings.center);
         let corners = corners(bounds, samples);
-        let mut sizes = [0.0; 3];
-        for (i, id) in ["size-x", "size-y", "size-z"].into_iter().enumerate() {
-            let given = params.float(id)? * bounds.diagonal();
+        let mut sizes = [settings.size_x, settings.size_y, settings.size_z];
+        for (i, size) in sizes.iter_mut().enumerate() {
+            let given = *size * bounds.diagonal();
             let reach = corners.iter().map(|c| (*c - centre).dot(axes[i]).abs()).fold(0.0, f64::max);
             let thinnest = if bounds.diagonal() > 0.0 { THINNEST * bounds.diagonal() } else { 1.0 };
-            sizes[i] = if given > 0.0 { given } else { (2.0 * reach * (1.0 + MARGIN)).max(thinnest) };
+            *size = if given > 0.0 { given } else { (2.0 * reach * (1.0 + MARGIN)).max(thinnest) };
         }
-        Ok(Self { centre, axes, sizes })
+        let edges = std::array::from_fn(|i| sizes[i] * axes[i]);
+        Ok(Self { centre, edges, inverses: std::array::from_fn(|i| axes[i] / sizes[i]) })
     }
 
     /// The coordinates of a point: 0 to 1 inside.
     #[inline(always)]
     pub fn coordinates(&self, p: DVec3) -> [f64; 3] {
         let x = p - self.centre;
-        [0, 1, 2].map(|i| 0.5 + x.dot(self.axes[i]) / self.sizes[i])
+        self.inverses.map(|axis| 0.5 + x.dot(axis))
     }
 
     /// The point with these coordinates.
     pub fn point(&self, u: [f64; 3]) -> DVec3 {
-        (0..3).fold(self.centre, |p, i| p + (u[i] - 0.5) * self.sizes[i] * self.axes[i])
+        (0..3).fold(self.centre, |p, i| p + (u[i] - 0.5) * self.edges[i])
     }
 }
 

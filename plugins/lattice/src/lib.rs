@@ -13,8 +13,8 @@ use frame::Frame;
 use glam::DVec3;
 use moved::Moved;
 use simod_plugin_api::{
-    Affine, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host, IsIdentity, ParamDesc,
-    PluginError, PluginResult, PrepareInput, Unit,
+    Affine, Choice, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host, IsIdentity,
+    ParamSet, PluginError, PluginResult, PrepareInput,
 };
 
 /// Samples that are deformed at once on one thread.
@@ -23,31 +23,95 @@ const BLOCK: usize = 4096;
 /// The plugin.
 struct LatticePlugin;
 
+/// The lattice's resolution, its functions, its box, and what is outside of it.
+#[derive(ParamSet)]
+struct Settings {
+    /// Control points along this axis of the box
+    #[param(default = 4, hard = 2..=MOST as i64, soft = 2..=10, group = "Lattice", invalidates_preparation)]
+    resolution_x: i64,
+    /// Control points along this axis of the box
+    #[param(default = 4, hard = 2..=MOST as i64, soft = 2..=10, group = "Lattice", invalidates_preparation)]
+    resolution_y: i64,
+    /// Control points along this axis of the box
+    #[param(default = 4, hard = 2..=MOST as i64, soft = 2..=10, group = "Lattice", invalidates_preparation)]
+    resolution_z: i64,
+    /// How far control points reach: some cells of the lattice, or all of it
+    #[param(default = Functions::BSpline, group = "Lattice", invalidates_preparation)]
+    basis: Functions,
+    /// Of the box
+    #[param(point, name = "Centre", default = [0.5; 3], unit = "model-length", group = "Box")]
+    #[param(invalidates_preparation)]
+    center: [f64; 3],
+    /// Of the box along this axis of its own; 0 for what the whole model needs
+    #[param(default = 0.0, unit = "diagonal", hard = 0.0..=100.0, soft = 0.0..=1.0, group = "Box")]
+    #[param(invalidates_preparation)]
+    size_x: f64,
+    /// Of the box along this axis of its own; 0 for what the whole model needs
+    #[param(default = 0.0, unit = "diagonal", hard = 0.0..=100.0, soft = 0.0..=1.0, group = "Box")]
+    #[param(invalidates_preparation)]
+    size_y: f64,
+    /// Of the box along this axis of its own; 0 for what the whole model needs
+    #[param(default = 0.0, unit = "diagonal", hard = 0.0..=100.0, soft = 0.0..=1.0, group = "Box")]
+    #[param(invalidates_preparation)]
+    size_z: f64,
+    /// About which the box is turned
+    #[param(direction, default = [0.0, 1.0, 0.0], group = "Box", invalidates_preparation)]
+    axis: [f64; 3],
+    /// By which the box is turned
+    #[param(default = 0.0, unit = "degrees", soft = -180.0..=180.0, group = "Box", invalidates_preparation)]
+    angle: f64,
+    /// What is beyond a face goes on as inside and fades to rest, or follows the nearest point of the box; where
+    /// the two outermost layers of control points rest, there is no crease
+    #[param(default = Outside::Smooth, group = "Outside", invalidates_preparation)]
+    outside: Outside,
+    /// Over which part of the box' size a smooth deformation fades outside
+    #[param(default = 0.25, unit = "ratio", hard = 0.01..=10.0, soft = 0.05..=1.0, group = "Outside")]
+    #[param(invalidates_preparation)]
+    reach: f64,
+}
+
+#[derive(Choice, Clone, Copy)]
+enum Functions {
+    #[choice(label = "Cubic B-splines (local)")]
+    BSpline,
+    #[choice(label = "Bernstein (global)")]
+    Bernstein,
+}
+
+#[derive(Choice, Clone, Copy)]
+enum Outside {
+    #[choice(label = "Smooth, fading")]
+    Smooth,
+    #[choice(label = "As the nearest face")]
+    Clamped,
+}
+
 /// A lattice at rest.
-pub struct Lattice {
+struct Lattice {
     frame: Frame,
     bases: [Basis; 3],
 }
 
 impl Lattice {
     fn new(input: &PrepareInput<'_>) -> PluginResult<Self> {
-        let params = input.params();
-        let beyond = match params.choice("outside")? {
-            "smooth" => Beyond::Smooth { reach: params.float("reach")? },
-            "clamped" => Beyond::Clamped,
-            other => return Err(PluginError::parameter("outside", &format!("is unknown: {other}"))),
+        let settings: Settings = input.params().read()?;
+        let beyond = match settings.outside {
+            Outside::Smooth => Beyond::Smooth { reach: settings.reach },
+            Outside::Clamped => Beyond::Clamped,
         };
-        let basis = match params.choice("basis")? {
-            "b-spline" => Basis::b_spline,
-            "bernstein" => Basis::bernstein,
-            other => return Err(PluginError::parameter("basis", &format!("is unknown: {other}"))),
-        };
-        let along = |id: &str| match usize::try_from(params.int(id)?) {
-            Ok(count) if (2..=MOST).contains(&count) => Ok(basis(count, beyond)),
+        let along = |id: &str, count: i64| match usize::try_from(count) {
+            Ok(count) if (2..=MOST).contains(&count) => Ok(match settings.basis {
+                Functions::BSpline => Basis::b_spline(count, beyond),
+                Functions::Bernstein => Basis::bernstein(count, beyond),
+            }),
             _ => Err(PluginError::parameter(id, &format!("is not from 2 to {MOST}"))),
         };
-        let bases = [along("resolution-x")?, along("resolution-y")?, along("resolution-z")?];
-        Ok(Self { frame: Frame::new(params, &input.bounds, input.samples.positions())?, bases })
+        let bases = [
+            along("resolution-x", settings.resolution_x)?,
+            along("resolution-y", settings.resolution_y)?,
+            along("resolution-z", settings.resolution_z)?,
+        ];
+        Ok(Self { frame: Frame::new(&settings, &input.bounds, input.samples.positions())?, bases })
     }
 
     /// Control points along each axis.
@@ -77,79 +141,13 @@ impl Deformer for LatticePlugin {
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
-        let bases = [("b-spline", "Cubic B-splines (local)"), ("bernstein", "Bernstein (global)")];
-        let outsides = [("smooth", "Smooth, fading"), ("clamped", "As the nearest face")];
-        let resolution = |id, name| {
-            ParamDesc::int(id, name, 4)
-                .hard(2.0, MOST as f64)
-                .soft(2.0, 10.0)
-                .hint("Control points along this axis of the box")
-                .group("Lattice")
-                .invalidates_preparation()
-        };
-        let size = |id, name| {
-            ParamDesc::float(id, name, 0.0)
-                .unit(Unit::DIAGONAL)
-                .hard(0.0, 100.0)
-                .soft(0.0, 1.0)
-                .hint("Of the box along this axis of its own; 0 for what the whole model needs")
-                .group("Box")
-                .invalidates_preparation()
-        };
         Descriptor::new("lattice", "Lattice", env!("CARGO_PKG_VERSION"))
             .summary("Bends space by the control points of a lattice about the model, or a part of it")
             .citation(
                 "T. W. Sederberg, S. R. Parry, Free-form deformation of solid geometric models, SIGGRAPH 1986; \
                  J. Griessmair, W. Purgathofer, Deformation of solids with trivariate B-splines, Eurographics 1989",
             )
-            .param(resolution("resolution-x", "Resolution x"))
-            .param(resolution("resolution-y", "Resolution y"))
-            .param(resolution("resolution-z", "Resolution z"))
-            .param(
-                ParamDesc::choice("basis", "Basis", "b-spline", &bases)
-                    .hint("How far control points reach: some cells of the lattice, or all of it")
-                    .group("Lattice")
-                    .invalidates_preparation(),
-            )
-            .param(
-                ParamDesc::point("center", "Centre", [0.5; 3])
-                    .unit(Unit::MODEL_LENGTH)
-                    .hint("Of the box")
-                    .group("Box")
-                    .invalidates_preparation(),
-            )
-            .param(size("size-x", "Size x"))
-            .param(size("size-y", "Size y"))
-            .param(size("size-z", "Size z"))
-            .param(
-                ParamDesc::direction("axis", "Axis", [0.0, 1.0, 0.0])
-                    .hint("About which the box is turned")
-                    .group("Box")
-                    .invalidates_preparation(),
-            )
-            .param(
-                ParamDesc::float("angle", "Angle", 0.0)
-                    .unit(Unit::DEGREES)
-                    .soft(-180.0, 180.0)
-                    .hint("By which the box is turned")
-                    .group("Box")
-                    .invalidates_preparation(),
-            )
-            .param(
-                ParamDesc::choice("outside", "Outside", "smooth", &outsides)
-                    .hint("What is beyond a face goes on as inside and fades to rest, or follows the nearest point of the box")
-                    .group("Outside")
-                    .invalidates_preparation(),
-            )
-            .param(
-                ParamDesc::float("reach", "Reach", 0.25)
-                    .unit(Unit::RATIO)
-                    .hard(0.01, 10.0)
-                    .soft(0.05, 1.0)
-                    .hint("Over which part of the box' size a smooth deformation fades outside")
-                    .group("Outside")
-                    .invalidates_preparation(),
-            )
+            .param_set::<Settings>()
     }
 
     fn prepare(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<Lattice> {
