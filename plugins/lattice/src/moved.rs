@@ -40,11 +40,12 @@ impl<'a> Moved<'a> {
             if still { DVec4::ZERO } else { (DVec3::from(motion.apply(at.into())) - at).extend(0.0) }
         };
         let displacements: Vec<DVec4> = lattice.indices().zip(motions).map(displacement).collect();
-        let mut spans = [usize::MAX..0, usize::MAX..0, usize::MAX..0];
+        let mut spans = [0..0, 0..0, 0..0];
         let mut lines = vec![false; displacements.len() / nz];
         for (index, _) in lattice.indices().zip(&displacements).filter(|(_, d)| **d != DVec4::ZERO) {
             for (span, i) in spans.iter_mut().zip(index) {
-                *span = span.start.min(i)..span.end.max(i + 1);
+                let from = if span.start == span.end { i } else { span.start.min(i) };
+                *span = from..span.end.max(i + 1);
             }
             lines[index[0] * ny + index[1]] = true;
         }
