@@ -1,0 +1,223 @@
+//! Deformation by a cage: a coarse closed surface about the model, whose vertices are handles.
+//!
+//! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005. Each sample's
+//! coordinates are found once, in `prepare`; a motion then costs one product for each sample and moved vertex.
+
+mod made;
+mod mean_value;
+mod mesh;
+
+use glam::DVec3;
+use mean_value::View;
+use mesh::Cage;
+use simod_plugin_api::{
+    Affine, Choice, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host, IsIdentity,
+    ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
+};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Samples whose coordinates lie together: those for one vertex follow each other, so that a vertex which does not move
+/// is not read.
+const TILE: usize = 1024;
+/// The bound of the table of coordinates, in bytes: four for each sample and vertex.
+const LARGEST_TABLE: usize = 1 << 30;
+/// Points between two looks at the host's wish to stop.
+const BLOCK: usize = 256;
+
+/// The plugin.
+struct CagePlugin;
+
+/// How a cage is made.
+#[derive(ParamSet)]
+struct Made {
+    /// Made about the model, unless there is a file
+    #[param(default = Kind::Hull, invalidates_preparation)]
+    cage: Kind,
+    /// About how many vertices a cage has that is made
+    #[param(default = 40, hard = 6..=400, soft = 6..=150, invalidates_preparation)]
+    detail: i64,
+    /// How far a cage that is made stays away from the model; the edges of a near one show
+    #[param(default = 0.05, unit = "diagonal", hard = 0.001..=1.0, soft = 0.01..=0.1, invalidates_preparation)]
+    margin: f64,
+}
+
+#[derive(Choice, Clone, Copy)]
+enum Kind {
+    #[choice(label = "About the model")]
+    Hull,
+    #[choice(label = "A box")]
+    Box,
+}
+
+/// Where a file's cage is.
+#[derive(ParamSet)]
+struct Placed {
+    /// Where the file's origin lies; [0, 0, 0] for a file in the model's own coordinates
+    #[param(point, name = "Origin", default = [0.5; 3], unit = "model-length", group = "File")]
+    #[param(invalidates_preparation)]
+    file_origin: [f64; 3],
+    /// The file's unit of length in the model's
+    #[param(name = "Unit", default = 1.0, unit = "model-length", hard = f64::MIN_POSITIVE.., group = "File")]
+    #[param(soft = 0.001..=1000.0, invalidates_preparation)]
+    file_unit: f64,
+}
+
+/// A cage with the coordinates of all samples.
+struct Prepared {
+    cage: Cage,
+    /// Tile by tile, vertex by vertex, sample by sample; the last tile is as long as the others.
+    table: Vec<f32>,
+}
+
+/// The cage that the parameters describe.
+fn cage(input: &PrepareInput<'_>) -> PluginResult<Cage> {
+    let params = input.params();
+    if let Some(path) = params.file("file")? {
+        let Placed { file_origin, file_unit } = params.read()?;
+        return Cage::read(path, |p| DVec3::from(file_origin) + file_unit * p);
+    }
+    let Made { cage, detail, margin } = params.read()?;
+    let detail = usize::try_from(detail).map_err(|_| PluginError::parameter("detail", "is negative"))?;
+    let make = match cage {
+        Kind::Hull => made::hull,
+        Kind::Box => made::divided_box,
+    };
+    make(&input.bounds, input.samples.positions(), margin * input.bounds.diagonal(), detail)
+}
+
+/// The vertices that were moved, and how far.
+fn moved(cage: &Cage, motions: &[Affine]) -> PluginResult<Vec<(usize, DVec3)>> {
+    if motions.len() != cage.vertices.len() {
+        let message = format!("{} motions of {} vertices", motions.len(), cage.vertices.len());
+        return Err(PluginError::internal(message));
+    }
+    let moved = cage.vertices.iter().zip(motions).enumerate().filter(|(_, (_, m))| **m != Affine::IDENTITY);
+    Ok(moved.map(|(v, (p, motion))| (v, DVec3::from(motion.apply((*p).into())) - *p)).collect())
+}
+
+impl Deformer for CagePlugin {
+    type State = Prepared;
+    type Scratch = ();
+
+    fn descriptor() -> Descriptor {
+        Descriptor::new("cage", "Cage", env!("CARGO_PKG_VERSION"))
+            .summary("Bends the model by the vertices of a coarse cage about it")
+            .citation(
+                "T. Ju, S. Schaefer, J. Warren, Mean value coordinates for closed triangular meshes, SIGGRAPH 2005",
+            )
+            .param_set::<Made>()
+            .param(
+                ParamDesc::file("file", "File", &["obj"])
+                    .hint("A closed surface of polygons, as an OBJ file; its vertices are the handles 0, 1, 2, ...")
+                    .group("File"),
+            )
+            .param_set::<Placed>()
+    }
+
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+        let cage = cage(input)?;
+        let (samples, vertices) = (input.samples.positions(), cage.vertices.len());
+        let entries = samples.len().div_ceil(TILE).saturating_mul(TILE).saturating_mul(vertices);
+        if entries > LARGEST_TABLE / size_of::<f32>() {
+            let message =
+                format!("{} samples times {vertices} vertices of the cage are too many", samples.len());
+            let most = LARGEST_TABLE / size_of::<f32>() / vertices;
+            return Err(PluginError::input(&message)
+                .hint(format!("take less than {most} samples, or a cage with less vertices")));
+        }
+        let mut table = vec![0.0; entries];
+        let (outside, total) = (AtomicUsize::new(0), samples.len().max(1) as f64);
+        host.parallel_blocks(&mut table, TILE * vertices, |first, tile| {
+            let first = first / vertices;
+            // Whether to go on is looked after by whoever hands out the blocks.
+            let _ = host.progress(first as f64 / total);
+            let (mut view, mut weights) = (View::default(), vec![0.0; vertices]);
+            for (i, p) in samples[first..].iter().take(TILE).enumerate() {
+                let is_outside = cage.coordinates(DVec3::from(p.map(f64::from)), &mut view, &mut weights);
+                outside.fetch_add(usize::from(is_outside), Ordering::Relaxed);
+                weights.iter().enumerate().for_each(|(v, w)| tile[v * TILE + i] = *w as f32);
+            }
+        })?;
+        match outside.into_inner() {
+            0 => {}
+            all if all == samples.len() => host.warn(
+                "the model lies outside of the cage: `file-origin` and `file-unit` say where the file's cage is, \
+                 [0, 0, 0] and 1 in the model's own coordinates",
+            ),
+            some => host.warn(&format!(
+                "{some} of {} samples lie outside of the cage, and may move against its vertices",
+                samples.len()
+            )),
+        }
+        Ok(Prepared { cage, table })
+    }
+
+    fn deform(
+        state: &Prepared,
+        input: &DeformInput<'_>,
+        _: &mut (),
+        out: &mut [[f32; 3]],
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        let moved = moved(&state.cage, input.handle_motions())?;
+        let (rest, vertices) = (input.samples.positions(), state.cage.vertices.len());
+        if rest.len() != out.len() || state.table.len() != out.len().div_ceil(TILE) * TILE * vertices {
+            return Err(PluginError::internal("the samples are not those of the preparation"));
+        }
+        host.parallel_blocks(out, TILE, |first, out| {
+            let tile = &state.table[first * vertices..];
+            let mut sums = [[0.0; TILE]; 3];
+            for (v, displacement) in &moved {
+                let weights = &tile[v * TILE..][..out.len()];
+                for (sum, along) in sums.iter_mut().zip(displacement.to_array()) {
+                    for (sum, w) in sum.iter_mut().zip(weights) {
+                        *sum += along * f64::from(*w);
+                    }
+                }
+            }
+            for (i, (o, p)) in out.iter_mut().zip(&rest[first..]).enumerate() {
+                *o = std::array::from_fn(|axis| (f64::from(p[axis]) + sums[axis][i]) as f32);
+            }
+        })
+    }
+}
+
+impl Evaluate for CagePlugin {
+    fn evaluate(
+        state: &Prepared,
+        input: &DeformInput<'_>,
+        points: &mut [[f64; 3]],
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        let moved = moved(&state.cage, input.handle_motions())?;
+        let (mut view, mut weights) = (View::default(), vec![0.0; state.cage.vertices.len()]);
+        for points in points.chunks_mut(BLOCK) {
+            host.progress(0.0)?;
+            for p in points {
+                let x = DVec3::from(*p);
+                state.cage.coordinates(x, &mut view, &mut weights);
+                *p = moved.iter().fold(x, |q, (v, displacement)| q + weights[*v] * *displacement).into();
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Handles for CagePlugin {
+    fn handles(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<Vec<HandleDesc>> {
+        let vertices = cage(input)?.vertices;
+        let handle = |(v, p): (usize, &DVec3)| HandleDesc::new(&v.to_string(), (*p).into());
+        Ok(vertices.iter().enumerate().map(handle).collect())
+    }
+}
+
+impl IsIdentity for CagePlugin {
+    fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
+        Ok(input.handle_motions().iter().all(|motion| *motion == Affine::IDENTITY))
+    }
+}
+
+simod_plugin_api::export_plugin!(CagePlugin, evaluate, handles, is_identity);
+
+#[cfg(test)]
+mod tests;

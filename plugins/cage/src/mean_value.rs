@@ -1,0 +1,234 @@
+//! Mean value coordinates of a closed triangle mesh.
+//!
+//! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005. What each
+//! triangle gives is the integral of its corners' hat functions over its picture on the unit sphere about the point, by
+//! the *mean vector* of that picture (section 3.1 there). In double precision.
+
+use crate::mesh::Cage;
+use glam::DVec3;
+use std::f64::consts::PI;
+
+/// Nearer to a vertex than this, in radii of the cage, points are that vertex.
+const AT_VERTEX: f64 = 1e-12;
+/// Where a triangle's picture has a smaller volume with the point than this, the point lies on the triangle, or in its
+/// plane beside it; where the angle at which an edge is seen is nearer to a half turn, on the edge.
+const IN_PLANE: f64 = 1e-10;
+/// Farther away from the centre than this, in radii of the cage, points have the coordinates of those at that distance:
+/// triangles that face each other take each other away, until nothing is left but rounding.
+const FAR: f64 = 100.0;
+
+/// What is known of the vertices and edges as seen from a point; memory to keep from point to point.
+#[derive(Debug, Default)]
+pub struct View {
+    directions: Vec<DVec3>,
+    distances: Vec<f64>,
+    edges: Vec<SeenEdge>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct SeenEdge {
+    /// The cross product of the directions of both ends.
+    normal: DVec3,
+    /// Its length is the angle between the two.
+    angle: f64,
+    /// Half of the angle times the unit normal.
+    mean: DVec3,
+}
+
+impl Cage {
+    /// Writes the coordinates of a point, one for each vertex: they sum to 1, and `Σ λ_i p_i` is the point, inside and
+    /// outside. Says whether the point lies outside.
+    pub fn coordinates(&self, x: DVec3, view: &mut View, out: &mut [f64]) -> bool {
+        let from_centre = x - self.centre;
+        let shorter = FAR * self.radius / from_centre.length();
+        let x = if shorter < 1.0 { self.centre + shorter * from_centre } else { x };
+
+        view.directions.clear();
+        view.distances.clear();
+        for (v, p) in self.vertices.iter().enumerate() {
+            let distance = p.distance(x);
+            if distance <= AT_VERTEX * self.radius {
+                out.fill(0.0);
+                out[v] = 1.0;
+                return false;
+            }
+            view.directions.push((*p - x) / distance);
+            view.distances.push(distance);
+        }
+        view.edges.clear();
+        view.edges.extend(self.edges.iter().map(|[a, b]| {
+            let (a, b) = (view.directions[*a], view.directions[*b]);
+            let normal = a.cross(b);
+            let sine = normal.length();
+            let angle = sine.atan2(a.dot(b));
+            SeenEdge {
+                normal,
+                angle,
+                mean: if sine > 0.0 { 0.5 * angle / sine * normal } else { DVec3::ZERO },
+            }
+        }));
+
+        out.fill(0.0);
+        for triangle in &self.triangles {
+            let edges = triangle.edges.map(|(e, _)| view.edges[e]);
+            let [a, b, c] = edges.map(|e| e.angle);
+            // The picture's edges, inward if the triangle is seen from inside.
+            let normals: [DVec3; 3] = std::array::from_fn(|i| triangle.edges[i].1 * edges[i].normal);
+            let volume = view.directions[triangle.corners[0]].dot(normals[0]);
+            let (widest, half) = (a.max(b).max(c), 0.5 * (a + b + c));
+            let is_in_plane = volume.abs() < IN_PLANE;
+            // The angles sum to a full turn in the one case, and one is the sum of the others in the other.
+            let is_over = PI - half < half - widest;
+            if PI - widest < IN_PLANE || (is_in_plane && is_over) {
+                Self::on_face(triangle.corners, view, edges, out);
+                return false;
+            }
+            if is_in_plane {
+                continue;
+            }
+            let mean: DVec3 = triangle.edges.iter().zip(edges).map(|((_, sign), e)| *sign * e.mean).sum();
+            for (v, normal) in triangle.corners.into_iter().zip(normals) {
+                out[v] += normal.dot(mean) / (volume * view.distances[v]);
+            }
+        }
+        let total: f64 = out.iter().sum();
+        out.iter_mut().for_each(|w| *w /= total);
+        total < 0.0
+    }
+
+    /// The barycentric coordinates of a point on a triangle: each vertex' is the area of the triangle of the point and the
+    /// edge opposite to it.
+    fn on_face(corners: [usize; 3], view: &View, edges: [SeenEdge; 3], out: &mut [f64]) {
+        out.fill(0.0);
+        let [a, b, c] = corners.map(|v| view.distances[v]);
+        let [x, y, z] = edges.map(|e| e.normal.length());
+        let areas = [x * b * c, y * c * a, z * a * b];
+        let total: f64 = areas.iter().sum();
+        corners.into_iter().zip(areas).for_each(|(v, area)| out[v] = area / total);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::path::Path;
+
+    fn reference(name: &str) -> std::path::PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/reference").join(name)
+    }
+
+    /// A cage with dents.
+    fn dented() -> Cage {
+        Cage::read(&reference("cage.obj"), |p| p).unwrap()
+    }
+
+    fn octahedron() -> Cage {
+        let vertices = [DVec3::X, DVec3::Y, DVec3::Z].iter().flat_map(|a| [*a, -*a]).collect();
+        let triangles =
+            [0, 1].iter().flat_map(|x| [2, 3].iter().flat_map(move |y| [4, 5].map(|z| (*x, *y, z))));
+        let out = |(x, y, z)| if (x + y + z) % 2 == 0 { [x, y, z] } else { [y, x, z] };
+        Cage::new(vertices, triangles.map(out).collect()).unwrap()
+    }
+
+    fn at(cage: &Cage, x: DVec3) -> (Vec<f64>, bool) {
+        let mut out = vec![f64::NAN; cage.vertices.len()];
+        let outside = cage.coordinates(x, &mut View::default(), &mut out);
+        (out, outside)
+    }
+
+    /// How far the coordinates of a point are from giving it back.
+    fn miss(cage: &Cage, x: DVec3) -> f64 {
+        let (weights, _) = at(cage, x);
+        let sum: f64 = weights.iter().sum();
+        let mean: DVec3 = weights.iter().zip(&cage.vertices).map(|(w, p)| *w * *p).sum();
+        (sum - 1.0).abs().max(mean.distance(x))
+    }
+
+    /// `tests/reference/cage.py` says where the numbers come from.
+    #[test]
+    fn coordinates_are_those_of_the_reference() {
+        let cage = dented();
+        let text = std::fs::read_to_string(reference("cage.csv")).unwrap();
+        let (mut points, mut outside) = (0, 0);
+        for line in text.lines().filter(|l| !l.starts_with('#')) {
+            let numbers: Vec<f64> = line.split(',').map(|n| n.parse().unwrap()).collect();
+            let (x, expected) = numbers.split_at(3);
+            let (weights, is_outside) = at(&cage, DVec3::from_slice(x));
+            let worst = weights.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(weights.len() == expected.len() && worst < 1e-9, "{x:?}: {worst}");
+            points += 1;
+            outside += usize::from(is_outside);
+        }
+        assert!(points == 60 && (5..55).contains(&outside), "{points} {outside}");
+    }
+
+    proptest! {
+        #[test]
+        fn points_come_back(x in prop::array::uniform3(-2.0..2.0_f64)) {
+            for cage in [dented(), octahedron()] {
+                prop_assert!(miss(&cage, x.into()) < 1e-10);
+            }
+        }
+
+        #[test]
+        fn inside_of_a_convex_cage_all_are_positive(x in prop::array::uniform3(-1.0..1.0_f64)) {
+            let x = DVec3::from(x);
+            let size = x.abs().element_sum();
+            let (weights, outside) = at(&octahedron(), x);
+            prop_assert_eq!(outside, size > 1.0);
+            prop_assert!(size > 1.0 || weights.iter().all(|w| *w > 0.0));
+        }
+
+        /// As near to a vertex, an edge, a face or the plane of one as it gets, without a step.
+        #[test]
+        fn the_surface_is_no_exception(
+            triangle in 0..72_usize, u in 0.0..1.0_f64, v in 0.0..1.0_f64, kind in 0..4,
+            nearness in 1.0..17.0_f64, toward in prop::array::uniform3(-1.0..1.0_f64),
+        ) {
+            let cage = dented();
+            let [a, b, c] = cage.triangles[triangle].corners.map(|v| cage.vertices[v]);
+            let on = match kind {
+                0 => a,
+                1 => a.lerp(b, u),
+                2 => a.lerp(b, u).lerp(c, v),
+                // In its plane, beside it.
+                _ => a + (1.0 + u) * (b - a) + v * (c - a),
+            };
+            let x = on + 10_f64.powf(-nearness) * DVec3::from(toward);
+            prop_assert!(miss(&cage, x) < 1e-6, "{x} {}", miss(&cage, x));
+            let (near, _) = at(&cage, on);
+            let (weights, _) = at(&cage, x);
+            let worst = near.iter().zip(&weights).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            prop_assert!(worst < 1e-6 + 30.0 * 10_f64.powf(-nearness), "{worst} at 1e-{nearness}");
+        }
+
+        #[test]
+        fn far_away_they_still_are_good(x in prop::array::uniform3(-1.0..1.0_f64), far in 0.0..2.0_f64) {
+            let cage = dented();
+            let x = cage.centre + 0.999 * 10_f64.powf(far) * cage.radius * DVec3::from(x).clamp_length_max(1.0);
+            prop_assert!(miss(&cage, x) < 1e-6, "{}", miss(&cage, x));
+        }
+    }
+
+    #[test]
+    fn vertices_edges_and_faces_have_their_own() {
+        let cage = dented();
+        for triangle in &cage.triangles {
+            let [a, b, c] = triangle.corners;
+            for (x, y, z) in [(1.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.0, 0.3, 0.7), (0.2, 0.3, 0.5)] {
+                let p = x * cage.vertices[a] + y * cage.vertices[b] + z * cage.vertices[c];
+                let (weights, _) = at(&cage, p);
+                assert!([(a, x), (b, y), (c, z)].iter().all(|(v, w)| (weights[*v] - w).abs() < 1e-7));
+                assert!((weights.iter().map(|w| w.abs()).sum::<f64>() - 1.0).abs() < 1e-7);
+            }
+        }
+    }
+
+    #[test]
+    fn endlessly_far_they_are_finite() {
+        for x in [DVec3::X * 1e6, DVec3::splat(-1e300), DVec3::Y * 3e38] {
+            assert!(at(&dented(), x).0.iter().all(|w| w.is_finite() && w.abs() < 1e4));
+        }
+    }
+}

@@ -1,0 +1,199 @@
+//! A lattice whose control points were moved: `p + Σ B_i(u) B_j(v) B_k(w) (P*_ijk - P_ijk)`.
+//!
+//! In displacements, so that what no control point reaches stays exactly where it is. As the functions reproduce their
+//! parameters, this is the same as the sum over the moved control points.
+
+use crate::Lattice;
+use crate::basis::{Basis, MOST, Weights};
+use glam::{DVec3, DVec4};
+use pulp::{Simd, WithSimd};
+use simod_plugin_api::{Affine, PluginError, PluginResult};
+use std::ops::Range;
+
+/// Most numbers that a processor takes at once.
+const WIDEST: usize = 16;
+
+/// Displacements of control points.
+pub struct Moved<'a> {
+    lattice: &'a Lattice,
+    /// Those along the third axis follow each other, then those along the second one. The fourth number is 0: four fit
+    /// the processor better.
+    displacements: Vec<DVec4>,
+    /// Along each axis, the control points from the first to the last moved one; empty if none was moved.
+    spans: [Range<usize>; 3],
+    /// For each line along the third axis, whether one of its control points was moved.
+    lines: Vec<bool>,
+}
+
+impl<'a> Moved<'a> {
+    /// The lattice with its control points moved, each by its own map.
+    pub fn new(lattice: &'a Lattice, motions: &[Affine]) -> PluginResult<Self> {
+        let [_, ny, nz] = lattice.counts();
+        if motions.len() != lattice.len() {
+            let message = format!("{} motions of {} control points", motions.len(), lattice.len());
+            return Err(PluginError::internal(message));
+        }
+        let displacement = |([i, j, k], motion): ([usize; 3], &Affine)| {
+            let at = lattice.control_point([i, j, k]);
+            // What does not move shall not move by rounding either.
+            let still = *motion == Affine::IDENTITY;
+            if still { DVec4::ZERO } else { (DVec3::from(motion.apply(at.into())) - at).extend(0.0) }
+        };
+        let displacements: Vec<DVec4> = lattice.indices().zip(motions).map(displacement).collect();
+        let mut spans = [0..0, 0..0, 0..0];
+        let mut lines = vec![false; displacements.len() / nz];
+        for (index, _) in lattice.indices().zip(&displacements).filter(|(_, d)| **d != DVec4::ZERO) {
+            for (span, i) in spans.iter_mut().zip(index) {
+                let from = if span.start == span.end { i } else { span.start.min(i) };
+                *span = from..span.end.max(i + 1);
+            }
+            lines[index[0] * ny + index[1]] = true;
+        }
+        Ok(Self { lattice, displacements, spans, lines })
+    }
+
+    /// Whether no control point was moved.
+    pub fn is_empty(&self) -> bool {
+        self.spans[0].is_empty()
+    }
+
+    /// The image of a point.
+    pub fn apply(&self, p: DVec3) -> DVec3 {
+        let u = self.lattice.frame.coordinates(p);
+        let [bx, by, bz] = &self.lattice.bases;
+        let mut values = [[0.0; MOST]; 3];
+        let [x, y, z] = &mut values;
+        let (x, y, z) = (bx.at(u[0], x), by.at(u[1], y), bz.at(u[2], z));
+        let ([ri, rj, rk], [_, ny, nz]) = (&self.spans, self.lattice.counts());
+        let (some, wz) = both(&z, rk);
+        if some.is_empty() {
+            return p;
+        }
+        let mut sum = DVec4::ZERO;
+        let (some_i, wx) = both(&x, ri);
+        for (i, wx) in some_i.zip(wx) {
+            let mut plane = DVec4::ZERO;
+            let (some_j, wy) = both(&y, rj);
+            for (j, wy) in some_j.zip(wy).filter(|(j, _)| self.lines[i * ny + j]) {
+                let line = &self.displacements[(i * ny + j) * nz..][some.clone()];
+                plane += *wy * line.iter().zip(wz).fold(DVec4::ZERO, |along, (d, w)| along + *w * *d);
+            }
+            sum += *wx * plane;
+        }
+        p + sum.truncate()
+    }
+
+    /// Writes the images of `rest`, in single precision.
+    pub fn apply_all(&self, rest: &[[f32; 3]], out: &mut [[f32; 3]]) {
+        if self.lattice.bases.iter().all(Basis::is_global) {
+            // All samples go through the same control points: as many of them at once as the processor takes.
+            pulp::Arch::new().dispatch(Packets { moved: self, rest, out });
+            return;
+        }
+        for (o, p) in out.iter_mut().zip(rest) {
+            *o = self.apply(DVec3::from(p.map(f64::from))).as_vec3().into();
+        }
+    }
+}
+
+/// The control points that count: which basis functions reach, and which were moved; and the functions' values.
+#[inline(always)]
+fn both<'v>(weights: &Weights<'v>, moved: &Range<usize>) -> (Range<usize>, &'v [f64]) {
+    let from = weights.first.max(moved.start);
+    let to = (weights.first + weights.values.len()).min(moved.end);
+    if from < to {
+        (from..to, &weights.values[from - weights.first..to - weights.first])
+    } else {
+        (0..0, &[])
+    }
+}
+
+/// The same in vectors, one number of each for a sample; for basis functions that all reach everywhere.
+struct Packets<'a> {
+    moved: &'a Moved<'a>,
+    rest: &'a [[f32; 3]],
+    out: &'a mut [[f32; 3]],
+}
+
+impl WithSimd for Packets<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { moved, rest, out } = self;
+        let [_, ny, nz] = moved.lattice.counts();
+        let [ri, rj, rk] = moved.spans.clone();
+        let displacements: Vec<[f32; 3]> =
+            moved.displacements.iter().map(|d| d.truncate().as_vec3().into()).collect();
+        let zero = simd.splat_f32s(0.0);
+        for (out, rest) in out.chunks_mut(S::F32_LANES).zip(rest.chunks(S::F32_LANES)) {
+            let [wi, wj, wk] = weights(simd, moved.lattice, rest);
+            let mut sum = [zero; 3];
+            for i in ri.clone() {
+                let mut plane = [zero; 3];
+                for j in rj.clone().filter(|j| moved.lines[i * ny + j]) {
+                    let line = &displacements[(i * ny + j) * nz..][rk.clone()];
+                    let mut along = [zero; 3];
+                    for (d, w) in line.iter().zip(&wk[rk.clone()]) {
+                        add(simd, &mut along, d.map(|x| simd.splat_f32s(x)), *w);
+                    }
+                    add(simd, &mut plane, along, wj[j]);
+                }
+                add(simd, &mut sum, plane, wi[i]);
+            }
+            let mut numbers = [[0.0; WIDEST]; 3];
+            for (numbers, sum) in numbers.iter_mut().zip(sum) {
+                simd.partial_store_f32s(&mut numbers[..S::F32_LANES], sum);
+            }
+            for (lane, (o, p)) in out.iter_mut().zip(rest).enumerate() {
+                *o = std::array::from_fn(|axis| p[axis] + numbers[axis][lane]);
+            }
+        }
+    }
+}
+
+/// Adds `b` times `w`. Not fused, so that all processors give the same.
+#[inline(always)]
+fn add<S: Simd>(simd: S, a: &mut [S::f32s; 3], b: [S::f32s; 3], w: S::f32s) {
+    for (a, b) in a.iter_mut().zip(b) {
+        *a = simd.add_f32s(*a, simd.mul_f32s(b, w));
+    }
+}
+
+/// Along each axis, the basis functions at some samples, as many as the lanes or less.
+#[inline(always)]
+fn weights<S: Simd>(simd: S, lattice: &Lattice, rest: &[[f32; 3]]) -> [[S::f32s; MOST]; 3] {
+    let mut places = [[[0.0; WIDEST]; 4]; 3];
+    for (lane, p) in rest.iter().enumerate() {
+        let u = lattice.frame.coordinates(DVec3::from(p.map(f64::from)));
+        for axis in 0..3 {
+            let place = lattice.bases[axis].place(u[axis]);
+            for (number, x) in [place.inside, place.fade, place.below, place.above].into_iter().enumerate() {
+                places[axis][number][lane] = x as f32;
+            }
+        }
+    }
+    let mut all = [[simd.splat_f32s(0.0); MOST]; 3];
+    for axis in 0..3 {
+        let [u, fade, below, above] =
+            [0, 1, 2, 3].map(|number| simd.partial_load_f32s(&places[axis][number][..S::F32_LANES]));
+        let rest_of_u = simd.sub_f32s(simd.splat_f32s(1.0), u);
+        let (values, degree) = (&mut all[axis], lattice.bases[axis].count() - 1);
+        // Bernstein's recurrence: as in `Basis::at`, with 0 for all knots on the left, and 1 for those on the right.
+        values[0] = fade;
+        for k in 1..=degree {
+            let mut carried = simd.splat_f32s(0.0);
+            for value in &mut values[..k] {
+                let old = *value;
+                *value = simd.add_f32s(carried, simd.mul_f32s(rest_of_u, old));
+                carried = simd.mul_f32s(u, old);
+            }
+            values[k] = carried;
+        }
+        values[0] = simd.add_f32s(values[0], below);
+        values[1] = simd.sub_f32s(values[1], below);
+        values[degree] = simd.add_f32s(values[degree], above);
+        values[degree - 1] = simd.sub_f32s(values[degree - 1], above);
+    }
+    all
+}
