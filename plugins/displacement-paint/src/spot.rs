@@ -239,7 +239,8 @@ struct Mean {
 impl Mean {
     /// One more, where all numbers are at most about 1.
     fn add(&mut self, place: DVec3, normal: DVec3, weight: f64) {
-        let whole = |x: f64| (WHOLE * x).round() as i64;
+        // Towards zero, which is the same for mirror images.
+        let whole = |x: f64| (WHOLE * x) as i64;
         for k in 0..3 {
             self.place[k] += whole(weight * place[k]);
             self.normal[k] += whole(weight * normal[k]);
