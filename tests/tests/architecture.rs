@@ -113,12 +113,16 @@ fn foreign_code_has_one_border() {
     let mut border = BTreeSet::new();
     for file in rust_files(&workspace().join("host")) {
         let text = std::fs::read_to_string(&file).expect("source code");
+        // Tests may make plugins of their own.
+        let text = text.split("#[cfg(test)]\nmod tests").next().expect("a first part");
         if ["abi_stable", "libloading", "PluginModRef"].iter().any(|word| text.contains(word)) {
             border.insert(file.strip_prefix(workspace()).expect("a file of the workspace").to_owned());
         }
     }
-    let expected = ["host/session/src/deformer.rs", "host/session/src/plugins/load.rs"];
-    assert_eq!(border, BTreeSet::from(expected.map(PathBuf::from)));
+    let calls = Path::new("host/session/src/deformer");
+    assert!(border.iter().any(|file| file.starts_with(calls)));
+    border.retain(|file| !file.starts_with(calls));
+    assert_eq!(border, BTreeSet::from([PathBuf::from("host/session/src/plugins/load.rs")]));
 }
 
 fn rust_files(folder: &Path) -> Vec<PathBuf> {

@@ -5,7 +5,7 @@ use super::inputs::all_calls;
 use super::meaning::difference;
 use super::random::Random;
 use super::subject::{Refusal, Subject};
-use super::{Checked, Finding};
+use super::{Checked, Finding, Verdict};
 use simod_plugin_api::{ParamDesc, ParamKind};
 use toml::Value;
 
@@ -38,7 +38,15 @@ pub(super) fn bounds(subject: &Subject) -> Checked<Finding> {
             found: format!("with {}: {}", text(given), finding.found),
             ..finding
         };
-        if let Err(refusal) = all_calls(subject, &case.with_params(plugin, given)?).map_err(at)? {
+        let case = match case.with_params(plugin, given) {
+            // Its handles cannot be placed with these: a refusal as any other.
+            Err(Finding { verdict: Verdict::Skip, found, .. }) => {
+                refused.push(format!("{} ({found})", text(given)));
+                continue;
+            }
+            case => case.map_err(at)?,
+        };
+        if let Err(refusal) = all_calls(subject, &case).map_err(at)? {
             refused.push(format!("{} ({})", text(given), refusal.0));
         }
     }

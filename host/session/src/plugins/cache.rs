@@ -4,7 +4,6 @@
 //! then the libraries are asked again.
 
 use crate::deformer::About;
-use abi_stable::library::RootModule;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -60,8 +59,7 @@ pub(super) struct Cache {
 impl Cache {
     /// Reads the cache from a file, or begins an empty one.
     pub fn load(file: Option<PathBuf>) -> Self {
-        let interface = simod_plugin_api::PluginModRef::VERSION_STRINGS.version.as_str().to_owned();
-        let versions = [env!("CARGO_PKG_VERSION").to_owned(), interface];
+        let versions = [env!("CARGO_PKG_VERSION"), super::load::interface()].map(str::to_owned);
         let read = |file: &PathBuf| -> Option<Content> {
             let content: Content = serde_json::from_slice(&std::fs::read(file).ok()?).ok()?;
             (content.form == FORM && content.versions == versions).then_some(content)

@@ -12,6 +12,11 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::{LazyLock, Mutex, OnceLock, PoisonError};
 
+/// The version of the plugin interface that this program has.
+pub(super) fn interface() -> &'static str {
+    PluginModRef::VERSION_STRINGS.version.as_str()
+}
+
 /// Loads a plugin's code for good: libraries are never unloaded. One that is no plugin is never loaded.
 pub(crate) fn load_code(path: &Path) -> Result<Box<dyn Code>> {
     let kind = library_file::kind(path)?;
@@ -127,7 +132,7 @@ impl Code for LazyCode {
 /// One line instead of the hundreds that abi_stable has. `theirs` is the interface's version that the plugin
 /// was built with, where known.
 fn explain(path: &Path, error: &LibraryError, theirs: Option<&str>) -> Error {
-    let ours = PluginModRef::VERSION_STRINGS.version.as_str();
+    let ours = interface();
     let file = path.display();
     let (what, hint) = match error {
         LibraryError::OpenError { err, .. } => return cannot_load(path, &err.to_string()),
