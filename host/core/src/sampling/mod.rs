@@ -8,6 +8,7 @@ pub mod cluster;
 mod cut;
 mod finalization;
 mod gather;
+mod kd_tree;
 pub mod kept_cells;
 pub mod lattice;
 mod membership;
