@@ -80,7 +80,7 @@ pub struct Sampling {
 /// Parts of a sampled model that can be left out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Skip {
-    /// The triangles of P_S, which take a pass over the faces, and temporary files of at most 12 bytes per vertex.
+    /// The triangles of P_S, which take a pass over the faces, and temporary files of at most 8 bytes per vertex.
     pub triangles: bool,
     /// The cells, which a refinement needs.
     pub cells: bool,
@@ -135,7 +135,7 @@ fn total_memory() -> u64 {
 }
 
 /// Samples a model. Temporary files without a name are made in `folder`: of at most 40 bytes per vertex if the memory
-/// limit is reached, and of 12 bytes per vertex for the triangles.
+/// limit is reached, and of 8 bytes per vertex for the triangles.
 ///
 /// Not to be called on a thread of the pool of threads that it uses, and waits for.
 ///
@@ -217,7 +217,7 @@ pub fn sample(
         None => Triangles::default(),
         Some(members) => {
             progress.begin("looking up each vertex' sample", info.vertices);
-            let sample_of = members.finish(&cut.starts, folder, progress)?;
+            let sample_of = members.finish(&cut.starts, progress)?;
             progress.begin("reindexing the faces", info.face_bytes);
             triangles::reindex(model, sample_of.all(), cut.positions.len(), progress).map_err(|e| {
                 let hint = format!("{}; or leave the triangles out with --skip triangles", e.hint());
