@@ -279,6 +279,11 @@ impl Moments {
         }
     }
 
+    /// Number of samples.
+    pub fn count(&self) -> f64 {
+        self.count
+    }
+
     /// Mean position.
     pub fn mean(&self) -> DVec3 {
         self.position / self.count

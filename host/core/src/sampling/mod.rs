@@ -176,18 +176,6 @@ pub fn sample(
         Target::Samples(n) => (Some(usize::try_from(n).unwrap_or(usize::MAX / 8)), 0.0),
         Target::Error(e) => (None, (e * grid.bounds.diagonal() / frame.scale) as f32),
     };
-    let pass = Pass {
-        model,
-        grid: &grid,
-        frame: &frame,
-        splitting: sampling.splitting,
-        target,
-        bound,
-        most: usize::try_from(sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE).unwrap_or(usize::MAX),
-        with_members: !sampling.skip.triangles && info.faces > 0 && info.vertices <= Membership::MAX_VERTICES,
-        folder,
-        progress,
-    };
     let cells = grid.keys.len();
     let memory = sampling.memory_for_cells(&grid);
     let grouping = sampling.grouping.resolve(&grid, &frame, sampling.target);
@@ -198,21 +186,46 @@ pub fn sample(
         // … and none other than asked for.
         (None, _) => u64::MAX,
     };
-    let in_groups = match grouping.edge(&grid, &frame) {
-        Some(edge) => pass.run(Groups::new(cells, edge, for_groups))?,
-        None => None,
+    let clustered = |foresight| -> Result<_> {
+        let pass = Pass {
+            model,
+            grid: &grid,
+            frame: &frame,
+            splitting: sampling.splitting,
+            target,
+            bound,
+            most: usize::try_from(sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE)
+                .unwrap_or(usize::MAX),
+            foresight,
+            with_members: !sampling.skip.triangles
+                && info.faces > 0
+                && info.vertices <= Membership::MAX_VERTICES,
+            folder,
+            progress,
+        };
+        let in_groups = match grouping.edge(&grid, &frame) {
+            Some(edge) => pass.run(Groups::new(cells, edge, for_groups))?,
+            None => None,
+        };
+        let (Clustered { forest, hash, ranges, membership }, grouping) = match in_groups {
+            Some(clustered) => (clustered, grouping),
+            // Those that find no room in memory do so in a file.
+            None => match pass.run(Samples::new(cells, memory, folder))? {
+                Some(clustered) => (clustered, Grouping::Never),
+                None => unreachable!("samples always find room, or an error says why not"),
+            },
+        };
+        progress.begin("completing the samples", 0);
+        Ok(forest.cut(&grid).map(|cut| (cut, hash, ranges, membership, grouping)))
     };
-    let (Clustered { forest, hash, ranges, membership }, grouping) = match in_groups {
-        Some(clustered) => (clustered, grouping),
-        // Those that find no room in memory do so in a file.
-        None => match pass.run(Samples::new(cells, memory, folder))? {
-            Some(clustered) => (clustered, Grouping::Never),
-            None => unreachable!("samples always find room, or an error says why not"),
+    let (cut, hash, ranges, membership, grouping) = match clustered(true)? {
+        Some(clustered) => clustered,
+        None => match clustered(false)? {
+            Some(clustered) => clustered,
+            None => unreachable!("without foresight, all is kept that the cut may need"),
         },
     };
 
-    progress.begin("completing the samples", 0);
-    let cut = forest.cut(&grid);
     let triangles = match membership {
         None => Triangles::default(),
         Some(members) => {
