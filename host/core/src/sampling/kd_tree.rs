@@ -15,7 +15,7 @@ pub struct KdTree {
     leaves: Vec<Leaf>,
     /// A node's box, then those of its left half, then those of its right half. A node of n leaves has ⌊n / 2⌋ of them
     /// on its left, and 2n − 1 boxes in all.
-    boxes: Vec<Box>,
+    boxes: Vec<Extent>,
 }
 
 /// Points by coordinates, so that all are looked at together. The last leaf is filled up with points infinitely far
@@ -28,7 +28,7 @@ struct Leaf {
 }
 
 #[derive(Clone, Copy)]
-struct Box {
+struct Extent {
     min: Vec3,
     max: Vec3,
 }
@@ -44,7 +44,7 @@ impl KdTree {
     pub fn new(points: &[Vec3]) -> Self {
         let mut points: Vec<(Vec3, u32)> = points.iter().copied().zip(0..).collect();
         let leaves = points.len().div_ceil(LEAF);
-        let mut boxes = vec![Box { min: Vec3::ZERO, max: Vec3::ZERO }; 2 * leaves - 1];
+        let mut boxes = vec![Extent { min: Vec3::ZERO, max: Vec3::ZERO }; 2 * leaves - 1];
         halve(&mut points, &mut boxes);
         Self { leaves: points.chunks(LEAF).map(Leaf::of).collect(), boxes }
     }
@@ -67,13 +67,13 @@ impl KdTree {
 }
 
 /// Parts the points at the median along their box's longest side, so that leaves are full, and so on.
-fn halve(points: &mut [(Vec3, u32)], boxes: &mut [Box]) {
+fn halve(points: &mut [(Vec3, u32)], boxes: &mut [Extent]) {
     let Some((whole, halves)) = boxes.split_first_mut() else { return };
     let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     for (p, _) in points.iter() {
         (min, max) = (min.min(*p), max.max(*p));
     }
-    *whole = Box { min, max };
+    *whole = Extent { min, max };
     if points.len() > LEAF {
         let left = points.len().div_ceil(LEAF) / 2;
         let axis = (max - min).max_position();
@@ -94,7 +94,7 @@ impl Leaf {
     }
 }
 
-impl Box {
+impl Extent {
     /// Squared distance of a point: rounded as those of the points in the box are, so that it is never greater.
     #[inline]
     fn distance_squared(&self, p: Vec3) -> f32 {
