@@ -60,47 +60,58 @@ impl Bounds {
     }
 }
 
-/// Eigenvalues, ascending, and the unit eigenvectors (as columns) of a symmetric matrix.
+/// Eigenvalues, ascending, and the unit eigenvectors (as columns) of a symmetric matrix. The lower triangle is not read.
 ///
-/// Cyclic Jacobi rotations (Golub and Van Loan, *Matrix Computations*, 8.5): slower than the closed form, but
-/// accurate for the nearly flat covariances that surfaces give. The lower triangle is not read.
+/// First the eigenvalue that is farthest from the others, then these in the plane across its eigenvector: so the
+/// vectors are orthonormal, and exact to rounding where the eigenvalues tell them apart (D. Eberly, *A Robust
+/// Eigensolver for 3 × 3 Symmetric Matrices*, 2014).
 pub fn symmetric_eigen(matrix: DMat3) -> (DVec3, DMat3) {
-    let mut a = matrix.to_cols_array_2d();
-    let mut v = DVec3::AXES;
-    let scale = a.iter().flatten().fold(0.0f64, |m, x| m.max(x.abs()));
-    for _ in 0..32 {
-        let off = a[1][0].abs() + a[2][0].abs() + a[2][1].abs();
-        if off <= scale * 1e-18 || !off.is_finite() {
+    let [[xx, ..], [xy, yy, _], [xz, yz, zz]] = matrix.to_cols_array_2d();
+    let (diagonal, off) = (DVec3::new(xx, yy, zz), DVec3::new(xy, xz, yz));
+    // Shifted and scaled, so that the eigenvalues are the roots of t³ − 3t − det, which are in [−2, 2].
+    let scale = diagonal.abs().max(off.abs()).max_element();
+    let (diagonal, off) = (diagonal / scale, off / scale);
+    let mean = diagonal.element_sum() / 3.0;
+    let deviation = diagonal - mean;
+    let size = ((deviation.length_squared() + 2.0 * off.length_squared()) / 6.0).sqrt();
+    if !(size > 0.0 && size.is_finite()) {
+        return (DVec3::splat(xx), DMat3::IDENTITY);
+    }
+    let (d, o) = (deviation / size, off / size);
+    let shifted = DMat3::from_cols_array(&[d.x, o.x, o.y, o.x, d.y, o.z, o.y, o.z, d.z]);
+    let determinant = shifted.determinant();
+
+    // The root that is farthest from zero, by Newton's method from above: it is at least √3 in size.
+    let mut root: f64 = 2.0;
+    for _ in 0..8 {
+        let step = ((root * root - 3.0) * root - determinant.abs()) / (3.0 * root * root - 3.0);
+        root -= step;
+        if step < 1e-9 {
             break;
         }
-        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
-            // Column-major: a[q][p] is the entry of row p, column q, in the upper triangle.
-            let apq = a[q][p];
-            if apq == 0.0 {
-                continue;
-            }
-            let theta = (a[q][q] - a[p][p]) / (2.0 * apq);
-            // A θ too large to be squared gives t = 0, which is right.
-            let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
-            let c = 1.0 / (t * t + 1.0).sqrt();
-            let s = t * c;
-            let r = 3 - p - q;
-            let (arp, arq) = (a[p.max(r)][p.min(r)], a[q.max(r)][q.min(r)]);
-            a[p][p] -= t * apq;
-            a[q][q] += t * apq;
-            a[q][p] = 0.0;
-            a[p.max(r)][p.min(r)] = c * arp - s * arq;
-            a[q.max(r)][q.min(r)] = s * arp + c * arq;
-            let (vp, vq) = (v[p], v[q]);
-            v[p] = vp * c - vq * s;
-            v[q] = vp * s + vq * c;
-        }
     }
-    let mut order = [0, 1, 2];
-    order.sort_by(|&i, &j| a[i][i].total_cmp(&a[j][j]));
-    let value = |i: usize| a[order[i]][order[i]];
-    let vectors = DMat3::from_cols(v[order[0]], v[order[1]], v[order[2]]);
-    (DVec3::new(value(0), value(1), value(2)), vectors)
+    let is_least = determinant < 0.0;
+    let root = if is_least { -root } else { root };
+    let [a, b, c] = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| shifted * axis - axis * root);
+    // All are multiples of its eigenvector.
+    let [p, q, r] = [a.cross(b), b.cross(c), c.cross(a)];
+    let longer = |p: DVec3, q: DVec3| if p.length_squared() < q.length_squared() { q } else { p };
+    let axis = longer(longer(p, q), r).normalize_or(DVec3::X);
+
+    // In the plane across it, one of Jacobi's rotations (Golub and Van Loan, *Matrix Computations*, 8.5).
+    let (u, v) = axis.any_orthonormal_pair();
+    let (uu, uv, vv) = (u.dot(shifted * u), u.dot(shifted * v), v.dot(shifted * v));
+    let theta = (vv - uu) / (2.0 * uv);
+    let t = if uv == 0.0 { 0.0 } else { theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt()) };
+    let cosine = 1.0 / (t * t + 1.0).sqrt();
+    let sine = t * cosine;
+    let one = (uu - t * uv, u * cosine - v * sine);
+    let other = (vv + t * uv, u * sine + v * cosine);
+    let (low, high) = if other.0 < one.0 { (other, one) } else { (one, other) };
+    let far = (axis.dot(shifted * axis), axis);
+    let [low, middle, high] = if is_least { [far, low, high] } else { [low, high, far] };
+    let values = DVec3::new(low.0, middle.0, high.0);
+    ((values * size + mean) * scale, DMat3::from_cols(low.1, middle.1, high.1))
 }
 
 /// The least eigenvalue of a symmetric positive semidefinite matrix, to about 1e-8 of the greatest.

@@ -128,6 +128,12 @@ impl Group {
         Self { center, half, index, ..bytemuck::Zeroable::zeroed() }
     }
 
+    /// The middle of its cube.
+    #[inline]
+    pub fn center(&self) -> Vec3 {
+        self.center
+    }
+
     /// Whether a sample with this normal belongs here, if its position does: it is not of an opposite sheet.
     #[inline]
     pub fn takes(&self, normal: Vec3) -> bool {
@@ -271,6 +277,11 @@ impl Moments {
             self.outer[i] += other.outer[i];
             self.quadric[i] += other.quadric[i];
         }
+    }
+
+    /// Number of samples.
+    pub fn count(&self) -> f64 {
+        self.count
     }
 
     /// Mean position.

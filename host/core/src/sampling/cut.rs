@@ -8,6 +8,10 @@
 //! counts as no better than what is below it, so the final cut splits all of them before it splits a cell's tree
 //! further, and more cells can only add clusters: the final bound is never below the running one, and what was
 //! dropped would not have been in the cut.
+//!
+//! With *foresight*, the first part of the model does not get all of the N clusters for a while, only to lose most of them
+//! again: of a part f of the vertices, √f times as many are kept, more than its share. Should the rest be so plain that
+//! this is too few in the end, the cut says so, and pass 2 has to begin again without.
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -33,6 +37,10 @@ pub const BYTES_PER_SAMPLE: u64 = 150;
 /// the target and what one cell has; and the moments of each occupied cell.
 pub struct Forest {
     target: Option<usize>,
+    /// Number of samples of P_L; `None` without foresight.
+    vertices: Option<f64>,
+    /// Those in the trees.
+    seen: f64,
     /// Running bound.
     threshold: f32,
     /// Most leaves without a target.
@@ -44,11 +52,12 @@ pub struct Forest {
 }
 
 impl Forest {
-    /// An empty forest of so many cells, for a target number of samples, or for a fixed bound and at most so many.
-    pub fn new(cells: usize, target: Option<usize>, threshold: f32, most: usize) -> Self {
-        let mut forest = Self { target, threshold, most, leaves: 0, added: 0, cells: Vec::new() };
-        forest.cells.resize_with(cells, || None);
-        forest
+    /// An empty forest on a grid, for a target number of samples, or for a fixed bound and at most so many.
+    pub fn new(grid: &Grid, target: Option<usize>, threshold: f32, most: usize, foresight: bool) -> Self {
+        let vertices = foresight.then(|| grid.records.iter().map(|r| r.count as f64).sum());
+        let mut cells = Vec::new();
+        cells.resize_with(grid.keys.len(), || None);
+        Self { target, vertices, seen: 0.0, threshold, most, leaves: 0, added: 0, cells }
     }
 
     /// Takes in a clustered cell; the bound down to which further cells need clustering.
@@ -59,17 +68,19 @@ impl Forest {
         tree.prune(self.threshold);
         self.leaves += tree.leaves();
         self.added += 1;
+        self.seen += moments.count();
         self.cells[cell as usize] = Some((tree, moments));
-        if let Some(target) = self.target
-            && self.leaves > self.added + most_kept(target)
-        {
-            let trees = self.cells.iter().flatten().map(|(tree, _)| tree);
-            let bound = running_bound(trees, target);
-            self.threshold = self.threshold.max(bound);
-            self.leaves = 0;
-            for (tree, _) in self.cells.iter_mut().flatten() {
-                tree.prune(self.threshold);
-                self.leaves += tree.leaves();
+        if let Some(target) = self.target {
+            let part = self.vertices.map_or(1.0, |all| (self.seen / all).sqrt());
+            let expected = (target as f64 * part) as usize;
+            if self.leaves > self.added + most_kept(expected) {
+                let trees = self.cells.iter().flatten().map(|(tree, _)| tree);
+                self.threshold = self.threshold.max(running_bound(trees, expected));
+                self.leaves = 0;
+                for (tree, _) in self.cells.iter_mut().flatten() {
+                    tree.prune(self.threshold);
+                    self.leaves += tree.leaves();
+                }
             }
         }
         if self.target.is_none() && self.leaves > self.most {
@@ -85,8 +96,8 @@ impl Forest {
         Ok(self.threshold)
     }
 
-    /// The final cut, in the order in which the stream meets the cells.
-    pub fn cut(self, grid: &Grid) -> Cut {
+    /// The final cut, in the order in which the stream meets the cells; `None` if foresight has failed.
+    pub fn cut(self, grid: &Grid) -> Option<Cut> {
         let (trees, moments): (Vec<VsTree>, Vec<Moments>) = self.cells.into_iter().flatten().unzip();
         let upper = Upper::build(&grid.keys, &moments, &trees);
         let threshold = match self.target {
@@ -95,6 +106,10 @@ impl Forest {
                 threshold_for(upper.splits().chain(trees.iter().flat_map(VsTree::splits)), 1, target)
             }
         };
+        // What it would split was dropped.
+        if threshold < self.threshold {
+            return None;
+        }
         let mut merged: Vec<Option<u32>> = vec![None; trees.len()];
         let mut above = Vec::new();
         upper.cut(threshold, |cells, node| {
@@ -134,7 +149,7 @@ impl Forest {
             // Beyond 2^32 vertices nobody asks for it.
             first_leaf = first_leaf.wrapping_add(record.count as u32);
         }
-        cut
+        Some(cut)
     }
 }
 
@@ -302,11 +317,26 @@ mod tests {
 
     /// A wavy sheet of 100 × 100 samples, clustered as it streams, for a target.
     fn sampled(target: Option<usize>, bound: f32, resolution: u32) -> Cut {
-        let samples: Vec<Sample> = (0..10_000)
+        let wavy = |x: f32, _| ((9.0 * x).sin() / 9.0, (9.0 * x).cos());
+        cut_through(100, wavy, target, bound, resolution, false).expect("nothing is foreseen")
+    }
+
+    /// A sheet of `side`² samples, of a height, and a slope along x, by which the stream is ordered.
+    fn cut_through(
+        side: u32,
+        height: impl Fn(f32, f32) -> (f32, f32),
+        target: Option<usize>,
+        bound: f32,
+        resolution: u32,
+        foresight: bool,
+    ) -> Option<Cut> {
+        let place = |i: u32| i as f32 / side as f32 - 0.5;
+        let samples: Vec<Sample> = (0..side * side)
             .map(|i| {
-                let (x, z) = ((i % 100) as f32 / 100.0 - 0.5, (i / 100) as f32 / 100.0 - 0.5);
-                let normal = Vec3::new(-(9.0 * x).cos(), 1.0, 0.0).normalize_or(Vec3::Y);
-                Sample { position: Vec3::new(x, (9.0 * x).sin() / 9.0, z), normal, index: 0 }
+                let (x, z) = (place(i / side), place(i % side));
+                let (y, slope) = height(x, z);
+                let normal = Vec3::new(-slope, 1.0, 0.0).normalize_or(Vec3::Y);
+                Sample { position: Vec3::new(x, y, z), normal, index: 0 }
             })
             .collect();
         let mut lattice = Lattice::new(resolution);
@@ -316,7 +346,7 @@ mod tests {
         for s in samples {
             cells[grid.find(&grid.key_of(s.position.as_dvec3())).expect("a cell") as usize].push(s);
         }
-        let mut forest = Forest::new(cells.len(), target, bound, usize::MAX);
+        let mut forest = Forest::new(&grid, target, bound, usize::MAX, foresight);
         let mut stop = bound;
         for (cell, mut samples) in cells.into_iter().enumerate() {
             (0..).zip(&mut samples).for_each(|(i, s)| s.index = i);
@@ -372,6 +402,25 @@ mod tests {
                 assert!(leaves.map(|(error, _)| *error).all(|error| error <= bound));
             }
             assert!(check(&few) < check(&sampled(None, bound / 2.0, 16)));
+        }
+    }
+
+    #[test]
+    fn foresight_changes_nothing_or_tells_that_it_failed() {
+        let wavy = |x: f32, _| ((9.0 * x).sin() / 9.0, (9.0 * x).cos());
+        // Rough in its first fifth, and plain after it.
+        let rough =
+            |x: f32, z: f32| (0.02 * (999.0 * x + 777.0 * z).sin(), 20.0 * (999.0 * x + 777.0 * z).cos());
+        let plain = |x: f32, z: f32| if x < -0.3 { rough(x, z) } else { (0.0, 0.0) };
+        for (height, expected) in [(&wavy as &dyn Fn(f32, f32) -> (f32, f32), true), (&plain, false)] {
+            let cut = |foresight| cut_through(250, height, Some(10_000), 0.0, 32, foresight);
+            let foreseen = cut(true);
+            assert_eq!(foreseen.is_some(), expected);
+            let all = cut(false).expect("nothing is foreseen");
+            assert!((9900..=10_000).contains(&all.samples()), "{}", all.samples());
+            if let Some(foreseen) = foreseen {
+                assert!(foreseen.positions == all.positions && foreseen.trees == all.trees);
+            }
         }
     }
 }

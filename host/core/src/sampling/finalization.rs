@@ -66,6 +66,8 @@ pub struct Pass<'a> {
     pub bound: f32,
     /// Most clusters that may be kept if there is no target.
     pub most: usize,
+    /// Whether the number of samples that the whole model will have is foreseen: less work, but it can fail.
+    pub foresight: bool,
     /// Whether it shall be known which cluster each vertex belongs to.
     pub with_members: bool,
     /// Where temporary files go.
@@ -100,12 +102,11 @@ impl Pass<'_> {
     pub fn run<G: Gather>(&self, gather: G) -> Result<Option<Clustered>> {
         let info = self.model.info();
         self.progress.begin("clustering", info.vertex_bytes);
-        let cells = self.grid.keys.len();
         let members = || Membership::new(self.grid, info.vertices, self.folder);
         let mut clustered = Clustered {
-            forest: Forest::new(cells, self.target, self.bound, self.most),
+            forest: Forest::new(self.grid, self.target, self.bound, self.most, self.foresight),
             hash: Xxh3Default::new(),
-            ranges: Ranges::new(cells),
+            ranges: Ranges::new(self.grid.keys.len()),
             membership: self.with_members.then(members).transpose()?,
         };
         let has_room = self.stream(gather, &mut clustered)?;

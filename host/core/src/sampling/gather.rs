@@ -114,12 +114,19 @@ impl Gather for Groups {
     #[inline]
     fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<Option<u32>> {
         let cube = floor(position * (1.0 / self.edge));
-        if let Some(last) = &self.last
+        let middle = middle(cube, self.edge);
+        if let Some(last) = &mut self.last
             && last.cell == cell
-            && last.cube == cube
         {
+            // A stream that went from this cube to another does so again: that one's group was begun next.
+            if last.cube != cube
+                && let Some(next) = self.open.after(cell, last.place, last.index)
+                && self.open.at_mut(next).center() == middle
+            {
+                (last.cube, last.place, last.index) = (cube, next, last.index + 1);
+            }
             let group = self.open.at_mut(last.place);
-            if group.takes(normal) {
+            if last.cube == cube && group.takes(normal) {
                 group.add(position, normal);
                 return Ok(Some(last.index));
             }
@@ -157,7 +164,7 @@ impl Groups {
             return Ok(None);
         }
         let index = self.open.count(cell) as u32;
-        let mut group = Group::new((cube.as_vec3() + 0.5) * self.edge, 0.5 * self.edge, index);
+        let mut group = Group::new(middle(cube, self.edge), 0.5 * self.edge, index);
         group.add(position, normal);
         let place = self.open.push(cell, group)?;
         table.insert(key, place);
@@ -175,6 +182,11 @@ const NEXT_SHEET: u32 = 1 << 24;
 fn key(cube: IVec3) -> u32 {
     let [x, y, z] = cube.to_array().map(|x| x as u32 & 0xff);
     x | y << 8 | z << 16
+}
+
+#[inline]
+fn middle(cube: IVec3, edge: f32) -> Vec3 {
+    (cube.as_vec3() + 0.5) * edge
 }
 
 /// ⌊x⌋ of numbers that are not large, without the call that it is on older processors.

@@ -1,13 +1,13 @@
 //! Which sample of P_S stands for each vertex of P_L: what it takes to give P_S the faces of P_L.
 //!
 //! As this is as large as P_L, it is in temporary files of 4 bytes per vertex: while the model streams, each vertex'
-//! item (all cells' items are counted in one row, in which a cell has as many places as vertices); once a cell is
-//! clustered, each item's leaf; and in the end each vertex' sample.
+//! item (all cells' items are counted in one row, in which a cell has as many places as vertices), and in the end its
+//! sample in the same place; and once a cell is clustered, each item's leaf.
 
 use std::path::Path;
 use std::sync::Arc;
 
-use bytemuck::cast_slice;
+use bytemuck::{cast_slice, cast_slice_mut};
 use memmap2::Mmap;
 use rayon::prelude::*;
 
@@ -19,8 +19,11 @@ use crate::{Error, Progress, Result};
 /// Numbers written at a time, by the stream and by each thread.
 const BUFFER: usize = 1 << 16;
 
-/// Files of so many numbers: items, leaves and samples.
-const FILES: u64 = 3;
+/// Files of so many numbers: items and later samples, and leaves.
+const FILES: u64 = 2;
+
+/// Samples before and behind the last one, among which the next is looked for first: a few cells have as many.
+const AROUND: usize = 256;
 
 const BYTES: u64 = size_of::<u32>() as u64;
 
@@ -102,42 +105,46 @@ impl Membership {
     ///
     /// # Errors
     /// A file cannot be written; the user cancelled.
-    pub fn finish(
-        mut self,
-        starts: &[(u32, u32)],
-        folder: &Path,
-        progress: &dyn Progress,
-    ) -> Result<SampleOf> {
+    pub fn finish(mut self, starts: &[(u32, u32)], progress: &dyn Progress) -> Result<SampleOf> {
         self.flush()?;
-        let samples = Scratch::new(folder, ADVICE)?;
-        let items = self.items.map()?;
-        let items: &[u32] = cast_slice(&items);
-        {
-            let leaves = Arc::into_inner(self.leaves).expect("all threads are done").file.map()?;
-            let leaves: &[u32] = cast_slice(&leaves);
-            items.par_chunks(BUFFER).enumerate().try_for_each(|(chunk, items)| {
-                progress.check()?;
-                let mut found = Vec::with_capacity(items.len());
-                // The leaves from the first to before the second are of the third.
-                let (mut from, mut to, mut sample) = (0, 0, NONE);
-                for item in items {
-                    let Some(leaf) = leaves.get(*item as usize).copied() else {
-                        found.push(NONE);
-                        continue;
-                    };
-                    if leaf < from || leaf >= to {
-                        let next = starts.partition_point(|(start, _)| *start <= leaf);
-                        (from, sample) = next.checked_sub(1).map_or((0, NONE), |at| starts[at]);
-                        to = starts.get(next).map_or(NONE, |(start, _)| *start);
-                    }
-                    found.push(sample);
+        let leaves = Arc::into_inner(self.leaves).expect("all threads are done").file.map()?;
+        let leaves: &[u32] = cast_slice(&leaves);
+        let chunks = 0..self.written.div_ceil(BUFFER as u64);
+        chunks.into_par_iter().try_for_each(|chunk| {
+            progress.check()?;
+            let first = chunk * BUFFER as u64;
+            let mut chunk = vec![0; BUFFER.min((self.written - first) as usize)];
+            self.items.read_at(cast_slice_mut(&mut chunk), first * BYTES)?;
+            // The leaves from the first to before the second are of the third.
+            let (mut from, mut to, mut sample, mut last) = (0, 0, NONE, 0);
+            for item in &mut chunk {
+                let Some(leaf) = leaves.get(*item as usize).copied() else {
+                    *item = NONE;
+                    continue;
+                };
+                if leaf < from || leaf >= to {
+                    let next = next_start(starts, leaf, last);
+                    last = next;
+                    (from, sample) = next.checked_sub(1).map_or((0, NONE), |at| starts[at]);
+                    to = starts.get(next).map_or(NONE, |(start, _)| *start);
                 }
-                progress.advance(found.len() as u64);
-                samples.write_at(cast_slice(&found), (chunk * BUFFER) as u64 * BYTES)
-            })?;
-        }
-        Ok(SampleOf(samples.map()?))
+                *item = sample;
+            }
+            progress.advance(chunk.len() as u64);
+            self.items.write_at(cast_slice(&chunk), first * BYTES)
+        })?;
+        Ok(SampleOf(self.items.map()?))
     }
+}
+
+/// The first of the ascending starts that is behind a leaf. It is probably `near` one, as the vertices of a cell follow
+/// each other: those around it are still in the processor's cache.
+fn next_start(starts: &[(u32, u32)], leaf: u32, near: usize) -> usize {
+    let is_before = |(start, _): &(u32, u32)| *start <= leaf;
+    let (low, high) = (near.saturating_sub(AROUND), (near + AROUND).min(starts.len()));
+    let inside = starts[low..high].partition_point(is_before);
+    let is_whole = (low == 0 || inside > 0) && (high == starts.len() || low + inside < high);
+    if is_whole { low + inside } else { starts.partition_point(is_before) }
 }
 
 impl Leaves {
@@ -159,5 +166,22 @@ impl SampleOf {
     /// The samples of all vertices; `u32::MAX` for those that have none, as their position is not finite.
     pub fn all(&self) -> &[u32] {
         cast_slice(&self.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_next_start_is_found_wherever_it_is_looked_for(
+            gaps in proptest::collection::vec(1..9u32, 0..2000), leaf in 0..12_000u32, near in 0..2000usize,
+        ) {
+            let starts: Vec<_> = gaps.iter().scan(0, |sum, gap| { *sum += gap; Some((*sum, 0)) }).collect();
+            let expected = starts.iter().filter(|(start, _)| *start <= leaf).count();
+            prop_assert_eq!(next_start(&starts, leaf, near.min(starts.len())), expected);
+        }
     }
 }

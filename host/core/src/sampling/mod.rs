@@ -8,6 +8,7 @@ pub mod cluster;
 mod cut;
 mod finalization;
 mod gather;
+mod kd_tree;
 pub mod kept_cells;
 pub mod lattice;
 mod membership;
@@ -79,7 +80,7 @@ pub struct Sampling {
 /// Parts of a sampled model that can be left out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Skip {
-    /// The triangles of P_S, which take a pass over the faces, and temporary files of at most 12 bytes per vertex.
+    /// The triangles of P_S, which take a pass over the faces, and temporary files of at most 8 bytes per vertex.
     pub triangles: bool,
     /// The cells, which a refinement needs.
     pub cells: bool,
@@ -134,7 +135,7 @@ fn total_memory() -> u64 {
 }
 
 /// Samples a model. Temporary files without a name are made in `folder`: of at most 40 bytes per vertex if the memory
-/// limit is reached, and of 12 bytes per vertex for the triangles.
+/// limit is reached, and of 8 bytes per vertex for the triangles.
 ///
 /// Not to be called on a thread of the pool of threads that it uses, and waits for.
 ///
@@ -175,18 +176,6 @@ pub fn sample(
         Target::Samples(n) => (Some(usize::try_from(n).unwrap_or(usize::MAX / 8)), 0.0),
         Target::Error(e) => (None, (e * grid.bounds.diagonal() / frame.scale) as f32),
     };
-    let pass = Pass {
-        model,
-        grid: &grid,
-        frame: &frame,
-        splitting: sampling.splitting,
-        target,
-        bound,
-        most: usize::try_from(sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE).unwrap_or(usize::MAX),
-        with_members: !sampling.skip.triangles && info.faces > 0 && info.vertices <= Membership::MAX_VERTICES,
-        folder,
-        progress,
-    };
     let cells = grid.keys.len();
     let memory = sampling.memory_for_cells(&grid);
     let grouping = sampling.grouping.resolve(&grid, &frame, sampling.target);
@@ -197,26 +186,51 @@ pub fn sample(
         // … and none other than asked for.
         (None, _) => u64::MAX,
     };
-    let in_groups = match grouping.edge(&grid, &frame) {
-        Some(edge) => pass.run(Groups::new(cells, edge, for_groups))?,
-        None => None,
+    let clustered = |foresight| -> Result<_> {
+        let pass = Pass {
+            model,
+            grid: &grid,
+            frame: &frame,
+            splitting: sampling.splitting,
+            target,
+            bound,
+            most: usize::try_from(sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE)
+                .unwrap_or(usize::MAX),
+            foresight,
+            with_members: !sampling.skip.triangles
+                && info.faces > 0
+                && info.vertices <= Membership::MAX_VERTICES,
+            folder,
+            progress,
+        };
+        let in_groups = match grouping.edge(&grid, &frame) {
+            Some(edge) => pass.run(Groups::new(cells, edge, for_groups))?,
+            None => None,
+        };
+        let (Clustered { forest, hash, ranges, membership }, grouping) = match in_groups {
+            Some(clustered) => (clustered, grouping),
+            // Those that find no room in memory do so in a file.
+            None => match pass.run(Samples::new(cells, memory, folder))? {
+                Some(clustered) => (clustered, Grouping::Never),
+                None => unreachable!("samples always find room, or an error says why not"),
+            },
+        };
+        progress.begin("completing the samples", 0);
+        Ok(forest.cut(&grid).map(|cut| (cut, hash, ranges, membership, grouping)))
     };
-    let (Clustered { forest, hash, ranges, membership }, grouping) = match in_groups {
-        Some(clustered) => (clustered, grouping),
-        // Those that find no room in memory do so in a file.
-        None => match pass.run(Samples::new(cells, memory, folder))? {
-            Some(clustered) => (clustered, Grouping::Never),
-            None => unreachable!("samples always find room, or an error says why not"),
+    let (cut, hash, ranges, membership, grouping) = match clustered(true)? {
+        Some(clustered) => clustered,
+        None => match clustered(false)? {
+            Some(clustered) => clustered,
+            None => unreachable!("without foresight, all is kept that the cut may need"),
         },
     };
 
-    progress.begin("completing the samples", 0);
-    let cut = forest.cut(&grid);
     let triangles = match membership {
         None => Triangles::default(),
         Some(members) => {
             progress.begin("looking up each vertex' sample", info.vertices);
-            let sample_of = members.finish(&cut.starts, folder, progress)?;
+            let sample_of = members.finish(&cut.starts, progress)?;
             progress.begin("reindexing the faces", info.face_bytes);
             triangles::reindex(model, sample_of.all(), cut.positions.len(), progress).map_err(|e| {
                 let hint = format!("{}; or leave the triangles out with --skip triangles", e.hint());

@@ -2,42 +2,38 @@
 //! along a minimum spanning tree. H. Hoppe, T. DeRose, T. Duchamp, J. McDonald, W. Stuetzle,
 //! *Surface Reconstruction from Unorganized Points*, 1992.
 
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
-
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::sample_set::{NeighbourGraph, kd_tree, nearest};
+use super::sample_set::NeighbourGraph;
 use crate::geometry::symmetric_eigen;
 
-/// Neighbours that span the tangent plane.
-const PLANE_NEIGHBOURS: usize = 12;
+/// Neighbours that are needed: they span the tangent plane.
+pub const NEIGHBOURS: usize = 12;
 
 /// Neighbours along which the orientation spreads.
 const ORIENT_NEIGHBOURS: usize = 8;
 
 /// All normals, where only some are known (the others are zero, or all if there are none). All are of unit length.
+/// `graph` has [`NEIGHBOURS`] of each sample or more, if there are as many.
 ///
 /// Known normals spread their orientation to those filled in. A part without any is oriented so that the
 /// normal of its highest sample (along z) points up; whether that is outwards is known for closed surfaces only.
-pub fn completed(positions: &[Vec3], known: &[Vec3]) -> Vec<Vec3> {
+///
+/// Memory: 12 bytes for each of at most [`ORIENT_NEIGHBOURS`] edges per sample, about five; and 15 per sample.
+pub fn completed(positions: &[Vec3], known: &[Vec3], graph: &NeighbourGraph) -> Vec<Vec3> {
     let mut normals = known.to_vec();
     normals.resize(positions.len(), Vec3::ZERO);
     let missing: Vec<bool> = normals.iter().map(|n| *n == Vec3::ZERO).collect();
-    let tree = kd_tree(positions);
-    normals.par_iter_mut().enumerate().filter(|(i, _)| missing[*i]).for_each_init(
-        Vec::new,
-        |near, (i, n)| {
-            near.clear();
-            near.extend(nearest(&tree, positions, i, PLANE_NEIGHBOURS));
-            *n = plane_normal(positions, i, near);
-        },
-    );
-    let graph = NeighbourGraph::of_points(positions, &tree, ORIENT_NEIGHBOURS);
-    drop(tree);
-    orient(positions, &graph, &mut normals, missing);
+    normals.par_iter_mut().enumerate().filter(|(i, _)| missing[*i]).for_each(|(i, n)| {
+        *n = plane_normal(positions, i, first(graph.of(i), NEIGHBOURS));
+    });
+    orient(positions, graph, &mut normals, &missing);
     normals
+}
+
+fn first(neighbours: &[u32], count: usize) -> &[u32] {
+    &neighbours[..count.min(neighbours.len())]
 }
 
 /// The direction of least variance of a sample and its neighbours.
@@ -51,70 +47,93 @@ fn plane_normal(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Vec3 {
     symmetric_eigen(covariance).1.x_axis.as_vec3().try_normalize().unwrap_or(Vec3::Z)
 }
 
-/// Prim's algorithm with 1 − |nᵢ·nⱼ| as the cost of an edge: orientation spreads where the surface is flattest
-/// first. `unknown` says whose sign is open.
-fn orient(positions: &[Vec3], neighbours: &NeighbourGraph, normals: &mut [Vec3], mut unknown: Vec<bool>) {
-    // Neighbourhood is not symmetric: the reverse edges as well, or a part could fall into pieces.
-    let reach = |i: usize| neighbours.of(i).iter().map(|j| *j as usize);
-    let mut degree = vec![0u32; positions.len() + 1];
-    (0..positions.len()).flat_map(reach).for_each(|j| degree[j + 1] += 1);
+/// An edge between two samples: the bits of its cost, which order as the cost does, and its ends.
+type Edge = (u32, u32, u32);
+
+/// Turns the normals that are `open` so that those at the ends of each edge of a minimum spanning forest look the same
+/// way. Edges cost 1 − |nᵢ·nⱼ|: orientation spreads where the surface is flattest.
+fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open: &[bool]) {
+    let near = |i: usize| first(graph.of(i), ORIENT_NEIGHBOURS);
+    let cost = |i: usize, j: usize| (1.0 - normals[i].dot(normals[j]).abs()).max(0.0).to_bits();
+    let mut edges: Vec<Edge> = Vec::with_capacity(positions.len() * ORIENT_NEIGHBOURS);
     for i in 0..positions.len() {
-        degree[i + 1] += degree[i];
-    }
-    let mut reverse = vec![0u32; degree[positions.len()] as usize];
-    let mut next = degree.clone();
-    for i in 0..positions.len() {
-        for j in reach(i) {
-            reverse[next[j] as usize] = i as u32;
-            next[j] += 1;
-        }
+        // Each edge once, though most are known at both ends.
+        let once = |j: &usize| (i < *j || !near(*j).contains(&(i as u32))) && (open[i] || open[*j]);
+        let ends = near(i).iter().map(|j| *j as usize).filter(once);
+        edges.extend(ends.map(|j| (cost(i, j), i as u32, j as u32)));
     }
 
-    // Non-negative floats order as their bits do.
-    let cost =
-        |normals: &[Vec3], i: usize, j: usize| (1.0 - normals[i].dot(normals[j]).abs()).max(0.0).to_bits();
-    let mut queue = BinaryHeap::new();
-    // The cheapest edge to each sample so far, and from where: only a cheaper one is of use.
-    let mut cheapest = vec![(u32::MAX, 0u32); positions.len()];
-    let spread = |i: usize,
-                  normals: &[Vec3],
-                  unknown: &[bool],
-                  cheapest: &mut [(u32, u32)],
-                  queue: &mut BinaryHeap<_>| {
-        let back = &reverse[degree[i] as usize..degree[i + 1] as usize];
-        for j in reach(i).chain(back.iter().map(|j| *j as usize)).filter(|j| unknown[*j]) {
-            let cost = cost(normals, i, j);
-            if cost < cheapest[j].0 {
-                cheapest[j] = (cost, i as u32);
-                queue.push(Reverse((cost, j as u32)));
-            }
-        }
-    };
-    for i in (0..positions.len()).filter(|i| !unknown[*i]) {
-        spread(i, normals, &unknown, &mut cheapest, &mut queue);
+    // All that look a way which is known are one part from the beginning.
+    let mut parts = Parts::new(positions.len());
+    let known = open.iter().position(|open| !open);
+    if let Some(known) = known {
+        (known..open.len()).filter(|i| !open[*i]).for_each(|i| parts.join(known, i, false));
     }
-    let mut highest: Vec<u32> = (0..positions.len() as u32).filter(|i| unknown[*i as usize]).collect();
-    highest.sort_by(|i, j| positions[*j as usize].z.total_cmp(&positions[*i as usize].z));
-    let mut highest = highest.into_iter();
-    loop {
-        while let Some(Reverse((_, j))) = queue.pop() {
-            let j = j as usize;
-            let i = cheapest[j].1 as usize;
-            if unknown[j] {
-                unknown[j] = false;
-                if normals[i].dot(normals[j]) < 0.0 {
-                    normals[j] = -normals[j];
-                }
-                spread(j, normals, &unknown, &mut cheapest, &mut queue);
-            }
+    // Kruskal's algorithm. The cheapest are sorted first: most of the others then have both ends in one part.
+    while !edges.is_empty() {
+        let cheap = edges.len().div_ceil(4);
+        edges.select_nth_unstable(cheap - 1);
+        edges[..cheap].par_sort_unstable();
+        for (_, i, j) in edges.drain(..cheap) {
+            let (i, j) = (i as usize, j as usize);
+            parts.join(i, j, normals[i].dot(normals[j]) < 0.0);
         }
-        let Some(seed) = highest.by_ref().find(|i| unknown[*i as usize]) else { break };
-        let seed = seed as usize;
-        unknown[seed] = false;
-        if normals[seed].z < 0.0 {
-            normals[seed] = -normals[seed];
+        edges.retain(|(_, i, j)| parts.of(*i as usize).0 != parts.of(*j as usize).0);
+    }
+
+    // The sample of each part that tells how all of it looks: a known one, or the highest.
+    let mut telling: Vec<Option<u32>> = vec![None; positions.len()];
+    for i in 0..positions.len() {
+        let slot = &mut telling[parts.of(i).0];
+        let above = |j: usize| positions[i].z > positions[j].z;
+        if slot.is_none_or(|j| open[j as usize] && (!open[i] || above(j as usize))) {
+            *slot = Some(i as u32);
         }
-        spread(seed, normals, &unknown, &mut cheapest, &mut queue);
+    }
+    let mut is_turned = |i: usize| {
+        let (part, turned) = parts.of(i);
+        let j = telling[part]? as usize;
+        Some(turned ^ parts.of(j).1 ^ (open[j] && normals[j].z < 0.0))
+    };
+    let turned: Vec<_> = (0..positions.len()).map(|i| open[i] && is_turned(i) == Some(true)).collect();
+    normals.iter_mut().zip(turned).filter(|(_, turned)| *turned).for_each(|(n, _)| *n = -*n);
+}
+
+/// A partition of the samples, with the sides that their normals look to: disjoint sets as trees.
+struct Parts {
+    /// The sample above each one, or itself: the root stands for the part.
+    above: Vec<u32>,
+    /// Whether its normal has to be turned to look the same way as that of the one above.
+    turned: Vec<bool>,
+}
+
+impl Parts {
+    /// Each sample alone.
+    fn new(samples: usize) -> Self {
+        Self { above: (0..samples as u32).collect(), turned: vec![false; samples] }
+    }
+
+    /// The part of a sample, and whether its normal has to be turned to look the same way as that of the part's root.
+    fn of(&mut self, mut i: usize) -> (usize, bool) {
+        let mut turned = false;
+        while self.above[i] as usize != i {
+            // Halves the path for the next time.
+            let above = self.above[i] as usize;
+            self.turned[i] ^= self.turned[above];
+            self.above[i] = self.above[above];
+            turned ^= self.turned[i];
+            i = self.above[i] as usize;
+        }
+        (i, turned)
+    }
+
+    /// Makes one part of those of two samples, unless they are. `turned` if they look opposite ways.
+    fn join(&mut self, i: usize, j: usize, turned: bool) {
+        let ((i, i_turned), (j, j_turned)) = (self.of(i), self.of(j));
+        if i != j {
+            self.above[j] = i as u32;
+            self.turned[j] = turned ^ i_turned ^ j_turned;
+        }
     }
 }
 

@@ -1,12 +1,11 @@
 //! P_S: the samples, with what a deformation tool and the reconstruction need of them.
 
-use std::num::NonZeroUsize;
 use std::sync::OnceLock;
 
 use glam::Vec3;
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 
+use super::kd_tree::KdTree;
 use super::normals;
 use crate::{Error, ErrorKind, Result};
 
@@ -60,7 +59,7 @@ pub struct SampleSet {
 
 /// Who is near whom: found when it is first asked for, as writing the samples does not need it.
 struct Surroundings {
-    tree: ImmutableKdTree<f32, 3>,
+    tree: KdTree,
     neighbours: NeighbourGraph,
     spacing: Vec<f32>,
 }
@@ -93,7 +92,15 @@ impl SampleSet {
         if self.all_known {
             return &self.known;
         }
-        self.estimated.get_or_init(|| normals::completed(&self.positions, &self.known))
+        self.estimated.get_or_init(|| match self.surroundings.get() {
+            Some(around) => normals::completed(&self.positions, &self.known, &around.neighbours),
+            None => {
+                let tree = KdTree::new(&self.positions);
+                let near = NeighbourGraph::of_points(&self.positions, &tree, normals::NEIGHBOURS);
+                drop(tree);
+                normals::completed(&self.positions, &self.known, &near)
+            }
+        })
     }
 
     /// Takes all normals, as they were estimated before; none, where the model has told them. `false` if they are not
@@ -152,13 +159,14 @@ impl SampleSet {
 
     /// At most `count` nearest neighbours of sample `i`, nearest first.
     pub(crate) fn nearest_neighbours(&self, i: usize, count: usize) -> Vec<u32> {
-        nearest(&self.surroundings().tree, &self.positions, i, count).collect()
+        let mut found = vec![0; count.min(self.len() - 1)];
+        self.surroundings().tree.nearest_others(self.positions[i], i as u32, &mut found);
+        found.into_iter().map(|found| found as u32).collect()
     }
 
     /// The sample nearest to a finite point. Costs about a microsecond: not for every vertex of P_L.
     pub fn nearest(&self, p: Vec3) -> u32 {
-        let query = p.to_array();
-        self.surroundings().tree.query(&query).nearest_one::<SquaredEuclidean<f32>>().execute().item
+        self.surroundings().tree.nearest(p)
     }
 
     #[inline]
@@ -169,7 +177,7 @@ impl SampleSet {
 
 impl Surroundings {
     fn of(positions: &[Vec3]) -> Self {
-        let tree = kd_tree(positions);
+        let tree = KdTree::new(positions);
         let neighbours = NeighbourGraph::of_points(positions, &tree, NEIGHBOURS);
         let near = SPACING_NEIGHBOURS.min(neighbours.k);
         let spacing = (0..positions.len())
@@ -183,37 +191,19 @@ impl Surroundings {
     }
 }
 
-/// Of finite points, of which there is at least one.
-pub(super) fn kd_tree(positions: &[Vec3]) -> ImmutableKdTree<f32, 3> {
-    let points: &[[f32; 3]] = bytemuck::cast_slice(positions);
-    ImmutableKdTree::new_from_slice(points).expect("finite points, at least one and fewer than 2^32")
-}
-
-/// At most `count` nearest neighbours of point `i` in the tree of all points, nearest first.
-pub(super) fn nearest(
-    tree: &ImmutableKdTree<f32, 3>,
-    positions: &[Vec3],
-    i: usize,
-    count: usize,
-) -> impl Iterator<Item = u32> {
-    // One more, as a point is its own nearest neighbour.
-    let wanted = NonZeroUsize::MIN.saturating_add(count);
-    let query = positions[i].to_array();
-    let found = tree.query(&query).nearest_n::<SquaredEuclidean<f32>>(wanted).execute();
-    // Among more coincident points than that, the point itself may be missing from what was found.
-    found.into_iter().map(|f| f.item).filter(move |j| *j != i as u32).take(count)
-}
-
 impl NeighbourGraph {
     /// The graph of points to `k` neighbours, if there are as many.
-    pub(super) fn of_points(positions: &[Vec3], tree: &ImmutableKdTree<f32, 3>, k: usize) -> Self {
+    fn of_points(positions: &[Vec3], tree: &KdTree, k: usize) -> Self {
         let k = k.min(positions.len() - 1);
         let mut flat = vec![0; positions.len() * k];
         if k > 0 {
-            flat.par_chunks_mut(k).enumerate().for_each(|(i, neighbours)| {
-                let others = nearest(tree, positions, i, k);
-                neighbours.iter_mut().zip(others).for_each(|(slot, j)| *slot = j);
-            });
+            flat.par_chunks_mut(k).enumerate().for_each_init(
+                || vec![0; k],
+                |found, (i, neighbours)| {
+                    tree.nearest_others(positions[i], i as u32, found);
+                    neighbours.iter_mut().zip(found).for_each(|(slot, found)| *slot = *found as u32);
+                },
+            );
         }
         Self { k, flat }
     }

@@ -154,28 +154,26 @@ impl VsTree {
 
     /// Drops everything below the cut at `threshold`.
     pub fn prune(&mut self, threshold: f32) {
-        let mut kept: Vec<Node> = Vec::new();
-        // Kept ancestors of the node at hand: their place in `kept`, and where their subtrees end.
+        // Kept ancestors of the node at hand: where they are now, and where their subtrees ended.
         let mut open: Vec<(usize, u32)> = Vec::new();
-        let mut i = 0;
-        while let Some(node) = self.nodes.get(i) {
+        let (mut i, mut kept) = (0, 0);
+        while let Some(node) = self.nodes.get(i).copied() {
             while let Some((at, _)) = open.pop_if(|(_, end)| *end as usize <= i) {
-                kept[at].end = kept.len() as u32;
+                self.nodes[at].end = kept as u32;
             }
-            if self.goes_on(i, threshold) {
-                open.push((kept.len(), node.end));
-                kept.push(*node);
-                i += 1;
-            } else {
-                kept.push(Node { end: kept.len() as u32 + 1, ..*node });
-                i = node.end as usize;
+            let goes_on = self.goes_on(i, threshold);
+            self.nodes[kept] = Node { end: kept as u32 + 1, ..node };
+            if goes_on {
+                open.push((kept, node.end));
             }
+            kept += 1;
+            i = if goes_on { i + 1 } else { node.end as usize };
         }
         for (at, _) in open {
-            kept[at].end = kept.len() as u32;
+            self.nodes[at].end = kept as u32;
         }
-        kept.shrink_to_fit();
-        self.nodes = kept;
+        self.nodes.truncate(kept);
+        self.nodes.shrink_to_fit();
     }
 
     /// The clusters that a cut can split: their key, and how many clusters the split adds.

@@ -8,9 +8,12 @@ mod parts;
 mod promises;
 mod triangles;
 
+use std::sync::atomic::{AtomicU32, Ordering};
+
 use glam::DVec3;
 use simod_core::generate::Shape;
-use simod_core::sampling::{Sampling, Target};
+use simod_core::sampling::{Sampling, Target, sample};
+use simod_core::{Progress, model};
 
 use body::{Body, worst_distance};
 
@@ -55,4 +58,53 @@ fn every_vertex_has_a_sample_near_it_at_any_place_and_size() {
             assert!(worst < 0.1, "a vertex is {worst} from its nearest sample at {scale:e}");
         }
     }
+}
+
+/// Counts how often the second pass begins.
+#[derive(Default)]
+struct Passes(AtomicU32);
+
+impl Progress for Passes {
+    fn begin(&self, stage: &'static str, _total_bytes: u64) {
+        self.0.fetch_add(u32::from(stage == "clustering"), Ordering::Relaxed);
+    }
+    fn advance(&self, _bytes: u64) {}
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+}
+
+#[test]
+fn a_plain_rest_after_a_rough_beginning_gets_its_samples() {
+    const SIDE: u32 = 250;
+    let place = |i: u32| f64::from(i) / f64::from(SIDE);
+    let mut body = Body::default();
+    for i in 0..SIDE * SIDE {
+        let (x, z) = (place(i / SIDE), place(i % SIDE));
+        let angle = if x < 0.2 { 999.0 * x + 777.0 * z } else { 0.0 };
+        body.positions.push(DVec3::new(x, 0.02 * angle.sin(), z));
+        let slope = if x < 0.2 { 20.0 * angle.cos() } else { 0.0 };
+        body.normals.push(DVec3::new(-slope, 1.0, 0.0).normalize_or(DVec3::Y).as_vec3());
+    }
+    for i in (0..SIDE * (SIDE - 1)).filter(|i| i % SIDE + 1 < SIDE) {
+        body.faces.extend([[i, i + 1, i + SIDE], [i + 1, i + SIDE + 1, i + SIDE]]);
+    }
+    // The other way round, the beginning says enough of the rest.
+    let mut reversed = body.clone();
+    reversed.positions.reverse();
+    reversed.normals.reverse();
+    reversed.faces.iter_mut().flatten().for_each(|i| *i = SIDE * SIDE - 1 - *i);
+
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model.ply");
+    let counts = [(body, 2), (reversed, 1)].map(|(body, expected)| {
+        body.write(&path);
+        let passes = Passes::default();
+        let sampling = Sampling { target: Target::Samples(10_000), ..Sampling::default() };
+        let sampled = sample(&*model::open(&path).unwrap(), &sampling, folder.path(), &passes).unwrap();
+        assert_eq!(passes.0.into_inner(), expected);
+        assert!(sampled.triangles.len() > sampled.samples.len());
+        sampled.samples.len()
+    });
+    assert!(counts.iter().all(|n| (9900..=10_000).contains(n)), "{counts:?}");
 }
