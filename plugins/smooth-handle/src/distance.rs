@@ -1,8 +1,8 @@
 //! How far samples are from a region: through space, or along the surface.
 
 use glam::Vec3;
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use simod_plugin_api::{Graph, Host, PluginError, PluginResult};
+use rstar::RTree;
+use simod_plugin_api::{Graph, Host, PluginResult};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
@@ -15,13 +15,13 @@ const AWAY: f32 = -0.5;
 /// The distance of each sample to the nearest of `core`, in space.
 pub fn in_space(positions: &[Vec3], core: &[u32], host: &Host<'_>) -> PluginResult<Vec<f32>> {
     let points: Vec<[f32; 3]> = core.iter().map(|&i| positions[i as usize].to_array()).collect();
-    let tree: ImmutableKdTree<f32, 3> = ImmutableKdTree::new_from_slice(&points)
-        .map_err(|e| PluginError::internal(format!("no tree of a region's samples: {e:?}")))?;
+    // Boxes that fit tightly: most samples are far from a region, where a k-d tree would look at most of it.
+    let tree = RTree::bulk_load(points);
     let mut distances = vec![0.0; positions.len()];
     host.parallel_blocks(&mut distances, BLOCK, |first, block| {
         for (distance, p) in block.iter_mut().zip(&positions[first..]) {
-            let found = tree.query(&p.to_array()).nearest_one::<SquaredEuclidean<f32>>().execute();
-            *distance = found.distance.sqrt();
+            let nearest = tree.nearest_neighbor(p.to_array());
+            *distance = nearest.map_or(f32::INFINITY, |q| p.distance(Vec3::from(*q)));
         }
     })?;
     Ok(distances)
