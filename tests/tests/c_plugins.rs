@@ -29,9 +29,17 @@ fn all_that_there_is_arrives() {
     {
         assert!(passed.contains(&rule), "{rule}: {report}");
     }
-    // No input is refused: all is as promised.
-    let text = report.to_string();
-    assert!(!text.contains("not as promised") && !text.contains("out of range"), "{report}");
+    // No input is refused: all is as promised, but where a rule breaks the promise.
+    let broken = ["no-samples", "not-a-number"];
+    for rule in report["rules"]
+        .as_array()
+        .expect("rules")
+        .iter()
+        .filter(|r| !broken.contains(&r["rule"].as_str().unwrap()))
+    {
+        let text = rule.to_string();
+        assert!(!text.contains("not as promised") && !text.contains("out of range"), "{text}");
+    }
 
     let work = work.with_plugins("plugins");
     let info = work.report("plugin info all-inputs");

@@ -80,6 +80,9 @@ impl Deformer for SmoothHandle {
     fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
         let params = input.params();
         let positions: &[Vec3] = bytemuck::cast_slice(input.samples.positions());
+        if let Some(i) = positions.iter().position(|p| !p.is_finite()) {
+            return Err(PluginError::input(format!("sample {i} is at no finite place")));
+        }
         let normals: &[Vec3] = bytemuck::cast_slice(input.samples.normals());
         let graph = input.graph().filter(|g| g.len() == positions.len() && normals.len() == positions.len());
         let graph = graph

@@ -119,6 +119,17 @@ impl Case {
         Ok(case)
     }
 
+    /// The same without any sample.
+    pub fn without_samples(mut self) -> Self {
+        self.positions.clear();
+        self.normals.clear();
+        self.spacing.clear();
+        self.triangles.clear();
+        self.neighbours = self.neighbours.map(|_| (vec![0], Vec::new()));
+        self.regions.iter_mut().for_each(|(_, weights)| weights.clear());
+        self
+    }
+
     /// All samples in handles that do the same: as many handles as the plugin needs, each with a part of the samples.
     pub fn all_handles(mut self, handles: usize, transform: Affine) -> Self {
         let count = self.positions.len();

@@ -1,9 +1,11 @@
 //! Rules on unusual input: a plugin gives finite positions, or an error that says why not.
 
 use super::case::Case;
-use super::subject::{Answer, Subject};
+use super::subject::{Answer, Listener, Subject, unwritten};
 use super::{Checked, Finding};
+use crate::deformer::line;
 use glam::Vec3;
+use simod_plugin_api::ErrorCode;
 
 /// Samples of a large case: as many as the interactive tools are made for.
 pub(super) const LARGE: usize = 200_000;
@@ -81,6 +83,37 @@ pub(super) fn regions_contradictory(subject: &Subject) -> Checked<Finding> {
         }));
     }
     survives(subject, &case)
+}
+
+/// No host gives that, and no plugin has to expect it.
+pub(super) fn no_samples(subject: &Subject) -> Checked<Finding> {
+    let case = Case::new(&subject.plugin, vec![Vec3::ZERO, Vec3::ONE], Vec::new())?.without_samples();
+    tolerates(subject, &case)
+}
+
+/// The same.
+pub(super) fn not_a_number(subject: &Subject) -> Checked<Finding> {
+    let mut case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    case.positions[ORDINARY / 3] = [f32::NAN, f32::INFINITY, 0.0];
+    tolerates(subject, &case)
+}
+
+/// Whether the plugin comes back from input that it was promised not to get; with what does not matter.
+fn tolerates(subject: &Subject, case: &Case) -> Checked<Finding> {
+    let (code, host) = (subject.plugin.code(), Listener::patient());
+    let run = || {
+        let state = case.prepare_input(|input| code.prepare(input, &host))?;
+        let (mut scratch, mut out) = (code.new_scratch()?, unwritten(case));
+        case.deform_input(|input| code.deform(&state, input, &mut scratch, &mut out, &host))
+    };
+    Ok(match run() {
+        Ok(()) => Finding::pass("it goes on"),
+        Err(error) if error.code == ErrorCode::PANICKED => Finding::warn(
+            format!("it {}", line(&error.message)),
+            "this program gives finite samples, and at least one; an error would tell more where another one does not",
+        ),
+        Err(error) => Finding::pass(format!("it refuses: {}", line(&error.message))),
+    })
 }
 
 fn points(subject: &Subject, positions: Vec<Vec3>) -> Checked<Finding> {

@@ -101,11 +101,13 @@ pub const RULES: &[Rule] = &[
     Rule { id: DESCRIPTOR, asks: "the description makes sense", run: description::descriptor },
     Rule { id: "own-id", asks: "no plugin of the program has its id", run: description::own_id },
     Rule { id: "ordinary", asks: "an ordinary model is deformed by the defaults", run: meaning::ordinary },
+    Rule { id: "no-samples", asks: "no sample at all does no harm", run: inputs::no_samples },
     Rule { id: "one-sample", asks: "a single sample is no problem", run: inputs::one_sample },
     Rule { id: "two-samples", asks: "nor are two", run: inputs::two_samples },
     Rule { id: "coincident", asks: "samples may lie in one point", run: inputs::coincident },
     Rule { id: "collinear", asks: "samples may lie on a line", run: inputs::collinear },
     Rule { id: "flat", asks: "samples may lie in a plane", run: inputs::flat },
+    Rule { id: "not-a-number", asks: "nor does one that is no number", run: inputs::not_a_number },
     Rule { id: "large", asks: "there may be 200 000 samples", run: inputs::large },
     Rule {
         id: "huge-coordinates",
