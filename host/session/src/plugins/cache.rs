@@ -99,14 +99,7 @@ impl Cache {
 
 /// Where the user's cache is.
 pub(super) fn standard_file() -> Option<PathBuf> {
-    let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
-    let cache = if cfg!(windows) {
-        variable("LOCALAPPDATA")
-    } else if cfg!(target_os = "macos") {
-        variable("HOME").map(|home| home.join("Library/Caches"))
-    } else {
-        variable("XDG_CACHE_HOME").or_else(|| variable("HOME").map(|home| home.join(".cache")))
-    };
+    let cache = super::users_folder("LOCALAPPDATA", "Library/Caches", "XDG_CACHE_HOME", ".cache");
     cache.map(|cache| cache.join("simod").join("plugins.json"))
 }
 

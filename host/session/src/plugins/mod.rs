@@ -143,16 +143,22 @@ pub fn standard_folders() -> Vec<PluginFolder> {
     folders
 }
 
+/// A folder of the user's: a variable's on Windows, one in the home on macOS, and elsewhere a variable's or one in the home.
+fn users_folder(windows: &str, macos: &str, variable: &str, home: &str) -> Option<PathBuf> {
+    let path_of = |name| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
+    let in_home = |folder| path_of("HOME").map(|home| home.join(folder));
+    if cfg!(windows) {
+        path_of(windows)
+    } else if cfg!(target_os = "macos") {
+        in_home(macos)
+    } else {
+        path_of(variable).or_else(|| in_home(home))
+    }
+}
+
 /// Where a user installs plugins.
 fn user_folder() -> Option<PathBuf> {
-    let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
-    let data = if cfg!(windows) {
-        variable("APPDATA")
-    } else if cfg!(target_os = "macos") {
-        variable("HOME").map(|home| home.join("Library/Application Support"))
-    } else {
-        variable("XDG_DATA_HOME").or_else(|| variable("HOME").map(|home| home.join(".local/share")))
-    };
+    let data = users_folder("APPDATA", "Library/Application Support", "XDG_DATA_HOME", ".local/share");
     data.map(|data| data.join("simod").join("plugins"))
 }
 
@@ -307,10 +313,15 @@ pub(crate) fn load_unchecked(path: &Path) -> Result<Plugin> {
 fn open(file: &Path, isolated: bool, options: &PluginOptions, known: Option<About>) -> Result<Plugin> {
     #[cfg(unix)]
     if isolated {
-        library_file::kind(file)?;
-        let introduction =
-            WorkerOptions { silence: INTRODUCTION.min(options.worker.silence), ..(*options.worker).clone() };
-        let about = known.map_or_else(|| worker::ask(file, &Arc::new(introduction)), Ok)?;
+        let about = match known {
+            Some(about) => about,
+            None => {
+                // No process is started for what is no plugin.
+                library_file::kind(file)?;
+                let silence = INTRODUCTION.min(options.worker.silence);
+                worker::ask(file, &Arc::new(WorkerOptions { silence, ..(*options.worker).clone() }))?
+            }
+        };
         let code = WorkerCode::new(file, about.clone(), options.worker.clone());
         return Plugin::known(Box::new(code), about, file);
     }
