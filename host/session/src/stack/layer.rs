@@ -174,6 +174,10 @@ impl Layer {
         if self.plugin.consumes().joints {
             parts.push(api::Part::new(&joints));
         }
+        let model_frame = api::ModelFrame { origin: frame.origin.to_array(), scale: frame.scale };
+        if self.plugin.consumes().frame {
+            parts.push(api::Part::new(&model_frame));
+        }
         let input = api::PrepareInput::new(rest.samples(), rest.bounds, &[], &values).with_parts(&parts);
         let motions = Motions {
             transforms: self.transforms.iter().map(|&t| rows(to_local(t, &frame))).collect(),
