@@ -1,6 +1,6 @@
 //! One layer of a stack: a plugin with its parameters, regions, joints, handles and strokes.
 
-use super::{Rest, RestShape, neighbour_lists, rows};
+use super::{Rest, RestShape, neighbour_lists, not_one_per_sample, rows};
 use crate::deformer::{Message, Plugin, Watch};
 use crate::motion::to_local;
 use crate::params::{LocalParams, ParamValue, Params, nearest};
@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3Default;
 
 #[derive(Debug)]
-pub(super) struct Layer {
+pub(crate) struct Layer {
     /// Where in the session it stands; for errors.
     pub place: String,
     pub plugin: Arc<Plugin>,
@@ -41,7 +41,7 @@ pub(super) struct Layer {
 
 /// What became of a layer on its rest shape.
 #[derive(Debug)]
-pub(super) struct Done {
+pub(crate) struct Done {
     /// Deformed positions, local coordinates.
     pub positions: Arc<[Vec3]>,
     /// What the plugin had to say.
@@ -58,6 +58,7 @@ pub(super) struct Done {
 #[derive(Debug)]
 struct Preparation {
     state: api::State,
+    rest: Arc<Rest>,
     /// Between deformations, which may go on where the last one stopped.
     scratch: Mutex<Option<api::Scratch>>,
     messages: Vec<Message>,
@@ -65,11 +66,18 @@ struct Preparation {
 
 /// What is kept of a layer from one time to the next, each with a hash of all that it depends on.
 #[derive(Debug, Default)]
-pub(super) struct Kept {
+pub(crate) struct Kept {
     placed: Option<(u64, Vec<api::HandleDesc>)>,
     preparation: Option<(u64, Arc<Preparation>)>,
     strokes: Vec<(Arc<Stroke>, Arc<Params>, Arc<LocalStroke>)>,
     done: Option<(u64, Arc<Done>)>,
+}
+
+impl Kept {
+    /// The handles that the plugin placed the last time.
+    pub fn handles(&self) -> &[api::HandleDesc] {
+        self.placed.as_ref().map_or(&[], |(_, placed)| placed)
+    }
 }
 
 /// All that moves, without a new preparation, as plugins take it.
@@ -183,57 +191,84 @@ impl Layer {
         }
     }
 
-    /// Deforms a rest shape, as far as that has not been done before: `rest_key` stands for all that it depends on, and
-    /// so does the key that comes back for what became of it.
+    /// Deforms a rest shape, as far as that has not been done before. Gives the next layer's rest shape, too.
     pub fn update(
         &self,
-        rest: Arc<Rest>,
-        rest_key: u64,
+        rest: &Arc<Rest>,
         shape: &RestShape<'_>,
         kept: &mut Kept,
         effort: api::Effort,
         progress: &dyn Progress,
-    ) -> Result<(u64, Arc<Done>)> {
-        if self.plugin.consumes().normals && rest.normals.is_empty() {
+    ) -> Result<(Arc<Rest>, Arc<Done>)> {
+        let plugin = &self.plugin;
+        let watch = Watch::new(progress, plugin.id(), size_of_val(&*rest.positions) as u64);
+        let motions = self.motions(rest, shape, kept, effort, &watch)?;
+        let done = |preparation, rest: &Arc<Rest>, positions, messages, motions| {
+            let (plugin, masks, rest) = (plugin.clone(), self.masks.clone(), rest.clone());
+            Arc::new(Done { positions, messages, plugin, preparation, rest, motions, masks })
+        };
+        let nothing = api::Samples::new(&[], &[], &[]);
+        if motions.call(nothing, rest.bounds, |input| plugin.is_identity(input))? {
+            // What comes after it need not be done again.
+            let positions = rest.positions.clone();
+            return Ok((rest.clone(), done(None, rest, positions, watch.into_messages(), motions)));
+        }
+        let preparation_key = self.preparation_key(rest.key);
+        let key = motions.key(preparation_key).and(&self.masks).end();
+        let done = match &kept.done {
+            Some((known, done)) if *known == key => done.clone(),
+            _ => {
+                let preparation = self.preparation(preparation_key, rest, shape, kept, progress)?;
+                let deformed = self.deform(&preparation, &motions, &shape.frame, &watch);
+                if deformed.as_ref().is_err_and(|e| e.kind() != ErrorKind::Cancelled) {
+                    // The process that it was in may have ended.
+                    kept.preparation = None;
+                }
+                let messages = preparation.messages.iter().cloned().chain(watch.into_messages()).collect();
+                let rest = preparation.rest.clone();
+                let done = done(Some(preparation), &rest, deformed?, messages, motions);
+                kept.done = Some((key, done.clone()));
+                done
+            }
+        };
+        let positions = done.positions.clone();
+        Ok((Arc::new(Rest { positions, normals_fit: false, key, ..(**rest).clone() }), done))
+    }
+
+    /// What the plugin prepared for this rest shape, or prepares now.
+    fn preparation(
+        &self,
+        key: u64,
+        rest: &Arc<Rest>,
+        shape: &RestShape<'_>,
+        kept: &mut Kept,
+        progress: &dyn Progress,
+    ) -> Result<Arc<Preparation>> {
+        if let Some((_, preparation)) = kept.preparation.as_ref().filter(|(known, _)| *known == key) {
+            return Ok(preparation.clone());
+        }
+        // Not two at a time, which may be large.
+        (kept.preparation, kept.done) = (None, None);
+        let preparation = Arc::new(self.prepare(&self.with_normals(rest, shape)?, shape, progress)?);
+        kept.preparation = Some((key, preparation.clone()));
+        Ok(preparation)
+    }
+
+    /// The rest shape with normals that fit, if the plugin needs them.
+    fn with_normals(&self, rest: &Arc<Rest>, shape: &RestShape<'_>) -> Result<Arc<Rest>> {
+        if !self.plugin.consumes().normals {
+            return Ok(rest.clone());
+        }
+        if rest.normals.is_empty() {
             let what = format!("plugin {} needs normals, and the samples have none", self.plugin.id());
             return Err(Error::new(ErrorKind::Mismatch, what, "sample the model with normals"));
         }
-        let watch = Watch::new(progress, self.plugin.id(), size_of_val(&*rest.positions) as u64);
-        let motions = self.motions(&rest, rest_key, shape, kept, effort, &watch)?;
-        let plugin = &self.plugin;
-        let nothing = api::Samples::new(&[], &[], &[]);
-        let done = |preparation, positions, messages, rest, motions| {
-            let (plugin, masks) = (plugin.clone(), self.masks.clone());
-            Arc::new(Done { positions, messages, plugin, preparation, rest, motions, masks })
-        };
-        if motions.call(nothing, rest.bounds, |input| plugin.is_identity(input))? {
-            // What comes after it need not be done again.
-            return Ok((rest_key, done(None, rest.positions.clone(), watch.into_messages(), rest, motions)));
+        let Some(renormal) = shape.renormal.filter(|_| !rest.normals_fit) else { return Ok(rest.clone()) };
+        let normals: Arc<[Vec3]> = renormal(&rest.positions).into();
+        if normals.len() != rest.positions.len() {
+            return Err(not_one_per_sample("normal"));
         }
-        let preparation_key = self.preparation_key(rest_key);
-        let key = motions.key(preparation_key).and(&self.masks).end();
-        if let Some((_, done)) = kept.done.as_ref().filter(|(known, _)| *known == key) {
-            return Ok((key, done.clone()));
-        }
-        let preparation = match &kept.preparation {
-            Some((known, preparation)) if *known == preparation_key => preparation.clone(),
-            _ => {
-                // Not two at a time, which may be large.
-                (kept.preparation, kept.done) = (None, None);
-                let preparation = Arc::new(self.prepare(&rest, shape, progress)?);
-                kept.preparation.insert((preparation_key, preparation)).1.clone()
-            }
-        };
-        let deformed = self.deform(&preparation, &rest, &motions, &shape.frame, &watch);
-        if deformed.as_ref().is_err_and(|e| e.kind() != ErrorKind::Cancelled) {
-            // The process that it was in may have ended.
-            kept.preparation = None;
-        }
-        let positions = deformed?;
-        let messages = preparation.messages.iter().cloned().chain(watch.into_messages()).collect();
-        let done = done(Some(preparation), positions, messages, rest, motions);
-        kept.done = Some((key, done.clone()));
-        Ok((key, done))
+        Ok(Arc::new(Rest { normals, normals_fit: true, ..(**rest).clone() }))
     }
 
     /// What a preparation depends on.
@@ -292,19 +327,17 @@ impl Layer {
     fn motions(
         &self,
         rest: &Rest,
-        rest_key: u64,
         shape: &RestShape<'_>,
         kept: &mut Kept,
         effort: api::Effort,
         watch: &Watch<'_>,
     ) -> Result<Motions> {
         let (frame, bounds) = (&shape.frame, &shape.bounds);
-        let key = self.key(rest_key).and(&self.params).end();
+        let key = self.key(rest.key).and(&self.params).end();
         if kept.placed.as_ref().is_none_or(|(known, _)| *known != key) {
             let placed = self.prepare_input(rest, shape, &[], |input| self.plugin.handles(input, watch))?;
             kept.placed = Some((key, placed));
         }
-        let placed = kept.placed.as_ref().map_or(&[][..], |(_, placed)| placed);
         let local = |(i, (stroke, params)): (usize, &(Arc<Stroke>, Arc<Params>))| match kept.strokes.get(i) {
             Some(known) if Arc::ptr_eq(&known.0, stroke) && known.1 == *params => known.clone(),
             _ => {
@@ -316,13 +349,18 @@ impl Layer {
         Ok(Motions {
             params: self.params.to_local(frame, bounds),
             transforms: self.transforms.iter().map(|&t| rows(to_local(t, frame))).collect(),
-            handles: self.handle_motions(placed, frame)?,
+            handles: self.handle_motions(kept.handles(), frame)?,
             strokes: kept.strokes.iter().map(|(.., local)| local.clone()).collect(),
             effort: self.plugin.consumes().effort.then_some(effort),
         })
     }
 
-    fn prepare(&self, rest: &Rest, shape: &RestShape<'_>, progress: &dyn Progress) -> Result<Preparation> {
+    fn prepare(
+        &self,
+        rest: &Arc<Rest>,
+        shape: &RestShape<'_>,
+        progress: &dyn Progress,
+    ) -> Result<Preparation> {
         let watch = Watch::new(progress, self.plugin.id(), size_of_val(&*rest.positions) as u64);
         let weigh = |shapes: &Shapes| -> Vec<f32> {
             rest.positions.par_iter().map(|p| shapes.weight(shape.frame.to_model(*p)) as f32).collect()
@@ -331,17 +369,22 @@ impl Layer {
         let regions: Vec<api::Region<'_>> =
             self.regions.iter().zip(&weights).map(|((role, _), w)| api::Region::new(*role, w)).collect();
         let state = self.prepare_input(rest, shape, &regions, |input| self.plugin.prepare(input, &watch))?;
-        Ok(Preparation { state, scratch: Mutex::default(), messages: watch.into_messages() })
+        Ok(Preparation {
+            state,
+            rest: rest.clone(),
+            scratch: Mutex::default(),
+            messages: watch.into_messages(),
+        })
     }
 
     fn deform(
         &self,
         preparation: &Preparation,
-        rest: &Rest,
         motions: &Motions,
         frame: &Frame,
         watch: &Watch<'_>,
     ) -> Result<Arc<[Vec3]>> {
+        let rest = &preparation.rest;
         let mut out = vec![Vec3::NAN; rest.positions.len()];
         let mut slot = preparation.scratch.lock().unwrap_or_else(PoisonError::into_inner);
         // Out of its place, where it does not come back after a failure.

@@ -9,7 +9,8 @@ use crate::deformer::{Message, Plugin, Watch};
 use crate::plugins::PluginRegistry;
 use crate::session_file::Step;
 use glam::{DAffine3, DVec3, Vec3};
-use layer::{Done, Kept, Layer};
+use layer::Done;
+pub(crate) use layer::{Kept, Layer};
 use rayon::prelude::*;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
@@ -72,11 +73,15 @@ pub struct PreparedStack {
 
 /// A layer's rest shape, local coordinates.
 #[derive(Debug, Clone)]
-struct Rest {
-    positions: Arc<[Vec3]>,
+pub(crate) struct Rest {
+    pub positions: Arc<[Vec3]>,
     normals: Arc<[Vec3]>,
+    /// Whether the normals are those of the positions.
+    normals_fit: bool,
     spacing: Arc<[f32]>,
     bounds: api::Bounds,
+    /// Stands for all of it: a hash of what it came from.
+    pub key: u64,
 }
 
 impl Rest {
@@ -113,20 +118,15 @@ impl Stack {
 
     /// Deforms samples. On an error nothing has changed anywhere.
     pub fn apply(&self, shape: &RestShape<'_>, progress: &dyn Progress) -> Result<Deformed> {
-        shape.check()?;
-        let mut rest = Arc::new(shape.rest());
+        let mut rest = Arc::new(shape.rest(0)?);
         let mut messages = Vec::new();
         let mut layers = Vec::with_capacity(self.layers.len());
-        for (i, layer) in self.layers.iter().enumerate() {
-            if i > 0 {
-                rest = shape.next(&rest, layer)?;
-            }
-            let kept = &mut Kept::default();
-            let done = layer.update(rest.clone(), 0, shape, kept, api::Effort::FULL, progress);
-            let (_, done) = done.map_err(|e| at(&layer.place, e))?;
+        for layer in &self.layers {
+            let done = layer.update(&rest, shape, &mut Kept::default(), api::Effort::FULL, progress);
+            let (next, done) = done.map_err(|e| at(&layer.place, e))?;
             messages.extend(done.messages.iter().cloned());
-            rest = Arc::new(Rest { positions: done.positions.clone(), ..(*rest).clone() });
             layers.push(done);
+            rest = next;
         }
         let positions = rest.positions.to_vec();
         Ok(Deformed { positions, stack: PreparedStack { layers, frame: shape.frame }, messages })
@@ -139,24 +139,18 @@ fn not_one_per_sample(what: &str) -> Error {
 }
 
 impl RestShape<'_> {
-    /// What the first layer starts from.
-    fn rest(&self) -> Rest {
+    /// What the first layer starts from; `key` stands for it.
+    pub(crate) fn rest(&self, key: u64) -> Result<Rest> {
+        self.check()?;
         let corner = |p| self.frame.to_local_exact(p).to_array();
-        let bounds = api::Bounds { min: corner(self.bounds.min), max: corner(self.bounds.max) };
-        let (normals, spacing) = (self.normals.into(), self.spacing.into());
-        Rest { positions: self.positions.into(), normals, spacing, bounds }
-    }
-
-    /// What a layer after others starts from: with normals that fit, if it needs them.
-    fn next(&self, rest: &Arc<Rest>, layer: &Layer) -> Result<Arc<Rest>> {
-        let Some(renormal) = self.renormal.filter(|_| layer.plugin.consumes().normals) else {
-            return Ok(rest.clone());
-        };
-        let normals: Arc<[Vec3]> = renormal(&rest.positions).into();
-        if normals.len() != rest.positions.len() {
-            return Err(not_one_per_sample("normal"));
-        }
-        Ok(Arc::new(Rest { normals, ..(**rest).clone() }))
+        Ok(Rest {
+            positions: self.positions.into(),
+            normals: self.normals.into(),
+            normals_fit: true,
+            spacing: self.spacing.into(),
+            bounds: api::Bounds { min: corner(self.bounds.min), max: corner(self.bounds.max) },
+            key,
+        })
     }
 
     fn check(&self) -> Result<()> {
@@ -186,7 +180,7 @@ pub(crate) fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u3
 }
 
 /// An error of a layer, with its place; a cancel has none.
-fn at(place: &str, e: Error) -> Error {
+pub(crate) fn at(place: &str, e: Error) -> Error {
     if e.kind() == ErrorKind::Cancelled { e } else { Error::new(e.kind(), format!("{place}: {e}"), e.hint()) }
 }
 
