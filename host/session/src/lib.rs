@@ -26,7 +26,7 @@ pub mod worker;
 pub use deformer::{Capabilities, Code, Message, Plugin};
 pub use motion::Motion;
 pub use params::{ParamValue, Params, describe_params};
-pub use pipeline::{DeformedSamples, Run, deform};
+pub use pipeline::{DeformedSamples, Run, deform, deform_and_refine};
 pub use plugins::{Isolation, PluginOptions, PluginRegistry, Rejected};
 pub use session_file::SessionFile;
 pub use shapes::{Shape, Shapes};

@@ -1,21 +1,25 @@
 //! The whole way of an edit, which reads as the design's picture: sample, deform, reconstruct.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use glam::Vec3;
-use simod_core::model;
+use simod_core::model::{self, Model};
 use simod_core::output::folder_of;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
-use simod_core::reconstruction::{Reconstruction, Version, deformed_normals, reconstruct};
+use simod_core::reconstruction::{
+    DeformationField, Method, Reconstruction, Surroundings, Version, deformed_normals, reconstruct,
+};
+use simod_core::refinement::{Refining, Selection, appended_deformed, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
 use simod_core::{Error, ErrorKind, Progress, Result};
 
 use crate::deformer::Message;
 use crate::plugins::PluginRegistry;
-use crate::session_file::{self, SessionFile};
-use crate::stack::{PreparedStack, RestShape, Stack};
+use crate::session_file::{self, Refine, SessionFile};
+use crate::stack::{Deformed, PreparedStack, RestShape, Stack, at};
 
 /// P_S*: the samples of a model after a stack of deformations.
 #[derive(Debug)]
@@ -35,6 +39,76 @@ pub struct DeformedSamples {
 /// # Errors
 /// A plugin fails, the samples and the layers do not fit, or the user cancelled.
 pub fn deform(sampled: &SampledModel, stack: &Stack, progress: &dyn Progress) -> Result<DeformedSamples> {
+    let deformed =
+        deform_further(sampled, stack, 0..stack.len(), sampled.samples.positions.clone(), progress)?;
+    Ok(finished(sampled, deformed))
+}
+
+/// Deforms the samples of a model, whose cells are held, and refines it in between; the samples are those that there are
+/// in the end. Shapes of refinements are of the model as it is deformed then; the new samples go where the reconstruction
+/// of the layers before takes them.
+///
+/// Temporary files without a name are made in `folder`.
+///
+/// # Errors
+/// As for [`deform`] and [`refine`].
+pub fn deform_and_refine(
+    mut sampled: SampledModel,
+    model: &dyn Model,
+    stack: &Stack,
+    refinements: &[Refine],
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<(SampledModel, DeformedSamples)> {
+    let first = refinements.first().map_or(stack.len(), |r| r.after);
+    let mut deformed =
+        deform_further(&sampled, stack, 0..first, sampled.samples.positions.clone(), progress)?;
+    for (i, refinement) in refinements.iter().enumerate() {
+        let (refined, positions) =
+            refine_deformed(&sampled, model, refinement, &deformed.positions, folder, progress)
+                .map_err(|e| at(&refinement.place, e))?;
+        sampled = refined.unwrap_or(sampled);
+        let next = refinements.get(i + 1).map_or(stack.len(), |r| r.after);
+        let further = deform_further(&sampled, stack, refinement.after..next, positions, progress)?;
+        deformed.positions = further.positions;
+        deformed.stack.append(further.stack);
+        deformed.messages.extend(further.messages);
+    }
+    let deformed = finished(&sampled, deformed);
+    Ok((sampled, deformed))
+}
+
+/// Refines a model whose samples are deformed; the refined model, if there was anything to refine, and the positions of
+/// its samples.
+fn refine_deformed(
+    sampled: &SampledModel,
+    model: &dyn Model,
+    refinement: &Refine,
+    deformed: &[Vec3],
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<(Option<SampledModel>, Vec<Vec3>)> {
+    let around = Surroundings::of(&sampled.samples);
+    let field = DeformationField::new(&around, deformed, Method::default());
+    let distance = |p| refinement.shapes.signed_distance(p);
+    let is_still = deformed == sampled.samples.positions;
+    let selection = Selection { distance: &distance, so_far: (!is_still).then_some(&field) };
+    let how = Refining { finer: refinement.finer, memory_limit: None, shapes: refinement.shapes.tables() };
+    let refined = refine(sampled, model, selection, &how, folder, progress)?.sampled;
+    let more = refined.as_ref().map(|refined| appended_deformed(refined, &field)).unwrap_or_default();
+    let more = more.iter().map(|p| sampled.frame.to_local(*p));
+    let positions = deformed.iter().copied().chain(more).collect();
+    Ok((refined, positions))
+}
+
+/// Some layers of a stack on the samples, which are at `positions` by those before.
+fn deform_further(
+    sampled: &SampledModel,
+    stack: &Stack,
+    layers: Range<usize>,
+    positions: Vec<Vec3>,
+    progress: &dyn Progress,
+) -> Result<Deformed> {
     let samples = &sampled.samples;
     let shape = RestShape {
         positions: &samples.positions,
@@ -46,10 +120,13 @@ pub fn deform(sampled: &SampledModel, stack: &Stack, progress: &dyn Progress) ->
         neighbours: Some(samples.neighbours()),
         renormal: Some(&|positions| deformed_normals(samples, positions)),
     };
-    let deformed = stack.apply(&shape, progress)?;
+    stack.apply_layers(layers, &shape, positions, progress)
+}
+
+fn finished(sampled: &SampledModel, deformed: Deformed) -> DeformedSamples {
     let positions = sampled.rounded(&deformed.positions);
-    let normals = deformed_normals(samples, &positions);
-    Ok(DeformedSamples { positions, normals, stack: deformed.stack, messages: deformed.messages })
+    let normals = deformed_normals(&sampled.samples, &positions);
+    DeformedSamples { positions, normals, stack: deformed.stack, messages: deformed.messages }
 }
 
 /// A finished run of a session.
@@ -93,9 +170,11 @@ impl Run {
         let model = model::open(path)?;
         let folder = folder_of(output);
         let mut sampling: Sampling = session.sampling.into();
+        sampling.skip.cells = session.refinements.is_empty();
         sampling.skip.triangles = !stack.plugins().any(|p| p.consumes().triangles);
         let sampled = sample(model.as_ref(), &sampling, folder, progress)?;
-        let deformed = deform(&sampled, &stack, progress)?;
+        let (sampled, deformed) =
+            deform_and_refine(sampled, model.as_ref(), &stack, &session.refinements, folder, progress)?;
         let version = Version { deformed: &deformed.positions, output, diagnostics: None };
         reconstruct(&sampled, model.as_ref(), &[version], how, progress)?;
         Ok(Self { sampled, deformed, output: output.to_owned(), seconds: start.elapsed().as_secs_f64() })
@@ -133,7 +212,7 @@ impl From<session_file::Sampling> for Sampling {
             (None, Some(e)) => Target::Error(e),
             (None, None) => Target::default(),
         };
-        // Nothing that follows asks for the cells.
+        // Refinements alone ask for the cells.
         let skip = Skip { cells: true, ..Skip::default() };
         Self { target, grid: from.grid, skip, ..Self::default() }
     }

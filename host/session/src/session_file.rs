@@ -4,6 +4,7 @@ use crate::motion::Motion;
 use crate::shapes::{Shape, Shapes};
 use glam::DVec3;
 use serde::Deserialize;
+use simod_core::refinement::Finer;
 use simod_core::{Error, ErrorKind, Result};
 use std::fs::File;
 use std::io::{ErrorKind as ErrorOfIo, Read};
@@ -23,6 +24,8 @@ pub struct SessionFile {
     pub sampling: Sampling,
     /// The deformations, first to last.
     pub steps: Vec<Step>,
+    /// The refinements between them, first to last.
+    pub refinements: Vec<Refine>,
     /// Where the deformed model goes.
     pub output: Option<PathBuf>,
 }
@@ -37,6 +40,19 @@ pub struct Sampling {
     pub error: Option<f64>,
     /// Cells of the grid along its longest side.
     pub grid: Option<u32>,
+}
+
+/// A refinement of the samples.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Refine {
+    /// Number of deformations before it.
+    pub after: usize,
+    /// Where: on the model as those have deformed it.
+    pub shapes: Shapes,
+    /// How fine.
+    pub finer: Finer,
+    /// Where in the file it stands; for errors.
+    pub place: String,
 }
 
 /// One deformation.
@@ -162,8 +178,16 @@ struct RawStep {
     handle: Vec<Spanned<RawHandle>>,
     #[serde(default)]
     stroke: Vec<Spanned<Stroke>>,
-    // Known to the format, but not to this version.
-    refine: Option<Spanned<toml::Value>>,
+    refine: Option<Spanned<RawRefine>>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+struct RawRefine {
+    shapes: Vec<Spanned<Shape>>,
+    error: Option<f64>,
+    factor: Option<f64>,
+    samples: Option<u64>,
 }
 
 #[derive(Deserialize)]
@@ -209,10 +233,19 @@ impl SessionFile {
             Some(sampling) => source.sampling(sampling)?,
             None => Sampling::default(),
         };
+        let (mut steps, mut refinements) = (Vec::new(), Vec::new());
+        for step in raw.step {
+            if step.get_ref().refine.is_some() {
+                refinements.push(source.refine(step, steps.len())?);
+            } else {
+                steps.push(source.step(step)?);
+            }
+        }
         Ok(Self {
             model: raw.model.map(|m| folder.join(m.path)),
             sampling,
-            steps: raw.step.into_iter().map(|s| source.step(s)).collect::<Result<_>>()?,
+            steps,
+            refinements,
             output: raw.output.map(|o| folder.join(o.path)),
         })
     }
@@ -268,13 +301,53 @@ impl Source<'_> {
         Ok(sampling)
     }
 
+    /// A step that refines, after so many that deform.
+    fn refine(&self, step: Spanned<RawStep>, after: usize) -> Result<Refine> {
+        let span = step.span();
+        let raw = step.into_inner();
+        let nothing_else = raw.deform.is_none()
+            && raw.params.is_empty()
+            && raw.region.is_empty()
+            && raw.joint.is_empty()
+            && raw.handle.is_empty()
+            && raw.stroke.is_empty();
+        let Some(refine) = raw.refine.filter(|_| nothing_else) else {
+            let hint = "give each a [[step]] of its own";
+            return Err(self.error(&span, "a step that refines does nothing else", hint));
+        };
+        let span = refine.span();
+        let RawRefine { shapes, error, factor, samples } = refine.into_inner();
+        let shapes = self.shapes(&span, "the refinement has no shape", shapes)?;
+        let finer = match (error, factor, samples) {
+            (Some(e), None, None) if e >= 0.0 && e.is_finite() => Finer::Error(e),
+            (None, Some(f), None) if f > 1.0 && f.is_finite() => Finer::Factor(f),
+            (None, None, Some(n)) if (1..=u64::from(u32::MAX)).contains(&n) => Finer::Samples(n),
+            _ => {
+                let hint = "an error of 0 or more as a fraction of the diagonal, a factor above 1, or at least 1 sample";
+                return Err(self.error(&span, "give one of `error`, `factor` and `samples`", hint));
+            }
+        };
+        Ok(Refine { after, shapes, finer, place: self.place(&span) })
+    }
+
+    /// At least one shape, which all make sense.
+    fn shapes(&self, span: &Range<usize>, none: &str, raw: Vec<Spanned<Shape>>) -> Result<Shapes> {
+        if raw.is_empty() {
+            return Err(self.error(span, none, "give one, such as a sphere"));
+        }
+        let mut shapes = Shapes::default();
+        for shape in raw {
+            if let Some(what) = shape.get_ref().defect() {
+                return Err(self.error(&shape.span(), what, "correct the shape"));
+            }
+            shapes.shapes.push(shape.into_inner());
+        }
+        Ok(shapes)
+    }
+
     fn step(&self, step: Spanned<RawStep>) -> Result<Step> {
         let span = step.span();
         let raw = step.into_inner();
-        if let Some(refine) = raw.refine {
-            let what = "`refine` steps are not known to this version of SIMOD";
-            return Err(self.error(&refine.span(), what, "use a newer version, or remove them"));
-        }
         let deform = raw.deform.ok_or_else(|| {
             self.error(&span, "the step has no `deform`", "name a plugin, such as deform = \"warp\"")
         })?;
@@ -385,16 +458,7 @@ impl Source<'_> {
     fn region(&self, region: Spanned<RawRegion>) -> Result<Region> {
         let span = region.span();
         let raw = region.into_inner();
-        let mut shapes = Shapes::default();
-        if raw.shapes.is_empty() {
-            return Err(self.error(&span, "the region has no shape", "give one, such as a sphere"));
-        }
-        for shape in raw.shapes {
-            if let Some(what) = shape.get_ref().defect() {
-                return Err(self.error(&shape.span(), what, "correct the shape"));
-            }
-            shapes.shapes.push(shape.into_inner());
-        }
+        let mut shapes = self.shapes(&span, "the region has no shape", raw.shapes)?;
         if let Some(falloff) = raw.falloff {
             shapes.falloff = *falloff.get_ref();
             if !(shapes.falloff >= 0.0 && shapes.falloff.is_finite()) {
@@ -504,7 +568,18 @@ path = "/elsewhere/out.ply"
             "",
         );
         told("[[step]]\nparams = {}", 1, "no `deform`");
-        told("[[step]]\nrefine = { error = 1 }", 2, "`refine` steps are not known");
+        let refine = |text: &str| format!("[[step]]\nrefine = {{ {text} }}");
+        let shapes = "shapes = [{ sphere = { center = [0,0,0], radius = 1 } }]";
+        told(&refine("error = 1"), 2, "`shapes`");
+        told(&refine("shapes = [], error = 1"), 2, "no shape");
+        told(&refine(shapes), 2, "give one of `error`");
+        told(&refine(&format!("{shapes}, error = 1, factor = 2")), 2, "give one of `error`");
+        for bad in ["error = -1", "error = nan", "factor = 1", "samples = 0"] {
+            told(&refine(&format!("{shapes}, {bad}")), 2, "give one of `error`");
+        }
+        told(&refine(&format!("{}, error = 1", shapes.replace("= 1", "= 0"))), 2, "radius");
+        told(&refine(&format!("{shapes}, size = 1")), 2, "size");
+        told(&format!("[[step]]\ndeform = \"x\"\nrefine = {{ {shapes}, error = 1 }}"), 1, "nothing else");
         let step = "[[step]]\ndeform = \"x\"\n";
         told(&format!("{step}[[step.handle]]\nid = \"0\""), 3, "`move`");
         told(&format!("{step}[[step.handle]]\nid = \"a b\"\nmove = {{}}"), 3, "white space");
@@ -519,6 +594,21 @@ path = "/elsewhere/out.ply"
         told(&format!("{step}{}{}", joint("a", "b"), joint("b", "a")), 3, "hangs on `b`");
         let twice = "[[step.joint]]\nid = \"a\"\nat = [0,0,0]\n";
         told(&format!("{step}{twice}{twice}"), 6, "twice");
+    }
+
+    #[test]
+    fn refinements_stand_between_deformations() {
+        let refine = |e: f64| {
+            format!(
+                "[[step]]\nrefine = {{ shapes = [{{ sphere = {{ center = [0,0,0], radius = 1 }} }}], error = {e} }}\n"
+            )
+        };
+        let deform = "[[step]]\ndeform = \"warp\"\n";
+        let session = parse(&[&refine(0.0), deform, deform, &refine(0.5), &refine(0.25)].concat()).unwrap();
+        assert_eq!(session.steps.len(), 2);
+        let order: Vec<_> = session.refinements.iter().map(|r| (r.after, r.finer)).collect();
+        assert_eq!(order, [(0, Finer::Error(0.0)), (2, Finer::Error(0.5)), (2, Finer::Error(0.25))]);
+        assert!(session.refinements[1].place.ends_with("line 8"));
     }
 
     #[test]

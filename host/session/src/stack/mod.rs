@@ -17,6 +17,7 @@ use simod_core::progress::Silent;
 use simod_core::sampling::NeighbourGraph;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api as api;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Points evaluated at once on one thread.
@@ -113,15 +114,29 @@ impl Stack {
 
     /// Deforms samples. On an error nothing has changed anywhere.
     pub fn apply(&self, shape: &RestShape<'_>, progress: &dyn Progress) -> Result<Deformed> {
+        self.apply_layers(0..self.layers.len(), shape, shape.positions.to_vec(), progress)
+    }
+
+    /// Deforms samples by some of the layers, which follow each other: `positions` are the finite local ones that the
+    /// layers before have given.
+    pub fn apply_layers(
+        &self,
+        layers: Range<usize>,
+        shape: &RestShape<'_>,
+        mut positions: Vec<Vec3>,
+        progress: &dyn Progress,
+    ) -> Result<Deformed> {
         shape.check()?;
-        let mut positions = shape.positions.to_vec();
+        if positions.len() != shape.positions.len() {
+            return Err(not_one_per_sample("position"));
+        }
         let mut normals: Arc<[Vec3]> = shape.normals.into();
         let spacing: Arc<[f32]> = shape.spacing.into();
         let corner = |p| shape.frame.to_local_exact(p).to_array();
         let bounds = api::Bounds { min: corner(shape.bounds.min), max: corner(shape.bounds.max) };
         let mut messages = Vec::new();
-        let mut layers = Vec::with_capacity(self.layers.len());
-        for (i, layer) in self.layers.iter().enumerate() {
+        let mut prepared_layers = Vec::with_capacity(layers.len());
+        for (i, layer) in self.layers.iter().enumerate().take(layers.end).skip(layers.start) {
             if i > 0
                 && layer.plugin.consumes().normals
                 && let Some(renormal) = shape.renormal
@@ -135,10 +150,11 @@ impl Stack {
             let watch = Watch::new(progress, layer.plugin.id(), size_of_val(shape.positions) as u64);
             let (prepared, deformed) = layer.apply(rest, shape, &watch).map_err(|e| at(&layer.place, e))?;
             messages.extend(watch.into_messages());
-            layers.push(prepared);
+            prepared_layers.push(prepared);
             positions = deformed;
         }
-        Ok(Deformed { positions, stack: PreparedStack { layers, frame: shape.frame }, messages })
+        let stack = PreparedStack { layers: prepared_layers, frame: shape.frame };
+        Ok(Deformed { positions, stack, messages })
     }
 }
 
@@ -175,7 +191,7 @@ pub(crate) fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u3
 }
 
 /// An error of a layer, with its place; a cancel has none.
-fn at(place: &str, e: Error) -> Error {
+pub(crate) fn at(place: &str, e: Error) -> Error {
     if e.kind() == ErrorKind::Cancelled { e } else { Error::new(e.kind(), format!("{place}: {e}"), e.hint()) }
 }
 
@@ -187,6 +203,11 @@ pub(crate) fn rows(map: DAffine3) -> api::Affine {
 }
 
 impl PreparedStack {
+    /// Goes on with the layers of another one.
+    pub fn append(&mut self, more: Self) {
+        self.layers.extend(more.layers);
+    }
+
     /// Whether all layers know their map at any point of space.
     pub fn can_evaluate(&self) -> bool {
         self.layers.iter().all(PreparedLayer::can_evaluate)
