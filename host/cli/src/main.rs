@@ -12,7 +12,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use simod_core::ErrorKind;
 
-use commands::{bind, deform, demo, generate, info, plugin, reconstruct, render, run, sample};
+use commands::{bind, deform, demo, generate, info, plugin, reconstruct, refine, render, run, sample};
 use console::Console;
 use report::Report;
 
@@ -35,6 +35,7 @@ struct Arguments {
 enum Command {
     Sample(sample::Sample),
     Deform(deform::Deform),
+    Refine(refine::Refine),
     Bind(bind::Bind),
     Reconstruct(reconstruct::Reconstruct),
     Run(run::Run),
@@ -66,6 +67,7 @@ fn execute(arguments: Arguments, console: &Console) -> simod_core::Result<()> {
     match arguments.command {
         Command::Sample(c) => c.execute(&mut report),
         Command::Deform(c) => c.execute(&mut report),
+        Command::Refine(c) => c.execute(&mut report),
         Command::Bind(c) => c.execute(&mut report),
         Command::Reconstruct(c) => c.execute(&mut report),
         Command::Run(c) => c.execute(&mut report),

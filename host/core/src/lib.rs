@@ -1,7 +1,8 @@
 //! simod-core: freeform deformation that does not care about size.
 //!
 //! A huge model `P_L` is streamed to a small point set `P_S` ([`sampling`]); anything may deform `P_S` to
-//! `P_S*`; the deformation is streamed back onto `P_L` ([`reconstruction`]). Follows
+//! `P_S*`; the deformation is streamed back onto `P_L` ([`reconstruction`]). `P_S` gets more samples where it needs them
+//! ([`refinement`]). Follows
 //! T. Boubekeur, O. Sorkine, C. Schlick, *SIMOD: Making Freeform Deformation Size-Insensitive*,
 //! Eurographics Symposium on Point-Based Graphics 2007.
 //!
@@ -16,6 +17,7 @@ pub mod output;
 mod positioned;
 pub mod progress;
 pub mod reconstruction;
+pub mod refinement;
 pub mod render;
 mod resumable;
 pub mod sampled_model;

@@ -170,6 +170,23 @@ pub(crate) fn check_space(path: &Path, folder: &Path, needed: u64) -> Result<()>
     ))
 }
 
+/// Exchanges two folders at once, where the system can: at any moment each name has one of both. `false` where it
+/// cannot, and nothing is changed.
+pub(crate) fn exchange(a: &Path, b: &Path) -> io::Result<bool> {
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::fs::{CWD, RenameFlags, renameat_with};
+        use rustix::io::Errno;
+        match renameat_with(CWD, a, CWD, b, RenameFlags::EXCHANGE) {
+            Ok(()) => return Ok(true),
+            Err(Errno::INVAL | Errno::NOSYS | Errno::OPNOTSUPP) => {}
+            Err(e) => return Err(e.into()),
+        }
+    }
+    let _ = (a, b);
+    Ok(false)
+}
+
 /// Makes the new name last through a power failure.
 pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
     if !cfg!(unix) {

@@ -11,6 +11,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 use crate::frame::Frame;
 use crate::geometry::Bounds;
 use crate::model::{self, FaceChunk, Model, Scalar, VertexChunk};
+use crate::refinement::Refinement;
 use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::lattice::Grid;
 use crate::sampling::triangles::Triangles;
@@ -63,6 +64,8 @@ pub struct SampledModel {
     pub position_type: Scalar,
     /// The samples.
     pub samples: SampleSet,
+    /// How it was refined since it was sampled, first to last.
+    pub refinements: Vec<Refinement>,
     /// Triangles between samples, from the model's faces; none where it has none, or they were not wanted.
     pub triangles: Vec<[u32; 3]>,
     /// Number of triangles of the model that refer to a vertex that there is not. Not kept in the folder.
@@ -85,6 +88,8 @@ struct Description {
     model: Source,
     sampling: SamplingRecord,
     frame: FrameRecord,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    refinement: Vec<Refinement>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -143,10 +148,39 @@ impl SampledModel {
             frame,
             position_type,
             samples: SampleSet::new(positions, normals)?,
+            refinements: Vec::new(),
             triangles: triangles.triangles,
             faces_without_vertex: triangles.without_vertex,
             tangled_faces: triangles.tangled,
             kept,
+        })
+    }
+
+    /// This model with more samples behind those that it has, local positions and normals (zero where unknown), other
+    /// triangles and cells.
+    pub(crate) fn refined(
+        &self,
+        (positions, normals): (Vec<Vec3>, Vec<Vec3>),
+        triangles: Vec<[u32; 3]>,
+        kept: KeptCells,
+        refinement: Refinement,
+    ) -> Result<Self> {
+        let (min, max) = (self.frame.to_local(self.bounds.min), self.frame.to_local(self.bounds.max));
+        let inside: Vec<Vec3> = positions.iter().map(|p| p.clamp(min, max)).collect();
+        let positions = [&self.samples.positions[..], &self.rounded(&inside)].concat();
+        // Normals that were estimated stay as well, and orient those of the new samples.
+        let known = if self.sampling.skip.normals && self.samples.known_normals().is_empty() {
+            Vec::new()
+        } else {
+            [self.samples.normals(), &normals].concat()
+        };
+        Ok(Self {
+            source: self.source.clone(),
+            samples: SampleSet::new(positions, known)?,
+            refinements: self.refinements.iter().cloned().chain([refinement]).collect(),
+            triangles,
+            kept: Some(kept),
+            ..*self
         })
     }
 
@@ -200,6 +234,7 @@ impl SampledModel {
                 min: self.bounds.min,
                 max: self.bounds.max,
             },
+            refinement: self.refinements.clone(),
         };
         let text = toml::to_string(&description).map_err(|e| {
             Error::new(ErrorKind::Io, format!("cannot describe the samples: {e}"), "report this")
@@ -211,7 +246,12 @@ impl SampledModel {
         }
         set_folder_permissions(new.path()).map_err(io)?;
 
-        if folder.symlink_metadata().is_ok() {
+        if folder.symlink_metadata().is_err() {
+            std::fs::rename(new.path(), folder).map_err(io)?;
+        } else if output::exchange(new.path(), folder).map_err(io)? {
+            // What was there goes with the temporary folder.
+            return output::sync_folder(parent).map_err(io);
+        } else {
             let old = tempfile::Builder::new().prefix(".simod-old-").tempdir_in(parent).map_err(io)?;
             std::fs::rename(folder, old.path().join("old")).map_err(io)?;
             if let Err(e) = std::fs::rename(new.path(), folder) {
@@ -221,12 +261,10 @@ impl SampledModel {
                 let _ = std::fs::remove_dir(old);
                 return Err(io(e));
             }
-        } else {
-            std::fs::rename(new.path(), folder).map_err(io)?;
         }
         // Moved away: there is nothing to remove under the temporary name.
         let _ = new.keep();
-        Ok(())
+        output::sync_folder(parent).map_err(io)
     }
 
     /// Whether [`save`](Self::save) may write there: better known before a large model is sampled.
@@ -330,7 +368,7 @@ impl SampledModel {
                 memory_limit: None,
                 splitting: description.sampling.splitting,
                 grouping: description.sampling.group_level.map_or(Grouping::Never, Grouping::Level),
-                skip: Skip::default(),
+                skip: Skip { normals: normals.is_empty(), ..Skip::default() },
             },
             cells: description.sampling.cells,
             cell_size: description.sampling.cell_size,
@@ -338,11 +376,22 @@ impl SampledModel {
             frame,
             position_type,
             samples: SampleSet::new(positions.iter().map(|p| frame.to_local(*p)).collect(), normals)?,
+            refinements: description.refinement,
             triangles,
             faces_without_vertex: 0,
             tangled_faces: false,
             kept: None,
         })
+    }
+
+    /// The cells, if they are in memory: after sampling, unless they were not wanted, and after a refinement.
+    pub fn held_cells(&self) -> Option<&KeptCells> {
+        self.kept.as_ref()
+    }
+
+    /// Holds cells in memory, as [`cells`](Self::cells) has read them: to be refined, or saved with the samples.
+    pub fn hold_cells(&mut self, cells: KeptCells) {
+        self.kept = Some(cells);
     }
 
     /// The cells of a sampled model, from its folder; if the file is missing or damaged, the model is sampled
@@ -359,6 +408,13 @@ impl SampledModel {
     ) -> Result<KeptCells> {
         if let Some(kept) = Self::kept_cells(folder) {
             return Ok(kept);
+        }
+        if !self.refinements.is_empty() {
+            return Err(Error::new(
+                ErrorKind::Format,
+                format!("{} was refined, and its {CELLS} is missing or damaged since", folder.display()),
+                "sample the model again, and refine it again: `simod info` tells where it was refined",
+            ));
         }
         let source = self.open_source(elsewhere)?;
         let skip = Skip { triangles: true, cells: false, normals: true };
@@ -439,6 +495,25 @@ impl SampledModel {
     pub fn rounded(&self, deformed: &[Vec3]) -> Vec<Vec3> {
         let round = |p: &Vec3| self.frame.to_local(rounded(self.frame.to_model(*p), self.position_type));
         deformed.iter().map(round).collect()
+    }
+
+    /// Writes deformed samples of a refined model: those of `before`, a file of deformed samples of the model that was
+    /// refined, bit for bit as they are there, and the new ones (model coordinates), in the type of that file's positions.
+    ///
+    /// # Errors
+    /// A file cannot be read or written.
+    pub fn write_more_deformed(
+        &self,
+        path: &Path,
+        before: &Path,
+        more: &[DVec3],
+        normals: &[Vec3],
+    ) -> Result<()> {
+        let scalar = model::open(before)?.info().position_type;
+        let (mut positions, _) = read_points(before)?;
+        positions.extend_from_slice(more);
+        let comments = ["SIMOD samples".to_owned()];
+        model::ply::write_points(path, positions.into_iter(), normals, &self.triangles, scalar, &comments)
     }
 
     /// Reads deformed samples: local positions, in the order of the samples. Normals in the file are not looked

@@ -1,6 +1,7 @@
 //! The whole way of an edit, which reads as the design's picture: sample, deform, reconstruct.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use glam::Vec3;
@@ -11,15 +12,18 @@ use simod_core::reconstruction::{Reconstruction, Version, deformed_normals, reco
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
 use simod_core::{Error, ErrorKind, Progress, Result};
+use simod_plugin_api::Effort;
 
 use crate::deformer::Message;
+use crate::edit::{Document, Evaluated, Evaluation, Refinements, Status};
 use crate::plugins::PluginRegistry;
-use crate::session_file::{self, SessionFile};
-use crate::stack::{PreparedStack, RestShape, Stack};
+use crate::session_file::{self, SessionFile, Step};
+use crate::stack::{PreparedStack, Stack};
 
-/// P_S*: the samples of a model after a stack of deformations.
-#[derive(Debug)]
+/// P_S*: the samples of a model after the steps of a session.
 pub struct DeformedSamples {
+    /// The model with its samples at rest, with those that steps appended.
+    pub sampled: Arc<SampledModel>,
     /// Local positions, one per sample, rounded to what a file of them holds.
     pub positions: Vec<Vec3>,
     /// Unit normals, derived from the positions.
@@ -30,33 +34,37 @@ pub struct DeformedSamples {
     pub messages: Vec<Message>,
 }
 
-/// Deforms the samples of a model.
+/// Does steps on a sampled model, which [holds its cells](SampledModel::hold_cells) if any of them refines.
 ///
 /// # Errors
-/// A plugin fails, the samples and the layers do not fit, or the user cancelled.
-pub fn deform(sampled: &SampledModel, stack: &Stack, progress: &dyn Progress) -> Result<DeformedSamples> {
-    let samples = &sampled.samples;
-    let shape = RestShape {
-        positions: &samples.positions,
-        normals: samples.normals(),
-        spacing: samples.spacing(),
-        frame: sampled.frame,
-        bounds: sampled.bounds,
-        triangles: &sampled.triangles,
-        neighbours: Some(samples.neighbours()),
-        renormal: Some(&|positions| deformed_normals(samples, positions)),
-    };
-    let deformed = stack.apply(&shape, progress)?;
-    let positions = sampled.rounded(&deformed.positions);
-    let normals = deformed_normals(samples, &positions);
-    Ok(DeformedSamples { positions, normals, stack: deformed.stack, messages: deformed.messages })
+/// A step cannot be done, or the user cancelled.
+pub fn deform(
+    sampled: SampledModel,
+    steps: &[Step],
+    plugins: &PluginRegistry,
+    how: Refinements,
+    progress: &dyn Progress,
+) -> Result<DeformedSamples> {
+    let document = Document::new(steps.iter().cloned());
+    let mut evaluation = Evaluation::new(Arc::new(sampled), how);
+    let Evaluated { sampled, positions, statuses, stack } =
+        evaluation.update(document.steps(), plugins, Effort::FULL, progress)?;
+    let mut messages = Vec::new();
+    for (_, status) in statuses {
+        match status {
+            Status::Done(said) => messages.extend(said),
+            Status::Failed(error) => return Err(error),
+            Status::Off | Status::Waiting => {}
+        }
+    }
+    let positions = sampled.rounded(&positions);
+    let normals = deformed_normals(&sampled.samples, &positions);
+    Ok(DeformedSamples { sampled, positions, normals, stack, messages })
 }
 
 /// A finished run of a session.
 pub struct Run {
-    /// The model's samples.
-    pub sampled: SampledModel,
-    /// The samples after the deformation.
+    /// The samples after the deformation, with those at rest.
     pub deformed: DeformedSamples,
     /// The deformed model.
     pub output: PathBuf,
@@ -93,12 +101,14 @@ impl Run {
         let model = model::open(path)?;
         let folder = folder_of(output);
         let mut sampling: Sampling = session.sampling.into();
+        sampling.skip.cells = !session.steps.iter().any(|step| step.enabled && step.refines());
         sampling.skip.triangles = !stack.plugins().any(|p| p.consumes().triangles);
         let sampled = sample(model.as_ref(), &sampling, folder, progress)?;
-        let deformed = deform(&sampled, &stack, progress)?;
+        let refinements = Refinements { folder: folder.to_owned(), ..Refinements::default() };
+        let deformed = deform(sampled, &session.steps, plugins, refinements, progress)?;
         let version = Version { deformed: &deformed.positions, output, diagnostics: None };
-        reconstruct(&sampled, model.as_ref(), &[version], how, progress)?;
-        Ok(Self { sampled, deformed, output: output.to_owned(), seconds: start.elapsed().as_secs_f64() })
+        reconstruct(&deformed.sampled, model.as_ref(), &[version], how, progress)?;
+        Ok(Self { deformed, output: output.to_owned(), seconds: start.elapsed().as_secs_f64() })
     }
 
     /// Compares the output with the exact image of every vertex of the model.
@@ -110,9 +120,9 @@ impl Run {
         if !exact.can_evaluate() {
             return Err(not_evaluable());
         }
-        let model = self.sampled.open_source(None)?;
+        let model = self.deformed.sampled.open_source(None)?;
         let output = model::open(&self.output)?;
-        let diagonal = self.sampled.bounds.diagonal();
+        let diagonal = self.deformed.sampled.bounds.diagonal();
         let map = |points: &mut [glam::DVec3]| exact.evaluate_with(points, progress);
         transfer_error::measure(model.as_ref(), output.as_ref(), diagonal, &map, progress)
     }
@@ -133,7 +143,7 @@ impl From<session_file::Sampling> for Sampling {
             (None, Some(e)) => Target::Error(e),
             (None, None) => Target::default(),
         };
-        // Nothing that follows asks for the cells.
+        // Refinements alone ask for the cells.
         let skip = Skip { cells: true, ..Skip::default() };
         Self { target, grid: from.grid, skip, ..Self::default() }
     }

@@ -5,6 +5,7 @@ use crate::shapes::{Shape, Shapes};
 use crate::strokes_file;
 use glam::DVec3;
 use serde::Deserialize;
+use simod_core::refinement::Finer;
 use simod_core::{Error, ErrorKind, Result};
 use std::fs::File;
 use std::io::{ErrorKind as ErrorOfIo, Read};
@@ -26,7 +27,7 @@ pub struct SessionFile {
     pub model: Option<PathBuf>,
     /// How finely to sample it.
     pub sampling: Sampling,
-    /// The deformations, first to last.
+    /// Deformations and refinements, first to last.
     pub steps: Vec<Step>,
     /// Where the deformed model goes.
     pub output: Option<PathBuf>,
@@ -44,9 +45,58 @@ pub struct Sampling {
     pub grid: Option<u32>,
 }
 
-/// One deformation.
+/// One step of an edit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Step {
+    /// What is done.
+    pub action: Action,
+    /// Whether it is done; a step that is not stays in the session.
+    pub enabled: bool,
+    /// Where in the file it stands, as `session.toml, line 7`; for errors.
+    pub place: String,
+}
+
+/// What a step does.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Action {
+    /// The samples are moved.
+    Deform(Deformation),
+    /// There are more samples.
+    Refine(Refine),
+}
+
+/// More samples in a part of the model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Refine {
+    /// Where: on the model as the steps before have deformed it.
+    pub shapes: Shapes,
+    /// How fine.
+    pub finer: Finer,
+}
+
+impl Refine {
+    /// What is wrong with it, and what to do.
+    ///
+    /// # Errors
+    /// That.
+    pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
+        self.shapes.check().map_err(|what| (what, "give another shape"))?;
+        let makes_sense = match self.finer {
+            Finer::Error(e) => e >= 0.0 && e.is_finite(),
+            Finer::Factor(f) => f > 1.0 && f.is_finite(),
+            Finer::Samples(n) => (1..=u64::from(u32::MAX)).contains(&n),
+        };
+        if makes_sense { Ok(()) } else { Err(("the refinement is to no fineness that makes sense", FINER)) }
+    }
+}
+
+/// How fine a refinement can be.
+const FINER: &str =
+    "an error of 0 or more as a fraction of the diagonal, a factor above 1, or at least 1 sample";
+
+/// One deformation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Deformation {
     /// The plugin's id.
     pub deform: String,
     /// The parameters that differ from their defaults.
@@ -59,12 +109,31 @@ pub struct Step {
     pub handles: Vec<HandleMove>,
     /// Brush strokes, first to last.
     pub strokes: Vec<Arc<Stroke>>,
-    /// Whether it is done; a step that is not stays in the session.
-    pub enabled: bool,
     /// What paths among the parameters are relative to.
     pub folder: PathBuf,
-    /// Where in the file it stands, as `session.toml, line 7`; for errors.
-    pub place: String,
+}
+
+impl Step {
+    /// The plugin's id, or what else the step is.
+    pub fn name(&self) -> &str {
+        match &self.action {
+            Action::Deform(deformation) => &deformation.deform,
+            Action::Refine(_) => "refine",
+        }
+    }
+
+    /// Whether there may be more samples after it.
+    pub fn refines(&self) -> bool {
+        matches!(self.action, Action::Refine(_))
+    }
+
+    /// The deformation, where it is one.
+    pub fn deformation(&self) -> Option<&Deformation> {
+        match &self.action {
+            Action::Deform(deformation) => Some(deformation),
+            Action::Refine(_) => None,
+        }
+    }
 }
 
 /// A joint of a skeleton.
@@ -191,8 +260,16 @@ struct RawStep {
     stroke: Vec<Spanned<Stroke>>,
     strokes: Option<Spanned<strokes_file::Reference>>,
     enabled: Option<bool>,
-    // Known to the format, but not to this version.
-    refine: Option<Spanned<toml::Value>>,
+    refine: Option<Spanned<RawRefine>>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+struct RawRefine {
+    shapes: Vec<Spanned<Shape>>,
+    error: Option<f64>,
+    factor: Option<f64>,
+    samples: Option<u64>,
 }
 
 #[derive(Deserialize)]
@@ -303,14 +380,62 @@ impl Source<'_> {
     }
 
     fn step(&self, step: Spanned<RawStep>) -> Result<Step> {
-        let span = step.span();
-        let raw = step.into_inner();
-        if let Some(refine) = raw.refine {
-            let what = "`refine` steps are not known to this version of SIMOD";
-            return Err(self.error(&refine.span(), what, "use a newer version, or remove them"));
+        let (span, raw) = (step.span(), step.into_inner());
+        let (enabled, place) = (raw.enabled.unwrap_or(true), self.place(&span));
+        let action = if raw.refine.is_some() {
+            Action::Refine(self.refine(&span, raw)?)
+        } else {
+            Action::Deform(self.deformation(&span, raw)?)
+        };
+        Ok(Step { action, enabled, place })
+    }
+
+    fn refine(&self, span: &Range<usize>, raw: RawStep) -> Result<Refine> {
+        let nothing_else = raw.deform.is_none()
+            && raw.params.is_empty()
+            && raw.region.is_empty()
+            && raw.joint.is_empty()
+            && raw.handle.is_empty()
+            && raw.stroke.is_empty()
+            && raw.strokes.is_none();
+        let Some(refine) = raw.refine.filter(|_| nothing_else) else {
+            let hint = "give each a [[step]] of its own";
+            return Err(self.error(span, "a step that refines does nothing else", hint));
+        };
+        let span = refine.span();
+        let RawRefine { shapes, error, factor, samples } = refine.into_inner();
+        let shapes = self.shapes(&span, "the refinement has no shape", shapes)?;
+        let finer = match (error, factor, samples) {
+            (Some(e), None, None) => Finer::Error(e),
+            (None, Some(f), None) => Finer::Factor(f),
+            (None, None, Some(n)) => Finer::Samples(n),
+            _ => return Err(self.error(&span, "give one of `error`, `factor` and `samples`", FINER)),
+        };
+        let refine = Refine { shapes, finer };
+        match refine.check() {
+            Ok(()) => Ok(refine),
+            Err((what, hint)) => Err(self.error(&span, what, hint)),
         }
+    }
+
+    /// At least one shape, which all make sense.
+    fn shapes(&self, span: &Range<usize>, none: &str, raw: Vec<Spanned<Shape>>) -> Result<Shapes> {
+        if raw.is_empty() {
+            return Err(self.error(span, none, "give one, such as a sphere"));
+        }
+        let mut shapes = Shapes::default();
+        for shape in raw {
+            if let Some(what) = shape.get_ref().defect() {
+                return Err(self.error(&shape.span(), what, "correct the shape"));
+            }
+            shapes.shapes.push(shape.into_inner());
+        }
+        Ok(shapes)
+    }
+
+    fn deformation(&self, span: &Range<usize>, raw: RawStep) -> Result<Deformation> {
         let deform = raw.deform.ok_or_else(|| {
-            self.error(&span, "the step has no `deform`", "name a plugin, such as deform = \"warp\"")
+            self.error(span, "the step has no `deform`", "name a plugin, such as deform = \"warp\"")
         })?;
         let folder = self.path.parent().unwrap_or(Path::new(""));
         let mut strokes = match raw.strokes {
@@ -323,16 +448,14 @@ impl Source<'_> {
         for stroke in raw.stroke {
             strokes.push(Arc::new(self.stroke(stroke)?));
         }
-        Ok(Step {
+        Ok(Deformation {
             deform,
             params: raw.params,
             regions: raw.region.into_iter().map(|r| self.region(r)).collect::<Result<_>>()?,
             joints: self.joints(raw.joint)?,
             handles: self.handles(raw.handle)?,
             strokes,
-            enabled: raw.enabled.unwrap_or(true),
             folder: folder.to_owned(),
-            place: self.place(&span),
         })
     }
 
@@ -418,16 +541,7 @@ impl Source<'_> {
     fn region(&self, region: Spanned<RawRegion>) -> Result<Region> {
         let span = region.span();
         let raw = region.into_inner();
-        let mut shapes = Shapes::default();
-        if raw.shapes.is_empty() {
-            return Err(self.error(&span, "the region has no shape", "give one, such as a sphere"));
-        }
-        for shape in raw.shapes {
-            if let Some(what) = shape.get_ref().defect() {
-                return Err(self.error(&shape.span(), what, "correct the shape"));
-            }
-            shapes.shapes.push(shape.into_inner());
-        }
+        let mut shapes = self.shapes(&span, "the region has no shape", raw.shapes)?;
         if let Some(falloff) = raw.falloff {
             shapes.falloff = *falloff.get_ref();
             if !(shapes.falloff >= 0.0 && shapes.falloff.is_finite()) {
@@ -488,8 +602,9 @@ path = "/elsewhere/out.ply"
         assert_eq!(session.output.unwrap(), Path::new("/elsewhere/out.ply"));
         assert_eq!(session.sampling.samples, Some(50_000));
         let [rbf, warp] = session.steps.as_slice() else { panic!() };
-        assert_eq!((rbf.deform.as_str(), rbf.regions.len()), ("rbf", 2));
         assert_eq!(rbf.place, "edits/session.toml, line 6");
+        let [rbf, warp] = [rbf, warp].map(|step| step.deformation().unwrap());
+        assert_eq!((rbf.deform.as_str(), rbf.regions.len()), ("rbf", 2));
         assert_eq!(rbf.regions[1].shapes.shapes[0], Shape::Sphere { center: DVec3::Y * 300.0, radius: 40.0 });
         assert_eq!(rbf.regions[1].shapes.falloff, 2.0);
         assert_eq!(rbf.regions[1].motion.degrees, 30.0);
@@ -537,7 +652,18 @@ path = "/elsewhere/out.ply"
             "",
         );
         told("[[step]]\nparams = {}", 1, "no `deform`");
-        told("[[step]]\nrefine = { error = 1 }", 2, "`refine` steps are not known");
+        let refine = |text: &str| format!("[[step]]\nrefine = {{ {text} }}");
+        let shapes = "shapes = [{ sphere = { center = [0,0,0], radius = 1 } }]";
+        told(&refine("error = 1"), 2, "`shapes`");
+        told(&refine("shapes = [], error = 1"), 2, "no shape");
+        told(&refine(shapes), 2, "give one of `error`");
+        told(&refine(&format!("{shapes}, error = 1, factor = 2")), 2, "give one of `error`");
+        for bad in ["error = -1", "error = nan", "factor = 1", "samples = 0"] {
+            told(&refine(&format!("{shapes}, {bad}")), 2, "no fineness that makes sense");
+        }
+        told(&refine(&format!("{}, error = 1", shapes.replace("= 1", "= 0"))), 2, "radius");
+        told(&refine(&format!("{shapes}, size = 1")), 2, "size");
+        told(&format!("[[step]]\ndeform = \"x\"\nrefine = {{ {shapes}, error = 1 }}"), 1, "nothing else");
         let step = "[[step]]\ndeform = \"x\"\n";
         told(&format!("{step}[[step.handle]]\nid = \"0\""), 3, "`move`");
         told(&format!("{step}[[step.handle]]\nid = \"a b\"\nmove = {{}}"), 3, "white space");
@@ -555,12 +681,32 @@ path = "/elsewhere/out.ply"
     }
 
     #[test]
+    fn refinements_stand_between_deformations() {
+        let refine = |e: f64| {
+            format!(
+                "[[step]]\nrefine = {{ shapes = [{{ sphere = {{ center = [0,0,0], radius = 1 }} }}], error = {e} }}\n"
+            )
+        };
+        let deform = "[[step]]\ndeform = \"warp\"\n";
+        let session = parse(&[&refine(0.0), deform, deform, &refine(0.5), &refine(0.25)].concat()).unwrap();
+        let finer = |s: &Step| match &s.action {
+            Action::Refine(refine) => Some(refine.finer),
+            Action::Deform(_) => None,
+        };
+        let order: Vec<_> = session.steps.iter().map(finer).collect();
+        let error = |e| Some(Finer::Error(e));
+        assert_eq!(order, [error(0.0), None, None, error(0.5), error(0.25)]);
+        assert!(session.steps[3].place.ends_with("line 7"));
+    }
+
+    #[test]
     fn joints_come_after_those_that_they_hang_on() {
         let joint = |id: &str, rest: &str| format!("[[step.joint]]\nid = \"{id}\"\nat = [1,2,3]\n{rest}\n");
         let text =
             ["[[step]]\ndeform = \"x\"\n", &joint("hand", "parent = \"arm\""), &joint("arm", "")].concat();
         let session = parse(&text).unwrap();
-        let ids: Vec<&str> = session.steps[0].joints.iter().map(|j| j.id.as_str()).collect();
+        let ids: Vec<&str> =
+            session.steps[0].deformation().unwrap().joints.iter().map(|j| j.id.as_str()).collect();
         assert_eq!(ids, ["arm", "hand"]);
     }
 }

@@ -2,10 +2,14 @@
 //! out, and long strokes go to a file beside it.
 
 use crate::motion::Motion;
-use crate::session_file::{HandleMove, Joint, Region, Role, Sampling, SessionFile, Step, Stroke, VERSION};
+use crate::session_file::{
+    Action, Deformation, HandleMove, Joint, Refine, Region, Role, Sampling, SessionFile, Step, Stroke,
+    VERSION,
+};
 use crate::shapes::Shape;
 use crate::strokes_file;
 use glam::DVec3;
+use simod_core::refinement::Finer;
 use simod_core::sampled_model::relative;
 use simod_core::{Error, ErrorKind, Result, output};
 use std::path::Path;
@@ -73,10 +77,28 @@ fn sampling(from: &Sampling) -> Table {
 
 fn step(from: &Step, session: &Path) -> Result<Table> {
     let mut table = Table::new();
-    table["deform"] = value(&from.deform);
     if !from.enabled {
         table["enabled"] = value(false);
     }
+    match &from.action {
+        Action::Deform(from) => deformation(from, session, &mut table)?,
+        Action::Refine(from) => table["refine"] = value(refine(from)),
+    }
+    Ok(table)
+}
+
+fn refine(from: &Refine) -> InlineTable {
+    let finer = match from.finer {
+        Finer::Error(error) => ("error", error.into()),
+        Finer::Factor(factor) => ("factor", factor.into()),
+        Finer::Samples(samples) => ("samples", i64::try_from(samples).unwrap_or(i64::MAX).into()),
+    };
+    let shapes = from.shapes.shapes.iter().map(shape).collect::<Array>();
+    InlineTable::from_iter([("shapes", Value::from(shapes)), finer])
+}
+
+fn deformation(from: &Deformation, session: &Path, table: &mut Table) -> Result<()> {
+    table["deform"] = value(&from.deform);
     if !from.params.is_empty() {
         table["params"] = value(inline(&from.params)?);
     }
@@ -99,7 +121,7 @@ fn step(from: &Step, session: &Path) -> Result<Table> {
     if !long {
         tables("stroke", from.strokes.iter().map(|s| stroke(s)).collect::<Result<_>>()?);
     }
-    Ok(table)
+    Ok(())
 }
 
 fn region(from: &Region) -> Table {
@@ -119,7 +141,7 @@ fn region(from: &Region) -> Table {
     table
 }
 
-pub(crate) fn shape(from: &Shape) -> InlineTable {
+fn shape(from: &Shape) -> InlineTable {
     let (kind, entries): (&str, [(&str, Value); 2]) = match *from {
         Shape::HalfSpace { point, normal } => {
             ("half-space", [("point", vector(point)), ("normal", vector(normal))])
@@ -226,7 +248,7 @@ mod tests {
         };
         let turned = Motion { degrees: 30.0, pivot: Some(DVec3::ZERO), scale: 2.0, ..Motion::default() };
         let shifted = Motion { translate: DVec3::X, axis: DVec3::Z, ..Motion::default() };
-        let step = Step {
+        let deformation = Deformation {
             deform: "rbf".to_owned(),
             params: "kernel = \"triharmonic\"\ntolerance = 1e-4\nname = \"a \\\" b\"".parse().unwrap(),
             regions: vec![
@@ -240,15 +262,22 @@ mod tests {
             ],
             handles: vec![HandleMove { id: "3,3,3".to_owned(), motion: shifted }],
             strokes: vec![stroke(3), stroke(1)],
-            enabled: false,
             folder: folder.to_owned(),
-            place: String::new(),
         };
-        let long = Step { strokes: vec![stroke(5000), stroke(2)], enabled: true, ..step.clone() };
+        let long = Deformation { strokes: vec![stroke(5000), stroke(2)], ..deformation.clone() };
+        let refine =
+            |finer| Action::Refine(Refine { shapes: Shapes { shapes: shapes.clone(), falloff: 0.0 }, finer });
+        let step = |action, enabled| Step { action, enabled, place: String::new() };
         SessionFile {
             model: Some(folder.join("models/nefertiti.ply")),
             sampling: Sampling { samples: Some(50_000), error: None, grid: Some(64) },
-            steps: vec![step, long],
+            steps: vec![
+                step(Action::Deform(deformation), false),
+                step(refine(Finer::Factor(4.0)), true),
+                step(Action::Deform(long), true),
+                step(refine(Finer::Error(1e-5)), false),
+                step(refine(Finer::Samples(1000)), true),
+            ],
             output: Some(folder.join("out.ply")),
         }
     }
@@ -277,8 +306,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path().canonicalize().unwrap();
         let mut session = session(&folder);
-        session.steps.truncate(1);
-        session.steps[0].strokes.clear();
+        session.steps.truncate(2);
+        let Action::Deform(first) = &mut session.steps[0].action else { panic!("a deformation") };
+        first.strokes.clear();
         let text = session.to_toml(&folder.join("edit.toml")).unwrap();
         assert_eq!(
             text,
@@ -292,8 +322,8 @@ samples = 50000
 grid = 64
 
 [[step]]
-deform = "rbf"
 enabled = false
+deform = "rbf"
 params = { kernel = "triharmonic", name = 'a " b', tolerance = 0.0001 }
 
 [[step.region]]
@@ -323,6 +353,9 @@ parent = "arm"
 [[step.handle]]
 id = "3,3,3"
 move = { translate = [1.0, 0.0, 0.0], axis = [0.0, 0.0, 1.0], degrees = 0.0 }
+
+[[step]]
+refine = { shapes = [{ half-space = { point = [0.0, 0.0, 0.0], normal = [0.0, -1.0, 0.0] } }, { sphere = { center = [0.1, 300.0, 0.0], radius = 0.3333333333333333 } }, { box = { min = [0.0, 0.0, 0.0], max = [1.0, 1.0, 1.0] } }], factor = 4.0 }
 
 [output]
 path = "out.ply"

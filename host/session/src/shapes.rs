@@ -57,6 +57,22 @@ impl Shape {
         }
     }
 
+    /// As a session file has it.
+    fn table(&self) -> toml::Table {
+        let three = |p: &DVec3| toml::Value::from(p.to_array().to_vec());
+        let (name, content) = match self {
+            Self::HalfSpace { point, normal } => {
+                ("half-space", vec![("point", three(point)), ("normal", three(normal))])
+            }
+            Self::Sphere { center, radius } => {
+                ("sphere", vec![("center", three(center)), ("radius", (*radius).into())])
+            }
+            Self::Box { min, max } => ("box", vec![("min", three(min)), ("max", three(max))]),
+        };
+        let content: toml::Table = content.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+        toml::Table::from_iter([(name.to_owned(), content.into())])
+    }
+
     /// Signed distance to the surface, in the model's unit; negative inside.
     pub fn signed_distance(&self, p: DVec3) -> f64 {
         match *self {
@@ -95,10 +111,20 @@ impl Shapes {
         }
     }
 
+    /// Signed distance to the surface of the union, in the model's unit: negative inside, and exact outside.
+    pub fn signed_distance(&self, p: DVec3) -> f64 {
+        self.shapes.iter().map(|s| s.signed_distance(p)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// The shapes as a session file has them.
+    pub fn tables(&self) -> Vec<toml::Table> {
+        self.shapes.iter().map(Shape::table).collect()
+    }
+
     /// 1 inside and on the surface of any shape, 0 from `falloff` away on, and `1 - 3t² + 2t³` in between, with
     /// `t` the distance to the surface over `falloff`.
     pub fn weight(&self, p: DVec3) -> f64 {
-        let distance = self.shapes.iter().map(|s| s.signed_distance(p)).fold(f64::INFINITY, f64::min);
+        let distance = self.signed_distance(p);
         if distance <= 0.0 {
             1.0
         } else if distance < self.falloff {
@@ -137,6 +163,15 @@ mod tests {
         assert_eq!(soft.weight(DVec3::new(12.0, 0.0, 0.0)), 0.5);
         assert_eq!(soft.weight(DVec3::new(13.0, 0.0, 0.0)), 0.0);
         assert_eq!(Shapes::default().weight(DVec3::ZERO), 0.0);
+    }
+
+    #[test]
+    fn tables_are_read_as_the_same_shapes() {
+        let ball = Shape::Sphere { center: DVec3::X, radius: 2.0 };
+        let half = Shape::HalfSpace { point: DVec3::ZERO, normal: DVec3::Y };
+        let all = Shapes { shapes: vec![BOX, ball, half], falloff: 0.0 };
+        let read: Vec<Shape> = all.tables().into_iter().map(|t| t.try_into().unwrap()).collect();
+        assert_eq!(read, all.shapes);
     }
 
     #[test]

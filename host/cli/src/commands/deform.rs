@@ -1,10 +1,12 @@
 //! `simod deform`: a session's stack of plugins on the samples.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
-use simod_core::Result;
+use simod_core::output::folder_of;
 use simod_core::sampled_model::SampledModel;
+use simod_core::{Error, ErrorKind, Result};
+use simod_session::edit::Refinements;
 use simod_session::{SessionFile, Stack, deform};
 
 use super::plugin_options::PluginOptions;
@@ -23,6 +25,10 @@ pub struct Deform {
     /// The deformed samples to write (PLY)
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// The folder for the model as the session's steps refine it: the deformed samples are of that one. Needed if any
+    /// do
+    #[arg(long, value_name = "DIR")]
+    refined: Option<PathBuf>,
     #[command(flatten)]
     plugins: PluginOptions,
 }
@@ -30,9 +36,21 @@ pub struct Deform {
 impl Deform {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let session = SessionFile::load(&self.session)?;
-        let stack = Stack::build(&session.steps, &self.plugins.discover(report))?;
-        let sampled = SampledModel::load(&self.sampled)?;
-        let deformed = deform(&sampled, &stack, report.progress())?;
+        let refined = self.refined_folder(&session)?;
+        let plugins = self.plugins.discover(report);
+        let stack = Stack::build(&session.steps, &plugins)?;
+        let mut sampled = SampledModel::load(&self.sampled)?;
+        let progress = report.progress();
+        let mut how = Refinements::default();
+        if let Some(folder) = refined {
+            sampled.hold_cells(sampled.cells(&self.sampled, None, progress)?);
+            how.folder = folder_of(folder).to_owned();
+        }
+        let deformed = deform(sampled, &session.steps, &plugins, how, progress)?;
+        let sampled = &deformed.sampled;
+        if let Some(folder) = refined {
+            sampled.save(folder)?;
+        }
         tell(&deformed.messages, report);
         sampled.write_deformed(&self.output, &deformed.positions, &deformed.normals)?;
         report.figure("vertices", sampled.source.vertices);
@@ -45,5 +63,20 @@ impl Deform {
             self.output.display()
         ));
         Ok(())
+    }
+
+    /// Where the refined model goes, if the session refines.
+    fn refined_folder(&self, session: &SessionFile) -> Result<Option<&Path>> {
+        let mut refinements = session.steps.iter().filter(|step| step.enabled && step.refines());
+        let Some(first) = refinements.next() else { return Ok(None) };
+        let folder = self.refined.as_deref().ok_or_else(|| {
+            Error::new(
+                ErrorKind::Argument,
+                format!("{}: this step refines the samples", first.place),
+                "say with --refined where the refined model goes, which the deformed samples belong to",
+            )
+        })?;
+        SampledModel::check_target(folder)?;
+        Ok(Some(folder))
     }
 }

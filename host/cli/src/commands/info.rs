@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde_json::json;
 use simod_core::model::Scalar;
+use simod_core::refinement::Refinement;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::Target;
 use simod_core::{Result, model};
@@ -68,6 +69,14 @@ impl Info {
         let kept = SampledModel::kept_cells(&self.path).is_some();
         let cells = if kept { "kept" } else { "not kept, or damaged" };
         report.line(format!("{} triangles; cells and trees {cells}", count(sampled.triangles.len() as u64)));
+        for refinement in &sampled.refinements {
+            report.line(format!(
+                "refined to an error of {:.1e} of the diagonal, {} samples more: {}",
+                refinement.error,
+                count(refinement.added),
+                refinement.places()
+            ));
+        }
         let (min, max) = (sampled.bounds.min, sampled.bounds.max);
         report.line(format!("bounding box {min} to {max}, diagonal {:.6}", sampled.bounds.diagonal()));
         report.figure("vertices", source.vertices);
@@ -75,6 +84,8 @@ impl Info {
         report.figure("cells", sampled.cells);
         report.figure("triangles", sampled.triangles.len());
         report.figure("cells_kept", kept);
+        let refinement = |r: &Refinement| json!({"shapes": r.shapes, "error": r.error, "added": r.added});
+        report.figure("refinements", sampled.refinements.iter().map(refinement).collect::<Vec<_>>());
         report.figure("source", source.path.display().to_string());
         report.figure("bounds", json!([min.to_array(), max.to_array()]));
         report.figure("diagonal", sampled.bounds.diagonal());

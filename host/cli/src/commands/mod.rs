@@ -10,6 +10,7 @@ mod plugin_check;
 mod plugin_new;
 mod plugin_options;
 pub mod reconstruct;
+pub mod refine;
 pub mod render;
 pub mod run;
 pub mod sample;

@@ -64,9 +64,9 @@ impl Run {
 
 /// Reports a finished run.
 pub fn describe(run: &Pipeline, report: &mut Report) {
-    warn_non_finite(&run.sampled, report);
+    warn_non_finite(&run.deformed.sampled, report);
     tell(&run.deformed.messages, report);
-    let (vertices, samples) = (run.sampled.source.vertices, run.sampled.samples.len());
+    let (vertices, samples) = (run.deformed.sampled.source.vertices, run.deformed.sampled.samples.len());
     report.figure("vertices", vertices);
     report.figure("samples", samples);
     report.figure("vertices_per_second", vertices as f64 / run.seconds.max(1e-9));

@@ -146,6 +146,11 @@ impl<'a> DeformationField<'a> {
         Self { around, deformed, method, frames, expansions, limiter, active, folds }
     }
 
+    /// Local position of each sample after the deformation.
+    pub fn deformed(&self) -> &'a [Vec3] {
+        self.deformed
+    }
+
     /// Where it folds the surface.
     pub fn folds(&self) -> &Folds {
         &self.folds

@@ -14,10 +14,10 @@
 //! this is too few in the end, the cut says so, and pass 2 has to begin again without.
 
 use glam::Vec3;
-use serde::{Deserialize, Serialize};
 
 use super::cluster::Moments;
 use super::finalization::ClusteredCell;
+use super::kept_cells::CutTree;
 use super::lattice::{CellKey, CellMap, Grid};
 use super::vs_tree::{Node, VsTree};
 use crate::{Error, ErrorKind, Result};
@@ -129,7 +129,8 @@ impl Forest {
                     let children: Vec<u8> = (0..tree.nodes.len()).map(|i| tree.children(i) as u8).collect();
                     let leaves = tree.nodes.iter().zip(&children).filter(|(_, children)| **children == 0);
                     leaves.for_each(|(node, _)| cut.push(node, first_leaf));
-                    cut.trees.push(CutTree { first_sample: next, children, errors });
+                    let samples = (next..cut.samples() as u32).collect();
+                    cut.trees.push(CutTree { children, errors, samples, grown: Vec::new() });
                 }
                 Some(piece) => {
                     let (node, sample) = &mut above[piece as usize];
@@ -140,9 +141,10 @@ impl Forest {
                         cut.starts.push((first_leaf, sample));
                     }
                     cut.trees.push(CutTree {
-                        first_sample: sample,
                         children: vec![0],
                         errors: vec![node.key],
+                        samples: vec![sample],
+                        grown: Vec::new(),
                     });
                 }
             }
@@ -179,17 +181,6 @@ impl Cut {
     }
 }
 
-/// A cell's tree down to the samples, in preorder.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct CutTree {
-    /// The sample of its first leaf; those of the others follow. A tree of one node may share it with other cells.
-    pub first_sample: u32,
-    /// Number of children of each node; none for a sample.
-    pub children: Vec<u8>,
-    /// Error of each node, or of one above if that is less; a length in local units.
-    pub errors: Vec<f32>,
-}
-
 /// Clusters beyond one per tree that are kept for a target, until they are pruned.
 pub fn most_kept(target: usize) -> usize {
     (KEEP_AT_MOST * target.max(1024) as f64) as usize
@@ -202,7 +193,7 @@ pub fn running_bound<'a>(trees: impl Iterator<Item = &'a VsTree>, target: usize)
 
 /// The least bound at which a cut has at most `target` clusters, given the clusters that can be split (their key and
 /// how many clusters the split adds) and the number of roots.
-fn threshold_for(splits: impl Iterator<Item = (f32, u32)>, roots: usize, target: usize) -> f32 {
+pub fn threshold_for(splits: impl Iterator<Item = (f32, u32)>, roots: usize, target: usize) -> f32 {
     let mut splits: Vec<_> = splits.collect();
     splits.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
     let mut clusters = roots;
@@ -363,7 +354,8 @@ mod tests {
         let mut seen = vec![0; cut.samples()];
         for tree in &cut.trees {
             let leaves = tree.children.iter().filter(|n| **n == 0).count();
-            (0..leaves).for_each(|i| seen[tree.first_sample as usize + i] += 1);
+            assert_eq!(tree.samples.len(), leaves);
+            tree.samples.iter().for_each(|i| seen[*i as usize] += 1);
             assert_eq!(tree.children.iter().map(|n| *n as usize).sum::<usize>(), tree.children.len() - 1);
         }
         assert!(seen.iter().all(|n| *n > 0));

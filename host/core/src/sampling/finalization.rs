@@ -15,7 +15,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 use super::cluster::{Element, Moments};
 use super::cut::{Forest, most_kept, running_bound};
 use super::gather::Gather;
-use super::lattice::{Grid, cell_box};
+use super::lattice::{CellKey, Grid, cell_box};
 use super::membership::{Leaves, Membership};
 use super::open_cells::CellItems;
 use super::ranges::Ranges;
@@ -31,7 +31,7 @@ const MAX_QUEUED: usize = 4 << 20;
 
 /// Most bytes of a cell's items that are clustered at once, and as much to sort them, on each thread. A constant, so
 /// that the result depends neither on the machine's memory nor on the number of threads.
-const PART: usize = 3 << 20;
+pub const PART: usize = 3 << 20;
 
 /// Memory that it takes to cluster cells of which the largest has so many bytes: each part twice, and its tree, of at
 /// most 1.4 nodes per sample, twice.
@@ -214,7 +214,7 @@ impl Pass<'_> {
         members: Option<&Leaves>,
         workspace: &mut Workspace<E>,
     ) -> Result<ClusteredCell> {
-        let seed = self.grid.keys[cell as usize].iter().fold(0, |seed, k| mix(seed, *k as u64));
+        let seed = seed_of(&self.grid.keys[cell as usize]);
         let mut whole: Option<(VsTree, Moments)> = None;
         items.in_parts(PART / size_of::<E>(), |items| {
             self.progress.check()?;
@@ -244,9 +244,14 @@ impl Pass<'_> {
     }
 }
 
+/// What the tree of a cell is dithered by.
+pub fn seed_of(key: &CellKey) -> u64 {
+    key.iter().fold(0, |seed, k| mix(seed, *k as u64))
+}
+
 /// The direction of a normal; zero where it has none. Most are of unit length as they are.
 #[inline]
-fn unit(n: Vec3) -> Vec3 {
+pub fn unit(n: Vec3) -> Vec3 {
     if (n.length_squared() - 1.0).abs() < 1e-6 {
         return n;
     }

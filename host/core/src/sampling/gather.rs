@@ -83,6 +83,13 @@ pub struct Groups {
     last: Option<Last>,
 }
 
+impl Groups {
+    /// The stream was in a cell that is not gathered: the next sample is looked up as if it were so here.
+    pub fn leave(&mut self) {
+        self.last = None;
+    }
+}
+
 /// Where the last sample went: the next one is probably near.
 struct Last {
     cell: u32,
@@ -229,13 +236,13 @@ impl Grouping {
             }
         };
         // Where all is in one place, cubes have no size.
-        resolved.edge(grid, frame).map_or(Self::Never, |_| resolved)
+        resolved.edge(grid.cell_size(), frame).map_or(Self::Never, |_| resolved)
     }
 
     /// Edge of the cubes in local units; `None` without groups, or if it is too small to count cubes.
-    pub fn edge(self, grid: &Grid, frame: &Frame) -> Option<f32> {
+    pub fn edge(self, cell_size: f64, frame: &Frame) -> Option<f32> {
         let Self::Level(level) = self else { return None };
-        let edge = (grid.cell_size() / frame.scale / f64::from(1u32 << level)) as f32;
+        let edge = (cell_size / frame.scale / f64::from(1u32 << level)) as f32;
         (edge > 1e-6).then_some(edge)
     }
 }

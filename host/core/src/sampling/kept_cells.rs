@@ -8,12 +8,11 @@ use std::ops::Range;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::xxh3_128;
 
-use super::cut::CutTree;
 use super::lattice::CellKey;
 use crate::{Error, ErrorKind, Result};
 
 const MAGIC: &[u8; 8] = b"SIMODCEL";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const HEAD: usize = MAGIC.len() + size_of::<u32>();
 const CHECKSUM: usize = size_of::<u128>();
 
@@ -37,6 +36,64 @@ pub struct KeptCell {
     pub ranges: Vec<Range<u64>>,
     /// Its VS-Tree.
     pub tree: CutTree,
+}
+
+/// A cell's tree down to the samples, in preorder.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct CutTree {
+    /// Number of children of each node; none for a sample.
+    pub children: Vec<u8>,
+    /// Error of each node, or of one above if that is less; a length in local units.
+    pub errors: Vec<f32>,
+    /// The sample of each leaf, in their order. A tree of one node may share it with other cells.
+    pub samples: Vec<u32>,
+    /// Nodes that were samples until a refinement went on below them, with a VS-Tree over their vertices; ascending,
+    /// and none below another.
+    pub grown: Vec<u32>,
+}
+
+impl CutTree {
+    /// The index behind the subtree of each node.
+    pub fn ends(&self) -> Vec<usize> {
+        let mut ends = vec![0; self.children.len()];
+        for i in (0..ends.len()).rev() {
+            ends[i] = (0..self.children[i]).fold(i + 1, |at, _| ends.get(at).copied().unwrap_or(at));
+        }
+        ends
+    }
+
+    /// For each node, whether a refinement made it, or split it.
+    pub fn is_grown(&self) -> Vec<bool> {
+        let (ends, mut is_grown) = (self.ends(), vec![false; self.children.len()]);
+        self.grown.iter().for_each(|at| is_grown[*at as usize..ends[*at as usize]].fill(true));
+        is_grown
+    }
+
+    /// What is wrong with a tree that was read, of a model of so many samples; nothing, mostly.
+    fn defect(&self, samples: usize) -> Option<&'static str> {
+        let mut missing = 1usize;
+        for children in &self.children {
+            if missing == 0 || *children == 1 || *children > 8 {
+                return Some("a tree is none");
+            }
+            missing = missing - 1 + *children as usize;
+        }
+        if missing != 0 || self.errors.len() != self.children.len() {
+            return Some("a tree is cut off");
+        }
+        if !self.errors.iter().all(|e| e.is_finite() && *e >= 0.0) {
+            return Some("an error is no number");
+        }
+        let leaves = self.children.iter().filter(|n| **n == 0).count();
+        if self.samples.len() != leaves || self.samples.iter().any(|s| *s as usize >= samples) {
+            return Some("it speaks of samples that there are not");
+        }
+        let ends = self.ends();
+        let is_inner = |at: &u32| self.children.get(*at as usize).is_some_and(|n| *n > 0);
+        let apart =
+            self.grown.windows(2).all(|w| ends.get(w[0] as usize).is_some_and(|end| *end <= w[1] as usize));
+        (!self.grown.iter().all(is_inner) || !apart).then_some("a tree has grown where it has not")
+    }
 }
 
 impl KeptCells {
@@ -74,6 +131,40 @@ impl KeptCells {
         }
         postcard::from_bytes(&content[HEAD..]).map_err(|e| damaged(&e.to_string()))
     }
+
+    /// Checks that the cells are those of a model of so many vertices with a finite position, of `all`, and of so many
+    /// samples: a file that is whole may still lie.
+    ///
+    /// # Errors
+    /// They are not.
+    pub fn check(&self, finite: u64, all: u64, samples: usize) -> Result<()> {
+        let mut keys: Vec<_> = self.cells.iter().map(|cell| cell.key).collect();
+        keys.sort_unstable();
+        if !(-1100..=1100).contains(&self.level) || keys.windows(2).any(|w| w[0] == w[1]) {
+            return Err(damaged("its cells are none"));
+        }
+        let (mut vertices, mut known) = (0u64, vec![false; samples]);
+        for cell in &self.cells {
+            let ascend = cell.ranges.windows(2).all(|w| w[0].end <= w[1].start);
+            let held = cell.ranges.iter().map(|r| r.end.saturating_sub(r.start)).fold(0, u64::saturating_add);
+            if !ascend
+                || cell.ranges.iter().any(|r| r.start >= r.end || r.end > all)
+                || cell.vertices == 0
+                || cell.vertices > held
+            {
+                return Err(damaged("a cell's vertices are not where it says"));
+            }
+            if let Some(what) = cell.tree.defect(samples) {
+                return Err(damaged(what));
+            }
+            vertices = vertices.saturating_add(cell.vertices);
+            cell.tree.samples.iter().for_each(|s| known[*s as usize] = true);
+        }
+        if vertices != finite || known.contains(&false) {
+            return Err(damaged("it is of another model"));
+        }
+        Ok(())
+    }
 }
 
 fn damaged(what: &str) -> Error {
@@ -89,7 +180,12 @@ mod tests {
             key: [i, -i, i64::MIN],
             vertices: 1 << 40,
             ranges: vec![0..5, 7..u64::MAX],
-            tree: CutTree { first_sample: 7, children: vec![2, 0, 0], errors: vec![1.0, 0.5, 0.25] },
+            tree: CutTree {
+                children: vec![2, 0, 0],
+                errors: vec![1.0, 0.5, 0.25],
+                samples: vec![7, 9],
+                grown: Vec::new(),
+            },
         };
         let cells = (0..3).map(cell).collect();
         KeptCells { level: -4, cells }
@@ -106,6 +202,49 @@ mod tests {
             changed[i] ^= 4;
             KeptCells::decode(&changed).expect_err("changed");
         }
+    }
+
+    #[test]
+    fn cells_that_lie_are_noticed() {
+        let cell = |i: u64| KeptCell {
+            key: [i as i64, 0, 0],
+            vertices: 5,
+            ranges: vec![5 * i..5 * i + 5],
+            tree: CutTree {
+                children: vec![2, 2, 0, 0, 0],
+                errors: vec![1.0, 0.5, 0.25, 0.5, 0.0],
+                samples: vec![3 * i as u32, 3 * i as u32 + 1, 3 * i as u32 + 2],
+                grown: vec![1],
+            },
+        };
+        let good = KeptCells { level: -4, cells: vec![cell(0), cell(1)] };
+        good.check(10, 11, 6).expect("good cells");
+        let lies: [&dyn Fn(&mut KeptCell); 18] = [
+            &|c| c.key = [0; 3],
+            &|c| c.vertices = 6,
+            &|c| c.vertices = 0,
+            &|c| c.ranges.clear(),
+            &|c| c.ranges = vec![5..5, 5..10],
+            &|c| c.ranges = vec![7..10, 5..7],
+            &|c| c.ranges = vec![5..12],
+            &|c| c.ranges = std::iter::once(std::ops::Range { start: 9, end: 5 }).collect(),
+            &|c| c.tree.children[0] = 1,
+            &|c| c.tree.children[0] = 3,
+            &|c| c.tree.children[1] = 9,
+            &|c| c.tree.children.clear(),
+            &|c| c.tree.errors[2] = f32::NAN,
+            &|c| c.tree.errors.truncate(4),
+            &|c| c.tree.samples[1] = 6,
+            &|c| c.tree.samples.truncate(2),
+            &|c| c.tree.grown = vec![2],
+            &|c| c.tree.grown = vec![0, 1],
+        ];
+        for (i, lie) in lies.iter().enumerate() {
+            let mut cells = good.clone();
+            lie(&mut cells.cells[1]);
+            assert!(cells.check(10, 11, 6).is_err(), "lie {i}");
+        }
+        assert!(good.check(11, 11, 6).is_err() && good.check(10, 11, 7).is_err());
     }
 
     #[test]

@@ -273,7 +273,7 @@ pub fn cell_box(key: CellKey, level: i32) -> Bounds {
 
 /// ⌊p / 2^level⌋, exact.
 #[inline]
-fn key_at(p: DVec3, level: i32) -> CellKey {
+pub fn key_at(p: DVec3, level: i32) -> CellKey {
     // Two factors, as 2^-level itself can overflow; a product with a power of two is exact, or so small that
     // its floor is that of a tiny number of the same sign.
     let half = -level / 2;

@@ -5,9 +5,9 @@
 //! gives the samples, which [`SampleSet`] completes with neighbours, spacing and normals.
 
 pub mod cluster;
-mod cut;
-mod finalization;
-mod gather;
+pub(crate) mod cut;
+pub(crate) mod finalization;
+pub(crate) mod gather;
 mod kd_tree;
 pub mod kept_cells;
 pub mod lattice;
@@ -126,7 +126,7 @@ impl Sampling {
 }
 
 /// Memory of the machine in bytes; 4 GiB where it does not tell.
-fn total_memory() -> u64 {
+pub(crate) fn total_memory() -> u64 {
     let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
     let total = text
         .lines()
@@ -203,7 +203,7 @@ pub fn sample(
             folder,
             progress,
         };
-        let in_groups = match grouping.edge(&grid, &frame) {
+        let in_groups = match grouping.edge(grid.cell_size(), &frame) {
             Some(edge) => pass.run(Groups::new(cells, edge, for_groups))?,
             None => None,
         };
@@ -265,7 +265,7 @@ pub fn sample(
 }
 
 /// What is kept of the cells.
-fn keep(grid: &Grid, ranges: Ranges, trees: Vec<cut::CutTree>) -> KeptCells {
+fn keep(grid: &Grid, ranges: Ranges, trees: Vec<kept_cells::CutTree>) -> KeptCells {
     let cells = grid.keys.iter().zip(&grid.records).zip(ranges.into_cells()).zip(trees);
     let cell = |(((key, record), ranges), tree): (((&[i64; 3], &lattice::CellRecord), _), _)| KeptCell {
         key: *key,

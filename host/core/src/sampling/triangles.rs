@@ -67,7 +67,7 @@ pub fn reindex(
 }
 
 /// The same triangle, beginning with its least corner.
-fn first_least([a, b, c]: [u32; 3]) -> [u32; 3] {
+pub fn first_least([a, b, c]: [u32; 3]) -> [u32; 3] {
     if a < b && a < c {
         [a, b, c]
     } else if b < c {
@@ -77,7 +77,7 @@ fn first_least([a, b, c]: [u32; 3]) -> [u32; 3] {
     }
 }
 
-fn once_each(triangles: &mut Vec<[u32; 3]>) {
+pub fn once_each(triangles: &mut Vec<[u32; 3]>) {
     triangles.sort_unstable();
     triangles.dedup();
 }

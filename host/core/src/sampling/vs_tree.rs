@@ -84,6 +84,20 @@ impl VsTree {
         stop: f32,
         seed: u64,
     ) -> (Self, Moments) {
+        let goes_on = |_: &Moments, key: f32, _: u32| key > stop;
+        Self::build_where(elements, workspace, splitting, (f32::INFINITY, seed), goes_on)
+    }
+
+    /// As [`build`](Self::build), where `goes_on` decides which clusters are split, if they can be: it is asked for each
+    /// one, in preorder, with its moments, its key, and how deep it is. `root` is the least error above the tree, and
+    /// its seed.
+    pub fn build_where<E: Element>(
+        elements: &mut [E],
+        workspace: &mut Workspace<E>,
+        splitting: Splitting,
+        root: (f32, u64),
+        goes_on: impl FnMut(&Moments, f32, u32) -> bool,
+    ) -> (Self, Moments) {
         let Workspace { spare, codes, leaves, nodes } = workspace;
         let moments = Moments::of(elements);
         spare.clear();
@@ -93,8 +107,9 @@ impl VsTree {
         nodes.clear();
         codes.resize(elements.len(), 0);
         let first_index = elements.first().map_or(0, E::index);
-        let mut builder = Builder { splitting, stop, nodes, built: 0, codes, leaves, first_index };
-        let root = Place { above: f32::INFINITY, stage: Stage::Volume, depth: 0, seed };
+        let mut builder = Builder { splitting, goes_on, nodes, built: 0, codes, leaves, first_index };
+        let (above, seed) = root;
+        let root = Place { above, stage: Stage::Volume, depth: 0, seed };
         builder.node(elements, spare, moments, root);
         let built = builder.built;
         // A copy is just as long as it has to be.
@@ -235,9 +250,9 @@ impl Place {
     }
 }
 
-struct Builder<'a> {
+struct Builder<'a, F> {
     splitting: Splitting,
-    stop: f32,
+    goes_on: F,
     nodes: &'a mut Vec<Node>,
     built: u32,
     /// Where the elements of the cluster at hand go.
@@ -246,7 +261,7 @@ struct Builder<'a> {
     first_index: u32,
 }
 
-impl Builder<'_> {
+impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
     /// Adds the cluster of some elements, and those below. `spare` is as long as they are, and of any content.
     fn node<E: Element>(&mut self, elements: &mut [E], spare: &mut [E], m: Moments, place: Place) {
         let dither = 1.0 + DITHER * (place.seed >> 40) as f64 / (1u64 << 24) as f64;
@@ -254,7 +269,10 @@ impl Builder<'_> {
         let key = place.above.min((f64::from(error) * dither) as f32);
         let at = self.nodes.len();
         self.nodes.push(Node { position, normal, key, end: 0, first: self.built });
-        let whole = key <= self.stop || elements.len() == 1 || m.min == m.max || place.depth == MAX_DEPTH;
+        let whole = !(self.goes_on)(&m, key, place.depth)
+            || elements.len() == 1
+            || m.min == m.max
+            || place.depth == MAX_DEPTH;
         if whole || !self.split(elements, spare, &m, key, place) {
             for e in elements.iter() {
                 self.leaves[e.index().wrapping_sub(self.first_index) as usize] = self.built;
@@ -409,7 +427,7 @@ fn quadrant<E: Element>(m: &Moments, tangents: [Vec3; 2]) -> impl Fn(&E) -> usiz
 }
 
 /// A new pseudo-random number from a node's and its child's place: SplitMix64's finaliser.
-pub(super) fn mix(seed: u64, x: u64) -> u64 {
+pub(crate) fn mix(seed: u64, x: u64) -> u64 {
     let mut z = seed.wrapping_add(x.wrapping_mul(0x9E37_79B9_7F4A_7C15));
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);

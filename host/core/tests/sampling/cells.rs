@@ -132,8 +132,8 @@ fn check(cells: &KeptCells, sampled: &SampledModel, body: &Body) {
     let mut owners = vec![Vec::new(); sampled.samples.len()];
     for (i, cell) in cells.cells.iter().enumerate() {
         walk(cell, |_, _, _| {});
-        let first = cell.tree.first_sample as usize;
-        owners[first..first + leaves(cell)].iter_mut().for_each(|owners| owners.push(i));
+        assert_eq!(cell.tree.samples.len(), leaves(cell));
+        cell.tree.samples.iter().for_each(|sample| owners[*sample as usize].push(i));
     }
     for (sample, owners) in owners.iter().enumerate() {
         assert!(!owners.is_empty(), "no cell has sample {sample}");
@@ -204,10 +204,9 @@ fn trees_go_down_to_the_error_bound_and_no_further() {
             let reach = f64::from(bound) / REACH_WEIGHT + 1e-5;
             for p in &body.positions {
                 let cell = index[&(*p / edge).floor().to_array().map(|x| x as i64)];
-                let first = cell.tree.first_sample as usize;
                 let local = sampled.frame.to_local(*p);
-                let own = &sampled.samples.positions[first..first + leaves(cell)];
-                assert!(own.iter().any(|q| f64::from(q.distance(local)) <= reach), "{p} is left alone");
+                let mut own = cell.tree.samples.iter().map(|i| sampled.samples.positions[*i as usize]);
+                assert!(own.any(|q| f64::from(q.distance(local)) <= reach), "{p} is left alone");
             }
         }
     }
@@ -222,9 +221,9 @@ fn samples_are_in_their_cells() {
     let edge = 2f64.powi(cells.level);
     let mut alone = 0;
     for cell in cells.cells.iter().filter(|cell| leaves(cell) > 1) {
-        let first = cell.tree.first_sample as usize;
-        for p in &sampled.samples.positions[first..first + leaves(cell)] {
-            let place = sampled.frame.to_model(*p) / edge - DVec3::from_array(cell.key.map(|k| k as f64));
+        for i in &cell.tree.samples {
+            let p = sampled.samples.positions[*i as usize];
+            let place = sampled.frame.to_model(p) / edge - DVec3::from_array(cell.key.map(|k| k as f64));
             assert!(place.min_element() > -1e-4 && place.max_element() < 1.0 + 1e-4, "{place}");
             alone += 1;
         }

@@ -1,7 +1,7 @@
 //! The steps of an edit as a user changes them: every change is a command, and can be undone.
 
 use crate::motion::Motion;
-use crate::session_file::{HandleMove, Joint, Region, Role, Step, Stroke};
+use crate::session_file::{Action, HandleMove, Joint, Refine, Region, Role, Step, Stroke};
 use simod_core::{Error, ErrorKind, Result};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -86,6 +86,8 @@ pub enum Change {
     },
     /// One more brush stroke, after the others.
     AddStroke(Arc<Stroke>),
+    /// A refinement is of another place, or to another fineness.
+    SetRefine(Refine),
 }
 
 /// What a drag changes again and again.
@@ -221,9 +223,9 @@ impl Document {
 
     /// What the user reads.
     fn label(&self, command: &Command) -> String {
-        let name = |at: &usize| self.steps.get(*at).map_or("step", |entry| entry.step.deform.as_str());
+        let name = |at: &usize| self.steps.get(*at).map_or("step", |entry| entry.step.name());
         match command {
-            Command::Add { step, .. } => format!("add {}", step.deform),
+            Command::Add { step, .. } => format!("add {}", step.name()),
             Command::Remove { at } => format!("remove {}", name(at)),
             Command::Move { from, .. } => format!("move {}", name(from)),
             Command::Change { at, change } => {
@@ -237,6 +239,7 @@ impl Document {
                     Change::SetJoints(_) => format!("change joints of {name}"),
                     Change::MoveHandle { id, .. } => format!("move {id} of {name}"),
                     Change::AddStroke(_) => format!("stroke of {name}"),
+                    Change::SetRefine(_) => "change a refinement".to_owned(),
                 }
             }
         }
@@ -259,25 +262,27 @@ fn edit(step: &mut Step, change: Change) -> Result<()> {
         Some(what) => Err(refused(what, "give another motion")),
         None => Ok(()),
     };
-    match change {
-        Change::Enable(enabled) => step.enabled = enabled,
-        Change::SetParam { id, value: Some(value) } => drop(step.params.insert(id, value)),
-        Change::SetParam { id, value: None } => drop(step.params.remove(&id)),
-        Change::SetRegions(regions) => {
+    match (&mut step.action, change) {
+        (_, Change::Enable(enabled)) => step.enabled = enabled,
+        (Action::Deform(step), Change::SetParam { id, value: Some(value) }) => {
+            drop(step.params.insert(id, value))
+        }
+        (Action::Deform(step), Change::SetParam { id, value: None }) => drop(step.params.remove(&id)),
+        (Action::Deform(step), Change::SetRegions(regions)) => {
             for region in &regions {
                 region.shapes.check().map_err(|what| refused(what, "give another shape"))?;
                 sound(&region.motion)?;
             }
             step.regions = regions;
         }
-        Change::MoveRegion { region, motion } => {
+        (Action::Deform(step), Change::MoveRegion { region, motion }) => {
             sound(&motion)?;
             let handle = step.regions.get_mut(region).filter(|r| r.role == Role::Handle);
             handle
                 .ok_or_else(|| refused(format!("region {region} is no handle"), "choose a handle"))?
                 .motion = motion;
         }
-        Change::SetJoints(joints) => {
+        (Action::Deform(step), Change::SetJoints(joints)) => {
             for (i, joint) in joints.iter().enumerate() {
                 let before = &joints[..i];
                 let known = |id: &String| before.iter().any(|j| j.id == *id);
@@ -295,18 +300,25 @@ fn edit(step: &mut Step, change: Change) -> Result<()> {
             step.handles.retain(|handle| !gone(&handle.id));
             step.joints = joints;
         }
-        Change::MoveHandle { id, motion } => {
+        (Action::Deform(step), Change::MoveHandle { id, motion }) => {
             sound(&motion)?;
             step.handles.retain(|handle| handle.id != id);
             if motion != Motion::default() {
                 step.handles.push(HandleMove { id, motion });
             }
         }
-        Change::AddStroke(stroke) => {
+        (Action::Deform(step), Change::AddStroke(stroke)) => {
             if let Some((what, hint)) = stroke.defect() {
                 return Err(refused(what, hint));
             }
             step.strokes.push(stroke);
+        }
+        (Action::Refine(refine), Change::SetRefine(other)) => {
+            other.check().map_err(|(what, hint)| refused(what, hint))?;
+            *refine = other;
+        }
+        (Action::Refine(_), _) | (Action::Deform(_), Change::SetRefine(_)) => {
+            return Err(refused("the step is of another kind", "choose another step"));
         }
     }
     Ok(())

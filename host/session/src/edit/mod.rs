@@ -6,4 +6,4 @@ mod evaluation;
 mod tests;
 
 pub use document::{Change, Command, Document, Entry, StepId};
-pub use evaluation::{Evaluated, Evaluation, Status};
+pub use evaluation::{Evaluated, Evaluation, Refinements, Status};

@@ -4,19 +4,21 @@ use super::*;
 use crate::deformer::Plugin;
 use crate::motion::Motion;
 use crate::plugins::PluginRegistry;
-use crate::session_file::{Region, Role, SessionFile, Step, Stroke};
+use crate::session_file::{Action, Refine, Region, Role, SessionFile, Step, Stroke};
 use crate::shapes::{Shape, Shapes};
-use crate::stack::{RestShape, Stack};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
-use simod_core::frame::Frame;
-use simod_core::geometry::Bounds;
+use simod_core::model::Scalar;
+use simod_core::model::ply::write_points;
 use simod_core::progress::Silent;
+use simod_core::refinement::Finer;
+use simod_core::sampled_model::SampledModel;
+use simod_core::sampling::{Sampling, Target, sample};
 use simod_plugin_api as api;
 use simod_plugin_api::__private::{abi_stable, capability, find_extension, root_module};
 use std::cell::Cell;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 thread_local! {
     /// Calls of `prepare` and of `deform` on this thread.
@@ -105,25 +107,20 @@ extern "C" fn extension(
     find_extension(id.as_str(), &[capability::is_identity::<Counted> as fn() -> _])
 }
 
-fn registry() -> PluginRegistry {
-    let module = root_module::<Counted>(extension);
-    PluginRegistry::of([Plugin::in_process(module, Path::new("counted")).unwrap()])
-}
-
-/// Calls with samples on a line.
-fn with_shape<T>(call: impl FnOnce(&RestShape<'_>) -> T) -> T {
-    let positions: Vec<Vec3> = (0..20).map(|i| Vec3::new(1.0, 0.1 * i as f32, 0.05 * i as f32)).collect();
-    let renormal = |positions: &[Vec3]| vec![Vec3::Z; positions.len()];
-    call(&RestShape {
-        positions: &positions,
-        normals: &vec![Vec3::X; positions.len()],
-        spacing: &[],
-        triangles: &[],
-        neighbours: None,
-        frame: Frame { origin: DVec3::ZERO, scale: 2.0 },
-        bounds: Bounds { min: DVec3::ZERO, max: DVec3::splat(4.0) },
-        renormal: Some(&renormal),
-    })
+/// A height field of 40 by 40 points, sampled by some of them.
+fn sampled() -> Arc<SampledModel> {
+    static SAMPLED: LazyLock<(tempfile::TempDir, Arc<SampledModel>)> = LazyLock::new(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("field.ply");
+        let point = |i: i32| (f64::from(i % 40) * 0.1, f64::from(i / 40) * 0.1);
+        let points = (0..1600).map(point).map(|(x, y)| DVec3::new(x, y, (x + 2.0 * y).sin()));
+        write_points(&path, points, &[], &[], Scalar::F64, &[]).unwrap();
+        let sampling = Sampling { target: Target::Samples(100), ..Sampling::default() };
+        let model = simod_core::model::open(&path).unwrap();
+        let sampled = sample(model.as_ref(), &sampling, folder.path(), &Silent).unwrap();
+        (folder, Arc::new(sampled))
+    });
+    SAMPLED.1.clone()
 }
 
 fn step(params: &str) -> Step {
@@ -154,30 +151,41 @@ fn steps() -> [Step; 3] {
     [step("factor = 0.5"), step("factor = -1, shift = 0.25"), step("factor = 2")]
 }
 
+fn refine(center: DVec3, radius: f64, finer: Finer) -> Step {
+    let shapes = Shapes { shapes: vec![Shape::Sphere { center, radius }], falloff: 0.0 };
+    let action = Action::Refine(Refine { shapes, finer });
+    Step { action, enabled: true, place: "s.toml, line 9".to_owned() }
+}
+
+fn evaluation() -> Evaluation {
+    Evaluation::new(sampled(), Refinements { folder: std::env::temp_dir(), ..Refinements::default() })
+}
+
 fn update(evaluation: &mut Evaluation, document: &Document, effort: api::Effort) -> Evaluated {
-    with_shape(|shape| {
-        evaluation.update(document.steps(), (shape, 1), &registry_of_thread(), effort, &Silent)
-    })
-    .unwrap()
+    evaluation.update(document.steps(), &registry(), effort, &Silent).unwrap()
 }
 
 /// The same plugin each time: one that is loaded anew is another one.
-fn registry_of_thread() -> Arc<PluginRegistry> {
-    thread_local! { static REGISTRY: Arc<PluginRegistry> = Arc::new(registry()); }
+fn registry() -> Arc<PluginRegistry> {
+    thread_local! {
+        static REGISTRY: Arc<PluginRegistry> = {
+            let module = root_module::<Counted>(extension);
+            Arc::new(PluginRegistry::of([Plugin::in_process(module, Path::new("counted")).unwrap()]))
+        };
+    }
     REGISTRY.with(Arc::clone)
 }
 
 /// What the steps make of the samples when they are done once, from nothing.
 fn from_nothing(document: &Document) -> Vec<Vec3> {
-    let steps: Vec<Step> = document.steps().iter().map(|e| (*e.step).clone()).collect();
-    let stack = Stack::build(&steps, &registry()).unwrap();
-    with_shape(|shape| stack.apply(shape, &Silent)).unwrap().positions
+    let again = Document::new(document.steps().iter().map(|e| (*e.step).clone()));
+    update(&mut evaluation(), &again, api::Effort::FULL).positions.to_vec()
 }
 
 #[test]
 fn an_edit_does_anew_what_depends_on_it_and_nothing_else() {
     let mut document = Document::new(steps());
-    let mut evaluation = Evaluation::default();
+    let mut evaluation = evaluation();
     let full = api::Effort::FULL;
     calls();
     let mut after = |document: &Document| {
@@ -215,12 +223,61 @@ fn an_edit_does_anew_what_depends_on_it_and_nothing_else() {
 }
 
 #[test]
+fn refinements_are_done_anew_where_what_comes_before_them_changed() {
+    let full = api::Effort::FULL;
+    let around = DVec3::new(2.0, 2.0, 0.0);
+    let mut document = Document::new(steps());
+    let mut evaluation = evaluation();
+    let coarse = update(&mut evaluation, &document, full).sampled;
+    document.apply(Command::Add { at: 1, step: Box::new(refine(around, 1.0, Finer::Error(0.0))) }).unwrap();
+    let fine = update(&mut evaluation, &document, full);
+    assert!(fine.failure().is_none(), "{:?}", fine.failure());
+    let (before, after) = (coarse.samples.len(), fine.sampled.samples.len());
+    assert!(after > before + 100, "{before} to {after}");
+    assert_eq!(fine.positions.len(), after);
+    assert_eq!(fine.sampled.samples.positions[..before], coarse.samples.positions);
+    assert_eq!(*fine.positions, *from_nothing(&document));
+    calls();
+    document.apply(set(2, "shift", 1.0)).unwrap();
+    let again = update(&mut evaluation, &document, full);
+    assert!(Arc::ptr_eq(&again.sampled, &fine.sampled), "nothing before it changed");
+    assert_eq!(calls(), [1, 2]);
+    // A draft does with the samples that there are; the full result does not.
+    document.apply(set(0, "shift", 0.5)).unwrap();
+    let draft = update(&mut evaluation, &document, api::Effort::DRAFT);
+    assert!(Arc::ptr_eq(&draft.sampled, &fine.sampled));
+    let full = update(&mut evaluation, &document, full);
+    assert!(!Arc::ptr_eq(&full.sampled, &fine.sampled));
+    assert_eq!(*full.positions, *from_nothing(&document));
+    // Off the model there is nothing to refine, which is an error of that step alone.
+    let nowhere = refine(DVec3::splat(99.0), 1.0, Finer::Factor(2.0));
+    document.apply(Command::Add { at: 4, step: Box::new(nowhere) }).unwrap();
+    let evaluated = update(&mut evaluation, &document, api::Effort::FULL);
+    let (id, error) = evaluated.failure().unwrap();
+    assert_eq!((id, evaluated.positions.clone()), (document.steps()[4].id, full.positions));
+    assert!(error.to_string().starts_with("s.toml, line 9: ") && !error.hint().is_empty(), "{error}");
+    let off = Refine { finer: Finer::Factor(0.0), ..some_refine(&document, 4) };
+    assert!(document.apply(change(4, Change::SetRefine(off))).is_err());
+    let shapes = Shapes { shapes: vec![Shape::Sphere { center: DVec3::ZERO, radius: 99.0 }], falloff: 0.0 };
+    let on = Refine { shapes, ..some_refine(&document, 4) };
+    document.apply(change(4, Change::SetRefine(on))).unwrap();
+    assert!(update(&mut evaluation, &document, api::Effort::FULL).failure().is_none());
+}
+
+fn some_refine(document: &Document, at: usize) -> Refine {
+    match &document.steps()[at].step.action {
+        Action::Refine(refine) => refine.clone(),
+        Action::Deform(_) => panic!("step {at} refines nothing"),
+    }
+}
+
+#[test]
 fn drafts_are_for_plugins_that_ask() {
     let mut document = Document::new([step("shift = 0.75")]);
-    let mut evaluation = Evaluation::default();
+    let mut evaluation = evaluation();
     let draft = update(&mut evaluation, &document, api::Effort::DRAFT).positions;
     let full = update(&mut evaluation, &document, api::Effort::FULL).positions;
-    assert_eq!(draft[0].x - full[0].x, 0.25);
+    assert!((draft[0].x - full[0].x - 0.25).abs() < 1e-6);
     document.apply(set(0, "shift", 1.0)).unwrap();
     assert_eq!(
         update(&mut evaluation, &document, api::Effort::DRAFT).positions,
@@ -231,10 +288,11 @@ fn drafts_are_for_plugins_that_ask() {
 #[test]
 fn what_fails_leaves_what_comes_before_it() {
     let mut document = Document::new(steps());
-    let mut evaluation = Evaluation::default();
+    let mut evaluation = evaluation();
     let full = api::Effort::FULL;
     let below = from_nothing(&Document::new(steps().into_iter().take(1)));
-    let missing = Step { deform: "from-elsewhere".to_owned(), ..step("") };
+    let elsewhere = "[[step]]\ndeform = \"from-elsewhere\"";
+    let missing = SessionFile::parse(elsewhere, Path::new("s.toml")).unwrap().steps.remove(0);
     let wrong = [
         (Command::Add { at: 1, step: Box::new(missing) }, "there is no plugin `from-elsewhere`"),
         (set(1, "shift", 101.0), "`shift` is too far"),
@@ -274,7 +332,8 @@ fn a_drag_is_undone_as_one() {
         let motion = Motion { translate: DVec3::Y * y, ..Motion::default() };
         change(0, Change::MoveRegion { region: 0, motion })
     };
-    let at = |document: &Document| document.steps()[0].step.regions[0].motion.translate.y;
+    let at =
+        |document: &Document| document.steps()[0].step.deformation().unwrap().regions[0].motion.translate.y;
     for y in [1.0, 2.0, 3.0] {
         document.apply(to(y)).unwrap();
     }
@@ -318,6 +377,10 @@ fn what_makes_no_sense_changes_nothing() {
         change(0, Change::SetJoints(vec![joint("a", Some("a"))])),
         change(0, Change::SetJoints(vec![joint("a", None), joint("a", None)])),
         change(0, Change::SetJoints(vec![joint("a b", None)])),
+        change(
+            0,
+            Change::SetRefine(some_refine(&Document::new([refine(DVec3::ZERO, 1.0, Finer::Error(1.0))]), 0)),
+        ),
     ];
     for command in wrong {
         let error = document.apply(command.clone()).unwrap_err();
@@ -339,14 +402,11 @@ fn a_cancelled_update_can_be_done_again() {
         }
     }
     let document = Document::new(steps());
-    let mut evaluation = Evaluation::default();
+    let mut evaluation = evaluation();
     let mut cancelled = 0;
     for looks in 0..100 {
         let progress = After(looks.into());
-        let result = with_shape(|shape| {
-            let registry = registry_of_thread();
-            evaluation.update(document.steps(), (shape, 1), &registry, api::Effort::FULL, &progress)
-        });
+        let result = evaluation.update(document.steps(), &registry(), api::Effort::FULL, &progress);
         match result {
             Ok(evaluated) => {
                 assert_eq!(*evaluated.positions, from_nothing(&document));
@@ -397,7 +457,7 @@ proptest! {
     fn any_edit_is_as_from_nothing_and_can_be_undone(commands in prop::collection::vec((command(), 0..6_u8), 1..30)) {
         let mut document = Document::new(steps());
         let first = content(&document);
-        let mut evaluation = Evaluation::default();
+        let mut evaluation = evaluation();
         for (command, then) in commands {
             let before = content(&document);
             if document.apply(command).is_err() {

@@ -5,7 +5,7 @@ use crate::deformer::{Message, Plugin, Watch};
 use crate::motion::to_local;
 use crate::params::{LocalParams, ParamValue, Params, nearest};
 use crate::plugins::PluginRegistry;
-use crate::session_file::{HandleMove, Joint, Role, Step, Stroke};
+use crate::session_file::{Deformation, HandleMove, Joint, Role, Stroke};
 use crate::shapes::Shapes;
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
@@ -109,8 +109,14 @@ fn argument(what: String, hint: impl Into<String>) -> Error {
 }
 
 impl Layer {
-    /// Checks a step. `before` is what the step was before it was edited: what it shares is not checked again.
-    pub fn build(step: &Step, registry: &PluginRegistry, before: Option<&Self>) -> Result<Self> {
+    /// Checks a step, which stands at this place of the session. `before` is what it was before it was edited: what it shares
+    /// with that is not checked again.
+    pub fn build(
+        step: &Deformation,
+        place: &str,
+        registry: &PluginRegistry,
+        before: Option<&Self>,
+    ) -> Result<Self> {
         let plugin = registry.get(&step.deform)?.clone();
         let check = |given: &toml::Table| {
             Params::check(plugin.id(), plugin.params(), given, &step.folder).map(Arc::new)
@@ -128,7 +134,7 @@ impl Layer {
         };
         let strokes = step.strokes.iter().enumerate().map(stroke).collect::<Result<_>>()?;
         let mut layer = Self {
-            place: step.place.clone(),
+            place: place.to_owned(),
             plugin,
             given: step.params.clone(),
             params,
@@ -543,22 +549,22 @@ fn masked(masks: &[Shapes], at: DVec3, p: DVec3, q: DVec3) -> DVec3 {
 }
 
 /// A hash of what something depends on, by how it is written: numbers are written so that they come back exactly.
-struct Key(Xxh3Default);
+pub(crate) struct Key(Xxh3Default);
 
 impl Key {
-    fn of(former: u64) -> Self {
+    pub fn of(former: u64) -> Self {
         let mut hash = Xxh3Default::new();
         hash.update(&former.to_le_bytes());
         Self(hash)
     }
 
-    fn and(mut self, what: &impl std::fmt::Debug) -> Self {
+    pub fn and(mut self, what: &impl std::fmt::Debug) -> Self {
         // Writing to a hash does not fail.
         let _ = write!(self, "{what:?};");
         self
     }
 
-    fn end(self) -> u64 {
+    pub fn end(self) -> u64 {
         self.0.digest()
     }
 }

@@ -7,10 +7,9 @@ mod layer;
 
 use crate::deformer::{Message, Plugin, Watch};
 use crate::plugins::PluginRegistry;
-use crate::session_file::Step;
+use crate::session_file::{Deformation, Step};
 use glam::{DAffine3, DVec3, Vec3};
-use layer::Done;
-pub(crate) use layer::{Kept, Layer};
+pub(crate) use layer::{Done, Kept, Key, Layer};
 use rayon::prelude::*;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
@@ -67,8 +66,8 @@ pub struct Deformed {
 /// A stack prepared on samples: the map of space itself, where the plugins know it.
 #[derive(Debug)]
 pub struct PreparedStack {
-    layers: Vec<Arc<Done>>,
-    frame: Frame,
+    pub(crate) layers: Vec<Arc<Done>>,
+    pub(crate) frame: Frame,
 }
 
 /// A layer's rest shape, local coordinates.
@@ -95,10 +94,18 @@ impl Rest {
 }
 
 impl Stack {
-    /// Finds the plugins of the steps that are enabled, and checks parameters and regions against what they ask for.
+    /// Finds the plugins of the deformations that are enabled, and checks parameters and regions against what they ask for.
+    /// Refinements are passed over: they are of a model, not of samples alone.
+    ///
+    /// # Errors
+    /// A plugin is not there, or a step does not fit it.
     pub fn build(steps: &[Step], registry: &PluginRegistry) -> Result<Self> {
-        let layer = |step: &Step| Layer::build(step, registry, None).map_err(|e| at(&step.place, e));
-        Ok(Self { layers: steps.iter().filter(|step| step.enabled).map(layer).collect::<Result<_>>()? })
+        let enabled = steps.iter().filter(|step| step.enabled);
+        let deformations = enabled.filter_map(|step| Some((step.deformation()?, &step.place)));
+        let layer = |(deformation, place): (&Deformation, &String)| {
+            Layer::build(deformation, place, registry, None).map_err(|e| at(place, e))
+        };
+        Ok(Self { layers: deformations.map(layer).collect::<Result<_>>()? })
     }
 
     /// How many layers there are.
@@ -141,12 +148,17 @@ fn not_one_per_sample(what: &str) -> Error {
 impl RestShape<'_> {
     /// What the first layer starts from; `key` stands for it.
     pub(crate) fn rest(&self, key: u64) -> Result<Rest> {
+        self.rest_at(self.positions.into(), key)
+    }
+
+    /// The same at other positions, as layers before have left them.
+    pub(crate) fn rest_at(&self, positions: Arc<[Vec3]>, key: u64) -> Result<Rest> {
         self.check()?;
         let corner = |p| self.frame.to_local_exact(p).to_array();
         Ok(Rest {
-            positions: self.positions.into(),
+            normals_fit: *positions == *self.positions,
+            positions,
             normals: self.normals.into(),
-            normals_fit: true,
             spacing: self.spacing.into(),
             bounds: api::Bounds { min: corner(self.bounds.min), max: corner(self.bounds.max) },
             key,

@@ -1,0 +1,180 @@
+//! `simod refine`: more samples in a part of a sampled model.
+
+use std::path::{Path, PathBuf};
+
+use clap::{ArgGroup, Args};
+use glam::{DVec3, Vec3};
+use serde_json::json;
+use simod_core::output::folder_of;
+use simod_core::reconstruction::{DeformationField, Method, Surroundings, deformed_normals};
+use simod_core::refinement::{Finer, Refining, Selection, appended_deformed, refine};
+use simod_core::sampled_model::{BINDING, SampledModel};
+use simod_core::{Error, ErrorKind, Result};
+use simod_session::{Shape, Shapes};
+
+use super::sample::parse_bytes;
+use crate::report::{Report, count};
+
+/// Append more samples to a sampled model where it is selected, down to its vertices if need be
+#[derive(Args)]
+#[command(group(ArgGroup::new("shape").required(true).multiple(true).args(["sphere", "boxes", "half_space"])))]
+#[command(group(ArgGroup::new("finer").required(true).args(["error", "factor", "samples"])))]
+pub struct Refine {
+    /// The sampled model, which takes the new samples unless --into says where else they go
+    #[arg(value_name = "DIR")]
+    sampled: PathBuf,
+    /// A ball to refine: its centre, in the model's coordinates at rest, and its radius. All shapes that are given are
+    /// united
+    #[arg(long, value_name = "X,Y,Z,R", value_parser = numbers::<4>, allow_hyphen_values = true)]
+    sphere: Vec<[f64; 4]>,
+    /// A box to refine: its least and its greatest coordinates
+    #[arg(long = "box", value_name = "X,Y,Z,X,Y,Z", value_parser = numbers::<6>, allow_hyphen_values = true)]
+    boxes: Vec<[f64; 6]>,
+    /// All on one side of a plane: a point on it, and its normal, which points to that side
+    #[arg(long, value_name = "X,Y,Z,NX,NY,NZ", value_parser = numbers::<6>, allow_hyphen_values = true)]
+    half_space: Vec<[f64; 6]>,
+    /// Error bound of a cluster there, as a fraction of the bounding box diagonal; 0 gives every vertex its own sample
+    #[arg(long, value_name = "E", allow_negative_numbers = true)]
+    error: Option<f64>,
+    /// About so many times as many samples there
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    factor: Option<f64>,
+    /// About so many samples more
+    #[arg(long, value_name = "N")]
+    samples: Option<u64>,
+    /// Deformed samples of DIR; -o gets those of the refined model: the old ones as they are, the new ones where the
+    /// reconstruction takes them
+    #[arg(long, value_name = "FILE", requires = "output")]
+    deformed: Option<PathBuf>,
+    /// The deformed samples to write (PLY)
+    #[arg(short, long, value_name = "FILE", requires = "deformed")]
+    output: Option<PathBuf>,
+    /// The folder to write the refined model to, instead of DIR
+    #[arg(long, value_name = "DIR")]
+    into: Option<PathBuf>,
+    /// The model that was sampled, if it was moved since
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Memory to stay below, as 500M or 2G [default: a quarter of the machine's, at most 2G]
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+    memory_limit: Option<u64>,
+}
+
+/// So many numbers with commas between them.
+fn numbers<const N: usize>(text: &str) -> std::result::Result<[f64; N], String> {
+    let all: std::result::Result<Vec<f64>, _> = text.split(',').map(|x| x.trim().parse::<f64>()).collect();
+    all.ok()
+        .and_then(|all| <[f64; N]>::try_from(all).ok())
+        .ok_or_else(|| format!("give {N} numbers with commas between them and no blanks"))
+}
+
+impl Refine {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        let shapes = self.shapes()?;
+        let target = self.into.as_deref().unwrap_or(&self.sampled);
+        SampledModel::check_target(target)?;
+        if let (Some(from), Some(to)) = (&self.deformed, &self.output)
+            && matches!((from.canonicalize(), to.canonicalize()), (Ok(a), Ok(b)) if a == b)
+        {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("{} would be overwritten", from.display()),
+                "write the deformed samples of the refined model to another file",
+            ));
+        }
+        let mut sampled = SampledModel::load(&self.sampled)?;
+        let deformed = self.deformed.as_deref().map(|path| sampled.read_deformed(path)).transpose()?;
+        let model = sampled.open_source(self.model.as_deref())?;
+        let progress = report.progress();
+        sampled.hold_cells(sampled.cells(&self.sampled, self.model.as_deref(), progress)?);
+
+        let how = Refining {
+            finer: match (self.error, self.factor, self.samples) {
+                (Some(e), ..) => Finer::Error(e),
+                (None, Some(f), _) => Finer::Factor(f),
+                (None, None, n) => Finer::Samples(n.unwrap_or(0)),
+            },
+            memory_limit: self.memory_limit,
+            shapes: shapes.tables(),
+        };
+        let distance = |p| shapes.signed_distance(p);
+        let selection = Selection { distance: &distance, so_far: None };
+        let done = refine(&sampled, model.as_ref(), selection, &how, folder_of(target), progress)?;
+        let refined = done.sampled.as_ref();
+        // First what belongs to the refined model: it would be of no use without, but harms nobody.
+        if let (Some(from), Some(deformed), Some(to)) = (&self.deformed, deformed, &self.output) {
+            progress.begin("deforming the new samples", 0);
+            write_deformed(&sampled, refined.unwrap_or(&sampled), from, deformed, to)?;
+        }
+        progress.check()?;
+        let was_bound = self.into.is_none() && self.sampled.join(BINDING).exists();
+        if let Some(refined) = refined {
+            progress.begin("writing", 0);
+            refined.save(target)?;
+        }
+
+        let samples = refined.unwrap_or(&sampled).samples.len();
+        let info = model.info();
+        let read = done.vertex_bytes + done.face_bytes;
+        report.figure("vertices", info.vertices);
+        report.figure("samples", samples);
+        report.figure("added", done.added);
+        report.figure("error", done.error);
+        report.figure("cells_read", done.cells);
+        report.figure("bytes_read", json!({"vertices": done.vertex_bytes, "faces": done.face_bytes}));
+        report.figure("model_bytes", info.bytes);
+        if refined.is_none() {
+            report.line("nothing to refine: no cluster there has a larger error. Nothing is changed");
+        } else {
+            report.line(format!(
+                "{} samples more, {} in all, in {}; the error there is {:.1e} of the diagonal",
+                count(done.added),
+                count(samples as u64),
+                target.display(),
+                done.error
+            ));
+        }
+        report.line(format!(
+            "read {} bytes of {} for {} of {} cells",
+            count(read),
+            count(info.bytes),
+            count(done.cells),
+            count(sampled.cells)
+        ));
+        if refined.is_some() && was_bound {
+            report.warn(format!("{BINDING} was of the samples before and is gone: run `simod bind` again"));
+        }
+        Ok(())
+    }
+
+    fn shapes(&self) -> Result<Shapes> {
+        let three = |x: &[f64]| DVec3::from_slice(x);
+        let spheres = self.sphere.iter().map(|s| Shape::Sphere { center: three(s), radius: s[3] });
+        let boxes = self.boxes.iter().map(|b| Shape::Box { min: three(b), max: three(&b[3..]) });
+        let sides =
+            self.half_space.iter().map(|h| Shape::HalfSpace { point: three(h), normal: three(&h[3..]) });
+        let shapes: Vec<Shape> = spheres.chain(boxes).chain(sides).collect();
+        match shapes.iter().find_map(Shape::defect) {
+            Some(what) => Err(Error::new(ErrorKind::Argument, what, "correct the shape")),
+            None => Ok(Shapes { shapes, falloff: 0.0 }),
+        }
+    }
+}
+
+/// Writes the deformed samples of the refined model; `deformed` are the local positions of those before, from a file.
+fn write_deformed(
+    sampled: &SampledModel,
+    refined: &SampledModel,
+    from: &Path,
+    mut deformed: Vec<Vec3>,
+    to: &Path,
+) -> Result<()> {
+    let more = {
+        let around = Surroundings::of(&sampled.samples);
+        let field = DeformationField::new(&around, &deformed, Method::default());
+        appended_deformed(refined, &field)
+    };
+    deformed.extend(more.iter().map(|p| refined.frame.to_local(*p)));
+    let normals = deformed_normals(&refined.samples, &deformed);
+    refined.write_more_deformed(to, from, &more, &normals)
+}

@@ -1,0 +1,110 @@
+//! The triangles of P_S after a refinement: those that were there, but for those of split clusters, whose faces are
+//! reindexed anew.
+
+use std::path::Path;
+
+use bytemuck::cast_slice;
+use memmap2::Mmap;
+
+use super::appending::Appended;
+use super::regrowing::Regrown;
+use crate::model::{Model, for_faces};
+use crate::sampling::triangles::{first_least, once_each};
+use crate::scratch::Scratch;
+use crate::{Progress, Result};
+
+const ADVICE: &str = "sample the model with --skip triangles, which need it";
+
+const BYTES: u64 = size_of::<u32>() as u64;
+
+/// The leaf of each vertex that was read: in a temporary file of 4 bytes per vertex of the model, of which only as much
+/// is on the disk as is known.
+pub(super) struct Members {
+    file: Scratch,
+}
+
+impl Members {
+    /// Of no vertex yet, of a model of so many.
+    pub fn new(vertices: u64, folder: &Path) -> Result<Self> {
+        let file = Scratch::new(folder, ADVICE)?;
+        file.set_len(vertices * BYTES)?;
+        Ok(Self { file })
+    }
+
+    /// Notes the leaves of a cell's vertices.
+    pub fn note(&self, cell: &mut Regrown) -> Result<()> {
+        let mut members = std::mem::take(&mut cell.members);
+        members.sort_unstable();
+        let mut run: Vec<u32> = Vec::new();
+        for (i, (id, leaf)) in members.iter().enumerate() {
+            // Zero is for those that are not known.
+            run.push(leaf + 1);
+            if members.get(i + 1).is_none_or(|(next, _)| *next != id + 1) {
+                self.file.write_at(cast_slice(&run), (u64::from(*id) + 1 - run.len() as u64) * BYTES)?;
+                run.clear();
+            }
+        }
+        Ok(())
+    }
+
+    /// The samples of the vertices, once they are numbered.
+    pub fn finish(self, samples: usize, appended: &Appended) -> Result<SampleOf<'_>> {
+        Ok(SampleOf { map: self.file.map()?, samples: samples as u32, appended })
+    }
+}
+
+/// The new sample of each vertex that was read.
+pub(super) struct SampleOf<'a> {
+    map: Mmap,
+    /// Number of samples that were there.
+    samples: u32,
+    appended: &'a Appended,
+}
+
+impl SampleOf<'_> {
+    /// The sample of a vertex, and whether it belonged to a cluster that is split; `None` if it was not read.
+    fn of(&self, vertex: u32) -> Option<(u32, bool)> {
+        let leaves: &[u32] = cast_slice(&self.map);
+        let leaf = leaves.get(vertex as usize)?.checked_sub(1)?;
+        if leaf < self.samples {
+            return Some((leaf, self.appended.split[leaf as usize]));
+        }
+        let starts = &self.appended.starts;
+        let at = starts.partition_point(|(first, _)| *first <= leaf - self.samples).checked_sub(1)?;
+        let sample = starts[at].1;
+        Some((sample, self.appended.split.get(sample as usize).is_none_or(|split| *split)))
+    }
+
+    /// Streams the model's faces: the new triangles, and how many bytes were read.
+    ///
+    /// Memory: 12 bytes per triangle, twice while the list grows; the chunks of [`for_faces`].
+    pub fn reindex(
+        &self,
+        model: &dyn Model,
+        old: &[[u32; 3]],
+        progress: &dyn Progress,
+    ) -> Result<(Vec<[u32; 3]>, u64)> {
+        let stays = |t: &&[u32; 3]| !t.iter().any(|s| self.appended.split[*s as usize]);
+        let mut found: Vec<[u32; 3]> = old.iter().filter(stays).copied().collect();
+        let (mut bytes, mut limit) = (0, 2 * found.len().max(1 << 16));
+        for_faces(model, |chunk| {
+            progress.check()?;
+            for corners in &chunk.triangles {
+                let [Some(a), Some(b), Some(c)] = corners.map(|vertex| self.of(vertex)) else { continue };
+                if (a.1 || b.1 || c.1) && a.0 != b.0 && b.0 != c.0 && c.0 != a.0 {
+                    found.push(first_least([a.0, b.0, c.0]));
+                }
+            }
+            if found.len() > limit {
+                once_each(&mut found);
+                limit = 2 * found.len().max(1 << 16);
+            }
+            bytes += chunk.bytes;
+            progress.advance(chunk.bytes);
+            Ok(())
+        })?;
+        once_each(&mut found);
+        found.shrink_to_fit();
+        Ok((found, bytes))
+    }
+}

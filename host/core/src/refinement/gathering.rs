@@ -1,0 +1,167 @@
+//! The vertices of some cells, read again: their ranges of the stream alone (paper §6).
+
+use std::ops::Range;
+
+use glam::Vec3;
+
+use crate::frame::Frame;
+use crate::geometry::Bounds;
+use crate::model::{Model, SMALL_CHUNK, VertexChunk};
+use crate::sampling::cluster::{Group, Sample};
+use crate::sampling::finalization::{PART, unit};
+use crate::sampling::gather::{Gather, Groups};
+use crate::sampling::kept_cells::KeptCells;
+use crate::sampling::lattice::{CellMap, cell_box, key_at};
+use crate::{Progress, Result};
+
+/// Vertices of which a cell's tree was built at once, where they were not in groups.
+pub(super) const SAMPLES_OF_A_PART: usize = PART / size_of::<Sample>();
+
+/// All vertices of a cell.
+pub(super) struct Gathered {
+    /// Its place among the kept cells.
+    pub cell: u32,
+    /// In the order of the stream, counted.
+    pub vertices: Vec<Sample>,
+    /// The index of each in the model; none, if nobody asks.
+    pub ids: Vec<u32>,
+    /// What the cell's tree was built of, if not of the vertices: groups, and that of each vertex.
+    pub groups: Option<(Vec<Vec<Group>>, Vec<u32>)>,
+}
+
+/// What is read, and how.
+pub(super) struct Gathering<'a> {
+    pub model: &'a dyn Model,
+    pub kept: &'a KeptCells,
+    pub frame: Frame,
+    /// Edge of the cubes in which groups were gathered, if there were groups.
+    pub edge: Option<f32>,
+    /// Whether it shall be known which vertex is which.
+    pub with_ids: bool,
+}
+
+impl Gathering<'_> {
+    /// Bytes that a vertex takes at most until its cell is done: itself, its index and group, and once more while it is
+    /// clustered, with the nodes of a tree down to it.
+    pub const BYTES_PER_VERTEX: u64 = 240;
+
+    /// Reads some cells; and how many bytes of the model that took. `None` for the first of a cell's vertices that
+    /// is not what it was: the model has changed.
+    ///
+    /// Memory: [`BYTES_PER_VERTEX`](Self::BYTES_PER_VERTEX) for each vertex of these cells, and a chunk.
+    pub fn read(&self, cells: &[u32], progress: &dyn Progress) -> Result<Option<(Vec<Gathered>, u64)>> {
+        let kept = |cell: &u32| &self.kept.cells[*cell as usize];
+        let index: CellMap<u32> = cells.iter().zip(0..).map(|(cell, at)| (kept(cell).key, at)).collect();
+        let mut groups = self.edge.map(|edge| Groups::new(cells.len(), edge, u64::MAX));
+        let mut found: Vec<Gathered> = cells
+            .iter()
+            .map(|cell| {
+                let n = usize::try_from(kept(cell).vertices).unwrap_or(0);
+                Gathered {
+                    cell: *cell,
+                    vertices: Vec::with_capacity(n),
+                    ids: Vec::with_capacity(if self.with_ids { n } else { 0 }),
+                    groups: groups.as_ref().map(|_| (Vec::new(), Vec::with_capacity(n))),
+                }
+            })
+            .collect();
+        let (mut bytes, mut chunk) = (0, VertexChunk::default());
+        for range in self.ranges(cells) {
+            // What lies between two ranges was in other cells.
+            let mut current: Option<(Bounds, Option<u32>)> = None;
+            groups.iter_mut().for_each(Groups::leave);
+            let mut reader = self.model.vertices(range)?;
+            reader.set_chunk(SMALL_CHUNK);
+            while reader.read(&mut chunk)? {
+                progress.check()?;
+                for (i, p) in chunk.positions.iter().enumerate() {
+                    let cell = match &current {
+                        Some((inside, cell)) if inside.contains(*p) => *cell,
+                        _ if !p.is_finite() => continue,
+                        _ => {
+                            let key = key_at(*p, self.kept.level);
+                            let cell = index.get(&key).copied();
+                            current = Some((cell_box(key, self.kept.level), cell));
+                            if cell.is_none() {
+                                groups.iter_mut().for_each(Groups::leave);
+                            }
+                            cell
+                        }
+                    };
+                    let Some(at) = cell else { continue };
+                    let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
+                    let position = self.frame.to_local(*p);
+                    let found = &mut found[at as usize];
+                    if found.vertices.len() as u64 == kept(&found.cell).vertices {
+                        return Ok(None);
+                    }
+                    if let (Some(groups), Some((_, group_of))) = (&mut groups, &mut found.groups) {
+                        let Some(group) = groups.add(at, position, normal)? else { return Ok(None) };
+                        group_of.push(group);
+                    }
+                    found.vertices.push(Sample { position, normal, index: found.vertices.len() as u32 });
+                    if self.with_ids {
+                        found.ids.push((chunk.first + i as u64) as u32);
+                    }
+                }
+                bytes += chunk.raw().len() as u64;
+                progress.advance(chunk.raw().len() as u64);
+            }
+        }
+        for (at, found) in (0..).zip(&mut found) {
+            if found.vertices.len() as u64 != kept(&found.cell).vertices {
+                return Ok(None);
+            }
+            if let (Some(groups), Some((parts, _))) = (&mut groups, &mut found.groups) {
+                groups.take(at).in_parts(PART / size_of::<Group>(), |part| {
+                    parts.push(part.to_vec());
+                    Ok(())
+                })?;
+            }
+        }
+        Ok(Some((found, bytes)))
+    }
+
+    /// What of the stream holds these cells, ascending.
+    pub fn ranges(&self, cells: &[u32]) -> Vec<Range<u64>> {
+        let mut all: Vec<_> =
+            cells.iter().flat_map(|cell| self.kept.cells[*cell as usize].ranges.iter().cloned()).collect();
+        all.sort_unstable_by_key(|range| range.start);
+        // Where reading cannot begin anywhere, going on costs less than beginning again.
+        let anywhere = self.model.info().random_access;
+        let mut joined: Vec<Range<u64>> = Vec::new();
+        for range in all {
+            match joined.last_mut() {
+                Some(last) if range.start <= last.end || !anywhere => last.end = last.end.max(range.end),
+                _ => joined.push(range),
+            }
+        }
+        joined
+    }
+}
+
+impl Gathered {
+    /// In how many parts the cell's tree was built.
+    pub fn parts(&self) -> usize {
+        match &self.groups {
+            Some((parts, _)) => parts.len(),
+            None => self.vertices.len().div_ceil(SAMPLES_OF_A_PART),
+        }
+    }
+
+    /// The item of the tree that a vertex is, or is part of.
+    pub fn item_of(&self, vertex: usize) -> usize {
+        match &self.groups {
+            Some((_, group_of)) => group_of[vertex] as usize,
+            None => vertex,
+        }
+    }
+
+    /// Number of these items.
+    pub fn items(&self) -> usize {
+        match &self.groups {
+            Some((parts, _)) => parts.iter().map(Vec::len).sum(),
+            None => self.vertices.len(),
+        }
+    }
+}

@@ -1,0 +1,463 @@
+//! Local refinement (paper §6): more samples where the user asks, appended to P_S.
+//!
+//! The cells that the selection meets are known from what sampling kept. Only their ranges of the model are read
+//! (`gathering`), their trees go on from where they stopped (`regrowing`) down to a smaller error inside the selection
+//! and a rising one around it (`selection`), and what is below the samples that were there becomes new ones (`appending`), with
+//! triangles from the model's faces (`faces`). It works again and again, down to the vertices themselves.
+
+mod appending;
+mod faces;
+mod gathering;
+mod regrowing;
+mod selection;
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "a failing helper fails the test")]
+mod tests;
+
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+pub use selection::Selection;
+
+use crate::frame::Frame;
+use crate::model::Model;
+use crate::output::human_size;
+use crate::reconstruction::{DeformationField, Moved, carry};
+use crate::sampled_model::SampledModel;
+use crate::sampling::cut::threshold_for;
+use crate::sampling::kept_cells::KeptCells;
+use crate::sampling::{LEAST_MEMORY, total_memory};
+use crate::{Error, ErrorKind, Progress, Result};
+use appending::{Appended, append};
+use faces::Members;
+use gathering::{Gathered, Gathering};
+use regrowing::{Changed, Regrowing, Regrown};
+use selection::{Nearest, Sizing};
+
+/// How fine P_S shall be where it is selected.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Finer {
+    /// No cluster there has a larger error, as a fraction of the diagonal; 0 gives every vertex a sample of its own.
+    Error(f64),
+    /// About so many times as many samples as there are.
+    Factor(f64),
+    /// About so many samples more.
+    Samples(u64),
+}
+
+/// What a refinement is asked for.
+#[derive(Debug, Clone)]
+pub struct Refining {
+    /// How fine.
+    pub finer: Finer,
+    /// Bytes of memory to stay below; as for sampling where not given.
+    pub memory_limit: Option<u64>,
+    /// What is selected, as it will stand among the sampled model's refinements.
+    pub shapes: Vec<toml::Table>,
+}
+
+/// A refinement that a sampled model has gone through.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct Refinement {
+    /// What was selected.
+    pub shapes: Vec<toml::Table>,
+    /// The bound that it came to inside, as a fraction of the diagonal.
+    pub error: f64,
+    /// Number of samples that it appended.
+    pub added: u64,
+}
+
+impl Refinement {
+    /// What was selected, on one line.
+    pub fn places(&self) -> String {
+        let shape = |table: &toml::Table| toml::Value::from(table.clone()).to_string();
+        self.shapes.iter().map(shape).collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// What was done.
+pub struct Refined {
+    /// The sampled model with the new samples; `None` if there was nothing to refine.
+    pub sampled: Option<SampledModel>,
+    /// Number of new samples.
+    pub added: u64,
+    /// The error bound inside the selection, as a fraction of the diagonal.
+    pub error: f64,
+    /// Number of cells that were read.
+    pub cells: u64,
+    /// Bytes of the model's vertices that were read.
+    pub vertex_bytes: u64,
+    /// Bytes of the model's faces that were read.
+    pub face_bytes: u64,
+}
+
+/// Most bytes of vertices and what they take that are in work at a time: cells come in batches of so much, unless one
+/// is larger.
+const BATCH: u64 = 96 << 20;
+
+/// Bytes that a new sample takes until P_S is complete: 1.4 nodes, before and after the cut, and the tree's and its own.
+const BYTES_PER_SAMPLE: u64 = 200;
+
+/// With a target, trees are cut back when they have so many times as many leaves ...
+const KEEP_AT_MOST: f64 = 1.6;
+/// ... to so many times as many.
+const PRUNE_TO: f64 = 1.2;
+
+/// A bound this many times smaller than what the number of samples foretells is low enough, mostly.
+const FORESIGHT: f64 = 3.0;
+
+/// Refines a sampled model, whose cells are held, where it is selected. Temporary files without a name are made in `folder`, of 4 bytes per
+/// vertex that is read, if there are triangles.
+///
+/// Memory: below the limit, for any selection. Cells come in batches of at most 96 MiB, or one at a time; 240 bytes for each of their
+/// vertices. The new samples take 200 bytes each, at most half of the limit. P_S itself comes on top.
+///
+/// # Errors
+/// The selection does not meet the model; the model cannot be read, or is not what was sampled; a target that is out of
+/// range, or more than memory holds; the user cancelled.
+pub fn refine(
+    sampled: &SampledModel,
+    model: &dyn Model,
+    selection: Selection<'_>,
+    how: &Refining,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<Refined> {
+    check(how)?;
+    let Some(kept) = sampled.held_cells() else {
+        return Err(Error::new(
+            ErrorKind::Argument,
+            "the sampled model's cells are not there, which a refinement needs",
+            "sample the model again, without --skip cells",
+        ));
+    };
+    let source = &sampled.source;
+    kept.check(
+        source.vertices - source.non_finite.min(source.vertices),
+        source.vertices,
+        sampled.samples.len(),
+    )?;
+    progress.begin("selecting", 0);
+    let sizing = Sizing::new(selection, sampled.frame);
+    let leaves = sizing.leaves(sampled, kept);
+    if !leaves.iter().flatten().any(|leaf| leaf.inside) {
+        return Err(Error::new(
+            ErrorKind::Argument,
+            "the selection does not meet the model: nothing is refined",
+            "give shapes in the model's coordinates; `simod info` tells its bounding box",
+        ));
+    }
+    let work = Work { sampled, kept, model, sizing, leaves, how, folder, progress };
+    let goal = work.goal();
+    let (bound, cells, members, figures) = match work.regrow(goal)? {
+        Some(done) => done,
+        // What was foretold was too coarse.
+        None => match work.regrow(Goal { least: 0.0, ..goal })? {
+            Some(done) => done,
+            None => unreachable!("down to the vertices, no bound is too coarse"),
+        },
+    };
+    progress.begin("completing the samples", 0);
+    let appended = append(kept, &sampled.samples.positions, &cells, bound);
+    drop(cells);
+    let added = appended.positions.len() as u64;
+    let mut refined = Refined {
+        sampled: None,
+        added,
+        error: f64::from(bound) / sampled.local_diagonal().max(f64::MIN_POSITIVE),
+        face_bytes: 0,
+        ..figures
+    };
+    if added == 0 {
+        return Ok(refined);
+    }
+    let mut triangles = Vec::new();
+    if let Some(members) = members {
+        progress.begin("reindexing the faces", model.info().face_bytes);
+        let sample_of = members.finish(sampled.samples.len(), &appended)?;
+        (triangles, refined.face_bytes) = sample_of.reindex(model, &sampled.triangles, progress)?;
+    }
+    progress.check()?;
+    let mut kept = kept.clone();
+    let Appended { positions, normals, trees, .. } = appended;
+    trees.into_iter().for_each(|(cell, tree)| kept.cells[cell as usize].tree = tree);
+    let record = Refinement { shapes: how.shapes.clone(), error: refined.error, added };
+    refined.sampled = Some(sampled.refined((positions, normals), triangles, kept, record)?);
+    Ok(refined)
+}
+
+/// Where the samples that a refinement has appended go (the model's coordinates), by a deformation of those that were
+/// there before.
+pub fn appended_deformed(refined: &SampledModel, field: &DeformationField<'_>) -> Vec<DVec3> {
+    let first = field.deformed().len();
+    let rest = refined.samples.positions.get(first..).unwrap_or_default();
+    let rest: Vec<DVec3> = rest.iter().map(|p| refined.frame.to_model(*p)).collect();
+    carried(field, &refined.frame, &rest, refined.samples.normals().get(first..).unwrap_or_default())
+}
+
+/// Where points of the model (its coordinates) go; their normals, or none, tell the sheets of the surface apart.
+fn carried(field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3], normals: &[Vec3]) -> Vec<DVec3> {
+    let mut moved = positions.to_vec();
+    let to = &mut [Moved { positions: &mut moved, normals: &mut [], figures: &mut [] }];
+    carry(std::slice::from_ref(field), frame, positions, normals, None, to);
+    moved
+}
+
+fn check(how: &Refining) -> Result<()> {
+    let bad = match how.finer {
+        Finer::Error(e) if !(e.is_finite() && e >= 0.0) => format!("the error bound {e}"),
+        Finer::Factor(f) if !(f.is_finite() && f > 1.0) => format!("the factor {f}"),
+        Finer::Samples(n) if n == 0 || n > u64::from(u32::MAX) => format!("the number of {n} samples"),
+        _ => return Ok(()),
+    };
+    Err(Error::new(
+        ErrorKind::Argument,
+        format!("{bad} is out of range"),
+        "give an error of 0 or more (a fraction of the diagonal), a factor above 1, or at least 1 sample",
+    ))
+}
+
+/// A refinement at work.
+struct Work<'a> {
+    sampled: &'a SampledModel,
+    kept: &'a KeptCells,
+    model: &'a dyn Model,
+    sizing: Sizing<'a>,
+    /// What is known of each leaf of each cell.
+    leaves: Vec<Vec<Nearest>>,
+    how: &'a Refining,
+    folder: &'a Path,
+    progress: &'a dyn Progress,
+}
+
+/// What shall come of it.
+#[derive(Clone, Copy)]
+struct Goal {
+    /// Least bound that is looked at, local units.
+    least: f32,
+    /// How many samples more; by the bound alone, if none are given.
+    samples: Option<usize>,
+}
+
+type Done = (f32, Vec<Regrown>, Option<Members>, Refined);
+
+impl Work<'_> {
+    fn limit(&self) -> u64 {
+        self.how.memory_limit.unwrap_or_else(|| (total_memory() / 4).min(2 << 30)).max(LEAST_MEMORY)
+    }
+
+    fn goal(&self) -> Goal {
+        let mut inside: Vec<f32> =
+            self.leaves.iter().flatten().filter(|leaf| leaf.inside).map(|leaf| leaf.error).collect();
+        let there = inside.len().max(1) as f64;
+        let more = match self.how.finer {
+            Finer::Error(e) => {
+                return Goal { least: (e * self.sampled.local_diagonal()) as f32, samples: None };
+            }
+            Finer::Factor(f) => (f - 1.0) * there,
+            Finer::Samples(n) => n as f64,
+        };
+        // Halving the size of clusters makes four of one, and their errors half as large or less.
+        let middle = inside.len() / 2;
+        let typical = *inside.select_nth_unstable_by(middle, f32::total_cmp).1;
+        let least = f64::from(typical) / (FORESIGHT * (1.0 + more / there));
+        Goal { least: least as f32, samples: Some(more.round().min(1e12) as usize) }
+    }
+
+    /// The leaves of each cell that may be split at a bound.
+    fn wanted(&self, bound: f32) -> Vec<(u32, Vec<bool>)> {
+        let may = |leaf: &Nearest| leaf.error - leaf.slack > bound;
+        let cells = self.leaves.iter().zip(0..).filter(|(leaves, _)| leaves.iter().any(may));
+        cells.map(|(leaves, cell)| (cell, leaves.iter().map(may).collect())).collect()
+    }
+
+    /// Grows the trees of all cells that the selection meets; `None` if the least bound is too coarse for the number of
+    /// samples.
+    fn regrow(&self, goal: Goal) -> Result<Option<Done>> {
+        let Self { sampled, kept, model, progress, .. } = self;
+        let wanted = self.wanted(goal.least);
+        let has_triangles = !sampled.triangles.is_empty();
+        let mut cells = wanted;
+        let members = if has_triangles && !cells.is_empty() {
+            self.add_neighbours(&mut cells);
+            Some(Members::new(sampled.source.vertices, self.folder)?)
+        } else {
+            None
+        };
+        let gathering = Gathering {
+            model: *model,
+            kept,
+            frame: sampled.frame,
+            edge: sampled.sampling.grouping.edge(sampled.cell_size, &sampled.frame),
+            with_ids: has_triangles,
+        };
+        self.tell_scattered(&gathering, &cells);
+        let mut bound = goal.least;
+        let mut regrown: Vec<Regrown> = Vec::new();
+        let (mut built, mut vertex_bytes) = (0u32, 0);
+        let most = self.limit() / 2 / BYTES_PER_SAMPLE;
+        for batch in self.batches(&cells)? {
+            let places: Vec<u32> = batch.iter().map(|(cell, _)| *cell).collect();
+            progress.begin("reading the cells", self.bytes_of(&gathering, &places));
+            let (gathered, bytes) = gathering.read(&places, *progress)?.ok_or_else(|| self.changed())?;
+            vertex_bytes += bytes;
+            progress.begin("refining", 0);
+            let how = Regrowing {
+                splitting: sampled.sampling.splitting,
+                sizing: &self.sizing,
+                bound,
+                leaves_from: sampled.samples.len() as u32,
+            };
+            let found: Result<Vec<Regrown>> = gathered
+                .into_par_iter()
+                .zip(batch)
+                .map(|(gathered, (_, wanted)): (Gathered, _)| {
+                    progress.check()?;
+                    let cell = &kept.cells[gathered.cell as usize];
+                    how.regrow(gathered, cell, wanted).map_err(|Changed| self.changed())
+                })
+                .collect();
+            for mut cell in found? {
+                cell.count_from(built, how.leaves_from);
+                built = built.wrapping_add(cell.built);
+                if let Some(members) = &members {
+                    members.note(&mut cell)?;
+                }
+                regrown.push(cell);
+            }
+            let more = splits(&regrown, kept).map(|(_, added)| u64::from(added)).sum::<u64>();
+            if let Some(target) = goal.samples
+                && more as f64 > KEEP_AT_MOST * target.max(1024) as f64
+            {
+                let keep = (PRUNE_TO * target.max(1024) as f64) as usize;
+                bound = bound.max(threshold_for(splits(&regrown, kept), 0, keep));
+                for cell in &mut regrown {
+                    let tree = &kept.cells[cell.cell as usize].tree;
+                    cell.grown.iter_mut().for_each(|grown| grown.prune(bound, tree));
+                }
+            } else if more > most || sampled.samples.len() as u64 + more > u64::from(u32::MAX) {
+                return Err(too_many(most));
+            }
+        }
+        if let Some(target) = goal.samples {
+            if target as u64 > most {
+                return Err(too_many(most));
+            }
+            let threshold = threshold_for(splits(&regrown, kept), 0, target);
+            if threshold < bound && bound == goal.least && goal.least > 0.0 {
+                return Ok(None);
+            }
+            bound = bound.max(threshold);
+        }
+        let figures = Refined {
+            sampled: None,
+            added: 0,
+            error: 0.0,
+            cells: cells.len() as u64,
+            vertex_bytes,
+            face_bytes: 0,
+        };
+        Ok(Some((bound, regrown, members, figures)))
+    }
+
+    /// Adds the cells of all samples that share a triangle with one that may be split: the samples of their vertices have
+    /// to be known as well.
+    fn add_neighbours(&self, cells: &mut Vec<(u32, Vec<bool>)>) {
+        let mut split = vec![false; self.sampled.samples.len()];
+        for (cell, wanted) in cells.iter() {
+            let samples = &self.kept.cells[*cell as usize].tree.samples;
+            samples
+                .iter()
+                .zip(wanted)
+                .filter(|(_, wanted)| **wanted)
+                .for_each(|(s, _)| split[*s as usize] = true);
+        }
+        let mut needed = split.clone();
+        for triangle in self.sampled.triangles.iter().filter(|t| t.iter().any(|s| split[*s as usize])) {
+            triangle.iter().for_each(|s| needed[*s as usize] = true);
+        }
+        let mut known = vec![false; self.kept.cells.len()];
+        cells.iter().for_each(|(cell, _)| known[*cell as usize] = true);
+        for (cell, kept) in self.kept.cells.iter().enumerate().filter(|(cell, _)| !known[*cell]) {
+            if kept.tree.samples.iter().any(|s| needed[*s as usize]) {
+                cells.push((cell as u32, vec![false; kept.tree.samples.len()]));
+            }
+        }
+        cells.sort_unstable_by_key(|(cell, _)| *cell);
+    }
+
+    /// Cells that are read at a time.
+    fn batches<'c>(&self, cells: &'c [(u32, Vec<bool>)]) -> Result<Vec<&'c [(u32, Vec<bool>)]>> {
+        let bytes = |(cell, _): &(u32, Vec<bool>)| {
+            self.kept.cells[*cell as usize].vertices.saturating_mul(Gathering::BYTES_PER_VERTEX)
+        };
+        let limit = self.limit() / 2;
+        if let Some(largest) = cells.iter().map(bytes).max().filter(|bytes| *bytes > limit) {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("a cell of the model's grid takes {} of memory to refine", human_size(largest)),
+                format!(
+                    "give --memory-limit {}M or more, or sample with a finer --grid",
+                    largest.div_ceil(1 << 19)
+                ),
+            ));
+        }
+        let (mut batches, mut first, mut held) = (Vec::new(), 0, 0u64);
+        for (i, cell) in cells.iter().enumerate() {
+            if held + bytes(cell) > BATCH.min(limit) && i > first {
+                batches.push(&cells[first..i]);
+                (first, held) = (i, 0);
+            }
+            held += bytes(cell);
+        }
+        batches.push(&cells[first..]);
+        Ok(batches)
+    }
+
+    /// Bytes of the model that some cells lie in.
+    fn bytes_of(&self, gathering: &Gathering<'_>, cells: &[u32]) -> u64 {
+        let vertices: u64 = gathering.ranges(cells).iter().map(|r| r.end - r.start).sum();
+        let info = self.model.info();
+        (vertices as f64 / info.vertices.max(1) as f64 * info.vertex_bytes as f64) as u64
+    }
+
+    /// Says so where much more is read than is needed.
+    fn tell_scattered(&self, gathering: &Gathering<'_>, cells: &[(u32, Vec<bool>)]) {
+        let places: Vec<u32> = cells.iter().map(|(cell, _)| *cell).collect();
+        let needed: u64 = places.iter().map(|cell| self.kept.cells[*cell as usize].vertices).sum();
+        let read: u64 = gathering.ranges(&places).iter().map(|r| r.end - r.start).sum();
+        let all = self.sampled.source.vertices.max(1);
+        if read > 4 * needed && read > all / 4 {
+            let percent = 100 * read / all;
+            self.progress.note(&format!(
+                "neighbours on the surface are far apart in the model's file: {percent} % of its vertices are read for a \
+                 selection with {:.1} % of them",
+                100.0 * needed as f64 / all as f64
+            ));
+        }
+    }
+
+    fn changed(&self) -> Error {
+        self.sampled.source_changed(self.model.path())
+    }
+}
+
+/// All splits of some cells.
+fn splits<'a>(cells: &'a [Regrown], kept: &'a KeptCells) -> impl Iterator<Item = (f32, u32)> + 'a {
+    cells.iter().flat_map(|cell| {
+        let tree = &kept.cells[cell.cell as usize].tree;
+        cell.grown.iter().flat_map(move |grown| grown.splits(tree))
+    })
+}
+
+fn too_many(most: u64) -> Error {
+    Error::new(
+        ErrorKind::Argument,
+        format!("this takes more than {most} new samples, which memory does not hold"),
+        "select less, give a larger --error, or more memory with --memory-limit",
+    )
+}

@@ -1,0 +1,388 @@
+//! A cell's tree goes on where it stopped (paper §6).
+//!
+//! What was kept of it tells which clusters were split, and splits follow from the vertices alone. So the tree is built
+//! again along what is kept, which gives the vertices of each leaf; and where a leaf's error is above the bound, a VS-Tree
+//! of these vertices goes on below it. What it comes to does not depend on how many refinements led there.
+
+use crate::sampling::cluster::{Element, Moments, Sample};
+use crate::sampling::finalization::seed_of;
+use crate::sampling::kept_cells::{CutTree, KeptCell};
+use crate::sampling::vs_tree::{Splitting, VsTree, Workspace, mix};
+use glam::Vec3;
+
+use super::gathering::{Gathered, SAMPLES_OF_A_PART};
+use super::selection::Sizing;
+
+/// A cluster below a sample of the first sampling.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct GrownNode {
+    pub position: Vec3,
+    pub normal: Vec3,
+    /// Half of its box's diagonal.
+    pub reach: f32,
+    /// Its error, or that of one above if that is less.
+    pub error: f32,
+    /// That less the slack, or that of one above which is not kept; what a bound inside the selection is compared with.
+    pub graded: f32,
+    /// Index behind its subtree.
+    pub end: u32,
+    /// Its first leaf, counted in the tree as it was built.
+    pub first: u32,
+    /// The kept node that it is.
+    pub known: Option<u32>,
+}
+
+/// The tree below a sample of the first sampling.
+#[derive(Debug)]
+pub(super) struct Grown {
+    /// The node of the cell's tree that it begins with.
+    pub root: u32,
+    pub nodes: Vec<GrownNode>,
+    /// Number of leaves, of all cells, before its first one.
+    pub first_leaf: u32,
+}
+
+/// What became of a cell.
+#[derive(Debug)]
+pub(super) struct Regrown {
+    /// Its place among the kept cells.
+    pub cell: u32,
+    /// In the order of their roots.
+    pub grown: Vec<Grown>,
+    /// For each vertex its index in the model and its leaf: a sample that was there, or `leaves_from` and on. None, if
+    /// nobody asked.
+    pub members: Vec<(u32, u32)>,
+    /// Number of leaves that were built.
+    pub built: u32,
+}
+
+impl Regrown {
+    /// So many leaves of other cells come before those of this one.
+    pub fn count_from(&mut self, before: u32, leaves_from: u32) {
+        self.grown.iter_mut().for_each(|grown| grown.first_leaf += before);
+        let built = self.members.iter_mut().filter(|(_, leaf)| *leaf >= leaves_from);
+        built.for_each(|(_, leaf)| *leaf += before);
+    }
+}
+
+/// The vertices are not those that the tree was built of.
+#[derive(Debug)]
+pub(super) struct Changed;
+
+/// How cells are regrown.
+pub(super) struct Regrowing<'a> {
+    pub splitting: Splitting,
+    pub sizing: &'a Sizing<'a>,
+    /// Bound inside the selection; local units.
+    pub bound: f32,
+    /// Number of the first leaf that is built: those before are samples.
+    pub leaves_from: u32,
+}
+
+impl Grown {
+    /// The nodes down to a cut inside the selection, and whether each is a leaf of it.
+    pub fn cut(&self, bound: f32, tree: &CutTree) -> Vec<(usize, bool)> {
+        let (mut found, mut i) = (Vec::new(), 0);
+        while let Some(node) = self.nodes.get(i) {
+            let is_kept = node.known.is_some_and(|k| tree.children[k as usize] > 0);
+            let leaf = node.end as usize == i + 1 || !(is_kept || node.graded > bound);
+            found.push((i, leaf));
+            i = if leaf { node.end as usize } else { i + 1 };
+        }
+        found
+    }
+
+    /// The clusters that a cut can split beyond what is kept: what the bound is compared with, and how many clusters
+    /// the split adds.
+    pub fn splits<'a>(&'a self, tree: &'a CutTree) -> impl Iterator<Item = (f32, u32)> + 'a {
+        let can = |i: &usize| {
+            let node = &self.nodes[*i];
+            node.end as usize > i + 1 && node.known.is_none_or(|k| tree.children[k as usize] == 0)
+        };
+        (0..self.nodes.len()).filter(can).map(|i| (self.nodes[i].graded, self.children(i) - 1))
+    }
+
+    /// Number of clusters that a node is split into.
+    pub fn children(&self, i: usize) -> u32 {
+        let (mut child, mut children) = (i + 1, 0);
+        while child < self.nodes[i].end as usize {
+            children += 1;
+            child = self.nodes[child].end as usize;
+        }
+        children
+    }
+
+    /// Drops what is below a cut.
+    pub fn prune(&mut self, bound: f32, tree: &CutTree) {
+        let kept = self.cut(bound, tree);
+        // How many of the nodes before each one are kept.
+        let place = |end: u32| kept.partition_point(|(i, _)| *i < end as usize) as u32;
+        self.nodes = kept
+            .iter()
+            .map(|(i, _)| GrownNode { end: place(self.nodes[*i].end), ..self.nodes[*i] })
+            .collect();
+    }
+}
+
+impl Regrowing<'_> {
+    /// Goes on with the tree of a cell. `wanted` says of each leaf whether it may be refined; all trees that went on
+    /// below a leaf before are built again where it is, or if the members are asked for.
+    pub fn regrow(
+        &self,
+        mut gathered: Gathered,
+        kept: &KeptCell,
+        wanted: &[bool],
+    ) -> Result<Regrown, Changed> {
+        let tree = &kept.tree;
+        let seed = seed_of(&kept.key);
+        let top = Top::of(tree);
+        let leaf_of = self.follow(&mut gathered, tree, &top, seed)?;
+
+        // The vertices of each leaf, side by side.
+        let mut starts = vec![0usize; top.leaves.len() + 1];
+        leaf_of.iter().for_each(|leaf| starts[*leaf as usize + 1] += 1);
+        (0..top.leaves.len()).for_each(|i| starts[i + 1] += starts[i]);
+        let (mut next, mut order) = (starts.clone(), vec![0u32; leaf_of.len()]);
+        for (vertex, leaf) in (0..).zip(&leaf_of) {
+            order[next[*leaf as usize]] = vertex;
+            next[*leaf as usize] += 1;
+        }
+
+        let mut found = Regrown { cell: gathered.cell, grown: Vec::new(), members: Vec::new(), built: 0 };
+        let mut workspace = Workspace::<Sample>::default();
+        for (ordinal, leaf) in top.leaves.iter().enumerate() {
+            let of_leaf = &order[starts[ordinal]..starts[ordinal + 1]];
+            let refined = wanted[leaf.samples.clone()].contains(&true);
+            let has_grown = leaf.samples.len() > 1;
+            if !refined && !(has_grown && !gathered.ids.is_empty()) {
+                let sample = tree.samples[leaf.samples.start];
+                let ids = of_leaf.iter().filter_map(|v| gathered.ids.get(*v as usize));
+                found.members.extend(ids.map(|id| (*id, sample)));
+                continue;
+            }
+            let mut vertices: Vec<Sample> = of_leaf
+                .iter()
+                .zip(0..)
+                .map(|(v, index)| Sample { index, ..gathered.vertices[*v as usize] })
+                .collect();
+            let below = mix(seed, ordinal as u64 + 1);
+            let (grown, built) = self.grow(&mut vertices, tree, leaf, below, refined, &mut workspace)?;
+            let first_leaf = found.built;
+            found.built += built;
+            for (v, leaf) in of_leaf.iter().zip(&workspace.leaves) {
+                if let Some(id) = gathered.ids.get(*v as usize) {
+                    found.members.push((*id, self.leaves_from + first_leaf + leaf));
+                }
+            }
+            found.grown.push(Grown { first_leaf, ..grown });
+        }
+        Ok(found)
+    }
+
+    /// The leaf of the first sampling that each vertex belongs to.
+    fn follow(
+        &self,
+        gathered: &mut Gathered,
+        tree: &CutTree,
+        top: &Top,
+        seed: u64,
+    ) -> Result<Vec<u32>, Changed> {
+        let mut leaf_of_item = vec![0u32; gathered.items()];
+        if top.nodes.len() > 1 {
+            let starts = top.parts(gathered.parts()).ok_or(Changed)?;
+            let along = Along { splitting: self.splitting, tree, top, seed };
+            match &mut gathered.groups {
+                Some((parts, _)) => {
+                    let mut parts = parts.iter_mut().zip(starts);
+                    parts.try_for_each(|(part, start)| along.build(part, start, &mut leaf_of_item))?;
+                }
+                None => {
+                    let mut copy = gathered.vertices.clone();
+                    let mut parts = copy.chunks_mut(SAMPLES_OF_A_PART).zip(starts);
+                    parts.try_for_each(|(part, start)| along.build(part, start, &mut leaf_of_item))?;
+                }
+            }
+        }
+        Ok((0..gathered.vertices.len()).map(|v| leaf_of_item[gathered.item_of(v)]).collect())
+    }
+
+    /// The tree of the vertices of a leaf: as far as it is kept, and on from there if it is `refined`. Also its number of leaves;
+    /// the leaf of each vertex is in the workspace.
+    fn grow(
+        &self,
+        vertices: &mut [Sample],
+        tree: &CutTree,
+        leaf: &TopLeaf,
+        seed: u64,
+        refined: bool,
+        workspace: &mut Workspace<Sample>,
+    ) -> Result<(Grown, u32), Changed> {
+        // What is told of each node in turn: its half diagonal, slack, and which kept one it is.
+        let mut told: Vec<(f32, f32, Option<u32>)> = Vec::new();
+        let mut next = leaf.nodes.start;
+        // The depth of the kept leaf below which new nodes come.
+        let mut beyond: Option<u32> = None;
+        let goes_on = |m: &Moments, key: f32, depth: u32| {
+            if beyond.is_some_and(|leaf| depth <= leaf) {
+                beyond = None;
+            }
+            let known = beyond.is_none().then(|| {
+                next += 1;
+                next - 1
+            });
+            let is_kept = known.is_some_and(|k| tree.children.get(k).is_some_and(|n| *n > 0));
+            let reach = 0.5 * (m.max - m.min).length();
+            let slack =
+                if is_kept || !refined { 0.0 } else { self.sizing.slack(0.5 * (m.min + m.max), reach) };
+            told.push((reach, slack, known.map(|k| k as u32)));
+            if is_kept {
+                return true;
+            }
+            let goes_on = refined && key - slack > self.bound;
+            if goes_on && known.is_some() {
+                beyond = Some(depth);
+            }
+            goes_on
+        };
+        let root = (tree.errors[leaf.nodes.start], seed);
+        let (built, _) = VsTree::build_where(vertices, workspace, self.splitting, root, goes_on);
+        if next != leaf.nodes.end {
+            return Err(Changed);
+        }
+        let mut nodes: Vec<GrownNode> = Vec::with_capacity(built.nodes.len());
+        let mut above: Vec<(u32, f32)> = Vec::new();
+        for (i, (node, (reach, slack, known))) in built.nodes.iter().zip(told).enumerate() {
+            while above.pop_if(|(end, _)| *end as usize <= i).is_some() {}
+            let kept = known.map(|k| k as usize).filter(|k| tree.children[*k] > 0);
+            if let Some(k) = kept
+                && (built.children(i) != u32::from(tree.children[k]) || node.key != tree.errors[k])
+            {
+                return Err(Changed);
+            }
+            // What is kept stays split, whatever the bound.
+            let graded = match kept {
+                Some(_) => f32::INFINITY,
+                None => (node.key - slack).min(above.last().map_or(f32::INFINITY, |(_, graded)| *graded)),
+            };
+            above.push((node.end, graded));
+            nodes.push(GrownNode {
+                position: node.position,
+                normal: node.normal,
+                reach,
+                error: node.key,
+                graded,
+                end: node.end,
+                first: node.first,
+                known,
+            });
+        }
+        Ok((Grown { root: leaf.nodes.start as u32, nodes, first_leaf: 0 }, built.built()))
+    }
+}
+
+/// A cell's tree as it is kept.
+struct Along<'a> {
+    splitting: Splitting,
+    tree: &'a CutTree,
+    top: &'a Top,
+    seed: u64,
+}
+
+impl Along<'_> {
+    /// Builds the tree of a part of the cell's items again, of which the kept one begins at this node, and notes the
+    /// leaf of each item.
+    fn build<E: Element>(&self, part: &mut [E], start: usize, leaf_of: &mut [u32]) -> Result<(), Changed> {
+        let first = part.first().map_or(0, E::index) as usize;
+        let kept = &self.top.nodes[start..self.top.nodes[start].end];
+        let before = kept[0].leaf;
+        let slots = &mut leaf_of[first..first + part.len()];
+        if kept.len() == 1 {
+            slots.fill(before);
+            return Ok(());
+        }
+        let (mut workspace, mut at) = (Workspace::default(), 0);
+        let goes_on = |_: &Moments, _: f32, _: u32| {
+            at += 1;
+            kept.get(at - 1).is_some_and(|node| node.children > 0)
+        };
+        let root = (f32::INFINITY, self.seed);
+        let (built, _) = VsTree::build_where(part, &mut workspace, self.splitting, root, goes_on);
+        slots.iter_mut().zip(&workspace.leaves).for_each(|(slot, leaf)| *slot = before + leaf);
+        let same = |(i, known): (usize, &TopNode)| {
+            built.children(i) == u32::from(known.children)
+                && (known.children == 0 || built.nodes[i].key == self.tree.errors[known.kept])
+        };
+        (built.nodes.len() == kept.len() && kept.iter().enumerate().all(same)).then_some(()).ok_or(Changed)
+    }
+}
+
+/// The tree down to the samples of the first sampling.
+struct Top {
+    nodes: Vec<TopNode>,
+    leaves: Vec<TopLeaf>,
+}
+
+struct TopNode {
+    children: u8,
+    /// Index behind its subtree.
+    end: usize,
+    /// Number of leaves before it.
+    leaf: u32,
+    /// The kept node that it is.
+    kept: usize,
+}
+
+/// A sample of the first sampling: what has grown below it since.
+struct TopLeaf {
+    /// Its kept nodes.
+    nodes: std::ops::Range<usize>,
+    /// Its leaves among those of the kept tree.
+    samples: std::ops::Range<usize>,
+}
+
+impl Top {
+    fn of(tree: &CutTree) -> Self {
+        let ends = tree.ends();
+        let (mut nodes, mut leaves) = (Vec::<TopNode>::new(), Vec::new());
+        let (mut kept, mut samples) = (0, 0);
+        while kept < ends.len() {
+            let is_leaf = tree.children[kept] == 0 || tree.grown.binary_search(&(kept as u32)).is_ok();
+            let children = if is_leaf { 0 } else { tree.children[kept] };
+            nodes.push(TopNode { children, end: 0, leaf: leaves.len() as u32, kept });
+            if is_leaf {
+                let below = tree.children[kept..ends[kept]].iter().filter(|n| **n == 0).count();
+                leaves.push(TopLeaf { nodes: kept..ends[kept], samples: samples..samples + below });
+                samples += below;
+                kept = ends[kept];
+            } else {
+                kept += 1;
+            }
+        }
+        for i in (0..nodes.len()).rev() {
+            let end = (0..nodes[i].children).fold(i + 1, |at, _| nodes.get(at).map_or(at, |n| n.end));
+            nodes[i].end = end;
+        }
+        Self { nodes, leaves }
+    }
+
+    /// The node with which the tree of each part begins: parts were joined one after the other. `None` if they cannot
+    /// have been.
+    fn parts(&self, parts: usize) -> Option<Vec<usize>> {
+        let (mut starts, mut at, mut left) = (vec![0; parts], 0, parts);
+        while left > 1 {
+            let node = self.nodes.get(at)?;
+            if node.children == 0 {
+                break;
+            }
+            let second = self.nodes.get(at + 1)?.end;
+            if node.children != 2 || second >= self.nodes.len() {
+                return None;
+            }
+            left -= 1;
+            starts[left] = second;
+            at += 1;
+        }
+        starts[..left].fill(at);
+        Some(starts)
+    }
+}

@@ -1,0 +1,108 @@
+//! Where a model is refined: the part of space that was selected, and how clusters may grow away from it.
+//!
+//! Inside the selection no cluster keeps a larger error than the bound. Outside, the bound rises with the distance, so
+//! that sizes of neighbours differ little, as in the sizing fields of mesh generation (P.-O. Persson, *Mesh size functions
+//! for implicit geometries and PDE-based gradient limiting*, 2006): a sudden change of density would spoil the fits of
+//! the reconstruction.
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::carried;
+use crate::frame::Frame;
+use crate::reconstruction::DeformationField;
+use crate::sampled_model::SampledModel;
+use crate::sampling::cluster::REACH_WEIGHT;
+use crate::sampling::kept_cells::{KeptCell, KeptCells};
+use crate::sampling::lattice::cell_box;
+
+/// How far clusters may reach, as a part of their distance from the selection.
+const GRADING: f64 = 1.0;
+
+/// A part of space, and the pose of the model in which it is meant.
+#[derive(Clone, Copy)]
+pub struct Selection<'a> {
+    /// Signed distance of a point (model coordinates) to the part's surface, in the model's unit; negative inside.
+    pub distance: &'a (dyn Fn(DVec3) -> f64 + Sync),
+    /// The deformation so far, if the part is one of the deformed model; of the model at rest otherwise.
+    pub so_far: Option<&'a DeformationField<'a>>,
+}
+
+/// The selection in the local coordinates of a model at rest.
+pub(super) struct Sizing<'a> {
+    selection: Selection<'a>,
+    frame: Frame,
+}
+
+impl<'a> Sizing<'a> {
+    pub fn new(selection: Selection<'a>, frame: Frame) -> Self {
+        Self { selection, frame }
+    }
+
+    /// Distance of a place in the model at rest to the selection, in local units.
+    fn distance(&self, p: Vec3) -> f64 {
+        let p = self.frame.to_model(p);
+        let p = match self.selection.so_far {
+            Some(field) => carried(field, &self.frame, &[p], &[]).first().copied().unwrap_or(p),
+            None => p,
+        };
+        (self.selection.distance)(p) / self.frame.scale
+    }
+
+    /// By how much the bound of clusters in this ball is larger than inside the selection; local units.
+    pub fn slack(&self, center: Vec3, radius: f32) -> f32 {
+        slack(self.distance(center) - f64::from(radius))
+    }
+
+    /// A bound for the slack of each leaf of each cell, from what is known of them without the model; and whether a
+    /// leaf may reach into the selection itself.
+    pub fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<Nearest>> {
+        let positions = &sampled.samples.positions;
+        let of_sample: Vec<f64> = match self.selection.so_far {
+            Some(field) => {
+                let place = |p: &Vec3| (self.selection.distance)(self.frame.to_model(*p)) / self.frame.scale;
+                field.deformed().par_iter().map(place).collect()
+            }
+            None => positions.par_iter().map(|p| self.distance(*p)).collect(),
+        };
+        let of_cell = |cell: &KeptCell| {
+            let to_cell = match self.selection.so_far {
+                // Where a cell goes is known of its samples alone.
+                Some(_) => f64::NEG_INFINITY,
+                None => {
+                    let bounds = cell_box(cell.key, kept.level);
+                    let center = (self.selection.distance)(bounds.center());
+                    (center - 0.5 * bounds.diagonal()) / self.frame.scale
+                }
+            };
+            let tree = &cell.tree;
+            let grown = tree.is_grown();
+            let is_leaf = |i: &usize| tree.children[*i] == 0;
+            let leaves = (0..tree.children.len()).filter(is_leaf).map(|i| (tree.errors[i], grown[i]));
+            let nearest = |((error, below), sample): ((f32, bool), &u32)| {
+                // The error holds the reach; a sample that stayed where it was may stand at its cluster's rim.
+                let reach = f64::from(error) / REACH_WEIGHT * if below { 2.0 } else { 1.0 };
+                let distance = (of_sample[*sample as usize] - reach).max(to_cell);
+                Nearest { error, slack: slack(distance), inside: distance <= 0.0 }
+            };
+            leaves.zip(&tree.samples).map(nearest).collect()
+        };
+        kept.cells.par_iter().map(of_cell).collect()
+    }
+}
+
+/// What is known of a leaf before the model is read.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Nearest {
+    /// Its error.
+    pub error: f32,
+    /// At most its slack.
+    pub slack: f32,
+    /// Whether it may reach into the selection.
+    pub inside: bool,
+}
+
+/// What a distance that is no number gives is none either, and no cluster is refined for it.
+fn slack(distance: f64) -> f32 {
+    (if distance <= 0.0 { 0.0 } else { REACH_WEIGHT * GRADING * distance }) as f32
+}

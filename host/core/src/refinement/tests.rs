@@ -1,0 +1,421 @@
+//! What holds for any model, sampling and selection.
+
+use std::path::PathBuf;
+
+use glam::{DVec3, Vec3};
+use tempfile::TempDir;
+
+use super::*;
+use crate::generate::{Shape, Surface};
+use crate::model::ply::write_points;
+use crate::model::{self, Scalar};
+use crate::progress::Silent;
+use crate::sampling::{Grouping, Sampling, Splitting, Target, sample};
+
+/// A generated model on the disk.
+struct Body {
+    folder: TempDir,
+    positions: Vec<DVec3>,
+    normals: Vec<Vec3>,
+    faces: Vec<[u32; 3]>,
+}
+
+impl Body {
+    fn new(vertices: u64) -> Self {
+        let surface = Surface::new(Shape::Amphora, vertices).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let mut body = Self { folder, positions: Vec::new(), normals: Vec::new(), faces: Vec::new() };
+        surface
+            .visit_vertices(|block| {
+                body.positions.extend(block.iter().map(|v| v.position));
+                body.normals.extend(block.iter().map(|v| v.normal));
+                Ok(())
+            })
+            .unwrap();
+        surface
+            .visit_triangles(|block| {
+                body.faces.extend(block.iter().map(|corners| corners.map(|i| i as u32)));
+                Ok(())
+            })
+            .unwrap();
+        body
+    }
+
+    fn without_faces(mut self) -> Self {
+        self.faces.clear();
+        self
+    }
+
+    fn without_normals(mut self) -> Self {
+        self.normals.clear();
+        self
+    }
+
+    /// The vertices of a cloud in no order.
+    fn shuffled(mut self) -> Self {
+        assert!(self.faces.is_empty() && !self.positions.len().is_multiple_of(7919));
+        let n = self.positions.len();
+        let from = |i: usize| i * 7919 % n;
+        self.positions = (0..n).map(|i| self.positions[from(i)]).collect();
+        self.normals = (0..self.normals.len()).map(|i| self.normals[from(i)]).collect();
+        self
+    }
+
+    fn path(&self) -> PathBuf {
+        self.folder.path().join("model.ply")
+    }
+
+    fn write(&self) -> Box<dyn Model> {
+        let positions = self.positions.iter().copied();
+        write_points(&self.path(), positions, &self.normals, &self.faces, Scalar::F64, &[]).unwrap();
+        model::open(&self.path()).unwrap()
+    }
+
+    fn sampled(&self, sampling: Sampling) -> (SampledModel, Box<dyn Model>) {
+        let model = self.write();
+        (sample(model.as_ref(), &sampling, self.folder.path(), &Silent).unwrap(), model)
+    }
+}
+
+fn samples(n: u64) -> Sampling {
+    Sampling { target: Target::Samples(n), ..Sampling::default() }
+}
+
+/// Signed distance to a ball.
+fn ball(center: [f64; 3], radius: f64) -> impl Fn(DVec3) -> f64 + Sync {
+    move |p| p.distance(DVec3::from(center)) - radius
+}
+
+fn refined(
+    sampled: &SampledModel,
+    model: &dyn Model,
+    finer: Finer,
+    distance: &(dyn Fn(DVec3) -> f64 + Sync),
+) -> Result<Refined> {
+    let how = Refining { finer, memory_limit: None, shapes: Vec::new() };
+    let folder = model.path().parent().unwrap();
+    refine(sampled, model, Selection { distance, so_far: None }, &how, folder, &Silent)
+}
+
+/// The sample of each vertex, by the kept trees; `None` where its position is not finite.
+fn members(sampled: &SampledModel, model: &dyn Model) -> Vec<Option<u32>> {
+    let kept = sampled.held_cells().unwrap();
+    let edge = sampled.sampling.grouping.edge(sampled.cell_size, &sampled.frame);
+    let gathering = Gathering { model, kept, frame: sampled.frame, edge, with_ids: true };
+    let all: Vec<u32> = (0..kept.cells.len() as u32).collect();
+    let (gathered, _) = gathering.read(&all, &Silent).unwrap().expect("the model is as it was");
+    let nowhere = |_: DVec3| f64::INFINITY;
+    let sizing = Sizing::new(Selection { distance: &nowhere, so_far: None }, sampled.frame);
+    let old = sampled.samples.len() as u32;
+    let how =
+        Regrowing { splitting: sampled.sampling.splitting, sizing: &sizing, bound: 0.0, leaves_from: old };
+    let mut built = 0;
+    let cells: Vec<Regrown> = gathered
+        .into_iter()
+        .map(|gathered| {
+            let cell = &kept.cells[gathered.cell as usize];
+            let wanted = vec![false; cell.tree.samples.len()];
+            let mut cell = how.regrow(gathered, cell, &wanted).expect("the same tree");
+            cell.count_from(built, old);
+            built += cell.built;
+            cell
+        })
+        .collect();
+    let appended = append(kept, &sampled.samples.positions, &cells, 0.0);
+    assert!(appended.positions.is_empty(), "nothing was to be refined");
+    let mut of = vec![None; sampled.source.vertices as usize];
+    for (vertex, leaf) in cells.iter().flat_map(|cell| &cell.members) {
+        let starts = &appended.starts;
+        let sample = match leaf.checked_sub(old) {
+            None => *leaf,
+            Some(leaf) => starts[starts.partition_point(|(first, _)| *first <= leaf) - 1].1,
+        };
+        assert!(of[*vertex as usize].replace(sample).is_none(), "vertex {vertex} is in two clusters");
+    }
+    of
+}
+
+/// Number of vertices of each sample; all finite vertices have one.
+fn counts(sampled: &SampledModel, model: &dyn Model) -> Vec<u32> {
+    let members = members(sampled, model);
+    let mut counts = vec![0; sampled.samples.len()];
+    members.iter().flatten().for_each(|sample| counts[*sample as usize] += 1);
+    let finite = sampled.source.vertices - sampled.source.non_finite;
+    assert_eq!(counts.iter().map(|n| u64::from(*n)).sum::<u64>(), finite);
+    counts
+}
+
+#[test]
+fn every_vertex_has_a_sample_and_samples_stay_however_often_it_is_refined() {
+    let body = || Body::new(40_000);
+    let mut odd = body().without_faces();
+    odd.positions[20_033].x = f64::NAN;
+    let cases = [
+        (body(), samples(2000)),
+        (body().without_faces().shuffled(), samples(2000)),
+        (body().without_faces().without_normals(), samples(1500)),
+        (odd, samples(2000)),
+        (body(), Sampling { grouping: Grouping::Level(2), ..samples(2000) }),
+        (body(), Sampling { splitting: Splitting::Octree, ..samples(2000) }),
+        // Fewer samples than cells, which share them.
+        (body(), Sampling { grid: Some(64), ..samples(300) }),
+        (body(), Sampling { target: Target::Error(4e-3), ..Sampling::default() }),
+    ];
+    for (body, sampling) in cases {
+        let (first, model) = body.sampled(sampling);
+        let mut now = first;
+        assert!(counts(&now, model.as_ref()).iter().all(|n| *n > 0));
+        let steps = [
+            (Finer::Factor(4.0), ball([0.3, 1.0, 0.3], 0.3)),
+            (Finer::Error(1e-3), ball([0.3, 1.0, 0.3], 0.15)),
+            (Finer::Samples(500), ball([0.3, 1.2, 0.3], 0.3)),
+            (Finer::Error(0.0), ball([0.2, 1.0, 0.4], 0.1)),
+        ];
+        for (finer, place) in steps {
+            let done = refined(&now, model.as_ref(), finer, &place).unwrap();
+            assert!(done.added > 20, "{finer:?} {sampling:?}: {} samples", done.added);
+            let next = done.sampled.unwrap();
+            let old = now.samples.len();
+            assert_eq!(next.samples.len(), old + done.added as usize);
+            assert_eq!(next.samples.positions[..old], now.samples.positions);
+            assert_eq!(next.samples.normals()[..old], *now.samples.normals());
+            assert!(next.samples.normals()[old..].iter().all(|n| n.is_normalized()));
+            let finite = next.source.vertices - next.source.non_finite;
+            let kept = next.held_cells().unwrap();
+            kept.check(finite, next.source.vertices, next.samples.len()).unwrap();
+            assert!(counts(&next, model.as_ref()).iter().all(|n| *n > 0), "{finer:?} {sampling:?}");
+            // Far away, nothing is read, and nothing new is there.
+            let far = next.samples.positions[old..].iter().map(|p| place(next.frame.to_model(*p)));
+            let worst = far.fold(0.0, f64::max);
+            assert!(worst < 0.5, "a new sample {worst} away: {finer:?} {sampling:?}");
+            assert_eq!(next.triangles.is_empty(), now.triangles.is_empty());
+            now = next;
+        }
+        // The folder holds it all.
+        let folder = body.folder.path().join("model.simod");
+        now.save(&folder).unwrap();
+        let mut loaded = SampledModel::load(&folder).unwrap();
+        assert_eq!(loaded.samples.positions, now.samples.positions);
+        assert_eq!(loaded.refinements, now.refinements);
+        assert_eq!(SampledModel::kept_cells(&folder).as_ref(), now.held_cells());
+        loaded.hold_cells(SampledModel::kept_cells(&folder).unwrap());
+        let place = ball([0.0, 0.1, 0.0], 0.2);
+        let [a, b] = [&now, &loaded].map(|s| refined(s, model.as_ref(), Finer::Factor(3.0), &place).unwrap());
+        let [a, b] = [a, b].map(|done| done.sampled.unwrap());
+        assert_eq!(a.samples.positions, b.samples.positions);
+        assert_eq!(a.held_cells(), b.held_cells());
+    }
+}
+
+/// What a tree comes to does not depend on how it came there.
+#[test]
+fn many_refinements_come_to_what_one_does() {
+    for grouping in [Grouping::Never, Grouping::Level(2)] {
+        let body = Body::new(60_000).without_faces();
+        let (first, model) = body.sampled(Sampling { grouping, ..samples(1500) });
+        let place = ball([0.3, 1.0, 0.3], 0.25);
+        let at_once = refined(&first, model.as_ref(), Finer::Error(6e-4), &place).unwrap().sampled.unwrap();
+        let mut slowly = first;
+        for e in [4e-3, 2e-3, 2e-3, 1e-3, 6e-4] {
+            let done = refined(&slowly, model.as_ref(), Finer::Error(e), &place).unwrap();
+            slowly = done.sampled.unwrap_or(slowly);
+        }
+        assert_eq!(slowly.samples.len(), at_once.samples.len());
+        for (a, b) in slowly.held_cells().unwrap().cells.iter().zip(&at_once.held_cells().unwrap().cells) {
+            assert_eq!((&a.tree.children, &a.tree.grown), (&b.tree.children, &b.tree.grown));
+            assert_eq!(a.tree.errors, b.tree.errors);
+        }
+        let again = refined(&slowly, model.as_ref(), Finer::Error(6e-4), &place).unwrap();
+        assert!(again.added == 0 && again.sampled.is_none());
+    }
+}
+
+#[test]
+fn an_error_of_nothing_gives_every_vertex_a_sample_of_its_own() {
+    let body = Body::new(40_000);
+    let (first, model) = body.sampled(samples(2000));
+    let place = ball([0.3, 1.0, 0.3], 0.2);
+    let full = refined(&first, model.as_ref(), Finer::Error(0.0), &place).unwrap().sampled.unwrap();
+    let (members, counts) = (members(&full, model.as_ref()), counts(&full, model.as_ref()));
+    let inside: Vec<usize> = (0..body.positions.len()).filter(|i| place(body.positions[*i]) <= 0.0).collect();
+    assert!(inside.len() > 300);
+    for i in inside {
+        assert_eq!(counts[members[i].unwrap() as usize], 1, "vertex {i} shares its sample");
+    }
+    // New ones are the vertices themselves.
+    let scale = full.local_diagonal() as f32;
+    let alone = (0..body.positions.len()).filter(|i| counts[members[*i].unwrap() as usize] == 1);
+    for (i, s) in alone.map(|i| (i, members[i].unwrap() as usize)).filter(|(_, s)| *s >= first.samples.len())
+    {
+        let off = full.samples.positions[s].distance(full.frame.to_local(body.positions[i]));
+        assert!(off < 1e-6 * scale, "vertex {i}: {off}");
+    }
+    // The surface there is the model's own.
+    let corners = |t: &[u32; 3]| t.map(|v| members[v as usize].unwrap());
+    let own = |t: &&[u32; 3]| t.iter().all(|v| place(body.positions[*v as usize]) <= 0.0);
+    let known: std::collections::BTreeSet<[u32; 3]> = full.triangles.iter().copied().collect();
+    for face in body.faces.iter().filter(own) {
+        assert!(
+            known.contains(&crate::sampling::triangles::first_least(corners(face))),
+            "{face:?} is missing"
+        );
+    }
+}
+
+/// After any refinement the triangles are those that reindexing all faces gives.
+#[test]
+fn triangles_are_those_of_all_faces() {
+    let body = Body::new(60_000);
+    for sampling in [samples(3000), Sampling { grid: Some(64), ..samples(300) }] {
+        let (first, model) = body.sampled(sampling);
+        let mut now = first;
+        for (finer, place) in [
+            (Finer::Factor(6.0), ball([0.3, 1.0, 0.3], 0.2)),
+            (Finer::Error(1e-3), ball([0.4, 1.1, 0.3], 0.15)),
+        ] {
+            now = refined(&now, model.as_ref(), finer, &place).unwrap().sampled.unwrap();
+            let members: Vec<u32> = members(&now, model.as_ref()).into_iter().map(Option::unwrap).collect();
+            let all =
+                crate::sampling::triangles::reindex(model.as_ref(), &members, now.samples.len(), &Silent);
+            assert_eq!(now.triangles, all.unwrap().triangles);
+        }
+    }
+}
+
+#[test]
+fn numbers_of_samples_are_met() {
+    let body = Body::new(200_000).without_faces();
+    let (first, model) = body.sampled(samples(4000));
+    let place = ball([0.3, 1.0, 0.3], 0.3);
+    let inside =
+        |s: &SampledModel| s.samples.positions.iter().filter(|p| place(s.frame.to_model(**p)) <= 0.0).count();
+    for factor in [1.5, 4.0, 10.0, 40.0] {
+        let now = refined(&first, model.as_ref(), Finer::Factor(factor), &place).unwrap().sampled.unwrap();
+        let times = inside(&now) as f64 / inside(&first) as f64;
+        assert!((0.6 * factor..1.3 * factor).contains(&times), "{times} times for {factor}");
+    }
+    for more in [10, 500, 5000] {
+        let added = refined(&first, model.as_ref(), Finer::Samples(more), &place).unwrap().added;
+        assert!(added <= more && added + 8 >= more * 49 / 50, "{added} for {more}");
+    }
+    // More than there are vertices: all of them.
+    let all = refined(&first, model.as_ref(), Finer::Samples(1_000_000), &place).unwrap();
+    let full = refined(&first, model.as_ref(), Finer::Error(0.0), &place).unwrap();
+    assert_eq!(all.added, full.added);
+}
+
+/// No spikes: neighbours are not much nearer to each other than others around them, and spacings change slowly.
+#[test]
+fn density_is_graded() {
+    let body = Body::new(200_000).without_faces();
+    let (first, model) = body.sampled(samples(3000));
+    let place = ball([0.3, 1.0, 0.3], 0.2);
+    let figures = |s: &SampledModel| {
+        let (spacing, graph) = (s.samples.spacing(), s.samples.neighbours());
+        let ratio = |i: usize| {
+            let near = graph.of(i)[..6].iter().map(|j| spacing[*j as usize] / spacing[i]);
+            near.fold(1.0f32, |a, r| a.max(r).max(1.0 / r))
+        };
+        let mut ratios: Vec<f32> = (0..s.samples.len()).map(ratio).collect();
+        ratios.sort_by(f32::total_cmp);
+        let nearest = |i: usize| {
+            let j = graph.of(i)[0] as usize;
+            s.samples.positions[i].distance(s.samples.positions[j]) / spacing[i]
+        };
+        let mut near: Vec<f32> = (0..s.samples.len()).map(nearest).collect();
+        near.sort_by(f32::total_cmp);
+        (ratios[ratios.len() * 99 / 100], near[near.len() / 100])
+    };
+    let now = refined(&first, model.as_ref(), Finer::Factor(20.0), &place).unwrap().sampled.unwrap();
+    let ((jump, near), (jump_before, near_before)) = (figures(&now), figures(&first));
+    assert!(jump < 1.5 * jump_before, "spacings jump by {jump}, before by {jump_before}");
+    assert!(near > 0.6 * near_before, "the nearest is at {near} spacings, before at {near_before}");
+}
+
+#[test]
+fn models_that_have_changed_and_selections_that_meet_nothing_are_refused() {
+    let body = Body::new(40_000);
+    let (first, model) = body.sampled(samples(2000));
+    let place = ball([0.3, 1.0, 0.3], 0.3);
+    let failed = |sampled: &SampledModel, model: &dyn Model, finer, place: &(dyn Fn(DVec3) -> f64 + Sync)| {
+        refined(sampled, model, finer, place).err().expect("an error")
+    };
+    let error = failed(&first, model.as_ref(), Finer::Error(1e-4), &ball([9.0; 3], 1.0));
+    assert!(error.to_string().contains("does not meet the model"), "{error}");
+    for bad in [
+        Finer::Error(-1.0),
+        Finer::Error(f64::NAN),
+        Finer::Factor(1.0),
+        Finer::Factor(f64::INFINITY),
+        Finer::Samples(0),
+    ] {
+        assert!(failed(&first, model.as_ref(), bad, &place).to_string().contains("out of range"));
+    }
+    let error = failed(&first, model.as_ref(), Finer::Error(1e-4), &|_| f64::NAN);
+    assert!(error.to_string().contains("does not meet the model"), "{error}");
+
+    // In a cell that is read, anything that moved is noticed.
+    let mut other = Body::new(40_000);
+    let inside = other.positions.iter().position(|p| place(*p) < -0.1).unwrap();
+    other.positions[inside].y += 1e-4;
+    let error = failed(&first, other.write().as_ref(), Finer::Error(1e-4), &place);
+    assert_eq!(error.kind(), ErrorKind::Mismatch);
+    other.positions[inside].y += 1.0;
+    let error = failed(&first, other.write().as_ref(), Finer::Error(1e-4), &place);
+    assert!(error.to_string().contains("changed since it was sampled"), "{error}");
+
+    // Trees that are not those of the model.
+    let mut lying = first.held_cells().unwrap().clone();
+    lying.cells.iter_mut().flat_map(|cell| &mut cell.tree.errors).for_each(|e| *e *= 1.25);
+    let mut sampled = first;
+    sampled.hold_cells(lying);
+    let error = failed(&sampled, model.as_ref(), Finer::Error(1e-4), &place);
+    assert_eq!(error.kind(), ErrorKind::Mismatch);
+}
+
+#[test]
+fn memory_is_bounded_and_changes_nothing() {
+    let body = Body::new(150_000).without_faces().shuffled();
+    let (first, model) = body.sampled(samples(2000));
+    let place = ball([0.0, 1.0, 0.0], 0.7);
+    let how = |limit, finer| Refining { finer, memory_limit: limit, shapes: Vec::new() };
+    let run = |how: Refining| {
+        let selection = Selection { distance: &place, so_far: None };
+        refine(&first, model.as_ref(), selection, &how, body.folder.path(), &Silent)
+    };
+    let free = run(how(None, Finer::Error(2e-3))).unwrap();
+    let tight = run(how(Some(LEAST_MEMORY), Finer::Error(2e-3))).unwrap();
+    // Cells came in several batches, for each of which a shuffled model is read.
+    assert!(tight.vertex_bytes > free.vertex_bytes);
+    let [free, tight] = [free, tight].map(|done| done.sampled.unwrap().samples.positions);
+    assert_eq!(free, tight);
+    let error = run(how(Some(LEAST_MEMORY), Finer::Error(0.0))).err().expect("too many");
+    assert!(error.to_string().contains("more than"), "{error}");
+}
+
+#[test]
+fn shapes_of_the_deformed_model_select_what_is_there_then() {
+    let body = Body::new(60_000).without_faces();
+    let (first, model) = body.sampled(samples(3000));
+    let shift = Vec3::new(3.0, 0.0, 0.0);
+    let deformed: Vec<Vec3> = first.samples.positions.iter().map(|p| *p + shift).collect();
+    let around = crate::reconstruction::Surroundings::of(&first.samples);
+    let field = DeformationField::new(&around, &deformed, crate::reconstruction::Method::default());
+    let by = shift.as_dvec3() * first.frame.scale;
+    let (here, there) = (ball([0.3, 1.0, 0.3], 0.3), ball([0.3 + by.x, 1.0, 0.3], 0.3));
+    let how = Refining { finer: Finer::Error(1e-3), memory_limit: None, shapes: Vec::new() };
+    let run = |distance: &(dyn Fn(DVec3) -> f64 + Sync), so_far| {
+        refine(&first, model.as_ref(), Selection { distance, so_far }, &how, body.folder.path(), &Silent)
+    };
+    let at_rest = run(&here, None).unwrap().sampled.unwrap();
+    let moved = run(&there, Some(&field)).unwrap().sampled.unwrap();
+    // The same clusters, but for those at the rim, whose distance is rounded.
+    assert!(at_rest.samples.len().abs_diff(moved.samples.len()) < 20);
+    assert!(run(&here, Some(&field)).is_err());
+    for (rest, image) in
+        moved.samples.positions[3000.min(first.samples.len())..].iter().zip(appended_deformed(&moved, &field))
+    {
+        let off = image.distance(moved.frame.to_model(*rest) + by) / moved.frame.scale;
+        assert!(off < 1e-5, "{off}");
+    }
+}
