@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::Vec3;
-use simod_core::model;
+use simod_core::model::{self, Model};
 use simod_core::output::folder_of;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{Reconstruction, Version, deformed_normals, reconstruct};
@@ -19,6 +19,39 @@ use crate::edit::{Document, Evaluated, Evaluation, Refinements, Status};
 use crate::plugins::PluginRegistry;
 use crate::session_file::{self, SessionFile, Step};
 use crate::stack::{PreparedStack, Stack};
+
+/// Samples a session's model, which comes with it. Temporary files without a name are made in `folder`.
+///
+/// # Errors
+/// The session names no model; it is gone, or cannot be sampled; the user cancelled.
+pub fn sampled(
+    session: &SessionFile,
+    skip: Skip,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<(SampledModel, Box<dyn Model>)> {
+    let path = session.model.as_deref().ok_or_else(|| {
+        Error::new(
+            ErrorKind::Argument,
+            "the session does not name a model",
+            "add [model] path = \"…\" to it; the path is relative to the session's folder",
+        )
+    })?;
+    if !path.exists() {
+        return Err(Error::new(
+            ErrorKind::Io,
+            format!("the session's model {} is gone", path.display()),
+            "put it back, correct [model] path in the session, or say where it is with --model",
+        ));
+    }
+    let model = model::open(path)?;
+    let sampling = Sampling { skip, ..session.sampling.into() };
+    let sampled = sample(model.as_ref(), &sampling, folder, progress)?;
+    if session.fingerprint.as_ref().is_some_and(|known| *known != sampled.source.fingerprint) {
+        progress.note(&format!("{} is not what it was when the session was saved", path.display()));
+    }
+    Ok((sampled, model))
+}
 
 /// P_S*: the samples of a model after the steps of a session.
 pub struct DeformedSamples {
@@ -88,22 +121,14 @@ impl Run {
     ) -> Result<Self> {
         let start = Instant::now();
         let stack = Stack::build(&session.steps, plugins)?;
-        let path = session.model.as_deref().ok_or_else(|| {
-            Error::new(
-                ErrorKind::Argument,
-                "the session does not name a model",
-                "add [model] path = \"…\" to it; the path is relative to the session's folder",
-            )
-        })?;
         if measure && !stack.plugins().all(|p| p.capabilities().evaluate) {
             return Err(not_evaluable());
         }
-        let model = model::open(path)?;
         let folder = folder_of(output);
-        let mut sampling: Sampling = session.sampling.into();
-        sampling.skip.cells = !session.steps.iter().any(|step| step.enabled && step.refines());
-        sampling.skip.triangles = !stack.plugins().any(|p| p.consumes().triangles);
-        let sampled = sample(model.as_ref(), &sampling, folder, progress)?;
+        let triangles = stack.plugins().any(|p| p.consumes().triangles);
+        let cells = session.steps.iter().any(|step| step.enabled && step.refines());
+        let skip = Skip { triangles: !triangles, cells: !cells, ..Skip::default() };
+        let (sampled, model) = sampled(session, skip, folder, progress)?;
         let refinements = Refinements { folder: folder.to_owned(), ..Refinements::default() };
         let deformed = deform(sampled, &session.steps, plugins, refinements, progress)?;
         let version = Version { deformed: &deformed.positions, output, diagnostics: None };
@@ -143,8 +168,6 @@ impl From<session_file::Sampling> for Sampling {
             (None, Some(e)) => Target::Error(e),
             (None, None) => Target::default(),
         };
-        // Refinements alone ask for the cells.
-        let skip = Skip { cells: true, ..Skip::default() };
-        Self { target, grid: from.grid, skip, ..Self::default() }
+        Self { target, grid: from.grid, ..Self::default() }
     }
 }

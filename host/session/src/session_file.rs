@@ -21,10 +21,12 @@ const LARGEST: u64 = 16 << 20;
 pub(crate) const VERSION: i64 = 1;
 
 /// A session. Paths are as the program needs them: relative to the current folder, or absolute.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct SessionFile {
     /// The huge model; may be missing where a sampled model is given otherwise.
     pub model: Option<PathBuf>,
+    /// The model's [fingerprint](simod_core::sampled_model::Source) when the session was saved.
+    pub fingerprint: Option<String>,
     /// How finely to sample it.
     pub sampling: Sampling,
     /// Deformations and refinements, first to last.
@@ -230,12 +232,19 @@ pub struct Region {
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct RawSession {
     version: Option<Spanned<i64>>,
-    model: Option<RawPath>,
+    model: Option<RawModel>,
     #[serde(default)]
     sampling: Option<Spanned<Sampling>>,
     #[serde(default)]
     step: Vec<Spanned<RawStep>>,
     output: Option<RawPath>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawModel {
+    path: PathBuf,
+    fingerprint: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -321,6 +330,7 @@ impl SessionFile {
             None => Sampling::default(),
         };
         Ok(Self {
+            fingerprint: raw.model.as_ref().and_then(|m| m.fingerprint.clone()),
             model: raw.model.map(|m| folder.join(m.path)),
             sampling,
             steps: raw.step.into_iter().map(|s| source.step(s)).collect::<Result<_>>()?,

@@ -12,39 +12,47 @@ use glam::DVec3;
 use simod_core::refinement::Finer;
 use simod_core::sampled_model::relative;
 use simod_core::{Error, ErrorKind, Result, output};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Table, Value, value};
 
 impl SessionFile {
-    /// Writes the session, whole or not at all; the model and the output are named as seen from its folder.
+    /// Writes the session, whole or not at all; the model and the output are named as seen from its folder. Gives the files
+    /// of strokes that it refers to.
     ///
     /// # Errors
     /// A file cannot be written; a path is no text.
-    pub fn save(&self, path: &Path) -> Result<()> {
-        let text = self.to_toml(path)?;
-        output::write_file(path, text.as_bytes())
+    pub fn save(&self, path: &Path) -> Result<Vec<PathBuf>> {
+        let (text, strokes) = self.to_toml(path)?;
+        output::write_file(path, text.as_bytes())?;
+        Ok(strokes)
     }
 
-    /// The session's text at this path; strokes that are too long for it are written beside it.
-    fn to_toml(&self, path: &Path) -> Result<String> {
+    /// The session's text at this path; strokes that are too long for it are written beside it, to these files.
+    fn to_toml(&self, path: &Path) -> Result<(String, Vec<PathBuf>)> {
         let mut document = DocumentMut::new();
         document["version"] = value(VERSION);
         let folder = output::folder_of(path);
+        let mut files = Vec::new();
         if let Some(model) = &self.model {
-            document["model"] = Item::Table(path_table(model, folder)?);
+            let mut model = path_table(model, folder)?;
+            if let Some(fingerprint) = &self.fingerprint {
+                model["fingerprint"] = value(fingerprint);
+            }
+            document["model"] = Item::Table(model);
         }
         let sampling = sampling(&self.sampling);
         if !sampling.is_empty() {
             document["sampling"] = Item::Table(sampling);
         }
         if !self.steps.is_empty() {
-            let steps = self.steps.iter().map(|s| step(s, path)).collect::<Result<ArrayOfTables>>()?;
+            let step = |s| step(s, path, &mut files);
+            let steps = self.steps.iter().map(step).collect::<Result<ArrayOfTables>>()?;
             document["step"] = Item::ArrayOfTables(steps);
         }
         if let Some(output) = &self.output {
             document["output"] = Item::Table(path_table(output, folder)?);
         }
-        Ok(document.to_string())
+        Ok((document.to_string(), files))
     }
 }
 
@@ -75,13 +83,13 @@ fn sampling(from: &Sampling) -> Table {
     table
 }
 
-fn step(from: &Step, session: &Path) -> Result<Table> {
+fn step(from: &Step, session: &Path, files: &mut Vec<PathBuf>) -> Result<Table> {
     let mut table = Table::new();
     if !from.enabled {
         table["enabled"] = value(false);
     }
     match &from.action {
-        Action::Deform(from) => deformation(from, session, &mut table)?,
+        Action::Deform(from) => deformation(from, session, files, &mut table)?,
         Action::Refine(from) => table["refine"] = value(refine(from)),
     }
     Ok(table)
@@ -97,7 +105,12 @@ fn refine(from: &Refine) -> InlineTable {
     InlineTable::from_iter([("shapes", Value::from(shapes)), finer])
 }
 
-fn deformation(from: &Deformation, session: &Path, table: &mut Table) -> Result<()> {
+fn deformation(
+    from: &Deformation,
+    session: &Path,
+    files: &mut Vec<PathBuf>,
+    table: &mut Table,
+) -> Result<()> {
     table["deform"] = value(&from.deform);
     if !from.params.is_empty() {
         table["params"] = value(inline(&from.params)?);
@@ -105,6 +118,7 @@ fn deformation(from: &Deformation, session: &Path, table: &mut Table) -> Result<
     let long = strokes_file::is_needed(&from.strokes);
     if long {
         let reference = strokes_file::write(session, &from.strokes)?;
+        files.push(output::folder_of(session).join(&reference.file));
         let mut file = InlineTable::new();
         file.insert("file", text(&reference.file)?.into());
         file.insert("fingerprint", reference.fingerprint.into());
@@ -270,6 +284,7 @@ mod tests {
         let step = |action, enabled| Step { action, enabled, place: String::new() };
         SessionFile {
             model: Some(folder.join("models/nefertiti.ply")),
+            fingerprint: Some("xxh3-128:0".to_owned()),
             sampling: Sampling { samples: Some(50_000), error: None, grid: Some(64) },
             steps: vec![
                 step(Action::Deform(deformation), false),
@@ -309,13 +324,14 @@ mod tests {
         session.steps.truncate(2);
         let Action::Deform(first) = &mut session.steps[0].action else { panic!("a deformation") };
         first.strokes.clear();
-        let text = session.to_toml(&folder.join("edit.toml")).unwrap();
+        let (text, _) = session.to_toml(&folder.join("edit.toml")).unwrap();
         assert_eq!(
             text,
             r#"version = 1
 
 [model]
 path = "models/nefertiti.ply"
+fingerprint = "xxh3-128:0"
 
 [sampling]
 samples = 50000
@@ -361,8 +377,7 @@ refine = { shapes = [{ half-space = { point = [0.0, 0.0, 0.0], normal = [0.0, -1
 path = "out.ply"
 "#
         );
-        let empty =
-            SessionFile { model: None, sampling: Sampling::default(), steps: Vec::new(), output: None };
-        assert_eq!(empty.to_toml(Path::new("edit.toml")).unwrap(), "version = 1\n");
+        let empty = SessionFile::default().to_toml(Path::new("edit.toml")).unwrap();
+        assert_eq!(empty, ("version = 1\n".to_owned(), Vec::new()));
     }
 }

@@ -17,6 +17,9 @@ const MAGIC: &[u8] = b"simod-strokes/1\n";
 /// Points of a step's strokes beyond which they go to a file of their own.
 const MOST_IN_SESSION: usize = 1000;
 
+/// Digits of the hash in a file's name.
+const HASH: usize = 12;
+
 /// What a session says of the file.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
@@ -59,13 +62,29 @@ pub fn write(session: &Path, strokes: &[Arc<Stroke>]) -> Result<Reference> {
         .map_err(|e| Error::new(ErrorKind::Io, format!("cannot write strokes: {e}"), "report this"))?;
     let fingerprint = fingerprint(&bytes);
     let stem = session.file_stem().unwrap_or_default().to_string_lossy();
-    let short = fingerprint.rsplit(':').next().and_then(|hex| hex.get(..12)).unwrap_or_default();
+    let short = fingerprint.rsplit(':').next().and_then(|hex| hex.get(..HASH)).unwrap_or_default();
     let file = PathBuf::from(format!("{stem}-{short}.strokes"));
     let path = output::folder_of(session).join(&file);
     if std::fs::read(&path).ok().as_deref() != Some(&bytes) {
         output::write_file(&path, &bytes)?;
     }
     Ok(Reference { file, fingerprint })
+}
+
+/// The files of strokes that sessions at this path have written, used or not.
+///
+/// # Errors
+/// The folder cannot be read.
+pub fn beside(session: &Path) -> Result<Vec<PathBuf>> {
+    let folder = output::folder_of(session);
+    let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
+    let stem = session.file_stem().unwrap_or_default().to_string_lossy();
+    let is_ours = |path: &Path| {
+        let name = path.file_name().and_then(|name| name.to_str());
+        let rest = name.and_then(|n| n.strip_prefix(&*stem)?.strip_prefix('-')?.strip_suffix(".strokes"));
+        rest.is_some_and(|hex| hex.len() == HASH && hex.bytes().all(|b| b.is_ascii_hexdigit()))
+    };
+    Ok(entries.flatten().map(|entry| entry.path()).filter(|path| is_ours(path)).collect())
 }
 
 impl Reference {

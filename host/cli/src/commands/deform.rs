@@ -36,19 +36,19 @@ pub struct Deform {
 impl Deform {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let session = SessionFile::load(&self.session)?;
-        let refined = self.refined_folder(&session)?;
+        let refined = self.refined_folder(&session)?.map(Path::to_owned);
         let plugins = self.plugins.discover(report);
         let stack = Stack::build(&session.steps, &plugins)?;
         let mut sampled = SampledModel::load(&self.sampled)?;
         let progress = report.progress();
         let mut how = Refinements::default();
-        if let Some(folder) = refined {
+        if let Some(folder) = &refined {
             sampled.hold_cells(sampled.cells(&self.sampled, None, progress)?);
             how.folder = folder_of(folder).to_owned();
         }
         let deformed = deform(sampled, &session.steps, &plugins, how, progress)?;
         let sampled = &deformed.sampled;
-        if let Some(folder) = refined {
+        if let Some(folder) = &refined {
             sampled.save(folder)?;
         }
         tell(&deformed.messages, report);

@@ -403,9 +403,8 @@ fn a_cancelled_update_can_be_done_again() {
     }
     let document = Document::new(steps());
     let mut evaluation = evaluation();
-    let mut cancelled = 0;
-    for looks in 0..100 {
-        let progress = After(looks.into());
+    for cancelled in 0..100_usize {
+        let progress = After(cancelled.into());
         let result = evaluation.update(document.steps(), &registry(), api::Effort::FULL, &progress);
         match result {
             Ok(evaluated) => {
@@ -415,9 +414,117 @@ fn a_cancelled_update_can_be_done_again() {
             }
             Err(e) => assert_eq!(e.kind(), simod_core::ErrorKind::Cancelled),
         }
-        cancelled += 1;
     }
     panic!("it never ended");
+}
+
+/// An editor of the height field, whose session's file is in a folder of its own.
+fn editor(folder: &Path) -> Editor {
+    let sampled = sampled();
+    let path = folder.join("edit.toml");
+    let session = SessionFile { model: Some(sampled.source.path.clone()), ..SessionFile::default() };
+    session.save(&path).unwrap();
+    open(&path)
+}
+
+fn open(path: &Path) -> Editor {
+    let module = root_module::<Counted>(extension);
+    let plugins = PluginRegistry::of([Plugin::in_process(module, Path::new("counted")).unwrap()]);
+    Editor::open(SessionFile::load(path).unwrap(), Some(path.to_owned()), plugins, &Silent).unwrap()
+}
+
+fn saved_steps(session: &SessionFile) -> Vec<Step> {
+    let without_place = |step: &Step| Step { place: String::new(), ..step.clone() };
+    session.steps.iter().map(without_place).collect()
+}
+
+#[test]
+fn what_was_not_saved_can_be_recovered() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut editor = editor(folder.path());
+    let path = folder.path().join("edit.toml");
+    let files = || {
+        let mut names: Vec<_> = std::fs::read_dir(folder.path())
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    };
+    assert!(editor.is_saved() && recover(&path).unwrap().is_none());
+    editor.autosave().unwrap();
+    assert_eq!(files(), ["edit.toml"], "nothing is to be kept");
+    // With a stroke that is too long for the session itself; and again, with another one.
+    for i in 1..3 {
+        let points = (0..3000).map(|x| DVec3::new(f64::from(x), 0.0, f64::from(i))).collect();
+        let long = Arc::new(Stroke { points, ..(*stroke(0.5)).clone() });
+        let add = Command::Add { at: 0, step: Box::new(step("shift = 0.5")) };
+        editor.document_mut().apply(add).unwrap();
+        editor.document_mut().apply(change(0, Change::AddStroke(long))).unwrap();
+        editor.autosave().unwrap();
+        assert!(!editor.is_saved());
+        let kept = files();
+        let strokes = kept.iter().filter(|name| name.ends_with(".strokes")).count();
+        assert_eq!((kept.len(), strokes), (2 + i as usize, i as usize), "{kept:?}");
+    }
+    // The program ends here; the next one finds what was kept.
+    let document = Document::new(editor.document().steps().iter().map(|e| (*e.step).clone()));
+    drop(editor);
+    let kept = recover(&path).unwrap().unwrap();
+    let expected: Vec<Step> = document.steps().iter().map(|e| (*e.step).clone()).collect();
+    let (mut kept_steps, mut expected) = (saved_steps(&kept), expected);
+    for step in kept_steps.iter_mut().chain(&mut expected) {
+        step.place.clear();
+        let Action::Deform(deformation) = &mut step.action else { panic!("a deformation") };
+        deformation.folder.clear();
+    }
+    assert_eq!(kept_steps, expected);
+    // Saved, it is not needed any more.
+    let module = root_module::<Counted>(extension);
+    let plugins = PluginRegistry::of([Plugin::in_process(module, Path::new("counted")).unwrap()]);
+    let mut editor = Editor::open(kept, Some(path.clone()), plugins, &Silent).unwrap();
+    editor.save(&path).unwrap();
+    assert!(editor.is_saved() && recover(&path).unwrap().is_none());
+    assert_eq!(files().iter().filter(|name| name.starts_with('.')).count(), 0, "{:?}", files());
+    assert_eq!(saved_steps(&SessionFile::load(&path).unwrap()).len(), 2);
+    // What somebody does not want is gone.
+    editor.document_mut().apply(Command::Remove { at: 0 }).unwrap();
+    editor.autosave().unwrap();
+    forget(&path).unwrap();
+    assert!(recover(&path).unwrap().is_none());
+}
+
+#[test]
+fn the_editor_writes_what_a_run_of_its_session_writes() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut editor = editor(folder.path());
+    let [first, second, third] = steps();
+    let around = refine(DVec3::new(2.0, 2.0, 0.0), 1.5, Finer::Factor(3.0));
+    for (at, step) in [first, around, second, third].into_iter().enumerate() {
+        editor.document_mut().apply(Command::Add { at, step: Box::new(step) }).unwrap();
+    }
+    // Something to undo, and drafts in between.
+    editor.document_mut().apply(set(3, "shift", 1.0)).unwrap();
+    editor.update(api::Effort::DRAFT, &Silent).unwrap();
+    editor.document_mut().undo();
+    editor.document_mut().apply(set(0, "shift", 0.125)).unwrap();
+    editor.update(api::Effort::DRAFT, &Silent).unwrap();
+    let (edited, run) = (folder.path().join("edited.ply"), folder.path().join("run.ply"));
+    let how = simod_core::reconstruction::Reconstruction::default();
+    editor.write(&edited, &how, &Silent).unwrap();
+    let saved = folder.path().join("elsewhere.toml");
+    editor.save(&saved).unwrap();
+    let session = SessionFile::load(&saved).unwrap();
+    crate::Run::execute(&session, &registry(), &how, false, &run, &Silent).unwrap();
+    let [edited, run, model] =
+        [&edited, &run, &sampled().source.path].map(|path| std::fs::read(path).unwrap());
+    assert!(edited == run, "not the same bytes");
+    assert!(edited != model, "nothing was edited");
+    // A step that cannot be done: nothing is written.
+    editor.document_mut().apply(set(0, "shift", 1000.0)).unwrap();
+    let never = folder.path().join("never.ply");
+    assert!(editor.write(&never, &how, &Silent).unwrap_err().to_string().contains("too far"));
+    assert!(!never.exists());
 }
 
 fn command() -> impl Strategy<Value = Command> {
