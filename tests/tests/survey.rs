@@ -14,7 +14,7 @@ fn with_sessions() -> (Workplace, Vec<String>) {
         let path: PathBuf = entry.expect("an entry").path();
         let name = path.file_name().and_then(|n| n.to_str()).expect("a name").to_owned();
         let text = fs::read_to_string(&path).expect("a text");
-        work.write(&name, text.replace("samples = 20000", "samples = 2000"));
+        work.write(&name, text.replace("samples = 20000", "samples = 4000"));
         if name.ends_with(".toml") {
             sessions.push(name);
         }
@@ -60,7 +60,7 @@ fn a_bar_twisted_as_rigid_as_possible_keeps_its_ends_and_nearly_its_volume() {
     let turn = glam::DQuat::from_rotation_y(135f64.to_radians());
     let (mut held, mut turned) = (0, 0);
     for (p, q) in rest.positions().into_iter().zip(edited.positions()) {
-        if p.y < 0.2 {
+        if p.y < 0.1 {
             assert_eq!(p, q);
             held += 1;
         } else if p.y > 1.8 {
@@ -68,7 +68,7 @@ fn a_bar_twisted_as_rigid_as_possible_keeps_its_ends_and_nearly_its_volume() {
             turned += 1;
         }
     }
-    assert!(held > 500 && turned > 500, "{held} held, {turned} turned");
+    assert!(held > 200 && turned > 500, "{held} held, {turned} turned");
     assert!((volume(&work, "bar.ply") / 0.18 - 1.0).abs() < 1e-3);
     let change = volume(&work, "edited.ply") / volume(&work, "bar.ply") - 1.0;
     assert!((-0.15..0.02).contains(&change), "the volume changes by {change}");
