@@ -29,6 +29,7 @@ use crate::reconstruction::{DeformationField, Moved, carry};
 use crate::sampled_model::SampledModel;
 use crate::sampling::cut::threshold_for;
 use crate::sampling::kept_cells::KeptCells;
+use crate::sampling::lattice::CellMap;
 use crate::sampling::{LEAST_MEMORY, total_memory};
 use crate::{Error, ErrorKind, Progress, Result};
 use appending::{Appended, append};
@@ -243,6 +244,9 @@ struct Goal {
     samples: Option<usize>,
 }
 
+/// A cell that is read, and which of its leaves may be split.
+type Met = (u32, Vec<bool>);
+
 type Done = (f32, Vec<Regrown>, Option<Members>, Refined);
 
 impl Work<'_> {
@@ -269,7 +273,7 @@ impl Work<'_> {
     }
 
     /// The leaves of each cell that may be split at a bound.
-    fn wanted(&self, bound: f32) -> Vec<(u32, Vec<bool>)> {
+    fn wanted(&self, bound: f32) -> Vec<Met> {
         let may = |leaf: &Nearest| leaf.error - leaf.slack > bound;
         let cells = self.leaves.iter().zip(0..).filter(|(leaves, _)| leaves.iter().any(may));
         cells.map(|(leaves, cell)| (cell, leaves.iter().map(may).collect())).collect()
@@ -366,7 +370,7 @@ impl Work<'_> {
 
     /// Adds the cells of all samples that share a triangle with one that may be split: the samples of their vertices have
     /// to be known as well.
-    fn add_neighbours(&self, cells: &mut Vec<(u32, Vec<bool>)>) {
+    fn add_neighbours(&self, cells: &mut Vec<Met>) {
         let mut split = vec![false; self.sampled.samples.len()];
         for (cell, wanted) in cells.iter() {
             let samples = &self.kept.cells[*cell as usize].tree.samples;
@@ -380,6 +384,17 @@ impl Work<'_> {
         for triangle in self.sampled.triangles.iter().filter(|t| t.iter().any(|s| split[*s as usize])) {
             triangle.iter().for_each(|s| needed[*s as usize] = true);
         }
+        // Samples of whole cells need not share a triangle with all that they are next to.
+        let index: CellMap<usize> = self.kept.cells.iter().map(|cell| cell.key).zip(0..).collect();
+        for cell in &self.kept.cells {
+            if cell.tree.children.len() == 1 && split[cell.tree.samples[0] as usize] {
+                let around = (0..27).map(|i| [i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1]);
+                let keys = around.map(|d: [i64; 3]| [0, 1, 2].map(|a| cell.key[a].saturating_add(d[a])));
+                for at in keys.filter_map(|key| index.get(&key)) {
+                    self.kept.cells[*at].tree.samples.iter().for_each(|s| needed[*s as usize] = true);
+                }
+            }
+        }
         let mut known = vec![false; self.kept.cells.len()];
         cells.iter().for_each(|(cell, _)| known[*cell as usize] = true);
         for (cell, kept) in self.kept.cells.iter().enumerate().filter(|(cell, _)| !known[*cell]) {
@@ -391,8 +406,8 @@ impl Work<'_> {
     }
 
     /// Cells that are read at a time.
-    fn batches<'c>(&self, cells: &'c [(u32, Vec<bool>)]) -> Result<Vec<&'c [(u32, Vec<bool>)]>> {
-        let bytes = |(cell, _): &(u32, Vec<bool>)| {
+    fn batches<'c>(&self, cells: &'c [Met]) -> Result<Vec<&'c [Met]>> {
+        let bytes = |(cell, _): &Met| {
             self.kept.cells[*cell as usize].vertices.saturating_mul(Gathering::BYTES_PER_VERTEX)
         };
         let limit = self.limit() / 2;
@@ -426,7 +441,7 @@ impl Work<'_> {
     }
 
     /// Says so where much more is read than is needed.
-    fn tell_scattered(&self, gathering: &Gathering<'_>, cells: &[(u32, Vec<bool>)]) {
+    fn tell_scattered(&self, gathering: &Gathering<'_>, cells: &[Met]) {
         let places: Vec<u32> = cells.iter().map(|(cell, _)| *cell).collect();
         let needed: u64 = places.iter().map(|cell| self.kept.cells[*cell as usize].vertices).sum();
         let read: u64 = gathering.ranges(&places).iter().map(|r| r.end - r.start).sum();

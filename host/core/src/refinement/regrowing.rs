@@ -154,7 +154,8 @@ impl Regrowing<'_> {
             let of_leaf = &order[starts[ordinal]..starts[ordinal + 1]];
             let refined = wanted[leaf.samples.clone()].contains(&true);
             let has_grown = leaf.samples.len() > 1;
-            if !refined && !(has_grown && !gathered.ids.is_empty()) {
+            let is_asked_for = has_grown && !gathered.ids.is_empty();
+            if !refined && !is_asked_for {
                 let sample = tree.samples[leaf.samples.start];
                 let ids = of_leaf.iter().filter_map(|v| gathered.ids.get(*v as usize));
                 found.members.extend(ids.map(|id| (*id, sample)));

@@ -166,10 +166,10 @@ fn every_vertex_has_a_sample_and_samples_stay_however_often_it_is_refined() {
         let mut now = first;
         assert!(counts(&now, model.as_ref()).iter().all(|n| *n > 0));
         let steps = [
-            (Finer::Factor(4.0), ball([0.3, 1.0, 0.3], 0.3)),
-            (Finer::Error(1e-3), ball([0.3, 1.0, 0.3], 0.15)),
-            (Finer::Samples(500), ball([0.3, 1.2, 0.3], 0.3)),
-            (Finer::Error(0.0), ball([0.2, 1.0, 0.4], 0.1)),
+            (Finer::Factor(4.0), ball([0.41, 1.0, 0.41], 0.3)),
+            (Finer::Error(1e-3), ball([0.41, 1.0, 0.41], 0.15)),
+            (Finer::Samples(500), ball([0.4, 1.2, 0.4], 0.3)),
+            (Finer::Error(0.0), ball([0.35, 1.0, 0.46], 0.1)),
         ];
         for (finer, place) in steps {
             let done = refined(&now, model.as_ref(), finer, &place).unwrap();
@@ -213,7 +213,7 @@ fn many_refinements_come_to_what_one_does() {
     for grouping in [Grouping::Never, Grouping::Level(2)] {
         let body = Body::new(60_000).without_faces();
         let (first, model) = body.sampled(Sampling { grouping, ..samples(1500) });
-        let place = ball([0.3, 1.0, 0.3], 0.25);
+        let place = ball([0.41, 1.0, 0.41], 0.25);
         let at_once = refined(&first, model.as_ref(), Finer::Error(6e-4), &place).unwrap().sampled.unwrap();
         let mut slowly = first;
         for e in [4e-3, 2e-3, 2e-3, 1e-3, 6e-4] {
@@ -234,7 +234,7 @@ fn many_refinements_come_to_what_one_does() {
 fn an_error_of_nothing_gives_every_vertex_a_sample_of_its_own() {
     let body = Body::new(40_000);
     let (first, model) = body.sampled(samples(2000));
-    let place = ball([0.3, 1.0, 0.3], 0.2);
+    let place = ball([0.41, 1.0, 0.41], 0.2);
     let full = refined(&first, model.as_ref(), Finer::Error(0.0), &place).unwrap().sampled.unwrap();
     let (members, counts) = (members(&full, model.as_ref()), counts(&full, model.as_ref()));
     let inside: Vec<usize> = (0..body.positions.len()).filter(|i| place(body.positions[*i]) <= 0.0).collect();
@@ -270,14 +270,14 @@ fn triangles_are_those_of_all_faces() {
         let (first, model) = body.sampled(sampling);
         let mut now = first;
         for (finer, place) in [
-            (Finer::Factor(6.0), ball([0.3, 1.0, 0.3], 0.2)),
-            (Finer::Error(1e-3), ball([0.4, 1.1, 0.3], 0.15)),
+            (Finer::Factor(6.0), ball([0.41, 1.0, 0.41], 0.2)),
+            (Finer::Error(1e-3), ball([0.42, 1.1, 0.38], 0.15)),
         ] {
             now = refined(&now, model.as_ref(), finer, &place).unwrap().sampled.unwrap();
             let members: Vec<u32> = members(&now, model.as_ref()).into_iter().map(Option::unwrap).collect();
             let all =
                 crate::sampling::triangles::reindex(model.as_ref(), &members, now.samples.len(), &Silent);
-            assert_eq!(now.triangles, all.unwrap().triangles);
+            assert!(now.triangles == all.unwrap().triangles, "{sampling:?} {finer:?}");
         }
     }
 }
@@ -286,7 +286,7 @@ fn triangles_are_those_of_all_faces() {
 fn numbers_of_samples_are_met() {
     let body = Body::new(200_000).without_faces();
     let (first, model) = body.sampled(samples(4000));
-    let place = ball([0.3, 1.0, 0.3], 0.3);
+    let place = ball([0.41, 1.0, 0.41], 0.3);
     let inside =
         |s: &SampledModel| s.samples.positions.iter().filter(|p| place(s.frame.to_model(**p)) <= 0.0).count();
     for factor in [1.5, 4.0, 10.0, 40.0] {
@@ -309,7 +309,7 @@ fn numbers_of_samples_are_met() {
 fn density_is_graded() {
     let body = Body::new(200_000).without_faces();
     let (first, model) = body.sampled(samples(3000));
-    let place = ball([0.3, 1.0, 0.3], 0.2);
+    let place = ball([0.41, 1.0, 0.41], 0.2);
     let figures = |s: &SampledModel| {
         let (spacing, graph) = (s.samples.spacing(), s.samples.neighbours());
         let ratio = |i: usize| {
@@ -336,7 +336,7 @@ fn density_is_graded() {
 fn models_that_have_changed_and_selections_that_meet_nothing_are_refused() {
     let body = Body::new(40_000);
     let (first, model) = body.sampled(samples(2000));
-    let place = ball([0.3, 1.0, 0.3], 0.3);
+    let place = ball([0.41, 1.0, 0.41], 0.3);
     let failed = |sampled: &SampledModel, model: &dyn Model, finer, place: &(dyn Fn(DVec3) -> f64 + Sync)| {
         refined(sampled, model, finer, place).err().expect("an error")
     };
@@ -402,7 +402,7 @@ fn shapes_of_the_deformed_model_select_what_is_there_then() {
     let around = crate::reconstruction::Surroundings::of(&first.samples);
     let field = DeformationField::new(&around, &deformed, crate::reconstruction::Method::default());
     let by = shift.as_dvec3() * first.frame.scale;
-    let (here, there) = (ball([0.3, 1.0, 0.3], 0.3), ball([0.3 + by.x, 1.0, 0.3], 0.3));
+    let (here, there) = (ball([0.41, 1.0, 0.41], 0.3), ball([0.41 + by.x, 1.0, 0.41], 0.3));
     let how = Refining { finer: Finer::Error(1e-3), memory_limit: None, shapes: Vec::new() };
     let run = |distance: &(dyn Fn(DVec3) -> f64 + Sync), so_far| {
         refine(&first, model.as_ref(), Selection { distance, so_far }, &how, body.folder.path(), &Silent)

@@ -1,15 +1,15 @@
 //! Where in the stream each cell's vertices are: what a refinement has to read again (paper §6).
 //!
 //! A stream may come back to a cell any number of times; only so many ranges are kept, and those that have the least
-//! between them become one.
+//! between them become one. In files whose rows go around the model, it comes back with each row.
 
 use std::ops::Range;
 
-/// Most ranges of all cells together, but for one each: 2 MiB.
-const MOST: usize = 1 << 17;
+/// Most ranges of all cells together, but for one each: 4 MiB.
+const MOST: usize = 1 << 18;
 
 /// Most ranges of a cell.
-const MOST_OF_A_CELL: usize = 16;
+const MOST_OF_A_CELL: usize = 128;
 
 /// The ranges of all cells.
 ///
@@ -54,13 +54,29 @@ impl Ranges {
         let ranges = &mut self.cells[cell as usize];
         ranges.push(start..end);
         if ranges.len() > self.most {
-            let gap = |i: &usize| ranges[i + 1].start - ranges[*i].end;
-            if let Some(i) = (0..ranges.len() - 1).min_by_key(gap) {
-                ranges[i].end = ranges[i + 1].end;
-                ranges.remove(i + 1);
-            }
+            halve(ranges, self.most.div_ceil(2));
         }
     }
+}
+
+/// Joins ranges until there are so many, where the gaps are the least. Of gaps of about the same length every other one
+/// goes first, so that they do not all become one range.
+fn halve(ranges: &mut Vec<Range<u64>>, keep: usize) {
+    let gap = |i: usize| (ranges[i + 1].start - ranges[i].end).checked_ilog2();
+    let mut order: Vec<usize> = (0..ranges.len() - 1).collect();
+    order.sort_by_key(|i| (gap(*i), i % 2));
+    order.truncate(ranges.len() - keep);
+    order.sort_unstable();
+    let mut joined = order.into_iter().peekable();
+    let mut kept: Vec<Range<u64>> = Vec::with_capacity(ranges.len());
+    for (i, range) in ranges.drain(..).enumerate() {
+        // With the one before it.
+        match kept.last_mut() {
+            Some(last) if joined.next_if(|before| before + 1 == i).is_some() => last.end = range.end,
+            _ => kept.push(range),
+        }
+    }
+    *ranges = kept;
 }
 
 #[cfg(test)]
@@ -89,21 +105,23 @@ mod tests {
     #[test]
     fn what_is_near_is_merged_first() {
         let mut ranges = Ranges::new(2);
-        // Twenty visits, of which the last two are close together.
-        let visits: Vec<u64> = (0..19).map(|i| i * 1000).chain([18_010]).collect();
+        // Two visits are close together, the others are as far apart as each other.
+        let visits: Vec<u64> =
+            (0..=18).map(|i| i * 1000).chain([18_010]).chain((19..200).map(|i| i * 1000)).collect();
         for start in &visits {
             ranges.enter(0, *start);
             ranges.enter(1, start + 5);
         }
-        ranges.finish(20_000);
+        ranges.finish(200_000);
         let cells = ranges.into_cells();
-        assert_eq!(cells[0].len(), MOST_OF_A_CELL);
-        assert!(cells[0].contains(&(18_000..18_015)));
+        assert!((MOST_OF_A_CELL / 2..=MOST_OF_A_CELL).contains(&cells[0].len()), "{}", cells[0].len());
+        assert!(cells[0].iter().any(|r| r.start <= 18_000 && r.end >= 18_015));
+        assert!(cells[0].iter().all(|r| r.end - r.start < 10_000), "{:?}", cells[0]);
     }
 
     #[test]
     fn many_cells_have_few_ranges_each() {
         assert_eq!(Ranges::new(1 << 20).most, 1);
-        assert_eq!(Ranges::new(1 << 15).most, 4);
+        assert_eq!(Ranges::new(1 << 15).most, 8);
     }
 }
