@@ -17,8 +17,10 @@ pub mod params;
 pub mod pipeline;
 pub mod plugins;
 pub mod session_file;
+pub mod session_writer;
 pub mod shapes;
 pub mod stack;
+mod strokes_file;
 mod vector;
 #[cfg(unix)]
 pub mod worker;

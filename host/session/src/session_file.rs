@@ -2,6 +2,7 @@
 
 use crate::motion::Motion;
 use crate::shapes::{Shape, Shapes};
+use crate::strokes_file;
 use glam::DVec3;
 use serde::Deserialize;
 use simod_core::{Error, ErrorKind, Result};
@@ -9,10 +10,14 @@ use std::fs::File;
 use std::io::{ErrorKind as ErrorOfIo, Read};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use toml::Spanned;
 
 /// No session is longer than this; a model that is given in its place may be.
 const LARGEST: u64 = 16 << 20;
+
+/// The format's version: raised when what a session says could not be understood any more by former versions.
+pub(crate) const VERSION: i64 = 1;
 
 /// A session. Paths are as the program needs them: relative to the current folder, or absolute.
 #[derive(Debug, Clone, PartialEq)]
@@ -53,7 +58,9 @@ pub struct Step {
     /// How the plugin's own handles move.
     pub handles: Vec<HandleMove>,
     /// Brush strokes, first to last.
-    pub strokes: Vec<Stroke>,
+    pub strokes: Vec<Arc<Stroke>>,
+    /// Whether it is done; a step that is not stays in the session.
+    pub enabled: bool,
     /// What paths among the parameters are relative to.
     pub folder: PathBuf,
     /// Where in the file it stands, as `session.toml, line 7`; for errors.
@@ -102,6 +109,25 @@ pub struct Stroke {
     pub params: toml::Table,
 }
 
+impl Stroke {
+    /// What is wrong with it, and what to do; or nothing.
+    pub fn defect(&self) -> Option<(&'static str, &'static str)> {
+        if !(self.radius > 0.0 && self.radius.is_finite()) {
+            Some(("the radius of a stroke is not positive", "give a length in the model's unit"))
+        } else if !(self.strength.is_finite() && self.points.iter().all(|p| p.is_finite())) {
+            Some(("a stroke has a number that is not finite", "correct the stroke"))
+        } else if self.points.is_empty() {
+            Some(("the stroke has no point", "give at least one in `points`"))
+        } else if ![0, self.points.len()].contains(&self.pressures.len()) {
+            Some(("there is not one pressure for each point of a stroke", "give as many, or none"))
+        } else if !self.pressures.iter().all(|p| (0.0..=1.0).contains(p)) {
+            Some(("a pressure of a stroke is not from 0 to 1", "correct the stroke"))
+        } else {
+            None
+        }
+    }
+}
+
 fn full_strength() -> f64 {
     1.0
 }
@@ -134,6 +160,7 @@ pub struct Region {
 #[derive(Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct RawSession {
+    version: Option<Spanned<i64>>,
     model: Option<RawPath>,
     #[serde(default)]
     sampling: Option<Spanned<Sampling>>,
@@ -162,6 +189,8 @@ struct RawStep {
     handle: Vec<Spanned<RawHandle>>,
     #[serde(default)]
     stroke: Vec<Spanned<Stroke>>,
+    strokes: Option<Spanned<strokes_file::Reference>>,
+    enabled: Option<bool>,
     // Known to the format, but not to this version.
     refine: Option<Spanned<toml::Value>>,
 }
@@ -204,6 +233,11 @@ impl SessionFile {
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let source = Source { text, path };
         let raw: RawSession = toml::from_str(text).map_err(|e| source.refused(&e))?;
+        if let Some(version) = raw.version.filter(|v| !(1..=VERSION).contains(v.get_ref())) {
+            let what =
+                format!("the session is of version {}, this program knows {VERSION}", version.get_ref());
+            return Err(source.error(&version.span(), &what, "open it with a newer version of SIMOD"));
+        }
         let folder = path.parent().unwrap_or(Path::new(""));
         let sampling = match raw.sampling {
             Some(sampling) => source.sampling(sampling)?,
@@ -278,14 +312,26 @@ impl Source<'_> {
         let deform = raw.deform.ok_or_else(|| {
             self.error(&span, "the step has no `deform`", "name a plugin, such as deform = \"warp\"")
         })?;
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        let mut strokes = match raw.strokes {
+            Some(file) => file.get_ref().read(folder).map_err(|e| {
+                let what = format!("{}: {e}", self.place(&file.span()));
+                Error::new(e.kind(), what, e.hint())
+            })?,
+            None => Vec::new(),
+        };
+        for stroke in raw.stroke {
+            strokes.push(Arc::new(self.stroke(stroke)?));
+        }
         Ok(Step {
             deform,
             params: raw.params,
             regions: raw.region.into_iter().map(|r| self.region(r)).collect::<Result<_>>()?,
             joints: self.joints(raw.joint)?,
             handles: self.handles(raw.handle)?,
-            strokes: raw.stroke.into_iter().map(|s| self.stroke(s)).collect::<Result<_>>()?,
-            folder: self.path.parent().unwrap_or(Path::new("")).to_owned(),
+            strokes,
+            enabled: raw.enabled.unwrap_or(true),
+            folder: folder.to_owned(),
             place: self.place(&span),
         })
     }
@@ -363,23 +409,10 @@ impl Source<'_> {
     fn stroke(&self, stroke: Spanned<Stroke>) -> Result<Stroke> {
         let span = stroke.span();
         let stroke = stroke.into_inner();
-        let wrong = |what, hint: &str| Err(self.error(&span, what, hint));
-        if !(stroke.radius > 0.0 && stroke.radius.is_finite()) {
-            return wrong("the radius of a stroke is not positive", "give a length in the model's unit");
+        match stroke.defect() {
+            Some((what, hint)) => Err(self.error(&span, what, hint)),
+            None => Ok(stroke),
         }
-        if !(stroke.strength.is_finite() && stroke.points.iter().all(|p| p.is_finite())) {
-            return wrong("a stroke has a number that is not finite", "correct the stroke");
-        }
-        if stroke.points.is_empty() {
-            return wrong("the stroke has no point", "give at least one in `points`");
-        }
-        if ![0, stroke.points.len()].contains(&stroke.pressures.len()) {
-            return wrong("there is not one pressure for each point of a stroke", "give as many, or none");
-        }
-        if !stroke.pressures.iter().all(|p| (0.0..=1.0).contains(p)) {
-            return wrong("a pressure of a stroke is not from 0 to 1", "correct the stroke");
-        }
-        Ok(stroke)
     }
 
     fn region(&self, region: Spanned<RawRegion>) -> Result<Region> {

@@ -33,7 +33,7 @@ pub(super) struct Layer {
     /// Motions of handles that the plugin places.
     handles: Vec<HandleMove>,
     /// Each with all parameters.
-    strokes: Vec<(Stroke, Params)>,
+    strokes: Vec<(Arc<Stroke>, Params)>,
 }
 
 /// One layer, prepared on its rest shape.
@@ -78,7 +78,7 @@ impl Layer {
         let plugin = registry.get(&step.deform)?.clone();
         let check = |given: &toml::Table| Params::check(plugin.id(), plugin.params(), given, &step.folder);
         let params = check(&step.params)?;
-        let stroke = |stroke: &Stroke| {
+        let stroke = |stroke: &Arc<Stroke>| {
             let given = step.params.clone().into_iter().chain(stroke.params.clone()).collect();
             Ok((stroke.clone(), check(&given)?))
         };
@@ -174,6 +174,10 @@ impl Layer {
         if self.plugin.consumes().joints {
             parts.push(api::Part::new(&joints));
         }
+        let model_frame = api::ModelFrame { origin: frame.origin.to_array(), scale: frame.scale };
+        if self.plugin.consumes().frame {
+            parts.push(api::Part::new(&model_frame));
+        }
         let input = api::PrepareInput::new(rest.samples(), rest.bounds, &[], &values).with_parts(&parts);
         let motions = Motions {
             transforms: self.transforms.iter().map(|&t| rows(to_local(t, &frame))).collect(),
@@ -253,7 +257,7 @@ fn local_joints<'a>(joints: &'a [Joint], frame: &Frame) -> Vec<api::Joint<'a>> {
 }
 
 impl LocalStroke {
-    fn new((stroke, params): &(Stroke, Params), frame: &Frame, bounds: &Bounds) -> Self {
+    fn new((stroke, params): &(Arc<Stroke>, Params), frame: &Frame, bounds: &Bounds) -> Self {
         let mut this = Self {
             key: 0,
             radius: stroke.radius / frame.scale,

@@ -90,10 +90,10 @@ impl Rest {
 }
 
 impl Stack {
-    /// Finds the steps' plugins, and checks parameters and regions against what they ask for.
+    /// Finds the plugins of the steps that are enabled, and checks parameters and regions against what they ask for.
     pub fn build(steps: &[Step], registry: &PluginRegistry) -> Result<Self> {
         let layer = |step: &Step| Layer::build(step, registry).map_err(|e| at(&step.place, e));
-        Ok(Self { layers: steps.iter().map(layer).collect::<Result<_>>()? })
+        Ok(Self { layers: steps.iter().filter(|step| step.enabled).map(layer).collect::<Result<_>>()? })
     }
 
     /// How many layers there are.
