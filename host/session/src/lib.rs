@@ -12,6 +12,7 @@
 pub mod check;
 pub mod child;
 pub mod deformer;
+pub mod edit;
 pub mod motion;
 pub mod params;
 pub mod pipeline;

@@ -80,6 +80,21 @@ pub struct Shapes {
 }
 
 impl Shapes {
+    /// What is wrong with them, or nothing.
+    ///
+    /// # Errors
+    /// That.
+    pub fn check(&self) -> Result<(), &'static str> {
+        if let Some(what) = self.shapes.iter().find_map(Shape::defect) {
+            return Err(what);
+        }
+        if self.falloff >= 0.0 && self.falloff.is_finite() {
+            Ok(())
+        } else {
+            Err("`falloff` is negative or no finite number")
+        }
+    }
+
     /// 1 inside and on the surface of any shape, 0 from `falloff` away on, and `1 - 3t² + 2t³` in between, with
     /// `t` the distance to the surface over `falloff`.
     pub fn weight(&self, p: DVec3) -> f64 {

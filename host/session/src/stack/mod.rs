@@ -9,7 +9,8 @@ use crate::deformer::{Message, Plugin, Watch};
 use crate::plugins::PluginRegistry;
 use crate::session_file::Step;
 use glam::{DAffine3, DVec3, Vec3};
-use layer::{Layer, PreparedLayer};
+use layer::Done;
+pub(crate) use layer::{Kept, Layer};
 use rayon::prelude::*;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
@@ -66,17 +67,21 @@ pub struct Deformed {
 /// A stack prepared on samples: the map of space itself, where the plugins know it.
 #[derive(Debug)]
 pub struct PreparedStack {
-    layers: Vec<PreparedLayer>,
+    layers: Vec<Arc<Done>>,
     frame: Frame,
 }
 
 /// A layer's rest shape, local coordinates.
-#[derive(Debug)]
-struct Rest {
-    positions: Vec<Vec3>,
+#[derive(Debug, Clone)]
+pub(crate) struct Rest {
+    pub positions: Arc<[Vec3]>,
     normals: Arc<[Vec3]>,
+    /// Whether the normals are those of the positions.
+    normals_fit: bool,
     spacing: Arc<[f32]>,
     bounds: api::Bounds,
+    /// Stands for all of it: a hash of what it came from.
+    pub key: u64,
 }
 
 impl Rest {
@@ -92,7 +97,7 @@ impl Rest {
 impl Stack {
     /// Finds the plugins of the steps that are enabled, and checks parameters and regions against what they ask for.
     pub fn build(steps: &[Step], registry: &PluginRegistry) -> Result<Self> {
-        let layer = |step: &Step| Layer::build(step, registry).map_err(|e| at(&step.place, e));
+        let layer = |step: &Step| Layer::build(step, registry, None).map_err(|e| at(&step.place, e));
         Ok(Self { layers: steps.iter().filter(|step| step.enabled).map(layer).collect::<Result<_>>()? })
     }
 
@@ -113,31 +118,17 @@ impl Stack {
 
     /// Deforms samples. On an error nothing has changed anywhere.
     pub fn apply(&self, shape: &RestShape<'_>, progress: &dyn Progress) -> Result<Deformed> {
-        shape.check()?;
-        let mut positions = shape.positions.to_vec();
-        let mut normals: Arc<[Vec3]> = shape.normals.into();
-        let spacing: Arc<[f32]> = shape.spacing.into();
-        let corner = |p| shape.frame.to_local_exact(p).to_array();
-        let bounds = api::Bounds { min: corner(shape.bounds.min), max: corner(shape.bounds.max) };
+        let mut rest = Arc::new(shape.rest(0)?);
         let mut messages = Vec::new();
         let mut layers = Vec::with_capacity(self.layers.len());
-        for (i, layer) in self.layers.iter().enumerate() {
-            if i > 0
-                && layer.plugin.consumes().normals
-                && let Some(renormal) = shape.renormal
-            {
-                normals = renormal(&positions).into();
-                if normals.len() != positions.len() {
-                    return Err(not_one_per_sample("normal"));
-                }
-            }
-            let rest = Rest { positions, normals: normals.clone(), spacing: spacing.clone(), bounds };
-            let watch = Watch::new(progress, layer.plugin.id(), size_of_val(shape.positions) as u64);
-            let (prepared, deformed) = layer.apply(rest, shape, &watch).map_err(|e| at(&layer.place, e))?;
-            messages.extend(watch.into_messages());
-            layers.push(prepared);
-            positions = deformed;
+        for layer in &self.layers {
+            let done = layer.update(&rest, shape, &mut Kept::default(), api::Effort::FULL, progress);
+            let (next, done) = done.map_err(|e| at(&layer.place, e))?;
+            messages.extend(done.messages.iter().cloned());
+            layers.push(done);
+            rest = next;
         }
+        let positions = rest.positions.to_vec();
         Ok(Deformed { positions, stack: PreparedStack { layers, frame: shape.frame }, messages })
     }
 }
@@ -148,6 +139,20 @@ fn not_one_per_sample(what: &str) -> Error {
 }
 
 impl RestShape<'_> {
+    /// What the first layer starts from; `key` stands for it.
+    pub(crate) fn rest(&self, key: u64) -> Result<Rest> {
+        self.check()?;
+        let corner = |p| self.frame.to_local_exact(p).to_array();
+        Ok(Rest {
+            positions: self.positions.into(),
+            normals: self.normals.into(),
+            normals_fit: true,
+            spacing: self.spacing.into(),
+            bounds: api::Bounds { min: corner(self.bounds.min), max: corner(self.bounds.max) },
+            key,
+        })
+    }
+
     fn check(&self) -> Result<()> {
         let count = self.positions.len();
         if count == 0 {
@@ -175,7 +180,7 @@ pub(crate) fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u3
 }
 
 /// An error of a layer, with its place; a cancel has none.
-fn at(place: &str, e: Error) -> Error {
+pub(crate) fn at(place: &str, e: Error) -> Error {
     if e.kind() == ErrorKind::Cancelled { e } else { Error::new(e.kind(), format!("{place}: {e}"), e.hint()) }
 }
 
@@ -189,7 +194,7 @@ pub(crate) fn rows(map: DAffine3) -> api::Affine {
 impl PreparedStack {
     /// Whether all layers know their map at any point of space.
     pub fn can_evaluate(&self) -> bool {
-        self.layers.iter().all(PreparedLayer::can_evaluate)
+        self.layers.iter().all(|layer| layer.can_evaluate())
     }
 
     /// Replaces points (model coordinates) by their exact images, on all cores. Points that are not finite stay
