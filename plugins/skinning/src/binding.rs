@@ -187,11 +187,7 @@ impl Binding {
 }
 
 /// The voxels about each joint's bones, with their distances.
-fn seeds(
-    voxels: &Voxels,
-    skeleton: &Skeleton,
-    host: &Host<'_>,
-) -> PluginResult<Vec<Vec<(u32, f32)>>> {
+fn seeds(voxels: &Voxels, skeleton: &Skeleton, host: &Host<'_>) -> PluginResult<Vec<Vec<(u32, f32)>>> {
     let surface: Vec<u32> = (0..voxels.len() as u32).filter(|v| !voxels.is_inner(*v)).collect();
     let tree = tree(voxels, &surface)?;
     let nearest = |p: DVec3| {
@@ -199,7 +195,7 @@ fn seeds(
         surface.get(near.item as usize).copied()
     };
     if !voxels.encloses {
-        host.warn("the model encloses nothing: weights are of distances along its surface");
+        host.warn("the model encloses nothing: what is between its surface and the bones counts as inside");
     }
     let mut outside = Vec::new();
     let mut all = Vec::with_capacity(skeleton.joints.len());
@@ -207,7 +203,7 @@ fn seeds(
         host.progress(0.15 + 0.1 * number as f64 / skeleton.joints.len() as f64)?;
         let mut seeds = Vec::new();
         for (i, bone) in skeleton.bones(number).into_iter().enumerate() {
-            let within = if voxels.encloses { inside(voxels, bone) } else { Vec::new() };
+            let within = inside(voxels, bone);
             if within.is_empty() {
                 seeds.extend(projected(voxels, bone, nearest));
                 outside.push(match joint.children.get(i) {
@@ -219,7 +215,7 @@ fn seeds(
         }
         all.push(seeds);
     }
-    if voxels.encloses && !outside.is_empty() {
+    if !outside.is_empty() {
         let more = if outside.len() > NAMED { ", ..." } else { "" };
         let names = outside[..outside.len().min(NAMED)].join(", ");
         host.warn(&format!("bones lie outside of the model, and move what is nearest: {names}{more}"));

@@ -192,7 +192,10 @@ mod tests {
         for scale in [DVec3::new(-1.0, 1.0, 1.0), DVec3::new(1.0, 0.0, 1.0), DVec3::ZERO] {
             let motions = [DAffine3::IDENTITY, DAffine3::from_scale(scale)];
             let error = Blend::dual_quaternion(&motions, &two_joints()).err().unwrap();
-            assert!(error.message.contains("`b` mirrors or flattens") && error.hint.contains("linear"), "{error}");
+            assert!(
+                error.message.contains("`b` mirrors or flattens") && error.hint.contains("linear"),
+                "{error}"
+            );
         }
     }
 

@@ -4,13 +4,14 @@
 //! that they are nearly the same in all directions, and do not show the voxels' axes as paths over these do. At the
 //! surface, where voxels have few neighbours over their faces, steps over edges and corners count too.
 
+use crate::skeleton::on_segment;
 use crate::voxels::{NONE, Voxels};
 use glam::DVec3;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 /// Around a bone, distances are exact; so far, in cells.
-const EXACT: f64 = 2.5;
+const EXACT: f64 = 4.0;
 /// Points of a bone outside of the model that are looked at.
 const PROJECTED: usize = 256;
 /// Steps between two looks at the wish to stop.
@@ -151,18 +152,13 @@ fn curvature(a: f32, here: f32, b: f32) -> f32 {
     if a.is_finite() && b.is_finite() { a + b - 2.0 * here } else { 0.0 }
 }
 
-/// How far a point is from a segment.
-pub fn to_segment(p: DVec3, [a, b]: [DVec3; 2]) -> f64 {
-    let along = b - a;
-    let square = along.length_squared();
-    let t = if square > 0.0 { ((p - a).dot(along) / square).clamp(0.0, 1.0) } else { 0.0 };
-    p.distance(a + t * along)
-}
-
 /// The voxels about a bone, with their distances in cells; none if no voxel is on the bone.
 pub fn inside(voxels: &Voxels, bone: [DVec3; 2]) -> Vec<(u32, f32)> {
     let grid = &voxels.grid;
-    let far = |voxel: u32| to_segment(voxels.centre(voxel), bone) / grid.size;
+    let far = |voxel: u32| {
+        let centre = voxels.centre(voxel);
+        centre.distance(on_segment(centre, bone)) / grid.size
+    };
     let mut found: Vec<u32> = Vec::new();
     if let Some([from, to]) = grid.clip(bone) {
         let steps = (2.0 * from.distance(to) / grid.size).ceil().max(1.0);

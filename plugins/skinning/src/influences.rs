@@ -1,7 +1,7 @@
 //! The joints that a place follows, with their weights.
 
-use simod_plugin_api::{Host, PluginResult};
 use glam::DVec3;
+use simod_plugin_api::{Host, PluginResult};
 
 /// Most joints that a place follows.
 pub const MOST: usize = 8;

@@ -86,12 +86,12 @@ struct Weights {
     #[param(default = 4.0, hard = 2.0..=32.0, soft = 2.0..=10.0, group = "Weights", invalidates_preparation)]
     falloff: f64,
     /// Over which length creases in the distances from bones are rounded off
-    #[param(default = 0.01, unit = "diagonal", hard = 0.0..=0.05, soft = 0.0..=0.03, group = "Weights")]
+    #[param(default = 0.005, unit = "diagonal", hard = 0.0..=0.02, soft = 0.0..=0.01, group = "Weights")]
     #[param(invalidates_preparation)]
     smoothing: f64,
     /// Voxels along the longest side of the model, in which distances are found; limbs that are less than two of them apart
     /// are taken for one
-    #[param(default = 128, hard = 16..=400, soft = 64..=256, group = "Weights", invalidates_preparation)]
+    #[param(default = 128, hard = 16..=256, soft = 64..=256, group = "Weights", invalidates_preparation)]
     resolution: i64,
 }
 
@@ -121,14 +121,18 @@ impl Source {
 /// The joints of the session; without any, those of the file.
 fn skeleton(input: &PrepareInput<'_>) -> PluginResult<Skeleton> {
     match input.params().file("skeleton")? {
-        Some(path) if input.joints().is_empty() => Skeleton::read(path, to_local(input)),
+        Some(path) if input.joints().is_empty() => Skeleton::read(path, to_local(input, "skeleton")?),
         _ => Skeleton::new(input.joints()),
     }
 }
 
-/// From the coordinates of files to local ones.
-fn to_local(_: &PrepareInput<'_>) -> impl Fn(DVec3) -> DVec3 {
-    |p| p
+/// From the coordinates of a file to local ones.
+fn to_local(input: &PrepareInput<'_>, param: &str) -> PluginResult<impl Fn(DVec3) -> DVec3> {
+    let frame = *input.frame().ok_or_else(|| {
+        PluginError::parameter(param, "is of no use: this program does not tell where the model lies")
+            .hint("take a newer one")
+    })?;
+    Ok(move |p: DVec3| frame.to_local(p.to_array()).into())
 }
 
 fn handles(input: &PrepareInput<'_>, skeleton: &Skeleton) -> PluginResult<pose::Handles> {
@@ -179,6 +183,7 @@ impl Deformer for Skinning {
                 joints: true,
                 triangles: true,
                 graph: true,
+                frame: true,
                 ..Default::default()
             })
     }
@@ -187,20 +192,19 @@ impl Deformer for Skinning {
         let skeleton = skeleton(input)?;
         let handles = handles(input, &skeleton)?;
         let Weights { influences, falloff, smoothing, resolution } = input.params().read()?;
-        let whole = |id: &str, x: i64| {
-            usize::try_from(x).map_err(|_| PluginError::parameter(id, "is negative"))
-        };
+        let whole =
+            |id: &str, x: i64| usize::try_from(x).map_err(|_| PluginError::parameter(id, "is negative"));
         let limit = whole("influences", influences)?.clamp(1, MOST);
         let samples = input.samples.positions();
         let weights = match input.params().file("weights")? {
             Some(path) => {
-                let rows = WeightTable::read(path, &skeleton, limit, to_local(input))?;
+                let rows = WeightTable::read(path, &skeleton, limit, to_local(input, "weights")?)?;
                 Source::File { rows, limit }
             }
             None => {
-                let voxels = Voxels::new(input, whole("resolution", resolution)?, skeleton.size(), host)?;
-                let rule =
-                    Rule { power: falloff, smoothing: smoothing * input.bounds.diagonal(), limit };
+                let voxels =
+                    Voxels::new(input, &skeleton.all_bones(), whole("resolution", resolution)?, host)?;
+                let rule = Rule { power: falloff, smoothing: smoothing * input.bounds.diagonal(), limit };
                 Source::Voxels(Box::new(Binding::new(voxels, &skeleton, rule, host)?))
             }
         };
@@ -288,3 +292,6 @@ impl IsIdentity for Skinning {
 }
 
 simod_plugin_api::export_plugin!(Skinning, evaluate, handles, is_identity);
+
+#[cfg(test)]
+mod tests;

@@ -8,9 +8,9 @@
 use glam::{DQuat, DVec3};
 
 /// There and back so many times at most; the rest is closed exactly.
-const TIMES: usize = 100;
+const TIMES: usize = 300;
 /// An end that is so near to its target, as a part of the chain's length, needs no more.
-const NEAR: f64 = 1e-6;
+const NEAR: f64 = 1e-12;
 /// Chains that are so straight, as a part of their length, are pushed aside by as much, so that they can bend.
 const STRAIGHT: f64 = 1e-4;
 
@@ -32,11 +32,8 @@ pub fn turns(joints: &[DVec3], target: DVec3) -> Vec<DQuat> {
             moved[i + 1] = moved[i] + *length * along;
         }
     } else {
-        let slack = push_aside(&mut moved, target, total);
+        push_aside(&mut moved, target, total);
         for _ in 0..TIMES {
-            if !slack && moved[lengths.len()].distance(target) <= NEAR * total {
-                break;
-            }
             draw(&mut moved, &lengths, base, target);
             if moved[lengths.len()].distance(target) <= NEAR * total {
                 break;
@@ -62,18 +59,17 @@ fn draw(joints: &mut [DVec3], lengths: &[f64], base: DVec3, target: DVec3) {
     }
 }
 
-/// Joints in a line with the target would be drawn along this line for ever. Whether they were pushed out of it.
-fn push_aside(joints: &mut [DVec3], target: DVec3, total: f64) -> bool {
+/// Pushes joints that are in a line with the target out of it: they would be drawn along this line for ever.
+fn push_aside(joints: &mut [DVec3], target: DVec3, total: f64) {
     let base = joints[0];
     let axis = (target - base).normalize_or((joints[joints.len() - 1] - base).normalize_or(DVec3::X));
     let off = |p: &DVec3| (*p - base).reject_from_normalized(axis).length();
     if joints.iter().any(|p| off(p) > STRAIGHT * total) {
-        return false;
+        return;
     }
     let aside = axis.any_orthonormal_vector() * STRAIGHT * total;
     let inner = joints.len() - 1;
     joints[1..inner].iter_mut().for_each(|p| *p += aside);
-    true
 }
 
 /// How bones turn from `from` to `to`: each first along with the one above, and then on the shortest way.
@@ -122,9 +118,11 @@ fn close(turns: &mut [DQuat], joints: &[DVec3], target: DVec3) {
             upper.try_normalize().map_or(DVec3::Z, |along| along.any_orthonormal_vector())
         });
         if a > 0.0 && b > 0.0 {
-            // The angle between both parts now, and as it has to be, by the law of cosines.
+            // The angle between both parts now, and as it has to be, by the law of cosines for its half: so it keeps
+            // its digits where the chain is nearly straight.
             let now = upper.cross(lower).dot(normal).atan2(upper.dot(lower));
-            let wanted = ((far * far - a * a - b * b) / (2.0 * a * b)).clamp(-1.0, 1.0).acos();
+            let (open, shut) = ((a + b - far) * (a + b + far), (far - a + b) * (far + a - b));
+            let wanted = 2.0 * open.max(0.0).sqrt().atan2(shut.max(0.0).sqrt());
             let bend = DQuat::from_axis_angle(normal, wanted - now);
             turns[k..].iter_mut().for_each(|t| *t = bend * *t);
         }

@@ -103,6 +103,11 @@ impl Skeleton {
         children.iter().map(|c| [*at, self.joints[*c].at]).collect()
     }
 
+    /// All bones.
+    pub fn all_bones(&self) -> Vec<[DVec3; 2]> {
+        (0..self.joints.len()).flat_map(|joint| self.bones(joint)).collect()
+    }
+
     /// The joint of an id.
     pub fn find(&self, id: &str) -> Option<usize> {
         self.joints.iter().position(|j| j.id == id)
@@ -129,6 +134,13 @@ impl Skeleton {
     }
 }
 
+/// The place of a segment that is nearest to a point.
+pub fn on_segment(p: DVec3, [a, b]: [DVec3; 2]) -> DVec3 {
+    let along = b - a;
+    let square = along.length_squared();
+    a + if square > 0.0 { ((p - a).dot(along) / square).clamp(0.0, 1.0) } else { 0.0 } * along
+}
+
 /// A joint's id, its place, and the number of the one that it hangs on, which comes before it.
 type Placed = (String, DVec3, Option<usize>);
 
@@ -145,7 +157,7 @@ fn parse(text: &str) -> Result<Vec<Placed>, (Option<usize>, String)> {
             (2.., _) => break,
             (_, ["#", ..]) => {
                 part += 1;
-                parents = vec![None; points.len()];
+                parents.resize(points.len(), None);
             }
             (0, [id, x, y, z, ..]) => {
                 let number = |word: &str| word.parse::<f64>().ok().filter(|x| x.is_finite());

@@ -55,8 +55,8 @@ impl WeightTable {
         let (at, rows): (Vec<[f64; 3]>, Vec<Influences>) =
             rows.into_iter().map(|(p, influences)| (to_local(p).to_array(), influences)).unzip();
         let points = || at.iter().map(|p| DVec3::from(*p));
-        let size = points().fold(DVec3::NEG_INFINITY, DVec3::max)
-            - points().fold(DVec3::INFINITY, DVec3::min);
+        let size =
+            points().fold(DVec3::NEG_INFINITY, DVec3::max) - points().fold(DVec3::INFINITY, DVec3::min);
         if !size.length().is_finite() {
             return Err((None, "has places too far from each other".to_owned()));
         }
@@ -100,11 +100,7 @@ impl WeightTable {
 }
 
 /// The rows of a table.
-fn parse(
-    text: impl BufRead,
-    skeleton: &Skeleton,
-    limit: usize,
-) -> Result<Vec<(DVec3, Influences)>, Wrong> {
+fn parse(text: impl BufRead, skeleton: &Skeleton, limit: usize) -> Result<Vec<(DVec3, Influences)>, Wrong> {
     let mut columns: Option<Vec<(String, usize)>> = None;
     let mut rows = Vec::new();
     for (number, line) in text.lines().enumerate() {
@@ -142,9 +138,12 @@ fn header<'a>(
     }
     let mut columns: Vec<(String, usize)> = Vec::new();
     for id in words {
-        let joint = skeleton.find(id).ok_or_else(|| format!("has a column `{id}`, and there is no such joint"))?;
+        let joint =
+            skeleton.find(id).ok_or_else(|| format!("has a column `{id}`, and there is no such joint"))?;
         if skeleton.joints[joint].is_end() {
-            return Err(format!("has a column `{id}`, and no joint hangs on that one, so that it has no bone"));
+            return Err(format!(
+                "has a column `{id}`, and no joint hangs on that one, so that it has no bone"
+            ));
         }
         if columns.iter().any(|(known, _)| known == id) {
             return Err(format!("has two columns `{id}`"));
@@ -213,7 +212,8 @@ mod tests {
     #[test]
     fn rows_are_met_and_blended() {
         let table =
-            read("# by hand\nx y z b a\n0 0 0 0 1\n1,0,0,3,1\n\n1 1 0 1 0\n 0\t1 0 0 7e300\n5 5 5 1 0\n").unwrap();
+            read("# by hand\nx y z b a\n0 0 0 0 1\n1,0,0,3,1\n\n1 1 0 1 0\n 0\t1 0 0 7e300\n5 5 5 1 0\n")
+                .unwrap();
         assert_eq!(at(&table, [0.0; 3]), [1.0, 0.0]);
         assert_eq!(at(&table, [1.0, 0.0, 0.0]), [0.25, 0.75]);
         let [a, b] = at(&table, [0.5, 0.5, 0.0]);

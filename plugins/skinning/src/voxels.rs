@@ -4,8 +4,10 @@
 //! nearest neighbours are taken. Inside is what cannot be reached from without over the faces of voxels; and, as there may
 //! be holes, also that from where nearly all lines of sight end at the surface (ray stabbing: F. S. Nooruddin, G. Turk,
 //! *Simplification and repair of polygonal models using volumetric techniques*, IEEE TVCG 9, 2003). So a vessel's
-//! hollow is inside too. An open surface, as one side of a relief, encloses nothing: its voxels are all there is.
+//! hollow is inside too. An open surface, as one side of a relief, encloses nothing: there what lies between it and the bones counts
+//! as inside.
 
+use crate::skeleton::on_segment;
 use glam::{DVec3, IVec3};
 use simod_plugin_api::{Host, PluginError, PluginResult, PrepareInput};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,13 +15,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// No voxel.
 pub const NONE: u32 = u32::MAX;
 /// Most voxels of a model.
-const MOST: usize = 1 << 24;
+const MOST: usize = 1 << 22;
 /// Empty cells about the model on all sides.
 const MARGIN: i32 = 1;
 /// Points along an edge of a triangle, for each cell.
 const FINENESS: f64 = 2.5;
 /// Of the 26 lines of sight, so many end at the surface where a cell is inside.
 const STABBED: u32 = 21;
+/// A surface encloses something if there is at least one voxel inside for so many of its own.
+const ENCLOSING: usize = 8;
+/// The grid goes on beyond the samples where there are bones, for such a part of its longest side at most.
+const NEAR: f64 = 0.25;
 /// Nearest neighbours with which a sample without triangles spans some.
 const FAN: usize = 6;
 /// Samples and triangles at once on one thread.
@@ -53,15 +59,20 @@ pub struct Grid {
     counts: IVec3,
 }
 
+fn extent(points: impl Iterator<Item = DVec3>) -> (DVec3, DVec3) {
+    points.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(a, b), p| (a.min(p), b.max(p)))
+}
+
 impl Grid {
-    /// Cells about points, so many of them along the longest side of their box; or along `or_size` where they all are in
-    /// one place.
-    fn new(points: &[[f32; 3]], resolution: usize, or_size: f64) -> Self {
-        let points = || points.iter().map(|p| DVec3::from(p.map(f64::from)));
-        let (min, max) =
-            points().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(a, b), p| (a.min(p), b.max(p)));
+    /// Cells about points and what is near of some bones; so many of them along the longest side of the points' box, or
+    /// along that of the bones where all points are in one place.
+    fn new(points: &[[f32; 3]], bones: &[[DVec3; 2]], resolution: usize) -> Self {
+        let (min, max) = extent(points.iter().map(|p| DVec3::from(p.map(f64::from))));
+        let (from, to) = extent(bones.iter().flatten().copied());
         let longest = (max - min).max_element();
-        let longest = if longest > 0.0 { longest } else { or_size };
+        let longest = if longest > 0.0 { longest } else { (to - from).max_element() };
+        let near = DVec3::splat(NEAR * (max - min).max_element());
+        let (min, max) = (min.min(from.max(min - near)), max.max(to.min(max + near)));
         // So that coordinates of single precision, far from the origin, are not rounded out of the grid.
         let far = min.abs().max(max.abs()).max_element() * 1e-7;
         let size = (longest / resolution as f64).max(far).max(f64::MIN_POSITIVE);
@@ -109,6 +120,11 @@ impl Grid {
         cell.cmpge(IVec3::ZERO).all() && cell.cmplt(self.counts).all()
     }
 
+    /// Whether all cells around are in the grid.
+    fn is_inner(&self, cell: IVec3) -> bool {
+        cell.cmpge(IVec3::ONE).all() && cell.cmplt(self.counts - 1).all()
+    }
+
     /// The place of a cell in the order of all.
     fn index(&self, cell: IVec3) -> usize {
         (cell.z as usize * self.counts.y as usize + cell.y as usize) * self.counts.x as usize
@@ -136,33 +152,41 @@ pub struct Voxels {
     pub cells: Vec<u32>,
     /// The neighbours over the faces, in pairs along the axes, or [`NONE`].
     pub neighbours: Vec<[u32; 6]>,
-    /// Whether there is anything but the surface.
+    /// Whether there is anything inside of the surface.
     pub encloses: bool,
 }
 
 impl Voxels {
-    /// The voxels of samples with their triangles, or neighbours.
+    /// The voxels of samples with their triangles, or neighbours; and of what is between them and the bones, if the
+    /// surface encloses nothing.
     ///
     /// # Errors
     /// They are too many; a sample is not finite.
     pub fn new(
         input: &PrepareInput<'_>,
+        bones: &[[DVec3; 2]],
         resolution: usize,
-        or_size: f64,
         host: &Host<'_>,
     ) -> PluginResult<Self> {
         let positions = input.samples.positions();
         if let Some(i) = positions.iter().position(|p| p.iter().any(|x| !x.is_finite())) {
             return Err(PluginError::input(format!("the sample {i} is at no finite place")));
         }
-        let grid = Grid::new(positions, resolution, or_size);
+        let grid = Grid::new(positions, bones, resolution);
         let surface = surface(&grid, input, host)?;
         host.progress(0.08)?;
-        let is_solid = fill(&grid, &surface, host)?;
+        let is_surface: Vec<bool> = surface.into_iter().map(AtomicBool::into_inner).collect();
+        let mut is_inside = inside(&grid, &is_surface, host)?;
+        let [outer, inner] = [&is_surface, &is_inside].map(|cells| cells.iter().filter(|c| **c).count());
+        // Corners of a surface that is open may look as if they enclosed something.
+        let encloses = inner * ENCLOSING > outer;
+        if !encloses {
+            is_inside = between(&grid, &is_surface, bones, host)?;
+        }
         host.progress(0.15)?;
         let mut ids = vec![NONE; grid.len()];
         let mut cells = Vec::new();
-        for (index, _) in is_solid.iter().enumerate().filter(|(_, s)| **s) {
+        for index in (0..ids.len()).filter(|i| is_surface[*i] || is_inside[*i]) {
             ids[index] = cells.len() as u32;
             cells.push(index as u32);
         }
@@ -171,7 +195,6 @@ impl Voxels {
             return Err(PluginError::parameter("resolution", &what)
                 .hint(format!("lower it: {MOST} voxels are the most")));
         }
-        let encloses = cells.len() > surface.iter().filter(|s| s.load(Ordering::Relaxed)).count();
         let faces = [[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]];
         let steps = faces.map(|by| grid.step(by));
         // The margin's cells are no voxels, so that all neighbours are in the grid.
@@ -255,10 +278,9 @@ fn cover([a, b, c]: [DVec3; 3], grid: &Grid, mark: impl Fn(DVec3)) {
     }
 }
 
-/// The cells of the surface and those inside.
-fn fill(grid: &Grid, surface: &[AtomicBool], host: &Host<'_>) -> PluginResult<Vec<bool>> {
-    let mut is_solid: Vec<bool> = surface.iter().map(|s| s.load(Ordering::Relaxed)).collect();
-    let inside = stabbed(grid, &is_solid, host)?;
+/// The cells inside of a surface.
+fn inside(grid: &Grid, is_surface: &[bool], host: &Host<'_>) -> PluginResult<Vec<bool>> {
+    let mut is_inside = stabbed(grid, is_surface, host)?;
     // What cannot be reached from without.
     let mut is_outside = vec![false; grid.len()];
     let mut open = vec![0_usize];
@@ -273,16 +295,44 @@ fn fill(grid: &Grid, surface: &[AtomicBool], host: &Host<'_>) -> PluginResult<Ve
         let cell = grid.cell_of(index);
         for next in faces.iter().flat_map(|by| [cell + *by, cell - *by]).filter(|c| grid.contains(*c)) {
             let next = grid.index(next);
-            if !is_solid[next] && !is_outside[next] {
+            if !is_surface[next] && !is_outside[next] {
                 is_outside[next] = true;
                 open.push(next);
             }
         }
     }
-    for (index, solid) in is_solid.iter_mut().enumerate() {
-        *solid |= !is_outside[index] || inside[index];
+    for (index, inside) in is_inside.iter_mut().enumerate() {
+        *inside = !is_surface[index] && (*inside || !is_outside[index]);
     }
-    Ok(is_solid)
+    Ok(is_inside)
+}
+
+/// The cells between a surface and the bones that are nearest to it, as far as nothing else is in between.
+fn between(
+    grid: &Grid,
+    is_surface: &[bool],
+    bones: &[[DVec3; 2]],
+    host: &Host<'_>,
+) -> PluginResult<Vec<bool>> {
+    let mut is_between = vec![false; is_surface.len()];
+    for (n, index) in (0..is_surface.len()).filter(|i| is_surface[*i]).enumerate() {
+        if n.is_multiple_of(TOGETHER) {
+            host.progress(0.13)?;
+        }
+        let from = grid.centre(grid.cell_of(index));
+        let to = bones.iter().map(|bone| on_segment(from, *bone));
+        let nearest = to.min_by(|a, b| a.distance_squared(from).total_cmp(&b.distance_squared(from)));
+        let Some([from, to]) = nearest.and_then(|to| grid.clip([from, to])) else { continue };
+        let steps = (2.0 * from.distance(to) / grid.size).ceil().max(1.0);
+        let way = (0..=steps as usize).map(|i| grid.cell(from.lerp(to, i as f64 / steps)));
+        let way: Vec<usize> = way.filter(|c| grid.is_inner(*c)).map(|c| grid.index(c)).collect();
+        // It may begin along the surface, and does not come to it again.
+        let mut off = way.iter().skip_while(|i| is_surface[**i]);
+        if off.all(|i| !is_surface[*i]) {
+            way.iter().for_each(|i| is_between[*i] = true);
+        }
+    }
+    Ok(is_between)
 }
 
 /// The cells from where nearly all of 26 lines of sight end at the surface.
@@ -309,5 +359,17 @@ fn stabbed(grid: &Grid, is_surface: &[bool], host: &Host<'_>) -> PluginResult<Ve
             }
         }
     }
-    Ok(ends.iter().map(|bits| (bits & ((1 << 26) - 1)).count_ones() >= STABBED).collect())
+    // A line may slip through between two cells of the surface that touch at an edge: those beside it do not.
+    let mut is_inside = vec![false; ends.len()];
+    let around = [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map(|by| grid.step(by) as usize);
+    for z in 1..grid.counts.z - 1 {
+        host.progress(0.12)?;
+        for index in rows(z).flat_map(|row| row..row + width).filter(|i| !is_surface[*i]) {
+            let beside =
+                around.iter().flat_map(|step| [index - step, index + step]).filter(|i| !is_surface[*i]);
+            let bits = beside.fold(ends[index], |bits, i| bits | ends[i]);
+            is_inside[index] = (bits & ((1 << 26) - 1)).count_ones() >= STABBED;
+        }
+    }
+    Ok(is_inside)
 }
