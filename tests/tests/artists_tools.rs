@@ -89,7 +89,9 @@ fn a_skeleton_bends_the_amphora() {
         + &joint("belly", 0.8, "foot")
         + &joint("neck", 1.5, "belly");
     let step = |params: &str, moved: &str| {
-        format!("[[step]]\ndeform = \"skinning\"\nparams = {{ {params} }}\n{joints}[[step.handle]]\n{moved}\n")
+        format!(
+            "[[step]]\ndeform = \"skinning\"\nparams = {{ {params} }}\n{joints}[[step.handle]]\n{moved}\n"
+        )
     };
     let run = |steps: &str| -> Vec<(glam::DVec3, glam::DVec3)> {
         work.write_session("amphora.ply", 20_000, steps);

@@ -14,7 +14,7 @@ use crate::voxels::{NONE, Voxels};
 use glam::{DVec3, IVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use simod_plugin_api::{Host, PluginError, PluginResult};
-use std::sync::{Mutex, PoisonError};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A joint's share in a place below which it has none, and above which it has all of it.
 const SHARES: [f64; 2] = [0.01, 0.05];
@@ -78,22 +78,28 @@ impl Binding {
         host.progress(0.4)?;
         let times = (3.0 * (rule.smoothing / voxels.grid.size).powi(2)).round() as usize;
         let mut fields: Vec<Vec<(u32, Entry)>> = vec![Vec::new(); skeleton.joints.len()];
-        let (joints, done) = (fields.len() as f64, Mutex::new(0));
+        let joints = fields.len() as f64;
+        let (done, total) = (AtomicUsize::new(0), AtomicUsize::new(0));
         host.parallel_blocks(&mut fields, 1, |joint, field| {
             let seeds = seeds[joint].iter().copied();
-            let at = 0.4 + 0.5 * *done.lock().unwrap_or_else(PoisonError::into_inner) as f64 / joints;
+            let at = 0.4 + 0.5 * done.load(Ordering::Relaxed) as f64 / joints;
             let is_needed = |v: u32, d: f32| d <= most - useless[v as usize];
             let mut march = March::new(&voxels, seeds, is_needed, is_wanted(at));
+            // Too many are refused below, and not kept until then.
+            let count = march.order.len();
+            if total.fetch_add(count, Ordering::Relaxed) + count > MOST {
+                return;
+            }
             march.smooth(&voxels, times, is_wanted(at));
             let entry = |v: &u32| {
                 let distance = march.distances[*v as usize];
                 (*v, Entry { joint: joint as u16, distance, gradient: march.gradient(&voxels, *v) })
             };
             field[0] = march.order.iter().map(entry).collect();
-            *done.lock().unwrap_or_else(PoisonError::into_inner) += 1;
+            done.fetch_add(1, Ordering::Relaxed);
         })?;
         host.progress(0.9)?;
-        let total: usize = fields.iter().map(Vec::len).sum();
+        let total = total.into_inner();
         if total > MOST {
             let what = format!("is too fine for this skeleton and falloff: {total} distances");
             return Err(PluginError::parameter("resolution", &what).hint("lower it, or raise `falloff`"));

@@ -3,7 +3,7 @@
 //! | what | by |
 //! |---|---|
 //! | [`skeleton`] | joints of the session, or of a file |
-//! | [`voxels`], [`distance`], [`binding`] | weights by the distance inside of the model: Dionne and de Lasa 2013 |
+//! | [`grid`], [`voxels`], [`distance`], [`binding`], [`influences`] | weights by the distance inside of the model: Dionne and de Lasa 2013 |
 //! | [`table`] | weights of a file |
 //! | [`pose`], [`reach`] | motions of handles, and ends that reach for a place: Aristidou and Lasenby 2011 |
 //! | [`blend`] | linear, or by dual quaternions: Kavan, Collins, Žára and O'Sullivan 2008 |
@@ -13,6 +13,7 @@
 mod binding;
 mod blend;
 mod distance;
+mod grid;
 mod influences;
 mod pose;
 mod reach;

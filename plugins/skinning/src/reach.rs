@@ -3,7 +3,8 @@
 //! A. Aristidou, J. Lasenby, *FABRIK: a fast, iterative solver for the inverse kinematics problem*, Graphical Models 73, 2011: its
 //! joints are drawn to the target and back to where the chain begins, in turns, with their distances kept. What is left is
 //! closed exactly: the chain is bent at one of its joints until its end is as far from its beginning as the target, and
-//! then turned there. Where the target is too far, the chain is stretched straight towards it.
+//! then turned there; a chain that is all but straight may stay away by 1e-8 of its length. Where the target is too far, the
+//! chain is stretched straight towards it.
 
 use glam::{DQuat, DVec3};
 
@@ -168,7 +169,7 @@ mod tests {
             if far >= total {
                 prop_assert!((miss - (far - total)).abs() < 1e-9, "stretched: {}", miss);
             } else if far > 2.0 * longest - total {
-                prop_assert!(miss < 1e-9, "{miss} from a target that can be reached");
+                prop_assert!(miss < 1e-7 * total, "{miss} from a target that can be reached");
             }
         }
 

@@ -84,7 +84,7 @@ fn weights_sum_to_one_and_are_as_few_as_wanted() {
 #[test]
 fn limbs_beside_each_other_do_not_take_each_other_along() {
     let is_b = |p: &[f32; 3]| p[1] > 0.12 && p[0] > 0.3;
-    let [mesh, cloud] = [Scene::new(fork(), &FORK), Scene::new(fork(), &FORK).as_cloud()];
+    let [mesh, cloud] = [Scene::new(fork(), &FORK), Scene::new(fork(), &FORK).into_cloud()];
     for scene in [mesh, cloud] {
         let state = scene.prepare();
         let moved = scene.deform(&state, &[("a-middle", turn(DVec3::Z, -60.0))]);
@@ -108,7 +108,7 @@ fn soup((points, triangles): &Surface) -> Surface {
 fn soups_and_clouds_bend_as_closed_surfaces_do() {
     let closed = Scene::new(limb(), &LIMB);
     let wanted = closed.deform(&closed.prepare(), &bent());
-    let cloud = closed.clone().as_cloud();
+    let cloud = closed.clone().into_cloud();
     let off = difference(&cloud.deform(&cloud.prepare(), &bent()), &wanted);
     println!("as a cloud: {off:.1e}");
     assert!(off < 0.01, "{off}");

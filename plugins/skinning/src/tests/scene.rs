@@ -71,7 +71,7 @@ impl Scene {
     }
 
     /// As a cloud of points.
-    pub fn as_cloud(mut self) -> Self {
+    pub fn into_cloud(mut self) -> Self {
         self.triangles.clear();
         let tree: ImmutableKdTree<f32, 3> = ImmutableKdTree::new_from_slice(&self.points).unwrap();
         let near = |(i, p): (usize, &[f32; 3])| {
