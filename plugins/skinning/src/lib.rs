@@ -2,11 +2,11 @@
 //!
 //! | what | by |
 //! |---|---|
-//! | [`skeleton`] | joints of the session, or of a file |
-//! | [`grid`], [`voxels`], [`distance`], [`binding`], [`influences`] | weights by the distance inside of the model: Dionne and de Lasa 2013 |
-//! | [`table`] | weights of a file |
-//! | [`pose`], [`reach`] | motions of handles, and ends that reach for a place: Aristidou and Lasenby 2011 |
-//! | [`blend`] | linear, or by dual quaternions: Kavan, Collins, Žára and O'Sullivan 2008 |
+//! | `skeleton` | joints of the session, or of a file |
+//! | `grid`, `voxels`, `distance`, `binding`, `influences` | weights by the distance inside of the model: Dionne and de Lasa 2013 |
+//! | `table` | weights of a file |
+//! | `pose`, `reach` | motions of handles, and ends that reach for a place: Aristidou and Lasenby 2011 |
+//! | `blend` | linear, or by dual quaternions: Kavan, Collins, Žára and O'Sullivan 2008 |
 //!
 //! Weights are a map of space, and with them the whole deformation.
 
