@@ -21,7 +21,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [folder, output] = arguments.as_slice() else { return Err("give a sampled model and a file".into()) };
 
     let sampled = SampledModel::load(folder)?;
-    let plugins = PluginRegistry::discover(&PluginOptions::standard(Isolation::default(), Default::default()));
+    let plugins =
+        PluginRegistry::discover(&PluginOptions::standard(Isolation::default(), Default::default()));
     let steps = SessionFile::parse(STEPS, Path::new("steps.toml"))?.steps;
     let mut deformed = deform(sampled, &steps, &plugins, Refinements::default(), &Silent)?;
     deformed.messages.iter().for_each(|message| println!("{}: {}", message.plugin, message.text));

@@ -20,7 +20,8 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let sampling = Sampling { samples: Some(20_000), ..Sampling::default() };
     let new = SessionFile { model: Some(model.clone()), sampling, ..SessionFile::default() };
-    let plugins = PluginRegistry::discover(&PluginOptions::standard(Isolation::default(), Default::default()));
+    let plugins =
+        PluginRegistry::discover(&PluginOptions::standard(Isolation::default(), Default::default()));
     let mut editor = Editor::open(new, None, plugins, &Silent)?;
 
     let bend = r#"deform = "warp"

@@ -14,7 +14,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Err("give a sampled model, a folder, a point and a radius".into());
     };
     let numbers = numbers.iter().map(|x| x.parse::<f64>()).collect::<Result<Vec<_>, _>>()?;
-    let [x, y, z, radius] = *numbers.as_slice() else { return Err("give three coordinates and a radius".into()) };
+    let [x, y, z, radius] = *numbers.as_slice() else {
+        return Err("give three coordinates and a radius".into());
+    };
     let (folder, into) = (PathBuf::from(folder), PathBuf::from(into));
 
     let mut sampled = SampledModel::load(&folder)?;
