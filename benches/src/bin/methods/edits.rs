@@ -71,7 +71,7 @@ pub const EDITS: &[Edit] = &[
     edit("rbf: 1 handle", "rbf", &[], ONE, Drag::Regions),
     edit("rbf: 3 handles", "rbf", &[], THREE, Drag::Regions),
     edit("rbf: biharmonic, 3 handles", "rbf", &[("kernel", Text("biharmonic"))], THREE, Drag::Regions),
-    edit("rbf: compact C², 3 handles", "rbf", &[("kernel", Text("biharmonic"))], THREE, Drag::Regions),
+    edit("rbf: compact C², 3 handles", "rbf", &[("kernel", Text("compact-c2"))], THREE, Drag::Regions),
     edit("laplacian: 1 handle", "laplacian", &[], ONE, Drag::Regions),
     edit("laplacian: as rigid as possible", "laplacian", &[("mode", Text("arap"))], ONE, Drag::Regions),
     edit("smooth-handle: 1 handle", "smooth-handle", &[], ONE, Drag::Regions),
