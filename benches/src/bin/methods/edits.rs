@@ -35,6 +35,8 @@ pub enum Drag {
     Regions,
     /// One of the handles that the plugin places: so far through their list.
     OneHandle(f64),
+    /// The same while all others stay moved.
+    OneOfMoved(f64),
     /// All handles that the plugin places.
     AllHandles,
     /// A brush, whose radius is this fraction of the diagonal: each frame adds a dab.
@@ -82,6 +84,7 @@ pub const EDITS: &[Edit] = &[
     edit("lattice: 8³, Bernstein, all points", "lattice", &EIGHT_BERNSTEIN, &[], Drag::AllHandles),
     edit("cage: 100 vertices, one", "cage", &[("detail", Number(100.0))], &[], Drag::OneHandle(0.4)),
     edit("cage: 100 vertices, all", "cage", &[("detail", Number(100.0))], &[], Drag::AllHandles),
+    edit("cage: 400 vertices, one of moved", "cage", &[("detail", Number(400.0))], &[], Drag::OneOfMoved(0.4)),
     edit("cage: 400 vertices, all", "cage", &[("detail", Number(400.0))], &[], Drag::AllHandles),
     edit("paint: 1 %", "displacement-paint", &[], &[], Drag::Brush(0.01)),
     edit("paint: 3 %", "displacement-paint", &[], &[], Drag::Brush(0.03)),

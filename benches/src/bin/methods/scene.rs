@@ -192,13 +192,15 @@ impl<'m> Scene<'m> {
     }
 
     fn motions(&self, drag: Drag, frame: u32, placed: &[DVec3]) -> Vec<Affine> {
-        let one = match drag {
-            Drag::OneHandle(at) => Some((at * placed.len() as f64) as usize),
-            _ => None,
-        };
-        let moves = |i: usize| drag == Drag::AllHandles || one == Some(i);
         let motion = |(i, p): (usize, &DVec3)| {
-            if moves(i) { self.turn(frame + i as u32 % 7, *p) } else { Affine::IDENTITY }
+            let is = |at: f64| i == (at * placed.len() as f64) as usize;
+            let frame = match drag {
+                Drag::OneHandle(at) => is(at).then_some(frame),
+                Drag::OneOfMoved(at) => Some(if is(at) { frame } else { 0 }),
+                Drag::AllHandles => Some(frame),
+                Drag::Regions | Drag::Brush(_) => None,
+            };
+            frame.map_or(Affine::IDENTITY, |frame| self.turn(frame + i as u32 % 7, *p))
         };
         placed.iter().enumerate().map(motion).collect()
     }
