@@ -12,12 +12,12 @@ mod sums;
 use glam::DVec3;
 use mean_value::View;
 use mesh::Cage;
-use sums::Sums;
 use simod_plugin_api::{
     Affine, Choice, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host, IsIdentity,
     ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
 };
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use sums::Sums;
 
 /// Samples whose coordinates lie together: those for one vertex follow each other, so that a vertex which does not move
 /// is not read.

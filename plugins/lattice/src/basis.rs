@@ -126,7 +126,8 @@ impl Basis {
         let place = self.place(u);
         let (degree, t) = (self.degree, place.inside * self.spans() as f64);
         let first = (t as usize).min(self.spans() - 1);
-        let (knots, inverses) = (&self.knots[first + 1..], &self.inverses[first * degree * (degree + 1) / 2..]);
+        let (knots, inverses) =
+            (&self.knots[first + 1..], &self.inverses[first * degree * (degree + 1) / 2..]);
         let values = &mut values[..=degree];
         if degree == 3 {
             // The same with loops of known lengths, as nearly all lattices are cubic.

@@ -89,7 +89,8 @@ impl<'a> Moved<'a> {
                 let mut plane = DVec4::ZERO;
                 for (j, wy) in some_j.clone().zip(wy) {
                     let first = (i * ny + j) * nz + some_k.start;
-                    let [d0, d1, d2, d3] = *self.displacements[first..].first_chunk().expect("four of a line");
+                    let [d0, d1, d2, d3] =
+                        *self.displacements[first..].first_chunk().expect("four of a line");
                     plane += *wy * (((w0 * d0 + w1 * d1) + w2 * d2) + w3 * d3);
                 }
                 sum += *wx * plane;

@@ -36,7 +36,15 @@ struct Setup {
 
 impl Setup {
     fn new(points: Vec<[f32; 3]>, regions: Vec<(Role, Vec<f32>)>) -> Self {
-        Self { points, bounds: BOUNDS, regions, kernel: "triharmonic", support: 0.25, tolerance: 1e-3, max_centers: 1000.0 }
+        Self {
+            points,
+            bounds: BOUNDS,
+            regions,
+            kernel: "triharmonic",
+            support: 0.25,
+            tolerance: 1e-3,
+            max_centers: 1000.0,
+        }
     }
 
     /// Held below y = 1, a handle above y = 7.

@@ -5,6 +5,9 @@ use simod_plugin_api::Role;
 /// A point in fractions of the model's box.
 pub type Place = [f64; 3];
 
+/// What it does, and where it is.
+pub type Region = (Role, fn(Place) -> bool);
+
 /// One method with what it is asked to do.
 pub struct Edit {
     /// What the table calls it.
@@ -14,7 +17,7 @@ pub struct Edit {
     /// Parameters that differ from their defaults.
     pub params: &'static [(&'static str, Value)],
     /// Its regions.
-    pub regions: &'static [(Role, fn(Place) -> bool)],
+    pub regions: &'static [Region],
     /// What moves from frame to frame.
     pub drag: Drag,
 }
@@ -45,12 +48,12 @@ pub enum Drag {
 
 use Value::{Number, Text};
 
-const BELOW: (Role, fn(Place) -> bool) = (Role::FIXED, |p| p[1] < 0.35);
-const ABOVE: (Role, fn(Place) -> bool) = (Role::HANDLE, |p| p[1] > 0.9);
-const LEFT: (Role, fn(Place) -> bool) = (Role::HANDLE, |p| p[1] > 0.5 && p[1] < 0.8 && p[0] < 0.15);
-const RIGHT: (Role, fn(Place) -> bool) = (Role::HANDLE, |p| p[1] > 0.5 && p[1] < 0.8 && p[0] > 0.85);
-const ONE: &[(Role, fn(Place) -> bool)] = &[BELOW, ABOVE];
-const THREE: &[(Role, fn(Place) -> bool)] = &[BELOW, ABOVE, LEFT, RIGHT];
+const BELOW: Region = (Role::FIXED, |p| p[1] < 0.35);
+const ABOVE: Region = (Role::HANDLE, |p| p[1] > 0.9);
+const LEFT: Region = (Role::HANDLE, |p| p[1] > 0.5 && p[1] < 0.8 && p[0] < 0.15);
+const RIGHT: Region = (Role::HANDLE, |p| p[1] > 0.5 && p[1] < 0.8 && p[0] > 0.85);
+const ONE: &[Region] = &[BELOW, ABOVE];
+const THREE: &[Region] = &[BELOW, ABOVE, LEFT, RIGHT];
 
 const EIGHT: [(&str, Value); 3] =
     [("resolution-x", Number(8.0)), ("resolution-y", Number(8.0)), ("resolution-z", Number(8.0))];
@@ -60,7 +63,7 @@ const fn edit(
     name: &'static str,
     plugin: &'static str,
     params: &'static [(&'static str, Value)],
-    regions: &'static [(Role, fn(Place) -> bool)],
+    regions: &'static [Region],
     drag: Drag,
 ) -> Edit {
     Edit { name, plugin, params, regions, drag }
@@ -84,7 +87,13 @@ pub const EDITS: &[Edit] = &[
     edit("lattice: 8³, Bernstein, all points", "lattice", &EIGHT_BERNSTEIN, &[], Drag::AllHandles),
     edit("cage: 100 vertices, one", "cage", &[("detail", Number(100.0))], &[], Drag::OneHandle(0.4)),
     edit("cage: 100 vertices, all", "cage", &[("detail", Number(100.0))], &[], Drag::AllHandles),
-    edit("cage: 400 vertices, one of moved", "cage", &[("detail", Number(400.0))], &[], Drag::OneOfMoved(0.4)),
+    edit(
+        "cage: 400 vertices, one of moved",
+        "cage",
+        &[("detail", Number(400.0))],
+        &[],
+        Drag::OneOfMoved(0.4),
+    ),
     edit("cage: 400 vertices, all", "cage", &[("detail", Number(400.0))], &[], Drag::AllHandles),
     edit("paint: 1 %", "displacement-paint", &[], &[], Drag::Brush(0.01)),
     edit("paint: 3 %", "displacement-paint", &[], &[], Drag::Brush(0.03)),

@@ -55,8 +55,16 @@ struct Arguments {
     row: Option<usize>,
 }
 
-const COLUMNS: [&str; 6] =
-    ["method", "samples", "prepare, s", "longest silence, ms", "frame, ms", "peak memory, MB"];
+const COLUMNS: [&str; 8] = [
+    "method",
+    "samples",
+    "prepare, s",
+    "CPU, s",
+    "longest silence, ms",
+    "frame, ms",
+    "CPU, ms",
+    "peak memory, MB",
+];
 
 /// So often a child's memory is looked at.
 const POLL: Duration = Duration::from_millis(5);
@@ -95,8 +103,10 @@ fn table(arguments: &Arguments) -> Result<()> {
                     name.to_owned(),
                     count.to_string(),
                     figure("prepare", 1.0, 3),
+                    figure("prepare-cpu", 1.0, 3),
                     figure("silence", 1e3, 0),
                     figure("frame", 1e3, 1),
+                    figure("frame-cpu", 1e3, 1),
                     format!("{:.0}", ran.peak() / 1e6),
                 ])
             );
@@ -131,9 +141,13 @@ fn measure(arguments: &Arguments, edit: Option<&Edit>) -> Result<()> {
     let folder = PluginFolder { path, by_name: true, shipped: true };
     let registry = PluginRegistry::discover(&PluginOptions::in_process(vec![folder]));
     let figures = scene.measure(registry.get(edit.plugin)?, edit, arguments.runs, arguments.frames)?;
-    println!(
-        "{}",
-        json!({ "prepare": figures.prepare, "silence": figures.silence, "frame": figures.frame })
-    );
+    let figures = json!({
+        "prepare": figures.prepare,
+        "prepare-cpu": figures.prepare_cpu,
+        "silence": figures.silence,
+        "frame": figures.frame,
+        "frame-cpu": figures.frame_cpu,
+    });
+    println!("{figures}");
     Ok(())
 }

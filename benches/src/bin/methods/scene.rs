@@ -4,7 +4,7 @@ use crate::edits::{Drag, Edit, Value};
 use glam::{DAffine3, DQuat, DVec3};
 use rayon::prelude::*;
 use simod_benches::median;
-use simod_benches::process::Result;
+use simod_benches::process::{Result, own_cpu};
 use simod_core::sampled_model::SampledModel;
 use simod_plugin_api::{
     Affine, Bounds, DeformInput, Graph, HandleMotions, HostCalls, LogLevel, Param, ParamDesc, ParamKind,
@@ -14,12 +14,14 @@ use simod_session::Plugin;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Medians, in seconds.
+/// Seconds: medians, and means of processor time.
 pub struct Figures {
     pub prepare: f64,
+    pub prepare_cpu: f64,
     /// The longest time in a preparation without a sign of life.
     pub silence: f64,
     pub frame: f64,
+    pub frame_cpu: f64,
 }
 
 /// The host, which listens to how long a plugin says nothing.
@@ -120,6 +122,7 @@ impl<'m> Scene<'m> {
             Vec::new()
         };
 
+        let cpu = own_cpu();
         let (mut prepare, mut silence, mut state) = (Vec::new(), Vec::new(), None);
         for _ in 0..runs {
             // One state at a time, as in a program.
@@ -130,10 +133,11 @@ impl<'m> Scene<'m> {
             silence.push(host.longest().as_secs_f64());
         }
         let state = state.ok_or("no preparation")?;
+        let prepare_cpu = (own_cpu() - cpu) / f64::from(runs);
 
         let handles = edit.regions.iter().filter(|(role, _)| *role == Role::HANDLE).count();
         let (mut scratch, mut out) = (code.new_scratch()?, vec![[0.0; 3]; self.sampled.samples.len()]);
-        let mut times = Vec::new();
+        let (mut times, mut frame_cpu) = (Vec::new(), 0.0);
         for frame in 0..frames {
             let transforms = vec![self.turn(frame, self.at(DVec3::splat(0.5))); handles];
             let motions = self.motions(edit.drag, frame, &placed);
@@ -154,11 +158,13 @@ impl<'m> Scene<'m> {
             }
             let input =
                 DeformInput::new(self.samples(), self.bounds, &transforms, &params).with_parts(&parts);
-            let (host, started) = (Listener::new(), Instant::now());
+            let (host, started, cpu) = (Listener::new(), Instant::now(), own_cpu());
             code.deform(&state, &input, &mut scratch, &mut out, &host)?;
             times.push(started.elapsed().as_secs_f64());
+            frame_cpu += (own_cpu() - cpu) / f64::from(frames);
         }
-        Ok(Figures { prepare: median(prepare), silence: median(silence), frame: median(times) })
+        let (prepare, silence, frame) = (median(prepare), median(silence), median(times));
+        Ok(Figures { prepare, prepare_cpu, silence, frame, frame_cpu })
     }
 
     /// A parameter's numbers: those of the edit, or the default, in local coordinates.
