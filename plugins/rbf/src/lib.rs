@@ -8,7 +8,7 @@
 //!
 //! With compact kernels there is no affine part: what is farther than the support from all regions does not move at all,
 //! and a motion of all handles together is none of the whole. Either way what is in a region does exactly what the region
-//! does: see [`held`].
+//! does (`held`).
 
 mod constraints;
 mod fit;
