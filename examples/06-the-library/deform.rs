@@ -5,7 +5,8 @@ use simod_core::progress::Silent;
 use simod_core::reconstruction::deformed_normals;
 use simod_core::sampled_model::SampledModel;
 use simod_session::edit::Refinements;
-use simod_session::{Isolation, PluginOptions, PluginRegistry, SessionFile, deform};
+use simod_session::plugins::standard_folders;
+use simod_session::{PluginOptions, PluginRegistry, SessionFile, deform};
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
@@ -21,8 +22,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [folder, output] = arguments.as_slice() else { return Err("give a sampled model and a file".into()) };
 
     let sampled = SampledModel::load(folder)?;
-    let plugins =
-        PluginRegistry::discover(&PluginOptions::standard(Isolation::default(), Default::default()));
+    let plugins = PluginRegistry::discover(&PluginOptions::in_process(standard_folders()));
     let steps = SessionFile::parse(STEPS, Path::new("steps.toml"))?.steps;
     let mut deformed = deform(sampled, &steps, &plugins, Refinements::default(), &Silent)?;
     deformed.messages.iter().for_each(|message| println!("{}: {}", message.plugin, message.text));

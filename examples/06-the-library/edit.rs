@@ -6,8 +6,9 @@ use simod_core::progress::Silent;
 use simod_core::reconstruction::Reconstruction;
 use simod_plugin_api::Effort;
 use simod_session::edit::{Change, Command, Editor, Evaluated};
+use simod_session::plugins::standard_folders;
 use simod_session::session_file::Sampling;
-use simod_session::{Isolation, PluginOptions, PluginRegistry, SessionFile};
+use simod_session::{PluginOptions, PluginRegistry, SessionFile};
 use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -20,8 +21,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let sampling = Sampling { samples: Some(20_000), ..Sampling::default() };
     let new = SessionFile { model: Some(model.clone()), sampling, ..SessionFile::default() };
-    let plugins =
-        PluginRegistry::discover(&PluginOptions::standard(Isolation::default(), Default::default()));
+    let plugins = PluginRegistry::discover(&PluginOptions::in_process(standard_folders()));
     let mut editor = Editor::open(new, None, plugins, &Silent)?;
 
     let bend = r#"deform = "warp"

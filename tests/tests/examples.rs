@@ -49,7 +49,9 @@ fn the_library() {
     work.simod("generate -o amphora.ply --vertices 60000");
     let run = |name: &str, arguments: &[&str]| {
         let program = built().join("examples").join(format!("library-{name}"));
-        let output = Command::new(program).args(arguments).current_dir(work.path("")).output().unwrap();
+        let mut program = Command::new(program);
+        program.args(arguments).current_dir(work.path("")).env("SIMOD_PLUGIN_PATH", built());
+        let output = program.output().unwrap();
         let said = String::from_utf8_lossy(&output.stdout).into_owned();
         assert!(output.status.success(), "{name}: {said}{}", String::from_utf8_lossy(&output.stderr));
         said
