@@ -51,7 +51,7 @@ impl Influence {
     /// Rotations of the problem's nodes whose surroundings are whole: of held ones as told, of free ones in between.
     pub fn turns(&self, problem: &Problem, motion: &Motion) -> Vec<DMat3> {
         let axes: Vec<DVec3> = (0..self.handles)
-            .map(|h| DQuat::from_mat3(&motion.turn(Target::Handle(h as u32))).to_scaled_axis())
+            .map(|h| scaled_axis(motion.turn(Target::Handle(h as u32))))
             .collect();
         let between = self.values.chunks_exact(self.handles.max(1)).map(|influence| {
             let axis: DVec3 = influence.iter().zip(&axes).map(|(w, a)| *w * *a).sum();
@@ -59,5 +59,28 @@ impl Influence {
         });
         let held = problem.held.iter().map(|target| motion.turn(*target));
         between.chain(held).take(problem.rows).collect()
+    }
+}
+
+/// The axis times the angle, of at most half a turn.
+fn scaled_axis(turn: DMat3) -> DVec3 {
+    // Either of two quaternions comes, and the other one's angle is that of the long way round.
+    let turn = DQuat::from_mat3(&turn);
+    (if turn.w < 0.0 { -turn } else { turn }).to_scaled_axis()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn turns_go_the_short_way_round() {
+        for axis in [DVec3::X, DVec3::Y, DVec3::Z, DVec3::new(1.0, -2.0, 0.5).normalize()] {
+            for degrees in [-179.0_f64, -120.0, -30.0, 0.0, 60.0, 130.0, 179.0] {
+                let expected = axis * degrees.to_radians();
+                let found = scaled_axis(DMat3::from_axis_angle(axis, degrees.to_radians()));
+                assert!(found.distance(expected) < 1e-9, "{expected} {found}");
+            }
+        }
     }
 }
