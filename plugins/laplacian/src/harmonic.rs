@@ -50,9 +50,8 @@ impl Influence {
 
     /// Rotations of the problem's nodes whose surroundings are whole: of held ones as told, of free ones in between.
     pub fn turns(&self, problem: &Problem, motion: &Motion) -> Vec<DMat3> {
-        let axes: Vec<DVec3> = (0..self.handles)
-            .map(|h| scaled_axis(motion.turn(Target::Handle(h as u32))))
-            .collect();
+        let axes: Vec<DVec3> =
+            (0..self.handles).map(|h| scaled_axis(motion.turn(Target::Handle(h as u32)))).collect();
         let between = self.values.chunks_exact(self.handles.max(1)).map(|influence| {
             let axis: DVec3 = influence.iter().zip(&axes).map(|(w, a)| *w * *a).sum();
             DMat3::from_quat(DQuat::from_scaled_axis(axis))

@@ -37,6 +37,7 @@ mod rotated;
 mod rotation;
 mod solve;
 mod stars;
+mod structure;
 mod surface;
 
 use constraints::{Constraints, Motion, Target, affine};

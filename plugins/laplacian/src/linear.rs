@@ -7,6 +7,7 @@
 use crate::constraints::{Motion, Soft, Target};
 use crate::factor::Factor;
 use crate::problem::Problem;
+use crate::structure::out_of_memory;
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult};
 use std::ops::Range;
@@ -16,6 +17,9 @@ const PER_HANDLE: usize = 4;
 /// Handles for which solutions are tabulated. More would need more memory than the factorisation, and their
 /// displacements are solved for anew each time.
 const MOST_TABULATED: usize = 12;
+/// Products of the Laplacian's entries that are summed up, at most. A surface has some fifty per sample; a sample that
+/// thousands of others share triangles with has millions.
+const MOST_ENTRIES: usize = 1 << 27;
 /// Nodes at once on one thread.
 const TOGETHER: usize = 4096;
 
@@ -48,6 +52,10 @@ struct Table {
 impl BiLaplacian {
     /// Factorises. `stiffness` is that of a draw, per area. Tells its progress as `told`.
     pub fn new(problem: Problem, stiffness: f64, told: Range<f64>, host: &Host<'_>) -> PluginResult<Self> {
+        let entries = |i: usize| problem.operators.laplacian(i).map(|(k, _)| problem.operators.entries(k));
+        if (0..problem.free).flat_map(entries).sum::<usize>() > MOST_ENTRIES {
+            return Err(out_of_memory());
+        }
         let springs = problem.springs(stiffness);
         let factor = problem.factor(problem.bilaplacian(), &springs, told, host)?;
         Ok(Self { problem, springs, factor })

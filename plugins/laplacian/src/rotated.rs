@@ -63,7 +63,6 @@ impl Rotated {
         Ok(Self { fine, coarse: Some((coarse, prolongation)), influence })
     }
 
-
     /// The displacements. Those of a draft are the coarse likeness', carried over.
     pub fn displacements(
         &self,
