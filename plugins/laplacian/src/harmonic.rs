@@ -74,7 +74,7 @@ mod tests {
 
     #[test]
     fn turns_go_the_short_way_round() {
-        for axis in [DVec3::X, DVec3::Y, DVec3::Z, DVec3::new(1.0, -2.0, 0.5).normalize()] {
+        for axis in [DVec3::X, DVec3::Y, DVec3::Z, DVec3::new(0.0, -0.6, 0.8)] {
             for degrees in [-179.0_f64, -120.0, -30.0, 0.0, 60.0, 130.0, 179.0] {
                 let expected = axis * degrees.to_radians();
                 let found = scaled_axis(DMat3::from_axis_angle(axis, degrees.to_radians()));

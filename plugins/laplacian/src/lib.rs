@@ -103,7 +103,7 @@ struct Prepared {
 
 enum Method {
     Arap(Box<Hierarchy>),
-    Bilaplacian(Smoothest),
+    Bilaplacian(Box<Smoothest>),
     Rotated(Box<Rotated>),
 }
 
@@ -167,7 +167,11 @@ impl Deformer for Laplacian {
             }
             Mode::BiLaplacian => {
                 let equations = BiLaplacian::new(problem, stiffness.biharmonic, 0.3..0.9, host)?;
-                Method::Bilaplacian(Smoothest::new(equations, frames(&constraints, &positions), host)?)
+                Method::Bilaplacian(Box::new(Smoothest::new(
+                    equations,
+                    frames(&constraints, &positions),
+                    host,
+                )?))
             }
             Mode::Laplacian => Method::Rotated(Box::new(Rotated::new(problem, stiffness, handles, host)?)),
         };

@@ -84,7 +84,7 @@ fn add<'a>(
         }
         taken.waiting -= part.children.iter().map(|c| square(rows[*c - first].len())).sum::<u64>();
         rows.push(own);
-        if rows.len() % 256 == 0 {
+        if rows.len().is_multiple_of(256) {
             host.progress(0.0)?;
         }
     }
