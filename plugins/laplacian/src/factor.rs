@@ -314,7 +314,7 @@ mod tests {
         // Of none, of one; a grid of many subtrees; one whose parts are torn apart; in one place all of it.
         let grid = |n: usize, torn: bool| {
             move |i: usize| -> Vec<usize> {
-                let left = (!i.is_multiple_of(n) && !(torn && i % n == n / 2)).then(|| i - 1);
+                let left = (!(i.is_multiple_of(n) || torn && i % n == n / 2)).then(|| i - 1);
                 (i >= n).then(|| i - n).into_iter().chain(left).collect()
             }
         };
