@@ -9,7 +9,7 @@ use crate::constraints::{Soft, Target};
 use crate::elements::Element;
 use crate::problem::{Kind, Problem};
 use crate::rotation;
-use glam::{DMat3, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
 
 /// Groups are merged while there are more.
@@ -79,6 +79,21 @@ impl Prolongation {
         let changes: Vec<DMat3> = groups.iter().map(|m| *m - DMat3::IDENTITY).collect();
         let mut means = self.groups.sums(&changes, 4096, host)?;
         means.iter_mut().for_each(|m| *m += DMat3::IDENTITY);
+        Ok(means)
+    }
+
+    /// The weighted means of the groups' affine maps, for the fine problem's nodes.
+    pub fn maps(&self, groups: &[DAffine3], host: &Host<'_>) -> PluginResult<Vec<DAffine3>> {
+        let mut means = vec![DAffine3::ZERO; self.groups.len()];
+        host.parallel_blocks(&mut means, 4096, |first, means| {
+            for (i, mean) in (first..).zip(means) {
+                for &(group, weight) in self.groups.of(i) {
+                    let map = groups[group as usize];
+                    mean.matrix3 += map.matrix3 * f64::from(weight);
+                    mean.translation += map.translation * f64::from(weight);
+                }
+            }
+        })?;
         Ok(means)
     }
 

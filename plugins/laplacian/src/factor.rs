@@ -9,6 +9,7 @@ use crate::dissection::{Part, Pattern, Tree};
 use crate::front::{Front, Update, places};
 use crate::kernels::Stored;
 use crate::solve::Run;
+use crate::structure::Structure;
 use glam::DVec3;
 use simod_plugin_api::{ErrorCode, Host, PluginError, PluginResult};
 use std::ops::Range;
@@ -44,6 +45,11 @@ impl Symmetric {
     fn len(&self) -> usize {
         self.starts.len() - 1
     }
+
+    fn columns(&self, i: usize) -> &[u32] {
+        &self.columns[self.starts[i]..self.starts[i + 1]]
+    }
+
     fn row(&self, i: usize) -> impl Iterator<Item = (usize, f64)> {
         let range = self.starts[i]..self.starts[i + 1];
         self.columns[range.clone()].iter().map(|c| *c as usize).zip(self.values[range].iter().copied())
@@ -105,9 +111,11 @@ impl<T: Stored> Factor<T> {
     pub fn new(matrix: Symmetric, at: &[DVec3], told: Range<f64>, host: &Host<'_>) -> PluginResult<Self> {
         let tree = Tree::new(&Pattern::new(&matrix.starts, &matrix.columns), at, host)?;
         let matrix = matrix.in_order(&tree.order);
+        let structure = Structure::new(&tree, |i| matrix.columns(i), size_of::<T>(), host)?;
         for ridge in RIDGES {
-            match (Elimination { matrix: &matrix, ridge, tree: &tree, told: &told, host }).run() {
-                Ok(runs) => return Ok(Self { order: tree.order, runs }),
+            let (matrix, tree, structure, told) = (&matrix, &tree, &structure, &told);
+            match (Elimination { matrix, ridge, tree, structure, told, host }).run() {
+                Ok(runs) => return Ok(Self { order: tree.order.clone(), runs }),
                 Err(Failure::Told(error)) => return Err(error),
                 Err(Failure::Indefinite) => {}
             }
@@ -152,6 +160,7 @@ struct Elimination<'a> {
     matrix: &'a Symmetric,
     ridge: f64,
     tree: &'a Tree,
+    structure: &'a Structure,
     told: &'a Range<f64>,
     host: &'a Host<'a>,
 }
@@ -193,7 +202,7 @@ impl Elimination<'_> {
                     / run.columns.len().max(1) as f64,
             )?;
             let children = part.children.iter().filter_map(|c| updates[*c].take()).collect();
-            updates[k] = Some(self.eliminate(part, children, &mut run, true)?);
+            updates[k] = Some(self.eliminate((part, &self.structure.rows[k]), children, &mut run, true)?);
         }
         run.end(&[], run.columns.start);
         runs.push(run);
@@ -211,12 +220,13 @@ impl Elimination<'_> {
     fn subtree<T: Stored>(&self, task: &mut Task<T>, done: &AtomicUsize) -> Result<(), Failure> {
         let parts = &self.tree.parts[task.parts.clone()];
         let mut updates: Vec<Option<Update>> = parts.iter().map(|_| None).collect();
-        for (k, part) in parts.iter().enumerate() {
+        let rows = &self.structure.rows[task.parts.clone()];
+        for (k, (part, rows)) in parts.iter().zip(rows).enumerate() {
             let before = done.fetch_add(part.columns.len(), Ordering::Relaxed);
             self.tell(0.5 * before as f64 / self.tree.order.len() as f64)?;
             let children =
                 part.children.iter().filter_map(|c| updates[*c - task.parts.start].take()).collect();
-            updates[k] = Some(self.eliminate(part, children, &mut task.run, false)?);
+            updates[k] = Some(self.eliminate((part, rows), children, &mut task.run, false)?);
         }
         task.update = updates.pop().flatten();
         Ok(())
@@ -229,19 +239,14 @@ impl Elimination<'_> {
     /// Eliminates a part, given what its children pass on. `together`: on several threads.
     fn eliminate<T: Stored>(
         &self,
-        part: &Part,
+        (part, rows): (&Part, &[u32]),
         children: Vec<Update>,
         run: &mut Run<T>,
         together: bool,
     ) -> Result<Update, Failure> {
         let (start, end) = (part.columns.start, part.columns.end);
         let entries = |i: usize| self.matrix.row(i);
-        let mut rows: Vec<u32> = children.iter().flat_map(|c| &c.rows).copied().collect();
-        rows.extend(part.columns.clone().flat_map(|i| entries(i).map(|e| e.0 as u32)));
-        rows.retain(|r| *r as usize >= end);
-        rows.sort_unstable();
-        rows.dedup();
-        let mut front = Front::new(part.columns.len(), rows);
+        let mut front = Front::new(part.columns.len(), rows.to_vec());
         for i in part.columns.clone() {
             for (j, value) in entries(i) {
                 let value = if i == j { value * (1.0 + self.ridge) } else { value };
@@ -309,7 +314,7 @@ mod tests {
         // Of none, of one; a grid of many subtrees; one whose parts are torn apart; in one place all of it.
         let grid = |n: usize, torn: bool| {
             move |i: usize| -> Vec<usize> {
-                let left = (i % n > 0 && !(torn && i % n == n / 2)).then(|| i - 1);
+                let left = (!(i.is_multiple_of(n) || torn && i % n == n / 2)).then(|| i - 1);
                 (i >= n).then(|| i - n).into_iter().chain(left).collect()
             }
         };
@@ -325,6 +330,27 @@ mod tests {
         // All have to do with all: more than are eliminated at once.
         let line: Vec<DVec3> = (0..700).map(|i| DVec3::X * f64::from(i)).collect();
         check(&|| matrix(700, |i| (0..i).collect()), &line);
+    }
+
+    /// All in one place, and each unknown shares entries with others anywhere.
+    #[test]
+    fn what_cannot_be_held_is_refused_with_a_hint() {
+        let host = Host::new(&());
+        let n = 200_000_usize;
+        let mut last = 1_u64;
+        let mut random = |below: usize| {
+            last = last.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (last >> 33) as usize % below
+        };
+        let mut given = Symmetric::default();
+        for i in 0..n {
+            let mut others: Vec<usize> = if i > 0 { (0..3).map(|_| random(i)).collect() } else { Vec::new() };
+            others.sort_unstable();
+            others.dedup();
+            given.push_row(others.into_iter().map(|j| (j, -1.0)).chain([(i, n as f64)]));
+        }
+        let error = Factor::<f64>::new(given, &vec![DVec3::ONE; n], 0.0..1.0, &host).unwrap_err();
+        assert!(error.message.contains("memory") && !error.hint.is_empty(), "{error:?}");
     }
 
     #[test]

@@ -1,11 +1,13 @@
 //! From the handles' motions to a pose: coarse to fine.
 
-use crate::arap::{Level, Pose, Turning};
+use crate::arap::{Level, Turning};
 use crate::cells::Cells;
 use crate::coarse::{Prolongation, coarsen};
-use crate::constraints::{Motion, Target};
+use crate::constraints::Motion;
+use crate::draft;
+use crate::harmonic::Influence;
 use crate::problem::Problem;
-use glam::{DMat3, DQuat, DVec3};
+use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult};
 
 /// Steps on the coarse likeness, at most.
@@ -24,9 +26,8 @@ pub struct Hierarchy {
     cells: Cells,
     /// Whether they are what turns on the fine level too, as they are wider than its own.
     is_wide: bool,
-    /// How much each handle has to say at each free node of the coarsest level, node by node.
-    influence: Vec<f64>,
-    handles: usize,
+    /// Of the handles on the coarsest level.
+    influence: Influence,
 }
 
 impl Hierarchy {
@@ -48,30 +49,35 @@ impl Hierarchy {
         let fine = Level::new(problem, stiffness, 0.4..1.0, host)?;
         let coarsest = coarse.as_ref().map_or(&fine, |(level, _)| level);
         let cells = Cells::new(&coarsest.problem, width, host)?;
-        let influence = influence(coarsest, handles, host)?;
-        Ok(Self { cells, is_wide: width > 0.0, influence, handles, fine, coarse })
+        let influence = Influence::new(coarsest, handles, host)?;
+        Ok(Self { cells, is_wide: width > 0.0, influence, fine, coarse })
     }
 
-    /// The pose, in at most so many `steps` on all nodes, or until none moves farther than `tolerance`. A draft has no
-    /// number of steps: its turns are those of the coarse likeness.
+    /// The displacements, in at most so many `steps` on all nodes, or until none moves farther than `tolerance`. A draft has no
+    /// number of steps: it is the coarse likeness', carried over.
     pub fn deform(
         &self,
         motion: &Motion,
         (steps, tolerance): (Option<usize>, f64),
         host: &Host<'_>,
-    ) -> PluginResult<Pose> {
+    ) -> PluginResult<Vec<DVec3>> {
         let (fine, cells) = (&self.fine, &self.cells);
         let Some((coarse, prolongation)) = &self.coarse else {
             let turning = Turning { cells, problem: &fine.problem, groups: None };
-            let mut pose = fine.pose(self.guess(fine, motion), turning, motion, host)?;
+            let mut pose = fine.pose(self.influence.turns(&fine.problem, motion), turning, motion, host)?;
             // These are as cheap as coarse ones, and all that there are.
             fine.relax(&mut pose, turning, motion, (steps.unwrap_or(0) + COARSE_STEPS, tolerance), host)?;
-            return Ok(pose);
+            return Ok(pose.displacements);
         };
         let turning = Turning { cells, problem: &coarse.problem, groups: None };
-        let mut pose = coarse.pose(self.guess(coarse, motion), turning, motion, host)?;
+        let mut pose = coarse.pose(self.influence.turns(&coarse.problem, motion), turning, motion, host)?;
         let coarse_steps = if steps.is_some() { COARSE_STEPS } else { DRAFT_STEPS };
         coarse.relax(&mut pose, turning, motion, (coarse_steps, COARSE_TOLERANCE * tolerance), host)?;
+        let Some(steps) = steps else {
+            let carried = (pose.displacements.as_slice(), pose.blends.as_slice());
+            let (coarse, fine) = (&coarse.problem, &fine.problem);
+            return draft::carry(fine, coarse, prolongation, carried, motion, host);
+        };
         let own = Cells::narrow();
         let (turning, turns) = if self.is_wide {
             (Turning { groups: Some(prolongation), ..turning }, pose.turns)
@@ -80,52 +86,7 @@ impl Hierarchy {
             (Turning { cells: &own, problem: &fine.problem, groups: None }, turns)
         };
         let mut pose = fine.pose(turns, turning, motion, host)?;
-        if let Some(steps) = steps {
-            fine.relax(&mut pose, turning, motion, (steps, tolerance), host)?;
-        }
-        Ok(pose)
+        fine.relax(&mut pose, turning, motion, (steps, tolerance), host)?;
+        Ok(pose.displacements)
     }
-
-    /// Rotations between those of the handles.
-    fn guess(&self, level: &Level, motion: &Motion) -> Vec<DMat3> {
-        let problem = &level.problem;
-        let axes: Vec<DVec3> = (0..self.handles)
-            .map(|h| DQuat::from_mat3(&motion.turn(Target::Handle(h as u32))).to_scaled_axis())
-            .collect();
-        let between = self.influence.chunks_exact(self.handles.max(1)).map(|influence| {
-            let axis: DVec3 = influence.iter().zip(&axes).map(|(w, a)| *w * *a).sum();
-            DMat3::from_quat(DQuat::from_scaled_axis(axis))
-        });
-        let held = problem.held.iter().map(|target| motion.turn(*target));
-        between.chain(held).take(problem.rows).collect()
-    }
-}
-
-/// Harmonic functions of the free nodes, one for each handle: 1 on it, and 0 on other regions.
-fn influence(level: &Level, handles: usize, host: &Host<'_>) -> PluginResult<Vec<f64>> {
-    let problem = &level.problem;
-    let mut influence = vec![0.0; problem.free * handles];
-    for first in (0..handles).step_by(3) {
-        host.progress(0.0)?;
-        // Three at once.
-        let share = |target: Target| match target {
-            Target::Handle(h) if (first..first + 3).contains(&(h as usize)) => {
-                DVec3::AXES[h as usize - first]
-            }
-            Target::Handle(_) | Target::Fixed => DVec3::ZERO,
-        };
-        let side = |i: usize| -> DVec3 {
-            let row = problem.operators.laplacian(i);
-            row.filter_map(|(j, l)| problem.target(j).map(|target| -l * share(target))).sum()
-        };
-        let mut sides: Vec<DVec3> = (0..problem.free).map(side).collect();
-        for spring in &level.springs {
-            sides[spring.node as usize] += spring.strength * share(spring.target);
-        }
-        level.factor.solve(&mut sides, host)?;
-        for (row, values) in influence.chunks_exact_mut(handles).zip(sides) {
-            row[first..].iter_mut().zip(values.to_array()).for_each(|(slot, v)| *slot = v);
-        }
-    }
-    Ok(influence)
 }

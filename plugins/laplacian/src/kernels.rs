@@ -173,12 +173,9 @@ impl<'a, T: Stored> Below<'a, T> {
                 }
                 j += 4;
             }
-            for j in j..self.columns {
-                let a = &self.column(j)[..height];
-                for i in 0..height {
-                    let mut sum = sums[i];
-                    add_multiple(&mut sum, &a[i], known[j]);
-                    sums[i] = sum;
+            for (j, &by) in known.iter().enumerate().take(self.columns).skip(j) {
+                for (sum, a) in sums.iter_mut().zip(self.column(j)) {
+                    add_multiple(sum, a, by);
                 }
             }
         }

@@ -8,7 +8,8 @@
 //!   length and girth.
 //! - `bi-laplacian`: the smoothest displacement (Botsch and Kobbelt 2004; `linear`). Linear, and the fastest; details do
 //!   not turn, and large turns make things shrink.
-//! - `laplacian`: one linear step more, in which details turn (Lipman et al. 2004; `linear`).
+//! - `laplacian`: two such steps, in which details turn with the surface, and this with the handles (Lipman et al. 2004,
+//!   Zayer et al. 2005; `rotated`).
 //!
 //! Regions' weights: 1 holds exactly, less draws as springs do, by `w / (1 - w)`, so that 0 is nothing and 1 the
 //! limit. Parts of the surface that nothing holds follow what is next to them (`followers`).
@@ -19,28 +20,33 @@ mod coarse;
 mod constraints;
 mod descent;
 mod dissection;
+mod draft;
 mod eigen;
 mod elements;
 mod factor;
 mod followers;
 mod front;
 mod guidance;
+mod harmonic;
 mod intrinsic;
 mod kernels;
 mod linear;
 mod operators;
 mod problem;
+mod rotated;
 mod rotation;
 mod solve;
 mod stars;
+mod structure;
 mod surface;
 
 use constraints::{Constraints, Motion, Target, affine};
 use followers::Followers;
 use glam::{DAffine3, DMat3, DVec3};
 use guidance::Hierarchy;
-use linear::BiLaplacian;
+use linear::{BiLaplacian, Smoothest};
 use problem::{Kind, Problem};
+use rotated::{Rotated, Stiffness};
 use simod_plugin_api::{
     Choice, Consumes, DeformInput, Deformer, Descriptor, Effort, Host, ParamSet, PluginError, PluginResult,
     PrepareInput,
@@ -97,8 +103,8 @@ struct Prepared {
 
 enum Method {
     Arap(Box<Hierarchy>),
-    Bilaplacian(BiLaplacian),
-    Rotated(BiLaplacian),
+    Bilaplacian(Box<Smoothest>),
+    Rotated(Box<Rotated>),
 }
 
 /// Where a sample's image is found.
@@ -152,17 +158,24 @@ impl Deformer for Laplacian {
         let places = places(&kinds, &parts, &problem);
         let diagonal = input.bounds.diagonal();
         let length = SOFT_LENGTH * if diagonal > 0.0 { diagonal } else { 1.0 };
-        let bilaplacian =
-            |problem| BiLaplacian::new(problem, length.powi(-4), frames(&constraints, &positions), host);
+        let (handles, stiffness) =
+            (constraints.handles, Stiffness { harmonic: length.powi(-2), biharmonic: length.powi(-4) });
         let method = match mode {
             Mode::Arap => {
-                let (stiffness, handles) = (length.powi(-2), constraints.handles);
-                Method::Arap(Box::new(Hierarchy::new(problem, stiffness, bending * diagonal, handles, host)?))
+                let width = bending * diagonal;
+                Method::Arap(Box::new(Hierarchy::new(problem, stiffness.harmonic, width, handles, host)?))
             }
-            Mode::BiLaplacian => Method::Bilaplacian(bilaplacian(problem)?),
-            Mode::Laplacian => Method::Rotated(bilaplacian(problem)?),
+            Mode::BiLaplacian => {
+                let equations = BiLaplacian::new(problem, stiffness.biharmonic, 0.3..0.9, host)?;
+                Method::Bilaplacian(Box::new(Smoothest::new(
+                    equations,
+                    frames(&constraints, &positions),
+                    host,
+                )?))
+            }
+            Mode::Laplacian => Method::Rotated(Box::new(Rotated::new(problem, stiffness, handles, host)?)),
         };
-        let Constraints { handles, has_fixed, .. } = constraints;
+        let has_fixed = constraints.has_fixed;
         Ok(Prepared { places, method, has_fixed, handles, followers })
     }
 
@@ -189,18 +202,18 @@ impl Deformer for Laplacian {
         let displacements = if motion.is_common() {
             Vec::new()
         } else {
+            let is_draft = input.effort() == Effort::DRAFT;
             match &state.method {
                 Method::Arap(hierarchy) => {
                     let Settings { iterations, tolerance, .. } = input.params().read()?;
                     let steps = usize::try_from(iterations)
                         .map_err(|_| PluginError::parameter("iterations", "is negative"))?;
-                    // A draft has the coarse likeness' turns alone.
-                    let steps = if input.effort() == Effort::DRAFT { None } else { Some(steps) };
+                    let steps = if is_draft { None } else { Some(steps) };
                     let tolerance = tolerance * input.bounds.diagonal();
-                    hierarchy.deform(&motion, (steps, tolerance), host)?.displacements
+                    hierarchy.deform(&motion, (steps, tolerance), host)?
                 }
-                Method::Bilaplacian(linear) => linear.displacements(&motion, host)?,
-                Method::Rotated(linear) => linear.rotated(&motion, host)?,
+                Method::Bilaplacian(smoothest) => smoothest.displacements(&motion, host)?,
+                Method::Rotated(rotated) => rotated.displacements(&motion, is_draft, host)?,
             }
         };
         let handles: Vec<DAffine3> = transforms.iter().map(affine).collect();

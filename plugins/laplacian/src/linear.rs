@@ -3,23 +3,23 @@
 //! M. Botsch, L. Kobbelt, *An Intuitive Framework for Real-Time Freeform Modeling*, SIGGRAPH 2004: the least integral of
 //! `|Δd|²` for what the regions do. Handles move affinely, so that all displacements are combinations of four solutions per
 //! handle, found beforehand.
-//!
-//! Y. Lipman et al., *Differential Coordinates for Interactive Mesh Editing*, SMI 2004: the same displacements
-//! tell how each sample's surroundings turn; the surface's own Laplacians, turned so, are then met by least squares.
 
-use crate::cells::covariances;
 use crate::constraints::{Motion, Soft, Target};
 use crate::factor::Factor;
 use crate::problem::Problem;
-use crate::rotation;
-use glam::{DMat3, DVec3};
+use crate::structure::out_of_memory;
+use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult};
+use std::ops::Range;
 
 /// Functions per handle: 1, and the coordinates relative to its middle.
 const PER_HANDLE: usize = 4;
 /// Handles for which solutions are tabulated. More would need more memory than the factorisation, and their
 /// displacements are solved for anew each time.
 const MOST_TABULATED: usize = 12;
+/// Products of the Laplacian's entries that are summed up, at most. A surface has some fifty per sample; a sample that
+/// thousands of others share triangles with has millions.
+const MOST_ENTRIES: usize = 1 << 27;
 /// Nodes at once on one thread.
 const TOGETHER: usize = 4096;
 
@@ -30,6 +30,13 @@ pub struct BiLaplacian {
     pub problem: Problem,
     springs: Vec<Soft>,
     factor: Factor<f64>,
+}
+
+/// The bi-Laplacian with what each handle does by itself.
+#[derive(Debug)]
+pub struct Smoothest {
+    /// The equations.
+    pub equations: BiLaplacian,
     table: Option<Table>,
 }
 
@@ -43,91 +50,19 @@ struct Table {
 }
 
 impl BiLaplacian {
-    /// Factorises. `stiffness` is that of a draw, per area. `frames` are the handles' middles and sizes.
-    pub fn new(
-        problem: Problem,
-        stiffness: f64,
-        frames: Vec<(DVec3, f64)>,
-        host: &Host<'_>,
-    ) -> PluginResult<Self> {
+    /// Factorises. `stiffness` is that of a draw, per area. Tells its progress as `told`.
+    pub fn new(problem: Problem, stiffness: f64, told: Range<f64>, host: &Host<'_>) -> PluginResult<Self> {
+        let entries = |i: usize| problem.operators.laplacian(i).map(|(k, _)| problem.operators.entries(k));
+        if (0..problem.free).flat_map(entries).sum::<usize>() > MOST_ENTRIES {
+            return Err(out_of_memory());
+        }
         let springs = problem.springs(stiffness);
-        let factor = problem.factor(problem.bilaplacian(), &springs, 0.3..0.9, host)?;
-        let mut this = Self { problem, springs, factor, table: None };
-        if frames.len() <= MOST_TABULATED {
-            this.table = Some(this.tabulate(frames, host)?);
-        }
-        Ok(this)
-    }
-
-    fn tabulate(&self, frames: Vec<(DVec3, f64)>, host: &Host<'_>) -> PluginResult<Table> {
-        let functions = PER_HANDLE * frames.len();
-        let mut values = vec![0.0; self.problem.free * functions];
-        for (h, &(middle, size)) in frames.iter().enumerate() {
-            host.progress(0.9 + 0.1 * h as f64 / frames.len() as f64)?;
-            let is_own = |target: Target| target == Target::Handle(h as u32);
-            let one = |target, _| if is_own(target) { DVec3::X } else { DVec3::ZERO };
-            let relative =
-                |target, at: DVec3| if is_own(target) { (at - middle) / size } else { DVec3::ZERO };
-            let one = self.respond(|_| DVec3::ZERO, one, host)?;
-            let relative = self.respond(|_| DVec3::ZERO, relative, host)?;
-            for (i, row) in values.chunks_exact_mut(functions).enumerate() {
-                let values = [one[i].x, relative[i].x, relative[i].y, relative[i].z];
-                row[PER_HANDLE * h..][..PER_HANDLE].copy_from_slice(&values.map(|x| x as f32));
-            }
-        }
-        Ok(Table { frames, values })
-    }
-
-    /// The displacements of all nodes that the regions' ask for.
-    pub fn displacements(&self, motion: &Motion, host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
-        let target = |target, at| motion.displacement(target, at);
-        let Some(table) = &self.table else {
-            return self.respond(|_| DVec3::ZERO, target, host);
-        };
-        let mut coefficients = Vec::with_capacity(PER_HANDLE * table.frames.len());
-        for (h, &(middle, size)) in table.frames.iter().enumerate() {
-            let map = motion.of_handle(h);
-            coefficients.push(map.transform_point3(middle));
-            coefficients
-                .extend([map.matrix3.x_axis, map.matrix3.y_axis, map.matrix3.z_axis].map(|c| c * size));
-        }
-        let mut displacements = self.problem.held_displacements(target);
-        let functions = coefficients.len();
-        host.parallel_blocks(&mut displacements[..self.problem.free], TOGETHER, |first, out| {
-            let rows = table.values[first * functions..].chunks_exact(functions);
-            for (d, row) in out.iter_mut().zip(rows) {
-                *d = row.iter().zip(&coefficients).map(|(v, k)| f64::from(*v) * *k).sum();
-            }
-        })?;
-        Ok(displacements)
-    }
-
-    /// The displacements with which the surface's Laplacians are met that turn with each sample, as far as the
-    /// bi-Laplacian displacements tell.
-    pub fn rotated(&self, motion: &Motion, host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
-        let problem = &self.problem;
-        let naive = self.displacements(motion, host)?;
-        let mut turns = vec![DMat3::IDENTITY; problem.len()];
-        let covariances = covariances(problem, &naive, host)?;
-        host.parallel_blocks(&mut turns[..problem.free], TOGETHER, |first, turns| {
-            for (turn, covariance) in turns.iter_mut().zip(&covariances[first..]) {
-                *turn = rotation::nearest(*covariance, DMat3::IDENTITY);
-            }
-        })?;
-        for (turn, target) in turns[problem.free..].iter_mut().zip(&problem.held) {
-            *turn = motion.turn(*target);
-        }
-        let mut laplacians = vec![DVec3::ZERO; problem.rows];
-        host.parallel_blocks(&mut laplacians, TOGETHER, |first, out| {
-            for (i, sum) in (first..).zip(out) {
-                *sum = problem.operators.row(i).map(|e| turns[e.column] * e.out - e.out).sum();
-            }
-        })?;
-        self.respond(|i| laplacians[i], |target, at| motion.displacement(target, at), host)
+        let factor = problem.factor(problem.bilaplacian(), &springs, told, host)?;
+        Ok(Self { problem, springs, factor })
     }
 
     /// The displacements whose Laplacians are nearest to given ones, with held nodes and draws as told.
-    fn respond(
+    pub fn respond(
         &self,
         laplacian: impl Fn(usize) -> DVec3 + Sync,
         target: impl Fn(Target, DVec3) -> DVec3,
@@ -157,5 +92,60 @@ impl BiLaplacian {
         self.factor.solve(&mut sums, host)?;
         displacements[..*free].copy_from_slice(&sums);
         Ok(displacements)
+    }
+}
+
+impl Smoothest {
+    /// Solves for what the handles do. `frames` are their middles and sizes.
+    pub fn new(equations: BiLaplacian, frames: Vec<(DVec3, f64)>, host: &Host<'_>) -> PluginResult<Self> {
+        let is_worth = frames.len() <= MOST_TABULATED;
+        let table = if is_worth { Some(Table::new(&equations, frames, host)?) } else { None };
+        Ok(Self { equations, table })
+    }
+
+    /// The displacements of all nodes that the regions' ask for.
+    pub fn displacements(&self, motion: &Motion, host: &Host<'_>) -> PluginResult<Vec<DVec3>> {
+        let problem = &self.equations.problem;
+        let target = |target, at| motion.displacement(target, at);
+        let Some(table) = &self.table else {
+            return self.equations.respond(|_| DVec3::ZERO, target, host);
+        };
+        let mut coefficients = Vec::with_capacity(PER_HANDLE * table.frames.len());
+        for (h, &(middle, size)) in table.frames.iter().enumerate() {
+            let map = motion.of_handle(h);
+            coefficients.push(map.transform_point3(middle));
+            coefficients
+                .extend([map.matrix3.x_axis, map.matrix3.y_axis, map.matrix3.z_axis].map(|c| c * size));
+        }
+        let mut displacements = problem.held_displacements(target);
+        let functions = coefficients.len();
+        host.parallel_blocks(&mut displacements[..problem.free], TOGETHER, |first, out| {
+            let rows = table.values[first * functions..].chunks_exact(functions);
+            for (d, row) in out.iter_mut().zip(rows) {
+                *d = row.iter().zip(&coefficients).map(|(v, k)| f64::from(*v) * *k).sum();
+            }
+        })?;
+        Ok(displacements)
+    }
+}
+
+impl Table {
+    fn new(equations: &BiLaplacian, frames: Vec<(DVec3, f64)>, host: &Host<'_>) -> PluginResult<Self> {
+        let functions = PER_HANDLE * frames.len();
+        let mut values = vec![0.0; equations.problem.free * functions];
+        for (h, &(middle, size)) in frames.iter().enumerate() {
+            host.progress(0.9 + 0.1 * h as f64 / frames.len() as f64)?;
+            let is_own = |target: Target| target == Target::Handle(h as u32);
+            let one = |target, _| if is_own(target) { DVec3::X } else { DVec3::ZERO };
+            let relative =
+                |target, at: DVec3| if is_own(target) { (at - middle) / size } else { DVec3::ZERO };
+            let one = equations.respond(|_| DVec3::ZERO, one, host)?;
+            let relative = equations.respond(|_| DVec3::ZERO, relative, host)?;
+            for (i, row) in values.chunks_exact_mut(functions).enumerate() {
+                let values = [one[i].x, relative[i].x, relative[i].y, relative[i].z];
+                row[PER_HANDLE * h..][..PER_HANDLE].copy_from_slice(&values.map(|x| x as f32));
+            }
+        }
+        Ok(Self { frames, values })
     }
 }

@@ -100,6 +100,11 @@ impl Operators {
         })
     }
 
+    /// How many entries a row has.
+    pub fn entries(&self, i: usize) -> usize {
+        self.starts[i + 1] - self.starts[i]
+    }
+
     /// Columns and entries of the Laplacian's row.
     pub fn laplacian(&self, i: usize) -> impl Iterator<Item = (usize, f64)> {
         (self.starts[i]..self.starts[i + 1]).map(|k| (self.columns[k] as usize, self.stiffness[k]))

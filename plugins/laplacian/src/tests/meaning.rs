@@ -105,7 +105,9 @@ fn a_bar_that_is_bent_or_twisted_keeps_its_length_and_girth() {
         println!("{name}: edges change by {arap:.3}, {rotated:.3}, {linear:.3}");
         // Inside and outside of the bend cannot but change: by 7 %, or 4 % over all edges.
         assert!(arap < 0.065, "{name}: {arap}");
-        assert!(linear > least_gain * arap && rotated < linear, "{name}: {arap} {rotated} {linear}");
+        // Turns come from the handles', so that one linear solution does as well.
+        assert!(rotated < 0.065, "{name}: {rotated}");
+        assert!(linear > least_gain * arap, "{name}: {arap} {linear}");
     }
     // The middle of each cross section.
     let bent = scene.run(&[bend]);
