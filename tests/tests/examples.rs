@@ -42,6 +42,14 @@ fn a_plugin_in_c() {
     assert!(lesson.said.contains("transfer error"), "{}", lesson.said);
 }
 
+#[test]
+fn comparing_methods() {
+    let lesson = Lesson::follow("05-compare-methods");
+    lesson.assert_deformed("cactus.ply", "comparison/exact-bend.ply");
+    let page = fs::read_to_string(lesson.folder.join("comparison/index.html")).unwrap();
+    assert!(page.contains("5 methods on cactus.ply") && !page.contains("Failed"), "{}", lesson.said);
+}
+
 /// A copy of a lesson's folder, after the commands of its page.
 struct Lesson {
     folder: PathBuf,

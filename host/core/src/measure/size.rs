@@ -14,7 +14,7 @@ pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     all.map(|c| c.map(|p| p - origin)).map(|[a, b, c]| a.cross(b).dot(c)).sum::<f64>() / 6.0
 }
 
-/// Whether a mesh holds a volume: but for one side in a thousand, each side of a triangle is also one of another, the other
+/// Whether a mesh holds a volume: but for one side in a hundred, each side of a triangle is also one of another, the other
 /// way round. That much a mesh may lack that was made of a closed one by joining vertices.
 pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
     let sides = triangles.iter().flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]]);
@@ -25,7 +25,7 @@ pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
         .chunk_by(|a, b| a.0 == b.0)
         .map(|same| same.iter().map(|(_, way)| isize::from(*way)).sum::<isize>().unsigned_abs())
         .sum();
-    !sides.is_empty() && open * 1000 <= sides.len()
+    !sides.is_empty() && open * 100 <= sides.len()
 }
 
 /// The area of a mesh.

@@ -124,14 +124,14 @@ pub(super) fn color_scale(pairs: &[Pair], reference: &str) -> f64 {
     rounded_up(with_first.map(|pair| pair.vertices.p99).fold(0.0, f64::max))
 }
 
-/// The next of 1, 2 and 5 times a power of ten.
+/// The next number of one digit, or 1.5, times a power of ten.
 fn rounded_up(x: f64) -> f64 {
     if !(x > 0.0 && x.is_finite()) {
         return 0.0;
     }
     let power = 10f64.powf(x.log10().floor());
     let fits = |n: &f64| n * power >= x * (1.0 - 1e-9);
-    [1.0, 2.0, 5.0].into_iter().find(fits).unwrap_or(10.0) * power
+    [1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0].into_iter().find(fits).unwrap_or(10.0) * power
 }
 
 #[cfg(test)]
@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn scales_end_at_round_numbers() {
-        for (x, end) in [(0.013, 0.02), (0.02, 0.02), (0.0021, 0.005), (7.0, 10.0), (1.0, 1.0), (0.0, 0.0)] {
+        for (x, end) in [(0.013, 0.015), (0.02, 0.02), (0.0021, 0.003), (9.0, 10.0), (1.0, 1.0), (0.0, 0.0)] {
             assert!((rounded_up(x) - end).abs() < 1e-12, "{x}: {}", rounded_up(x));
         }
         assert_eq!(rounded_up(f64::NAN), 0.0);

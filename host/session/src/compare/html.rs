@@ -33,9 +33,15 @@ pub(super) fn number(x: f64) -> String {
     }
 }
 
-/// A share with its unit.
-pub(super) fn percent(x: f64) -> String {
-    format!("{} %", number(100.0 * x))
+/// A round share with its unit, without digits that say nothing.
+pub(super) fn round_percent(x: f64) -> String {
+    let text = number(100.0 * x);
+    let text = if text.contains('.') && !text.contains('e') {
+        text.trim_end_matches('0').trim_end_matches('.')
+    } else {
+        &text
+    };
+    format!("{text} %")
 }
 
 /// What is not known, or does not make sense.
@@ -114,6 +120,7 @@ mod tests {
         for (x, text) in cases {
             assert_eq!(number(x), text);
         }
-        assert_eq!((percent(0.0512), or_dash(None)), ("5.12 %".to_owned(), NONE.to_owned()));
+        assert_eq!([0.3, 0.015, 0.0, 8e-9].map(round_percent), ["30 %", "1.5 %", "0 %", "8.0e-7 %"]);
+        assert_eq!((or_dash(Some(5.0)), or_dash(None)), ("5.00".to_owned(), NONE.to_owned()));
     }
 }

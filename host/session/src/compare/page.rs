@@ -2,7 +2,7 @@
 
 use super::figures::{DETAIL, Pair};
 use super::folder::{REST, difference};
-use super::html::{NONE, Table, escape, number, or_dash, percent};
+use super::html::{NONE, Table, escape, number, or_dash, round_percent};
 use super::pictures::color;
 use super::record::{Comparison, MethodRecord};
 use base64::Engine;
@@ -109,7 +109,7 @@ fn differences(c: &Comparison, pictures: &[(String, Vec<u8>)]) -> String {
         escape(&first.name),
         escape(&first.name),
         stops.join(","),
-        percent(c.color_scale),
+        round_percent(c.color_scale),
     )
 }
 
@@ -272,12 +272,11 @@ fn meaning() -> String {
     let details = format!(
         "how far what is smaller than {} of the diagonal turns against the smooth surface beneath (M. Botsch, O. Sorkine, \
          IEEE TVCG 2008, as a figure). 0 for rigid motions.",
-        percent(DETAIL)
+        round_percent(DETAIL)
     );
     let mut list: String =
         terms.iter().map(|(term, text)| format!("<dt>{term}</dt><dd>{}</dd>\n", escape(text))).collect();
     let _ = write!(list, "<dt>details</dt><dd>{}</dd>\n", escape(&details));
-    let _ = c;
     format!("<h2>What the figures mean</h2>\n<dl>\n{list}</dl>\n")
 }
 

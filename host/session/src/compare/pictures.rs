@@ -3,7 +3,7 @@
 
 use super::file::CompareFile;
 use super::folder::{REST, difference};
-use super::html::percent;
+use super::html::round_percent;
 use super::record::Comparison;
 use crate::session_file::{Region, Role};
 use glam::DVec3;
@@ -60,7 +60,7 @@ pub(super) fn draw(
         // Where nothing differs the scale has no length.
         color(if end > 0.0 { (distance / end) as f32 } else { 0.0 })
     };
-    let labels = ["0", &format!("{} OF THE DIAGONAL", percent(end))];
+    let labels = ["0", &format!("{} OF THE DIAGONAL", round_percent(end))];
     for (k, ((_, name), model)) in files.iter().zip(&models[1..]).enumerate() {
         let bounds = &bounds[k + 1];
         let image = of_painted(&[*model, models[0]], bounds, &view, &by_region, progress)?;
