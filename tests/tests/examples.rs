@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use simod_tests::{Ply, built, skip, workspace};
+use simod_tests::{Ply, Workplace, built, skip, workspace};
 
 #[test]
 fn a_first_edit() {
@@ -48,6 +48,34 @@ fn comparing_methods() {
     lesson.assert_deformed("cactus.ply", "comparison/exact-bend.ply");
     let page = fs::read_to_string(lesson.folder.join("comparison/index.html")).unwrap();
     assert!(page.contains("5 methods on cactus.ply") && !page.contains("Failed"), "{}", lesson.said);
+}
+
+/// The programs of the lesson on the library, one after the other.
+#[test]
+fn the_library() {
+    let work = Workplace::new();
+    work.simod("generate -o amphora.ply --vertices 60000");
+    let run = |name: &str, arguments: &[&str]| {
+        let program = built().join("examples").join(format!("library-{name}"));
+        let mut program = Command::new(program);
+        program.args(arguments).current_dir(work.path("")).env("SIMOD_PLUGIN_PATH", built());
+        let output = program.output().unwrap();
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{name}: {said}{}", String::from_utf8_lossy(&output.stderr));
+        said
+    };
+    run("sample", &["amphora.ply", "amphora.simod"]);
+    assert!(run("deform", &["amphora.simod", "deformed.ply"]).contains("deformed by 1 plugin"));
+    run("reconstruct", &["amphora.simod", "deformed.ply", "edited.ply"]);
+    let finer = run("refine", &["amphora.simod", "finer.simod", "0", "1", "0.5", "0.2"]);
+    assert!(!finer.starts_with("0 samples"), "{finer}");
+    let said = run("edit", &["amphora.ply", "edited-too.ply", "edit.toml"]);
+    assert!(said.contains("undone: change angle of warp"), "{said}");
+    // What was edited is what the saved session says.
+    work.simod("run edit.toml -o again.ply");
+    assert!(work.read("edited-too.ply") == work.read("again.ply"));
+    assert!(work.read("edited.ply") != work.read("amphora.ply"));
+    assert!(work.read("edited-too.ply") != work.read("amphora.ply"));
 }
 
 /// A copy of a lesson's folder, after the commands of its page.

@@ -141,7 +141,9 @@ fn what_does_not_load() {
 #[test]
 fn our_plugins_keep_all_rules() {
     let work = Workplace::new();
-    for id in ["warp", "rbf", "laplacian", "lattice", "cage", "smooth-handle", "displacement-paint"] {
+    for id in
+        ["warp", "rbf", "laplacian", "lattice", "cage", "smooth-handle", "displacement-paint", "skinning"]
+    {
         let report = work.report(&format!("plugin check {id}"));
         assert_eq!(with_verdict(&report, "fail"), [""; 0], "{report}");
         assert_eq!(report["rules"].as_array().map(Vec::len), Some(RULES));

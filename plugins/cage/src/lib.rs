@@ -1,11 +1,13 @@
 //! Deformation by a cage: a coarse closed surface about the model, whose vertices are handles.
 //!
 //! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005. Each sample's
-//! coordinates are found once, in `prepare`; a motion then costs one product for each sample and moved vertex.
+//! coordinates are found once, in `prepare`; a motion then costs one product for each sample and each vertex that does
+//! not move as it did the last time.
 
 mod made;
 mod mean_value;
 mod mesh;
+mod sums;
 
 use glam::DVec3;
 use mean_value::View;
@@ -14,7 +16,8 @@ use simod_plugin_api::{
     Affine, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host,
     IsIdentity, ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
 };
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use sums::Sums;
 
 /// Samples whose coordinates lie together: those for one vertex follow each other, so that a vertex which does not move
 /// is not read.
@@ -54,6 +57,8 @@ struct Prepared {
     cage: Cage,
     /// Tile by tile, vertex by vertex, sample by sample; the last tile is as long as the others.
     table: Vec<f32>,
+    /// Tells it from other states of this process.
+    id: u64,
 }
 
 /// The cage that the parameters describe.
@@ -75,19 +80,23 @@ fn cage(input: &PrepareInput<'_>) -> PluginResult<Cage> {
     make(&input.bounds, input.samples.positions(), margin * input.bounds.diagonal(), detail)
 }
 
-/// The vertices that were moved, and how far.
-fn moved(cage: &Cage, motions: &[Affine]) -> PluginResult<Vec<(usize, DVec3)>> {
+/// How far each vertex was moved.
+fn displacements(cage: &Cage, motions: &[Affine]) -> PluginResult<Vec<DVec3>> {
     if motions.len() != cage.vertices.len() {
         let message = format!("{} motions of {} vertices", motions.len(), cage.vertices.len());
         return Err(PluginError::internal(message));
     }
-    let moved = cage.vertices.iter().zip(motions).enumerate().filter(|(_, (_, m))| **m != Affine::IDENTITY);
-    Ok(moved.map(|(v, (p, motion))| (v, DVec3::from(motion.apply((*p).into())) - *p)).collect())
+    let displacement = |(p, motion): (&DVec3, &Affine)| {
+        // What does not move shall not move by rounding either.
+        let still = *motion == Affine::IDENTITY;
+        if still { DVec3::ZERO } else { DVec3::from(motion.apply((*p).into())) - *p }
+    };
+    Ok(cage.vertices.iter().zip(motions).map(displacement).collect())
 }
 
 impl Deformer for CagePlugin {
     type State = Prepared;
-    type Scratch = ();
+    type Scratch = Sums;
 
     fn descriptor() -> Descriptor {
         Descriptor::new("cage", "Cage", env!("CARGO_PKG_VERSION"))
@@ -137,34 +146,28 @@ impl Deformer for CagePlugin {
                 samples.len()
             )),
         }
-        Ok(Prepared { cage, table })
+        static STATES: AtomicU64 = AtomicU64::new(1);
+        Ok(Prepared { cage, table, id: STATES.fetch_add(1, Ordering::Relaxed) })
     }
 
     fn deform(
         state: &Prepared,
         input: &DeformInput<'_>,
-        _: &mut (),
+        sums: &mut Sums,
         out: &mut [[f32; 3]],
         host: &Host<'_>,
     ) -> PluginResult<()> {
-        let moved = moved(&state.cage, input.handle_motions())?;
+        let displacements = displacements(&state.cage, input.handle_motions())?;
         let (rest, vertices) = (input.samples.positions(), state.cage.vertices.len());
         if rest.len() != out.len() || state.table.len() != out.len().div_ceil(TILE) * TILE * vertices {
             return Err(PluginError::internal("the samples are not those of the preparation"));
         }
+        sums.update(state.id, &state.table, &displacements, host)?;
+        let sums = sums.all();
         host.parallel_blocks(out, TILE, |first, out| {
-            let tile = &state.table[first * vertices..];
-            let mut sums = [[0.0; TILE]; 3];
-            for (v, displacement) in &moved {
-                let weights = &tile[v * TILE..][..out.len()];
-                for (sum, along) in sums.iter_mut().zip(displacement.to_array()) {
-                    for (sum, w) in sum.iter_mut().zip(weights) {
-                        *sum += along * f64::from(*w);
-                    }
-                }
-            }
+            let tile = &sums[first / TILE];
             for (i, (o, p)) in out.iter_mut().zip(&rest[first..]).enumerate() {
-                *o = std::array::from_fn(|axis| (f64::from(p[axis]) + sums[axis][i]) as f32);
+                *o = std::array::from_fn(|axis| (f64::from(p[axis]) + tile[axis][i]) as f32);
             }
         })
     }
@@ -177,14 +180,14 @@ impl Evaluate for CagePlugin {
         points: &mut [[f64; 3]],
         host: &Host<'_>,
     ) -> PluginResult<()> {
-        let moved = moved(&state.cage, input.handle_motions())?;
+        let displacements = displacements(&state.cage, input.handle_motions())?;
         let (mut view, mut weights) = (View::default(), vec![0.0; state.cage.vertices.len()]);
         for points in points.chunks_mut(BLOCK) {
             host.progress(0.0)?;
             for p in points {
                 let x = DVec3::from(*p);
                 state.cage.coordinates(x, &mut view, &mut weights);
-                *p = moved.iter().fold(x, |q, (v, displacement)| q + weights[*v] * *displacement).into();
+                *p = displacements.iter().zip(&weights).fold(x, |q, (d, w)| q + *w * *d).into();
             }
         }
         Ok(())

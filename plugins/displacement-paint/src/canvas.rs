@@ -7,10 +7,14 @@
 use crate::grid::Grid;
 use crate::surface::Surface;
 use glam::{DVec3, Vec3};
+use simod_plugin_api::{Host, PluginResult};
 use std::collections::VecDeque;
 
 /// Samples that are remembered as they were before strokes, at most, per sample of the surface.
 const REMEMBERED: usize = 4;
+
+/// Normals that are derived at once on one thread.
+const BLOCK: usize = 512;
 
 /// A sample as it was before a stroke.
 #[derive(Debug, Clone, Copy)]
@@ -30,7 +34,7 @@ struct Painted {
 
 /// The samples as painted so far.
 ///
-/// Memory: up to 46 bytes a sample, and 112 more for taking back.
+/// Memory: up to 58 bytes a sample, and 112 more for taking back.
 pub struct Canvas {
     surface: u64,
     /// Where the samples are, local coordinates.
@@ -43,8 +47,8 @@ pub struct Canvas {
     /// What the stroke under way has changed so far.
     before: Vec<Before>,
     is_remembered: Vec<bool>,
-    /// Samples whose normals are to be derived anew; empty between calls.
-    stale: Vec<u32>,
+    /// Samples whose normals are derived anew, with these: of use in a call alone.
+    stale: Vec<(u32, Vec3)>,
     is_stale: Vec<bool>,
 }
 
@@ -120,24 +124,37 @@ impl Canvas {
     }
 
     /// Derives the normals of samples that moved, and of those beside them, anew.
-    pub fn refresh_normals(&mut self, surface: &Surface, rest: &Rest<'_>, moved: &[u32]) {
-        let mut stale = std::mem::take(&mut self.stale);
+    pub fn refresh_normals(
+        &mut self,
+        surface: &Surface,
+        rest: &Rest<'_>,
+        moved: &[u32],
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        self.stale.clear();
         let with_those_beside =
             |&i: &u32| std::iter::once(i).chain(surface.beside(i as usize).iter().copied());
         for i in moved.iter().flat_map(with_those_beside) {
             if !std::mem::replace(&mut self.is_stale[i as usize], true) {
-                stale.push(i);
+                self.stale.push((i, Vec3::ZERO));
             }
         }
-        for i in stale.drain(..).map(|i| i as usize) {
+        let mut stale = std::mem::take(&mut self.stale);
+        host.parallel_blocks(&mut stale, BLOCK, |_, stale| {
+            for (i, normal) in stale {
+                *normal = turned_normal(surface, rest, &self.positions, *i as usize);
+            }
+        })?;
+        for &(i, normal) in &stale {
+            let i = i as usize;
             self.is_stale[i] = false;
-            let normal = turned_normal(surface, rest, &self.positions, i);
             if normal != self.normals[i] {
                 self.remember(i);
                 self.normals[i] = normal;
             }
         }
         self.stale = stale;
+        Ok(())
     }
 }
 

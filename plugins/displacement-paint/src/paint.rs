@@ -25,6 +25,9 @@ const STABLE: f64 = 0.5;
 /// How much of the distance to the plane a full stroke leaves: its logarithm.
 const FLATTEN: f64 = 2.0;
 
+/// Samples that are smoothed at once on one thread.
+const BLOCK: usize = 512;
+
 /// Working memory, kept from stroke to stroke.
 #[derive(Default)]
 pub struct Workspace {
@@ -111,19 +114,20 @@ impl Painter<'_> {
                     let spot = spots[k][image]?;
                     Some((spot, Sweep::of(other(before).as_ref(), &spot, other(after).as_ref())))
                 };
-                self.gather(canvas, work, &tool, grab, &std::array::from_fn(sweep));
+                self.gather(canvas, work, &tool, grab, &std::array::from_fn(sweep), host)?;
             } else {
                 let round = self.spots(canvas, work, &tool, dab);
-                self.gather(canvas, work, &tool, grab, &round.map(|s| s.map(|s| (s, Sweep::round(&s)))));
+                let round = round.map(|s| s.map(|s| (s, Sweep::round(&s))));
+                self.gather(canvas, work, &tool, grab, &round, host)?;
             }
             let share = exposure * dab.share;
             match tool.brush {
-                Brush::Smooth => self.smooth(canvas, work, &tool, share),
+                Brush::Smooth => self.smooth(canvas, work, &tool, share, host)?,
                 Brush::Flatten => {
-                    self.shift(canvas, work, |w| relaxed(FLATTEN * tool.strength * share * w));
+                    self.shift(canvas, work, |w| relaxed(FLATTEN * tool.strength * share * w), host)?;
                 }
-                Brush::Grab => self.shift(canvas, work, |w| w),
-                _ if tool.accumulate => self.shift(canvas, work, |w| share * w),
+                Brush::Grab => self.shift(canvas, work, |w| w, host)?,
+                _ if tool.accumulate => self.shift(canvas, work, |w| share * w, host)?,
                 _ => cover(work),
             }
         }
@@ -133,7 +137,7 @@ impl Painter<'_> {
             canvas.shift(i, std::mem::take(&mut work.offsets[i]));
             work.covered[i] = 0.0;
         }
-        canvas.refresh_normals(self.surface, &self.rest, &work.moved);
+        canvas.refresh_normals(self.surface, &self.rest, &work.moved, host)?;
         work.moved.clear();
         Ok(())
     }
@@ -157,14 +161,15 @@ impl Painter<'_> {
         tool: &Tool<'_>,
         grab: DVec3,
         dabs: &Images<(Spot, Sweep)>,
-    ) {
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
         let falloff = |t: f64| tool.falloff(t);
         let both_sides = tool.brush == Brush::Grab;
         let shape = Shape { radius: tool.radius, falloff: &falloff, both_sides };
         work.pushed.clear();
         for (image, dab) in dabs.iter().enumerate() {
             let Some((spot, sweep)) = dab else { continue };
-            self.finder().felt(canvas, &mut work.reach, sweep, &shape, &mut work.felt);
+            self.finder().felt(canvas, &mut work.reach, sweep, &shape, &mut work.felt, host)?;
             let grab = tool.symmetry.vector(grab, image);
             for Felt { sample, weight, to_path, normal } in &work.felt {
                 let (p, n) = (canvas.positions[*sample as usize], canvas.normals[*sample as usize]);
@@ -179,6 +184,7 @@ impl Painter<'_> {
             work.pushed.sort_unstable_by_key(|p| (p.sample, p.image));
         }
         work.pushes.extend(work.pushed.chunk_by(|a, b| a.sample == b.sample).map(Push::of));
+        Ok(())
     }
 
     fn finder(&self) -> Finder<'_> {
@@ -186,11 +192,17 @@ impl Painter<'_> {
     }
 
     /// Moves samples by what a dab would have them do, as far as `amount` makes of how much they feel.
-    fn shift(&self, canvas: &mut Canvas, work: &mut Workspace, amount: impl Fn(f64) -> f64) {
+    fn shift(
+        &self,
+        canvas: &mut Canvas,
+        work: &mut Workspace,
+        amount: impl Fn(f64) -> f64,
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
         for push in &work.pushes {
             canvas.shift(push.sample as usize, amount(push.weight) * push.by);
         }
-        self.refresh(canvas, work);
+        self.refresh(canvas, work, host)
     }
 
     /// Lowers the curvature by steps of its flow, along the normals: samples do not slide on the surface, whatever their
@@ -198,25 +210,34 @@ impl Painter<'_> {
     ///
     /// M. Desbrun, M. Meyer, P. Schröder, A. H. Barr, Implicit fairing of irregular meshes using diffusion and curvature
     /// flow, SIGGRAPH 1999; the Laplacian is that of the links, in units of their mean squared length.
-    fn smooth(&self, canvas: &mut Canvas, work: &mut Workspace, tool: &Tool<'_>, share: f64) {
+    fn smooth(
+        &self,
+        canvas: &mut Canvas,
+        work: &mut Workspace,
+        tool: &Tool<'_>,
+        share: f64,
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
         let time = (SMOOTH_LENGTH * tool.radius).powi(2) * tool.strength.max(0.0) * share;
         let steps = |canvas: &Canvas, push: &Push| {
             let (_, square) = self.bump(canvas, push.sample as usize);
             if square > 0.0 { 4.0 * time * push.weight / square } else { 0.0 }
         };
-        for push in &mut work.pushes {
-            push.weight = steps(canvas, push);
-        }
+        host.parallel_blocks(&mut work.pushes, BLOCK, |_, pushes| {
+            pushes.iter_mut().for_each(|push| push.weight = steps(canvas, push));
+        })?;
         let most = work.pushes.iter().map(|p| p.weight).fold(0.0, f64::max);
         let passes = (most / STABLE).ceil().min(MOST_PASSES);
         for _ in 0..passes as usize {
-            for push in &mut work.pushes {
-                let (height, _) = self.bump(canvas, push.sample as usize);
-                push.by = (push.weight / passes).min(STABLE) * height;
-            }
+            host.parallel_blocks(&mut work.pushes, BLOCK, |_, pushes| {
+                for push in pushes {
+                    let (height, _) = self.bump(canvas, push.sample as usize);
+                    push.by = (push.weight / passes).min(STABLE) * height;
+                }
+            })?;
             work.pushes.iter().for_each(|push| canvas.shift(push.sample as usize, push.by));
         }
-        self.refresh(canvas, work);
+        self.refresh(canvas, work, host)
     }
 
     /// How far the samples beside one lie above it on average, along its normal, and their mean squared distance.
@@ -232,10 +253,11 @@ impl Painter<'_> {
         (n * (sum.dot(n) / count), square / count)
     }
 
-    fn refresh(&self, canvas: &mut Canvas, work: &mut Workspace) {
+    fn refresh(&self, canvas: &mut Canvas, work: &mut Workspace, host: &Host<'_>) -> PluginResult<()> {
         work.moved.extend(work.pushes.iter().map(|push| push.sample));
-        canvas.refresh_normals(self.surface, &self.rest, &work.moved);
+        canvas.refresh_normals(self.surface, &self.rest, &work.moved, host)?;
         work.moved.clear();
+        Ok(())
     }
 }
 

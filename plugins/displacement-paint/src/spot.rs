@@ -8,6 +8,7 @@
 use crate::canvas::Canvas;
 use crate::surface::{Surface, sheet_distance};
 use glam::{DVec3, Vec3};
+use simod_plugin_api::{Host, PluginResult};
 use std::collections::VecDeque;
 
 /// How much longer than the distance in space a way along the links may be for nothing: about 1.1 for paths on links,
@@ -25,6 +26,9 @@ const WIDE: i32 = 2;
 
 /// The same for the height of its middle: over details, but without cutting through what is round.
 const NARROW: i32 = 6;
+
+/// Samples that are looked at at once on one thread.
+const BLOCK: usize = 512;
 
 /// Sums are taken in whole multiples of one over this, so that they do not depend on the order of the samples.
 const WHOLE: f64 = (1_u64 << 36) as f64;
@@ -223,7 +227,7 @@ pub struct Shape<'a> {
     /// Local coordinates.
     pub radius: f64,
     /// How much is felt at a distance of 0 to 1 radii.
-    pub falloff: &'a dyn Fn(f64) -> f64,
+    pub falloff: &'a (dyn Fn(f64) -> f64 + Sync),
     /// Whether what faces away feels it as well.
     pub both_sides: bool,
 }
@@ -326,30 +330,37 @@ impl Finder<'_> {
         sweep: &Sweep,
         shape: &Shape<'_>,
         felt: &mut Vec<Felt>,
-    ) {
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
         let radius = shape.radius;
         let middle = sweep.middle.at;
         // The seed is not the middle itself.
         let off = middle.distance(canvas.positions[sweep.seed].as_dvec3());
         let limit = DETOUR * (radius + sweep.extent() + off) + off;
-        felt.clear();
-        for &(sample, length) in reach.from(sweep.seed, limit, self.surface, &canvas.positions) {
+        let feels = |&(sample, length): &(u32, f64)| {
             let p = canvas.positions[sample as usize].as_dvec3();
             let near = sweep.nearest(p);
             let to_path = near.at - p;
             let detour = ((length - off) / DETOUR - p.distance(middle)).max(0.0);
             let distance = (to_path.length() + detour) / radius;
-            if distance >= 1.0 {
-                continue;
-            }
             let normal = near.normal.try_normalize().unwrap_or(sweep.middle.normal);
-            let cosine = canvas.normals[sample as usize].as_dvec3().dot(normal);
-            let facing = if shape.both_sides { 1.0 } else { step(AWAY, TOWARDS, cosine) };
-            let weight = facing * near.pressure * (shape.falloff)(distance);
-            if weight > 0.0 {
-                felt.push(Felt { sample, weight, to_path, normal });
+            let mut weight = 0.0;
+            if distance < 1.0 {
+                let cosine = canvas.normals[sample as usize].as_dvec3().dot(normal);
+                let facing = if shape.both_sides { 1.0 } else { step(AWAY, TOWARDS, cosine) };
+                weight = facing * near.pressure * (shape.falloff)(distance);
             }
-        }
+            Felt { sample, weight, to_path, normal }
+        };
+        let reached = reach.from(sweep.seed, limit, self.surface, &canvas.positions);
+        let nothing = Felt { sample: 0, weight: 0.0, to_path: DVec3::ZERO, normal: DVec3::ZERO };
+        felt.clear();
+        felt.resize(reached.len(), nothing);
+        host.parallel_blocks(felt, BLOCK, |first, felt| {
+            felt.iter_mut().zip(&reached[first..]).for_each(|(felt, reached)| *felt = feels(reached));
+        })?;
+        felt.retain(|felt| felt.weight > 0.0);
+        Ok(())
     }
 }
 

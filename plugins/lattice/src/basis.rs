@@ -115,31 +115,50 @@ impl Basis {
         Place { inside, fade, below: (-along).max(0.0), above: along.max(0.0) }
     }
 
-    /// The functions' values, which are written into `values`.
+    /// How many functions are not zero at a parameter.
+    pub fn width(&self) -> usize {
+        self.degree + 1
+    }
+
+    /// The functions' values, which are written into `values`, at least [`width`](Self::width) numbers.
     #[inline(always)]
-    pub fn at<'v>(&self, u: f64, values: &'v mut [f64; MOST]) -> Weights<'v> {
-        let Place { inside, fade, below, above } = self.place(u);
-        let (degree, t) = (self.degree, inside * self.spans() as f64);
+    pub fn at<'v>(&self, u: f64, values: &'v mut [f64]) -> Weights<'v> {
+        let place = self.place(u);
+        let (degree, t) = (self.degree, place.inside * self.spans() as f64);
         let first = (t as usize).min(self.spans() - 1);
+        let (knots, inverses) =
+            (&self.knots[first + 1..], &self.inverses[first * degree * (degree + 1) / 2..]);
         let values = &mut values[..=degree];
-        let mut inverses = self.inverses[first * degree * (degree + 1) / 2..].iter();
-        values[0] = fade;
-        for k in 1..=degree {
-            let ends = self.knots[first + degree + 1 - k..].iter().zip(&self.knots[first + degree + 1..]);
-            let mut carried = 0.0;
-            for ((value, (left, right)), inverse) in values[..k].iter_mut().zip(ends).zip(inverses.by_ref()) {
-                let share = *value * inverse;
-                *value = carried + (right - t) * share;
-                carried = (t - left) * share;
-            }
-            values[k] = carried;
+        if degree == 3 {
+            // The same with loops of known lengths, as nearly all lattices are cubic.
+            let values: &mut [f64; 4] = values.try_into().expect("as many as the degree and one");
+            recurrence(3, t, &knots[..6], &inverses[..6], values, &place);
+        } else {
+            recurrence(degree, t, knots, inverses, values, &place);
         }
-        values[0] += below;
-        values[1] -= below;
-        values[degree] += above;
-        values[degree - 1] -= above;
         Weights { first, values }
     }
+}
+
+/// The B-splines of a degree that are not zero at `t`, from the knots around: as many as the degree before `t`, and after.
+#[inline(always)]
+fn recurrence(degree: usize, t: f64, knots: &[f64], inverses: &[f64], values: &mut [f64], place: &Place) {
+    let mut inverses = inverses.iter();
+    values[0] = place.fade;
+    for k in 1..=degree {
+        let ends = knots[degree - k..].iter().zip(&knots[degree..]);
+        let mut carried = 0.0;
+        for ((value, (left, right)), inverse) in values[..k].iter_mut().zip(ends).zip(inverses.by_ref()) {
+            let share = *value * inverse;
+            *value = carried + (right - t) * share;
+            carried = (t - left) * share;
+        }
+        values[k] = carried;
+    }
+    values[0] += place.below;
+    values[1] -= place.below;
+    values[degree] += place.above;
+    values[degree - 1] -= place.above;
 }
 
 #[cfg(test)]

@@ -10,6 +10,9 @@ use pulp::{Simd, WithSimd};
 use simod_plugin_api::{Affine, PluginError, PluginResult};
 use std::ops::Range;
 
+/// Functions of an axis that reach a point, for cubic B-splines.
+const CUBIC: usize = 4;
+
 /// Most numbers that a processor takes at once.
 const WIDEST: usize = 16;
 
@@ -59,23 +62,45 @@ impl<'a> Moved<'a> {
 
     /// The image of a point.
     pub fn apply(&self, p: DVec3) -> DVec3 {
+        if self.lattice.bases.iter().all(|b| b.width() <= CUBIC) {
+            self.apply_within::<CUBIC>(p)
+        } else {
+            self.apply_within::<MOST>(p)
+        }
+    }
+
+    /// The same where no more than `N` functions of an axis reach.
+    #[inline(always)]
+    fn apply_within<const N: usize>(&self, p: DVec3) -> DVec3 {
         let u = self.lattice.frame.coordinates(p);
         let [bx, by, bz] = &self.lattice.bases;
-        let mut values = [[0.0; MOST]; 3];
+        let mut values = [[0.0; N]; 3];
         let [x, y, z] = &mut values;
         let (x, y, z) = (bx.at(u[0], x), by.at(u[1], y), bz.at(u[2], z));
         let ([ri, rj, rk], [_, ny, nz]) = (&self.spans, self.lattice.counts());
-        let (some, wz) = both(&z, rk);
-        if some.is_empty() {
+        let ((some_i, wx), (some_j, wy), (some_k, wz)) = (both(&x, ri), both(&y, rj), both(&z, rk));
+        if some_k.is_empty() {
             return p;
         }
         let mut sum = DVec4::ZERO;
-        let (some_i, wx) = both(&x, ri);
+        if let (&[_, _, _, _], &[_, _, _, _], &[w0, w1, w2, w3]) = (wx, wy, wz) {
+            // All of a cubic's: loops of known lengths.
+            for (i, wx) in some_i.zip(wx) {
+                let mut plane = DVec4::ZERO;
+                for (j, wy) in some_j.clone().zip(wy) {
+                    let first = (i * ny + j) * nz + some_k.start;
+                    let [d0, d1, d2, d3] =
+                        *self.displacements[first..].first_chunk().expect("four of a line");
+                    plane += *wy * (((w0 * d0 + w1 * d1) + w2 * d2) + w3 * d3);
+                }
+                sum += *wx * plane;
+            }
+            return p + sum.truncate();
+        }
         for (i, wx) in some_i.zip(wx) {
             let mut plane = DVec4::ZERO;
-            let (some_j, wy) = both(&y, rj);
-            for (j, wy) in some_j.zip(wy).filter(|(j, _)| self.lines[i * ny + j]) {
-                let line = &self.displacements[(i * ny + j) * nz..][some.clone()];
+            for (j, wy) in some_j.clone().zip(wy).filter(|(j, _)| self.lines[i * ny + j]) {
+                let line = &self.displacements[(i * ny + j) * nz..][some_k.clone()];
                 plane += *wy * line.iter().zip(wz).fold(DVec4::ZERO, |along, (d, w)| along + *w * *d);
             }
             sum += *wx * plane;

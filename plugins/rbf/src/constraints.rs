@@ -3,10 +3,13 @@
 //! Each handle moves affinely, so its samples' displacements are combinations of four functions: 1 and the
 //! coordinates relative to the handle's centroid, in units of its radius; on other regions they are 0. Whatever
 //! the handles do later, these `4 x handles` right-hand sides span it.
+//!
+//! A sample is in a region where its weight is above one half, and then does all that the region does.
 
+use crate::fit::Goal;
 use crate::kernel::{Frame, Point};
 use faer::{Mat, Side};
-use simod_plugin_api::{PluginError, PluginResult, PrepareInput, Role};
+use simod_plugin_api::{Host, PluginError, PluginResult, PrepareInput, Role};
 use std::collections::HashSet;
 
 /// Weight from which on a sample belongs to a region.
@@ -18,6 +21,12 @@ const FLAT: f64 = 1e-3;
 const THICKNESS: f64 = 0.05;
 /// Constraints of each region that are added to, for each flat direction.
 const THICKENED: usize = 16;
+
+/// Constraints of each region that may take part in the least squares; all others are checked.
+const MOST_ROWS: usize = 20_000;
+
+/// Samples of each handle that are asked how far others are.
+const ASKED: usize = 64;
 
 /// Functions per handle.
 pub const PER_HANDLE: usize = 4;
@@ -36,8 +45,10 @@ pub struct HandleFrame {
 pub struct Constraints {
     /// Maps local coordinates to the unit box.
     pub frame: Frame,
-    /// Their positions, in the unit box.
+    /// Their positions, in the unit box; after them those of constraints that are no samples.
     pub points: Vec<Point>,
+    /// The samples' numbers.
+    pub samples: Vec<u32>,
     /// The handle that each follows, or nothing where it is fixed.
     pub handle: Vec<Option<usize>>,
     /// Functions 1, 2 and 3 of its handle at each constraint.
@@ -53,7 +64,7 @@ pub struct Constraints {
 impl Constraints {
     /// Gathers the samples in the regions. One in several regions belongs to the one where its weight is
     /// largest, the first of them where that is a draw.
-    pub fn gather(input: &PrepareInput<'_>, spread_limit: usize) -> PluginResult<Self> {
+    pub fn gather(input: &PrepareInput<'_>, goal: &Goal, host: &Host<'_>) -> PluginResult<Self> {
         let positions = input.samples.positions();
         let regions = input.regions();
         if let Some(i) = regions.iter().position(|r| r.weights().len() != positions.len()) {
@@ -74,9 +85,9 @@ impl Constraints {
             best.map(|(i, _)| i)
         };
         let mut members = vec![Vec::new(); regions.len()];
-        for (sample, p) in positions.iter().enumerate() {
+        for sample in 0..positions.len() {
             if let Some(region) = owner(sample) {
-                members[region].push(p.map(f64::from));
+                members[region].push(sample as u32);
             }
         }
         if let Some(i) = members.iter().position(Vec::is_empty) {
@@ -84,8 +95,15 @@ impl Constraints {
             return Err(PluginError::input(format!("region {} ({what}) holds no sample of its own", i + 1))
                 .hint("enlarge or move its shapes, take more samples, or let it overlap others less"));
         }
-        let all: Vec<Point> = members.iter().flatten().copied().collect();
-        let frame = Frame::of(&all).ok_or_else(|| {
+        let samples = members.concat();
+        let all: Vec<Point> = samples.iter().map(|&i| positions[i as usize].map(f64::from)).collect();
+        if let Some(i) = all.iter().flatten().position(|x| !x.is_finite()) {
+            return Err(PluginError::input(format!("sample {} is at no finite place", samples[i / 3])));
+        }
+        // A compact kernel has a length of its own.
+        let is_compact = goal.kernel.is_compact();
+        let least = if is_compact { goal.support * input.bounds.diagonal() } else { 0.0 };
+        let frame = Frame::of(&all, least).ok_or_else(|| {
             PluginError::input("all samples in the regions lie in one point")
                 .hint("enlarge the regions, or add a fixed one elsewhere")
         })?;
@@ -97,11 +115,14 @@ impl Constraints {
             relative: Vec::with_capacity(all.len()),
             handles: Vec::new(),
             has_fixed: false,
+            samples,
             spread: Vec::new(),
         };
         let mut orders = Vec::new();
         for (region, members) in regions.iter().zip(&members) {
+            host.progress(0.0)?;
             let first = constraints.handle.len();
+            let members = &all[first..first + members.len()];
             let handle = (region.role == Role::HANDLE).then_some(constraints.handles.len());
             constraints.has_fixed |= handle.is_none();
             let HandleFrame { centroid, radius } = frame_of(members);
@@ -112,16 +133,18 @@ impl Constraints {
                 constraints.handle.push(handle);
                 constraints.relative.push(std::array::from_fn(|i| (p[i] - centroid[i]) / radius));
             }
-            orders.push(spread_order(&constraints.points, first..constraints.handle.len(), spread_limit));
+            orders.push(spread_order(&constraints.points, first..constraints.handle.len(), MOST_ROWS));
         }
-        constraints.thicken(&mut orders)?;
+        if !is_compact {
+            constraints.thicken(&mut orders)?;
+        }
         constraints.spread = interleave(&orders);
         Ok(constraints)
     }
 
     /// Gives constraints on one plane or line, which say nothing about what lies beside it, some thickness: a few
     /// more on both sides that move along with their region. Without them a handle that turns would shear the
-    /// space beside the plane instead.
+    /// space beside the plane instead. Not for compact kernels, which would reach farther by them.
     fn thicken(&mut self, orders: &mut Vec<Vec<usize>>) -> PluginResult<()> {
         let mut added = Vec::new();
         for normal in flat_directions(&self.points)? {
@@ -133,7 +156,7 @@ impl Constraints {
                         self.points.push(std::array::from_fn(|k| p[k] + side * normal[k]));
                         self.handle.push(self.handle[i]);
                         let unit = self.handle[i]
-                            .map_or(1.0, |h| self.frame.to_local_length(1.0) / self.handles[h].radius);
+                            .map_or(1.0, |h| self.frame.to_unit_length(self.handles[h].radius).recip());
                         let at = self.relative[i];
                         self.relative.push(std::array::from_fn(|k| at[k] + side * unit * normal[k]));
                     }
@@ -142,6 +165,21 @@ impl Constraints {
         }
         orders.push(added);
         Ok(())
+    }
+
+    /// Whether the samples of some handle are, for the most part, farther than `distance` from its other samples.
+    pub fn is_sparse(&self, distance: f64) -> bool {
+        (0..self.handles.len()).any(|handle| {
+            let members: Vec<usize> =
+                (0..self.samples.len()).filter(|&i| self.handle[i] == Some(handle)).collect();
+            let is_near = |i: usize, j: usize| {
+                let (p, q) = (self.points[i], self.points[j]);
+                i != j && (0..3).map(|k| (p[k] - q[k]).powi(2)).sum::<f64>() <= distance * distance
+            };
+            let asked = members.iter().step_by(members.len().div_ceil(ASKED).max(1));
+            let alone = asked.clone().filter(|&&i| !members.iter().any(|&j| is_near(i, j))).count();
+            members.len() > 1 && 2 * alone > asked.len()
+        })
     }
 
     /// How many right-hand sides there are.
@@ -187,7 +225,7 @@ fn frame_of(points: &[Point]) -> HandleFrame {
 
 /// At most `limit` of the points with the given indices, such that every beginning is well spread: one per
 /// cell of ever finer grids over the unit box, and then the rest in their own order.
-fn spread_order(points: &[Point], indices: std::ops::Range<usize>, limit: usize) -> Vec<usize> {
+pub fn spread_order(points: &[Point], indices: impl Iterator<Item = usize>, limit: usize) -> Vec<usize> {
     const LEVELS: u32 = 10;
     let mut order = Vec::new();
     let mut left: Vec<usize> = indices.collect();

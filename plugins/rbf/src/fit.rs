@@ -1,24 +1,23 @@
 //! Choosing the centres, and solving for their weights.
 //!
 //! Incremental least squares, after §4 of Botsch and Kobbelt 2005: few centres at first, the worst served
-//! constraints next, until all are met. Unlike there, each round adds half as many centres as there are, so that
-//! all rounds together cost little more than the last, and the fit is taken anew by a QR factorisation.
+//! constraints next, until all are met. Unlike there, each round adds a quarter as many centres as there are, and where
+//! there are very many constraints, some take part that are well spread. Whenever there are twice as many centres, all
+//! constraints are checked, and more that are not met take part.
 
 use crate::TOGETHER;
-use crate::constraints::Constraints;
-use crate::kernel::{AFFINE, BLOCK, Block, Functions, Kernel, Point};
+use crate::constraints::{Constraints, spread_order};
+use crate::kernel::{BLOCK, Block, Functions, Kernel, Point};
+use crate::least_squares::LeastSquares;
 use faer::Mat;
-use faer::linalg::solvers::SolveLstsq;
-use simod_plugin_api::{Host, ParamSet, PluginError, PluginResult};
+use simod_plugin_api::{ErrorCode, Host, ParamSet, PluginError, PluginResult};
 
 /// Centres of the first round.
 const FIRST_CENTERS: usize = 32;
-/// Constraints in the least squares, per centre; all others are checked, and become centres where they fail.
+/// Constraints in the least squares, for each centre that there may be; all others are checked.
 const ROWS_PER_CENTER: usize = 4;
-/// Least constraints in the least squares.
+/// The same where there may be few centres.
 const FEWEST_ROWS: usize = 512;
-/// Weight of the side conditions Σ w_j = 0, Σ w_j c_j = 0, which keep the far field affine.
-const SIDE_WEIGHT: f64 = 1e2;
 /// Ridge on all unknowns, relative to kernels of about 1: holds what coplanar or coincident constraints leave open.
 const RIDGE: f64 = 1e-9;
 /// Two centres nearer than this in the unit box are one: single-precision positions do not tell them apart.
@@ -27,9 +26,12 @@ const COINCIDENT: f64 = 1e-7;
 /// What to reach, and at what expense: the plugin's parameters.
 #[derive(ParamSet, Debug, Clone, Copy)]
 pub struct Goal {
-    /// How smooth the deformation is, and how far it reaches
+    /// How smooth the deformation is, and how far it reaches; of compact ones, no farther than the support
     #[param(default = Kernel::Triharmonic, invalidates_preparation)]
     pub kernel: Kernel,
+    /// How far a compact kernel reaches from the regions; what is farther from all of them stays where it is
+    #[param(default = 0.25, unit = "diagonal", hard = 1e-3..=10.0, soft = 0.02..=1.0, invalidates_preparation)]
+    pub support: f64,
     /// How far regions may stray, relative to the handles' motion
     #[param(default = 1e-3, hard = 1e-9..=1.0, soft = 1e-5..=1e-2, group = "Accuracy", invalidates_preparation)]
     pub tolerance: f64,
@@ -51,129 +53,187 @@ pub struct Fit {
 }
 
 /// Fits all right-hand sides; falls short of the tolerance where the centres run out, which `residual` tells.
-/// Progress runs from 0 to `until`.
-pub fn fit(constraints: &Constraints, goal: Goal, host: &Host<'_>, until: f64) -> PluginResult<Fit> {
-    let count = constraints.points.len();
-    let most = usize::try_from(goal.max_centers).unwrap_or(0).clamp(1, count);
-    let mut centers = Vec::new();
-    let mut is_center = vec![false; count];
-    let mut spread = 0.2;
-    add(constraints.spread.iter().copied(), constraints, FIRST_CENTERS.min(most), spread, &mut centers);
-    loop {
-        centers.iter().for_each(|&i| is_center[i] = true);
-        let rows = rows(constraints, &centers, &is_center);
-        let functions = Functions {
-            kernel: goal.kernel,
-            centers: centers.iter().map(|&i| constraints.points[i]).collect(),
-        };
-        let weights = solve(constraints, &functions, &rows)?;
-        let residuals = residuals(constraints, &functions, &weights, host)?;
-        let residual = residuals.iter().copied().fold(0.0, f64::max);
-        // A solve costs the cube of the centres.
-        host.progress(until * (centers.len() as f64 / most as f64).powi(3).min(1.0))?;
-        let done = Fit { functions, weights, residual };
-        if residual <= goal.tolerance || centers.len() >= most {
-            return Ok(done);
-        }
-        let mut worst: Vec<usize> = (0..count).filter(|&i| !is_center[i]).collect();
-        worst.sort_unstable_by(|&a, &b| residuals[b].total_cmp(&residuals[a]).then(a.cmp(&b)));
-        let wanted = (centers.len() + (centers.len() / 2).max(8)).min(most);
-        spread = 0.3 / (wanted as f64).sqrt();
-        let before = centers.len();
-        add(worst.iter().copied(), constraints, wanted, spread, &mut centers);
-        if centers.len() == before {
-            add(worst.iter().copied(), constraints, wanted, COINCIDENT, &mut centers);
-        }
-        if centers.len() == before {
-            // Every place is a centre: constraints in one place shall move differently.
-            return Ok(done);
-        }
-    }
-}
-
-/// Takes candidates, in their order, that keep a distance from all centres so far, until there are `wanted`.
-fn add(
-    candidates: impl Iterator<Item = usize>,
+/// `support` is that of compact kernels, in the unit box. Progress runs from 0 to `until`.
+pub fn fit(
     constraints: &Constraints,
-    wanted: usize,
-    distance: f64,
-    centers: &mut Vec<usize>,
-) {
-    let far =
-        |a: &Point, b: &Point| (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>() >= distance * distance;
-    for candidate in candidates {
-        if centers.len() >= wanted {
-            break;
-        }
-        let p = &constraints.points[candidate];
-        if centers.iter().all(|&c| far(p, &constraints.points[c])) {
-            centers.push(candidate);
-        }
-    }
-}
-
-/// The constraints that the least squares see: the centres, and others well spread.
-fn rows(constraints: &Constraints, centers: &[usize], is_center: &[bool]) -> Vec<usize> {
-    let wanted = (ROWS_PER_CENTER * centers.len()).max(FEWEST_ROWS);
-    let others = constraints.spread.iter().copied().filter(|&i| !is_center[i]);
-    centers.iter().copied().chain(others).take(wanted).collect()
-}
-
-fn solve(constraints: &Constraints, functions: &Functions, rows: &[usize]) -> PluginResult<Mat<f64>> {
-    let (unknowns, centers) = (functions.count(), functions.centers.len());
-    // The heavy rows first, which the QR factorisation likes.
-    let height = AFFINE + rows.len() + unknowns;
-    let mut matrix = Mat::<f64>::zeros(height, unknowns);
-    for (j, c) in functions.centers.iter().enumerate() {
-        matrix[(0, j)] = SIDE_WEIGHT;
-        for k in 0..3 {
-            matrix[(1 + k, j)] = SIDE_WEIGHT * c[k];
-        }
-    }
-    let points: Vec<Point> = rows.iter().map(|&i| constraints.points[i]).collect();
-    functions.fill(&points, matrix.as_mut().subrows_mut(AFFINE, rows.len()));
-    for j in 0..unknowns {
-        matrix[(AFFINE + rows.len() + j, j)] = RIDGE;
-    }
-    let mut right = Mat::<f64>::zeros(height, constraints.functions());
-    for (i, &row) in rows.iter().enumerate() {
-        for f in 0..constraints.functions() {
-            right[(AFFINE + i, f)] = constraints.target(row, f);
-        }
-    }
-    // On one thread: a result that depends on the number of cores would not be the same elsewhere.
-    faer::set_global_parallelism(faer::Par::Seq);
-    let solution = matrix.qr().solve_lstsq(&right);
-    let weights = solution.subrows(0, unknowns).to_owned();
-    if weights.col_iter().any(|c| c.iter().any(|x| !x.is_finite())) {
-        let error = PluginError::new(
-            simod_plugin_api::ErrorCode::NOT_CONVERGED,
-            format!("the fit over {centers} centres has no finite solution"),
-        );
-        return Err(error.hint("use fewer centres (`max-centers`), or other regions"));
-    }
-    Ok(weights)
-}
-
-/// Largest residual of the right-hand sides at each constraint.
-fn residuals(
-    constraints: &Constraints,
-    functions: &Functions,
-    weights: &Mat<f64>,
+    goal: &Goal,
+    support: f64,
     host: &Host<'_>,
-) -> PluginResult<Vec<f64>> {
-    let mut residuals = vec![0.0; constraints.points.len()];
-    host.parallel_blocks(&mut residuals, TOGETHER * BLOCK, |first, residuals| {
-        let mut scratch = Block::default();
-        for (block, residuals) in residuals.chunks_mut(BLOCK).enumerate() {
-            let first = first + block * BLOCK;
-            let points = &constraints.points[first..first + residuals.len()];
-            let sums = functions.sums(points, weights.as_ref(), &mut scratch);
-            for (i, residual) in residuals.iter_mut().enumerate() {
-                let off = |f: usize| (sums[(i, f)] - constraints.target(first + i, f)).abs();
-                *residual = (0..constraints.functions()).map(off).fold(0.0, f64::max);
+    until: f64,
+) -> PluginResult<Fit> {
+    let most = usize::try_from(goal.max_centers).unwrap_or(0).clamp(1, constraints.points.len());
+    let fitter = Fitter { constraints, goal, support, most, host, until };
+    let first = constraints.spread.iter().copied();
+    let mut rows: Vec<usize> = first.take(fitter.most_rows() / 2).collect();
+    let mut centers = fitter.first_centers();
+    loop {
+        let before = (rows.len(), centers.len());
+        let (functions, weights) = fitter.greedy(&rows, &mut centers)?;
+        let residuals = fitter.residuals(None, &functions, &weights)?;
+        let is_met = residuals.iter().all(|r| *r <= goal.tolerance);
+        if !is_met && centers.len() < most {
+            fitter.take_failing(&mut rows, &residuals);
+        }
+        if is_met || centers.len() >= most || before == (rows.len(), centers.len()) {
+            return Ok(Fit { functions, weights, residual: residuals.into_iter().fold(0.0, f64::max) });
+        }
+    }
+}
+
+/// What to fit, and how well.
+struct Fitter<'a> {
+    constraints: &'a Constraints,
+    goal: &'a Goal,
+    support: f64,
+    /// Centres at most.
+    most: usize,
+    host: &'a Host<'a>,
+    until: f64,
+}
+
+impl Fitter<'_> {
+    /// Well spread ones. What is fixed matters to compact kernels only where handles reach it, and becomes a centre when
+    /// that shows.
+    fn first_centers(&self) -> Vec<usize> {
+        let matters = |i: &usize| !self.goal.kernel.is_compact() || self.constraints.handle[*i].is_some();
+        let spread = self.constraints.spread.iter().copied().filter(matters);
+        let mut centers = Vec::new();
+        self.add(spread, FIRST_CENTERS.min(self.most), 0.2, &mut centers);
+        centers
+    }
+
+    /// Constraints in the least squares, at most.
+    fn most_rows(&self) -> usize {
+        (ROWS_PER_CENTER * self.most).max(FEWEST_ROWS)
+    }
+
+    /// Takes more constraints into the least squares, well spread among those that are not met, the worst of each place.
+    fn take_failing(&self, rows: &mut Vec<usize>, residuals: &[f64]) {
+        let mut is_row = vec![false; residuals.len()];
+        rows.iter().for_each(|&i| is_row[i] = true);
+        let fails = |i: &usize| residuals[*i] > self.goal.tolerance && !is_row[*i];
+        let failing = worst_first((0..residuals.len()).filter(fails).collect(), residuals);
+        let room = (self.most_rows() / 8).min(self.most_rows().saturating_sub(rows.len()));
+        rows.extend(spread_order(&self.constraints.points, failing.into_iter(), room));
+    }
+
+    /// Adds centres from among `rows` until these constraints are met, there are twice as many, or nothing is left to
+    /// add.
+    fn greedy(&self, rows: &[usize], centers: &mut Vec<usize>) -> PluginResult<(Functions, Mat<f64>)> {
+        let points: Vec<Point> = rows.iter().map(|&i| self.constraints.points[i]).collect();
+        let side = self.goal.kernel.affine();
+        let mut right = Mat::zeros(side + rows.len(), self.constraints.functions());
+        for (i, &row) in rows.iter().enumerate() {
+            for f in 0..right.ncols() {
+                right[(side + i, f)] = self.constraints.target(row, f);
             }
         }
-    })?;
-    Ok(residuals)
+        let mut squares = LeastSquares::new(&right, side + self.most, RIDGE);
+        let mut is_center = vec![false; self.constraints.points.len()];
+        let mut functions =
+            Functions { kernel: self.goal.kernel, support: self.support, centers: Vec::new() };
+        let (mut known, enough) = (0, (2 * centers.len()).min(self.most));
+        loop {
+            functions.centers = centers.iter().map(|&i| self.constraints.points[i]).collect();
+            centers.iter().for_each(|&i| is_center[i] = true);
+            let mut columns = Mat::zeros(side + rows.len(), functions.count() - known);
+            functions.side_conditions(known, columns.as_mut().subrows_mut(0, side));
+            functions.fill(&points, known, columns.as_mut().subrows_mut(side, rows.len()));
+            squares.append(&columns, self.host)?;
+            known = functions.count();
+            let weights = squares.solve();
+            self.check_finite(&weights)?;
+            let residuals = self.residuals(Some(rows), &functions, &weights)?;
+            // What is to come costs about the square of the centres.
+            self.host.progress(self.until * (centers.len() as f64 / self.most as f64).powi(2).min(1.0))?;
+            let met = residuals.iter().all(|r| *r <= self.goal.tolerance);
+            if met || centers.len() >= enough || !self.add_worst(rows, &residuals, &is_center, centers) {
+                return Ok((functions, weights));
+            }
+        }
+    }
+
+    /// Makes the worst constraints centres; whether there are any.
+    fn add_worst(
+        &self,
+        rows: &[usize],
+        residuals: &[f64],
+        is_center: &[bool],
+        centers: &mut Vec<usize>,
+    ) -> bool {
+        let candidates = (0..rows.len()).filter(|&i| !is_center[rows[i]] && residuals[i] > 0.0);
+        let worst = worst_first(candidates.collect(), residuals);
+        let before = centers.len();
+        let wanted = (before + (before / 4).max(8)).min(self.most);
+        // Every place is a centre where even the least distance is too large: constraints in one place shall move
+        // differently.
+        for distance in [0.3 / (wanted as f64).sqrt(), COINCIDENT] {
+            if centers.len() == before {
+                self.add(worst.iter().map(|&i| rows[i]), wanted, distance, centers);
+            }
+        }
+        centers.len() > before
+    }
+
+    /// Takes candidates, in their order, that keep a distance from all centres so far, until there are `wanted`.
+    fn add(
+        &self,
+        candidates: impl Iterator<Item = usize>,
+        wanted: usize,
+        distance: f64,
+        centers: &mut Vec<usize>,
+    ) {
+        let points = &self.constraints.points;
+        let far =
+            |a: &Point, b: &Point| (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>() >= distance * distance;
+        for candidate in candidates {
+            if centers.len() >= wanted {
+                break;
+            }
+            if centers.iter().all(|&c| far(&points[candidate], &points[c])) {
+                centers.push(candidate);
+            }
+        }
+    }
+
+    fn check_finite(&self, weights: &Mat<f64>) -> PluginResult<()> {
+        if weights.col_iter().all(|c| c.iter().all(|x| x.is_finite())) {
+            return Ok(());
+        }
+        let what = format!("the fit over {} centres has no finite solution", weights.nrows());
+        let error = PluginError::new(ErrorCode::NOT_CONVERGED, what);
+        Err(error.hint("use fewer centres (`max-centers`), or other regions"))
+    }
+
+    /// Largest residual of the right-hand sides at each of the given constraints, or at all.
+    fn residuals(
+        &self,
+        of: Option<&[usize]>,
+        functions: &Functions,
+        weights: &Mat<f64>,
+    ) -> PluginResult<Vec<f64>> {
+        let constraints = self.constraints;
+        let mut residuals = vec![0.0; of.map_or(constraints.points.len(), <[usize]>::len)];
+        let which = |i: usize| of.map_or(i, |of| of[i]);
+        self.host.parallel_blocks(&mut residuals, TOGETHER * BLOCK, |first, residuals| {
+            let mut scratch = Block::default();
+            for (block, residuals) in residuals.chunks_mut(BLOCK).enumerate() {
+                let first = first + block * BLOCK;
+                let points: Vec<Point> =
+                    (first..first + residuals.len()).map(|i| constraints.points[which(i)]).collect();
+                let sums = functions.sums(&points, weights.as_ref(), &mut scratch);
+                for (i, residual) in residuals.iter_mut().enumerate() {
+                    let off = |f: usize| (sums[(i, f)] - constraints.target(which(first + i), f)).abs();
+                    *residual = (0..constraints.functions()).map(off).fold(0.0, f64::max);
+                }
+            }
+        })?;
+        Ok(residuals)
+    }
+}
+
+/// Sorts by the residuals, largest first.
+fn worst_first(mut indices: Vec<usize>, residuals: &[f64]) -> Vec<usize> {
+    indices.sort_unstable_by(|&a, &b| residuals[b].total_cmp(&residuals[a]).then(a.cmp(&b)));
+    indices
 }

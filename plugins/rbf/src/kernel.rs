@@ -1,4 +1,7 @@
 //! Sums of radial kernels: `Σ w_j φ(|x - c_j|) + affine(x)`, many functions over the same centres at once.
+//!
+//! The compact kernels are those of H. Wendland, *Piecewise polynomial, positive definite and compactly supported radial
+//! functions of minimal degree*, Advances in Computational Mathematics 1995.
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatMut, MatRef, Par};
@@ -10,8 +13,8 @@ pub type Point = [f64; 3];
 /// Points evaluated together: their kernels to all centres are one matrix, of `BLOCK` x centres.
 pub const BLOCK: usize = 128;
 
-/// Columns of the affine part.
-pub const AFFINE: usize = 4;
+/// Weight of the side conditions among the equations.
+const SIDE_WEIGHT: f64 = 1e2;
 
 /// The radial function φ.
 #[derive(Choice, Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,6 +25,25 @@ pub enum Kernel {
     /// `r`: least second-order energy, C⁰ at the centres, more local.
     #[choice(label = "Biharmonic (local)")]
     Biharmonic,
+    /// `(1 - t)⁴ (4t + 1)` for `t = r / support < 1`: nothing beyond.
+    #[choice(id = "compact-c2", label = "Compact, C²")]
+    CompactC2,
+    /// `(1 - t)⁶ (35t² + 18t + 3) / 3` for `t = r / support < 1`: nothing beyond.
+    #[choice(id = "compact-c4", label = "Compact, C⁴")]
+    CompactC4,
+}
+
+impl Kernel {
+    /// Whether it is zero beyond the support.
+    pub fn is_compact(self) -> bool {
+        matches!(self, Self::CompactC2 | Self::CompactC4)
+    }
+
+    /// Columns of the affine part that goes with it: 1, x, y, z, or none. A compact kernel has none: it would reach
+    /// everywhere.
+    pub fn affine(self) -> usize {
+        if self.is_compact() { 0 } else { 4 }
+    }
 }
 
 /// Moves the constraints' box to the unit box about 0, for the sake of conditioning.
@@ -32,8 +54,8 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// The frame of a box; nothing where it has no extent.
-    pub fn of(points: &[Point]) -> Option<Self> {
+    /// The frame of the points' box, of which a side is at least `least` long; nothing where none has an extent.
+    pub fn of(points: &[Point], least: f64) -> Option<Self> {
         let mut min = [f64::INFINITY; 3];
         let mut max = [f64::NEG_INFINITY; 3];
         for p in points {
@@ -42,7 +64,7 @@ impl Frame {
                 max[i] = max[i].max(p[i]);
             }
         }
-        let extent = (0..3).map(|i| max[i] - min[i]).fold(0.0, f64::max);
+        let extent = (0..3).map(|i| max[i] - min[i]).fold(least, f64::max);
         let scale = 1.0 / extent;
         (extent > 0.0 && scale.is_finite())
             .then(|| Self { origin: std::array::from_fn(|i| 0.5 * (min[i] + max[i])), scale })
@@ -53,17 +75,20 @@ impl Frame {
         std::array::from_fn(|i| (p[i] - self.origin[i]) * self.scale)
     }
 
-    /// From a length in the unit box to the model's unit.
-    pub fn to_local_length(self, length: f64) -> f64 {
-        length / self.scale
+    /// From a local length to one in the unit box.
+    pub fn to_unit_length(self, length: f64) -> f64 {
+        length * self.scale
     }
 }
 
-/// The functions φ(|x - c_j|) for all centres, and 1, x, y, z. Everything in the unit box.
+/// The functions φ(|x - c_j|) for all centres, and 1, x, y, z where the kernel has an affine part. Everything in the
+/// unit box.
 #[derive(Debug, Clone)]
 pub struct Functions {
     /// The radial function.
     pub kernel: Kernel,
+    /// The radius of a compact one.
+    pub support: f64,
     /// The centres c_j.
     pub centers: Vec<Point>,
 }
@@ -71,27 +96,47 @@ pub struct Functions {
 impl Functions {
     /// How many functions there are.
     pub fn count(&self) -> usize {
-        self.centers.len() + AFFINE
+        self.centers.len() + self.kernel.affine()
     }
 
-    /// Row `i` of `matrix` gets the functions' values at point `i`.
-    pub fn fill(&self, points: &[Point], mut matrix: MatMut<'_, f64>) {
-        for (j, c) in self.centers.iter().enumerate() {
-            let column = matrix.as_mut().col_mut(j).try_as_col_major_mut();
-            let column = column.expect("the matrices made here are column-major").as_slice_mut();
-            for (value, p) in column.iter_mut().zip(points) {
-                let d = [p[0] - c[0], p[1] - c[1], p[2] - c[2]];
-                let r2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-                *value = match self.kernel {
-                    Kernel::Triharmonic => r2 * r2.sqrt(),
-                    Kernel::Biharmonic => r2.sqrt(),
-                };
+    /// Row `i` of `matrix` gets the values at point `i` of the functions from `first` on, as many as it has columns:
+    /// first there are those of the affine part, then those of the centres.
+    pub fn fill(&self, points: &[Point], first: usize, mut matrix: MatMut<'_, f64>) {
+        let per_support = self.support.recip();
+        for column in 0..matrix.ncols() {
+            let values = matrix.as_mut().col_mut(column).try_as_col_major_mut();
+            let values = values.expect("the matrices made here are column-major").as_slice_mut();
+            let Some(center) = (first + column).checked_sub(self.kernel.affine()) else {
+                let affine = |p: &Point| if first + column == 0 { 1.0 } else { p[first + column - 1] };
+                values.iter_mut().zip(points).for_each(|(value, p)| *value = affine(p));
+                continue;
+            };
+            let c = &self.centers[center];
+            match self.kernel {
+                Kernel::Triharmonic => radial(points, c, values, |r2| r2 * r2.sqrt()),
+                Kernel::Biharmonic => radial(points, c, values, f64::sqrt),
+                Kernel::CompactC2 => radial(points, c, values, |r2| {
+                    let t = (r2.sqrt() * per_support).min(1.0);
+                    let left2 = (1.0 - t) * (1.0 - t);
+                    left2 * left2 * (4.0 * t + 1.0)
+                }),
+                Kernel::CompactC4 => radial(points, c, values, |r2| {
+                    let t = (r2.sqrt() * per_support).min(1.0);
+                    let left2 = (1.0 - t) * (1.0 - t);
+                    left2 * left2 * left2 * ((35.0 / 3.0 * t + 6.0) * t + 1.0)
+                }),
             }
         }
-        for (i, p) in points.iter().enumerate() {
-            matrix[(i, self.centers.len())] = 1.0;
-            for k in 0..3 {
-                matrix[(i, self.centers.len() + 1 + k)] = p[k];
+    }
+
+    /// The side conditions Σ w_j = 0, Σ w_j c_j = 0, a row each, which keep the far field affine: the coefficients of the
+    /// functions from `first` on. Nothing where there is no affine part.
+    pub fn side_conditions(&self, first: usize, mut matrix: MatMut<'_, f64>) {
+        let affine = self.kernel.affine();
+        for column in affine.saturating_sub(first)..matrix.ncols() {
+            let c = &self.centers[first + column - affine];
+            for row in 0..affine {
+                matrix[(row, column)] = SIDE_WEIGHT * if row == 0 { 1.0 } else { c[row - 1] };
             }
         }
     }
@@ -105,11 +150,19 @@ impl Functions {
         scratch: &'s mut Block,
     ) -> MatRef<'s, f64> {
         scratch.fit(self.count(), weights.ncols());
-        self.fill(points, scratch.values.as_mut());
+        self.fill(points, 0, scratch.values.as_mut());
         let values = scratch.values.as_ref().subrows(0, points.len());
         let mut sums = scratch.sums.as_mut().subrows_mut(0, points.len());
         matmul(sums.as_mut(), Accum::Replace, values, weights, 1.0, Par::Seq);
         scratch.sums.as_ref().subrows(0, points.len())
+    }
+}
+
+/// The values of a function of the squared distance from `c`.
+fn radial(points: &[Point], c: &Point, values: &mut [f64], phi: impl Fn(f64) -> f64) {
+    for (value, p) in values.iter_mut().zip(points) {
+        let d = [p[0] - c[0], p[1] - c[1], p[2] - c[2]];
+        *value = phi(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
     }
 }
 

@@ -5,22 +5,28 @@
 //! smooth as can be in between. Handles move affinely, so the solutions for all their motions are spanned by four
 //! per handle: these are found once, in `prepare`, with their values at all samples; a motion then costs one
 //! small product per sample.
+//!
+//! With compact kernels there is no affine part: what is farther than the support from all regions does not move at all,
+//! and a motion of all handles together is none of the whole. Either way what is in a region does exactly what the region
+//! does (`held`).
 
 mod constraints;
 mod fit;
+mod held;
 mod kernel;
+mod least_squares;
 
 use constraints::{Constraints, HandleFrame, PER_HANDLE};
-use faer::Mat;
 use fit::{Fit, Goal};
+use held::Held;
 use kernel::{BLOCK, Block, Frame, Point};
 use simod_plugin_api::{
     Affine, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, PluginError, PluginResult,
     PrepareInput,
 };
 
-/// Constraints that may take part in the least squares; all others are checked only.
-const MOST_ROWS: usize = 20_000;
+/// How far from the regions residuals are felt, in units of the diagonal.
+const HELD_REACH: f64 = 0.05;
 /// Share of the preparation's progress that the fit has; the samples' table has the rest.
 const FIT_SHARE: f64 = 0.7;
 /// Samples that are deformed at once on one thread.
@@ -37,6 +43,7 @@ struct Prepared {
     frame: Frame,
     handles: Vec<HandleFrame>,
     has_fixed: bool,
+    held: Held,
     /// Each sample's values of all right-hand sides' solutions, sample by sample.
     table: Vec<f32>,
 }
@@ -62,19 +69,16 @@ impl Deformer for Rbf {
 
     fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
         let goal: Goal = input.params().read()?;
-        let constraints = Constraints::gather(input, MOST_ROWS)?;
-        let fit = fit::fit(&constraints, goal, host, FIT_SHARE)?;
-        if fit.residual > goal.tolerance {
-            host.warn(&format!(
-                "the regions are met to {:.1e} of the handles' motion, not {:.1e}, with {} centres",
-                fit.residual,
-                goal.tolerance,
-                fit.functions.centers.len()
-            ));
-        }
-        let table = table(&fit, constraints.frame, input.samples.positions(), host)?;
+        let constraints = Constraints::gather(input, &goal, host)?;
+        let length = |part: f64| constraints.frame.to_unit_length(part * input.bounds.diagonal());
+        let support = length(goal.support);
+        let fit = fit::fit(&constraints, &goal, support, host, FIT_SHARE)?;
+        warn(&constraints, &fit, &goal, host);
+        let reach = if goal.kernel.is_compact() { HELD_REACH.min(goal.support) } else { HELD_REACH };
+        let held = Held::new(&constraints, &fit, length(reach), host)?;
+        let table = table(&fit, &held, &constraints, input.samples.positions(), host)?;
         let Constraints { frame, handles, has_fixed, .. } = constraints;
-        Ok(Prepared { fit, frame, handles, has_fixed, table })
+        Ok(Prepared { fit, frame, handles, has_fixed, held, table })
     }
 
     fn deform(
@@ -93,11 +97,13 @@ impl Deformer for Rbf {
         host.parallel_blocks(out, DEFORM_BLOCK, |first, out| {
             let table = state.table[first * functions..].chunks_exact(functions);
             for ((o, p), values) in out.iter_mut().zip(&rest[first..]).zip(table) {
-                let mut q = motion.common.apply(p.map(f64::from));
+                let at = p.map(f64::from);
+                let mut q = motion.common.apply(at);
                 for (&value, k) in values.iter().zip(&motion.coefficients) {
                     (0..3).for_each(|i| q[i] += f64::from(value) * k[i]);
                 }
-                *o = q.map(|x| x as f32);
+                // Bit for bit where it was, also a zero with a sign.
+                *o = if q == at { *p } else { q.map(|x| x as f32) };
             }
         })
     }
@@ -111,18 +117,20 @@ impl Evaluate for Rbf {
         host: &Host<'_>,
     ) -> PluginResult<()> {
         let motion = state.motion(input.transforms())?;
-        let k = Mat::from_fn(motion.coefficients.len(), 3, |i, j| motion.coefficients[i][j]);
-        let weights = &state.fit.weights * &k;
         let mut scratch = Block::default();
-        let mut unit = [[0.0; 3]; BLOCK];
+        let (mut unit, mut values) = ([[0.0; 3]; BLOCK], vec![0.0; motion.coefficients.len()]);
         for points in points.chunks_mut(BLOCK) {
             host.progress(0.0)?;
             let unit = &mut unit[..points.len()];
             unit.iter_mut().zip(points.iter()).for_each(|(u, &p)| *u = state.frame.to_unit(p));
-            let sums = state.fit.functions.sums(unit, weights.as_ref(), &mut scratch);
+            let sums = state.fit.functions.sums(unit, state.fit.weights.as_ref(), &mut scratch);
             for (i, p) in points.iter_mut().enumerate() {
+                values.iter_mut().enumerate().for_each(|(f, value)| *value = sums[(i, f)]);
+                state.held.add(&unit[i], &mut values);
                 let common = motion.common.apply(*p);
-                *p = std::array::from_fn(|j| common[j] + sums[(i, j)]);
+                *p = std::array::from_fn(|j| {
+                    common[j] + values.iter().zip(&motion.coefficients).map(|(v, k)| v * k[j]).sum::<f64>()
+                });
             }
         }
         Ok(())
@@ -144,8 +152,9 @@ impl Prepared {
             return Err(PluginError::internal(message));
         }
         // Solutions reproduce affine maps anyway; taking the common part out makes that exact, and settles what
-        // coplanar handles leave open.
-        let common = if self.has_fixed { Affine::IDENTITY } else { mean(transforms) };
+        // coplanar handles leave open. Compact kernels shall leave the rest alone.
+        let is_local = self.has_fixed || self.fit.functions.kernel.is_compact();
+        let common = if is_local { Affine::IDENTITY } else { mean(transforms) };
         let mut coefficients = Vec::with_capacity(PER_HANDLE * transforms.len());
         for (handle, transform) in self.handles.iter().zip(transforms) {
             let [at, of] = [transform, &common].map(|a| a.apply(handle.centroid));
@@ -169,22 +178,56 @@ fn mean(transforms: &[Affine]) -> Affine {
     Affine { rows: std::array::from_fn(|i| std::array::from_fn(|j| first.rows[i][j] + rest(i, j))) }
 }
 
-/// The solutions' values at all samples.
-fn table(fit: &Fit, frame: Frame, positions: &[[f32; 3]], host: &Host<'_>) -> PluginResult<Vec<f32>> {
+/// Tells what the user may not want.
+fn warn(constraints: &Constraints, fit: &Fit, goal: &Goal, host: &Host<'_>) {
+    let centers = fit.functions.centers.len();
+    if fit.residual > goal.tolerance {
+        host.warn(&format!(
+            "the smooth solution meets the regions to {:.1e} of the handles' motion, not {:.1e}, with {centers} \
+             centres: their samples are held all the same, which may show at the rims",
+            fit.residual, goal.tolerance
+        ));
+    }
+    if goal.kernel.is_compact() && constraints.is_sparse(0.5 * fit.functions.support) {
+        host.warn("the samples of a handle hardly reach each other, and move as bumps of their own: raise `support`");
+    }
+}
+
+/// The solutions' values at all samples: those of the regions are told.
+fn table(
+    fit: &Fit,
+    held: &Held,
+    constraints: &Constraints,
+    positions: &[[f32; 3]],
+    host: &Host<'_>,
+) -> PluginResult<Vec<f32>> {
     let functions = fit.weights.ncols();
     let mut table = vec![0.0; positions.len() * functions];
+    let mut constraint_of = vec![u32::MAX; positions.len()];
+    constraints.samples.iter().zip(0..).for_each(|(&i, constraint)| constraint_of[i as usize] = constraint);
     let total = positions.len().max(1) as f64;
     let entries = BLOCK * functions;
     host.parallel_blocks(&mut table, TOGETHER * entries, |first, table| {
         let first = first / functions;
         // Whether to go on is looked after by whoever hands out the blocks.
         let _ = host.progress(FIT_SHARE + (1.0 - FIT_SHARE) * first as f64 / total);
-        let mut scratch = Block::default();
-        for (table, positions) in table.chunks_mut(entries).zip(positions[first..].chunks(BLOCK)) {
-            let points: Vec<Point> = positions.iter().map(|p| frame.to_unit(p.map(f64::from))).collect();
-            let sums = fit.functions.sums(&points, fit.weights.as_ref(), &mut scratch);
+        let (mut scratch, mut free, mut sum) = (Block::default(), Vec::new(), vec![0.0; functions]);
+        for (table, first) in table.chunks_mut(entries).zip((first..).step_by(BLOCK)) {
+            free.clear();
             for (i, values) in table.chunks_exact_mut(functions).enumerate() {
-                values.iter_mut().enumerate().for_each(|(f, value)| *value = sums[(i, f)] as f32);
+                match constraint_of[first + i] {
+                    u32::MAX => free.push(i),
+                    c => (0..functions).for_each(|f| values[f] = constraints.target(c as usize, f) as f32),
+                }
+            }
+            let at = |i: &usize| constraints.frame.to_unit(positions[first + i].map(f64::from));
+            let points: Vec<Point> = free.iter().map(at).collect();
+            let sums = fit.functions.sums(&points, fit.weights.as_ref(), &mut scratch);
+            for (row, (i, p)) in free.iter().zip(&points).enumerate() {
+                sum.iter_mut().enumerate().for_each(|(f, sum)| *sum = sums[(row, f)]);
+                held.add(p, &mut sum);
+                let values = &mut table[i * functions..][..functions];
+                values.iter_mut().zip(&sum).for_each(|(value, sum)| *value = *sum as f32);
             }
         }
     })?;

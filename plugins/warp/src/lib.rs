@@ -12,8 +12,8 @@ use simod_plugin_api::{
     PluginResult, PrepareInput,
 };
 
-/// Samples between two looks at the host's wish to stop.
-const BLOCK: usize = 16_384;
+/// Samples that are deformed at once on one thread.
+const BLOCK: usize = 4096;
 
 /// The plugin.
 struct WarpPlugin;
@@ -87,16 +87,12 @@ impl Deformer for WarpPlugin {
         host: &Host<'_>,
     ) -> PluginResult<()> {
         let warp = warp(input.params(), &input.bounds)?;
-        let total = out.len().max(1) as f64;
-        let mut done = 0;
-        for (out, rest) in out.chunks_mut(BLOCK).zip(input.samples.positions().chunks(BLOCK)) {
-            for (o, p) in out.iter_mut().zip(rest) {
+        let rest = input.samples.positions();
+        host.parallel_blocks(out, BLOCK, |first, out| {
+            for (o, p) in out.iter_mut().zip(&rest[first..]) {
                 *o = warp.apply(p.map(f64::from)).map(|x| x as f32);
             }
-            done += out.len();
-            host.progress(done as f64 / total)?;
-        }
-        Ok(())
+        })
     }
 }
 

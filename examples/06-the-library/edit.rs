@@ -1,0 +1,63 @@
+//! Edits a model as a program with a window would: steps that are added, changed and undone, of which each is done anew as
+//! far as it has to be: `library-edit MODEL OUT SESSION.toml`.
+#![allow(clippy::print_stdout, reason = "a program that tells what it did")]
+
+use simod_core::progress::Silent;
+use simod_core::reconstruction::Reconstruction;
+use simod_plugin_api::Effort;
+use simod_session::edit::{Change, Command, Editor, Evaluated};
+use simod_session::plugins::standard_folders;
+use simod_session::session_file::Sampling;
+use simod_session::{PluginOptions, PluginRegistry, SessionFile};
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
+    let [model, output, session] = arguments.as_slice() else {
+        return Err("give a model, a file for the edited one, and one for the session".into());
+    };
+
+    let sampling = Sampling { samples: Some(20_000), ..Sampling::default() };
+    let new = SessionFile { model: Some(model.clone()), sampling, ..SessionFile::default() };
+    let plugins = PluginRegistry::discover(&PluginOptions::in_process(standard_folders()));
+    let mut editor = Editor::open(new, None, plugins, &Silent)?;
+
+    let bend = r#"deform = "warp"
+        params = { operation = "bend", angle = 60 }"#;
+    let twist = r#"deform = "warp"
+        params = { operation = "twist", angle = 45 }"#;
+    for (at, text) in [bend, twist].into_iter().enumerate() {
+        let mut steps = SessionFile::parse(&format!("[[step]]\n{text}"), Path::new("steps.toml"))?.steps;
+        editor.document_mut().apply(Command::Add { at, step: Box::new(steps.remove(0)) })?;
+    }
+    tell("two steps", &mut editor)?;
+
+    // A slider is dragged: a draft for each position, the full result when it rests. All of it is undone as one.
+    for degrees in [50, 55, 60] {
+        let change = Change::SetParam { id: "angle".to_owned(), value: Some(degrees.into()) };
+        editor.document_mut().apply(Command::Change { at: 1, change })?;
+        editor.update(Effort::DRAFT, &Silent)?;
+    }
+    editor.document_mut().rest();
+    tell("a drag", &mut editor)?;
+    let undone = editor.document_mut().undo().unwrap_or_default();
+    tell(&format!("undone: {undone}"), &mut editor)?;
+
+    editor.write(output, &Reconstruction::default(), &Silent)?;
+    editor.save(session)?;
+    println!("wrote {} and {}", output.display(), session.display());
+    Ok(())
+}
+
+fn tell(what: &str, editor: &mut Editor) -> Result<(), Box<dyn Error>> {
+    let start = Instant::now();
+    let evaluated: Evaluated = editor.update(Effort::FULL, &Silent)?;
+    if let Some((_, error)) = evaluated.failure() {
+        return Err(format!("{error}: {}", error.hint()).into());
+    }
+    let (samples, took) = (evaluated.positions.len(), start.elapsed().as_millis());
+    println!("{what}: {} steps on {samples} samples in {took} ms", evaluated.statuses.len());
+    Ok(())
+}

@@ -1,0 +1,298 @@
+//! Skinning: a skeleton in the model, whose joints are handles.
+//!
+//! | what | by |
+//! |---|---|
+//! | `skeleton` | joints of the session, or of a file |
+//! | `grid`, `voxels`, `distance`, `binding`, `influences` | weights by the distance inside of the model: Dionne and de Lasa 2013 |
+//! | `table` | weights of a file |
+//! | `pose`, `reach` | motions of handles, and ends that reach for a place: Aristidou and Lasenby 2011 |
+//! | `blend` | linear, or by dual quaternions: Kavan, Collins, Žára and O'Sullivan 2008 |
+//!
+//! Weights are a map of space, and with them the whole deformation.
+
+mod binding;
+mod blend;
+mod distance;
+mod grid;
+mod influences;
+mod pose;
+mod reach;
+mod skeleton;
+mod table;
+mod voxels;
+
+use binding::{Binding, Rule};
+use blend::Blend;
+use glam::DVec3;
+use influences::{Influences, MOST, Table};
+use pose::Reaching;
+use simod_plugin_api::{
+    Affine, Choice, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host, IsIdentity,
+    ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
+};
+use skeleton::Skeleton;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use table::WeightTable;
+use voxels::Voxels;
+
+/// Samples or points at once on one thread.
+const TOGETHER: usize = 1024;
+/// A file's rows should be so near to the samples, as a part of the diagonal.
+const NEAR: f64 = 0.05;
+
+/// The plugin.
+struct Skinning;
+
+/// How places move, and which ends reach.
+#[derive(ParamSet)]
+struct Pose {
+    /// What becomes of a place that follows several joints: dual quaternions keep the volume where joints twist, and bulge a
+    /// little where they bend; the linear mean loses some of it
+    #[param(default = Method::DualQuaternion)]
+    method: Method,
+    /// Which joints have a handle `ID/reach`: where it is moved, the chain of bones above bends so that the joint comes there
+    #[param(default = Reach::Ends, group = "Reaching", invalidates_preparation)]
+    reach: Reach,
+    /// Most bones of a chain that reaches; 0 for all up to the root, or up to where the skeleton branches
+    #[param(default = 0, hard = 0..=1000, soft = 0..=8, group = "Reaching")]
+    reach_length: i64,
+}
+
+#[derive(Choice, Clone, Copy)]
+enum Method {
+    #[choice(label = "Dual quaternions")]
+    DualQuaternion,
+    #[choice(label = "Linear")]
+    Linear,
+}
+
+#[derive(Choice, Clone, Copy)]
+enum Reach {
+    #[choice(label = "The ends of limbs")]
+    Ends,
+    #[choice(label = "All that hang on another")]
+    All,
+    #[choice(label = "None")]
+    None,
+}
+
+/// What the weights are by.
+#[derive(ParamSet)]
+struct Weights {
+    /// Most joints that a place follows
+    #[param(default = 4, hard = 1..=MOST as i64, group = "Weights", invalidates_preparation)]
+    influences: i64,
+    /// How fast a bone's influence falls with the distance, as a power of it: from 2 for soft limbs to 8 and more for joints
+    /// that bend within little more than their width
+    #[param(default = 4.0, hard = 2.0..=32.0, soft = 2.0..=10.0, group = "Weights", invalidates_preparation)]
+    falloff: f64,
+    /// Over which length creases in the distances from bones are rounded off
+    #[param(default = 0.005, unit = "diagonal", hard = 0.0..=0.02, soft = 0.0..=0.01, group = "Weights")]
+    #[param(invalidates_preparation)]
+    smoothing: f64,
+    /// Voxels along the longest side of the model, in which distances are found; limbs that are less than two of them apart
+    /// are taken for one
+    #[param(default = 128, hard = 16..=256, soft = 64..=256, group = "Weights", invalidates_preparation)]
+    resolution: i64,
+}
+
+/// A bound model.
+struct Prepared {
+    skeleton: Skeleton,
+    handles: pose::Handles,
+    weights: Source,
+    table: Table,
+}
+
+/// Where weights come from.
+enum Source {
+    Voxels(Box<Binding>),
+    File { rows: WeightTable, limit: usize },
+}
+
+impl Source {
+    fn at(&self, p: DVec3, room: &mut Vec<(f64, u16)>) -> Influences {
+        match self {
+            Self::Voxels(binding) => binding.at(p, room),
+            Self::File { rows, limit } => rows.at(p, *limit, room).0,
+        }
+    }
+}
+
+/// The joints of the session; without any, those of the file.
+fn skeleton(input: &PrepareInput<'_>) -> PluginResult<Skeleton> {
+    match input.params().file("skeleton")? {
+        Some(path) if input.joints().is_empty() => Skeleton::read(path, to_local(input, "skeleton")?),
+        _ => Skeleton::new(input.joints()),
+    }
+}
+
+/// From the coordinates of a file to local ones.
+fn to_local(input: &PrepareInput<'_>, param: &str) -> PluginResult<impl Fn(DVec3) -> DVec3> {
+    let frame = *input.frame().ok_or_else(|| {
+        PluginError::parameter(param, "is of no use: this program does not tell where the model lies")
+            .hint("take a newer one")
+    })?;
+    Ok(move |p: DVec3| frame.to_local(p.to_array()).into())
+}
+
+fn handles(input: &PrepareInput<'_>, skeleton: &Skeleton) -> PluginResult<pose::Handles> {
+    let which = match input.params().read::<Pose>()?.reach {
+        Reach::Ends => Reaching::Ends,
+        Reach::All => Reaching::All,
+        Reach::None => Reaching::None,
+    };
+    Ok(pose::Handles::new(skeleton, which))
+}
+
+/// How places move.
+fn blend(state: &Prepared, input: &DeformInput<'_>) -> PluginResult<Blend> {
+    let Pose { method, reach_length, .. } = input.params().read()?;
+    let length = usize::try_from(reach_length).ok().filter(|most| *most > 0);
+    let motions = state.handles.pose(&state.skeleton, input.handle_motions(), length)?;
+    match method {
+        Method::DualQuaternion => Blend::dual_quaternion(&motions, &state.skeleton),
+        Method::Linear => Ok(Blend::linear(motions)),
+    }
+}
+
+impl Deformer for Skinning {
+    type State = Prepared;
+    type Scratch = ();
+
+    fn descriptor() -> Descriptor {
+        Descriptor::new("skinning", "Skinning", env!("CARGO_PKG_VERSION"))
+            .summary("Bends the model by the joints of a skeleton in it")
+            .citation(
+                "L. Kavan, S. Collins, J. Žára, C. O'Sullivan, Geometric skinning with approximate dual quaternion \
+                 blending, ACM TOG 27, 2008; O. Dionne, M. de Lasa, Geodesic voxel binding for production character \
+                 meshes, SCA 2013; A. Aristidou, J. Lasenby, FABRIK, Graphical Models 73, 2011",
+            )
+            .param_set::<Pose>()
+            .param(
+                ParamDesc::file("skeleton", "Skeleton", &["tgf"])
+                    .hint("Joints and bones as a TGF file in the model's coordinates, where the session places no joints")
+                    .group("Files"),
+            )
+            .param(
+                ParamDesc::file("weights", "Weights", &["txt", "csv", "dat"])
+                    .hint("A table `x y z` and a column for each joint, in the model's coordinates; without it they are found")
+                    .group("Files"),
+            )
+            .param_set::<Weights>()
+            .consumes(simod_plugin_api::Consumes {
+                joints: true,
+                triangles: true,
+                graph: true,
+                frame: true,
+                ..Default::default()
+            })
+    }
+
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+        let skeleton = skeleton(input)?;
+        let handles = handles(input, &skeleton)?;
+        let Weights { influences, falloff, smoothing, resolution } = input.params().read()?;
+        let whole =
+            |id: &str, x: i64| usize::try_from(x).map_err(|_| PluginError::parameter(id, "is negative"));
+        let limit = whole("influences", influences)?.clamp(1, MOST);
+        let samples = input.samples.positions();
+        let weights = match input.params().file("weights")? {
+            Some(path) => {
+                let rows = WeightTable::read(path, &skeleton, limit, to_local(input, "weights")?)?;
+                Source::File { rows, limit }
+            }
+            None => {
+                let voxels =
+                    Voxels::new(input, &skeleton.all_bones(), whole("resolution", resolution)?, host)?;
+                let rule = Rule { power: falloff, smoothing: smoothing * input.bounds.diagonal(), limit };
+                Source::Voxels(Box::new(Binding::new(voxels, &skeleton, rule, host)?))
+            }
+        };
+        let far = AtomicUsize::new(0);
+        let near = NEAR * input.bounds.diagonal();
+        let find = |p: DVec3, room: &mut Vec<(f64, u16)>| match &weights {
+            Source::Voxels(binding) => binding.at(p, room),
+            Source::File { rows, limit } => {
+                let (influences, distance) = rows.at(p, *limit, room);
+                far.fetch_add(usize::from(distance > near), Ordering::Relaxed);
+                influences
+            }
+        };
+        let table = Table::new(samples, find, host)?;
+        match far.into_inner() {
+            0 => {}
+            all if all == samples.len() => {
+                return Err(PluginError::parameter("weights", "has no place near the model")
+                    .hint("give places in the model's coordinates"));
+            }
+            some => host.warn(&format!(
+                "{some} of {} samples are far from all places of the table of weights",
+                samples.len()
+            )),
+        }
+        Ok(Prepared { skeleton, handles, weights, table })
+    }
+
+    fn deform(
+        state: &Prepared,
+        input: &DeformInput<'_>,
+        _: &mut (),
+        out: &mut [[f32; 3]],
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        let rest = input.samples.positions();
+        if rest.len() != out.len() || state.table.len() != out.len() {
+            return Err(PluginError::internal("the samples are not those of the preparation"));
+        }
+        let blend = blend(state, input)?;
+        if blend.is_identity() {
+            out.copy_from_slice(rest);
+            return Ok(());
+        }
+        host.parallel_blocks(out, TOGETHER, |first, out| {
+            for (i, o) in (first..).zip(out) {
+                let p = DVec3::from(rest[i].map(f64::from));
+                *o = blend.apply(p, state.table.of(i)).as_vec3().into();
+            }
+        })
+    }
+}
+
+impl Evaluate for Skinning {
+    fn evaluate(
+        state: &Prepared,
+        input: &DeformInput<'_>,
+        points: &mut [[f64; 3]],
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        let blend = blend(state, input)?;
+        let mut room = Vec::new();
+        for points in points.chunks_mut(TOGETHER) {
+            host.progress(0.0)?;
+            for p in points {
+                let x = DVec3::from(*p);
+                *p = blend.apply(x, state.weights.at(x, &mut room).iter()).into();
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Handles for Skinning {
+    fn handles(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<Vec<HandleDesc>> {
+        let skeleton = skeleton(input)?;
+        Ok(handles(input, &skeleton)?.describe(&skeleton))
+    }
+}
+
+impl IsIdentity for Skinning {
+    fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
+        Ok(input.handle_motions().iter().all(|motion| *motion == Affine::IDENTITY))
+    }
+}
+
+simod_plugin_api::export_plugin!(Skinning, evaluate, handles, is_identity);
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,268 @@
+//! Weights from a file: a table of places with what each of them follows.
+
+use crate::influences::{Influences, MOST, limited};
+use crate::skeleton::Skeleton;
+use glam::DVec3;
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use simod_plugin_api::{PluginError, PluginResult};
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::num::NonZero;
+use std::path::Path;
+
+/// Most rows.
+const MOST_ROWS: usize = 1 << 22;
+/// Rows that a place between them is blended of.
+const BLENDED: usize = 4;
+/// Rows that are so near, as a part of the table's size, are at the place itself.
+const SAME: f64 = 1e-7;
+
+/// Places and what they follow.
+pub struct WeightTable {
+    rows: Vec<Influences>,
+    tree: ImmutableKdTree<f64, 3>,
+    /// Rows at most so far away are at the place itself.
+    same: f64,
+}
+
+/// What is wrong, and in which line.
+type Wrong = (Option<usize>, String);
+
+impl WeightTable {
+    /// The table in a file: a line `x y z` and the ids of joints, and then, line by line, a place and a weight for each
+    /// of the joints. Numbers are separated by white space or commas; empty lines and those that begin with `#` are
+    /// passed over. Weights are taken as parts of their sum.
+    ///
+    /// # Errors
+    /// They name the line, and the column.
+    pub fn read(
+        path: &Path,
+        skeleton: &Skeleton,
+        limit: usize,
+        to_local: impl Fn(DVec3) -> DVec3,
+    ) -> PluginResult<Self> {
+        let file = File::open(path).map_err(|e| (None, format!("cannot be read: {e}")));
+        let rows = file.and_then(|file| parse(BufReader::new(file), skeleton, limit));
+        let this = rows.and_then(|rows| Self::new(rows, to_local));
+        this.map_err(|(line, what)| {
+            let place = line.map_or(String::new(), |n| format!(", line {n}"));
+            PluginError::parameter("weights", &format!("{what}: {}{place}", path.display()))
+                .hint("give a line `x y z` with the ids of joints, and then three coordinates and the weights in each")
+        })
+    }
+
+    fn new(rows: Vec<(DVec3, Influences)>, to_local: impl Fn(DVec3) -> DVec3) -> Result<Self, Wrong> {
+        let (at, rows): (Vec<[f64; 3]>, Vec<Influences>) =
+            rows.into_iter().map(|(p, influences)| (to_local(p).to_array(), influences)).unzip();
+        let points = || at.iter().map(|p| DVec3::from(*p));
+        let size =
+            points().fold(DVec3::NEG_INFINITY, DVec3::max) - points().fold(DVec3::INFINITY, DVec3::min);
+        if !size.length().is_finite() {
+            return Err((None, "has places too far from each other".to_owned()));
+        }
+        let tree = ImmutableKdTree::new_from_slice(&at);
+        let tree = tree.map_err(|_| (None, "has places that cannot be searched".to_owned()))?;
+        Ok(Self { rows, tree, same: SAME * size.length() })
+    }
+
+    /// What a place follows: a row's where it is in that place, and otherwise those of the four nearest, the nearer ones
+    /// more. And how far the nearest is.
+    ///
+    /// By R. Franke, G. Nielson, *Smooth interpolation of large sets of scattered data*, 1980: a row's part falls to nothing at
+    /// the distance of the fifth, so that none jumps where another takes its place.
+    pub fn at(&self, p: DVec3, limit: usize, room: &mut Vec<(f64, u16)>) -> (Influences, f64) {
+        let count = NonZero::new(BLENDED + 1).unwrap_or(NonZero::<usize>::MIN);
+        let near = self.tree.query(&p.to_array()).nearest_n::<SquaredEuclidean<f64>>(count).execute();
+        let mut near: Vec<(f64, usize)> =
+            near.into_iter().map(|n| (n.distance.sqrt(), n.item as usize)).collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let nearest = near[0].0;
+        room.clear();
+        let mut add = |row: usize, part: f64| {
+            for (joint, weight) in self.rows[row].iter() {
+                match room.iter_mut().find(|(_, j)| usize::from(*j) == joint) {
+                    Some((sum, _)) => *sum += part * weight,
+                    None => room.push((part * weight, joint as u16)),
+                }
+            }
+        };
+        if nearest <= self.same {
+            near.iter().filter(|(d, _)| *d <= self.same).for_each(|(_, row)| add(*row, 1.0));
+        } else {
+            // A bit further, as all may be as far.
+            let far = near.get(BLENDED).map_or(f64::INFINITY, |n| n.0 * (1.0 + 1e-6));
+            for (d, row) in &near[..near.len().min(BLENDED)] {
+                add(*row, (nearest / d * (1.0 - d / far)).powi(2));
+            }
+        }
+        (limited(room, limit), nearest)
+    }
+}
+
+/// The rows of a table.
+fn parse(text: impl BufRead, skeleton: &Skeleton, limit: usize) -> Result<Vec<(DVec3, Influences)>, Wrong> {
+    let mut columns: Option<Vec<(String, usize)>> = None;
+    let mut rows = Vec::new();
+    for (number, line) in text.lines().enumerate() {
+        let number = number + 1;
+        let line = line.map_err(|e| (Some(number), format!("cannot be read: {e}")))?;
+        let words = || line.split(|c: char| c.is_whitespace() || c == ',').filter(|w| !w.is_empty());
+        match (words().next(), &columns) {
+            (None, _) => {}
+            (Some(word), _) if word.starts_with('#') => {}
+            (_, None) => columns = Some(header(words(), skeleton).map_err(|what| (Some(number), what))?),
+            (_, Some(_)) if rows.len() == MOST_ROWS => {
+                return Err((Some(number), format!("has more than {MOST_ROWS} rows")));
+            }
+            (_, Some(columns)) => {
+                rows.push(row(words(), columns, limit).map_err(|what| (Some(number), what))?);
+            }
+        }
+    }
+    match (columns, rows.is_empty()) {
+        (None, _) => Err((None, "is empty".to_owned())),
+        (_, true) => Err((None, "has no rows".to_owned())),
+        _ => Ok(rows),
+    }
+}
+
+/// The joints of the columns after the first three.
+fn header<'a>(
+    mut words: impl Iterator<Item = &'a str>,
+    skeleton: &Skeleton,
+) -> Result<Vec<(String, usize)>, String> {
+    for axis in ["x", "y", "z"] {
+        if words.next() != Some(axis) {
+            return Err("does not begin with the columns x, y and z".to_owned());
+        }
+    }
+    let mut columns: Vec<(String, usize)> = Vec::new();
+    for id in words {
+        let joint =
+            skeleton.find(id).ok_or_else(|| format!("has a column `{id}`, and there is no such joint"))?;
+        if skeleton.joints[joint].is_end() {
+            return Err(format!(
+                "has a column `{id}`, and no joint hangs on that one, so that it has no bone"
+            ));
+        }
+        if columns.iter().any(|(known, _)| known == id) {
+            return Err(format!("has two columns `{id}`"));
+        }
+        columns.push((id.to_owned(), joint));
+    }
+    if columns.is_empty() { Err("has no columns of joints".to_owned()) } else { Ok(columns) }
+}
+
+/// A place and what it follows.
+fn row<'a>(
+    words: impl Iterator<Item = &'a str>,
+    columns: &[(String, usize)],
+    limit: usize,
+) -> Result<(DVec3, Influences), String> {
+    let words: Vec<&str> = words.collect();
+    if words.len() != 3 + columns.len() {
+        return Err(format!("has {} numbers instead of {}", words.len(), 3 + columns.len()));
+    }
+    let number = |column: &str, word: &str| {
+        let number = word.parse::<f64>().ok().filter(|x| x.is_finite());
+        number.ok_or_else(|| format!("has `{word}` in column `{column}`, and that is no finite number"))
+    };
+    let at = DVec3::new(number("x", words[0])?, number("y", words[1])?, number("z", words[2])?);
+    let mut weights = Vec::with_capacity(columns.len());
+    for ((id, joint), word) in columns.iter().zip(&words[3..]) {
+        let weight = number(id, word)?;
+        if weight < 0.0 {
+            return Err(format!("has a negative weight in column `{id}`"));
+        }
+        weights.push((weight, *joint as u16));
+    }
+    let largest = weights.iter().map(|w| w.0).fold(0.0, f64::max);
+    if largest == 0.0 {
+        return Err("has no weight above 0".to_owned());
+    }
+    weights.iter_mut().for_each(|w| w.0 /= largest);
+    // More than a sample may follow are kept, as some may come to less in between.
+    Ok((at, limited(&mut weights, limit.max(MOST))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use simod_plugin_api::Joint;
+    use std::io::Write;
+
+    fn skeleton() -> Skeleton {
+        let joint = |id, x, parent| Joint::new(id, [x, 0.0, 0.0], parent);
+        Skeleton::new(&[joint("a", 0.0, Joint::ROOT), joint("b", 1.0, 0), joint("tip", 2.0, 1)]).unwrap()
+    }
+
+    fn read(text: &str) -> PluginResult<WeightTable> {
+        let mut file = tempfile::NamedTempFile::new().unwrap();
+        file.write_all(text.as_bytes()).unwrap();
+        WeightTable::read(file.path(), &skeleton(), 4, |p| p)
+    }
+
+    fn at(table: &WeightTable, p: [f64; 3]) -> [f64; 2] {
+        let mut weights = [0.0; 2];
+        table.at(p.into(), 4, &mut Vec::new()).0.iter().for_each(|(j, w)| weights[j] = w);
+        weights
+    }
+
+    #[test]
+    fn rows_are_met_and_blended() {
+        let table =
+            read("# by hand\nx y z b a\n0 0 0 0 1\n1,0,0,3,1\n\n1 1 0 1 0\n 0\t1 0 0 7e300\n5 5 5 1 0\n")
+                .unwrap();
+        assert_eq!(at(&table, [0.0; 3]), [1.0, 0.0]);
+        assert_eq!(at(&table, [1.0, 0.0, 0.0]), [0.25, 0.75]);
+        let [a, b] = at(&table, [0.5, 0.5, 0.0]);
+        assert!((a - 0.5625).abs() < 1e-12 && (a + b - 1.0).abs() < 1e-12, "{a} {b}");
+        let [a, _] = at(&table, [0.1, 0.0, 0.0]);
+        assert!(a > 0.97 && a < 1.0, "{a}");
+        // Two rows in one place count as their mean.
+        let table = read("x y z a b\n0 0 0 1 0\n0 0 0 0 1\n1 0 0 1 0\n").unwrap();
+        assert_eq!(at(&table, [0.0; 3]), [0.5, 0.5]);
+        assert_eq!(at(&read("x y z a\n3 0 0 2").unwrap(), [0.0; 3]), [1.0, 0.0]);
+    }
+
+    #[test]
+    fn what_is_no_table_is_refused() {
+        let told = |text: &str, parts: &[&str]| {
+            let error = read(text).err().unwrap();
+            for part in parts {
+                assert!(error.message.contains(part), "{part}: {error}");
+            }
+            assert!(!error.hint.is_empty(), "{text}");
+        };
+        told("", &["is empty"]);
+        told("x y z a b\n# nothing\n", &["no rows"]);
+        told("x z y a\n0 0 0 1", &["x, y and z", "line 1"]);
+        told("x y z\n0 0 0", &["no columns", "line 1"]);
+        told("x y z a c\n", &["`c`", "no such joint", "line 1"]);
+        told("x y z a tip\n", &["`tip`", "no bone", "line 1"]);
+        told("x y z a a\n", &["two columns `a`", "line 1"]);
+        told("x y z a b\n0 0 0 1\n", &["4 numbers instead of 5", "line 2"]);
+        told("x y z a b\n0 0 0 1 0 1\n", &["6 numbers instead of 5", "line 2"]);
+        told("x y z a b\n0 0 0 1 -1\n", &["negative", "`b`", "line 2"]);
+        told("x y z a b\n0 0 0 1 NaN\n", &["`NaN`", "`b`", "line 2"]);
+        told("x y z a b\n0 1e999 0 1 0\n", &["`1e999`", "`y`", "line 2"]);
+        told("x y z a b\n0 0 0 0 0\n", &["no weight above 0", "line 2"]);
+        told("x y z a b\n1e308 0 0 1 0\n-1e308 0 0 1 0\n", &["too far"]);
+        let error = WeightTable::read(Path::new("/nowhere"), &skeleton(), 4, |p| p).err().unwrap();
+        assert!(error.message.contains("/nowhere"), "{error}");
+    }
+
+    proptest! {
+        #[test]
+        fn nothing_makes_it_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+            let _ = parse(&bytes[..], &skeleton(), 4);
+        }
+
+        #[test]
+        fn nor_does_what_looks_right(lines in prop::collection::vec("[0-9ab.,e -]{0,14}", 0..8)) {
+            let text = format!("x y z a b\n{}", lines.join("\n"));
+            let _ = parse(text.as_bytes(), &skeleton(), 4).and_then(|rows| WeightTable::new(rows, |p| p));
+        }
+    }
+}

@@ -1,0 +1,7 @@
+//! The whole plugin, as the host calls it.
+
+mod meaning;
+mod reference;
+mod refused;
+mod scene;
+mod solids;
