@@ -64,19 +64,26 @@ pub(super) fn beside(models: &[&dyn Model], diagonal: f64, progress: &dyn Progre
 }
 
 /// The deformed samples beside those at rest.
-pub(super) fn on_samples(sampled: &SampledModel, positions: &[Vec3]) -> Option<OnSamples> {
+pub(super) fn on_samples(
+    sampled: &SampledModel,
+    positions: &[Vec3],
+    progress: &dyn Progress,
+) -> Result<Option<OnSamples>> {
     let triangles = &sampled.triangles;
     if triangles.is_empty() {
-        return None;
+        return Ok(None);
     }
+    progress.begin("measuring the samples", 0);
     let (rest, after) = (in_diagonals(sampled, &sampled.samples.positions), in_diagonals(sampled, positions));
     let change = || volume(&after, triangles) / volume(&rest, triangles) - 1.0;
-    Some(OnSamples {
-        volume_change: is_closed(triangles).then(change).filter(|x| x.is_finite()),
-        edges: edge_distortion(&rest, &after, triangles),
-        areas: area_distortion(&rest, &after, triangles),
-        details: Details::new(&rest, triangles, DETAIL).rotation(&after),
-    })
+    let volume_change = is_closed(triangles).then(change).filter(|x| x.is_finite());
+    progress.check()?;
+    let edges = edge_distortion(&rest, &after, triangles);
+    let areas = area_distortion(&rest, &after, triangles);
+    progress.check()?;
+    let details = Details::new(&rest, triangles, DETAIL);
+    progress.check()?;
+    Ok(Some(OnSamples { volume_change, edges, areas, details: details.rotation(&after) }))
 }
 
 /// Positions in the unit of all lengths.
@@ -129,9 +136,11 @@ fn rounded_up(x: f64) -> f64 {
     if !(x > 0.0 && x.is_finite()) {
         return 0.0;
     }
-    let power = 10f64.powf(x.log10().floor());
-    let fits = |n: &f64| n * power >= x * (1.0 - 1e-9);
-    [1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0].into_iter().find(fits).unwrap_or(10.0) * power
+    let exponent = x.log10().floor() as i32;
+    // Divided by whole powers, so that 0.3 is 0.3.
+    let round = |n: f64| if exponent < 0 { n / 10f64.powi(-exponent) } else { n * 10f64.powi(exponent) };
+    let ends = [1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0].map(round);
+    ends.into_iter().find(|end| *end >= x * (1.0 - 1e-9)).unwrap_or(x)
 }
 
 #[cfg(test)]
@@ -140,8 +149,10 @@ mod tests {
 
     #[test]
     fn scales_end_at_round_numbers() {
-        for (x, end) in [(0.013, 0.015), (0.02, 0.02), (0.0021, 0.003), (9.0, 10.0), (1.0, 1.0), (0.0, 0.0)] {
-            assert!((rounded_up(x) - end).abs() < 1e-12, "{x}: {}", rounded_up(x));
+        for (x, end) in
+            [(0.013, 0.015), (0.02, 0.02), (0.0021, 0.003), (9.0, 10.0), (0.27, 0.3), (1.0, 1.0), (0.0, 0.0)]
+        {
+            assert_eq!(rounded_up(x), end, "{x}");
         }
         assert_eq!(rounded_up(f64::NAN), 0.0);
     }

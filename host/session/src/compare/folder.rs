@@ -76,7 +76,7 @@ impl Target {
 pub(super) fn names(methods: &[Method]) -> Vec<String> {
     const LONGEST: usize = 60;
     let mut taken: HashSet<String> = ["rest", "index", "compare", "difference"].map(String::from).into();
-    let mut name = |method: &Method| {
+    let name = |method: &Method| {
         let words = method.name.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
         let mut name = words.collect::<Vec<_>>().join("-").to_ascii_lowercase();
         name.truncate(LONGEST);
@@ -92,7 +92,7 @@ pub(super) fn names(methods: &[Method]) -> Vec<String> {
         taken.extend([numbered.clone(), difference(&numbered)]);
         numbered
     };
-    methods.iter().map(|method| name(method)).collect()
+    methods.iter().map(name).collect()
 }
 
 /// The name of the picture of differences, without its ending.

@@ -107,7 +107,7 @@ impl<'a> Bench<'a> {
             peak_memory_bytes,
             transfer_error,
             displacement: None,
-            on_samples: on_samples(&sampled, &positions),
+            on_samples: on_samples(&sampled, &positions, progress)?,
             folded_samples: done.folding.first().copied().flatten().map(|f| f.samples),
             messages: words(&messages),
         });

@@ -43,7 +43,7 @@ fn head(c: &Comparison, title: &str) -> String {
         ("Model", m.name.clone()),
         ("Size", format!("{} vertices, {} bytes", m.vertices, m.bytes)),
         ("Fingerprint", m.fingerprint.clone()),
-        ("Diagonal", format!("{} in the model's unit", number(m.diagonal))),
+        ("Diagonal", format!("{} in the model's unit", m.diagonal)),
         ("Made by", format!("SIMOD {}", c.simod)),
     ];
     let facts: String =
@@ -276,7 +276,7 @@ fn meaning() -> String {
     );
     let mut list: String =
         terms.iter().map(|(term, text)| format!("<dt>{term}</dt><dd>{}</dd>\n", escape(text))).collect();
-    let _ = write!(list, "<dt>details</dt><dd>{}</dd>\n", escape(&details));
+    let _ = writeln!(list, "<dt>details</dt><dd>{}</dd>", escape(&details));
     format!("<h2>What the figures mean</h2>\n<dl>\n{list}</dl>\n")
 }
 
@@ -285,9 +285,9 @@ fn parameters(c: &Comparison) -> String {
     for method in &c.methods {
         let given = words(&method.sampling);
         let sampling = if given.is_empty() { "as by default".to_owned() } else { given };
-        let _ = write!(html, "<h3>{}</h3>\n<dl>\n", escape(&method.name));
+        let _ = writeln!(html, "<h3>{}</h3>\n<dl>", escape(&method.name));
         let mut line = |name: &str, value: &str| {
-            let _ = write!(html, "<dt>{}</dt><dd>{}</dd>\n", escape(name), escape(value));
+            let _ = writeln!(html, "<dt>{}</dt><dd>{}</dd>", escape(name), escape(value));
         };
         for step in &method.steps {
             line(&format!("{} {}", step.plugin, step.version), &words(&step.params));
@@ -299,7 +299,7 @@ fn parameters(c: &Comparison) -> String {
         }
         html.push_str("</dl>\n");
         if let Some(session) = &method.session {
-            let _ = write!(html, "<pre>{}</pre>\n", escape(session));
+            let _ = writeln!(html, "<pre>{}</pre>", escape(session));
         }
     }
     html
