@@ -100,6 +100,18 @@ mod tests {
     }
 
     #[test]
+    fn the_program_s_own_distances_are_the_same() {
+        let at = |i: u32| DVec3::new(f64::from(i * 37 % 101), f64::from(i * 53 % 97), f64::from(i * 71 % 89));
+        let corners: Vec<DVec3> = (0..300).map(at).collect();
+        let triangles: Vec<[u32; 3]> = (0..100).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        let surface = simod_core::measure::Surface::new(&corners, &triangles).expect("triangles");
+        for p in (1000..2000).map(at).map(|p| 1.3 * p + 0.1) {
+            let expected = to_triangles(&[p], &corners, &triangles).expect("a distance").worst;
+            assert!((surface.distance(p) - expected).abs() < 1e-9, "{p}: {} {expected}", surface.distance(p));
+        }
+    }
+
+    #[test]
     fn beyond_a_triangle_its_edges_and_corners_are_nearest() {
         let triangle = [DVec3::ZERO, DVec3::X, DVec3::Y];
         let distance = |p: DVec3| to_triangles(&[p], &triangle, &[[0, 1, 2]]).expect("a distance").worst;

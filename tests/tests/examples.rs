@@ -42,6 +42,14 @@ fn a_plugin_in_c() {
     assert!(lesson.said.contains("transfer error"), "{}", lesson.said);
 }
 
+#[test]
+fn comparing_methods() {
+    let lesson = Lesson::follow("05-compare-methods");
+    lesson.assert_deformed("cactus.ply", "comparison/exact-bend.ply");
+    let page = fs::read_to_string(lesson.folder.join("comparison/index.html")).unwrap();
+    assert!(page.contains("5 methods on cactus.ply") && !page.contains("Failed"), "{}", lesson.said);
+}
+
 /// The programs of the lesson on the library, one after the other.
 #[test]
 fn the_library() {

@@ -6,9 +6,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use simod_core::memory::MemoryWatch;
 use simod_core::{Error, Progress};
-
-use crate::memory::MemoryWatch;
 
 /// Progress bar (silent where standard error is no terminal), clock of the stages, and cancel flag.
 pub struct Console {

@@ -2,8 +2,6 @@
 
 mod commands;
 mod console;
-mod memory;
-mod picture;
 mod report;
 mod versions;
 
@@ -12,7 +10,9 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 use simod_core::ErrorKind;
 
-use commands::{bind, deform, demo, generate, info, plugin, reconstruct, refine, render, run, sample};
+use commands::{
+    bind, compare, deform, demo, generate, info, plugin, reconstruct, refine, render, run, sample,
+};
 use console::Console;
 use report::Report;
 
@@ -39,6 +39,7 @@ enum Command {
     Bind(bind::Bind),
     Reconstruct(reconstruct::Reconstruct),
     Run(run::Run),
+    Compare(compare::Compare),
     Info(info::Info),
     #[command(subcommand)]
     Plugin(plugin::Plugin),
@@ -71,6 +72,7 @@ fn execute(arguments: Arguments, console: &Console) -> simod_core::Result<()> {
         Command::Bind(c) => c.execute(&mut report),
         Command::Reconstruct(c) => c.execute(&mut report),
         Command::Run(c) => c.execute(&mut report),
+        Command::Compare(c) => c.execute(&mut report),
         Command::Info(c) => c.execute(&mut report),
         Command::Plugin(c) => c.execute(&mut report),
         Command::Demo(c) => c.execute(&mut report),

@@ -11,6 +11,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 use crate::frame::Frame;
 use crate::geometry::Bounds;
 use crate::model::{self, FaceChunk, Model, Scalar, VertexChunk};
+use crate::output_folder::OutputFolder;
 use crate::refinement::Refinement;
 use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::lattice::Grid;
@@ -196,14 +197,8 @@ impl SampledModel {
     /// The folder cannot be written, or something else is there.
     pub fn save(&self, folder: &Path) -> Result<()> {
         Self::check_target(folder)?;
-        let parent = output::folder_of(folder);
-        let io = |e: std::io::Error| Error::io("write", folder, &e);
-        let new = tempfile::Builder::new().prefix(".simod-").tempdir_in(parent).map_err(io)?;
-        // What fails is told of the folder that was asked for, not of its temporary name.
-        let named = |e: Error| {
-            let what = e.to_string().replace(&*new.path().to_string_lossy(), &folder.to_string_lossy());
-            Error::new(e.kind(), what, e.hint())
-        };
+        let new = OutputFolder::create(folder)?;
+        let named = |e: Error| new.named(&e);
         let points = new.path().join("samples.ply");
         let normals =
             if self.sampling.skip.normals { self.samples.known_normals() } else { self.samples.normals() };
@@ -244,27 +239,7 @@ impl SampledModel {
             let bytes = kept.encode(&description.samples_fingerprint)?;
             output::write_file(&new.path().join(CELLS), &bytes).map_err(named)?;
         }
-        set_folder_permissions(new.path()).map_err(io)?;
-
-        if folder.symlink_metadata().is_err() {
-            std::fs::rename(new.path(), folder).map_err(io)?;
-        } else if output::exchange(new.path(), folder).map_err(io)? {
-            // What was there goes with the temporary folder.
-            return output::sync_folder(parent).map_err(io);
-        } else {
-            let old = tempfile::Builder::new().prefix(".simod-old-").tempdir_in(parent).map_err(io)?;
-            std::fs::rename(folder, old.path().join("old")).map_err(io)?;
-            if let Err(e) = std::fs::rename(new.path(), folder) {
-                // Back as it was; if even that fails, it stays where it is.
-                let old = old.keep();
-                std::fs::rename(old.join("old"), folder).map_err(io)?;
-                let _ = std::fs::remove_dir(old);
-                return Err(io(e));
-            }
-        }
-        // Moved away: there is nothing to remove under the temporary name.
-        let _ = new.keep();
-        output::sync_folder(parent).map_err(io)
+        new.commit()
     }
 
     /// Whether [`save`](Self::save) may write there: better known before a large model is sampled.
@@ -617,20 +592,4 @@ pub fn relative(file: &Path, folder: &Path) -> PathBuf {
         _ => folder,
     };
     pathdiff::diff_paths(&file, &folder).unwrap_or(file)
-}
-
-/// Temporary folders are private; a result has the permissions of any other new folder.
-fn set_folder_permissions(folder: &Path) -> std::io::Result<()> {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        // What mkdir would give under the present umask, which can only be read by making something.
-        let probe = folder.join(".mode");
-        std::fs::create_dir(&probe)?;
-        let mode = std::fs::metadata(&probe)?.permissions().mode();
-        std::fs::remove_dir(&probe)?;
-        std::fs::set_permissions(folder, std::fs::Permissions::from_mode(mode))?;
-    }
-    let _ = folder;
-    Ok(())
 }

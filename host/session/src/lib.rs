@@ -11,6 +11,7 @@
 
 pub mod check;
 pub mod child;
+pub mod compare;
 pub mod deformer;
 pub mod edit;
 pub mod motion;

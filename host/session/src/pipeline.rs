@@ -72,14 +72,14 @@ pub struct DeformedSamples {
 /// # Errors
 /// A step cannot be done, or the user cancelled.
 pub fn deform(
-    sampled: SampledModel,
+    sampled: impl Into<Arc<SampledModel>>,
     steps: &[Step],
     plugins: &PluginRegistry,
     how: Refinements,
     progress: &dyn Progress,
 ) -> Result<DeformedSamples> {
     let document = Document::new(steps.iter().cloned());
-    let mut evaluation = Evaluation::new(Arc::new(sampled), how);
+    let mut evaluation = Evaluation::new(sampled.into(), how);
     let Evaluated { sampled, positions, statuses, stack } =
         evaluation.update(document.steps(), plugins, Effort::FULL, progress)?;
     let mut messages = Vec::new();

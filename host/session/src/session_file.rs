@@ -242,9 +242,9 @@ struct RawSession {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct RawModel {
-    path: PathBuf,
-    fingerprint: Option<String>,
+pub(crate) struct RawModel {
+    pub path: PathBuf,
+    pub fingerprint: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -290,7 +290,7 @@ struct RawHandle {
 
 #[derive(Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-struct RawRegion {
+pub(crate) struct RawRegion {
     role: Role,
     shapes: Vec<Spanned<Shape>>,
     falloff: Option<Spanned<f64>>,
@@ -300,18 +300,7 @@ struct RawRegion {
 impl SessionFile {
     /// Reads a session; its paths are relative to the file's folder.
     pub fn load(path: &Path) -> Result<Self> {
-        let mut text = String::new();
-        let read = File::open(path).and_then(|file| file.take(LARGEST).read_to_string(&mut text));
-        let read =
-            read.and_then(|n| if n as u64 == LARGEST { Err(ErrorOfIo::InvalidData.into()) } else { Ok(()) });
-        read.map_err(|e| match e.kind() {
-            std::io::ErrorKind::InvalidData => Error::new(
-                ErrorKind::Format,
-                format!("{} is no session: not UTF-8 text, or too long", path.display()),
-                "give a session file (session.toml), not a model",
-            ),
-            _ => Error::io("read the session", path, &e),
-        })?;
+        let text = read_text(path, "session", "give a session file (session.toml), not a model")?;
         Self::parse(&text, path)
     }
 
@@ -339,30 +328,47 @@ impl SessionFile {
     }
 }
 
+/// The text of a small file; `what` it should be, and what to give, for errors.
+pub(crate) fn read_text(path: &Path, what: &str, hint: &str) -> Result<String> {
+    let mut text = String::new();
+    let read = File::open(path).and_then(|file| file.take(LARGEST).read_to_string(&mut text));
+    let read =
+        read.and_then(|n| if n as u64 == LARGEST { Err(ErrorOfIo::InvalidData.into()) } else { Ok(()) });
+    read.map_err(|e| match e.kind() {
+        ErrorOfIo::InvalidData => Error::new(
+            ErrorKind::Format,
+            format!("{} is no {what}: not UTF-8 text, or too long", path.display()),
+            hint,
+        ),
+        _ => Error::io(&format!("read the {what}"), path, &e),
+    })?;
+    Ok(text)
+}
+
 /// The file, for errors that say where.
-struct Source<'a> {
-    text: &'a str,
-    path: &'a Path,
+pub(crate) struct Source<'a> {
+    pub text: &'a str,
+    pub path: &'a Path,
 }
 
 impl Source<'_> {
     /// The file's name and the line, counted from 1.
-    fn place(&self, span: &Range<usize>) -> String {
+    pub fn place(&self, span: &Range<usize>) -> String {
         let before = self.text.as_bytes().get(..span.start).unwrap_or_default();
         let line = 1 + before.iter().filter(|&&b| b == b'\n').count();
         format!("{}, line {line}", self.path.display())
     }
 
-    fn error(&self, span: &Range<usize>, what: &str, hint: impl Into<String>) -> Error {
+    pub fn error(&self, span: &Range<usize>, what: &str, hint: impl Into<String>) -> Error {
         Error::new(ErrorKind::Format, format!("{}: {what}", self.place(span)), hint)
     }
 
     /// The parser's complaint on one line, with the line of the file that it is about.
-    fn refused(&self, error: &toml::de::Error) -> Error {
+    pub fn refused(&self, error: &toml::de::Error) -> Error {
         let message = error.message().lines().collect::<Vec<_>>().join("; ");
         let Some(span) = error.span() else {
             let what = format!("{}: {message}", self.path.display());
-            return Error::new(ErrorKind::Format, what, "compare it with the examples of session files");
+            return Error::new(ErrorKind::Format, what, "compare it with the examples");
         };
         let start = self.text[..span.start.min(self.text.len())].rfind('\n').map_or(0, |i| i + 1);
         let line = self.text[start..].lines().next().unwrap_or_default().trim();
@@ -370,7 +376,7 @@ impl Source<'_> {
         self.error(&span, &message, format!("the line reads: {line}"))
     }
 
-    fn sampling(&self, sampling: Spanned<Sampling>) -> Result<Sampling> {
+    pub fn sampling(&self, sampling: Spanned<Sampling>) -> Result<Sampling> {
         let span = sampling.span();
         let sampling = sampling.into_inner();
         let wrong = |what, hint: &str| Err(self.error(&span, what, hint));
@@ -548,7 +554,7 @@ impl Source<'_> {
         }
     }
 
-    fn region(&self, region: Spanned<RawRegion>) -> Result<Region> {
+    pub fn region(&self, region: Spanned<RawRegion>) -> Result<Region> {
         let span = region.span();
         let raw = region.into_inner();
         let mut shapes = self.shapes(&span, "the region has no shape", raw.shapes)?;

@@ -6,12 +6,12 @@ use clap::Args;
 use simod_core::generate::{ModelOptions, write_file};
 use simod_core::reconstruction::Reconstruction;
 use simod_core::render::Image;
+use simod_core::render::picture::{self, Up, View};
 use simod_core::{Error, Result, model, output};
 use simod_session::{Run, SessionFile};
 
 use super::plugin_options::PluginOptions;
 use super::run::{describe, describe_error};
-use crate::picture::{self, Up, View};
 use crate::report::{Report, count};
 
 /// Do the main job on a generated model: sample it, deform the samples with two plugins, write the deformed

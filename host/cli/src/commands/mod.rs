@@ -1,6 +1,7 @@
 //! The subcommands, a file each.
 
 pub mod bind;
+pub mod compare;
 pub mod deform;
 pub mod demo;
 pub mod generate;

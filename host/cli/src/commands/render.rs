@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
+use simod_core::render::picture::{self, Up, View};
 use simod_core::sampled_model::SampledModel;
 use simod_core::{Error, ErrorKind, Result, model, output};
 
-use crate::picture::{self, Up, View};
 use crate::report::Report;
 
 /// Draw a model, or the samples of a sampled model, as a PNG picture
@@ -26,10 +26,29 @@ pub struct Render {
     pitch: f64,
     /// The model's axis that points up
     #[arg(long, value_enum, default_value_t)]
-    up: Up,
+    up: UpName,
     /// Size of the picture in pixels
     #[arg(long, default_value = "1000x1000", value_name = "WxH", value_parser = parse_size)]
     size: [u32; 2],
+}
+
+/// The model's axis that points up.
+#[derive(Clone, Copy, Default, ValueEnum)]
+enum UpName {
+    X,
+    #[default]
+    Y,
+    Z,
+}
+
+impl From<UpName> for Up {
+    fn from(name: UpName) -> Self {
+        match name {
+            UpName::X => Self::X,
+            UpName::Y => Self::Y,
+            UpName::Z => Self::Z,
+        }
+    }
 }
 
 /// Longest side of a picture: 4 times as many pixels are held, of 64 bytes each, which is 3.5 GiB at most.
@@ -43,7 +62,8 @@ fn parse_size(text: &str) -> std::result::Result<[u32; 2], String> {
 
 impl Render {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        let view = |bounds| View { bounds, yaw: self.yaw, pitch: self.pitch, size: self.size, up: self.up };
+        let view =
+            |bounds| View { bounds, yaw: self.yaw, pitch: self.pitch, size: self.size, up: self.up.into() };
         let image = if self.path.is_dir() {
             let sampled = SampledModel::load(&self.path)?;
             let samples = &sampled.samples;

@@ -9,6 +9,7 @@
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
+use serde::Serialize;
 
 use super::{corners, cross};
 
@@ -25,7 +26,7 @@ pub struct Details<'a> {
 }
 
 /// How details turn.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Rotation {
     /// Degrees: root of the mean square over all vertices, weighted by the squared lengths of the details at rest.
     pub rms: f64,

@@ -1,6 +1,7 @@
-//! What a deformation does to a mesh: changes of volume, lengths and areas, and how details turn.
+//! What a deformation does to a mesh: changes of volume, lengths and areas, and how details turn; and how far the results
+//! of several are from each other.
 //!
-//! For meshes that are held in memory: `P_S`, or a model that is small enough. Positions are in any unit; triangles
+//! For meshes that are held in memory, `P_S` or a model that is small enough; [`beside`] alone is for models of any size. Positions are in any unit; triangles
 //! are indices into them, counter-clockwise as seen from outside. A triangle with an index that is out of range, or
 //! with a corner that is not finite, is left out.
 //!
@@ -16,18 +17,23 @@
 //! ```
 
 mod details;
+mod distance;
 mod size;
+mod vertexwise;
 
 pub use details::{Details, Rotation};
-pub use size::{area, area_distortion, edge_distortion, volume};
+pub use distance::{Distances, Surface};
+pub use size::{area, area_distortion, edge_distortion, is_closed, volume};
+pub use vertexwise::{Angles, Beside, Difference, beside};
 
 use glam::DVec3;
+use serde::Serialize;
 
 /// A corner of a triangle.
 type Corners = [DVec3; 3];
 
 /// How some amount is spread over a mesh; all 0 for a mesh without any.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Spread {
     /// Root of the mean square.
     pub rms: f64,

@@ -14,6 +14,20 @@ pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     all.map(|c| c.map(|p| p - origin)).map(|[a, b, c]| a.cross(b).dot(c)).sum::<f64>() / 6.0
 }
 
+/// Whether a mesh holds a volume: but for one side in a hundred, each side of a triangle is also one of another, the other
+/// way round. That much a mesh may lack that was made of a closed one by joining vertices.
+pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
+    let sides = triangles.iter().flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]]);
+    let mut sides: Vec<([u32; 2], i8)> =
+        sides.map(|[a, b]| ([a.min(b), a.max(b)], if a < b { 1 } else { -1 })).collect();
+    sides.sort_unstable();
+    let open: usize = sides
+        .chunk_by(|a, b| a.0 == b.0)
+        .map(|same| same.iter().map(|(_, way)| isize::from(*way)).sum::<isize>().unsigned_abs())
+        .sum();
+    !sides.is_empty() && open * 100 <= sides.len()
+}
+
 /// The area of a mesh.
 pub fn area(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     0.5 * triangles.iter().filter_map(|t| corners(positions, *t)).map(|c| cross(c).length()).sum::<f64>()
@@ -68,6 +82,13 @@ mod tests {
         }
         let mirrored: Vec<_> = rest.iter().map(|p| -*p).collect();
         assert!((volume(&mirrored, &triangles) + 6.0).abs() < 1e-12);
+        // Without one triangle, or with one turned round, it holds nothing.
+        assert!(is_closed(&triangles) && !is_closed(&triangles[1..]) && !is_closed(&[]));
+        let turned = triangles
+            .iter()
+            .enumerate()
+            .map(|(i, [a, b, c])| if i == 3 { [*a, *c, *b] } else { [*a, *b, *c] });
+        assert!(!is_closed(&turned.collect::<Vec<_>>()));
     }
 
     #[test]

@@ -4,9 +4,12 @@
 //! A model is never held: readers keep one chunk of at most [`CHUNK_VERTICES`] vertices or [`CHUNK_TRIANGLES`]
 //! triangles, and [`Model::rewrite`] at most four of them at a time, each with up to [`MAX_VERSIONS`] new versions.
 
+mod in_step;
 mod pipeline;
 pub mod ply;
 mod source;
+
+pub use in_step::{Vertices, in_step};
 
 use std::io::{self, Write};
 use std::ops::Range;

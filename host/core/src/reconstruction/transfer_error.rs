@@ -1,12 +1,13 @@
 //! How far a reconstruction is from the exact deformation of every vertex.
 
 use glam::DVec3;
+use serde::Serialize;
 
 use crate::model::{Model, VertexChunk};
 use crate::{Error, ErrorKind, Progress, Result};
 
 /// The deviation of a deformed model from the exact one. Lengths are fractions of the model's diagonal at rest.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TransferError {
     /// Vertices compared: those with a finite position.
     pub vertices: u64,
@@ -93,7 +94,7 @@ pub fn measure(
 }
 
 /// Counts of positive values on a logarithmic scale from 1e-12 to 1e3, 64 bins per factor of ten.
-struct Histogram {
+pub(crate) struct Histogram {
     bins: Vec<u64>,
 }
 
@@ -107,14 +108,14 @@ impl Default for Histogram {
 }
 
 impl Histogram {
-    fn add(&mut self, x: f64) {
+    pub(crate) fn add(&mut self, x: f64) {
         let bin = ((x.log10() - LEAST_EXPONENT) * BINS_PER_DECADE).max(0.0) as usize;
         let last = self.bins.len() - 1;
         self.bins[bin.min(last)] += 1;
     }
 
     /// The middle of the bin that holds the quantile; 0 for anything below the scale.
-    fn quantile(&self, q: f64) -> f64 {
+    pub(crate) fn quantile(&self, q: f64) -> f64 {
         let wanted = (self.bins.iter().sum::<u64>() as f64 * q).ceil() as u64;
         let mut seen = 0;
         for (bin, n) in self.bins.iter().enumerate() {

@@ -5,6 +5,10 @@ use glam::Vec3;
 use super::font;
 use crate::{Error, ErrorKind, Result};
 
+/// Colours of what is written.
+const PAPER: [u8; 3] = [244, 244, 242];
+const INK: [u8; 3] = [40, 40, 44];
+
 /// A picture of 8-bit sRGB pixels.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Image {
@@ -79,8 +83,6 @@ impl Image {
     /// have stays empty.
     pub fn side_by_side(pictures: &[(&Image, &str)]) -> Self {
         const GAP: u32 = 12;
-        const PAPER: [u8; 3] = [244, 244, 242];
-        const INK: [u8; 3] = [40, 40, 44];
         // Captions fit the narrowest picture that has one, but stay legible.
         let fits = |(image, text): &(&Image, &str)| image.width / font::width(text, 1).max(1);
         let scale = pictures.iter().map(fits).min().unwrap_or(1).clamp(1, 3);
@@ -100,6 +102,26 @@ impl Image {
             left += image.width + GAP;
         }
         montage
+    }
+
+    /// The picture above a bar of the colours from 0 to 1, with a label below its left end and its right one. What the font
+    /// does not have stays empty.
+    pub fn with_scale(&self, color: impl Fn(f32) -> [u8; 3], labels: [&str; 2]) -> Self {
+        const GAP: u32 = 12;
+        let bar = [self.width.saturating_sub(2 * GAP).max(2), 10];
+        let longest = font::width(labels[0], 1) + font::width(labels[1], 1) + GAP;
+        let scale = (bar[0] / longest.max(1)).clamp(1, 2);
+        let mut whole = Self::new(self.width, self.height + 3 * GAP + bar[1] + font::HEIGHT * scale, PAPER);
+        whole.paste(self, 0, 0);
+        let top = self.height + GAP;
+        for (x, y) in (0..bar[0]).flat_map(|x| (0..bar[1]).map(move |y| (x, y))) {
+            whole.set(GAP + x, top + y, color(x as f32 / (bar[0] - 1) as f32));
+        }
+        let right = bar[0].saturating_sub(font::width(labels[1], scale));
+        for (label, left) in labels.into_iter().zip([GAP, GAP + right]) {
+            font::draw(label, scale, |x, y| whole.set(left + x, top + bar[1] + GAP / 2 + y, INK));
+        }
+        whole
     }
 
     fn paste(&mut self, image: &Image, left: u32, top: u32) {
@@ -140,6 +162,17 @@ mod tests {
         assert!(Image::side_by_side(&[]).width() > 0);
         // A caption wider than its picture is cut at the montage's border.
         assert!(Image::side_by_side(&[(&blue, "much longer than wide")]).width() < 50);
+    }
+
+    #[test]
+    fn a_scale_goes_from_one_end_to_the_other() {
+        let image = Image::new(100, 20, [9, 9, 9]);
+        let scaled = image.with_scale(|t| [(255.0 * t) as u8, 0, 0], ["0", "1.5 %"]);
+        let count = |color| scaled.pixels().iter().filter(|&&p| p == color).count();
+        assert_eq!(count([9, 9, 9]), 2000);
+        assert_eq!((count([0, 0, 0]), count([255, 0, 0])), (10, 10));
+        assert!(count(INK) > 20);
+        Image::new(1, 1, INK).with_scale(|_| INK, ["", ""]);
     }
 
     #[test]

@@ -23,6 +23,7 @@ mod camera;
 mod font;
 mod ground;
 mod image;
+pub mod picture;
 mod shade;
 mod spacing;
 mod splat;

@@ -160,6 +160,11 @@ impl Layer {
         Ok(layer)
     }
 
+    /// What the session gives, and defaults.
+    pub fn params(&self) -> &Params {
+        &self.params
+    }
+
     fn check_regions(&self) -> Result<()> {
         let (id, consumes) = (self.plugin.id(), self.plugin.consumes());
         let roles = [

@@ -6,6 +6,7 @@
 mod layer;
 
 use crate::deformer::{Message, Plugin, Watch};
+use crate::params::Params;
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Deformation, Step};
 use glam::{DAffine3, DVec3, Vec3};
@@ -121,6 +122,11 @@ impl Stack {
     /// The plugins, first layer first.
     pub fn plugins(&self) -> impl Iterator<Item = &Plugin> {
         self.layers.iter().map(|l| &*l.plugin)
+    }
+
+    /// Each layer's plugin with all parameters in effect.
+    pub(crate) fn in_effect(&self) -> impl Iterator<Item = (&Plugin, &Params)> {
+        self.layers.iter().map(|l| (&*l.plugin, l.params()))
     }
 
     /// Deforms samples. On an error nothing has changed anywhere.

@@ -1,21 +1,25 @@
 //! Pictures of models and samples: shaded splats, drawn on the processor.
 
-use simod_core::geometry::Bounds;
-use simod_core::model::{Model, VertexChunk};
-use simod_core::render::{Camera, Image, Renderer, Spacing, Style, SurfacePoint};
-use simod_core::sampled_model::SampledModel;
-use simod_core::{Progress, Result};
-
 use glam::{DVec3, Vec3, swizzles::Vec3Swizzles};
+use serde::Deserialize;
 
-/// Colour of the clay where a point has none of its own.
-const CLAY: [u8; 3] = [200, 190, 180];
+use super::{Camera, Image, Renderer, Spacing, Style, SurfacePoint};
+use crate::geometry::Bounds;
+use crate::model::{Model, VertexChunk, Vertices, in_step};
+use crate::sampled_model::SampledModel;
+use crate::{Progress, Result};
+
+/// Of points that need none.
+const NO_COLOR: [u8; 3] = [0; 3];
+
+/// The colour of a vertex: of its number in these parts of models that are read in step.
+pub type Paint<'a> = dyn Fn(&[Vertices<'_>], usize) -> [u8; 3] + 'a;
 
 /// Radius of a sample's disc over its spacing: wide enough to leave no holes where the density changes.
 const SAMPLE_RADIUS: f64 = 1.35;
 
 /// From where, and how large.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 pub struct View {
     /// What fills the picture.
     pub bounds: Bounds,
@@ -30,11 +34,15 @@ pub struct View {
 }
 
 /// The model's axis that points up in the picture.
-#[derive(Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Up {
+    /// The first.
     X,
+    /// The second.
     #[default]
     Y,
+    /// The third.
     Z,
 }
 
@@ -50,16 +58,19 @@ impl Up {
 }
 
 impl View {
-    fn renderer(&self) -> Renderer {
+    fn renderer(&self, own_colors: bool) -> Renderer {
         let [w, h] = self.size;
         let bounds = [self.up.turned(self.bounds.min), self.up.turned(self.bounds.max)];
         let aspect = f64::from(w) / f64::from(h.max(1));
         let camera = Camera::frame(bounds, self.yaw.to_radians(), self.pitch.to_radians(), aspect);
-        Renderer::new(w, h, camera, Style { own_colors: false, ground: Some(bounds[0].y) })
+        Renderer::new(w, h, camera, Style { own_colors, ground: Some(bounds[0].y) })
     }
 }
 
 /// Bounding box of a model's finite positions.
+///
+/// # Errors
+/// The model cannot be read; the user cancelled.
 pub fn bounds(model: &dyn Model, progress: &dyn Progress) -> Result<Bounds> {
     let mut bounds = Bounds::default();
     stream(model, "measuring", progress, |chunk| {
@@ -69,21 +80,56 @@ pub fn bounds(model: &dyn Model, progress: &dyn Progress) -> Result<Bounds> {
 }
 
 /// Draws a model in three streams: the spacing of its vertices, the visible surface, its shading.
+///
+/// # Errors
+/// The model cannot be read; the user cancelled.
 pub fn of_model(model: &dyn Model, bounds: &Bounds, view: &View, progress: &dyn Progress) -> Result<Image> {
+    draw(&[model], bounds, view, None, progress)
+}
+
+/// As [`of_model`], for the first of several models that are read [in step](in_step): `paint` gives its vertices' colours.
+///
+/// # Errors
+/// A model cannot be read, or they differ in their number of vertices; the user cancelled.
+pub fn of_painted(
+    models: &[&dyn Model],
+    bounds: &Bounds,
+    view: &View,
+    paint: &Paint<'_>,
+    progress: &dyn Progress,
+) -> Result<Image> {
+    draw(models, bounds, view, Some(paint), progress)
+}
+
+fn draw(
+    models: &[&dyn Model],
+    bounds: &Bounds,
+    view: &View,
+    paint: Option<&Paint<'_>>,
+    progress: &dyn Progress,
+) -> Result<Image> {
     let mut spacing = Spacing::new([bounds.min, bounds.max]);
-    stream(model, "drawing", progress, |chunk| spacing.add(chunk.positions.iter().copied()))?;
-    let points_of = |chunk: &VertexChunk| -> Vec<SurfacePoint> {
+    stream(models[0], "drawing", progress, |chunk| spacing.add(chunk.positions.iter().copied()))?;
+    let points_of = |parts: &[Vertices<'_>]| -> Vec<SurfacePoint> {
+        let Vertices { positions, normals } = parts[0];
         let point = |(i, p): (usize, &DVec3)| SurfacePoint {
             position: view.up.turned(*p),
-            normal: view.up.turned(chunk.normals.get(i).map_or(DVec3::ZERO, |n| n.as_dvec3())).as_vec3(),
-            color: CLAY,
+            normal: view.up.turned(normals.get(i).map_or(DVec3::ZERO, |n| n.as_dvec3())).as_vec3(),
+            color: paint.map_or(NO_COLOR, |paint| paint(parts, i)),
             radius: spacing.radius_at(*p),
         };
-        chunk.positions.iter().enumerate().map(point).collect()
+        positions.iter().enumerate().map(point).collect()
     };
-    let mut renderer = view.renderer();
-    stream(model, "drawing", progress, |chunk| renderer.depth(&points_of(chunk)))?;
-    stream(model, "drawing", progress, |chunk| renderer.blend(&points_of(chunk)))?;
+    let mut renderer = view.renderer(paint.is_some());
+    let pass = |draw: &mut dyn FnMut(&[SurfacePoint])| {
+        progress.begin("drawing", models[0].info().vertex_bytes);
+        in_step(models, progress, |parts| {
+            draw(&points_of(parts));
+            Ok(())
+        })
+    };
+    pass(&mut |points| renderer.depth(points))?;
+    pass(&mut |points| renderer.blend(points))?;
     Ok(renderer.finish())
 }
 
@@ -96,11 +142,11 @@ pub fn of_samples(sampled: &SampledModel, positions: &[Vec3], normals: &[Vec3], 
         .map(|((p, n), spacing)| SurfacePoint {
             position: view.up.turned(sampled.frame.to_model(*p)),
             normal: view.up.turned(n.as_dvec3()).as_vec3(),
-            color: CLAY,
+            color: NO_COLOR,
             radius: (SAMPLE_RADIUS * f64::from(*spacing) * sampled.frame.scale) as f32,
         })
         .collect();
-    let mut renderer = view.renderer();
+    let mut renderer = view.renderer(false);
     renderer.depth(&points);
     renderer.blend(&points);
     renderer.finish()

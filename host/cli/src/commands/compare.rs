@@ -1,0 +1,58 @@
+//! `simod compare`: several methods on one model, beside each other.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use simod_core::Result;
+use simod_session::compare::{self, CompareFile};
+
+use super::plugin_options::PluginOptions;
+use crate::report::{Report, count};
+
+/// Do several methods on one model, and compare what they make of it: a page, figures and pictures
+#[derive(Args)]
+pub struct Compare {
+    /// The methods, and what they are done to
+    #[arg(value_name = "COMPARE.toml")]
+    file: PathBuf,
+    /// The folder to write: index.html, compare.json and pictures
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// The model, if it is not where the file says
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Keep the deformed models in the folder
+    #[arg(long)]
+    keep_models: bool,
+    #[command(flatten)]
+    plugins: PluginOptions,
+}
+
+impl Compare {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        let mut file = CompareFile::load(&self.file)?;
+        file.model = self.model.unwrap_or(file.model);
+        let plugins = self.plugins.discover(report);
+        let progress = report.progress();
+        let comparison = compare::compare(&file, &plugins, self.keep_models, &self.output, progress)?;
+        for (method, figures) in comparison.done() {
+            let seconds = figures.seconds;
+            report.line(format!(
+                "{}: {} samples in {:.2} s, deformed in {:.2} s, reconstructed in {:.2} s",
+                method.name,
+                count(figures.samples as u64),
+                seconds.sample,
+                seconds.deform,
+                seconds.reconstruct
+            ));
+        }
+        for (method, failure) in comparison.failed() {
+            report.warn(format!("{} failed: {} ({})", method.name, failure.what, failure.hint));
+        }
+        report.figure("vertices", comparison.model.vertices);
+        report.figure("done", comparison.done().count());
+        report.figure("failed", comparison.failed().count());
+        report.line(format!("wrote {}", self.output.join("index.html").display()));
+        Ok(())
+    }
+}

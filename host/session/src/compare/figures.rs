@@ -1,0 +1,159 @@
+//! The figures of methods: each beside the model at rest, and each two of them.
+
+use super::method::Deformed;
+use glam::{DVec3, Vec3};
+use serde::Serialize;
+use simod_core::geometry::Bounds;
+use simod_core::measure::{
+    self, Details, Difference, Distances, Rotation, Spread, Surface, area_distortion, edge_distortion,
+    is_closed, volume,
+};
+use simod_core::model::Model;
+use simod_core::sampled_model::SampledModel;
+use simod_core::{Progress, Result};
+
+/// What is smaller is a detail, as a fraction of the diagonal.
+pub(super) const DETAIL: f64 = 0.015;
+
+/// What a method does to the samples and the triangles between them; see [`simod_core::measure`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct OnSamples {
+    /// Relative change of the volume; nothing where the triangles are not closed.
+    pub volume_change: Option<f64>,
+    /// Relative changes of the edges' lengths.
+    pub edges: Spread,
+    /// Relative changes of the triangles' areas.
+    pub areas: Spread,
+    /// How details turn against the smooth surface beneath, and how many triangles are folded.
+    pub details: Rotation,
+}
+
+/// Two methods beside each other.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Pair {
+    /// The name of the one that comes first in the file.
+    pub first: String,
+    /// The name of the other one.
+    pub second: String,
+    /// The same vertices of both.
+    pub vertices: Difference,
+    /// From the samples of the first to the triangles between those of the second, and back; nothing where there are no
+    /// triangles. The Hausdorff distance is the larger of the two `max`.
+    pub surfaces: Option<[Distances; 2]>,
+}
+
+/// All vertices of the models, the first one at rest.
+pub(super) struct Beside {
+    /// Each method's vertices beside those at rest.
+    pub displacements: Vec<Difference>,
+    /// Of all models.
+    pub bounds: Vec<Bounds>,
+    /// Each two methods, counted from 0.
+    differences: Vec<((usize, usize), Difference)>,
+}
+
+/// Compares all models in one reading.
+pub(super) fn beside(models: &[&dyn Model], diagonal: f64, progress: &dyn Progress) -> Result<Beside> {
+    let measure::Beside { bounds, differences } = measure::beside(models, diagonal, progress)?;
+    let (rest, pairs): (Vec<_>, Vec<_>) = differences.into_iter().partition(|((a, _), _)| *a == 0);
+    Ok(Beside {
+        displacements: rest.into_iter().map(|(_, difference)| difference).collect(),
+        bounds,
+        differences: pairs.into_iter().map(|((a, b), difference)| ((a - 1, b - 1), difference)).collect(),
+    })
+}
+
+/// The deformed samples beside those at rest.
+pub(super) fn on_samples(
+    sampled: &SampledModel,
+    positions: &[Vec3],
+    progress: &dyn Progress,
+) -> Result<Option<OnSamples>> {
+    let triangles = &sampled.triangles;
+    if triangles.is_empty() {
+        return Ok(None);
+    }
+    progress.begin("measuring the samples", 0);
+    let (rest, after) = (in_diagonals(sampled, &sampled.samples.positions), in_diagonals(sampled, positions));
+    let change = || volume(&after, triangles) / volume(&rest, triangles) - 1.0;
+    let volume_change = is_closed(triangles).then(change).filter(|x| x.is_finite());
+    progress.check()?;
+    let edges = edge_distortion(&rest, &after, triangles);
+    let areas = area_distortion(&rest, &after, triangles);
+    progress.check()?;
+    let details = Details::new(&rest, triangles, DETAIL);
+    progress.check()?;
+    Ok(Some(OnSamples { volume_change, edges, areas, details: details.rotation(&after) }))
+}
+
+/// Positions in the unit of all lengths.
+fn in_diagonals(sampled: &SampledModel, positions: &[Vec3]) -> Vec<DVec3> {
+    let scale = 1.0 / sampled.local_diagonal().max(f64::MIN_POSITIVE);
+    positions.iter().map(|p| p.as_dvec3() * scale).collect()
+}
+
+/// Each two methods.
+///
+/// Memory: the tree of one method's triangles, and 24 bytes for each sample of two.
+pub(super) fn pairs(
+    names: &[String],
+    deformed: &[&Deformed],
+    beside: &Beside,
+    progress: &dyn Progress,
+) -> Result<Vec<Pair>> {
+    progress.begin("comparing surfaces", 0);
+    let count = deformed.len();
+    // One way: row by row from one method to each other one.
+    let mut ways: Vec<Option<Distances>> = vec![None; count * count];
+    for (to, target) in deformed.iter().enumerate() {
+        let positions = in_diagonals(&target.sampled, &target.positions);
+        let Some(surface) = Surface::new(&positions, &target.sampled.triangles) else { continue };
+        for (from, source) in deformed.iter().enumerate().filter(|(from, _)| *from != to) {
+            let (points, triangles) = (&source.positions, &source.sampled.triangles);
+            if !triangles.is_empty() {
+                let points = in_diagonals(&source.sampled, points);
+                ways[from * count + to] = Some(surface.distances(&points, triangles, progress)?);
+            }
+        }
+    }
+    let pair = |((a, b), vertices): &((usize, usize), Difference)| Pair {
+        first: names[*a].clone(),
+        second: names[*b].clone(),
+        vertices: *vertices,
+        surfaces: ways[a * count + b].zip(ways[b * count + a]).map(|(there, back)| [there, back]),
+    };
+    Ok(beside.differences.iter().map(pair).collect())
+}
+
+/// The end of the colour scale: a round number that 99 of 100 vertices of each method do not reach, or nearly so.
+pub(super) fn color_scale(pairs: &[Pair], reference: &str) -> f64 {
+    let with_first = pairs.iter().filter(|pair| pair.first == reference);
+    rounded_up(with_first.map(|pair| pair.vertices.p99).fold(0.0, f64::max))
+}
+
+/// The next number of one digit, or 1.5, times a power of ten.
+fn rounded_up(x: f64) -> f64 {
+    if !(x > 0.0 && x.is_finite()) {
+        return 0.0;
+    }
+    let exponent = x.log10().floor() as i32;
+    // Divided by whole powers, so that 0.3 is 0.3.
+    let round = |n: f64| if exponent < 0 { n / 10f64.powi(-exponent) } else { n * 10f64.powi(exponent) };
+    let ends = [1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0].map(round);
+    ends.into_iter().find(|end| *end >= x * (1.0 - 1e-9)).unwrap_or(x)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scales_end_at_round_numbers() {
+        for (x, end) in
+            [(0.013, 0.015), (0.02, 0.02), (0.0021, 0.003), (9.0, 10.0), (0.27, 0.3), (1.0, 1.0), (0.0, 0.0)]
+        {
+            assert_eq!(rounded_up(x), end, "{x}");
+        }
+        assert_eq!(rounded_up(f64::NAN), 0.0);
+    }
+}

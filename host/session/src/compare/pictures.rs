@@ -1,0 +1,101 @@
+//! The pictures of a comparison, all from one place: the model at rest, what each method makes of it, and how far that is
+//! from the first one.
+
+use super::file::CompareFile;
+use super::folder::{REST, difference};
+use super::html::round_percent;
+use super::record::Comparison;
+use crate::session_file::{Region, Role};
+use glam::DVec3;
+use simod_core::geometry::Bounds;
+use simod_core::model::{Model, Vertices};
+use simod_core::render::picture::{View, of_painted};
+use simod_core::{Progress, Result};
+
+const CLAY: [u8; 3] = [205, 198, 190];
+const FIXED: [u8; 3] = [120, 140, 175];
+const HANDLE: [u8; 3] = [230, 175, 60];
+
+/// Distances from none to the end of the scale: light to dark, so that they are told apart in print and by everybody.
+const SCALE: [[u8; 3]; 6] =
+    [[216, 216, 212], [248, 222, 140], [245, 160, 60], [222, 80, 50], [160, 25, 80], [60, 10, 85]];
+
+/// A colour of the scale, 0 to 1.
+pub(super) fn color(t: f32) -> [u8; 3] {
+    let last = SCALE.len() - 1;
+    let x = if t.is_finite() { t.clamp(0.0, 1.0) * last as f32 } else { last as f32 };
+    let i = (x as usize).min(last - 1);
+    let part = x - i as f32;
+    std::array::from_fn(|c| {
+        let (from, to) = (f32::from(SCALE[i][c]), f32::from(SCALE[i + 1][c]));
+        (from + (to - from) * part).round() as u8
+    })
+}
+
+/// Draws `models`, of which the first is at rest; `files` has what the others' files begin with, and whose they are. Gives
+/// the pictures' names and contents, and writes them into the record.
+pub(super) fn draw(
+    file: &CompareFile,
+    models: &[&dyn Model],
+    bounds: &[Bounds],
+    files: &[(usize, String)],
+    comparison: &mut Comparison,
+    progress: &dyn Progress,
+) -> Result<Vec<(String, Vec<u8>)>> {
+    let mut all = Bounds::default();
+    for bounds in bounds.iter().filter(|bounds| !bounds.is_empty()) {
+        all.include(bounds.min);
+        all.include(bounds.max);
+    }
+    let camera = file.camera;
+    let view = View { bounds: all, yaw: camera.yaw, pitch: camera.pitch, size: camera.size, up: camera.up };
+    let by_region = |parts: &[Vertices<'_>], i: usize| region_color(&file.regions, last(parts, i));
+    let mut pictures = Vec::new();
+    let rest = of_painted(&[models[0], models[0]], &bounds[0], &view, &by_region, progress)?;
+    pictures.push((REST.to_owned(), rest.to_png()?));
+    let end = comparison.color_scale;
+    let diagonal = comparison.model.diagonal;
+    let by_distance = |parts: &[Vertices<'_>], i: usize| {
+        let distance = parts[0].positions[i].distance(last(parts, i)) / diagonal;
+        // Where nothing differs the scale has no length.
+        color(if end > 0.0 { (distance / end) as f32 } else { 0.0 })
+    };
+    let labels = ["0", &format!("{} OF THE DIAGONAL", round_percent(end))];
+    for (k, ((_, name), model)) in files.iter().zip(&models[1..]).enumerate() {
+        let bounds = &bounds[k + 1];
+        let image = of_painted(&[*model, models[0]], bounds, &view, &by_region, progress)?;
+        pictures.push((format!("{name}.png"), image.to_png()?));
+        if k > 0 {
+            let image = of_painted(&[*model, models[1]], bounds, &view, &by_distance, progress)?;
+            pictures.push((format!("{}.png", difference(name)), image.with_scale(color, labels).to_png()?));
+        }
+    }
+    comparison.files.extend(pictures.iter().map(|(name, _)| name.clone()));
+    Ok(pictures)
+}
+
+/// A vertex in the model that the first one is painted by.
+fn last(parts: &[Vertices<'_>], i: usize) -> DVec3 {
+    parts[parts.len() - 1].positions[i]
+}
+
+/// The colour of a vertex by where it is at rest.
+fn region_color(regions: &[Region], p: DVec3) -> [u8; 3] {
+    let mut holding = regions.iter().filter(|r| r.role != Role::Mask && r.shapes.weight(p) > 0.5);
+    holding.next().map_or(CLAY, |region| if region.role == Role::Handle { HANDLE } else { FIXED })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_scale_gets_darker_from_end_to_end() {
+        let light =
+            |t: f32| color(t).iter().zip([0.3, 0.59, 0.11]).map(|(c, w)| f64::from(*c) * w).sum::<f64>();
+        let lights: Vec<f64> = (0..=100).map(|i| light(i as f32 / 100.0)).collect();
+        assert!(lights.windows(2).skip(20).all(|two| two[1] < two[0]), "{lights:?}");
+        assert_eq!((color(0.0), color(1.0)), (SCALE[0], SCALE[5]));
+        assert_eq!((color(7.0), color(f32::NAN), color(-1.0)), (SCALE[5], SCALE[5], SCALE[0]));
+    }
+}

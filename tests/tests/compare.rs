@@ -1,0 +1,279 @@
+//! `simod compare`: several methods on one model.
+
+use serde_json::Value;
+use simod_tests::Workplace;
+#[cfg(unix)]
+use simod_tests::skip;
+
+/// What all of these comparisons have in common: a bar from y = 0 to y = 2.
+const HEAD: &str = r#"
+[model]
+path = "bar.ply"
+[sampling]
+samples = 2000
+[[region]]
+role = "fixed"
+shapes = [{ half-space = { point = [0, 0.4, 0], normal = [0, -1, 0] } }]
+[[region]]
+role = "handle"
+shapes = [{ half-space = { point = [0, 1.6, 0], normal = [0, 1, 0] } }]
+move = { translate = [0.3, 0, 0] }
+[camera]
+size = [120, 160]
+"#;
+
+const ARAP: &str = "[[method]]\nname = \"as rigid as possible\"\ndeform = \"laplacian\"\n";
+const RBF: &str = "[[method]]\nname = \"rbf, coarse\"\ndeform = \"rbf\"\nsampling = { samples = 500 }\n\
+                   reconstruction = \"projected-barycentric\"\n";
+
+fn with_bar() -> Workplace {
+    let work = Workplace::new();
+    work.simod("generate --shape bar --vertices 12000 -o bar.ply");
+    work
+}
+
+fn write(work: &Workplace, methods: &[&str]) {
+    work.write("compare.toml", format!("{HEAD}{}", methods.concat()));
+}
+
+/// The figures, of which each number is at a path as `/pairs/0/vertices/max`.
+fn record(work: &Workplace, folder: &str) -> Value {
+    serde_json::from_slice(&work.read(&format!("{folder}/compare.json"))).expect("JSON")
+}
+
+fn number(record: &Value, path: &str) -> f64 {
+    record.pointer(path).and_then(Value::as_f64).unwrap_or_else(|| panic!("no number at {path}: {record}"))
+}
+
+fn names(work: &Workplace, folder: &str) -> Vec<String> {
+    let entries = std::fs::read_dir(work.path(folder)).expect("a folder");
+    let mut names: Vec<String> =
+        entries.map(|e| e.expect("an entry").file_name().into_string().expect("UTF-8")).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn two_methods_beside_each_other() {
+    let work = with_bar();
+    write(&work, &[ARAP, RBF]);
+    let before = work.names();
+    let report = work.report("compare compare.toml -o out");
+    assert_eq!((report["done"].as_u64(), report["failed"].as_u64()), (Some(2), Some(0)));
+    let files = [
+        "as-rigid-as-possible.png",
+        "compare.json",
+        "index.html",
+        "rbf-coarse-difference.png",
+        "rbf-coarse.png",
+        "rest.png",
+    ];
+    assert_eq!(names(&work, "out"), files);
+    assert_eq!(work.names().len(), before.len() + 1);
+
+    let record = record(&work, "out");
+    assert_eq!(record["files"], serde_json::json!(files));
+    assert_eq!(record["compare_file"].as_str().map(str::as_bytes), Some(&*work.read("compare.toml")));
+    assert_eq!(record["methods"][1]["steps"][0]["plugin"], "rbf");
+    assert_eq!(record["methods"][1]["steps"][0]["params"]["kernel"], "triharmonic");
+    assert_eq!(record["methods"][1]["reconstruction"], "projected-barycentric");
+    // The top is moved by 0.3, and nothing farther.
+    let diagonal = number(&record, "/model/diagonal");
+    for method in 0..2 {
+        let of = |figure: &str| number(&record, &format!("/methods/{method}/figures/{figure}"));
+        assert!(
+            (of("displacement/max") * diagonal - 0.3).abs() < 0.01,
+            "{}",
+            of("displacement/max") * diagonal
+        );
+        assert!(of("on_samples/volume_change").abs() < 0.2);
+        assert!(of("on_samples/edges/rms") > 0.01 && of("on_samples/details/folded") == 0.0);
+        assert!(of("seconds/sample") > 0.0);
+    }
+    assert!(number(&record, "/methods/0/figures/samples") > 1500.0);
+    assert!(number(&record, "/methods/1/figures/samples") < 600.0);
+    // The exact map is known for one of them.
+    assert!(record.pointer("/methods/0/figures/transfer_error").is_some_and(Value::is_null));
+    assert!(number(&record, "/methods/1/figures/transfer_error/rms") < 1e-2);
+    // Vertices can slide along the surface: its distance is the smaller one.
+    let [same, near] =
+        ["vertices/rms", "surfaces/0/rms"].map(|of| number(&record, &format!("/pairs/0/{of}")));
+    assert!(0.0 < near && near < same && same < 0.1, "{near}, {same}");
+    assert!(number(&record, "/color_scale") >= number(&record, "/pairs/0/vertices/p99"));
+
+    let page = String::from_utf8(work.read("out/index.html")).expect("UTF-8");
+    assert_eq!(page.matches("src=\"data:image/png;base64,").count(), 4);
+    assert!(!page.contains("<script") && !page.contains("http"), "the page needs something else");
+    for tag in ["table", "tr", "th", "td", "figure", "dl", "div", "main"] {
+        let opened = page.matches(&format!("<{tag}>")).count() + page.matches(&format!("<{tag} ")).count();
+        assert_eq!(opened, page.matches(&format!("</{tag}>")).count(), "{tag}");
+    }
+}
+
+#[test]
+fn the_same_method_twice_differs_in_nothing() {
+    let work = with_bar();
+    let again = ARAP.replace("as rigid as possible", "again");
+    write(&work, &[ARAP, &again]);
+    work.simod("compare compare.toml -o out --keep-models");
+    let record = record(&work, "out");
+    for figure in ["vertices/rms", "vertices/max", "vertices/normals/max", "surfaces/0/max", "surfaces/1/rms"]
+    {
+        assert_eq!(number(&record, &format!("/pairs/0/{figure}")), 0.0, "{figure}");
+    }
+    assert_eq!(number(&record, "/color_scale"), 0.0);
+    // The models are those of a session.
+    let step = HEAD.split("[[region]]").skip(1).collect::<Vec<_>>().join("[[step.region]]");
+    let step = step.split("[camera]").next().expect("a first part");
+    work.write_session("bar.ply", 2000, &format!("[[step]]\ndeform = \"laplacian\"\n[[step.region]]{step}"));
+    work.simod("run edit.toml");
+    assert_eq!(work.read("edited.ply"), work.read("out/again.ply"));
+    assert_eq!(work.read("edited.ply"), work.read("out/as-rigid-as-possible.ply"));
+}
+
+#[test]
+fn a_translation_is_as_long_as_it_is() {
+    let work = with_bar();
+    // All of the model is the handle, and a session leaves it as it is.
+    let mut text = HEAD.replace("point = [0, 1.6, 0]", "point = [0, -1, 0]");
+    let (fixed, handle) = (text.find("[[region]]").expect("one"), text.rfind("[[region]]").expect("another"));
+    text.replace_range(fixed..handle, "");
+    let moved = "[[method]]\nname = \"moved\"\ndeform = \"smooth-handle\"\n";
+    let rest = "[[method]]\nname = \"rest\"\nsession = \"rest.toml\"\n";
+    work.write("compare.toml", format!("{text}{rest}{moved}"));
+    work.write("rest.toml", "[[step]]\ndeform = \"warp\"\nparams = { angle = 0 }\n");
+    let outcome = work.simod("compare compare.toml -o out");
+    let record = record(&work, "out");
+    assert!(record["methods"][1]["error"].is_null(), "{}", outcome.stderr);
+    assert_eq!(record["methods"][0]["session"].as_str().map(str::as_bytes), Some(&*work.read("rest.toml")));
+    let length = 0.3 / number(&record, "/model/diagonal");
+    for figure in ["/pairs/0/vertices/rms", "/pairs/0/vertices/max", "/methods/1/figures/displacement/max"] {
+        assert!((number(&record, figure) / length - 1.0).abs() < 1e-5, "{figure}");
+    }
+    // Along x: the sides that face it are as far from the others' as they moved.
+    let farthest = number(&record, "/pairs/0/surfaces/0/max");
+    assert!((farthest / length - 1.0).abs() < 0.02, "{farthest} instead of {length}");
+    for figure in ["volume_change", "edges/max", "areas/max", "details/rms"] {
+        assert!(number(&record, &format!("/methods/1/figures/on_samples/{figure}")).abs() < 1e-4, "{figure}");
+    }
+}
+
+#[test]
+fn a_method_that_fails_is_a_row_and_the_others_go_on() {
+    let work = with_bar();
+    let missing = "[[method]]\nname = \"<b>none</b>\"\ndeform = \"nonesuch\"\n";
+    let wrong = "[[method]]\nname = \"wrong\"\ndeform = \"rbf\"\nparams = { tolerence = 1 }\n";
+    let session = "[[method]]\nname = \"gone\"\nsession = \"gone.toml\"\n";
+    write(&work, &[missing, wrong, session, ARAP]);
+    let outcome = work.simod("compare compare.toml -o out --json");
+    let report = outcome.json();
+    assert_eq!((report["done"].as_u64(), report["failed"].as_u64()), (Some(1), Some(3)));
+    assert_eq!(outcome.lines("warning: ").len(), 3, "{}", outcome.stderr);
+    let record = record(&work, "out");
+    let told =
+        |i: usize, key: &str| record["methods"][i]["error"][key].as_str().unwrap_or_default().to_owned();
+    assert!(told(0, "what").contains("nonesuch"));
+    assert!(
+        told(1, "what").contains("compare.toml, line ") && told(1, "hint").contains("`tolerance`"),
+        "{record}"
+    );
+    assert!(told(2, "what").contains("gone.toml"));
+    assert!(record["methods"][3]["figures"]["displacement"]["max"].as_f64().is_some_and(|d| d > 0.1));
+    assert_eq!(record["pairs"], serde_json::json!([]));
+    let page = String::from_utf8(work.read("out/index.html")).expect("UTF-8");
+    assert!(page.contains("&lt;b&gt;none&lt;/b&gt;") && !page.contains("<b>"));
+}
+
+#[test]
+fn nothing_is_left_where_no_method_can_be_done() {
+    let work = with_bar();
+    write(&work, &["[[method]]\nname = \"a\"\ndeform = \"nonesuch\"\n"]);
+    let before = work.snapshot();
+    let outcome = work.run("compare compare.toml -o out");
+    assert_eq!(outcome.code, Some(1), "{}", outcome.stderr);
+    assert!(outcome.lines("error: ")[0].contains("nonesuch"), "{}", outcome.stderr);
+    assert!(!outcome.hint().is_empty());
+    assert_eq!(work.snapshot(), before);
+}
+
+#[test]
+fn bad_files_and_folders_are_refused() {
+    let work = with_bar();
+    let refused = |text: &str, named: &[&str]| {
+        work.write("bad.toml", text);
+        work.refuses("compare bad.toml -o out", named);
+    };
+    refused("", &["bad.toml", "no model"]);
+    refused(HEAD, &["bad.toml", "no method"]);
+    refused(&format!("{HEAD}[[method]]\nname = \"a\"\n"), &["bad.toml, line 15", "neither"]);
+    refused(&format!("{HEAD}{ARAP}{ARAP}"), &["bad.toml, line 18", "two methods"]);
+    refused(&format!("{HEAD}{ARAP}speed = 3"), &["bad.toml, line 18", "speed"]);
+    refused(&format!("{HEAD}{ARAP}").replace("bar.ply", "gone.ply"), &["gone.ply"]);
+    work.refuses("compare gone.toml -o out", &["gone.toml"]);
+    work.refuses("compare bar.ply -o out", &["bar.ply"]);
+
+    write(&work, &[ARAP]);
+    work.write("mine/thesis.tex", "");
+    work.refuses("compare compare.toml -o mine", &["mine", "no comparison"]);
+    work.refuses("compare compare.toml -o missing/out", &["missing/out"]);
+    work.refuses("compare compare.toml -o bar.ply", &["bar.ply"]);
+    // A former comparison is replaced, unless somebody has put something into it.
+    work.simod("compare compare.toml -o out --keep-models");
+    work.simod("compare compare.toml -o out");
+    assert_eq!(names(&work, "out"), ["as-rigid-as-possible.png", "compare.json", "index.html", "rest.png"]);
+    work.write("out/notes.txt", "");
+    work.refuses("compare compare.toml -o out", &["out", "notes.txt"]);
+}
+
+/// Without what a clock or the system tells.
+fn timeless(mut record: Value) -> Value {
+    for method in record["methods"].as_array_mut().expect("methods") {
+        let figures = method["figures"].as_object_mut().expect("figures");
+        assert!(figures.remove("seconds").is_some() && figures.remove("peak_memory_bytes").is_some());
+    }
+    record
+}
+
+#[test]
+fn two_runs_differ_in_times_and_memory_alone() {
+    let work = with_bar();
+    write(&work, &[ARAP, RBF]);
+    work.simod("compare compare.toml -o first");
+    work.simod("compare compare.toml -o second --threads 1");
+    assert_eq!(timeless(record(&work, "first")), timeless(record(&work, "second")));
+    for name in names(&work, "first").into_iter().filter(|name| name.ends_with(".png")) {
+        assert_eq!(work.read(&format!("first/{name}")), work.read(&format!("second/{name}")), "{name}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_comparison_leaves_nothing() {
+    use std::process::{Command, Stdio};
+    use std::time::Duration;
+
+    let work = Workplace::new();
+    work.simod("generate --shape bar --vertices 600000 -o bar.ply");
+    write(&work, &[ARAP, RBF]);
+    let before = work.snapshot();
+    let mut interrupted = 0;
+    for wait in [300, 900, 1800, 3000].map(Duration::from_millis) {
+        let mut command = work.command("compare compare.toml -o out");
+        let child =
+            command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the program starts");
+        std::thread::sleep(wait);
+        let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill runs");
+        assert!(sent.success());
+        let outcome = simod_tests::Outcome::from(child.wait_with_output().expect("an end"));
+        if outcome.code == Some(0) {
+            // It was done before.
+            std::fs::remove_dir_all(work.path("out")).expect("a folder");
+            continue;
+        }
+        interrupted += usize::from(outcome.code == Some(130));
+        assert_eq!(work.snapshot(), before, "after {wait:?}: {}", outcome.stderr);
+    }
+    if interrupted == 0 {
+        skip("every comparison was done before it could be interrupted");
+    }
+}
