@@ -77,6 +77,8 @@
 #define SIMOD_INPUT_GRAPH "simod.graph/1"
 #define SIMOD_INPUT_JOINTS "simod.joints/1"
 #define SIMOD_INPUT_STROKES "simod.strokes/1"
+#define SIMOD_INPUT_MODEL_FRAME "simod.model-frame/1"
+#define SIMOD_INPUT_EFFORT "simod.effort/1"
 // An input that whoever places handles gets unasked.
 #define SIMOD_INPUT_HANDLE_MOTIONS "simod.handle-motions/1"
 
@@ -92,7 +94,7 @@
 #define SIMOD_INTERFACE_MAJOR 1
 
 // See SIMOD_INTERFACE_MAJOR.
-#define SIMOD_INTERFACE_MINOR 0
+#define SIMOD_INTERFACE_MINOR 1
 
 // What a call returns if all is well. Everything else is an error.
 #define SIMOD_OK 0
@@ -179,6 +181,12 @@
 
 // A handle that can be scaled about its position.
 #define SIMOD_GIZMO_SCALE 4
+
+// The best result.
+#define SIMOD_EFFORT_FULL 1
+
+// Soon, while a handle is dragged.
+#define SIMOD_EFFORT_DRAFT 2
 
 // The parent of a joint or a handle that hangs on no other.
 #define SIMOD_ROOT UINT32_MAX
@@ -326,7 +334,7 @@ typedef struct SimodPrepareInput {
     const struct SimodParam *params;
     // As many as there are descriptions.
     size_t param_count;
-    // Inputs that are known by ids: triangles, graph, joints.
+    // Inputs that are known by ids: triangles, graph, joints, the model's frame.
     const struct SimodPart *parts;
     // How many of these there are.
     size_t part_count;
@@ -377,7 +385,7 @@ typedef struct SimodDeformInput {
     const struct SimodParam *params;
     // As many as there are descriptions.
     size_t param_count;
-    // Inputs that are known by ids: motions of handles, strokes.
+    // Inputs that are known by ids: motions of handles, strokes, the effort.
     const struct SimodPart *parts;
     // How many of these there are.
     size_t part_count;
@@ -510,6 +518,21 @@ typedef struct SimodJoints {
     // How many joints there are.
     size_t count;
 } SimodJoints;
+
+// SIMOD_INPUT_MODEL_FRAME, of the preparation and where handles are placed: for files in model coordinates.
+// A point of the model lies at (point - origin) / scale in local coordinates.
+typedef struct SimodModelFrame {
+    // The local origin, in model coordinates.
+    double origin[3];
+    // Length of a local unit, in the model's unit; above 0.
+    double scale;
+} SimodModelFrame;
+
+// SIMOD_INPUT_EFFORT, of the deformation: how much time it may take.
+typedef struct SimodEffort {
+    // SIMOD_EFFORT_...: a draft, while a handle is dragged, may differ a little from the full result.
+    uint32_t effort;
+} SimodEffort;
 
 // SIMOD_INPUT_HANDLE_MOTIONS, of the deformation: how the plugin's own handles were moved.
 typedef struct SimodHandleMotions {

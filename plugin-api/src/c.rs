@@ -16,7 +16,7 @@ use std::ffi::{c_char, c_void};
 /// nothing later.
 pub const SIMOD_INTERFACE_MAJOR: u32 = 1;
 /// See SIMOD_INTERFACE_MAJOR.
-pub const SIMOD_INTERFACE_MINOR: u32 = 0;
+pub const SIMOD_INTERFACE_MINOR: u32 = 1;
 
 /// What a call returns if all is well. Everything else is an error.
 pub const SIMOD_OK: u32 = 0;
@@ -81,6 +81,11 @@ pub const SIMOD_GIZMO_TRANSLATE: u32 = 1;
 pub const SIMOD_GIZMO_ROTATE: u32 = 2;
 /// A handle that can be scaled about its position.
 pub const SIMOD_GIZMO_SCALE: u32 = 4;
+
+/// The best result.
+pub const SIMOD_EFFORT_FULL: u32 = 1;
+/// Soon, while a handle is dragged.
+pub const SIMOD_EFFORT_DRAFT: u32 = 2;
 
 /// The parent of a joint or a handle that hangs on no other.
 pub const SIMOD_ROOT: u32 = u32::MAX;
@@ -256,7 +261,7 @@ pub struct SimodPrepareInput {
     pub params: *const SimodParam,
     /// As many as there are descriptions.
     pub param_count: usize,
-    /// Inputs that are known by ids: triangles, graph, joints.
+    /// Inputs that are known by ids: triangles, graph, joints, the model's frame.
     pub parts: *const SimodPart,
     /// How many of these there are.
     pub part_count: usize,
@@ -278,7 +283,7 @@ pub struct SimodDeformInput {
     pub params: *const SimodParam,
     /// As many as there are descriptions.
     pub param_count: usize,
-    /// Inputs that are known by ids: motions of handles, strokes.
+    /// Inputs that are known by ids: motions of handles, strokes, the effort.
     pub parts: *const SimodPart,
     /// How many of these there are.
     pub part_count: usize,
@@ -305,6 +310,25 @@ pub struct SimodGraph {
     /// Nearest first, without the sample itself. One that is among another's need not have that other among
     /// its own.
     pub neighbours: *const u32,
+}
+
+/// SIMOD_INPUT_MODEL_FRAME, of the preparation and where handles are placed: for files in model coordinates.
+/// A point of the model lies at (point - origin) / scale in local coordinates.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodModelFrame {
+    /// The local origin, in model coordinates.
+    pub origin: [f64; 3],
+    /// Length of a local unit, in the model's unit; above 0.
+    pub scale: f64,
+}
+
+/// SIMOD_INPUT_EFFORT, of the deformation: how much time it may take.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodEffort {
+    /// SIMOD_EFFORT_...: a draft, while a handle is dragged, may differ a little from the full result.
+    pub effort: u32,
 }
 
 /// A joint of a skeleton that the user placed.

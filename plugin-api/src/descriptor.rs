@@ -1,6 +1,6 @@
 //! What a plugin is, and what it wants.
 
-use crate::{Graph, InputPart, Joints, ParamDesc, Strokes, Triangles};
+use crate::{Effort, Graph, InputPart, Joints, ModelFrame, ParamDesc, Strokes, Triangles};
 use abi_stable::{
     StableAbi,
     std_types::{RString, RVec},
@@ -39,6 +39,10 @@ pub struct Consumes {
     pub joints: bool,
     /// Brush [`Strokes`](crate::Strokes).
     pub strokes: bool,
+    /// The [`ModelFrame`](crate::ModelFrame), for files in model coordinates.
+    pub frame: bool,
+    /// The [`Effort`](crate::Effort) that a deformation is worth.
+    pub effort: bool,
 }
 
 impl Consumes {
@@ -49,7 +53,7 @@ impl Consumes {
     /// Normals that fit the positions.
     pub const NORMALS: &'static str = "simod.normals/1";
 
-    fn inputs(&self) -> [(&'static str, bool, u32); 7] {
+    fn inputs(&self) -> [(&'static str, bool, u32); 9] {
         [
             (Self::FIXED_REGIONS, self.fixed_regions, self.min_fixed),
             (Self::HANDLE_REGIONS, self.handle_regions, self.min_handles),
@@ -58,6 +62,8 @@ impl Consumes {
             (Graph::ID, self.graph, 0),
             (Joints::ID, self.joints, 0),
             (Strokes::ID, self.strokes, 0),
+            (ModelFrame::ID, self.frame, 0),
+            (Effort::ID, self.effort, 0),
         ]
     }
 
@@ -76,6 +82,8 @@ impl Consumes {
                 Graph::ID => this.graph = true,
                 Joints::ID => this.joints = true,
                 Strokes::ID => this.strokes = true,
+                ModelFrame::ID => this.frame = true,
+                Effort::ID => this.effort = true,
                 id if *at_least > 0 => return Err(id),
                 _ => {}
             }

@@ -2,7 +2,9 @@
 
 use crate::opaque::Part;
 use crate::params::{Param, Params};
-use crate::parts::{Graph, HandleMotions, InputPart, Joint, Joints, Stroke, Strokes, Triangles};
+use crate::parts::{
+    Effort, Graph, HandleMotions, InputPart, Joint, Joints, ModelFrame, Stroke, Strokes, Triangles,
+};
 use abi_stable::{StableAbi, std_types::RSlice};
 
 /// The samples' arrays, of one length (spacing and normals may be empty where the host has none).
@@ -160,6 +162,11 @@ impl<'a> PrepareInput<'a> {
         self.part()
     }
 
+    /// The map between model and local coordinates; nothing where the host is older than this input.
+    pub fn frame(&self) -> Option<&'a ModelFrame> {
+        self.part()
+    }
+
     /// The joints that the user placed; none where there are none.
     pub fn joints(&self) -> &'a [Joint<'a>] {
         self.part().map_or(&[], Joints::all)
@@ -215,6 +222,11 @@ impl<'a> DeformInput<'a> {
     /// [`HandleMotions::all`].
     pub fn handle_motions(&self) -> &'a [Affine] {
         self.part().map_or(&[], HandleMotions::all)
+    }
+
+    /// How much time this may take; [`Effort::FULL`] where the host says nothing.
+    pub fn effort(&self) -> Effort {
+        self.part().copied().unwrap_or(Effort::FULL)
     }
 
     /// The brush strokes, first to last; none where there are none.

@@ -122,7 +122,9 @@ pub use input::{Affine, Bounds, DeformInput, PrepareInput, Region, Role, Samples
 pub use opaque::{Extension, ExtensionInterface, Host, Scratch, State};
 pub use param_set::{Choice, ParamSet, ParamType, Ranged};
 pub use params::{ChoiceDesc, Param, ParamDesc, ParamKind, Params, Unit};
-pub use parts::{Graph, HandleMotions, InputPart, Joint, Joints, Part, Stroke, Strokes, Triangles};
+pub use parts::{
+    Effort, Graph, HandleMotions, InputPart, Joint, Joints, ModelFrame, Part, Stroke, Strokes, Triangles,
+};
 pub use plugin_api_derive::{Choice, ParamSet};
 pub use root::{EvaluateExtension, HandlesExtension, IsIdentityExtension, PluginMod, PluginModRef};
 

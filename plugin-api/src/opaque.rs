@@ -6,8 +6,8 @@
 #![allow(unsafe_code, reason = "type-erased pointers cross the boundary; each block has its argument")]
 
 use crate::{
-    EvaluateExtension, Graph, HandleMotions, HandlesExtension, HostCalls, IsIdentityExtension, Joints,
-    LogLevel, PluginError, PluginResult, Strokes, Triangles,
+    Effort, EvaluateExtension, Graph, HandleMotions, HandlesExtension, HostCalls, IsIdentityExtension,
+    Joints, LogLevel, ModelFrame, PluginError, PluginResult, Strokes, Triangles,
 };
 use abi_stable::{
     StableAbi,
@@ -342,6 +342,16 @@ unsafe impl<'a> InputPart<'a> for HandleMotions<'a> {
 // SAFETY: as above.
 unsafe impl<'a> InputPart<'a> for Strokes<'a> {
     const ID: &'static str = "simod.strokes/1";
+}
+
+// SAFETY: as above.
+unsafe impl InputPart<'_> for ModelFrame {
+    const ID: &'static str = "simod.model-frame/1";
+}
+
+// SAFETY: as above.
+unsafe impl InputPart<'_> for Effort {
+    const ID: &'static str = "simod.effort/1";
 }
 
 /// An untyped pointer to an [`InputPart`], with its id.

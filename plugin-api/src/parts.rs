@@ -78,6 +78,42 @@ impl<'a> Graph<'a> {
     }
 }
 
+/// Where local coordinates lie in the model's, `simod.model-frame/1`: of the preparation, and where a plugin
+/// [places its handles](crate::Handles). For files in model coordinates, as other programs write them.
+#[repr(C)]
+#[derive(StableAbi, Debug, Clone, Copy, PartialEq)]
+pub struct ModelFrame {
+    /// The local origin, in model coordinates.
+    pub origin: [f64; 3],
+    /// Length of a local unit, in the model's unit; above 0.
+    pub scale: f64,
+}
+
+impl ModelFrame {
+    /// From model coordinates to local ones.
+    pub fn to_local(&self, p: [f64; 3]) -> [f64; 3] {
+        std::array::from_fn(|i| (p[i] - self.origin[i]) / self.scale)
+    }
+
+    /// From local coordinates to the model's.
+    pub fn to_model(&self, p: [f64; 3]) -> [f64; 3] {
+        std::array::from_fn(|i| p[i] * self.scale + self.origin[i])
+    }
+}
+
+/// How much time a deformation may take, `simod.effort/1`: of the deformation.
+#[repr(transparent)]
+#[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Effort(pub u32);
+
+impl Effort {
+    /// The best result, which is kept and written.
+    pub const FULL: Self = Self(1);
+    /// A picture while a handle is dragged, soon: it may differ a little from the full result, which is asked for when the
+    /// handle rests. For the same state and input it is the same as well.
+    pub const DRAFT: Self = Self(2);
+}
+
 /// A joint of a skeleton that the user placed.
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
@@ -214,7 +250,7 @@ impl<'a> Strokes<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Bounds, PrepareInput, Samples};
+    use crate::{Bounds, DeformInput, PrepareInput, Samples};
 
     #[test]
     fn parts_are_found_by_what_they_are() {
@@ -229,6 +265,16 @@ mod tests {
         let input = input.with_parts(&parts);
         assert_eq!(input.triangles().map(Triangles::indices), Some(&indices[..]));
         let graph = input.graph().unwrap();
+        assert!(input.frame().is_none());
+        let frame = ModelFrame { origin: [10.0, 20.0, 30.0], scale: 4.0 };
+        assert_eq!(frame.to_local([14.0, 20.0, 26.0]), [1.0, 0.0, -1.0]);
+        assert_eq!(frame.to_model([1.0, 0.0, -1.0]), [14.0, 20.0, 26.0]);
+        let parts = [Part::new(&frame)];
+        assert_eq!(input.with_parts(&parts).frame(), Some(&frame));
+        let input = DeformInput::new(samples, bounds, &[], &[]);
+        assert_eq!(input.effort(), Effort::FULL, "where nothing is said");
+        let parts = [Part::new(&Effort::DRAFT)];
+        assert_eq!(input.with_parts(&parts).effort(), Effort::DRAFT);
         assert_eq!((graph.of(0), graph.of(1), graph.of(2)), (&[1, 2][..], &[0][..], &[][..]));
     }
 }

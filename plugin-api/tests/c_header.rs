@@ -9,9 +9,9 @@ use std::process::Command;
 use cbindgen::{Builder, Config};
 use simod_plugin_api::c::*;
 use simod_plugin_api::{
-    Consumes, ErrorCode, EvaluateExtension, ExtensionInterface, Gizmo, Graph, HandleDesc, HandleMotions,
-    HandlesExtension, InputPart, IsIdentityExtension, Joint, Joints, LogLevel, ParamKind, Role, Strokes,
-    Triangles, Unit,
+    Consumes, Effort, ErrorCode, EvaluateExtension, ExtensionInterface, Gizmo, Graph, HandleDesc,
+    HandleMotions, HandlesExtension, InputPart, IsIdentityExtension, Joint, Joints, LogLevel, ModelFrame,
+    ParamKind, Role, Strokes, Triangles, Unit,
 };
 
 /// A path in this crate.
@@ -71,6 +71,8 @@ fn codes_and_ids_are_those_of_the_rust_interface() {
         (SIMOD_GIZMO_TRANSLATE, Gizmo::TRANSLATE.0),
         (SIMOD_GIZMO_ROTATE, Gizmo::ROTATE.0),
         (SIMOD_GIZMO_SCALE, Gizmo::SCALE.0),
+        (SIMOD_EFFORT_FULL, Effort::FULL.0),
+        (SIMOD_EFFORT_DRAFT, Effort::DRAFT.0),
         (SIMOD_ROOT, Joint::ROOT),
         (SIMOD_ROOT, HandleDesc::ROOT),
     ];
@@ -86,6 +88,8 @@ fn codes_and_ids_are_those_of_the_rust_interface() {
         ("INPUT_JOINTS", <Joints<'_> as InputPart<'_>>::ID),
         ("INPUT_STROKES", <Strokes<'_> as InputPart<'_>>::ID),
         ("INPUT_HANDLE_MOTIONS", <HandleMotions<'_> as InputPart<'_>>::ID),
+        ("INPUT_MODEL_FRAME", <ModelFrame as InputPart<'_>>::ID),
+        ("INPUT_EFFORT", <Effort as InputPart<'_>>::ID),
         ("EVALUATE", EvaluateExtension::ID),
         ("HANDLES", HandlesExtension::ID),
         ("IS_IDENTITY", IsIdentityExtension::ID),
@@ -146,6 +150,8 @@ fn a_c_compiler_sees_the_same_structs() {
         }
         SimodTriangles { indices, count }
         SimodGraph { starts, neighbours }
+        SimodModelFrame { origin, scale }
+        SimodEffort { effort }
         SimodJoint { id, position, parent }
         SimodJoints { joints, count }
         SimodHandleMotions { motions, count }

@@ -10,8 +10,8 @@ use std::path::Path;
 use abi_stable::StableAbi;
 use abi_stable::type_layout::{TLField, TypeLayout};
 use simod_plugin_api::{
-    EvaluateExtension, Graph, HandleMotions, HandlesExtension, IsIdentityExtension, Joints, PluginModRef,
-    Strokes, Triangles,
+    Effort, EvaluateExtension, Graph, HandleMotions, HandlesExtension, IsIdentityExtension, Joints,
+    ModelFrame, PluginModRef, Strokes, Triangles,
 };
 
 /// Each type of ours by name: its size and alignment (on 64 bits), and its fields in order.
@@ -83,6 +83,8 @@ fn the_shape_changes_with_the_version_alone() {
         Joints::LAYOUT,
         HandleMotions::LAYOUT,
         Strokes::LAYOUT,
+        ModelFrame::LAYOUT,
+        Effort::LAYOUT,
     ];
     others.into_iter().for_each(|layout| describe(layout, &mut shape));
     shape.retain(|_, text| !text.is_empty());

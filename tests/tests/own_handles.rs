@@ -68,7 +68,7 @@ fn a_cage_from_a_file_carries_the_model() {
         let vertices: String = c.iter().map(|[x, y, z]| format!("v {x} {y} {z}\n")).collect();
         vertices + "f 1 2 3\nf 1 4 2\nf 2 4 3\nf 3 4 1\n"
     };
-    let params = "file = \"cage.obj\", file-origin = [0, 0, 0]";
+    let params = "file = \"cage.obj\"";
     let mut steps = format!("[[step]]\ndeform = \"cage\"\nparams = {{ {params} }}\n");
     // Each vertex a turn about y, about the origin, and a bit up.
     for i in 0..4 {

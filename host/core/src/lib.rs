@@ -6,12 +6,14 @@
 //! T. Boubekeur, O. Sorkine, C. Schlick, *SIMOD: Making Freeform Deformation Size-Insensitive*,
 //! Eurographics Symposium on Point-Based Graphics 2007.
 //!
-//! Nothing here holds memory proportional to `P_L`, prints, opens a window, or knows of plugins.
+//! Nothing here holds memory proportional to `P_L` (but [`measure`], which is for meshes in memory), prints, opens a
+//! window, or knows of plugins.
 
 pub mod error;
 pub mod frame;
 pub mod generate;
 pub mod geometry;
+pub mod measure;
 pub mod model;
 pub mod output;
 mod positioned;

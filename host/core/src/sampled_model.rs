@@ -609,7 +609,7 @@ fn rounded(p: DVec3, to: Scalar) -> DVec3 {
 }
 
 /// The path of `file` as seen from `folder`, so that both can be moved together; absolute where it has to be.
-fn relative(file: &Path, folder: &Path) -> PathBuf {
+pub fn relative(file: &Path, folder: &Path) -> PathBuf {
     let absolute = |p: &Path| std::path::absolute(p).unwrap_or_else(|_| p.to_owned());
     let (file, folder) = (file.canonicalize().unwrap_or_else(|_| absolute(file)), absolute(folder));
     let folder = match (folder.parent().and_then(|p| p.canonicalize().ok()), folder.file_name()) {

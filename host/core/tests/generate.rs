@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a failing helper fails the test")]
 
 use std::collections::HashMap;
+use std::f64::consts::PI;
 
 use glam::DVec3;
 use simod_core::generate::{
@@ -11,7 +12,19 @@ use simod_core::model::Scalar;
 use simod_core::progress::Silent;
 use simod_core::{ErrorKind, Progress};
 
-const SHAPES: [Shape; 3] = [Shape::Amphora, Shape::BumpySphere, Shape::Plane];
+const SHAPES: [Shape; 7] = [
+    Shape::Amphora,
+    Shape::BumpySphere,
+    Shape::Plane,
+    Shape::BumpyPlane,
+    Shape::Cylinder,
+    Shape::Bar,
+    Shape::Cactus,
+];
+
+fn is_open(shape: Shape) -> bool {
+    matches!(shape, Shape::Plane | Shape::BumpyPlane)
+}
 
 fn mesh(surface: &Surface) -> (Vec<SurfaceVertex>, Vec<[u64; 3]>) {
     let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
@@ -47,9 +60,11 @@ fn there_are_exactly_as_many_vertices_as_asked_for() {
             assert!(close, "{shape:?}: {} of {asked}", surface.vertices());
             assert_eq!(surface.vertices(), vertices.len() as u64);
             assert_eq!(surface.faces(), triangles.len() as u64);
-            if shape != Shape::Plane {
-                assert_eq!(surface.vertices(), asked);
-                assert_eq!(surface.faces(), 2 * asked - 4 * surface.bodies() as u64, "Euler's formula");
+            if !is_open(shape) {
+                let bodies = surface.bodies() as u64;
+                assert_eq!(surface.faces(), 2 * surface.vertices() - 4 * bodies, "Euler's formula");
+                // The cactus is made of grids.
+                assert!(shape == Shape::Cactus || surface.vertices() == asked);
             }
         }
     }
@@ -85,7 +100,7 @@ fn meshes_are_oriented_manifolds_closed_where_meant() {
             assert!(used.iter().all(|&u| u), "{shape:?}: unused vertices");
             assert!(edges.values().all(|&n| n == 1), "{shape:?}: an edge used twice in one direction");
             let open: Vec<_> = edges.keys().filter(|[a, b]| !edges.contains_key(&[*b, *a])).collect();
-            if shape == Shape::Plane {
+            if is_open(shape) {
                 assert!(!open.is_empty());
                 for index in open.into_iter().flatten() {
                     let p = vertices[*index as usize].position;
@@ -125,6 +140,40 @@ fn normals_are_unit_and_agree_with_the_faces() {
         // Grain and fibres of the amphora are finer than triangles of this size.
         assert!(at(0.05) > 0.75, "{shape:?}: the worst twentieth at {}", at(0.05));
         assert!(at(0.5) > 0.98, "{shape:?}: the median at {}", at(0.5));
+    }
+}
+
+#[test]
+fn volumes_are_those_of_the_shapes() {
+    let volume = |shape| {
+        let (vertices, triangles) = mesh(&Surface::new(shape, 50_000).unwrap());
+        let signed = |t: &[u64; 3]| {
+            let [a, b, c] = t.map(|i| vertices[i as usize].position);
+            a.cross(b).dot(c) / 6.0
+        };
+        triangles.iter().map(signed).sum::<f64>()
+    };
+    let round = PI * 0.15 * 0.15 * 2.0;
+    assert!((volume(Shape::Cylinder) / round - 1.0).abs() < 2e-3, "{}", volume(Shape::Cylinder));
+    assert!((volume(Shape::Bar) / 0.18 - 1.0).abs() < 1e-4, "{}", volume(Shape::Bar));
+    // What is under the bumps: triangles as high as a third of their corners' heights.
+    let (vertices, triangles) = mesh(&Surface::new(Shape::BumpyPlane, 50_000).unwrap());
+    let under = |t: &[u64; 3]| {
+        let [a, b, c] = t.map(|i| vertices[i as usize].position);
+        (b - a).cross(c - a).y / 2.0 * (a.y + b.y + c.y) / 3.0
+    };
+    let under: f64 = triangles.iter().map(under).sum();
+    assert!((under / 0.06 - 1.0).abs() < 1e-3, "{under}");
+}
+
+#[test]
+fn edges_of_bars_are_sharp() {
+    for (shape, corners) in [(Shape::Cylinder, 0), (Shape::Bar, 8)] {
+        let (vertices, _) = mesh(&Surface::new(shape, 3000).unwrap());
+        let is_on_rim = |p: DVec3| (p.y == 0.0 || p.y == 2.0) && p.with_y(0.0).length() > 0.1499;
+        let is_corner = |p: DVec3| is_on_rim(p) && (p.x.abs() - p.z.abs()).abs() < 1e-9;
+        assert!(vertices.iter().filter(|v| is_on_rim(v.position)).count() >= 20, "{shape:?}");
+        assert!(vertices.iter().filter(|v| is_corner(v.position)).count() >= corners, "{shape:?}");
     }
 }
 

@@ -12,13 +12,16 @@
 pub mod check;
 pub mod child;
 pub mod deformer;
+pub mod edit;
 pub mod motion;
 pub mod params;
 pub mod pipeline;
 pub mod plugins;
 pub mod session_file;
+pub mod session_writer;
 pub mod shapes;
 pub mod stack;
+mod strokes_file;
 mod vector;
 #[cfg(unix)]
 pub mod worker;
@@ -26,7 +29,7 @@ pub mod worker;
 pub use deformer::{Capabilities, Code, Message, Plugin};
 pub use motion::Motion;
 pub use params::{ParamValue, Params, describe_params};
-pub use pipeline::{DeformedSamples, Run, deform, deform_and_refine};
+pub use pipeline::{DeformedSamples, Run, deform};
 pub use plugins::{Isolation, PluginOptions, PluginRegistry, Rejected};
 pub use session_file::SessionFile;
 pub use shapes::{Shape, Shapes};

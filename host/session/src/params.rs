@@ -77,6 +77,11 @@ impl Params {
         self.values.iter().find(|v| v.0 == id).map(|v| &v.2)
     }
 
+    /// All ids and values, in the plugin's order.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (&str, &ParamValue)> {
+        self.values.iter().map(|(id, _, value)| (id.as_str(), value))
+    }
+
     /// As plugins get them: points and lengths in local coordinates, defaults placed in the model's box.
     pub(crate) fn to_local(&self, frame: &Frame, bounds: &Bounds) -> LocalParams {
         let local = |(id, kind, value): &(String, ParamKind, ParamValue)| {

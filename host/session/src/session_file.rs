@@ -2,6 +2,7 @@
 
 use crate::motion::Motion;
 use crate::shapes::{Shape, Shapes};
+use crate::strokes_file;
 use glam::DVec3;
 use serde::Deserialize;
 use simod_core::refinement::Finer;
@@ -10,22 +11,26 @@ use std::fs::File;
 use std::io::{ErrorKind as ErrorOfIo, Read};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use toml::Spanned;
 
 /// No session is longer than this; a model that is given in its place may be.
 const LARGEST: u64 = 16 << 20;
 
+/// The format's version: raised when what a session says could not be understood any more by former versions.
+pub(crate) const VERSION: i64 = 1;
+
 /// A session. Paths are as the program needs them: relative to the current folder, or absolute.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct SessionFile {
     /// The huge model; may be missing where a sampled model is given otherwise.
     pub model: Option<PathBuf>,
+    /// The model's [fingerprint](simod_core::sampled_model::Source) when the session was saved.
+    pub fingerprint: Option<String>,
     /// How finely to sample it.
     pub sampling: Sampling,
-    /// The deformations, first to last.
+    /// Deformations and refinements, first to last.
     pub steps: Vec<Step>,
-    /// The refinements between them, first to last.
-    pub refinements: Vec<Refine>,
     /// Where the deformed model goes.
     pub output: Option<PathBuf>,
 }
@@ -42,22 +47,58 @@ pub struct Sampling {
     pub grid: Option<u32>,
 }
 
-/// A refinement of the samples.
+/// One step of an edit.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Refine {
-    /// Number of deformations before it.
-    pub after: usize,
-    /// Where: on the model as those have deformed it.
-    pub shapes: Shapes,
-    /// How fine.
-    pub finer: Finer,
-    /// Where in the file it stands; for errors.
+pub struct Step {
+    /// What is done.
+    pub action: Action,
+    /// Whether it is done; a step that is not stays in the session.
+    pub enabled: bool,
+    /// Where in the file it stands, as `session.toml, line 7`; for errors.
     pub place: String,
 }
 
+/// What a step does.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Action {
+    /// The samples are moved.
+    Deform(Deformation),
+    /// There are more samples.
+    Refine(Refine),
+}
+
+/// More samples in a part of the model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Refine {
+    /// Where: on the model as the steps before have deformed it.
+    pub shapes: Shapes,
+    /// How fine.
+    pub finer: Finer,
+}
+
+impl Refine {
+    /// What is wrong with it, and what to do.
+    ///
+    /// # Errors
+    /// That.
+    pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
+        self.shapes.check().map_err(|what| (what, "give another shape"))?;
+        let makes_sense = match self.finer {
+            Finer::Error(e) => e >= 0.0 && e.is_finite(),
+            Finer::Factor(f) => f > 1.0 && f.is_finite(),
+            Finer::Samples(n) => (1..=u64::from(u32::MAX)).contains(&n),
+        };
+        if makes_sense { Ok(()) } else { Err(("the refinement is to no fineness that makes sense", FINER)) }
+    }
+}
+
+/// How fine a refinement can be.
+const FINER: &str =
+    "an error of 0 or more as a fraction of the diagonal, a factor above 1, or at least 1 sample";
+
 /// One deformation.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Step {
+pub struct Deformation {
     /// The plugin's id.
     pub deform: String,
     /// The parameters that differ from their defaults.
@@ -69,11 +110,32 @@ pub struct Step {
     /// How the plugin's own handles move.
     pub handles: Vec<HandleMove>,
     /// Brush strokes, first to last.
-    pub strokes: Vec<Stroke>,
+    pub strokes: Vec<Arc<Stroke>>,
     /// What paths among the parameters are relative to.
     pub folder: PathBuf,
-    /// Where in the file it stands, as `session.toml, line 7`; for errors.
-    pub place: String,
+}
+
+impl Step {
+    /// The plugin's id, or what else the step is.
+    pub fn name(&self) -> &str {
+        match &self.action {
+            Action::Deform(deformation) => &deformation.deform,
+            Action::Refine(_) => "refine",
+        }
+    }
+
+    /// Whether there may be more samples after it.
+    pub fn refines(&self) -> bool {
+        matches!(self.action, Action::Refine(_))
+    }
+
+    /// The deformation, where it is one.
+    pub fn deformation(&self) -> Option<&Deformation> {
+        match &self.action {
+            Action::Deform(deformation) => Some(deformation),
+            Action::Refine(_) => None,
+        }
+    }
 }
 
 /// A joint of a skeleton.
@@ -118,6 +180,25 @@ pub struct Stroke {
     pub params: toml::Table,
 }
 
+impl Stroke {
+    /// What is wrong with it, and what to do; or nothing.
+    pub fn defect(&self) -> Option<(&'static str, &'static str)> {
+        if !(self.radius > 0.0 && self.radius.is_finite()) {
+            Some(("the radius of a stroke is not positive", "give a length in the model's unit"))
+        } else if !(self.strength.is_finite() && self.points.iter().all(|p| p.is_finite())) {
+            Some(("a stroke has a number that is not finite", "correct the stroke"))
+        } else if self.points.is_empty() {
+            Some(("the stroke has no point", "give at least one in `points`"))
+        } else if ![0, self.points.len()].contains(&self.pressures.len()) {
+            Some(("there is not one pressure for each point of a stroke", "give as many, or none"))
+        } else if !self.pressures.iter().all(|p| (0.0..=1.0).contains(p)) {
+            Some(("a pressure of a stroke is not from 0 to 1", "correct the stroke"))
+        } else {
+            None
+        }
+    }
+}
+
 fn full_strength() -> f64 {
     1.0
 }
@@ -150,12 +231,20 @@ pub struct Region {
 #[derive(Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct RawSession {
-    model: Option<RawPath>,
+    version: Option<Spanned<i64>>,
+    model: Option<RawModel>,
     #[serde(default)]
     sampling: Option<Spanned<Sampling>>,
     #[serde(default)]
     step: Vec<Spanned<RawStep>>,
     output: Option<RawPath>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawModel {
+    path: PathBuf,
+    fingerprint: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -178,6 +267,8 @@ struct RawStep {
     handle: Vec<Spanned<RawHandle>>,
     #[serde(default)]
     stroke: Vec<Spanned<Stroke>>,
+    strokes: Option<Spanned<strokes_file::Reference>>,
+    enabled: Option<bool>,
     refine: Option<Spanned<RawRefine>>,
 }
 
@@ -228,24 +319,21 @@ impl SessionFile {
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let source = Source { text, path };
         let raw: RawSession = toml::from_str(text).map_err(|e| source.refused(&e))?;
+        if let Some(version) = raw.version.filter(|v| !(1..=VERSION).contains(v.get_ref())) {
+            let what =
+                format!("the session is of version {}, this program knows {VERSION}", version.get_ref());
+            return Err(source.error(&version.span(), &what, "open it with a newer version of SIMOD"));
+        }
         let folder = path.parent().unwrap_or(Path::new(""));
         let sampling = match raw.sampling {
             Some(sampling) => source.sampling(sampling)?,
             None => Sampling::default(),
         };
-        let (mut steps, mut refinements) = (Vec::new(), Vec::new());
-        for step in raw.step {
-            if step.get_ref().refine.is_some() {
-                refinements.push(source.refine(step, steps.len())?);
-            } else {
-                steps.push(source.step(step)?);
-            }
-        }
         Ok(Self {
+            fingerprint: raw.model.as_ref().and_then(|m| m.fingerprint.clone()),
             model: raw.model.map(|m| folder.join(m.path)),
             sampling,
-            steps,
-            refinements,
+            steps: raw.step.into_iter().map(|s| source.step(s)).collect::<Result<_>>()?,
             output: raw.output.map(|o| folder.join(o.path)),
         })
     }
@@ -301,33 +389,43 @@ impl Source<'_> {
         Ok(sampling)
     }
 
-    /// A step that refines, after so many that deform.
-    fn refine(&self, step: Spanned<RawStep>, after: usize) -> Result<Refine> {
-        let span = step.span();
-        let raw = step.into_inner();
+    fn step(&self, step: Spanned<RawStep>) -> Result<Step> {
+        let (span, raw) = (step.span(), step.into_inner());
+        let (enabled, place) = (raw.enabled.unwrap_or(true), self.place(&span));
+        let action = if raw.refine.is_some() {
+            Action::Refine(self.refine(&span, raw)?)
+        } else {
+            Action::Deform(self.deformation(&span, raw)?)
+        };
+        Ok(Step { action, enabled, place })
+    }
+
+    fn refine(&self, span: &Range<usize>, raw: RawStep) -> Result<Refine> {
         let nothing_else = raw.deform.is_none()
             && raw.params.is_empty()
             && raw.region.is_empty()
             && raw.joint.is_empty()
             && raw.handle.is_empty()
-            && raw.stroke.is_empty();
+            && raw.stroke.is_empty()
+            && raw.strokes.is_none();
         let Some(refine) = raw.refine.filter(|_| nothing_else) else {
             let hint = "give each a [[step]] of its own";
-            return Err(self.error(&span, "a step that refines does nothing else", hint));
+            return Err(self.error(span, "a step that refines does nothing else", hint));
         };
         let span = refine.span();
         let RawRefine { shapes, error, factor, samples } = refine.into_inner();
         let shapes = self.shapes(&span, "the refinement has no shape", shapes)?;
         let finer = match (error, factor, samples) {
-            (Some(e), None, None) if e >= 0.0 && e.is_finite() => Finer::Error(e),
-            (None, Some(f), None) if f > 1.0 && f.is_finite() => Finer::Factor(f),
-            (None, None, Some(n)) if (1..=u64::from(u32::MAX)).contains(&n) => Finer::Samples(n),
-            _ => {
-                let hint = "an error of 0 or more as a fraction of the diagonal, a factor above 1, or at least 1 sample";
-                return Err(self.error(&span, "give one of `error`, `factor` and `samples`", hint));
-            }
+            (Some(e), None, None) => Finer::Error(e),
+            (None, Some(f), None) => Finer::Factor(f),
+            (None, None, Some(n)) => Finer::Samples(n),
+            _ => return Err(self.error(&span, "give one of `error`, `factor` and `samples`", FINER)),
         };
-        Ok(Refine { after, shapes, finer, place: self.place(&span) })
+        let refine = Refine { shapes, finer };
+        match refine.check() {
+            Ok(()) => Ok(refine),
+            Err((what, hint)) => Err(self.error(&span, what, hint)),
+        }
     }
 
     /// At least one shape, which all make sense.
@@ -345,21 +443,29 @@ impl Source<'_> {
         Ok(shapes)
     }
 
-    fn step(&self, step: Spanned<RawStep>) -> Result<Step> {
-        let span = step.span();
-        let raw = step.into_inner();
+    fn deformation(&self, span: &Range<usize>, raw: RawStep) -> Result<Deformation> {
         let deform = raw.deform.ok_or_else(|| {
-            self.error(&span, "the step has no `deform`", "name a plugin, such as deform = \"warp\"")
+            self.error(span, "the step has no `deform`", "name a plugin, such as deform = \"warp\"")
         })?;
-        Ok(Step {
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        let mut strokes = match raw.strokes {
+            Some(file) => file.get_ref().read(folder).map_err(|e| {
+                let what = format!("{}: {e}", self.place(&file.span()));
+                Error::new(e.kind(), what, e.hint())
+            })?,
+            None => Vec::new(),
+        };
+        for stroke in raw.stroke {
+            strokes.push(Arc::new(self.stroke(stroke)?));
+        }
+        Ok(Deformation {
             deform,
             params: raw.params,
             regions: raw.region.into_iter().map(|r| self.region(r)).collect::<Result<_>>()?,
             joints: self.joints(raw.joint)?,
             handles: self.handles(raw.handle)?,
-            strokes: raw.stroke.into_iter().map(|s| self.stroke(s)).collect::<Result<_>>()?,
-            folder: self.path.parent().unwrap_or(Path::new("")).to_owned(),
-            place: self.place(&span),
+            strokes,
+            folder: folder.to_owned(),
         })
     }
 
@@ -436,23 +542,10 @@ impl Source<'_> {
     fn stroke(&self, stroke: Spanned<Stroke>) -> Result<Stroke> {
         let span = stroke.span();
         let stroke = stroke.into_inner();
-        let wrong = |what, hint: &str| Err(self.error(&span, what, hint));
-        if !(stroke.radius > 0.0 && stroke.radius.is_finite()) {
-            return wrong("the radius of a stroke is not positive", "give a length in the model's unit");
+        match stroke.defect() {
+            Some((what, hint)) => Err(self.error(&span, what, hint)),
+            None => Ok(stroke),
         }
-        if !(stroke.strength.is_finite() && stroke.points.iter().all(|p| p.is_finite())) {
-            return wrong("a stroke has a number that is not finite", "correct the stroke");
-        }
-        if stroke.points.is_empty() {
-            return wrong("the stroke has no point", "give at least one in `points`");
-        }
-        if ![0, stroke.points.len()].contains(&stroke.pressures.len()) {
-            return wrong("there is not one pressure for each point of a stroke", "give as many, or none");
-        }
-        if !stroke.pressures.iter().all(|p| (0.0..=1.0).contains(p)) {
-            return wrong("a pressure of a stroke is not from 0 to 1", "correct the stroke");
-        }
-        Ok(stroke)
     }
 
     fn region(&self, region: Spanned<RawRegion>) -> Result<Region> {
@@ -519,8 +612,9 @@ path = "/elsewhere/out.ply"
         assert_eq!(session.output.unwrap(), Path::new("/elsewhere/out.ply"));
         assert_eq!(session.sampling.samples, Some(50_000));
         let [rbf, warp] = session.steps.as_slice() else { panic!() };
-        assert_eq!((rbf.deform.as_str(), rbf.regions.len()), ("rbf", 2));
         assert_eq!(rbf.place, "edits/session.toml, line 6");
+        let [rbf, warp] = [rbf, warp].map(|step| step.deformation().unwrap());
+        assert_eq!((rbf.deform.as_str(), rbf.regions.len()), ("rbf", 2));
         assert_eq!(rbf.regions[1].shapes.shapes[0], Shape::Sphere { center: DVec3::Y * 300.0, radius: 40.0 });
         assert_eq!(rbf.regions[1].shapes.falloff, 2.0);
         assert_eq!(rbf.regions[1].motion.degrees, 30.0);
@@ -575,7 +669,7 @@ path = "/elsewhere/out.ply"
         told(&refine(shapes), 2, "give one of `error`");
         told(&refine(&format!("{shapes}, error = 1, factor = 2")), 2, "give one of `error`");
         for bad in ["error = -1", "error = nan", "factor = 1", "samples = 0"] {
-            told(&refine(&format!("{shapes}, {bad}")), 2, "give one of `error`");
+            told(&refine(&format!("{shapes}, {bad}")), 2, "no fineness that makes sense");
         }
         told(&refine(&format!("{}, error = 1", shapes.replace("= 1", "= 0"))), 2, "radius");
         told(&refine(&format!("{shapes}, size = 1")), 2, "size");
@@ -605,10 +699,14 @@ path = "/elsewhere/out.ply"
         };
         let deform = "[[step]]\ndeform = \"warp\"\n";
         let session = parse(&[&refine(0.0), deform, deform, &refine(0.5), &refine(0.25)].concat()).unwrap();
-        assert_eq!(session.steps.len(), 2);
-        let order: Vec<_> = session.refinements.iter().map(|r| (r.after, r.finer)).collect();
-        assert_eq!(order, [(0, Finer::Error(0.0)), (2, Finer::Error(0.5)), (2, Finer::Error(0.25))]);
-        assert!(session.refinements[1].place.ends_with("line 8"));
+        let finer = |s: &Step| match &s.action {
+            Action::Refine(refine) => Some(refine.finer),
+            Action::Deform(_) => None,
+        };
+        let order: Vec<_> = session.steps.iter().map(finer).collect();
+        let error = |e| Some(Finer::Error(e));
+        assert_eq!(order, [error(0.0), None, None, error(0.5), error(0.25)]);
+        assert!(session.steps[3].place.ends_with("line 7"));
     }
 
     #[test]
@@ -617,7 +715,8 @@ path = "/elsewhere/out.ply"
         let text =
             ["[[step]]\ndeform = \"x\"\n", &joint("hand", "parent = \"arm\""), &joint("arm", "")].concat();
         let session = parse(&text).unwrap();
-        let ids: Vec<&str> = session.steps[0].joints.iter().map(|j| j.id.as_str()).collect();
+        let ids: Vec<&str> =
+            session.steps[0].deformation().unwrap().joints.iter().map(|j| j.id.as_str()).collect();
         assert_eq!(ids, ["arm", "hand"]);
     }
 }

@@ -96,6 +96,21 @@ pub struct Shapes {
 }
 
 impl Shapes {
+    /// What is wrong with them, or nothing.
+    ///
+    /// # Errors
+    /// That.
+    pub fn check(&self) -> Result<(), &'static str> {
+        if let Some(what) = self.shapes.iter().find_map(Shape::defect) {
+            return Err(what);
+        }
+        if self.falloff >= 0.0 && self.falloff.is_finite() {
+            Ok(())
+        } else {
+            Err("`falloff` is negative or no finite number")
+        }
+    }
+
     /// Signed distance to the surface of the union, in the model's unit: negative inside, and exact outside.
     pub fn signed_distance(&self, p: DVec3) -> f64 {
         self.shapes.iter().map(|s| s.signed_distance(p)).fold(f64::INFINITY, f64::min)

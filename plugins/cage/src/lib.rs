@@ -11,8 +11,8 @@ use glam::DVec3;
 use mean_value::View;
 use mesh::Cage;
 use simod_plugin_api::{
-    Affine, Choice, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host, IsIdentity,
-    ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
+    Affine, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host,
+    IsIdentity, ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -49,19 +49,6 @@ enum Kind {
     Box,
 }
 
-/// Where a file's cage is.
-#[derive(ParamSet)]
-struct Placed {
-    /// Where the file's origin lies; [0, 0, 0] for a file in the model's own coordinates
-    #[param(point, name = "Origin", default = [0.5; 3], unit = "model-length", group = "File")]
-    #[param(invalidates_preparation)]
-    file_origin: [f64; 3],
-    /// The file's unit of length in the model's
-    #[param(name = "Unit", default = 1.0, unit = "model-length", hard = f64::MIN_POSITIVE.., group = "File")]
-    #[param(soft = 0.001..=1000.0, invalidates_preparation)]
-    file_unit: f64,
-}
-
 /// A cage with the coordinates of all samples.
 struct Prepared {
     cage: Cage,
@@ -73,8 +60,11 @@ struct Prepared {
 fn cage(input: &PrepareInput<'_>) -> PluginResult<Cage> {
     let params = input.params();
     if let Some(path) = params.file("file")? {
-        let Placed { file_origin, file_unit } = params.read()?;
-        return Cage::read(path, |p| DVec3::from(file_origin) + file_unit * p);
+        let frame = input.frame().ok_or_else(|| {
+            PluginError::input("this version of SIMOD does not tell where the file's coordinates are")
+                .hint("use a newer one, or a cage that is made")
+        })?;
+        return Cage::read(path, |p| frame.to_local(p.into()).into());
     }
     let Made { cage, detail, margin } = params.read()?;
     let detail = usize::try_from(detail).map_err(|_| PluginError::parameter("detail", "is negative"))?;
@@ -108,10 +98,9 @@ impl Deformer for CagePlugin {
             .param_set::<Made>()
             .param(
                 ParamDesc::file("file", "File", &["obj"])
-                    .hint("A closed surface of polygons, as an OBJ file; its vertices are the handles 0, 1, 2, ...")
-                    .group("File"),
+                    .hint("A closed surface of polygons in the model's coordinates; its vertices are the handles 0, 1, 2, ..."),
             )
-            .param_set::<Placed>()
+            .consumes(Consumes { frame: true, ..Consumes::default() })
     }
 
     fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
@@ -141,8 +130,7 @@ impl Deformer for CagePlugin {
         match outside.into_inner() {
             0 => {}
             all if all == samples.len() => host.warn(
-                "the model lies outside of the cage: `file-origin` and `file-unit` say where the file's cage is, \
-                 [0, 0, 0] and 1 in the model's own coordinates",
+                "the model lies outside of the cage: the file has to be in the model's own coordinates",
             ),
             some => host.warn(&format!(
                 "{some} of {} samples lie outside of the cage, and may move against its vertices",

@@ -3,7 +3,7 @@
 use super::*;
 use proptest::prelude::*;
 use simod_plugin_api::{
-    Bounds, ErrorCode, HandleMotions, HostCalls, LogLevel, Param, ParamKind, Part, Samples,
+    Bounds, ErrorCode, HandleMotions, HostCalls, LogLevel, ModelFrame, Param, ParamKind, Part, Samples,
 };
 use std::sync::Mutex;
 
@@ -36,16 +36,17 @@ impl Setup {
     }
 
     fn with<T>(&self, call: impl FnOnce(&PrepareInput<'_>) -> T) -> T {
-        let (detail, margin, unit) = ([self.detail], [0.03], [1.0]);
+        let (detail, margin) = ([self.detail], [0.03]);
         let params = [
             Param::text("cage", ParamKind::CHOICE, self.cage),
             Param::numbers("detail", ParamKind::INT, &detail),
             Param::numbers("margin", ParamKind::FLOAT, &margin),
             Param::text("file", ParamKind::FILE, &self.file),
-            Param::numbers("file-origin", ParamKind::POINT, &self.origin),
-            Param::numbers("file-unit", ParamKind::FLOAT, &unit),
         ];
-        call(&PrepareInput::new(Samples::new(&self.samples, &[], &[]), BOUNDS, &[], &params))
+        // So that the file's origin lies where it is wanted.
+        let frame = ModelFrame { origin: self.origin.map(|x| -x), scale: 1.0 };
+        let samples = Samples::new(&self.samples, &[], &[]);
+        call(&PrepareInput::new(samples, BOUNDS, &[], &params).with_parts(&[Part::new(&frame)]))
     }
 
     fn prepare(&self) -> Prepared {
@@ -192,7 +193,7 @@ fn samples_outside_are_told() {
     };
     assert_eq!(told(&Setup::new("hull")) + &told(&Setup::new("box")), "");
     assert!(told(&Setup::of_file("cage.obj", [0.0; 3])).contains("samples lie outside"));
-    assert!(told(&Setup::of_file("cage.obj", [9.0; 3])).contains("`file-origin`"));
+    assert!(told(&Setup::of_file("cage.obj", [9.0; 3])).contains("the model's own coordinates"));
 }
 
 #[test]

@@ -12,6 +12,7 @@ use crate::factor::Factor;
 use crate::problem::Problem;
 use glam::{DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
+use std::ops::Range;
 
 /// Nodes at once on one thread.
 const TOGETHER: usize = 1024;
@@ -27,8 +28,8 @@ pub struct Level {
     pub problem: Problem,
     /// The draws at free nodes.
     pub springs: Vec<Soft>,
-    /// Of the Laplacian with the springs.
-    pub factor: Factor,
+    /// Of the Laplacian with the springs. Steps by it need not be exact: what they aim at is.
+    pub factor: Factor<f32>,
 }
 
 /// What turns: the surroundings of a problem's nodes.
@@ -55,9 +56,9 @@ pub struct Pose {
 
 impl Level {
     /// Factorises. `stiffness` is that of a draw, per area.
-    pub fn new(problem: Problem, stiffness: f64, host: &Host<'_>) -> PluginResult<Self> {
+    pub fn new(problem: Problem, stiffness: f64, told: Range<f64>, host: &Host<'_>) -> PluginResult<Self> {
         let springs = problem.springs(stiffness);
-        let factor = problem.factor(problem.laplacian(), &springs, host)?;
+        let factor = problem.factor(problem.laplacian(), &springs, told, host)?;
         Ok(Self { problem, springs, factor })
     }
 
@@ -94,7 +95,7 @@ impl Level {
             let node = spring.node as usize;
             sums[node] += spring.strength * motion.displacement(spring.target, problem.rest[node]);
         }
-        self.factor.solve(&mut sums)?;
+        self.factor.solve(&mut sums, host)?;
         pose.displacements[..problem.free].copy_from_slice(&sums);
         Ok(())
     }
@@ -166,7 +167,7 @@ impl Level {
         let mut past = Past::default();
         for _ in 0..steps {
             host.progress(0.0)?;
-            let step = past.step(&gradient, &self.factor)?;
+            let step = past.step(&gradient, &self.factor, host)?;
             let slope: f64 = step.iter().zip(&gradient).map(|(s, g)| s.dot(*g)).sum();
             let before = pose.clone();
             let mut part = 1.0;
@@ -248,7 +249,8 @@ mod tests {
         let node = kinds.iter().position(|k| *k == Kind::Free).unwrap() as u32;
         let soft = [Soft { node, target: Target::Handle(0), strength: 0.1 }];
         let host = Host::new(&());
-        Level::new(Problem::new(&rest, &elements, &kinds, &soft, &host).unwrap(), 400.0, &host).unwrap()
+        Level::new(Problem::new(&rest, &elements, &kinds, &soft, &host).unwrap(), 400.0, 0.0..1.0, &host)
+            .unwrap()
     }
 
     fn motion() -> Motion {

@@ -13,7 +13,6 @@ use crate::problem::Problem;
 use crate::rotation;
 use glam::{DMat3, DVec3};
 use simod_plugin_api::{Host, PluginResult};
-use std::sync::{Mutex, PoisonError};
 
 /// Nodes at once on one thread.
 const TOGETHER: usize = 1024;
@@ -27,7 +26,7 @@ pub struct Cells {
 #[derive(Debug)]
 struct Wide {
     /// Of `M + l² L` among the free nodes.
-    factor: Factor,
+    factor: Factor<f64>,
     /// `l²`
     spread: f64,
 }
@@ -52,7 +51,7 @@ impl Cells {
             }
             row
         };
-        Ok(Self { wide: Some(Wide { factor: problem.factor(row, &[], host)?, spread }) })
+        Ok(Self { wide: Some(Wide { factor: problem.factor(row, &[], 0.0..0.0, host)?, spread }) })
     }
 
     /// Fits rotations to covariances, from what they were.
@@ -99,17 +98,9 @@ impl Cells {
 impl Wide {
     /// Replaces matrices by solutions, the columns side by side.
     fn solve(&self, sides: &mut [DMat3], host: &Host<'_>) -> PluginResult<()> {
-        let mut columns: Vec<Vec<DVec3>> = (0..3).map(|c| sides.iter().map(|m| m.col(c)).collect()).collect();
-        let failed = Mutex::new(None);
-        host.parallel_blocks(&mut columns, 1, |_, columns| {
-            for column in columns {
-                if let Err(e) = self.factor.solve(column) {
-                    failed.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(e);
-                }
-            }
-        })?;
-        if let Some(e) = failed.into_inner().unwrap_or_else(PoisonError::into_inner) {
-            return Err(e);
+        let mut columns: [Vec<DVec3>; 3] = std::array::from_fn(|c| sides.iter().map(|m| m.col(c)).collect());
+        for column in &mut columns {
+            self.factor.solve(column, host)?;
         }
         for (i, side) in sides.iter_mut().enumerate() {
             *side = DMat3::from_cols(columns[0][i], columns[1][i], columns[2][i]);

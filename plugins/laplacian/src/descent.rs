@@ -2,7 +2,7 @@
 
 use crate::factor::Factor;
 use glam::DVec3;
-use simod_plugin_api::PluginResult;
+use simod_plugin_api::{Host, PluginResult};
 use std::collections::VecDeque;
 
 /// Steps that are remembered.
@@ -22,7 +22,12 @@ impl Past {
     }
 
     /// The step that would lead to the least energy, as far as is known (algorithm 7.4).
-    pub fn step(&self, gradient: &[DVec3], factor: &Factor) -> PluginResult<Vec<DVec3>> {
+    pub fn step(
+        &self,
+        gradient: &[DVec3],
+        factor: &Factor<f32>,
+        host: &Host<'_>,
+    ) -> PluginResult<Vec<DVec3>> {
         let mut q: Vec<DVec3> = gradient.iter().map(|g| -*g).collect();
         let mut shares = Vec::with_capacity(self.pairs.len());
         for (s, y, inverse) in self.pairs.iter().rev() {
@@ -30,7 +35,7 @@ impl Past {
             q.iter_mut().zip(y).for_each(|(q, y)| *q -= share * *y);
             shares.push(share);
         }
-        factor.solve(&mut q)?;
+        factor.solve(&mut q, host)?;
         for ((s, y, inverse), share) in self.pairs.iter().zip(shares.into_iter().rev()) {
             let other = inverse * dot(y, &q);
             q.iter_mut().zip(s).for_each(|(q, s)| *q += (share - other) * *s);

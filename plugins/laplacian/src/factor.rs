@@ -1,17 +1,18 @@
-//! Sparse Cholesky factorisation of symmetric positive definite matrices, and solutions by it.
+//! Sparse Cholesky factorisation of symmetric positive definite matrices: multifrontal, over a nested dissection.
+//!
+//! I. Duff, J. Reid, *The Multifrontal Solution of Indefinite Sparse Symmetric Linear Systems*, TOMS 1983; J. Liu, *The
+//! Multifrontal Method for Sparse Matrix Solution*, SIAM Review 1992: each part of the tree is a small dense problem (a
+//! front), which passes on what it does to the unknowns after it. Subtrees are factorised and solved side by side, always
+//! the same ones, so that results do not depend on the number of threads; and one can stop at each front.
 
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization};
-use faer::sparse::linalg::SupernodalThreshold;
-use faer::sparse::linalg::cholesky::supernodal::{SupernodalLltRef, SupernodeRef};
-use faer::sparse::linalg::cholesky::{
-    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymbolicCholeskyRaw, SymmetricOrdering,
-    factorize_symbolic_cholesky,
-};
-use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{Conj, Mat, Par, Side};
+use crate::dissection::{Part, Pattern, Tree};
+use crate::front::{Front, Update, places};
+use crate::kernels::Stored;
+use crate::solve::Run;
 use glam::DVec3;
 use simod_plugin_api::{ErrorCode, Host, PluginError, PluginResult};
+use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// What is added to the diagonal, relative to it, until rounding leaves the matrix positive definite.
 const RIDGES: [f64; 5] = [0.0, 1e-14, 1e-12, 1e-10, 1e-8];
@@ -20,7 +21,7 @@ const RIDGES: [f64; 5] = [0.0, 1e-14, 1e-12, 1e-10, 1e-8];
 #[derive(Debug)]
 pub struct Symmetric {
     starts: Vec<usize>,
-    columns: Vec<usize>,
+    columns: Vec<u32>,
     values: Vec<f64>,
 }
 
@@ -34,7 +35,7 @@ impl Symmetric {
     /// Adds a row; the last entry is the diagonal.
     pub fn push_row(&mut self, entries: impl IntoIterator<Item = (usize, f64)>) {
         for (column, value) in entries {
-            self.columns.push(column);
+            self.columns.push(column as u32);
             self.values.push(value);
         }
         self.starts.push(self.columns.len());
@@ -43,52 +44,72 @@ impl Symmetric {
     fn len(&self) -> usize {
         self.starts.len() - 1
     }
-}
+    fn row(&self, i: usize) -> impl Iterator<Item = (usize, f64)> {
+        let range = self.starts[i]..self.starts[i + 1];
+        self.columns[range.clone()].iter().map(|c| *c as usize).zip(self.values[range].iter().copied())
+    }
 
-/// A factorised matrix. All is done on one thread, so that results do not depend on their number.
-#[derive(Debug)]
-pub struct Factor {
-    symbolic: SymbolicCholesky<usize>,
-    values: Vec<f64>,
-}
-
-impl Factor {
-    /// Factorises.
-    pub fn new(mut matrix: Symmetric, host: &Host<'_>) -> PluginResult<Self> {
-        let n = matrix.len();
-        let diagonal: Vec<f64> = matrix.starts[1..].iter().map(|end| matrix.values[end - 1]).collect();
-        // Rows of the lower triangle are columns of the upper one.
-        let pattern = SymbolicSparseColMatRef::new_checked(n, n, &matrix.starts, None, &matrix.columns);
-        let params = CholeskySymbolicParams {
-            supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
-            ..CholeskySymbolicParams::default()
+    /// The same with its unknowns in another order: columns from the diagonal on, in no order.
+    fn in_order(&self, order: &[u32]) -> Self {
+        let mut place = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(k, i)| place[*i as usize] = k);
+        let entries = || {
+            (0..self.len()).flat_map(|i| self.row(i).map(move |(j, value)| (i, j, value))).map(
+                |(i, j, value)| {
+                    let (i, j) = (place[i], place[j]);
+                    (i.min(j), i.max(j), value)
+                },
+            )
         };
-        let symbolic = factorize_symbolic_cholesky(pattern, Side::Upper, SymmetricOrdering::Amd, params)
-            .map_err(|e| PluginError::internal(format!("the factorisation cannot be planned: {e:?}")))?;
-        let need = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, faer::Spec::default());
-        let mut memory = MemBuffer::try_new(need).map_err(|_| out_of_memory())?;
-        let mut values = vec![0.0; symbolic.len_val()];
+        let mut starts = vec![0; order.len() + 1];
+        entries().for_each(|(i, ..)| starts[i + 1] += 1);
+        (0..order.len()).for_each(|i| starts[i + 1] += starts[i]);
+        let mut next = starts.clone();
+        let mut this =
+            Self { starts, columns: vec![0; self.columns.len()], values: vec![0.0; self.values.len()] };
+        for (i, j, value) in entries() {
+            this.columns[next[i]] = j as u32;
+            this.values[next[i]] = value;
+            next[i] += 1;
+        }
+        this
+    }
+}
+
+/// A factorised matrix. It is reckoned in double precision, and kept in that of `T`.
+#[derive(Debug)]
+pub struct Factor<T> {
+    /// The unknowns as they are eliminated: those of the subtrees, then the others.
+    order: Vec<u32>,
+    /// Each subtree; in the end what parts them.
+    runs: Vec<Run<T>>,
+}
+
+/// Why there is no factor.
+enum Failure {
+    /// The matrix is not positive definite.
+    Indefinite,
+    /// As told.
+    Told(PluginError),
+}
+
+impl From<PluginError> for Failure {
+    fn from(error: PluginError) -> Self {
+        Self::Told(error)
+    }
+}
+
+impl<T: Stored> Factor<T> {
+    /// Factorises. `at` are places of the unknowns: those that share an entry are near each other. Tells its progress as
+    /// that from one fraction to the other.
+    pub fn new(matrix: Symmetric, at: &[DVec3], told: Range<f64>, host: &Host<'_>) -> PluginResult<Self> {
+        let tree = Tree::new(&Pattern::new(&matrix.starts, &matrix.columns), at, host)?;
+        let matrix = matrix.in_order(&tree.order);
         for ridge in RIDGES {
-            host.progress(0.0)?;
-            for (end, d) in matrix.starts[1..].iter().zip(&diagonal) {
-                matrix.values[end - 1] = d * (1.0 + ridge);
-            }
-            let pattern = SymbolicSparseColMatRef::new_checked(n, n, &matrix.starts, None, &matrix.columns);
-            let done = symbolic.factorize_numeric_llt(
-                &mut values,
-                SparseColMatRef::new(pattern, &matrix.values),
-                Side::Upper,
-                LltRegularization::default(),
-                Par::Seq,
-                MemStack::new(&mut memory),
-                faer::Spec::default(),
-            );
-            let positive = match done {
-                Ok(_) => true,
-                Err(LltError::NonPositivePivot { .. }) => false,
-            };
-            if positive && values.iter().all(|x| x.is_finite()) {
-                return Ok(Self { symbolic, values });
+            match (Elimination { matrix: &matrix, ridge, tree: &tree, told: &told, host }).run() {
+                Ok(runs) => return Ok(Self { order: tree.order, runs }),
+                Err(Failure::Told(error)) => return Err(error),
+                Err(Failure::Indefinite) => {}
             }
         }
         Err(PluginError::new(ErrorCode::NOT_CONVERGED, "the surface's equations are singular")
@@ -96,114 +117,224 @@ impl Factor {
     }
 
     /// Replaces three right-hand sides by solutions, all in one pass over the factor: that is what takes the time.
-    pub fn solve(&self, sides: &mut [DVec3]) -> PluginResult<()> {
-        let (SymbolicCholeskyRaw::Supernodal(symbolic), Some(order)) =
-            (self.symbolic.raw(), self.symbolic.perm().map(|p| p.arrays().0))
-        else {
-            // A diagonal matrix has none.
-            return self.solve_without_supernodes(sides);
-        };
-        let lower = SupernodalLltRef::new(symbolic, &self.values);
-        let mut x: Vec<DVec3> = order.iter().map(|i| sides[*i]).collect();
-        let mut front = Front::default();
-        for s in 0..symbolic.n_supernodes() {
-            front.forward(lower.supernode(s), &mut x);
+    pub fn solve(&self, sides: &mut [DVec3], host: &Host<'_>) -> PluginResult<()> {
+        let mut x: Vec<DVec3> = self.order.iter().map(|i| sides[*i as usize]).collect();
+        let Some((top, subtrees)) = self.runs.split_last() else { return Ok(()) };
+        let (mut below, above) = x.split_at_mut(top.columns.start);
+        let mut tasks = Vec::with_capacity(subtrees.len());
+        for run in subtrees {
+            let (own, rest) = below.split_at_mut(run.columns.len());
+            below = rest;
+            tasks.push((run, own, vec![DVec3::ZERO; run.beyond.len()]));
         }
-        for s in (0..symbolic.n_supernodes()).rev() {
-            front.backward(lower.supernode(s), &mut x);
+        host.parallel_blocks(&mut tasks, 1, |_, tasks| {
+            tasks.iter_mut().for_each(|(run, own, beyond)| run.forward(own, beyond));
+        })?;
+        for (run, _, beyond) in &tasks {
+            run.beyond.iter().zip(beyond).for_each(|(row, d)| above[*row as usize] += *d);
         }
-        order.iter().zip(x).for_each(|(i, x)| sides[*i] = x);
+        top.forward_together(above, host)?;
+        top.backward_together(above, host)?;
+        host.parallel_blocks(&mut tasks, 1, |_, tasks| {
+            for (run, own, beyond) in tasks {
+                run.beyond.iter().zip(beyond.iter_mut()).for_each(|(row, d)| *d = above[*row as usize]);
+                run.backward(own, beyond);
+            }
+        })?;
+        self.order.iter().zip(x).for_each(|(i, x)| sides[*i as usize] = x);
         Ok(())
     }
 }
 
-impl Factor {
-    fn solve_without_supernodes(&self, sides: &mut [DVec3]) -> PluginResult<()> {
-        let need = self.symbolic.solve_in_place_scratch::<f64>(3, Par::Seq);
-        let mut memory = MemBuffer::try_new(need).map_err(|_| out_of_memory())?;
-        let mut columns = Mat::from_fn(sides.len(), 3, |i, k| sides[i][k]);
-        LltRef::new(&self.symbolic, &self.values).solve_in_place_with_conj(
-            Conj::No,
-            columns.as_mut(),
-            Par::Seq,
-            MemStack::new(&mut memory),
-        );
-        for (i, side) in sides.iter_mut().enumerate() {
-            *side = DVec3::new(columns[(i, 0)], columns[(i, 1)], columns[(i, 2)]);
-        }
-        Ok(())
-    }
+/// What it takes to factorise.
+struct Elimination<'a> {
+    /// In the tree's order.
+    matrix: &'a Symmetric,
+    ridge: f64,
+    tree: &'a Tree,
+    told: &'a Range<f64>,
+    host: &'a Host<'a>,
 }
 
-/// Values at the rows of a supernode, coordinate by coordinate.
-#[derive(Default)]
-struct Front([Vec<f64>; 3]);
+/// A run of parts, and what becomes of them.
+struct Task<T> {
+    parts: Range<usize>,
+    run: Run<T>,
+    /// Of its last part.
+    update: Option<Update>,
+    result: Result<(), Failure>,
+}
 
-impl Front {
-    fn clear(&mut self, rows: usize) {
-        for side in &mut self.0 {
-            side.clear();
-            side.resize(rows, 0.0);
+impl Elimination<'_> {
+    fn run<T: Stored>(&self) -> Result<Vec<Run<T>>, Failure> {
+        let Tree { parts, subtrees, .. } = self.tree;
+        let mut tasks: Vec<Task<T>> = subtrees.iter().map(|parts| self.task(parts.clone())).collect();
+        let done = AtomicUsize::new(0);
+        self.host.parallel_blocks(&mut tasks, 1, |_, tasks| {
+            for task in tasks {
+                task.result = self.subtree(task, &done);
+            }
+        })?;
+        let mut updates: Vec<Option<Update>> = parts.iter().map(|_| None).collect();
+        let mut runs = Vec::with_capacity(tasks.len() + 1);
+        let top = self.task(subtrees.last().map_or(0, |s| s.end)..parts.len());
+        for mut task in tasks {
+            task.result?;
+            if let Some(update) = task.update {
+                task.run.end(&update.rows, top.run.columns.start);
+                updates[task.parts.end - 1] = Some(update);
+            }
+            runs.push(task.run);
         }
+        let mut run = top.run;
+        for (k, part) in top.parts.clone().zip(&parts[top.parts]) {
+            self.tell(
+                0.5 + 0.5 * part.columns.start.saturating_sub(run.columns.start) as f64
+                    / run.columns.len().max(1) as f64,
+            )?;
+            let children = part.children.iter().filter_map(|c| updates[*c].take()).collect();
+            updates[k] = Some(self.eliminate(part, children, &mut run, true)?);
+        }
+        run.end(&[], run.columns.start);
+        runs.push(run);
+        Ok(runs)
     }
 
-    fn at(&self, row: usize) -> DVec3 {
-        DVec3::new(self.0[0][row], self.0[1][row], self.0[2][row])
+    fn task<T: Stored>(&self, parts: Range<usize>) -> Task<T> {
+        let own = &self.tree.parts[parts.clone()];
+        let order = self.tree.order.len();
+        let columns =
+            own.first().map_or(order, |p| p.columns.start)..own.last().map_or(order, |p| p.columns.end);
+        Task { parts, run: Run::new(columns), update: None, result: Ok(()) }
     }
 
-    fn set(&mut self, row: usize, value: DVec3) {
-        self.0.iter_mut().zip(value.to_array()).for_each(|(side, v)| side[row] = v);
+    fn subtree<T: Stored>(&self, task: &mut Task<T>, done: &AtomicUsize) -> Result<(), Failure> {
+        let parts = &self.tree.parts[task.parts.clone()];
+        let mut updates: Vec<Option<Update>> = parts.iter().map(|_| None).collect();
+        for (k, part) in parts.iter().enumerate() {
+            let before = done.fetch_add(part.columns.len(), Ordering::Relaxed);
+            self.tell(0.5 * before as f64 / self.tree.order.len() as f64)?;
+            let children =
+                part.children.iter().filter_map(|c| updates[*c - task.parts.start].take()).collect();
+            updates[k] = Some(self.eliminate(part, children, &mut task.run, false)?);
+        }
+        task.update = updates.pop().flatten();
+        Ok(())
     }
 
-    /// `L x = b` for the supernode's columns; takes what they do to the rows below off these.
-    fn forward(&mut self, supernode: SupernodeRef<'_, usize, f64>, x: &mut [DVec3]) {
-        let lower = supernode.val();
-        let (rows, columns) = (lower.nrows(), lower.ncols());
-        self.clear(rows);
-        for j in 0..columns {
-            let Some(column) = lower.col(j).try_as_col_major().map(|c| c.as_slice()) else { return };
-            let value = (x[supernode.start() + j] - self.at(j)) / column[j];
-            x[supernode.start() + j] = value;
-            for (side, v) in self.0.iter_mut().zip(value.to_array()) {
-                side[j + 1..].iter_mut().zip(&column[j + 1..]).for_each(|(sum, l)| *sum += l * v);
+    fn tell(&self, fraction: f64) -> PluginResult<()> {
+        self.host.progress(self.told.start + (self.told.end - self.told.start) * fraction)
+    }
+
+    /// Eliminates a part, given what its children pass on. `together`: on several threads.
+    fn eliminate<T: Stored>(
+        &self,
+        part: &Part,
+        children: Vec<Update>,
+        run: &mut Run<T>,
+        together: bool,
+    ) -> Result<Update, Failure> {
+        let (start, end) = (part.columns.start, part.columns.end);
+        let entries = |i: usize| self.matrix.row(i);
+        let mut rows: Vec<u32> = children.iter().flat_map(|c| &c.rows).copied().collect();
+        rows.extend(part.columns.clone().flat_map(|i| entries(i).map(|e| e.0 as u32)));
+        rows.retain(|r| *r as usize >= end);
+        rows.sort_unstable();
+        rows.dedup();
+        let mut front = Front::new(part.columns.len(), rows);
+        for i in part.columns.clone() {
+            for (j, value) in entries(i) {
+                let value = if i == j { value * (1.0 + self.ridge) } else { value };
+                let row = if j < end { j - start } else { front.row(j as u32) };
+                *front.entry(row, i - start) += value;
             }
         }
-        for (k, row) in supernode.pattern().iter().enumerate() {
-            x[*row] -= self.at(columns + k);
+        for child in children {
+            let places = places(&child.rows, &part.columns, &front.rows);
+            front.add(&child, &places, together.then_some(self.host))?;
         }
-    }
-
-    /// `Lᵀ x = b` for the supernode's columns, when all rows below are known.
-    fn backward(&mut self, supernode: SupernodeRef<'_, usize, f64>, x: &mut [DVec3]) {
-        let lower = supernode.val();
-        let (rows, columns) = (lower.nrows(), lower.ncols());
-        self.clear(rows);
-        for (k, row) in supernode.pattern().iter().enumerate() {
-            self.set(columns + k, x[*row]);
+        if !front.factorise(together.then_some(self.host))? {
+            return Err(Failure::Indefinite);
         }
-        for j in (0..columns).rev() {
-            let Some(column) = lower.col(j).try_as_col_major().map(|c| c.as_slice()) else { return };
-            let below = |side: &Vec<f64>| dot(&column[j + 1..], &side[j + 1..]);
-            let sum = DVec3::new(below(&self.0[0]), below(&self.0[1]), below(&self.0[2]));
-            let value = (x[supernode.start() + j] - sum) / column[j];
-            x[supernode.start() + j] = value;
-            self.set(j, value);
-        }
+        Ok(run.push(part.columns.clone(), front))
     }
 }
 
-/// A scalar product in one order, several sums side by side.
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    const LANES: usize = 4;
-    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
-    let mut sums = [0.0; LANES];
-    for (a, b) in a.iter().zip(b) {
-        sums.iter_mut().zip(a.iter().zip(b)).for_each(|(sum, (a, b))| *sum += a * b);
-    }
-    sums.iter().sum::<f64>() + a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum::<f64>()
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-fn out_of_memory() -> PluginError {
-    PluginError::new(ErrorCode::INVALID_INPUT, "there is not enough memory for the factorisation")
-        .hint("take fewer samples")
+    /// A matrix with these pairs, well away from singular, and places of its unknowns.
+    fn matrix(n: usize, pairs: impl Fn(usize) -> Vec<usize>) -> Symmetric {
+        let mut degrees = vec![0.0; n];
+        for i in 0..n {
+            for j in pairs(i) {
+                degrees[i] += 1.0;
+                degrees[j] += 1.0;
+            }
+        }
+        let mut matrix = Symmetric::default();
+        for (i, degree) in degrees.iter().enumerate() {
+            matrix.push_row(pairs(i).into_iter().map(|j| (j, -1.0)).chain([(i, degree + 0.1)]));
+        }
+        matrix
+    }
+
+    fn check(matrix: &dyn Fn() -> Symmetric, at: &[DVec3]) {
+        let host = Host::new(&());
+        let expected: Vec<DVec3> =
+            (0..at.len()).map(|i| DVec3::new((i as f64).sin(), 1.0, i as f64 % 7.0)).collect();
+        let mut sides = vec![DVec3::ZERO; at.len()];
+        let given = matrix();
+        for i in 0..at.len() {
+            for (j, value) in given.row(i) {
+                sides[i] += value * expected[j];
+                if i != j {
+                    sides[j] += value * expected[i];
+                }
+            }
+        }
+        let off =
+            |found: &[DVec3]| found.iter().zip(&expected).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+        let mut double = sides.clone();
+        Factor::<f64>::new(given, at, 0.0..1.0, &host).unwrap().solve(&mut double, &host).unwrap();
+        assert!(off(&double) < 1e-10, "{} unknowns: {:.1e}", at.len(), off(&double));
+        let mut single = sides;
+        Factor::<f32>::new(matrix(), at, 0.0..1.0, &host).unwrap().solve(&mut single, &host).unwrap();
+        assert!(off(&single) < 1e-3, "{} unknowns: {:.1e}", at.len(), off(&single));
+    }
+
+    #[test]
+    fn solutions_solve() {
+        // Of none, of one; a grid of many subtrees; one whose parts are torn apart; in one place all of it.
+        let grid = |n: usize, torn: bool| {
+            move |i: usize| -> Vec<usize> {
+                let left = (i % n > 0 && !(torn && i % n == n / 2)).then(|| i - 1);
+                (i >= n).then(|| i - n).into_iter().chain(left).collect()
+            }
+        };
+        let places = |n: usize| -> Vec<DVec3> {
+            (0..n * n).map(|i| DVec3::new((i % n) as f64, (i / n) as f64, 0.3 * (i % n) as f64)).collect()
+        };
+        for n in [0, 1, 2, 5, 80] {
+            for torn in [false, true] {
+                check(&|| matrix(n * n, grid(n, torn)), &places(n));
+            }
+        }
+        check(&|| matrix(400, grid(20, false)), &[DVec3::ONE; 400]);
+        // All have to do with all: more than are eliminated at once.
+        let line: Vec<DVec3> = (0..700).map(|i| DVec3::X * f64::from(i)).collect();
+        check(&|| matrix(700, |i| (0..i).collect()), &line);
+    }
+
+    #[test]
+    fn what_is_singular_is_refused_with_a_hint() {
+        let host = Host::new(&());
+        let mut singular = Symmetric::default();
+        singular.push_row([(0, 1.0)]);
+        singular.push_row([(0, -2.0), (1, 1.0)]);
+        let error = Factor::<f64>::new(singular, &[DVec3::ZERO; 2], 0.0..1.0, &host).unwrap_err();
+        assert_eq!(error.code, ErrorCode::NOT_CONVERGED);
+        assert!(!error.hint.is_empty());
+    }
 }

@@ -10,6 +10,8 @@ use simod_plugin_api::{Host, PluginResult};
 
 /// Steps on the coarse likeness, at most.
 const COARSE_STEPS: usize = 24;
+/// And for a draft, which is to be seen soon.
+const DRAFT_STEPS: usize = 12;
 /// How much coarser the tolerance of these is: what is left is for the others to find.
 const COARSE_TOLERANCE: f64 = 10.0;
 
@@ -38,22 +40,24 @@ impl Hierarchy {
         host: &Host<'_>,
     ) -> PluginResult<Self> {
         let coarse = match coarsen(&problem, host)? {
-            Some((coarse, prolongation)) => Some((Level::new(coarse, stiffness, host)?, prolongation)),
+            Some((coarse, prolongation)) => {
+                Some((Level::new(coarse, stiffness, 0.3..0.4, host)?, prolongation))
+            }
             None => None,
         };
-        host.progress(0.4)?;
-        let fine = Level::new(problem, stiffness, host)?;
+        let fine = Level::new(problem, stiffness, 0.4..1.0, host)?;
         let coarsest = coarse.as_ref().map_or(&fine, |(level, _)| level);
         let cells = Cells::new(&coarsest.problem, width, host)?;
         let influence = influence(coarsest, handles, host)?;
         Ok(Self { cells, is_wide: width > 0.0, influence, handles, fine, coarse })
     }
 
-    /// The pose, in at most so many `steps` on all nodes, or until none moves farther than `tolerance`.
+    /// The pose, in at most so many `steps` on all nodes, or until none moves farther than `tolerance`. A draft has no
+    /// number of steps: its turns are those of the coarse likeness.
     pub fn deform(
         &self,
         motion: &Motion,
-        (steps, tolerance): (usize, f64),
+        (steps, tolerance): (Option<usize>, f64),
         host: &Host<'_>,
     ) -> PluginResult<Pose> {
         let (fine, cells) = (&self.fine, &self.cells);
@@ -61,12 +65,13 @@ impl Hierarchy {
             let turning = Turning { cells, problem: &fine.problem, groups: None };
             let mut pose = fine.pose(self.guess(fine, motion), turning, motion, host)?;
             // These are as cheap as coarse ones, and all that there are.
-            fine.relax(&mut pose, turning, motion, (steps + COARSE_STEPS, tolerance), host)?;
+            fine.relax(&mut pose, turning, motion, (steps.unwrap_or(0) + COARSE_STEPS, tolerance), host)?;
             return Ok(pose);
         };
         let turning = Turning { cells, problem: &coarse.problem, groups: None };
         let mut pose = coarse.pose(self.guess(coarse, motion), turning, motion, host)?;
-        coarse.relax(&mut pose, turning, motion, (COARSE_STEPS, COARSE_TOLERANCE * tolerance), host)?;
+        let coarse_steps = if steps.is_some() { COARSE_STEPS } else { DRAFT_STEPS };
+        coarse.relax(&mut pose, turning, motion, (coarse_steps, COARSE_TOLERANCE * tolerance), host)?;
         let own = Cells::narrow();
         let (turning, turns) = if self.is_wide {
             (Turning { groups: Some(prolongation), ..turning }, pose.turns)
@@ -75,7 +80,9 @@ impl Hierarchy {
             (Turning { cells: &own, problem: &fine.problem, groups: None }, turns)
         };
         let mut pose = fine.pose(turns, turning, motion, host)?;
-        fine.relax(&mut pose, turning, motion, (steps, tolerance), host)?;
+        if let Some(steps) = steps {
+            fine.relax(&mut pose, turning, motion, (steps, tolerance), host)?;
+        }
         Ok(pose)
     }
 
@@ -115,7 +122,7 @@ fn influence(level: &Level, handles: usize, host: &Host<'_>) -> PluginResult<Vec
         for spring in &level.springs {
             sides[spring.node as usize] += spring.strength * share(spring.target);
         }
-        level.factor.solve(&mut sides)?;
+        level.factor.solve(&mut sides, host)?;
         for (row, values) in influence.chunks_exact_mut(handles).zip(sides) {
             row[first..].iter_mut().zip(values.to_array()).for_each(|(slot, v)| *slot = v);
         }

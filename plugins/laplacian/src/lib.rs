@@ -18,16 +18,20 @@ mod cells;
 mod coarse;
 mod constraints;
 mod descent;
+mod dissection;
 mod eigen;
 mod elements;
 mod factor;
 mod followers;
+mod front;
 mod guidance;
 mod intrinsic;
+mod kernels;
 mod linear;
 mod operators;
 mod problem;
 mod rotation;
+mod solve;
 mod stars;
 mod surface;
 
@@ -38,8 +42,8 @@ use guidance::Hierarchy;
 use linear::BiLaplacian;
 use problem::{Kind, Problem};
 use simod_plugin_api::{
-    Consumes, DeformInput, Deformer, Descriptor, Host, ParamDesc, PluginError, PluginResult, PrepareInput,
-    Unit,
+    Choice, Consumes, DeformInput, Deformer, Descriptor, Effort, Host, ParamSet, PluginError, PluginResult,
+    PrepareInput,
 };
 use std::collections::BTreeMap;
 use surface::Weights;
@@ -51,6 +55,35 @@ const DEFORM_BLOCK: usize = 8192;
 
 /// The plugin.
 struct Laplacian;
+
+#[derive(ParamSet)]
+struct Settings {
+    /// Rigid keeps shapes and turns details; smoothest is linear and does neither
+    #[param(default = Mode::Arap, invalidates_preparation)]
+    mode: Mode,
+    /// Over how long a way the surface bends, for rigid; 0 lets it crease
+    #[param(default = 0.03, unit = "diagonal", hard = 0.0..=1.0, soft = 0.0..=0.2, invalidates_preparation)]
+    bending: f64,
+    /// At most so many steps on all samples, after those on a coarse likeness; for rigid
+    #[param(default = 2, hard = 0..=10_000, soft = 0..=20, group = "Accuracy")]
+    iterations: i64,
+    /// Steps end when no sample moves farther; for rigid
+    #[param(default = 1e-4, unit = "diagonal", hard = 0.0..=1.0, soft = 1e-6..=1e-2, group = "Accuracy")]
+    tolerance: f64,
+    /// Robust takes any triangles; cotangents as they are compare with other programs
+    #[param(default = Weights::Robust, group = "Accuracy", invalidates_preparation)]
+    weights: Weights,
+}
+
+#[derive(Choice, Clone, Copy)]
+enum Mode {
+    #[choice(label = "As rigid as possible")]
+    Arap,
+    #[choice(label = "Rotated Laplacian coordinates")]
+    Laplacian,
+    #[choice(label = "Bi-Laplacian (smoothest)")]
+    BiLaplacian,
+}
 
 /// What does not depend on the handles' motions.
 struct Prepared {
@@ -84,67 +117,24 @@ impl Deformer for Laplacian {
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
-        let modes = [
-            ("arap", "As rigid as possible"),
-            ("laplacian", "Rotated Laplacian coordinates"),
-            ("bi-laplacian", "Bi-Laplacian (smoothest)"),
-        ];
-        let weights = [("robust", "Robust (intrinsic Delaunay)"), ("cotangent", "Cotangents as they are")];
         Descriptor::new("laplacian", "Laplacian surface editing", env!("CARGO_PKG_VERSION"))
             .summary("Moves handle regions, holds fixed ones, and bends the surface in between like a skin")
             .citation("O. Sorkine, M. Alexa, As-Rigid-As-Possible Surface Modeling, SGP 2007")
-            .param(
-                ParamDesc::choice("mode", "Mode", "arap", &modes)
-                    .hint("Rigid keeps shapes and turns details; smoothest is linear and does neither")
-                    .invalidates_preparation(),
-            )
-            .param(
-                ParamDesc::float("bending", "Bending", 0.03)
-                    .unit(Unit::DIAGONAL)
-                    .hard(0.0, 1.0)
-                    .soft(0.0, 0.2)
-                    .hint("Over how long a way the surface bends, for rigid; 0 lets it crease")
-                    .invalidates_preparation(),
-            )
-            .param(
-                ParamDesc::int("iterations", "Iterations", 2)
-                    .hard(0.0, 10_000.0)
-                    .soft(0.0, 20.0)
-                    .hint("At most so many steps on all samples, after those on a coarse likeness; for rigid")
-                    .group("Accuracy"),
-            )
-            .param(
-                ParamDesc::float("tolerance", "Tolerance", 1e-4)
-                    .unit(Unit::DIAGONAL)
-                    .hard(0.0, 1.0)
-                    .soft(1e-6, 1e-2)
-                    .hint("Steps end when no sample moves farther; for rigid")
-                    .group("Accuracy"),
-            )
-            .param(
-                ParamDesc::choice("weights", "Weights", "robust", &weights)
-                    .hint("Robust takes any triangles; cotangents as they are compare with other programs")
-                    .group("Accuracy")
-                    .invalidates_preparation(),
-            )
+            .param_set::<Settings>()
             .consumes(Consumes {
                 fixed_regions: true,
                 handle_regions: true,
                 min_handles: 1,
                 triangles: true,
                 graph: true,
+                effort: true,
                 ..Consumes::default()
             })
     }
 
     fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
         host.progress(0.0)?;
-        let params = input.params();
-        let weights = match params.choice("weights")? {
-            "robust" => Weights::Robust,
-            "cotangent" => Weights::Cotangent,
-            other => return Err(PluginError::parameter("weights", &format!("is unknown: {other}"))),
-        };
+        let Settings { mode, bending, weights, .. } = input.params().read()?;
         let constraints = Constraints::gather(input)?;
         let positions: Vec<DVec3> =
             input.samples.positions().iter().map(|p| DVec3::from(p.map(f64::from))).collect();
@@ -164,15 +154,13 @@ impl Deformer for Laplacian {
         let length = SOFT_LENGTH * if diagonal > 0.0 { diagonal } else { 1.0 };
         let bilaplacian =
             |problem| BiLaplacian::new(problem, length.powi(-4), frames(&constraints, &positions), host);
-        let method = match params.choice("mode")? {
-            "arap" => {
-                let width = params.float("bending")? * diagonal;
+        let method = match mode {
+            Mode::Arap => {
                 let (stiffness, handles) = (length.powi(-2), constraints.handles);
-                Method::Arap(Box::new(Hierarchy::new(problem, stiffness, width, handles, host)?))
+                Method::Arap(Box::new(Hierarchy::new(problem, stiffness, bending * diagonal, handles, host)?))
             }
-            "bi-laplacian" => Method::Bilaplacian(bilaplacian(problem)?),
-            "laplacian" => Method::Rotated(bilaplacian(problem)?),
-            other => return Err(PluginError::parameter("mode", &format!("is unknown: {other}"))),
+            Mode::BiLaplacian => Method::Bilaplacian(bilaplacian(problem)?),
+            Mode::Laplacian => Method::Rotated(bilaplacian(problem)?),
         };
         let Constraints { handles, has_fixed, .. } = constraints;
         Ok(Prepared { places, method, has_fixed, handles, followers })
@@ -203,10 +191,12 @@ impl Deformer for Laplacian {
         } else {
             match &state.method {
                 Method::Arap(hierarchy) => {
-                    let params = input.params();
-                    let steps = usize::try_from(params.int("iterations")?)
+                    let Settings { iterations, tolerance, .. } = input.params().read()?;
+                    let steps = usize::try_from(iterations)
                         .map_err(|_| PluginError::parameter("iterations", "is negative"))?;
-                    let tolerance = params.float("tolerance")? * input.bounds.diagonal();
+                    // A draft has the coarse likeness' turns alone.
+                    let steps = if input.effort() == Effort::DRAFT { None } else { Some(steps) };
+                    let tolerance = tolerance * input.bounds.diagonal();
                     hierarchy.deform(&motion, (steps, tolerance), host)?.displacements
                 }
                 Method::Bilaplacian(linear) => linear.displacements(&motion, host)?,

@@ -29,7 +29,7 @@ pub struct BiLaplacian {
     /// The nodes.
     pub problem: Problem,
     springs: Vec<Soft>,
-    factor: Factor,
+    factor: Factor<f64>,
     table: Option<Table>,
 }
 
@@ -51,7 +51,7 @@ impl BiLaplacian {
         host: &Host<'_>,
     ) -> PluginResult<Self> {
         let springs = problem.springs(stiffness);
-        let factor = problem.factor(problem.bilaplacian(), &springs, host)?;
+        let factor = problem.factor(problem.bilaplacian(), &springs, 0.3..0.9, host)?;
         let mut this = Self { problem, springs, factor, table: None };
         if frames.len() <= MOST_TABULATED {
             this.table = Some(this.tabulate(frames, host)?);
@@ -63,7 +63,7 @@ impl BiLaplacian {
         let functions = PER_HANDLE * frames.len();
         let mut values = vec![0.0; self.problem.free * functions];
         for (h, &(middle, size)) in frames.iter().enumerate() {
-            host.progress(0.5 + 0.5 * h as f64 / frames.len() as f64)?;
+            host.progress(0.9 + 0.1 * h as f64 / frames.len() as f64)?;
             let is_own = |target: Target| target == Target::Handle(h as u32);
             let one = |target, _| if is_own(target) { DVec3::X } else { DVec3::ZERO };
             let relative =
@@ -154,7 +154,7 @@ impl BiLaplacian {
             let node = spring.node as usize;
             sums[node] += spring.strength * target(spring.target, rest[node]);
         }
-        self.factor.solve(&mut sums)?;
+        self.factor.solve(&mut sums, host)?;
         displacements[..*free].copy_from_slice(&sums);
         Ok(displacements)
     }

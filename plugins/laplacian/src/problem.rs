@@ -3,9 +3,11 @@
 use crate::constraints::{Soft, Target};
 use crate::elements::Element;
 use crate::factor::{Factor, Symmetric};
+use crate::kernels::Stored;
 use crate::operators::Operators;
 use glam::DVec3;
 use simod_plugin_api::{Host, PluginResult};
+use std::ops::Range;
 
 /// Rows at once on one thread.
 const TOGETHER: usize = 2048;
@@ -147,13 +149,14 @@ impl Problem {
         }
     }
 
-    /// Factorises a matrix of the free nodes, given by the rows of its lower triangle, with springs.
-    pub fn factor(
+    /// Factorises a matrix of the free nodes, given by the rows of its lower triangle, with springs, and tells of it as `told`.
+    pub fn factor<T: Stored>(
         &self,
         row: impl Fn(usize) -> Vec<(usize, f64)> + Sync,
         springs: &[Soft],
+        told: Range<f64>,
         host: &Host<'_>,
-    ) -> PluginResult<Factor> {
+    ) -> PluginResult<Factor<T>> {
         let mut rows: Vec<Vec<(usize, f64)>> = vec![Vec::new(); self.free];
         host.parallel_blocks(&mut rows, TOGETHER, |first, rows| {
             rows.iter_mut().enumerate().for_each(|(i, r)| *r = row(first + i));
@@ -166,6 +169,6 @@ impl Problem {
         }
         let mut matrix = Symmetric::default();
         rows.into_iter().for_each(|row| matrix.push_row(row));
-        Factor::new(matrix, host)
+        Factor::new(matrix, &self.rest[..self.free], told, host)
     }
 }

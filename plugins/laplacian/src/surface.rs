@@ -4,7 +4,7 @@
 use crate::elements::Element;
 use crate::{intrinsic, stars};
 use glam::DVec3;
-use simod_plugin_api::{Host, PluginResult, PrepareInput};
+use simod_plugin_api::{Choice, Host, PluginResult, PrepareInput};
 
 /// Samples at once on one thread.
 const TOGETHER: usize = 1024;
@@ -14,11 +14,13 @@ const LINKS: usize = 4;
 const LINK: f64 = 0.577;
 
 /// How the triangles are weighted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Choice, Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Weights {
     /// Cotangents of the intrinsic Delaunay triangulation.
+    #[choice(label = "Robust (intrinsic Delaunay)")]
     Robust,
     /// Cotangents of the triangles as they are.
+    #[choice(label = "Cotangents as they are")]
     Cotangent,
 }
 

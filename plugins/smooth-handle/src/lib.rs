@@ -15,8 +15,8 @@ use influence::{Measure, Profile, Shares};
 use motion::Motion;
 use regions::Regions;
 use simod_plugin_api::{
-    Affine, Consumes, DeformInput, Deformer, Descriptor, Host, IsIdentity, ParamDesc, PluginError,
-    PluginResult, PrepareInput, Unit,
+    Affine, Choice, Consumes, DeformInput, Deformer, Descriptor, Host, IsIdentity, ParamSet, PluginError,
+    PluginResult, PrepareInput,
 };
 
 /// Samples that are deformed at once on one thread.
@@ -24,6 +24,27 @@ const BLOCK: usize = 4096;
 
 /// The plugin.
 struct SmoothHandle;
+
+#[derive(ParamSet)]
+struct Distances {
+    /// How far samples are from regions: fingers that nearly touch are far along the surface
+    #[param(default = Distance::Euclidean, invalidates_preparation)]
+    distance: Distance,
+    /// How far handles reach if nothing is fixed
+    #[param(default = 0.25, unit = "diagonal", hard = 0.0.., soft = 0.0..=1.0, invalidates_preparation)]
+    reach: f64,
+    /// Over what length the ridges are smoothed that distances have
+    #[param(default = 0.02, unit = "diagonal", hard = 0.0..=1.0, soft = 0.0..=0.1, invalidates_preparation)]
+    smoothing: f64,
+}
+
+#[derive(Choice, Clone, Copy, PartialEq)]
+enum Distance {
+    #[choice(label = "Through space")]
+    Euclidean,
+    #[choice(label = "Along the surface")]
+    Surface,
+}
 
 /// Who follows whom.
 struct Prepared {
@@ -37,7 +58,6 @@ impl Deformer for SmoothHandle {
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
-        let distances = [("euclidean", "Through space"), ("surface", "Along the surface")];
         let [profile, curve] = Profile::params();
         Descriptor::new("smooth-handle", "Smooth handles", env!("CARGO_PKG_VERSION"))
             .summary("Moves handles, and what lies between them and fixed regions by parts of their motions")
@@ -46,27 +66,7 @@ impl Deformer for SmoothHandle {
             )
             .param(profile)
             .param(curve)
-            .param(
-                ParamDesc::choice("distance", "Distance", "euclidean", &distances)
-                    .hint("How far samples are from regions: fingers that nearly touch are far along the surface")
-                    .invalidates_preparation(),
-            )
-            .param(
-                ParamDesc::float("reach", "Reach", 0.25)
-                    .unit(Unit::DIAGONAL)
-                    .hard(0.0, f64::INFINITY)
-                    .soft(0.0, 1.0)
-                    .hint("How far handles reach if nothing is fixed")
-                    .invalidates_preparation(),
-            )
-            .param(
-                ParamDesc::float("smoothing", "Smoothing", 0.02)
-                    .unit(Unit::DIAGONAL)
-                    .hard(0.0, 1.0)
-                    .soft(0.0, 0.1)
-                    .hint("Over what length the ridges are smoothed that distances have")
-                    .invalidates_preparation(),
-            )
+            .param_set::<Distances>()
             .consumes(Consumes {
                 fixed_regions: true,
                 handle_regions: true,
@@ -78,7 +78,6 @@ impl Deformer for SmoothHandle {
     }
 
     fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
-        let params = input.params();
         let positions: &[Vec3] = bytemuck::cast_slice(input.samples.positions());
         if let Some(i) = positions.iter().position(|p| !p.is_finite()) {
             return Err(PluginError::input(format!("sample {i} is at no finite place")));
@@ -87,15 +86,12 @@ impl Deformer for SmoothHandle {
         let graph = input.graph().filter(|g| g.len() == positions.len() && normals.len() == positions.len());
         let graph = graph
             .ok_or_else(|| PluginError::internal("the host gave no neighbours or normals of the samples"))?;
-        let on_surface = match params.choice("distance")? {
-            "euclidean" => false,
-            "surface" => true,
-            other => return Err(PluginError::parameter("distance", &format!("is unknown: {other}"))),
-        };
+        let Distances { distance, reach, smoothing } = input.params().read()?;
+        let diagonal = input.bounds.diagonal();
         let measure = Measure {
-            on_surface,
-            reach: params.float("reach")? * input.bounds.diagonal(),
-            smoothing: params.float("smoothing")? * input.bounds.diagonal(),
+            on_surface: distance == Distance::Surface,
+            reach: reach * diagonal,
+            smoothing: smoothing * diagonal,
         };
         let regions = Regions::gather(input)?;
         let handles = regions.parts.iter().skip(usize::from(regions.has_fixed));

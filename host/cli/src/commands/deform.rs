@@ -6,7 +6,8 @@ use clap::Args;
 use simod_core::output::folder_of;
 use simod_core::sampled_model::SampledModel;
 use simod_core::{Error, ErrorKind, Result};
-use simod_session::{SessionFile, Stack, deform, deform_and_refine};
+use simod_session::edit::Refinements;
+use simod_session::{SessionFile, Stack, deform};
 
 use super::plugin_options::PluginOptions;
 use super::tell;
@@ -36,22 +37,20 @@ impl Deform {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let session = SessionFile::load(&self.session)?;
         let refined = self.refined_folder(&session)?.map(Path::to_owned);
-        let stack = Stack::build(&session.steps, &self.plugins.discover(report))?;
+        let plugins = self.plugins.discover(report);
+        let stack = Stack::build(&session.steps, &plugins)?;
         let mut sampled = SampledModel::load(&self.sampled)?;
         let progress = report.progress();
-        let deformed = match refined {
-            None => deform(&sampled, &stack, progress)?,
-            Some(folder) => {
-                sampled.hold_cells(sampled.cells(&self.sampled, None, progress)?);
-                let model = sampled.open_source(None)?;
-                let (refinements, scratch) = (&session.refinements, folder_of(&folder));
-                let (refined, deformed) =
-                    deform_and_refine(sampled, model.as_ref(), &stack, refinements, scratch, progress)?;
-                refined.save(&folder)?;
-                sampled = refined;
-                deformed
-            }
-        };
+        let mut how = Refinements::default();
+        if let Some(folder) = &refined {
+            sampled.hold_cells(sampled.cells(&self.sampled, None, progress)?);
+            how.folder = folder_of(folder).to_owned();
+        }
+        let deformed = deform(sampled, &session.steps, &plugins, how, progress)?;
+        let sampled = &deformed.sampled;
+        if let Some(folder) = &refined {
+            sampled.save(folder)?;
+        }
         tell(&deformed.messages, report);
         sampled.write_deformed(&self.output, &deformed.positions, &deformed.normals)?;
         report.figure("vertices", sampled.source.vertices);
@@ -68,7 +67,8 @@ impl Deform {
 
     /// Where the refined model goes, if the session refines.
     fn refined_folder(&self, session: &SessionFile) -> Result<Option<&Path>> {
-        let Some(first) = session.refinements.first() else { return Ok(None) };
+        let mut refinements = session.steps.iter().filter(|step| step.enabled && step.refines());
+        let Some(first) = refinements.next() else { return Ok(None) };
         let folder = self.refined.as_deref().ok_or_else(|| {
             Error::new(
                 ErrorKind::Argument,

@@ -52,19 +52,19 @@ impl Demo {
 
         let (before, after) = (model::open(&file("amphora.ply"))?, model::open(&edited)?);
         let after_bounds = picture::bounds(after.as_ref(), progress)?;
-        let mut all = run.sampled.bounds;
+        let mut all = run.deformed.sampled.bounds;
         all.include(after_bounds.min);
         all.include(after_bounds.max);
         let view = View { bounds: all, yaw: 20.0, pitch: 10.0, size: [560, 700], up: Up::Y };
-        let samples = &run.sampled.samples;
+        let samples = &run.deformed.sampled.samples;
         let pictures = [
-            picture::of_model(before.as_ref(), &run.sampled.bounds, &view, progress)?,
-            picture::of_samples(&run.sampled, &samples.positions, samples.normals(), &view),
-            picture::of_samples(&run.sampled, &run.deformed.positions, &run.deformed.normals, &view),
+            picture::of_model(before.as_ref(), &run.deformed.sampled.bounds, &view, progress)?,
+            picture::of_samples(&run.deformed.sampled, &samples.positions, samples.normals(), &view),
+            picture::of_samples(&run.deformed.sampled, &run.deformed.positions, &run.deformed.normals, &view),
             picture::of_model(after.as_ref(), &after_bounds, &view, progress)?,
         ];
         let captions = [
-            format!("{} vertices", count(run.sampled.source.vertices)),
+            format!("{} vertices", count(run.deformed.sampled.source.vertices)),
             format!("{} samples", count(samples.len() as u64)),
             "samples, deformed".to_owned(),
             "all vertices, deformed".to_owned(),

@@ -56,7 +56,16 @@ enum ShapeName {
     #[default]
     Amphora,
     BumpySphere,
+    /// A square with long and short waves
     Plane,
+    /// A square with a hundred bumps
+    BumpyPlane,
+    /// A round bar
+    Cylinder,
+    /// A square bar with sharp edges
+    Bar,
+    /// A stem with two bent arms, ribs and bumps
+    Cactus,
 }
 
 /// How numbers are stored.
@@ -75,6 +84,10 @@ impl Generate {
                 ShapeName::Amphora => Shape::Amphora,
                 ShapeName::BumpySphere => Shape::BumpySphere,
                 ShapeName::Plane => Shape::Plane,
+                ShapeName::BumpyPlane => Shape::BumpyPlane,
+                ShapeName::Cylinder => Shape::Cylinder,
+                ShapeName::Bar => Shape::Bar,
+                ShapeName::Cactus => Shape::Cactus,
             },
             vertices: self.vertices,
             encoding: match self.encoding {

@@ -103,6 +103,8 @@ fn info(plugin: &Loaded, report: &mut Report) {
         (consumes.graph, "the samples' neighbours", "uses_graph"),
         (consumes.joints, "joints", "uses_joints"),
         (consumes.strokes, "strokes", "uses_strokes"),
+        (consumes.frame, "the model's frame", "uses_frame"),
+        (consumes.effort, "drafts while dragging", "makes_drafts"),
     ] {
         if used {
             needs.push(what.to_owned());

@@ -22,6 +22,9 @@ pub struct Run {
     /// The deformed model to write, instead of the session's own output
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+    /// The model, if it is not where the session says
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
     /// How to transfer the deformation
     #[arg(long, value_enum, default_value_t)]
     method: MethodName,
@@ -37,7 +40,8 @@ pub struct Run {
 
 impl Run {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        let session = SessionFile::load(&self.session)?;
+        let mut session = SessionFile::load(&self.session)?;
+        session.model = self.model.or(session.model);
         let output = self.output.or_else(|| session.output.clone()).ok_or_else(|| {
             Error::new(
                 ErrorKind::Argument,
@@ -64,9 +68,9 @@ impl Run {
 
 /// Reports a finished run.
 pub fn describe(run: &Pipeline, report: &mut Report) {
-    warn_non_finite(&run.sampled, report);
+    warn_non_finite(&run.deformed.sampled, report);
     tell(&run.deformed.messages, report);
-    let (vertices, samples) = (run.sampled.source.vertices, run.sampled.samples.len());
+    let (vertices, samples) = (run.deformed.sampled.source.vertices, run.deformed.sampled.samples.len());
     report.figure("vertices", vertices);
     report.figure("samples", samples);
     report.figure("vertices_per_second", vertices as f64 / run.seconds.max(1e-9));

@@ -3,7 +3,7 @@
 //! Every row has its own number of columns, so a vase is sampled evenly from its foot to its belly, and poles
 //! are single vertices. Two neighbouring rows are sewn together like a zip.
 
-use super::SurfaceVertex;
+use super::{Rows, SurfaceVertex};
 
 /// Fewest columns of a closed row that is no pole.
 const MIN_COLUMNS: u64 = 5;
@@ -21,49 +21,54 @@ pub(super) trait Patch: Sync + Send {
     /// Whether rows are closed.
     fn is_wrapped(&self) -> bool;
 
+    /// Distances at which the surface has an edge, ascending: there are rows just there.
+    fn creases(&self) -> &[f64] {
+        &[]
+    }
+
     /// Appends the `columns` vertices of a row.
     fn row(&self, distance: f64, columns: u32, vertices: &mut Vec<SurfaceVertex>);
 }
 
-/// The rows of one patch.
-pub(super) struct Layout {
-    wrapped: bool,
+/// A patch with its rows.
+struct Layout {
+    patch: Box<dyn Patch>,
     columns: Vec<u32>,
     /// Index in the model of each row's first vertex, and of the first one after the patch.
     first: Vec<u64>,
 }
 
-impl Layout {
-    pub fn rows(&self) -> usize {
+impl Rows for Layout {
+    fn rows(&self) -> usize {
         self.columns.len()
     }
 
-    pub fn columns(&self, row: usize) -> u32 {
-        self.columns[row]
+    fn row_len(&self, row: usize) -> u64 {
+        u64::from(self.columns[row])
     }
 
-    /// Distance of a row from the patch's first one, of the patch's `length`.
-    pub fn distance(&self, row: usize, length: f64) -> f64 {
-        length * row as f64 / (self.rows() - 1) as f64
+    fn row(&self, row: usize, vertices: &mut Vec<SurfaceVertex>) {
+        let distance = distance(self.patch.as_ref(), row as u64, self.rows() as u64);
+        self.patch.row(distance, self.columns[row], vertices);
     }
 
-    /// Number of triangles between a row and the next one.
-    pub fn strip_len(&self, row: usize) -> u64 {
-        let (a, b) = (u64::from(self.columns[row]), u64::from(self.columns[row + 1]));
-        match (self.wrapped, a, b) {
+    fn strip_len(&self, row: usize) -> u64 {
+        let Some(next) = self.columns.get(row + 1) else { return 0 };
+        let (a, b) = (u64::from(self.columns[row]), u64::from(*next));
+        match (self.patch.is_wrapped(), a, b) {
             (true, 1, n) | (true, n, 1) => n,
             (true, ..) => a + b,
             (false, ..) => a + b - 2,
         }
     }
 
-    /// Appends the triangles between a row and the next one, counter-clockwise seen from outside.
-    pub fn strip(&self, row: usize, triangles: &mut Vec<[u64; 3]>) {
-        let (na, nb) = (u64::from(self.columns[row]), u64::from(self.columns[row + 1]));
+    fn strip(&self, row: usize, triangles: &mut Vec<[u64; 3]>) {
+        let Some(next) = self.columns.get(row + 1) else { return };
+        let (na, nb) = (u64::from(self.columns[row]), u64::from(*next));
         let (a, b) = (self.first[row], self.first[row + 1]);
         // Edges of each row, and their number per full width, to compare how far both sides have come.
         let edges = |n: u64| {
-            if !self.wrapped {
+            if !self.patch.is_wrapped() {
                 n - 1
             } else if n == 1 {
                 0
@@ -87,7 +92,7 @@ impl Layout {
 }
 
 /// Lays exactly `vertices` vertices on the patches, evenly.
-pub(super) fn lay_out(patches: &[Box<dyn Patch>], vertices: u64) -> Vec<Layout> {
+pub(super) fn lay_out(patches: Vec<Box<dyn Patch>>, vertices: u64) -> Vec<Box<dyn Rows>> {
     // The widest spacing is halved until it gives enough, then bisected. The count is not quite monotonic,
     // as it is rounded by rows; any spacing slightly too wide will do, since the rest is dealt out below.
     let count = |spacing: f64| -> u64 {
@@ -122,16 +127,16 @@ pub(super) fn lay_out(patches: &[Box<dyn Patch>], vertices: u64) -> Vec<Layout> 
 
     let mut next = 0;
     patches
-        .iter()
+        .into_iter()
         .zip(rows)
-        .map(|(patch, columns)| {
+        .map(|(patch, columns)| -> Box<dyn Rows> {
             let mut first = Vec::with_capacity(columns.len() + 1);
             first.push(next);
             for &c in &columns {
                 next += u64::from(c);
                 first.push(next);
             }
-            Layout { wrapped: patch.is_wrapped(), columns, first }
+            Box::new(Layout { patch, columns, first })
         })
         .collect()
 }
@@ -141,7 +146,7 @@ fn columns(patch: &dyn Patch, spacing: f64) -> impl Iterator<Item = u32> {
     let length = patch.length();
     let rows = ((length / spacing).round() as u64 + 1).max(MIN_ROWS);
     (0..rows).map(move |row| {
-        let width = patch.width(length * row as f64 / (rows - 1) as f64);
+        let width = patch.width(distance(patch, row, rows));
         let steps = (width / spacing).round() as u64;
         let columns = match (patch.is_wrapped(), width < 1e-9) {
             (true, true) => 1,
@@ -150,4 +155,18 @@ fn columns(patch: &dyn Patch, spacing: f64) -> impl Iterator<Item = u32> {
         };
         columns.clamp(1, u64::from(u32::MAX)) as u32
     })
+}
+
+/// Distance of a row of so many from the patch's first one. The rows between two creases are spread evenly.
+fn distance(patch: &dyn Patch, row: u64, rows: u64) -> f64 {
+    let (length, last) = (patch.length(), rows - 1);
+    let (mut from, mut start) = (0, 0.0);
+    for &crease in patch.creases() {
+        let to = (crease / length * last as f64).round() as u64;
+        if row < to {
+            return start + (crease - start) * (row - from) as f64 / (to - from) as f64;
+        }
+        (from, start) = (to, crease);
+    }
+    start + (length - start) * (row - from) as f64 / (last - from).max(1) as f64
 }

@@ -6,11 +6,13 @@
 //! for any number of threads.
 
 mod amphora;
+mod cactus;
 mod curve;
 mod layout;
 mod noise;
 mod ornament;
 mod ply;
+mod prism;
 mod shapes;
 mod sweep;
 mod tile;
@@ -21,7 +23,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::{Error, ErrorKind, Result};
-use layout::{Layout, Patch};
+use layout::{Patch, lay_out};
 
 pub use ply::{Encoding, GeneratedInfo, ModelOptions, expected_bytes, write_file, write_ply};
 
@@ -46,6 +48,15 @@ pub enum Shape {
     BumpySphere,
     /// A square of side 2 about the origin, facing +y, with waves on it; its border is open.
     Plane,
+    /// The same square with 10 by 10 bumps on it, 0.06 high.
+    BumpyPlane,
+    /// A round bar, two units high along +y from the origin, with flat ends: radius 0.15, closed.
+    Cylinder,
+    /// A square bar with sharp edges, two units high along +y from the origin: sides of 0.3, closed.
+    Bar,
+    /// A cactus, two units high along +y: a stem and two bent arms in the plane of x and y, with ribs and bumps, as
+    /// one closed surface.
+    Cactus,
 }
 
 /// A vertex of a generated surface.
@@ -75,9 +86,25 @@ pub struct SurfaceVertex {
 /// # }
 /// ```
 pub struct Surface {
-    patches: Vec<Box<dyn Patch>>,
-    layouts: Vec<Layout>,
+    bodies: Vec<Box<dyn Rows>>,
     vertices: u64,
+}
+
+/// A body of a model, row by row.
+trait Rows: Send + Sync {
+    fn rows(&self) -> usize;
+
+    /// Number of vertices in a row.
+    fn row_len(&self, row: usize) -> u64;
+
+    /// Appends the vertices of a row.
+    fn row(&self, row: usize, vertices: &mut Vec<SurfaceVertex>);
+
+    /// Number of triangles between a row and the next one; 0 for the last.
+    fn strip_len(&self, row: usize) -> u64;
+
+    /// Appends the triangles between a row and the next one, counter-clockwise seen from outside.
+    fn strip(&self, row: usize, triangles: &mut Vec<[u64; 3]>);
 }
 
 impl Surface {
@@ -93,14 +120,18 @@ impl Surface {
                 format!("ask for {MIN_VERTICES} to {MAX_VERTICES}"),
             ));
         }
-        let patches = match shape {
-            Shape::Amphora => amphora::amphora(),
-            Shape::BumpySphere => shapes::bumpy_sphere(),
-            Shape::Plane => vec![Box::new(shapes::BumpyPlane) as Box<dyn Patch>],
+        let one = |patch: Box<dyn Patch>| lay_out(vec![patch], vertices);
+        let bodies = match shape {
+            Shape::Amphora => lay_out(amphora::amphora(), vertices),
+            Shape::BumpySphere => one(shapes::bumpy_sphere()),
+            Shape::Plane => one(shapes::wavy_plane()),
+            Shape::BumpyPlane => one(shapes::bumpy_plane()),
+            Shape::Cylinder => one(prism::cylinder()),
+            Shape::Bar => one(prism::bar()),
+            Shape::Cactus => vec![cactus::cactus(vertices)],
         };
-        let layouts = layout::lay_out(&patches, vertices);
-        let vertices = layouts.iter().flat_map(|l| (0..l.rows()).map(|r| u64::from(l.columns(r)))).sum();
-        Ok(Self { patches, layouts, vertices })
+        let vertices = bodies.iter().flat_map(|body| (0..body.rows()).map(|row| body.row_len(row))).sum();
+        Ok(Self { bodies, vertices })
     }
 
     /// Number of vertices.
@@ -110,12 +141,12 @@ impl Surface {
 
     /// Number of triangles.
     pub fn faces(&self) -> u64 {
-        self.layouts.iter().flat_map(|l| (0..l.rows() - 1).map(|row| l.strip_len(row))).sum()
+        self.bodies.iter().flat_map(|body| (0..body.rows()).map(|row| body.strip_len(row))).sum()
     }
 
     /// Number of separate bodies, whose vertices follow one another.
     pub fn bodies(&self) -> usize {
-        self.patches.len()
+        self.bodies.len()
     }
 
     /// Calls `visit` with all vertices, in order, block by block.
@@ -136,21 +167,14 @@ impl Surface {
     }
 
     fn vertices_of(&self, piece: &Piece) -> Vec<SurfaceVertex> {
-        let (patch, layout) = (&self.patches[piece.patch], &self.layouts[piece.patch]);
-        let length = patch.length();
         let mut vertices = Vec::new();
-        for row in piece.rows.clone() {
-            patch.row(layout.distance(row, length), layout.columns(row), &mut vertices);
-        }
+        piece.rows.clone().for_each(|row| self.bodies[piece.body].row(row, &mut vertices));
         vertices
     }
 
     fn triangles_of(&self, piece: &Piece) -> Vec<[u64; 3]> {
-        let layout = &self.layouts[piece.patch];
         let mut triangles = Vec::new();
-        for row in piece.rows.start..piece.rows.end.min(layout.rows() - 1) {
-            layout.strip(row, &mut triangles);
-        }
+        piece.rows.clone().for_each(|row| self.bodies[piece.body].strip(row, &mut triangles));
         triangles
     }
 
@@ -173,23 +197,23 @@ impl Surface {
 
     /// Cuts the surface between rows, in order.
     fn pieces(&self) -> impl Iterator<Item = Piece> {
-        self.layouts.iter().enumerate().flat_map(|(patch, layout)| {
+        self.bodies.iter().enumerate().flat_map(|(index, body)| {
             let mut next = 0;
             std::iter::from_fn(move || {
                 let start = next;
                 let mut vertices = 0;
-                while next < layout.rows() && vertices < PIECE_VERTICES {
-                    vertices += u64::from(layout.columns(next));
+                while next < body.rows() && vertices < PIECE_VERTICES {
+                    vertices += body.row_len(next);
                     next += 1;
                 }
-                (start < next).then_some(Piece { patch, rows: start..next })
+                (start < next).then_some(Piece { body: index, rows: start..next })
             })
         })
     }
 }
 
-/// Some consecutive rows of a patch.
+/// Some consecutive rows of a body.
 struct Piece {
-    patch: usize,
+    body: usize,
     rows: Range<usize>,
 }

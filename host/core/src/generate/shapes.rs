@@ -1,4 +1,6 @@
-//! The plain shapes: a sphere and a plane with waves of analytic height.
+//! The plain shapes: a sphere and planes with waves or bumps of analytic height.
+
+use std::f64::consts::PI;
 
 use glam::{DVec2, DVec3};
 
@@ -7,17 +9,17 @@ use super::curve::Curve;
 use super::layout::Patch;
 use super::sweep::{Axis, Raised, Relief, Site, Sweep};
 
-const CLAY: [u8; 3] = [196, 168, 140];
+pub(super) const CLAY: [u8; 3] = [196, 168, 140];
 
 /// A sphere of radius 1 about the origin, with waves of two wavelengths.
-pub(super) fn bumpy_sphere() -> Vec<Box<dyn Patch>> {
-    vec![Box::new(Sweep { axis: Axis::Straight, profile: half_circle(), relief: SphereWaves })]
+pub(super) fn bumpy_sphere() -> Box<dyn Patch> {
+    Box::new(Sweep { axis: Axis::Straight, profile: half_circle(), relief: SphereWaves })
 }
 
 /// The half circle from pole to pole, as a spline that leaves the circle by less than 1e-6.
 fn half_circle() -> Curve {
     const SEGMENTS: i32 = 64;
-    let step = std::f64::consts::PI / f64::from(SEGMENTS);
+    let step = PI / f64::from(SEGMENTS);
     // Control points lie slightly outside, such that the curve passes through the circle at its knots.
     let radius = 3.0 / (2.0 + step.cos());
     let point = |i| {
@@ -42,10 +44,40 @@ impl Relief for SphereWaves {
     }
 }
 
-/// A square of side 2 in the plane of x and z, facing up, with waves of two wavelengths.
-pub(super) struct BumpyPlane;
+/// A square with waves of two wavelengths.
+pub(super) fn wavy_plane() -> Box<dyn Patch> {
+    let waves = |x: f64, z: f64| {
+        let (mut y, mut by_x, mut by_z) = (0.0, 0.0, 0.0);
+        for (wave, amplitude) in [(4.0, 0.08), (31.0, 0.004)] {
+            let ((sx, cx), (sz, cz)) = ((wave * x).sin_cos(), (wave * z).sin_cos());
+            y += amplitude * sx * sz;
+            by_x += amplitude * wave * cx * sz;
+            by_z += amplitude * wave * sx * cz;
+        }
+        [y, by_x, by_z]
+    };
+    Box::new(Plane { relief: waves })
+}
 
-impl Patch for BumpyPlane {
+/// A square with bumps in rows and columns, flat between them.
+pub(super) fn bumpy_plane() -> Box<dyn Patch> {
+    const WAVE: f64 = 10.0 * PI;
+    const HEIGHT: f64 = 0.06;
+    // sin² and its derivative, of the distance from the border.
+    let bump = |x: f64| (0.5 - 0.5 * (WAVE * (x + 1.0)).cos(), 0.5 * WAVE * (WAVE * (x + 1.0)).sin());
+    let bumps = move |x: f64, z: f64| {
+        let ((bx, by_x), (bz, by_z)) = (bump(x), bump(z));
+        [bx * bz, by_x * bz, bx * by_z].map(|value| HEIGHT * value)
+    };
+    Box::new(Plane { relief: bumps })
+}
+
+/// A square of side 2 in the plane of x and z, facing up. The relief gives the height, and its derivatives by x and z.
+struct Plane<R> {
+    relief: R,
+}
+
+impl<R: Fn(f64, f64) -> [f64; 3] + Send + Sync> Patch for Plane<R> {
     fn length(&self) -> f64 {
         2.0
     }
@@ -62,13 +94,7 @@ impl Patch for BumpyPlane {
         for column in 0..columns {
             let z = distance - 1.0;
             let x = 2.0 * f64::from(column) / f64::from((columns - 1).max(1)) - 1.0;
-            let (mut y, mut by_x, mut by_z) = (0.0, 0.0, 0.0);
-            for (wave, amplitude) in [(4.0, 0.08), (31.0, 0.004)] {
-                let ((sx, cx), (sz, cz)) = ((wave * x).sin_cos(), (wave * z).sin_cos());
-                y += amplitude * sx * sz;
-                by_x += amplitude * wave * cx * sz;
-                by_z += amplitude * wave * sx * cz;
-            }
+            let [y, by_x, by_z] = (self.relief)(x, z);
             vertices.push(SurfaceVertex {
                 position: DVec3::new(x, y, z),
                 normal: DVec3::new(-by_x, 1.0, -by_z).normalize_or(DVec3::Y).as_vec3(),

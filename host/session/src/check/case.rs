@@ -10,8 +10,8 @@ use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
 use simod_core::sampling::SampleSet;
 use simod_plugin_api::{
-    Affine, DeformInput, Graph, HandleDesc, HandleMotions, Joint, Joints, Param, Part, PrepareInput, Region,
-    Role, Samples, Stroke, Strokes, Triangles,
+    Affine, DeformInput, Graph, HandleDesc, HandleMotions, Joint, Joints, ModelFrame, Param, Part,
+    PrepareInput, Region, Role, Samples, Stroke, Strokes, Triangles,
 };
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
@@ -35,6 +35,8 @@ pub(super) struct Case {
     pub transforms: Vec<Affine>,
     /// Joints where the plugin uses some: ids, places, and what they hang on.
     joints: Vec<(String, [f64; 3], u32)>,
+    /// Whether the plugin uses the model's frame.
+    frame: bool,
     /// The motions of the handles that the plugin placed for these joints, samples and parameters.
     pub handles: Vec<Affine>,
     /// The paths of strokes, where the plugin uses some.
@@ -65,6 +67,7 @@ impl Case {
             neighbours,
             bounds: simod_plugin_api::Bounds { min: bounds.min.to_array(), max: bounds.max.to_array() },
             joints: if consumes.joints { joints(&bounds) } else { Vec::new() },
+            frame: consumes.frame,
             handles: Vec::new(),
             strokes: if consumes.strokes { strokes(&set.positions) } else { Vec::new() },
             positions: bytemuck::cast_slice(&set.positions).to_vec(),
@@ -181,6 +184,11 @@ impl Case {
         let joints = Joints::new(&joints);
         if !self.joints.is_empty() {
             parts.push(Part::new(&joints));
+        }
+        // Georeferenced.
+        let frame = ModelFrame { origin: [3e5, 5e6, 100.0], scale: 64.0 };
+        if self.frame {
+            parts.push(Part::new(&frame));
         }
         call(&PrepareInput::new(self.samples(), self.bounds, &regions, &params).with_parts(&parts))
     }

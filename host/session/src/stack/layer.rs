@@ -1,27 +1,30 @@
 //! One layer of a stack: a plugin with its parameters, regions, joints, handles and strokes.
 
-use super::{Rest, RestShape, neighbour_lists, rows};
-use crate::deformer::{Plugin, Watch};
+use super::{Rest, RestShape, neighbour_lists, not_one_per_sample, rows};
+use crate::deformer::{Message, Plugin, Watch};
 use crate::motion::to_local;
-use crate::params::{LocalParams, Params, nearest};
+use crate::params::{LocalParams, ParamValue, Params, nearest};
 use crate::plugins::PluginRegistry;
-use crate::session_file::{HandleMove, Joint, Role, Step, Stroke};
+use crate::session_file::{Deformation, HandleMove, Joint, Role, Stroke};
 use crate::shapes::Shapes;
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
-use simod_core::{Error, ErrorKind, Result};
+use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api as api;
-use std::sync::Arc;
+use std::fmt::Write as _;
+use std::sync::{Arc, Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3Default;
 
 #[derive(Debug)]
-pub(super) struct Layer {
+pub(crate) struct Layer {
     /// Where in the session it stands; for errors.
     pub place: String,
     pub plugin: Arc<Plugin>,
-    params: Params,
+    /// What the session gives, and what became of it.
+    given: toml::Table,
+    params: Arc<Params>,
     /// Fixed and handle regions.
     regions: Vec<(api::Role, Shapes)>,
     /// The handle regions' motions, model coordinates.
@@ -33,18 +36,48 @@ pub(super) struct Layer {
     /// Motions of handles that the plugin places.
     handles: Vec<HandleMove>,
     /// Each with all parameters.
-    strokes: Vec<(Stroke, Params)>,
+    strokes: Vec<(Arc<Stroke>, Arc<Params>)>,
 }
 
-/// One layer, prepared on its rest shape.
+/// What became of a layer on its rest shape.
 #[derive(Debug)]
-pub(super) struct PreparedLayer {
+pub(crate) struct Done {
+    /// Deformed positions, local coordinates.
+    pub positions: Arc<[Vec3]>,
+    /// What the plugin had to say.
+    pub messages: Vec<Message>,
     plugin: Arc<Plugin>,
     /// Nothing where the plugin said that it would not move anything.
-    state: Option<api::State>,
-    rest: Rest,
+    preparation: Option<Arc<Preparation>>,
+    rest: Arc<Rest>,
     motions: Motions,
     masks: Vec<Shapes>,
+}
+
+/// What a plugin prepared.
+#[derive(Debug)]
+struct Preparation {
+    state: api::State,
+    rest: Arc<Rest>,
+    /// Between deformations, which may go on where the last one stopped.
+    scratch: Mutex<Option<api::Scratch>>,
+    messages: Vec<Message>,
+}
+
+/// What is kept of a layer from one time to the next, each with a hash of all that it depends on.
+#[derive(Debug, Default)]
+pub(crate) struct Kept {
+    placed: Option<(u64, Vec<api::HandleDesc>)>,
+    preparation: Option<(u64, Arc<Preparation>)>,
+    strokes: Vec<(Arc<Stroke>, Arc<Params>, Arc<LocalStroke>)>,
+    done: Option<(u64, Arc<Done>)>,
+}
+
+impl Kept {
+    /// The handles that the plugin placed the last time.
+    pub fn handles(&self) -> &[api::HandleDesc] {
+        self.placed.as_ref().map_or(&[], |(_, placed)| placed)
+    }
 }
 
 /// All that moves, without a new preparation, as plugins take it.
@@ -55,7 +88,9 @@ struct Motions {
     transforms: Vec<api::Affine>,
     /// One for each handle that the plugin placed.
     handles: Vec<api::Affine>,
-    strokes: Vec<LocalStroke>,
+    strokes: Vec<Arc<LocalStroke>>,
+    /// Where the plugin asks for it.
+    effort: Option<api::Effort>,
 }
 
 /// A stroke in local coordinates.
@@ -74,18 +109,34 @@ fn argument(what: String, hint: impl Into<String>) -> Error {
 }
 
 impl Layer {
-    pub fn build(step: &Step, registry: &PluginRegistry) -> Result<Self> {
+    /// Checks a step, which stands at this place of the session. `before` is what it was before it was edited: what it shares
+    /// with that is not checked again.
+    pub fn build(
+        step: &Deformation,
+        place: &str,
+        registry: &PluginRegistry,
+        before: Option<&Self>,
+    ) -> Result<Self> {
         let plugin = registry.get(&step.deform)?.clone();
-        let check = |given: &toml::Table| Params::check(plugin.id(), plugin.params(), given, &step.folder);
-        let params = check(&step.params)?;
-        let stroke = |stroke: &Stroke| {
-            let given = step.params.clone().into_iter().chain(stroke.params.clone()).collect();
-            Ok((stroke.clone(), check(&given)?))
+        let check = |given: &toml::Table| {
+            Params::check(plugin.id(), plugin.params(), given, &step.folder).map(Arc::new)
         };
-        let strokes = step.strokes.iter().map(stroke).collect::<Result<_>>()?;
+        let params = check(&step.params)?;
+        let known = before.filter(|b| Arc::ptr_eq(&b.plugin, &plugin) && b.given == step.params);
+        let known = known.map_or(&[][..], |b| &b.strokes);
+        let stroke = |(i, stroke): (usize, &Arc<Stroke>)| match known.get(i) {
+            Some((same, params)) if Arc::ptr_eq(same, stroke) => Ok((stroke.clone(), params.clone())),
+            _ if stroke.params.is_empty() => Ok((stroke.clone(), params.clone())),
+            _ => {
+                let given = step.params.clone().into_iter().chain(stroke.params.clone()).collect();
+                Ok((stroke.clone(), check(&given)?))
+            }
+        };
+        let strokes = step.strokes.iter().enumerate().map(stroke).collect::<Result<_>>()?;
         let mut layer = Self {
-            place: step.place.clone(),
+            place: place.to_owned(),
             plugin,
+            given: step.params.clone(),
             params,
             regions: Vec::new(),
             transforms: Vec::new(),
@@ -146,17 +197,114 @@ impl Layer {
         }
     }
 
-    pub fn apply(
+    /// Deforms a rest shape, as far as that has not been done before. Gives the next layer's rest shape, too.
+    pub fn update(
         &self,
-        rest: Rest,
+        rest: &Arc<Rest>,
         shape: &RestShape<'_>,
-        watch: &Watch<'_>,
-    ) -> Result<(PreparedLayer, Vec<Vec3>)> {
-        if self.plugin.consumes().normals && rest.normals.is_empty() {
+        kept: &mut Kept,
+        effort: api::Effort,
+        progress: &dyn Progress,
+    ) -> Result<(Arc<Rest>, Arc<Done>)> {
+        let plugin = &self.plugin;
+        let watch = Watch::new(progress, plugin.id(), size_of_val(&*rest.positions) as u64);
+        let motions = self.motions(rest, shape, kept, effort, &watch)?;
+        let done = |preparation, rest: &Arc<Rest>, positions, messages, motions| {
+            let (plugin, masks, rest) = (plugin.clone(), self.masks.clone(), rest.clone());
+            Arc::new(Done { positions, messages, plugin, preparation, rest, motions, masks })
+        };
+        let nothing = api::Samples::new(&[], &[], &[]);
+        if motions.call(nothing, rest.bounds, |input| plugin.is_identity(input))? {
+            // What comes after it need not be done again.
+            let positions = rest.positions.clone();
+            return Ok((rest.clone(), done(None, rest, positions, watch.into_messages(), motions)));
+        }
+        let preparation_key = self.preparation_key(rest.key);
+        let key = motions.key(preparation_key).and(&self.masks).end();
+        let done = match &kept.done {
+            Some((known, done)) if *known == key => done.clone(),
+            _ => {
+                let preparation = self.preparation(preparation_key, rest, shape, kept, progress)?;
+                let deformed = self.deform(&preparation, &motions, &shape.frame, &watch);
+                if deformed.as_ref().is_err_and(|e| e.kind() != ErrorKind::Cancelled) {
+                    // The process that it was in may have ended.
+                    kept.preparation = None;
+                }
+                let messages = preparation.messages.iter().cloned().chain(watch.into_messages()).collect();
+                let rest = preparation.rest.clone();
+                let done = done(Some(preparation), &rest, deformed?, messages, motions);
+                kept.done = Some((key, done.clone()));
+                done
+            }
+        };
+        let positions = done.positions.clone();
+        Ok((Arc::new(Rest { positions, normals_fit: false, key, ..(**rest).clone() }), done))
+    }
+
+    /// What the plugin prepared for this rest shape, or prepares now.
+    fn preparation(
+        &self,
+        key: u64,
+        rest: &Arc<Rest>,
+        shape: &RestShape<'_>,
+        kept: &mut Kept,
+        progress: &dyn Progress,
+    ) -> Result<Arc<Preparation>> {
+        if let Some((_, preparation)) = kept.preparation.as_ref().filter(|(known, _)| *known == key) {
+            return Ok(preparation.clone());
+        }
+        // Not two at a time, which may be large.
+        (kept.preparation, kept.done) = (None, None);
+        let preparation = Arc::new(self.prepare(&self.with_normals(rest, shape)?, shape, progress)?);
+        kept.preparation = Some((key, preparation.clone()));
+        Ok(preparation)
+    }
+
+    /// The rest shape with normals that fit, if the plugin needs them.
+    fn with_normals(&self, rest: &Arc<Rest>, shape: &RestShape<'_>) -> Result<Arc<Rest>> {
+        if !self.plugin.consumes().normals {
+            return Ok(rest.clone());
+        }
+        if rest.normals.is_empty() {
             let what = format!("plugin {} needs normals, and the samples have none", self.plugin.id());
             return Err(Error::new(ErrorKind::Mismatch, what, "sample the model with normals"));
         }
-        let frame = shape.frame;
+        let Some(renormal) = shape.renormal.filter(|_| !rest.normals_fit) else { return Ok(rest.clone()) };
+        let normals: Arc<[Vec3]> = renormal(&rest.positions).into();
+        if normals.len() != rest.positions.len() {
+            return Err(not_one_per_sample("normal"));
+        }
+        Ok(Arc::new(Rest { normals, normals_fit: true, ..(**rest).clone() }))
+    }
+
+    /// What a preparation depends on.
+    fn preparation_key(&self, rest_key: u64) -> u64 {
+        let prepares =
+            |id: &str| self.plugin.params().iter().any(|d| d.id == id && d.invalidates_preparation);
+        let params: Vec<_> = self.params.iter().filter(|(id, _)| prepares(id)).collect();
+        let regions: Vec<_> = self.regions.iter().map(|(role, shapes)| (role.0, shapes)).collect();
+        self.key(rest_key).and(&(params, regions)).end()
+    }
+
+    /// A key with what all of the plugin's calls may depend on: which it is, the joints, and the content of files.
+    fn key(&self, rest_key: u64) -> Key {
+        let file = |value: &ParamValue| match value {
+            ParamValue::File(Some(path)) => path.metadata().ok().map(|m| (m.len(), m.modified().ok())),
+            _ => None,
+        };
+        let files: Vec<_> = self.params.iter().filter_map(|(_, value)| file(value)).collect();
+        Key::of(rest_key).and(&Arc::as_ptr(&self.plugin)).and(&self.joints).and(&files)
+    }
+
+    /// Calls with what plugins get where nothing moves yet.
+    fn prepare_input<T>(
+        &self,
+        rest: &Rest,
+        shape: &RestShape<'_>,
+        regions: &[api::Region<'_>],
+        call: impl FnOnce(&api::PrepareInput<'_>) -> T,
+    ) -> T {
+        let (frame, consumes) = (shape.frame, self.plugin.consumes());
         let params = self.params.to_local(&frame, &shape.bounds);
         let values = params.views();
         let joints = local_joints(&self.joints, &frame);
@@ -164,42 +312,101 @@ impl Layer {
         let triangles = api::Triangles::new(shape.triangles);
         let lists = shape
             .neighbours
-            .filter(|_| self.plugin.consumes().graph)
-            .map(|n| neighbour_lists(n, rest.positions.len()));
+            .filter(|_| consumes.graph)
+            .map(|neighbours| neighbour_lists(neighbours, rest.positions.len()));
         let graph = lists.as_ref().map(|(starts, neighbours)| api::Graph::new(starts, neighbours));
+        let model_frame = api::ModelFrame { origin: frame.origin.to_array(), scale: frame.scale };
         let mut parts: Vec<api::Part<'_>> = graph.iter().map(api::Part::new).collect();
-        if self.plugin.consumes().triangles && !shape.triangles.is_empty() {
+        if consumes.triangles && !shape.triangles.is_empty() {
             parts.push(api::Part::new(&triangles));
         }
-        if self.plugin.consumes().joints {
+        if consumes.joints {
             parts.push(api::Part::new(&joints));
         }
-        let input = api::PrepareInput::new(rest.samples(), rest.bounds, &[], &values).with_parts(&parts);
-        let motions = Motions {
-            transforms: self.transforms.iter().map(|&t| rows(to_local(t, &frame))).collect(),
-            handles: self.handle_motions(&self.plugin.handles(&input, watch)?, &frame)?,
-            strokes: self.strokes.iter().map(|s| LocalStroke::new(s, &frame, &shape.bounds)).collect(),
-            params: params.clone(),
+        if consumes.frame {
+            parts.push(api::Part::new(&model_frame));
+        }
+        call(&api::PrepareInput::new(rest.samples(), rest.bounds, regions, &values).with_parts(&parts))
+    }
+
+    /// All that moves; the plugin is asked where its handles are.
+    fn motions(
+        &self,
+        rest: &Rest,
+        shape: &RestShape<'_>,
+        kept: &mut Kept,
+        effort: api::Effort,
+        watch: &Watch<'_>,
+    ) -> Result<Motions> {
+        let (frame, bounds) = (&shape.frame, &shape.bounds);
+        let key = self.key(rest.key).and(&self.params).end();
+        if kept.placed.as_ref().is_none_or(|(known, _)| *known != key) {
+            let placed = self.prepare_input(rest, shape, &[], |input| self.plugin.handles(input, watch))?;
+            kept.placed = Some((key, placed));
+        }
+        let local = |(i, (stroke, params)): (usize, &(Arc<Stroke>, Arc<Params>))| match kept.strokes.get(i) {
+            Some(known) if Arc::ptr_eq(&known.0, stroke) && known.1 == *params => known.clone(),
+            _ => {
+                let local = Arc::new(LocalStroke::new(stroke, params, frame, bounds));
+                (stroke.clone(), params.clone(), local)
+            }
         };
-        let plugin = self.plugin.clone();
-        let nothing = api::Samples::new(&[], &[], &[]);
-        let is_identity = motions.call(nothing, rest.bounds, |input| plugin.is_identity(input))?;
-        let state = if is_identity {
-            None
-        } else {
-            let weigh = |shapes: &Shapes| -> Vec<f32> {
-                rest.positions.par_iter().map(|p| shapes.weight(frame.to_model(*p)) as f32).collect()
-            };
-            let weights: Vec<Vec<f32>> = self.regions.iter().map(|(_, shapes)| weigh(shapes)).collect();
-            let regions: Vec<api::Region<'_>> =
-                self.regions.iter().zip(&weights).map(|((role, _), w)| api::Region::new(*role, w)).collect();
-            let input =
-                api::PrepareInput::new(rest.samples(), rest.bounds, &regions, &values).with_parts(&parts);
-            Some(plugin.prepare(&input, watch)?)
+        kept.strokes = self.strokes.iter().enumerate().map(local).collect();
+        Ok(Motions {
+            params: self.params.to_local(frame, bounds),
+            transforms: self.transforms.iter().map(|&t| rows(to_local(t, frame))).collect(),
+            handles: self.handle_motions(kept.handles(), frame)?,
+            strokes: kept.strokes.iter().map(|(.., local)| local.clone()).collect(),
+            effort: self.plugin.consumes().effort.then_some(effort),
+        })
+    }
+
+    fn prepare(
+        &self,
+        rest: &Arc<Rest>,
+        shape: &RestShape<'_>,
+        progress: &dyn Progress,
+    ) -> Result<Preparation> {
+        let watch = Watch::new(progress, self.plugin.id(), size_of_val(&*rest.positions) as u64);
+        let weigh = |shapes: &Shapes| -> Vec<f32> {
+            rest.positions.par_iter().map(|p| shapes.weight(shape.frame.to_model(*p)) as f32).collect()
         };
-        let prepared = PreparedLayer { plugin, state, rest, motions, masks: self.masks.clone() };
-        let deformed = prepared.deform(&frame, watch)?;
-        Ok((prepared, deformed))
+        let weights: Vec<Vec<f32>> = self.regions.iter().map(|(_, shapes)| weigh(shapes)).collect();
+        let regions: Vec<api::Region<'_>> =
+            self.regions.iter().zip(&weights).map(|((role, _), w)| api::Region::new(*role, w)).collect();
+        let state = self.prepare_input(rest, shape, &regions, |input| self.plugin.prepare(input, &watch))?;
+        Ok(Preparation {
+            state,
+            rest: rest.clone(),
+            scratch: Mutex::default(),
+            messages: watch.into_messages(),
+        })
+    }
+
+    fn deform(
+        &self,
+        preparation: &Preparation,
+        motions: &Motions,
+        frame: &Frame,
+        watch: &Watch<'_>,
+    ) -> Result<Arc<[Vec3]>> {
+        let rest = &preparation.rest;
+        let mut out = vec![Vec3::NAN; rest.positions.len()];
+        let mut slot = preparation.scratch.lock().unwrap_or_else(PoisonError::into_inner);
+        // Out of its place, where it does not come back after a failure.
+        let mut scratch = slot.take().map_or_else(|| self.plugin.new_scratch(), Ok)?;
+        let buffer = bytemuck::cast_slice_mut(&mut out);
+        motions.call(rest.samples(), rest.bounds, |input| {
+            self.plugin.deform(&preparation.state, input, &mut scratch, buffer, watch)
+        })?;
+        *slot = Some(scratch);
+        if !self.masks.is_empty() {
+            out.par_iter_mut().zip(&*rest.positions).for_each(|(q, p)| {
+                let p = p.as_dvec3();
+                *q = masked(&self.masks, frame.to_model_exact(p), p, q.as_dvec3()).as_vec3();
+            });
+        }
+        Ok(out.into())
     }
 
     /// The motions of the handles that the plugin placed, those of what they hang on included; local coordinates.
@@ -253,7 +460,7 @@ fn local_joints<'a>(joints: &'a [Joint], frame: &Frame) -> Vec<api::Joint<'a>> {
 }
 
 impl LocalStroke {
-    fn new((stroke, params): &(Stroke, Params), frame: &Frame, bounds: &Bounds) -> Self {
+    fn new(stroke: &Stroke, params: &Params, frame: &Frame, bounds: &Bounds) -> Self {
         let mut this = Self {
             key: 0,
             radius: stroke.radius / frame.scale,
@@ -273,6 +480,12 @@ impl LocalStroke {
 }
 
 impl Motions {
+    /// A key with all of it.
+    fn key(&self, former: u64) -> Key {
+        let strokes: Vec<u64> = self.strokes.iter().map(|s| s.key).collect();
+        Key::of(former).and(&(&self.params, &self.transforms, &self.handles, &strokes, self.effort))
+    }
+
     /// Calls with what a deformation gets.
     fn call<T>(
         &self,
@@ -283,7 +496,7 @@ impl Motions {
         let values = self.params.views();
         let params: Vec<_> = self.strokes.iter().map(|s| s.params.views()).collect();
         let stroke = |(s, params)| {
-            let s: &LocalStroke = s;
+            let s: &Arc<LocalStroke> = s;
             api::Stroke::new(s.key, s.radius, s.strength, &s.points, &s.pressures, params)
         };
         let strokes: Vec<api::Stroke<'_>> =
@@ -297,14 +510,15 @@ impl Motions {
         if !self.strokes.is_empty() {
             parts.push(api::Part::new(&strokes));
         }
+        parts.extend(self.effort.iter().map(api::Part::new));
         call(&api::DeformInput::new(samples, bounds, &self.transforms, &values).with_parts(&parts))
     }
 }
 
-impl PreparedLayer {
+impl Done {
     /// Whether its map is known at any point of space.
     pub fn can_evaluate(&self) -> bool {
-        self.state.is_none() || self.plugin.capabilities().evaluate
+        self.preparation.is_none() || self.plugin.capabilities().evaluate
     }
 
     /// The plugin's id.
@@ -312,42 +526,52 @@ impl PreparedLayer {
         self.plugin.id()
     }
 
-    fn deform(&self, frame: &Frame, watch: &Watch<'_>) -> Result<Vec<Vec3>> {
-        let rest = &self.rest.positions;
-        let Some(state) = &self.state else { return Ok(rest.clone()) };
-        let mut out = vec![Vec3::NAN; rest.len()];
-        let mut scratch = self.plugin.new_scratch()?;
-        let buffer = bytemuck::cast_slice_mut(&mut out);
-        self.motions.call(self.rest.samples(), self.rest.bounds, |input| {
-            self.plugin.deform(state, input, &mut scratch, buffer, watch)
-        })?;
-        if !self.masks.is_empty() {
-            out.par_iter_mut().zip(rest).for_each(|(q, p)| {
-                let p = p.as_dvec3();
-                *q = self.masked(frame.to_model_exact(p), p, q.as_dvec3()).as_vec3();
-            });
-        }
-        Ok(out)
-    }
-
     /// Replaces local points by their images.
     pub fn evaluate(&self, frame: &Frame, points: &mut [DVec3], watch: &Watch<'_>) -> Result<()> {
-        let Some(state) = &self.state else { return Ok(()) };
+        let Some(preparation) = &self.preparation else { return Ok(()) };
         let rest: Vec<DVec3> = if self.masks.is_empty() { Vec::new() } else { points.to_vec() };
         let buffer = bytemuck::cast_slice_mut(points);
         self.motions.call(self.rest.samples(), self.rest.bounds, |input| {
-            self.plugin.evaluate(state, input, buffer, watch)
+            self.plugin.evaluate(&preparation.state, input, buffer, watch)
         })?;
         for (q, p) in points.iter_mut().zip(rest) {
-            *q = self.masked(frame.to_model_exact(p), p, *q);
+            *q = masked(&self.masks, frame.to_model_exact(p), p, *q);
         }
         Ok(())
     }
+}
 
-    /// The image `q` of `p` as far as the masks let it; `at` is `p` in model coordinates.
-    fn masked(&self, at: DVec3, p: DVec3, q: DVec3) -> DVec3 {
-        let weight = self.masks.iter().map(|m| m.weight(at)).fold(0.0, f64::max);
-        // Exactly one of both where there is nothing to blend.
-        if weight >= 1.0 { q } else { p + weight * (q - p) }
+/// The image `q` of `p` as far as the masks let it; `at` is `p` in model coordinates.
+fn masked(masks: &[Shapes], at: DVec3, p: DVec3, q: DVec3) -> DVec3 {
+    let weight = masks.iter().map(|m| m.weight(at)).fold(0.0, f64::max);
+    // Exactly one of both where there is nothing to blend.
+    if weight >= 1.0 { q } else { p + weight * (q - p) }
+}
+
+/// A hash of what something depends on, by how it is written: numbers are written so that they come back exactly.
+pub(crate) struct Key(Xxh3Default);
+
+impl Key {
+    pub fn of(former: u64) -> Self {
+        let mut hash = Xxh3Default::new();
+        hash.update(&former.to_le_bytes());
+        Self(hash)
+    }
+
+    pub fn and(mut self, what: &impl std::fmt::Debug) -> Self {
+        // Writing to a hash does not fail.
+        let _ = write!(self, "{what:?};");
+        self
+    }
+
+    pub fn end(self) -> u64 {
+        self.0.digest()
+    }
+}
+
+impl std::fmt::Write for Key {
+    fn write_str(&mut self, text: &str) -> std::fmt::Result {
+        self.0.update(text.as_bytes());
+        Ok(())
     }
 }

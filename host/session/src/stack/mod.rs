@@ -7,9 +7,9 @@ mod layer;
 
 use crate::deformer::{Message, Plugin, Watch};
 use crate::plugins::PluginRegistry;
-use crate::session_file::Step;
+use crate::session_file::{Deformation, Step};
 use glam::{DAffine3, DVec3, Vec3};
-use layer::{Layer, PreparedLayer};
+pub(crate) use layer::{Done, Kept, Key, Layer};
 use rayon::prelude::*;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
@@ -17,7 +17,6 @@ use simod_core::progress::Silent;
 use simod_core::sampling::NeighbourGraph;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api as api;
-use std::ops::Range;
 use std::sync::Arc;
 
 /// Points evaluated at once on one thread.
@@ -67,17 +66,21 @@ pub struct Deformed {
 /// A stack prepared on samples: the map of space itself, where the plugins know it.
 #[derive(Debug)]
 pub struct PreparedStack {
-    layers: Vec<PreparedLayer>,
-    frame: Frame,
+    pub(crate) layers: Vec<Arc<Done>>,
+    pub(crate) frame: Frame,
 }
 
 /// A layer's rest shape, local coordinates.
-#[derive(Debug)]
-struct Rest {
-    positions: Vec<Vec3>,
+#[derive(Debug, Clone)]
+pub(crate) struct Rest {
+    pub positions: Arc<[Vec3]>,
     normals: Arc<[Vec3]>,
+    /// Whether the normals are those of the positions.
+    normals_fit: bool,
     spacing: Arc<[f32]>,
     bounds: api::Bounds,
+    /// Stands for all of it: a hash of what it came from.
+    pub key: u64,
 }
 
 impl Rest {
@@ -91,10 +94,18 @@ impl Rest {
 }
 
 impl Stack {
-    /// Finds the steps' plugins, and checks parameters and regions against what they ask for.
+    /// Finds the plugins of the deformations that are enabled, and checks parameters and regions against what they ask for.
+    /// Refinements are passed over: they are of a model, not of samples alone.
+    ///
+    /// # Errors
+    /// A plugin is not there, or a step does not fit it.
     pub fn build(steps: &[Step], registry: &PluginRegistry) -> Result<Self> {
-        let layer = |step: &Step| Layer::build(step, registry).map_err(|e| at(&step.place, e));
-        Ok(Self { layers: steps.iter().map(layer).collect::<Result<_>>()? })
+        let enabled = steps.iter().filter(|step| step.enabled);
+        let deformations = enabled.filter_map(|step| Some((step.deformation()?, &step.place)));
+        let layer = |(deformation, place): (&Deformation, &String)| {
+            Layer::build(deformation, place, registry, None).map_err(|e| at(place, e))
+        };
+        Ok(Self { layers: deformations.map(layer).collect::<Result<_>>()? })
     }
 
     /// How many layers there are.
@@ -114,47 +125,18 @@ impl Stack {
 
     /// Deforms samples. On an error nothing has changed anywhere.
     pub fn apply(&self, shape: &RestShape<'_>, progress: &dyn Progress) -> Result<Deformed> {
-        self.apply_layers(0..self.layers.len(), shape, shape.positions.to_vec(), progress)
-    }
-
-    /// Deforms samples by some of the layers, which follow each other: `positions` are the finite local ones that the
-    /// layers before have given.
-    pub fn apply_layers(
-        &self,
-        layers: Range<usize>,
-        shape: &RestShape<'_>,
-        mut positions: Vec<Vec3>,
-        progress: &dyn Progress,
-    ) -> Result<Deformed> {
-        shape.check()?;
-        if positions.len() != shape.positions.len() {
-            return Err(not_one_per_sample("position"));
-        }
-        let mut normals: Arc<[Vec3]> = shape.normals.into();
-        let spacing: Arc<[f32]> = shape.spacing.into();
-        let corner = |p| shape.frame.to_local_exact(p).to_array();
-        let bounds = api::Bounds { min: corner(shape.bounds.min), max: corner(shape.bounds.max) };
+        let mut rest = Arc::new(shape.rest(0)?);
         let mut messages = Vec::new();
-        let mut prepared_layers = Vec::with_capacity(layers.len());
-        for (i, layer) in self.layers.iter().enumerate().take(layers.end).skip(layers.start) {
-            if i > 0
-                && layer.plugin.consumes().normals
-                && let Some(renormal) = shape.renormal
-            {
-                normals = renormal(&positions).into();
-                if normals.len() != positions.len() {
-                    return Err(not_one_per_sample("normal"));
-                }
-            }
-            let rest = Rest { positions, normals: normals.clone(), spacing: spacing.clone(), bounds };
-            let watch = Watch::new(progress, layer.plugin.id(), size_of_val(shape.positions) as u64);
-            let (prepared, deformed) = layer.apply(rest, shape, &watch).map_err(|e| at(&layer.place, e))?;
-            messages.extend(watch.into_messages());
-            prepared_layers.push(prepared);
-            positions = deformed;
+        let mut layers = Vec::with_capacity(self.layers.len());
+        for layer in &self.layers {
+            let done = layer.update(&rest, shape, &mut Kept::default(), api::Effort::FULL, progress);
+            let (next, done) = done.map_err(|e| at(&layer.place, e))?;
+            messages.extend(done.messages.iter().cloned());
+            layers.push(done);
+            rest = next;
         }
-        let stack = PreparedStack { layers: prepared_layers, frame: shape.frame };
-        Ok(Deformed { positions, stack, messages })
+        let positions = rest.positions.to_vec();
+        Ok(Deformed { positions, stack: PreparedStack { layers, frame: shape.frame }, messages })
     }
 }
 
@@ -164,6 +146,25 @@ fn not_one_per_sample(what: &str) -> Error {
 }
 
 impl RestShape<'_> {
+    /// What the first layer starts from; `key` stands for it.
+    pub(crate) fn rest(&self, key: u64) -> Result<Rest> {
+        self.rest_at(self.positions.into(), key)
+    }
+
+    /// The same at other positions, as layers before have left them.
+    pub(crate) fn rest_at(&self, positions: Arc<[Vec3]>, key: u64) -> Result<Rest> {
+        self.check()?;
+        let corner = |p| self.frame.to_local_exact(p).to_array();
+        Ok(Rest {
+            normals_fit: *positions == *self.positions,
+            positions,
+            normals: self.normals.into(),
+            spacing: self.spacing.into(),
+            bounds: api::Bounds { min: corner(self.bounds.min), max: corner(self.bounds.max) },
+            key,
+        })
+    }
+
     fn check(&self) -> Result<()> {
         let count = self.positions.len();
         if count == 0 {
@@ -203,14 +204,9 @@ pub(crate) fn rows(map: DAffine3) -> api::Affine {
 }
 
 impl PreparedStack {
-    /// Goes on with the layers of another one.
-    pub fn append(&mut self, more: Self) {
-        self.layers.extend(more.layers);
-    }
-
     /// Whether all layers know their map at any point of space.
     pub fn can_evaluate(&self) -> bool {
-        self.layers.iter().all(PreparedLayer::can_evaluate)
+        self.layers.iter().all(|layer| layer.can_evaluate())
     }
 
     /// Replaces points (model coordinates) by their exact images, on all cores. Points that are not finite stay

@@ -5,8 +5,8 @@ use crate::deformer::About;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use simod_plugin_api::{
-    Affine, DeformInput, ErrorCode, Graph, HandleDesc, HandleMotions, Joint, Joints, Param, ParamKind, Part,
-    PluginError, PrepareInput, Region, Role, Samples, Stroke, Strokes, Triangles,
+    Affine, DeformInput, Effort, ErrorCode, Graph, HandleDesc, HandleMotions, Joint, Joints, ModelFrame,
+    Param, ParamKind, Part, PluginError, PrepareInput, Region, Role, Samples, Stroke, Strokes, Triangles,
 };
 use std::io::{Error, Read, Result, Write};
 
@@ -129,6 +129,8 @@ pub(super) struct InputRecord {
     bounds: [[f64; 3]; 2],
     params: Vec<ParamRecord>,
     joints: Option<Vec<(String, [f64; 3], u32)>>,
+    /// Origin and scale.
+    frame: Option<([f64; 3], f64)>,
 }
 
 impl InputRecord {
@@ -160,6 +162,7 @@ impl InputRecord {
             bounds: [input.bounds.min, input.bounds.max],
             params: input.params().iter().map(ParamRecord::from).collect(),
             joints: input.part::<Joints<'_>>().map(|j| j.all().iter().map(joint).collect()),
+            frame: input.frame().map(|f| (f.origin, f.scale)),
         };
         (record, arrays)
     }
@@ -188,6 +191,8 @@ impl InputRecord {
         let mut parts: Vec<Part<'_>> = graph.iter().map(Part::new).collect();
         parts.extend(triangles.iter().map(Part::new));
         parts.extend(joints.iter().map(Part::new));
+        let frame = self.frame.map(|(origin, scale)| ModelFrame { origin, scale });
+        parts.extend(frame.iter().map(Part::new));
         Some(call(&PrepareInput::new(samples, bounds(self.bounds), &regions, &params).with_parts(&parts)))
     }
 
@@ -260,6 +265,7 @@ pub(super) struct MotionRecord {
     params: Vec<ParamRecord>,
     handles: Option<Vec<[[f64; 4]; 3]>>,
     strokes: Option<Vec<StrokeRecord>>,
+    effort: Option<u32>,
 }
 
 #[derive(Clone, Serialize, Deserialize)]
@@ -289,6 +295,7 @@ impl MotionRecord {
             params: records(input.params()),
             handles: input.part::<HandleMotions<'_>>().map(|h| rows(h.all())),
             strokes: input.part::<Strokes<'_>>().map(|s| s.all().iter().map(stroke).collect()),
+            effort: input.part::<Effort>().map(|e| e.0),
         }
     }
 
@@ -317,6 +324,8 @@ impl MotionRecord {
         let strokes = self.strokes.is_some().then(|| Strokes::new(&strokes));
         let mut parts: Vec<Part<'_>> = handles.iter().map(Part::new).collect();
         parts.extend(strokes.iter().map(Part::new));
+        let effort = self.effort.map(Effort);
+        parts.extend(effort.iter().map(Part::new));
         call(&DeformInput::new(samples, bounds, &transforms, &params).with_parts(&parts))
     }
 }

@@ -2,16 +2,18 @@
 
 use super::scene::{held_at_ends, tube, turn};
 use glam::DVec3;
+use simod_plugin_api::Effort;
 use std::time::Instant;
 
 #[test]
 #[ignore = "prints times, and asserts nothing"]
 fn cost() {
-    for mode in ["arap", "bi-laplacian", "laplacian"] {
-        for samples in [20_000_u32, 100_000, 350_000] {
+    let [full, draft] = [Effort::FULL, Effort::DRAFT];
+    for (mode, effort) in [("arap", full), ("arap", draft), ("bi-laplacian", full), ("laplacian", full)] {
+        for samples in [20_000_u32, 100_000, 200_000, 350_000] {
             let around = (f64::from(samples) * 0.6).sqrt() as usize;
             let mut scene = held_at_ends(tube(around, samples as usize / around, 0.1), 0.15);
-            scene.mode = mode;
+            (scene.mode, scene.effort) = (mode, effort);
             (scene.iterations, scene.tolerance) = (2.0, 1e-4);
             let mut prepared = Vec::new();
             let mut deformed = Vec::new();
@@ -37,7 +39,8 @@ fn cost() {
             };
             let ((p, p0), (d, d0)) = (of(prepared), of(deformed));
             println!(
-                "{mode} {samples}: prepare {p:.2} s (least {p0:.2}), deform {:.0} ms (least {:.0})",
+                "{mode}{} {samples}: prepare {p:.2} s (least {p0:.2}), deform {:.0} ms (least {:.0})",
+                if effort == draft { ", draft" } else { "" },
                 d * 1e3,
                 d0 * 1e3
             );

@@ -4,7 +4,7 @@ use crate::{Laplacian, Prepared};
 use glam::DVec3;
 use rayon::prelude::*;
 use simod_plugin_api::{
-    Affine, Bounds, DeformInput, Deformer, Graph, Host, HostCalls, LogLevel, Param, ParamKind, Part,
+    Affine, Bounds, DeformInput, Deformer, Effort, Graph, Host, HostCalls, LogLevel, Param, ParamKind, Part,
     PluginResult, PrepareInput, Region, Role, Samples, Triangles,
 };
 
@@ -35,6 +35,7 @@ pub struct Scene {
     pub bending: f64,
     pub iterations: f64,
     pub tolerance: f64,
+    pub effort: Effort,
 }
 
 impl Scene {
@@ -49,6 +50,7 @@ impl Scene {
             bending: 0.03,
             iterations: 1000.0,
             tolerance: 1e-7,
+            effort: Effort::FULL,
         }
     }
 
@@ -137,8 +139,9 @@ impl Scene {
     ) -> PluginResult<Vec<[f32; 3]>> {
         let numbers = ([self.iterations], [self.tolerance], [self.bending]);
         let params = self.params(&numbers);
-        let input =
-            DeformInput::new(Samples::new(&self.points, &[], &[]), self.bounds(), transforms, &params);
+        let samples = Samples::new(&self.points, &[], &[]);
+        let parts = [Part::new(&self.effort)];
+        let input = DeformInput::new(samples, self.bounds(), transforms, &params).with_parts(&parts);
         let mut out = vec![[f32::NAN; 3]; self.points.len()];
         Laplacian::deform(state, &input, &mut (), &mut out, &Host::new(host))?;
         Ok(out)

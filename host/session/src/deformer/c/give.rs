@@ -1,12 +1,13 @@
 //! What a plugin gets, in C's words: borrowed as it is, but for texts, which need an end.
 
 use simod_plugin_api::c::{
-    SimodAffine, SimodBounds, SimodDeformInput, SimodGraph, SimodHandleMotions, SimodJoint, SimodJoints,
-    SimodParam, SimodPart, SimodPrepareInput, SimodRegion, SimodSamples, SimodStroke, SimodStrokes,
-    SimodTriangles,
+    SimodAffine, SimodBounds, SimodDeformInput, SimodEffort, SimodGraph, SimodHandleMotions, SimodJoint,
+    SimodJoints, SimodModelFrame, SimodParam, SimodPart, SimodPrepareInput, SimodRegion, SimodSamples,
+    SimodStroke, SimodStrokes, SimodTriangles,
 };
 use simod_plugin_api::{
-    Affine, Bounds, DeformInput, Joint, Params, PluginError, PluginResult, PrepareInput, Samples, Stroke,
+    Affine, Bounds, DeformInput, Effort, Joint, Params, PluginError, PluginResult, PrepareInput, Samples,
+    Stroke,
 };
 use std::ffi::{CStr, CString, c_void};
 use std::ptr::null;
@@ -82,6 +83,7 @@ pub(super) fn with_prepare_input<T>(
     let triangles = input.triangles().map(|t| t.indices());
     let triangles = triangles.map(|t| SimodTriangles { indices: start(t), count: t.len() });
     let graph = input.graph().map(|g| SimodGraph { starts: start(g.starts()), neighbours: start(g.all()) });
+    let frame = input.frame().map(|f| SimodModelFrame { origin: f.origin, scale: f.scale });
     let ids: Vec<CString> = input.joints().iter().map(|j| c_text(j.id())).collect::<PluginResult<_>>()?;
     let joint = |(j, id): (&Joint<'_>, &CString)| SimodJoint {
         id: id.as_ptr(),
@@ -94,6 +96,7 @@ pub(super) fn with_prepare_input<T>(
     let mut parts = Vec::new();
     parts.extend(triangles.as_ref().map(|t| part(c"simod.triangles/1", t)));
     parts.extend(graph.as_ref().map(|g| part(c"simod.graph/1", g)));
+    parts.extend(frame.as_ref().map(|f| part(c"simod.model-frame/1", f)));
     parts.extend((joints.count > 0).then(|| part(c"simod.joints/1", &joints)));
     let input = SimodPrepareInput {
         samples: samples(&input.samples),
@@ -133,10 +136,12 @@ pub(super) fn with_deform_input<T>(
     };
     let strokes: Vec<SimodStroke> = input.strokes().iter().zip(&stroke_params).map(stroke).collect();
     let strokes = SimodStrokes { strokes: start(&strokes), count: strokes.len() };
+    let effort = input.part::<Effort>().map(|e| SimodEffort { effort: e.0 });
 
     let mut parts = Vec::new();
     parts.extend((motions.count > 0).then(|| part(c"simod.handle-motions/1", &motions)));
     parts.extend((strokes.count > 0).then(|| part(c"simod.strokes/1", &strokes)));
+    parts.extend(effort.as_ref().map(|e| part(c"simod.effort/1", e)));
     let input = SimodDeformInput {
         samples: samples(&input.samples),
         bounds: bounds(&input.bounds),

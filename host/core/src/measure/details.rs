@@ -1,0 +1,253 @@
+//! How the small details of a surface turn against the smooth surface beneath them.
+//!
+//! M. Botsch, O. Sorkine, *On linear variational surface deformation methods*, IEEE TVCG 2008, judge methods by
+//! whether details turn along with the surface. As a figure: the mesh is smoothed by weights that are those of its rest
+//! pose, before and after: p becomes S p. The detail of a vertex is d = (1 − S)² p, its way from the smooth surface
+//! without that which smoothing moves a surface just for being curved; and d′ after. Where the smooth surface turns by R,
+//! the detail turns by the angle between R d and d′. That is 0 for each rigid motion and each scale; a detail that keeps
+//! its direction while the surface beneath tilts turns by the tilt.
+
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+use super::{corners, cross};
+
+/// A mesh at rest with its smooth surface, to compare deformed ones with.
+pub struct Details<'a> {
+    rest: &'a [DVec3],
+    triangles: &'a [[u32; 3]],
+    /// Where each vertex' neighbours begin, and all of them.
+    first: Vec<u32>,
+    neighbours: Vec<u32>,
+    steps: u32,
+    smooth: Vec<DVec3>,
+    details: Vec<DVec3>,
+}
+
+/// How details turn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rotation {
+    /// Degrees: root of the mean square over all vertices, weighted by the squared lengths of the details at rest.
+    pub rms: f64,
+    /// Triangles that turn by more than a right angle against the smooth surface beneath: folded over, or inside out.
+    pub folded: usize,
+}
+
+impl<'a> Details<'a> {
+    /// Details are what is smaller than `radius`, the standard deviation of the smoothing, in the positions' unit: at
+    /// 0 there are none. It takes about 4 (radius / edge)² steps over the mesh.
+    pub fn new(rest: &'a [DVec3], triangles: &'a [[u32; 3]], radius: f64) -> Self {
+        let valid = triangles.iter().filter(|t| corners(rest, **t).is_some());
+        let mut sides: Vec<[u32; 2]> = valid.flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]]).collect();
+        sides.sort_unstable();
+        sides.dedup();
+        // A border is smoothed along itself, so that it does not shrink.
+        let is_border = |[a, b]: &[u32; 2]| sides.binary_search(&[*b, *a]).is_err();
+        let mut on_border = vec![false; rest.len()];
+        sides.iter().filter(|side| is_border(side)).flatten().for_each(|i| on_border[*i as usize] = true);
+        let (on_border, is_border) = (&on_border, &is_border);
+        let both_ways = |side: &[u32; 2]| {
+            let ([a, b], along) = (*side, is_border(side));
+            [[a, b], [b, a]].into_iter().filter(move |[from, _]| along || !on_border[*from as usize])
+        };
+        let mut edges: Vec<[u32; 2]> = sides.iter().flat_map(both_ways).filter(|[a, b]| a != b).collect();
+        edges.sort_unstable();
+        edges.dedup();
+        let first =
+            (0..=rest.len()).map(|i| edges.partition_point(|[a, _]| (*a as usize) < i) as u32).collect();
+        let squares: f64 =
+            edges.iter().map(|[a, b]| rest[*a as usize].distance_squared(rest[*b as usize])).sum();
+        // Each step is a walk along an edge or none, with the same chance: a variance of a quarter of its length's
+        // square in each direction of the surface.
+        let variance = 0.25 * squares / edges.len().max(1) as f64;
+        let steps = if variance > 0.0 { (radius * radius / variance).ceil().min(1e5) as u32 } else { 0 };
+        let neighbours = edges.into_iter().map(|[_, b]| b).collect();
+        let mut details =
+            Self { rest, triangles, first, neighbours, steps, smooth: Vec::new(), details: Vec::new() };
+        (details.smooth, details.details) = details.split(rest);
+        details
+    }
+
+    /// Compares with the same vertices elsewhere.
+    ///
+    /// # Panics
+    /// There are not as many.
+    pub fn rotation(&self, deformed: &[DVec3]) -> Rotation {
+        assert_eq!(self.rest.len(), deformed.len(), "one position for each vertex");
+        let (smooth, details) = self.split(deformed);
+        let (rest_normals, normals) = (self.normals(&self.smooth), self.normals(&smooth));
+        let turns: Vec<Option<DMat3>> = (0..self.rest.len())
+            .into_par_iter()
+            .map(|i| self.turn(i, &smooth, rest_normals[i], normals[i]))
+            .collect();
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for (i, turn) in turns.iter().enumerate() {
+            let Some(turn) = turn else { continue };
+            let (rest, detail) = (self.details[i], details[i]);
+            let turned = *turn * rest;
+            let angle = turned.cross(detail).length().atan2(turned.dot(detail)).to_degrees();
+            sum += rest.length_squared() * angle * angle;
+            weights += rest.length_squared();
+        }
+        let is_folded = |t: &&[u32; 3]| {
+            let (Some(rest), Some(after)) = (corners(self.rest, **t), corners(deformed, **t)) else {
+                return false;
+            };
+            let turned = t
+                .iter()
+                .filter_map(|i| turns[*i as usize])
+                .fold(DVec3::ZERO, |sum, turn| sum + turn * cross(rest));
+            turned.dot(cross(after)) < 0.0
+        };
+        Rotation {
+            rms: if weights > 0.0 { (sum / weights).sqrt() } else { 0.0 },
+            folded: self.triangles.iter().filter(is_folded).count(),
+        }
+    }
+
+    fn around(&self, vertex: usize) -> &[u32] {
+        &self.neighbours[self.first[vertex] as usize..self.first[vertex + 1] as usize]
+    }
+
+    /// The smooth surface, and the details.
+    fn split(&self, positions: &[DVec3]) -> (Vec<DVec3>, Vec<DVec3>) {
+        let smooth = self.smoothed(positions);
+        let smoother = self.smoothed(&smooth);
+        let details = (0..positions.len()).map(|i| positions[i] - 2.0 * smooth[i] + smoother[i]).collect();
+        (smooth, details)
+    }
+
+    /// Each vertex half way to the mean of its neighbours, again and again.
+    fn smoothed(&self, positions: &[DVec3]) -> Vec<DVec3> {
+        let mut smooth = positions.to_vec();
+        let mut next = smooth.clone();
+        for _ in 0..self.steps {
+            next.par_iter_mut().enumerate().with_min_len(1 << 10).for_each(|(i, next)| {
+                let around = self.around(i);
+                if !around.is_empty() {
+                    let sum: DVec3 = around.iter().map(|j| smooth[*j as usize]).sum();
+                    *next = 0.5 * (smooth[i] + sum / around.len() as f64);
+                }
+            });
+            std::mem::swap(&mut smooth, &mut next);
+        }
+        smooth
+    }
+
+    /// Unit normals of vertices: of the sum of their triangles'. Zero where there is none.
+    fn normals(&self, positions: &[DVec3]) -> Vec<DVec3> {
+        let mut sums = vec![DVec3::ZERO; positions.len()];
+        for triangle in self.triangles {
+            if let Some(corners) = corners(positions, *triangle) {
+                let normal = cross(corners);
+                triangle.iter().for_each(|i| sums[*i as usize] += normal);
+            }
+        }
+        sums.into_iter().map(DVec3::normalize_or_zero).collect()
+    }
+
+    /// The rotation of the smooth surface about a vertex: that which takes the edges and the normal at rest nearest to
+    /// those deformed, by least squares.
+    fn turn(&self, vertex: usize, smooth: &[DVec3], rest_normal: DVec3, normal: DVec3) -> Option<DMat3> {
+        let (mut covariance, mut size) = (DMat3::ZERO, 0.0);
+        for j in self.around(vertex) {
+            let rest = self.smooth[*j as usize] - self.smooth[vertex];
+            let edge = smooth[*j as usize] - smooth[vertex];
+            covariance += outer(edge, rest);
+            size += edge.length() * rest.length();
+        }
+        covariance += outer(normal, rest_normal) * (0.5 * size);
+        rotation_of(covariance * (1.0 / size))
+    }
+}
+
+fn outer(a: DVec3, b: DVec3) -> DMat3 {
+    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
+}
+
+/// The rotation of a polar decomposition, by Newton's method (N. J. Higham, *Computing the polar decomposition*, SIAM
+/// J. Sci. Stat. Comput. 1986). None where the matrix has no rotation of its own: singular, or a mirror image.
+fn rotation_of(matrix: DMat3) -> Option<DMat3> {
+    const STEPS: usize = 40;
+    if !(matrix.is_finite() && matrix.determinant() > 1e-9) {
+        return None;
+    }
+    let mut rotation = matrix;
+    for _ in 0..STEPS {
+        let next = (rotation + rotation.inverse().transpose()) * 0.5;
+        let is_done = next.abs_diff_eq(rotation, 1e-14);
+        rotation = next;
+        if is_done {
+            break;
+        }
+    }
+    Some(rotation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DQuat;
+
+    /// A square of side 2 with bumps, in so many steps.
+    fn bumpy(steps: u32) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let on = |i: u32| 2.0 * f64::from(i) / f64::from(steps) - 1.0;
+        let height = |x: f64, z: f64| 0.02 * (30.0 * x).sin() * (30.0 * z).sin();
+        let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
+        for (i, k) in (0..=steps).flat_map(|i| (0..=steps).map(move |k| (i, k))) {
+            vertices.push(DVec3::new(on(i), height(on(i), on(k)), on(k)));
+            if i < steps && k < steps {
+                let a = i * (steps + 1) + k;
+                let (b, c, d) = (a + 1, a + steps + 1, a + steps + 2);
+                triangles.extend([[a, b, c], [b, d, c]]);
+            }
+        }
+        (vertices, triangles)
+    }
+
+    #[test]
+    fn a_similarity_turns_no_detail() {
+        let (rest, triangles) = bumpy(40);
+        let details = Details::new(&rest, &triangles, 0.1);
+        for (angle, scale) in [(0.0, 1.0), (3.0, 1.0), (1.0, 0.4), (2.0, 5.0)] {
+            let turn = DQuat::from_axis_angle(DVec3::new(0.48, 0.6, 0.64), angle);
+            let moved: Vec<_> = rest.iter().map(|p| turn * *p * scale + DVec3::Y).collect();
+            let Rotation { rms, folded } = details.rotation(&moved);
+            assert!(rms < 1e-5 && folded == 0, "{rms}, {folded} folded");
+        }
+    }
+
+    #[test]
+    fn details_that_keep_their_direction_turn_by_the_tilt() {
+        let (rest, triangles) = bumpy(100);
+        let details = Details::new(&rest, &triangles, 0.1);
+        for degrees in [10f64, 30.0, 60.0] {
+            let tilt = DQuat::from_rotation_z(degrees.to_radians());
+            // The plane is turned, and the bumps stay upright and as they are.
+            let upright: Vec<_> = rest.iter().map(|p| tilt * p.with_y(0.0) + DVec3::Y * p.y).collect();
+            let rms = details.rotation(&upright).rms;
+            assert!((rms / degrees - 1.0).abs() < 0.03, "{rms} instead of {degrees}");
+        }
+    }
+
+    #[test]
+    fn a_surface_folded_over_is_told() {
+        let (mut rest, triangles) = bumpy(50);
+        rest.iter_mut().for_each(|p| p.y = 0.0);
+        // A strip of the square is passed backwards: x = 0.1 comes to lie left of x = -0.1.
+        let folded: Vec<_> =
+            rest.iter().map(|p| if p.x.abs() < 0.12 { p.with_x(-p.x) } else { *p }).collect();
+        let rotation = Details::new(&rest, &triangles, 0.3).rotation(&folded);
+        // Six columns of quads, of which the two at the strip's borders are folded as well or torn.
+        assert!((400..=800).contains(&rotation.folded), "{}", rotation.folded);
+    }
+
+    #[test]
+    fn rotations_are_those_of_the_polar_decomposition() {
+        let turn = DMat3::from_quat(DQuat::from_axis_angle(DVec3::new(0.6, 0.8, 0.0), 2.5));
+        let stretch = DMat3::from_cols_array(&[2.0, 0.1, 0.2, 0.1, 0.5, 0.0, 0.2, 0.0, 1.0]);
+        assert!(rotation_of(turn * stretch).is_some_and(|r| r.abs_diff_eq(turn, 1e-12)));
+        assert!(rotation_of(DMat3::from_diagonal(DVec3::new(1.0, 1.0, -1.0))).is_none());
+        assert!(rotation_of(DMat3::ZERO).is_none() && rotation_of(DMat3::NAN).is_none());
+    }
+}

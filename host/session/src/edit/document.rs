@@ -1,0 +1,325 @@
+//! The steps of an edit as a user changes them: every change is a command, and can be undone.
+
+use crate::motion::Motion;
+use crate::session_file::{Action, HandleMove, Joint, Refine, Region, Role, Step, Stroke};
+use simod_core::{Error, ErrorKind, Result};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Changes that can be undone. Each holds the list of steps as it was, which shares all steps that did not change.
+const LONGEST_HISTORY: usize = 1000;
+
+/// Which step it is: the same after others were added, moved or removed, and after undo.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct StepId(u64);
+
+/// A step of a [`Document`].
+#[derive(Debug, Clone)]
+pub struct Entry {
+    /// Which one it is.
+    pub id: StepId,
+    /// What it does.
+    pub step: Arc<Step>,
+}
+
+/// One change of a document. Steps are known by their place, 0 for the first.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Command {
+    /// A new step, before the one that is at this place now.
+    Add {
+        /// Its place.
+        at: usize,
+        /// The step.
+        step: Box<Step>,
+    },
+    /// The step goes away.
+    Remove {
+        /// Its place.
+        at: usize,
+    },
+    /// The step gets another place.
+    Move {
+        /// Its place.
+        from: usize,
+        /// Its place afterwards.
+        to: usize,
+    },
+    /// The step becomes another one.
+    Change {
+        /// Its place.
+        at: usize,
+        /// How.
+        change: Change,
+    },
+}
+
+/// One change of a step.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Change {
+    /// It is done, or left out.
+    Enable(bool),
+    /// A parameter gets a value.
+    SetParam {
+        /// The parameter's id.
+        id: String,
+        /// As in a session file; nothing for the default.
+        value: Option<toml::Value>,
+    },
+    /// Other regions take the place of those that are there.
+    SetRegions(Vec<Region>),
+    /// A handle region is moved.
+    MoveRegion {
+        /// Which of the regions.
+        region: usize,
+        /// From the rest pose, whatever it was before.
+        motion: Motion,
+    },
+    /// Other joints take the place of those that are there, each after the one that it hangs on. Motions of those that are
+    /// gone go with them.
+    SetJoints(Vec<Joint>),
+    /// A handle that the plugin placed is moved.
+    MoveHandle {
+        /// The handle's id.
+        id: String,
+        /// From the rest pose, whatever it was before.
+        motion: Motion,
+    },
+    /// One more brush stroke, after the others.
+    AddStroke(Arc<Stroke>),
+    /// A refinement is of another place, or to another fineness.
+    SetRefine(Refine),
+}
+
+/// What a drag changes again and again.
+#[derive(Debug, Clone, PartialEq)]
+enum Target {
+    Param(StepId, String),
+    Region(StepId, usize),
+    Handle(StepId, String),
+}
+
+/// The steps, and how they were before.
+#[derive(Debug, Default)]
+pub struct Document {
+    steps: Arc<[Entry]>,
+    /// What was done, oldest first, with the steps before it.
+    undo: VecDeque<(String, Arc<[Entry]>)>,
+    /// What was undone, oldest first, with the steps after it.
+    redo: Vec<(String, Arc<[Entry]>)>,
+    next: u64,
+    /// What the last command changed, if the next one of the same is part of it.
+    dragged: Option<Target>,
+}
+
+fn refused(what: impl Into<String>, hint: &str) -> Error {
+    Error::new(ErrorKind::Argument, what, hint)
+}
+
+impl Document {
+    /// A document with these steps, and nothing to undo.
+    pub fn new(steps: impl IntoIterator<Item = Step>) -> Self {
+        let mut this = Self::default();
+        this.steps = steps.into_iter().map(|step| this.entry(step)).collect();
+        this
+    }
+
+    fn entry(&mut self, step: Step) -> Entry {
+        self.next += 1;
+        Entry { id: StepId(self.next), step: Arc::new(step) }
+    }
+
+    /// The steps, first to last. Two lists with the same pointer are the same.
+    pub fn steps(&self) -> &Arc<[Entry]> {
+        &self.steps
+    }
+
+    /// Does a command. Those that follow each other and set the same thing, as while a handle is dragged, are undone as one,
+    /// until [`rest`](Self::rest).
+    ///
+    /// # Errors
+    /// There is no such step or region, or a value makes no sense; nothing has changed then. What only the plugin can
+    /// judge, such as a parameter's range, is told when the step is done.
+    pub fn apply(&mut self, command: Command) -> Result<()> {
+        let (label, target) = (self.label(&command), self.target(&command));
+        let steps = self.changed(command)?;
+        let before = std::mem::replace(&mut self.steps, steps);
+        let goes_on = target.is_some() && target == self.dragged && self.redo.is_empty();
+        if !goes_on {
+            self.undo.push_back((label, before));
+            if self.undo.len() > LONGEST_HISTORY {
+                self.undo.pop_front();
+            }
+        }
+        self.redo.clear();
+        self.dragged = target;
+        Ok(())
+    }
+
+    /// The drag ends: what comes next is undone by itself.
+    pub fn rest(&mut self) {
+        self.dragged = None;
+    }
+
+    /// Takes the last command back, and says what it was; nothing where there is none.
+    pub fn undo(&mut self) -> Option<String> {
+        self.rest();
+        let (label, before) = self.undo.pop_back()?;
+        self.redo.push((label.clone(), std::mem::replace(&mut self.steps, before)));
+        Some(label)
+    }
+
+    /// Does again what was undone last, and says what it was; nothing where there is none.
+    pub fn redo(&mut self) -> Option<String> {
+        self.rest();
+        let (label, after) = self.redo.pop()?;
+        self.undo.push_back((label.clone(), std::mem::replace(&mut self.steps, after)));
+        Some(label)
+    }
+
+    /// What [`undo`](Self::undo) would take back.
+    pub fn can_undo(&self) -> Option<&str> {
+        self.undo.back().map(|(label, _)| label.as_str())
+    }
+
+    /// What [`redo`](Self::redo) would do again.
+    pub fn can_redo(&self) -> Option<&str> {
+        self.redo.last().map(|(label, _)| label.as_str())
+    }
+
+    /// The steps after a command.
+    fn changed(&mut self, command: Command) -> Result<Arc<[Entry]>> {
+        let mut steps = self.steps.to_vec();
+        let count = steps.len();
+        let check = |at: usize, end: usize| {
+            if at < end {
+                return Ok(());
+            }
+            let what = format!("there is no place {at} among {count} steps");
+            Err(refused(what, "places are counted from 0"))
+        };
+        match command {
+            Command::Add { at, step } => {
+                check(at, count + 1)?;
+                let entry = self.entry(*step);
+                steps.insert(at, entry);
+            }
+            Command::Remove { at } => {
+                check(at, count)?;
+                steps.remove(at);
+            }
+            Command::Move { from, to } => {
+                check(from, count)?;
+                check(to, count)?;
+                let entry = steps.remove(from);
+                steps.insert(to, entry);
+            }
+            Command::Change { at, change } => {
+                check(at, count)?;
+                edit(Arc::make_mut(&mut steps[at].step), change)?;
+            }
+        }
+        Ok(steps.into())
+    }
+
+    /// What the user reads.
+    fn label(&self, command: &Command) -> String {
+        let name = |at: &usize| self.steps.get(*at).map_or("step", |entry| entry.step.name());
+        match command {
+            Command::Add { step, .. } => format!("add {}", step.name()),
+            Command::Remove { at } => format!("remove {}", name(at)),
+            Command::Move { from, .. } => format!("move {}", name(from)),
+            Command::Change { at, change } => {
+                let name = name(at);
+                match change {
+                    Change::Enable(true) => format!("switch {name} on"),
+                    Change::Enable(false) => format!("switch {name} off"),
+                    Change::SetParam { id, .. } => format!("change {id} of {name}"),
+                    Change::SetRegions(_) => format!("change regions of {name}"),
+                    Change::MoveRegion { .. } => format!("move a handle of {name}"),
+                    Change::SetJoints(_) => format!("change joints of {name}"),
+                    Change::MoveHandle { id, .. } => format!("move {id} of {name}"),
+                    Change::AddStroke(_) => format!("stroke of {name}"),
+                    Change::SetRefine(_) => "change a refinement".to_owned(),
+                }
+            }
+        }
+    }
+
+    fn target(&self, command: &Command) -> Option<Target> {
+        let Command::Change { at, change } = command else { return None };
+        let step = self.steps.get(*at)?.id;
+        match change {
+            Change::SetParam { id, .. } => Some(Target::Param(step, id.clone())),
+            Change::MoveRegion { region, .. } => Some(Target::Region(step, *region)),
+            Change::MoveHandle { id, .. } => Some(Target::Handle(step, id.clone())),
+            _ => None,
+        }
+    }
+}
+
+fn edit(step: &mut Step, change: Change) -> Result<()> {
+    let sound = |motion: &Motion| match motion.defect() {
+        Some(what) => Err(refused(what, "give another motion")),
+        None => Ok(()),
+    };
+    match (&mut step.action, change) {
+        (_, Change::Enable(enabled)) => step.enabled = enabled,
+        (Action::Deform(step), Change::SetParam { id, value: Some(value) }) => {
+            drop(step.params.insert(id, value))
+        }
+        (Action::Deform(step), Change::SetParam { id, value: None }) => drop(step.params.remove(&id)),
+        (Action::Deform(step), Change::SetRegions(regions)) => {
+            for region in &regions {
+                region.shapes.check().map_err(|what| refused(what, "give another shape"))?;
+                sound(&region.motion)?;
+            }
+            step.regions = regions;
+        }
+        (Action::Deform(step), Change::MoveRegion { region, motion }) => {
+            sound(&motion)?;
+            let handle = step.regions.get_mut(region).filter(|r| r.role == Role::Handle);
+            handle
+                .ok_or_else(|| refused(format!("region {region} is no handle"), "choose a handle"))?
+                .motion = motion;
+        }
+        (Action::Deform(step), Change::SetJoints(joints)) => {
+            for (i, joint) in joints.iter().enumerate() {
+                let before = &joints[..i];
+                let known = |id: &String| before.iter().any(|j| j.id == *id);
+                if joint.id.is_empty() || joint.id.contains(char::is_whitespace) || known(&joint.id) {
+                    let what = format!("`{}` is no id for a joint, or is there twice", joint.id);
+                    return Err(refused(what, "give each joint one word of its own"));
+                }
+                if joint.parent.as_ref().is_some_and(|parent| !known(parent)) || !joint.at.is_finite() {
+                    let what = format!("the joint `{}` hangs on none before it, or is nowhere", joint.id);
+                    return Err(refused(what, "put joints after those that they hang on"));
+                }
+            }
+            let gone =
+                |id: &str| step.joints.iter().any(|j| j.id == id) && !joints.iter().any(|j| j.id == id);
+            step.handles.retain(|handle| !gone(&handle.id));
+            step.joints = joints;
+        }
+        (Action::Deform(step), Change::MoveHandle { id, motion }) => {
+            sound(&motion)?;
+            step.handles.retain(|handle| handle.id != id);
+            if motion != Motion::default() {
+                step.handles.push(HandleMove { id, motion });
+            }
+        }
+        (Action::Deform(step), Change::AddStroke(stroke)) => {
+            if let Some((what, hint)) = stroke.defect() {
+                return Err(refused(what, hint));
+            }
+            step.strokes.push(stroke);
+        }
+        (Action::Refine(refine), Change::SetRefine(other)) => {
+            other.check().map_err(|(what, hint)| refused(what, hint))?;
+            *refine = other;
+        }
+        (Action::Refine(_), _) | (Action::Deform(_), Change::SetRefine(_)) => {
+            return Err(refused("the step is of another kind", "choose another step"));
+        }
+    }
+    Ok(())
+}

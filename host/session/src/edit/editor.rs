@@ -1,0 +1,222 @@
+//! An edit as a user works on it: a model, the steps on it, and the files that keep them.
+
+use super::document::{Document, Entry};
+use super::evaluation::{Evaluated, Evaluation, Refinements, Status};
+use crate::pipeline::sampled;
+use crate::plugins::PluginRegistry;
+use crate::session_file::{Action, Deformation, SessionFile, Step};
+use crate::strokes_file;
+use simod_core::output::folder_of;
+use simod_core::reconstruction::{Reconstruction, Version, reconstruct};
+use simod_core::sampled_model::{SampledModel, relative};
+use simod_core::sampling::Skip;
+use simod_core::{Error, Progress, Result};
+use simod_plugin_api::{Effort, ParamKind};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// A model that is being edited.
+pub struct Editor {
+    /// What it is called, and all but the steps.
+    session: SessionFile,
+    path: Option<PathBuf>,
+    document: Document,
+    evaluation: Evaluation,
+    plugins: PluginRegistry,
+    /// The steps as they were saved last.
+    saved: Arc<[Entry]>,
+    /// The steps as they were kept last against a crash.
+    kept: Arc<[Entry]>,
+}
+
+impl Editor {
+    /// Samples a session's model, to edit it. `path` is the session's file, if it has one.
+    ///
+    /// # Errors
+    /// The session names no model, it cannot be sampled, or the user cancelled. Steps that cannot be done, as those of
+    /// plugins that are missing, stay in the session, and say so when they are [evaluated](Self::update).
+    pub fn open(
+        session: SessionFile,
+        path: Option<PathBuf>,
+        plugins: PluginRegistry,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
+        let folder = path.as_deref().map_or_else(std::env::temp_dir, |path| folder_of(path).to_owned());
+        let (sampled, _) = sampled(&session, Skip::default(), &folder, progress)?;
+        Ok(Self::of(sampled, session, path, plugins, folder))
+    }
+
+    /// Edits a model that was sampled before. It has to [hold its cells](SampledModel::hold_cells) to be refined; temporary
+    /// files are made in `folder`.
+    pub fn of(
+        sampled: SampledModel,
+        session: SessionFile,
+        path: Option<PathBuf>,
+        plugins: PluginRegistry,
+        folder: PathBuf,
+    ) -> Self {
+        let document = Document::new(session.steps.iter().cloned());
+        let session = SessionFile {
+            model: session.model.or_else(|| Some(sampled.source.path.clone())),
+            fingerprint: Some(sampled.source.fingerprint.clone()),
+            steps: Vec::new(),
+            ..session
+        };
+        let model = session.model.clone();
+        let how = Refinements { model, folder, memory_limit: None };
+        let (saved, kept) = (document.steps().clone(), document.steps().clone());
+        let evaluation = Evaluation::new(Arc::new(sampled), how);
+        Self { session, path, document, evaluation, plugins, saved, kept }
+    }
+
+    /// The steps.
+    pub fn document(&self) -> &Document {
+        &self.document
+    }
+
+    /// The steps, to be changed.
+    pub fn document_mut(&mut self) -> &mut Document {
+        &mut self.document
+    }
+
+    /// The plugins, to look for others.
+    pub fn plugins_mut(&mut self) -> &mut PluginRegistry {
+        &mut self.plugins
+    }
+
+    /// The session's file, if it has one.
+    pub fn path(&self) -> Option<&Path> {
+        self.path.as_deref()
+    }
+
+    /// Does the steps, as far as something has changed: see [`Evaluation::update`].
+    ///
+    /// # Errors
+    /// The user cancelled.
+    pub fn update(&mut self, effort: Effort, progress: &dyn Progress) -> Result<Evaluated> {
+        self.evaluation.update(self.document.steps(), &self.plugins, effort, progress)
+    }
+
+    /// What is known of the steps, such as the handles that plugins placed.
+    pub fn evaluation(&self) -> &Evaluation {
+        &self.evaluation
+    }
+
+    /// Writes the deformed model, whole or not at all.
+    ///
+    /// # Errors
+    /// A step cannot be done; the file cannot be written; the user cancelled.
+    pub fn write(&mut self, output: &Path, how: &Reconstruction, progress: &dyn Progress) -> Result<()> {
+        let Evaluated { sampled, positions, statuses, .. } = self.update(Effort::FULL, progress)?;
+        if let Some(error) = statuses.into_iter().find_map(|(_, status)| match status {
+            Status::Failed(error) => Some(error),
+            _ => None,
+        }) {
+            return Err(error);
+        }
+        let model = sampled.open_source(self.session.model.as_deref())?;
+        let deformed = sampled.rounded(&positions);
+        let version = Version { deformed: &deformed, output, diagnostics: None };
+        reconstruct(&sampled, model.as_ref(), &[version], how, progress).map(drop)
+    }
+
+    /// Whether the session's file has all that was done.
+    pub fn is_saved(&self) -> bool {
+        self.path.is_some() && Arc::ptr_eq(&self.saved, self.document.steps())
+    }
+
+    /// Saves the session, whole or not at all. What was kept against a crash is not needed any more, and removed.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn save(&mut self, path: &Path) -> Result<()> {
+        self.at(path).save(path).map(drop)?;
+        let former = self.path.replace(path.to_owned()).unwrap_or_else(|| path.to_owned());
+        forget(&former)?;
+        forget(path)?;
+        self.saved = self.document.steps().clone();
+        self.kept = self.saved.clone();
+        Ok(())
+    }
+
+    /// Keeps the steps against a crash, in a hidden file beside the session's, or the model's if the session has none yet;
+    /// if there is anything new to keep. [`recover`] gives them back.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn autosave(&mut self) -> Result<()> {
+        let steps = self.document.steps();
+        if Arc::ptr_eq(&self.kept, steps) {
+            return Ok(());
+        }
+        let steps = steps.clone();
+        let model = self.session.model.as_deref().unwrap_or(Path::new("session.toml"));
+        let path = autosave_path(self.path.as_deref().unwrap_or(model));
+        let used = self.at(&path).save(&path)?;
+        // The former strokes, which nobody else knows.
+        remove(strokes_file::beside(&path)?.into_iter().filter(|path| !used.contains(path)))?;
+        self.kept = steps;
+        Ok(())
+    }
+
+    /// The session as it would be saved at a place.
+    fn at(&self, path: &Path) -> SessionFile {
+        let folder = folder_of(path);
+        let step = |entry: &Entry| match &entry.step.action {
+            Action::Deform(d) => {
+                Step { action: Action::Deform(self.moved(d, folder)), ..(*entry.step).clone() }
+            }
+            Action::Refine(_) => (*entry.step).clone(),
+        };
+        SessionFile { steps: self.document.steps().iter().map(step).collect(), ..self.session.clone() }
+    }
+
+    /// A deformation whose files are named as seen from another folder.
+    fn moved(&self, from: &Deformation, folder: &Path) -> Deformation {
+        let mut to = Deformation { folder: folder.to_owned(), ..from.clone() };
+        if let (Ok(plugin), true) = (self.plugins.get(&from.deform), from.folder != folder) {
+            for file in plugin.params().iter().filter(|d| d.kind == ParamKind::FILE) {
+                if let Some(toml::Value::String(name)) = to.params.get_mut(file.id.as_str())
+                    && let Some(seen) = relative(&from.folder.join(&*name), folder).to_str()
+                {
+                    *name = seen.to_owned();
+                }
+            }
+        }
+        to
+    }
+}
+
+/// The file that keeps a session against a crash.
+fn autosave_path(session: &Path) -> PathBuf {
+    let name = session.file_name().unwrap_or_default().to_string_lossy();
+    folder_of(session).join(format!(".{name}.autosave"))
+}
+
+/// What was kept of a session (or, where it had no file yet, of a model) that was not saved before the program ended; nothing
+/// where all was saved.
+///
+/// # Errors
+/// There is something, but it cannot be read.
+pub fn recover(path: &Path) -> Result<Option<SessionFile>> {
+    let kept = autosave_path(path);
+    if !kept.exists() { Ok(None) } else { SessionFile::load(&kept).map(Some) }
+}
+
+/// Removes what was kept of a session: the user does not want it.
+///
+/// # Errors
+/// It cannot be removed.
+pub fn forget(path: &Path) -> Result<()> {
+    let kept = autosave_path(path);
+    match std::fs::remove_file(&kept) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("remove", &kept, &e)),
+        _ => remove(strokes_file::beside(&kept)?),
+    }
+}
+
+fn remove(files: impl IntoIterator<Item = PathBuf>) -> Result<()> {
+    files
+        .into_iter()
+        .try_for_each(|path| std::fs::remove_file(&path).map_err(|e| Error::io("remove", &path, &e)))
+}

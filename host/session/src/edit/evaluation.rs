@@ -1,0 +1,304 @@
+//! The steps of an edit, done on a sampled model: each as far as it, or what comes before it, has changed.
+
+use super::document::{Entry, StepId};
+use crate::deformer::Message;
+use crate::plugins::PluginRegistry;
+use crate::session_file::{Action, Deformation, Refine, Step};
+use crate::stack::{Done, Kept, Key, Layer, PreparedStack, Rest, RestShape, at};
+use glam::Vec3;
+use simod_core::reconstruction::{DeformationField, Method, Surroundings, deformed_normals};
+use simod_core::refinement::{Refining, Selection, appended_deformed, refine};
+use simod_core::sampled_model::SampledModel;
+use simod_core::{Error, ErrorKind, Progress, Result};
+use simod_plugin_api::{Effort, HandleDesc};
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// How a step fared.
+#[derive(Debug)]
+pub enum Status {
+    /// It is switched off.
+    Off,
+    /// It was done; what the plugin had to say.
+    Done(Vec<Message>),
+    /// It could not be done. What the steps before it made still holds.
+    Failed(Error),
+    /// One before it could not be done.
+    Waiting,
+}
+
+/// What became of the samples.
+pub struct Evaluated {
+    /// The model with its samples at rest, those of refinements among them.
+    pub sampled: Arc<SampledModel>,
+    /// Local positions after the last step that was done, one for each sample.
+    pub positions: Arc<[Vec3]>,
+    /// How each step fared, in their order.
+    pub statuses: Vec<(StepId, Status)>,
+    /// The exact map of the steps that were done, where all plugins know it.
+    pub stack: PreparedStack,
+}
+
+impl Evaluated {
+    /// The first step that could not be done, if any.
+    pub fn failure(&self) -> Option<(StepId, &Error)> {
+        self.statuses.iter().find_map(|(id, status)| match status {
+            Status::Failed(error) => Some((*id, error)),
+            _ => None,
+        })
+    }
+}
+
+/// Does steps again and again, and keeps of each what the next time may need: what the plugin prepared, and the positions.
+///
+/// Memory: what the plugins hold, and 12 bytes a sample and step; a copy of the samples for each refinement. What is of
+/// steps that are gone, or switched off, is let go.
+pub struct Evaluation {
+    sampled: Arc<SampledModel>,
+    how: Refinements,
+    known: HashMap<StepId, Known>,
+}
+
+/// How the model is read again, where steps refine it.
+#[derive(Debug, Clone, Default)]
+pub struct Refinements {
+    /// The model, if it was moved since it was sampled.
+    pub model: Option<PathBuf>,
+    /// Where temporary files without a name are made.
+    pub folder: PathBuf,
+    /// Bytes of memory to stay below; as for sampling where not given.
+    pub memory_limit: Option<u64>,
+}
+
+/// What is known of a step.
+enum Known {
+    Deform { step: Arc<Step>, layer: Box<Layer>, kept: Kept },
+    Refine { key: u64, before: Arc<SampledModel>, after: Arc<SampledModel>, positions: Arc<[Vec3]> },
+}
+
+/// The samples between two steps.
+#[derive(Clone)]
+struct Between {
+    sampled: Arc<SampledModel>,
+    rest: Arc<Rest>,
+}
+
+impl Evaluation {
+    /// Nothing is done yet. If there are steps that refine, the model has to [hold its
+    /// cells](SampledModel::hold_cells).
+    pub fn new(sampled: Arc<SampledModel>, how: Refinements) -> Self {
+        Self { sampled, how, known: HashMap::new() }
+    }
+
+    /// Does the steps. With [`Effort::DRAFT`], plugins that know a quicker way take it, and refinements that were done
+    /// before take the same samples again, though others may be selected by now.
+    ///
+    /// # Errors
+    /// The user cancelled, or the samples cannot be deformed at all. What fails in a step is in its status.
+    pub fn update(
+        &mut self,
+        steps: &[Entry],
+        registry: &PluginRegistry,
+        effort: Effort,
+        progress: &dyn Progress,
+    ) -> Result<Evaluated> {
+        let rest = with_shape(&self.sampled, |shape| shape.rest(0))?;
+        let mut between = Between { sampled: self.sampled.clone(), rest: Arc::new(rest) };
+        let mut layers = Vec::new();
+        let mut statuses = Vec::with_capacity(steps.len());
+        let mut failed = false;
+        self.known.retain(|id, _| steps.iter().any(|e| e.id == *id && e.step.enabled));
+        for Entry { id, step } in steps {
+            let mut run = || -> Result<Vec<Message>> {
+                match &step.action {
+                    Action::Deform(_) => {
+                        let (rest, done) = self.deform(*id, step, &between, registry, effort, progress)?;
+                        between.rest = rest;
+                        layers.push(done.clone());
+                        Ok(done.messages.clone())
+                    }
+                    Action::Refine(refine) => {
+                        between = self.refine(*id, refine, &between, effort, progress)?;
+                        Ok(Vec::new())
+                    }
+                }
+            };
+            let status = if !step.enabled {
+                Status::Off
+            } else if failed {
+                Status::Waiting
+            } else {
+                match run() {
+                    Ok(messages) => Status::Done(messages),
+                    Err(e) if e.kind() == ErrorKind::Cancelled => return Err(e),
+                    Err(e) => {
+                        failed = true;
+                        Status::Failed(at(&step.place, e))
+                    }
+                }
+            };
+            statuses.push((*id, status));
+        }
+        let stack = PreparedStack { layers, frame: self.sampled.frame };
+        let Between { sampled, rest } = between;
+        Ok(Evaluated { sampled, positions: rest.positions.clone(), statuses, stack })
+    }
+
+    /// The handles that a step's plugin placed the last time, local coordinates; none where it was not done yet.
+    pub fn handles(&self, id: StepId) -> &[HandleDesc] {
+        match self.known.get(&id) {
+            Some(Known::Deform { kept, .. }) => kept.handles(),
+            _ => &[],
+        }
+    }
+
+    /// Moves the samples; gives the next step's rest shape.
+    fn deform(
+        &mut self,
+        id: StepId,
+        step: &Arc<Step>,
+        between: &Between,
+        registry: &PluginRegistry,
+        effort: Effort,
+        progress: &dyn Progress,
+    ) -> Result<(Arc<Rest>, Arc<Done>)> {
+        let Some(deformation) = step.deformation() else { return Err(no_deformation()) };
+        let (layer, mut kept) = self.layer(id, step, deformation, registry)?;
+        let done = with_shape(&between.sampled, |shape| {
+            layer.update(&between.rest, shape, &mut kept, effort, progress)
+        });
+        self.known.insert(id, Known::Deform { step: step.clone(), layer, kept });
+        done
+    }
+
+    /// The layer of a step, and what is kept of it; both leave their place.
+    fn layer(
+        &mut self,
+        id: StepId,
+        step: &Arc<Step>,
+        deformation: &Deformation,
+        registry: &PluginRegistry,
+    ) -> Result<(Box<Layer>, Kept)> {
+        let (before, kept) = match self.known.remove(&id) {
+            // A plugin that was loaded anew is another one.
+            Some(Known::Deform { step: same, layer, kept })
+                if Arc::ptr_eq(&same, step)
+                    && registry.get(&deformation.deform).is_ok_and(|p| Arc::ptr_eq(p, &layer.plugin)) =>
+            {
+                return Ok((layer, kept));
+            }
+            Some(Known::Deform { step, layer, kept }) => (Some((step, layer)), kept),
+            _ => (None, Kept::default()),
+        };
+        match Layer::build(deformation, &step.place, registry, before.as_ref().map(|(_, layer)| &**layer)) {
+            Ok(layer) => Ok((Box::new(layer), kept)),
+            Err(e) => {
+                // What is wrong may be corrected.
+                if let Some((step, layer)) = before {
+                    self.known.insert(id, Known::Deform { step, layer, kept });
+                }
+                Err(e)
+            }
+        }
+    }
+
+    /// Takes more samples, whose deformed positions come from the reconstruction so far.
+    fn refine(
+        &mut self,
+        id: StepId,
+        step: &Refine,
+        between: &Between,
+        effort: Effort,
+        progress: &dyn Progress,
+    ) -> Result<Between> {
+        let Between { sampled, rest } = between;
+        let key = Key::of(rest.key).and(step).end();
+        let positions = &rest.positions;
+        let (after, positions) = match self.known.remove(&id) {
+            Some(Known::Refine { key: known, after, positions, .. }) if known == key => (after, positions),
+            Some(Known::Refine { before, after, .. })
+                if effort == Effort::DRAFT && Arc::ptr_eq(&before, sampled) =>
+            {
+                let positions =
+                    with_field(sampled, positions, |field| with_appended(&after, positions, field));
+                (after, positions)
+            }
+            _ => self.refined(step, sampled, positions, progress)?,
+        };
+        let known = Known::Refine {
+            key,
+            before: sampled.clone(),
+            after: after.clone(),
+            positions: positions.clone(),
+        };
+        self.known.insert(id, known);
+        let rest = with_shape(&after, |shape| shape.rest_at(positions, key))?;
+        Ok(Between { sampled: after, rest: Arc::new(rest) })
+    }
+
+    /// Reads the model again where it is selected.
+    fn refined(
+        &self,
+        step: &Refine,
+        sampled: &Arc<SampledModel>,
+        positions: &[Vec3],
+        progress: &dyn Progress,
+    ) -> Result<(Arc<SampledModel>, Arc<[Vec3]>)> {
+        let model = sampled.open_source(self.how.model.as_deref())?;
+        let distance = |p| step.shapes.signed_distance(p);
+        let memory_limit = self.how.memory_limit;
+        let how = Refining { finer: step.finer, memory_limit, shapes: step.shapes.tables() };
+        with_field(sampled, positions, |field| {
+            let selection = Selection { distance: &distance, so_far: field };
+            let refined = refine(sampled, model.as_ref(), selection, &how, &self.how.folder, progress)?;
+            let Some(after) = refined.sampled else { return Ok((sampled.clone(), positions.into())) };
+            let positions = with_appended(&after, positions, field);
+            Ok((Arc::new(after), positions))
+        })
+    }
+}
+
+/// Calls with the deformation so far; nothing where nothing has moved yet.
+fn with_field<T>(
+    sampled: &SampledModel,
+    positions: &[Vec3],
+    call: impl FnOnce(Option<&DeformationField<'_>>) -> T,
+) -> T {
+    if *positions == *sampled.samples.positions {
+        return call(None);
+    }
+    let around = Surroundings::of(&sampled.samples);
+    call(Some(&DeformationField::new(&around, positions, Method::default())))
+}
+
+/// Deformed positions of all samples of a refined model: those that it had before, and where the others go.
+fn with_appended(
+    after: &SampledModel,
+    deformed: &[Vec3],
+    field: Option<&DeformationField<'_>>,
+) -> Arc<[Vec3]> {
+    let Some(field) = field else { return after.samples.positions.as_slice().into() };
+    let more = appended_deformed(after, field);
+    let more = more.iter().map(|p| after.frame.to_local(*p));
+    deformed.iter().copied().chain(more).collect()
+}
+
+/// Calls with the samples as deformations take them.
+fn with_shape<T>(sampled: &SampledModel, call: impl FnOnce(&RestShape<'_>) -> T) -> T {
+    let samples = &sampled.samples;
+    call(&RestShape {
+        positions: &samples.positions,
+        normals: samples.normals(),
+        spacing: samples.spacing(),
+        frame: sampled.frame,
+        bounds: sampled.bounds,
+        triangles: &sampled.triangles,
+        neighbours: Some(samples.neighbours()),
+        renormal: Some(&|positions| deformed_normals(samples, positions)),
+    })
+}
+
+fn no_deformation() -> Error {
+    Error::new(ErrorKind::Argument, "the step deforms nothing", "report this")
+}

@@ -1,0 +1,11 @@
+//! Editing: a document of steps with undo, and their evaluation on the samples of a model.
+
+mod document;
+mod editor;
+mod evaluation;
+#[cfg(test)]
+mod tests;
+
+pub use document::{Change, Command, Document, Entry, StepId};
+pub use editor::{Editor, forget, recover};
+pub use evaluation::{Evaluated, Evaluation, Refinements, Status};

@@ -1,0 +1,594 @@
+//! Documents and their evaluation, with a plugin that counts how often it is called.
+
+use super::*;
+use crate::deformer::Plugin;
+use crate::motion::Motion;
+use crate::plugins::PluginRegistry;
+use crate::session_file::{Action, Refine, Region, Role, SessionFile, Step, Stroke};
+use crate::shapes::{Shape, Shapes};
+use glam::{DVec3, Vec3};
+use proptest::prelude::*;
+use simod_core::model::Scalar;
+use simod_core::model::ply::write_points;
+use simod_core::progress::Silent;
+use simod_core::refinement::Finer;
+use simod_core::sampled_model::SampledModel;
+use simod_core::sampling::{Sampling, Target, sample};
+use simod_plugin_api as api;
+use simod_plugin_api::__private::{abi_stable, capability, find_extension, root_module};
+use std::cell::Cell;
+use std::path::Path;
+use std::sync::{Arc, LazyLock};
+
+thread_local! {
+    /// Calls of `prepare` and of `deform` on this thread.
+    static CALLS: Cell<[usize; 2]> = const { Cell::new([0; 2]) };
+}
+
+fn count(call: usize) {
+    let mut calls = CALLS.get();
+    calls[call] += 1;
+    CALLS.set(calls);
+}
+
+/// How often it prepared and deformed since this was asked last.
+fn calls() -> [usize; 2] {
+    CALLS.replace([0; 2])
+}
+
+/// Turns about z by the point's height, by `factor` from the preparation; moves by `shift`, more in handles and for each
+/// stroke. So no two of its steps can be exchanged.
+struct Counted;
+
+impl api::Deformer for Counted {
+    type State = (f64, Vec<f32>);
+    type Scratch = ();
+
+    fn descriptor() -> api::Descriptor {
+        let consumes = api::Consumes {
+            handle_regions: true,
+            strokes: true,
+            effort: true,
+            normals: true,
+            ..api::Consumes::default()
+        };
+        api::Descriptor::new("counted", "Counted", "1.0.0")
+            .param(api::ParamDesc::float("factor", "Factor", 1.0).invalidates_preparation())
+            .param(api::ParamDesc::float("shift", "Shift", 0.0))
+            .consumes(consumes)
+    }
+
+    fn prepare(input: &api::PrepareInput<'_>, host: &api::Host<'_>) -> api::PluginResult<Self::State> {
+        count(0);
+        host.progress(0.0)?;
+        let weights = input.regions().first().map_or(Vec::new(), |r| r.weights().to_vec());
+        Ok((input.params().float("factor")?, weights))
+    }
+
+    fn deform(
+        (factor, weights): &Self::State,
+        input: &api::DeformInput<'_>,
+        _: &mut (),
+        out: &mut [[f32; 3]],
+        host: &api::Host<'_>,
+    ) -> api::PluginResult<()> {
+        count(1);
+        host.progress(0.5)?;
+        let mut shift = input.params().float("shift")?;
+        if shift > 100.0 {
+            return Err(api::PluginError::parameter("shift", "is too far"));
+        }
+        shift += input.strokes().iter().map(|s| s.strength).sum::<f64>();
+        if input.effort() == api::Effort::DRAFT {
+            shift = shift.round();
+        }
+        for (i, (o, p)) in out.iter_mut().zip(input.samples.positions()).enumerate() {
+            let (sin, cos) = (factor * f64::from(p[2])).sin_cos();
+            let [x, y, z] = p.map(f64::from);
+            let turned = [cos * x - sin * y + shift, sin * x + cos * y, z];
+            let moved = input.transforms().first().map_or(turned, |t| t.apply(turned));
+            let weight = f64::from(weights.get(i).copied().unwrap_or(0.0));
+            *o = std::array::from_fn(|k| (turned[k] + weight * (moved[k] - turned[k])) as f32);
+        }
+        Ok(())
+    }
+}
+
+impl api::IsIdentity for Counted {
+    fn is_identity(input: &api::DeformInput<'_>) -> api::PluginResult<bool> {
+        let none = input.strokes().is_empty() && input.transforms().is_empty();
+        Ok(none && input.params().float("factor")? == 0.0 && input.params().float("shift")? == 0.0)
+    }
+}
+
+extern "C" fn extension(
+    id: abi_stable::std_types::RStr<'_>,
+) -> abi_stable::std_types::ROption<api::Extension> {
+    find_extension(id.as_str(), &[capability::is_identity::<Counted> as fn() -> _])
+}
+
+/// A height field of 40 by 40 points, sampled by some of them.
+fn sampled() -> Arc<SampledModel> {
+    static SAMPLED: LazyLock<(tempfile::TempDir, Arc<SampledModel>)> = LazyLock::new(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("field.ply");
+        let point = |i: i32| (f64::from(i % 40) * 0.1, f64::from(i / 40) * 0.1);
+        let points = (0..1600).map(point).map(|(x, y)| DVec3::new(x, y, (x + 2.0 * y).sin()));
+        write_points(&path, points, &[], &[], Scalar::F64, &[]).unwrap();
+        let sampling = Sampling { target: Target::Samples(100), ..Sampling::default() };
+        let model = simod_core::model::open(&path).unwrap();
+        let sampled = sample(model.as_ref(), &sampling, folder.path(), &Silent).unwrap();
+        (folder, Arc::new(sampled))
+    });
+    SAMPLED.1.clone()
+}
+
+fn step(params: &str) -> Step {
+    let text = format!("[[step]]\ndeform = \"counted\"\nparams = {{ {params} }}");
+    SessionFile::parse(&text, Path::new("s.toml")).unwrap().steps.remove(0)
+}
+
+fn change(at: usize, change: Change) -> Command {
+    Command::Change { at, change }
+}
+
+fn set(at: usize, id: &str, value: f64) -> Command {
+    change(at, Change::SetParam { id: id.to_owned(), value: Some(value.into()) })
+}
+
+fn handle() -> Region {
+    let shape = Shape::Sphere { center: DVec3::new(2.0, 2.0, 1.0), radius: 1.0 };
+    let shapes = Shapes { shapes: vec![shape], falloff: 0.5 };
+    Region { role: Role::Handle, shapes, motion: Motion::default() }
+}
+
+fn stroke(strength: f64) -> Arc<Stroke> {
+    let (points, params) = (vec![DVec3::ONE], toml::Table::new());
+    Arc::new(Stroke { radius: 1.0, strength, points, pressures: Vec::new(), params })
+}
+
+fn steps() -> [Step; 3] {
+    [step("factor = 0.5"), step("factor = -1, shift = 0.25"), step("factor = 2")]
+}
+
+fn refine(center: DVec3, radius: f64, finer: Finer) -> Step {
+    let shapes = Shapes { shapes: vec![Shape::Sphere { center, radius }], falloff: 0.0 };
+    let action = Action::Refine(Refine { shapes, finer });
+    Step { action, enabled: true, place: "s.toml, line 9".to_owned() }
+}
+
+fn evaluation() -> Evaluation {
+    Evaluation::new(sampled(), Refinements { folder: std::env::temp_dir(), ..Refinements::default() })
+}
+
+fn update(evaluation: &mut Evaluation, document: &Document, effort: api::Effort) -> Evaluated {
+    evaluation.update(document.steps(), &registry(), effort, &Silent).unwrap()
+}
+
+/// The same plugin each time: one that is loaded anew is another one.
+fn registry() -> Arc<PluginRegistry> {
+    thread_local! {
+        static REGISTRY: Arc<PluginRegistry> = {
+            let module = root_module::<Counted>(extension);
+            Arc::new(PluginRegistry::of([Plugin::in_process(module, Path::new("counted")).unwrap()]))
+        };
+    }
+    REGISTRY.with(Arc::clone)
+}
+
+/// What the steps make of the samples when they are done once, from nothing.
+fn from_nothing(document: &Document) -> Vec<Vec3> {
+    let again = Document::new(document.steps().iter().map(|e| (*e.step).clone()));
+    update(&mut evaluation(), &again, api::Effort::FULL).positions.to_vec()
+}
+
+#[test]
+fn an_edit_does_anew_what_depends_on_it_and_nothing_else() {
+    let mut document = Document::new(steps());
+    let mut evaluation = evaluation();
+    let full = api::Effort::FULL;
+    calls();
+    let mut after = |document: &Document| {
+        let positions = update(&mut evaluation, document, full).positions.to_vec();
+        let calls = calls();
+        assert_eq!(positions, from_nothing(document));
+        self::calls();
+        calls
+    };
+    assert_eq!(after(&document), [3, 3]);
+    assert_eq!(after(&document), [0, 0], "nothing changed");
+    document.apply(set(2, "shift", 1.0)).unwrap();
+    assert_eq!(after(&document), [0, 1], "the last one moves otherwise");
+    document.apply(set(1, "shift", 2.0)).unwrap();
+    assert_eq!(after(&document), [1, 2], "the last one has another rest shape");
+    document.apply(set(1, "factor", 3.0)).unwrap();
+    assert_eq!(after(&document), [2, 2]);
+    document.undo().unwrap();
+    assert_eq!(after(&document), [2, 2]);
+    document.apply(change(2, Change::Enable(false))).unwrap();
+    assert_eq!(after(&document), [0, 0], "the last one is left out");
+    document.undo().unwrap();
+    assert_eq!(after(&document), [1, 1], "nothing is kept of what is left out");
+    document.apply(Command::Add { at: 1, step: Box::new(step("factor = 0")) }).unwrap();
+    assert_eq!(after(&document), [0, 0], "it does nothing");
+    document.apply(change(3, Change::SetRegions(vec![handle()]))).unwrap();
+    assert_eq!(after(&document), [1, 1]);
+    for i in 0..5 {
+        let motion = Motion { translate: DVec3::Y * f64::from(i), ..Motion::default() };
+        document.apply(change(3, Change::MoveRegion { region: 0, motion })).unwrap();
+        assert_eq!(after(&document), if i == 0 { [0, 0] } else { [0, 1] }, "a drag prepares nothing");
+    }
+    document.apply(Command::Move { from: 0, to: 2 }).unwrap();
+    assert_eq!(after(&document), [3, 3], "all have other rest shapes");
+}
+
+#[test]
+fn refinements_are_done_anew_where_what_comes_before_them_changed() {
+    let full = api::Effort::FULL;
+    let around = DVec3::new(2.0, 2.0, 0.0);
+    let mut document = Document::new(steps());
+    let mut evaluation = evaluation();
+    let coarse = update(&mut evaluation, &document, full).sampled;
+    document.apply(Command::Add { at: 1, step: Box::new(refine(around, 1.0, Finer::Error(0.0))) }).unwrap();
+    let fine = update(&mut evaluation, &document, full);
+    assert!(fine.failure().is_none(), "{:?}", fine.failure());
+    let (before, after) = (coarse.samples.len(), fine.sampled.samples.len());
+    assert!(after > before + 100, "{before} to {after}");
+    assert_eq!(fine.positions.len(), after);
+    assert_eq!(fine.sampled.samples.positions[..before], coarse.samples.positions);
+    assert_eq!(*fine.positions, *from_nothing(&document));
+    calls();
+    document.apply(set(2, "shift", 1.0)).unwrap();
+    let again = update(&mut evaluation, &document, full);
+    assert!(Arc::ptr_eq(&again.sampled, &fine.sampled), "nothing before it changed");
+    assert_eq!(calls(), [1, 2]);
+    // A draft does with the samples that there are; the full result does not.
+    document.apply(set(0, "shift", 0.5)).unwrap();
+    let draft = update(&mut evaluation, &document, api::Effort::DRAFT);
+    assert!(Arc::ptr_eq(&draft.sampled, &fine.sampled));
+    let full = update(&mut evaluation, &document, full);
+    assert!(!Arc::ptr_eq(&full.sampled, &fine.sampled));
+    assert_eq!(*full.positions, *from_nothing(&document));
+    // Off the model there is nothing to refine, which is an error of that step alone.
+    let nowhere = refine(DVec3::splat(99.0), 1.0, Finer::Factor(2.0));
+    document.apply(Command::Add { at: 4, step: Box::new(nowhere) }).unwrap();
+    let evaluated = update(&mut evaluation, &document, api::Effort::FULL);
+    let (id, error) = evaluated.failure().unwrap();
+    assert_eq!((id, evaluated.positions.clone()), (document.steps()[4].id, full.positions));
+    assert!(error.to_string().starts_with("s.toml, line 9: ") && !error.hint().is_empty(), "{error}");
+    let off = Refine { finer: Finer::Factor(0.0), ..some_refine(&document, 4) };
+    assert!(document.apply(change(4, Change::SetRefine(off))).is_err());
+    let shapes = Shapes { shapes: vec![Shape::Sphere { center: DVec3::ZERO, radius: 99.0 }], falloff: 0.0 };
+    let on = Refine { shapes, ..some_refine(&document, 4) };
+    document.apply(change(4, Change::SetRefine(on))).unwrap();
+    assert!(update(&mut evaluation, &document, api::Effort::FULL).failure().is_none());
+}
+
+fn some_refine(document: &Document, at: usize) -> Refine {
+    match &document.steps()[at].step.action {
+        Action::Refine(refine) => refine.clone(),
+        Action::Deform(_) => panic!("step {at} refines nothing"),
+    }
+}
+
+#[test]
+fn drafts_are_for_plugins_that_ask() {
+    let mut document = Document::new([step("shift = 0.75")]);
+    let mut evaluation = evaluation();
+    let draft = update(&mut evaluation, &document, api::Effort::DRAFT).positions;
+    let full = update(&mut evaluation, &document, api::Effort::FULL).positions;
+    assert!((draft[0].x - full[0].x - 0.25).abs() < 1e-6);
+    document.apply(set(0, "shift", 1.0)).unwrap();
+    assert_eq!(
+        update(&mut evaluation, &document, api::Effort::DRAFT).positions,
+        from_nothing(&document).into()
+    );
+}
+
+#[test]
+fn what_fails_leaves_what_comes_before_it() {
+    let mut document = Document::new(steps());
+    let mut evaluation = evaluation();
+    let full = api::Effort::FULL;
+    let below = from_nothing(&Document::new(steps().into_iter().take(1)));
+    let elsewhere = "[[step]]\ndeform = \"from-elsewhere\"";
+    let missing = SessionFile::parse(elsewhere, Path::new("s.toml")).unwrap().steps.remove(0);
+    let wrong = [
+        (Command::Add { at: 1, step: Box::new(missing) }, "there is no plugin `from-elsewhere`"),
+        (set(1, "shift", 101.0), "`shift` is too far"),
+        (change(1, Change::SetParam { id: "shift".into(), value: Some("far".into()) }), "not a number"),
+        (change(1, Change::SetParam { id: "shaft".into(), value: None }), ""),
+    ];
+    for (command, message) in wrong {
+        document.apply(command).unwrap();
+        let evaluated = update(&mut evaluation, &document, full);
+        if message.is_empty() {
+            assert!(evaluated.failure().is_none());
+            continue;
+        }
+        assert_eq!(*evaluated.positions, below);
+        let (id, error) = evaluated.failure().unwrap();
+        assert_eq!(id, document.steps()[1].id);
+        assert!(
+            error.to_string().contains(message) && error.to_string().starts_with("s.toml, line 1: "),
+            "{error}"
+        );
+        let waiting = evaluated.statuses.iter().filter(|(_, s)| matches!(s, Status::Waiting)).count();
+        assert_eq!(waiting, document.steps().len() - 2);
+        // Left out, it harms nobody; and what was right before is right again.
+        document.apply(change(1, Change::Enable(false))).unwrap();
+        assert!(update(&mut evaluation, &document, full).failure().is_none());
+        document.undo().unwrap();
+        document.undo().unwrap();
+        assert_eq!(*update(&mut evaluation, &document, full).positions, from_nothing(&document));
+    }
+}
+
+#[test]
+fn a_drag_is_undone_as_one() {
+    let mut document = Document::new(steps());
+    document.apply(change(0, Change::SetRegions(vec![handle()]))).unwrap();
+    let to = |y: f64| {
+        let motion = Motion { translate: DVec3::Y * y, ..Motion::default() };
+        change(0, Change::MoveRegion { region: 0, motion })
+    };
+    let at =
+        |document: &Document| document.steps()[0].step.deformation().unwrap().regions[0].motion.translate.y;
+    for y in [1.0, 2.0, 3.0] {
+        document.apply(to(y)).unwrap();
+    }
+    document.rest();
+    for y in [4.0, 5.0] {
+        document.apply(to(y)).unwrap();
+    }
+    assert_eq!(document.can_undo(), Some("move a handle of counted"));
+    assert_eq!(document.undo().as_deref(), Some("move a handle of counted"));
+    assert_eq!(at(&document), 3.0);
+    document.undo();
+    assert_eq!(at(&document), 0.0);
+    document.redo();
+    assert_eq!(at(&document), 3.0);
+    // What follows an undo is another drag, and nothing can be done again.
+    document.apply(to(9.0)).unwrap();
+    assert_eq!((at(&document), document.can_redo()), (9.0, None));
+    document.undo();
+    assert_eq!(at(&document), 3.0);
+}
+
+#[test]
+fn what_makes_no_sense_changes_nothing() {
+    let mut document = Document::new(steps());
+    let before = document.steps().clone();
+    let nan = Motion { translate: DVec3::NAN, ..Motion::default() };
+    let joint = |id: &str, parent: Option<&str>| crate::session_file::Joint {
+        id: id.to_owned(),
+        at: DVec3::ZERO,
+        parent: parent.map(str::to_owned),
+    };
+    let wrong = [
+        Command::Remove { at: 3 },
+        Command::Add { at: 4, step: Box::new(step("")) },
+        Command::Move { from: 0, to: 3 },
+        set(3, "shift", 0.0),
+        change(0, Change::MoveRegion { region: 0, motion: Motion::default() }),
+        change(0, Change::MoveHandle { id: "tip".to_owned(), motion: nan }),
+        change(0, Change::SetRegions(vec![Region { motion: nan, ..handle() }])),
+        change(0, Change::AddStroke(stroke(f64::NAN))),
+        change(0, Change::SetJoints(vec![joint("a", Some("a"))])),
+        change(0, Change::SetJoints(vec![joint("a", None), joint("a", None)])),
+        change(0, Change::SetJoints(vec![joint("a b", None)])),
+        change(
+            0,
+            Change::SetRefine(some_refine(&Document::new([refine(DVec3::ZERO, 1.0, Finer::Error(1.0))]), 0)),
+        ),
+    ];
+    for command in wrong {
+        let error = document.apply(command.clone()).unwrap_err();
+        assert!(!error.hint().is_empty(), "{command:?}");
+        assert!(Arc::ptr_eq(document.steps(), &before) && document.can_undo().is_none(), "{command:?}");
+    }
+}
+
+#[test]
+fn a_cancelled_update_can_be_done_again() {
+    struct After(std::sync::atomic::AtomicUsize);
+    impl simod_core::Progress for After {
+        fn begin(&self, _: &'static str, _: u64) {}
+        fn advance(&self, _: u64) {}
+        fn is_cancelled(&self) -> bool {
+            let left = &self.0;
+            let ordering = std::sync::atomic::Ordering::Relaxed;
+            left.fetch_update(ordering, ordering, |n| Some(n.saturating_sub(1))) == Ok(0)
+        }
+    }
+    let document = Document::new(steps());
+    let mut evaluation = evaluation();
+    for cancelled in 0..100_usize {
+        let progress = After(cancelled.into());
+        let result = evaluation.update(document.steps(), &registry(), api::Effort::FULL, &progress);
+        match result {
+            Ok(evaluated) => {
+                assert_eq!(*evaluated.positions, from_nothing(&document));
+                assert!(cancelled > 3, "{cancelled}");
+                return;
+            }
+            Err(e) => assert_eq!(e.kind(), simod_core::ErrorKind::Cancelled),
+        }
+    }
+    panic!("it never ended");
+}
+
+/// An editor of the height field, whose session's file is in a folder of its own.
+fn editor(folder: &Path) -> Editor {
+    let sampled = sampled();
+    let path = folder.join("edit.toml");
+    let session = SessionFile { model: Some(sampled.source.path.clone()), ..SessionFile::default() };
+    session.save(&path).unwrap();
+    open(&path)
+}
+
+fn open(path: &Path) -> Editor {
+    let module = root_module::<Counted>(extension);
+    let plugins = PluginRegistry::of([Plugin::in_process(module, Path::new("counted")).unwrap()]);
+    Editor::open(SessionFile::load(path).unwrap(), Some(path.to_owned()), plugins, &Silent).unwrap()
+}
+
+fn saved_steps(session: &SessionFile) -> Vec<Step> {
+    let without_place = |step: &Step| Step { place: String::new(), ..step.clone() };
+    session.steps.iter().map(without_place).collect()
+}
+
+#[test]
+fn what_was_not_saved_can_be_recovered() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut editor = editor(folder.path());
+    let path = folder.path().join("edit.toml");
+    let files = || {
+        let mut names: Vec<_> = std::fs::read_dir(folder.path())
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    };
+    assert!(editor.is_saved() && recover(&path).unwrap().is_none());
+    editor.autosave().unwrap();
+    assert_eq!(files(), ["edit.toml"], "nothing is to be kept");
+    // With a stroke that is too long for the session itself; and again, with another one.
+    for i in 1..3 {
+        let points = (0..3000).map(|x| DVec3::new(f64::from(x), 0.0, f64::from(i))).collect();
+        let long = Arc::new(Stroke { points, ..(*stroke(0.5)).clone() });
+        let add = Command::Add { at: 0, step: Box::new(step("shift = 0.5")) };
+        editor.document_mut().apply(add).unwrap();
+        editor.document_mut().apply(change(0, Change::AddStroke(long))).unwrap();
+        editor.autosave().unwrap();
+        assert!(!editor.is_saved());
+        let kept = files();
+        let strokes = kept.iter().filter(|name| name.ends_with(".strokes")).count();
+        assert_eq!((kept.len(), strokes), (2 + i as usize, i as usize), "{kept:?}");
+    }
+    // The program ends here; the next one finds what was kept.
+    let document = Document::new(editor.document().steps().iter().map(|e| (*e.step).clone()));
+    drop(editor);
+    let kept = recover(&path).unwrap().unwrap();
+    let expected: Vec<Step> = document.steps().iter().map(|e| (*e.step).clone()).collect();
+    let (mut kept_steps, mut expected) = (saved_steps(&kept), expected);
+    for step in kept_steps.iter_mut().chain(&mut expected) {
+        step.place.clear();
+        let Action::Deform(deformation) = &mut step.action else { panic!("a deformation") };
+        deformation.folder.clear();
+    }
+    assert_eq!(kept_steps, expected);
+    // Saved, it is not needed any more.
+    let module = root_module::<Counted>(extension);
+    let plugins = PluginRegistry::of([Plugin::in_process(module, Path::new("counted")).unwrap()]);
+    let mut editor = Editor::open(kept, Some(path.clone()), plugins, &Silent).unwrap();
+    editor.save(&path).unwrap();
+    assert!(editor.is_saved() && recover(&path).unwrap().is_none());
+    assert_eq!(files().iter().filter(|name| name.starts_with('.')).count(), 0, "{:?}", files());
+    assert_eq!(saved_steps(&SessionFile::load(&path).unwrap()).len(), 2);
+    // What somebody does not want is gone.
+    editor.document_mut().apply(Command::Remove { at: 0 }).unwrap();
+    editor.autosave().unwrap();
+    forget(&path).unwrap();
+    assert!(recover(&path).unwrap().is_none());
+}
+
+#[test]
+fn the_editor_writes_what_a_run_of_its_session_writes() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut editor = editor(folder.path());
+    let [first, second, third] = steps();
+    let around = refine(DVec3::new(2.0, 2.0, 0.0), 1.5, Finer::Factor(3.0));
+    for (at, step) in [first, around, second, third].into_iter().enumerate() {
+        editor.document_mut().apply(Command::Add { at, step: Box::new(step) }).unwrap();
+    }
+    // Something to undo, and drafts in between.
+    editor.document_mut().apply(set(3, "shift", 1.0)).unwrap();
+    editor.update(api::Effort::DRAFT, &Silent).unwrap();
+    editor.document_mut().undo();
+    editor.document_mut().apply(set(0, "shift", 0.125)).unwrap();
+    editor.update(api::Effort::DRAFT, &Silent).unwrap();
+    let (edited, run) = (folder.path().join("edited.ply"), folder.path().join("run.ply"));
+    let how = simod_core::reconstruction::Reconstruction::default();
+    editor.write(&edited, &how, &Silent).unwrap();
+    let saved = folder.path().join("elsewhere.toml");
+    editor.save(&saved).unwrap();
+    let session = SessionFile::load(&saved).unwrap();
+    crate::Run::execute(&session, &registry(), &how, false, &run, &Silent).unwrap();
+    let [edited, run, model] =
+        [&edited, &run, &sampled().source.path].map(|path| std::fs::read(path).unwrap());
+    assert!(edited == run, "not the same bytes");
+    assert!(edited != model, "nothing was edited");
+    // A step that cannot be done: nothing is written.
+    editor.document_mut().apply(set(0, "shift", 1000.0)).unwrap();
+    let never = folder.path().join("never.ply");
+    assert!(editor.write(&never, &how, &Silent).unwrap_err().to_string().contains("too far"));
+    assert!(!never.exists());
+}
+
+fn command() -> impl Strategy<Value = Command> {
+    let at = 0..5_usize;
+    let small = -2.0..2.0_f64;
+    let motion = small.clone().prop_map(|y| Motion {
+        translate: DVec3::Y * y,
+        degrees: 90.0 * y,
+        ..Motion::default()
+    });
+    prop_oneof![
+        (at.clone(), small.clone())
+            .prop_map(|(at, x)| Command::Add { at, step: Box::new(step(&format!("factor = {x:?}"))) }),
+        at.clone().prop_map(|at| Command::Remove { at }),
+        (at.clone(), at.clone()).prop_map(|(from, to)| Command::Move { from, to }),
+        (at.clone(), any::<bool>()).prop_map(|(at, on)| change(at, Change::Enable(on))),
+        (at.clone(), small.clone()).prop_map(|(at, x)| set(at, "shift", x)),
+        (at.clone(), small.clone()).prop_map(|(at, x)| set(at, "factor", x)),
+        (at.clone(), any::<bool>()).prop_map(|(at, some)| {
+            let region = Region { role: if some { Role::Handle } else { Role::Mask }, ..handle() };
+            change(at, Change::SetRegions(vec![region]))
+        }),
+        (at.clone(), motion).prop_map(|(at, motion)| change(at, Change::MoveRegion { region: 0, motion })),
+        (at, small).prop_map(|(at, x)| change(at, Change::AddStroke(stroke(x)))),
+    ]
+}
+
+fn content(document: &Document) -> Vec<(StepId, Step)> {
+    document.steps().iter().map(|e| (e.id, (*e.step).clone())).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Whatever was done, undone and done again: the samples are where they would be from nothing, and all can be undone.
+    #[test]
+    fn any_edit_is_as_from_nothing_and_can_be_undone(commands in prop::collection::vec((command(), 0..6_u8), 1..30)) {
+        let mut document = Document::new(steps());
+        let first = content(&document);
+        let mut evaluation = evaluation();
+        for (command, then) in commands {
+            let before = content(&document);
+            if document.apply(command).is_err() {
+                prop_assert_eq!(content(&document), before);
+            }
+            match then {
+                0 => drop(document.undo()),
+                1 => { document.undo(); document.undo(); document.redo(); }
+                2 => document.rest(),
+                _ => {}
+            }
+            let evaluated = update(&mut evaluation, &document, api::Effort::FULL);
+            prop_assert!(evaluated.failure().is_none());
+            prop_assert_eq!(&*evaluated.positions, &*from_nothing(&document));
+        }
+        let last = content(&document);
+        let mut undone = 0;
+        while document.undo().is_some() {
+            undone += 1;
+        }
+        prop_assert_eq!(content(&document), first);
+        for _ in 0..undone {
+            document.redo();
+        }
+        prop_assert_eq!(content(&document), last);
+    }
+}

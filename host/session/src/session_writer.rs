@@ -1,0 +1,383 @@
+//! `session.toml`, written: what [`SessionFile::load`] reads, as a person would have put it. What has its default is left
+//! out, and long strokes go to a file beside it.
+
+use crate::motion::Motion;
+use crate::session_file::{
+    Action, Deformation, HandleMove, Joint, Refine, Region, Role, Sampling, SessionFile, Step, Stroke,
+    VERSION,
+};
+use crate::shapes::Shape;
+use crate::strokes_file;
+use glam::DVec3;
+use simod_core::refinement::Finer;
+use simod_core::sampled_model::relative;
+use simod_core::{Error, ErrorKind, Result, output};
+use std::path::{Path, PathBuf};
+use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Table, Value, value};
+
+impl SessionFile {
+    /// Writes the session, whole or not at all; the model and the output are named as seen from its folder. Gives the files
+    /// of strokes that it refers to.
+    ///
+    /// # Errors
+    /// A file cannot be written; a path is no text.
+    pub fn save(&self, path: &Path) -> Result<Vec<PathBuf>> {
+        let (text, strokes) = self.to_toml(path)?;
+        output::write_file(path, text.as_bytes())?;
+        Ok(strokes)
+    }
+
+    /// The session's text at this path; strokes that are too long for it are written beside it, to these files.
+    fn to_toml(&self, path: &Path) -> Result<(String, Vec<PathBuf>)> {
+        let mut document = DocumentMut::new();
+        document["version"] = value(VERSION);
+        let folder = output::folder_of(path);
+        let mut files = Vec::new();
+        if let Some(model) = &self.model {
+            let mut model = path_table(model, folder)?;
+            if let Some(fingerprint) = &self.fingerprint {
+                model["fingerprint"] = value(fingerprint);
+            }
+            document["model"] = Item::Table(model);
+        }
+        let sampling = sampling(&self.sampling);
+        if !sampling.is_empty() {
+            document["sampling"] = Item::Table(sampling);
+        }
+        if !self.steps.is_empty() {
+            let step = |s| step(s, path, &mut files);
+            let steps = self.steps.iter().map(step).collect::<Result<ArrayOfTables>>()?;
+            document["step"] = Item::ArrayOfTables(steps);
+        }
+        if let Some(output) = &self.output {
+            document["output"] = Item::Table(path_table(output, folder)?);
+        }
+        Ok((document.to_string(), files))
+    }
+}
+
+fn path_table(path: &Path, folder: &Path) -> Result<Table> {
+    let mut table = Table::new();
+    table["path"] = value(text(&relative(path, folder))?);
+    Ok(table)
+}
+
+fn text(path: &Path) -> Result<String> {
+    path.to_str().map(str::to_owned).ok_or_else(|| {
+        let what = format!("the name {} is no text, which a session has to be", path.display());
+        Error::new(ErrorKind::Argument, what, "rename the file")
+    })
+}
+
+fn sampling(from: &Sampling) -> Table {
+    let mut table = Table::new();
+    if let Some(samples) = from.samples {
+        table["samples"] = value(i64::try_from(samples).unwrap_or(i64::MAX));
+    }
+    if let Some(error) = from.error {
+        table["error"] = value(error);
+    }
+    if let Some(grid) = from.grid {
+        table["grid"] = value(i64::from(grid));
+    }
+    table
+}
+
+fn step(from: &Step, session: &Path, files: &mut Vec<PathBuf>) -> Result<Table> {
+    let mut table = Table::new();
+    if !from.enabled {
+        table["enabled"] = value(false);
+    }
+    match &from.action {
+        Action::Deform(from) => deformation(from, session, files, &mut table)?,
+        Action::Refine(from) => table["refine"] = value(refine(from)),
+    }
+    Ok(table)
+}
+
+fn refine(from: &Refine) -> InlineTable {
+    let finer = match from.finer {
+        Finer::Error(error) => ("error", error.into()),
+        Finer::Factor(factor) => ("factor", factor.into()),
+        Finer::Samples(samples) => ("samples", i64::try_from(samples).unwrap_or(i64::MAX).into()),
+    };
+    let shapes = from.shapes.shapes.iter().map(shape).collect::<Array>();
+    InlineTable::from_iter([("shapes", Value::from(shapes)), finer])
+}
+
+fn deformation(
+    from: &Deformation,
+    session: &Path,
+    files: &mut Vec<PathBuf>,
+    table: &mut Table,
+) -> Result<()> {
+    table["deform"] = value(&from.deform);
+    if !from.params.is_empty() {
+        table["params"] = value(inline(&from.params)?);
+    }
+    let long = strokes_file::is_needed(&from.strokes);
+    if long {
+        let reference = strokes_file::write(session, &from.strokes)?;
+        files.push(output::folder_of(session).join(&reference.file));
+        let mut file = InlineTable::new();
+        file.insert("file", text(&reference.file)?.into());
+        file.insert("fingerprint", reference.fingerprint.into());
+        table["strokes"] = value(file);
+    }
+    let mut tables = |key: &str, all: ArrayOfTables| {
+        if !all.is_empty() {
+            table[key] = Item::ArrayOfTables(all);
+        }
+    };
+    tables("region", from.regions.iter().map(region).collect());
+    tables("joint", from.joints.iter().map(joint).collect());
+    tables("handle", from.handles.iter().map(handle).collect());
+    if !long {
+        tables("stroke", from.strokes.iter().map(|s| stroke(s)).collect::<Result<_>>()?);
+    }
+    Ok(())
+}
+
+fn region(from: &Region) -> Table {
+    let mut table = Table::new();
+    table["role"] = value(match from.role {
+        Role::Fixed => "fixed",
+        Role::Handle => "handle",
+        Role::Mask => "mask",
+    });
+    table["shapes"] = value(from.shapes.shapes.iter().map(shape).collect::<Array>());
+    if from.shapes.falloff != 0.0 {
+        table["falloff"] = value(from.shapes.falloff);
+    }
+    if from.motion != Motion::default() {
+        table["move"] = value(motion(&from.motion));
+    }
+    table
+}
+
+fn shape(from: &Shape) -> InlineTable {
+    let (kind, entries): (&str, [(&str, Value); 2]) = match *from {
+        Shape::HalfSpace { point, normal } => {
+            ("half-space", [("point", vector(point)), ("normal", vector(normal))])
+        }
+        Shape::Sphere { center, radius } => {
+            ("sphere", [("center", vector(center)), ("radius", radius.into())])
+        }
+        Shape::Box { min, max } => ("box", [("min", vector(min)), ("max", vector(max))]),
+    };
+    InlineTable::from_iter([(kind, InlineTable::from_iter(entries))])
+}
+
+/// What differs from no motion at all.
+fn motion(from: &Motion) -> InlineTable {
+    let none = Motion::default();
+    let mut table = InlineTable::new();
+    if from.translate != none.translate {
+        table.insert("translate", vector(from.translate));
+    }
+    if from.degrees != none.degrees || from.axis != none.axis {
+        table.insert("axis", vector(from.axis));
+        table.insert("degrees", from.degrees.into());
+    }
+    if let Some(pivot) = from.pivot {
+        table.insert("pivot", vector(pivot));
+    }
+    if from.scale != none.scale {
+        table.insert("scale", from.scale.into());
+    }
+    table
+}
+
+fn joint(from: &Joint) -> Table {
+    let mut table = Table::new();
+    table["id"] = value(&from.id);
+    table["at"] = value(vector(from.at));
+    if let Some(parent) = &from.parent {
+        table["parent"] = value(parent);
+    }
+    table
+}
+
+fn handle(from: &HandleMove) -> Table {
+    let mut table = Table::new();
+    table["id"] = value(&from.id);
+    table["move"] = value(motion(&from.motion));
+    table
+}
+
+fn stroke(from: &Stroke) -> Result<Table> {
+    let mut table = Table::new();
+    table["radius"] = value(from.radius);
+    table["strength"] = value(from.strength);
+    table["points"] = value(from.points.iter().map(|p| vector(*p)).collect::<Array>());
+    if !from.pressures.is_empty() {
+        table["pressures"] = value(from.pressures.iter().map(|p| f64::from(*p)).collect::<Array>());
+    }
+    if !from.params.is_empty() {
+        table["params"] = value(inline(&from.params)?);
+    }
+    Ok(table)
+}
+
+fn vector(v: DVec3) -> Value {
+    Value::Array(v.to_array().into_iter().collect())
+}
+
+/// Values as they were given, in one line.
+fn inline(from: &toml::Table) -> Result<InlineTable> {
+    let lost = |e: &dyn std::fmt::Display| {
+        Error::new(ErrorKind::Io, format!("cannot write parameters: {e}"), "report this")
+    };
+    let text = toml::Value::Table(from.clone()).to_string();
+    match text.parse::<Value>() {
+        Ok(Value::InlineTable(table)) => Ok(table),
+        Ok(other) => Err(lost(&other.type_name())),
+        Err(e) => Err(lost(&e.message())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shapes::Shapes;
+    use std::sync::Arc;
+
+    fn stroke(points: usize) -> Arc<Stroke> {
+        let points: Vec<DVec3> = (0..points).map(|i| DVec3::new(i as f64 / 3.0, 1e-30, -2e6)).collect();
+        let pressures = points.iter().enumerate().map(|(i, _)| i as f32 / points.len() as f32).collect();
+        let params = "brush = \"smooth\"\nfalloff = [[0.0, 1.0], [1.0, 0.0]]".parse().unwrap();
+        Arc::new(Stroke { radius: 0.1, strength: -1.0, points, pressures, params })
+    }
+
+    fn session(folder: &Path) -> SessionFile {
+        let shapes = vec![
+            Shape::HalfSpace { point: DVec3::ZERO, normal: DVec3::NEG_Y },
+            Shape::Sphere { center: DVec3::new(0.1, 300.0, 0.0), radius: 1.0 / 3.0 },
+            Shape::Box { min: DVec3::ZERO, max: DVec3::ONE },
+        ];
+        let region = |role, falloff, motion| Region {
+            role,
+            shapes: Shapes { shapes: shapes.clone(), falloff },
+            motion,
+        };
+        let turned = Motion { degrees: 30.0, pivot: Some(DVec3::ZERO), scale: 2.0, ..Motion::default() };
+        let shifted = Motion { translate: DVec3::X, axis: DVec3::Z, ..Motion::default() };
+        let deformation = Deformation {
+            deform: "rbf".to_owned(),
+            params: "kernel = \"triharmonic\"\ntolerance = 1e-4\nname = \"a \\\" b\"".parse().unwrap(),
+            regions: vec![
+                region(Role::Fixed, 0.0, Motion::default()),
+                region(Role::Handle, 2.5, turned),
+                region(Role::Mask, 1e-9, Motion::default()),
+            ],
+            joints: vec![
+                Joint { id: "arm".to_owned(), at: DVec3::ONE, parent: None },
+                Joint { id: "hand".to_owned(), at: DVec3::X, parent: Some("arm".to_owned()) },
+            ],
+            handles: vec![HandleMove { id: "3,3,3".to_owned(), motion: shifted }],
+            strokes: vec![stroke(3), stroke(1)],
+            folder: folder.to_owned(),
+        };
+        let long = Deformation { strokes: vec![stroke(5000), stroke(2)], ..deformation.clone() };
+        let refine =
+            |finer| Action::Refine(Refine { shapes: Shapes { shapes: shapes.clone(), falloff: 0.0 }, finer });
+        let step = |action, enabled| Step { action, enabled, place: String::new() };
+        SessionFile {
+            model: Some(folder.join("models/nefertiti.ply")),
+            fingerprint: Some("xxh3-128:0".to_owned()),
+            sampling: Sampling { samples: Some(50_000), error: None, grid: Some(64) },
+            steps: vec![
+                step(Action::Deform(deformation), false),
+                step(refine(Finer::Factor(4.0)), true),
+                step(Action::Deform(long), true),
+                step(refine(Finer::Error(1e-5)), false),
+                step(refine(Finer::Samples(1000)), true),
+            ],
+            output: Some(folder.join("out.ply")),
+        }
+    }
+
+    fn without_places(mut session: SessionFile) -> SessionFile {
+        session.steps.iter_mut().for_each(|step| step.place.clear());
+        session
+    }
+
+    #[test]
+    fn a_session_comes_back_as_it_was() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().canonicalize().unwrap();
+        let path = folder.join("edit.toml");
+        let session = session(&folder);
+        session.save(&path).unwrap();
+        assert_eq!(without_places(SessionFile::load(&path).unwrap()), session);
+        // And what was read is written as it was.
+        let text = std::fs::read_to_string(&path).unwrap();
+        SessionFile::load(&path).unwrap().save(&path).unwrap();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+    }
+
+    #[test]
+    fn it_reads_as_a_person_would_have_written_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().canonicalize().unwrap();
+        let mut session = session(&folder);
+        session.steps.truncate(2);
+        let Action::Deform(first) = &mut session.steps[0].action else { panic!("a deformation") };
+        first.strokes.clear();
+        let (text, _) = session.to_toml(&folder.join("edit.toml")).unwrap();
+        assert_eq!(
+            text,
+            r#"version = 1
+
+[model]
+path = "models/nefertiti.ply"
+fingerprint = "xxh3-128:0"
+
+[sampling]
+samples = 50000
+grid = 64
+
+[[step]]
+enabled = false
+deform = "rbf"
+params = { kernel = "triharmonic", name = 'a " b', tolerance = 0.0001 }
+
+[[step.region]]
+role = "fixed"
+shapes = [{ half-space = { point = [0.0, 0.0, 0.0], normal = [0.0, -1.0, 0.0] } }, { sphere = { center = [0.1, 300.0, 0.0], radius = 0.3333333333333333 } }, { box = { min = [0.0, 0.0, 0.0], max = [1.0, 1.0, 1.0] } }]
+
+[[step.region]]
+role = "handle"
+shapes = [{ half-space = { point = [0.0, 0.0, 0.0], normal = [0.0, -1.0, 0.0] } }, { sphere = { center = [0.1, 300.0, 0.0], radius = 0.3333333333333333 } }, { box = { min = [0.0, 0.0, 0.0], max = [1.0, 1.0, 1.0] } }]
+falloff = 2.5
+move = { axis = [0.0, 1.0, 0.0], degrees = 30.0, pivot = [0.0, 0.0, 0.0], scale = 2.0 }
+
+[[step.region]]
+role = "mask"
+shapes = [{ half-space = { point = [0.0, 0.0, 0.0], normal = [0.0, -1.0, 0.0] } }, { sphere = { center = [0.1, 300.0, 0.0], radius = 0.3333333333333333 } }, { box = { min = [0.0, 0.0, 0.0], max = [1.0, 1.0, 1.0] } }]
+falloff = 0.000000001
+
+[[step.joint]]
+id = "arm"
+at = [1.0, 1.0, 1.0]
+
+[[step.joint]]
+id = "hand"
+at = [1.0, 0.0, 0.0]
+parent = "arm"
+
+[[step.handle]]
+id = "3,3,3"
+move = { translate = [1.0, 0.0, 0.0], axis = [0.0, 0.0, 1.0], degrees = 0.0 }
+
+[[step]]
+refine = { shapes = [{ half-space = { point = [0.0, 0.0, 0.0], normal = [0.0, -1.0, 0.0] } }, { sphere = { center = [0.1, 300.0, 0.0], radius = 0.3333333333333333 } }, { box = { min = [0.0, 0.0, 0.0], max = [1.0, 1.0, 1.0] } }], factor = 4.0 }
+
+[output]
+path = "out.ply"
+"#
+        );
+        let empty = SessionFile::default().to_toml(Path::new("edit.toml")).unwrap();
+        assert_eq!(empty, ("version = 1\n".to_owned(), Vec::new()));
+    }
+}

@@ -1,0 +1,82 @@
+//! The sessions of `benches/survey`: all can be run, and what they make is what their pages say.
+
+use std::fs;
+use std::path::PathBuf;
+
+use glam::DVec3;
+use simod_tests::{Ply, Workplace, workspace};
+
+/// A workplace with the sessions, on fewer samples, and the models that they name.
+fn with_sessions() -> (Workplace, Vec<String>) {
+    let work = Workplace::new();
+    let mut sessions = Vec::new();
+    for entry in fs::read_dir(workspace().join("benches/survey")).expect("the folder of the sessions") {
+        let path: PathBuf = entry.expect("an entry").path();
+        let name = path.file_name().and_then(|n| n.to_str()).expect("a name").to_owned();
+        let text = fs::read_to_string(&path).expect("a text");
+        work.write(&name, text.replace("samples = 20000", "samples = 4000"));
+        if name.ends_with(".toml") {
+            sessions.push(name);
+        }
+    }
+    sessions.sort();
+    for shape in ["bumpy-plane", "cylinder", "bar", "cactus"] {
+        work.simod(&format!("generate --shape {shape} --vertices 10000 -o {shape}.ply"));
+    }
+    (work, sessions)
+}
+
+/// The signed volume of a generated closed model of one body, in binary.
+fn volume(work: &Workplace, name: &str) -> f64 {
+    let (bytes, positions) = (work.read(name), work.ply(name).positions());
+    // As many triangles as Euler's formula says, at the end: a count and three indices each.
+    let faces = bytes[bytes.len() - 13 * (2 * positions.len() - 4)..].chunks_exact(13);
+    let corner = |face: &[u8], i: usize| {
+        let index = u32::from_le_bytes(face[1 + 4 * i..5 + 4 * i].try_into().expect("four bytes"));
+        positions[index as usize]
+    };
+    faces.map(|face| corner(face, 0).cross(corner(face, 1)).dot(corner(face, 2)) / 6.0).sum()
+}
+
+#[test]
+fn every_session_can_be_run() {
+    let (work, sessions) = with_sessions();
+    assert!(sessions.len() >= 15, "{sessions:?}");
+    for session in sessions {
+        work.simod(&format!("run {session} -o edited.ply"));
+        let model = ["bumpy-plane", "cylinder", "bar", "cactus"].iter().find(|m| session.starts_with(**m));
+        let rest = work.ply(&format!("{}.ply", model.expect("a shape"))).positions();
+        let edited = work.ply("edited.ply").positions();
+        let far = rest.iter().zip(&edited).filter(|(p, q)| p.distance(**q) > 0.1).count();
+        assert!(10 * far > rest.len(), "{session}: {far} of {} vertices moved", rest.len());
+    }
+}
+
+#[test]
+fn a_bar_twisted_as_rigid_as_possible_keeps_its_ends_and_nearly_its_volume() {
+    let (work, _) = with_sessions();
+    work.simod("run bar.toml -o edited.ply");
+    let (rest, edited) = (work.ply("bar.ply"), work.ply("edited.ply"));
+    let turn = glam::DQuat::from_rotation_y(135f64.to_radians());
+    let (mut held, mut turned) = (0, 0);
+    for (p, q) in rest.positions().into_iter().zip(edited.positions()) {
+        if p.y < 0.1 {
+            assert_eq!(p, q);
+            held += 1;
+        } else if p.y > 1.8 {
+            assert!(q.distance(turn * p) < 1e-4, "{p} went to {q}");
+            turned += 1;
+        }
+    }
+    assert!(held > 200 && turned > 500, "{held} held, {turned} turned");
+    assert!((volume(&work, "bar.ply") / 0.18 - 1.0).abs() < 1e-3);
+    let change = volume(&work, "edited.ply") / volume(&work, "bar.ply") - 1.0;
+    assert!((-0.15..0.02).contains(&change), "the volume changes by {change}");
+
+    // Sections in the middle keep their width.
+    let wide = |ply: &Ply| {
+        let radius = |p: &DVec3| DVec3::new(p.x, 0.0, p.z).length();
+        ply.positions().iter().filter(|p| (0.9..1.1).contains(&p.y)).map(radius).fold(0.0, f64::max)
+    };
+    assert!(wide(&edited) > 0.85 * wide(&rest), "{} of {}", wide(&edited), wide(&rest));
+}
