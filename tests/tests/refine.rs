@@ -299,3 +299,75 @@ fn a_killed_refinement_leaves_the_old_model_or_the_new_one() {
         skip("every refinement was done before it could be interrupted");
     }
 }
+
+/// A bump on the amphora's belly.
+fn bumped(p: DVec3) -> DVec3 {
+    p + DVec3::new(0.1, 0.0, 0.1) * (-p.distance_squared(PLACE) / 0.01).exp()
+}
+
+#[test]
+fn auto_refines_where_the_deformation_needs_it() {
+    let work = Workplace::new();
+    work.simod("generate -o model.ply --vertices 150000");
+    work.simod("sample model.ply -o model.simod --samples 4000");
+    work.move_samples("model.simod", bumped);
+    let old = work.ply("deformed.ply").len();
+    let bits = bytes_of(&work, "deformed.ply", old);
+    let auto = "refine model.simod --auto --deformed deformed.ply -o more.ply";
+    let report = work.report(&format!("{auto} --samples 500"));
+    let added = report["added"].as_u64().expect("a number") as usize;
+    assert!((100..=500).contains(&added), "{added}");
+    assert!(report["needy_samples"].as_u64().expect("a number") > 10);
+    let samples = work.ply("model.simod/samples.ply");
+    assert!(samples.positions()[old..].iter().all(|p| p.distance(PLACE) < 0.6));
+    assert_eq!(work.ply("more.ply").len(), old + added);
+    assert!(bytes_of(&work, "more.ply", old) == bits, "deformed samples have moved");
+    let info = work.report("info model.simod");
+    assert!(info["refinements"][0]["transfer_error"].as_f64().expect("a number") >= 1e-5);
+    let outcome = work.simod("info model.simod");
+    assert!(outcome.stdout.contains("wherever it was needed"), "{}", outcome.stdout);
+
+    // What a rigid motion, or none, needs.
+    for map in [|p: DVec3| p, |p: DVec3| DVec3::new(-p.z, p.y + 1.0, p.x)] {
+        work.move_samples("model.simod", map);
+        let before = work.read("model.simod/samples.ply");
+        let outcome = work.simod(auto);
+        assert!(outcome.stdout.contains("needs no more samples"), "{}", outcome.stdout);
+        assert!(work.read("model.simod/samples.ply") == before);
+        assert_eq!(work.ply("more.ply").len(), old + added);
+    }
+    work.move_samples("model.simod", |p| if p.distance(PLACE) < 0.05 { DVec3::NAN } else { p });
+    work.refuses(auto, &["deformed.ply"]);
+    work.move_samples("model.simod", bumped);
+    work.refuses(&format!("{auto} --error 0"), &["transfer error 0"]);
+    work.refuses(&format!("{auto} --samples 0"), &["0 samples"]);
+    for usage in
+        ["--auto", "--auto --deformed deformed.ply -o d.ply --factor 2", "--deformed deformed.ply -o d.ply"]
+    {
+        assert_eq!(work.run(&format!("refine model.simod {usage}")).code, Some(2), "{usage}");
+    }
+}
+
+#[test]
+fn a_session_refines_where_its_steps_need_it() {
+    let work = Workplace::new().with_plugins("plugins");
+    work.simod("generate -o model.ply --vertices 120000");
+    let twist = "[[step]]\ndeform = \"warp\"\n";
+    let auto = "[[step]]\nrefine = { auto = true, error = 1e-6, samples = 1500 }\n";
+    // What is made of the samples that the first twist needs serves the second one.
+    let run = |steps: &str| {
+        work.write_session("model.ply", 4000, steps);
+        let report = work.report("run edit.toml --measure");
+        let number = |value: &serde_json::Value| value.as_f64().expect("a number");
+        (number(&report["transfer_error"]["rms"]), number(&report["samples"]))
+    };
+    let (coarse, few) = run(&[twist, twist].concat());
+    let (fine, more) = run(&[twist, auto, twist].concat());
+    assert!(more > few + 100.0 && more <= few + 1500.0, "{few}, {more}");
+    assert!(fine < coarse, "{coarse:.1e}, {fine:.1e}");
+    // First of all, nothing has moved.
+    let (_, same) = run(&[auto, twist].concat());
+    assert_eq!(same, few);
+    work.write_session("model.ply", 4000, &auto.replace("1e-6", "0"));
+    work.refuses("run edit.toml", &["edit.toml, line", "no fineness"]);
+}

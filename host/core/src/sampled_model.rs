@@ -392,7 +392,8 @@ impl SampledModel {
             ));
         }
         let source = self.open_source(elsewhere)?;
-        let skip = Skip { triangles: true, cells: false, normals: true };
+        // The triangles tell where the faces of each cell are.
+        let skip = Skip { triangles: self.triangles.is_empty(), cells: false, normals: true };
         let again = crate::sampling::sample(&*source, &Sampling { skip, ..self.sampling }, folder, progress)?;
         if again.source.fingerprint != self.source.fingerprint {
             return Err(self.source_changed(source.path()));

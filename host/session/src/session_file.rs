@@ -70,7 +70,8 @@ pub enum Action {
 /// More samples in a part of the model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refine {
-    /// Where: on the model as the steps before have deformed it.
+    /// Where: on the model as the steps before have deformed it. None is everywhere, for those that find out by themselves
+    /// ([`Finer::Auto`]).
     pub shapes: Shapes,
     /// How fine.
     pub finer: Finer,
@@ -83,12 +84,19 @@ impl Refine {
     /// That.
     pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
         self.shapes.check().map_err(|what| (what, "give another shape"))?;
-        let makes_sense = match self.finer {
-            Finer::Error(e) => e >= 0.0 && e.is_finite(),
-            Finer::Factor(f) => f > 1.0 && f.is_finite(),
-            Finer::Samples(n) => (1..=u64::from(u32::MAX)).contains(&n),
-        };
-        if makes_sense { Ok(()) } else { Err(("the refinement is to no fineness that makes sense", FINER)) }
+        if self.shapes.shapes.is_empty() && !self.is_auto() {
+            return Err(("the refinement has no shape", "give one, such as a sphere, or `auto = true`"));
+        }
+        if self.finer.makes_sense() {
+            Ok(())
+        } else {
+            Err(("the refinement is to no fineness that makes sense", FINER))
+        }
+    }
+
+    /// Whether it finds out by itself where samples are needed.
+    pub fn is_auto(&self) -> bool {
+        matches!(self.finer, Finer::Auto { .. })
     }
 }
 
@@ -275,7 +283,8 @@ struct RawStep {
 #[derive(Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct RawRefine {
-    shapes: Vec<Spanned<Shape>>,
+    shapes: Option<Vec<Spanned<Shape>>>,
+    auto: Option<bool>,
     error: Option<f64>,
     factor: Option<f64>,
     samples: Option<u64>,
@@ -419,9 +428,22 @@ impl Source<'_> {
             return Err(self.error(span, "a step that refines does nothing else", hint));
         };
         let span = refine.span();
-        let RawRefine { shapes, error, factor, samples } = refine.into_inner();
-        let shapes = self.shapes(&span, "the refinement has no shape", shapes)?;
+        let RawRefine { shapes, auto, error, factor, samples } = refine.into_inner();
+        let auto = auto.unwrap_or(false);
+        let shapes = match shapes {
+            Some(shapes) => self.shapes(&span, "the refinement has no shape", shapes)?,
+            None if auto => Shapes::default(),
+            None => {
+                let hint = "give `shapes`, such as a sphere, or `auto = true`";
+                return Err(self.error(&span, "the refinement has no `shapes`", hint));
+            }
+        };
         let finer = match (error, factor, samples) {
+            (error, None, samples) if auto => Finer::Auto { error: error.unwrap_or(Finer::ALLOWED), samples },
+            _ if auto => {
+                let hint = "give `error` (a fraction of the diagonal) or `samples` with `auto`, or both";
+                return Err(self.error(&span, "`factor` says nothing of what is needed", hint));
+            }
             (Some(e), None, None) => Finer::Error(e),
             (None, Some(f), None) => Finer::Factor(f),
             (None, None, Some(n)) => Finer::Samples(n),
@@ -679,6 +701,12 @@ path = "/elsewhere/out.ply"
         }
         told(&refine(&format!("{}, error = 1", shapes.replace("= 1", "= 0"))), 2, "radius");
         told(&refine(&format!("{shapes}, size = 1")), 2, "size");
+        for bad in ["error = 0", "error = nan", "samples = 0"] {
+            told(&refine(&format!("auto = true, {bad}")), 2, "no fineness that makes sense");
+        }
+        told(&refine("auto = true, factor = 2"), 2, "`factor` says nothing");
+        told(&refine("auto = true, shapes = []"), 2, "no shape");
+        told(&refine("auto = false, error = 1"), 2, "`shapes`");
         told(&format!("[[step]]\ndeform = \"x\"\nrefine = {{ {shapes}, error = 1 }}"), 1, "nothing else");
         let step = "[[step]]\ndeform = \"x\"\n";
         told(&format!("{step}[[step.handle]]\nid = \"0\""), 3, "`move`");

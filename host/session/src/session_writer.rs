@@ -96,13 +96,23 @@ fn step(from: &Step, session: &Path, files: &mut Vec<PathBuf>) -> Result<Table> 
 }
 
 fn refine(from: &Refine) -> InlineTable {
-    let finer = match from.finer {
-        Finer::Error(error) => ("error", error.into()),
-        Finer::Factor(factor) => ("factor", factor.into()),
-        Finer::Samples(samples) => ("samples", i64::try_from(samples).unwrap_or(i64::MAX).into()),
-    };
+    let count = |samples: u64| Value::from(i64::try_from(samples).unwrap_or(i64::MAX));
     let shapes = from.shapes.shapes.iter().map(shape).collect::<Array>();
-    InlineTable::from_iter([("shapes", Value::from(shapes)), finer])
+    let mut table = InlineTable::new();
+    if !shapes.is_empty() {
+        table.insert("shapes", shapes.into());
+    }
+    match from.finer {
+        Finer::Error(error) => _ = table.insert("error", error.into()),
+        Finer::Factor(factor) => _ = table.insert("factor", factor.into()),
+        Finer::Samples(samples) => _ = table.insert("samples", count(samples)),
+        Finer::Auto { error, samples } => {
+            table.insert("auto", true.into());
+            table.insert("error", error.into());
+            samples.map(|samples| table.insert("samples", count(samples)));
+        }
+    }
+    table
 }
 
 fn deformation(
@@ -292,6 +302,14 @@ mod tests {
                 step(Action::Deform(long), true),
                 step(refine(Finer::Error(1e-5)), false),
                 step(refine(Finer::Samples(1000)), true),
+                step(refine(Finer::Auto { error: 1e-6, samples: Some(500) }), true),
+                step(
+                    Action::Refine(Refine {
+                        shapes: Shapes::default(),
+                        finer: Finer::Auto { error: 1e-5, samples: None },
+                    }),
+                    true,
+                ),
             ],
             output: Some(folder.join("out.ply")),
         }

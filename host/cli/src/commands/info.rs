@@ -84,7 +84,11 @@ impl Info {
         report.figure("cells", sampled.cells);
         report.figure("triangles", sampled.triangles.len());
         report.figure("cells_kept", kept);
-        let refinement = |r: &Refinement| json!({"shapes": r.shapes, "error": r.error, "added": r.added});
+        let refinement = |r: &Refinement| {
+            json!({
+                "shapes": r.shapes, "error": r.error, "added": r.added, "transfer_error": r.transfer_error
+            })
+        };
         report.figure("refinements", sampled.refinements.iter().map(refinement).collect::<Vec<_>>());
         report.figure("source", source.path.display().to_string());
         report.figure("bounds", json!([min.to_array(), max.to_array()]));

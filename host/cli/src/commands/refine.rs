@@ -17,8 +17,8 @@ use crate::report::{Report, count};
 
 /// Append more samples to a sampled model where it is selected, down to its vertices if need be
 #[derive(Args)]
-#[command(group(ArgGroup::new("shape").required(true).multiple(true).args(["sphere", "boxes", "half_space"])))]
-#[command(group(ArgGroup::new("finer").required(true).args(["error", "factor", "samples"])))]
+#[command(group(ArgGroup::new("shape").required(true).multiple(true).args(["sphere", "boxes", "half_space", "auto"])))]
+#[command(group(ArgGroup::new("finer").args(["error", "factor", "samples"])))]
 pub struct Refine {
     /// The sampled model, which takes the new samples unless --into says where else they go
     #[arg(value_name = "DIR")]
@@ -33,13 +33,23 @@ pub struct Refine {
     /// All on one side of a plane: a point on it, and its normal, which points to that side
     #[arg(long, value_name = "X,Y,Z,NX,NY,NZ", value_parser = numbers::<6>, allow_hyphen_values = true)]
     half_space: Vec<[f64; 6]>,
-    /// Error bound of a cluster there, as a fraction of the bounding box diagonal; 0 gives every vertex its own sample
-    #[arg(long, value_name = "E", allow_negative_numbers = true)]
+    /// Refine wherever the deformed samples show that the deformation needs it, or where it does so in the shapes; --error
+    /// says how far vertices may probably be off, --samples how many more there may be
+    #[arg(long, requires = "deformed", conflicts_with = "factor")]
+    auto: bool,
+    /// Error bound of a cluster there, as a fraction of the bounding box diagonal; 0 gives every vertex its own sample. With
+    /// --auto, the transfer error that is allowed [default: 1e-5]
+    #[arg(
+        long,
+        value_name = "E",
+        allow_negative_numbers = true,
+        required_unless_present_any = ["factor", "samples", "auto"]
+    )]
     error: Option<f64>,
     /// About so many times as many samples there
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     factor: Option<f64>,
-    /// About so many samples more
+    /// About so many samples more; with --auto, at most so many [default: a quarter of those that there are]
     #[arg(long, value_name = "N")]
     samples: Option<u64>,
     /// Deformed samples of DIR; -o gets those of the refined model: the old ones as they are, the new ones where the
@@ -90,6 +100,9 @@ impl Refine {
 
         let how = Refining {
             finer: match (self.error, self.factor, self.samples) {
+                (error, _, samples) if self.auto => {
+                    Finer::Auto { error: error.unwrap_or(Finer::ALLOWED), samples }
+                }
                 (Some(e), ..) => Finer::Error(e),
                 (None, Some(f), _) => Finer::Factor(f),
                 (None, None, n) => Finer::Samples(n.unwrap_or(0)),
@@ -97,9 +110,17 @@ impl Refine {
             memory_limit: self.memory_limit,
             shapes: shapes.tables(),
         };
-        let distance = |p| shapes.signed_distance(p);
-        let selection = Selection { distance: &distance, so_far: None };
-        let done = refine(&sampled, model.as_ref(), selection, &how, folder_of(target), progress)?;
+        let everywhere = shapes.shapes.is_empty();
+        let distance = |p| if everywhere { -1.0 } else { shapes.signed_distance(p) };
+        let done = {
+            let around = deformed.as_ref().filter(|_| self.auto).map(|_| Surroundings::of(&sampled.samples));
+            let field = around
+                .as_ref()
+                .zip(deformed.as_deref())
+                .map(|(around, deformed)| DeformationField::new(around, deformed, Method::default()));
+            let selection = Selection { distance: &distance, so_far: field.as_ref(), at_rest: true };
+            refine(&sampled, model.as_ref(), selection, &how, folder_of(target), progress)?
+        };
         let refined = done.sampled.as_ref();
         // First what belongs to the refined model: it would be of no use without, but harms nobody.
         if let (Some(from), Some(deformed), Some(to)) = (&self.deformed, deformed, &self.output) {
@@ -123,9 +144,28 @@ impl Refine {
         report.figure("cells_read", done.cells);
         report.figure("bytes_read", json!({"vertices": done.vertex_bytes, "faces": done.face_bytes}));
         report.figure("model_bytes", info.bytes);
-        if refined.is_none() {
+        if let Some(need) = done.need {
+            report.figure("expected_transfer_error", need.expected);
+            report.figure("allowed_transfer_error", need.allowed);
+            report.figure("needy_samples", need.samples);
+            report.line(if need.samples == 0 {
+                format!(
+                    "vertices are expected to be off by {:.1e} of the diagonal at most: the deformation needs no more samples. \
+                     Nothing is changed",
+                    need.expected
+                )
+            } else {
+                format!(
+                    "vertices are expected to be off by up to {:.1e} of the diagonal: by more than {:.1e} around {} samples",
+                    need.expected,
+                    need.allowed,
+                    count(need.samples)
+                )
+            });
+        }
+        if refined.is_none() && done.need.is_none_or(|need| need.samples > 0) {
             report.line("nothing to refine: no cluster there has a larger error. Nothing is changed");
-        } else {
+        } else if refined.is_some() {
             report.line(format!(
                 "{} samples more, {} in all, in {}; the error there is {:.1e} of the diagonal",
                 count(done.added),

@@ -170,6 +170,18 @@ impl<W: Write + Send> Output for W {
     }
 }
 
+/// Faces between two [`FaceMark`]s, but for the last ones: what can be read alone.
+pub const FACES_OF_A_BLOCK: u64 = 16;
+
+/// A place in the file from which faces can be read: see [`Model::faces_at`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FaceMark {
+    /// How many of the chunk's triangles come before it.
+    pub triangle: usize,
+    /// The byte of the file at which a face begins, or the last one ends.
+    pub offset: u64,
+}
+
 /// Triangles of consecutive faces, in the file's order.
 #[derive(Debug, Default)]
 pub struct FaceChunk {
@@ -177,6 +189,9 @@ pub struct FaceChunk {
     /// no vertex of an index, and corners may be equal. An index that no vertex can have, as it is negative or
     /// 2³² - 1 or more, is given as [`u32::MAX`].
     pub triangles: Vec<[u32; 3]>,
+    /// Where blocks of [`FACES_OF_A_BLOCK`] faces begin, ascending; at the very end, where the last one ends. None where
+    /// faces cannot be read but all at once.
+    pub marks: Vec<FaceMark>,
     /// Bytes of the file that this chunk took.
     pub bytes: u64,
 }
@@ -245,6 +260,19 @@ pub fn for_faces(model: &dyn Model, visit: impl FnMut(&FaceChunk) -> Result<()>)
     read_ahead(move |chunk| reader.read(chunk), visit)
 }
 
+/// Streams the faces between marks through `visit`, likewise.
+///
+/// # Errors
+/// As of [`Model::faces_at`], or `visit` failed.
+pub fn for_faces_at(
+    model: &dyn Model,
+    ranges: Vec<Range<u64>>,
+    visit: impl FnMut(&FaceChunk) -> Result<()>,
+) -> Result<()> {
+    let mut reader = model.faces_at(ranges)?;
+    read_ahead(move |chunk| reader.read(chunk), visit)
+}
+
 fn read_ahead<C: Default + Send>(
     mut read: impl FnMut(&mut C) -> Result<bool> + Send,
     mut visit: impl FnMut(&C) -> Result<()>,
@@ -299,6 +327,14 @@ pub trait Model: Send + Sync {
     /// # Errors
     /// The file cannot be read, or ends within the vertices.
     fn faces(&self) -> Result<Box<dyn FaceReader + '_>>;
+
+    /// A reader of the faces that lie in some ranges of the file's bytes, each from one [`FaceMark`] to another, and
+    /// of nothing else.
+    ///
+    /// # Errors
+    /// The model's faces have no marks. When it is read: the file cannot be, or no face ends where a range does, as the
+    /// file has changed; records are counted from the beginning of the range then.
+    fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>>;
 
     /// Checks that the file holds all that its header speaks of. Most formats know once the file is open, and
     /// this takes no time; text has to be read to its end, as a stage of its own, which

@@ -4,7 +4,7 @@
 //! `local_frames` fits D's gradient at each, and `blended_jets` expands D about it to second order. While streaming,
 //! `homes` finds the sample around which a vertex lies, by following the stream; `blend` carries whole blocks of
 //! vertices over by the expansions around their homes, or `projected_barycentric` each vertex in the paper's way;
-//! `stream` does so for the whole file. `diagnostics` says what it does to the surface. [`transfer_error`] compares a result with the exact map.
+//! `stream` does so for the whole file. `diagnostics` says what it does to the surface, and `expected_error` where it is probably off. [`transfer_error`] compares a result with the exact map.
 
 mod binding;
 mod blend;
@@ -12,6 +12,7 @@ mod blended_jets;
 mod block;
 mod diagnostics;
 mod expansion;
+mod expected_error;
 mod homes;
 mod lanes;
 mod limiter;

@@ -1,19 +1,25 @@
 //! The triangles of P_S after a refinement: those that were there, but for those of split clusters, whose faces are
 //! reindexed anew.
 
+use std::ops::Range;
 use std::path::Path;
 
 use bytemuck::cast_slice;
 use memmap2::Mmap;
 
 use super::appending::Appended;
+use super::gathering::joined;
 use super::regrowing::Regrown;
-use crate::model::{Model, for_faces};
+use crate::model::{FaceChunk, Model, for_faces, for_faces_at};
+use crate::sampling::kept_cells::{KeptCell, KeptCells};
 use crate::sampling::triangles::{first_least, once_each};
 use crate::scratch::Scratch;
 use crate::{Progress, Result};
 
 const ADVICE: &str = "sample the model with --skip triangles, which need it";
+
+/// Bytes between two ranges that cost less to read than to begin anew.
+const NEAR: u64 = 4 << 10;
 
 const BYTES: u64 = size_of::<u32>() as u64;
 
@@ -75,19 +81,31 @@ impl SampleOf<'_> {
         Some((sample, self.appended.split.get(sample as usize).is_none_or(|split| *split)))
     }
 
-    /// Streams the model's faces: the new triangles, and how many bytes were read.
+    /// Where the faces are whose triangles may change: those with a vertex of a sample that is split.
+    fn ranges(&self, kept: &KeptCells) -> Vec<Range<u64>> {
+        let changes = |cell: &&KeptCell| cell.tree.samples.iter().any(|s| self.appended.split[*s as usize]);
+        joined(kept.cells.iter().filter(changes).flat_map(|cell| cell.faces.iter().cloned()), NEAR)
+    }
+
+    /// Streams the faces of the cells whose samples are split, or all where it is not known which these are: the new
+    /// triangles, and how many bytes were read.
     ///
     /// Memory: 12 bytes per triangle, twice while the list grows; the chunks of [`for_faces`].
     pub fn reindex(
         &self,
         model: &dyn Model,
         old: &[[u32; 3]],
+        kept: &KeptCells,
         progress: &dyn Progress,
     ) -> Result<(Vec<[u32; 3]>, u64)> {
         let stays = |t: &&[u32; 3]| !t.iter().any(|s| self.appended.split[*s as usize]);
         let mut found: Vec<[u32; 3]> = old.iter().filter(stays).copied().collect();
         let (mut bytes, mut limit) = (0, 2 * found.len().max(1 << 16));
-        for_faces(model, |chunk| {
+        let ranges = kept.knows_faces.then(|| self.ranges(kept));
+        let to_read =
+            ranges.as_ref().map_or(model.info().face_bytes, |all| all.iter().map(|r| r.end - r.start).sum());
+        progress.begin("reindexing the faces", to_read);
+        let visit = |chunk: &FaceChunk| {
             progress.check()?;
             for corners in &chunk.triangles {
                 let [Some(a), Some(b), Some(c)] = corners.map(|vertex| self.of(vertex)) else { continue };
@@ -102,7 +120,11 @@ impl SampleOf<'_> {
             bytes += chunk.bytes;
             progress.advance(chunk.bytes);
             Ok(())
-        })?;
+        };
+        match ranges {
+            Some(ranges) => for_faces_at(model, ranges, visit)?,
+            None => for_faces(model, visit)?,
+        }
         once_each(&mut found);
         found.shrink_to_fit();
         Ok((found, bytes))

@@ -124,20 +124,24 @@ impl Gathering<'_> {
 
     /// What of the stream holds these cells, ascending.
     pub fn ranges(&self, cells: &[u32]) -> Vec<Range<u64>> {
-        let mut all: Vec<_> =
-            cells.iter().flat_map(|cell| self.kept.cells[*cell as usize].ranges.iter().cloned()).collect();
-        all.sort_unstable_by_key(|range| range.start);
         // Where reading cannot begin anywhere, going on costs less than beginning again.
-        let anywhere = self.model.info().random_access;
-        let mut joined: Vec<Range<u64>> = Vec::new();
-        for range in all {
-            match joined.last_mut() {
-                Some(last) if range.start <= last.end || !anywhere => last.end = last.end.max(range.end),
-                _ => joined.push(range),
-            }
-        }
-        joined
+        let near = if self.model.info().random_access { 0 } else { u64::MAX };
+        joined(cells.iter().flat_map(|cell| self.kept.cells[*cell as usize].ranges.iter().cloned()), near)
     }
+}
+
+/// All of these ranges, ascending; those that overlap, or have no more than `near` between them, are one.
+pub(super) fn joined(ranges: impl Iterator<Item = Range<u64>>, near: u64) -> Vec<Range<u64>> {
+    let mut all: Vec<_> = ranges.collect();
+    all.sort_unstable_by_key(|range| range.start);
+    let mut joined: Vec<Range<u64>> = Vec::new();
+    for range in all {
+        match joined.last_mut() {
+            Some(last) if range.start.saturating_sub(last.end) <= near => last.end = last.end.max(range.end),
+            _ => joined.push(range),
+        }
+    }
+    joined
 }
 
 impl Gathered {

@@ -8,6 +8,7 @@
 mod appending;
 mod faces;
 mod gathering;
+mod needs;
 mod regrowing;
 mod selection;
 #[cfg(test)]
@@ -35,8 +36,9 @@ use crate::{Error, ErrorKind, Progress, Result};
 use appending::{Appended, append};
 use faces::Members;
 use gathering::{Gathered, Gathering};
+use needs::Needs;
 use regrowing::{Changed, Regrowing, Regrown};
-use selection::{Nearest, Sizing};
+use selection::{Nearest, Selected, Sizing};
 
 /// How fine P_S shall be where it is selected.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,6 +49,33 @@ pub enum Finer {
     Factor(f64),
     /// About so many samples more.
     Samples(u64),
+    /// As the deformation so far needs it: more samples around those where the reconstruction is expected
+    /// ([`DeformationField::expected_error`]) to be off by more than this.
+    Auto {
+        /// The transfer error that is allowed, as a fraction of the diagonal; [`Finer::ALLOWED`], if nobody knows better.
+        error: f64,
+        /// Most samples more, for the worst places; a quarter of those that there are, where not given.
+        samples: Option<u64>,
+    },
+}
+
+impl Finer {
+    /// A transfer error that hardly anybody sees, as a fraction of the diagonal.
+    pub const ALLOWED: f64 = 1e-5;
+
+    /// How many samples more are allowed for each one that there is, where nobody says.
+    const SHARE: f64 = 0.25;
+
+    /// Whether it is a fineness that makes sense.
+    pub fn makes_sense(&self) -> bool {
+        let is_count = |n: u64| (1..=u64::from(u32::MAX)).contains(&n);
+        match *self {
+            Self::Error(e) => e.is_finite() && e >= 0.0,
+            Self::Factor(f) => f.is_finite() && f > 1.0,
+            Self::Samples(n) => is_count(n),
+            Self::Auto { error, samples } => error.is_finite() && error > 0.0 && samples.is_none_or(is_count),
+        }
+    }
 }
 
 /// What a refinement is asked for.
@@ -70,12 +99,18 @@ pub struct Refinement {
     pub error: f64,
     /// Number of samples that it appended.
     pub added: u64,
+    /// The transfer error that it allowed, as a fraction of the diagonal, if it was where a deformation needed it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub transfer_error: Option<f64>,
 }
 
 impl Refinement {
     /// What was selected, on one line.
     pub fn places(&self) -> String {
         let shape = |table: &toml::Table| toml::Value::from(table.clone()).to_string();
+        if self.shapes.is_empty() {
+            return "wherever it was needed".to_owned();
+        }
         self.shapes.iter().map(shape).collect::<Vec<_>>().join(", ")
     }
 }
@@ -88,12 +123,25 @@ pub struct Refined {
     pub added: u64,
     /// The error bound inside the selection, as a fraction of the diagonal.
     pub error: f64,
+    /// What the deformation needs, if that was asked for.
+    pub need: Option<Need>,
     /// Number of cells that were read.
     pub cells: u64,
     /// Bytes of the model's vertices that were read.
     pub vertex_bytes: u64,
     /// Bytes of the model's faces that were read.
     pub face_bytes: u64,
+}
+
+/// What a deformation needs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Need {
+    /// The largest transfer error that is expected around a selected sample, before; a fraction of the diagonal.
+    pub expected: f64,
+    /// That which the new samples allow: what was asked for, or more, if there may not be enough of them.
+    pub allowed: f64,
+    /// Around how many samples more than that was expected.
+    pub samples: u64,
 }
 
 /// Most bytes of vertices and what they take that are in work at a time: cells come in batches of so much, unless one
@@ -140,17 +188,23 @@ pub fn refine(
     kept.check(
         source.vertices - source.non_finite.min(source.vertices),
         source.vertices,
+        source.bytes,
         sampled.samples.len(),
     )?;
     progress.begin("selecting", 0);
-    let sizing = Sizing::new(selection, sampled.frame);
+    let mut need = None;
+    let sizing = match how.finer {
+        Finer::Auto { error, samples } => {
+            let (found, needs) = needs(sampled, kept, selection, error, samples)?;
+            need = Some(found);
+            let Some(needs) = needs else { return Ok(Refined { need, ..Refined::nothing() }) };
+            Sizing::Needed(needs)
+        }
+        _ => Sizing::Selected(Selected::new(selection, sampled.frame)),
+    };
     let leaves = sizing.leaves(sampled, kept);
     if !leaves.iter().flatten().any(|leaf| leaf.inside) {
-        return Err(Error::new(
-            ErrorKind::Argument,
-            "the selection does not meet the model: nothing is refined",
-            "give shapes in the model's coordinates; `simod info` tells its bounding box",
-        ));
+        return Err(meets_nothing());
     }
     let work = Work { sampled, kept, model, sizing, leaves, how, folder, progress };
     let goal = work.goal();
@@ -170,7 +224,7 @@ pub fn refine(
         sampled: None,
         added,
         error: f64::from(bound) / sampled.local_diagonal().max(f64::MIN_POSITIVE),
-        face_bytes: 0,
+        need,
         ..figures
     };
     if added == 0 {
@@ -178,15 +232,19 @@ pub fn refine(
     }
     let mut triangles = Vec::new();
     if let Some(members) = members {
-        progress.begin("reindexing the faces", model.info().face_bytes);
         let sample_of = members.finish(sampled.samples.len(), &appended)?;
-        (triangles, refined.face_bytes) = sample_of.reindex(model, &sampled.triangles, progress)?;
+        let found = sample_of.reindex(model, &sampled.triangles, kept, progress);
+        (triangles, refined.face_bytes) = found.map_err(|e| match e.kind() {
+            ErrorKind::Format if kept.knows_faces => sampled.source_changed(model.path()),
+            _ => e,
+        })?;
     }
     progress.check()?;
     let mut kept = kept.clone();
     let Appended { positions, normals, trees, .. } = appended;
     trees.into_iter().for_each(|(cell, tree)| kept.cells[cell as usize].tree = tree);
-    let record = Refinement { shapes: how.shapes.clone(), error: refined.error, added };
+    let transfer_error = need.map(|need| need.allowed);
+    let record = Refinement { shapes: how.shapes.clone(), error: refined.error, added, transfer_error };
     refined.sampled = Some(sampled.refined((positions, normals), triangles, kept, record)?);
     Ok(refined)
 }
@@ -208,12 +266,64 @@ fn carried(field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3], nor
     moved
 }
 
+impl Refined {
+    /// Nothing was read, or added.
+    fn nothing() -> Self {
+        Self { sampled: None, added: 0, error: 0.0, need: None, cells: 0, vertex_bytes: 0, face_bytes: 0 }
+    }
+}
+
+fn meets_nothing() -> Error {
+    Error::new(
+        ErrorKind::Argument,
+        "the selection does not meet the model: nothing is refined",
+        "give shapes in the model's coordinates; `simod info` tells its bounding box",
+    )
+}
+
+/// What the deformation so far needs where it is selected, for a transfer error (a fraction of the diagonal) and a number of
+/// samples; no sizes, if it needs nothing.
+fn needs<'a>(
+    sampled: &'a SampledModel,
+    kept: &KeptCells,
+    selection: Selection<'_>,
+    error: f64,
+    samples: Option<u64>,
+) -> Result<(Need, Option<Needs<'a>>)> {
+    let selected = selection.samples(sampled);
+    if !selected.contains(&true) {
+        return Err(meets_nothing());
+    }
+    let mut expected = selection.so_far.map_or(vec![0.0; selected.len()], DeformationField::expected_error);
+    if let Some(i) = expected.iter().position(|e| !e.is_finite()) {
+        return Err(Error::new(
+            ErrorKind::Argument,
+            format!("the deformation around sample {i} is no finite number"),
+            "correct the deformed samples",
+        ));
+    }
+    expected.iter_mut().zip(&selected).filter(|(_, selected)| !**selected).for_each(|(e, _)| *e = 0.0);
+    let diagonal = sampled.local_diagonal().max(f64::MIN_POSITIVE);
+    let budget = samples.unwrap_or((Finer::SHARE * selected.len() as f64).ceil() as u64);
+    let budget = usize::try_from(budget).unwrap_or(usize::MAX);
+    let needs = Needs::of(sampled, kept, &expected, (error * diagonal) as f32, budget);
+    let need = Need {
+        expected: f64::from(expected.iter().copied().fold(0.0, f32::max)) / diagonal,
+        allowed: needs.as_ref().map_or(error, |needs| f64::from(needs.allowed) / diagonal),
+        samples: needs.as_ref().map_or(0, |needs| needs.needy as u64),
+    };
+    Ok((need, needs))
+}
+
 fn check(how: &Refining) -> Result<()> {
+    if how.finer.makes_sense() {
+        return Ok(());
+    }
     let bad = match how.finer {
-        Finer::Error(e) if !(e.is_finite() && e >= 0.0) => format!("the error bound {e}"),
-        Finer::Factor(f) if !(f.is_finite() && f > 1.0) => format!("the factor {f}"),
-        Finer::Samples(n) if n == 0 || n > u64::from(u32::MAX) => format!("the number of {n} samples"),
-        _ => return Ok(()),
+        Finer::Error(e) => format!("the error bound {e}"),
+        Finer::Factor(f) => format!("the factor {f}"),
+        Finer::Samples(n) | Finer::Auto { samples: Some(n @ 0), .. } => format!("the number of {n} samples"),
+        Finer::Auto { error, .. } => format!("the transfer error {error}"),
     };
     Err(Error::new(
         ErrorKind::Argument,
@@ -242,6 +352,8 @@ struct Goal {
     least: f32,
     /// How many samples more; by the bound alone, if none are given.
     samples: Option<usize>,
+    /// Whether fewer will do.
+    at_most: bool,
 }
 
 /// A cell that is read, and which of its leaves may be split.
@@ -260,16 +372,24 @@ impl Work<'_> {
         let there = inside.len().max(1) as f64;
         let more = match self.how.finer {
             Finer::Error(e) => {
-                return Goal { least: (e * self.sampled.local_diagonal()) as f32, samples: None };
+                let least = (e * self.sampled.local_diagonal()) as f32;
+                return Goal { least, samples: None, at_most: false };
             }
             Finer::Factor(f) => (f - 1.0) * there,
             Finer::Samples(n) => n as f64,
+            Finer::Auto { samples, .. } => {
+                let least = if let Sizing::Needed(needs) = &self.sizing { needs.least } else { 0.0 };
+                let most =
+                    samples.unwrap_or((Finer::SHARE * self.sampled.samples.len() as f64).ceil() as u64);
+                let most = most.min(self.limit() / 2 / BYTES_PER_SAMPLE);
+                return Goal { least, samples: usize::try_from(most).ok(), at_most: true };
+            }
         };
         // Halving the size of clusters makes four of one, and their errors half as large or less.
         let middle = inside.len() / 2;
         let typical = *inside.select_nth_unstable_by(middle, f32::total_cmp).1;
         let least = f64::from(typical) / (FORESIGHT * (1.0 + more / there));
-        Goal { least: least as f32, samples: Some(more.round().min(1e12) as usize) }
+        Goal { least: least as f32, samples: Some(more.round().min(1e12) as usize), at_most: false }
     }
 
     /// The leaves of each cell that may be split at a bound.
@@ -352,19 +472,12 @@ impl Work<'_> {
                 return Err(too_many(most));
             }
             let threshold = threshold_for(splits(&regrown, kept), 0, target);
-            if threshold < bound && bound == goal.least && goal.least > 0.0 {
+            if !goal.at_most && threshold < bound && bound == goal.least && goal.least > 0.0 {
                 return Ok(None);
             }
             bound = bound.max(threshold);
         }
-        let figures = Refined {
-            sampled: None,
-            added: 0,
-            error: 0.0,
-            cells: cells.len() as u64,
-            vertex_bytes,
-            face_bytes: 0,
-        };
+        let figures = Refined { cells: cells.len() as u64, vertex_bytes, ..Refined::nothing() };
         Ok(Some((bound, regrown, members, figures)))
     }
 

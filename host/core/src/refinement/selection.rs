@@ -9,6 +9,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::carried;
+use super::needs::Needs;
 use crate::frame::Frame;
 use crate::reconstruction::DeformationField;
 use crate::sampled_model::SampledModel;
@@ -17,24 +18,66 @@ use crate::sampling::kept_cells::{KeptCell, KeptCells};
 use crate::sampling::lattice::cell_box;
 
 /// How far clusters may reach, as a part of their distance from the selection.
-const GRADING: f64 = 1.0;
+pub(super) const GRADING: f64 = 1.0;
 
 /// A part of space, and the pose of the model in which it is meant.
 #[derive(Clone, Copy)]
 pub struct Selection<'a> {
     /// Signed distance of a point (model coordinates) to the part's surface, in the model's unit; negative inside.
     pub distance: &'a (dyn Fn(DVec3) -> f64 + Sync),
-    /// The deformation so far, if the part is one of the deformed model; of the model at rest otherwise.
+    /// The deformation so far, if there is one.
     pub so_far: Option<&'a DeformationField<'a>>,
+    /// Whether the part is one of the model at rest nevertheless; of the deformed one otherwise.
+    pub at_rest: bool,
+}
+
+impl<'a> Selection<'a> {
+    /// The deformation to the pose in which the part is meant.
+    fn pose(&self) -> Option<&'a DeformationField<'a>> {
+        self.so_far.filter(|_| !self.at_rest)
+    }
+
+    /// Whether each sample is selected.
+    pub(super) fn samples(&self, sampled: &SampledModel) -> Vec<bool> {
+        let positions = self.pose().map_or(&sampled.samples.positions[..], DeformationField::deformed);
+        positions.par_iter().map(|p| (self.distance)(sampled.frame.to_model(*p)) <= 0.0).collect()
+    }
+}
+
+/// How large clusters may be, and where.
+pub(super) enum Sizing<'a> {
+    /// Small inside a selection, and larger away from it.
+    Selected(Selected<'a>),
+    /// As a deformation needs them.
+    Needed(Needs<'a>),
+}
+
+impl Sizing<'_> {
+    /// By how much the bound of clusters in this ball is larger than the least one; local units.
+    pub fn slack(&self, center: Vec3, radius: f32) -> f32 {
+        match self {
+            Self::Selected(selected) => selected.slack(center, radius),
+            Self::Needed(needs) => needs.slack(center, radius),
+        }
+    }
+
+    /// A bound for the slack of each leaf of each cell, from what is known of them without the model; and whether a
+    /// leaf may reach to where the bound is the least.
+    pub fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<Nearest>> {
+        match self {
+            Self::Selected(selected) => selected.leaves(sampled, kept),
+            Self::Needed(needs) => needs.leaves(kept),
+        }
+    }
 }
 
 /// The selection in the local coordinates of a model at rest.
-pub(super) struct Sizing<'a> {
+pub(super) struct Selected<'a> {
     selection: Selection<'a>,
     frame: Frame,
 }
 
-impl<'a> Sizing<'a> {
+impl<'a> Selected<'a> {
     pub fn new(selection: Selection<'a>, frame: Frame) -> Self {
         Self { selection, frame }
     }
@@ -42,7 +85,7 @@ impl<'a> Sizing<'a> {
     /// Distance of a place in the model at rest to the selection, in local units.
     fn distance(&self, p: Vec3) -> f64 {
         let p = self.frame.to_model(p);
-        let p = match self.selection.so_far {
+        let p = match self.selection.pose() {
             Some(field) => carried(field, &self.frame, &[p], &[]).first().copied().unwrap_or(p),
             None => p,
         };
@@ -50,15 +93,13 @@ impl<'a> Sizing<'a> {
     }
 
     /// By how much the bound of clusters in this ball is larger than inside the selection; local units.
-    pub fn slack(&self, center: Vec3, radius: f32) -> f32 {
+    fn slack(&self, center: Vec3, radius: f32) -> f32 {
         slack(self.distance(center) - f64::from(radius))
     }
 
-    /// A bound for the slack of each leaf of each cell, from what is known of them without the model; and whether a
-    /// leaf may reach into the selection itself.
-    pub fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<Nearest>> {
+    fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<Nearest>> {
         let positions = &sampled.samples.positions;
-        let of_sample: Vec<f64> = match self.selection.so_far {
+        let of_sample: Vec<f64> = match self.selection.pose() {
             Some(field) => {
                 let place = |p: &Vec3| (self.selection.distance)(self.frame.to_model(*p)) / self.frame.scale;
                 field.deformed().par_iter().map(place).collect()
@@ -66,7 +107,7 @@ impl<'a> Sizing<'a> {
             None => positions.par_iter().map(|p| self.distance(*p)).collect(),
         };
         let of_cell = |cell: &KeptCell| {
-            let to_cell = match self.selection.so_far {
+            let to_cell = match self.selection.pose() {
                 // Where a cell goes is known of its samples alone.
                 Some(_) => f64::NEG_INFINITY,
                 None => {

@@ -10,6 +10,7 @@ use crate::generate::{Shape, Surface};
 use crate::model::ply::write_points;
 use crate::model::{self, Scalar};
 use crate::progress::Silent;
+use crate::sampling::triangles;
 use crate::sampling::{Grouping, Sampling, Splitting, Target, sample};
 
 /// A generated model on the disk.
@@ -94,7 +95,7 @@ fn refined(
 ) -> Result<Refined> {
     let how = Refining { finer, memory_limit: None, shapes: Vec::new() };
     let folder = model.path().parent().unwrap();
-    refine(sampled, model, Selection { distance, so_far: None }, &how, folder, &Silent)
+    refine(sampled, model, Selection { distance, so_far: None, at_rest: true }, &how, folder, &Silent)
 }
 
 /// The sample of each vertex, by the kept trees; `None` where its position is not finite.
@@ -105,7 +106,10 @@ fn members(sampled: &SampledModel, model: &dyn Model) -> Vec<Option<u32>> {
     let all: Vec<u32> = (0..kept.cells.len() as u32).collect();
     let (gathered, _) = gathering.read(&all, &Silent).unwrap().expect("the model is as it was");
     let nowhere = |_: DVec3| f64::INFINITY;
-    let sizing = Sizing::new(Selection { distance: &nowhere, so_far: None }, sampled.frame);
+    let sizing = Sizing::Selected(Selected::new(
+        Selection { distance: &nowhere, so_far: None, at_rest: true },
+        sampled.frame,
+    ));
     let old = sampled.samples.len() as u32;
     let how =
         Regrowing { splitting: sampled.sampling.splitting, sizing: &sizing, bound: 0.0, leaves_from: old };
@@ -182,7 +186,7 @@ fn every_vertex_has_a_sample_and_samples_stay_however_often_it_is_refined() {
             assert!(next.samples.normals()[old..].iter().all(|n| n.is_normalized()));
             let finite = next.source.vertices - next.source.non_finite;
             let kept = next.held_cells().unwrap();
-            kept.check(finite, next.source.vertices, next.samples.len()).unwrap();
+            kept.check(finite, next.source.vertices, next.source.bytes, next.samples.len()).unwrap();
             assert!(counts(&next, model.as_ref()).iter().all(|n| *n > 0), "{finer:?} {sampling:?}");
             // Far away, nothing is read, and nothing new is there.
             let far = next.samples.positions[old..].iter().map(|p| place(next.frame.to_model(*p)));
@@ -275,11 +279,114 @@ fn triangles_are_those_of_all_faces() {
         ] {
             now = refined(&now, model.as_ref(), finer, &place).unwrap().sampled.unwrap();
             let members: Vec<u32> = members(&now, model.as_ref()).into_iter().map(Option::unwrap).collect();
-            let all =
-                crate::sampling::triangles::reindex(model.as_ref(), &members, now.samples.len(), &Silent);
+            let all = triangles::reindex(model.as_ref(), &members, now.samples.len(), None, &Silent);
             assert!(now.triangles == all.unwrap().triangles, "{sampling:?} {finer:?}");
         }
     }
+}
+
+/// How faces are in a file.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Form {
+    Shuffled,
+    Polygons,
+    Text,
+    Strips,
+    FacesAndStrips,
+}
+
+impl Body {
+    /// Writes the model with its faces in a form: pairs of triangles as quads, others as they are, some with no triangle.
+    fn write_as(&self, form: Form) -> Box<dyn Model> {
+        let mut polygons: Vec<Vec<u32>> = Vec::new();
+        let mut faces = self.faces.iter().peekable();
+        while let Some([a, b, c]) = faces.next() {
+            match faces.next_if(|[d, e, _]| d == a && e == c && form != Form::Strips) {
+                Some([_, _, d]) => polygons.push(vec![*a, *b, *c, *d]),
+                None => polygons.push(vec![*a, *b, *c]),
+            }
+            if polygons.len() % 7 == 0 {
+                polygons.push(vec![*a, *b]);
+            }
+        }
+        if form == Form::Shuffled {
+            let n = polygons.len();
+            assert!(!n.is_multiple_of(7919));
+            polygons = (0..n).map(|i| polygons[i * 7919 % n].clone()).collect();
+        }
+        let (text, strips) = (form == Form::Text, form == Form::Strips);
+        let half = if form == Form::FacesAndStrips { polygons.len() / 2 } else { polygons.len() };
+        let format = if text { "ascii" } else { "binary_little_endian" };
+        let mut bytes = format!(
+            "ply\nformat {format} 1.0\nelement vertex {}\nproperty double x\nproperty double y\nproperty double z\n\
+             element {} {half}\nproperty list uchar int vertex_indices\n",
+            self.positions.len(),
+            if strips { "tristrips" } else { "face" }
+        );
+        if half < polygons.len() {
+            bytes += &format!(
+                "element tristrips {}\nproperty list uchar int vertex_indices\n",
+                polygons.len() - half
+            );
+        }
+        let mut bytes = (bytes + "end_header\n").into_bytes();
+        for p in &self.positions {
+            match text {
+                true => bytes.extend(format!("{} {} {}\n", p.x, p.y, p.z).bytes()),
+                false => bytes.extend(p.to_array().iter().flat_map(|x| x.to_le_bytes())),
+            }
+        }
+        for polygon in &polygons {
+            if text {
+                let corners: Vec<String> = polygon.iter().map(u32::to_string).collect();
+                bytes.extend(format!("{} {}\n", polygon.len(), corners.join(" ")).bytes());
+            } else {
+                bytes.push(polygon.len() as u8);
+                bytes.extend(polygon.iter().flat_map(|corner| corner.to_le_bytes()));
+            }
+        }
+        std::fs::write(self.path(), bytes).unwrap();
+        model::open(&self.path()).unwrap()
+    }
+}
+
+/// Only the faces of the cells are read, whatever they are like, and it makes no difference.
+#[test]
+fn faces_of_every_form_are_read_where_they_are() {
+    let body = Body::new(60_000);
+    let place = ball([0.41, 1.0, 0.41], 0.15);
+    for form in [Form::Shuffled, Form::Polygons, Form::Text, Form::Strips, Form::FacesAndStrips] {
+        let model = body.write_as(form);
+        let mut now = sample(model.as_ref(), &samples(3000), body.folder.path(), &Silent).unwrap();
+        assert_eq!(now.held_cells().unwrap().knows_faces, form != Form::FacesAndStrips);
+        for finer in [Finer::Factor(6.0), Finer::Factor(2.0)] {
+            let done = refined(&now, model.as_ref(), finer, &place).unwrap();
+            now = done.sampled.unwrap();
+            let all = model.info().face_bytes;
+            match form {
+                Form::Shuffled => assert!(done.face_bytes <= all),
+                Form::FacesAndStrips => assert_eq!(done.face_bytes, all),
+                _ => assert!(done.face_bytes * 4 < all, "{form:?}: {} of {all}", done.face_bytes),
+            }
+            let members: Vec<u32> = members(&now, model.as_ref()).into_iter().map(Option::unwrap).collect();
+            let all = triangles::reindex(model.as_ref(), &members, now.samples.len(), None, &Silent);
+            assert!(now.triangles == all.unwrap().triangles, "{form:?} {finer:?}");
+        }
+    }
+}
+
+/// Faces that are no longer where they were, though the vertices are, are noticed.
+#[test]
+fn faces_that_have_moved_are_noticed() {
+    let body = Body::new(60_000);
+    let model = body.write_as(Form::Polygons);
+    let first = sample(model.as_ref(), &samples(3000), body.folder.path(), &Silent).unwrap();
+    let mut shorter = Body { faces: body.faces[1..].to_vec(), ..Body::new(60_000) };
+    shorter.faces.push(body.faces[0]);
+    let moved = shorter.write_as(Form::Polygons);
+    let place = ball([0.41, 1.0, 0.41], 0.15);
+    let error = refined(&first, moved.as_ref(), Finer::Factor(6.0), &place).err().expect("an error");
+    assert_eq!(error.kind(), ErrorKind::Mismatch);
 }
 
 #[test]
@@ -380,7 +487,7 @@ fn memory_is_bounded_and_changes_nothing() {
     let place = ball([0.0, 1.0, 0.0], 0.7);
     let how = |limit, finer| Refining { finer, memory_limit: limit, shapes: Vec::new() };
     let run = |how: Refining| {
-        let selection = Selection { distance: &place, so_far: None };
+        let selection = Selection { distance: &place, so_far: None, at_rest: true };
         refine(&first, model.as_ref(), selection, &how, body.folder.path(), &Silent)
     };
     let free = run(how(None, Finer::Error(2e-3))).unwrap();
@@ -405,7 +512,14 @@ fn shapes_of_the_deformed_model_select_what_is_there_then() {
     let (here, there) = (ball([0.41, 1.0, 0.41], 0.3), ball([0.41 + by.x, 1.0, 0.41], 0.3));
     let how = Refining { finer: Finer::Error(1e-3), memory_limit: None, shapes: Vec::new() };
     let run = |distance: &(dyn Fn(DVec3) -> f64 + Sync), so_far| {
-        refine(&first, model.as_ref(), Selection { distance, so_far }, &how, body.folder.path(), &Silent)
+        refine(
+            &first,
+            model.as_ref(),
+            Selection { distance, so_far, at_rest: false },
+            &how,
+            body.folder.path(),
+            &Silent,
+        )
     };
     let at_rest = run(&here, None).unwrap().sampled.unwrap();
     let moved = run(&there, Some(&field)).unwrap().sampled.unwrap();
@@ -418,4 +532,201 @@ fn shapes_of_the_deformed_model_select_what_is_there_then() {
         let off = image.distance(moved.frame.to_model(*rest) + by) / moved.frame.scale;
         assert!(off < 1e-5, "{off}");
     }
+}
+
+fn deformed_by(sampled: &SampledModel, map: &dyn Fn(DVec3) -> DVec3) -> Vec<Vec3> {
+    let frame = &sampled.frame;
+    sampled.samples.positions.iter().map(|p| frame.to_local(map(frame.to_model(*p)))).collect()
+}
+
+fn with_field<T>(
+    sampled: &SampledModel,
+    map: &dyn Fn(DVec3) -> DVec3,
+    call: impl FnOnce(&DeformationField<'_>) -> T,
+) -> T {
+    let deformed = deformed_by(sampled, map);
+    let around = crate::reconstruction::Surroundings::of(&sampled.samples);
+    call(&DeformationField::new(&around, &deformed, crate::reconstruction::Method::default()))
+}
+
+/// How far each vertex is off, as a fraction of the diagonal.
+fn off(sampled: &SampledModel, body: &Body, map: &dyn Fn(DVec3) -> DVec3) -> Vec<f64> {
+    let moved =
+        with_field(sampled, map, |field| carried(field, &sampled.frame, &body.positions, &body.normals));
+    let diagonal = sampled.bounds.diagonal();
+    body.positions.iter().zip(&moved).map(|(p, q)| q.distance(map(*p)) / diagonal).collect()
+}
+
+/// The rms of what is off, and its 99.9th percentile.
+fn rms_and_p999(mut off: Vec<f64>) -> [f64; 2] {
+    off.sort_by(f64::total_cmp);
+    let n = off.len();
+    [(off.iter().map(|e| e * e).sum::<f64>() / n as f64).sqrt(), off[n * 999 / 1000]]
+}
+
+/// Spearman's rank correlation.
+fn spearman(a: &[f64], b: &[f64]) -> f64 {
+    let ranks = |x: &[f64]| {
+        let mut order: Vec<usize> = (0..x.len()).collect();
+        order.sort_by(|i, j| x[*i].total_cmp(&x[*j]));
+        let mut ranks = vec![0.0; x.len()];
+        order.iter().enumerate().for_each(|(rank, i)| ranks[*i] = rank as f64);
+        ranks
+    };
+    let (a, b) = (ranks(a), ranks(b));
+    let mean = (a.len() as f64 - 1.0) / 2.0;
+    let product = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| (x - mean) * (y - mean)).sum::<f64>();
+    product(&a, &b) / (product(&a, &a) * product(&b, &b)).sqrt()
+}
+
+fn twist(p: DVec3) -> DVec3 {
+    let (sin, cos) = (1.2 * p.y).sin_cos();
+    DVec3::new(cos * p.x - sin * p.z, p.y, sin * p.x + cos * p.z)
+}
+
+fn bend(p: DVec3) -> DVec3 {
+    let (sin, cos) = (0.8 * p.y).sin_cos();
+    DVec3::new((1.0 + p.x) * cos - 1.0, (1.0 + p.x) * sin, p.z)
+}
+
+/// The middle of the bump, on the amphora's belly.
+const BUMP: DVec3 = DVec3::new(0.41, 1.0, 0.41);
+
+fn bump(p: DVec3) -> DVec3 {
+    p + DVec3::new(0.1, 0.0, 0.1) * (-p.distance_squared(BUMP) / 0.01).exp()
+}
+
+fn step(p: DVec3) -> DVec3 {
+    if p.x + 0.3 * p.y > 0.4 { p + DVec3::new(0.0, 0.0, 0.05) } else { p }
+}
+
+fn rigid(p: DVec3) -> DVec3 {
+    glam::DQuat::from_euler(glam::EulerRot::XYZ, 0.7, -0.3, 1.1) * p + DVec3::new(3.0, -1.0, 0.5)
+}
+
+fn affine(p: DVec3) -> DVec3 {
+    DVec3::new(1.5 * p.x + 0.3 * p.y, 0.7 * p.y, p.z + 0.2 * p.x)
+}
+
+/// The estimate is of the size of the error: it ranks the clusters, and tells the largest error in each within a factor.
+#[test]
+fn expected_errors_are_of_the_size_of_errors() {
+    let body = Body::new(200_000).without_faces();
+    let (sampled, _) = body.sampled(samples(4000));
+    let diagonal = sampled.local_diagonal();
+    let maps: [(&str, &dyn Fn(DVec3) -> DVec3, f64); 4] =
+        [("twist", &twist, 0.5), ("bend", &bend, 0.5), ("bump", &bump, 0.5), ("step", &step, 0.3)];
+    for (name, map, least) in maps {
+        let expected: Vec<f64> = with_field(&sampled, map, |field| {
+            field.expected_error().iter().map(|e| f64::from(*e) / diagonal).collect()
+        });
+        let mut truth = vec![0.0f64; expected.len()];
+        for (p, e) in body.positions.iter().zip(off(&sampled, &body, map)) {
+            let i = sampled.samples.nearest(sampled.frame.to_local(*p)) as usize;
+            truth[i] = truth[i].max(e);
+        }
+        let is_told = |(e, t): &(&f64, &f64)| **e > 0.0 && **t > 0.0;
+        let (e, t): (Vec<f64>, Vec<f64>) = expected.iter().zip(&truth).filter(is_told).unzip();
+        let rank = spearman(&e, &t);
+        let mut ratios: Vec<f64> = e.iter().zip(&t).map(|(e, t)| t / e).collect();
+        ratios.sort_by(f64::total_cmp);
+        let [low, middle, high] = [5, 50, 95].map(|q| ratios[q * ratios.len() / 100]);
+        println!("{name}: rank correlation {rank:.2}; error over estimate {low:.2e}, {middle:.2}, {high:.2}");
+        assert!(rank > least, "{name}: a rank correlation of {rank}");
+        assert!(
+            (0.1..0.7).contains(&middle) && high < 20.0,
+            "{name}: {middle} times the estimate, up to {high}"
+        );
+    }
+    for (name, map) in
+        [("identity", &(|p| p) as &dyn Fn(DVec3) -> DVec3), ("rigid", &rigid), ("affine", &affine)]
+    {
+        let most = with_field(&sampled, map, |field| field.expected_error().into_iter().fold(0.0, f32::max));
+        assert!(f64::from(most) < 1e-5, "{name}: {most}");
+    }
+}
+
+fn auto(
+    sampled: &SampledModel,
+    model: &dyn Model,
+    map: &dyn Fn(DVec3) -> DVec3,
+    finer: Finer,
+    distance: &(dyn Fn(DVec3) -> f64 + Sync),
+) -> Result<Refined> {
+    let how = Refining { finer, memory_limit: None, shapes: Vec::new() };
+    let folder = model.path().parent().unwrap();
+    with_field(sampled, map, |field| {
+        let selection = Selection { distance, so_far: Some(field), at_rest: true };
+        refine(sampled, model, selection, &how, folder, &Silent)
+    })
+}
+
+/// The same number of samples more helps much more where the deformation needs them.
+#[test]
+fn samples_come_where_the_deformation_needs_them() {
+    let body = Body::new(200_000).without_faces();
+    let (sampled, model) = body.sampled(samples(4000));
+    let everywhere = |_: DVec3| -1.0;
+    let finer = Finer::Auto { error: 1e-5, samples: None };
+    let done = auto(&sampled, model.as_ref(), &bump, finer, &everywhere).unwrap();
+    let (need, next) = (done.need.unwrap(), done.sampled.unwrap());
+    assert!(done.added > 500 && done.added <= 1000, "{} samples", done.added);
+    assert!(need.expected > 1e-3 && need.allowed >= 1e-5 && need.samples > 20, "{need:?}");
+    assert_eq!(next.refinements[0].transfer_error, Some(need.allowed));
+    let new = &next.samples.positions[sampled.samples.len()..];
+    let farthest = new.iter().map(|p| next.frame.to_model(*p).distance(BUMP)).fold(0.0, f64::max);
+    assert!(farthest < 0.6, "a new sample {farthest} from the bump");
+    let near = new.iter().filter(|p| next.frame.to_model(**p).distance(BUMP) < 0.3).count();
+    assert!(near * 10 > new.len() * 8, "{near} of {} are near the bump", new.len());
+
+    let before = rms_and_p999(off(&sampled, &body, &bump));
+    let needed = rms_and_p999(off(&next, &body, &bump));
+    let (more, _) = body.sampled(samples(next.samples.len() as u64));
+    let uniform = rms_and_p999(off(&more, &body, &bump));
+    println!(
+        "rms and p99.9: {before:?} before, {uniform:?} with as many everywhere, {needed:?} where needed"
+    );
+    assert!(needed[0] * 5.0 < uniform[0] && needed[1] * 5.0 < uniform[1], "{needed:?}, {uniform:?}");
+
+    // With fewer samples, those for the worst places.
+    let few = Finer::Auto { error: 1e-5, samples: Some(200) };
+    let few = auto(&sampled, model.as_ref(), &bump, few, &everywhere).unwrap();
+    assert!(few.added > 50 && few.added <= 200, "{}", few.added);
+    assert!(few.need.unwrap().allowed > need.allowed);
+    let fewer = rms_and_p999(off(&few.sampled.unwrap(), &body, &bump));
+    assert!(needed[0] < fewer[0] && fewer[0] < 0.7 * before[0], "{fewer:?}");
+
+    // Shapes limit it.
+    let below = |p: DVec3| p.y - 0.5;
+    let none = auto(&sampled, model.as_ref(), &bump, finer, &below).unwrap();
+    assert!(none.sampled.is_none() && none.need.unwrap().samples == 0);
+    let nowhere = |p: DVec3| p.distance(DVec3::splat(9.0)) - 1.0;
+    assert!(auto(&sampled, model.as_ref(), &bump, finer, &nowhere).is_err());
+}
+
+#[test]
+fn what_needs_nothing_is_not_refined_and_nonsense_is_refused() {
+    let body = Body::new(60_000);
+    let (sampled, model) = body.sampled(samples(3000));
+    let everywhere = |_: DVec3| -1.0;
+    for error in [1e-5, 5e-6] {
+        for map in [&(|p| p) as &dyn Fn(DVec3) -> DVec3, &rigid, &affine] {
+            let finer = Finer::Auto { error, samples: None };
+            let done = auto(&sampled, model.as_ref(), map, finer, &everywhere).unwrap();
+            assert!(done.sampled.is_none() && done.added == 0 && done.vertex_bytes == 0);
+            let need = done.need.unwrap();
+            assert!(need.samples == 0 && need.expected < error, "{need:?}");
+        }
+    }
+    // Where nothing has moved yet.
+    let done = refined(&sampled, model.as_ref(), Finer::Auto { error: 1e-5, samples: None }, &everywhere);
+    assert_eq!(done.unwrap().need.unwrap().samples, 0);
+    for (error, samples) in [(0.0, None), (f64::NAN, None), (-1.0, Some(5)), (1e-5, Some(0))] {
+        let failed = auto(&sampled, model.as_ref(), &bump, Finer::Auto { error, samples }, &everywhere);
+        assert!(failed.err().expect("an error").to_string().contains("out of range"));
+    }
+    let huge = |p: DVec3| if p.distance(BUMP) < 0.1 { p * 1e38 } else { p };
+    let failed =
+        auto(&sampled, model.as_ref(), &huge, Finer::Auto { error: 1e-5, samples: None }, &everywhere);
+    assert!(failed.is_ok() || failed.err().is_some_and(|e| e.to_string().contains("no finite number")));
 }

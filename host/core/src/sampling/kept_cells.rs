@@ -12,7 +12,9 @@ use super::lattice::CellKey;
 use crate::{Error, ErrorKind, Result};
 
 const MAGIC: &[u8; 8] = b"SIMODCEL";
-const VERSION: u32 = 2;
+/// Former files, which know nothing of the faces, are of the version before.
+const VERSION: u32 = 3;
+const WITHOUT_FACES: u32 = 2;
 const HEAD: usize = MAGIC.len() + size_of::<u32>();
 const CHECKSUM: usize = size_of::<u128>();
 
@@ -21,6 +23,8 @@ const CHECKSUM: usize = size_of::<u128>();
 pub struct KeptCells {
     /// log₂ of the cells' edge length, in the model's unit.
     pub level: i32,
+    /// Whether it is known where the faces of the cells are.
+    pub knows_faces: bool,
     /// The cells in the order in which the stream meets them.
     pub cells: Vec<KeptCell>,
 }
@@ -34,6 +38,9 @@ pub struct KeptCell {
     pub vertices: u64,
     /// Indices of the vertices among which all of them are; ascending.
     pub ranges: Vec<Range<u64>>,
+    /// Bytes of the file among which all faces with one of its vertices are; ascending, and from one mark of their reader
+    /// ([`FaceMark`](crate::model::FaceMark)) to another.
+    pub faces: Vec<Range<u64>>,
     /// Its VS-Tree.
     pub tree: CutTree,
 }
@@ -125,19 +132,24 @@ impl KeptCells {
         if xxh3_128(content) != u128::from_le_bytes(*checksum) {
             return Err(damaged("its checksum is wrong"));
         }
-        match content[MAGIC.len()..].first_chunk() {
-            Some(version) if u32::from_le_bytes(*version) == VERSION => {}
-            _ => return Err(damaged("it is of a version that is not known")),
+        let failed = |e: postcard::Error| damaged(&e.to_string());
+        match content[MAGIC.len()..].first_chunk().map(|version| u32::from_le_bytes(*version)) {
+            Some(VERSION) => postcard::from_bytes(&content[HEAD..]).map_err(failed),
+            Some(WITHOUT_FACES) => {
+                let (of, former): (_, FormerCells) =
+                    postcard::from_bytes(&content[HEAD..]).map_err(failed)?;
+                Ok((of, former.into()))
+            }
+            _ => Err(damaged("it is of a version that is not known")),
         }
-        postcard::from_bytes(&content[HEAD..]).map_err(|e| damaged(&e.to_string()))
     }
 
-    /// Checks that the cells are those of a model of so many vertices with a finite position, of `all`, and of so many
-    /// samples: a file that is whole may still lie.
+    /// Checks that the cells are those of a model of so many vertices with a finite position, of `all`, in a file of so many bytes,
+    /// and of so many samples: a file that is whole may still lie.
     ///
     /// # Errors
     /// They are not.
-    pub fn check(&self, finite: u64, all: u64, samples: usize) -> Result<()> {
+    pub fn check(&self, finite: u64, all: u64, bytes: u64, samples: usize) -> Result<()> {
         let mut keys: Vec<_> = self.cells.iter().map(|cell| cell.key).collect();
         keys.sort_unstable();
         if !(-1100..=1100).contains(&self.level) || keys.windows(2).any(|w| w[0] == w[1]) {
@@ -145,14 +157,12 @@ impl KeptCells {
         }
         let (mut vertices, mut known) = (0u64, vec![false; samples]);
         for cell in &self.cells {
-            let ascend = cell.ranges.windows(2).all(|w| w[0].end <= w[1].start);
             let held = cell.ranges.iter().map(|r| r.end.saturating_sub(r.start)).fold(0, u64::saturating_add);
-            if !ascend
-                || cell.ranges.iter().any(|r| r.start >= r.end || r.end > all)
-                || cell.vertices == 0
-                || cell.vertices > held
-            {
+            if !are_ranges(&cell.ranges, all) || cell.vertices == 0 || cell.vertices > held {
                 return Err(damaged("a cell's vertices are not where it says"));
+            }
+            if !are_ranges(&cell.faces, if self.knows_faces { bytes } else { 0 }) {
+                return Err(damaged("a cell's faces are not where it says"));
             }
             if let Some(what) = cell.tree.defect(samples) {
                 return Err(damaged(what));
@@ -164,6 +174,40 @@ impl KeptCells {
             return Err(damaged("it is of another model"));
         }
         Ok(())
+    }
+}
+
+/// Whether these ascend, and end before an end.
+fn are_ranges(ranges: &[Range<u64>], end: u64) -> bool {
+    ranges.iter().all(|r| r.start < r.end && r.end <= end)
+        && ranges.windows(2).all(|w| w[0].end <= w[1].start)
+}
+
+/// What former files hold.
+#[derive(Deserialize)]
+struct FormerCells {
+    level: i32,
+    cells: Vec<FormerCell>,
+}
+
+#[derive(Deserialize)]
+struct FormerCell {
+    key: CellKey,
+    vertices: u64,
+    ranges: Vec<Range<u64>>,
+    tree: CutTree,
+}
+
+impl From<FormerCells> for KeptCells {
+    fn from(FormerCells { level, cells }: FormerCells) -> Self {
+        let cell = |FormerCell { key, vertices, ranges, tree }: FormerCell| KeptCell {
+            key,
+            vertices,
+            ranges,
+            faces: Vec::new(),
+            tree,
+        };
+        Self { level, knows_faces: false, cells: cells.into_iter().map(cell).collect() }
     }
 }
 
@@ -180,6 +224,7 @@ mod tests {
             key: [i, -i, i64::MIN],
             vertices: 1 << 40,
             ranges: vec![0..5, 7..u64::MAX],
+            faces: vec![3..9],
             tree: CutTree {
                 children: vec![2, 0, 0],
                 errors: vec![1.0, 0.5, 0.25],
@@ -188,7 +233,7 @@ mod tests {
             },
         };
         let cells = (0..3).map(cell).collect();
-        KeptCells { level: -4, cells }
+        KeptCells { level: -4, knows_faces: true, cells }
     }
 
     #[test]
@@ -210,6 +255,7 @@ mod tests {
             key: [i as i64, 0, 0],
             vertices: 5,
             ranges: vec![5 * i..5 * i + 5],
+            faces: vec![90..95, 95..100],
             tree: CutTree {
                 children: vec![2, 2, 0, 0, 0],
                 errors: vec![1.0, 0.5, 0.25, 0.5, 0.0],
@@ -217,9 +263,9 @@ mod tests {
                 grown: vec![1],
             },
         };
-        let good = KeptCells { level: -4, cells: vec![cell(0), cell(1)] };
-        good.check(10, 11, 6).expect("good cells");
-        let lies: [&dyn Fn(&mut KeptCell); 18] = [
+        let good = KeptCells { level: -4, knows_faces: true, cells: vec![cell(0), cell(1)] };
+        good.check(10, 11, 100, 6).expect("good cells");
+        let lies: [&dyn Fn(&mut KeptCell); 21] = [
             &|c| c.key = [0; 3],
             &|c| c.vertices = 6,
             &|c| c.vertices = 0,
@@ -228,6 +274,9 @@ mod tests {
             &|c| c.ranges = vec![7..10, 5..7],
             &|c| c.ranges = vec![5..12],
             &|c| c.ranges = std::iter::once(std::ops::Range { start: 9, end: 5 }).collect(),
+            &|c| c.faces[1] = 95..95,
+            &|c| c.faces[1].end = 101,
+            &|c| c.faces[1].start = 94,
             &|c| c.tree.children[0] = 1,
             &|c| c.tree.children[0] = 3,
             &|c| c.tree.children[1] = 9,
@@ -242,9 +291,27 @@ mod tests {
         for (i, lie) in lies.iter().enumerate() {
             let mut cells = good.clone();
             lie(&mut cells.cells[1]);
-            assert!(cells.check(10, 11, 6).is_err(), "lie {i}");
+            assert!(cells.check(10, 11, 100, 6).is_err(), "lie {i}");
         }
-        assert!(good.check(11, 11, 6).is_err() && good.check(10, 11, 7).is_err());
+        for (finite, bytes, samples) in [(11, 100, 6), (10, 99, 6), (10, 100, 7)] {
+            assert!(good.check(finite, 11, bytes, samples).is_err());
+        }
+        let unknown = KeptCells { knows_faces: false, ..good };
+        assert!(unknown.check(10, 11, 100, 6).is_err(), "faces that nobody knows");
+    }
+
+    #[test]
+    fn files_without_faces_are_read() {
+        let KeptCells { level, mut cells, .. } = cells();
+        cells.iter_mut().for_each(|cell| cell.faces.clear());
+        let former: Vec<_> = cells.iter().map(|c| (c.key, c.vertices, &c.ranges, &c.tree)).collect();
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend(WITHOUT_FACES.to_le_bytes());
+        let mut bytes = postcard::to_extend(&("hash", level, former), bytes).expect("a file");
+        let checksum = xxh3_128(&bytes);
+        bytes.extend(checksum.to_le_bytes());
+        let expected = KeptCells { level, knows_faces: false, cells };
+        assert_eq!(KeptCells::decode(&bytes).expect("cells"), ("hash".to_owned(), expected));
     }
 
     #[test]

@@ -6,6 +6,7 @@
 
 pub mod cluster;
 pub(crate) mod cut;
+mod face_ranges;
 pub(crate) mod finalization;
 pub(crate) mod gather;
 mod kd_tree;
@@ -34,10 +35,11 @@ use crate::model::{Model, SMALL_CHUNK, VertexChunk};
 use crate::output::human_size;
 use crate::sampled_model::{SampledModel, Source, fingerprint};
 use crate::{Error, ErrorKind, Progress, Result};
+use face_ranges::FaceRanges;
 use finalization::{Clustered, Pass};
 use gather::{Groups, Samples};
 use kept_cells::{KeptCell, KeptCells};
-use lattice::{Grid, Lattice};
+use lattice::{CellKey, CellRecord, Grid, Lattice};
 use membership::Membership;
 use ranges::Ranges;
 use triangles::Triangles;
@@ -226,20 +228,26 @@ pub fn sample(
         },
     };
 
+    let mut faces = None;
     let triangles = match membership {
         None => Triangles::default(),
         Some(members) => {
             progress.begin("looking up each vertex' sample", info.vertices);
             let sample_of = members.finish(&cut.starts, progress)?;
             progress.begin("reindexing the faces", info.face_bytes);
-            triangles::reindex(model, sample_of.all(), cut.positions.len(), progress).map_err(|e| {
+            let samples = cut.positions.len();
+            let mut ranges = (!sampling.skip.cells).then(|| FaceRanges::new(&cut.trees, samples));
+            let found = triangles::reindex(model, sample_of.all(), samples, ranges.as_mut(), progress);
+            let found = found.map_err(|e| {
                 let hint = format!("{}; or leave the triangles out with --skip triangles", e.hint());
                 if e.kind() == ErrorKind::Format { Error::new(e.kind(), e.to_string(), hint) } else { e }
-            })?
+            })?;
+            faces = ranges.filter(|_| !found.triangles.is_empty()).and_then(|r| r.into_cells(&cut.trees));
+            found
         }
     };
     progress.check()?;
-    let kept = (!sampling.skip.cells).then(|| keep(&grid, ranges, cut.trees));
+    let kept = (!sampling.skip.cells).then(|| keep(&grid, ranges, faces, cut.trees));
     let sampled = SampledModel::new(
         Source {
             path: model.path().to_owned(),
@@ -265,15 +273,23 @@ pub fn sample(
 }
 
 /// What is kept of the cells.
-fn keep(grid: &Grid, ranges: Ranges, trees: Vec<kept_cells::CutTree>) -> KeptCells {
-    let cells = grid.keys.iter().zip(&grid.records).zip(ranges.into_cells()).zip(trees);
-    let cell = |(((key, record), ranges), tree): (((&[i64; 3], &lattice::CellRecord), _), _)| KeptCell {
+fn keep(
+    grid: &Grid,
+    ranges: Ranges,
+    faces: Option<Vec<Vec<Range<u64>>>>,
+    trees: Vec<kept_cells::CutTree>,
+) -> KeptCells {
+    let knows_faces = faces.is_some();
+    let faces = faces.unwrap_or_else(|| vec![Vec::new(); trees.len()]);
+    let cells = grid.keys.iter().zip(&grid.records).zip(ranges.into_cells()).zip(faces).zip(trees);
+    let cell = |((((key, record), ranges), faces), tree): ((((&CellKey, &CellRecord), _), _), _)| KeptCell {
         key: *key,
         vertices: record.count,
         ranges,
+        faces,
         tree,
     };
-    KeptCells { level: grid.level, cells: cells.map(cell).collect() }
+    KeptCells { level: grid.level, knows_faces, cells: cells.map(cell).collect() }
 }
 
 /// Samples are indexed by 32 bits.

@@ -1,15 +1,15 @@
-//! Where in the stream each cell's vertices are: what a refinement has to read again (paper §6).
+//! Where in the stream each cell's vertices are, or its faces: what a refinement has to read again (paper §6).
 //!
 //! A stream may come back to a cell any number of times; only so many ranges are kept, and those that have the least
 //! between them become one. In files whose rows go around the model, it comes back with each row.
 
 use std::ops::Range;
 
-/// Most ranges of all cells together, but for one each: 4 MiB.
-const MOST: usize = 1 << 18;
+/// Most ranges of all cells together, but for one each: 8 MiB.
+const MOST: usize = 1 << 19;
 
 /// Most ranges of a cell.
-const MOST_OF_A_CELL: usize = 128;
+const MOST_OF_A_CELL: usize = 256;
 
 /// The ranges of all cells.
 ///
@@ -50,9 +50,18 @@ impl Ranges {
     }
 
     fn close(&mut self, end: u64) {
-        let Some((cell, start)) = self.open.take() else { return };
+        if let Some((cell, start)) = self.open.take() {
+            self.add(cell, start..end);
+        }
+    }
+
+    /// A range of a cell, none of whose others ends behind its beginning.
+    pub fn add(&mut self, cell: u32, range: Range<u64>) {
         let ranges = &mut self.cells[cell as usize];
-        ranges.push(start..end);
+        match ranges.last_mut() {
+            Some(last) if last.end == range.start => last.end = range.end,
+            _ => ranges.push(range),
+        }
         if ranges.len() > self.most {
             halve(ranges, self.most.div_ceil(2));
         }
@@ -107,12 +116,12 @@ mod tests {
         let mut ranges = Ranges::new(2);
         // Two visits are close together, the others are as far apart as each other.
         let visits: Vec<u64> =
-            (0..=18).map(|i| i * 1000).chain([18_010]).chain((19..200).map(|i| i * 1000)).collect();
+            (0..=18).map(|i| i * 1000).chain([18_010]).chain((19..400).map(|i| i * 1000)).collect();
         for start in &visits {
             ranges.enter(0, *start);
             ranges.enter(1, start + 5);
         }
-        ranges.finish(200_000);
+        ranges.finish(400_000);
         let cells = ranges.into_cells();
         assert!((MOST_OF_A_CELL / 2..=MOST_OF_A_CELL).contains(&cells[0].len()), "{}", cells[0].len());
         assert!(cells[0].iter().any(|r| r.start <= 18_000 && r.end >= 18_015));
@@ -122,6 +131,6 @@ mod tests {
     #[test]
     fn many_cells_have_few_ranges_each() {
         assert_eq!(Ranges::new(1 << 20).most, 1);
-        assert_eq!(Ranges::new(1 << 15).most, 8);
+        assert_eq!(Ranges::new(1 << 15).most, 16);
     }
 }

@@ -1,6 +1,7 @@
 //! Triangles of P_S: the faces of P_L whose corners are in three different clusters, between their samples
 //! (J. Rossignac, P. Borrel, *Multi-resolution 3D approximations for rendering complex scenes*, 1993).
 
+use super::face_ranges::FaceRanges;
 use crate::model::{Model, for_faces};
 use crate::{Progress, Result};
 
@@ -20,7 +21,8 @@ pub struct Triangles {
     pub tangled: bool,
 }
 
-/// Streams the faces of a model. `sample_of` says which sample each vertex belongs to.
+/// Streams the faces of a model. `sample_of` says which sample each vertex belongs to. Where the faces of each cell are, is noted in
+/// `ranges`.
 ///
 /// Memory: the chunks of [`for_faces`], and 12 bytes for each of at most twice [`MOST_PER_SAMPLE`] triangles per sample,
 /// twice while the list grows; a surface has about two, found once or twice each.
@@ -31,13 +33,22 @@ pub fn reindex(
     model: &dyn Model,
     sample_of: &[u32],
     samples: usize,
+    mut ranges: Option<&mut FaceRanges>,
     progress: &dyn Progress,
 ) -> Result<Triangles> {
     let most = MOST_PER_SAMPLE * samples.max(64);
     let mut found = Triangles::default();
     for_faces(model, |chunk| {
         progress.check()?;
-        for corners in &chunk.triangles {
+        let mut marks = chunk.marks.iter().peekable();
+        for (at, corners) in chunk.triangles.iter().enumerate() {
+            if let Some(ranges) = &mut ranges {
+                while let Some(mark) = marks.next_if(|mark| mark.triangle <= at) {
+                    ranges.mark(mark.offset);
+                }
+                let known = corners.iter().filter_map(|corner| sample_of.get(*corner as usize).copied());
+                known.filter(|sample| (*sample as usize) < samples).for_each(|sample| ranges.meet(sample));
+            }
             let [Some(a), Some(b), Some(c)] = corners.map(|corner| sample_of.get(corner as usize)) else {
                 found.without_vertex += 1;
                 continue;
@@ -51,6 +62,9 @@ pub fn reindex(
             {
                 found.triangles.push(first_least([*a, *b, *c]));
             }
+        }
+        if let Some(ranges) = &mut ranges {
+            marks.for_each(|mark| ranges.mark(mark.offset));
         }
         if found.triangles.len() > 2 * most {
             once_each(&mut found.triangles);

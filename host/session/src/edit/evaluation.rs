@@ -246,12 +246,17 @@ impl Evaluation {
         progress: &dyn Progress,
     ) -> Result<(Arc<SampledModel>, Arc<[Vec3]>)> {
         let model = sampled.open_source(self.how.model.as_deref())?;
-        let distance = |p| step.shapes.signed_distance(p);
+        // Without shapes, everywhere.
+        let everywhere = step.shapes.shapes.is_empty();
+        let distance = |p| if everywhere { -1.0 } else { step.shapes.signed_distance(p) };
         let memory_limit = self.how.memory_limit;
         let how = Refining { finer: step.finer, memory_limit, shapes: step.shapes.tables() };
         with_field(sampled, positions, |field| {
-            let selection = Selection { distance: &distance, so_far: field };
+            let selection = Selection { distance: &distance, so_far: field, at_rest: false };
             let refined = refine(sampled, model.as_ref(), selection, &how, &self.how.folder, progress)?;
+            if refined.need.is_some_and(|need| need.samples == 0) {
+                progress.note("the deformation needs no more samples");
+            }
             let Some(after) = refined.sampled else { return Ok((sampled.clone(), positions.into())) };
             let positions = with_appended(&after, positions, field);
             Ok((Arc::new(after), positions))

@@ -14,8 +14,8 @@ use super::reader::{CHUNK_BYTES, Reader};
 use super::walk::{CUT_OFF, Plan, Step};
 use super::{ascii, binary};
 use crate::model::source::Source;
-use crate::model::{CHUNK_TRIANGLES, FaceChunk, FaceReader};
-use crate::{Error, Result};
+use crate::model::{CHUNK_TRIANGLES, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader};
+use crate::{Error, ErrorKind, Result};
 
 /// Bytes read at a time; no word of a text file is longer.
 const BLOCK: usize = 1 << 18;
@@ -199,6 +199,8 @@ impl<'a> Faces<'a> {
         if let Some(part) = parts.first() {
             cursor.enter(part);
         }
+        // With several elements, a place in the file does not tell which one it is of.
+        cursor.next_mark = if with_triangles.len() == 1 { 0 } else { NO_MARK };
         Ok(Self { parts, part: 0, cursor })
     }
 }
@@ -206,6 +208,7 @@ impl<'a> Faces<'a> {
 impl FaceReader for Faces<'_> {
     fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
         chunk.triangles.clear();
+        chunk.marks.clear();
         chunk.bytes = 0;
         let Some(part) = self.parts.get(self.part) else { return Ok(false) };
         chunk.triangles.reserve(CHUNK_TRIANGLES);
@@ -213,10 +216,13 @@ impl FaceReader for Faces<'_> {
         let start = cursor.window.position();
         let mut more = true;
         while more && chunk.triangles.len() < CHUNK_TRIANGLES && chunk.bytes < CHUNK_BYTES as u64 {
-            more = cursor.advance(part, &mut chunk.triangles)?;
+            more = cursor.advance(part, chunk)?;
             chunk.bytes = cursor.window.position() - start;
         }
         if !more {
+            if part.corners.is_some() && cursor.next_mark != NO_MARK {
+                chunk.marks.push(cursor.mark(chunk.triangles.len()));
+            }
             self.part += 1;
             if let Some(next) = self.parts.get(self.part) {
                 cursor.enter(next);
@@ -225,6 +231,55 @@ impl FaceReader for Faces<'_> {
         Ok(true)
     }
 }
+
+/// Reads the faces in some ranges of the file, each of whole records.
+pub(super) struct SomeFaces<'a> {
+    part: Part,
+    cursor: Cursor<'a>,
+    ranges: std::vec::IntoIter<Range<u64>>,
+}
+
+impl<'a> SomeFaces<'a> {
+    pub(super) fn new(model: &'a PlyModel, ranges: Vec<Range<u64>>) -> Result<Self> {
+        let encoding = model.header.encoding;
+        let [element] = with_triangles(&model.header)[..] else {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("{}: its faces can be read only all at once", model.source.path().display()),
+                "this is a bug: please report it",
+            ));
+        };
+        let part = Part::new(&model.header.elements[element], encoding, None);
+        let mut cursor = Cursor::new(encoding, Window::new(&model.source, BLOCK));
+        cursor.window.limit = Some(0);
+        Ok(Self { part, cursor, ranges: ranges.into_iter() })
+    }
+}
+
+impl FaceReader for SomeFaces<'_> {
+    fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
+        chunk.triangles.clear();
+        chunk.marks.clear();
+        chunk.bytes = 0;
+        chunk.triangles.reserve(CHUNK_TRIANGLES);
+        let cursor = &mut self.cursor;
+        while chunk.triangles.len() < CHUNK_TRIANGLES && chunk.bytes < CHUNK_BYTES as u64 {
+            let before = cursor.window.position();
+            let more = cursor.advance(&self.part, chunk)?;
+            chunk.bytes += cursor.window.position() - before;
+            if !more {
+                let Some(range) = self.ranges.next() else { return Ok(chunk.bytes > 0) };
+                cursor.window.seek(range.start);
+                cursor.window.limit = Some(range.end.min(cursor.window.source.len()));
+                cursor.record = 0;
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// The record at which the next mark comes, where there are none.
+const NO_MARK: u64 = u64::MAX;
 
 /// A place in the records of a part.
 struct Cursor<'a> {
@@ -238,6 +293,8 @@ struct Cursor<'a> {
     /// Corners of the list that are still to come.
     left: u64,
     fan: Fan,
+    /// The record at which the next mark comes.
+    next_mark: u64,
 }
 
 impl<'a> Cursor<'a> {
@@ -245,7 +302,8 @@ impl<'a> Cursor<'a> {
     const AT_ONCE: usize = 1 << 12;
 
     fn new(encoding: Encoding, window: Window<'a>) -> Self {
-        Self { encoding, window, record: 0, step: 0, skip: 0, left: 0, fan: Fan::default() }
+        let (fan, next_mark) = (Fan::default(), NO_MARK);
+        Self { encoding, window, record: 0, step: 0, skip: 0, left: 0, fan, next_mark }
     }
 
     /// Goes to the first record.
@@ -257,21 +315,26 @@ impl<'a> Cursor<'a> {
     }
 
     /// Goes on by a little: `false` at the end of the part. Adds no more triangles than fit into a chunk.
-    fn advance(&mut self, part: &Part, triangles: &mut Vec<[u32; 3]>) -> Result<bool> {
+    fn advance(&mut self, part: &Part, chunk: &mut FaceChunk) -> Result<bool> {
         let plan = &part.plan;
         if self.skip > 0 {
             self.pass(plan)?;
             return Ok(true);
         }
         if let (Some(list), 1..) = (part.corners, self.left) {
-            self.read_corners(part, list.item, triangles)?;
+            self.read_corners(part, list.item, &mut chunk.triangles)?;
             return Ok(true);
         }
-        if let (Some(compact), 0) = (&part.compact, self.step) {
-            self.read_compact(plan, compact, triangles);
-        }
-        if self.record == plan.count {
-            return Ok(false);
+        if self.step == 0 {
+            if part.corners.is_some() {
+                self.note_mark(chunk);
+            }
+            if let Some(compact) = &part.compact {
+                self.read_compact(plan, compact, chunk);
+            }
+            if self.record == plan.count || self.window.is_drained() {
+                return Ok(false);
+            }
         }
         match plan.steps.get(self.step) {
             None => (self.record, self.step) = (self.record + 1, 0),
@@ -293,15 +356,35 @@ impl<'a> Cursor<'a> {
     }
 
     /// Reads those records that lie in the window, as far as they are short.
-    fn read_compact(&mut self, plan: &Plan, compact: &Compact, triangles: &mut Vec<[u32; 3]>) {
-        let (bytes, left) = (self.window.rest(), plan.count - self.record);
-        let (records, bytes) = if self.encoding == Encoding::Big {
-            compact.read(bytes, left, triangles, u32::from_be_bytes)
-        } else {
-            compact.read(bytes, left, triangles, u32::from_le_bytes)
-        };
-        self.record += records;
-        self.window.at += bytes;
+    fn read_compact(&mut self, plan: &Plan, compact: &Compact, chunk: &mut FaceChunk) {
+        loop {
+            let end = plan.count.min(self.next_mark);
+            let (bytes, left) = (self.window.rest(), end.saturating_sub(self.record));
+            let (records, bytes) = if self.encoding == Encoding::Big {
+                compact.read(bytes, left, &mut chunk.triangles, u32::from_be_bytes)
+            } else {
+                compact.read(bytes, left, &mut chunk.triangles, u32::from_le_bytes)
+            };
+            self.record += records;
+            self.window.at += bytes;
+            if self.record < end || end == plan.count {
+                return;
+            }
+            self.note_mark(chunk);
+        }
+    }
+
+    /// Notes the place where it stands, if a block begins there.
+    fn note_mark(&mut self, chunk: &mut FaceChunk) {
+        if self.record >= self.next_mark {
+            self.next_mark = self.record + FACES_OF_A_BLOCK;
+            chunk.marks.push(self.mark(chunk.triangles.len()));
+        }
+    }
+
+    /// The place where it stands, behind so many triangles.
+    fn mark(&self, triangle: usize) -> FaceMark {
+        FaceMark { triangle, offset: self.window.position() }
     }
 
     /// Reads corners of the list, each of which ends a triangle at most.
@@ -439,11 +522,13 @@ struct Window<'a> {
     filled: usize,
     /// Where in the file the filled part ends.
     end: u64,
+    /// Nothing is read beyond, if only a part of the file shall be.
+    limit: Option<u64>,
 }
 
 impl<'a> Window<'a> {
     fn new(source: &'a Source, block_size: usize) -> Self {
-        Self { source, block: vec![0; block_size], at: 0, filled: 0, end: 0 }
+        Self { source, block: vec![0; block_size], at: 0, filled: 0, end: 0, limit: None }
     }
 
     /// Where in the file the next byte lies.
@@ -458,7 +543,16 @@ impl<'a> Window<'a> {
 
     /// Whether there is no more to be read.
     fn is_last(&self) -> bool {
-        self.end >= self.source.len()
+        self.end >= self.limit()
+    }
+
+    /// Whether all has been taken that shall be, of a part of the file.
+    fn is_drained(&self) -> bool {
+        self.limit.is_some_and(|limit| self.position() >= limit)
+    }
+
+    fn limit(&self) -> u64 {
+        self.limit.unwrap_or_else(|| self.source.len())
     }
 
     fn seek(&mut self, position: u64) {
@@ -472,7 +566,7 @@ impl<'a> Window<'a> {
             return true;
         }
         match self.position().checked_add(bytes) {
-            Some(position) if position <= self.source.len() => {
+            Some(position) if position <= self.limit() => {
                 self.seek(position);
                 true
             }
@@ -498,7 +592,9 @@ impl<'a> Window<'a> {
         if self.filled == self.block.len() {
             return Ok(false);
         }
-        let read = self.source.read_at(&mut self.block[self.filled..], self.end)?;
+        let room =
+            self.limit().saturating_sub(self.end).min((self.block.len() - self.filled) as u64) as usize;
+        let read = self.source.read_at(&mut self.block[self.filled..self.filled + room], self.end)?;
         self.filled += read;
         self.end += read as u64;
         Ok(true)
@@ -744,6 +840,50 @@ mod tests {
                 assert_eq!(model.info.face_bytes == 0, triangles.is_empty());
             }
         }
+    }
+
+    /// From any mark to any other, exactly the faces between them are read.
+    #[test]
+    fn faces_are_read_between_marks() {
+        let lists: Vec<Vec<i64>> = (0..100)
+            .map(|i| (0..[3, 3, 4, 2, 3, 0, 17][i % 7]).map(|k| (7 * i + k) as i64).collect())
+            .collect();
+        let lists: Vec<&[i64]> = lists.iter().map(Vec::as_slice).collect();
+        for encoding in ENCODINGS {
+            for name in ["face", "tristrips"] {
+                let table = self::lists(name, list(Type::U8, Type::I32, "vertex_indices"), &lists);
+                let model = open(&file(encoding, &[vertices(2), table.clone()])).unwrap();
+                let mut chunk = FaceChunk::default();
+                let mut faces = Faces::new(&model).unwrap();
+                assert!(faces.read(&mut chunk).unwrap());
+                let (all, marks) = (chunk.triangles.clone(), chunk.marks.clone());
+                assert_eq!(marks.len() as u64, 100u64.div_ceil(FACES_OF_A_BLOCK) + 1);
+                for (i, from) in marks.iter().enumerate() {
+                    for to in &marks[i + 1..] {
+                        let end = marks.last().unwrap();
+                        let ranges = vec![from.offset..to.offset, end.offset - 1..end.offset - 1];
+                        let mut some = SomeFaces::new(&model, ranges).unwrap();
+                        assert!(some.read(&mut chunk).unwrap());
+                        assert_eq!(chunk.triangles, all[from.triangle..to.triangle], "{encoding:?} {name}");
+                        assert_eq!(chunk.bytes, to.offset - from.offset);
+                        assert!(!some.read(&mut chunk).unwrap() && chunk.triangles.is_empty());
+                        // A range that ends within a face.
+                        let mut cut = SomeFaces::new(&model, vec![from.offset..to.offset - 2]).unwrap();
+                        assert!(encoding == Encoding::Ascii || cut.read(&mut chunk).is_err());
+                    }
+                }
+                let two = lists_of_two(&table, encoding);
+                assert!(two.1.is_empty() && SomeFaces::new(&two.0, Vec::new()).is_err());
+            }
+        }
+    }
+
+    /// A model with two elements of faces, and its marks.
+    fn lists_of_two(table: &Table, encoding: Encoding) -> (PlyModel, Vec<FaceMark>) {
+        let model = open(&file(encoding, &[vertices(2), table.clone(), polygons(&[&[1, 2, 3]])])).unwrap();
+        let mut chunk = FaceChunk::default();
+        assert!(Faces::new(&model).unwrap().read(&mut chunk).unwrap());
+        (model, chunk.marks)
     }
 
     #[test]

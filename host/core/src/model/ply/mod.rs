@@ -37,7 +37,7 @@ use super::source::Source;
 use super::{Edited, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, VertexReader, pipeline};
 use crate::progress::Silent;
 use crate::{Progress, Result};
-use faces::Faces;
+use faces::{Faces, SomeFaces};
 use header::{Element, Encoding, Header};
 use layout::Layout;
 use reader::{Offsets, Reader};
@@ -146,6 +146,10 @@ impl Model for PlyModel {
 
     fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
         Ok(Box::new(Faces::new(self)?))
+    }
+
+    fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
+        Ok(Box::new(SomeFaces::new(self, ranges)?))
     }
 
     fn check_complete(&self, progress: &dyn Progress) -> Result<()> {

@@ -1,0 +1,143 @@
+//! Where a deformation needs more samples: around those where the reconstruction is expected to be off by more than is
+//! allowed.
+//!
+//! What the expansions leave out is taken to fall with a power of the size of clusters, which tells how much smaller those
+//! of each sample have to be. If there are more new samples than allowed, the error that is allowed rises until there
+//! are not: the worst places come first.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use glam::Vec3;
+
+use super::selection::{GRADING, Nearest};
+use crate::sampled_model::SampledModel;
+use crate::sampling::SampleSet;
+use crate::sampling::cluster::REACH_WEIGHT;
+use crate::sampling::kept_cells::KeptCells;
+
+/// The power of the clusters' size that the error falls with, where the deformation is smooth: what expansions of second order
+/// leave out. Beside a step it falls more slowly.
+const ORDER: f32 = 3.0;
+
+/// Halvings of the logarithm of the error that is allowed.
+const HALVINGS: usize = 16;
+
+/// Neighbours whose wishes are looked at for a place near a sample.
+const RING: usize = 8;
+
+/// How much the bound of a cluster's error may rise with the distance.
+const RISE: f32 = (REACH_WEIGHT * GRADING) as f32;
+
+/// The error that clusters may have around each sample.
+pub(super) struct Needs<'a> {
+    samples: &'a SampleSet,
+    /// Infinite where nothing is needed; local units.
+    wanted: Vec<f32>,
+    /// The least of them.
+    pub least: f32,
+    /// The transfer error that they allow, at least that which was asked for; local units.
+    pub allowed: f32,
+    /// Number of samples around which more is expected.
+    pub needy: usize,
+}
+
+impl<'a> Needs<'a> {
+    /// Of the samples that are selected and around which more than `allowed` is expected, for about `budget` new ones; `None`
+    /// if there are none.
+    pub fn of(
+        sampled: &'a SampledModel,
+        kept: &KeptCells,
+        expected: &[f32],
+        allowed: f32,
+        budget: usize,
+    ) -> Option<Self> {
+        let mut errors = vec![0.0f32; expected.len()];
+        for tree in kept.cells.iter().map(|cell| &cell.tree) {
+            let leaves = tree.children.iter().zip(&tree.errors).filter(|(children, _)| **children == 0);
+            for ((_, error), sample) in leaves.zip(&tree.samples) {
+                let known = &mut errors[*sample as usize];
+                *known = known.max(*error);
+            }
+        }
+        let at = |allowed: f32| Self::allowing(&sampled.samples, &errors, expected, allowed);
+        let most = expected.iter().copied().fold(0.0, f32::max);
+        let (needs, count) = at(allowed);
+        if needs.needy == 0 || most <= allowed {
+            return None;
+        }
+        if count <= budget as f64 {
+            return Some(needs);
+        }
+        let (mut low, mut high) = (allowed.ln(), most.ln());
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (low + high);
+            if at(middle.exp()).1 > budget as f64 { low = middle } else { high = middle }
+        }
+        let (needs, _) = at(high.exp());
+        Some(if needs.needy > 0 { needs } else { at(low.exp()).0 })
+    }
+
+    /// What it takes for an error to be met everywhere, and about how many new samples that is.
+    fn allowing(samples: &'a SampleSet, errors: &[f32], expected: &[f32], allowed: f32) -> (Self, f64) {
+        let mut wanted = vec![f32::INFINITY; errors.len()];
+        // Non-negative numbers are in the order of their bits.
+        let mut open: BinaryHeap<Reverse<(u32, u32)>> = BinaryHeap::new();
+        for (i, (error, expected)) in errors.iter().zip(expected).enumerate() {
+            if *expected > allowed && *error > 0.0 {
+                wanted[i] = error * (allowed / expected).powf(1.0 / ORDER);
+                open.push(Reverse((wanted[i].to_bits(), i as u32)));
+            }
+        }
+        let needy = open.len();
+        let least = wanted.iter().copied().fold(f32::INFINITY, f32::min);
+        let graph = samples.neighbours();
+        while let Some(Reverse((bits, i))) = open.pop() {
+            let from = f32::from_bits(bits);
+            if from > wanted[i as usize] {
+                continue;
+            }
+            for j in graph.of(i as usize).iter().take(RING) {
+                let (i, j) = (i as usize, *j as usize);
+                let bound = from + RISE * samples.positions[i].distance(samples.positions[j]);
+                // Beyond, it changes nothing any more.
+                if bound < wanted[j].min(errors[j]) {
+                    wanted[j] = bound;
+                    open.push(Reverse((bound.to_bits(), j as u32)));
+                }
+            }
+        }
+        // Halving the size of clusters makes four of one.
+        let more = |(error, wanted): (&f32, &f32)| f64::from((error / wanted).powi(2) - 1.0).max(0.0);
+        let count = errors.iter().zip(&wanted).map(more).sum();
+        (Self { samples, wanted, least, allowed, needy }, count)
+    }
+
+    /// By how much more than the least error a cluster in this ball may have; local units.
+    pub fn slack(&self, center: Vec3, radius: f32) -> f32 {
+        self.around(self.samples.nearest(center) as usize, center, radius)
+    }
+
+    fn around(&self, i: usize, center: Vec3, radius: f32) -> f32 {
+        let (positions, spacing) = (&self.samples.positions, self.samples.spacing());
+        let near = self.samples.neighbours().of(i).iter().take(RING).map(|j| *j as usize);
+        let reaches = |j: usize| (center.distance(positions[j]) - spacing[j] - radius).max(0.0);
+        let bound = near.map(|j| self.wanted[j] + RISE * reaches(j)).fold(self.wanted[i], f32::min);
+        bound - self.least
+    }
+
+    /// What is known of each leaf of each cell without the model.
+    pub fn leaves(&self, kept: &KeptCells) -> Vec<Vec<Nearest>> {
+        let of_cell = |tree: &crate::sampling::kept_cells::CutTree| {
+            let errors = tree.children.iter().zip(&tree.errors).filter(|(children, _)| **children == 0);
+            let leaf = |((_, error), sample): ((&u8, &f32), &u32)| {
+                let i = *sample as usize;
+                let reach = 2.0 * error / REACH_WEIGHT as f32;
+                let slack = self.around(i, self.samples.positions[i], reach);
+                Nearest { error: *error, slack, inside: self.wanted[i].is_finite() }
+            };
+            errors.zip(&tree.samples).map(leaf).collect()
+        };
+        kept.cells.iter().map(|cell| of_cell(&cell.tree)).collect()
+    }
+}
