@@ -69,7 +69,8 @@ impl<'a> Gallery<'a> {
     }
 
     fn color(&self, p: DVec3) -> [u8; 3] {
-        let regions = self.session.steps.iter().flat_map(|step| &step.regions);
+        let regions =
+            self.session.steps.iter().filter_map(|step| step.deformation()).flat_map(|step| &step.regions);
         let mut holding = regions.filter(|region| region.shapes.weight(p) > 0.5);
         holding.next().map_or(CLAY, |region| if region.role == Role::Handle { HANDLE } else { FIXED })
     }
