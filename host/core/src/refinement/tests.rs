@@ -305,7 +305,7 @@ impl Body {
                 Some([_, _, d]) => polygons.push(vec![*a, *b, *c, *d]),
                 None => polygons.push(vec![*a, *b, *c]),
             }
-            if polygons.len() % 7 == 0 {
+            if polygons.len().is_multiple_of(7) {
                 polygons.push(vec![*a, *b]);
             }
         }
@@ -345,7 +345,7 @@ impl Body {
                 bytes.extend(polygon.iter().flat_map(|corner| corner.to_le_bytes()));
             }
         }
-        std::fs::write(self.path(), bytes).unwrap();
+        std::io::Write::write_all(&mut std::fs::File::create(self.path()).unwrap(), &bytes).unwrap();
         model::open(&self.path()).unwrap()
     }
 }
@@ -614,14 +614,14 @@ fn expected_errors_are_of_the_size_of_errors() {
     let body = Body::new(200_000).without_faces();
     let (sampled, _) = body.sampled(samples(4000));
     let diagonal = sampled.local_diagonal();
-    let maps: [(&str, &dyn Fn(DVec3) -> DVec3, f64); 4] =
-        [("twist", &twist, 0.5), ("bend", &bend, 0.5), ("bump", &bump, 0.5), ("step", &step, 0.3)];
+    let maps: [(&str, fn(DVec3) -> DVec3, f64); 4] =
+        [("twist", twist, 0.5), ("bend", bend, 0.5), ("bump", bump, 0.5), ("step", step, 0.3)];
     for (name, map, least) in maps {
-        let expected: Vec<f64> = with_field(&sampled, map, |field| {
+        let expected: Vec<f64> = with_field(&sampled, &map, |field| {
             field.expected_error().iter().map(|e| f64::from(*e) / diagonal).collect()
         });
         let mut truth = vec![0.0f64; expected.len()];
-        for (p, e) in body.positions.iter().zip(off(&sampled, &body, map)) {
+        for (p, e) in body.positions.iter().zip(off(&sampled, &body, &map)) {
             let i = sampled.samples.nearest(sampled.frame.to_local(*p)) as usize;
             truth[i] = truth[i].max(e);
         }

@@ -224,7 +224,7 @@ mod tests {
             key: [i, -i, i64::MIN],
             vertices: 1 << 40,
             ranges: vec![0..5, 7..u64::MAX],
-            faces: vec![3..9],
+            faces: Vec::from([3..9]),
             tree: CutTree {
                 children: vec![2, 0, 0],
                 errors: vec![1.0, 0.5, 0.25],
@@ -254,7 +254,7 @@ mod tests {
         let cell = |i: u64| KeptCell {
             key: [i as i64, 0, 0],
             vertices: 5,
-            ranges: vec![5 * i..5 * i + 5],
+            ranges: Vec::from([5 * i..5 * i + 5]),
             faces: vec![90..95, 95..100],
             tree: CutTree {
                 children: vec![2, 2, 0, 0, 0],

@@ -868,7 +868,8 @@ mod tests {
                         assert_eq!(chunk.bytes, to.offset - from.offset);
                         assert!(!some.read(&mut chunk).unwrap() && chunk.triangles.is_empty());
                         // A range that ends within a face.
-                        let mut cut = SomeFaces::new(&model, vec![from.offset..to.offset - 2]).unwrap();
+                        let mut cut =
+                            SomeFaces::new(&model, Vec::from([from.offset..to.offset - 2])).unwrap();
                         assert!(encoding == Encoding::Ascii || cut.read(&mut chunk).is_err());
                     }
                 }
