@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let model = sampled.open_source(None)?;
     // Any function of space says what is selected: here the distance to a ball.
     let distance = |p: DVec3| p.distance(DVec3::new(x, y, z)) - radius;
-    let selection = Selection { distance: &distance, so_far: None };
+    let selection = Selection { distance: &distance, so_far: None, at_rest: true };
     let how = Refining { finer: Finer::Factor(10.0), memory_limit: None, shapes: Vec::new() };
     let refined = refine(&sampled, model.as_ref(), selection, &how, &std::env::temp_dir(), &Silent)?;
 
