@@ -614,7 +614,8 @@ fn expected_errors_are_of_the_size_of_errors() {
     let body = Body::new(200_000).without_faces();
     let (sampled, _) = body.sampled(samples(4000));
     let diagonal = sampled.local_diagonal();
-    let maps: [(&str, fn(DVec3) -> DVec3, f64); 4] =
+    type Map = fn(DVec3) -> DVec3;
+    let maps: [(&str, Map, f64); 4] =
         [("twist", twist, 0.5), ("bend", bend, 0.5), ("bump", bump, 0.5), ("step", step, 0.3)];
     for (name, map, least) in maps {
         let expected: Vec<f64> = with_field(&sampled, &map, |field| {
