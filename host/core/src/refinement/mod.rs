@@ -12,7 +12,6 @@ mod needs;
 mod regrowing;
 mod selection;
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "a failing helper fails the test")]
 mod tests;
 
 use std::path::Path;
