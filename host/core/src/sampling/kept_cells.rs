@@ -224,7 +224,7 @@ mod tests {
             key: [i, -i, i64::MIN],
             vertices: 1 << 40,
             ranges: vec![0..5, 7..u64::MAX],
-            faces: Vec::from([3..9]),
+            faces: vec![3..9, 10..11],
             tree: CutTree {
                 children: vec![2, 0, 0],
                 errors: vec![1.0, 0.5, 0.25],
@@ -254,7 +254,7 @@ mod tests {
         let cell = |i: u64| KeptCell {
             key: [i as i64, 0, 0],
             vertices: 5,
-            ranges: Vec::from([5 * i..5 * i + 5]),
+            ranges: vec![5 * i..5 * i + 2, 5 * i + 2..5 * i + 5],
             faces: vec![90..95, 95..100],
             tree: CutTree {
                 children: vec![2, 2, 0, 0, 0],
@@ -272,7 +272,7 @@ mod tests {
             &|c| c.ranges.clear(),
             &|c| c.ranges = vec![5..5, 5..10],
             &|c| c.ranges = vec![7..10, 5..7],
-            &|c| c.ranges = vec![5..12],
+            &|c| c.ranges = vec![5..7, 7..12],
             &|c| c.ranges = std::iter::once(std::ops::Range { start: 9, end: 5 }).collect(),
             &|c| c.faces[1] = 95..95,
             &|c| c.faces[1].end = 101,

@@ -869,7 +869,8 @@ mod tests {
                         assert!(!some.read(&mut chunk).unwrap() && chunk.triangles.is_empty());
                         // A range that ends within a face.
                         let mut cut =
-                            SomeFaces::new(&model, Vec::from([from.offset..to.offset - 2])).unwrap();
+                            SomeFaces::new(&model, std::iter::once(from.offset..to.offset - 2).collect())
+                                .unwrap();
                         assert!(encoding == Encoding::Ascii || cut.read(&mut chunk).is_err());
                     }
                 }
