@@ -5,11 +5,11 @@
 
 use std::ops::Range;
 
-/// Most ranges of all cells together, but for one each: 8 MiB.
-const MOST: usize = 1 << 19;
+/// Most ranges of all cells together, but for one each: 2 MiB.
+const MOST: usize = 1 << 17;
 
 /// Most ranges of a cell.
-const MOST_OF_A_CELL: usize = 256;
+const MOST_OF_A_CELL: usize = 16;
 
 /// The ranges of all cells.
 ///
