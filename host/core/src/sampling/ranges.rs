@@ -5,11 +5,11 @@
 
 use std::ops::Range;
 
-/// Most ranges of all cells together, but for one each: 2 MiB.
-const MOST: usize = 1 << 17;
+/// Most ranges of all cells together, but for one each: 1 MiB.
+const MOST: usize = 1 << 16;
 
-/// Most ranges of a cell.
-const MOST_OF_A_CELL: usize = 16;
+/// Most ranges of a cell: one less than a list has room for.
+const MOST_OF_A_CELL: usize = 255;
 
 /// The ranges of all cells.
 ///
