@@ -131,6 +131,7 @@ mod tests {
     #[test]
     fn many_cells_have_few_ranges_each() {
         assert_eq!(Ranges::new(1 << 20).most, 1);
-        assert_eq!(Ranges::new(1 << 15).most, 16);
+        assert_eq!(Ranges::new(1 << 15).most, 2);
+        assert_eq!(Ranges::new(1).most, MOST_OF_A_CELL);
     }
 }
