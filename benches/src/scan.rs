@@ -63,16 +63,8 @@ impl Mesh {
     /// There are too many of them for a mesh in memory.
     pub fn amphora(vertices: usize) -> Result<Self> {
         let surface = Surface::new(Shape::Amphora, (vertices as u64 / REFINEMENT).max(MIN_VERTICES))?;
-        let mut mesh = Self { positions: Vec::new(), triangles: Vec::new() };
-        surface.visit_vertices(|block| {
-            mesh.positions.extend(block.iter().map(|vertex| vertex.position));
-            Ok(())
-        })?;
-        surface.visit_triangles(|block| {
-            mesh.triangles.extend(block.iter().map(|t| t.map(|i| i as u32)));
-            Ok(())
-        })?;
-        Ok(mesh)
+        let (vertices, triangles) = surface.mesh()?;
+        Ok(Self { positions: vertices.iter().map(|vertex| vertex.position).collect(), triangles })
     }
 
     /// The box around all vertices.

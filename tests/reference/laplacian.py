@@ -16,10 +16,10 @@ For each model some regions of vertices are held and moved, each by a rigid moti
     arap           igl.ARAP, its default energy (spokes and rims), until it no longer changes
 """
 
-import json
 import sys
 from pathlib import Path
 
+import goldens
 import igl
 import numpy as np
 import scipy.sparse.linalg
@@ -77,23 +77,9 @@ def identity():
 
 def turn(axis, degrees, pivot, by):
     """A turn about an axis through a point, and a shift: three rows of four."""
-    x, y, z = np.array(axis) / np.linalg.norm(axis)
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    a = np.radians(degrees)
-    m = np.eye(3) + np.sin(a) * k + (1 - np.cos(a)) * k @ k
+    m = goldens.rotation(axis, degrees)
     pivot = np.array(pivot)
     return np.column_stack([m, pivot - m @ pivot + np.array(by)])
-
-
-def fingerprint(points, triangles, selection):
-    """FNV-1a over coordinates as single-precision numbers, triangles and selection, all little-endian."""
-    content = (
-        points.astype("<f4").tobytes() + triangles.astype("<i4").tobytes() + selection.astype("<i4").tobytes()
-    )
-    h = 0xCBF29CE484222325
-    for byte in content:
-        h = (h ^ byte) * 0x100000001B3 % 2**64
-    return f"{h:016x}"
 
 
 def quadratic(l, m, b, d):
@@ -140,7 +126,7 @@ def figures(name, points, triangles, selection, motions):
     keep = np.arange(0, len(points), EVERY[name])
     return {
         "vertices": len(points),
-        "fingerprint": fingerprint(points, triangles, selection),
+        "fingerprint": goldens.fingerprint(points, triangles, selection),
         "diagonal": round(float(np.linalg.norm(np.ptp(points, axis=0))), 7),
         "motions": [m.tolist() for m in motions],
         "every": EVERY[name],
@@ -150,17 +136,11 @@ def figures(name, points, triangles, selection, motions):
 
 def main():
     path = HERE / "laplacian.json"
-    goldens = json.loads(path.read_text()) if path.exists() else {}
-    goldens["bumpy-plane"] = figures("bumpy-plane", *bumpy_plane())
+    known = goldens.read(path)
+    known["bumpy-plane"] = figures("bumpy-plane", *bumpy_plane())
     if len(sys.argv) > 1:
-        goldens["decimated-knight"] = figures("decimated-knight", *knight(Path(sys.argv[1])))
-    text = json.dumps(goldens, indent=1)
-    # Points and rows on one line each.
-    import re
-
-    text = re.sub(r"\[\s+([-\d.e]+),\s+([-\d.e]+),\s+([-\d.e]+)\s+\]", r"[\1, \2, \3]", text)
-    text = re.sub(r"\[\s+([-\d.e]+),\s+([-\d.e]+),\s+([-\d.e]+),\s+([-\d.e]+)\s+\]", r"[\1, \2, \3, \4]", text)
-    path.write_text(text + "\n")
+        known["decimated-knight"] = figures("decimated-knight", *knight(Path(sys.argv[1])))
+    goldens.write(path, known)
 
 
 if __name__ == "__main__":

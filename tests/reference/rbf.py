@@ -17,6 +17,7 @@ interpolated exactly, and found at the other points:
 import json
 from pathlib import Path
 
+import goldens
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 
@@ -34,10 +35,7 @@ def points():
 
 def motion(axis, degrees, scale, pivot, by):
     """A turn and a scale about a point, and a shift: three rows of four."""
-    x, y, z = np.array(axis) / np.linalg.norm(axis)
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    a = np.radians(degrees)
-    m = scale * (np.eye(3) + np.sin(a) * k + (1 - np.cos(a)) * k @ k)
+    m = scale * goldens.rotation(axis, degrees)
     return np.column_stack([m, pivot - m @ np.array(pivot) + by])
 
 

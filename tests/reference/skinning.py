@@ -14,11 +14,10 @@ tells whether a reader has the same model.
                       Python binding), with the signs of quaternions as against that of the largest weight, as there
 """
 
-import json
-import re
 import sys
 from pathlib import Path
 
+import goldens
 import igl
 import numpy as np
 
@@ -56,19 +55,12 @@ def arm(folder):
     return points, weights / weights.sum(axis=1, keepdims=True), joints[:bones], turns
 
 
-def turn(axis, degrees):
-    x, y, z = np.array(axis) / np.linalg.norm(axis)
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    a = np.radians(degrees)
-    return np.eye(3) + np.sin(a) * k + (1 - np.cos(a)) * k @ k
-
-
 def chain(joints, turns):
     """Each joint's motion, with that of the one before: three rows of four."""
     motions, above = [], np.eye(4)
     for at, (axis, degrees) in zip(joints, turns):
         own = np.eye(4)
-        own[:3, :3] = turn(axis, degrees)
+        own[:3, :3] = goldens.rotation(axis, degrees)
         own[:3, 3] = at - own[:3, :3] @ at
         above = above @ own
         motions.append(above[:3])
@@ -107,14 +99,6 @@ def dual_quaternion(points, weights, motions):
     return np.array(found)
 
 
-def fingerprint(points, weights):
-    """FNV-1a over coordinates and weights as single-precision numbers, little-endian."""
-    h = 0xCBF29CE484222325
-    for byte in points.astype("<f4").tobytes() + weights.astype("<f4").tobytes():
-        h = (h ^ byte) * 0x100000001B3 % 2**64
-    return f"{h:016x}"
-
-
 def figures(name, points, weights, joints, turns):
     motions = chain(joints, turns)
     scaled = [m.copy() for m in motions]
@@ -133,7 +117,7 @@ def figures(name, points, weights, joints, turns):
     keep = slice(None, None, EVERY[name])
     return {
         "vertices": len(points),
-        "fingerprint": fingerprint(points, weights),
+        "fingerprint": goldens.fingerprint(points, weights),
         "diagonal": round(diagonal, 7),
         "motions": [m.tolist() for m in motions],
         "scaled": [m.tolist() for m in scaled],
@@ -144,15 +128,11 @@ def figures(name, points, weights, joints, turns):
 
 def main():
     path = HERE / "skinning.json"
-    goldens = json.loads(path.read_text()) if path.exists() else {}
-    goldens["tube"] = figures("tube", *tube())
+    known = goldens.read(path)
+    known["tube"] = figures("tube", *tube())
     if len(sys.argv) > 1:
-        goldens["arm"] = figures("arm", *arm(Path(sys.argv[1])))
-    text = json.dumps(goldens, indent=1)
-    # Points and rows on one line each.
-    text = re.sub(r"\[\s+([-\d.e]+),\s+([-\d.e]+),\s+([-\d.e]+)\s+\]", r"[\1, \2, \3]", text)
-    text = re.sub(r"\[\s+([-\d.e]+),\s+([-\d.e]+),\s+([-\d.e]+),\s+([-\d.e]+)\s+\]", r"[\1, \2, \3, \4]", text)
-    path.write_text(text + "\n")
+        known["arm"] = figures("arm", *arm(Path(sys.argv[1])))
+    goldens.write(path, known)
 
 
 if __name__ == "__main__":

@@ -5,9 +5,7 @@ use std::collections::HashMap;
 use std::f64::consts::PI;
 
 use glam::DVec3;
-use simod_core::generate::{
-    Encoding, ModelOptions, Shape, Surface, SurfaceVertex, expected_bytes, write_ply,
-};
+use simod_core::generate::{Encoding, ModelOptions, Shape, Surface, expected_bytes, write_ply};
 use simod_core::model::Scalar;
 use simod_core::progress::Silent;
 use simod_core::{ErrorKind, Progress};
@@ -26,23 +24,6 @@ fn is_open(shape: Shape) -> bool {
     matches!(shape, Shape::Plane | Shape::BumpyPlane)
 }
 
-fn mesh(surface: &Surface) -> (Vec<SurfaceVertex>, Vec<[u64; 3]>) {
-    let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
-    surface
-        .visit_vertices(|block| {
-            vertices.extend_from_slice(block);
-            Ok(())
-        })
-        .unwrap();
-    surface
-        .visit_triangles(|block| {
-            triangles.extend_from_slice(block);
-            Ok(())
-        })
-        .unwrap();
-    (vertices, triangles)
-}
-
 fn bytes(options: &ModelOptions) -> Vec<u8> {
     let mut bytes = Vec::new();
     let info = write_ply(options, &mut bytes, &Silent).unwrap();
@@ -55,7 +36,7 @@ fn there_are_exactly_as_many_vertices_as_asked_for() {
     for shape in SHAPES {
         for asked in [1000, 1001, 1777, 5000, 123_456] {
             let surface = Surface::new(shape, asked).unwrap();
-            let (vertices, triangles) = mesh(&surface);
+            let (vertices, triangles) = surface.mesh().unwrap();
             let close = asked.abs_diff(surface.vertices()) * 50 <= asked;
             assert!(close, "{shape:?}: {} of {asked}", surface.vertices());
             assert_eq!(surface.vertices(), vertices.len() as u64);
@@ -88,7 +69,7 @@ fn meshes_are_oriented_manifolds_closed_where_meant() {
     for shape in SHAPES {
         for asked in [1000, 20_011] {
             let (vertices, triangles) = mesh(&Surface::new(shape, asked).unwrap());
-            let mut edges: HashMap<[u64; 2], u32> = HashMap::new();
+            let mut edges: HashMap<[u32; 2], u32> = HashMap::new();
             let mut used = vec![false; vertices.len()];
             for [a, b, c] in triangles {
                 assert!(a != b && b != c && c != a);
@@ -147,7 +128,7 @@ fn normals_are_unit_and_agree_with_the_faces() {
 fn volumes_are_those_of_the_shapes() {
     let volume = |shape| {
         let (vertices, triangles) = mesh(&Surface::new(shape, 50_000).unwrap());
-        let signed = |t: &[u64; 3]| {
+        let signed = |t: &[u32; 3]| {
             let [a, b, c] = t.map(|i| vertices[i as usize].position);
             a.cross(b).dot(c) / 6.0
         };
@@ -158,7 +139,7 @@ fn volumes_are_those_of_the_shapes() {
     assert!((volume(Shape::Bar) / 0.18 - 1.0).abs() < 1e-4, "{}", volume(Shape::Bar));
     // What is under the bumps: triangles as high as a third of their corners' heights.
     let (vertices, triangles) = mesh(&Surface::new(Shape::BumpyPlane, 50_000).unwrap());
-    let under = |t: &[u64; 3]| {
+    let under = |t: &[u32; 3]| {
         let [a, b, c] = t.map(|i| vertices[i as usize].position);
         (b - a).cross(c - a).y / 2.0 * (a.y + b.y + c.y) / 3.0
     };
@@ -215,7 +196,7 @@ fn bytes_do_not_depend_on_the_threads() {
 fn files_hold_what_the_surface_gives() {
     let offset = DVec3::new(512_345.0, -4_200_000.0, 77.5);
     let surface = Surface::new(Shape::BumpySphere, 1000).unwrap();
-    let (vertices, triangles) = mesh(&surface);
+    let (vertices, triangles) = surface.mesh().unwrap();
     let options = ModelOptions {
         shape: Shape::BumpySphere,
         vertices: 1000,

@@ -38,17 +38,8 @@ pub struct Figures {
 
 impl<'a> Subject<'a> {
     pub fn new(case: &'a Case, vertices: u64) -> Result<Self> {
-        let surface = Surface::new(case.shape, vertices)?;
-        let (mut positions, mut triangles) = (Vec::new(), Vec::new());
-        surface.visit_vertices(|block| {
-            positions.extend(block.iter().map(|v| v.position));
-            Ok(())
-        })?;
-        surface.visit_triangles(|block| {
-            triangles.extend(block.iter().map(|t| t.map(|i| i as u32)));
-            Ok(())
-        })?;
-        Ok(Self { case, positions, triangles })
+        let (vertices, triangles) = Surface::new(case.shape, vertices)?.mesh()?;
+        Ok(Self { case, positions: vertices.iter().map(|v| v.position).collect(), triangles })
     }
 
     pub fn vertices(&self) -> usize {

@@ -166,6 +166,27 @@ impl Surface {
         self.in_pieces(|piece| self.triangles_of(piece), |triangles| visit(&triangles))
     }
 
+    /// All of it at once, for what is small enough.
+    ///
+    /// # Errors
+    /// It has more vertices than 32 bits can count.
+    pub fn mesh(&self) -> Result<(Vec<SurfaceVertex>, Vec<[u32; 3]>)> {
+        if u32::try_from(self.vertices).is_err() {
+            let what = format!("{} vertices are too many for a mesh in memory", self.vertices);
+            return Err(Error::new(ErrorKind::Argument, what, "ask for fewer, or visit them block by block"));
+        }
+        let (mut vertices, mut triangles) = (Vec::new(), Vec::new());
+        self.visit_vertices(|block| {
+            vertices.extend_from_slice(block);
+            Ok(())
+        })?;
+        self.visit_triangles(|block| {
+            triangles.extend(block.iter().map(|corners| corners.map(|i| i as u32)));
+            Ok(())
+        })?;
+        Ok((vertices, triangles))
+    }
+
     fn vertices_of(&self, piece: &Piece) -> Vec<SurfaceVertex> {
         let mut vertices = Vec::new();
         piece.rows.clone().for_each(|row| self.bodies[piece.body].row(row, &mut vertices));

@@ -3,8 +3,8 @@
 use glam::DVec3;
 use serde::Serialize;
 
-use crate::model::{Model, VertexChunk};
-use crate::{Error, ErrorKind, Progress, Result};
+use crate::model::{Model, in_step};
+use crate::{Progress, Result};
 
 /// The deviation of a deformed model from the exact one. Lengths are fractions of the model's diagonal at rest.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -36,37 +36,16 @@ pub fn measure(
     exact: &dyn Fn(&mut [DVec3]) -> Result<()>,
     progress: &dyn Progress,
 ) -> Result<TransferError> {
-    let vertices = model.info().vertices;
-    if deformed.info().vertices != vertices {
-        return Err(Error::new(
-            ErrorKind::Mismatch,
-            format!(
-                "{} has {} vertices, but {} has {vertices}",
-                deformed.path().display(),
-                deformed.info().vertices,
-                model.path().display()
-            ),
-            "compare a model with its own deformation",
-        ));
-    }
     progress.begin("measuring", model.info().vertex_bytes);
-    let mut reader = model.vertices(0..vertices)?;
-    let (mut rest, mut part, mut found) = (VertexChunk::default(), VertexChunk::default(), Vec::new());
     let (mut errors, mut jumps) = (Histogram::default(), Histogram::default());
     let (mut count, mut sum, mut max) = (0u64, 0.0, 0.0f64);
     let scale = 1.0 / diagonal.max(f64::MIN_POSITIVE);
-    while reader.read(&mut rest)? {
-        progress.check()?;
-        // The other file's chunks may end elsewhere, as its text is of another length.
-        found.clear();
-        let mut other = deformed.vertices(rest.first..rest.first + rest.len() as u64)?;
-        while other.read(&mut part)? {
-            found.extend_from_slice(&part.positions);
-        }
-        let finite: Vec<usize> = (0..rest.len()).filter(|i| rest.positions[*i].is_finite()).collect();
-        let mut truth: Vec<DVec3> = finite.iter().map(|i| rest.positions[*i]).collect();
+    let mut last: Option<(DVec3, DVec3)> = None;
+    in_step(&[model, deformed], progress, |versions| {
+        let (rest, found) = (versions[0].positions, versions[1].positions);
+        let finite: Vec<usize> = (0..rest.len()).filter(|i| rest[*i].is_finite()).collect();
+        let mut truth: Vec<DVec3> = finite.iter().map(|i| rest[*i]).collect();
         exact(&mut truth)?;
-        let mut last: Option<(DVec3, DVec3)> = None;
         for (i, truth) in finite.into_iter().zip(truth) {
             let error = (found[i] - truth) * scale;
             let length = error.length();
@@ -75,15 +54,15 @@ pub fn measure(
             max = max.max(length);
             errors.add(length);
             if let Some((p, e)) = last {
-                let distance = (rest.positions[i] - p).length() * scale;
+                let distance = (rest[i] - p).length() * scale;
                 if distance > 0.0 {
                     jumps.add((error - e).length() / distance);
                 }
             }
-            last = Some((rest.positions[i], error));
+            last = Some((rest[i], error));
         }
-        progress.advance(rest.raw().len() as u64);
-    }
+        Ok(())
+    })?;
     Ok(TransferError {
         vertices: count,
         rms: (sum / count.max(1) as f64).sqrt(),

@@ -4,6 +4,7 @@
 //! represented by the sample itself: another one beside it would say the same twice.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use glam::Vec3;
 
@@ -37,15 +38,23 @@ struct Part {
     first: u32,
 }
 
+/// What becomes of the samples that are split.
+#[derive(Default)]
+struct Pieces {
+    parts: Vec<Part>,
+    /// The parts of each split sample, cell by cell.
+    split: BTreeMap<u32, Vec<Range<usize>>>,
+    /// As [`Appended::starts`], of the samples that are not split.
+    starts: Vec<(u32, u32)>,
+}
+
 /// Numbers the leaves of all cells, cut at a bound.
 pub(super) fn append(kept: &KeptCells, positions: &[Vec3], cells: &[Regrown], bound: f32) -> Appended {
     let mut of_sample = vec![0u32; positions.len()];
     kept.cells.iter().flat_map(|c| &c.tree.samples).for_each(|s| of_sample[*s as usize] += 1);
 
     let mut out = Appended { split: vec![false; positions.len()], ..Appended::default() };
-    let mut parts: Vec<Part> = Vec::new();
-    // The parts of each split sample, cell by cell.
-    let mut split: BTreeMap<u32, Vec<std::ops::Range<usize>>> = BTreeMap::new();
+    let mut pieces = Pieces::default();
     for cell in cells {
         let old = &kept.cells[cell.cell as usize].tree;
         let mut new = Renewed { old, tree: CutTree::default(), samples: old.samples.iter().copied() };
@@ -54,7 +63,7 @@ pub(super) fn append(kept: &KeptCells, positions: &[Vec3], cells: &[Regrown], bo
         while at < ends.len() {
             if let Some(grown) = next.next_if(|grown| grown.root as usize == at) {
                 let place = out.trees.len();
-                new.take(grown, bound, positions, place, &mut parts, &mut split, &mut out.starts);
+                new.take(grown, &grown.cut(bound, old), positions, place, &mut pieces);
                 at = ends[at];
             } else {
                 if old.grown.binary_search(&(at as u32)).is_ok() {
@@ -67,12 +76,14 @@ pub(super) fn append(kept: &KeptCells, positions: &[Vec3], cells: &[Regrown], bo
         out.trees.push((cell.cell, new.tree));
     }
 
+    let Pieces { parts, split, starts } = pieces;
+    out.starts = starts;
     let mut sample_of: Vec<Option<u32>> = vec![None; parts.len()];
     for (sample, cells) in &split {
         out.split[*sample as usize] = true;
         // It may stand for whole cells besides, which are not split.
         let stays = of_sample[*sample as usize] as usize > cells.len();
-        let nearest = |range: &std::ops::Range<usize>| {
+        let nearest = |range: &Range<usize>| {
             range.clone().min_by(|a, b| parts[*a].distance.total_cmp(&parts[*b].distance))
         };
         let near: Vec<usize> = cells.iter().filter_map(nearest).collect();
@@ -97,6 +108,15 @@ pub(super) fn append(kept: &KeptCells, positions: &[Vec3], cells: &[Regrown], bo
     out
 }
 
+impl Pieces {
+    /// All parts of a sample in a cell are there.
+    fn close(&mut self, open: Option<(u32, u32, usize)>) {
+        if let Some((sample, _, first)) = open {
+            self.split.entry(sample).or_default().push(first..self.parts.len());
+        }
+    }
+}
+
 /// A cell's tree in the making.
 struct Renewed<'a, S> {
     old: &'a CutTree,
@@ -116,30 +136,22 @@ impl<S: Iterator<Item = u32>> Renewed<'_, S> {
         }
     }
 
-    /// All nodes of a tree that has grown.
-    #[expect(clippy::too_many_arguments, reason = "where each leaf goes")]
+    /// The cut of a tree that has grown; `place` is its cell's among those that are looked at.
     fn take(
         &mut self,
         grown: &Grown,
-        bound: f32,
+        cut: &[(usize, bool)],
         positions: &[Vec3],
         place: usize,
-        parts: &mut Vec<Part>,
-        split: &mut BTreeMap<u32, Vec<std::ops::Range<usize>>>,
-        starts: &mut Vec<(u32, u32)>,
+        pieces: &mut Pieces,
     ) {
         let root = self.tree.children.len() as u32;
         // The sample that is split, the end of its subtree, and where its parts begin.
         let mut open: Option<(u32, u32, usize)> = None;
-        let mut close = |open: Option<(u32, u32, usize)>, parts: &Vec<Part>| {
-            if let Some((sample, _, first)) = open {
-                split.entry(sample).or_default().push(first..parts.len());
-            }
-        };
-        for (i, is_leaf) in grown.cut(bound, self.old) {
+        for &(i, is_leaf) in cut {
             let node = &grown.nodes[i];
             if open.is_some_and(|(_, end, _)| end as usize <= i) {
-                close(open.take(), parts);
+                pieces.close(open.take());
             }
             self.tree.children.push(if is_leaf { 0 } else { grown.children(i) as u8 });
             self.tree.errors.push(node.error);
@@ -149,11 +161,11 @@ impl<S: Iterator<Item = u32>> Renewed<'_, S> {
             match (is_leaf, sample, open) {
                 (true, Some(sample), _) => {
                     self.tree.samples.push(sample);
-                    starts.push((first, sample));
+                    pieces.starts.push((first, sample));
                 }
-                (false, Some(sample), _) => open = Some((sample, node.end, parts.len())),
+                (false, Some(sample), _) => open = Some((sample, node.end, pieces.parts.len())),
                 (true, None, Some((sample, ..))) => {
-                    parts.push(Part {
+                    pieces.parts.push(Part {
                         position: node.position,
                         normal: node.normal,
                         reach: node.reach,
@@ -168,7 +180,7 @@ impl<S: Iterator<Item = u32>> Renewed<'_, S> {
                 _ => {}
             }
         }
-        close(open, parts);
+        pieces.close(open);
         if self.tree.children[root as usize] > 0 {
             self.tree.grown.push(root);
         }

@@ -7,7 +7,7 @@
 use crate::sampling::cluster::{Element, Moments, Sample};
 use crate::sampling::finalization::seed_of;
 use crate::sampling::kept_cells::{CutTree, KeptCell};
-use crate::sampling::vs_tree::{Splitting, VsTree, Workspace, mix};
+use crate::sampling::vs_tree::{Splitting, VsTree, Workspace, children, mix};
 use glam::Vec3;
 
 use super::gathering::{Gathered, SAMPLES_OF_A_PART};
@@ -104,12 +104,7 @@ impl Grown {
 
     /// Number of clusters that a node is split into.
     pub fn children(&self, i: usize) -> u32 {
-        let (mut child, mut children) = (i + 1, 0);
-        while child < self.nodes[i].end as usize {
-            children += 1;
-            child = self.nodes[child].end as usize;
-        }
-        children
+        children(i, |node| self.nodes[node].end)
     }
 
     /// Drops what is below a cut.

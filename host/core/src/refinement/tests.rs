@@ -23,23 +23,9 @@ struct Body {
 
 impl Body {
     fn new(vertices: u64) -> Self {
-        let surface = Surface::new(Shape::Amphora, vertices).unwrap();
-        let folder = tempfile::tempdir().unwrap();
-        let mut body = Self { folder, positions: Vec::new(), normals: Vec::new(), faces: Vec::new() };
-        surface
-            .visit_vertices(|block| {
-                body.positions.extend(block.iter().map(|v| v.position));
-                body.normals.extend(block.iter().map(|v| v.normal));
-                Ok(())
-            })
-            .unwrap();
-        surface
-            .visit_triangles(|block| {
-                body.faces.extend(block.iter().map(|corners| corners.map(|i| i as u32)));
-                Ok(())
-            })
-            .unwrap();
-        body
+        let (vertices, faces) = Surface::new(Shape::Amphora, vertices).unwrap().mesh().unwrap();
+        let (positions, normals) = vertices.iter().map(|v| (v.position, v.normal)).unzip();
+        Self { folder: tempfile::tempdir().unwrap(), positions, normals, faces }
     }
 
     fn without_faces(mut self) -> Self {

@@ -199,13 +199,18 @@ impl VsTree {
 
     /// Number of clusters that node `i` is split into.
     pub fn children(&self, i: usize) -> u32 {
-        let (mut child, mut children) = (i + 1, 0);
-        while child < self.nodes[i].end as usize {
-            children += 1;
-            child = self.nodes[child].end as usize;
-        }
-        children
+        children(i, |node| self.nodes[node].end)
     }
+}
+
+/// Number of children of a node of a tree that is listed parent first; `end` is the index behind a node's subtree.
+pub fn children(node: usize, end: impl Fn(usize) -> u32) -> u32 {
+    let (behind, mut child, mut children) = (end(node), node as u32 + 1, 0);
+    while child < behind {
+        children += 1;
+        child = end(child as usize);
+    }
+    children
 }
 
 /// Memory that is used again from cell to cell.

@@ -22,22 +22,9 @@ pub struct Body {
 
 impl Body {
     pub fn generated(shape: Shape, vertices: u64) -> Self {
-        let surface = Surface::new(shape, vertices).unwrap();
-        let mut body = Self::default();
-        surface
-            .visit_vertices(|block| {
-                body.positions.extend(block.iter().map(|v| v.position));
-                body.normals.extend(block.iter().map(|v| v.normal));
-                Ok(())
-            })
-            .unwrap();
-        surface
-            .visit_triangles(|block| {
-                body.faces.extend(block.iter().map(|corners| corners.map(|i| i as u32)));
-                Ok(())
-            })
-            .unwrap();
-        body
+        let (vertices, faces) = Surface::new(shape, vertices).unwrap().mesh().unwrap();
+        let (positions, normals) = vertices.iter().map(|v| (v.position, v.normal)).unzip();
+        Self { positions, normals, faces }
     }
 
     pub fn without_faces(mut self) -> Self {

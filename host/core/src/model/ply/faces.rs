@@ -1050,14 +1050,7 @@ mod tests {
 
     #[test]
     fn a_generated_model_in_every_encoding() {
-        let mut expected = Vec::new();
-        let surface = Surface::new(Form::Amphora, 50_000).unwrap();
-        surface
-            .visit_triangles(|block| {
-                expected.extend(block.iter().map(|t| t.map(|v| v as u32)));
-                Ok(())
-            })
-            .unwrap();
+        let (_, expected) = Surface::new(Form::Amphora, 50_000).unwrap().mesh().unwrap();
         use generate::Encoding::{Ascii, BinaryBigEndian, BinaryLittleEndian};
         for encoding in [Ascii, BinaryBigEndian, BinaryLittleEndian] {
             let mut bytes = Vec::new();
