@@ -68,7 +68,7 @@ fn out_of_range_is_an_error() {
 fn meshes_are_oriented_manifolds_closed_where_meant() {
     for shape in SHAPES {
         for asked in [1000, 20_011] {
-            let (vertices, triangles) = mesh(&Surface::new(shape, asked).unwrap());
+            let (vertices, triangles) = Surface::new(shape, asked).unwrap().mesh().unwrap();
             let mut edges: HashMap<[u32; 2], u32> = HashMap::new();
             let mut used = vec![false; vertices.len()];
             for [a, b, c] in triangles {
@@ -97,7 +97,7 @@ fn meshes_are_oriented_manifolds_closed_where_meant() {
 #[test]
 fn normals_are_unit_and_agree_with_the_faces() {
     for shape in SHAPES {
-        let (vertices, triangles) = mesh(&Surface::new(shape, 400_000).unwrap());
+        let (vertices, triangles) = Surface::new(shape, 400_000).unwrap().mesh().unwrap();
         for vertex in &vertices {
             assert!(vertex.position.is_finite() && vertex.normal.is_finite());
             assert!((vertex.normal.length() - 1.0).abs() < 1e-5);
@@ -127,7 +127,7 @@ fn normals_are_unit_and_agree_with_the_faces() {
 #[test]
 fn volumes_are_those_of_the_shapes() {
     let volume = |shape| {
-        let (vertices, triangles) = mesh(&Surface::new(shape, 50_000).unwrap());
+        let (vertices, triangles) = Surface::new(shape, 50_000).unwrap().mesh().unwrap();
         let signed = |t: &[u32; 3]| {
             let [a, b, c] = t.map(|i| vertices[i as usize].position);
             a.cross(b).dot(c) / 6.0
@@ -138,7 +138,7 @@ fn volumes_are_those_of_the_shapes() {
     assert!((volume(Shape::Cylinder) / round - 1.0).abs() < 2e-3, "{}", volume(Shape::Cylinder));
     assert!((volume(Shape::Bar) / 0.18 - 1.0).abs() < 1e-4, "{}", volume(Shape::Bar));
     // What is under the bumps: triangles as high as a third of their corners' heights.
-    let (vertices, triangles) = mesh(&Surface::new(Shape::BumpyPlane, 50_000).unwrap());
+    let (vertices, triangles) = Surface::new(Shape::BumpyPlane, 50_000).unwrap().mesh().unwrap();
     let under = |t: &[u32; 3]| {
         let [a, b, c] = t.map(|i| vertices[i as usize].position);
         (b - a).cross(c - a).y / 2.0 * (a.y + b.y + c.y) / 3.0
@@ -150,7 +150,7 @@ fn volumes_are_those_of_the_shapes() {
 #[test]
 fn edges_of_bars_are_sharp() {
     for (shape, corners) in [(Shape::Cylinder, 0), (Shape::Bar, 8)] {
-        let (vertices, _) = mesh(&Surface::new(shape, 3000).unwrap());
+        let (vertices, _) = Surface::new(shape, 3000).unwrap().mesh().unwrap();
         let is_on_rim = |p: DVec3| (p.y == 0.0 || p.y == 2.0) && p.with_y(0.0).length() > 0.1499;
         let is_corner = |p: DVec3| is_on_rim(p) && (p.x.abs() - p.z.abs()).abs() < 1e-9;
         assert!(vertices.iter().filter(|v| is_on_rim(v.position)).count() >= 20, "{shape:?}");
@@ -161,7 +161,7 @@ fn edges_of_bars_are_sharp() {
 #[test]
 fn samples_are_spread_evenly() {
     for shape in SHAPES {
-        let (vertices, triangles) = mesh(&Surface::new(shape, 100_000).unwrap());
+        let (vertices, triangles) = Surface::new(shape, 100_000).unwrap().mesh().unwrap();
         let mut areas: Vec<f64> = triangles
             .iter()
             .map(|t| {
