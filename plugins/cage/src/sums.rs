@@ -5,6 +5,7 @@
 
 use crate::TILE;
 use glam::DVec3;
+use pulp::{Arch, Simd, WithSimd};
 use simod_plugin_api::{Host, PluginResult};
 
 /// Sums of so many samples that lie together, axis by axis.
@@ -64,17 +65,36 @@ impl Sums {
         }
         host.parallel_blocks(&mut self.tiles, 1, |tile, sums| {
             let table = &table[tile * TILE * vertices..][..TILE * vertices];
-            for (v, displacement) in &terms {
-                let weights = &table[v * TILE..][..TILE];
-                for (sums, along) in sums[0].iter_mut().zip(displacement.to_array()) {
-                    for (sum, w) in sums.iter_mut().zip(weights) {
-                        *sum += (along * f64::from(*w) + ROUNDER) - ROUNDER;
-                    }
-                }
-            }
+            Arch::new().dispatch(Add { table, terms: &terms, sums: &mut sums[0] });
         })?;
         (self.state, self.displacements) = (state, displacements.to_vec());
         Ok(())
+    }
+}
+
+/// Adds terms to the sums of a tile: vertices and displacements.
+struct Add<'a> {
+    table: &'a [f32],
+    terms: &'a [(usize, DVec3)],
+    sums: &'a mut Tile,
+}
+
+impl WithSimd for Add<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        // Plain loops, which the compiler makes vectors of; the same numbers come out of any.
+        let [x, y, z] = self.sums;
+        for (v, d) in self.terms {
+            let weights = &self.table[v * TILE..][..TILE];
+            for i in 0..TILE {
+                let w = f64::from(weights[i]);
+                x[i] += (d.x * w + ROUNDER) - ROUNDER;
+                y[i] += (d.y * w + ROUNDER) - ROUNDER;
+                z[i] += (d.z * w + ROUNDER) - ROUNDER;
+            }
+        }
     }
 }
 
