@@ -20,6 +20,22 @@ pub struct Edit {
     pub regions: &'static [Region],
     /// What moves from frame to frame.
     pub drag: Drag,
+    /// A chain of joints, each hanging on the one before.
+    pub joints: &'static [Place],
+    /// Whether frames are drafts, as while a mouse button is held.
+    pub draft: bool,
+}
+
+impl Edit {
+    const fn draft(mut self) -> Self {
+        self.draft = true;
+        self
+    }
+
+    const fn joints(mut self, joints: &'static [Place]) -> Self {
+        self.joints = joints;
+        self
+    }
 }
 
 /// A parameter's value.
@@ -55,6 +71,16 @@ const RIGHT: Region = (Role::HANDLE, |p| p[1] > 0.5 && p[1] < 0.8 && p[0] > 0.85
 const ONE: &[Region] = &[BELOW, ABOVE];
 const THREE: &[Region] = &[BELOW, ABOVE, LEFT, RIGHT];
 
+const ARAP: &[(&str, Value)] = &[("mode", Text("arap"))];
+const ROTATED: &[(&str, Value)] = &[("mode", Text("laplacian"))];
+const SMOOTH: &[(&str, Value)] = &[("mode", Text("bi-laplacian"))];
+
+/// Along the model's axis, and off it into a handle.
+const SPINE: &[Place] =
+    &[[0.5, 0.05, 0.5], [0.5, 0.3, 0.5], [0.5, 0.5, 0.5], [0.5, 0.7, 0.5], [0.5, 0.95, 0.5]];
+const LINEAR: &[(&str, Value)] = &[("method", Text("linear"))];
+const DUAL: &[(&str, Value)] = &[("method", Text("dual-quaternion"))];
+
 const EIGHT: [(&str, Value); 3] =
     [("resolution-x", Number(8.0)), ("resolution-y", Number(8.0)), ("resolution-z", Number(8.0))];
 const EIGHT_BERNSTEIN: [(&str, Value); 4] = [EIGHT[0], EIGHT[1], EIGHT[2], ("basis", Text("bernstein"))];
@@ -66,7 +92,7 @@ const fn edit(
     regions: &'static [Region],
     drag: Drag,
 ) -> Edit {
-    Edit { name, plugin, params, regions, drag }
+    Edit { name, plugin, params, regions, drag, joints: &[], draft: false }
 }
 
 /// All edits.
@@ -77,8 +103,13 @@ pub const EDITS: &[Edit] = &[
     edit("rbf: 3 handles", "rbf", &[], THREE, Drag::Regions),
     edit("rbf: biharmonic, 3 handles", "rbf", &[("kernel", Text("biharmonic"))], THREE, Drag::Regions),
     edit("rbf: compact C², 3 handles", "rbf", &[("kernel", Text("compact-c2"))], THREE, Drag::Regions),
-    edit("laplacian: 1 handle", "laplacian", &[], ONE, Drag::Regions),
-    edit("laplacian: as rigid as possible", "laplacian", &[("mode", Text("arap"))], ONE, Drag::Regions),
+    edit("laplacian: as rigid as possible", "laplacian", ARAP, ONE, Drag::Regions),
+    edit("laplacian: as rigid as possible, draft", "laplacian", ARAP, ONE, Drag::Regions).draft(),
+    edit("laplacian: rotated coordinates", "laplacian", ROTATED, ONE, Drag::Regions),
+    edit("laplacian: rotated coordinates, draft", "laplacian", ROTATED, ONE, Drag::Regions).draft(),
+    edit("laplacian: bi-Laplacian", "laplacian", SMOOTH, ONE, Drag::Regions),
+    edit("skinning: linear", "skinning", LINEAR, &[], Drag::AllHandles).joints(SPINE),
+    edit("skinning: dual quaternions", "skinning", DUAL, &[], Drag::AllHandles).joints(SPINE),
     edit("smooth-handle: 1 handle", "smooth-handle", &[], ONE, Drag::Regions),
     edit("smooth-handle: 3 handles", "smooth-handle", &[], THREE, Drag::Regions),
     edit("lattice: 4³, all points", "lattice", &[], &[], Drag::AllHandles),

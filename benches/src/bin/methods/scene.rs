@@ -1,14 +1,14 @@
 //! One plugin's calls, timed, on the samples of a model.
 
-use crate::edits::{Drag, Edit, Value};
+use crate::edits::{Drag, Edit, Place, Value};
 use glam::{DAffine3, DQuat, DVec3};
 use rayon::prelude::*;
 use simod_benches::median;
 use simod_benches::process::{Result, own_cpu};
 use simod_core::sampled_model::SampledModel;
 use simod_plugin_api::{
-    Affine, Bounds, DeformInput, Graph, HandleMotions, HostCalls, LogLevel, Param, ParamDesc, ParamKind,
-    Part, PrepareInput, Region, Role, Samples, Stroke, Strokes, Triangles,
+    Affine, Bounds, DeformInput, Effort, Graph, HandleMotions, HostCalls, Joint, Joints, LogLevel, Param,
+    ParamDesc, ParamKind, Part, PrepareInput, Region, Role, Samples, Stroke, Strokes, Triangles,
 };
 use simod_session::Plugin;
 use std::sync::{Mutex, PoisonError};
@@ -115,6 +115,16 @@ impl<'m> Scene<'m> {
         if plugin.consumes().graph {
             parts.push(Part::new(&graph));
         }
+        let ids: Vec<String> = (0..edit.joints.len()).map(|i| format!("joint-{i}")).collect();
+        let joint = |(i, at): (usize, &Place)| {
+            let parent = if i == 0 { Joint::ROOT } else { i as u32 - 1 };
+            Joint::new(&ids[i], self.at(DVec3::from(*at)).to_array(), parent)
+        };
+        let joints: Vec<Joint<'_>> = edit.joints.iter().enumerate().map(joint).collect();
+        let joints = Joints::new(&joints);
+        if plugin.consumes().joints {
+            parts.push(Part::new(&joints));
+        }
         let input = PrepareInput::new(self.samples(), self.bounds, &regions, &params).with_parts(&parts);
         let placed = if plugin.capabilities().handles {
             code.handles(&input.without_regions(), &())?.iter().map(|h| DVec3::from(h.position)).collect()
@@ -138,6 +148,7 @@ impl<'m> Scene<'m> {
         let handles = edit.regions.iter().filter(|(role, _)| *role == Role::HANDLE).count();
         let (mut scratch, mut out) = (code.new_scratch()?, vec![[0.0; 3]; self.sampled.samples.len()]);
         let (mut times, mut frame_cpu) = (Vec::new(), 0.0);
+        let effort = if edit.draft { Effort::DRAFT } else { Effort::FULL };
         for frame in 0..frames {
             let transforms = vec![self.turn(frame, self.at(DVec3::splat(0.5))); handles];
             let motions = self.motions(edit.drag, frame, &placed);
@@ -155,6 +166,9 @@ impl<'m> Scene<'m> {
             }
             if !placed.is_empty() {
                 parts.push(Part::new(&motions));
+            }
+            if plugin.consumes().effort {
+                parts.push(Part::new(&effort));
             }
             let input =
                 DeformInput::new(self.samples(), self.bounds, &transforms, &params).with_parts(&parts);
