@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::expansion::Expansion;
 use super::lanes::Lanes;
-use super::sheets::{Sheets, are_lists};
+use super::sheets::{Sheets, are_lists, blocks};
 use crate::sampling::SampleSet;
 
 /// The support of a sample ends at this one of its neighbours.
@@ -75,23 +75,23 @@ impl Supports {
             .collect();
         one_way.par_sort_unstable();
 
-        let lists: Vec<Vec<Reaching>> = (0..n)
-            .into_par_iter()
-            .map(|home| {
-                let first = one_way.partition_point(|(h, _)| (*h as usize) < home);
-                let others = one_way[first..].iter().take_while(|(h, _)| *h as usize == home).map(|(_, j)| j);
-                let itself = [home as u32];
-                let all = itself.iter().chain(sheets.of_sample(home)).chain(others);
-                let mut list: Vec<Reaching> = all.filter_map(|j| entry(home, *j as usize)).collect();
-                list.sort_unstable_by(|a, b| a.from.total_cmp(&b.from).then(a.sample.cmp(&b.sample)));
-                list
-            })
-            .collect();
-        let mut starts = vec![0];
-        let mut reaching = Vec::with_capacity(lists.iter().map(Vec::len).sum());
-        for list in lists {
-            reaching.extend(list);
-            starts.push(reaching.len() as u32);
+        let list = |home: usize| {
+            let first = one_way.partition_point(|(h, _)| (*h as usize) < home);
+            let others = one_way[first..].iter().take_while(|(h, _)| *h as usize == home).map(|(_, j)| j);
+            let itself = [home as u32];
+            let all = itself.iter().chain(sheets.of_sample(home)).chain(others);
+            let mut list: Vec<Reaching> = all.filter_map(|j| entry(home, *j as usize)).collect();
+            list.sort_unstable_by(|a, b| a.from.total_cmp(&b.from).then(a.sample.cmp(&b.sample)));
+            list
+        };
+        let (mut starts, mut reaching) = (vec![0], Vec::new());
+        for block in blocks(n) {
+            let lists: Vec<Vec<Reaching>> = block.into_par_iter().map(list).collect();
+            reaching.reserve_exact(lists.iter().map(Vec::len).sum());
+            for list in lists {
+                reaching.extend(list);
+                starts.push(reaching.len() as u32);
+            }
         }
         Self { radius, starts, reaching }
     }

@@ -7,6 +7,8 @@
 //! sample is linked to the nearest few others in that measure, and its sheet is what these links reach among its
 //! neighbours in space.
 
+use std::ops::Range;
+
 use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -51,28 +53,28 @@ impl Sheets {
         let links: Vec<[u32; LINKS]> =
             (0..samples.len()).into_par_iter().map(|i| links(positions, normals, graph.of(i), i)).collect();
         let nowhere = || vec![NOWHERE; samples.len()];
-        let lists: Vec<Option<Vec<u32>>> = (0..samples.len())
-            .into_par_iter()
-            .map_init(nowhere, |places, i| {
-                let near = graph.of(i);
-                if near.iter().all(|j| surely_along(positions, normals, i, *j as usize))
-                    || reached(&links, i, near, places).count() == near.len()
-                {
-                    return None;
-                }
-                let near = samples.nearest_neighbours(i, CROWDED_NEIGHBOURS);
-                let same: Vec<u32> =
-                    reached(&links, i, &near, places).take(SHEET_NEIGHBOURS).copied().collect();
-                // Noise and creases alone do not make a second sheet.
-                (same[..] != near[..same.len()]).then_some(same)
-            })
-            .collect();
+        let alone = |places: &mut Vec<u8>, i: usize| {
+            let near = graph.of(i);
+            if near.iter().all(|j| surely_along(positions, normals, i, *j as usize))
+                || reached(&links, i, near, places).count() == near.len()
+            {
+                return None;
+            }
+            let near = samples.nearest_neighbours(i, CROWDED_NEIGHBOURS);
+            let same: Vec<u32> = reached(&links, i, &near, places).take(SHEET_NEIGHBOURS).copied().collect();
+            // Noise and creases alone do not make a second sheet.
+            (same[..] != near[..same.len()]).then_some(same)
+        };
         let (mut starts, mut neighbours) = (vec![0], Vec::with_capacity(samples.len() * graph.k()));
         let mut crowded = Vec::with_capacity(samples.len());
-        for (i, same) in lists.iter().enumerate() {
-            neighbours.extend_from_slice(same.as_deref().unwrap_or(graph.of(i)));
-            starts.push(neighbours.len() as u32);
-            crowded.push(same.is_some());
+        for block in blocks(samples.len()) {
+            let lists: Vec<Option<Vec<u32>>> =
+                block.clone().into_par_iter().map_init(nowhere, alone).collect();
+            for (i, same) in block.zip(&lists) {
+                neighbours.extend_from_slice(same.as_deref().unwrap_or(graph.of(i)));
+                starts.push(neighbours.len() as u32);
+                crowded.push(same.is_some());
+            }
         }
         Self { starts, neighbours, crowded }
     }
@@ -110,6 +112,12 @@ impl Sheets {
         };
         (near, radius)
     }
+}
+
+/// All samples, a sixteenth at a time: lists that are found side by side need more room than one behind the other.
+pub fn blocks(samples: usize) -> impl Iterator<Item = Range<usize>> {
+    let size = samples.div_ceil(16).max(1 << 14);
+    (0..samples).step_by(size).map(move |start| start..samples.min(start + size))
 }
 
 /// Whether these are where `lists` lists begin, one after the other, and the last ends.
