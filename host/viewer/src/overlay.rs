@@ -2,7 +2,7 @@
 
 use crate::scene::Scene;
 use crate::selection::Selection;
-use glam::{DVec2, Mat3, Vec3};
+use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use simod_core::reconstruction::{DeformationField, Method, Surroundings, principal_stretches};
@@ -99,24 +99,25 @@ pub fn stretch(scene: &Scene) -> Field {
     Field::of((0..scene.len()).into_par_iter().map(of).collect(), 1.0)
 }
 
-/// The linear map of the tangent plane that carries the ways to the neighbours over best, in the least squares.
+/// The linear map that carries the ways to the neighbours over best, in the least squares along the tangent plane. It is
+/// fitted to displacements, so that nothing is stretched where nothing moves.
 fn tangent_map(rest: &[Vec3], now: &[Vec3], i: usize, near: &[u32], n: Vec3) -> Option<Mat3> {
     let (s, t) = n.try_normalize()?.any_orthonormal_pair();
     let (mut a, mut b, mut c) = (0.0, 0.0, 0.0);
     let (mut u, mut v) = (Vec3::ZERO, Vec3::ZERO);
     for j in near {
         let (r, d) = (rest[*j as usize] - rest[i], now[*j as usize] - now[i]);
-        let p = DVec2::new(f64::from(r.dot(s)), f64::from(r.dot(t)));
-        (a, b, c) = (a + p.x * p.x, b + p.x * p.y, c + p.y * p.y);
-        (u, v) = (u + d * p.x as f32, v + d * p.y as f32);
+        let (x, y) = (r.dot(s), r.dot(t));
+        (a, b, c) = (a + x * x, b + x * y, c + y * y);
+        (u, v) = (u + (d - r) * x, v + (d - r) * y);
     }
     let determinant = a * c - b * b;
-    if determinant <= 1e-9 * a * c {
+    if determinant <= 1e-5 * a * c {
         return None;
     }
-    let solved = |x: f64, y: f64| (u * x as f32 + v * y as f32) / determinant as f32;
-    let (along_s, along_t) = (solved(c, -b), solved(-b, a));
-    Some(Mat3::from_cols(along_s, along_t, n) * Mat3::from_cols(s, t, n).transpose())
+    let (along_s, along_t) = ((u * c - v * b) / determinant, (v * a - u * b) / determinant);
+    let slope = Mat3::from_cols(along_s, along_t, Vec3::ZERO) * Mat3::from_cols(s, t, n).transpose();
+    Some(Mat3::IDENTITY + slope)
 }
 
 /// How far samples are apart at rest.

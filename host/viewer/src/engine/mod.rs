@@ -168,8 +168,8 @@ impl Engine {
     pub fn open(&mut self, opening: Opening) {
         self.want(|wanted, running| {
             (wanted.open, wanted.evaluate, wanted.write) = (Some(opening), None, None);
-            running.open.iter().for_each(|watch| watch.cancel());
-            running.evaluate.iter().for_each(|(watch, ..)| watch.cancel());
+            running.open.iter().for_each(|watch| watch.supersede());
+            running.evaluate.iter().for_each(|(watch, ..)| watch.supersede());
         });
     }
 
@@ -182,7 +182,7 @@ impl Engine {
                 let at = running.step.load(std::sync::atomic::Ordering::Relaxed);
                 let preparing = watch.stage().starts_with("preparing");
                 if wasted::is_wasted(before, *was, &steps, effort, at, preparing) {
-                    watch.cancel();
+                    watch.supersede();
                 }
             }
             wanted.evaluate = Some(Request { number, steps, effort });

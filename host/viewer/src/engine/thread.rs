@@ -47,7 +47,11 @@ impl Teller {
         let notes = watch.take_notes().into_iter().map(Event::Note);
         let mut inner = self.shared.lock();
         let running = &mut inner.1;
-        for event in notes.chain(event) {
+        let is_news = |event: &Event| match event {
+            Event::Failed { error, .. } => !(error.kind() == ErrorKind::Cancelled && watch.is_superseded()),
+            _ => true,
+        };
+        for event in notes.chain(event.filter(is_news)) {
             running.events += 1;
             // Nobody listens any more once the window is closed.
             drop(self.events.send(event));

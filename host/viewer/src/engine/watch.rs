@@ -32,6 +32,8 @@ pub(super) struct Watch {
     stage: Mutex<Stage>,
     done: AtomicU64,
     cancelled: AtomicBool,
+    /// For something newer, which nobody needs to be told.
+    superseded: AtomicBool,
     /// Hundredths of the stage that the window knows of.
     told: AtomicU64,
     notes: Mutex<Vec<String>>,
@@ -50,6 +52,7 @@ impl Watch {
             stage: Mutex::new(Stage { name: "starting", total: 0, since: now }),
             done: AtomicU64::new(0),
             cancelled: AtomicBool::new(false),
+            superseded: AtomicBool::new(false),
             told: AtomicU64::new(0),
             notes: Mutex::new(Vec::new()),
         }
@@ -57,6 +60,16 @@ impl Watch {
 
     pub fn cancel(&self) {
         self.cancelled.store(true, Relaxed);
+    }
+
+    /// Cancels it for something newer.
+    pub fn supersede(&self) {
+        self.superseded.store(true, Relaxed);
+        self.cancel();
+    }
+
+    pub fn is_superseded(&self) -> bool {
+        self.superseded.load(Relaxed)
     }
 
     pub fn activity(&self) -> Activity {

@@ -199,13 +199,7 @@ impl State {
             }
             Event::Written { output, report, seconds } => self.tell(Notice::Written(output, report, seconds)),
             Event::Note(text) => self.tell(Notice::Note(text)),
-            Event::Failed { job, error } => {
-                // What was given up for something newer is nobody's concern.
-                let superseded = job == Job::Evaluate && self.engine.wants(job);
-                if !(error.kind() == ErrorKind::Cancelled && superseded) {
-                    self.tell(Notice::Failed(job, error));
-                }
-            }
+            Event::Failed { job, error } => self.tell(Notice::Failed(job, error)),
         }
     }
 
