@@ -79,7 +79,7 @@ fn only_what_is_seen_of_a_sphere_is_its_front() {
             let cosine = n.dot(to_eye);
             let seen = state.selection().contains(i as u32);
             // Right at the border, it is half a disc that is seen.
-            if (cosine > 0.05 && !seen) || (cosine < -0.06 && seen) {
+            if (cosine > 0.08 && !seen) || (cosine < -0.08 && seen) {
                 wrong += 1;
             }
         }
@@ -156,7 +156,10 @@ fn points_of_the_surface_are_on_the_surface() {
     for x in (0..1280).step_by(40) {
         for y in (0..800).step_by(40) {
             let pixel = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
-            let Some(hit) = state.pick(pixel) else { continue };
+            let Some(hit) = state.pick(pixel) else {
+                assert!(pixel.distance(DVec2::new(640.0, 400.0)) > 190.0, "a hole at {pixel}");
+                continue;
+            };
             hits += 1;
             let back = state.camera().project(hit.local, state.size()).unwrap().0;
             assert!(back.abs_diff_eq(pixel, 1.0), "{back} is not {pixel}");
@@ -168,7 +171,7 @@ fn points_of_the_surface_are_on_the_surface() {
             assert!(sample.distance(hit.at) < 3.0 * spacing);
         }
     }
-    assert!(hits > 100);
+    assert!(hits > 80, "{hits}");
     // The nearest surface, not what is behind it.
     let eye = state.camera().eye();
     let center = state.pick(DVec2::new(640.0, 400.0)).unwrap().local;
