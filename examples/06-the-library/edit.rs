@@ -5,12 +5,13 @@
 use simod_core::progress::Silent;
 use simod_core::reconstruction::Reconstruction;
 use simod_plugin_api::Effort;
-use simod_session::edit::{Change, Command, Editor, Evaluated};
+use simod_session::edit::{Change, Command, Editor, Evaluated, Evaluation};
 use simod_session::plugins::standard_folders;
 use simod_session::session_file::Sampling;
 use simod_session::{PluginOptions, PluginRegistry, SessionFile};
 use std::error::Error;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -21,8 +22,10 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let sampling = Sampling { samples: Some(20_000), ..Sampling::default() };
     let new = SessionFile { model: Some(model.clone()), sampling, ..SessionFile::default() };
-    let plugins = PluginRegistry::discover(&PluginOptions::in_process(standard_folders()));
-    let mut editor = Editor::open(new, None, plugins, &Silent)?;
+    let plugins = Arc::new(PluginRegistry::discover(&PluginOptions::in_process(standard_folders())));
+    // The editor has the steps, and the evaluation does them: it may as well be on a thread of its own.
+    let (mut editor, evaluation) = Editor::open(new, None, plugins.clone(), &Silent)?;
+    let mut work = Work { evaluation, plugins };
 
     let bend = r#"deform = "warp"
         params = { operation = "bend", angle = 60 }"#;
@@ -32,32 +35,45 @@ fn main() -> Result<(), Box<dyn Error>> {
         let mut steps = SessionFile::parse(&format!("[[step]]\n{text}"), Path::new("steps.toml"))?.steps;
         editor.document_mut().apply(Command::Add { at, step: Box::new(steps.remove(0)) })?;
     }
-    tell("two steps", &mut editor)?;
+    work.tell("two steps", &editor)?;
 
     // A slider is dragged: a draft for each position, the full result when it rests. All of it is undone as one.
     for degrees in [50, 55, 60] {
         let change = Change::SetParam { id: "angle".to_owned(), value: Some(degrees.into()) };
         editor.document_mut().apply(Command::Change { at: 1, change })?;
-        editor.update(Effort::DRAFT, &Silent)?;
+        work.update(&editor, Effort::DRAFT)?;
     }
     editor.document_mut().rest();
-    tell("a drag", &mut editor)?;
+    work.tell("a drag", &editor)?;
     let undone = editor.document_mut().undo().unwrap_or_default();
-    tell(&format!("undone: {undone}"), &mut editor)?;
+    work.tell(&format!("undone: {undone}"), &editor)?;
 
-    editor.write(output, &Reconstruction::default(), &Silent)?;
+    let full = work.update(&editor, Effort::FULL)?;
+    full.write(editor.model(), output, &Reconstruction::default(), &Silent)?;
     editor.save(session)?;
     println!("wrote {} and {}", output.display(), session.display());
     Ok(())
 }
 
-fn tell(what: &str, editor: &mut Editor) -> Result<(), Box<dyn Error>> {
-    let start = Instant::now();
-    let evaluated: Evaluated = editor.update(Effort::FULL, &Silent)?;
-    if let Some((_, error)) = evaluated.failure() {
-        return Err(format!("{error}: {}", error.hint()).into());
+/// What does the steps.
+struct Work {
+    evaluation: Evaluation,
+    plugins: Arc<PluginRegistry>,
+}
+
+impl Work {
+    fn update(&mut self, editor: &Editor, effort: Effort) -> simod_core::Result<Evaluated> {
+        self.evaluation.update(editor.document().steps(), &self.plugins, effort, &Silent)
     }
-    let (samples, took) = (evaluated.positions.len(), start.elapsed().as_millis());
-    println!("{what}: {} steps on {samples} samples in {took} ms", evaluated.statuses.len());
-    Ok(())
+
+    fn tell(&mut self, what: &str, editor: &Editor) -> Result<(), Box<dyn Error>> {
+        let start = Instant::now();
+        let evaluated = self.update(editor, Effort::FULL)?;
+        if let Some((_, error)) = evaluated.failure() {
+            return Err(format!("{error}: {}", error.hint()).into());
+        }
+        let (samples, took) = (evaluated.positions.len(), start.elapsed().as_millis());
+        println!("{what}: {} steps on {samples} samples in {took} ms", evaluated.statuses.len());
+        Ok(())
+    }
 }

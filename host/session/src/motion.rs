@@ -1,11 +1,11 @@
 //! How a handle moves.
 
 use glam::{DAffine3, DMat3, DVec3};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use simod_core::frame::Frame;
 
 /// A similarity of space: scaled and turned about a pivot, then translated. Model coordinates.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields, default)]
 pub struct Motion {
     /// In the model's unit.
@@ -18,7 +18,7 @@ pub struct Motion {
     pub degrees: f64,
     /// The point that turning and scaling leave in place. Unless given, it is the model's own zero for a region, and
     /// where it is at rest for a handle that a plugin placed.
-    #[serde(deserialize_with = "crate::vector::maybe_three")]
+    #[serde(deserialize_with = "crate::vector::maybe_three", skip_serializing_if = "Option::is_none")]
     pub pivot: Option<DVec3>,
     /// Size after over size before; positive.
     pub scale: f64,

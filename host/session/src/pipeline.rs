@@ -15,7 +15,7 @@ use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::Effort;
 
 use crate::deformer::Message;
-use crate::edit::{Document, Evaluated, Evaluation, Refinements, Status};
+use crate::edit::{Document, Evaluated, Evaluation, Refinements, messages};
 use crate::plugins::PluginRegistry;
 use crate::session_file::{self, SessionFile, Step};
 use crate::stack::{PreparedStack, Stack};
@@ -80,16 +80,9 @@ pub fn deform(
 ) -> Result<DeformedSamples> {
     let document = Document::new(steps.iter().cloned());
     let mut evaluation = Evaluation::new(sampled.into(), how);
-    let Evaluated { sampled, positions, statuses, stack } =
+    let Evaluated { sampled, positions, statuses, stack, .. } =
         evaluation.update(document.steps(), plugins, Effort::FULL, progress)?;
-    let mut messages = Vec::new();
-    for (_, status) in statuses {
-        match status {
-            Status::Done(said) => messages.extend(said),
-            Status::Failed(error) => return Err(error),
-            Status::Off | Status::Waiting => {}
-        }
-    }
+    let messages = messages(statuses)?;
     let positions = sampled.rounded(&positions);
     let normals = deformed_normals(&sampled.samples, &positions);
     Ok(DeformedSamples { sampled, positions, normals, stack, messages })

@@ -2,9 +2,10 @@
 
 use crate::motion::Motion;
 use crate::shapes::{Shape, Shapes};
+use crate::side_file;
 use crate::strokes_file;
 use glam::DVec3;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use simod_core::refinement::Finer;
 use simod_core::{Error, ErrorKind, Result};
 use std::fs::File;
@@ -36,7 +37,7 @@ pub struct SessionFile {
 }
 
 /// How finely to sample. At most one of `samples` and `error` is given.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Sampling {
     /// How many samples to take.
@@ -48,18 +49,22 @@ pub struct Sampling {
 }
 
 /// One step of an edit.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Step {
     /// What is done.
     pub action: Action,
     /// Whether it is done; a step that is not stays in the session.
+    #[serde(default = "yes")]
     pub enabled: bool,
     /// Where in the file it stands, as `session.toml, line 7`; for errors.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
     pub place: String,
 }
 
 /// What a step does.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Action {
     /// The samples are moved.
     Deform(Deformation),
@@ -68,7 +73,8 @@ pub enum Action {
 }
 
 /// More samples in a part of the model.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Refine {
     /// Where: on the model as the steps before have deformed it. None is everywhere, for those that find out by themselves
     /// ([`Finer::Auto`]).
@@ -105,21 +111,28 @@ const FINER: &str =
     "an error of 0 or more as a fraction of the diagonal, a factor above 1, or at least 1 sample";
 
 /// One deformation.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Deformation {
     /// The plugin's id.
     pub deform: String,
     /// The parameters that differ from their defaults.
+    #[serde(default)]
     pub params: toml::Table,
     /// Regions, in the file's order.
+    #[serde(default)]
     pub regions: Vec<Region>,
     /// Joints that the user placed, in the file's order.
+    #[serde(default)]
     pub joints: Vec<Joint>,
     /// How the plugin's own handles move.
+    #[serde(default)]
     pub handles: Vec<HandleMove>,
     /// Brush strokes, first to last.
+    #[serde(default)]
     pub strokes: Vec<Arc<Stroke>>,
     /// What paths among the parameters are relative to.
+    #[serde(default)]
     pub folder: PathBuf,
 }
 
@@ -147,7 +160,7 @@ impl Step {
 }
 
 /// A joint of a skeleton.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Joint {
     /// Unique among the step's joints.
@@ -160,7 +173,8 @@ pub struct Joint {
 }
 
 /// How a handle that the plugin placed moves.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct HandleMove {
     /// The handle's id.
     pub id: String,
@@ -169,7 +183,7 @@ pub struct HandleMove {
 }
 
 /// A brush stroke.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Stroke {
     /// Of the brush, in the model's unit; above 0.
@@ -207,12 +221,16 @@ impl Stroke {
     }
 }
 
+fn yes() -> bool {
+    true
+}
+
 fn full_strength() -> f64 {
     1.0
 }
 
 /// What a region's samples do.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
     /// They stay.
@@ -224,13 +242,15 @@ pub enum Role {
 }
 
 /// A region of space with a role.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Region {
     /// What it is for.
     pub role: Role,
     /// Where it is.
     pub shapes: Shapes,
     /// How a handle moves; nothing for other roles.
+    #[serde(default)]
     pub motion: Motion,
 }
 
@@ -275,7 +295,7 @@ struct RawStep {
     handle: Vec<Spanned<RawHandle>>,
     #[serde(default)]
     stroke: Vec<Spanned<Stroke>>,
-    strokes: Option<Spanned<strokes_file::Reference>>,
+    strokes: Option<Spanned<side_file::Reference>>,
     enabled: Option<bool>,
     refine: Option<Spanned<RawRefine>>,
 }
@@ -372,6 +392,16 @@ impl Source<'_> {
         Error::new(ErrorKind::Format, format!("{}: {what}", self.place(span)), hint)
     }
 
+    /// An error of what is named there.
+    fn at(&self, span: &Range<usize>, e: &Error) -> Error {
+        Error::new(e.kind(), format!("{}: {e}", self.place(span)), e.hint())
+    }
+
+    /// What paths in the file are relative to.
+    fn folder(&self) -> &Path {
+        self.path.parent().unwrap_or(Path::new(""))
+    }
+
     /// The parser's complaint on one line, with the line of the file that it is about.
     pub fn refused(&self, error: &toml::de::Error) -> Error {
         let message = error.message().lines().collect::<Vec<_>>().join("; ");
@@ -463,10 +493,14 @@ impl Source<'_> {
         }
         let mut shapes = Shapes::default();
         for shape in raw {
-            if let Some(what) = shape.get_ref().defect() {
-                return Err(self.error(&shape.span(), what, "correct the shape"));
+            let (span, mut shape) = (shape.span(), shape.into_inner());
+            if let Shape::Selection(picked) = shape {
+                shape = Shape::Selection(picked.loaded(self.folder()).map_err(|e| self.at(&span, &e))?);
             }
-            shapes.shapes.push(shape.into_inner());
+            if let Some(what) = shape.defect() {
+                return Err(self.error(&span, what, "correct the shape"));
+            }
+            shapes.shapes.push(shape);
         }
         Ok(shapes)
     }
@@ -475,12 +509,11 @@ impl Source<'_> {
         let deform = raw.deform.ok_or_else(|| {
             self.error(span, "the step has no `deform`", "name a plugin, such as deform = \"warp\"")
         })?;
-        let folder = self.path.parent().unwrap_or(Path::new(""));
+        let folder = self.folder();
         let mut strokes = match raw.strokes {
-            Some(file) => file.get_ref().read(folder).map_err(|e| {
-                let what = format!("{}: {e}", self.place(&file.span()));
-                Error::new(e.kind(), what, e.hint())
-            })?,
+            Some(file) => {
+                strokes_file::read(file.get_ref(), folder).map_err(|e| self.at(&file.span(), &e))?
+            }
             None => Vec::new(),
         };
         for stroke in raw.stroke {

@@ -1,7 +1,8 @@
 //! `session.toml`, written: what [`SessionFile::load`] reads, as a person would have put it. What has its default is left
-//! out, and long strokes go to a file beside it.
+//! out, and long strokes and selections go to files beside it.
 
 use crate::motion::Motion;
+use crate::picked::PickedPoints;
 use crate::session_file::{
     Action, Deformation, HandleMove, Joint, Refine, Region, Role, Sampling, SessionFile, Step, Stroke,
     VERSION,
@@ -9,15 +10,17 @@ use crate::session_file::{
 use crate::shapes::Shape;
 use crate::strokes_file;
 use glam::DVec3;
+use serde::Serialize;
 use simod_core::refinement::Finer;
 use simod_core::sampled_model::relative;
 use simod_core::{Error, ErrorKind, Result, output};
 use std::path::{Path, PathBuf};
+use toml_edit::ser::ValueSerializer;
 use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Table, Value, value};
 
 impl SessionFile {
     /// Writes the session, whole or not at all; the model and the output are named as seen from its folder. Gives the files
-    /// of strokes that it refers to.
+    /// beside it that it refers to.
     ///
     /// # Errors
     /// A file cannot be written; a path is no text.
@@ -27,7 +30,7 @@ impl SessionFile {
         Ok(strokes)
     }
 
-    /// The session's text at this path; strokes that are too long for it are written beside it, to these files.
+    /// The session's text at this path; strokes and selections that are too long for it are written beside it, to these files.
     fn to_toml(&self, path: &Path) -> Result<(String, Vec<PathBuf>)> {
         let mut document = DocumentMut::new();
         document["version"] = value(VERSION);
@@ -90,14 +93,14 @@ fn step(from: &Step, session: &Path, files: &mut Vec<PathBuf>) -> Result<Table> 
     }
     match &from.action {
         Action::Deform(from) => deformation(from, session, files, &mut table)?,
-        Action::Refine(from) => table["refine"] = value(refine(from)),
+        Action::Refine(from) => table["refine"] = value(refine(from, session, files)?),
     }
     Ok(table)
 }
 
-fn refine(from: &Refine) -> InlineTable {
+fn refine(from: &Refine, session: &Path, files: &mut Vec<PathBuf>) -> Result<InlineTable> {
     let count = |samples: u64| Value::from(i64::try_from(samples).unwrap_or(i64::MAX));
-    let shapes = from.shapes.shapes.iter().map(shape).collect::<Array>();
+    let shapes = shapes(&from.shapes.shapes, session, files)?;
     let mut table = InlineTable::new();
     if !shapes.is_empty() {
         table.insert("shapes", shapes.into());
@@ -112,7 +115,7 @@ fn refine(from: &Refine) -> InlineTable {
             samples.map(|samples| table.insert("samples", count(samples)));
         }
     }
-    table
+    Ok(table)
 }
 
 fn deformation(
@@ -139,7 +142,8 @@ fn deformation(
             table[key] = Item::ArrayOfTables(all);
         }
     };
-    tables("region", from.regions.iter().map(region).collect());
+    let regions = from.regions.iter().map(|r| region(r, session, files));
+    tables("region", regions.collect::<Result<_>>()?);
     tables("joint", from.joints.iter().map(joint).collect());
     tables("handle", from.handles.iter().map(handle).collect());
     if !long {
@@ -148,34 +152,37 @@ fn deformation(
     Ok(())
 }
 
-fn region(from: &Region) -> Table {
+fn region(from: &Region, session: &Path, files: &mut Vec<PathBuf>) -> Result<Table> {
     let mut table = Table::new();
     table["role"] = value(match from.role {
         Role::Fixed => "fixed",
         Role::Handle => "handle",
         Role::Mask => "mask",
     });
-    table["shapes"] = value(from.shapes.shapes.iter().map(shape).collect::<Array>());
+    table["shapes"] = value(shapes(&from.shapes.shapes, session, files)?);
     if from.shapes.falloff != 0.0 {
         table["falloff"] = value(from.shapes.falloff);
     }
     if from.motion != Motion::default() {
         table["move"] = value(motion(&from.motion));
     }
-    table
+    Ok(table)
 }
 
-fn shape(from: &Shape) -> InlineTable {
-    let (kind, entries): (&str, [(&str, Value); 2]) = match *from {
-        Shape::HalfSpace { point, normal } => {
-            ("half-space", [("point", vector(point)), ("normal", vector(normal))])
-        }
-        Shape::Sphere { center, radius } => {
-            ("sphere", [("center", vector(center)), ("radius", radius.into())])
-        }
-        Shape::Box { min, max } => ("box", [("min", vector(min)), ("max", vector(max))]),
+/// The shapes in one line; selections that are too long for it are written beside the session.
+fn shapes(from: &[Shape], session: &Path, files: &mut Vec<PathBuf>) -> Result<Array> {
+    let shape = |shape: &Shape| -> Result<Value> {
+        let stored = match shape {
+            Shape::Selection(picked) => picked.stored(session)?,
+            _ => None,
+        };
+        let in_file = stored.map(|file| {
+            files.push(output::folder_of(session).join(&file.file));
+            Shape::Selection(PickedPoints::in_file(file))
+        });
+        in_file.as_ref().unwrap_or(shape).serialize(ValueSerializer::new()).map_err(|e| lost("a shape", &e))
     };
-    InlineTable::from_iter([(kind, InlineTable::from_iter(entries))])
+    from.iter().map(shape).collect()
 }
 
 /// What differs from no motion at all.
@@ -233,16 +240,17 @@ fn vector(v: DVec3) -> Value {
     Value::Array(v.to_array().into_iter().collect())
 }
 
+fn lost(what: &str, e: &dyn std::fmt::Display) -> Error {
+    Error::new(ErrorKind::Io, format!("cannot write {what}: {e}"), "report this")
+}
+
 /// Values as they were given, in one line.
 fn inline(from: &toml::Table) -> Result<InlineTable> {
-    let lost = |e: &dyn std::fmt::Display| {
-        Error::new(ErrorKind::Io, format!("cannot write parameters: {e}"), "report this")
-    };
     let text = toml::Value::Table(from.clone()).to_string();
     match text.parse::<Value>() {
         Ok(Value::InlineTable(table)) => Ok(table),
-        Ok(other) => Err(lost(&other.type_name())),
-        Err(e) => Err(lost(&e.message())),
+        Ok(other) => Err(lost("parameters", &other.type_name())),
+        Err(e) => Err(lost("parameters", &e.message())),
     }
 }
 
@@ -288,7 +296,12 @@ mod tests {
             strokes: vec![stroke(3), stroke(1)],
             folder: folder.to_owned(),
         };
-        let long = Deformation { strokes: vec![stroke(5000), stroke(2)], ..deformation.clone() };
+        let mut long = Deformation { strokes: vec![stroke(5000), stroke(2)], ..deformation.clone() };
+        for points in [10, 5000] {
+            let all: Vec<DVec3> = (0..points).map(|i| DVec3::splat(f64::from(i) / 3.0)).collect();
+            let picked = PickedPoints::new(all, vec![DVec3::NEG_X]);
+            long.regions[0].shapes.shapes.push(Shape::Selection(picked));
+        }
         let refine =
             |finer| Action::Refine(Refine { shapes: Shapes { shapes: shapes.clone(), falloff: 0.0 }, finer });
         let step = |action, enabled| Step { action, enabled, place: String::new() };

@@ -1,10 +1,12 @@
 //! Shapes that say where in space something holds: geometry, not sample indices, so they fit any sampling.
 
+use crate::picked::PickedPoints;
 use glam::DVec3;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
+use simod_core::geometry::Bounds;
 
 /// A part of space, in model coordinates.
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Shape {
     /// All points on the side of a plane that its normal points to.
@@ -33,6 +35,8 @@ pub enum Shape {
         #[serde(deserialize_with = "crate::vector::three")]
         max: DVec3,
     },
+    /// What a hand selected.
+    Selection(PickedPoints),
 }
 
 impl Shape {
@@ -53,24 +57,9 @@ impl Shape {
                 Some("a box has a coordinate that is no finite number")
             }
             Self::Box { min, max } if !min.cmple(max).all() => Some("the min of a box exceeds its max"),
+            Self::Selection(ref picked) => picked.defect(),
             _ => None,
         }
-    }
-
-    /// As a session file has it.
-    fn table(&self) -> toml::Table {
-        let three = |p: &DVec3| toml::Value::from(p.to_array().to_vec());
-        let (name, content) = match self {
-            Self::HalfSpace { point, normal } => {
-                ("half-space", vec![("point", three(point)), ("normal", three(normal))])
-            }
-            Self::Sphere { center, radius } => {
-                ("sphere", vec![("center", three(center)), ("radius", (*radius).into())])
-            }
-            Self::Box { min, max } => ("box", vec![("min", three(min)), ("max", three(max))]),
-        };
-        let content: toml::Table = content.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
-        toml::Table::from_iter([(name.to_owned(), content.into())])
     }
 
     /// Signed distance to the surface, in the model's unit; negative inside.
@@ -82,16 +71,19 @@ impl Shape {
                 let q = (p - 0.5 * (min + max)).abs() - 0.5 * (max - min);
                 q.max(DVec3::ZERO).length() + q.max_element().min(0.0)
             }
+            Self::Selection(ref picked) => picked.signed_distance(p),
         }
     }
 }
 
 /// A union of shapes whose influence may fade out beyond their surface.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Shapes {
     /// The shapes; none is nowhere.
     pub shapes: Vec<Shape>,
     /// How far beyond the surface the weight falls to 0, in the model's unit; 0 for at once.
+    #[serde(default)]
     pub falloff: f64,
 }
 
@@ -116,9 +108,27 @@ impl Shapes {
         self.shapes.iter().map(|s| s.signed_distance(p)).fold(f64::INFINITY, f64::min)
     }
 
-    /// The shapes as a session file has them.
+    /// The shapes as a session file has them; of selections that are too long for that, how many points they have, and where.
     pub fn tables(&self) -> Vec<toml::Table> {
-        self.shapes.iter().map(Shape::table).collect()
+        let summary = |picked: &PickedPoints| {
+            let bounds = Bounds::of(picked.inside().iter().copied());
+            let entries = [
+                ("points", toml::Value::from(picked.inside().len() as i64)),
+                ("min", bounds.min.to_array().to_vec().into()),
+                ("max", bounds.max.to_array().to_vec().into()),
+            ];
+            let content = entries.map(|(key, value)| (key.to_owned(), value));
+            toml::Table::from_iter([("selection".to_owned(), toml::Table::from_iter(content).into())])
+        };
+        let table = |shape: &Shape| match shape {
+            Shape::Selection(picked) if picked.is_long() => summary(picked),
+            _ => match toml::Value::try_from(shape) {
+                Ok(toml::Value::Table(table)) => table,
+                // Numbers are always TOML.
+                _ => toml::Table::new(),
+            },
+        };
+        self.shapes.iter().map(table).collect()
     }
 
     /// 1 inside and on the surface of any shape, 0 from `falloff` away on, and `1 - 3t² + 2t³` in between, with
@@ -169,9 +179,16 @@ mod tests {
     fn tables_are_read_as_the_same_shapes() {
         let ball = Shape::Sphere { center: DVec3::X, radius: 2.0 };
         let half = Shape::HalfSpace { point: DVec3::ZERO, normal: DVec3::Y };
-        let all = Shapes { shapes: vec![BOX, ball, half], falloff: 0.0 };
+        let picked = Shape::Selection(PickedPoints::new(vec![DVec3::ONE], vec![DVec3::X, DVec3::Z]));
+        let all = Shapes { shapes: vec![BOX, ball, half, picked], falloff: 0.0 };
         let read: Vec<Shape> = all.tables().into_iter().map(|t| t.try_into().unwrap()).collect();
         assert_eq!(read, all.shapes);
+        let long = PickedPoints::new((0..2000).map(|i| DVec3::splat(f64::from(i))).collect(), Vec::new());
+        let summary = &Shapes { shapes: vec![Shape::Selection(long)], falloff: 0.0 }.tables()[0]["selection"];
+        assert_eq!(
+            (summary["points"].as_integer(), summary["max"][0].as_float()),
+            (Some(2000), Some(1999.0))
+        );
     }
 
     #[test]

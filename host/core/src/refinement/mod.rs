@@ -40,7 +40,8 @@ use regrowing::{Changed, Regrowing, Regrown};
 use selection::{Nearest, Selected, Sizing};
 
 /// How fine P_S shall be where it is selected.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Finer {
     /// No cluster there has a larger error, as a fraction of the diagonal; 0 gives every vertex a sample of its own.
     Error(f64),

@@ -21,7 +21,7 @@ const SCALE: [[u8; 3]; 6] =
     [[216, 216, 212], [248, 222, 140], [245, 160, 60], [222, 80, 50], [160, 25, 80], [60, 10, 85]];
 
 /// A colour of the scale, 0 to 1.
-pub(super) fn color(t: f32) -> [u8; 3] {
+pub fn color(t: f32) -> [u8; 3] {
     let last = SCALE.len() - 1;
     let x = if t.is_finite() { t.clamp(0.0, 1.0) * last as f32 } else { last as f32 };
     let i = (x as usize).min(last - 1);

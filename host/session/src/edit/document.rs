@@ -2,6 +2,7 @@
 
 use crate::motion::Motion;
 use crate::session_file::{Action, HandleMove, Joint, Refine, Region, Role, Step, Stroke};
+use serde::{Deserialize, Serialize};
 use simod_core::{Error, ErrorKind, Result};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -23,7 +24,8 @@ pub struct Entry {
 }
 
 /// One change of a document. Steps are known by their place, 0 for the first.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Command {
     /// A new step, before the one that is at this place now.
     Add {
@@ -54,7 +56,8 @@ pub enum Command {
 }
 
 /// One change of a step.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Change {
     /// It is done, or left out.
     Enable(bool),
@@ -63,6 +66,7 @@ pub enum Change {
         /// The parameter's id.
         id: String,
         /// As in a session file; nothing for the default.
+        #[serde(default)]
         value: Option<toml::Value>,
     },
     /// Other regions take the place of those that are there.

@@ -1,28 +1,27 @@
 //! An edit as a user works on it: a model, the steps on it, and the files that keep them.
 
 use super::document::{Document, Entry};
-use super::evaluation::{Evaluated, Evaluation, Refinements, Status};
+use super::evaluation::{Evaluation, Refinements};
 use crate::pipeline::sampled;
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, SessionFile, Step};
-use crate::strokes_file;
+use crate::side_file;
 use simod_core::output::folder_of;
-use simod_core::reconstruction::{Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::{SampledModel, relative};
 use simod_core::sampling::Skip;
 use simod_core::{Error, Progress, Result};
-use simod_plugin_api::{Effort, ParamKind};
+use simod_plugin_api::ParamKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// A model that is being edited.
+/// What is edited, with its files. Quick to work on: the model itself is in the [`Evaluation`] that comes with it, which may be
+/// on another thread.
 pub struct Editor {
     /// What it is called, and all but the steps.
     session: SessionFile,
     path: Option<PathBuf>,
     document: Document,
-    evaluation: Evaluation,
-    plugins: PluginRegistry,
+    plugins: Arc<PluginRegistry>,
     /// The steps as they were saved last.
     saved: Arc<[Entry]>,
     /// The steps as they were kept last against a crash.
@@ -30,17 +29,17 @@ pub struct Editor {
 }
 
 impl Editor {
-    /// Samples a session's model, to edit it. `path` is the session's file, if it has one.
+    /// Samples a session's model, to edit it, and gives what does its steps. `path` is the session's file, if it has one.
     ///
     /// # Errors
     /// The session names no model, it cannot be sampled, or the user cancelled. Steps that cannot be done, as those of
-    /// plugins that are missing, stay in the session, and say so when they are [evaluated](Self::update).
+    /// plugins that are missing, stay in the session, and say so when they are [evaluated](Evaluation::update).
     pub fn open(
         session: SessionFile,
         path: Option<PathBuf>,
-        plugins: PluginRegistry,
+        plugins: Arc<PluginRegistry>,
         progress: &dyn Progress,
-    ) -> Result<Self> {
+    ) -> Result<(Self, Evaluation)> {
         let folder = path.as_deref().map_or_else(std::env::temp_dir, |path| folder_of(path).to_owned());
         let (sampled, _) = sampled(&session, Skip::default(), &folder, progress)?;
         Ok(Self::of(sampled, session, path, plugins, folder))
@@ -52,9 +51,9 @@ impl Editor {
         sampled: SampledModel,
         session: SessionFile,
         path: Option<PathBuf>,
-        plugins: PluginRegistry,
+        plugins: Arc<PluginRegistry>,
         folder: PathBuf,
-    ) -> Self {
+    ) -> (Self, Evaluation) {
         let document = Document::new(session.steps.iter().cloned());
         let session = SessionFile {
             model: session.model.or_else(|| Some(sampled.source.path.clone())),
@@ -66,7 +65,7 @@ impl Editor {
         let how = Refinements { model, folder, memory_limit: None };
         let (saved, kept) = (document.steps().clone(), document.steps().clone());
         let evaluation = Evaluation::new(Arc::new(sampled), how);
-        Self { session, path, document, evaluation, plugins, saved, kept }
+        (Self { session, path, document, plugins, saved, kept }, evaluation)
     }
 
     /// The steps.
@@ -79,45 +78,29 @@ impl Editor {
         &mut self.document
     }
 
-    /// The plugins, to look for others.
-    pub fn plugins_mut(&mut self) -> &mut PluginRegistry {
-        &mut self.plugins
+    /// The plugins that its steps are of.
+    pub fn plugins(&self) -> &Arc<PluginRegistry> {
+        &self.plugins
+    }
+
+    /// Takes other plugins, as after looking for them again.
+    pub fn set_plugins(&mut self, plugins: Arc<PluginRegistry>) {
+        self.plugins = plugins;
+    }
+
+    /// The model that is edited, as far as the session knows it.
+    pub fn model(&self) -> Option<&Path> {
+        self.session.model.as_deref()
+    }
+
+    /// Where the deformed model goes, if the session says so.
+    pub fn output(&self) -> Option<&Path> {
+        self.session.output.as_deref()
     }
 
     /// The session's file, if it has one.
     pub fn path(&self) -> Option<&Path> {
         self.path.as_deref()
-    }
-
-    /// Does the steps, as far as something has changed: see [`Evaluation::update`].
-    ///
-    /// # Errors
-    /// The user cancelled.
-    pub fn update(&mut self, effort: Effort, progress: &dyn Progress) -> Result<Evaluated> {
-        self.evaluation.update(self.document.steps(), &self.plugins, effort, progress)
-    }
-
-    /// What is known of the steps, such as the handles that plugins placed.
-    pub fn evaluation(&self) -> &Evaluation {
-        &self.evaluation
-    }
-
-    /// Writes the deformed model, whole or not at all.
-    ///
-    /// # Errors
-    /// A step cannot be done; the file cannot be written; the user cancelled.
-    pub fn write(&mut self, output: &Path, how: &Reconstruction, progress: &dyn Progress) -> Result<()> {
-        let Evaluated { sampled, positions, statuses, .. } = self.update(Effort::FULL, progress)?;
-        if let Some(error) = statuses.into_iter().find_map(|(_, status)| match status {
-            Status::Failed(error) => Some(error),
-            _ => None,
-        }) {
-            return Err(error);
-        }
-        let model = sampled.open_source(self.session.model.as_deref())?;
-        let deformed = sampled.rounded(&positions);
-        let version = Version { deformed: &deformed, output, diagnostics: None };
-        reconstruct(&sampled, model.as_ref(), &[version], how, progress).map(drop)
     }
 
     /// Whether the session's file has all that was done.
@@ -153,8 +136,8 @@ impl Editor {
         let model = self.session.model.as_deref().unwrap_or(Path::new("session.toml"));
         let path = autosave_path(self.path.as_deref().unwrap_or(model));
         let used = self.at(&path).save(&path)?;
-        // The former strokes, which nobody else knows.
-        remove(strokes_file::beside(&path)?.into_iter().filter(|path| !used.contains(path)))?;
+        // The former files beside it, which nobody else knows.
+        remove(side_file::beside(&path)?.into_iter().filter(|path| !used.contains(path)))?;
         self.kept = steps;
         Ok(())
     }
@@ -211,7 +194,7 @@ pub fn forget(path: &Path) -> Result<()> {
     let kept = autosave_path(path);
     match std::fs::remove_file(&kept) {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("remove", &kept, &e)),
-        _ => remove(strokes_file::beside(&kept)?),
+        _ => remove(side_file::beside(&kept)?),
     }
 }
 

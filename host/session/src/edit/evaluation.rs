@@ -6,14 +6,18 @@ use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Refine, Step};
 use crate::stack::{Done, Kept, Key, Layer, PreparedStack, Rest, RestShape, at};
 use glam::Vec3;
-use simod_core::reconstruction::{DeformationField, Method, Surroundings, deformed_normals};
+use simod_core::reconstruction::{
+    DeformationField, Method, Reconstructed, Reconstruction, Surroundings, Version, deformed_normals,
+    reconstruct,
+};
 use simod_core::refinement::{Refining, Selection, appended_deformed, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::{Effort, HandleDesc};
 use std::collections::HashMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// How a step fared.
 #[derive(Debug)]
@@ -36,6 +40,9 @@ pub struct Evaluated {
     pub positions: Arc<[Vec3]>,
     /// How each step fared, in their order.
     pub statuses: Vec<(StepId, Status)>,
+    /// What each step began with, up to the one that failed, in their order: local positions, of fewer samples if
+    /// refinements follow. There its regions, strokes and joints are.
+    pub before: Vec<Arc<[Vec3]>>,
     /// The exact map of the steps that were done, where all plugins know it.
     pub stack: PreparedStack,
 }
@@ -48,6 +55,40 @@ impl Evaluated {
             _ => None,
         })
     }
+
+    /// Writes the deformed model, whole or not at all. `model` is where it is, if it was moved since it was sampled.
+    ///
+    /// # Errors
+    /// A step could not be done; the model or the file cannot be read or written; the user cancelled.
+    pub fn write(
+        self,
+        model: Option<&Path>,
+        output: &Path,
+        how: &Reconstruction<'_>,
+        progress: &dyn Progress,
+    ) -> Result<Reconstructed> {
+        messages(self.statuses)?;
+        let model = self.sampled.open_source(model)?;
+        let deformed = self.sampled.rounded(&self.positions);
+        let version = Version { deformed: &deformed, output, diagnostics: None };
+        reconstruct(&self.sampled, model.as_ref(), &[version], how, progress)
+    }
+}
+
+/// What the plugins had to say.
+///
+/// # Errors
+/// The first step that could not be done.
+pub(crate) fn messages(statuses: Vec<(StepId, Status)>) -> Result<Vec<Message>> {
+    let mut messages = Vec::new();
+    for (_, status) in statuses {
+        match status {
+            Status::Done(said) => messages.extend(said),
+            Status::Failed(error) => return Err(error),
+            Status::Off | Status::Waiting => {}
+        }
+    }
+    Ok(messages)
 }
 
 /// Does steps again and again, and keeps of each what the next time may need: what the plugin prepared, and the positions.
@@ -58,6 +99,7 @@ pub struct Evaluation {
     sampled: Arc<SampledModel>,
     how: Refinements,
     known: HashMap<StepId, Known>,
+    at: Arc<AtomicUsize>,
 }
 
 /// How the model is read again, where steps refine it.
@@ -88,7 +130,17 @@ impl Evaluation {
     /// Nothing is done yet. If there are steps that refine, the model has to [hold its
     /// cells](SampledModel::hold_cells).
     pub fn new(sampled: Arc<SampledModel>, how: Refinements) -> Self {
-        Self { sampled, how, known: HashMap::new() }
+        Self { sampled, how, known: HashMap::new(), at: Arc::default() }
+    }
+
+    /// The place of the step that is being done, to be looked at from other threads.
+    pub fn at(&self) -> &Arc<AtomicUsize> {
+        &self.at
+    }
+
+    /// The samples at rest, without those of refinements.
+    pub fn sampled(&self) -> &Arc<SampledModel> {
+        &self.sampled
     }
 
     /// Does the steps. With [`Effort::DRAFT`], plugins that know a quicker way take it, and refinements that were done
@@ -106,10 +158,14 @@ impl Evaluation {
         let rest = with_shape(&self.sampled, |shape| shape.rest(0))?;
         let mut between = Between { sampled: self.sampled.clone(), rest: Arc::new(rest) };
         let mut layers = Vec::new();
-        let mut statuses = Vec::with_capacity(steps.len());
+        let (mut statuses, mut before) = (Vec::with_capacity(steps.len()), Vec::with_capacity(steps.len()));
         let mut failed = false;
         self.known.retain(|id, _| steps.iter().any(|e| e.id == *id && e.step.enabled));
-        for Entry { id, step } in steps {
+        for (place, Entry { id, step }) in steps.iter().enumerate() {
+            self.at.store(place, Ordering::Relaxed);
+            if !failed {
+                before.push(between.rest.positions.clone());
+            }
             let mut run = || -> Result<Vec<Message>> {
                 match &step.action {
                     Action::Deform(_) => {
@@ -142,7 +198,7 @@ impl Evaluation {
         }
         let stack = PreparedStack { layers, frame: self.sampled.frame };
         let Between { sampled, rest } = between;
-        Ok(Evaluated { sampled, positions: rest.positions.clone(), statuses, stack })
+        Ok(Evaluated { sampled, positions: rest.positions.clone(), statuses, before, stack })
     }
 
     /// The handles that a step's plugin placed the last time, local coordinates; none where it was not done yet.

@@ -8,4 +8,5 @@ mod tests;
 
 pub use document::{Change, Command, Document, Entry, StepId};
 pub use editor::{Editor, forget, recover};
+pub(crate) use evaluation::messages;
 pub use evaluation::{Evaluated, Evaluation, Refinements, Status};

@@ -419,7 +419,7 @@ fn a_cancelled_update_can_be_done_again() {
 }
 
 /// An editor of the height field, whose session's file is in a folder of its own.
-fn editor(folder: &Path) -> Editor {
+fn editor(folder: &Path) -> (Editor, Evaluation) {
     let sampled = sampled();
     let path = folder.join("edit.toml");
     let session = SessionFile { model: Some(sampled.source.path.clone()), ..SessionFile::default() };
@@ -427,10 +427,12 @@ fn editor(folder: &Path) -> Editor {
     open(&path)
 }
 
-fn open(path: &Path) -> Editor {
-    let module = root_module::<Counted>(extension);
-    let plugins = PluginRegistry::of([Plugin::in_process(module, Path::new("counted")).unwrap()]);
-    Editor::open(SessionFile::load(path).unwrap(), Some(path.to_owned()), plugins, &Silent).unwrap()
+fn open(path: &Path) -> (Editor, Evaluation) {
+    open_session(SessionFile::load(path).unwrap(), path)
+}
+
+fn open_session(session: SessionFile, path: &Path) -> (Editor, Evaluation) {
+    Editor::open(session, Some(path.to_owned()), registry(), &Silent).unwrap()
 }
 
 fn saved_steps(session: &SessionFile) -> Vec<Step> {
@@ -441,7 +443,7 @@ fn saved_steps(session: &SessionFile) -> Vec<Step> {
 #[test]
 fn what_was_not_saved_can_be_recovered() {
     let folder = tempfile::tempdir().unwrap();
-    let mut editor = editor(folder.path());
+    let (mut editor, _) = editor(folder.path());
     let path = folder.path().join("edit.toml");
     let files = || {
         let mut names: Vec<_> = std::fs::read_dir(folder.path())
@@ -480,9 +482,7 @@ fn what_was_not_saved_can_be_recovered() {
     }
     assert_eq!(kept_steps, expected);
     // Saved, it is not needed any more.
-    let module = root_module::<Counted>(extension);
-    let plugins = PluginRegistry::of([Plugin::in_process(module, Path::new("counted")).unwrap()]);
-    let mut editor = Editor::open(kept, Some(path.clone()), plugins, &Silent).unwrap();
+    let (mut editor, _) = open_session(kept, &path);
     editor.save(&path).unwrap();
     assert!(editor.is_saved() && recover(&path).unwrap().is_none());
     assert_eq!(files().iter().filter(|name| name.starts_with('.')).count(), 0, "{:?}", files());
@@ -497,7 +497,7 @@ fn what_was_not_saved_can_be_recovered() {
 #[test]
 fn the_editor_writes_what_a_run_of_its_session_writes() {
     let folder = tempfile::tempdir().unwrap();
-    let mut editor = editor(folder.path());
+    let (mut editor, mut evaluation) = editor(folder.path());
     let [first, second, third] = steps();
     let around = refine(DVec3::new(2.0, 2.0, 0.0), 1.5, Finer::Factor(3.0));
     for (at, step) in [first, around, second, third].into_iter().enumerate() {
@@ -505,13 +505,14 @@ fn the_editor_writes_what_a_run_of_its_session_writes() {
     }
     // Something to undo, and drafts in between.
     editor.document_mut().apply(set(3, "shift", 1.0)).unwrap();
-    editor.update(api::Effort::DRAFT, &Silent).unwrap();
+    update(&mut evaluation, editor.document(), api::Effort::DRAFT);
     editor.document_mut().undo();
     editor.document_mut().apply(set(0, "shift", 0.125)).unwrap();
-    editor.update(api::Effort::DRAFT, &Silent).unwrap();
+    update(&mut evaluation, editor.document(), api::Effort::DRAFT);
     let (edited, run) = (folder.path().join("edited.ply"), folder.path().join("run.ply"));
     let how = simod_core::reconstruction::Reconstruction::default();
-    editor.write(&edited, &how, &Silent).unwrap();
+    let full = api::Effort::FULL;
+    update(&mut evaluation, editor.document(), full).write(None, &edited, &how, &Silent).unwrap();
     let saved = folder.path().join("elsewhere.toml");
     editor.save(&saved).unwrap();
     let session = SessionFile::load(&saved).unwrap();
@@ -523,7 +524,9 @@ fn the_editor_writes_what_a_run_of_its_session_writes() {
     // A step that cannot be done: nothing is written.
     editor.document_mut().apply(set(0, "shift", 1000.0)).unwrap();
     let never = folder.path().join("never.ply");
-    assert!(editor.write(&never, &how, &Silent).unwrap_err().to_string().contains("too far"));
+    let error =
+        update(&mut evaluation, editor.document(), full).write(None, &never, &how, &Silent).unwrap_err();
+    assert!(error.to_string().contains("too far"));
     assert!(!never.exists());
 }
 

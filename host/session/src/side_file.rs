@@ -1,0 +1,159 @@
+//! Files beside a session: what is too much for a readable file, as long brush strokes and selections.
+//!
+//! A line that says what it is, such as `simod-strokes/1`, and the content in postcard's encoding. The session names the file
+//! with its hash; the name has a part of the hash, so that a session that is saved anew never spoils what the former one
+//! refers to.
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use simod_core::{Error, ErrorKind, Result, output};
+use std::path::{Path, PathBuf};
+use xxhash_rust::xxh3::xxh3_128;
+
+/// Points beyond which something goes to a file of its own.
+pub const MOST_IN_SESSION: usize = 1000;
+
+/// Digits of the hash in a file's name.
+const HASH: usize = 12;
+
+/// What is in a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// The strokes of a step.
+    Strokes,
+    /// A region that was selected by hand.
+    Selection,
+}
+
+impl Kind {
+    const ALL: [Self; 2] = [Self::Strokes, Self::Selection];
+
+    /// How files of this kind begin, how their names end, and what they are called.
+    fn names(self) -> (&'static [u8], &'static str, &'static str) {
+        match self {
+            Self::Strokes => (b"simod-strokes/1\n", "strokes", "strokes"),
+            Self::Selection => (b"simod-selection/1\n", "selection", "selection"),
+        }
+    }
+}
+
+/// What a session says of the file.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct Reference {
+    /// Relative to the session.
+    pub file: PathBuf,
+    /// Hash of its bytes.
+    pub fingerprint: String,
+}
+
+/// Writes a file beside the session, whole or not at all; one that is there already with the same content stays.
+///
+/// # Errors
+/// It cannot be written.
+pub fn write(session: &Path, kind: Kind, content: &impl Serialize) -> Result<Reference> {
+    let (magic, extension, what) = kind.names();
+    let bytes = postcard::to_extend(content, magic.to_vec())
+        .map_err(|e| Error::new(ErrorKind::Io, format!("cannot write a {what}: {e}"), "report this"))?;
+    let fingerprint = fingerprint(&bytes);
+    let stem = session.file_stem().unwrap_or_default().to_string_lossy();
+    let short = fingerprint.rsplit(':').next().and_then(|hex| hex.get(..HASH)).unwrap_or_default();
+    let file = PathBuf::from(format!("{stem}-{short}.{extension}"));
+    let path = output::folder_of(session).join(&file);
+    if std::fs::read(&path).ok().as_deref() != Some(&bytes) {
+        output::write_file(&path, &bytes)?;
+    }
+    Ok(Reference { file, fingerprint })
+}
+
+/// The files that sessions at this path have written beside them, used or not.
+///
+/// # Errors
+/// The folder cannot be read.
+pub fn beside(session: &Path) -> Result<Vec<PathBuf>> {
+    let folder = output::folder_of(session);
+    let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
+    let stem = session.file_stem().unwrap_or_default().to_string_lossy();
+    let is_ours = |path: &Path| {
+        let name = path.file_name().and_then(|name| name.to_str());
+        let rest = name.and_then(|n| n.strip_prefix(&*stem)?.strip_prefix('-')?.split_once('.'));
+        rest.is_some_and(|(hex, extension)| {
+            Kind::ALL.iter().any(|kind| kind.names().1 == extension)
+                && hex.len() == HASH
+                && hex.bytes().all(|b| b.is_ascii_hexdigit())
+        })
+    };
+    Ok(entries.flatten().map(|entry| entry.path()).filter(|path| is_ours(path)).collect())
+}
+
+impl Reference {
+    /// Reads the file; `folder` is the session's. `make` makes of its content what it stands for, or says what is wrong
+    /// with it.
+    ///
+    /// # Errors
+    /// The file cannot be read, is not the one that the session was saved with, or holds what makes no sense.
+    pub fn read<C: DeserializeOwned, T>(
+        &self,
+        folder: &Path,
+        kind: Kind,
+        make: impl FnOnce(C) -> Result<T, String>,
+    ) -> Result<T> {
+        let (magic, _, what) = kind.names();
+        let path = folder.join(&self.file);
+        let bytes = std::fs::read(&path).map_err(|e| Error::io(&format!("read the {what}"), &path, &e))?;
+        let refused = |what: &str| {
+            let what = format!("{} {what}", path.display());
+            Error::new(ErrorKind::Mismatch, what, "put the file that was saved with the session beside it")
+        };
+        if fingerprint(&bytes) != self.fingerprint {
+            return Err(refused("is not what the session was saved with"));
+        }
+        let damaged = || refused(&format!("is no file of a {what}"));
+        let content =
+            postcard::from_bytes(bytes.strip_prefix(magic).ok_or_else(damaged)?).map_err(|_| damaged())?;
+        make(content).map_err(|what| refused(&format!("is wrong: {what}")))
+    }
+}
+
+fn fingerprint(bytes: &[u8]) -> String {
+    format!("xxh3-128:{:032x}", xxh3_128(bytes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn other_bytes_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let content: Vec<f64> = (0..100).map(f64::from).collect();
+        for kind in Kind::ALL {
+            let (magic, _, what) = kind.names();
+            let reference = write(&folder.path().join("edit.toml"), kind, &content).unwrap();
+            let path = folder.path().join(&reference.file);
+            let read = |reference: &Reference| {
+                reference.read(
+                    folder.path(),
+                    kind,
+                    |c: Vec<f64>| if c.is_empty() { Err("none".into()) } else { Ok(c) },
+                )
+            };
+            assert_eq!(read(&reference).unwrap(), content);
+            let good = std::fs::read(&path).unwrap();
+            let spoil = |bytes: &[u8], fingerprint: &str| {
+                output::write_file(&path, bytes).unwrap();
+                let reference = Reference { fingerprint: fingerprint.to_owned(), ..reference.clone() };
+                read(&reference).unwrap_err().to_string()
+            };
+            assert!(spoil(&good[..good.len() / 2], &reference.fingerprint).contains("not what the session"));
+            // A hash that fits, of bytes that are something else.
+            for bytes in [&b"solid"[..], &good[..good.len() / 2], magic] {
+                assert!(spoil(bytes, &fingerprint(bytes)).contains(&format!("no file of a {what}")));
+            }
+            let empty = [magic, &[0]].concat();
+            assert!(spoil(&empty, &fingerprint(&empty)).contains("is wrong: none"));
+            std::fs::remove_file(&path).unwrap();
+            assert!(read(&reference).unwrap_err().to_string().contains(&format!("cannot read the {what}")));
+        }
+    }
+}

@@ -1,0 +1,308 @@
+//! The thread that owns the samples and does the steps, so that the window never waits.
+//!
+//! Of requests to do steps, the latest wins: one that waits is replaced. One that runs goes on, so that a drag is followed
+//! as quickly as the plugins are, unless its result is of no more use: see [`is_wasted`]. A preparation that the newer
+//! request needs as well is never cancelled by it, or slow ones would never come to an end while a handle is dragged.
+//!
+//! The deformed model is written on a thread of its own, so that the edit goes on meanwhile.
+
+mod thread;
+mod wasted;
+mod watch;
+
+use crate::scene::Scene;
+use serde::{Deserialize, Serialize};
+use simod_core::reconstruction::{Method, Normals, Reconstructed};
+use simod_core::{Error, Result};
+use simod_plugin_api::Effort;
+use simod_session::PluginRegistry;
+use simod_session::edit::{Editor, Entry};
+use simod_session::session_file::Sampling;
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+use thread::Thread;
+pub use watch::Activity;
+use watch::Watch;
+
+/// Called from any thread when there is something new to be looked at: an event, or progress.
+pub type Wake = Arc<dyn Fn() + Send + Sync>;
+
+/// What is to be opened.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Opening {
+    /// A model, the folder of a sampled one, or a session.
+    pub path: PathBuf,
+    /// How finely a model is sampled.
+    pub sampling: Sampling,
+    /// Takes what was kept of it against a crash, if there is something.
+    pub recover: bool,
+}
+
+/// How the deformed model is written.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Writing {
+    /// The file.
+    pub output: PathBuf,
+    /// The model, if it was moved since it was sampled.
+    pub model: Option<PathBuf>,
+    /// How vertices are carried over.
+    pub method: Method,
+    /// What becomes of the model's normals.
+    pub normals: Normals,
+}
+
+/// The jobs that there are: at most one of each runs at a time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Job {
+    /// A model is read and sampled.
+    Open,
+    /// Steps are done.
+    Evaluate,
+    /// The deformed model is written.
+    Write,
+}
+
+/// What became of a request.
+pub enum Event {
+    /// A model is there, with its samples at rest.
+    Opened(Box<(Editor, Scene)>),
+    /// Steps were done.
+    Evaluated {
+        /// Which request it was.
+        request: u64,
+        /// Where the samples are.
+        scene: Box<Scene>,
+    },
+    /// The deformed model was written.
+    Written {
+        /// The file.
+        output: PathBuf,
+        /// What was done.
+        report: Box<Reconstructed>,
+        /// How long it took.
+        seconds: f64,
+    },
+    /// Something that the user should know.
+    Note(String),
+    /// A job came to nothing; what was there before still holds. Of kind
+    /// [`Cancelled`](simod_core::ErrorKind::Cancelled) if the user stopped it.
+    Failed {
+        /// Which.
+        job: Job,
+        /// Why.
+        error: Error,
+    },
+}
+
+/// Steps to be done.
+struct Request {
+    number: u64,
+    steps: Arc<[Entry]>,
+    effort: Effort,
+}
+
+/// What the thread shall do next.
+#[derive(Default)]
+struct Wanted {
+    open: Option<Opening>,
+    evaluate: Option<Request>,
+    write: Option<(Arc<[Entry]>, Writing)>,
+    plugins: Option<Arc<PluginRegistry>>,
+    end: bool,
+}
+
+/// What is running.
+#[derive(Default)]
+struct Running {
+    open: Option<Arc<Watch>>,
+    evaluate: Option<(Arc<Watch>, Arc<[Entry]>, Effort)>,
+    write: Option<Arc<Watch>>,
+    /// The place of the step that is being done.
+    step: Arc<std::sync::atomic::AtomicUsize>,
+    /// Events that were sent, and not taken yet.
+    events: usize,
+}
+
+#[derive(Default)]
+struct Shared {
+    inner: Mutex<(Wanted, Running)>,
+    changed: Condvar,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, (Wanted, Running)> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The window's end of it.
+pub struct Engine {
+    shared: Arc<Shared>,
+    events: Receiver<Event>,
+    requests: u64,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Engine {
+    /// Starts the thread.
+    pub fn new(plugins: Arc<PluginRegistry>, wake: Wake) -> Self {
+        let (sender, events) = channel();
+        let shared = Arc::new(Shared::default());
+        let thread = Thread::new(shared.clone(), sender, plugins, wake);
+        let thread = std::thread::Builder::new().name("engine".into()).spawn(move || thread.run()).ok();
+        Self { shared, events, requests: 0, thread }
+    }
+
+    fn want(&self, change: impl FnOnce(&mut Wanted, &mut Running)) {
+        let mut inner = self.shared.lock();
+        let (wanted, running) = &mut *inner;
+        change(wanted, running);
+        self.shared.changed.notify_all();
+    }
+
+    /// Opens something else. What is running for the former model is cancelled, but for a model that is being written.
+    pub fn open(&mut self, opening: Opening) {
+        self.want(|wanted, running| {
+            (wanted.open, wanted.evaluate, wanted.write) = (Some(opening), None, None);
+            running.open.iter().for_each(|watch| watch.supersede());
+            running.evaluate.iter().for_each(|(watch, ..)| watch.supersede());
+        });
+    }
+
+    /// Has steps done, instead of those that wait for it. Gives the request's number, which comes back with the result.
+    pub fn evaluate(&mut self, steps: Arc<[Entry]>, effort: Effort) -> u64 {
+        self.requests += 1;
+        let number = self.requests;
+        self.want(|wanted, running| {
+            if let Some((watch, before, was)) = &running.evaluate {
+                let at = running.step.load(std::sync::atomic::Ordering::Relaxed);
+                let preparing = watch.stage().starts_with("preparing");
+                if wasted::is_wasted(before, *was, &steps, effort, at, preparing) {
+                    watch.supersede();
+                }
+            }
+            wanted.evaluate = Some(Request { number, steps, effort });
+        });
+        number
+    }
+
+    /// Writes the model that these steps deform; one at a time, the latest request waits.
+    pub fn write(&mut self, steps: Arc<[Entry]>, writing: Writing) {
+        self.want(|wanted, _| wanted.write = Some((steps, writing)));
+    }
+
+    /// Takes other plugins from the next request on.
+    pub fn set_plugins(&mut self, plugins: Arc<PluginRegistry>) {
+        self.want(|wanted, _| wanted.plugins = Some(plugins));
+    }
+
+    /// Stops a job, and what waits to become one. A plugin in a process of its own is stopped even if it hangs.
+    pub fn cancel(&mut self, job: Job) {
+        self.want(|wanted, running| match job {
+            Job::Open => {
+                wanted.open = None;
+                running.open.iter().for_each(|watch| watch.cancel());
+            }
+            Job::Evaluate => {
+                wanted.evaluate = None;
+                running.evaluate.iter().for_each(|(watch, ..)| watch.cancel());
+            }
+            Job::Write => {
+                wanted.write = None;
+                running.write.iter().for_each(|watch| watch.cancel());
+            }
+        });
+    }
+
+    /// What a job is doing, if it is running.
+    pub fn activity(&self, job: Job) -> Option<Activity> {
+        let inner = self.shared.lock();
+        let running = &inner.1;
+        let watch = match job {
+            Job::Open => running.open.as_ref(),
+            Job::Evaluate => running.evaluate.as_ref().map(|(watch, ..)| watch),
+            Job::Write => running.write.as_ref(),
+        };
+        watch.map(|watch| watch.activity())
+    }
+
+    /// The place of the step that is being done, if any is.
+    pub fn step(&self) -> Option<usize> {
+        let inner = self.shared.lock();
+        inner.1.evaluate.as_ref().map(|_| inner.1.step.load(std::sync::atomic::Ordering::Relaxed))
+    }
+
+    /// Whether something is going to be done that was asked for.
+    pub fn wants(&self, job: Job) -> bool {
+        let wanted = &self.shared.lock().0;
+        match job {
+            Job::Open => wanted.open.is_some(),
+            Job::Evaluate => wanted.evaluate.is_some(),
+            Job::Write => wanted.write.is_some(),
+        }
+    }
+
+    /// Whether a job is running, or going to.
+    pub fn is_busy(&self, job: Job) -> bool {
+        self.wants(job) || self.activity(job).is_some()
+    }
+
+    /// The next thing that happened, if any; never waits.
+    pub fn poll(&mut self) -> Option<Event> {
+        let event = self.events.try_recv().ok()?;
+        self.shared.lock().1.events -= 1;
+        Some(event)
+    }
+
+    /// Whether nothing is running, nothing waits, and all events were taken.
+    pub fn is_idle(&self) -> bool {
+        let inner = self.shared.lock();
+        let (wanted, running) = &*inner;
+        let waiting = wanted.open.is_some() || wanted.evaluate.is_some() || wanted.write.is_some();
+        let busy = running.open.is_some() || running.evaluate.is_some() || running.write.is_some();
+        !waiting && !busy && running.events == 0
+    }
+
+    /// Waits for the next event, for programs without a window.
+    ///
+    /// # Errors
+    /// Nothing happened for so long, or nothing is going to.
+    pub fn wait(&mut self, longest: Duration) -> Result<Option<Event>> {
+        let end = Instant::now() + longest;
+        loop {
+            if let Some(event) = self.poll() {
+                return Ok(Some(event));
+            }
+            let inner = self.shared.lock();
+            let (wanted, running) = &*inner;
+            let waiting = wanted.open.is_some() || wanted.evaluate.is_some() || wanted.write.is_some();
+            let busy = running.open.is_some() || running.evaluate.is_some() || running.write.is_some();
+            if !waiting && !busy && running.events == 0 {
+                return Ok(None);
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(Error::cancelled());
+            }
+            if running.events == 0 {
+                drop(self.shared.changed.wait_timeout(inner, left));
+            }
+        }
+    }
+}
+
+impl Drop for Engine {
+    fn drop(&mut self) {
+        for job in [Job::Open, Job::Evaluate, Job::Write] {
+            self.cancel(job);
+        }
+        self.want(|wanted, _| wanted.end = true);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}

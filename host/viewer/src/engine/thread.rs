@@ -1,0 +1,231 @@
+//! The engine's other end: a thread that opens, does steps, and has models written, one after the other.
+
+use super::watch::Watch;
+use super::{Event, Job, Opening, Request, Running, Shared, Wake, Writing};
+use crate::scene::Scene;
+use simod_core::reconstruction::Reconstruction;
+use simod_core::sampled_model::SampledModel;
+use simod_core::{Error, ErrorKind, Progress, Result, output};
+use simod_plugin_api::Effort;
+use simod_session::edit::{Editor, Entry, Evaluated, Evaluation, recover};
+use simod_session::session_file::Sampling;
+use simod_session::{PluginRegistry, SessionFile};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc::Sender;
+use std::sync::{Arc, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Instant;
+
+/// What the thread works with.
+pub(super) struct Thread {
+    shared: Arc<Shared>,
+    tell: Teller,
+    plugins: Arc<PluginRegistry>,
+    evaluation: Option<Evaluation>,
+    revision: u64,
+    writer: Option<JoinHandle<()>>,
+}
+
+/// The way to the window.
+#[derive(Clone)]
+struct Teller {
+    shared: Arc<Shared>,
+    events: Sender<Event>,
+    wake: Wake,
+}
+
+/// What to do next.
+enum Task {
+    Open(Opening),
+    Evaluate(Request),
+    Write(Arc<[Entry]>, Writing),
+}
+
+impl Teller {
+    /// Sends what became of a job, which is over.
+    fn end(&self, job: Job, watch: &Watch, event: Option<Event>) {
+        let notes = watch.take_notes().into_iter().map(Event::Note);
+        let mut inner = self.shared.lock();
+        let running = &mut inner.1;
+        let is_news = |event: &Event| match event {
+            Event::Failed { error, .. } => !(error.kind() == ErrorKind::Cancelled && watch.is_superseded()),
+            _ => true,
+        };
+        for event in notes.chain(event.filter(is_news)) {
+            running.events += 1;
+            // Nobody listens any more once the window is closed.
+            drop(self.events.send(event));
+        }
+        match job {
+            Job::Open => running.open = None,
+            Job::Evaluate => running.evaluate = None,
+            Job::Write => running.write = None,
+        }
+        self.shared.changed.notify_all();
+        drop(inner);
+        (self.wake)();
+    }
+}
+
+/// What work came to, even if it panicked: a mistake here must not take the edit with it.
+fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
+        let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
+        let what = format!("a mistake in the program: {text}");
+        Err(Error::new(ErrorKind::Io, what, "save the session, and report this"))
+    })
+}
+
+impl Thread {
+    pub fn new(shared: Arc<Shared>, events: Sender<Event>, plugins: Arc<PluginRegistry>, wake: Wake) -> Self {
+        let tell = Teller { shared: shared.clone(), events, wake };
+        Self { shared, tell, plugins, evaluation: None, revision: 0, writer: None }
+    }
+
+    pub fn run(mut self) {
+        while let Some((task, watch)) = self.next() {
+            match task {
+                Task::Open(opening) => {
+                    let opened = guarded(|| self.open(&opening, &watch));
+                    self.tell.end(Job::Open, &watch, Some(event(Job::Open, opened)));
+                }
+                Task::Evaluate(Request { number, steps, effort }) => {
+                    let scene = guarded(|| self.scene(&steps, effort, &*watch));
+                    let scene =
+                        scene.map(|scene| Event::Evaluated { request: number, scene: Box::new(scene) });
+                    self.tell.end(Job::Evaluate, &watch, Some(event(Job::Evaluate, scene)));
+                }
+                Task::Write(steps, writing) => {
+                    match guarded(|| self.evaluated(&steps, Effort::FULL, &*watch)) {
+                        Ok(evaluated) => self.write(evaluated, writing, watch),
+                        Err(error) => {
+                            self.tell.end(Job::Write, &watch, Some(Event::Failed { job: Job::Write, error }));
+                        }
+                    }
+                }
+            }
+        }
+        if let Some(writer) = self.writer.take() {
+            let _ = writer.join();
+        }
+    }
+
+    /// Waits for something to do, which is then running; nothing once the window is closed.
+    fn next(&mut self) -> Option<(Task, Arc<Watch>)> {
+        let mut inner = self.shared.lock();
+        loop {
+            let (wanted, running) = &mut *inner;
+            if wanted.end {
+                return None;
+            }
+            if let Some(plugins) = wanted.plugins.take() {
+                self.plugins = plugins;
+            }
+            let watch = Arc::new(Watch::new(self.tell.wake.clone()));
+            if let Some(opening) = wanted.open.take() {
+                running.open = Some(watch.clone());
+                return Some((Task::Open(opening), watch));
+            }
+            if let Some(request) = wanted.evaluate.take() {
+                running.evaluate = Some((watch.clone(), request.steps.clone(), request.effort));
+                return Some((Task::Evaluate(request), watch));
+            }
+            if running.write.is_none()
+                && let Some((steps, writing)) = wanted.write.take()
+            {
+                running.write = Some(watch.clone());
+                return Some((Task::Write(steps, writing), watch));
+            }
+            inner = self.shared.changed.wait(inner).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Opens something; what was open before stays until that is done.
+    fn open(&mut self, opening: &Opening, progress: &Watch) -> Result<Event> {
+        let (editor, mut evaluation) = opened(opening, &self.plugins, progress)?;
+        let rest = evaluation.update(&[], &self.plugins, Effort::FULL, progress)?;
+        self.revision += 1;
+        let scene = Scene::new(rest, &evaluation, Effort::FULL, self.revision);
+        let Running { step, .. } = &mut self.shared.lock().1;
+        step.clone_from(evaluation.at());
+        self.evaluation = Some(evaluation);
+        Ok(Event::Opened(Box::new((editor, scene))))
+    }
+
+    fn evaluated(&mut self, steps: &[Entry], effort: Effort, progress: &dyn Progress) -> Result<Evaluated> {
+        let nothing = || Error::new(ErrorKind::Argument, "no model is open", "open one");
+        let evaluation = self.evaluation.as_mut().ok_or_else(nothing)?;
+        evaluation.update(steps, &self.plugins, effort, progress)
+    }
+
+    fn scene(&mut self, steps: &[Entry], effort: Effort, progress: &dyn Progress) -> Result<Scene> {
+        let evaluated = self.evaluated(steps, effort, progress)?;
+        self.revision += 1;
+        let evaluation = self.evaluation.as_ref();
+        let evaluation = evaluation.ok_or_else(Error::cancelled)?;
+        Ok(Scene::new(evaluated, evaluation, effort, self.revision))
+    }
+
+    /// Writes on a thread of its own, so that the edit goes on.
+    fn write(&mut self, evaluated: Evaluated, writing: Writing, watch: Arc<Watch>) {
+        if let Some(former) = self.writer.take() {
+            let _ = former.join();
+        }
+        let tell = self.tell.clone();
+        let work = move || {
+            let Writing { output, model, method, normals } = writing;
+            let how = Reconstruction { method, normals, ..Reconstruction::default() };
+            let start = Instant::now();
+            let report = guarded(|| evaluated.write(model.as_deref(), &output, &how, &*watch));
+            let written = report.map(|report| Event::Written {
+                output,
+                report: Box::new(report),
+                seconds: start.elapsed().as_secs_f64(),
+            });
+            tell.end(Job::Write, &watch, Some(event(Job::Write, written)));
+        };
+        self.writer = std::thread::Builder::new().name("writer".into()).spawn(work).ok();
+    }
+}
+
+fn event(job: Job, result: Result<Event>) -> Event {
+    result.unwrap_or_else(|error| Event::Failed { job, error })
+}
+
+/// Opens a session, the folder of a sampled model, or a model, which is sampled.
+fn opened(
+    opening: &Opening,
+    plugins: &Arc<PluginRegistry>,
+    progress: &dyn Progress,
+) -> Result<(Editor, Evaluation)> {
+    let Opening { path, sampling, recover: wants_recovery } = opening;
+    let kept = if *wants_recovery { recover(path)? } else { None };
+    if path.is_dir() {
+        let mut sampled = SampledModel::load(path)?;
+        match SampledModel::kept_cells(path) {
+            Some(cells) => sampled.hold_cells(cells),
+            None => progress.note("the cells of the sampled model are missing: it cannot be refined"),
+        }
+        let session = kept.unwrap_or_else(|| session_of(&sampled));
+        let folder = output::folder_of(path).to_owned();
+        return Ok(Editor::of(sampled, session, None, plugins.clone(), folder));
+    }
+    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml")) {
+        let session = kept.map_or_else(|| SessionFile::load(path), Ok)?;
+        return Editor::open(session, Some(path.clone()), plugins.clone(), progress);
+    }
+    let new = || SessionFile { model: Some(path.clone()), sampling: *sampling, ..SessionFile::default() };
+    Editor::open(kept.unwrap_or_else(new), None, plugins.clone(), progress)
+}
+
+/// A session that samples a model as it was sampled.
+fn session_of(sampled: &SampledModel) -> SessionFile {
+    use simod_core::sampling::Target;
+    let (samples, error) = match sampled.sampling.target {
+        Target::Samples(n) => (Some(n), None),
+        Target::Error(e) => (None, Some(e)),
+    };
+    let sampling = Sampling { samples, error, grid: sampled.sampling.grid };
+    SessionFile { model: Some(sampled.source.path.clone()), sampling, ..SessionFile::default() }
+}

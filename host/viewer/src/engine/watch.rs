@@ -1,0 +1,118 @@
+//! Where a job is, as the window reads it and the job's thread tells it.
+
+use super::Wake;
+use simod_core::Progress;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+/// What a job is doing.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Activity {
+    /// A few words for the user.
+    pub stage: &'static str,
+    /// How much of the stage is done, 0 to 1; nothing where that is not known.
+    pub fraction: Option<f32>,
+    /// Bytes of the stage a second.
+    pub rate: f64,
+    /// Seconds since the job began.
+    pub seconds: f64,
+}
+
+struct Stage {
+    name: &'static str,
+    total: u64,
+    since: Instant,
+}
+
+/// The progress of one job.
+pub(super) struct Watch {
+    wake: Wake,
+    begun: Instant,
+    stage: Mutex<Stage>,
+    done: AtomicU64,
+    cancelled: AtomicBool,
+    /// For something newer, which nobody needs to be told.
+    superseded: AtomicBool,
+    /// Hundredths of the stage that the window knows of.
+    told: AtomicU64,
+    notes: Mutex<Vec<String>>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Watch {
+    pub fn new(wake: Wake) -> Self {
+        let now = Instant::now();
+        Self {
+            wake,
+            begun: now,
+            stage: Mutex::new(Stage { name: "starting", total: 0, since: now }),
+            done: AtomicU64::new(0),
+            cancelled: AtomicBool::new(false),
+            superseded: AtomicBool::new(false),
+            told: AtomicU64::new(0),
+            notes: Mutex::new(Vec::new()),
+        }
+    }
+
+    pub fn cancel(&self) {
+        self.cancelled.store(true, Relaxed);
+    }
+
+    /// Cancels it for something newer.
+    pub fn supersede(&self) {
+        self.superseded.store(true, Relaxed);
+        self.cancel();
+    }
+
+    pub fn is_superseded(&self) -> bool {
+        self.superseded.load(Relaxed)
+    }
+
+    pub fn activity(&self) -> Activity {
+        let (stage, done) = (lock(&self.stage), self.done.load(Relaxed));
+        let fraction = (stage.total > 0).then(|| (done as f64 / stage.total as f64).min(1.0) as f32);
+        let rate = done as f64 / stage.since.elapsed().as_secs_f64().max(1e-3);
+        Activity { stage: stage.name, fraction, rate, seconds: self.begun.elapsed().as_secs_f64() }
+    }
+
+    /// The stage's name.
+    pub fn stage(&self) -> &'static str {
+        lock(&self.stage).name
+    }
+
+    /// What was told since this was asked last.
+    pub fn take_notes(&self) -> Vec<String> {
+        std::mem::take(&mut lock(&self.notes))
+    }
+}
+
+impl Progress for Watch {
+    fn begin(&self, stage: &'static str, total: u64) {
+        *lock(&self.stage) = Stage { name: stage, total, since: Instant::now() };
+        self.done.store(0, Relaxed);
+        self.told.store(0, Relaxed);
+        (self.wake)();
+    }
+
+    fn advance(&self, bytes: u64) {
+        let done = self.done.fetch_add(bytes, Relaxed) + bytes;
+        let total = lock(&self.stage).total.max(1);
+        let hundredths = (done as f64 / total as f64 * 100.0) as u64;
+        if self.told.fetch_max(hundredths, Relaxed) < hundredths {
+            (self.wake)();
+        }
+    }
+
+    fn is_cancelled(&self) -> bool {
+        self.cancelled.load(Relaxed)
+    }
+
+    fn note(&self, text: &str) {
+        lock(&self.notes).push(text.to_owned());
+        (self.wake)();
+    }
+}

@@ -1,0 +1,32 @@
+//! simod-viewer: what a window needs to edit a model, without the window.
+//!
+//! ```text
+//! window ──Command──▶ State::apply ──steps──▶ Engine (its thread) ──Event──▶ State::poll ──▶ Scene, to be drawn
+//! ```
+//!
+//! The state changes through [`Command`]s alone, so a whole edit can be recorded and replayed without a window; and what comes
+//! back from the thread that does the steps only says where the samples are now. No file that this crate writes differs
+//! from what `simod run` makes of the saved session.
+
+pub mod camera;
+pub mod command;
+pub mod engine;
+pub mod motion;
+pub mod navigation;
+pub mod overlay;
+pub mod pick;
+pub mod record;
+pub mod scene;
+pub mod selection;
+pub mod state;
+
+pub use camera::Camera;
+pub use command::Command;
+pub use engine::{Engine, Event};
+pub use navigation::Navigation;
+pub use overlay::Overlay;
+pub use pick::Hit;
+pub use record::replay;
+pub use scene::Scene;
+pub use selection::Selection;
+pub use state::State;

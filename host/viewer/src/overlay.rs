@@ -1,0 +1,140 @@
+//! Numbers for each sample, to be shown as colours.
+
+use crate::scene::Scene;
+use crate::selection::Selection;
+use glam::{Mat3, Vec3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use simod_core::reconstruction::{DeformationField, Method, Surroundings, principal_stretches};
+use simod_session::Shapes;
+pub use simod_session::compare::scale_color;
+
+/// Neighbours that tell how the surface is stretched around a sample.
+const RING: usize = 12;
+
+/// What is shown on the surface.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Overlay {
+    /// Nothing but the surface.
+    #[default]
+    None,
+    /// Which samples are selected: 0 or 1.
+    Selection,
+    /// The weight of a region of the chosen step: 0 to 1.
+    Region(usize),
+    /// How far samples have moved, in the model's unit.
+    Displacement,
+    /// The largest factor by which lengths have changed, or its inverse if that is larger: from 1.
+    Stretch,
+    /// Mean distance to the nearest samples at rest, in the model's unit.
+    Density,
+    /// The error that the model is expected to have between the samples, in the model's unit. Takes as long as preparing to
+    /// write.
+    TransferError,
+}
+
+/// Numbers, one for each sample, and what the ends of the scale stand for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Field {
+    /// The numbers; none is not finite.
+    pub values: Vec<f32>,
+    /// From the scale's first colour to its last.
+    pub range: [f32; 2],
+}
+
+impl Field {
+    /// Numbers with a range that most of them are in: a few of the largest are beyond it.
+    fn of(values: Vec<f32>, from: f32) -> Self {
+        let values: Vec<f32> = values.into_iter().map(|x| if x.is_finite() { x } else { from }).collect();
+        let mut sorted = values.clone();
+        let last = sorted.len().saturating_sub(1);
+        let at = last - last / 200;
+        let (_, most, _) = sorted.select_nth_unstable_by(at, f32::total_cmp);
+        let most = *most;
+        Self { values, range: [from, if most > from { most } else { from + 1.0 }] }
+    }
+
+    /// Weights, 0 to 1.
+    fn weights(values: Vec<f32>) -> Self {
+        Self { values, range: [0.0, 1.0] }
+    }
+
+    /// The colour of a sample, 8-bit sRGB.
+    pub fn color(&self, sample: usize) -> [u8; 3] {
+        let [from, to] = self.range;
+        scale_color((self.values[sample] - from) / (to - from))
+    }
+}
+
+/// Which samples are selected.
+pub fn selection(selection: &Selection) -> Field {
+    Field::weights(selection.marks().iter().map(|m| f32::from(u8::from(*m))).collect())
+}
+
+/// The weight of shapes on what a step began with; 0 for samples that it did not know yet.
+pub fn region(scene: &Scene, place: usize, shapes: &Shapes) -> Field {
+    let weight = |i: usize| scene.before(place, i as u32).map_or(0.0, |p| shapes.weight(p) as f32);
+    Field::weights((0..scene.len()).into_par_iter().map(weight).collect())
+}
+
+/// How far samples have moved.
+pub fn displacement(scene: &Scene) -> Field {
+    let scale = scene.frame().scale as f32;
+    let pairs = scene.positions.par_iter().zip(&scene.sampled.samples.positions);
+    Field::of(pairs.map(|(p, q)| p.distance(*q) * scale).collect(), 0.0)
+}
+
+/// How much the surface is stretched or squeezed.
+pub fn stretch(scene: &Scene) -> Field {
+    let samples = &scene.sampled.samples;
+    let (neighbours, normals) = (samples.neighbours(), samples.normals());
+    let of = |i: usize| {
+        let near = &neighbours.of(i)[..RING.min(neighbours.k())];
+        let n = normals[i];
+        let Some(map) = tangent_map(&samples.positions, &scene.positions, i, near, n) else { return 1.0 };
+        let [most, least] = principal_stretches(&map, n);
+        most.max(1.0 / least)
+    };
+    Field::of((0..scene.len()).into_par_iter().map(of).collect(), 1.0)
+}
+
+/// The linear map that carries the ways to the neighbours over best, in the least squares along the tangent plane. It is
+/// fitted to displacements, so that nothing is stretched where nothing moves.
+fn tangent_map(rest: &[Vec3], now: &[Vec3], i: usize, near: &[u32], n: Vec3) -> Option<Mat3> {
+    let (s, t) = n.try_normalize()?.any_orthonormal_pair();
+    let (mut a, mut b, mut c) = (0.0, 0.0, 0.0);
+    let (mut u, mut v) = (Vec3::ZERO, Vec3::ZERO);
+    for j in near {
+        let (r, d) = (rest[*j as usize] - rest[i], now[*j as usize] - now[i]);
+        let (x, y) = (r.dot(s), r.dot(t));
+        (a, b, c) = (a + x * x, b + x * y, c + y * y);
+        (u, v) = (u + (d - r) * x, v + (d - r) * y);
+    }
+    let determinant = a * c - b * b;
+    if determinant <= 1e-5 * a * c {
+        return None;
+    }
+    let (along_s, along_t) = ((u * c - v * b) / determinant, (v * a - u * b) / determinant);
+    let slope = Mat3::from_cols(along_s, along_t, Vec3::ZERO) * Mat3::from_cols(s, t, n).transpose();
+    Some(Mat3::IDENTITY + slope)
+}
+
+/// How far samples are apart at rest.
+pub fn density(scene: &Scene) -> Field {
+    let scale = scene.frame().scale as f32;
+    let values: Vec<f32> = scene.sampled.samples.spacing().iter().map(|s| s * scale).collect();
+    let least = values.iter().copied().fold(f32::INFINITY, f32::min);
+    Field::of(values, if least.is_finite() { least } else { 0.0 })
+}
+
+/// The error to be expected between the samples.
+pub fn transfer_error(scene: &Scene) -> Field {
+    let scale = scene.frame().scale as f32;
+    if *scene.positions == *scene.sampled.samples.positions {
+        return Field::of(vec![0.0; scene.len()], 0.0);
+    }
+    let around = Surroundings::of(&scene.sampled.samples);
+    let expected = DeformationField::new(&around, &scene.positions, Method::default()).expected_error();
+    Field::of(expected.into_iter().map(|e| e * scale).collect(), 0.0)
+}

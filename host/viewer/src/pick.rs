@@ -1,0 +1,241 @@
+//! What can be seen from the camera: a small depth buffer of splats, drawn on the processor, one sample after the other, so
+//! that it is the same everywhere.
+
+use crate::camera::{Camera, Ray};
+use crate::scene::Scene;
+use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+
+/// Pixels of the buffer along its longer side, at most.
+const LONGEST: f64 = 1024.0;
+
+/// Neighbours that tell how far a sample's disc has to reach.
+const RING: usize = 6;
+
+/// A disc's radius, in mean distances to the neighbours: enough that no gap is left between discs.
+const REACH: f32 = 1.0;
+
+/// Pixels that a disc covers at least, from its middle.
+const LEAST_REACH: f64 = 0.75;
+
+/// How far behind the nearest surface a sample may lie and still be seen, in radii of its disc: those that face the camera,
+/// and those that do not, which are the far side of something if anything at all lies before them.
+const BEHIND: [f64; 2] = [1.0, 0.25];
+
+/// No sample.
+const NOBODY: u32 = u32::MAX;
+
+/// A point of the surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hit {
+    /// The nearest sample.
+    pub sample: u32,
+    /// Where it is, local coordinates.
+    pub local: DVec3,
+    /// The same in model coordinates.
+    pub at: DVec3,
+    /// Of length 1, towards the outside.
+    pub normal: DVec3,
+}
+
+/// Who is seen in each pixel.
+pub struct DepthBuffer {
+    camera: Camera,
+    /// The picture's size, in pixels of the window, and those of the buffer.
+    size: [f64; 2],
+    width: usize,
+    height: usize,
+    nearest: Vec<(f32, u32)>,
+    /// The discs' radii.
+    radii: Vec<f32>,
+}
+
+/// A sample's disc before the camera.
+struct Disc {
+    pixel: DVec2,
+    depth: f64,
+    radius: f64,
+    /// In pixels of the buffer.
+    reach: f64,
+    normal: DVec3,
+    center: DVec3,
+    faces: bool,
+}
+
+impl DepthBuffer {
+    /// Of the samples as a picture of so many pixels shows them.
+    pub fn new(scene: &Scene, camera: &Camera, size: [f64; 2]) -> Self {
+        let shrink = (LONGEST / size[0].max(size[1]).max(1.0)).min(1.0);
+        let pixels = |length: f64| ((length * shrink).ceil() as usize).max(1);
+        let (width, height) = (pixels(size[0]), pixels(size[1]));
+        let neighbours = scene.sampled.samples.neighbours();
+        let radius = |i: usize| {
+            let near = &neighbours.of(i)[..RING.min(neighbours.k())];
+            let sum: f32 =
+                near.iter().map(|j| scene.positions[*j as usize].distance(scene.positions[i])).sum();
+            REACH * sum / near.len().max(1) as f32
+        };
+        let radii: Vec<f32> = (0..scene.len()).into_par_iter().map(radius).collect();
+        let nearest = vec![(f32::INFINITY, NOBODY); width * height];
+        let mut this = Self { camera: *camera, size, width, height, nearest, radii };
+        for i in 0..scene.len() {
+            if let Some(disc) = this.disc(scene, i) {
+                this.draw(i as u32, &disc);
+            }
+        }
+        this
+    }
+
+    /// Whether it is of this camera and size.
+    pub fn is_of(&self, camera: &Camera, size: [f64; 2]) -> bool {
+        self.camera == *camera && self.size == size
+    }
+
+    fn buffer_size(&self) -> [f64; 2] {
+        [self.width as f64, self.height as f64]
+    }
+
+    fn disc(&self, scene: &Scene, i: usize) -> Option<Disc> {
+        let (center, normal) = (scene.positions[i].as_dvec3(), scene.normals[i].as_dvec3());
+        let (pixel, depth) = self.camera.project(center, self.buffer_size())?;
+        let radius = f64::from(self.radii[i]);
+        let reach =
+            (radius / self.camera.pixel_length(depth, self.buffer_size())).clamp(LEAST_REACH, LONGEST);
+        let ray = self.camera.ray(pixel, self.buffer_size());
+        let faces = normal.dot(ray.direction) < 0.0;
+        Some(Disc { pixel, depth, radius, reach, normal, center, faces })
+    }
+
+    fn draw(&mut self, sample: u32, disc: &Disc) {
+        let range = |center: f64, count: usize| {
+            let from = (center - disc.reach).floor().max(0.0) as usize;
+            from..((center + disc.reach).ceil().max(0.0) as usize).min(count)
+        };
+        for y in range(disc.pixel.y, self.height) {
+            for x in range(disc.pixel.x, self.width) {
+                let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+                let Some(depth) = self.depth_at(pixel, disc) else { continue };
+                let nearest = &mut self.nearest[y * self.width + x];
+                if (depth as f32) < nearest.0 {
+                    *nearest = (depth as f32, sample);
+                }
+            }
+        }
+    }
+
+    /// How deep a disc is at a pixel, where it covers it. One that is seen edge-on still covers its own pixel.
+    fn depth_at(&self, pixel: DVec2, disc: &Disc) -> Option<f64> {
+        let ray = self.camera.ray(pixel, self.buffer_size());
+        let hit = plane(&ray, disc.center, disc.normal);
+        let depth = |p: DVec3| -(p - self.camera.eye()).dot(self.camera.axes()[2]);
+        match hit.filter(|p| p.distance_squared(disc.center) <= disc.radius * disc.radius) {
+            Some(p) => Some(depth(p)),
+            None => (pixel.distance_squared(disc.pixel) <= LEAST_REACH * LEAST_REACH).then_some(disc.depth),
+        }
+    }
+
+    /// Whether each sample is seen, and none lies before it.
+    pub fn visible(&self, scene: &Scene) -> Vec<bool> {
+        let is_seen = |i: usize| {
+            let Some(disc) = self.disc(scene, i) else { return false };
+            let Some((depth, _)) = self.at(disc.pixel) else { return false };
+            // Depths are those of the pixels' middles.
+            let pixel = self.camera.pixel_length(disc.depth, self.buffer_size());
+            disc.depth <= f64::from(depth) + BEHIND[usize::from(!disc.faces)] * disc.radius + pixel
+        };
+        (0..scene.len()).into_par_iter().map(is_seen).collect()
+    }
+
+    /// Depth and sample at a pixel of the buffer.
+    fn at(&self, pixel: DVec2) -> Option<(f32, u32)> {
+        let inside = pixel.x >= 0.0 && pixel.y >= 0.0;
+        let (x, y) = (pixel.x as usize, pixel.y as usize);
+        (inside && x < self.width && y < self.height).then(|| self.nearest[y * self.width + x])
+    }
+
+    /// The point of the surface under a pixel of the window; nothing where there is none.
+    pub fn pick(&self, scene: &Scene, pixel: DVec2) -> Option<Hit> {
+        let shrunk = DVec2::new(
+            pixel.x * self.width as f64 / self.size[0].max(1.0),
+            pixel.y * self.height as f64 / self.size[1].max(1.0),
+        );
+        let (_, sample) = self.at(shrunk).filter(|(_, sample)| *sample != NOBODY)?;
+        let ray = self.camera.ray(pixel, self.size);
+        Some(surface(scene, &ray, sample, f64::from(self.radii[sample as usize])))
+    }
+}
+
+/// Where a ray meets a plane.
+fn plane(ray: &Ray, point: DVec3, normal: DVec3) -> Option<DVec3> {
+    let facing = normal.dot(ray.direction);
+    let t = (point - ray.origin).dot(normal) / facing;
+    (facing.abs() > 1e-3 && t.is_finite()).then(|| ray.origin + ray.direction * t)
+}
+
+/// Where a ray meets the surface near a sample: first the sample's own plane, then the mean one of the samples around
+/// (M. Alexa et al., *Point Set Surfaces*, 2001, with two steps).
+fn surface(scene: &Scene, ray: &Ray, sample: u32, radius: f64) -> Hit {
+    let of = |i: u32| (scene.positions[i as usize].as_dvec3(), scene.normals[i as usize].as_dvec3());
+    let (center, own) = of(sample);
+    let near = |p: DVec3| p.distance(center) <= 2.0 * radius;
+    // Seen edge-on, what is nearest on the ray.
+    let foot = ray.origin + ray.direction * (center - ray.origin).dot(ray.direction);
+    let (mut p, mut n) = (plane(ray, center, own).filter(|p| near(*p)).unwrap_or(foot), own);
+    let around = scene.sampled.samples.neighbours().of(sample as usize);
+    for _ in 0..2 {
+        let (mut sum, mut point, mut normal) = (0.0, DVec3::ZERO, DVec3::ZERO);
+        for i in std::iter::once(&sample).chain(around) {
+            let (q, m) = of(*i);
+            let t = (p.distance(q) / (2.0 * radius).max(f64::MIN_POSITIVE)).min(1.0);
+            // Other sheets that are near have other normals.
+            let weight = (1.0 - t * t * (3.0 - 2.0 * t)) * m.dot(own).max(0.0);
+            (sum, point, normal) = (sum + weight, point + weight * q, normal + weight * m);
+        }
+        let Some(mean) = normal.try_normalize().filter(|_| sum > 0.0) else { break };
+        let Some(hit) = plane(ray, point / sum, mean).filter(|p| near(*p)) else { break };
+        (p, n) = (hit, mean);
+    }
+    let nearest = |i: &u32| scene.positions[*i as usize].distance_squared(p.as_vec3());
+    let all = std::iter::once(&sample).chain(around);
+    let sample = all.min_by(|a, b| nearest(a).total_cmp(&nearest(b))).copied().unwrap_or(sample);
+    Hit { sample, local: p, at: scene.frame().to_model_exact(p), normal: n }
+}
+
+/// Samples whose pixels are so; those behind the camera are not.
+pub fn within(
+    scene: &Scene,
+    camera: &Camera,
+    size: [f64; 2],
+    is_in: impl Fn(DVec2) -> bool + Sync,
+) -> Vec<bool> {
+    let test = |p: &Vec3| camera.project(p.as_dvec3(), size).is_some_and(|(pixel, _)| is_in(pixel));
+    scene.positions.par_iter().map(test).collect()
+}
+
+/// Whether a pixel is as near to a line through pixels as this.
+pub fn near_path(path: &[[f64; 2]], radius: f64, pixel: DVec2) -> bool {
+    let to_segment = |a: DVec2, b: DVec2| {
+        let way = b - a;
+        let t = ((pixel - a).dot(way) / way.length_squared()).clamp(0.0, 1.0);
+        let t = if t.is_nan() { 0.0 } else { t };
+        pixel.distance_squared(a + way * t)
+    };
+    let near = |d: f64| d <= radius * radius;
+    match path {
+        [one] => near(pixel.distance_squared(DVec2::from(*one))),
+        _ => path.windows(2).any(|ends| near(to_segment(ends[0].into(), ends[1].into()))),
+    }
+}
+
+/// Whether a pixel is inside a closed line through pixels: one that is gone round an odd number of times.
+pub fn in_lasso(path: &[[f64; 2]], pixel: DVec2) -> bool {
+    let mut inside = false;
+    for (i, b) in path.iter().enumerate() {
+        let a = path[(i + path.len() - 1) % path.len()];
+        let crosses = (a[1] > pixel.y) != (b[1] > pixel.y);
+        if crosses && pixel.x < a[0] + (b[0] - a[0]) * (pixel.y - a[1]) / (b[1] - a[1]) {
+            inside = !inside;
+        }
+    }
+    inside
+}

@@ -1,0 +1,99 @@
+//! What is there to be seen: the samples, where the steps have moved them, and what the plugins placed.
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use simod_core::frame::Frame;
+use simod_core::sampled_model::SampledModel;
+use simod_plugin_api::{Effort, HandleDesc};
+use simod_session::edit::{Evaluated, Evaluation, Status, StepId};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Neighbours of a sample that its normal is turned with.
+const RING: usize = 6;
+
+/// The samples after the steps. All arrays have one entry for each sample; all coordinates are local.
+pub struct Scene {
+    /// The model with its samples at rest: their normals, spacing, neighbours, and the triangles between them.
+    pub sampled: Arc<SampledModel>,
+    /// Where the samples are.
+    pub positions: Arc<[Vec3]>,
+    /// Unit normals there.
+    pub normals: Arc<[Vec3]>,
+    /// How each step fared, in their order.
+    pub statuses: Vec<(StepId, Status)>,
+    /// What each step began with: see [`Evaluated::before`].
+    pub before: Vec<Arc<[Vec3]>>,
+    /// The handles that the steps' plugins placed, at rest.
+    pub handles: HashMap<StepId, Vec<HandleDesc>>,
+    /// What it was worth: a draft may differ a little from the result.
+    pub effort: Effort,
+    /// Counts up with every scene that is shown.
+    pub revision: u64,
+}
+
+impl Scene {
+    /// Of samples that the steps have moved.
+    pub(crate) fn new(evaluated: Evaluated, evaluation: &Evaluation, effort: Effort, revision: u64) -> Self {
+        let Evaluated { sampled, positions, statuses, before, .. } = evaluated;
+        let handles = |(id, _): &(StepId, Status)| {
+            let handles = evaluation.handles(*id);
+            (!handles.is_empty()).then(|| (*id, handles.to_vec()))
+        };
+        let handles = statuses.iter().filter_map(handles).collect();
+        let normals = turned_normals(&sampled, &positions).into();
+        Self { sampled, positions, normals, statuses, before, handles, effort, revision }
+    }
+
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Never: a model has at least one sample.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// The map between local coordinates and the model's.
+    pub fn frame(&self) -> Frame {
+        self.sampled.frame
+    }
+
+    /// Smallest and largest local coordinates of the samples as they are.
+    pub fn bounds(&self) -> [Vec3; 2] {
+        let start = [Vec3::INFINITY, Vec3::NEG_INFINITY];
+        self.positions.iter().fold(start, |[min, max], p| [min.min(*p), max.max(*p)])
+    }
+
+    /// Where a step finds a sample: before it, model coordinates. Nothing where the step was not reached, or the sample is of
+    /// a later refinement.
+    pub fn before(&self, place: usize, sample: u32) -> Option<DVec3> {
+        self.before.get(place)?.get(sample as usize).map(|p| self.frame().to_model(*p))
+    }
+}
+
+/// The samples' normals, turned as the triangles between each and its nearest neighbours are: `Σ (r₁ × r₂ · n) d₁ × d₂`, where
+/// `r` are the ways to two neighbours at rest and `d` those now. Quick, and for the eye alone.
+fn turned_normals(sampled: &SampledModel, positions: &[Vec3]) -> Vec<Vec3> {
+    let (samples, rest) = (&sampled.samples, &sampled.samples.positions);
+    samples.prepare();
+    if *positions == **rest {
+        return samples.normals().to_vec();
+    }
+    let (neighbours, normals) = (samples.neighbours(), samples.normals());
+    let turned = |(i, n): (usize, &Vec3)| {
+        let near = &neighbours.of(i)[..RING.min(neighbours.k())];
+        let way = |of: &[Vec3], j: u32| of[j as usize] - of[i];
+        let mut sum = Vec3::ZERO;
+        for (k, a) in near.iter().enumerate() {
+            for b in &near[..k] {
+                let weight = way(rest, *a).cross(way(rest, *b)).dot(*n);
+                sum += weight * way(positions, *a).cross(way(positions, *b));
+            }
+        }
+        // Products of four small lengths.
+        (sum / sum.abs().max_element()).try_normalize().unwrap_or(*n)
+    };
+    normals.par_iter().enumerate().map(turned).collect()
+}

@@ -1,0 +1,260 @@
+//! Which samples are selected, and who is next to whom.
+
+use serde::{Deserialize, Serialize};
+use simod_core::sampled_model::SampledModel;
+
+/// Neighbours of a sample that no triangle joins to others.
+const RING: usize = 6;
+
+/// How what was pointed at changes the selection.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Combine {
+    /// It is the selection.
+    #[default]
+    Replace,
+    /// It joins the selection.
+    Add,
+    /// It leaves the selection.
+    Subtract,
+}
+
+/// A set of samples.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Selection {
+    marks: Vec<bool>,
+    count: usize,
+}
+
+impl Selection {
+    /// None of so many samples.
+    pub fn none(samples: usize) -> Self {
+        Self { marks: vec![false; samples], count: 0 }
+    }
+
+    /// Those that are marked.
+    pub fn of(marks: Vec<bool>) -> Self {
+        let count = marks.iter().filter(|m| **m).count();
+        Self { marks, count }
+    }
+
+    /// Whether each sample is selected.
+    pub fn marks(&self) -> &[bool] {
+        &self.marks
+    }
+
+    /// Whether a sample is selected.
+    pub fn contains(&self, sample: u32) -> bool {
+        self.marks.get(sample as usize).copied().unwrap_or(false)
+    }
+
+    /// How many are selected.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Whether none is.
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    /// The samples that are selected, in ascending order.
+    pub fn samples(&self) -> impl Iterator<Item = u32> {
+        self.marks.iter().enumerate().filter(|(_, m)| **m).map(|(i, _)| i as u32)
+    }
+
+    /// The selection after others were pointed at.
+    #[must_use]
+    pub fn combined(&self, others: &Self, how: Combine) -> Self {
+        let both = |(a, b): (&bool, &bool)| match how {
+            Combine::Replace => *b,
+            Combine::Add => *a || *b,
+            Combine::Subtract => *a && !*b,
+        };
+        Self::of(self.marks.iter().zip(&others.marks).map(both).collect())
+    }
+
+    /// All others.
+    #[must_use]
+    pub fn inverted(&self) -> Self {
+        Self::of(self.marks.iter().map(|m| !m).collect())
+    }
+
+    /// With all that are next to one that is selected.
+    #[must_use]
+    pub fn grown(&self, adjacency: &Adjacency) -> Self {
+        self.changed(|i| self.marks[i] || adjacency.of(i).iter().any(|j| self.contains(*j)))
+    }
+
+    /// Without those that are next to one that is not.
+    #[must_use]
+    pub fn shrunk(&self, adjacency: &Adjacency) -> Self {
+        self.changed(|i| self.marks[i] && adjacency.of(i).iter().all(|j| self.contains(*j)))
+    }
+
+    fn changed(&self, is_selected: impl Fn(usize) -> bool) -> Self {
+        Self::of((0..self.marks.len()).map(is_selected).collect())
+    }
+
+    /// For more samples, or fewer: new ones are selected as most of those next to them were.
+    #[must_use]
+    pub fn resized(&self, adjacency: &Adjacency) -> Self {
+        let known = self.marks.len();
+        self.changed_to(adjacency.len(), |i| {
+            let votes = adjacency.of(i).iter().filter(|j| (**j as usize) < known);
+            let (yes, all) =
+                votes.fold((0, 0), |(yes, all), j| (yes + usize::from(self.contains(*j)), all + 1));
+            2 * yes > all
+        })
+    }
+
+    fn changed_to(&self, samples: usize, of_new: impl Fn(usize) -> bool) -> Self {
+        Self::of((0..samples).map(|i| self.marks.get(i).copied().unwrap_or_else(|| of_new(i))).collect())
+    }
+
+    /// As lengths of runs that are not selected and selected in turn: what a recording keeps.
+    pub fn runs(&self) -> Vec<u32> {
+        let mut runs = vec![0];
+        let mut selected = false;
+        for mark in &self.marks {
+            if *mark != selected {
+                selected = *mark;
+                runs.push(0);
+            }
+            if let Some(last) = runs.last_mut() {
+                *last += 1;
+            }
+        }
+        runs
+    }
+
+    /// Of runs, for so many samples; what is missing is not selected.
+    pub fn from_runs(runs: &[u32], samples: usize) -> Self {
+        let mut marks = Vec::with_capacity(samples);
+        for (i, run) in runs.iter().enumerate() {
+            let end = (marks.len() + *run as usize).min(samples);
+            marks.resize(end, i % 2 == 1);
+        }
+        marks.resize(samples, false);
+        Self::of(marks)
+    }
+}
+
+/// Which samples are next to each other: those that triangles join, or else the nearest ones, whichever calls the other so.
+pub struct Adjacency {
+    starts: Vec<u32>,
+    lists: Vec<u32>,
+}
+
+impl Adjacency {
+    /// Of a model's samples.
+    pub fn of_model(sampled: &SampledModel) -> Self {
+        let count = sampled.samples.len();
+        let sides = |[a, b, c]: &[u32; 3]| [[*a, *b], [*b, *c], [*c, *a]];
+        let mut pairs: Vec<[u32; 2]> = sampled.triangles.iter().flat_map(sides).collect();
+        let mut joined = vec![false; count];
+        pairs.iter().flatten().for_each(|i| joined[*i as usize] = true);
+        if joined.contains(&false) {
+            let neighbours = sampled.samples.neighbours();
+            for i in (0..count).filter(|i| !joined[*i]) {
+                let near = &neighbours.of(i)[..RING.min(neighbours.k())];
+                pairs.extend(near.iter().map(|j| [i as u32, *j]));
+            }
+        }
+        Self::of_pairs(count, &pairs)
+    }
+
+    fn of_pairs(count: usize, pairs: &[[u32; 2]]) -> Self {
+        let both = pairs.iter().flat_map(|[a, b]| [[*a, *b], [*b, *a]]);
+        let mut all: Vec<[u32; 2]> = both.filter(|[a, b]| a != b).collect();
+        all.sort_unstable();
+        all.dedup();
+        let mut starts = vec![0; count + 1];
+        all.iter().for_each(|[a, _]| starts[*a as usize + 1] += 1);
+        (0..count).for_each(|i| starts[i + 1] += starts[i]);
+        Self { starts, lists: all.into_iter().map(|[_, b]| b).collect() }
+    }
+
+    /// The samples next to one, in ascending order.
+    pub fn of(&self, i: usize) -> &[u32] {
+        &self.lists[self.starts[i] as usize..self.starts[i + 1] as usize]
+    }
+
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// All that can be reached from a sample.
+    pub fn connected(&self, from: u32) -> Selection {
+        let mut marks = vec![false; self.len()];
+        let mut open = Vec::new();
+        if let Some(mark) = marks.get_mut(from as usize) {
+            *mark = true;
+            open.push(from);
+        }
+        while let Some(next) = open.pop() {
+            for j in self.of(next as usize) {
+                if !std::mem::replace(&mut marks[*j as usize], true) {
+                    open.push(*j);
+                }
+            }
+        }
+        Selection::of(marks)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Two rows of samples that do not touch.
+    fn rows() -> Adjacency {
+        let pairs: Vec<[u32; 2]> = (0..9).chain(10..19).map(|i| [i, i + 1]).collect();
+        Adjacency::of_pairs(20, &pairs)
+    }
+
+    #[test]
+    fn parts_are_connected() {
+        let rows = rows();
+        let samples: Vec<u32> = rows.connected(13).samples().collect();
+        assert_eq!(samples, (10..20).collect::<Vec<_>>());
+        assert!(rows.connected(99).is_empty());
+    }
+
+    #[test]
+    fn grown_and_shrunk_by_one() {
+        let some = Selection::of((0..20).map(|i| (3..6).contains(&i)).collect());
+        assert_eq!(some.grown(&rows()).samples().collect::<Vec<_>>(), [2, 3, 4, 5, 6]);
+        assert_eq!(some.shrunk(&rows()).samples().collect::<Vec<_>>(), [4]);
+    }
+
+    proptest! {
+        #[test]
+        fn what_was_grown_and_shrunk_holds_what_it_was(marks in prop::collection::vec(any::<bool>(), 20)) {
+            let (rows, some) = (rows(), Selection::of(marks));
+            let back = some.grown(&rows).shrunk(&rows);
+            prop_assert!(some.samples().all(|i| back.contains(i)));
+            prop_assert_eq!(some.inverted().grown(&rows).inverted(), some.shrunk(&rows));
+            prop_assert_eq!(&Selection::from_runs(&some.runs(), 20), &some);
+        }
+
+        #[test]
+        fn combinations_are_those_of_sets(
+            a in prop::collection::vec(any::<bool>(), 20), b in prop::collection::vec(any::<bool>(), 20),
+        ) {
+            let (a, b) = (Selection::of(a), Selection::of(b));
+            for i in 0..20 {
+                prop_assert_eq!(a.combined(&b, Combine::Add).contains(i), a.contains(i) || b.contains(i));
+                prop_assert_eq!(a.combined(&b, Combine::Subtract).contains(i), a.contains(i) && !b.contains(i));
+                prop_assert_eq!(a.combined(&b, Combine::Replace).contains(i), b.contains(i));
+            }
+        }
+    }
+}

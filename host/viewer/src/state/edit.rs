@@ -1,0 +1,169 @@
+//! Steps: added, changed, undone; saved and written.
+
+use super::{Open, State, nothing_open, refused};
+use crate::command::Command;
+use crate::engine::Writing;
+use crate::scene::Scene;
+use crate::selection::Selection;
+use simod_core::output::folder_of;
+use simod_core::{Error, Result};
+use simod_plugin_api::Effort;
+use simod_session::edit::{self, Change, Document, Editor};
+use simod_session::session_file::{Action, Deformation, Step};
+use std::path::{Path, PathBuf};
+
+impl State {
+    pub(super) fn open(&self) -> Result<&Open> {
+        self.open.as_ref().ok_or_else(nothing_open)
+    }
+
+    fn document_mut(&mut self) -> Result<&mut Document> {
+        self.open.as_mut().map(|open| open.editor.document_mut()).ok_or_else(nothing_open)
+    }
+
+    /// What was opened takes the place of what was there, which is kept against a crash if it was not saved.
+    pub(super) fn opened(&mut self, editor: Editor, scene: Scene) {
+        if let Err(error) = self.autosave() {
+            self.tell(super::Notice::Note(format!("the former edit was not kept: {error}")));
+        }
+        self.selection = Selection::none(scene.len());
+        (self.chosen, self.stroke, self.depth, self.field) = (None, None, None, None);
+        self.shown = self.requested;
+        let bounds = scene.bounds().map(|corner| corner.as_dvec3());
+        self.camera.frame(bounds, self.size);
+        let open = Open::new(editor, scene);
+        let has_steps = !open.steps().is_empty();
+        self.open = Some(open);
+        if has_steps {
+            self.request(Effort::FULL);
+        }
+    }
+
+    /// Has the steps done, with the stroke that is being drawn.
+    pub(super) fn request(&mut self, effort: Effort) {
+        let Some(open) = &self.open else { return };
+        let steps = self.stroke.as_ref().and_then(|stroke| stroke.preview(open.steps()));
+        let steps = steps.unwrap_or_else(|| open.steps().clone());
+        self.requested = self.engine.evaluate(steps, effort);
+    }
+
+    pub(super) fn edit(&mut self, command: edit::Command, dragging: bool) -> Result<()> {
+        let document = self.document_mut()?;
+        if !dragging {
+            document.rest();
+        }
+        document.apply(command)?;
+        if !dragging {
+            document.rest();
+        }
+        self.request(if dragging { Effort::DRAFT } else { Effort::FULL });
+        Ok(())
+    }
+
+    pub(super) fn change(&mut self, at: usize, change: Change) -> Result<()> {
+        self.edit(edit::Command::Change { at, change }, false)
+    }
+
+    pub(super) fn rest(&mut self) -> Result<()> {
+        self.document_mut()?.rest();
+        self.request(Effort::FULL);
+        Ok(())
+    }
+
+    pub(super) fn undo(&mut self) -> Result<()> {
+        self.document_mut()?.undo().ok_or_else(|| refused("there is nothing to undo", "go on"))?;
+        self.request(Effort::FULL);
+        Ok(())
+    }
+
+    pub(super) fn redo(&mut self) -> Result<()> {
+        self.document_mut()?.redo().ok_or_else(|| refused("there is nothing to do again", "go on"))?;
+        self.request(Effort::FULL);
+        Ok(())
+    }
+
+    pub(super) fn choose(&mut self, step: Option<usize>) -> Result<()> {
+        self.chosen = match step {
+            None => None,
+            Some(at) => Some(self.entry(at)?.id),
+        };
+        Ok(())
+    }
+
+    /// The step at a place.
+    pub(super) fn entry(&self, at: usize) -> Result<&edit::Entry> {
+        let steps = self.open()?.steps();
+        let none = || refused(format!("there is no step {at} among {}", steps.len()), "places begin at 0");
+        steps.get(at).ok_or_else(none)
+    }
+
+    /// The deformation at a place.
+    pub(super) fn deformation(&self, at: usize) -> Result<&Deformation> {
+        let none = || refused(format!("step {at} deforms nothing"), "choose another step");
+        self.entry(at)?.step.deformation().ok_or_else(none)
+    }
+
+    pub(super) fn add_step(&mut self, plugin: &str, at: Option<usize>) -> Result<()> {
+        let open = self.open()?;
+        self.plugins.get(plugin)?;
+        let path = open.editor.path().or(open.editor.model()).unwrap_or(Path::new(""));
+        let deformation = Deformation {
+            deform: plugin.to_owned(),
+            params: toml::Table::new(),
+            regions: Vec::new(),
+            joints: Vec::new(),
+            handles: Vec::new(),
+            strokes: Vec::new(),
+            folder: folder_of(path).to_owned(),
+        };
+        let at = at.unwrap_or(open.steps().len());
+        self.add(at, Action::Deform(deformation))?;
+        self.choose(Some(at))
+    }
+
+    pub(super) fn add(&mut self, at: usize, action: Action) -> Result<()> {
+        let step = Step { action, enabled: true, place: String::new() };
+        self.edit(edit::Command::Add { at, step: Box::new(step) }, false)
+    }
+
+    pub(super) fn save(&mut self, path: Option<PathBuf>) -> Result<()> {
+        let open = self.open.as_mut().ok_or_else(nothing_open)?;
+        let none = || refused("the session has no file yet", "say where to save it");
+        let path = path.or_else(|| open.editor.path().map(Path::to_owned)).ok_or_else(none)?;
+        open.editor.save(&path)
+    }
+
+    pub(super) fn write(&mut self, output: PathBuf) -> Result<()> {
+        let open = self.open.as_ref().ok_or_else(nothing_open)?;
+        let how = Self::reconstruction();
+        let model = open.editor.model().map(Path::to_owned);
+        let writing = Writing { output, model, method: how.method, normals: how.normals };
+        self.engine.write(open.steps().clone(), writing);
+        Ok(())
+    }
+
+    /// A command whose effect depends on where samples were just then, as one that does the same anywhere.
+    pub(super) fn resolved(&self, command: Command) -> Command {
+        let same = |change: Option<edit::Command>, command| change.map_or(command, Command::Edit);
+        let steps = self.open.as_ref().map(|open| open.steps().clone()).unwrap_or_default();
+        match command {
+            Command::Select { .. } => self.resolved_selection(),
+            Command::Camera(_) => Command::Camera(crate::command::CameraMove::Set(self.camera)),
+            Command::MakeRegion { step: at, .. } => {
+                let regions = steps.get(at).and_then(|e| Some(e.step.deformation()?.regions.clone()));
+                let change = regions.map(Change::SetRegions);
+                same(change.map(|change| edit::Command::Change { at, change }), command)
+            }
+            Command::RefineSelection { .. } => {
+                let last = steps.last().map(|e| Box::new((*e.step).clone()));
+                same(last.map(|step| edit::Command::Add { at: steps.len() - 1, step }), command)
+            }
+            other => other,
+        }
+    }
+}
+
+/// An error of something that is not there, for commands that name it.
+pub(super) fn missing(what: &str, which: impl std::fmt::Display) -> Error {
+    refused(format!("there is no {what} {which}"), "choose another one")
+}

@@ -1,0 +1,312 @@
+//! All that the window shows, and the one way to change it: [`State::apply`].
+
+mod edit;
+mod region;
+mod select;
+mod stroke;
+mod view;
+
+use crate::camera::Camera;
+use crate::command::Command;
+use crate::engine::{Activity, Engine, Event, Job, Opening, Wake};
+use crate::overlay::{Field, Overlay};
+use crate::pick::DepthBuffer;
+use crate::record::Recorder;
+use crate::scene::Scene;
+use crate::selection::{Adjacency, Selection};
+use simod_core::reconstruction::{Reconstructed, Reconstruction};
+use simod_core::{Error, ErrorKind, Result};
+use simod_plugin_api::Effort;
+use simod_session::edit::{Document, Editor, Entry, StepId};
+use simod_session::{PluginRegistry, SessionFile};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+use stroke::OpenStroke;
+
+/// Notices that are kept until the window takes them.
+const MOST_NOTICES: usize = 100;
+
+/// Something for the user to read.
+#[derive(Debug)]
+pub enum Notice {
+    /// Good to know.
+    Note(String),
+    /// Something came to nothing; the error says what to do.
+    Failed(Job, Error),
+    /// The deformed model was written.
+    Written(PathBuf, Box<Reconstructed>, f64),
+}
+
+/// What is open.
+struct Open {
+    editor: Editor,
+    scene: Arc<Scene>,
+    /// Who is next to whom, of the scene's samples.
+    adjacency: Arc<Adjacency>,
+}
+
+/// A window's state, without the window.
+pub struct State {
+    engine: Engine,
+    plugins: Arc<PluginRegistry>,
+    open: Option<Open>,
+    selection: Selection,
+    camera: Camera,
+    /// Of the picture, in pixels.
+    size: [f64; 2],
+    chosen: Option<StepId>,
+    stroke: Option<OpenStroke>,
+    overlay: Overlay,
+    /// The last request for steps to be done, and the last one whose result is shown.
+    requested: u64,
+    shown: u64,
+    notices: Vec<Notice>,
+    recorder: Option<Recorder>,
+    /// The depth buffer of a scene.
+    depth: Option<(u64, DepthBuffer)>,
+    field: Option<(view::FieldKey, Field)>,
+}
+
+fn refused(what: impl Into<String>, hint: &str) -> Error {
+    Error::new(ErrorKind::Argument, what, hint)
+}
+
+fn nothing_open() -> Error {
+    refused("no model is open", "open one")
+}
+
+impl State {
+    /// With nothing open. `wake` is called from any thread when [`poll`](Self::poll) has something to do.
+    pub fn new(plugins: Arc<PluginRegistry>, wake: Wake) -> Self {
+        Self {
+            engine: Engine::new(plugins.clone(), wake),
+            plugins,
+            open: None,
+            selection: Selection::default(),
+            camera: Camera::default(),
+            size: [1280.0, 800.0],
+            chosen: None,
+            stroke: None,
+            overlay: Overlay::default(),
+            requested: 0,
+            shown: 0,
+            notices: Vec::new(),
+            recorder: None,
+            depth: None,
+            field: None,
+        }
+    }
+
+    /// Records all commands from now on, or no more.
+    pub fn record(&mut self, recorder: Option<Recorder>) {
+        self.recorder = recorder;
+    }
+
+    /// Does a command.
+    ///
+    /// # Errors
+    /// It makes no sense, or a file cannot be written; nothing has changed then. What takes its time fails later, with a
+    /// [`Notice`].
+    pub fn apply(&mut self, command: Command) -> Result<()> {
+        let settled = self.is_settled();
+        self.perform(command.clone())?;
+        if self.recorder.is_some() {
+            let command = if settled { command } else { self.resolved(command) };
+            if let Some(Err(error)) = self.recorder.as_mut().map(|recorder| recorder.push(&command)) {
+                self.recorder = None;
+                self.notices.push(Notice::Note(format!("the recording ended: {error}")));
+            }
+        }
+        Ok(())
+    }
+
+    fn perform(&mut self, command: Command) -> Result<()> {
+        match command {
+            Command::Open { path, sampling, recover } => {
+                self.engine.open(Opening { path, sampling, recover });
+                Ok(())
+            }
+            Command::Edit(command) => self.edit(command, false),
+            Command::Drag(command) => self.edit(command, true),
+            Command::Rest => self.rest(),
+            Command::Undo => self.undo(),
+            Command::Redo => self.redo(),
+            Command::Choose { step } => self.choose(step),
+            Command::AddStep { plugin, at } => self.add_step(&plugin, at),
+            Command::Select { area, combine, visible } => self.select(&area, combine, visible),
+            Command::MakeRegion { step, role, falloff, replaces } => {
+                self.make_region(step, role, falloff, replaces)
+            }
+            Command::RefineSelection { finer } => self.refine_selection(finer),
+            Command::PlaceJoint { step, id, at, parent } => self.place_joint(step, id, at, parent),
+            Command::BeginStroke { step, radius, strength, params } => {
+                self.begin_stroke(step, radius, strength, params)
+            }
+            Command::StrokePoint { at, pressure } => self.stroke_point(at, pressure),
+            Command::EndStroke => self.end_stroke(),
+            Command::DropStroke => self.drop_stroke(),
+            Command::Save { path } => self.save(path),
+            Command::Write { output } => self.write(output),
+            Command::Cancel { job } => {
+                self.engine.cancel(job);
+                Ok(())
+            }
+            Command::Resize { size } => self.resize(size),
+            Command::Camera(step) => self.move_camera(step),
+            Command::Show(overlay) => {
+                self.overlay = overlay;
+                Ok(())
+            }
+        }
+    }
+
+    /// Takes what the engine has done. Whether anything changed.
+    pub fn poll(&mut self) -> bool {
+        let mut changed = false;
+        while let Some(event) = self.engine.poll() {
+            self.take(event);
+            changed = true;
+        }
+        changed
+    }
+
+    /// Waits until all that was asked for is done.
+    ///
+    /// # Errors
+    /// It takes longer than this.
+    pub fn settle(&mut self, longest: Duration) -> Result<()> {
+        while let Some(event) = self.engine.wait(longest)? {
+            self.take(event);
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, event: Event) {
+        match event {
+            Event::Opened(opened) => {
+                let (editor, scene) = *opened;
+                self.opened(editor, scene);
+            }
+            Event::Evaluated { request, scene } => {
+                if let Some(open) = &mut self.open {
+                    open.show(*scene);
+                    self.shown = request;
+                    if self.selection.marks().len() != open.scene.len() {
+                        self.selection = self.selection.resized(&open.adjacency);
+                    }
+                }
+            }
+            Event::Written { output, report, seconds } => self.tell(Notice::Written(output, report, seconds)),
+            Event::Note(text) => self.tell(Notice::Note(text)),
+            Event::Failed { job, error } => self.tell(Notice::Failed(job, error)),
+        }
+    }
+
+    fn tell(&mut self, notice: Notice) {
+        if self.notices.len() < MOST_NOTICES {
+            self.notices.push(notice);
+        }
+    }
+
+    /// Whether the samples are where the steps put them, and no draft.
+    pub fn is_settled(&self) -> bool {
+        let full = self.open.as_ref().is_none_or(|open| open.scene.effort == Effort::FULL);
+        full && self.shown == self.requested && !self.engine.is_busy(Job::Open)
+    }
+
+    /// What there is to tell the user since this was asked last.
+    pub fn take_notices(&mut self) -> Vec<Notice> {
+        std::mem::take(&mut self.notices)
+    }
+
+    /// What a job is doing, if it is running.
+    pub fn activity(&self, job: Job) -> Option<Activity> {
+        self.engine.activity(job)
+    }
+
+    /// The place of the step that is being done, if any is.
+    pub fn busy_step(&self) -> Option<usize> {
+        self.engine.step()
+    }
+
+    /// The plugins that there are.
+    pub fn plugins(&self) -> &Arc<PluginRegistry> {
+        &self.plugins
+    }
+
+    /// Takes other plugins, as after looking for them again, and does the steps with them.
+    pub fn set_plugins(&mut self, plugins: Arc<PluginRegistry>) {
+        self.plugins = plugins.clone();
+        self.engine.set_plugins(plugins.clone());
+        if let Some(open) = &mut self.open {
+            open.editor.set_plugins(plugins);
+            self.request(Effort::FULL);
+        }
+    }
+
+    /// The edit with its files, if something is open.
+    pub fn editor(&self) -> Option<&Editor> {
+        self.open.as_ref().map(|open| &open.editor)
+    }
+
+    /// The steps, if something is open.
+    pub fn document(&self) -> Option<&Document> {
+        self.editor().map(Editor::document)
+    }
+
+    /// What is there to be drawn, if something is open.
+    pub fn scene(&self) -> Option<&Arc<Scene>> {
+        self.open.as_ref().map(|open| &open.scene)
+    }
+
+    /// The samples that are selected.
+    pub fn selection(&self) -> &Selection {
+        &self.selection
+    }
+
+    /// The place of the step that is worked on, if any.
+    pub fn chosen(&self) -> Option<usize> {
+        let id = self.chosen?;
+        self.document()?.steps().iter().position(|entry| entry.id == id)
+    }
+
+    /// Keeps the steps against a crash, if there is anything new to keep: to be called every now and then.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn autosave(&mut self) -> Result<()> {
+        self.open.as_mut().map_or(Ok(()), |open| open.editor.autosave())
+    }
+
+    /// How a model is written: as `simod run` does unless told otherwise.
+    pub fn reconstruction() -> Reconstruction<'static> {
+        Reconstruction::default()
+    }
+}
+
+/// What was kept of a session or model against a crash, if anything; see [`Command::Open`].
+///
+/// # Errors
+/// There is something, but it cannot be read.
+pub fn recoverable(path: &Path) -> Result<Option<SessionFile>> {
+    simod_session::edit::recover(path)
+}
+
+impl Open {
+    fn new(editor: Editor, scene: Scene) -> Self {
+        let adjacency = Arc::new(Adjacency::of_model(&scene.sampled));
+        Self { editor, scene: Arc::new(scene), adjacency }
+    }
+
+    fn show(&mut self, scene: Scene) {
+        if !Arc::ptr_eq(&self.scene.sampled, &scene.sampled) {
+            self.adjacency = Arc::new(Adjacency::of_model(&scene.sampled));
+        }
+        self.scene = Arc::new(scene);
+    }
+
+    fn steps(&self) -> &Arc<[Entry]> {
+        self.editor.document().steps()
+    }
+}

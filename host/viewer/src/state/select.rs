@@ -1,0 +1,69 @@
+//! What is selected, and what is seen.
+
+use super::State;
+use crate::command::{Area, Command};
+use crate::pick::{DepthBuffer, Hit, in_lasso, near_path, within};
+use crate::scene::Scene;
+use crate::selection::{Combine, Selection};
+use glam::DVec2;
+use simod_core::Result;
+use std::sync::Arc;
+
+impl State {
+    /// The point of the surface under a pixel.
+    pub fn pick(&mut self, pixel: DVec2) -> Option<Hit> {
+        let scene = self.scene()?.clone();
+        self.depth(&scene).pick(&scene, pixel)
+    }
+
+    /// The depth buffer of what is shown.
+    fn depth(&mut self, scene: &Arc<Scene>) -> &DepthBuffer {
+        let (camera, size) = (self.camera, self.size);
+        let known = self.depth.take().filter(|(r, d)| *r == scene.revision && d.is_of(&camera, size));
+        let made = known.unwrap_or_else(|| (scene.revision, DepthBuffer::new(scene, &camera, size)));
+        &self.depth.insert(made).1
+    }
+
+    pub(super) fn select(&mut self, area: &Area, combine: Combine, visible: bool) -> Result<()> {
+        let open = self.open()?;
+        let (scene, adjacency) = (open.scene.clone(), open.adjacency.clone());
+        let (camera, size, count) = (self.camera, self.size, scene.len());
+        let pointed = match area {
+            Area::All => Selection::of(vec![true; count]),
+            Area::None => Selection::none(count),
+            Area::Inverse => self.selection.inverted(),
+            Area::Grown => self.selection.grown(&adjacency),
+            Area::Shrunk => self.selection.shrunk(&adjacency),
+            Area::Runs(runs) => Selection::from_runs(runs, count),
+            Area::Brush { path, radius } => {
+                Selection::of(within(&scene, &camera, size, |p| near_path(path, *radius, p)))
+            }
+            Area::Lasso { path } => Selection::of(within(&scene, &camera, size, |p| in_lasso(path, p))),
+            Area::Box { from, to } => {
+                let (a, b) = (DVec2::from(*from), DVec2::from(*to));
+                let (min, max) = (a.min(b), a.max(b));
+                Selection::of(within(&scene, &camera, size, |p| p.cmpge(min).all() && p.cmple(max).all()))
+            }
+            Area::Connected { at } => match self.pick(DVec2::from(*at)) {
+                Some(hit) => adjacency.connected(hit.sample),
+                None => Selection::none(count),
+            },
+        };
+        let is_pointed_at = matches!(area, Area::Brush { .. } | Area::Lasso { .. } | Area::Box { .. });
+        let seen = if visible && is_pointed_at {
+            let seen = self.depth(&scene).visible(&scene);
+            Selection::of(pointed.marks().iter().zip(seen).map(|(a, b)| *a && b).collect())
+        } else {
+            pointed
+        };
+        let replaces = matches!(area, Area::Inverse | Area::Grown | Area::Shrunk);
+        let combine = if replaces { Combine::Replace } else { combine };
+        self.selection = self.selection.combined(&seen, combine);
+        Ok(())
+    }
+
+    pub(super) fn resolved_selection(&self) -> Command {
+        let area = Area::Runs(self.selection.runs());
+        Command::Select { area, combine: Combine::Replace, visible: false }
+    }
+}

@@ -1,0 +1,90 @@
+//! A brush stroke while it is drawn: shown, but not yet one of the steps'.
+
+use super::{State, refused};
+use glam::DVec3;
+use simod_core::Result;
+use simod_plugin_api::Effort;
+use simod_session::edit::{Change, Entry, StepId};
+use simod_session::session_file::{Action, Stroke};
+use std::sync::Arc;
+
+/// A stroke that is being drawn.
+pub(super) struct OpenStroke {
+    step: StepId,
+    stroke: Stroke,
+}
+
+impl OpenStroke {
+    /// The steps with the stroke as far as it is.
+    pub fn preview(&self, steps: &Arc<[Entry]>) -> Option<Arc<[Entry]>> {
+        if self.stroke.defect().is_some() {
+            return None;
+        }
+        let mut steps = steps.to_vec();
+        let entry = steps.iter_mut().find(|entry| entry.id == self.step)?;
+        let Action::Deform(deformation) = &mut Arc::make_mut(&mut entry.step).action else { return None };
+        deformation.strokes.push(Arc::new(self.stroke.clone()));
+        Some(steps.into())
+    }
+}
+
+fn none() -> simod_core::Error {
+    refused("no stroke was begun", "put the brush on the surface first")
+}
+
+impl State {
+    pub(super) fn begin_stroke(
+        &mut self,
+        step: usize,
+        radius: f64,
+        strength: f64,
+        params: toml::Table,
+    ) -> Result<()> {
+        self.deformation(step)?;
+        let stroke = Stroke { radius, strength, points: Vec::new(), pressures: Vec::new(), params };
+        // All but that it has no point yet.
+        let some = Stroke { points: vec![DVec3::ZERO], ..stroke.clone() };
+        if let Some((what, hint)) = some.defect() {
+            return Err(refused(what, hint));
+        }
+        self.stroke = Some(OpenStroke { step: self.entry(step)?.id, stroke });
+        Ok(())
+    }
+
+    pub(super) fn stroke_point(&mut self, at: DVec3, pressure: Option<f32>) -> Result<()> {
+        let OpenStroke { stroke, .. } = self.stroke.as_mut().ok_or_else(none)?;
+        if !at.is_finite() || pressure.is_some_and(|p| !(0.0..=1.0).contains(&p)) {
+            return Err(refused("a point of a stroke makes no sense", "give finite numbers"));
+        }
+        // Pressures are for all points or none: those without are at full pressure.
+        if pressure.is_some() || !stroke.pressures.is_empty() {
+            stroke.pressures.resize(stroke.points.len(), 1.0);
+            stroke.pressures.push(pressure.unwrap_or(1.0));
+        }
+        stroke.points.push(at);
+        self.request(Effort::DRAFT);
+        Ok(())
+    }
+
+    pub(super) fn end_stroke(&mut self) -> Result<()> {
+        let OpenStroke { step, stroke } = self.stroke.take().ok_or_else(none)?;
+        let at = self.open()?.steps().iter().position(|entry| entry.id == step);
+        let gone = || refused("the step of the stroke is gone", "undo its removal, and draw again");
+        let result = at.ok_or_else(gone).and_then(|at| self.change(at, Change::AddStroke(Arc::new(stroke))));
+        if result.is_err() {
+            self.request(Effort::FULL);
+        }
+        result
+    }
+
+    pub(super) fn drop_stroke(&mut self) -> Result<()> {
+        self.stroke.take().ok_or_else(none)?;
+        self.request(Effort::FULL);
+        Ok(())
+    }
+
+    /// Whether a stroke is being drawn.
+    pub fn is_drawing(&self) -> bool {
+        self.stroke.is_some()
+    }
+}

@@ -1,0 +1,116 @@
+//! The camera, and what is shown on the surface.
+
+use super::{State, refused};
+use crate::camera::Camera;
+use crate::command::CameraMove;
+use crate::overlay::{self, Field, Overlay};
+use crate::selection::Selection;
+use glam::{DVec2, DVec3};
+use simod_core::Result;
+use simod_session::edit::Entry;
+use std::sync::Arc;
+
+/// What a field depends on.
+pub(super) struct FieldKey {
+    overlay: Overlay,
+    revision: u64,
+    selection: Selection,
+    steps: Arc<[Entry]>,
+    chosen: Option<usize>,
+}
+
+impl State {
+    /// The camera.
+    pub fn camera(&self) -> &Camera {
+        &self.camera
+    }
+
+    /// The picture's width and height in pixels.
+    pub fn size(&self) -> [f64; 2] {
+        self.size
+    }
+
+    /// What is shown on the surface.
+    pub fn overlay(&self) -> Overlay {
+        self.overlay
+    }
+
+    pub(super) fn resize(&mut self, size: [f64; 2]) -> Result<()> {
+        if !size.iter().all(|x| (1.0..=65536.0).contains(x)) {
+            return Err(refused("a picture cannot be of that size", "give 1 to 65536 pixels"));
+        }
+        self.size = size;
+        Ok(())
+    }
+
+    pub(super) fn move_camera(&mut self, step: CameraMove) -> Result<()> {
+        let (mut camera, size) = (self.camera, self.size);
+        match step {
+            CameraMove::Orbit { yaw, pitch } => camera.orbit(yaw, pitch),
+            CameraMove::Pan { by } => camera.pan(by.into(), size),
+            CameraMove::Zoom { factor, at } => {
+                if !(factor > 0.0) {
+                    return Err(refused("the camera cannot zoom by that factor", "give one above 0"));
+                }
+                let pixel = DVec2::from(at);
+                let hit = self.pick(pixel).map(|hit| hit.local);
+                camera.zoom(factor, hit.unwrap_or_else(|| camera.at_target_depth(pixel, size)));
+            }
+            CameraMove::FrameAll => self.frame(&mut camera, |_| true),
+            CameraMove::FrameSelection => self.frame(&mut camera, |i| self.selection.contains(i)),
+            CameraMove::Look(from) => camera.look(from),
+            CameraMove::Project(projection) => camera.projection = projection,
+            CameraMove::Up(up) => camera.up = up,
+            CameraMove::Set(other) => camera = other,
+        }
+        if !camera.is_valid() {
+            return Err(refused("the camera cannot be there", "give finite numbers"));
+        }
+        self.camera = camera;
+        Ok(())
+    }
+
+    /// Frames some samples, if there are any.
+    fn frame(&self, camera: &mut Camera, of: impl Fn(u32) -> bool) {
+        let Some(scene) = self.scene() else { return };
+        let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for (p, _) in scene.positions.iter().zip(0..).filter(|(_, i)| of(*i)) {
+            (min, max) = (min.min(p.as_dvec3()), max.max(p.as_dvec3()));
+        }
+        camera.frame([min, max], self.size);
+    }
+
+    /// The numbers that are shown on the surface; nothing where only the surface is.
+    pub fn field(&mut self) -> Option<&Field> {
+        let scene = self.scene()?.clone();
+        let steps = self.document()?.steps().clone();
+        let (overlay, revision, chosen) = (self.overlay, scene.revision, self.chosen());
+        let is_known = |key: &FieldKey| {
+            key.overlay == overlay
+                && key.revision == revision
+                && match overlay {
+                    Overlay::Selection => key.selection == self.selection,
+                    Overlay::Region(_) => Arc::ptr_eq(&key.steps, &steps) && key.chosen == chosen,
+                    _ => true,
+                }
+        };
+        if !self.field.as_ref().is_some_and(|(key, _)| is_known(key)) {
+            let field = match overlay {
+                Overlay::None => return None,
+                Overlay::Selection => overlay::selection(&self.selection),
+                Overlay::Region(region) => {
+                    let at = chosen?;
+                    let shapes = &steps[at].step.deformation()?.regions.get(region)?.shapes;
+                    overlay::region(&scene, at, shapes)
+                }
+                Overlay::Displacement => overlay::displacement(&scene),
+                Overlay::Stretch => overlay::stretch(&scene),
+                Overlay::Density => overlay::density(&scene),
+                Overlay::TransferError => overlay::transfer_error(&scene),
+            };
+            let key = FieldKey { overlay, revision, selection: self.selection.clone(), steps, chosen };
+            self.field = Some((key, field));
+        }
+        self.field.as_ref().map(|(_, field)| field)
+    }
+}
