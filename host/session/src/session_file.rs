@@ -1,5 +1,6 @@
 //! `session.toml`: everything needed to do an edit again, without a window.
 
+use crate::deformer::Plugin;
 use crate::motion::Motion;
 use crate::shapes::{Shape, Shapes};
 use crate::side_file;
@@ -116,6 +117,8 @@ const FINER: &str =
 pub struct Deformation {
     /// The plugin's id.
     pub deform: String,
+    /// Where the plugin came from, as far as that was known when the session was saved.
+    pub plugin: Option<Origin>,
     /// The parameters that differ from their defaults.
     #[serde(default)]
     pub params: toml::Table,
@@ -134,6 +137,41 @@ pub struct Deformation {
     /// What paths among the parameters are relative to.
     #[serde(default)]
     pub folder: PathBuf,
+}
+
+/// Where a plugin came from: for those who do not have it.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Origin {
+    /// The version that the step was made with.
+    pub version: String,
+    /// Who made it.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub author: String,
+    /// Where there is more about it.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub url: String,
+}
+
+impl Origin {
+    /// Of a plugin that says where it comes from, unlike those that come with the program.
+    pub fn of(plugin: &Plugin) -> Option<Self> {
+        let [version, author, url] = [plugin.version(), plugin.author(), plugin.url()].map(str::to_owned);
+        (!(author.is_empty() && url.is_empty())).then_some(Self { version, author, url })
+    }
+}
+
+impl std::fmt::Display for Origin {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "version {}", self.version)?;
+        if !self.author.is_empty() {
+            write!(f, " by {}", self.author)?;
+        }
+        if !self.url.is_empty() {
+            write!(f, ", {}", self.url)?;
+        }
+        Ok(())
+    }
 }
 
 impl Step {
@@ -285,6 +323,7 @@ struct RawPath {
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct RawStep {
     deform: Option<String>,
+    plugin: Option<Origin>,
     #[serde(default)]
     params: toml::Table,
     #[serde(default)]
@@ -447,6 +486,7 @@ impl Source<'_> {
 
     fn refine(&self, span: &Range<usize>, raw: RawStep) -> Result<Refine> {
         let nothing_else = raw.deform.is_none()
+            && raw.plugin.is_none()
             && raw.params.is_empty()
             && raw.region.is_empty()
             && raw.joint.is_empty()
@@ -521,6 +561,7 @@ impl Source<'_> {
         }
         Ok(Deformation {
             deform,
+            plugin: raw.plugin,
             params: raw.params,
             regions: raw.region.into_iter().map(|r| self.region(r)).collect::<Result<_>>()?,
             joints: self.joints(raw.joint)?,

@@ -125,6 +125,10 @@ fn deformation(
     table: &mut Table,
 ) -> Result<()> {
     table["deform"] = value(&from.deform);
+    if let Some(origin) = &from.plugin {
+        let plugin = origin.serialize(ValueSerializer::new()).map_err(|e| lost("a plugin's origin", &e))?;
+        table["plugin"] = value(plugin);
+    }
     if !from.params.is_empty() {
         table["params"] = value(inline(&from.params)?);
     }
@@ -257,6 +261,7 @@ fn inline(from: &toml::Table) -> Result<InlineTable> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::session_file::Origin;
     use crate::shapes::Shapes;
     use std::sync::Arc;
 
@@ -282,6 +287,7 @@ mod tests {
         let shifted = Motion { translate: DVec3::X, axis: DVec3::Z, ..Motion::default() };
         let deformation = Deformation {
             deform: "rbf".to_owned(),
+            plugin: None,
             params: "kernel = \"triharmonic\"\ntolerance = 1e-4\nname = \"a \\\" b\"".parse().unwrap(),
             regions: vec![
                 region(Role::Fixed, 0.0, Motion::default()),
@@ -297,6 +303,8 @@ mod tests {
             folder: folder.to_owned(),
         };
         let mut long = Deformation { strokes: vec![stroke(5000), stroke(2)], ..deformation.clone() };
+        let (version, author) = ("1.0.3".to_owned(), "A \"B\"".to_owned());
+        long.plugin = Some(Origin { version, author, url: String::new() });
         for points in [10, 5000] {
             let all: Vec<DVec3> = (0..points).map(|i| DVec3::splat(f64::from(i) / 3.0)).collect();
             let picked = PickedPoints::new(all, vec![DVec3::NEG_X]);

@@ -131,6 +131,7 @@ impl<'a> Bench<'a> {
                     Role::Mask => true,
                 });
                 let action = Action::Deform(Deformation {
+                    plugin: None,
                     deform: deform.clone(),
                     params: params.clone(),
                     regions: regions.cloned().collect(),

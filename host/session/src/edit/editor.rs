@@ -4,7 +4,7 @@ use super::document::{Document, Entry};
 use super::evaluation::{Evaluation, Refinements};
 use crate::pipeline::sampled;
 use crate::plugins::PluginRegistry;
-use crate::session_file::{Action, Deformation, SessionFile, Step};
+use crate::session_file::{Action, Deformation, Origin, SessionFile, Step};
 use crate::side_file;
 use simod_core::output::folder_of;
 use simod_core::sampled_model::{SampledModel, relative};
@@ -154,10 +154,12 @@ impl Editor {
         SessionFile { steps: self.document.steps().iter().map(step).collect(), ..self.session.clone() }
     }
 
-    /// A deformation whose files are named as seen from another folder.
+    /// A deformation whose files are named as seen from another folder, with where its plugin came from.
     fn moved(&self, from: &Deformation, folder: &Path) -> Deformation {
         let mut to = Deformation { folder: folder.to_owned(), ..from.clone() };
-        if let (Ok(plugin), true) = (self.plugins.get(&from.deform), from.folder != folder) {
+        let Ok(plugin) = self.plugins.get(&from.deform) else { return to };
+        to.plugin = Origin::of(plugin);
+        if from.folder != folder {
             for file in plugin.params().iter().filter(|d| d.kind == ParamKind::FILE) {
                 if let Some(toml::Value::String(name)) = to.params.get_mut(file.id.as_str())
                     && let Some(seen) = relative(&from.folder.join(&*name), folder).to_str()

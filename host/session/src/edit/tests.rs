@@ -291,7 +291,8 @@ fn what_fails_leaves_what_comes_before_it() {
     let mut evaluation = evaluation();
     let full = api::Effort::FULL;
     let below = from_nothing(&Document::new(steps().into_iter().take(1)));
-    let elsewhere = "[[step]]\ndeform = \"from-elsewhere\"";
+    let elsewhere =
+        "[[step]]\ndeform = \"from-elsewhere\"\nplugin = { version = \"2\", author = \"A\", url = \"B\" }";
     let missing = SessionFile::parse(elsewhere, Path::new("s.toml")).unwrap().steps.remove(0);
     let wrong = [
         (Command::Add { at: 1, step: Box::new(missing) }, "there is no plugin `from-elsewhere`"),
@@ -313,6 +314,9 @@ fn what_fails_leaves_what_comes_before_it() {
             error.to_string().contains(message) && error.to_string().starts_with("s.toml, line 1: "),
             "{error}"
         );
+        if message.contains("from-elsewhere") {
+            assert!(error.hint().starts_with("it was version 2 by A, B; install it"), "{}", error.hint());
+        }
         let waiting = evaluated.statuses.iter().filter(|(_, s)| matches!(s, Status::Waiting)).count();
         assert_eq!(waiting, document.steps().len() - 2);
         // Left out, it harms nobody; and what was right before is right again.

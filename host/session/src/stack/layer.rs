@@ -117,7 +117,14 @@ impl Layer {
         registry: &PluginRegistry,
         before: Option<&Self>,
     ) -> Result<Self> {
-        let plugin = registry.get(&step.deform)?.clone();
+        let plugin = registry.get(&step.deform).map_err(|e| match &step.plugin {
+            Some(origin) => {
+                let hint = format!("it was {origin}; install it and try again: {}", e.hint());
+                Error::new(e.kind(), e.to_string(), hint)
+            }
+            None => e,
+        })?;
+        let plugin = plugin.clone();
         let check = |given: &toml::Table| {
             Params::check(plugin.id(), plugin.params(), given, &step.folder).map(Arc::new)
         };
