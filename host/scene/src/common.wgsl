@@ -9,9 +9,10 @@ struct Frame {
     fill: vec4f,
     // Linear colours.
     clay: vec4f,
+    ghost_color: vec4f,
+    // sRGB.
     background_top: vec4f,
     background_bottom: vec4f,
-    ghost_color: vec4f,
     // Pixels of the picture while it is drawn, and of the finished one.
     size: vec2f,
     finished: vec2f,

@@ -13,9 +13,9 @@ pub(crate) struct Frame {
     key: Vec4,
     fill: Vec4,
     clay: Vec4,
+    ghost_color: Vec4,
     background_top: Vec4,
     background_bottom: Vec4,
-    ghost_color: Vec4,
     size: [f32; 2],
     finished: [f32; 2],
     pub radius_scale: f32,
@@ -32,9 +32,9 @@ const HEAD_LIGHT: Vec3 = Vec3::new(0.0, 0.12, 1.0);
 const CLAY: Vec3 = Vec3::new(0.56, 0.51, 0.46);
 /// Linear colour of the ghost.
 const GHOST: Vec3 = Vec3::new(0.22, 0.42, 0.72);
-/// Linear colours of the backgrounds, above and below.
-const PAPER: [Vec3; 2] = [Vec3::new(0.845, 0.85, 0.86), Vec3::new(0.68, 0.69, 0.71)];
-const SLATE: [Vec3; 2] = [Vec3::new(0.055, 0.060, 0.070), Vec3::new(0.017, 0.018, 0.022)];
+/// Backgrounds, above and below, in sRGB.
+const PAPER: [Vec3; 2] = [Vec3::new(0.925, 0.930, 0.935), Vec3::new(0.845, 0.850, 0.860)];
+const SLATE: [Vec3; 2] = [Vec3::new(0.260, 0.270, 0.290), Vec3::new(0.140, 0.145, 0.160)];
 /// How far the occlusion reaches, as a share of the surface's radius.
 const REACH: f32 = 0.13;
 

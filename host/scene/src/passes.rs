@@ -3,6 +3,8 @@
 //! Occlusion follows M. McGuire, B. Osman, M. Bukowski, P. Hennessy, *The Alchemy Screen-Space Ambient Obscurance
 //! Algorithm*, HPG 2011, on a spiral that is turned from pixel to pixel; the light is that of `simod_core::render`.
 
+use std::cmp::Ordering;
+
 use wgpu::{BindGroup, BindGroupLayout, CommandEncoder, Device, RenderPipeline, TextureView};
 
 use crate::pipeline::{Given, Recipe, begin, bind, layout, module, shader};
@@ -11,8 +13,8 @@ use crate::targets::{OCCLUSION, Targets};
 pub(crate) struct Passes {
     occlusion: Pass,
     shade: Pass,
-    averaged: Pass,
-    smoothed: Pass,
+    /// For more pixels than the finished picture has, as many, and fewer.
+    finish: [Pass; 3],
     sampler: wgpu::Sampler,
 }
 
@@ -52,8 +54,8 @@ impl Passes {
         Self {
             occlusion: pass("occlusion", Self::OCCLUSION_SHADER, "pixel", &[Given::Texture; 2], OCCLUSION),
             shade: pass("shade", Self::SHADE_SHADER, "pixel", &[Given::Texture; 6], crate::FORMAT),
-            averaged: pass("averaged", Self::FINISH_SHADER, "averaged", &smooth, crate::FORMAT),
-            smoothed: pass("smoothed", Self::FINISH_SHADER, "smoothed", &smooth, crate::FORMAT),
+            finish: ["averaged", "smoothed", "stretched"]
+                .map(|way| pass("finish", Self::FINISH_SHADER, way, &smooth, crate::FORMAT)),
             sampler: device.create_sampler(&wgpu::SamplerDescriptor {
                 mag_filter: wgpu::FilterMode::Linear,
                 min_filter: wgpu::FilterMode::Linear,
@@ -72,11 +74,7 @@ impl Passes {
         Groups {
             occlusion: self.occlusion.bind(device, &[&seen.normal, &seen.depth].map(texture)),
             shade: self.shade.bind(device, &shade.map(texture)),
-            finish: if targets.is_double() {
-                self.averaged.bind(device, &finish)
-            } else {
-                self.smoothed.bind(device, &finish)
-            },
+            finish: self.finish[targets.way()].bind(device, &finish),
         }
     }
 
@@ -103,8 +101,7 @@ impl Passes {
         frame: &BindGroup,
         finished: &TextureView,
     ) {
-        let pass = if targets.is_double() { &self.averaged } else { &self.smoothed };
-        pass.draw(encoder, finished, frame, &groups.finish);
+        self.finish[targets.way()].draw(encoder, finished, frame, &groups.finish);
     }
 }
 
@@ -123,8 +120,12 @@ impl Pass {
 }
 
 impl Targets {
-    /// Whether there are two by two drawn pixels for one.
-    fn is_double(&self) -> bool {
-        self.size == self.finished_size.map(|s| 2 * s)
+    /// Which of the ways to finish is for them.
+    fn way(&self) -> usize {
+        match self.size[0].cmp(&self.finished_size[0]) {
+            Ordering::Greater => 0,
+            Ordering::Equal => 1,
+            Ordering::Less => 2,
+        }
     }
 }

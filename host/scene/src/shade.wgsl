@@ -19,21 +19,32 @@ fn corner(@builtin(vertex_index) vertex: u32) -> @builtin(position) vec4f {
 fn pixel(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let at = vec2u(position.xy);
     let depth = textureLoad(depths, at, 0).r;
-    var light = background(position.y / frame.size.y);
+    var ghost = 0.0;
+    if (frame.flags & GHOST) != 0u {
+        ghost = textureLoad(ghost_depths, at, 0).r;
+    }
+    let paper = background(position.xy);
+    if depth <= 0.0 && ghost <= 0.0 {
+        return vec4f(paper, 1.0);
+    }
+    var light = linear_of(paper);
     if depth > 0.0 {
         let own = linear_of(textureLoad(colors, at, 0).rgb);
         let color = select(frame.clay.rgb, own, (frame.flags & OWN_COLORS) != 0u);
         let normal = textureLoad(normals, at, 0).xyz;
         light = lit(color, normal, to_eye(point_at(position.xy, depth)), occlusion(at, depth));
     }
-    if (frame.flags & GHOST) != 0u {
-        light = with_ghost(light, position.xy, depth);
+    if ghost > 0.0 {
+        light = with_ghost(light, position.xy, depth, ghost);
     }
     return vec4f(srgb_of(rolled_off(light)), 1.0);
 }
 
-fn background(y: f32) -> vec3f {
-    return mix(frame.background_top.rgb, frame.background_bottom.rgb, y);
+// From above to below, in sRGB; the noise (J. Jimenez, "Next Generation Post Processing in Call of Duty", SIGGRAPH
+// courses, 2014) is below what a byte tells apart, and breaks up its steps.
+fn background(pixel: vec2f) -> vec3f {
+    let noise = fract(52.9829189 * fract(dot(pixel, vec2f(0.06711056, 0.00583715)))) - 0.5;
+    return mix(frame.background_top.rgb, frame.background_bottom.rgb, pixel.y / frame.size.y) + noise / 255.0;
 }
 
 // The mean over the tile around a pixel, of what lies on its surface.
@@ -72,11 +83,7 @@ fn lit(color: vec3f, normal: vec3f, eye: vec3f, occlusion: f32) -> vec3f {
 }
 
 // The ghost in front of the surface, or fainter through it; not where the two are one.
-fn with_ghost(light: vec3f, pixel: vec2f, depth: f32) -> vec3f {
-    let ghost = textureLoad(ghost_depths, vec2u(pixel), 0).r;
-    if ghost <= 0.0 {
-        return light;
-    }
+fn with_ghost(light: vec3f, pixel: vec2f, depth: f32, ghost: f32) -> vec3f {
     let normal = textureLoad(ghost_normals, vec2u(pixel), 0).xyz;
     let facing = clamp(dot(normal, to_eye(point_at(pixel, ghost))), 0.0, 1.0);
     // As glass: clearer where it is seen from the front.

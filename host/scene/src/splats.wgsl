@@ -10,7 +10,7 @@ const LEAST_REACH = 0.75;
 const LAYER = 0.8;
 // How much farther away, in its radii, a disc seen from the back counts: the far side of a thin wall must not
 // shine through.
-const BACK_PENALTY = 0.6;
+const BACK_PENALTY = 1.0;
 
 @group(2) @binding(0) var nearest: texture_2d<f32>;
 
@@ -23,6 +23,14 @@ struct Corner {
     @location(3) @interpolate(flat) color: vec3f,
     // Square of the share of the radius to which it hides.
     @location(4) @interpolate(flat) hiding: f32,
+}
+
+// Corners of the triangle around the unit circle.
+fn around_disc(i: u32) -> vec2f {
+    if i == 0u {
+        return vec2f(0.0, 2.0);
+    }
+    return vec2f(select(1.7320508, -1.7320508, i == 1u), -1.0);
 }
 
 // A corner of the triangle around a disc, or around its part that hides. The triangle lies in the disc's plane, so
@@ -68,9 +76,7 @@ fn corner(index: u32, hiding_part: bool) -> Corner {
     let v = cross(axis, u);
 
     let hiding = max(select(HIDING_FRONT, HIDING_BACK, back), share);
-    let angle = f32(index % 3u) * 2.0943951;
-    // The triangle around the unit circle.
-    let disc = 2.0 * vec2f(cos(angle), sin(angle)) * select(1.0, hiding, hiding_part);
+    let disc = around_disc(index % 3u) * select(1.0, hiding, hiding_part);
     let point = center + radius * (u * disc.x + v * disc.y);
 
     // Seen from the eye, scaling about it moves the disc backwards alone.
