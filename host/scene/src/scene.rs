@@ -21,7 +21,7 @@ use crate::triangles::TriangleMesh;
 use crate::view::{Mode, Scale, Style, View};
 
 /// Discs of a part of the samples are so much wider than their number says, as they are not spread evenly.
-const PART_SLACK: f32 = 1.15;
+const PART_SLACK: f32 = 1.25;
 /// Most splats of a ghost: it is faint, so a part of its samples will do.
 const GHOST_SPLATS: usize = 200_000;
 /// While something moves, a mesh of so many times more triangles than the budget has splats is drawn as splats.

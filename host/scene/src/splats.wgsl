@@ -4,6 +4,8 @@
 // out they only blend in. So discs at a steep or sharp edge hardly stand out from the surface.
 const HIDING_FRONT = 0.74;
 const HIDING_BACK = 0.6;
+// The share where only a part of the discs is drawn: they are not spread evenly.
+const HIDING_PART = 0.95;
 // A disc reaches at least so many pixels around its middle, in all directions.
 const LEAST_REACH = 0.75;
 // How far behind the nearest surface a disc still blends in, in its radii.
@@ -23,6 +25,8 @@ struct Corner {
     @location(3) @interpolate(flat) color: vec3f,
     // Square of the share of the radius to which it hides.
     @location(4) @interpolate(flat) hiding: f32,
+    // How much of its area is seen: discs on edge, which stand out at creases, count little.
+    @location(5) @interpolate(flat) seen: f32,
 }
 
 // Corners of the triangle around the unit circle.
@@ -75,7 +79,8 @@ fn corner(index: u32, hiding_part: bool) -> Corner {
     let u = normalize(cross(axis, select(vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), abs(axis.x) > 0.7)));
     let v = cross(axis, u);
 
-    let hiding = max(select(HIDING_FRONT, HIDING_BACK, back), share);
+    let whole = select(HIDING_FRONT, HIDING_BACK, back);
+    let hiding = max(select(whole, HIDING_PART, frame.radius_scale > 1.0), share);
     let disc = around_disc(index % 3u) * select(1.0, hiding, hiding_part);
     let point = center + radius * (u * disc.x + v * disc.y);
 
@@ -91,6 +96,7 @@ fn corner(index: u32, hiding_part: bool) -> Corner {
     out.normal = normal;
     out.color = color_of(own);
     out.hiding = hiding * hiding;
+    out.seen = select(1.0, max(facing, 0.02), known);
     return out;
 }
 
@@ -127,7 +133,7 @@ fn blend_pixel(in: Corner) -> Sums {
     if t <= 0.0 {
         discard;
     }
-    let weight = t * t;
+    let weight = t * t * in.seen;
     let deeper = in.depth - textureLoad(nearest, vec2u(in.position.xy), 0).r;
     return Sums(vec4f(in.color, 1.0) * weight, vec4f(in.normal, deeper) * weight);
 }
