@@ -1,4 +1,5 @@
 //! Scenes that change: budgets, drags, ghosts, marks; and what must not go wrong.
+#![allow(clippy::unwrap_used, reason = "a test")]
 
 mod common;
 

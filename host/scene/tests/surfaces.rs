@@ -1,4 +1,5 @@
 //! Splats and triangles against what geometry says.
+#![allow(clippy::unwrap_used, reason = "a test")]
 
 mod common;
 

@@ -1,5 +1,6 @@
 //! What the tests draw, and with what.
 #![allow(dead_code, reason = "each test uses a part")]
+#![allow(clippy::print_stdout, reason = "who is skipped says so")]
 
 use std::sync::OnceLock;
 
