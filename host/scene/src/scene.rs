@@ -20,8 +20,8 @@ use crate::targets::{Seen, Targets, texture};
 use crate::triangles::TriangleMesh;
 use crate::view::{Mode, Scale, Style, View};
 
-/// Discs of a part of the samples are so much wider than their number says, as they are not spread evenly.
-const PART_SLACK: f32 = 1.25;
+/// Discs of a part of the samples are so much wider than their number says, as they are not quite evenly spread.
+const PART_SLACK: f32 = 1.15;
 /// Most splats of a ghost: it is faint, so a part of its samples will do.
 const GHOST_SPLATS: usize = 200_000;
 /// While something moves, a mesh of so many times more triangles than the budget has splats is drawn as splats.
@@ -224,7 +224,7 @@ impl Scene {
             // Else frames pile up before the device, and the hand is seconds ahead of the picture.
             self.gpu.wait();
             if changed && !self.shows_triangles(&style, usize::MAX) {
-                budget.learn(self.drawn.drawn, started.elapsed());
+                budget.learn(started.elapsed(), self.drawn.drawn == self.drawn.of);
             }
         }
         &self.finished.as_ref().expect("a first picture makes it").1
@@ -284,7 +284,7 @@ impl Scene {
         self.stage(view, scale);
         let stage = &self.stages[&scale];
         let of = self.samples();
-        let splats = splats.min(of);
+        let splats = self.surface.as_ref().map_or(0, |surface| surface.part(splats));
         self.set_frame(view, style, stage, splats);
         self.draw_ghost(encoder, stage);
         let frame = &self.frame.group;
@@ -348,7 +348,7 @@ impl Scene {
     fn draw_ghost(&self, encoder: &mut CommandEncoder, stage: &Stage) {
         if let (Some(ghost), Some(seen)) = (&self.ghost, &stage.targets.ghost) {
             let frame = &self.ghost_frame.group;
-            let splats = 0..ghost.len().min(GHOST_SPLATS);
+            let splats = 0..ghost.part(GHOST_SPLATS);
             self.splats.depth(encoder, &stage.targets, frame, ghost, splats.clone());
             self.splats.blend(encoder, &stage.targets, &stage.splats, frame, ghost, splats);
             self.splats.resolve(encoder, &stage.splats, frame, seen);
@@ -382,9 +382,10 @@ impl Scene {
         let mut frame = Frame::new(view, style, size, view.size, radius, self.ghost.is_some());
         frame.radius_scale = part_scale(splats, self.samples());
         self.frame.write(&self.gpu, &frame);
-        let ghosts = self.ghost.as_ref().map_or(0, Cloud::len);
-        frame.radius_scale = part_scale(GHOST_SPLATS.min(ghosts), ghosts);
-        self.ghost_frame.write(&self.gpu, &frame);
+        if let Some(ghost) = &self.ghost {
+            frame.radius_scale = part_scale(ghost.part(GHOST_SPLATS), ghost.len());
+            self.ghost_frame.write(&self.gpu, &frame);
+        }
     }
 }
 

@@ -25,11 +25,11 @@ fn shot(scene: &mut Scene, style: &Style) -> Image {
     scene.read().unwrap()
 }
 
-/// A budget of so many splats or a little more.
+/// A budget of a slow machine, of at most so many splats.
 fn budget_of(splats: usize) -> Budget {
-    let mut budget = Budget::new(Duration::from_millis(40));
+    let mut budget = Budget::new(Duration::from_secs(1));
     while budget.splats() > splats {
-        budget.learn(budget.splats(), Duration::from_millis(80));
+        budget.learn(Duration::from_secs(2), false);
     }
     budget
 }
@@ -44,22 +44,22 @@ fn a_part_is_closed_and_the_rest_follows() {
     let style = Style { scale: Scale::Full, ..plain() };
     let complete = shot(&mut scene_of(gpu, &model), &style);
 
-    for splats in [40_000, 30_000] {
-        let mut budget = budget_of(splats);
+    for most in [64_000, 32_000, 16_000] {
+        let mut budget = budget_of(most);
         assert!(!budget.is_coarse());
         let mut scene = scene_of(gpu, &model);
-        let splats = budget.splats();
         scene.render(&view(), &style, Some(&mut budget));
         let drawn = scene.drawn();
-        assert_eq!((drawn.drawn, drawn.of, drawn.complete), (splats, model.positions.len(), false));
+        assert!(drawn.of == model.positions.len() && !drawn.complete);
+        assert!((most / 4..=most).contains(&drawn.drawn), "{drawn:?} within {most}");
         let part = scene.read().unwrap();
         for (x, y) in (0..240).flat_map(|x| (0..240).map(move |y| (x as f32 + 0.5, y as f32 + 0.5))) {
             if (x - 120.0).hypot(y - 120.0) < 101.0 {
-                assert!(is_red(&part, [x, y]), "{splats} at {x}, {y}");
+                assert!(is_red(&part, [x, y]), "{drawn:?} at {x}, {y}");
             }
         }
         let (_, beyond) = difference(&part, &complete, 16);
-        assert!(beyond < 0.03, "{splats}: {beyond}");
+        assert!(beyond < 0.03, "{drawn:?}: {beyond}");
 
         let mut frames = 0;
         while !scene.drawn().complete {
@@ -81,7 +81,7 @@ fn coarse_frames_become_fine_at_rest() {
     let complete = draw(gpu, &model, &plain());
     let mut budget = Budget::new(Duration::from_nanos(1));
     for _ in 0..20 {
-        budget.learn(budget.splats(), Duration::from_secs(1));
+        budget.learn(Duration::from_secs(1), false);
     }
     assert!(budget.is_coarse());
     let mut scene = scene_of(gpu, &model);
@@ -267,4 +267,30 @@ fn lists_that_do_not_fit_are_refused() {
 #[test]
 fn who_has_no_adapter_is_told_what_to_install() {
     assert!(NoGpu::HINT.contains("mesa-vulkan-drivers"));
+}
+
+/// A device whose buffers hold a part of the samples gets them in several.
+#[test]
+fn samples_in_several_buffers() {
+    let Some(gpu) = gpu() else { return };
+    let model = sphere(Vec3::ZERO, 1.0, 200).colored(RED);
+    let whole = shot(&mut scene_of(gpu, &model), &plain());
+
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+    let adapter = pollster::block_on(instance.request_adapter(&Default::default())).unwrap();
+    // Room for 2^15 samples.
+    let required_limits = wgpu::Limits {
+        max_storage_buffer_binding_size: 1 << 19,
+        ..wgpu::Limits::default().or_worse_values_from(&adapter.limits())
+    };
+    let descriptor = wgpu::DeviceDescriptor { required_limits, ..Default::default() };
+    let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).unwrap();
+    let small = Gpu::of(device, queue, &adapter.get_info());
+    let mut scene = scene_of(&small, &model);
+    assert!(same(&shot(&mut scene, &plain()), &whole));
+
+    // Triangles cannot reach samples in other buffers, so splats stand in.
+    assert!(same(&shot(&mut scene, &Style { mode: Mode::Triangles, ..plain() }), &whole));
+    scene.set_positions(&model.positions, &model.normals).unwrap();
+    assert!(same(&shot(&mut scene, &plain()), &whole));
 }
