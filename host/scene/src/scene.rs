@@ -24,6 +24,8 @@ use crate::view::{Mode, Scale, Style, View};
 const PART_SLACK: f32 = 1.15;
 /// Most splats of a ghost: it is faint, so a part of its samples will do.
 const GHOST_SPLATS: usize = 200_000;
+/// In so many frames for each pass, at most, all splats are drawn at rest.
+const MOST_STEPS: usize = 64;
 /// While something moves, a mesh of so many times more triangles than the budget has splats is drawn as splats.
 const TRIANGLES_PER_SPLAT: usize = 4;
 
@@ -214,7 +216,8 @@ impl Scene {
             };
             self.draw(&mut encoder, &view, &style, scale, splats);
         } else if !self.drawn.complete {
-            let splats = budget.as_ref().map_or(usize::MAX, |budget| 2 * budget.splats());
+            let step = |budget: &&mut Budget| (2 * budget.splats()).max(self.samples() / MOST_STEPS);
+            let splats = budget.as_ref().map_or(usize::MAX, step);
             self.fill(&mut encoder, &view, &style, splats);
         } else if self.marks_changed {
             self.finish(&mut encoder);
