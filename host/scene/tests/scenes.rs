@@ -294,3 +294,21 @@ fn samples_in_several_buffers() {
     scene.set_positions(&model.positions, &model.normals).unwrap();
     assert!(same(&shot(&mut scene, &plain()), &whole));
 }
+
+/// After a part, all is drawn at once where no budget holds it back.
+#[test]
+fn without_a_budget_all_is_drawn() {
+    let Some(gpu) = gpu() else { return };
+    let model = sphere(Vec3::ZERO, 1.0, 150).colored(RED);
+    let mut scene = scene_of(gpu, &model);
+    scene.render(&view(), &plain(), Some(&mut budget_of(16_000)));
+    assert!(!scene.drawn().complete);
+    let image = shot(&mut scene, &plain());
+    assert!(scene.drawn().complete && same(&image, &draw(gpu, &model, &plain())));
+    // A mesh that is larger than the budget is drawn as splats, and then as it is.
+    let mesh = Style { mode: Mode::Triangles, ..plain() };
+    scene.render(&view(), &mesh, Some(&mut budget_of(16_000)));
+    assert!(scene.drawn().of == model.positions.len() && !scene.drawn().complete);
+    shot(&mut scene, &mesh);
+    assert_eq!(scene.drawn().drawn, model.triangles.len());
+}
