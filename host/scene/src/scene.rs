@@ -1,0 +1,215 @@
+//! A scene: what is shown, and what has changed since the last picture.
+
+mod drawing;
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use glam::Vec3;
+use simod_core::render::Image;
+use wgpu::{BindGroupLayout, Texture, TextureView};
+
+use crate::budget::Budget;
+use crate::cloud::{BadSurface, Cloud, Surface, same_length};
+use crate::gpu::Gpu;
+use crate::marks::{Dot, Line, Marks};
+use crate::passes::Passes;
+use crate::pipeline::{Given, layout};
+use crate::splats::Splats;
+use crate::triangles::TriangleMesh;
+use crate::view::{Scale, Style, View};
+use drawing::{Filled, Stage, Uniform};
+
+/// In so many frames for each pass, at most, all splats are drawn at rest.
+const MOST_STEPS: usize = 64;
+
+/// A surface, maybe a ghost of another one, lines and dots, and the picture of them.
+pub struct Scene {
+    gpu: Gpu,
+    samples: BindGroupLayout,
+    splats: Splats,
+    mesh: TriangleMesh,
+    passes: Passes,
+    marks: Marks,
+    /// The frame's values for the surface and all that follows, and for the ghost.
+    frame: Uniform,
+    ghost_frame: Uniform,
+    surface: Option<Cloud>,
+    ghost: Option<Cloud>,
+    /// By how finely they are drawn.
+    stages: BTreeMap<Scale, Stage>,
+    finished: Option<(Texture, TextureView)>,
+    /// What the picture is of, while surfaces are as they were.
+    of: Option<(View, Style)>,
+    /// Which stage the picture comes from.
+    shown: Scale,
+    drawn: Drawn,
+    /// How far all splats are summed up, for the picture that follows one of a part of them.
+    filled: Filled,
+    marks_changed: bool,
+}
+
+/// How much of the surface the picture shows.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Drawn {
+    /// Splats drawn (triangles, where these are shown) ...
+    pub drawn: usize,
+    /// ... of so many.
+    pub of: usize,
+    /// Whether the picture is as it shall be: else [`Scene::render`] has more to draw, when it is called again.
+    pub complete: bool,
+}
+
+impl Scene {
+    /// An empty scene.
+    pub fn new(gpu: &Gpu) -> Self {
+        let device = &gpu.device;
+        let frame = layout(device, "frame", &[Given::Uniform]);
+        let samples = layout(device, "samples", &[Given::Storage; 2]);
+        Self {
+            splats: Splats::new(device, &frame, &samples),
+            mesh: TriangleMesh::new(device, &frame, &samples),
+            passes: Passes::new(device, &frame),
+            marks: Marks::new(device, &frame),
+            frame: Uniform::new(gpu, &frame),
+            ghost_frame: Uniform::new(gpu, &frame),
+            gpu: gpu.clone(),
+            samples,
+            surface: None,
+            ghost: None,
+            stages: BTreeMap::new(),
+            finished: None,
+            of: None,
+            shown: Scale::Full,
+            drawn: Drawn::default(),
+            filled: Filled::default(),
+            marks_changed: false,
+        }
+    }
+
+    /// The device that draws.
+    pub fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
+    /// Shows another surface. What it takes per sample: 24 bytes of the device's memory, 4 here; 12 there per triangle.
+    ///
+    /// # Errors
+    /// Its lists do not fit together.
+    pub fn set_surface(&mut self, surface: &Surface<'_>) -> Result<(), BadSurface> {
+        self.surface = Some(Cloud::new(&self.gpu, &self.samples, surface)?);
+        self.of = None;
+        Ok(())
+    }
+
+    /// Moves the surface's samples: for each frame of a drag.
+    ///
+    /// # Errors
+    /// There are not as many as before.
+    pub fn set_positions(&mut self, positions: &[Vec3], normals: &[Vec3]) -> Result<(), BadSurface> {
+        let samples = self.samples();
+        same_length("positions", positions.len(), samples)?;
+        same_length("normals", normals.len(), samples)?;
+        if let Some(surface) = &self.surface {
+            surface.write_geometry(&self.gpu.queue, positions, normals);
+        }
+        self.of = None;
+        Ok(())
+    }
+
+    /// Changes the surface's colours (see [`Surface::colors`]) and radii.
+    ///
+    /// # Errors
+    /// There are not as many as samples.
+    pub fn set_colors(&mut self, radii: &[f32], colors: Option<&[[u8; 3]]>) -> Result<(), BadSurface> {
+        let samples = self.samples();
+        same_length("radii", radii.len(), samples)?;
+        same_length("colours", colors.map_or(samples, <[_]>::len), samples)?;
+        if let Some(surface) = &self.surface {
+            surface.write_look(&self.gpu.queue, radii, colors);
+        }
+        self.of = None;
+        Ok(())
+    }
+
+    /// Shows a ghost (the rest shape, say), or none. Its colours and triangles are not used.
+    ///
+    /// # Errors
+    /// Its lists do not fit together.
+    pub fn set_ghost(&mut self, ghost: Option<&Surface<'_>>) -> Result<(), BadSurface> {
+        let bare = ghost.map(|ghost| Surface { triangles: &[], ..*ghost });
+        self.ghost = bare.map(|ghost| Cloud::new(&self.gpu, &self.samples, &ghost)).transpose()?;
+        self.of = None;
+        Ok(())
+    }
+
+    /// Shows these lines instead of the former ones.
+    pub fn set_lines(&mut self, lines: &[Line]) {
+        self.marks.set_lines(&self.gpu, lines);
+        self.marks_changed = true;
+    }
+
+    /// Shows these dots instead of the former ones.
+    pub fn set_dots(&mut self, dots: &[Dot]) {
+        self.marks.set_dots(&self.gpu, dots);
+        self.marks_changed = true;
+    }
+
+    /// Number of the surface's samples.
+    pub fn samples(&self) -> usize {
+        self.surface.as_ref().map_or(0, Cloud::len)
+    }
+
+    /// How much of the surface the last picture shows.
+    pub fn drawn(&self) -> Drawn {
+        self.drawn
+    }
+
+    /// Draws what has changed, and gives the picture: another texture whenever its size changes, the same otherwise.
+    ///
+    /// Without a budget all is drawn at once, and the device may go on drawing when this returns. With one, a changed
+    /// scene is drawn as well as its time allows; then each call draws more, until [`Drawn::complete`].
+    pub fn render(&mut self, view: &View, style: &Style, budget: Option<&mut Budget>) -> &TextureView {
+        let most = self.gpu.device.limits().max_texture_dimension_2d;
+        let view = View { size: view.size.map(|s| s.clamp(1, most)), ..*view };
+        let mut style = *style;
+        if style.scale == Scale::Double && view.size.iter().any(|s| 2 * s > most) {
+            style.scale = Scale::Full;
+        }
+        let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
+        let started = Instant::now();
+        let changed = self.of != Some((view, style));
+        if changed || (budget.is_none() && !self.drawn.complete) {
+            self.resize(&view, style.scale);
+            self.of = Some((view, style));
+            self.filled = Filled::default();
+            let (splats, scale) = match &budget {
+                Some(budget) if budget.is_coarse() => (budget.splats(), Scale::Half),
+                Some(budget) => (budget.splats(), style.scale),
+                None => (usize::MAX, style.scale),
+            };
+            self.draw(&mut encoder, &view, &style, scale, splats);
+        } else if !self.drawn.complete {
+            let step = |budget: &&mut Budget| (2 * budget.splats()).max(self.samples() / MOST_STEPS);
+            let splats = budget.as_ref().map_or(usize::MAX, step);
+            self.fill(&mut encoder, &view, &style, splats);
+        } else if self.marks_changed {
+            self.finish(&mut encoder);
+        }
+        self.gpu.queue.submit([encoder.finish()]);
+        if let Some(budget) = budget {
+            // Else frames pile up before the device, and the hand is seconds ahead of the picture.
+            self.gpu.wait();
+            if changed {
+                budget.learn(started.elapsed(), self.drawn.drawn == self.drawn.of);
+            }
+        }
+        &self.finished.as_ref().expect("a first picture makes it").1
+    }
+
+    /// The last picture; none before there is any, or where the device is lost.
+    pub fn read(&self) -> Option<Image> {
+        let (texture, _) = self.finished.as_ref()?;
+        crate::read::image(&self.gpu, texture)
+    }
+}
