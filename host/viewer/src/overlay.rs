@@ -5,7 +5,7 @@ use crate::selection::Selection;
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use simod_core::reconstruction::{DeformationField, Method, Surroundings, principal_stretches};
+use simod_core::reconstruction::principal_stretches;
 use simod_session::Shapes;
 pub use simod_session::compare::scale_color;
 
@@ -29,8 +29,8 @@ pub enum Overlay {
     Stretch,
     /// Mean distance to the nearest samples at rest, in the model's unit.
     Density,
-    /// The error that the model is expected to have between the samples, in the model's unit. Takes as long as preparing to
-    /// write.
+    /// The error that the model is expected to have between the samples, in the model's unit. It takes a while, so it is
+    /// there when the steps were done with it, and not while something is dragged.
     TransferError,
 }
 
@@ -72,9 +72,10 @@ pub fn selection(selection: &Selection) -> Field {
     Field::weights(selection.marks().iter().map(|m| f32::from(u8::from(*m))).collect())
 }
 
-/// The weight of shapes on what a step began with; 0 for samples that it did not know yet.
-pub fn region(scene: &Scene, place: usize, shapes: &Shapes) -> Field {
-    let weight = |i: usize| scene.before(place, i as u32).map_or(0.0, |p| shapes.weight(p) as f32);
+/// The weight of shapes on what a step began with, local positions; 0 for samples that it did not know yet.
+pub fn region(scene: &Scene, before: &[Vec3], shapes: &Shapes) -> Field {
+    let frame = scene.frame();
+    let weight = |i: usize| before.get(i).map_or(0.0, |p| shapes.weight(frame.to_model(*p)) as f32);
     Field::weights((0..scene.len()).into_par_iter().map(weight).collect())
 }
 
@@ -128,13 +129,9 @@ pub fn density(scene: &Scene) -> Field {
     Field::of(values, if least.is_finite() { least } else { 0.0 })
 }
 
-/// The error to be expected between the samples.
-pub fn transfer_error(scene: &Scene) -> Field {
+/// The error to be expected between the samples; nothing where the scene does not have it yet.
+pub fn transfer_error(scene: &Scene) -> Option<Field> {
     let scale = scene.frame().scale as f32;
-    if *scene.positions == *scene.sampled.samples.positions {
-        return Field::of(vec![0.0; scene.len()], 0.0);
-    }
-    let around = Surroundings::of(&scene.sampled.samples);
-    let expected = DeformationField::new(&around, &scene.positions, Method::default()).expected_error();
-    Field::of(expected.into_iter().map(|e| e * scale).collect(), 0.0)
+    let expected = scene.expected_error.as_ref()?;
+    Some(Field::of(expected.iter().map(|e| e * scale).collect(), 0.0))
 }

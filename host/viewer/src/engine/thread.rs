@@ -90,8 +90,11 @@ impl Thread {
                     let opened = guarded(|| self.open(&opening, &watch));
                     self.tell.end(Job::Open, &watch, Some(event(Job::Open, opened)));
                 }
-                Task::Evaluate(Request { number, steps, effort }) => {
-                    let scene = guarded(|| self.scene(&steps, effort, &*watch));
+                Task::Evaluate(Request { number, steps, effort, measure }) => {
+                    let scene = guarded(|| {
+                        let scene = self.scene(&steps, effort, &*watch)?;
+                        Ok(if measure { scene.measured() } else { scene })
+                    });
                     let scene =
                         scene.map(|scene| Event::Evaluated { request: number, scene: Box::new(scene) });
                     self.tell.end(Job::Evaluate, &watch, Some(event(Job::Evaluate, scene)));

@@ -2,6 +2,7 @@
 
 use super::Wake;
 use simod_core::Progress;
+use simod_core::memory::anonymous;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -17,6 +18,8 @@ pub struct Activity {
     pub rate: f64,
     /// Seconds since the job began.
     pub seconds: f64,
+    /// Memory that the program holds now, in bytes, where the system tells.
+    pub memory: Option<u64>,
 }
 
 struct Stage {
@@ -76,7 +79,8 @@ impl Watch {
         let (stage, done) = (lock(&self.stage), self.done.load(Relaxed));
         let fraction = (stage.total > 0).then(|| (done as f64 / stage.total as f64).min(1.0) as f32);
         let rate = done as f64 / stage.since.elapsed().as_secs_f64().max(1e-3);
-        Activity { stage: stage.name, fraction, rate, seconds: self.begun.elapsed().as_secs_f64() }
+        let (seconds, memory) = (self.begun.elapsed().as_secs_f64(), anonymous());
+        Activity { stage: stage.name, fraction, rate, seconds, memory }
     }
 
     /// The stage's name.

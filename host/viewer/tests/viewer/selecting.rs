@@ -6,7 +6,8 @@ use simod_core::generate::Shape;
 use simod_core::model::Scalar;
 use simod_core::model::ply::write_points;
 use simod_core::sampling::SampleSet;
-use simod_session::PluginRegistry;
+use simod_session::session_file::Role;
+use simod_session::{PluginRegistry, SessionFile};
 use simod_viewer::camera::{Projection, Standard, Up};
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::selection::Combine;
@@ -190,7 +191,7 @@ fn fields_have_a_number_for_each_sample() {
     ];
     let samples: &SampleSet = &state.scene().unwrap().clone().sampled.samples;
     for (overlay, range) in fields {
-        state.apply(Command::Show(overlay)).unwrap();
+        done(&mut state, Command::Show(overlay));
         let field = state.field().unwrap();
         assert_eq!((field.values.len(), field.range), (samples.len(), range), "{overlay:?}");
         assert!(field.values.iter().all(|x| (x - range[0]).abs() < 1e-4), "{overlay:?}: nothing moves");
@@ -200,4 +201,44 @@ fn fields_have_a_number_for_each_sample() {
     state.apply(Command::Show(Overlay::Density)).unwrap();
     let field = state.field().unwrap();
     assert!(field.range[0] > 0.0 && field.range[1] < 0.5, "{:?}", field.range);
+}
+
+#[test]
+fn a_region_of_what_is_selected_is_just_that() {
+    let folder = tempfile::tempdir().unwrap();
+    // Two shells, as the sides of a thin wall: what is near in space need not be selected.
+    let centers = [DVec3::ZERO, DVec3::splat(0.02)];
+    let mut state = super::state(super::plugins());
+    done(&mut state, open(&spheres(folder.path(), &centers, 80), 2500));
+    done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
+    state.apply(Command::Camera(CameraMove::Look(Standard::Front))).unwrap();
+    let area = Area::Box { from: [400.0, 200.0], to: [700.0, 450.0] };
+    select(&mut state, area, true);
+    let selected = state.selection().clone();
+    assert!(selected.count() > 50);
+    let mask = Command::MakeRegion { step: 0, role: Role::Mask, falloff: 0.0, replaces: None };
+    done(&mut state, mask);
+    state.apply(Command::Choose { step: Some(0) }).unwrap();
+    state.apply(Command::Show(Overlay::Region(0))).unwrap();
+    let field = state.field().unwrap().clone();
+    for (i, weight) in field.values.iter().enumerate() {
+        assert_eq!(*weight, f32::from(u8::from(selected.contains(i as u32))), "sample {i}");
+    }
+    select(&mut state, Area::None, false);
+    select(&mut state, Area::Region { step: 0, region: 0 }, false);
+    assert_eq!(state.selection(), &selected);
+    // With a falloff it fades out from there, and another one takes its place.
+    let soft = Command::MakeRegion { step: 0, role: Role::Mask, falloff: 0.3, replaces: Some(0) };
+    done(&mut state, soft);
+    let soft = state.field().unwrap().values.clone();
+    assert!(soft.iter().zip(&field.values).all(|(s, h)| s >= h && *s <= 1.0));
+    let between = soft.iter().filter(|w| (0.05..0.95).contains(*w)).count();
+    assert!(between > 20, "{between}");
+    assert!(soft.iter().filter(|w| **w == 0.0).count() > soft.len() / 2);
+    // It comes back from the session's file as it was.
+    let steps = state.document().unwrap().steps().clone();
+    let path = folder.path().join("edit.toml");
+    done(&mut state, Command::Save { path: Some(path.clone()) });
+    let saved = SessionFile::load(&path).unwrap();
+    assert_eq!(saved.steps[0].deformation().unwrap().regions, steps[0].step.deformation().unwrap().regions);
 }
