@@ -76,6 +76,8 @@ fn the_library() {
     assert!(work.read("edited-too.ply") == work.read("again.ply"));
     assert!(work.read("edited.ply") != work.read("amphora.ply"));
     assert!(work.read("edited-too.ply") != work.read("amphora.ply"));
+    let said = run("compare", &["amphora.ply", "samples-compared", "warp"]);
+    assert!(said.contains("1000 samples: off by ") && work.exists("samples-compared/index.html"), "{said}");
 }
 
 /// A copy of a lesson's folder, after the commands of its page.
