@@ -87,7 +87,7 @@ pub enum Method {
 /// What there is to know of the samples at rest, for all deformations of them: who is on whose sheet, and whose word
 /// counts where.
 ///
-/// Memory: about 500 bytes per sample, and what [`SampleSet::prepare`] finds.
+/// Memory: about 380 bytes per sample, and what [`SampleSet::prepare`] finds.
 pub struct Surroundings<'a> {
     samples: &'a SampleSet,
     sheets: Sheets,
