@@ -46,13 +46,12 @@ pub(crate) fn scratch_folder() -> PathBuf {
     folder
 }
 
-/// The folder with what is built. All of the workspace is, as by a plain `cargo build`: a choice of packages would
+/// The folder with what is built, as by a plain `cargo build` in the workspace: a choice of packages would
 /// be built with other features of what they depend on, once more.
 pub fn built() -> &'static Path {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
     BUILT.get_or_init(|| {
-        let mut cargo = cargo_build(workspace());
-        cargo.arg("--workspace");
+        let cargo = cargo_build(workspace());
         run_build(cargo);
         profile_folder()
     })

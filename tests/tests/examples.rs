@@ -77,7 +77,10 @@ fn the_library() {
     assert!(work.read("edited.ply") != work.read("amphora.ply"));
     assert!(work.read("edited-too.ply") != work.read("amphora.ply"));
     let said = run("compare", &["amphora.ply", "samples-compared", "warp"]);
-    assert!(said.contains("1000 samples: off by ") && work.path("samples-compared/index.html").exists(), "{said}");
+    assert!(
+        said.contains("1000 samples: off by ") && work.path("samples-compared/index.html").exists(),
+        "{said}"
+    );
 }
 
 /// A copy of a lesson's folder, after the commands of its page.
