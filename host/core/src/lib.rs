@@ -28,6 +28,7 @@ pub mod sampled_model;
 pub mod sampling;
 mod scratch;
 mod uncached;
+mod varint;
 
 pub use error::{Error, ErrorKind, Result};
 pub use progress::Progress;

@@ -20,6 +20,7 @@ use super::sheets::Sheets;
 use crate::model::{Model, VertexChunk};
 use crate::output::OutputFile;
 use crate::sampled_model::{SampledModel, fingerprint};
+use crate::varint::{self, Numbers};
 use crate::{Error, ErrorKind, Progress, Result};
 
 const MAGIC: &[u8; 8] = b"SIMODBND";
@@ -110,45 +111,25 @@ fn encode(homes: &[u32], runs: &mut Vec<u8>) {
     let mut last = 0;
     for run in homes.chunk_by(|a, b| a == b) {
         let step = i64::from(run[0]) - last;
-        number(((step << 1) ^ (step >> 63)) as u64, runs);
-        number(run.len() as u64, runs);
+        varint::push(((step << 1) ^ (step >> 63)) as u64, runs);
+        varint::push(run.len() as u64, runs);
         last = i64::from(run[0]);
     }
 }
 
-/// Seven bits in each byte, the lowest first; the highest bit says that there are more.
-fn number(mut x: u64, to: &mut Vec<u8>) {
-    while x >= 0x80 {
-        to.push(x as u8 | 0x80);
-        x >>= 7;
-    }
-    to.push(x as u8);
-}
-
 /// The homes of runs, each less than `samples`, `count` in all; `None` if that is not what they are.
-fn decode(mut runs: &[u8], count: usize, samples: usize, homes: &mut Vec<u32>) -> Option<()> {
+fn decode(runs: &[u8], count: usize, samples: usize, homes: &mut Vec<u32>) -> Option<()> {
     homes.clear();
-    let mut next = || -> Option<u64> {
-        let mut x = 0;
-        for shift in (0..63).step_by(7) {
-            let (byte, rest) = runs.split_first()?;
-            runs = rest;
-            x |= u64::from(byte & 0x7f) << shift;
-            if *byte < 0x80 {
-                return Some(x);
-            }
-        }
-        None
-    };
+    let mut numbers = Numbers(runs);
     let mut home = 0i64;
     while homes.len() < count {
-        let (step, length) = (next()?, next()?);
+        let (step, length) = (numbers.next()?, numbers.next()?);
         home = home.checked_add((step >> 1) as i64 ^ -((step & 1) as i64))?;
         let length = usize::try_from(length).ok().filter(|n| (1..=count - homes.len()).contains(n))?;
         let valid = u32::try_from(home).ok().filter(|home| (*home as usize) < samples)?;
         homes.resize(homes.len() + length, valid);
     }
-    runs.is_empty().then_some(())
+    numbers.0.is_empty().then_some(())
 }
 
 /// A binding that is read.

@@ -50,7 +50,7 @@ impl FaceRanges {
     /// The ranges of each cell, ascending; `None` if there were no marks.
     pub fn into_cells(self, trees: &[CutTree]) -> Option<Vec<Vec<Range<u64>>>> {
         self.open?;
-        let mut cells = self.ranges.into_cells();
+        let mut cells: Vec<_> = self.ranges.into_cells().collect();
         // Cells that share a sample have what was noted for the first of them.
         for (cell, tree) in trees.iter().enumerate() {
             let first = tree.samples.first().map_or(cell, |sample| self.cell_of[*sample as usize] as usize);

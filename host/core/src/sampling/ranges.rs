@@ -5,27 +5,76 @@
 
 use std::ops::Range;
 
-/// Most ranges of all cells together, but for one each: 1 MiB.
-const MOST: usize = 1 << 16;
+use crate::varint::{self, Numbers};
 
-/// Most ranges of a cell: one less than a list has room for.
-const MOST_OF_A_CELL: usize = 255;
+/// Most bytes of all cells together, but for the least of each: 4 MiB.
+const MOST: usize = 4 << 20;
+
+/// Bytes of a cell at most, and at least: some 60 000 ranges, or 4.
+const OF_A_CELL: Range<usize> = 16..1 << 18;
 
 /// The ranges of all cells.
 ///
-/// Memory: 40 bytes per cell and those of [`MOST`] ranges.
+/// Memory: 64 bytes per cell and twice [`MOST`].
 pub struct Ranges {
-    cells: Vec<Vec<Range<u64>>>,
+    cells: Vec<Packed>,
+    /// Bytes of a cell at most.
     most: usize,
     /// The cell that the stream is in, and since which vertex.
     open: Option<(u32, u64)>,
 }
 
+/// The ranges of a cell. All but the last are packed: each as its distance from the end of the one before, and its length.
+#[derive(Clone, Default)]
+struct Packed {
+    bytes: Vec<u8>,
+    /// The end of the last one that is packed.
+    end: u64,
+    last: Range<u64>,
+}
+
+impl Packed {
+    /// A range behind the others.
+    fn add(&mut self, range: Range<u64>) {
+        if self.last.end == range.start && !self.last.is_empty() {
+            self.last.end = range.end;
+            return;
+        }
+        let last = std::mem::replace(&mut self.last, range);
+        if !last.is_empty() {
+            varint::push(last.start - self.end, &mut self.bytes);
+            varint::push(last.end - last.start, &mut self.bytes);
+            self.end = last.end;
+        }
+    }
+
+    /// All of them, ascending and not empty.
+    fn all(&self) -> Vec<Range<u64>> {
+        let (mut ranges, mut end, mut numbers) = (Vec::new(), 0, Numbers(&self.bytes));
+        while let (Some(gap), Some(length)) = (numbers.next(), numbers.next()) {
+            ranges.push(end + gap..end + gap + length);
+            end += gap + length;
+        }
+        ranges.extend((!self.last.is_empty()).then(|| self.last.clone()));
+        ranges
+    }
+
+    /// Joins ranges, so that about half of the bytes are left.
+    fn halve(&mut self) {
+        let mut ranges = self.all();
+        let keep = ranges.len().div_ceil(2);
+        halve(&mut ranges, keep);
+        let mut halved = Self { bytes: Vec::with_capacity(self.bytes.capacity()), ..Self::default() };
+        ranges.into_iter().for_each(|range| halved.add(range));
+        *self = halved;
+    }
+}
+
 impl Ranges {
     /// No range, of so many cells.
     pub fn new(cells: usize) -> Self {
-        let most = (MOST / cells.max(1)).clamp(1, MOST_OF_A_CELL);
-        Self { cells: vec![Vec::new(); cells], most, open: None }
+        let most = (MOST / cells.max(1)).clamp(OF_A_CELL.start, OF_A_CELL.end);
+        Self { cells: vec![Packed::default(); cells], most, open: None }
     }
 
     /// From this vertex on the stream is in a cell.
@@ -45,8 +94,8 @@ impl Ranges {
     }
 
     /// The ranges of each cell: ascending, and not empty.
-    pub fn into_cells(self) -> Vec<Vec<Range<u64>>> {
-        self.cells
+    pub fn into_cells(self) -> impl Iterator<Item = Vec<Range<u64>>> {
+        self.cells.into_iter().map(|cell| cell.all())
     }
 
     fn close(&mut self, end: u64) {
@@ -57,13 +106,10 @@ impl Ranges {
 
     /// A range of a cell, none of whose others ends behind its beginning.
     pub fn add(&mut self, cell: u32, range: Range<u64>) {
-        let ranges = &mut self.cells[cell as usize];
-        match ranges.last_mut() {
-            Some(last) if last.end == range.start => last.end = range.end,
-            _ => ranges.push(range),
-        }
-        if ranges.len() > self.most {
-            halve(ranges, self.most.div_ceil(2));
+        let cell = &mut self.cells[cell as usize];
+        cell.add(range);
+        if cell.bytes.len() > self.most {
+            cell.halve();
         }
     }
 }
@@ -93,27 +139,42 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    fn with_most(cells: usize, most: usize) -> Ranges {
+        Ranges { most, ..Ranges::new(cells) }
+    }
+
     proptest! {
         #[test]
-        fn ranges_hold_every_vertex_of_their_cell(stream in proptest::collection::vec(0u32..5, 1..2000)) {
-            let mut ranges = Ranges::new(5);
-            (0..).zip(&stream).for_each(|(i, cell)| ranges.enter(*cell, i));
-            ranges.finish(stream.len() as u64);
-            let cells = ranges.into_cells();
-            for (i, cell) in (0u64..).zip(&stream) {
-                prop_assert!(cells[*cell as usize].iter().any(|range| range.contains(&i)));
+        fn ranges_hold_every_vertex_of_their_cell(
+            stream in proptest::collection::vec((0u32..5, 1u64..1_000_000), 1..2000), most in 16usize..2000,
+        ) {
+            let mut ranges = with_most(5, most);
+            // Visits of any length.
+            let mut visits = Vec::new();
+            let mut first = 0;
+            for (cell, length) in stream {
+                ranges.enter(cell, first);
+                visits.push((cell, first..first + length));
+                first += length;
+            }
+            ranges.finish(first);
+            let cells: Vec<_> = ranges.into_cells().collect();
+            for (cell, visit) in visits {
+                let within = |r: &Range<u64>| r.start <= visit.start && visit.end <= r.end;
+                prop_assert!(cells[cell as usize].iter().any(within));
             }
             for ranges in cells {
-                prop_assert!(ranges.len() <= MOST_OF_A_CELL);
+                // Each takes two bytes at least.
+                prop_assert!(ranges.len() <= most / 2 + 1);
                 prop_assert!(ranges.iter().all(|r| r.start < r.end));
-                prop_assert!(ranges.windows(2).all(|w| w[0].end <= w[1].start));
+                prop_assert!(ranges.windows(2).all(|w| w[0].end < w[1].start));
             }
         }
     }
 
     #[test]
     fn what_is_near_is_merged_first() {
-        let mut ranges = Ranges::new(2);
+        let mut ranges = with_most(2, 1024);
         // Two visits are close together, the others are as far apart as each other.
         let visits: Vec<u64> =
             (0..=18).map(|i| i * 1000).chain([18_010]).chain((19..400).map(|i| i * 1000)).collect();
@@ -122,16 +183,16 @@ mod tests {
             ranges.enter(1, start + 5);
         }
         ranges.finish(400_000);
-        let cells = ranges.into_cells();
-        assert!((MOST_OF_A_CELL / 2..=MOST_OF_A_CELL).contains(&cells[0].len()), "{}", cells[0].len());
+        let cells: Vec<_> = ranges.into_cells().collect();
+        assert!((100..400).contains(&cells[0].len()), "{}", cells[0].len());
         assert!(cells[0].iter().any(|r| r.start <= 18_000 && r.end >= 18_015));
         assert!(cells[0].iter().all(|r| r.end - r.start < 10_000), "{:?}", cells[0]);
     }
 
     #[test]
-    fn many_cells_have_few_ranges_each() {
-        assert_eq!(Ranges::new(1 << 20).most, 1);
-        assert_eq!(Ranges::new(1 << 15).most, 2);
-        assert_eq!(Ranges::new(1).most, MOST_OF_A_CELL);
+    fn many_cells_have_little_each() {
+        assert_eq!(Ranges::new(1 << 20).most, 16);
+        assert_eq!(Ranges::new(1 << 15).most, 128);
+        assert_eq!(Ranges::new(1).most, 1 << 18);
     }
 }
