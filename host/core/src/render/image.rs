@@ -25,6 +25,12 @@ impl Image {
         Self { width, height, pixels: vec![color; width as usize * height as usize] }
     }
 
+    /// A picture of given pixels, row by row from the top; none where they are not as many as its size says.
+    pub fn from_pixels(width: u32, height: u32, pixels: Vec<[u8; 3]>) -> Option<Self> {
+        let fits = width > 0 && height > 0 && pixels.len() as u64 == u64::from(width) * u64::from(height);
+        fits.then_some(Self { width, height, pixels })
+    }
+
     /// Averages linear samples, `factor` by `factor` for a pixel.
     pub(super) fn downsampled(width: u32, height: u32, factor: u32, samples: &[Vec3]) -> Self {
         let mut image = Self::new(width, height, [0; 3]);

@@ -1,0 +1,256 @@
+//! A surface's samples and triangles in the device's memory.
+
+use std::ops::Range;
+
+use bytemuck::cast_slice;
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+use wgpu::{BindGroup, BindGroupLayout, Buffer, BufferUsages, Device, Queue};
+
+use crate::gpu::Gpu;
+use crate::order::spread;
+use crate::pipeline::bind;
+
+/// A sampled surface, in local coordinates. All lists are as long as `positions`, but `triangles`.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Surface<'a> {
+    /// Positions; samples that are not finite are not drawn.
+    pub positions: &'a [Vec3],
+    /// Normals of any length; zero (or not finite) where they are not known.
+    pub normals: &'a [Vec3],
+    /// Radii of the discs: a little more than the distance of neighbours, so that discs leave no holes.
+    pub radii: &'a [f32],
+    /// Red, green and blue, in sRGB; white where there are none.
+    pub colors: Option<&'a [[u8; 3]]>,
+    /// Indices of samples; their order tells the front side (counter-clockwise). May be empty.
+    pub triangles: &'a [[u32; 3]],
+}
+
+/// A surface that cannot be drawn.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum BadSurface {
+    /// A list is not as long as it has to be.
+    #[error("{what}: {found} for {expected} samples\nhint: give one for each sample")]
+    Length {
+        /// The list.
+        what: &'static str,
+        /// Its length.
+        found: usize,
+        /// The number of samples.
+        expected: usize,
+    },
+    /// A triangle of samples that do not exist.
+    #[error("triangle {triangle} has sample {index} of {samples}\nhint: samples are counted from 0")]
+    Triangle {
+        /// Which.
+        triangle: usize,
+        /// Its corner.
+        index: u32,
+        /// The number of samples.
+        samples: usize,
+    },
+}
+
+/// Samples with their order of drawing, in chunks that the device takes.
+pub(crate) struct Cloud {
+    /// The samples' indices in the order of drawing; triangles speak of places in it.
+    order: Vec<u32>,
+    chunks: Vec<Chunk>,
+    triangles: Option<Triangles>,
+    /// Half the diagonal of the bounding box.
+    pub radius: f32,
+}
+
+/// A part of the samples.
+struct Chunk {
+    places: Range<usize>,
+    geometry: Buffer,
+    look: Buffer,
+    group: BindGroup,
+}
+
+/// Three indices each.
+struct Triangles {
+    buffer: Buffer,
+    indices: u32,
+}
+
+/// Position and packed normal; see `samples.wgsl`.
+type Geometry = [u32; 4];
+/// Radius and colour.
+type Look = [u32; 2];
+
+/// Instead of a normal; the same in `samples.wgsl`.
+const HIDDEN: u32 = 0x8000_8000;
+const UNKNOWN: u32 = 0x8000_0000;
+
+impl Cloud {
+    pub fn new(gpu: &Gpu, layout: &BindGroupLayout, surface: &Surface<'_>) -> Result<Self, BadSurface> {
+        surface.check()?;
+        let order = spread(surface.positions);
+        let limits = gpu.device.limits();
+        let most = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size) as usize;
+        let per_chunk = (most / size_of::<Geometry>()).min((u32::MAX / 3) as usize);
+        let chunks = (0..order.len())
+            .step_by(per_chunk)
+            .map(|first| Chunk::new(&gpu.device, layout, first..order.len().min(first + per_chunk)))
+            .collect();
+        let mut cloud = Self { order, chunks, triangles: None, radius: radius(surface.positions) };
+        cloud.write_geometry(&gpu.queue, surface.positions, surface.normals);
+        cloud.write_look(&gpu.queue, surface.radii, surface.colors);
+        // Triangles reach all samples only where these are in one piece.
+        if cloud.chunks.len() == 1 && !surface.triangles.is_empty() {
+            cloud.triangles = Triangles::new(gpu, &cloud.order, surface.triangles, limits.max_buffer_size);
+        }
+        Ok(cloud)
+    }
+
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.order.len()
+    }
+
+    /// Number of triangles that can be drawn.
+    pub fn triangles(&self) -> usize {
+        self.triangles.as_ref().map_or(0, |triangles| triangles.indices as usize / 3)
+    }
+
+    /// Uploads positions and normals, one for each sample.
+    pub fn write_geometry(&self, queue: &Queue, positions: &[Vec3], normals: &[Vec3]) {
+        for chunk in &self.chunks {
+            let packed: Vec<Geometry> = self.order[chunk.places.clone()]
+                .par_iter()
+                .map(|&i| packed(positions[i as usize], normals[i as usize]))
+                .collect();
+            queue.write_buffer(&chunk.geometry, 0, cast_slice(&packed));
+        }
+    }
+
+    /// Uploads radii and colours, one for each sample.
+    pub fn write_look(&self, queue: &Queue, radii: &[f32], colors: Option<&[[u8; 3]]>) {
+        for chunk in &self.chunks {
+            let packed: Vec<Look> = self.order[chunk.places.clone()]
+                .par_iter()
+                .map(|&i| {
+                    let [r, g, b] = colors.map_or([255; 3], |colors| colors[i as usize]);
+                    let radius = radii[i as usize];
+                    let radius = if radius.is_finite() { radius.max(0.0) } else { 0.0 };
+                    [radius.to_bits(), u32::from_le_bytes([r, g, b, 255])]
+                })
+                .collect();
+            queue.write_buffer(&chunk.look, 0, cast_slice(&packed));
+        }
+    }
+
+    /// Draws the splats of these places of the order.
+    pub fn draw_splats(&self, pass: &mut wgpu::RenderPass<'_>, places: Range<usize>) {
+        for chunk in &self.chunks {
+            let first = places.start.max(chunk.places.start);
+            let last = places.end.min(chunk.places.end);
+            if first < last {
+                let within = |place: usize| 3 * (place - chunk.places.start) as u32;
+                pass.set_bind_group(1, &chunk.group, &[]);
+                pass.draw(within(first)..within(last), 0..1);
+            }
+        }
+    }
+
+    /// Draws the triangles, if there are any.
+    pub fn draw_triangles(&self, pass: &mut wgpu::RenderPass<'_>) {
+        if let (Some(triangles), [chunk]) = (&self.triangles, self.chunks.as_slice()) {
+            pass.set_bind_group(1, &chunk.group, &[]);
+            pass.set_index_buffer(triangles.buffer.slice(..), wgpu::IndexFormat::Uint32);
+            pass.draw_indexed(0..triangles.indices, 0, 0..1);
+        }
+    }
+}
+
+impl Chunk {
+    fn new(device: &Device, layout: &BindGroupLayout, places: Range<usize>) -> Self {
+        let buffer = |label, bytes: usize| {
+            device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: (places.len() * bytes) as u64,
+                usage: BufferUsages::STORAGE | BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            })
+        };
+        let geometry = buffer("positions and normals", size_of::<Geometry>());
+        let look = buffer("radii and colours", size_of::<Look>());
+        let group =
+            bind(device, "samples", layout, &[geometry.as_entire_binding(), look.as_entire_binding()]);
+        Self { places, geometry, look, group }
+    }
+}
+
+impl Triangles {
+    /// None where the device takes no buffer that long.
+    fn new(gpu: &Gpu, order: &[u32], triangles: &[[u32; 3]], most: u64) -> Option<Self> {
+        let mut places = vec![0u32; order.len()];
+        order.iter().zip(0..).for_each(|(&sample, place)| places[sample as usize] = place);
+        let indices: Vec<[u32; 3]> =
+            triangles.par_iter().map(|corners| corners.map(|i| places[i as usize])).collect();
+        let bytes: &[u8] = cast_slice(&indices);
+        if bytes.len() as u64 > most {
+            return None;
+        }
+        let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("triangles"),
+            size: bytes.len() as u64,
+            usage: BufferUsages::INDEX | BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        gpu.queue.write_buffer(&buffer, 0, bytes);
+        Some(Self { buffer, indices: u32::try_from(3 * indices.len()).ok()? })
+    }
+}
+
+impl Surface<'_> {
+    fn check(&self) -> Result<(), BadSurface> {
+        let samples = self.positions.len();
+        same_length("normals", self.normals.len(), samples)?;
+        same_length("radii", self.radii.len(), samples)?;
+        same_length("colours", self.colors.map_or(samples, <[_]>::len), samples)?;
+        let wrong = |corners: &[u32; 3]| corners.iter().copied().find(|i| *i as usize >= samples);
+        match self.triangles.iter().enumerate().find_map(|(t, corners)| Some((t, wrong(corners)?))) {
+            Some((triangle, index)) => Err(BadSurface::Triangle { triangle, index, samples }),
+            None => Ok(()),
+        }
+    }
+}
+
+pub(crate) fn same_length(what: &'static str, found: usize, expected: usize) -> Result<(), BadSurface> {
+    if found == expected { Ok(()) } else { Err(BadSurface::Length { what, found, expected }) }
+}
+
+/// Half the diagonal of the box of finite positions; 1 where there is none.
+fn radius(positions: &[Vec3]) -> f32 {
+    let (low, high) = positions
+        .iter()
+        .filter(|p| p.is_finite())
+        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(*p), high.max(*p)));
+    let radius = 0.5 * (high - low).length();
+    if radius.is_finite() && radius > 0.0 { radius } else { 1.0 }
+}
+
+fn packed(position: Vec3, normal: Vec3) -> Geometry {
+    let [x, y, z] = position.to_array().map(f32::to_bits);
+    if position.is_finite() { [x, y, z, octahedral(normal)] } else { [0, 0, 0, HIDDEN] }
+}
+
+/// A direction as a point of an octahedron's net, in 16 bits each way: Z. Cigolle et al., *A Survey of Efficient
+/// Representations for Independent Unit Vectors*, JCGT 3(2), 2014.
+fn octahedral(normal: Vec3) -> u32 {
+    let n = normal / normal.abs().element_sum();
+    if !n.is_finite() {
+        return UNKNOWN;
+    }
+    let sign = |x: f32| if x >= 0.0 { 1.0 } else { -1.0 };
+    let e = if n.z >= 0.0 {
+        Vec2::new(n.x, n.y)
+    } else {
+        Vec2::new((1.0 - n.y.abs()) * sign(n.x), (1.0 - n.x.abs()) * sign(n.y))
+    };
+    let word = |x: f32| u32::from((x.clamp(-1.0, 1.0) * 32767.0).round() as i16 as u16);
+    word(e.x) | word(e.y) << 16
+}

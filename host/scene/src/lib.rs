@@ -1,0 +1,57 @@
+//! Draws sampled surfaces with the graphics card: what the viewer's window shows, and pictures without one.
+//!
+//! Geometry is in local coordinates (single precision, about unit size; see `simod_core::frame::Frame`). A [`Scene`]
+//! holds a surface, maybe a ghost of another one, lines and dots, and draws them into a texture of its own:
+//!
+//! ```no_run
+//! use glam::Vec3;
+//! use glam::camera::rh::{proj::directx::perspective, view::look_at_mat4};
+//! use simod_scene::{Gpu, Scene, Style, Surface, View};
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let gpu = Gpu::headless()?;
+//! let mut scene = Scene::new(&gpu);
+//! scene.set_surface(&Surface { positions: &[Vec3::ZERO], normals: &[Vec3::Z], radii: &[0.3], ..Surface::default() })?;
+//! let view = View {
+//!     view: look_at_mat4(Vec3::new(0.0, 0.0, 3.0), Vec3::ZERO, Vec3::Y),
+//!     projection: perspective(0.5, 1.5, 0.1, 10.0),
+//!     size: [600, 400],
+//! };
+//! scene.render(&view, &Style::default(), None);
+//! let picture = scene.read();
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! The way of a frame, each a module with its shader:
+//!
+//! 1. `splats`: discs, in two passes, to weighted sums; `resolve` makes the visible surface of them. Or `triangles`,
+//!    which give it at once. The ghost likewise.
+//! 2. `occlusion`: how much light of the surroundings arrives.
+//! 3. `shade`: light and colour, as in `simod_core::render`.
+//! 4. `finish`: smooth edges, in the size asked for; `marks` (lines and dots) over it.
+
+mod budget;
+mod cloud;
+mod frame;
+mod gpu;
+mod marks;
+mod order;
+mod passes;
+mod pipeline;
+mod read;
+mod scene;
+mod splats;
+mod targets;
+mod triangles;
+mod view;
+
+pub use budget::Budget;
+pub use cloud::{BadSurface, Surface};
+pub use gpu::{Gpu, NoGpu};
+pub use marks::{Dot, Line};
+pub use scene::{Drawn, Scene};
+pub use view::{Background, Light, Mode, Scale, Style, View};
+
+/// The format of the texture that [`Scene::render`] gives: 8 bits a channel, which hold sRGB values as they are (as in a
+/// PNG file; what egui takes as a texture of the user).
+pub const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;

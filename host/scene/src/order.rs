@@ -1,0 +1,94 @@
+//! The order in which samples are drawn: every beginning of it is well spread over the surface.
+//!
+//! Samples are put along a curve that fills space (Morton's order), and visited there by van der Corput's sequence, which
+//! halves the gaps again and again; its digits are scrambled (A. B. Owen, 1995; by the hash of S. Laine and T. Karras,
+//! *Stratified Sampling for Stochastic Transparency*, EGSR 2011), so that no regular pattern of the samples meets one of
+//! the sequence.
+
+use glam::{UVec3, Vec3};
+use rayon::prelude::*;
+
+/// The samples' indices in the order of drawing.
+pub(crate) fn spread(positions: &[Vec3]) -> Vec<u32> {
+    let curve = along_curve(positions);
+    let places = positions.len().next_power_of_two();
+    let bits = places.trailing_zeros();
+    (0..places as u32).filter_map(|i| curve.get(scrambled(i, bits) as usize).copied()).collect()
+}
+
+/// The samples' indices in Morton's order.
+fn along_curve(positions: &[Vec3]) -> Vec<u32> {
+    let finite = || positions.iter().filter(|p| p.is_finite());
+    let low = finite().fold(Vec3::INFINITY, |low, p| low.min(*p));
+    let high = finite().fold(Vec3::NEG_INFINITY, |high, p| high.max(*p));
+    const CELLS: f32 = 1023.0;
+    let scale = CELLS / (high - low).max_element().max(f32::MIN_POSITIVE);
+    let mut keyed: Vec<(u32, u32)> = positions
+        .par_iter()
+        .zip(0..positions.len() as u32)
+        .map(|(p, i)| {
+            // Casts saturate, and take what is not a number as 0.
+            let cell = ((*p - low) * scale).clamp(Vec3::ZERO, Vec3::splat(CELLS)).as_uvec3();
+            (interleaved(cell), i)
+        })
+        .collect();
+    keyed.par_sort_unstable();
+    keyed.into_iter().map(|(_, i)| i).collect()
+}
+
+/// The lowest 10 bits of three numbers, by turns.
+fn interleaved(cell: UVec3) -> u32 {
+    let apart = |mut x: u32| {
+        x = (x | x << 16) & 0x0300_00ff;
+        x = (x | x << 8) & 0x0300_f00f;
+        x = (x | x << 4) & 0x030c_30c3;
+        (x | x << 2) & 0x0924_9249
+    };
+    apart(cell.x) | apart(cell.y) << 1 | apart(cell.z) << 2
+}
+
+/// Van der Corput's sequence over so many bits, scrambled: a permutation of its places.
+fn scrambled(i: u32, bits: u32) -> u32 {
+    if bits == 0 {
+        return 0;
+    }
+    // A hash whose low bits do not depend on the higher ones; turned round, the low ones decide the coarsest halves.
+    let mut x = i;
+    x = x.wrapping_add(0x9e37_79b9);
+    x ^= x.wrapping_mul(0x6c50_b47c);
+    x ^= x.wrapping_mul(0xb82f_1e52);
+    x ^= x.wrapping_mul(0xc7af_e638);
+    x ^= x.wrapping_mul(0x8d22_f6e6);
+    x.reverse_bits() >> (32 - bits)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_sample_has_its_turn() {
+        for n in [0, 1, 2, 3, 100, 1000, 4097] {
+            let positions: Vec<Vec3> = (0..n)
+                .map(|i| Vec3::new((i % 37) as f32, (i / 37) as f32, if i == 5 { f32::NAN } else { 0.0 }))
+                .collect();
+            let mut order = spread(&positions);
+            order.sort_unstable();
+            assert_eq!(order, (0..n).collect::<Vec<u32>>());
+        }
+    }
+
+    /// In every beginning, the emptiest stretch of the curve is hardly longer than what is due to each sample.
+    #[test]
+    fn beginnings_leave_no_gaps() {
+        for bits in [1, 8, 12] {
+            let places = 1u32 << bits;
+            for taken in (0..=bits).map(|b| 1usize << b) {
+                let mut seen: Vec<u32> = (0..taken as u32).map(|i| scrambled(i, bits)).collect();
+                seen.sort_unstable();
+                let due = places / taken as u32;
+                assert!(seen.iter().zip(0..).all(|(place, k)| place / due == k), "{taken} of {places}");
+            }
+        }
+    }
+}

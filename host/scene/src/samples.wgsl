@@ -1,0 +1,31 @@
+// The samples' arrays, of one chunk of them.
+
+// Position (three floats), and the normal on an octahedron (two numbers of 16 bits).
+@group(1) @binding(0) var<storage, read> geometry: array<vec4u>;
+// Radius (a float), and red, green and blue (a byte each).
+@group(1) @binding(1) var<storage, read> look: array<vec2u>;
+
+// Instead of a normal: nothing is drawn; a normal that is not known.
+const HIDDEN = 0x80008000u;
+const UNKNOWN = 0x80000000u;
+
+fn position_of(sample: vec4u) -> vec3f {
+    return (frame.view * vec4f(bitcast<vec3f>(sample.xyz), 1.0)).xyz;
+}
+
+// In the view's space; zero where it is not known. Octahedral mapping: Z. Cigolle et al., "A Survey of Efficient
+// Representations for Independent Unit Vectors", JCGT 3(2), 2014.
+fn normal_of(sample: vec4u) -> vec3f {
+    if sample.w == UNKNOWN {
+        return vec3f(0.0);
+    }
+    let e = unpack2x16snorm(sample.w);
+    var n = vec3f(e, 1.0 - abs(e.x) - abs(e.y));
+    let fold = max(-n.z, 0.0);
+    n = vec3f(n.xy - select(vec2f(-fold), vec2f(fold), n.xy >= vec2f(0.0)), n.z);
+    return normalize((frame.view * vec4f(n, 0.0)).xyz);
+}
+
+fn color_of(look: vec2u) -> vec3f {
+    return unpack4x8unorm(look.y).rgb;
+}

@@ -1,0 +1,135 @@
+//! Surfaces as oriented discs that overlap: M. Zwicker, H. Pfister, J. van Baar, M. Gross, *Surface Splatting*, SIGGRAPH
+//! 2001; in two passes as in M. Botsch, A. Hornung, M. Zwicker, L. Kobbelt, *High-Quality Surface Splatting on Today's
+//! GPUs*, PBG 2005.
+//!
+//! The first pass finds the nearest surface, and puts it back by a part of the discs' radii. The second one sums up the
+//! colours, normals and depths of what is not behind it, by a weight that falls to nothing at a disc's border; their means
+//! are the surface that is seen.
+
+use std::ops::Range;
+
+use wgpu::{BindGroup, BindGroupLayout, CommandEncoder, Device, RenderPipeline, TextureView};
+
+use crate::cloud::Cloud;
+use crate::pipeline::{Given, Recipe, begin, bind, layout, module, shader};
+use crate::targets::{DEPTHS, SEEN, SUMS, Seen, Targets};
+
+pub(crate) struct Splats {
+    depth: RenderPipeline,
+    blend: RenderPipeline,
+    resolve: RenderPipeline,
+    nearest: BindGroupLayout,
+    sums: BindGroupLayout,
+}
+
+/// What the passes read of the targets.
+pub(crate) struct Groups {
+    nearest: BindGroup,
+    sums: BindGroup,
+}
+
+impl Splats {
+    pub const SHADER: &str = shader!("common.wgsl", "samples.wgsl", "splats.wgsl");
+    pub const RESOLVE_SHADER: &str = shader!("common.wgsl", "resolve.wgsl");
+
+    pub fn new(device: &Device, frame: &BindGroupLayout, samples: &BindGroupLayout) -> Self {
+        let splats = module(device, "splats", Self::SHADER);
+        let resolve = module(device, "resolve", Self::RESOLVE_SHADER);
+        let nearest = layout(device, "nearest", &[Given::Texture]);
+        let sums = layout(device, "sums", &[Given::Texture; 3]);
+        let one = wgpu::BlendComponent {
+            src_factor: wgpu::BlendFactor::One,
+            dst_factor: wgpu::BlendFactor::One,
+            operation: wgpu::BlendOperation::Add,
+        };
+        let sum = wgpu::ColorTargetState {
+            format: SUMS,
+            blend: Some(wgpu::BlendState { color: one, alpha: one }),
+            write_mask: wgpu::ColorWrites::ALL,
+        };
+        let depth = Recipe {
+            label: "splats: depth",
+            module: &splats,
+            groups: &[frame, samples],
+            vertex: "depth_corner",
+            fragment: "depth_pixel",
+            targets: &[DEPTHS.into()],
+            depth: Some(true),
+        };
+        let blend = Recipe {
+            label: "splats: blend",
+            groups: &[frame, samples, &nearest],
+            vertex: "blend_corner",
+            fragment: "blend_pixel",
+            targets: &[sum.clone(), sum],
+            depth: Some(false),
+            ..depth
+        };
+        let resolve = Recipe {
+            label: "splats: resolve",
+            module: &resolve,
+            groups: &[frame, &sums],
+            vertex: "corner",
+            fragment: "pixel",
+            targets: &SEEN.map(Into::into),
+            depth: None,
+        };
+        let [depth, blend, resolve] = [depth, blend, resolve].map(|recipe| recipe.make(device));
+        Self { depth, blend, resolve, nearest, sums }
+    }
+
+    pub fn groups(&self, device: &Device, targets: &Targets) -> Groups {
+        let texture = wgpu::BindingResource::TextureView;
+        let Targets { nearest, colors, surfaces, .. } = targets;
+        Groups {
+            nearest: bind(device, "nearest", &self.nearest, &[texture(nearest)]),
+            sums: bind(device, "sums", &self.sums, &[texture(nearest), texture(colors), texture(surfaces)]),
+        }
+    }
+
+    /// First pass, of these places of the cloud's order; the first part of it begins anew.
+    pub fn depth(
+        &self,
+        encoder: &mut CommandEncoder,
+        targets: &Targets,
+        frame: &BindGroup,
+        cloud: &Cloud,
+        places: Range<usize>,
+    ) {
+        let anew = places.start == 0;
+        let nearest: (&TextureView, _) = (&targets.nearest, anew.then_some(wgpu::Color::TRANSPARENT));
+        let depth = Some((&targets.depth, anew.then_some(1.0)));
+        let mut pass = begin(encoder, "splats: depth", &[nearest], depth);
+        pass.set_pipeline(&self.depth);
+        pass.set_bind_group(0, frame, &[]);
+        cloud.draw_splats(&mut pass, places);
+    }
+
+    /// Second pass, once the first one is done.
+    pub fn blend(
+        &self,
+        encoder: &mut CommandEncoder,
+        targets: &Targets,
+        groups: &Groups,
+        frame: &BindGroup,
+        cloud: &Cloud,
+        places: Range<usize>,
+    ) {
+        let clear = (places.start == 0).then_some(wgpu::Color::TRANSPARENT);
+        let sums = [(&targets.colors, clear), (&targets.surfaces, clear)];
+        let mut pass = begin(encoder, "splats: blend", &sums, Some((&targets.depth, None)));
+        pass.set_pipeline(&self.blend);
+        pass.set_bind_group(0, frame, &[]);
+        pass.set_bind_group(2, &groups.nearest, &[]);
+        cloud.draw_splats(&mut pass, places);
+    }
+
+    /// The means of the sums.
+    pub fn resolve(&self, encoder: &mut CommandEncoder, groups: &Groups, frame: &BindGroup, seen: &Seen) {
+        let mut pass = begin(encoder, "splats: resolve", &seen.attachments(), None);
+        pass.set_pipeline(&self.resolve);
+        pass.set_bind_group(0, frame, &[]);
+        pass.set_bind_group(1, &groups.sums, &[]);
+        pass.draw(0..3, 0..1);
+    }
+}

@@ -1,0 +1,100 @@
+//! From where and how a scene is shown.
+
+use glam::Mat4;
+
+/// From where.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    /// From local coordinates to the eye's: right, up, backward. A motion, without scaling.
+    pub view: Mat4,
+    /// From there to clip coordinates: depth from 0 (near) to 1; perspective or parallel, for instance
+    /// `perspective` or `orthographic` of [`glam::camera::rh::proj::directx`].
+    pub projection: Mat4,
+    /// Width and height of the picture in pixels; 0 is taken as 1.
+    pub size: [u32; 2],
+}
+
+/// How.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Style {
+    /// What stands for the surface.
+    pub mode: Mode,
+    /// Whether samples show their own colours, or all the same clay.
+    pub own_colors: bool,
+    /// What is behind the surface.
+    pub background: Background,
+    /// Where light comes from.
+    pub light: Light,
+    /// Whether crevices are darker.
+    pub occlusion: bool,
+    /// Whether the surface is seen from its back, too: for what is not closed.
+    pub two_sided: bool,
+    /// How much the ghost hides, from 0 to 1.
+    pub ghost_opacity: f32,
+    /// How finely it is drawn.
+    pub scale: Scale,
+}
+
+impl Default for Style {
+    fn default() -> Self {
+        Self {
+            mode: Mode::Splats,
+            own_colors: false,
+            background: Background::Light,
+            light: Light::Key,
+            occlusion: true,
+            two_sided: true,
+            ghost_opacity: 0.5,
+            scale: Scale::Full,
+        }
+    }
+}
+
+/// What stands for the surface.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mode {
+    /// A disc for each sample.
+    Splats,
+    /// Triangles, where the surface has any; else discs.
+    Triangles,
+}
+
+/// What is behind the surface: both are gradients from above to below.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Background {
+    /// Paper.
+    Light,
+    /// Slate.
+    Dark,
+}
+
+/// Where light comes from, as the eye sees it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Light {
+    /// A key light from the upper left, a weaker one from the right.
+    Key,
+    /// From the eye.
+    Head,
+}
+
+/// How many pixels are drawn for a pixel of the picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Scale {
+    /// One for four: coarse, for software that draws while something moves.
+    Half,
+    /// One each, with edges smoothed afterwards.
+    Full,
+    /// Four for one: the smoothest, for fast cards and pictures.
+    Double,
+}
+
+impl Scale {
+    /// Width or height in drawn pixels.
+    pub(crate) fn of(self, pixels: u32) -> u32 {
+        match self {
+            Self::Half => pixels.div_ceil(2),
+            Self::Full => pixels,
+            Self::Double => 2 * pixels,
+        }
+    }
+}
