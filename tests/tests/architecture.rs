@@ -1,4 +1,4 @@
-//! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `plugin-api, core <- session <- cli`.
+//! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `plugin-api, core <- session <- viewer, cli`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -87,6 +87,7 @@ fn arrows_go_one_way() {
     crates.expect_members("tests/bad-plugins", &["simod-plugin-api"]);
     crates.expect_members("host/core", &[]);
     crates.expect_members("host/session", &["simod-core", "simod-plugin-api"]);
+    crates.expect_members("host/viewer", &["simod-core", "simod-plugin-api", "simod-session"]);
     crates.expect_members("host/cli", &["simod-core", "simod-session"]);
 
     crates.expect_none("host/core", &["abi_stable", "libloading", "clap", "simod-plugin-api"]);

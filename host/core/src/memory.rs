@@ -49,9 +49,9 @@ impl Drop for MemoryWatch {
     }
 }
 
-/// Anonymous resident memory in bytes.
+/// Anonymous resident memory in bytes, now; `None` where the system does not tell.
 #[cfg(target_os = "linux")]
-fn anonymous() -> Option<u64> {
+pub fn anonymous() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("RssAnon:"))?;
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
@@ -60,6 +60,6 @@ fn anonymous() -> Option<u64> {
 
 /// Not known on this system.
 #[cfg(not(target_os = "linux"))]
-fn anonymous() -> Option<u64> {
+pub fn anonymous() -> Option<u64> {
     None
 }

@@ -180,6 +180,13 @@ pub enum Area {
         /// The pixel.
         at: [f64; 2],
     },
+    /// Where a region of a step has at least half of its weight.
+    Region {
+        /// The step.
+        step: usize,
+        /// Which of its regions.
+        region: usize,
+    },
     /// These: lengths of runs of samples that are not selected and selected in turn.
     Runs(Vec<u32>),
 }

@@ -2,10 +2,10 @@
 
 use crate::scene::Scene;
 use crate::selection::Selection;
-use glam::{DVec2, Mat3, Vec3};
+use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use simod_core::reconstruction::{DeformationField, Method, Surroundings, principal_stretches};
+use simod_core::reconstruction::principal_stretches;
 use simod_session::Shapes;
 pub use simod_session::compare::scale_color;
 
@@ -29,8 +29,8 @@ pub enum Overlay {
     Stretch,
     /// Mean distance to the nearest samples at rest, in the model's unit.
     Density,
-    /// The error that the model is expected to have between the samples, in the model's unit. Takes as long as preparing to
-    /// write.
+    /// The error that the model is expected to have between the samples, in the model's unit. It takes a while, so it is
+    /// there when the steps were done with it, and not while something is dragged.
     TransferError,
 }
 
@@ -72,9 +72,10 @@ pub fn selection(selection: &Selection) -> Field {
     Field::weights(selection.marks().iter().map(|m| f32::from(u8::from(*m))).collect())
 }
 
-/// The weight of shapes on what a step began with; 0 for samples that it did not know yet.
-pub fn region(scene: &Scene, place: usize, shapes: &Shapes) -> Field {
-    let weight = |i: usize| scene.before(place, i as u32).map_or(0.0, |p| shapes.weight(p) as f32);
+/// The weight of shapes on what a step began with, local positions; 0 for samples that it did not know yet.
+pub fn region(scene: &Scene, before: &[Vec3], shapes: &Shapes) -> Field {
+    let frame = scene.frame();
+    let weight = |i: usize| before.get(i).map_or(0.0, |p| shapes.weight(frame.to_model(*p)) as f32);
     Field::weights((0..scene.len()).into_par_iter().map(weight).collect())
 }
 
@@ -99,24 +100,25 @@ pub fn stretch(scene: &Scene) -> Field {
     Field::of((0..scene.len()).into_par_iter().map(of).collect(), 1.0)
 }
 
-/// The linear map of the tangent plane that carries the ways to the neighbours over best, in the least squares.
+/// The linear map that carries the ways to the neighbours over best, in the least squares along the tangent plane. It is
+/// fitted to displacements, so that nothing is stretched where nothing moves.
 fn tangent_map(rest: &[Vec3], now: &[Vec3], i: usize, near: &[u32], n: Vec3) -> Option<Mat3> {
     let (s, t) = n.try_normalize()?.any_orthonormal_pair();
     let (mut a, mut b, mut c) = (0.0, 0.0, 0.0);
     let (mut u, mut v) = (Vec3::ZERO, Vec3::ZERO);
     for j in near {
         let (r, d) = (rest[*j as usize] - rest[i], now[*j as usize] - now[i]);
-        let p = DVec2::new(f64::from(r.dot(s)), f64::from(r.dot(t)));
-        (a, b, c) = (a + p.x * p.x, b + p.x * p.y, c + p.y * p.y);
-        (u, v) = (u + d * p.x as f32, v + d * p.y as f32);
+        let (x, y) = (r.dot(s), r.dot(t));
+        (a, b, c) = (a + x * x, b + x * y, c + y * y);
+        (u, v) = (u + (d - r) * x, v + (d - r) * y);
     }
     let determinant = a * c - b * b;
-    if determinant <= 1e-9 * a * c {
+    if determinant <= 1e-5 * a * c {
         return None;
     }
-    let solved = |x: f64, y: f64| (u * x as f32 + v * y as f32) / determinant as f32;
-    let (along_s, along_t) = (solved(c, -b), solved(-b, a));
-    Some(Mat3::from_cols(along_s, along_t, n) * Mat3::from_cols(s, t, n).transpose())
+    let (along_s, along_t) = ((u * c - v * b) / determinant, (v * a - u * b) / determinant);
+    let slope = Mat3::from_cols(along_s, along_t, Vec3::ZERO) * Mat3::from_cols(s, t, n).transpose();
+    Some(Mat3::IDENTITY + slope)
 }
 
 /// How far samples are apart at rest.
@@ -127,13 +129,9 @@ pub fn density(scene: &Scene) -> Field {
     Field::of(values, if least.is_finite() { least } else { 0.0 })
 }
 
-/// The error to be expected between the samples.
-pub fn transfer_error(scene: &Scene) -> Field {
+/// The error to be expected between the samples; nothing where the scene does not have it yet.
+pub fn transfer_error(scene: &Scene) -> Option<Field> {
     let scale = scene.frame().scale as f32;
-    if *scene.positions == *scene.sampled.samples.positions {
-        return Field::of(vec![0.0; scene.len()], 0.0);
-    }
-    let around = Surroundings::of(&scene.sampled.samples);
-    let expected = DeformationField::new(&around, &scene.positions, Method::default()).expected_error();
-    Field::of(expected.into_iter().map(|e| e * scale).collect(), 0.0)
+    let expected = scene.expected_error.as_ref()?;
+    Some(Field::of(expected.iter().map(|e| e * scale).collect(), 0.0))
 }

@@ -15,6 +15,9 @@ const RING: usize = 6;
 /// A disc's radius, in mean distances to the neighbours: enough that no gap is left between discs.
 const REACH: f32 = 1.0;
 
+/// Pixels that a disc covers at least, from its middle.
+const LEAST_REACH: f64 = 0.75;
+
 /// How far behind the nearest surface a sample may lie and still be seen, in radii of its disc: those that face the camera,
 /// and those that do not, which are the far side of something if anything at all lies before them.
 const BEHIND: [f64; 2] = [1.0, 0.25];
@@ -96,7 +99,8 @@ impl DepthBuffer {
         let (center, normal) = (scene.positions[i].as_dvec3(), scene.normals[i].as_dvec3());
         let (pixel, depth) = self.camera.project(center, self.buffer_size())?;
         let radius = f64::from(self.radii[i]);
-        let reach = (radius / self.camera.pixel_length(depth, self.buffer_size())).clamp(0.75, LONGEST);
+        let reach =
+            (radius / self.camera.pixel_length(depth, self.buffer_size())).clamp(LEAST_REACH, LONGEST);
         let ray = self.camera.ray(pixel, self.buffer_size());
         let faces = normal.dot(ray.direction) < 0.0;
         Some(Disc { pixel, depth, radius, reach, normal, center, faces })
@@ -110,26 +114,24 @@ impl DepthBuffer {
         for y in range(disc.pixel.y, self.height) {
             for x in range(disc.pixel.x, self.width) {
                 let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-                if pixel.distance_squared(disc.pixel) <= disc.reach * disc.reach {
-                    let depth = self.depth_at(pixel, disc) as f32;
-                    let nearest = &mut self.nearest[y * self.width + x];
-                    if depth < nearest.0 {
-                        *nearest = (depth, sample);
-                    }
+                let Some(depth) = self.depth_at(pixel, disc) else { continue };
+                let nearest = &mut self.nearest[y * self.width + x];
+                if (depth as f32) < nearest.0 {
+                    *nearest = (depth as f32, sample);
                 }
             }
         }
     }
 
-    /// How deep a disc's plane is at a pixel, within the disc's radius.
-    fn depth_at(&self, pixel: DVec2, disc: &Disc) -> f64 {
+    /// How deep a disc is at a pixel, where it covers it. One that is seen edge-on still covers its own pixel.
+    fn depth_at(&self, pixel: DVec2, disc: &Disc) -> Option<f64> {
         let ray = self.camera.ray(pixel, self.buffer_size());
-        let back = self.camera.axes()[2];
-        let depth = match plane(&ray, disc.center, disc.normal) {
-            Some(p) => -(p - self.camera.eye()).dot(back),
-            None => disc.depth,
-        };
-        depth.clamp(disc.depth - disc.radius, disc.depth + disc.radius)
+        let hit = plane(&ray, disc.center, disc.normal);
+        let depth = |p: DVec3| -(p - self.camera.eye()).dot(self.camera.axes()[2]);
+        match hit.filter(|p| p.distance_squared(disc.center) <= disc.radius * disc.radius) {
+            Some(p) => Some(depth(p)),
+            None => (pixel.distance_squared(disc.pixel) <= LEAST_REACH * LEAST_REACH).then_some(disc.depth),
+        }
     }
 
     /// Whether each sample is seen, and none lies before it.

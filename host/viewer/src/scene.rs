@@ -1,8 +1,9 @@
 //! What is there to be seen: the samples, where the steps have moved them, and what the plugins placed.
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 use simod_core::frame::Frame;
+use simod_core::reconstruction::{DeformationField, Method, Surroundings};
 use simod_core::sampled_model::SampledModel;
 use simod_plugin_api::{Effort, HandleDesc};
 use simod_session::edit::{Evaluated, Evaluation, Status, StepId};
@@ -28,6 +29,8 @@ pub struct Scene {
     pub handles: HashMap<StepId, Vec<HandleDesc>>,
     /// What it was worth: a draft may differ a little from the result.
     pub effort: Effort,
+    /// The transfer error to be expected around each sample, local units, if it was asked for.
+    pub expected_error: Option<Vec<f32>>,
     /// Counts up with every scene that is shown.
     pub revision: u64,
 }
@@ -42,7 +45,29 @@ impl Scene {
         };
         let handles = statuses.iter().filter_map(handles).collect();
         let normals = turned_normals(&sampled, &positions).into();
-        Self { sampled, positions, normals, statuses, before, handles, effort, revision }
+        Self {
+            sampled,
+            positions,
+            normals,
+            statuses,
+            before,
+            handles,
+            effort,
+            expected_error: None,
+            revision,
+        }
+    }
+
+    /// The same, with the error to be expected, which takes as long as preparing to write.
+    pub(crate) fn measured(self) -> Self {
+        let still = *self.positions == *self.sampled.samples.positions;
+        let expected = if still {
+            vec![0.0; self.len()]
+        } else {
+            let around = Surroundings::of(&self.sampled.samples);
+            DeformationField::new(&around, &self.positions, Method::default()).expected_error()
+        };
+        Self { expected_error: Some(expected), ..self }
     }
 
     /// Number of samples.
@@ -64,12 +89,6 @@ impl Scene {
     pub fn bounds(&self) -> [Vec3; 2] {
         let start = [Vec3::INFINITY, Vec3::NEG_INFINITY];
         self.positions.iter().fold(start, |[min, max], p| [min.min(*p), max.max(*p)])
-    }
-
-    /// Where a step finds a sample: before it, model coordinates. Nothing where the step was not reached, or the sample is of
-    /// a later refinement.
-    pub fn before(&self, place: usize, sample: u32) -> Option<DVec3> {
-        self.before.get(place)?.get(sample as usize).map(|p| self.frame().to_model(*p))
     }
 }
 

@@ -103,6 +103,11 @@ impl Editor {
         self.path.as_deref()
     }
 
+    /// Says where the deformed model goes, when the session is saved the next time.
+    pub fn set_output(&mut self, output: PathBuf) {
+        self.session.output = Some(output);
+    }
+
     /// Whether the session's file has all that was done.
     pub fn is_saved(&self) -> bool {
         self.path.is_some() && Arc::ptr_eq(&self.saved, self.document.steps())

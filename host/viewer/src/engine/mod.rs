@@ -27,6 +27,9 @@ use thread::Thread;
 pub use watch::Activity;
 use watch::Watch;
 
+/// How long work may go on when the window is closed.
+const PARTING: Duration = Duration::from_secs(5);
+
 /// Called from any thread when there is something new to be looked at: an event, or progress.
 pub type Wake = Arc<dyn Fn() + Send + Sync>;
 
@@ -103,6 +106,8 @@ struct Request {
     number: u64,
     steps: Arc<[Entry]>,
     effort: Effort,
+    /// Whether the scene's expected error is wanted.
+    measure: bool,
 }
 
 /// What the thread shall do next.
@@ -168,13 +173,14 @@ impl Engine {
     pub fn open(&mut self, opening: Opening) {
         self.want(|wanted, running| {
             (wanted.open, wanted.evaluate, wanted.write) = (Some(opening), None, None);
-            running.open.iter().for_each(|watch| watch.cancel());
-            running.evaluate.iter().for_each(|(watch, ..)| watch.cancel());
+            running.open.iter().for_each(|watch| watch.supersede());
+            running.evaluate.iter().for_each(|(watch, ..)| watch.supersede());
         });
     }
 
-    /// Has steps done, instead of those that wait for it. Gives the request's number, which comes back with the result.
-    pub fn evaluate(&mut self, steps: Arc<[Entry]>, effort: Effort) -> u64 {
+    /// Has steps done, instead of those that wait for it; if wanted, with the [error to be
+    /// expected](Scene::expected_error). Gives the request's number, which comes back with the result.
+    pub fn evaluate(&mut self, steps: Arc<[Entry]>, effort: Effort, measure: bool) -> u64 {
         self.requests += 1;
         let number = self.requests;
         self.want(|wanted, running| {
@@ -182,10 +188,10 @@ impl Engine {
                 let at = running.step.load(std::sync::atomic::Ordering::Relaxed);
                 let preparing = watch.stage().starts_with("preparing");
                 if wasted::is_wasted(before, *was, &steps, effort, at, preparing) {
-                    watch.cancel();
+                    watch.supersede();
                 }
             }
-            wanted.evaluate = Some(Request { number, steps, effort });
+            wanted.evaluate = Some(Request { number, steps, effort, measure });
         });
         number
     }
@@ -301,7 +307,13 @@ impl Drop for Engine {
             self.cancel(job);
         }
         self.want(|wanted, _| wanted.end = true);
-        if let Some(thread) = self.thread.take() {
+        // All work stops soon, but for that of a plugin in this process that hangs: it ends with the program.
+        let Some(thread) = self.thread.take() else { return };
+        let end = Instant::now() + PARTING;
+        while !thread.is_finished() && Instant::now() < end {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        if thread.is_finished() {
             let _ = thread.join();
         }
     }

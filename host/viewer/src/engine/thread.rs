@@ -47,7 +47,11 @@ impl Teller {
         let notes = watch.take_notes().into_iter().map(Event::Note);
         let mut inner = self.shared.lock();
         let running = &mut inner.1;
-        for event in notes.chain(event) {
+        let is_news = |event: &Event| match event {
+            Event::Failed { error, .. } => !(error.kind() == ErrorKind::Cancelled && watch.is_superseded()),
+            _ => true,
+        };
+        for event in notes.chain(event.filter(is_news)) {
             running.events += 1;
             // Nobody listens any more once the window is closed.
             drop(self.events.send(event));
@@ -86,8 +90,11 @@ impl Thread {
                     let opened = guarded(|| self.open(&opening, &watch));
                     self.tell.end(Job::Open, &watch, Some(event(Job::Open, opened)));
                 }
-                Task::Evaluate(Request { number, steps, effort }) => {
-                    let scene = guarded(|| self.scene(&steps, effort, &*watch));
+                Task::Evaluate(Request { number, steps, effort, measure }) => {
+                    let scene = guarded(|| {
+                        let scene = self.scene(&steps, effort, &*watch)?;
+                        Ok(if measure { scene.measured() } else { scene })
+                    });
                     let scene =
                         scene.map(|scene| Event::Evaluated { request: number, scene: Box::new(scene) });
                     self.tell.end(Job::Evaluate, &watch, Some(event(Job::Evaluate, scene)));

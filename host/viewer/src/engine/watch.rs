@@ -2,6 +2,7 @@
 
 use super::Wake;
 use simod_core::Progress;
+use simod_core::memory::anonymous;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -17,6 +18,8 @@ pub struct Activity {
     pub rate: f64,
     /// Seconds since the job began.
     pub seconds: f64,
+    /// Memory that the program holds now, in bytes, where the system tells.
+    pub memory: Option<u64>,
 }
 
 struct Stage {
@@ -32,6 +35,8 @@ pub(super) struct Watch {
     stage: Mutex<Stage>,
     done: AtomicU64,
     cancelled: AtomicBool,
+    /// For something newer, which nobody needs to be told.
+    superseded: AtomicBool,
     /// Hundredths of the stage that the window knows of.
     told: AtomicU64,
     notes: Mutex<Vec<String>>,
@@ -50,6 +55,7 @@ impl Watch {
             stage: Mutex::new(Stage { name: "starting", total: 0, since: now }),
             done: AtomicU64::new(0),
             cancelled: AtomicBool::new(false),
+            superseded: AtomicBool::new(false),
             told: AtomicU64::new(0),
             notes: Mutex::new(Vec::new()),
         }
@@ -59,11 +65,22 @@ impl Watch {
         self.cancelled.store(true, Relaxed);
     }
 
+    /// Cancels it for something newer.
+    pub fn supersede(&self) {
+        self.superseded.store(true, Relaxed);
+        self.cancel();
+    }
+
+    pub fn is_superseded(&self) -> bool {
+        self.superseded.load(Relaxed)
+    }
+
     pub fn activity(&self) -> Activity {
         let (stage, done) = (lock(&self.stage), self.done.load(Relaxed));
         let fraction = (stage.total > 0).then(|| (done as f64 / stage.total as f64).min(1.0) as f32);
         let rate = done as f64 / stage.since.elapsed().as_secs_f64().max(1e-3);
-        Activity { stage: stage.name, fraction, rate, seconds: self.begun.elapsed().as_secs_f64() }
+        let (seconds, memory) = (self.begun.elapsed().as_secs_f64(), anonymous());
+        Activity { stage: stage.name, fraction, rate, seconds, memory }
     }
 
     /// The stage's name.

@@ -2,7 +2,8 @@
 
 use super::{Open, State, nothing_open, refused};
 use crate::command::Command;
-use crate::engine::Writing;
+use crate::engine::{Job, Writing};
+use crate::overlay::Overlay;
 use crate::scene::Scene;
 use crate::selection::Selection;
 use simod_core::output::folder_of;
@@ -28,7 +29,7 @@ impl State {
         }
         self.selection = Selection::none(scene.len());
         (self.chosen, self.stroke, self.depth, self.field) = (None, None, None, None);
-        self.shown = self.requested;
+        (self.shown, self.floor) = (self.requested, self.requested);
         let bounds = scene.bounds().map(|corner| corner.as_dvec3());
         self.camera.frame(bounds, self.size);
         let open = Open::new(editor, scene);
@@ -44,7 +45,8 @@ impl State {
         let Some(open) = &self.open else { return };
         let steps = self.stroke.as_ref().and_then(|stroke| stroke.preview(open.steps()));
         let steps = steps.unwrap_or_else(|| open.steps().clone());
-        self.requested = self.engine.evaluate(steps, effort);
+        let measure = self.overlay == Overlay::TransferError && effort == Effort::FULL;
+        self.requested = self.engine.evaluate(steps, effort, measure);
     }
 
     pub(super) fn edit(&mut self, command: edit::Command, dragging: bool) -> Result<()> {
@@ -134,7 +136,11 @@ impl State {
     }
 
     pub(super) fn write(&mut self, output: PathBuf) -> Result<()> {
-        let open = self.open.as_ref().ok_or_else(nothing_open)?;
+        if self.engine.is_busy(Job::Open) {
+            return Err(refused("another model is being opened", "wait for it"));
+        }
+        let open = self.open.as_mut().ok_or_else(nothing_open)?;
+        open.editor.set_output(output.clone());
         let how = Self::reconstruction();
         let model = open.editor.model().map(Path::to_owned);
         let writing = Writing { output, model, method: how.method, normals: how.normals };

@@ -61,6 +61,8 @@ pub struct State {
     /// The last request for steps to be done, and the last one whose result is shown.
     requested: u64,
     shown: u64,
+    /// The last request for the model that was open before.
+    floor: u64,
     notices: Vec<Notice>,
     recorder: Option<Recorder>,
     /// The depth buffer of a scene.
@@ -91,6 +93,7 @@ impl State {
             overlay: Overlay::default(),
             requested: 0,
             shown: 0,
+            floor: 0,
             notices: Vec::new(),
             recorder: None,
             depth: None,
@@ -124,6 +127,11 @@ impl State {
     fn perform(&mut self, command: Command) -> Result<()> {
         match command {
             Command::Open { path, sampling, recover } => {
+                if self.engine.wants(Job::Write) {
+                    let what =
+                        "a model that was to be written waits for another one: wait for it, or cancel it";
+                    return Err(refused(what, "open the other model afterwards"));
+                }
                 self.engine.open(Opening { path, sampling, recover });
                 Ok(())
             }
@@ -154,10 +162,7 @@ impl State {
             }
             Command::Resize { size } => self.resize(size),
             Command::Camera(step) => self.move_camera(step),
-            Command::Show(overlay) => {
-                self.overlay = overlay;
-                Ok(())
-            }
+            Command::Show(overlay) => self.show(overlay),
         }
     }
 
@@ -188,8 +193,9 @@ impl State {
                 let (editor, scene) = *opened;
                 self.opened(editor, scene);
             }
+            // Those of the model that was open before are of no use.
             Event::Evaluated { request, scene } => {
-                if let Some(open) = &mut self.open {
+                if let Some(open) = self.open.as_mut().filter(|_| request > self.floor) {
                     open.show(*scene);
                     self.shown = request;
                     if self.selection.marks().len() != open.scene.len() {
@@ -200,10 +206,10 @@ impl State {
             Event::Written { output, report, seconds } => self.tell(Notice::Written(output, report, seconds)),
             Event::Note(text) => self.tell(Notice::Note(text)),
             Event::Failed { job, error } => {
-                // What was given up for something newer is nobody's concern.
-                let superseded = job == Job::Evaluate && self.engine.wants(job);
-                if !(error.kind() == ErrorKind::Cancelled && superseded) {
-                    self.tell(Notice::Failed(job, error));
+                self.tell(Notice::Failed(job, error));
+                // Steps that were given up for a model that could not be opened.
+                if job == Job::Open && self.shown != self.requested {
+                    self.request(Effort::FULL);
                 }
             }
         }

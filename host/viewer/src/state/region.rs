@@ -30,6 +30,17 @@ impl Open {
 }
 
 impl State {
+    /// The samples as the step at a place finds them.
+    pub(super) fn before(&self, at: usize) -> Result<&[Vec3]> {
+        Ok(self.open()?.before(self.entry(at)?.id))
+    }
+
+    /// The shapes of a region.
+    pub(super) fn shapes(&self, at: usize, region: usize) -> Result<&Shapes> {
+        let region = self.deformation(at)?.regions.get(region).ok_or_else(|| missing("region", region))?;
+        Ok(&region.shapes)
+    }
+
     /// What is selected, as a step finds it, as geometry.
     fn picked(&self, positions: &[Vec3]) -> Result<PickedPoints> {
         let open = self.open()?;
@@ -62,7 +73,7 @@ impl State {
         falloff: f64,
         replaces: Option<usize>,
     ) -> Result<()> {
-        let picked = self.picked(self.open()?.before(self.entry(at)?.id))?;
+        let picked = self.picked(self.before(at)?)?;
         let mut regions = self.deformation(at)?.regions.clone();
         let middle = picked.inside().iter().sum::<DVec3>() / picked.inside().len() as f64;
         let shapes = Shapes { shapes: vec![Shape::Selection(picked)], falloff };
@@ -108,7 +119,7 @@ impl State {
     /// A point of the surface that is shown, where a step finds it: for strokes and joints. Model coordinates.
     pub fn in_step(&self, step: usize, hit: &Hit) -> Option<DVec3> {
         let open = self.open.as_ref()?;
-        let before = open.before(self.entry(step).ok()?.id);
+        let before = self.before(step).ok()?;
         let (was, is) = (before.get(hit.sample as usize)?, open.scene.positions.get(hit.sample as usize)?);
         let frame = open.scene.frame();
         Some(frame.to_model_exact(hit.local - is.as_dvec3() + was.as_dvec3()))
@@ -127,7 +138,7 @@ impl State {
             let weight = shapes.weight(p);
             (p * weight, weight)
         };
-        let all: Vec<(DVec3, f64)> = open.before(self.entry(step).ok()?.id).par_iter().map(weighed).collect();
+        let all: Vec<(DVec3, f64)> = self.before(step).ok()?.par_iter().map(weighed).collect();
         let (sum, weight) = all.iter().fold((DVec3::ZERO, 0.0), |(p, w), (q, v)| (p + q, w + v));
         (weight > 0.0).then(|| sum / weight)
     }

@@ -2,6 +2,7 @@
 
 use super::State;
 use crate::command::{Area, Command};
+use crate::overlay;
 use crate::pick::{DepthBuffer, Hit, in_lasso, near_path, within};
 use crate::scene::Scene;
 use crate::selection::{Combine, Selection};
@@ -43,6 +44,10 @@ impl State {
                 let (a, b) = (DVec2::from(*from), DVec2::from(*to));
                 let (min, max) = (a.min(b), a.max(b));
                 Selection::of(within(&scene, &camera, size, |p| p.cmpge(min).all() && p.cmple(max).all()))
+            }
+            Area::Region { step, region } => {
+                let weights = overlay::region(&scene, self.before(*step)?, self.shapes(*step, *region)?);
+                Selection::of(weights.values.iter().map(|w| *w >= 0.5).collect())
             }
             Area::Connected { at } => match self.pick(DVec2::from(*at)) {
                 Some(hit) => adjacency.connected(hit.sample),

@@ -7,6 +7,7 @@ use crate::overlay::{self, Field, Overlay};
 use crate::selection::Selection;
 use glam::{DVec2, DVec3};
 use simod_core::Result;
+use simod_plugin_api::Effort;
 use simod_session::edit::Entry;
 use std::sync::Arc;
 
@@ -35,6 +36,15 @@ impl State {
         self.overlay
     }
 
+    pub(super) fn show(&mut self, overlay: Overlay) -> Result<()> {
+        self.overlay = overlay;
+        let is_there = self.scene().is_none_or(|scene| scene.expected_error.is_some());
+        if overlay == Overlay::TransferError && !is_there {
+            self.request(Effort::FULL);
+        }
+        Ok(())
+    }
+
     pub(super) fn resize(&mut self, size: [f64; 2]) -> Result<()> {
         if !size.iter().all(|x| (1.0..=65536.0).contains(x)) {
             return Err(refused("a picture cannot be of that size", "give 1 to 65536 pixels"));
@@ -49,7 +59,7 @@ impl State {
             CameraMove::Orbit { yaw, pitch } => camera.orbit(yaw, pitch),
             CameraMove::Pan { by } => camera.pan(by.into(), size),
             CameraMove::Zoom { factor, at } => {
-                if !(factor > 0.0) {
+                if factor.is_nan() || factor <= 0.0 {
                     return Err(refused("the camera cannot zoom by that factor", "give one above 0"));
                 }
                 let pixel = DVec2::from(at);
@@ -99,14 +109,12 @@ impl State {
                 Overlay::None => return None,
                 Overlay::Selection => overlay::selection(&self.selection),
                 Overlay::Region(region) => {
-                    let at = chosen?;
-                    let shapes = &steps[at].step.deformation()?.regions.get(region)?.shapes;
-                    overlay::region(&scene, at, shapes)
+                    overlay::region(&scene, self.before(chosen?).ok()?, self.shapes(chosen?, region).ok()?)
                 }
                 Overlay::Displacement => overlay::displacement(&scene),
                 Overlay::Stretch => overlay::stretch(&scene),
                 Overlay::Density => overlay::density(&scene),
-                Overlay::TransferError => overlay::transfer_error(&scene),
+                Overlay::TransferError => overlay::transfer_error(&scene)?,
             };
             let key = FieldKey { overlay, revision, selection: self.selection.clone(), steps, chosen };
             self.field = Some((key, field));

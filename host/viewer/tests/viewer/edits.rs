@@ -1,0 +1,174 @@
+//! A whole edit by commands, as a window would do it.
+
+use super::{done, model, open, pixel, plugins, state};
+use glam::DVec3;
+use simod_core::generate::Shape;
+use simod_core::progress::Silent;
+use simod_core::reconstruction::Reconstruction;
+use simod_core::refinement::Finer;
+use simod_plugin_api::Effort;
+use simod_session::edit::{self, Change};
+use simod_session::session_file::Role;
+use simod_session::{Motion, Run, SessionFile};
+use simod_viewer::camera::Standard;
+use simod_viewer::command::{Area, CameraMove};
+use simod_viewer::record::{Recorder, parse};
+use simod_viewer::selection::Combine;
+use simod_viewer::{Command, State, replay};
+use std::io::Write;
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+/// What was recorded, to be looked at later.
+#[derive(Clone, Default)]
+struct Tape(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Tape {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.lock().unwrap().write(bytes)
+    }
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+fn select(area: Area) -> Command {
+    Command::Select { area, combine: Combine::Replace, visible: false }
+}
+
+fn moved(y: f64) -> edit::Command {
+    let motion = Motion { translate: DVec3::new(0.1, y, 0.0), degrees: 20.0 * y, ..Motion::default() };
+    edit::Command::Change { at: 0, change: Change::MoveRegion { region: 1, motion } }
+}
+
+/// The commands of an edit; `after` is called after each of them.
+fn edit_amphora(state: &mut State, folder: &Path, mut after: impl FnMut(&mut State)) {
+    let mut apply = |state: &mut State, command: Command| {
+        state.apply(command.clone()).unwrap_or_else(|e| panic!("{command:?}: {e}"));
+        after(state);
+    };
+    apply(state, Command::Camera(CameraMove::Look(Standard::Front)));
+    apply(state, Command::AddStep { plugin: "rbf".into(), at: None });
+    // All below, by a box; all above, by a lasso.
+    let [left, low] = pixel(state, DVec3::new(-1.5, 0.5, 0.0));
+    let [right, high] = pixel(state, DVec3::new(1.5, 1.6, 0.0));
+    apply(state, select(Area::Box { from: [left, low], to: [right, 800.0] }));
+    let fixed = Command::MakeRegion { step: 0, role: Role::Fixed, falloff: 0.0, replaces: None };
+    apply(state, fixed);
+    let path = vec![[left, high], [right, high], [right, 0.0], [left, 0.0]];
+    apply(state, select(Area::Lasso { path }));
+    apply(state, Command::MakeRegion { step: 0, role: Role::Handle, falloff: 0.1, replaces: None });
+    for y in [0.1, 0.2, 0.3] {
+        apply(state, Command::Drag(moved(y)));
+    }
+    apply(state, Command::Rest);
+    apply(state, Command::RefineSelection { finer: Finer::Factor(3.0) });
+    apply(state, Command::AddStep { plugin: "displacement-paint".into(), at: None });
+    let begin = Command::BeginStroke { step: 2, radius: 0.3, strength: 1.0, params: toml::Table::new() };
+    apply(state, begin);
+    for x in [-0.2, 0.0, 0.2] {
+        apply(state, Command::StrokePoint { at: DVec3::new(x, 1.0, 0.5), pressure: Some(0.5) });
+    }
+    apply(state, Command::EndStroke);
+    apply(state, Command::Undo);
+    apply(state, Command::Undo);
+    apply(state, Command::Redo);
+    apply(state, Command::Redo);
+    apply(state, Command::Save { path: Some(folder.join("edit.toml")) });
+    apply(state, Command::Write { output: folder.join("edited.ply") });
+}
+
+#[test]
+fn an_edit_is_what_a_run_of_its_session_is_and_what_its_recording_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = model(folder.path(), Shape::Amphora, 20_000);
+    // Once waiting each time, and once as quickly as commands come.
+    for waits in [true, false] {
+        let tape = Tape::default();
+        let mut state = state(plugins());
+        state.record(Some(Recorder::new(tape.clone())));
+        done(&mut state, open(&model, 1500));
+        edit_amphora(&mut state, folder.path(), |state| {
+            if waits {
+                state.settle(super::LONG).unwrap();
+            }
+        });
+        state.settle(super::LONG).unwrap();
+        let told = state.take_notices();
+        let failed = |n: &simod_viewer::state::Notice| matches!(n, simod_viewer::state::Notice::Failed(..));
+        assert!(!told.iter().any(failed), "{told:?}");
+        assert!(state.is_settled() && state.editor().unwrap().is_saved());
+        let read = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
+        let (session, edited) = (read("edit.toml"), read("edited.ply"));
+        assert!(edited != read("model.ply"), "nothing was edited");
+
+        let saved = SessionFile::load(&folder.path().join("edit.toml")).unwrap();
+        assert_eq!(saved.steps.len(), 3);
+        let run = folder.path().join("run.ply");
+        Run::execute(&saved, &plugins(), &Reconstruction::default(), false, &run, &Silent).unwrap();
+        assert!(edited == read("run.ply"), "a run writes other bytes");
+
+        let commands = parse(std::str::from_utf8(&tape.0.lock().unwrap()).unwrap()).unwrap();
+        assert!(commands.len() > 20);
+        let replayed = replay(&commands, &plugins()).unwrap();
+        assert_eq!(replayed.selection().count(), state.selection().count());
+        assert!(session == read("edit.toml") && edited == read("edited.ply"), "a replay writes other bytes");
+    }
+}
+
+#[test]
+fn a_drag_is_shown_as_drafts_and_undone_as_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut state = state(plugins());
+    done(&mut state, open(&model(folder.path(), Shape::Cylinder, 5000), 500));
+    done(&mut state, Command::AddStep { plugin: "rbf".into(), at: None });
+    let half = |sign: f64| {
+        let shape =
+            simod_session::Shape::HalfSpace { point: DVec3::Y * (1.0 + 0.5 * sign), normal: DVec3::Y * sign };
+        simod_session::Shapes { shapes: vec![shape], falloff: 0.0 }
+    };
+    let region = |role, sign| simod_session::session_file::Region {
+        role,
+        shapes: half(sign),
+        motion: Motion::default(),
+    };
+    let regions = vec![region(Role::Fixed, -1.0), region(Role::Handle, 1.0)];
+    let set = edit::Command::Change { at: 0, change: Change::SetRegions(regions) };
+    done(&mut state, Command::Edit(set));
+    assert!(state.handle_pivot(0, 1).unwrap().y > 1.5);
+    let highest = |state: &State| state.scene().unwrap().bounds()[1].y;
+    let rest = highest(&state);
+    let mut last = rest;
+    for y in [0.1, 0.2, 0.3, 0.4] {
+        done(&mut state, Command::Drag(moved(y)));
+        assert!(!state.is_settled() && state.scene().unwrap().effort == Effort::DRAFT);
+        assert!(highest(&state) > last);
+        last = highest(&state);
+    }
+    done(&mut state, Command::Rest);
+    assert!(state.is_settled());
+    assert_eq!(state.document().unwrap().can_undo(), Some("move a handle of rbf"));
+    done(&mut state, Command::Undo);
+    assert_eq!(highest(&state), rest);
+    done(&mut state, Command::Redo);
+    assert!(highest(&state) > rest);
+}
+
+#[test]
+fn handles_of_a_lattice_are_where_it_is_dragged_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut state = state(plugins());
+    done(&mut state, open(&model(folder.path(), Shape::Bar, 5000), 500));
+    done(&mut state, Command::AddStep { plugin: "lattice".into(), at: None });
+    let handles = state.handles(0);
+    assert!(handles.len() >= 8);
+    let (desc, placed) = handles.last().unwrap();
+    let to = glam::DAffine3 { translation: placed.position() + DVec3::X, ..placed.matrix() };
+    let change = Change::MoveHandle { id: desc.id.to_string(), motion: placed.motion_to(to).unwrap() };
+    done(&mut state, Command::Drag(edit::Command::Change { at: 0, change }));
+    done(&mut state, Command::Rest);
+    let moved = state.handles(0).pop().unwrap().1;
+    assert!(moved.position().abs_diff_eq(placed.position() + DVec3::X, 1e-9));
+    let scene = state.scene().unwrap();
+    assert!(*scene.positions != *scene.sampled.samples.positions);
+}

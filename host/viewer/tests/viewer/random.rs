@@ -1,0 +1,189 @@
+//! Whatever a user does, in whatever order: nothing panics, nothing is lost, and nothing grows without bound.
+
+use super::{LONG, done, model, open, plugins, state};
+use glam::DVec3;
+use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
+use simod_core::generate::Shape;
+use simod_core::refinement::Finer;
+use simod_session::Motion;
+use simod_session::edit::{self, Change};
+use simod_session::session_file::Role;
+use simod_viewer::camera::{Projection, Standard};
+use simod_viewer::command::{Area, CameraMove};
+use simod_viewer::engine::Job;
+use simod_viewer::selection::Combine;
+use simod_viewer::{Command, Overlay, State};
+
+fn area() -> impl Strategy<Value = Area> {
+    let pixel = || prop::array::uniform2(-100.0..1400.0_f64);
+    prop_oneof![
+        Just(Area::All),
+        Just(Area::None),
+        Just(Area::Inverse),
+        Just(Area::Grown),
+        Just(Area::Shrunk),
+        (pixel(), pixel()).prop_map(|(from, to)| Area::Box { from, to }),
+        prop::collection::vec(pixel(), 0..6).prop_map(|path| Area::Lasso { path }),
+        (prop::collection::vec(pixel(), 0..6), -1.0..200.0_f64)
+            .prop_map(|(path, radius)| Area::Brush { path, radius }),
+        pixel().prop_map(|at| Area::Connected { at }),
+        prop::collection::vec(0..500_u32, 0..6).prop_map(Area::Runs),
+    ]
+}
+
+fn camera() -> impl Strategy<Value = CameraMove> {
+    let any = || -10.0..10.0_f64;
+    prop_oneof![
+        (any(), any()).prop_map(|(yaw, pitch)| CameraMove::Orbit { yaw, pitch }),
+        (any(), any()).prop_map(|(x, y)| CameraMove::Pan { by: [x, y] }),
+        (-1.0..4.0_f64, any(), any())
+            .prop_map(|(factor, x, y)| CameraMove::Zoom { factor, at: [640.0 + x, 400.0 + y] }),
+        Just(CameraMove::FrameAll),
+        Just(CameraMove::FrameSelection),
+        Just(CameraMove::Look(Standard::Top)),
+        Just(CameraMove::Project(Projection::Orthographic)),
+        Just(CameraMove::Project(Projection::Perspective)),
+    ]
+}
+
+/// Changes of steps; some make no sense.
+fn change() -> impl Strategy<Value = edit::Command> {
+    let (at, small) = (0..4_usize, || -0.5..0.5_f64);
+    let motion = (small(), small()).prop_map(|(y, turn)| Motion {
+        translate: DVec3::Y * y,
+        degrees: 90.0 * turn,
+        scale: 1.0 + y,
+        ..Motion::default()
+    });
+    let one = prop_oneof![
+        any::<bool>().prop_map(Change::Enable),
+        (-200.0..200.0_f64)
+            .prop_map(|angle| Change::SetParam { id: "angle".into(), value: Some(angle.into()) }),
+        Just(Change::SetParam { id: "nonsense".into(), value: Some("x".into()) }),
+        Just(Change::SetParam { id: "nonsense".into(), value: None }),
+        Just(Change::SetRegions(Vec::new())),
+        (0..3_usize, motion.clone()).prop_map(|(region, motion)| Change::MoveRegion { region, motion }),
+        motion.prop_map(|motion| Change::MoveHandle { id: "0,0,0".into(), motion }),
+    ];
+    prop_oneof![
+        6 => (at.clone(), one).prop_map(|(at, change)| edit::Command::Change { at, change }),
+        2 => at.clone().prop_map(|at| edit::Command::Remove { at }),
+        1 => (at.clone(), at).prop_map(|(from, to)| edit::Command::Move { from, to }),
+    ]
+}
+
+fn command() -> impl Strategy<Value = Command> {
+    let step = 0..3_usize;
+    let combine = prop_oneof![Just(Combine::Replace), Just(Combine::Add), Just(Combine::Subtract)];
+    let role = prop_oneof![Just(Role::Fixed), Just(Role::Handle), Just(Role::Mask)];
+    let plugin = prop::sample::select(vec!["warp", "rbf", "lattice", "displacement-paint", "nobody"]);
+    let overlay = prop::sample::select(vec![
+        Overlay::None,
+        Overlay::Selection,
+        Overlay::Region(0),
+        Overlay::Displacement,
+        Overlay::Stretch,
+        Overlay::Density,
+        Overlay::TransferError,
+    ]);
+    let point = prop::array::uniform3(-1.0..1.0_f64).prop_map(DVec3::from);
+    prop_oneof![
+        4 => change().prop_map(Command::Edit),
+        4 => change().prop_map(Command::Drag),
+        2 => Just(Command::Rest),
+        3 => Just(Command::Undo),
+        2 => Just(Command::Redo),
+        1 => prop::option::of(step.clone()).prop_map(|step| Command::Choose { step }),
+        2 => (plugin, prop::option::of(step.clone()))
+            .prop_map(|(plugin, at)| Command::AddStep { plugin: plugin.into(), at }),
+        4 => (area(), combine, any::<bool>())
+            .prop_map(|(area, combine, visible)| Command::Select { area, combine, visible }),
+        2 => (step.clone(), role, -0.1..0.5_f64, prop::option::of(0..2_usize)).prop_map(
+            |(step, role, falloff, replaces)| Command::MakeRegion { step, role, falloff, replaces }
+        ),
+        1 => (1.5..2.5_f64).prop_map(|f| Command::RefineSelection { finer: Finer::Factor(f) }),
+        1 => (step.clone(), point.clone()).prop_map(|(step, at)| Command::PlaceJoint {
+            step, id: "joint".into(), at, parent: None
+        }),
+        1 => (step, -0.1..0.5_f64).prop_map(|(step, radius)| Command::BeginStroke {
+            step, radius, strength: 1.0, params: toml::Table::new()
+        }),
+        2 => point.prop_map(|at| Command::StrokePoint { at, pressure: None }),
+        1 => Just(Command::EndStroke),
+        1 => Just(Command::DropStroke),
+        1 => Just(Command::Cancel { job: Job::Evaluate }),
+        2 => camera().prop_map(Command::Camera),
+        1 => overlay.prop_map(Command::Show),
+        1 => prop::array::uniform2(-10.0..2000.0_f64).prop_map(|size| Command::Resize { size }),
+    ]
+}
+
+/// What has to hold at any time.
+fn check(state: &mut State) {
+    let scene = state.scene().expect("a model").clone();
+    assert_eq!(state.selection().marks().len(), scene.len());
+    assert_eq!(scene.normals.len(), scene.len());
+    assert!(scene.positions.iter().all(|p| p.is_finite()));
+    assert!(scene.normals.iter().all(|n| n.is_finite()));
+    assert!(state.camera().is_valid());
+    if let Some(field) = state.field() {
+        assert_eq!(field.values.len(), scene.len());
+        assert!(field.values.iter().all(|x| x.is_finite()));
+    }
+}
+
+/// Does so many random commands; `seconds` is how long it may take at most.
+fn soak(commands: usize) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut state = state(plugins());
+    done(&mut state, open(&model(folder.path(), Shape::Amphora, 3000), 300));
+    let mut runner = TestRunner::deterministic();
+    let strategy = command();
+    let mut accepted = 0;
+    for i in 0..commands {
+        let command = strategy.new_tree(&mut runner).unwrap().current();
+        // Errors are fine, and have a hint.
+        match state.apply(command.clone()) {
+            Ok(()) => accepted += 1,
+            Err(e) => assert!(!e.to_string().is_empty(), "{command:?}"),
+        }
+        state.poll();
+        if i % 10 == 0 {
+            check(&mut state);
+        }
+        // More than a person adds, and each refinement makes more samples.
+        if state.document().unwrap().steps().len() > 6 {
+            state.apply(Command::Edit(edit::Command::Remove { at: 0 })).unwrap();
+        }
+        if i % 50 == 0 {
+            state.settle(LONG).unwrap();
+            check(&mut state);
+            state.take_notices();
+        }
+    }
+    state.settle(LONG).unwrap();
+    check(&mut state);
+    assert!(accepted > commands / 4, "{accepted} of {commands}");
+    // All that can be undone is a thousand changes, and leads to some earlier state.
+    let mut undone = 0;
+    while state.document().unwrap().can_undo().is_some() {
+        state.apply(Command::Undo).unwrap();
+        undone += 1;
+    }
+    assert!(undone <= 1000);
+    state.settle(LONG).unwrap();
+    check(&mut state);
+}
+
+#[test]
+fn anything_in_any_order() {
+    soak(300);
+}
+
+#[test]
+#[ignore = "takes minutes: run it with `--ignored`"]
+fn anything_for_a_long_time() {
+    soak(10_000);
+}
