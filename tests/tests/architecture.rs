@@ -1,4 +1,5 @@
-//! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `plugin-api, core <- session <- viewer, cli`.
+//! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `plugin-api, core <- session <- viewer, cli`;
+//! `core <- scene`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -89,11 +90,14 @@ fn arrows_go_one_way() {
     crates.expect_members("host/session", &["simod-core", "simod-plugin-api"]);
     crates.expect_members("host/viewer", &["simod-core", "simod-plugin-api", "simod-session"]);
     crates.expect_members("host/cli", &["simod-core", "simod-session"]);
+    crates.expect_members("host/scene", &["simod-core"]);
 
     crates.expect_none("host/core", &["abi_stable", "libloading", "clap", "simod-plugin-api"]);
     for folder in ["plugin-api", "plugins", "host/core", "host/session", "host/cli"] {
         crates.expect_none(folder, &WINDOWS);
     }
+    // It draws into textures, for whichever window.
+    crates.expect_none("host/scene", &["egui", "eframe", "winit", "abi_stable", "simod-plugin-api"]);
 }
 
 /// A panic in a plugin is caught at its border, which needs unwinding.

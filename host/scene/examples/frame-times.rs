@@ -152,6 +152,7 @@ fn pictures(gpu: &Gpu, sampled: &SampledModel, folder: &Path) -> Result<(), Box<
     let near = View { view: view.view, projection: perspective(0.12, 1.6, 0.5, 10.0), size: SIZE };
     let style = Style::default();
     shot(&mut scene, "splats", &style, None, &view)?;
+    shot(&mut scene, "one-sided", &Style { two_sided: false, ..style }, None, &view)?;
     shot(&mut scene, "near", &style, None, &near)?;
     shot(&mut scene, "double", &Style { scale: Scale::Double, ..style }, None, &view)?;
     shot(&mut scene, "coarse", &Style { scale: Scale::Half, ..style }, None, &view)?;

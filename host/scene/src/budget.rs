@@ -3,28 +3,35 @@
 use std::time::Duration;
 
 /// The number of splats that a frame takes, by how long the last ones took.
+///
+/// It is halved or doubled, and not at once: a surface whose discs change in every frame would flicker.
 #[derive(Debug, Clone)]
 pub struct Budget {
     goal: Duration,
-    splats: f64,
+    splats: usize,
     coarse: bool,
+    /// Frames in a row that took too long, or far less than they might.
+    slow: u32,
+    fast: u32,
 }
 
 impl Budget {
     /// Fewest splats of a frame, however long they take.
-    const LEAST: f64 = 10_000.0;
+    const LEAST: usize = 16_000;
     /// So many at first.
-    const FIRST: f64 = 100_000.0;
-    const MOST: f64 = 1e9;
+    const FIRST: usize = 128_000;
+    const MOST: usize = 1 << 30;
+    /// So many frames in a row tell something.
+    const FRAMES: u32 = 3;
 
     /// A budget for frames that take so long.
     pub fn new(goal: Duration) -> Self {
-        Self { goal, splats: Self::FIRST, coarse: false }
+        Self { goal, splats: Self::FIRST, coarse: false, slow: 0, fast: 0 }
     }
 
-    /// How many splats the next frame takes.
+    /// How many splats the next frame takes at most.
     pub fn splats(&self) -> usize {
-        self.splats as usize
+        self.splats
     }
 
     /// Whether moving frames are drawn in fewer pixels.
@@ -32,20 +39,24 @@ impl Budget {
         self.coarse
     }
 
-    /// Learns how long a frame of so many splats took.
-    pub fn learn(&mut self, splats: usize, took: Duration) {
-        let ratio = self.goal.as_secs_f64() / took.as_secs_f64().max(1e-6);
-        // A part of the time does not depend on the splats, so steps are half of what the ratio says.
-        let step = ratio.powf(0.5).clamp(0.5, 1.5);
-        // A frame that had fewer than it might tells nothing about more.
-        if step < 1.0 || splats >= self.splats() {
-            self.splats = (splats as f64 * step).clamp(Self::LEAST, Self::MOST);
-        }
-        // Fewer pixels, once fewer splats do not help; more, once there is plenty of time.
-        if self.splats <= 2.0 * Self::LEAST && ratio < 0.8 {
-            self.coarse = true;
-        } else if ratio > 4.0 {
-            self.coarse = false;
+    /// Learns how long a frame took, which showed all splats of its surface or not.
+    pub fn learn(&mut self, took: Duration, all: bool) {
+        let ratio = took.as_secs_f64() / self.goal.as_secs_f64().max(1e-9);
+        self.slow = if ratio > 1.0 { self.slow + 1 } else { 0 };
+        self.fast = if ratio < 0.4 { self.fast + 1 } else { 0 };
+        if self.slow == Self::FRAMES || ratio > 3.0 {
+            // Fewer splats, and once that does not help, fewer pixels.
+            self.coarse |= self.splats == Self::LEAST;
+            self.splats = (self.splats / 2).max(Self::LEAST);
+            self.slow = 0;
+        } else if self.fast == Self::FRAMES {
+            // Four times as many pixels may take four times as long.
+            if self.coarse && ratio < 0.2 {
+                self.coarse = false;
+            } else if !all {
+                self.splats = (2 * self.splats).min(Self::MOST);
+            }
+            self.fast = 0;
         }
     }
 }
@@ -54,17 +65,20 @@ impl Budget {
 mod tests {
     use super::*;
 
-    /// A machine that draws so many splats in a second, after a fixed time, finds its number.
+    /// Machines that draw so many splats in a second, after a fixed time, find a number and keep to it.
     #[test]
-    fn the_goal_is_met() {
-        for (rate, fixed) in [(1e6, 0.01), (1e8, 0.001), (2e6, 0.02)] {
+    fn the_goal_is_met_and_kept() {
+        for (rate, fixed) in [(1e6, 0.01), (1e8, 0.001), (2e6, 0.02), (1e9, 0.002)] {
             let mut budget = Budget::new(Duration::from_millis(40));
-            let mut took = 0.0;
-            for _ in 0..60 {
-                took = fixed + budget.splats() as f64 / rate;
-                budget.learn(budget.splats(), Duration::from_secs_f64(took));
+            let mut numbers = Vec::new();
+            for _ in 0..100 {
+                let took = fixed + budget.splats() as f64 / rate;
+                numbers.push((budget.splats(), took));
+                budget.learn(Duration::from_secs_f64(took), false);
             }
-            assert!((0.03..0.05).contains(&took), "{took}");
+            let (splats, took) = numbers[99];
+            assert!((0.014..=0.04).contains(&took), "{took}");
+            assert!(numbers[50..].iter().all(|(n, _)| *n == splats));
         }
     }
 
@@ -72,20 +86,23 @@ mod tests {
     fn a_machine_that_is_too_slow_gets_fewer_pixels() {
         let mut budget = Budget::new(Duration::from_millis(40));
         for _ in 0..20 {
-            budget.learn(budget.splats(), Duration::from_millis(90));
+            budget.learn(Duration::from_millis(90), false);
         }
         assert!(budget.is_coarse());
         for _ in 0..3 {
-            budget.learn(budget.splats(), Duration::from_millis(2));
+            budget.learn(Duration::from_millis(2), false);
         }
         assert!(!budget.is_coarse());
     }
 
+    /// Neither a single slow frame, nor quick ones of small surfaces tell anything.
     #[test]
-    fn a_small_surface_tells_nothing_about_large_ones() {
+    fn it_does_not_jump() {
         let mut budget = Budget::new(Duration::from_millis(40));
         let before = budget.splats();
-        budget.learn(100, Duration::from_millis(1));
-        assert_eq!(budget.splats(), before);
+        for i in 0..100 {
+            budget.learn(Duration::from_millis(if i % 10 == 0 { 100 } else { 1 }), true);
+            assert_eq!(budget.splats(), before);
+        }
     }
 }

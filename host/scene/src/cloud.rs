@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use wgpu::{BindGroup, BindGroupLayout, Buffer, BufferUsages, Device, Queue};
 
 use crate::gpu::Gpu;
-use crate::order::spread;
+use crate::order::Order;
 use crate::pipeline::bind;
 
 /// A sampled surface, in local coordinates. All lists are as long as `positions`, but `triangles`.
@@ -53,8 +53,8 @@ pub enum BadSurface {
 
 /// Samples with their order of drawing, in chunks that the device takes.
 pub(crate) struct Cloud {
-    /// The samples' indices in the order of drawing; triangles speak of places in it.
-    order: Vec<u32>,
+    /// In which the samples are held and drawn; triangles speak of places in it.
+    order: Order,
     chunks: Vec<Chunk>,
     triangles: Option<Triangles>,
     /// Half the diagonal of the bounding box.
@@ -87,27 +87,34 @@ const UNKNOWN: u32 = 0x8000_0000;
 impl Cloud {
     pub fn new(gpu: &Gpu, layout: &BindGroupLayout, surface: &Surface<'_>) -> Result<Self, BadSurface> {
         surface.check()?;
-        let order = spread(surface.positions);
+        let order = Order::new(surface.positions);
+        let samples = order.samples.len();
         let limits = gpu.device.limits();
         let most = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size) as usize;
         let per_chunk = (most / size_of::<Geometry>()).min((u32::MAX / 3) as usize);
-        let chunks = (0..order.len())
+        let chunks = (0..samples)
             .step_by(per_chunk)
-            .map(|first| Chunk::new(&gpu.device, layout, first..order.len().min(first + per_chunk)))
+            .map(|first| Chunk::new(&gpu.device, layout, first..samples.min(first + per_chunk)))
             .collect();
         let mut cloud = Self { order, chunks, triangles: None, radius: radius(surface.positions) };
         cloud.write_geometry(&gpu.queue, surface.positions, surface.normals);
         cloud.write_look(&gpu.queue, surface.radii, surface.colors);
         // Triangles reach all samples only where these are in one piece.
         if cloud.chunks.len() == 1 && !surface.triangles.is_empty() {
-            cloud.triangles = Triangles::new(gpu, &cloud.order, surface.triangles, limits.max_buffer_size);
+            cloud.triangles =
+                Triangles::new(gpu, &cloud.order.samples, surface.triangles, limits.max_buffer_size);
         }
         Ok(cloud)
     }
 
     /// Number of samples.
     pub fn len(&self) -> usize {
-        self.order.len()
+        self.order.samples.len()
+    }
+
+    /// How many samples to draw where at most so many are wanted, so that they are evenly spread.
+    pub fn part(&self, most: usize) -> usize {
+        if most >= self.len() { self.len() } else { self.order.part(most) }
     }
 
     /// Number of triangles that can be drawn.
@@ -118,7 +125,7 @@ impl Cloud {
     /// Uploads positions and normals, one for each sample.
     pub fn write_geometry(&self, queue: &Queue, positions: &[Vec3], normals: &[Vec3]) {
         for chunk in &self.chunks {
-            let packed: Vec<Geometry> = self.order[chunk.places.clone()]
+            let packed: Vec<Geometry> = self.order.samples[chunk.places.clone()]
                 .par_iter()
                 .map(|&i| packed(positions[i as usize], normals[i as usize]))
                 .collect();
@@ -129,7 +136,7 @@ impl Cloud {
     /// Uploads radii and colours, one for each sample.
     pub fn write_look(&self, queue: &Queue, radii: &[f32], colors: Option<&[[u8; 3]]>) {
         for chunk in &self.chunks {
-            let packed: Vec<Look> = self.order[chunk.places.clone()]
+            let packed: Vec<Look> = self.order.samples[chunk.places.clone()]
                 .par_iter()
                 .map(|&i| {
                     let [r, g, b] = colors.map_or([255; 3], |colors| colors[i as usize]);

@@ -4,7 +4,7 @@
 struct Frame {
     view: mat4x4f,
     projection: mat4x4f,
-    // Direction to the key light in the view's space, and the fill light's.
+    // Direction to the key light in the view's space, and how strong it is; direction to the fill light.
     key: vec4f,
     fill: vec4f,
     // Linear colours.

@@ -50,7 +50,7 @@ fn smoothed(@builtin(position) position: vec4f) -> @location(0) vec4f {
     let se = luminance(pixel_color(at + vec2i(1, 1)));
     let low = min(l, min(min(nw, ne), min(sw, se)));
     let high = max(l, max(max(nw, ne), max(sw, se)));
-    if high - low < max(0.04, 0.1 * high) {
+    if high - low < max(0.02, 0.035 * high) {
         return vec4f(middle, 1.0);
     }
     // The edge runs across the gradient.

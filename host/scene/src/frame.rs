@@ -48,13 +48,16 @@ impl Frame {
         radius: f32,
         ghost: bool,
     ) -> Self {
-        let key = if style.light == Light::Head { HEAD_LIGHT } else { KEY_LIGHT };
+        let (key, strength) = match style.light {
+            Light::Key => (KEY_LIGHT, 1.0),
+            Light::Head => (HEAD_LIGHT, 0.7),
+        };
         let [top, bottom] = if style.background == Background::Dark { SLATE } else { PAPER };
         let flags = [style.own_colors, style.occlusion, !style.two_sided, ghost];
         Self {
             view: view.view,
             projection: view.projection,
-            key: key.normalize_or_zero().extend(0.0),
+            key: key.normalize_or_zero().extend(strength),
             fill: FILL_LIGHT.normalize_or_zero().extend(0.0),
             clay: CLAY.extend(1.0),
             background_top: top.extend(1.0),

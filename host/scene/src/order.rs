@@ -8,12 +8,35 @@
 use glam::{UVec3, Vec3};
 use rayon::prelude::*;
 
-/// The samples' indices in the order of drawing.
-pub(crate) fn spread(positions: &[Vec3]) -> Vec<u32> {
-    let curve = along_curve(positions);
-    let places = positions.len().next_power_of_two();
-    let bits = places.trailing_zeros();
-    (0..places as u32).filter_map(|i| curve.get(scrambled(i, bits) as usize).copied()).collect()
+/// An order of drawing.
+pub(crate) struct Order {
+    /// The samples' indices.
+    pub samples: Vec<u32>,
+    /// How many of them make each level: one for each part of the curve, twice as many parts from level to level. In
+    /// between, some parts would have two.
+    levels: Vec<usize>,
+}
+
+impl Order {
+    pub fn new(positions: &[Vec3]) -> Self {
+        let curve = along_curve(positions);
+        let places = positions.len().next_power_of_two();
+        let bits = places.trailing_zeros();
+        let mut order = Self { samples: Vec::with_capacity(curve.len()), levels: Vec::new() };
+        for i in 0..places as u32 {
+            order.samples.extend(curve.get(scrambled(i, bits) as usize));
+            if (i + 1).is_power_of_two() {
+                order.levels.push(order.samples.len());
+            }
+        }
+        order
+    }
+
+    /// The largest level of at most so many samples, or the smallest that has any.
+    pub fn part(&self, most: usize) -> usize {
+        let within = self.levels.partition_point(|level| *level <= most.max(1));
+        self.levels[within.saturating_sub(1)]
+    }
 }
 
 /// The samples' indices in Morton's order.
@@ -69,12 +92,15 @@ mod tests {
     #[test]
     fn every_sample_has_its_turn() {
         for n in [0, 1, 2, 3, 100, 1000, 4097] {
-            let positions: Vec<Vec3> = (0..n)
-                .map(|i| Vec3::new((i % 37) as f32, (i / 37) as f32, if i == 5 { f32::NAN } else { 0.0 }))
-                .collect();
-            let mut order = spread(&positions);
-            order.sort_unstable();
-            assert_eq!(order, (0..n).collect::<Vec<u32>>());
+            let z = |i| if i == 5 { f32::NAN } else { 0.0 };
+            let at = |i: u32| Vec3::new((i % 37) as f32, (i / 37) as f32, z(i));
+            let order = Order::new(&(0..n).map(at).collect::<Vec<_>>());
+            assert_eq!(order.part(usize::MAX), n as usize);
+            let part = order.part(n as usize / 2);
+            assert!(n < 2 || (n as usize / 5..=n as usize / 2).contains(&part), "{part} of {n}");
+            let mut samples = order.samples;
+            samples.sort_unstable();
+            assert_eq!(samples, (0..n).collect::<Vec<u32>>());
         }
     }
 

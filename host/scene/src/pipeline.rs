@@ -162,3 +162,31 @@ pub(crate) fn begin<'a>(
         multiview_mask: None,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::marks::Marks;
+    use crate::passes::Passes;
+    use crate::splats::Splats;
+    use crate::triangles::TriangleMesh;
+
+    /// All shaders are valid for any device, without extensions.
+    #[test]
+    fn shaders_are_valid() {
+        for (name, source) in [
+            ("splats", Splats::SHADER),
+            ("resolve", Splats::RESOLVE_SHADER),
+            ("triangles", TriangleMesh::SHADER),
+            ("occlusion", Passes::OCCLUSION_SHADER),
+            ("shade", Passes::SHADE_SHADER),
+            ("finish", Passes::FINISH_SHADER),
+            ("marks", Marks::SHADER),
+        ] {
+            let module = naga::front::wgsl::parse_str(source)
+                .unwrap_or_else(|error| panic!("{name}: {}", error.emit_to_string(source)));
+            let (flags, none) = (naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
+            let valid = naga::valid::Validator::new(flags, none).validate(&module);
+            assert!(valid.is_ok(), "{name}: {}", valid.unwrap_err().emit_to_string(source));
+        }
+    }
+}

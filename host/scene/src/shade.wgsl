@@ -74,7 +74,7 @@ fn lit(color: vec3f, normal: vec3f, eye: vec3f, occlusion: f32) -> vec3f {
     let ambient = (vec3f(0.20, 0.19, 0.18) + vec3f(0.17, 0.18, 0.20) * sky) * occlusion;
     // Crevices see less of the lamps, too, as these are wide.
     let lamps = 0.35 + 0.65 * occlusion;
-    let light = ambient + (vec3f(1.02, 0.98, 0.92) * key + vec3f(0.17, 0.19, 0.23) * fill) * lamps;
+    let light = ambient + (vec3f(1.02, 0.98, 0.92) * frame.key.w * key + vec3f(0.17, 0.19, 0.23) * fill) * lamps;
 
     let halfway = normalize(frame.key.xyz + eye);
     let highlight = pow(max(dot(normal, halfway), 0.0), 40.0) * 0.10 * key * occlusion;
@@ -87,12 +87,12 @@ fn with_ghost(light: vec3f, pixel: vec2f, depth: f32, ghost: f32) -> vec3f {
     let normal = textureLoad(ghost_normals, vec2u(pixel), 0).xyz;
     let facing = clamp(dot(normal, to_eye(point_at(pixel, ghost))), 0.0, 1.0);
     // As glass: clearer where it is seen from the front.
-    var opacity = frame.ghost_opacity * mix(1.0, 0.45, facing);
+    var opacity = frame.ghost_opacity * mix(1.0, 0.6, facing);
     if depth > 0.0 {
         let apart = (depth - ghost) / frame.reach;
         opacity *= select(0.3 * smoothstep(0.1, 0.4, -apart), smoothstep(0.05, 0.25, apart), apart > 0.0);
     }
-    return mix(light, frame.ghost_color.rgb * (0.55 + 0.45 * facing), opacity);
+    return mix(light, frame.ghost_color.rgb * (0.4 + 0.8 * max(dot(normal, frame.key.xyz), 0.0)), opacity);
 }
 
 // The brightest parts are rolled off instead of cut.

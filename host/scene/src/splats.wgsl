@@ -1,9 +1,11 @@
 // Samples as oriented discs, in two passes: see splats.rs.
 
-// Shares of their radius to which discs seen from the front and from the back hide what is behind them; farther
-// out they only blend in. So discs at a steep or sharp edge hardly stand out from the surface.
-const HIDING_FRONT = 0.74;
-const HIDING_BACK = 0.6;
+// Shares of their radius to which discs hide what is behind them; farther out they only blend in. First where they
+// are seen on edge, as at creases, where they should not stand out from the surface; then where they face the eye.
+const HIDING_FRONT = vec2f(0.6, 0.82);
+const HIDING_BACK = vec2f(0.3, 0.6);
+// Where only a part of the discs is drawn: they are not spread evenly.
+const HIDING_PART = vec2f(0.6, 0.9);
 // A disc reaches at least so many pixels around its middle, in all directions.
 const LEAST_REACH = 0.75;
 // How far behind the nearest surface a disc still blends in, in its radii.
@@ -23,6 +25,8 @@ struct Corner {
     @location(3) @interpolate(flat) color: vec3f,
     // Square of the share of the radius to which it hides.
     @location(4) @interpolate(flat) hiding: f32,
+    // How much of its area is seen: discs on edge, which stand out at creases, count little.
+    @location(5) @interpolate(flat) seen: f32,
 }
 
 // Corners of the triangle around the unit circle.
@@ -75,7 +79,9 @@ fn corner(index: u32, hiding_part: bool) -> Corner {
     let u = normalize(cross(axis, select(vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), abs(axis.x) > 0.7)));
     let v = cross(axis, u);
 
-    let hiding = max(select(HIDING_FRONT, HIDING_BACK, back), share);
+    var ends = select(HIDING_FRONT, HIDING_PART, frame.radius_scale > 1.0);
+    ends = select(ends, HIDING_BACK, back);
+    let hiding = max(mix(ends.x, ends.y, select(1.0, smoothstep(0.1, 0.6, facing), known)), share);
     let disc = around_disc(index % 3u) * select(1.0, hiding, hiding_part);
     let point = center + radius * (u * disc.x + v * disc.y);
 
@@ -89,8 +95,13 @@ fn corner(index: u32, hiding_part: bool) -> Corner {
     out.disc = disc;
     out.depth = -point.z;
     out.normal = normal;
+    if back {
+        // What is just beyond the horizon looks like what is just before it, not like the other side.
+        out.normal = normalize(mix(-across, normal, smoothstep(0.0, 0.5, facing)));
+    }
     out.color = color_of(own);
     out.hiding = hiding * hiding;
+    out.seen = select(1.0, max(facing, 0.02), known);
     return out;
 }
 
@@ -127,7 +138,7 @@ fn blend_pixel(in: Corner) -> Sums {
     if t <= 0.0 {
         discard;
     }
-    let weight = t * t;
+    let weight = t * t * in.seen;
     let deeper = in.depth - textureLoad(nearest, vec2u(in.position.xy), 0).r;
     return Sums(vec4f(in.color, 1.0) * weight, vec4f(in.normal, deeper) * weight);
 }

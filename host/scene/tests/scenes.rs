@@ -1,0 +1,314 @@
+//! Scenes that change: budgets, drags, ghosts, marks; and what must not go wrong.
+#![allow(clippy::unwrap_used, reason = "a test")]
+
+mod common;
+
+use std::time::Duration;
+
+use common::{
+    Model, RED, apart, at, difference, draw, draw_from, gpu, is_red, plain, project, same, sphere, view,
+};
+use glam::Vec3;
+use simod_core::render::Image;
+use simod_scene::{
+    Background, BadSurface, Budget, Dot, Gpu, Line, Mode, NoGpu, Scale, Scene, Style, Surface, View,
+};
+
+fn scene_of(gpu: &Gpu, model: &Model) -> Scene {
+    let mut scene = Scene::new(gpu);
+    scene.set_surface(&model.surface()).unwrap();
+    scene
+}
+
+fn shot(scene: &mut Scene, style: &Style) -> Image {
+    scene.render(&view(), style, None);
+    scene.read().unwrap()
+}
+
+/// A budget of a slow machine, of at most so many splats.
+fn budget_of(splats: usize) -> Budget {
+    let mut budget = Budget::new(Duration::from_secs(1));
+    while budget.splats() > splats {
+        budget.learn(Duration::from_secs(2), false);
+    }
+    budget
+}
+
+/// A part of the samples shows the same surface without holes, through which the blue one inside would be seen; and then
+/// the rest comes, to the picture that is drawn at once.
+#[test]
+fn a_part_is_closed_and_the_rest_follows() {
+    let Some(gpu) = gpu() else { return };
+    let model =
+        sphere(Vec3::ZERO, 1.0, 200).colored(RED).and(&sphere(Vec3::ZERO, 0.7, 30).colored([30, 50, 220]));
+    let style = Style { scale: Scale::Full, ..plain() };
+    let complete = shot(&mut scene_of(gpu, &model), &style);
+
+    for most in [64_000, 32_000, 16_000] {
+        let mut budget = budget_of(most);
+        assert!(!budget.is_coarse());
+        let mut scene = scene_of(gpu, &model);
+        scene.render(&view(), &style, Some(&mut budget));
+        let drawn = scene.drawn();
+        assert!(drawn.of == model.positions.len() && !drawn.complete);
+        assert!((most / 4..=most).contains(&drawn.drawn), "{drawn:?} within {most}");
+        let part = scene.read().unwrap();
+        for (x, y) in (0..240).flat_map(|x| (0..240).map(move |y| (x as f32 + 0.5, y as f32 + 0.5))) {
+            if (x - 120.0).hypot(y - 120.0) < 101.0 {
+                assert!(is_red(&part, [x, y]), "{drawn:?} at {x}, {y}");
+            }
+        }
+        let (_, beyond) = difference(&part, &complete, 16);
+        assert!(beyond < 0.03, "{drawn:?}: {beyond}");
+
+        let mut frames = 0;
+        while !scene.drawn().complete {
+            scene.render(&view(), &style, Some(&mut budget));
+            frames += 1;
+            assert!(frames < 100);
+        }
+        assert!(frames > 1);
+        assert_eq!(scene.drawn().drawn, model.positions.len());
+        assert!(same(&scene.read().unwrap(), &complete));
+    }
+}
+
+/// A slow machine draws moving frames in fewer pixels, and the last one in all.
+#[test]
+fn coarse_frames_become_fine_at_rest() {
+    let Some(gpu) = gpu() else { return };
+    let model = sphere(Vec3::ZERO, 1.0, 60).colored(RED);
+    let complete = draw(gpu, &model, &plain());
+    let mut budget = Budget::new(Duration::from_nanos(1));
+    for _ in 0..20 {
+        budget.learn(Duration::from_secs(1), false);
+    }
+    assert!(budget.is_coarse());
+    let mut scene = scene_of(gpu, &model);
+    scene.render(&view(), &plain(), Some(&mut budget));
+    assert!(!scene.drawn().complete);
+    assert!(difference(&scene.read().unwrap(), &complete, 40).1 < 0.05);
+    while !scene.drawn().complete {
+        scene.render(&view(), &plain(), Some(&mut budget));
+    }
+    assert!(same(&scene.read().unwrap(), &complete));
+}
+
+#[test]
+fn a_drag_moves_the_surface() {
+    let Some(gpu) = gpu() else { return };
+    let from = sphere(Vec3::new(-0.5, 0.0, 0.0), 0.4, 50).colored(RED);
+    let to = sphere(Vec3::new(0.5, 0.1, 0.0), 0.4, 50).colored(RED);
+    let mut scene = scene_of(gpu, &from);
+    let before = shot(&mut scene, &plain());
+    for (step, mode) in [(0.3, Mode::Splats), (1.0, Mode::Triangles), (1.0, Mode::Splats)] {
+        let positions: Vec<Vec3> =
+            from.positions.iter().zip(&to.positions).map(|(a, b)| a.lerp(*b, step)).collect();
+        scene.set_positions(&positions, &to.normals).unwrap();
+        shot(&mut scene, &Style { mode, ..plain() });
+    }
+    let after = scene.read().unwrap();
+    let place = project(&view(), Vec3::new(0.5, 0.1, 0.0));
+    assert!(is_red(&after, place) && !is_red(&before, place));
+    // Nothing of the way there is left.
+    assert!(difference(&after, &draw(gpu, &to, &plain()), 4).1 < 0.002);
+
+    let blue = vec![[30, 40, 230]; from.positions.len()];
+    scene.set_colors(&to.radii, Some(&blue)).unwrap();
+    assert!(!is_red(&shot(&mut scene, &plain()), place));
+}
+
+#[test]
+fn a_ghost_is_seen_beside_and_through_the_surface() {
+    let Some(gpu) = gpu() else { return };
+    let surface = sphere(Vec3::new(0.4, 0.0, 0.0), 0.5, 60);
+    let mut scene = scene_of(gpu, &surface);
+    for background in [Background::Light, Background::Dark] {
+        let style = Style { background, ..Style::default() };
+        let [beside, front, far] =
+            [[-0.5, 0.0, 0.0], [0.15, 0.0, 0.3], [0.0, 1.0, 0.0]].map(|p| project(&view(), Vec3::from(p)));
+        let without = shot(&mut scene, &style);
+        let ghost = sphere(Vec3::new(-0.2, 0.0, 0.5), 0.5, 60);
+        scene.set_ghost(Some(&ghost.surface())).unwrap();
+        let with = shot(&mut scene, &style);
+        for place in [beside, front] {
+            let (a, b) = (at(&without, place), at(&with, place));
+            assert!(apart(a, b) > 12, "{place:?}: {a:?}, {b:?}");
+        }
+        assert_eq!(at(&without, far), at(&with, far));
+        // It is clear where it is asked to be.
+        assert!(difference(&shot(&mut scene, &Style { ghost_opacity: 0.0, ..style }), &without, 1).1 == 0.0);
+        // Where nothing moved, it does not stain.
+        scene.set_ghost(Some(&surface.surface())).unwrap();
+        assert!(difference(&shot(&mut scene, &style), &without, 12).1 < 0.01);
+        scene.set_ghost(None).unwrap();
+        assert!(same(&shot(&mut scene, &style), &without));
+    }
+}
+
+#[test]
+fn marks_before_behind_and_on_top() {
+    let Some(gpu) = gpu() else { return };
+    let mut scene = scene_of(gpu, &sphere(Vec3::ZERO, 0.6, 80));
+    let line = |y: f32, z: f32, on_top| Line {
+        a: Vec3::new(-1.0, y, z),
+        b: Vec3::new(1.0, y, z),
+        color: [0, 160, 0, 255],
+        width_px: 3.0,
+        on_top,
+    };
+    scene.set_lines(&[line(0.1, 0.9, false), line(-0.1, -0.9, false), line(-0.3, -0.9, true)]);
+    let dot = |x: f32, z: f32, on_top| Dot {
+        position: Vec3::new(x, 0.3, z),
+        color: [200, 0, 200, 255],
+        size_px: 9.0,
+        on_top,
+    };
+    scene.set_dots(&[dot(-0.3, 0.9, false), dot(0.0, -0.9, false), dot(0.3, -0.9, true)]);
+    let image = shot(&mut scene, &plain());
+    let shows = |point: [f32; 3], color| apart(at(&image, project(&view(), Vec3::from(point))), color) < 12;
+    let (green, violet) = ([0, 160, 0], [200, 0, 200]);
+    assert!(shows([0.0, 0.1, 0.9], green) && shows([0.85, 0.1, 0.9], green));
+    assert!(!shows([0.0, -0.1, -0.9], green) && shows([0.85, -0.1, -0.9], green));
+    assert!(shows([0.0, -0.3, -0.9], green));
+    assert!(shows([-0.3, 0.3, 0.9], violet) && !shows([0.0, 0.3, -0.9], violet));
+    assert!(shows([0.3, 0.3, -0.9], violet));
+
+    // Marks alone change without the surface being drawn again, and leave nothing behind.
+    scene.set_lines(&[]);
+    scene.set_dots(&[]);
+    assert!(same(&shot(&mut scene, &plain()), &draw(gpu, &sphere(Vec3::ZERO, 0.6, 80), &plain())));
+}
+
+/// Lines to behind the eye, without an end, or without a length.
+#[test]
+fn odd_marks_do_no_harm() {
+    let Some(gpu) = gpu() else { return };
+    let mut scene = Scene::new(gpu);
+    let line = |a, b| Line { a, b, color: [200, 0, 0, 255], width_px: 3.0, on_top: true };
+    scene.set_lines(&[
+        line(Vec3::new(0.0, 0.0, 0.0), Vec3::new(0.3, 0.0, 30.0)),
+        line(Vec3::NAN, Vec3::ZERO),
+        line(Vec3::new(0.0, 0.0, 9.0), Vec3::new(1.0, 0.0, 30.0)),
+        line(Vec3::new(-0.5, 0.5, 0.0), Vec3::new(-0.5, 0.5, 0.0)),
+    ]);
+    let image = shot(&mut scene, &plain());
+    let red = |p: [f32; 3]| is_red(&image, project(&view(), Vec3::from(p)));
+    assert!(
+        red([0.01, 0.0, 1.0]) && red([-0.5, 0.5, 0.0]) && !red([0.5, -0.5, 0.0]) && !red([-0.3, 0.0, 0.0])
+    );
+}
+
+#[test]
+fn an_empty_scene_is_its_background() {
+    let Some(gpu) = gpu() else { return };
+    let mut scene = Scene::new(gpu);
+    assert!(scene.read().is_none());
+    let empty = shot(&mut scene, &Style::default());
+    assert!(empty.pixels().iter().all(|p| p[0] > 200 && p[0] <= p[2]));
+    assert!(scene.drawn().complete && scene.drawn().of == 0);
+    scene.set_surface(&Surface::default()).unwrap();
+    for mode in [Mode::Splats, Mode::Triangles] {
+        assert!(same(&shot(&mut scene, &Style { mode, ..Style::default() }), &empty));
+    }
+    let dark = shot(&mut scene, &Style { background: Background::Dark, ..Style::default() });
+    assert!(dark.pixels().iter().all(|p| p[0] < 90));
+}
+
+#[test]
+fn views_of_any_size() {
+    let Some(gpu) = gpu() else { return };
+    let mut scene = scene_of(gpu, &sphere(Vec3::ZERO, 0.8, 30).colored(RED));
+    for scale in [Scale::Half, Scale::Full, Scale::Double] {
+        for size in [[0, 0], [0, 7], [1, 1], [3, 500], [333, 77], [0, 0]] {
+            scene.render(&View { size, ..view() }, &Style { scale, ..plain() }, None);
+            let image = scene.read().unwrap();
+            assert_eq!([image.width(), image.height()], size.map(|s| s.max(1)));
+            let middle = [image.width() as f32 / 2.0, image.height() as f32 / 2.0];
+            assert!(is_red(&image, middle), "{size:?} {scale:?}");
+        }
+    }
+}
+
+#[test]
+fn the_same_picture_twice_has_the_same_bytes() {
+    let Some(gpu) = gpu() else { return };
+    let model = sphere(Vec3::new(-0.2, 0.1, 0.0), 0.8, 100).and(&sphere(Vec3::new(0.5, 0.3, 0.5), 0.3, 40));
+    let first = draw(gpu, &model, &Style::default());
+    assert!(same(&draw(gpu, &model, &Style::default()), &first));
+    // Nor does it depend on what was drawn before.
+    let mut scene = scene_of(gpu, &sphere(Vec3::ZERO, 1.0, 30));
+    shot(&mut scene, &Style { scale: Scale::Double, ..Style::default() });
+    scene.set_surface(&model.surface()).unwrap();
+    assert!(same(&shot(&mut scene, &Style::default()), &first));
+    let turned = View { view: view().view * glam::Mat4::from_rotation_y(0.7), ..view() };
+    assert!(!same(&draw_from(gpu, &model, &Style::default(), &turned), &first));
+}
+
+#[test]
+fn lists_that_do_not_fit_are_refused() {
+    let Some(gpu) = gpu() else { return };
+    let good = sphere(Vec3::ZERO, 0.8, 20);
+    let mut scene = scene_of(gpu, &good);
+    let before = shot(&mut scene, &plain());
+    let refused = |error: BadSurface, text: &str| assert_eq!(error.to_string().lines().next(), Some(text));
+    let n = good.positions.len();
+    let short = Surface { normals: &good.normals[1..], ..good.surface() };
+    refused(scene.set_surface(&short).unwrap_err(), &format!("normals: {} for {n} samples", n - 1));
+    let colors = Surface { colors: Some(&[[0; 3]; 2]), ..good.surface() };
+    refused(scene.set_surface(&colors).unwrap_err(), &format!("colours: 2 for {n} samples"));
+    let triangles = Surface { triangles: &[[0, 1, 2], [0, 9999, 1]], ..good.surface() };
+    refused(scene.set_surface(&triangles).unwrap_err(), &format!("triangle 1 has sample 9999 of {n}"));
+    refused(scene.set_positions(&[], &good.normals).unwrap_err(), &format!("positions: 0 for {n} samples"));
+    refused(scene.set_colors(&[], None).unwrap_err(), &format!("radii: 0 for {n} samples"));
+    assert!(same(&shot(&mut scene, &plain()), &before));
+}
+
+#[test]
+fn who_has_no_adapter_is_told_what_to_install() {
+    assert!(NoGpu::HINT.contains("mesa-vulkan-drivers"));
+}
+
+/// A device whose buffers hold a part of the samples gets them in several.
+#[test]
+fn samples_in_several_buffers() {
+    let Some(gpu) = gpu() else { return };
+    let model = sphere(Vec3::ZERO, 1.0, 200).colored(RED);
+    let whole = shot(&mut scene_of(gpu, &model), &plain());
+
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+    let adapter = pollster::block_on(instance.request_adapter(&Default::default())).unwrap();
+    // Room for 2^15 samples.
+    let required_limits = wgpu::Limits {
+        max_storage_buffer_binding_size: 1 << 19,
+        ..wgpu::Limits::default().or_worse_values_from(&adapter.limits())
+    };
+    let descriptor = wgpu::DeviceDescriptor { required_limits, ..Default::default() };
+    let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).unwrap();
+    let small = Gpu::of(device, queue, &adapter.get_info());
+    let mut scene = scene_of(&small, &model);
+    assert!(same(&shot(&mut scene, &plain()), &whole));
+
+    // Triangles cannot reach samples in other buffers, so splats stand in.
+    assert!(same(&shot(&mut scene, &Style { mode: Mode::Triangles, ..plain() }), &whole));
+    scene.set_positions(&model.positions, &model.normals).unwrap();
+    assert!(same(&shot(&mut scene, &plain()), &whole));
+}
+
+/// After a part, all is drawn at once where no budget holds it back.
+#[test]
+fn without_a_budget_all_is_drawn() {
+    let Some(gpu) = gpu() else { return };
+    let model = sphere(Vec3::ZERO, 1.0, 150).colored(RED);
+    let mut scene = scene_of(gpu, &model);
+    scene.render(&view(), &plain(), Some(&mut budget_of(16_000)));
+    assert!(!scene.drawn().complete);
+    let image = shot(&mut scene, &plain());
+    assert!(scene.drawn().complete && same(&image, &draw(gpu, &model, &plain())));
+    // A mesh that is larger than the budget is drawn as splats, and then as it is.
+    let mesh = Style { mode: Mode::Triangles, ..plain() };
+    scene.render(&view(), &mesh, Some(&mut budget_of(16_000)));
+    assert!(scene.drawn().of == model.positions.len() && !scene.drawn().complete);
+    shot(&mut scene, &mesh);
+    assert_eq!(scene.drawn().drawn, model.triangles.len());
+}
