@@ -1,0 +1,224 @@
+//! The picture itself: what the graphics card has of the scene, brought up to date where it changed.
+
+use super::Canvas;
+use super::colors::Colors;
+use crate::settings::Theme;
+use crate::window::Window;
+use eframe::egui::{Color32, Mesh, Rect, Shape, TextureId, Ui, pos2};
+use eframe::egui_wgpu::RenderState;
+use simod_scene::{Background, Budget, Gpu, Mode, Scene, Style, Surface, View};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Radius of a disc over the spacing of samples: enough that no gap is left.
+const RADIUS: f32 = 1.35;
+/// How long a picture may take while something moves: with a card, and in software.
+const GOALS: [Duration; 2] = [Duration::from_millis(12), Duration::from_millis(45)];
+
+/// The picture.
+pub struct Viewport(Option<Drawing>);
+
+struct Drawing {
+    render: RenderState,
+    scene: Scene,
+    budget: Budget,
+    texture: Option<(TextureId, [u32; 2])>,
+    colors: Colors,
+    shown: Option<Arc<simod_viewer::Scene>>,
+    ghost: bool,
+}
+
+impl Viewport {
+    /// None in tests that have nothing to draw with.
+    pub fn new(render: Option<&RenderState>) -> Self {
+        Self(render.map(Drawing::new))
+    }
+
+    /// The card went away: nothing is drawn any more.
+    pub fn lose(&mut self) {
+        self.0 = None;
+    }
+
+    /// The background alone.
+    pub fn clear(&mut self, ui: &Ui, rect: Rect, window: &Window) {
+        ui.painter().add(background(rect, window.settings.theme));
+    }
+
+    /// What to draw where the model is.
+    pub fn picture(&mut self, canvas: &Canvas<'_>, window: &mut Window) -> Shape {
+        match &mut self.0 {
+            Some(drawing) => drawing.picture(canvas, window),
+            None => background(canvas.rect(), window.settings.theme),
+        }
+    }
+}
+
+/// The colours that the renderer has behind the surface.
+fn background(rect: Rect, theme: Theme) -> Shape {
+    let (top, bottom) = match theme {
+        Theme::Dark => (Color32::from_rgb(58, 63, 71), Color32::from_rgb(30, 33, 38)),
+        Theme::Light => (Color32::from_rgb(246, 246, 247), Color32::from_rgb(214, 216, 219)),
+    };
+    let mut mesh = Mesh::default();
+    for (at, color) in [
+        (rect.left_top(), top),
+        (rect.right_top(), top),
+        (rect.right_bottom(), bottom),
+        (rect.left_bottom(), bottom),
+    ] {
+        mesh.colored_vertex(at, color);
+    }
+    mesh.add_triangle(0, 1, 2);
+    mesh.add_triangle(0, 2, 3);
+    Shape::mesh(mesh)
+}
+
+impl Drawing {
+    fn new(render: &RenderState) -> Self {
+        let gpu = Gpu::of(render.device.clone(), render.queue.clone(), &render.adapter.get_info());
+        let budget = Budget::new(GOALS[usize::from(gpu.is_software())]);
+        Self {
+            render: render.clone(),
+            scene: Scene::new(&gpu),
+            budget,
+            texture: None,
+            colors: Colors::default(),
+            shown: None,
+            ghost: false,
+        }
+    }
+
+    fn picture(&mut self, canvas: &Canvas<'_>, window: &mut Window) -> Shape {
+        let rect = canvas.rect();
+        let Some(scene) = window.state().scene().cloned() else {
+            return background(rect, window.settings.theme);
+        };
+        if let Err(error) = self.upload(&scene, window) {
+            let hint = "save the session, and report this";
+            let what = error.to_string();
+            window.toasts.error(&simod_core::Error::new(simod_core::ErrorKind::Io, what, hint));
+            return background(rect, window.settings.theme);
+        }
+        let size = window.state().size();
+        let camera = window.state().camera();
+        let bounds = self.bounds(&scene);
+        let view = View {
+            view: camera.view().as_mat4(),
+            projection: camera.projection(size, camera.near_far(bounds)).as_mat4(),
+            size: size.map(|s| s as u32),
+        };
+        let style = Style {
+            mode: if window.looks.triangles { Mode::Triangles } else { Mode::Splats },
+            own_colors: self.colors_are_own(),
+            background: match window.settings.theme {
+                Theme::Dark => Background::Dark,
+                Theme::Light => Background::Light,
+            },
+            occlusion: window.settings.occlusion,
+            ..Style::default()
+        };
+        let started = Instant::now();
+        let before = self.scene.drawn();
+        let picture = self.scene.render(&view, &style, Some(&mut self.budget)).clone();
+        let drawn = self.scene.drawn();
+        if drawn != before || !drawn.complete {
+            window.frame_time = started.elapsed();
+        }
+        if !drawn.complete {
+            canvas.ctx().request_repaint();
+        }
+        let id = self.texture(&picture, view.size);
+        let uv = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
+        Shape::image(id, rect, uv, Color32::WHITE)
+    }
+
+    /// Of all that is shown.
+    fn bounds(&self, scene: &simod_viewer::Scene) -> [glam::DVec3; 2] {
+        let [min, max] = scene.bounds();
+        let rest = &scene.sampled.bounds;
+        let frame = scene.frame();
+        let (low, high) = (frame.to_local(rest.min), frame.to_local(rest.max));
+        if self.ghost {
+            return [min.min(low).as_dvec3(), max.max(high).as_dvec3()];
+        }
+        [min.as_dvec3(), max.as_dvec3()]
+    }
+
+    fn colors_are_own(&self) -> bool {
+        self.colors.is_some()
+    }
+
+    /// Brings what the card has up to date.
+    fn upload(
+        &mut self,
+        scene: &Arc<simod_viewer::Scene>,
+        window: &mut Window,
+    ) -> Result<(), simod_scene::BadSurface> {
+        let known = self.shown.as_ref();
+        let same_samples = known.is_some_and(|known| Arc::ptr_eq(&known.sampled, &scene.sampled));
+        let same = same_samples && known.is_some_and(|known| known.revision == scene.revision);
+        let sampled = &scene.sampled;
+        let samples = &sampled.samples;
+        let (colors, recolored) = self.colors.update(window, scene);
+        if !same_samples {
+            let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
+            self.scene.set_surface(&Surface {
+                positions: &scene.positions,
+                normals: &scene.normals,
+                radii: &radii,
+                colors,
+                triangles: &sampled.triangles,
+            })?;
+        } else {
+            if !same {
+                self.scene.set_positions(&scene.positions, &scene.normals)?;
+            }
+            if recolored {
+                let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
+                self.scene.set_colors(&radii, colors)?;
+            }
+        }
+        if window.looks.ghost != self.ghost || self.ghost && !same_samples {
+            self.ghost = window.looks.ghost;
+            let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
+            let rest = Surface {
+                positions: &samples.positions,
+                normals: samples.normals(),
+                radii: &radii,
+                ..Surface::default()
+            };
+            self.scene.set_ghost(self.ghost.then_some(&rest))?;
+        }
+        if !same {
+            self.shown = Some(scene.clone());
+        }
+        Ok(())
+    }
+
+    /// The picture as egui knows it.
+    fn texture(&mut self, picture: &wgpu::TextureView, size: [u32; 2]) -> TextureId {
+        let mut renderer = self.render.renderer.write();
+        let (device, filter) = (&self.render.device, wgpu::FilterMode::Linear);
+        match self.texture {
+            Some((id, known)) if known == size => id,
+            Some((id, _)) => {
+                renderer.update_egui_texture_from_wgpu_texture(device, picture, filter, id);
+                self.texture = Some((id, size));
+                id
+            }
+            None => {
+                let id = renderer.register_native_texture(device, picture, filter);
+                self.texture = Some((id, size));
+                id
+            }
+        }
+    }
+}
+
+impl Drop for Drawing {
+    fn drop(&mut self) {
+        if let Some((id, _)) = self.texture {
+            self.render.renderer.write().free_texture(&id);
+        }
+    }
+}
