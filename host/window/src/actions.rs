@@ -6,7 +6,7 @@ use crate::settings::Theme;
 use crate::tools::Tool;
 use crate::window::Window;
 use crate::{regions, theme};
-use eframe::egui::{self, Key, Modifiers};
+use eframe::egui::{self, Event, Key, Modifiers};
 use simod_session::session_file::Role;
 use simod_viewer::camera::{Projection, Standard, Up};
 use simod_viewer::command::{Area, CameraMove};
@@ -278,7 +278,12 @@ const fn tool(
     run: fn(&mut Window),
     is_on: fn(&Window) -> bool,
 ) -> Action {
-    action(Menu::Tool, tool.name(), keys, is_open, run).on(is_on)
+    let can: fn(&Window) -> bool = match tool {
+        Tool::Stroke => |w| Tool::Stroke.is_of_use(w),
+        Tool::Joint => |w| Tool::Joint.is_of_use(w),
+        _ => is_open,
+    };
+    action(Menu::Tool, tool.name(), keys, can, run).on(is_on)
 }
 
 fn pick(w: &mut Window, tool: Tool) {
@@ -288,19 +293,35 @@ fn pick(w: &mut Window, tool: Tool) {
 /// Does what the keys say that were just pressed.
 pub fn keys(window: &mut Window) {
     let ctx = window.ctx().clone();
-    if ctx.egui_wants_keyboard_input() || window.question.is_some() {
+    let busy = |w: &Window| w.question.is_some() || w.palette.is_some();
+    if ctx.egui_wants_keyboard_input() || busy(window) {
         return;
     }
-    let pressed = |(modifiers, key): &(Modifiers, Key)| {
-        ctx.input_mut(|i| i.modifiers.matches_exact(*modifiers) && i.consume_key(*modifiers, *key))
-            || *key == Key::Plus
-                && ctx.input_mut(|i| i.modifiers.matches_exact(SHIFT) && i.consume_key(SHIFT, *key))
-    };
     for action in ALL {
-        if action.keys.iter().any(&pressed) && (action.can)(window) {
+        if action.keys.iter().any(|keys| take_key(&ctx, keys)) && (action.can)(window) {
             (action.run)(window);
+            if busy(window) {
+                return;
+            }
         }
     }
+}
+
+/// Whether a key was pressed just with these; then nobody else takes it. What is held now does not matter: in a slow picture
+/// it may be other keys already.
+fn take_key(ctx: &egui::Context, (with, key): &(Modifiers, Key)) -> bool {
+    let is_it = |event: &Event| match event {
+        Event::Key { key: k, pressed: true, modifiers, .. } if k == key => {
+            // Some keyboards have plus above another sign.
+            modifiers.matches_exact(*with) || *k == Key::Plus && modifiers.matches_logically(*with)
+        }
+        _ => false,
+    };
+    ctx.input_mut(|i| {
+        let before = i.events.len();
+        i.events.retain(|event| !is_it(event));
+        i.events.len() < before
+    })
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use crate::tools::{Target, Tool};
 use crate::window::Window;
 use simod_core::refinement::Finer;
+use simod_session::edit::Entry;
 use simod_session::session_file::Role;
 use simod_viewer::Command;
 
@@ -22,6 +23,23 @@ pub fn takes(window: &Window, role: Role) -> bool {
         Role::Fixed => consumes.fixed_regions,
         Role::Handle => consumes.handle_regions,
         Role::Mask => true,
+    }
+}
+
+/// What a step needs and does not have yet.
+pub fn missing(window: &Window, entry: &Entry) -> Option<&'static str> {
+    let deformation = entry.step.deformation()?;
+    let consumes = window.state().plugins().get(&deformation.deform).ok()?.consumes();
+    let number = |role| deformation.regions.iter().filter(|r| r.role == role).count();
+    let handles = consumes.min_handles as usize > number(Role::Handle);
+    let fixed = consumes.min_fixed as usize > number(Role::Fixed);
+    match (handles, fixed) {
+        (true, true) => {
+            Some("It needs a handle and a fixed region: select samples, and make them of the selection.")
+        }
+        (true, false) => Some("It needs a handle region: select samples, and make it of the selection."),
+        (false, true) => Some("It needs a fixed region: select samples, and make it of the selection."),
+        _ => None,
     }
 }
 

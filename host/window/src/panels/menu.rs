@@ -24,9 +24,11 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
     Panel::top("menu").frame(frame).show(ui, |ui| {
         MenuBar::new().ui(ui, |ui| {
             for (name, menu) in MENUS {
+                if menu == Menu::Tool {
+                    ui.menu_button("Step", |ui| add_step(ui, window, None));
+                }
                 ui.menu_button(name, |ui| entries(ui, window, menu));
             }
-            ui.menu_button("Step", |ui| add_step(ui, window, None));
             title(ui, window);
             ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
                 let text = RichText::new("Search commands   Ctrl+P").weak();

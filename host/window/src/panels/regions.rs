@@ -22,7 +22,10 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
     if let Some((step, _, deformation, Some(plugin))) = &chosen {
         side::part(ui);
         side::heading(ui, "Regions", |_| ());
-        missing(ui, deformation, plugin.consumes());
+        let text = "It acts on the whole model. A mask keeps it to a part.";
+        if deformation.regions.is_empty() && plugin.consumes().min_handles == 0 {
+            ui.label(RichText::new(text).weak());
+        }
         for (i, region) in deformation.regions.iter().enumerate() {
             row(ui, window, *step, deformation, i, region);
         }
@@ -33,23 +36,6 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
         joints(ui, window, step, &deformation);
         strokes(ui, &deformation);
     }
-}
-
-/// What the plugin needs and the step does not have yet.
-fn missing(ui: &mut Ui, deformation: &Deformation, consumes: simod_plugin_api::Consumes) {
-    let number = |role| deformation.regions.iter().filter(|r| r.role == role).count();
-    let handles = consumes.min_handles as usize > number(Role::Handle);
-    let fixed = consumes.min_fixed as usize > number(Role::Fixed);
-    let text = match (handles, fixed) {
-        (true, true) => {
-            "It needs a handle and a fixed region: select samples, and make them of the selection."
-        }
-        (true, false) => "It needs a handle region: select samples, and make it of the selection.",
-        (false, true) => "It needs a fixed region: select samples, and make it of the selection.",
-        _ if deformation.regions.is_empty() => "It acts on the whole model. A mask keeps it to a part.",
-        _ => return,
-    };
-    ui.label(RichText::new(text).weak());
 }
 
 fn row(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation, i: usize, region: &Region) {

@@ -1,6 +1,7 @@
 //! The list of steps, and how each fares.
 
 use super::{menu, side};
+use crate::regions;
 use crate::window::Window;
 use eframe::egui::{
     self, Align, Button, Color32, CornerRadius, Frame, Layout, Margin, RichText, Sense, Spinner, Stroke, Ui,
@@ -139,8 +140,15 @@ fn messages(ui: &mut Ui, window: &Window, entry: &Entry) {
     let Some(scene) = window.state().scene() else { return };
     let Some((_, status)) = scene.statuses.iter().find(|(id, _)| *id == entry.id) else { return };
     match status {
+        Status::Failed(_) if regions::missing(window, entry).is_some() => {
+            let what = regions::missing(window, entry).unwrap_or_default();
+            ui.label(RichText::new(what).small().color(ui.visuals().warn_fg_color));
+        }
         Status::Failed(error) => {
-            ui.label(RichText::new(error.to_string()).small().color(ui.visuals().error_fg_color));
+            // Steps of a file begin with their place in it.
+            let text = error.to_string();
+            let text = text.strip_prefix(": ").unwrap_or(&text);
+            ui.label(RichText::new(text).small().color(ui.visuals().error_fg_color));
             if !error.hint().is_empty() {
                 ui.label(RichText::new(error.hint()).small());
             }

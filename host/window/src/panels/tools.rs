@@ -32,18 +32,8 @@ pub fn show(ui: &mut Ui, window: &mut Window) {
     });
 }
 
-/// Whether the chosen step has any use for it.
-fn is_of_use(window: &Window, tool: Tool) -> bool {
-    let consumes = || window.chosen().and_then(|(_, _, _, plugin)| plugin).map(|plugin| plugin.consumes());
-    match tool {
-        Tool::Stroke => consumes().is_some_and(|c| c.strokes),
-        Tool::Joint => consumes().is_some_and(|c| c.joints),
-        _ => true,
-    }
-}
-
 fn button(ui: &mut Ui, window: &mut Window, tool: Tool) {
-    let enabled = is_of_use(window, tool);
+    let enabled = tool.is_of_use(window);
     let chosen = window.tools.tool == tool;
     let sense = if enabled { Sense::click() } else { Sense::hover() };
     let (rect, response) = ui.allocate_exact_size(vec2(SIZE, SIZE), sense);

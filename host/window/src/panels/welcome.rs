@@ -5,7 +5,7 @@ use crate::dialogs::Purpose;
 use crate::theme;
 use crate::window::Window;
 use eframe::egui::{
-    Align, Button, Color32, Frame, Layout, Margin, Rect, RichText, Ui, UiBuilder, Vec2, vec2,
+    Align, Button, Color32, Frame, Id, Layout, Margin, Rect, RichText, Ui, UiBuilder, Vec2, vec2,
 };
 use simod_viewer::engine::Job;
 use simod_viewer::state;
@@ -20,11 +20,17 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
         progress::show(ui, Rect::from_center_size(rect.center(), vec2(400.0, 120.0)), window);
         return;
     }
-    let area = Rect::from_center_size(rect.center(), SIZE.min(rect.size()));
+    // Its height is that of the last time.
+    let known = ui.ctx().data(|data| data.get_temp::<f32>(Id::unique("welcome"))).unwrap_or(SIZE.y);
+    let area = Rect::from_center_size(rect.center(), vec2(SIZE.x, known).min(rect.size()));
     let builder = UiBuilder::new().max_rect(area).layout(Layout::top_down(Align::Min));
     ui.scope_builder(builder, |ui| {
         let frame = Frame::window(ui.style()).inner_margin(Margin::same(28)).corner_radius(10.0);
-        frame.show(ui, |ui| content(ui, window));
+        let shown = frame.show(ui, |ui| content(ui, window)).response.rect.height();
+        ui.ctx().data_mut(|data| data.insert_temp(Id::unique("welcome"), shown));
+        if (shown - known).abs() > 1.0 {
+            ui.ctx().request_repaint();
+        }
     });
 }
 

@@ -59,6 +59,17 @@ impl Tool {
         }
     }
 
+    /// Whether the chosen step has any use for it.
+    pub fn is_of_use(self, window: &Window) -> bool {
+        let consumes =
+            || window.chosen().and_then(|(_, _, _, plugin)| plugin).map(|plugin| plugin.consumes());
+        match self {
+            Self::Stroke => consumes().is_some_and(|c| c.strokes),
+            Self::Joint => consumes().is_some_and(|c| c.joints),
+            _ => true,
+        }
+    }
+
     /// Whether it moves handles.
     pub fn is_gizmo(self) -> bool {
         matches!(self, Self::Move | Self::Rotate | Self::Scale)

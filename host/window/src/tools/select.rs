@@ -15,11 +15,9 @@ const SPACING: f64 = 3.0;
 pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     let tool = window.tools.tool;
     let combine = window.tools.combine_with(canvas.modifiers());
-    let pointer = canvas.pointer().map(|p| [p.x, p.y]);
     let drawing = !window.tools.path.is_empty();
-    let released = drawing && !canvas.is_down();
     if canvas.is_pressed()
-        && let Some(at) = pointer
+        && let Some(at) = canvas.press()
     {
         if tool == Tool::Connected {
             window.apply(Command::Select { area: Area::Connected { at }, combine, visible: false });
@@ -29,32 +27,36 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
         if tool == Tool::Brush {
             paint(canvas, window, vec![at], combine);
         }
-    } else if drawing
-        && canvas.is_down()
-        && let Some(at) = pointer
-    {
-        let last = window.tools.path.last().copied().unwrap_or(at);
-        let far = (at[0] - last[0]).hypot(at[1] - last[1]) >= SPACING;
-        match tool {
-            Tool::Box => {
-                window.tools.path.truncate(1);
-                window.tools.path.push(at);
-            }
-            Tool::Brush if far => {
-                window.tools.path.push(at);
-                // What is painted first has replaced the selection.
-                let combine = if combine == Combine::Replace { Combine::Add } else { combine };
-                paint(canvas, window, vec![last, at], combine);
-            }
-            _ if far => window.tools.path.push(at),
-            _ => {}
-        }
     }
-    if released {
-        finish(window, combine);
+    if !window.tools.path.is_empty() {
+        follow(canvas, window, combine);
+        if !canvas.is_down() {
+            finish(window, combine);
+        }
     }
     draw(canvas, window);
     drawing || canvas.is_pressed()
+}
+
+/// The pointer went on.
+fn follow(canvas: &Canvas<'_>, window: &mut Window, combine: Combine) {
+    let path = &mut window.tools.path;
+    let from = path.len() - 1;
+    for at in canvas.trail().into_iter().map(|p| [p.x, p.y]) {
+        let last = path.last().copied().unwrap_or(at);
+        if window.tools.tool == Tool::Box {
+            path.truncate(1);
+            path.push(at);
+        } else if (at[0] - last[0]).hypot(at[1] - last[1]) >= SPACING {
+            path.push(at);
+        }
+    }
+    let new = path[from.min(path.len() - 1)..].to_vec();
+    if window.tools.tool == Tool::Brush && new.len() > 1 {
+        // What is painted first has replaced the selection.
+        let combine = if combine == Combine::Replace { Combine::Add } else { combine };
+        paint(canvas, window, new, combine);
+    }
 }
 
 fn paint(canvas: &Canvas<'_>, window: &mut Window, path: Vec<[f64; 2]>, combine: Combine) {

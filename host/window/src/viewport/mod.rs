@@ -8,7 +8,7 @@ mod picture;
 
 use crate::window::Window;
 use crate::{panels, tools};
-use eframe::egui::{self, CentralPanel, Painter, PointerButton, Pos2, Rect, Response, Sense, Ui};
+use eframe::egui::{self, CentralPanel, Event, Painter, PointerButton, Pos2, Rect, Response, Sense, Ui};
 use glam::DVec2;
 pub use picture::Viewport;
 use simod_viewer::Command;
@@ -52,6 +52,32 @@ impl Canvas<'_> {
     pub fn pointer(&self) -> Option<DVec2> {
         let p = (self.pointer_pos()? - self.rect.min) * self.pixels_per_point;
         Some(DVec2::new(f64::from(p.x), f64::from(p.y)))
+    }
+
+    /// The pixel where the left button was pressed last.
+    pub fn press(&self) -> Option<[f64; 2]> {
+        let p = (self.ctx().input(|i| i.pointer.press_origin())? - self.rect.min) * self.pixels_per_point;
+        Some([f64::from(p.x), f64::from(p.y)])
+    }
+
+    /// The pixels that the pointer went through since the last picture, to where it is or was let go.
+    pub fn trail(&self) -> Vec<DVec2> {
+        let pixel = |p: Pos2| {
+            let p = (p - self.rect.min) * self.pixels_per_point;
+            DVec2::new(f64::from(p.x), f64::from(p.y))
+        };
+        let of = |event: &Event| match event {
+            Event::PointerMoved(p) => Some(pixel(*p)),
+            Event::PointerButton { pos, button: PointerButton::Primary, .. } => Some(pixel(*pos)),
+            _ => None,
+        };
+        let is_release = |event: &Event| {
+            matches!(event, Event::PointerButton { button: PointerButton::Primary, pressed: false, .. })
+        };
+        self.ctx().input(|i| {
+            let end = i.events.iter().position(is_release).map_or(i.events.len(), |at| at + 1);
+            i.events[..end].iter().filter_map(of).collect()
+        })
     }
 
     /// Where a pixel is, in points.

@@ -15,6 +15,9 @@ const RADIUS: f32 = 1.35;
 /// How long a picture may take while something moves: with a card, and in software.
 const GOALS: [Duration; 2] = [Duration::from_millis(12), Duration::from_millis(45)];
 
+/// How long a picture at rest may take, by what the budget knows, in seconds.
+const PATIENCE: f64 = 0.6;
+
 /// The picture.
 pub struct Viewport(Option<Drawing>);
 
@@ -26,6 +29,8 @@ struct Drawing {
     colors: Colors,
     shown: Option<Arc<simod_viewer::Scene>>,
     ghost: bool,
+    /// From where the last picture was.
+    seen: Option<View>,
 }
 
 impl Viewport {
@@ -85,6 +90,7 @@ impl Drawing {
             colors: Colors::default(),
             shown: None,
             ghost: false,
+            seen: None,
         }
     }
 
@@ -119,7 +125,14 @@ impl Drawing {
         };
         let started = Instant::now();
         let before = self.scene.drawn();
-        let picture = self.scene.render(&view, &style, Some(&mut self.budget)).clone();
+        let moves = canvas.ctx().input(|i| i.pointer.any_down()) || self.seen != Some(view);
+        self.seen = Some(view);
+        // At rest all is drawn at once, unless that would take too long to wait for.
+        let parts = scene.len() as f64 / self.budget.splats() as f64;
+        let takes = parts * GOALS[usize::from(self.scene.gpu().is_software())].as_secs_f64();
+        let whole = !moves && takes < PATIENCE;
+        let budget = (!whole).then_some(&mut self.budget);
+        let picture = self.scene.render(&view, &style, budget).clone();
         let drawn = self.scene.drawn();
         if drawn != before || !drawn.complete {
             window.frame_time = started.elapsed();
