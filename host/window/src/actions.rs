@@ -293,7 +293,7 @@ fn pick(w: &mut Window, tool: Tool) {
 /// Does what the keys say that were just pressed.
 pub fn keys(window: &mut Window) {
     let ctx = window.ctx().clone();
-    let busy = |w: &Window| w.question.is_some() || w.palette.is_some();
+    let busy = |w: &Window| w.question.is_some() || w.palette.is_some() || w.prompt.is_some();
     if ctx.egui_wants_keyboard_input() || busy(window) {
         return;
     }

@@ -3,6 +3,7 @@
 use rfd::FileDialog;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
 
 /// What a file is chosen for.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -26,20 +27,37 @@ pub enum Purpose {
     },
 }
 
+impl Purpose {
+    /// What the user reads.
+    pub fn title(&self) -> &'static str {
+        match self {
+            Self::Open => "Open a model or a session",
+            Self::OpenFolder => "Open the folder of a sampled model",
+            Self::Save => "Save the session",
+            Self::Write => "Write the deformed model",
+            Self::Parameter { .. } => "Choose a file",
+        }
+    }
+}
+
 /// A dialog that is open.
 pub struct Dialog {
     /// What for.
     pub purpose: Purpose,
+    since: Instant,
     chosen: Receiver<Option<PathBuf>>,
 }
 
 const MODELS: [&str; 1] = ["ply"];
 
+/// No hand is quicker.
+const QUICKEST: Duration = Duration::from_millis(300);
+
 impl Dialog {
     /// Opens it; it begins at this path. `wake` is called once the user has chosen.
     pub fn open(purpose: Purpose, at: Option<&Path>, wake: impl FnOnce() + Send + 'static) -> Self {
         let (sender, chosen) = channel();
-        let mut dialog = FileDialog::new();
+        let mut dialog = FileDialog::new().set_title(purpose.title());
         if let Some(folder) = at.and_then(Path::parent).filter(|f| f.is_dir()) {
             dialog = dialog.set_directory(folder);
         }
@@ -49,22 +67,18 @@ impl Dialog {
         let ask: Box<dyn FnOnce() -> Option<PathBuf> + Send> = match &purpose {
             Purpose::Open => {
                 let all: Vec<&str> = MODELS.into_iter().chain(["toml"]).collect();
-                let dialog =
-                    dialog.set_title("Open a model or a session").add_filter("Models, sessions", &all);
+                let dialog = dialog.add_filter("Models, sessions", &all);
                 let dialog = dialog.add_filter("All files", &["*"]);
                 Box::new(move || dialog.pick_file())
             }
-            Purpose::OpenFolder => {
-                let dialog = dialog.set_title("Open the folder of a sampled model");
-                Box::new(move || dialog.pick_folder())
-            }
+            Purpose::OpenFolder => Box::new(move || dialog.pick_folder()),
             Purpose::Save => {
-                let dialog = dialog.set_title("Save the session").add_filter("Session", &["toml"]);
+                let dialog = dialog.add_filter("Session", &["toml"]);
                 let dialog = dialog.set_file_name(name("session.toml"));
                 Box::new(move || dialog.save_file())
             }
             Purpose::Write => {
-                let dialog = dialog.set_title("Write the deformed model").set_file_name(name("deformed.ply"));
+                let dialog = dialog.set_file_name(name("deformed.ply"));
                 Box::new(move || dialog.save_file())
             }
             Purpose::Parameter { extensions, .. } => {
@@ -80,7 +94,12 @@ impl Dialog {
             let _ = sender.send(ask());
             wake();
         });
-        Self { purpose, chosen }
+        Self { purpose, since: Instant::now(), chosen }
+    }
+
+    /// Whether nobody could have closed it as quickly as that: the system has no dialogs.
+    pub fn was_never_there(&self) -> bool {
+        self.since.elapsed() < QUICKEST
     }
 
     /// What the user chose, once; nothing inside if the dialog was closed.

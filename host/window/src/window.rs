@@ -1,7 +1,7 @@
 //! The state, and what is the window's own.
 
 use crate::dialogs::{Dialog, Purpose};
-use crate::panels::{Palette, Report, Toasts};
+use crate::panels::{Palette, Prompt, Report, Toasts};
 use crate::settings::Settings;
 use crate::tools::Tools;
 use crate::{example, theme};
@@ -69,11 +69,17 @@ pub struct Window {
     pub report: Option<Report>,
     /// The list of keys, while it is read.
     pub shows_keys: bool,
+    /// A path that is typed, where the system has no dialogs.
+    pub prompt: Option<Prompt>,
     /// To be answered first.
     pub question: Option<Question>,
     dialog: Option<Dialog>,
+    /// Where the dialog began.
+    typed: String,
     leaving: bool,
     opened: Option<PathBuf>,
+    /// Whether what was opened is still to come.
+    awaited: bool,
     recorded: VecDeque<Command>,
     kept: Instant,
     /// How long the last pictures took, and when what was opened was asked for, for the status line.
@@ -99,10 +105,13 @@ impl Window {
             palette: None,
             report: None,
             shows_keys: false,
+            prompt: None,
             question: None,
             dialog: None,
+            typed: String::new(),
             leaving: false,
             opened: None,
+            awaited: false,
             recorded: VecDeque::new(),
             kept: Instant::now(),
             frame_time: Duration::ZERO,
@@ -180,12 +189,24 @@ impl Window {
                 }
             }
         }
+        if self.awaited && self.state.is_settled() {
+            self.awaited = false;
+            self.choose_last();
+        }
         self.take_answer();
         self.go_on_replaying();
         if self.kept.elapsed() > KEEP {
             self.keep();
         }
         self.ctx.request_repaint_after(KEEP);
+    }
+
+    /// The last step that deforms is what somebody goes on with who opens a session.
+    fn choose_last(&mut self) {
+        let step = self.steps().iter().rposition(|entry| entry.step.deformation().is_some());
+        if step.is_some() && self.state.chosen().is_none() {
+            self.apply(Command::Choose { step });
+        }
     }
 
     /// Keeps the edit against a crash.
@@ -242,7 +263,7 @@ impl Window {
             self.tools.reset();
             self.settings.remember(&path);
             self.keep_settings();
-            self.opened = Some(path);
+            (self.opened, self.awaited) = (Some(path), true);
         }
     }
 
@@ -317,15 +338,23 @@ impl Window {
             }),
             _ => self.settings.recent.first().cloned(),
         };
+        let text = at.as_ref().map_or_else(String::new, |path| path.display().to_string());
+        self.typed = text;
         let ctx = self.ctx.clone();
         self.dialog = Some(Dialog::open(purpose, at.as_deref(), move || ctx.request_repaint()));
     }
 
     fn take_answer(&mut self) {
         let Some(answer) = self.dialog.as_ref().and_then(Dialog::answer) else { return };
-        let Some(Dialog { purpose, .. }) = self.dialog.take() else { return };
-        let Some(path) = answer else { return };
-        self.answered(purpose, path);
+        let Some(dialog) = self.dialog.take() else { return };
+        let never = dialog.was_never_there();
+        match answer {
+            Some(path) => self.answered(dialog.purpose, path),
+            None if never => {
+                self.prompt = Some(Prompt { purpose: dialog.purpose, text: std::mem::take(&mut self.typed) });
+            }
+            None => {}
+        }
     }
 
     /// A file was chosen.

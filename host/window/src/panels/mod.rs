@@ -7,6 +7,7 @@ pub mod over;
 mod palette;
 mod parameters;
 mod progress;
+mod prompt;
 mod questions;
 mod regions;
 mod report;
@@ -20,16 +21,23 @@ pub mod welcome;
 use crate::window::Window;
 use eframe::egui;
 pub use palette::Palette;
+pub use prompt::Prompt;
 pub use report::Report;
 pub use toasts::Toasts;
 
 /// Windows over all the rest.
 pub fn floating(ctx: &egui::Context, window: &mut Window) {
+    prompt::show(ctx, window);
     questions::show(ctx, window);
     palette::show(ctx, window);
     report::show(ctx, window);
     keys::show(ctx, window);
     toasts::show(ctx, window);
+}
+
+/// The frame of what has to be answered.
+fn modal(ctx: &egui::Context) -> egui::Frame {
+    egui::Frame::popup(&ctx.global_style()).inner_margin(egui::Margin::same(20)).corner_radius(8.0)
 }
 
 /// Bytes as people read them.

@@ -38,8 +38,9 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
                         }
                     });
                 });
-                let bar = ProgressBar::new(activity.fraction.unwrap_or(0.0)).desired_height(8.0);
-                ui.add(bar);
+                if let Some(fraction) = activity.fraction {
+                    ui.add(ProgressBar::new(fraction).desired_height(8.0));
+                }
                 let mut line = format!("{:.0} s", activity.seconds);
                 if activity.rate > 0.0 && activity.fraction.is_some() {
                     line += &format!("   \u{00b7}   {}/s", bytes(activity.rate));

@@ -13,7 +13,7 @@ fn first(ui: &mut Ui, text: &str) -> bool {
 pub fn show(ctx: &egui::Context, window: &mut Window) {
     let Some(question) = window.question.take() else { return };
     let mut again = true;
-    let modal = Modal::new(Id::unique("question")).show(ctx, |ui| {
+    let modal = Modal::new(Id::unique("question")).frame(super::modal(ctx)).show(ctx, |ui| {
         ui.set_width(380.0);
         match &question {
             Question::Unsaved(leaving) => again = unsaved(ui, window, leaving),

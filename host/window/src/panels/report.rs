@@ -24,7 +24,7 @@ impl Report {
 pub fn show(ctx: &egui::Context, window: &mut Window) {
     let Some(Report { output, report, seconds }) = &window.report else { return };
     let mut done = false;
-    let modal = Modal::new(Id::unique("report")).show(ctx, |ui| {
+    let modal = Modal::new(Id::unique("report")).frame(super::modal(ctx)).show(ctx, |ui| {
         ui.set_width(420.0);
         ui.heading("The deformed model is written");
         ui.add_space(6.0);

@@ -5,6 +5,7 @@ use crate::regions;
 use crate::window::Window;
 use eframe::egui::{
     self, Align, Button, Color32, CornerRadius, Frame, Layout, Margin, RichText, Sense, Spinner, Stroke, Ui,
+    UiBuilder,
 };
 use simod_core::refinement::Finer;
 use simod_session::edit::{self, Change, Entry, Status};
@@ -44,42 +45,48 @@ fn row(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize)
         .corner_radius(CornerRadius::same(5))
         .inner_margin(Margin::symmetric(8, 5));
     let name = title(window, entry);
-    let inner = frame.show(ui, |ui| {
-        ui.set_min_width(ui.available_width());
-        ui.horizontal(|ui| {
-            let mut enabled = entry.step.enabled;
-            let check = ui.checkbox(&mut enabled, "");
-            check.widget_info(|| {
-                egui::WidgetInfo::selected(
-                    egui::Role::CheckBox,
-                    true,
-                    entry.step.enabled,
-                    format!("Enable {name}"),
-                )
-            });
-            if check.on_hover_text("Do this step, or leave it out").changed() {
-                window.change(at, Change::Enable(enabled), false);
-            }
-            let text = RichText::new(&name);
-            let text = if entry.step.enabled { text.strong() } else { text.weak() };
-            let label = Button::new(text).frame(false).truncate();
-            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                more(ui, window, at, entry, count);
-                state(ui, window, at);
-                ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
-                    if ui.add(label).clicked() {
-                        choose(window, at, chosen);
-                    }
-                });
-            });
-        });
-        messages(ui, window, entry);
+    // What is in the row comes later, and before it: it takes its clicks first.
+    let builder = UiBuilder::new().id_salt(entry.id).sense(Sense::click());
+    let whole = ui.scope_builder(builder, |ui| {
+        frame.show(ui, |ui| content(ui, window, at, entry, count, &name));
     });
-    let area = inner.response.interact(Sense::click());
-    if area.clicked() {
+    if whole.response.clicked() {
         choose(window, at, chosen);
     }
     ui.add_space(1.0);
+}
+
+fn content(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize, name: &str) {
+    let chosen = window.state().chosen() == Some(at);
+    ui.set_min_width(ui.available_width());
+    ui.horizontal(|ui| {
+        let mut enabled = entry.step.enabled;
+        let check = ui.checkbox(&mut enabled, "");
+        check.widget_info(|| {
+            egui::WidgetInfo::selected(
+                egui::Role::CheckBox,
+                true,
+                entry.step.enabled,
+                format!("Enable {name}"),
+            )
+        });
+        if check.on_hover_text("Do this step, or leave it out").changed() {
+            window.change(at, Change::Enable(enabled), false);
+        }
+        let text = RichText::new(name);
+        let text = if entry.step.enabled { text.strong() } else { text.weak() };
+        let label = Button::new(text).frame(false).truncate();
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+            more(ui, window, at, entry, count);
+            state(ui, window, at);
+            ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
+                if ui.add(label).clicked() {
+                    choose(window, at, chosen);
+                }
+            });
+        });
+    });
+    messages(ui, window, entry);
 }
 
 fn choose(window: &mut Window, at: usize, chosen: bool) {

@@ -105,7 +105,9 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     let transform = transform(&place.matrix, |p| frame.to_local_exact(p));
     let gizmo = &mut window.tools.gizmo;
     gizmo.update_config(config);
-    let at = canvas.pointer_pos().unwrap_or(Pos2::ZERO);
+    // Where it was pressed: in a slow picture the pointer may be far from there already.
+    let pressed = canvas.is_pressed().then(|| canvas.ctx().input(|i| i.pointer.press_origin())).flatten();
+    let at = pressed.or(canvas.pointer_pos()).unwrap_or(Pos2::ZERO);
     let interaction = GizmoInteraction {
         cursor_pos: (at.x, at.y),
         hovered: canvas.is_hovered(),

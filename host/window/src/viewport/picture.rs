@@ -134,7 +134,8 @@ impl Drawing {
         let budget = (!whole).then_some(&mut self.budget);
         let picture = self.scene.render(&view, &style, budget).clone();
         let drawn = self.scene.drawn();
-        if drawn != before || !drawn.complete {
+        // Without a budget the card goes on drawing meanwhile.
+        if !whole && (drawn != before || !drawn.complete) {
             window.frame_time = started.elapsed();
         }
         if !drawn.complete {
