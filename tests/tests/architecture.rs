@@ -88,7 +88,7 @@ fn arrows_go_one_way() {
     crates.expect_members("tests/bad-plugins", &["simod-plugin-api"]);
     crates.expect_members("host/core", &[]);
     crates.expect_members("host/session", &["simod-core", "simod-plugin-api"]);
-    crates.expect_members("host/viewer", &["simod-core", "simod-plugin-api", "simod-session"]);
+    crates.expect_members("host/viewer", &["simod-core", "simod-session", "simod-plugin-api"]);
     crates.expect_members("host/cli", &["simod-core", "simod-session"]);
     crates.expect_members("host/scene", &["simod-core"]);
 

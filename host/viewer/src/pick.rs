@@ -1,7 +1,7 @@
 //! What can be seen from the camera: a small depth buffer of splats, drawn on the processor, one sample after the other, so
 //! that it is the same everywhere.
 
-use crate::camera::{Camera, Ray};
+use crate::camera::{Camera, Projection, Ray};
 use crate::scene::Scene;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
@@ -43,6 +43,7 @@ pub struct DepthBuffer {
     camera: Camera,
     /// The picture's size, in pixels of the window, and those of the buffer.
     size: [f64; 2],
+    lens: Lens,
     width: usize,
     height: usize,
     nearest: Vec<(f32, u32)>,
@@ -50,16 +51,72 @@ pub struct DepthBuffer {
     radii: Vec<f32>,
 }
 
-/// A sample's disc before the camera.
+/// A sample's disc before the camera. Vectors are the eye's: to the right, upwards, and depth.
 struct Disc {
     pixel: DVec2,
-    depth: f64,
     radius: f64,
     /// In pixels of the buffer.
     reach: f64,
     normal: DVec3,
     center: DVec3,
     faces: bool,
+}
+
+/// The camera's map to the pixels of the buffer, with all that many points share.
+struct Lens {
+    eye: DVec3,
+    axes: [DVec3; 3],
+    flat: bool,
+    /// Half of the picture's width and height at depth 1, or at any depth.
+    half: DVec2,
+    size: DVec2,
+}
+
+impl Lens {
+    fn new(camera: &Camera, size: [f64; 2]) -> Self {
+        let flat = camera.projection == Projection::Orthographic;
+        let height = 0.5 * size[1] * camera.pixel_length(1.0, size);
+        let half = DVec2::new(height * size[0] / size[1], height);
+        Self { eye: camera.eye(), axes: camera.axes(), flat, half, size: size.into() }
+    }
+
+    fn direction_to_eye(&self, v: DVec3) -> DVec3 {
+        let [right, up, back] = self.axes;
+        DVec3::new(v.dot(right), v.dot(up), -v.dot(back))
+    }
+
+    /// The point on a pixel's ray at depth 1.
+    fn ray(&self, pixel: DVec2) -> DVec2 {
+        (2.0 * pixel / self.size - 1.0) * DVec2::new(self.half.x, -self.half.y)
+    }
+
+    fn disc(&self, center: DVec3, normal: DVec3, radius: f64) -> Option<Disc> {
+        let (center, normal) = (self.direction_to_eye(center - self.eye), self.direction_to_eye(normal));
+        let share = if self.flat { 1.0 } else { center.z };
+        if share <= 0.0 {
+            return None;
+        }
+        let at = center.truncate() / (self.half * share);
+        let pixel = 0.5 * self.size * (1.0 + DVec2::new(at.x, -at.y));
+        let reach = (0.5 * self.size.y * radius / (self.half.y * share)).clamp(LEAST_REACH, LONGEST);
+        let faces = if self.flat { normal.z < 0.0 } else { normal.dot(center) < 0.0 };
+        pixel.is_finite().then_some(Disc { pixel, radius, reach, normal, center, faces })
+    }
+
+    /// How deep a disc is at a pixel, where it covers it. One that is seen edge-on still covers its own pixel.
+    fn depth_at(&self, pixel: DVec2, disc: &Disc) -> Option<f64> {
+        let (ray, n, c) = (self.ray(pixel), disc.normal, disc.center);
+        let hit = if self.flat {
+            ray.extend(c.z - n.truncate().dot(ray - c.truncate()) / n.z)
+        } else {
+            let ray = ray.extend(1.0);
+            ray * (n.dot(c) / n.dot(ray))
+        };
+        if hit.distance_squared(c) <= disc.radius * disc.radius {
+            return Some(hit.z);
+        }
+        (pixel.distance_squared(disc.pixel) <= LEAST_REACH * LEAST_REACH).then_some(c.z)
+    }
 }
 
 impl DepthBuffer {
@@ -77,7 +134,8 @@ impl DepthBuffer {
         };
         let radii: Vec<f32> = (0..scene.len()).into_par_iter().map(radius).collect();
         let nearest = vec![(f32::INFINITY, NOBODY); width * height];
-        let mut this = Self { camera: *camera, size, width, height, nearest, radii };
+        let lens = Lens::new(camera, [width as f64, height as f64]);
+        let mut this = Self { camera: *camera, size, lens, width, height, nearest, radii };
         for i in 0..scene.len() {
             if let Some(disc) = this.disc(scene, i) {
                 this.draw(i as u32, &disc);
@@ -91,19 +149,9 @@ impl DepthBuffer {
         self.camera == *camera && self.size == size
     }
 
-    fn buffer_size(&self) -> [f64; 2] {
-        [self.width as f64, self.height as f64]
-    }
-
     fn disc(&self, scene: &Scene, i: usize) -> Option<Disc> {
         let (center, normal) = (scene.positions[i].as_dvec3(), scene.normals[i].as_dvec3());
-        let (pixel, depth) = self.camera.project(center, self.buffer_size())?;
-        let radius = f64::from(self.radii[i]);
-        let reach =
-            (radius / self.camera.pixel_length(depth, self.buffer_size())).clamp(LEAST_REACH, LONGEST);
-        let ray = self.camera.ray(pixel, self.buffer_size());
-        let faces = normal.dot(ray.direction) < 0.0;
-        Some(Disc { pixel, depth, radius, reach, normal, center, faces })
+        self.lens.disc(center, normal, f64::from(self.radii[i]))
     }
 
     fn draw(&mut self, sample: u32, disc: &Disc) {
@@ -114,23 +162,12 @@ impl DepthBuffer {
         for y in range(disc.pixel.y, self.height) {
             for x in range(disc.pixel.x, self.width) {
                 let pixel = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
-                let Some(depth) = self.depth_at(pixel, disc) else { continue };
+                let Some(depth) = self.lens.depth_at(pixel, disc) else { continue };
                 let nearest = &mut self.nearest[y * self.width + x];
                 if (depth as f32) < nearest.0 {
                     *nearest = (depth as f32, sample);
                 }
             }
-        }
-    }
-
-    /// How deep a disc is at a pixel, where it covers it. One that is seen edge-on still covers its own pixel.
-    fn depth_at(&self, pixel: DVec2, disc: &Disc) -> Option<f64> {
-        let ray = self.camera.ray(pixel, self.buffer_size());
-        let hit = plane(&ray, disc.center, disc.normal);
-        let depth = |p: DVec3| -(p - self.camera.eye()).dot(self.camera.axes()[2]);
-        match hit.filter(|p| p.distance_squared(disc.center) <= disc.radius * disc.radius) {
-            Some(p) => Some(depth(p)),
-            None => (pixel.distance_squared(disc.pixel) <= LEAST_REACH * LEAST_REACH).then_some(disc.depth),
         }
     }
 
@@ -140,8 +177,8 @@ impl DepthBuffer {
             let Some(disc) = self.disc(scene, i) else { return false };
             let Some((depth, _)) = self.at(disc.pixel) else { return false };
             // Depths are those of the pixels' middles.
-            let pixel = self.camera.pixel_length(disc.depth, self.buffer_size());
-            disc.depth <= f64::from(depth) + BEHIND[usize::from(!disc.faces)] * disc.radius + pixel
+            let pixel = disc.radius / disc.reach;
+            disc.center.z <= f64::from(depth) + BEHIND[usize::from(!disc.faces)] * disc.radius + pixel
         };
         (0..scene.len()).into_par_iter().map(is_seen).collect()
     }

@@ -1,7 +1,7 @@
 //! The thread that owns the samples and does the steps, so that the window never waits.
 //!
 //! Of requests to do steps, the latest wins: one that waits is replaced. One that runs goes on, so that a drag is followed
-//! as quickly as the plugins are, unless its result is of no more use: see [`is_wasted`]. A preparation that the newer
+//! as quickly as the plugins are, unless its result is of no more use: see `wasted`. A preparation that the newer
 //! request needs as well is never cancelled by it, or slow ones would never come to an end while a handle is dragged.
 //!
 //! The deformed model is written on a thread of its own, so that the edit goes on meanwhile.

@@ -7,6 +7,7 @@ use crate::overlay::Overlay;
 use crate::scene::Scene;
 use crate::selection::Selection;
 use simod_core::output::folder_of;
+use simod_core::reconstruction::Reconstruction;
 use simod_core::{Error, Result};
 use simod_plugin_api::Effort;
 use simod_session::edit::{self, Change, Document, Editor};
@@ -141,7 +142,8 @@ impl State {
         }
         let open = self.open.as_mut().ok_or_else(nothing_open)?;
         open.editor.set_output(output.clone());
-        let how = Self::reconstruction();
+        // As `simod run` does unless told otherwise.
+        let how = Reconstruction::default();
         let model = open.editor.model().map(Path::to_owned);
         let writing = Writing { output, model, method: how.method, normals: how.normals };
         self.engine.write(open.steps().clone(), writing);

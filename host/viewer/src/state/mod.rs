@@ -14,7 +14,7 @@ use crate::pick::DepthBuffer;
 use crate::record::Recorder;
 use crate::scene::Scene;
 use crate::selection::{Adjacency, Selection};
-use simod_core::reconstruction::{Reconstructed, Reconstruction};
+use simod_core::reconstruction::Reconstructed;
 use simod_core::{Error, ErrorKind, Result};
 use simod_plugin_api::Effort;
 use simod_session::edit::{Document, Editor, Entry, StepId};
@@ -289,11 +289,6 @@ impl State {
     /// The file cannot be written.
     pub fn autosave(&mut self) -> Result<()> {
         self.open.as_mut().map_or(Ok(()), |open| open.editor.autosave())
-    }
-
-    /// How a model is written: as `simod run` does unless told otherwise.
-    pub fn reconstruction() -> Reconstruction<'static> {
-        Reconstruction::default()
     }
 }
 

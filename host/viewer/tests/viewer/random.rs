@@ -134,7 +134,7 @@ fn check(state: &mut State) {
     }
 }
 
-/// Does so many random commands; `seconds` is how long it may take at most.
+/// Does so many random commands.
 fn soak(commands: usize) {
     let folder = tempfile::tempdir().unwrap();
     let mut state = state(plugins());
