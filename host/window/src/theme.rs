@@ -103,6 +103,7 @@ impl Palette {
         }
         w.noninteractive.bg_stroke = Stroke::new(1.0, self.line);
         (w.inactive.bg_fill, w.inactive.weak_bg_fill) = (self.button, self.button);
+        w.inactive.bg_stroke = Stroke::new(1.0, self.hovered.gamma_multiply(0.8));
         for widget in [&mut w.hovered, &mut w.active, &mut w.open] {
             (widget.bg_fill, widget.weak_bg_fill) = (self.hovered, self.hovered);
             widget.fg_stroke = Stroke::new(1.0, self.strong);

@@ -278,6 +278,9 @@ fn strokes(ui: &mut Ui, deformation: &Deformation) {
         return;
     }
     side::part(ui);
-    let text = format!("{} brush strokes", deformation.strokes.len());
+    let text = match deformation.strokes.len() {
+        1 => "1 brush stroke".to_owned(),
+        n => format!("{n} brush strokes"),
+    };
     ui.label(RichText::new(text).weak()).on_hover_text("Undo takes the last one back");
 }

@@ -114,7 +114,13 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
         drag_started: canvas.is_pressed(),
         dragging: canvas.is_down(),
     };
-    let moved = gizmo.update(interaction, &[transform]);
+    // What it was dragged to when it was let go counts, too.
+    let released = window.tools.dragging && !canvas.is_down();
+    let moved = gizmo
+        .update(GizmoInteraction { dragging: canvas.is_down() || released, ..interaction }, &[transform]);
+    if released {
+        gizmo.update(interaction, &[transform]);
+    }
     let (focused, mesh) = (gizmo.is_focused(), mesh(gizmo));
     canvas.painter().add(mesh);
     if let Some((_, to)) = moved {
@@ -123,7 +129,9 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
             window.tools.dragging = true;
             window.change(place.step, change, true);
         }
-    } else if std::mem::take(&mut window.tools.dragging) {
+    }
+    if window.tools.dragging && !canvas.is_down() {
+        window.tools.dragging = false;
         window.apply(Command::Rest);
     }
     focused

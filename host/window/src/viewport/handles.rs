@@ -8,9 +8,13 @@ use eframe::egui::{Color32, Pos2, Shape, Stroke, pos2};
 use glam::DVec3;
 use simod_session::session_file::Role;
 use simod_viewer::motion::handle_matrix;
+use std::collections::HashMap;
 
 /// How near the pointer has to be, in points.
 const REACH: f32 = 11.0;
+
+/// Of dots that are not chosen.
+const DOT: Color32 = Color32::from_rgb(90, 160, 235);
 
 /// A dot.
 struct Dot {
@@ -72,6 +76,7 @@ pub fn draw(canvas: &Canvas<'_>, window: &Window) {
     for (a, b) in dots.iter().filter_map(|dot| Some((dot.at, dot.parent?))) {
         bone(canvas, b, a);
     }
+    grid(canvas, &dots);
     let [nearest, farthest] = dots
         .iter()
         .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], dot| [a.min(dot.depth), b.max(dot.depth)]);
@@ -84,8 +89,8 @@ pub fn draw(canvas: &Canvas<'_>, window: &Window) {
         let (color, radius) = match (chosen, hovered) {
             (true, _) => (theme::color(theme::SELECTED), 6.0),
             (_, true) => (Color32::WHITE, 6.5),
-            _ if many => (Color32::from_rgb(90, 160, 235).gamma_multiply(1.0 - 0.6 * far), 3.0),
-            _ => (Color32::from_rgb(90, 160, 235).gamma_multiply(1.0 - 0.5 * far), 5.0),
+            _ if many => (DOT.gamma_multiply(1.0 - 0.6 * far), 3.0),
+            _ => (DOT.gamma_multiply(1.0 - 0.5 * far), 5.0),
         };
         let outline = Stroke::new(1.2, Color32::from_black_alpha(if chosen || hovered { 220 } else { 140 }));
         match dot.target {
@@ -102,6 +107,24 @@ pub fn draw(canvas: &Canvas<'_>, window: &Window) {
     }
     if let Some(Target::Handle(name)) = &hovered {
         canvas.response.clone().on_hover_text_at_pointer(name);
+    }
+}
+
+/// Handles whose ids are three whole numbers, as `3,3,3`, are the points of a grid: lines between neighbours.
+fn grid(canvas: &Canvas<'_>, dots: &[Dot]) {
+    let place = |dot: &Dot| {
+        let Target::Handle(id) = &dot.target else { return None };
+        let numbers: Vec<i32> = id.split(',').map(str::parse).collect::<Result<_, _>>().ok()?;
+        <[i32; 3]>::try_from(numbers).ok()
+    };
+    let places: HashMap<[i32; 3], Pos2> = dots.iter().filter_map(|dot| Some((place(dot)?, dot.at))).collect();
+    let stroke = Stroke::new(1.0, DOT.gamma_multiply(0.4));
+    for ([i, j, k], at) in &places {
+        for next in [[i + 1, *j, *k], [*i, j + 1, *k], [*i, *j, k + 1]] {
+            if let Some(to) = places.get(&next) {
+                canvas.painter().line_segment([*at, *to], stroke);
+            }
+        }
     }
 }
 

@@ -202,7 +202,9 @@ fn vector(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds)
     let default: [f64; 3] = std::array::from_fn(|i| {
         let x = desc.default_numbers.get(i).copied().unwrap_or(0.0);
         // A point's default is a fraction of the model's box.
-        if is_point { bounds.min[i] + x * size[i] } else { x }
+        let x = if is_point { bounds.min[i] + x * size[i] } else { x };
+        // Almost zero is not to be read as minus zero.
+        if x.abs() < 1e-9 * size[i].max(1.0) { 0.0 } else { x }
     });
     let mut v = value.and_then(numbers::<3>).unwrap_or(default);
     let speed = if is_point { 0.002 * size.length() } else { 0.01 };
