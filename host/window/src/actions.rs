@@ -269,6 +269,7 @@ pub const ALL: &[Action] = &[
         }
     })
     .begins(),
+    action(Menu::Help, "Look for Plugins Again", &[], always, Window::look_for_plugins),
     action(Menu::Help, "Keys and Mouse", &[(NONE, Key::F1)], always, |w| w.shows_keys = true),
 ];
 

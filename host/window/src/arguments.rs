@@ -1,14 +1,16 @@
 //! The command line.
 
-use crate::start;
+use crate::settings::Settings;
+use crate::{screenshot, start};
 use clap::Parser;
 use simod_core::{Error, ErrorKind, Result};
 use simod_session::session_file::Sampling;
 use simod_session::worker::{self, WorkerOptions};
 use simod_session::{Isolation, PluginOptions, PluginRegistry};
-use simod_viewer::{record, replay};
+use simod_viewer::state::Notice;
+use simod_viewer::{Command, record, replay};
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
@@ -35,6 +37,9 @@ pub struct Arguments {
     /// Do it without a window
     #[arg(long, requires = "replay")]
     pub no_window: bool,
+    /// Draw what there is after that to a PNG file, and end
+    #[arg(long, value_name = "PNG")]
+    pub screenshot: Option<PathBuf>,
 }
 
 /// What `simod-viewer` does: everything but `main` itself.
@@ -66,13 +71,37 @@ fn serve(rest: Vec<std::ffi::OsString>) -> Result<()> {
 
 fn execute(arguments: Arguments) -> Result<()> {
     let plugins = Arc::new(discover());
-    match &arguments.replay {
-        Some(file) if arguments.no_window => {
+    let recorded = match &arguments.replay {
+        Some(file) => {
             let text = std::fs::read_to_string(file).map_err(|e| Error::io("read", file, &e))?;
-            replay(&record::parse(&text)?, &plugins).map(drop)
+            record::parse(&text)?
         }
-        _ => start::open_window(arguments, plugins),
+        None => Vec::new(),
+    };
+    if !arguments.no_window && arguments.screenshot.is_none() {
+        return start::open_window(arguments, recorded, plugins);
     }
+    let open = arguments.path.map(|path| {
+        let sampling =
+            sampling(arguments.samples.or((!is_sampled(&path)).then_some(Settings::default().samples)));
+        Command::Open { path, sampling, recover: false }
+    });
+    let commands: Vec<Command> = open.into_iter().chain(recorded).collect();
+    let mut state = replay(&commands, &plugins)?;
+    for notice in state.take_notices() {
+        if let Notice::Failed(_, error) = notice {
+            return Err(error);
+        }
+    }
+    match &arguments.screenshot {
+        Some(file) => screenshot::write(&mut state, file),
+        None => Ok(()),
+    }
+}
+
+/// Whether it says itself how it is sampled: a session, or the folder of a sampled model.
+pub fn is_sampled(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e == "toml") || path.is_dir()
 }
 
 /// How finely a model is sampled, if `--samples` says so.

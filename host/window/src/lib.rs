@@ -17,6 +17,7 @@ mod dialogs;
 mod example;
 mod panels;
 mod regions;
+mod screenshot;
 mod settings;
 mod start;
 mod theme;

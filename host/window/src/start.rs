@@ -8,21 +8,15 @@ use eframe::{NativeOptions, Renderer, egui};
 use simod_core::{Error, ErrorKind, Result};
 use simod_scene::NoGpu;
 use simod_session::PluginRegistry;
-use simod_viewer::record::{self, Recorder};
+use simod_viewer::Command;
+use simod_viewer::record::Recorder;
 use std::sync::Arc;
 
 /// The window, until it is closed.
 ///
 /// # Errors
 /// There is nothing to draw with, no screen, or a file cannot be read.
-pub fn open_window(arguments: Arguments, plugins: Arc<PluginRegistry>) -> Result<()> {
-    let recorded = match &arguments.replay {
-        Some(file) => {
-            let text = std::fs::read_to_string(file).map_err(|e| Error::io("read", file, &e))?;
-            record::parse(&text)?
-        }
-        None => Vec::new(),
-    };
+pub fn open_window(arguments: Arguments, recorded: Vec<Command>, plugins: Arc<PluginRegistry>) -> Result<()> {
     let recorder = match &arguments.record {
         Some(file) => {
             let made = std::fs::File::create(file).map_err(|e| Error::io("write", file, &e))?;

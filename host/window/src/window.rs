@@ -77,6 +77,9 @@ pub struct Window {
     /// Where the dialog began.
     typed: String,
     leaving: bool,
+    /// What goes on once the edit is saved.
+    after: Option<Leaving>,
+    title: String,
     opened: Option<PathBuf>,
     /// Whether what was opened is still to come.
     awaited: bool,
@@ -110,6 +113,8 @@ impl Window {
             dialog: None,
             typed: String::new(),
             leaving: false,
+            after: None,
+            title: String::new(),
             opened: None,
             awaited: false,
             recorded: VecDeque::new(),
@@ -193,12 +198,33 @@ impl Window {
             self.awaited = false;
             self.choose_last();
         }
+        self.name();
         self.take_answer();
         self.go_on_replaying();
         if self.kept.elapsed() > KEEP {
             self.keep();
         }
         self.ctx.request_repaint_after(KEEP);
+    }
+
+    /// The window is called as what is open.
+    fn name(&mut self) {
+        let path = self.state.editor().and_then(|editor| editor.path().or(editor.model()));
+        let name =
+            path.and_then(Path::file_name).map(|name| format!("{} \u{2013} SIMOD", name.to_string_lossy()));
+        let name = name.unwrap_or_else(|| "SIMOD".to_owned());
+        if name != self.title {
+            self.ctx.send_viewport_cmd(egui::ViewportCommand::Title(name.clone()));
+            self.title = name;
+        }
+    }
+
+    /// Looks for plugins once more.
+    pub fn look_for_plugins(&mut self) {
+        let plugins = crate::arguments::discover();
+        self.toasts.note(format!("{} plugins are there.", plugins.plugins().len()));
+        plugins.rejected().iter().for_each(|rejected| self.toasts.error(&rejected.error));
+        self.state.set_plugins(Arc::new(plugins));
     }
 
     /// The last step that deforms is what somebody goes on with who opens a session.
@@ -236,6 +262,7 @@ impl Window {
 
     /// Opens something, after questions that have to be asked before.
     pub fn ask_to_open(&mut self, path: PathBuf) {
+        self.after = None;
         let sampling = crate::arguments::sampling(Some(self.settings.samples));
         if self.is_unsaved() {
             self.question = Some(Question::Unsaved(Leaving::Open(path, sampling)));
@@ -256,7 +283,7 @@ impl Window {
     /// Opens it, whatever was kept.
     pub fn open_now(&mut self, path: PathBuf, sampling: Sampling, recover: bool) {
         // A session says itself how its model is sampled.
-        let is_session = path.extension().is_some_and(|e| e == "toml") || path.is_dir();
+        let is_session = crate::arguments::is_sampled(&path);
         let samples = sampling.samples.or((!is_session).then_some(self.settings.samples));
         let sampling = if is_session { Sampling::default() } else { Sampling { samples, ..sampling } };
         if self.apply(Command::Open { path: path.clone(), sampling, recover }) {
@@ -320,6 +347,15 @@ impl Window {
         false
     }
 
+    /// Saves, and goes on with what was about to be done; where it is not known where to, the dialog comes first.
+    pub fn save_and_leave(&mut self, leaving: Leaving) {
+        if self.save() {
+            self.leave(leaving);
+        } else {
+            self.after = Some(leaving);
+        }
+    }
+
     /// Asks for a file.
     pub fn ask(&mut self, purpose: Purpose) {
         let editor = self.state.editor();
@@ -367,6 +403,9 @@ impl Window {
                     self.settings.remember(&path);
                     self.keep_settings();
                     self.toasts.note(format!("Saved as {}.", path.display()));
+                    if let Some(leaving) = self.after.take() {
+                        self.leave(leaving);
+                    }
                 }
             }
             Purpose::Write => {

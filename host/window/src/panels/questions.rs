@@ -50,10 +50,7 @@ fn unsaved(ui: &mut Ui, window: &mut Window, leaving: &Leaving) -> bool {
     ui.horizontal(|ui| {
         if first(ui, "Save") {
             again = false;
-            // Where it is not known where to, the dialog comes first.
-            if window.save() {
-                window.leave(leaving.clone());
-            }
+            window.save_and_leave(leaving.clone());
         }
         if ui.button("Discard").clicked() {
             again = false;

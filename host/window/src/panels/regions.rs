@@ -98,15 +98,21 @@ fn falloff(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformat
     let Some(scene) = window.state().scene() else { return };
     let size = (scene.sampled.bounds.max - scene.sampled.bounds.min).length();
     ui.label(RichText::new("Falloff").small());
-    let mut falloff = deformation.regions[i].shapes.falloff;
+    // While it is dragged it is the panel's own: regions change at once, not with each picture.
+    let id = ui.scope_id().with(("falloff", i));
+    let held = ui.data(|data| data.get_temp::<f64>(id));
+    let mut falloff = held.unwrap_or(deformation.regions[i].shapes.falloff);
     let drag = DragValue::new(&mut falloff).range(0.0..=size).speed(0.001 * size).max_decimals(4);
     let response = ui.add(drag);
     let name = format!("Falloff of region {}", i + 1);
     response.ctx.accesskit_node_builder(response.id, |node| node.set_label(name.as_str()));
-    if response.changed() {
+    if response.dragged() {
+        ui.data_mut(|data| data.insert_temp(id, falloff));
+    } else if held.is_some() || response.changed() {
+        ui.data_mut(|data| data.remove::<f64>(id));
         let mut regions = deformation.regions.clone();
         regions[i].shapes.falloff = falloff;
-        window.change(step, Change::SetRegions(regions), response.dragged());
+        window.change(step, Change::SetRegions(regions), false);
     }
     response.on_hover_text("How far beyond its border the region fades out, in the model's unit");
 }
@@ -254,7 +260,7 @@ fn joints(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
                 ui.label(RichText::new(format!("on {parent}")).weak().small());
             }
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                let remove = ui.small_button("\u{2715}").on_hover_text("Remove it");
+                let remove = ui.small_button("\u{d7}").on_hover_text("Remove it");
                 remove.widget_info(|| {
                     egui::WidgetInfo::labeled(egui::Role::Button, true, format!("Remove {}", joint.id))
                 });

@@ -64,7 +64,7 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
             frame.show(ui, |ui| {
                 ui.set_max_width(460.0);
                 ui.horizontal_top(|ui| {
-                    let close = ui.add(egui::Button::new("\u{2715}").frame(false).fill(Color32::TRANSPARENT));
+                    let close = ui.add(egui::Button::new("\u{d7}").frame(false).fill(Color32::TRANSPARENT));
                     close.widget_info(|| {
                         egui::WidgetInfo::labeled(egui::Role::Button, true, "Close the message")
                     });

@@ -2,6 +2,7 @@
 
 use super::Canvas;
 use super::colors::Colors;
+use crate::screenshot::RADIUS;
 use crate::settings::Theme;
 use crate::window::Window;
 use eframe::egui::{Color32, Mesh, Rect, Shape, TextureId, Ui, pos2};
@@ -10,8 +11,6 @@ use simod_scene::{Background, Budget, Gpu, Mode, Scene, Style, Surface, View};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Radius of a disc over the spacing of samples: enough that no gap is left.
-const RADIUS: f32 = 1.35;
 /// How long a picture may take while something moves: with a card, and in software.
 const GOALS: [Duration; 2] = [Duration::from_millis(12), Duration::from_millis(45)];
 

@@ -71,7 +71,7 @@ fn name(ui: &mut Ui, desc: &ParamDesc, width: f32) {
 }
 
 fn reset(ui: &mut Ui, desc: &ParamDesc) -> Response {
-    let response = ui.add(Button::new(RichText::new("\u{21ba}").weak()).frame(false));
+    let response = ui.add(Button::new(RichText::new("\u{27f2}").weak()).frame(false));
     response.widget_info(|| WidgetInfo::labeled(Role::Button, true, format!("Reset {}", desc.name)));
     response.on_hover_text("Back to the default")
 }
@@ -232,9 +232,17 @@ fn color(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>) -> Option<Asked> 
     let mut rgba = egui::Rgba::from_rgba_unmultiplied(r, g, b, a);
     let response = color_picker::color_edit_button_rgba(ui, &mut rgba, color_picker::Alpha::BlendOrAdditive);
     let response = named(response, desc);
-    response.changed().then(|| {
+    // The picker is a window of its own, which does not tell when a drag in it is over.
+    let id = response.id.with("drag");
+    if response.changed() {
+        ui.data_mut(|data| data.insert_temp(id, true));
         let [r, g, b, a] = rgba.to_rgba_unmultiplied().map(|x| f64::from(x).clamp(0.0, 1.0));
-        Asked::Drag(list(&[r, g, b, a]))
+        return Some(Asked::Drag(list(&[r, g, b, a])));
+    }
+    let is_over = ui.data(|data| data.get_temp::<bool>(id).is_some()) && !ui.input(|i| i.pointer.any_down());
+    is_over.then(|| {
+        ui.data_mut(|data| data.remove::<bool>(id));
+        Asked::Rest
     })
 }
 

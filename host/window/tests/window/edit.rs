@@ -1,7 +1,7 @@
 //! A whole edit by names, and what it comes to without the window.
 
 use super::*;
-use common::built;
+use built::simod;
 use egui_kittest::kittest::Queryable;
 use glam::DVec3;
 use simod_session::Motion;
@@ -89,12 +89,9 @@ fn an_edit_by_names_gives_the_bytes_of_the_command_line() {
     assert_eq!(steps(&harness), 2);
     assert_eq!(*harness.state().window().state().scene().unwrap().positions, *positions);
 
-    let plugins = folder.path().join("plugins");
-    std::fs::create_dir(&plugins).unwrap();
-    copy("simod_rbf", &plugins, "simod_rbf");
-    let simod = built().join(format!("simod{}", std::env::consts::EXE_SUFFIX));
-    let mut run = std::process::Command::new(simod);
-    run.arg("run").arg(&session).arg("--output").arg(&there).env("SIMOD_PLUGIN_PATH", &plugins);
+    // Beside the plugins that were built.
+    let mut run = std::process::Command::new(simod());
+    run.arg("run").arg(&session).arg("--output").arg(&there).env_remove("SIMOD_PLUGIN_PATH");
     let output = run.output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(std::fs::read(here).unwrap() == std::fs::read(there).unwrap(), "other bytes than `simod run`");

@@ -2,18 +2,18 @@
 //! the pictures.
 #![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
-#[path = "../../../session/tests/common/mod.rs"]
-mod common;
+mod built;
 mod edit;
 mod parameters;
 mod picture;
 
-use common::{copy, load};
+use built::{PLUGINS, library};
 use egui_kittest::Harness;
 use simod_core::generate::{ModelOptions, Shape, write_file};
 use simod_core::progress::Silent;
-use simod_session::PluginRegistry;
+use simod_session::plugins::PluginFolder;
 use simod_session::session_file::Sampling;
+use simod_session::{PluginOptions, PluginRegistry};
 use simod_viewer::Command;
 use simod_window::{App, Settings, Window};
 use std::path::{Path, PathBuf};
@@ -24,23 +24,16 @@ use std::time::{Duration, Instant};
 const LONG: Duration = Duration::from_secs(300);
 
 /// All plugins of the project, in this process.
-const PLUGINS: [&str; 8] = [
-    "simod_cage",
-    "simod_displacement_paint",
-    "simod_laplacian",
-    "simod_lattice",
-    "simod_rbf",
-    "simod_skinning",
-    "simod_smooth_handle",
-    "simod_warp",
-];
-
 fn plugins() -> Arc<PluginRegistry> {
     static REGISTRY: OnceLock<Arc<PluginRegistry>> = OnceLock::new();
     let all = || {
         let folder = tempfile::tempdir().unwrap();
-        PLUGINS.iter().for_each(|name| drop(copy(name, folder.path(), name)));
-        let registry = load(folder.path());
+        for name in PLUGINS {
+            let file = library(name);
+            std::fs::copy(&file, folder.path().join(file.file_name().unwrap())).unwrap();
+        }
+        let folder = PluginFolder { path: folder.path().to_owned(), by_name: false, shipped: false };
+        let registry = PluginRegistry::discover(&PluginOptions::in_process(vec![folder]));
         assert_eq!(registry.plugins().len(), PLUGINS.len(), "{:?}", registry.rejected());
         Arc::new(registry)
     };
