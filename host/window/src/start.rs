@@ -58,6 +58,8 @@ fn refused(error: &eframe::Error) -> Error {
     let text = error.to_string();
     let is_screen = matches!(error, eframe::Error::Winit(_) | eframe::Error::WinitEventLoop(_));
     if is_screen {
+        // Without the place in the library's source.
+        let text = text.rsplit(": ").next().unwrap_or_default();
         let hint = "start it where there is a screen, or replay a recording with --no-window";
         Error::new(ErrorKind::Io, format!("no window can be opened: {text}"), hint)
     } else {

@@ -6,6 +6,7 @@ use crate::settings::Settings;
 use crate::tools::Tools;
 use crate::{example, theme};
 use eframe::egui;
+use simod_core::{Error, ErrorKind};
 use simod_session::edit::{self, Change, Entry, StepId};
 use simod_session::session_file::{Deformation, Sampling};
 use simod_session::{Plugin, PluginRegistry};
@@ -185,7 +186,7 @@ impl Window {
         for notice in self.state.take_notices() {
             match notice {
                 Notice::Note(text) => self.toasts.note(text),
-                Notice::Failed(_, error) if error.kind() == simod_core::ErrorKind::Cancelled => {
+                Notice::Failed(_, error) if error.kind() == ErrorKind::Cancelled => {
                     self.toasts.note("Stopped.");
                 }
                 Notice::Failed(_, error) => self.toasts.error(&error),
@@ -282,6 +283,11 @@ impl Window {
 
     /// Opens it, whatever was kept.
     pub fn open_now(&mut self, path: PathBuf, sampling: Sampling, recover: bool) {
+        if !path.exists() {
+            let what = format!("there is no file {}", path.display());
+            self.toasts.error(&Error::new(ErrorKind::Io, what, "check the path, or choose another file"));
+            return;
+        }
         // A session says itself how its model is sampled.
         let is_session = crate::arguments::is_sampled(&path);
         let samples = sampling.samples.or((!is_session).then_some(self.settings.samples));

@@ -68,7 +68,10 @@ fn one(ui: &mut Ui, window: &mut Window, step: usize, desc: &ParamDesc, value: O
         Some(Asked::Drag(value)) => {
             window.change(step, Change::SetParam { id, value: Some(value) }, true);
         }
-        Some(Asked::Rest) => {
+        Some(Asked::Rest(last)) => {
+            if last.is_some() {
+                window.change(step, Change::SetParam { id, value: last }, true);
+            }
             window.apply(Command::Rest);
         }
         Some(Asked::File) => {

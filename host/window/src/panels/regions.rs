@@ -236,7 +236,7 @@ fn handle(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformati
             Target::Handle(id) => Change::MoveHandle { id, motion: to },
         };
         if response.changed() {
-            window.change(step, change(), response.dragged());
+            window.change(step, change(), response.dragged() || response.drag_stopped());
         }
         if response.drag_stopped() {
             window.apply(Command::Rest);

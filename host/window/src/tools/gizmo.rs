@@ -33,14 +33,20 @@ enum Kind {
 }
 
 impl Place {
-    fn of(window: &Window) -> Option<Self> {
-        let (step, _, deformation, _) = window.chosen()?;
+    fn of(window: &mut Window) -> Option<Self> {
+        let (step, id, deformation, _) = window.chosen()?;
         let target = window.tools.target.clone()?;
         let all = simod_plugin_api::Gizmo(!0);
         match &target {
             Target::Region(region) => {
-                let pivot = window.state().handle_pivot(step, *region)?;
                 let motion = deformation.regions.get(*region)?.motion;
+                let known = window.tools.pivot.filter(|(of, i, _)| (*of, *i) == (id, *region));
+                let pivot = match (motion.pivot, known) {
+                    (Some(pivot), _) | (None, Some((_, _, pivot))) => pivot,
+                    // It takes all samples to find it.
+                    (None, None) => window.state().handle_pivot(step, *region)?,
+                };
+                window.tools.pivot = Some((id, *region, pivot));
                 let matrix = handle_matrix(&motion, pivot);
                 Some(Self { step, target, matrix, kind: Kind::Region { pivot }, can: all })
             }

@@ -8,6 +8,8 @@ mod stroke;
 use crate::viewport::Canvas;
 use crate::window::Window;
 use eframe::egui::{CursorIcon, Key, Modifiers};
+use glam::DVec3;
+use simod_session::edit::StepId;
 use simod_viewer::selection::Combine;
 
 /// What is in the hand.
@@ -114,6 +116,8 @@ pub struct Tools {
     /// Pixels that the pointer went along, while a selection is drawn.
     path: Vec<[f64; 2]>,
     gizmo: transform_gizmo::Gizmo,
+    /// About what the gizmo's region turns.
+    pivot: Option<(StepId, usize, DVec3)>,
     /// Whether the gizmo moves something just now.
     dragging: bool,
 }
@@ -130,6 +134,7 @@ impl Default for Tools {
             strength: 1.0,
             path: Vec::new(),
             gizmo: transform_gizmo::Gizmo::default(),
+            pivot: None,
             dragging: false,
         }
     }
@@ -144,7 +149,7 @@ impl Tools {
 
     /// Another model: nothing is held any more.
     pub fn reset(&mut self) {
-        self.target = None;
+        (self.target, self.pivot) = (None, None);
         self.path.clear();
         self.dragging = false;
     }

@@ -38,16 +38,16 @@ pub fn show(ui: &mut Ui, name: &str, mut points: Vec<[f64; 2]>) -> Option<Asked>
     }
     let held = ui.data(|data| data.get_temp::<Option<usize>>(id)).flatten();
     let mut asked = None;
-    if let (true, Some(i), Some(pointer)) = (response.dragged(), held, pointer)
+    let stopped = response.drag_stopped();
+    if let (true, Some(i), Some(pointer)) = (response.dragged() || stopped, held, pointer)
         && i < points.len()
     {
         let [x, y] = point(pointer);
         let low = i.checked_sub(1).map_or(0.0, |left| points[left][0] + APART);
         let high = points.get(i + 1).map_or(1.0, |right| right[0] - APART);
         points[i] = [x.clamp(low, high.max(low)), y];
-        asked = Some(Asked::Drag(value(&points)));
-    } else if response.drag_stopped() && held.is_some() {
-        asked = Some(Asked::Rest);
+        let value = value(&points);
+        asked = Some(if stopped { Asked::Rest(Some(value)) } else { Asked::Drag(value) });
     } else if let (true, None, Some(pointer)) = (response.double_clicked(), nearest, pointer) {
         let new = point(pointer);
         let place = points.partition_point(|p| p[0] < new[0]);

@@ -15,8 +15,8 @@ pub enum Asked {
     Set(Option<Value>),
     /// Another value, while it is dragged.
     Drag(Value),
-    /// The drag is over.
-    Rest,
+    /// The drag is over, maybe with a last value.
+    Rest(Option<Value>),
     /// A dialog that chooses a file.
     File,
 }
@@ -106,7 +106,7 @@ fn control(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds
 /// A drag becomes one change, whatever it is that is dragged.
 fn asked(response: &Response, value: impl FnOnce() -> Value) -> Option<Asked> {
     if response.drag_stopped() {
-        return Some(Asked::Rest);
+        return Some(Asked::Rest(response.changed().then(value)));
     }
     match response.changed() {
         true if response.dragged() => Some(Asked::Drag(value())),
@@ -196,15 +196,19 @@ pub fn list(numbers: &[f64]) -> Value {
     Value::Array(numbers.iter().map(|x| Value::Float(*x)).collect())
 }
 
+/// Three decimals; what they do not show is not to be read as minus zero.
+fn short(x: f64) -> String {
+    let text = format!("{x:.3}");
+    if text == "-0.000" { "0.000".to_owned() } else { text }
+}
+
 fn vector(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> Option<Asked> {
     let is_point = desc.kind == ParamKind::POINT;
     let size = bounds.max - bounds.min;
     let default: [f64; 3] = std::array::from_fn(|i| {
         let x = desc.default_numbers.get(i).copied().unwrap_or(0.0);
         // A point's default is a fraction of the model's box.
-        let x = if is_point { bounds.min[i] + x * size[i] } else { x };
-        // Almost zero is not to be read as minus zero.
-        if x.abs() < 1e-9 * size[i].max(1.0) { 0.0 } else { x }
+        if is_point { bounds.min[i] + x * size[i] } else { x }
     });
     let mut v = value.and_then(numbers::<3>).unwrap_or(default);
     let speed = if is_point { 0.002 * size.length() } else { 0.01 };
@@ -212,7 +216,7 @@ fn vector(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds)
     ui.spacing_mut().item_spacing.x = 3.0;
     let mut all: Option<Asked> = None;
     for (i, axis) in ["x", "y", "z"].into_iter().enumerate() {
-        let drag = DragValue::new(&mut v[i]).speed(speed).max_decimals(3);
+        let drag = DragValue::new(&mut v[i]).speed(speed).custom_formatter(|x, _| short(x));
         let response = ui.add_sized([width, ui.spacing().interact_size.y], drag);
         let name = format!("{} {axis}", desc.name);
         response.ctx.accesskit_node_builder(response.id, |node| node.set_label(name.as_str()));
@@ -242,7 +246,7 @@ fn color(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>) -> Option<Asked> 
     let is_over = ui.data(|data| data.get_temp::<bool>(id).is_some()) && !ui.input(|i| i.pointer.any_down());
     is_over.then(|| {
         ui.data_mut(|data| data.remove::<bool>(id));
-        Asked::Rest
+        Asked::Rest(None)
     })
 }
 
