@@ -1,5 +1,5 @@
 //! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `plugin-api, core <- session <- viewer, cli`;
-//! `core <- scene`.
+//! `core <- scene`; `viewer, scene <- window`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -91,9 +91,11 @@ fn arrows_go_one_way() {
     crates.expect_members("host/viewer", &["simod-core", "simod-session", "simod-plugin-api"]);
     crates.expect_members("host/cli", &["simod-core", "simod-session"]);
     crates.expect_members("host/scene", &["simod-core"]);
+    let window = ["simod-core", "simod-scene", "simod-session", "simod-viewer", "simod-plugin-api"];
+    crates.expect_members("host/window", &window);
 
     crates.expect_none("host/core", &["abi_stable", "libloading", "clap", "simod-plugin-api"]);
-    for folder in ["plugin-api", "plugins", "host/core", "host/session", "host/cli"] {
+    for folder in ["plugin-api", "plugins", "host/core", "host/session", "host/viewer", "host/cli"] {
         crates.expect_none(folder, &WINDOWS);
     }
     // It draws into textures, for whichever window.

@@ -11,7 +11,7 @@ use clap::{Parser, Subcommand};
 use simod_core::ErrorKind;
 
 use commands::{
-    bind, compare, deform, demo, generate, info, plugin, reconstruct, refine, render, run, sample,
+    bind, compare, deform, demo, generate, info, plugin, reconstruct, refine, render, run, sample, view,
 };
 use console::Console;
 use report::Report;
@@ -46,6 +46,7 @@ enum Command {
     Demo(demo::Demo),
     Generate(generate::Generate),
     Render(render::Render),
+    View(view::View),
 }
 
 fn main() -> ExitCode {
@@ -78,6 +79,7 @@ fn execute(arguments: Arguments, console: &Console) -> simod_core::Result<()> {
         Command::Demo(c) => c.execute(&mut report),
         Command::Generate(c) => c.execute(&mut report),
         Command::Render(c) => c.execute(&mut report),
+        Command::View(c) => return c.execute(),
     }?;
     report.finish(arguments.json)
 }

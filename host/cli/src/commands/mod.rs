@@ -15,6 +15,7 @@ pub mod refine;
 pub mod render;
 pub mod run;
 pub mod sample;
+pub mod view;
 
 use simod_core::sampled_model::SampledModel;
 use simod_core::{Error, ErrorKind, Result};

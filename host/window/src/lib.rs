@@ -1,0 +1,33 @@
+//! `simod-viewer`: the window to edit a model in.
+//!
+//! The state changes by [`Command`](simod_viewer::Command)s alone, through [`Window::apply`]; what is held here is the
+//! window's own: which tool is in the hand, which panels are open, how the camera is moved, what the user likes.
+//!
+//! ```text
+//! main ── arguments ──▶ start ──▶ App (eframe) ──▶ Window ──Command──▶ simod_viewer::State
+//!                                  │                │
+//!                                  │                └ actions: all that has a name, for menus, keys, palette
+//!                                  └ panels, viewport (picture, navigation), tools (in the picture)
+//! ```
+
+mod actions;
+mod app;
+mod arguments;
+mod dialogs;
+mod example;
+mod panels;
+mod regions;
+mod screenshot;
+mod settings;
+mod start;
+mod theme;
+mod tools;
+mod viewport;
+mod widgets;
+mod window;
+
+pub use app::App;
+pub use arguments::main;
+pub use settings::Settings;
+pub use tools::Tool;
+pub use window::Window;

@@ -1,0 +1,148 @@
+//! The menus.
+
+use super::Palette;
+use crate::actions::{ALL, Action, Menu};
+use crate::settings::Settings;
+use crate::window::Window;
+use eframe::egui::{self, Button, Frame, Margin, MenuBar, Panel, RichText, Ui};
+use simod_session::Plugin;
+use simod_viewer::{Command, Navigation};
+
+const MENUS: [(&str, Menu); 7] = [
+    ("File", Menu::File),
+    ("Edit", Menu::Edit),
+    ("Select", Menu::Select),
+    ("View", Menu::View),
+    ("Overlay", Menu::Overlay),
+    ("Tool", Menu::Tool),
+    ("Help", Menu::Help),
+];
+
+/// The bar at the top.
+pub fn show(ui: &mut Ui, window: &mut Window) {
+    let frame = Frame::side_top_panel(ui.style()).inner_margin(Margin::symmetric(8, 4));
+    Panel::top("menu").frame(frame).show(ui, |ui| {
+        MenuBar::new().ui(ui, |ui| {
+            for (name, menu) in MENUS {
+                if menu == Menu::Tool {
+                    ui.menu_button("Step", |ui| add_step(ui, window, None));
+                }
+                ui.menu_button(name, |ui| entries(ui, window, menu));
+            }
+            title(ui, window);
+            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                let text = RichText::new("Search commands   Ctrl+P").weak();
+                if ui.add(Button::new(text).min_size(egui::vec2(190.0, 0.0))).clicked() {
+                    window.palette = Some(Palette::default());
+                }
+            });
+        });
+    });
+}
+
+/// The name of what is open, in the middle.
+fn title(ui: &mut Ui, window: &Window) {
+    let Some(editor) = window.state().editor() else { return };
+    let path = editor.path().or(editor.model()).or(window.opened());
+    let name =
+        path.and_then(|p| p.file_name()).map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+    let changed = !editor.is_saved() && !editor.document().steps().is_empty();
+    ui.add_space(16.0);
+    let hover = path.map_or_else(String::new, |p| p.display().to_string());
+    let text = if changed { format!("{name} \u{2022} not saved") } else { name };
+    ui.label(RichText::new(text).weak()).on_hover_text(hover);
+}
+
+fn entries(ui: &mut Ui, window: &mut Window, menu: Menu) {
+    for action in ALL.iter().filter(|action| action.menu == menu) {
+        if action.begins {
+            ui.separator();
+        }
+        entry(ui, window, action);
+        if menu == Menu::File && action.name.starts_with("Open the Example") {
+            recent(ui, window);
+        }
+    }
+    if menu == Menu::View {
+        ui.separator();
+        ui.menu_button("Navigation", |ui| navigation(ui, window));
+    }
+}
+
+/// One action, with its keys.
+fn entry(ui: &mut Ui, window: &mut Window, action: &Action) {
+    let is_on = action.is_on.is_some_and(|is_on| is_on(window));
+    let button = Button::selectable(is_on, action.name).shortcut_text(action.keys_text(ui.ctx()));
+    if ui.add_enabled((action.can)(window), button).clicked() {
+        (action.run)(window);
+        ui.close();
+    }
+}
+
+fn recent(ui: &mut Ui, window: &mut Window) {
+    let Settings { recent, .. } = &window.settings;
+    let recent = recent.clone();
+    ui.add_enabled_ui(!recent.is_empty(), |ui| {
+        ui.menu_button("Open Recent", |ui| {
+            for path in recent {
+                let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                if ui.button(name).on_hover_text(path.display().to_string()).clicked() {
+                    window.ask_to_open(path);
+                    ui.close();
+                }
+            }
+        });
+    });
+}
+
+fn navigation(ui: &mut Ui, window: &mut Window) {
+    for preset in Navigation::ALL {
+        let chosen = window.settings.navigation().name == preset.name;
+        if ui.add(Button::selectable(chosen, preset.name)).clicked() {
+            window.settings.navigation = preset.name.to_owned();
+            window.keep_settings();
+            ui.close();
+        }
+    }
+}
+
+/// All plugins, to be added as a step.
+pub fn add_step(ui: &mut Ui, window: &mut Window, at: Option<usize>) {
+    let plugins = window.state().plugins().clone();
+    let enabled = window.state().scene().is_some();
+    if plugins.plugins().is_empty() {
+        ui.label("No plugins were found.");
+    }
+    for plugin in plugins.plugins() {
+        let button = Button::new(plugin.name()).right_text(RichText::new(plugin.id()).weak().small());
+        if ui.add_enabled(enabled, button).on_hover_text(about(plugin)).clicked() {
+            added(window, plugin, at);
+            ui.close();
+        }
+    }
+}
+
+/// What there is to know of a plugin.
+pub fn about(plugin: &Plugin) -> String {
+    let lines = [plugin.summary(), plugin.citation(), plugin.author()];
+    lines.into_iter().filter(|line| !line.is_empty()).collect::<Vec<_>>().join("\n")
+}
+
+/// A step is added, and a tool that it needs taken.
+pub fn added(window: &mut Window, plugin: &Plugin, at: Option<usize>) {
+    use crate::tools::Tool;
+    if !window.apply(Command::AddStep { plugin: plugin.id().to_owned(), at }) {
+        return;
+    }
+    window.tools.target = None;
+    let consumes = plugin.consumes();
+    if consumes.strokes {
+        window.tools.take(Tool::Stroke);
+    } else if consumes.joints {
+        window.tools.take(Tool::Joint);
+    } else if consumes.handle_regions && window.state().selection().is_empty() {
+        window.tools.take(Tool::Brush);
+    } else if !window.tools.tool.grabs() {
+        window.tools.take(Tool::Move);
+    }
+}

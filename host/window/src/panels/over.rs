@@ -1,0 +1,118 @@
+//! Over the picture: options of the tool, what is being done, and what colours mean.
+
+use super::{legend, progress};
+use crate::tools::Tool;
+use crate::window::Window;
+use eframe::egui::{
+    Align, Button, Color32, Frame, Layout, Margin, Rect, RichText, Slider, Ui, UiBuilder, pos2, vec2,
+};
+use simod_viewer::Command;
+use simod_viewer::command::Area;
+use simod_viewer::selection::Combine;
+
+const MARGIN: f32 = 12.0;
+
+/// All of it.
+pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
+    if window.tools.tool.selects() || window.tools.tool == Tool::Stroke {
+        options(ui, rect, window);
+    }
+    legend::show(ui, rect, window);
+    progress::show(ui, rect, window);
+}
+
+/// A panel over the picture.
+pub fn card(ui: &Ui) -> Frame {
+    let fill = ui.visuals().panel_fill;
+    Frame::NONE
+        .fill(Color32::from_rgba_unmultiplied(fill.r(), fill.g(), fill.b(), 236))
+        .corner_radius(6.0)
+        .inner_margin(Margin::symmetric(10, 6))
+        .shadow(eframe::egui::Shadow {
+            offset: [0, 2],
+            blur: 8,
+            spread: 0,
+            color: Color32::from_black_alpha(60),
+        })
+}
+
+fn options(ui: &mut Ui, rect: Rect, window: &mut Window) {
+    let area = Rect::from_min_max(rect.min + vec2(MARGIN, MARGIN), pos2(rect.right() - 120.0, rect.bottom()));
+    let builder = UiBuilder::new().max_rect(area).layout(Layout::left_to_right(Align::Min));
+    ui.scope_builder(builder, |ui| {
+        card(ui).show(ui, |ui| {
+            ui.horizontal(|ui| {
+                if window.tools.tool == Tool::Stroke { stroke(ui, window) } else { selecting(ui, window) }
+            });
+        });
+    });
+}
+
+fn selecting(ui: &mut Ui, window: &mut Window) {
+    let tools = &mut window.tools;
+    for (combine, name, hint) in [
+        (Combine::Replace, "Replace", "What is pointed at is the selection"),
+        (Combine::Add, "Add", "What is pointed at joins the selection (Shift)"),
+        (Combine::Subtract, "Subtract", "What is pointed at leaves the selection (Ctrl)"),
+    ] {
+        if ui.add(Button::selectable(tools.combine == combine, name)).on_hover_text(hint).clicked() {
+            tools.combine = combine;
+        }
+    }
+    ui.separator();
+    if tools.tool != Tool::Connected {
+        for (visible, name, hint) in [
+            (true, "Visible", "Only what is seen is selected"),
+            (false, "Through", "What lies behind is selected, too"),
+        ] {
+            if ui.add(Button::selectable(tools.visible == visible, name)).on_hover_text(hint).clicked() {
+                tools.visible = visible;
+            }
+        }
+        ui.separator();
+    }
+    if tools.tool == Tool::Brush {
+        ui.spacing_mut().slider_width = 90.0;
+        let radius = Slider::new(&mut tools.radius, 4.0..=200.0).logarithmic(true).max_decimals(0);
+        ui.label("Size");
+        let response = ui.add(radius);
+        response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Size of the brush"));
+        ui.separator();
+    }
+    let some = !window.state().selection().is_empty();
+    for (name, area, needs) in [
+        ("All", Area::All, false),
+        ("None", Area::None, true),
+        ("Invert", Area::Inverse, false),
+        ("Grow", Area::Grown, true),
+        ("Shrink", Area::Shrunk, true),
+    ] {
+        if ui.add_enabled(some || !needs, Button::new(name)).clicked() {
+            window.apply(Command::Select { area, combine: Combine::Replace, visible: false });
+        }
+    }
+}
+
+fn stroke(ui: &mut Ui, window: &mut Window) {
+    let Some(scale) = window.state().scene().map(|scene| scene.frame().scale) else { return };
+    let takes = window.chosen().and_then(|(_, _, _, plugin)| plugin).is_some_and(|p| p.consumes().strokes);
+    if !takes {
+        ui.label(RichText::new("The chosen step takes no brush strokes.").weak());
+        return;
+    }
+    let tools = &mut window.tools;
+    ui.spacing_mut().slider_width = 110.0;
+    let mut radius = tools.stroke_radius * scale;
+    ui.label("Radius");
+    let slider = Slider::new(&mut radius, 0.002 * scale..=0.5 * scale).logarithmic(true);
+    let response = ui.add(slider).on_hover_text("In the model's unit; [ and ] change it");
+    response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Radius of the brush"));
+    if response.changed() {
+        tools.stroke_radius = radius / scale;
+    }
+    ui.separator();
+    ui.label("Strength");
+    let response =
+        ui.add(Slider::new(&mut tools.strength, 0.0..=1.0)).on_hover_text("Ctrl does the opposite");
+    response.ctx.accesskit_node_builder(response.id, |node| node.set_label("Strength of the brush"));
+}

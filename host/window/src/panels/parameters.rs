@@ -1,0 +1,82 @@
+//! The chosen step's parameters, made of their descriptions alone.
+
+use super::side;
+use crate::dialogs::Purpose;
+use crate::widgets::parameter::{self, Asked};
+use crate::window::Window;
+use eframe::egui::{CollapsingHeader, RichText, Ui};
+use simod_plugin_api::ParamDesc;
+use simod_session::edit::Change;
+use simod_viewer::Command;
+
+/// The parameters.
+pub fn show(ui: &mut Ui, window: &mut Window) {
+    let Some((step, _, deformation, plugin)) = window.chosen() else { return };
+    side::part(ui);
+    let Some(plugin) = plugin else {
+        side::heading(ui, &deformation.deform, |_| ());
+        ui.label(format!("The plugin `{}` is not there; the step stays as it is.", deformation.deform));
+        return;
+    };
+    side::heading(ui, plugin.name(), |ui| {
+        let can_reset = !deformation.params.is_empty();
+        let reset = ui.add_enabled(can_reset, eframe::egui::Button::new("Reset All").small());
+        if reset.on_hover_text("All parameters get their defaults").clicked() {
+            for id in deformation.params.keys() {
+                window.change(step, Change::SetParam { id: id.clone(), value: None }, false);
+            }
+        }
+    });
+    if !plugin.summary().is_empty() {
+        ui.label(RichText::new(plugin.summary()).weak().small()).on_hover_text(super::menu::about(&plugin));
+        ui.add_space(4.0);
+    }
+    if plugin.params().is_empty() {
+        ui.label(RichText::new("It has no parameters.").weak());
+    }
+    let mut groups: Vec<(&str, Vec<&ParamDesc>)> = Vec::new();
+    for desc in plugin.params() {
+        match groups.iter_mut().find(|(group, _)| *group == desc.group.as_str()) {
+            Some((_, of)) => of.push(desc),
+            None => groups.push((desc.group.as_str(), vec![desc])),
+        }
+    }
+    // Those without a group first.
+    groups.sort_by_key(|(group, _)| !group.is_empty());
+    for (group, params) in groups {
+        let show = |ui: &mut Ui| {
+            for desc in params {
+                one(ui, window, step, desc, deformation.params.get(desc.id.as_str()));
+            }
+        };
+        if group.is_empty() {
+            show(ui);
+        } else {
+            CollapsingHeader::new(RichText::new(group)).default_open(true).show_unindented(ui, show);
+        }
+    }
+}
+
+fn one(ui: &mut Ui, window: &mut Window, step: usize, desc: &ParamDesc, value: Option<&toml::Value>) {
+    let Some(scene) = window.state().scene().cloned() else { return };
+    let id = desc.id.to_string();
+    match parameter::show(ui, desc, value, &scene.sampled.bounds) {
+        None => {}
+        Some(Asked::Set(value)) => {
+            window.change(step, Change::SetParam { id, value }, false);
+        }
+        Some(Asked::Drag(value)) => {
+            window.change(step, Change::SetParam { id, value: Some(value) }, true);
+        }
+        Some(Asked::Rest(last)) => {
+            if last.is_some() {
+                window.change(step, Change::SetParam { id, value: last }, true);
+            }
+            window.apply(Command::Rest);
+        }
+        Some(Asked::File) => {
+            let extensions = desc.choices.iter().map(|choice| choice.id.to_string()).collect();
+            window.ask(Purpose::Parameter { step, id, extensions });
+        }
+    }
+}

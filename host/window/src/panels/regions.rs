@@ -1,0 +1,292 @@
+//! The chosen step's regions, handles, joints and strokes; and the selection, of which regions are made.
+
+use super::{count, side};
+use crate::regions as make;
+use crate::theme;
+use crate::tools::{Target, Tool};
+use crate::window::Window;
+use eframe::egui::{
+    self, Align, Button, CornerRadius, DragValue, Frame, Layout, Margin, RichText, Sense, Stroke, Ui, vec2,
+};
+use simod_session::edit::Change;
+use simod_session::session_file::{Deformation, Region, Role};
+use simod_session::{Motion, Shape};
+use simod_viewer::command::Area;
+use simod_viewer::{Command, Overlay};
+
+const ROLES: [Role; 3] = [Role::Fixed, Role::Handle, Role::Mask];
+
+/// All of it.
+pub fn show(ui: &mut Ui, window: &mut Window) {
+    let chosen = window.chosen();
+    if let Some((step, _, deformation, Some(plugin))) = &chosen {
+        side::part(ui);
+        side::heading(ui, "Regions", |_| ());
+        let text = "It acts on the whole model. A mask keeps it to a part.";
+        if deformation.regions.is_empty() && plugin.consumes().min_handles == 0 {
+            ui.label(RichText::new(text).weak());
+        }
+        for (i, region) in deformation.regions.iter().enumerate() {
+            row(ui, window, *step, deformation, i, region);
+        }
+    }
+    selection(ui, window);
+    if let Some((step, _, deformation, _)) = chosen {
+        handle(ui, window, step, &deformation);
+        joints(ui, window, step, &deformation);
+        strokes(ui, &deformation);
+    }
+}
+
+fn row(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation, i: usize, region: &Region) {
+    let is_target = window.tools.target == Some(Target::Region(i));
+    let (fill, stroke) = if is_target {
+        let color = ui.visuals().selection.bg_fill;
+        (color.gamma_multiply(0.28), Stroke::new(1.0, color))
+    } else {
+        (ui.visuals().widgets.inactive.bg_fill.gamma_multiply(0.5), Stroke::NONE)
+    };
+    let frame = Frame::NONE.fill(fill).stroke(stroke).corner_radius(CornerRadius::same(5));
+    frame.inner_margin(Margin::symmetric(8, 4)).show(ui, |ui| {
+        ui.set_min_width(ui.available_width());
+        ui.horizontal(|ui| {
+            let (dot, _) = ui.allocate_exact_size(vec2(12.0, 12.0), Sense::hover());
+            ui.painter().circle_filled(dot.center(), 5.0, theme::color(theme::role_color(region.role)));
+            let name = format!("{} {}", theme::role_name(region.role), i + 1);
+            let grab = ui.add(Button::new(RichText::new(&name).strong()).frame(false));
+            let hint = if region.role == Role::Handle { "Grab it" } else { "Show its weight on the surface" };
+            if grab.on_hover_text(hint).clicked() {
+                choose(window, i, region.role);
+            }
+            ui.label(RichText::new(what(region)).weak().small());
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                more(ui, window, step, deformation, i, region);
+            });
+        });
+        ui.horizontal(|ui| {
+            ui.add_space(18.0);
+            falloff(ui, window, step, deformation, i);
+        });
+    });
+    ui.add_space(1.0);
+}
+
+fn choose(window: &mut Window, i: usize, role: Role) {
+    if role == Role::Handle {
+        window.tools.target = Some(Target::Region(i));
+        if !window.tools.tool.is_gizmo() {
+            window.tools.take(Tool::Move);
+        }
+    } else {
+        let shown = window.state().overlay() == Overlay::Region(i);
+        window.apply(Command::Show(if shown { Overlay::None } else { Overlay::Region(i) }));
+    }
+}
+
+/// What it is made of.
+fn what(region: &Region) -> String {
+    let name = |shape: &Shape| match shape {
+        Shape::HalfSpace { .. } => "half-space".to_owned(),
+        Shape::Sphere { .. } => "sphere".to_owned(),
+        Shape::Box { .. } => "box".to_owned(),
+        Shape::Selection(picked) => format!("{} samples", count(picked.inside().len() as u64)),
+    };
+    region.shapes.shapes.iter().map(name).collect::<Vec<_>>().join(", ")
+}
+
+fn falloff(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation, i: usize) {
+    let Some(scene) = window.state().scene() else { return };
+    let size = (scene.sampled.bounds.max - scene.sampled.bounds.min).length();
+    ui.label(RichText::new("Falloff").small());
+    // While it is dragged it is the panel's own: regions change at once, not with each picture.
+    let id = ui.scope_id().with(("falloff", i));
+    let held = ui.data(|data| data.get_temp::<f64>(id));
+    let mut falloff = held.unwrap_or(deformation.regions[i].shapes.falloff);
+    let drag = DragValue::new(&mut falloff).range(0.0..=size).speed(0.001 * size).max_decimals(4);
+    let response = ui.add(drag);
+    let name = format!("Falloff of region {}", i + 1);
+    response.ctx.accesskit_node_builder(response.id, |node| node.set_label(name.as_str()));
+    if response.dragged() {
+        ui.data_mut(|data| data.insert_temp(id, falloff));
+    } else if held.is_some() || response.changed() {
+        ui.data_mut(|data| data.remove::<f64>(id));
+        let mut regions = deformation.regions.clone();
+        regions[i].shapes.falloff = falloff;
+        window.change(step, Change::SetRegions(regions), false);
+    }
+    response.on_hover_text("How far beyond its border the region fades out, in the model's unit");
+}
+
+fn more(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation, i: usize, region: &Region) {
+    let menu = ui.menu_button("\u{2026}", |ui| {
+        for role in ROLES {
+            let button = Button::selectable(region.role == role, theme::role_name(role));
+            if ui.add_enabled(make::takes(window, role), button).clicked() {
+                let mut regions = deformation.regions.clone();
+                regions[i].role = role;
+                window.change(step, Change::SetRegions(regions), false);
+                ui.close();
+            }
+        }
+        ui.separator();
+        let selected = !window.state().selection().is_empty();
+        if ui.add_enabled(selected, Button::new("Replace by Selection")).clicked() {
+            let (role, falloff) = (region.role, region.shapes.falloff);
+            window.apply(Command::MakeRegion { step, role, falloff, replaces: Some(i) });
+            ui.close();
+        }
+        let still = region.motion == Motion { pivot: region.motion.pivot, ..Motion::default() };
+        if ui.add_enabled(!still, Button::new("Reset Motion")).clicked() {
+            let motion = Motion { pivot: region.motion.pivot, ..Motion::default() };
+            window.change(step, Change::MoveRegion { region: i, motion }, false);
+            ui.close();
+        }
+        if ui.button("Select Its Samples").clicked() {
+            let area = Area::Region { step, region: i };
+            window.apply(Command::Select { area, combine: Default::default(), visible: false });
+            ui.close();
+        }
+        if ui.button("Show Weight").clicked() {
+            window.apply(Command::Show(Overlay::Region(i)));
+            ui.close();
+        }
+        ui.separator();
+        if ui.button("Remove").clicked() {
+            let mut regions = deformation.regions.clone();
+            regions.remove(i);
+            window.change(step, Change::SetRegions(regions), false);
+            window.tools.target = None;
+            ui.close();
+        }
+    });
+    let name = format!("More on region {}", i + 1);
+    menu.response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, &name));
+}
+
+/// What can be made of what is selected.
+fn selection(ui: &mut Ui, window: &mut Window) {
+    let selected = window.state().selection().count();
+    if selected == 0 {
+        return;
+    }
+    side::part(ui);
+    side::heading(ui, &format!("Selection: {} samples", count(selected as u64)), |_| ());
+    ui.horizontal_wrapped(|ui| {
+        for role in ROLES {
+            let text = format!("Make {}", theme::role_name(role));
+            let can = make::can_make(window, role);
+            let why = if can { "" } else { "The chosen step takes no such region" };
+            let button = ui.add_enabled(can, Button::new(text)).on_disabled_hover_text(why);
+            if button.clicked() {
+                make::make(window, role);
+            }
+        }
+        if ui.button("Refine").on_hover_text("More samples there, as a step of its own").clicked() {
+            make::refine(window);
+        }
+    });
+}
+
+/// Numbers of what the gizmo moves.
+fn handle(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation) {
+    let Some(target) = window.tools.target.clone() else { return };
+    let (name, motion) = match &target {
+        Target::Region(i) => match deformation.regions.get(*i) {
+            Some(region) => (format!("Handle {}", i + 1), region.motion),
+            None => return,
+        },
+        Target::Handle(id) => {
+            let moved = deformation.handles.iter().find(|handle| handle.id == *id);
+            (format!("Handle {id}"), moved.map_or(Motion::default(), |moved| moved.motion))
+        }
+    };
+    side::part(ui);
+    side::heading(ui, &name, |ui| {
+        if ui.small_button("Reset").on_hover_text("Back to where it is at rest").clicked() {
+            crate::tools::gizmo::reset(window);
+        }
+    });
+    let Some(scene) = window.state().scene() else { return };
+    let size = (scene.sampled.bounds.max - scene.sampled.bounds.min).length();
+    let mut to = motion;
+    let mut rows: Vec<egui::Response> = Vec::new();
+    egui::Grid::new("motion").num_columns(2).spacing([12.0, 5.0]).show(ui, |ui| {
+        ui.label("Move");
+        ui.horizontal(|ui| {
+            for (x, axis) in [&mut to.translate.x, &mut to.translate.y, &mut to.translate.z]
+                .into_iter()
+                .zip(["x", "y", "z"])
+            {
+                let drag = DragValue::new(x).speed(0.001 * size).max_decimals(4).prefix(format!("{axis} "));
+                rows.push(ui.add_sized([64.0, ui.spacing().interact_size.y], drag));
+            }
+        });
+        ui.end_row();
+        ui.label("Turn");
+        rows.push(ui.add(DragValue::new(&mut to.degrees).speed(0.5).suffix("\u{b0}").max_decimals(2)));
+        ui.end_row();
+        ui.label("Scale");
+        rows.push(ui.add(DragValue::new(&mut to.scale).speed(0.005).range(0.001..=1000.0).max_decimals(4)));
+        ui.end_row();
+    });
+    for (response, name) in rows.iter().zip(["Move x", "Move y", "Move z", "Turn", "Scale"]) {
+        response.ctx.accesskit_node_builder(response.id, |node| node.set_label(name));
+        let change = || match target.clone() {
+            Target::Region(region) => Change::MoveRegion { region, motion: to },
+            Target::Handle(id) => Change::MoveHandle { id, motion: to },
+        };
+        if response.changed() {
+            window.change(step, change(), response.dragged() || response.drag_stopped());
+        }
+        if response.drag_stopped() {
+            window.apply(Command::Rest);
+        }
+    }
+}
+
+fn joints(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation) {
+    if deformation.joints.is_empty() {
+        return;
+    }
+    side::part(ui);
+    side::heading(ui, "Joints", |_| ());
+    for (i, joint) in deformation.joints.iter().enumerate() {
+        ui.horizontal(|ui| {
+            let chosen = window.tools.target == Some(Target::Handle(joint.id.clone()));
+            if ui.selectable_label(chosen, &joint.id).clicked() {
+                window.tools.target = Some(Target::Handle(joint.id.clone()));
+            }
+            if let Some(parent) = &joint.parent {
+                ui.label(RichText::new(format!("on {parent}")).weak().small());
+            }
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                let remove = ui.small_button("\u{d7}").on_hover_text("Remove it");
+                remove.widget_info(|| {
+                    egui::WidgetInfo::labeled(egui::Role::Button, true, format!("Remove {}", joint.id))
+                });
+                if remove.clicked() {
+                    let mut joints = deformation.joints.clone();
+                    let gone = joints.remove(i);
+                    // Those that hung on it hang on what it hung on.
+                    for other in joints.iter_mut().filter(|j| j.parent.as_ref() == Some(&gone.id)) {
+                        other.parent.clone_from(&gone.parent);
+                    }
+                    window.change(step, Change::SetJoints(joints), false);
+                    window.tools.target = None;
+                }
+            });
+        });
+    }
+}
+
+fn strokes(ui: &mut Ui, deformation: &Deformation) {
+    if deformation.strokes.is_empty() {
+        return;
+    }
+    side::part(ui);
+    let text = match deformation.strokes.len() {
+        1 => "1 brush stroke".to_owned(),
+        n => format!("{n} brush strokes"),
+    };
+    ui.label(RichText::new(text).weak()).on_hover_text("Undo takes the last one back");
+}

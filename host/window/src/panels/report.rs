@@ -1,0 +1,56 @@
+//! What became of the model that was written.
+
+use super::{bytes, count};
+use crate::window::Window;
+use eframe::egui::{self, Grid, Id, Modal, RichText};
+use simod_core::reconstruction::Reconstructed;
+use std::path::PathBuf;
+
+/// A report.
+pub struct Report {
+    output: PathBuf,
+    report: Reconstructed,
+    seconds: f64,
+}
+
+impl Report {
+    /// Of a file that was written in so many seconds.
+    pub fn new(output: PathBuf, report: Reconstructed, seconds: f64) -> Self {
+        Self { output, report, seconds }
+    }
+}
+
+/// Shows it until it is closed.
+pub fn show(ctx: &egui::Context, window: &mut Window) {
+    let Some(Report { output, report, seconds }) = &window.report else { return };
+    let mut done = false;
+    let modal = Modal::new(Id::unique("report")).frame(super::modal(ctx)).show(ctx, |ui| {
+        ui.set_width(420.0);
+        ui.heading("The deformed model is written");
+        ui.add_space(6.0);
+        ui.label(RichText::new(output.display().to_string()).weak());
+        ui.add_space(8.0);
+        Grid::new("report").num_columns(2).spacing([24.0, 6.0]).show(ui, |ui| {
+            let mut row = |name: &str, value: String| {
+                ui.label(name);
+                ui.label(RichText::new(value).strong());
+                ui.end_row();
+            };
+            row("Vertices", count(report.vertices));
+            row("Time", format!("{seconds:.1} s"));
+            let rate = report.vertices as f64 / seconds.max(1e-3);
+            row("Vertices a second", count(rate as u64));
+            if let Ok(file) = std::fs::metadata(output) {
+                row("Size", bytes(file.len() as f64));
+            }
+            if report.non_finite > 0 {
+                row("Left as they are: no finite position", count(report.non_finite));
+            }
+        });
+        ui.add_space(10.0);
+        done = ui.button("Close").clicked();
+    });
+    if done || modal.should_close() {
+        window.report = None;
+    }
+}

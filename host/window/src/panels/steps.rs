@@ -1,0 +1,176 @@
+//! The list of steps, and how each fares.
+
+use super::{menu, side};
+use crate::regions;
+use crate::window::Window;
+use eframe::egui::{
+    self, Align, Button, Color32, CornerRadius, Frame, Layout, Margin, RichText, Sense, Spinner, Stroke, Ui,
+    UiBuilder,
+};
+use simod_core::refinement::Finer;
+use simod_session::edit::{self, Change, Entry, Status};
+use simod_session::session_file::Action;
+use simod_viewer::Command;
+
+/// The list.
+pub fn show(ui: &mut Ui, window: &mut Window) {
+    side::heading(ui, "Steps", |ui| {
+        ui.menu_button("+ Add Step", |ui| {
+            ui.set_min_width(240.0);
+            menu::add_step(ui, window, None);
+        });
+    });
+    let steps = window.steps();
+    if steps.is_empty() {
+        ui.label(
+            RichText::new("A step deforms the model, or refines its samples. Add the first one.").weak(),
+        );
+    }
+    for (at, entry) in steps.iter().enumerate() {
+        row(ui, window, at, entry, steps.len());
+    }
+}
+
+fn row(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize) {
+    let chosen = window.state().chosen() == Some(at);
+    let visuals = ui.visuals();
+    let (fill, stroke) = if chosen {
+        (visuals.selection.bg_fill.gamma_multiply(0.28), Stroke::new(1.0, visuals.selection.bg_fill))
+    } else {
+        (visuals.widgets.inactive.bg_fill.gamma_multiply(0.5), Stroke::new(1.0, Color32::TRANSPARENT))
+    };
+    let frame = Frame::NONE
+        .fill(fill)
+        .stroke(stroke)
+        .corner_radius(CornerRadius::same(5))
+        .inner_margin(Margin::symmetric(8, 5));
+    let name = title(window, entry);
+    // What is in the row comes later, and before it: it takes its clicks first.
+    let builder = UiBuilder::new().id_salt(entry.id).sense(Sense::click());
+    let whole = ui.scope_builder(builder, |ui| {
+        frame.show(ui, |ui| content(ui, window, at, entry, count, &name));
+    });
+    if whole.response.clicked() {
+        choose(window, at, chosen);
+    }
+    ui.add_space(1.0);
+}
+
+fn content(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize, name: &str) {
+    let chosen = window.state().chosen() == Some(at);
+    ui.set_min_width(ui.available_width());
+    ui.horizontal(|ui| {
+        let mut enabled = entry.step.enabled;
+        let check = ui.checkbox(&mut enabled, "");
+        check.widget_info(|| {
+            egui::WidgetInfo::selected(
+                egui::Role::CheckBox,
+                true,
+                entry.step.enabled,
+                format!("Enable {name}"),
+            )
+        });
+        if check.on_hover_text("Do this step, or leave it out").changed() {
+            window.change(at, Change::Enable(enabled), false);
+        }
+        let text = RichText::new(name);
+        let text = if entry.step.enabled { text.strong() } else { text.weak() };
+        let label = Button::new(text).frame(false).truncate();
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+            more(ui, window, at, entry, count);
+            state(ui, window, at);
+            ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
+                if ui.add(label).clicked() {
+                    choose(window, at, chosen);
+                }
+            });
+        });
+    });
+    messages(ui, window, entry);
+}
+
+fn choose(window: &mut Window, at: usize, chosen: bool) {
+    if !chosen && window.apply(Command::Choose { step: Some(at) }) {
+        window.tools.target = None;
+    }
+}
+
+/// What the user calls it.
+fn title(window: &Window, entry: &Entry) -> String {
+    match &entry.step.action {
+        Action::Deform(d) => {
+            window.state().plugins().get(&d.deform).map_or_else(|_| d.deform.clone(), |p| p.name().to_owned())
+        }
+        Action::Refine(refine) => match refine.finer {
+            Finer::Factor(factor) => format!("Refine, {factor} times"),
+            Finer::Error(error) => format!("Refine to {error:.1e}"),
+            Finer::Samples(samples) => format!("Refine by {samples}"),
+            Finer::Auto { .. } => "Refine where needed".to_owned(),
+        },
+    }
+}
+
+fn state(ui: &mut Ui, window: &Window, at: usize) {
+    if window.state().busy_step() == Some(at) {
+        ui.add(Spinner::new().size(13.0));
+    }
+}
+
+/// What a step can do besides.
+fn more(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize) {
+    let menu = ui.menu_button("\u{2026}", |ui| {
+        let moves = [("Move Up", at.checked_sub(1)), ("Move Down", Some(at + 1).filter(|to| *to < count))];
+        for (name, to) in moves {
+            if ui.add_enabled(to.is_some(), Button::new(name)).clicked()
+                && let Some(to) = to
+            {
+                window.apply(Command::Edit(edit::Command::Move { from: at, to }));
+                ui.close();
+            }
+        }
+        if ui.button("Duplicate").clicked() {
+            let step = Box::new((*entry.step).clone());
+            window.apply(Command::Edit(edit::Command::Add { at: at + 1, step }));
+            ui.close();
+        }
+        ui.separator();
+        if ui.button("Remove").clicked() {
+            window.apply(Command::Edit(edit::Command::Remove { at }));
+            ui.close();
+        }
+    });
+    let name = format!("More on step {}", at + 1);
+    menu.response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, &name));
+}
+
+fn messages(ui: &mut Ui, window: &Window, entry: &Entry) {
+    let Some(scene) = window.state().scene() else { return };
+    let Some((_, status)) = scene.statuses.iter().find(|(id, _)| *id == entry.id) else { return };
+    match status {
+        Status::Failed(_) if regions::missing(window, entry).is_some() => {
+            let what = regions::missing(window, entry).unwrap_or_default();
+            ui.label(RichText::new(what).small().color(ui.visuals().warn_fg_color));
+        }
+        Status::Failed(error) => {
+            // Steps of a file begin with their place in it.
+            let text = error.to_string();
+            let text = text.strip_prefix(": ").unwrap_or(&text);
+            ui.label(RichText::new(text).small().color(ui.visuals().error_fg_color));
+            if !error.hint().is_empty() {
+                ui.label(RichText::new(error.hint()).small());
+            }
+        }
+        Status::Done(messages) => {
+            for message in messages.iter().filter(|m| !m.is_debug()).take(3) {
+                let text = RichText::new(&message.text).small();
+                let text =
+                    if message.is_warning() { text.color(ui.visuals().warn_fg_color) } else { text.weak() };
+                ui.label(text);
+            }
+        }
+        Status::Waiting => {
+            ui.label(RichText::new("waits for the step before").small().weak());
+        }
+        Status::Off => {}
+    }
+}

@@ -1,0 +1,68 @@
+//! What the window knows of regions: to make them of the selection.
+
+use crate::tools::{Target, Tool};
+use crate::window::Window;
+use simod_core::refinement::Finer;
+use simod_session::edit::Entry;
+use simod_session::session_file::Role;
+use simod_viewer::Command;
+
+/// By how much a selection gets finer at once.
+const FINER: f64 = 4.0;
+
+/// Whether a region of this role can be made of the selection: something is selected, and the step takes such regions.
+pub fn can_make(window: &Window, role: Role) -> bool {
+    !window.state().selection().is_empty() && takes(window, role)
+}
+
+/// Whether the chosen step takes regions of this role.
+pub fn takes(window: &Window, role: Role) -> bool {
+    let Some((_, _, _, Some(plugin))) = window.chosen() else { return false };
+    let consumes = plugin.consumes();
+    match role {
+        Role::Fixed => consumes.fixed_regions,
+        Role::Handle => consumes.handle_regions,
+        Role::Mask => true,
+    }
+}
+
+/// What a step needs and does not have yet.
+pub fn missing(window: &Window, entry: &Entry) -> Option<&'static str> {
+    let deformation = entry.step.deformation()?;
+    let consumes = window.state().plugins().get(&deformation.deform).ok()?.consumes();
+    let number = |role| deformation.regions.iter().filter(|r| r.role == role).count();
+    let handles = consumes.min_handles as usize > number(Role::Handle);
+    let fixed = consumes.min_fixed as usize > number(Role::Fixed);
+    match (handles, fixed) {
+        (true, true) => {
+            Some("It needs a handle and a fixed region: select samples, and make them of the selection.")
+        }
+        (true, false) => Some("It needs a handle region: select samples, and make it of the selection."),
+        (false, true) => Some("It needs a fixed region: select samples, and make it of the selection."),
+        _ => None,
+    }
+}
+
+/// Makes a region of the selection. A handle is taken into the hand.
+pub fn make(window: &mut Window, role: Role) {
+    let Some((step, _, deformation, _)) = window.chosen() else { return };
+    let falloff = 0.0;
+    if window.apply(Command::MakeRegion { step, role, falloff, replaces: None }) {
+        if role == Role::Handle {
+            window.tools.target = Some(Target::Region(deformation.regions.len()));
+            if !window.tools.tool.is_gizmo() {
+                window.tools.take(Tool::Move);
+            }
+        }
+        window.apply(Command::Select {
+            area: simod_viewer::command::Area::None,
+            combine: Default::default(),
+            visible: false,
+        });
+    }
+}
+
+/// More samples where it is selected.
+pub fn refine(window: &mut Window) {
+    window.apply(Command::RefineSelection { finer: Finer::Factor(FINER) });
+}

@@ -1,0 +1,107 @@
+//! What the user likes, kept from one day to the next in a small file.
+
+use serde::{Deserialize, Serialize};
+use simod_viewer::Navigation;
+use std::path::{Path, PathBuf};
+
+/// Models and sessions that are remembered.
+const RECENT: usize = 10;
+
+/// How light the window is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Theme {
+    #[default]
+    Dark,
+    Light,
+}
+
+/// What the user likes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", default)]
+pub struct Settings {
+    /// How light the window is.
+    pub theme: Theme,
+    /// The name of the way to move the camera; see [`Navigation::ALL`].
+    pub navigation: String,
+    /// Whether crevices are darker.
+    pub occlusion: bool,
+    /// About how many samples are taken of a model that is opened.
+    pub samples: u64,
+    /// What was opened last, latest first.
+    pub recent: Vec<PathBuf>,
+    /// Where it is kept; nowhere in tests.
+    #[serde(skip)]
+    file: Option<PathBuf>,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            theme: Theme::default(),
+            navigation: Navigation::ALL[0].name.to_owned(),
+            occlusion: true,
+            samples: 150_000,
+            recent: Vec::new(),
+            file: None,
+        }
+    }
+}
+
+impl Settings {
+    /// The user's. Whatever cannot be read is as it is at first.
+    pub fn load() -> Self {
+        let folders = directories::ProjectDirs::from("", "", "simod");
+        let file = folders.map(|f| f.config_dir().join("viewer.toml"));
+        let text = file.as_ref().and_then(|file| std::fs::read_to_string(file).ok());
+        let known = text.and_then(|text| toml::from_str::<Self>(&text).ok()).unwrap_or_default();
+        Self { file, ..known }
+    }
+
+    /// Keeps them.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn save(&self) -> simod_core::Result<()> {
+        let Some(file) = &self.file else { return Ok(()) };
+        let Ok(text) = toml::to_string(self) else { return Ok(()) };
+        let folder = file.parent().unwrap_or(Path::new(""));
+        std::fs::create_dir_all(folder).map_err(|e| simod_core::Error::io("make the folder", folder, &e))?;
+        simod_core::output::write_file(file, text.as_bytes())
+    }
+
+    /// Which button moves the camera how.
+    pub fn navigation(&self) -> &'static Navigation {
+        Navigation::ALL.iter().find(|n| n.name == self.navigation).unwrap_or(&Navigation::ALL[0])
+    }
+
+    /// Remembers what was opened.
+    pub fn remember(&mut self, path: &Path) {
+        let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        self.recent.retain(|other| *other != path);
+        self.recent.insert(0, path);
+        self.recent.truncate(RECENT);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_latest_comes_first_and_once() {
+        let mut settings = Settings::default();
+        for name in ["a", "b", "a"] {
+            settings.remember(Path::new(name));
+        }
+        assert_eq!(settings.recent, [PathBuf::from("a"), PathBuf::from("b")]);
+        (0..30).for_each(|i| settings.remember(Path::new(&format!("{i}"))));
+        assert_eq!(settings.recent.len(), RECENT);
+    }
+
+    #[test]
+    fn what_is_missing_in_the_file_is_as_at_first() {
+        let some: Settings = toml::from_str("theme = \"light\"").unwrap();
+        assert_eq!(some, Settings { theme: Theme::Light, ..Settings::default() });
+    }
+}

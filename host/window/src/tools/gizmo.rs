@@ -1,0 +1,225 @@
+//! Arrows and rings that move a handle: a region's, or one that the plugin placed.
+
+use super::{Target, Tool};
+use crate::viewport::Canvas;
+use crate::window::Window;
+use eframe::egui::{Color32, Mesh, Pos2, Rgba, epaint};
+use glam::{DAffine3, DMat4, DQuat, DVec3};
+use simod_session::Motion;
+use simod_session::edit::Change;
+use simod_viewer::Command;
+use simod_viewer::motion::{PlacedHandle, handle_matrix, motion_of};
+use transform_gizmo::math::{Pos2 as GizmoPos, Rect as GizmoRect, Transform};
+use transform_gizmo::{EnumSet, GizmoConfig, GizmoInteraction, GizmoMode, GizmoOrientation, GizmoVisuals};
+
+/// Steps of a turn, with the key for steps held.
+const SNAP_DEGREES: f32 = 15.0;
+/// Steps of a shift, as a part of the model's size.
+const SNAP_DISTANCE: f32 = 0.05;
+
+/// What the gizmo moves.
+struct Place {
+    step: usize,
+    target: Target,
+    /// Where it is: model coordinates.
+    matrix: DAffine3,
+    kind: Kind,
+    can: simod_plugin_api::Gizmo,
+}
+
+enum Kind {
+    Region { pivot: DVec3 },
+    Handle(PlacedHandle),
+}
+
+impl Place {
+    fn of(window: &mut Window) -> Option<Self> {
+        let (step, id, deformation, _) = window.chosen()?;
+        let target = window.tools.target.clone()?;
+        let all = simod_plugin_api::Gizmo(!0);
+        match &target {
+            Target::Region(region) => {
+                let motion = deformation.regions.get(*region)?.motion;
+                let known = window.tools.pivot.filter(|(of, i, _)| (*of, *i) == (id, *region));
+                let pivot = match (motion.pivot, known) {
+                    (Some(pivot), _) | (None, Some((_, _, pivot))) => pivot,
+                    // It takes all samples to find it.
+                    (None, None) => window.state().handle_pivot(step, *region)?,
+                };
+                window.tools.pivot = Some((id, *region, pivot));
+                let matrix = handle_matrix(&motion, pivot);
+                Some(Self { step, target, matrix, kind: Kind::Region { pivot }, can: all })
+            }
+            Target::Handle(id) => {
+                let (desc, placed) =
+                    window.state().handles(step).into_iter().find(|(desc, _)| desc.id == id.as_str())?;
+                let (matrix, can) = (placed.matrix(), desc.gizmo);
+                Some(Self { step, target, matrix, kind: Kind::Handle(placed), can })
+            }
+        }
+    }
+
+    fn change_to(&self, matrix: DAffine3) -> Option<Change> {
+        Some(match (&self.kind, &self.target) {
+            (Kind::Region { pivot }, Target::Region(region)) => {
+                Change::MoveRegion { region: *region, motion: motion_of(matrix, *pivot)? }
+            }
+            (Kind::Handle(placed), Target::Handle(id)) => {
+                Change::MoveHandle { id: id.clone(), motion: placed.motion_to(matrix)? }
+            }
+            _ => return None,
+        })
+    }
+}
+
+/// The modes of a tool that a handle takes; shifting if it takes none of them.
+fn modes(tool: Tool, can: simod_plugin_api::Gizmo) -> EnumSet<GizmoMode> {
+    match tool {
+        Tool::Rotate if can.contains(simod_plugin_api::Gizmo::ROTATE) => GizmoMode::all_rotate(),
+        Tool::Scale if can.contains(simod_plugin_api::Gizmo::SCALE) => GizmoMode::ScaleUniform.into(),
+        _ => GizmoMode::all_translate(),
+    }
+}
+
+fn rows(m: DMat4) -> [[f64; 4]; 4] {
+    m.transpose().to_cols_array_2d()
+}
+
+pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+    let Some(place) = Place::of(window) else { return false };
+    let Some(scene) = window.state().scene().cloned() else { return false };
+    let (frame, camera) = (scene.frame(), *window.state().camera());
+    let size = window.state().size();
+    let near_far = camera.near_far(scene.bounds().map(|corner| corner.as_dvec3()));
+    let rect = canvas.rect();
+    let config = GizmoConfig {
+        view_matrix: rows(camera.view()).into(),
+        projection_matrix: rows(camera.projection(size, near_far)).into(),
+        viewport: GizmoRect::from_min_max(
+            GizmoPos::new(rect.min.x, rect.min.y),
+            GizmoPos::new(rect.max.x, rect.max.y),
+        ),
+        modes: modes(window.tools.tool, place.can),
+        orientation: GizmoOrientation::Global,
+        snapping: canvas.modifiers().command,
+        snap_angle: SNAP_DEGREES.to_radians(),
+        snap_distance: SNAP_DISTANCE,
+        visuals: visuals(),
+        pixels_per_point: 1.0,
+        ..GizmoConfig::default()
+    };
+    let transform = transform(&place.matrix, |p| frame.to_local_exact(p));
+    let gizmo = &mut window.tools.gizmo;
+    gizmo.update_config(config);
+    // Where it was pressed: in a slow picture the pointer may be far from there already.
+    let pressed = canvas.is_pressed().then(|| canvas.ctx().input(|i| i.pointer.press_origin())).flatten();
+    let at = pressed.or(canvas.pointer_pos()).unwrap_or(Pos2::ZERO);
+    let interaction = GizmoInteraction {
+        cursor_pos: (at.x, at.y),
+        hovered: canvas.is_hovered(),
+        drag_started: canvas.is_pressed(),
+        dragging: canvas.is_down(),
+    };
+    // What it was dragged to when it was let go counts, too.
+    let released = window.tools.dragging && !canvas.is_down();
+    let moved = gizmo
+        .update(GizmoInteraction { dragging: canvas.is_down() || released, ..interaction }, &[transform]);
+    if released {
+        gizmo.update(interaction, &[transform]);
+    }
+    let (focused, mesh) = (gizmo.is_focused(), mesh(gizmo));
+    canvas.painter().add(mesh);
+    if let Some((_, to)) = moved {
+        let matrix = to.first().and_then(|to| affine(to, |p| frame.to_model_exact(p)));
+        if let Some(change) = matrix.and_then(|matrix| place.change_to(matrix)) {
+            window.tools.dragging = true;
+            window.change(place.step, change, true);
+        }
+    }
+    if window.tools.dragging && !canvas.is_down() {
+        window.tools.dragging = false;
+        window.apply(Command::Rest);
+    }
+    focused
+}
+
+/// What was moved goes back to where it is at rest.
+pub fn reset(window: &mut Window) {
+    let Some(place) = Place::of(window) else { return };
+    let change = match (&place.kind, place.target) {
+        (Kind::Region { pivot }, Target::Region(region)) => {
+            Change::MoveRegion { region, motion: Motion { pivot: Some(*pivot), ..Motion::default() } }
+        }
+        (_, Target::Handle(id)) => Change::MoveHandle { id, motion: Motion::default() },
+        _ => return,
+    };
+    window.change(place.step, change, false);
+}
+
+/// In local coordinates, as the gizmo has it.
+fn transform(matrix: &DAffine3, to_local: impl Fn(DVec3) -> DVec3) -> Transform {
+    let scale = matrix.matrix3.determinant().abs().cbrt().max(f64::MIN_POSITIVE);
+    let turn = DQuat::from_mat3(&(matrix.matrix3 * scale.recip())).normalize();
+    Transform::from_scale_rotation_translation(
+        [scale; 3],
+        turn.to_array(),
+        to_local(matrix.translation).to_array(),
+    )
+}
+
+fn affine(to: &Transform, to_model: impl Fn(DVec3) -> DVec3) -> Option<DAffine3> {
+    let vector = |v: [f64; 3]| DVec3::from_array(v);
+    let scale = vector(to.scale.into());
+    let turn = DQuat::from_array(to.rotation.into());
+    let matrix =
+        DAffine3::from_scale_rotation_translation(scale, turn, to_model(vector(to.translation.into())));
+    matrix.is_finite().then_some(matrix)
+}
+
+fn visuals() -> GizmoVisuals {
+    let color = transform_gizmo::Color32::from_rgb;
+    GizmoVisuals {
+        x_color: color(226, 62, 68),
+        y_color: color(96, 172, 40),
+        z_color: color(52, 120, 232),
+        s_color: color(235, 235, 235),
+        inactive_alpha: 0.9,
+        highlight_alpha: 1.0,
+        highlight_color: Some(color(255, 196, 40)),
+        stroke_width: 4.0,
+        gizmo_size: 82.0,
+    }
+}
+
+/// What the gizmo draws, for egui.
+fn mesh(gizmo: &transform_gizmo::Gizmo) -> Mesh {
+    let data = gizmo.draw();
+    let vertex = |([x, y], [r, g, b, a]): (&[f32; 2], &[f32; 4])| epaint::Vertex {
+        pos: Pos2::new(*x, *y),
+        uv: epaint::WHITE_UV,
+        color: Color32::from(Rgba::from_rgba_premultiplied(*r, *g, *b, *a)),
+    };
+    let vertices = data.vertices.iter().zip(&data.colors).map(vertex).collect();
+    Mesh { indices: data.indices, vertices, texture_id: Default::default() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DMat3;
+
+    #[test]
+    fn a_transform_comes_back() {
+        let matrix =
+            DAffine3 { matrix3: DMat3::from_rotation_y(0.7) * 1.5, translation: DVec3::new(1.0, -2.0, 3.0) };
+        let half = |p: DVec3| p * 0.5;
+        let back = affine(&transform(&matrix, half), |p| p * 2.0).unwrap();
+        assert!(back.abs_diff_eq(matrix, 1e-12));
+    }
+
+    #[test]
+    fn a_handle_that_cannot_turn_is_shifted() {
+        assert_eq!(modes(Tool::Rotate, simod_plugin_api::Gizmo::TRANSLATE), GizmoMode::all_translate());
+        assert_eq!(modes(Tool::Rotate, simod_plugin_api::Gizmo::ROTATE), GizmoMode::all_rotate());
+    }
+}

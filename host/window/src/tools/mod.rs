@@ -1,0 +1,193 @@
+//! What the left button does in the picture.
+
+pub mod gizmo;
+mod joint;
+mod select;
+mod stroke;
+
+use crate::viewport::Canvas;
+use crate::window::Window;
+use eframe::egui::{CursorIcon, Key, Modifiers};
+use glam::DVec3;
+use simod_session::edit::StepId;
+use simod_viewer::selection::Combine;
+
+/// What is in the hand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(missing_docs, reason = "they say it")]
+pub enum Tool {
+    Orbit,
+    Move,
+    Rotate,
+    Scale,
+    Brush,
+    Lasso,
+    Box,
+    Connected,
+    Stroke,
+    Joint,
+}
+
+impl Tool {
+    /// What the user reads.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Orbit => "Look Around",
+            Self::Move => "Move",
+            Self::Rotate => "Rotate",
+            Self::Scale => "Scale",
+            Self::Brush => "Select by Brush",
+            Self::Lasso => "Select by Lasso",
+            Self::Box => "Select by Box",
+            Self::Connected => "Select Connected",
+            Self::Stroke => "Brush Stroke",
+            Self::Joint => "Place Joints",
+        }
+    }
+
+    /// What to do with it.
+    pub fn hint(self) -> &'static str {
+        match self {
+            Self::Orbit => "Drag to look around; click a handle to grab it.",
+            Self::Move => "Click a handle, and drag its arrows.",
+            Self::Rotate => "Click a handle, and drag its rings.",
+            Self::Scale => "Click a handle, and drag its ring.",
+            Self::Brush => "Paint over samples. Shift adds, Ctrl takes away. [ and ] change the size.",
+            Self::Lasso => "Draw a line round samples. Shift adds, Ctrl takes away.",
+            Self::Box => "Draw a box round samples. Shift adds, Ctrl takes away.",
+            Self::Connected => "Click a part. Shift adds, Ctrl takes away.",
+            Self::Stroke => "Paint on the surface. [ and ] change the size.",
+            Self::Joint => "Click the surface to place a joint; it hangs on the one that is chosen.",
+        }
+    }
+
+    /// Whether the chosen step has any use for it.
+    pub fn is_of_use(self, window: &Window) -> bool {
+        let consumes =
+            || window.chosen().and_then(|(_, _, _, plugin)| plugin).map(|plugin| plugin.consumes());
+        match self {
+            Self::Stroke => consumes().is_some_and(|c| c.strokes),
+            Self::Joint => consumes().is_some_and(|c| c.joints),
+            _ => true,
+        }
+    }
+
+    /// Whether it moves handles.
+    pub fn is_gizmo(self) -> bool {
+        matches!(self, Self::Move | Self::Rotate | Self::Scale)
+    }
+
+    /// Whether it selects samples.
+    pub fn selects(self) -> bool {
+        matches!(self, Self::Brush | Self::Lasso | Self::Box | Self::Connected)
+    }
+
+    /// Whether a click takes a handle, and a drag moves the camera.
+    pub fn grabs(self) -> bool {
+        self.is_gizmo() || self == Self::Orbit
+    }
+}
+
+/// What the gizmo moves, of the chosen step.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Target {
+    /// A handle region, by its place among the regions.
+    Region(usize),
+    /// A handle that the plugin placed, by its id.
+    Handle(String),
+}
+
+/// The tools, and what is going on with them.
+pub struct Tools {
+    /// What is in the hand.
+    pub tool: Tool,
+    /// What the gizmo moves.
+    pub target: Option<Target>,
+    /// What a selection does to the former one, if no key says otherwise.
+    pub combine: Combine,
+    /// Whether only what is seen is selected.
+    pub visible: bool,
+    /// Of the selecting brush, in points of the screen.
+    pub radius: f32,
+    /// Of strokes, as a part of the model's size.
+    pub stroke_radius: f64,
+    /// Of strokes.
+    pub strength: f64,
+    /// Pixels that the pointer went along, while a selection is drawn.
+    path: Vec<[f64; 2]>,
+    gizmo: transform_gizmo::Gizmo,
+    /// About what the gizmo's region turns.
+    pivot: Option<(StepId, usize, DVec3)>,
+    /// Whether the gizmo moves something just now.
+    dragging: bool,
+}
+
+impl Default for Tools {
+    fn default() -> Self {
+        Self {
+            tool: Tool::Orbit,
+            target: None,
+            combine: Combine::Replace,
+            visible: true,
+            radius: 30.0,
+            stroke_radius: 0.06,
+            strength: 1.0,
+            path: Vec::new(),
+            gizmo: transform_gizmo::Gizmo::default(),
+            pivot: None,
+            dragging: false,
+        }
+    }
+}
+
+impl Tools {
+    /// Takes a tool.
+    pub fn take(&mut self, tool: Tool) {
+        self.tool = tool;
+        self.path.clear();
+    }
+
+    /// Another model: nothing is held any more.
+    pub fn reset(&mut self) {
+        (self.target, self.pivot) = (None, None);
+        self.path.clear();
+        self.dragging = false;
+    }
+
+    /// Whether something is being dragged.
+    pub fn is_dragging(&self) -> bool {
+        self.dragging || !self.path.is_empty()
+    }
+
+    /// What a selection does with these keys held.
+    fn combine_with(&self, modifiers: Modifiers) -> Combine {
+        match (modifiers.shift, modifiers.command) {
+            (true, _) => Combine::Add,
+            (_, true) => Combine::Subtract,
+            _ => self.combine,
+        }
+    }
+}
+
+/// The tool in the hand does its work and draws itself. Whether the pointer is its own, and not the camera's.
+pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+    let ctx = canvas.ctx();
+    if canvas.is_hovered() && !ctx.egui_wants_keyboard_input() {
+        let size = |key| i32::from(ctx.input(|i| i.key_pressed(key)));
+        let steps = size(Key::CloseBracket) - size(Key::OpenBracket);
+        window.tools.radius = (window.tools.radius * 1.2_f32.powi(steps)).clamp(2.0, 400.0);
+        window.tools.stroke_radius = (window.tools.stroke_radius * 1.2_f64.powi(steps)).clamp(1e-3, 1.0);
+    }
+    match window.tools.tool {
+        Tool::Orbit => false,
+        Tool::Move | Tool::Rotate | Tool::Scale => gizmo::update(canvas, window),
+        Tool::Brush | Tool::Lasso | Tool::Box | Tool::Connected => {
+            if canvas.is_hovered() {
+                ctx.set_cursor_icon(CursorIcon::Crosshair);
+            }
+            select::update(canvas, window)
+        }
+        Tool::Stroke => stroke::update(canvas, window),
+        Tool::Joint => joint::update(canvas, window),
+    }
+}

@@ -1,0 +1,109 @@
+//! Selecting by brush, lasso, box, and click.
+
+use super::Tool;
+use crate::theme;
+use crate::viewport::Canvas;
+use crate::window::Window;
+use eframe::egui::{Color32, Pos2, Rect, Shape, Stroke, StrokeKind};
+use simod_viewer::Command;
+use simod_viewer::command::Area;
+use simod_viewer::selection::Combine;
+
+/// Points of a lasso are so far apart at least, in pixels.
+const SPACING: f64 = 3.0;
+
+pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+    let tool = window.tools.tool;
+    let combine = window.tools.combine_with(canvas.modifiers());
+    let drawing = !window.tools.path.is_empty();
+    if canvas.is_pressed()
+        && let Some(at) = canvas.press()
+    {
+        if tool == Tool::Connected {
+            window.apply(Command::Select { area: Area::Connected { at }, combine, visible: false });
+            return true;
+        }
+        window.tools.path = vec![at];
+        if tool == Tool::Brush {
+            paint(canvas, window, vec![at], combine);
+        }
+    }
+    if !window.tools.path.is_empty() {
+        follow(canvas, window, combine);
+        if !canvas.is_down() {
+            finish(window, combine);
+        }
+    }
+    draw(canvas, window);
+    drawing || canvas.is_pressed()
+}
+
+/// The pointer went on.
+fn follow(canvas: &Canvas<'_>, window: &mut Window, combine: Combine) {
+    let path = &mut window.tools.path;
+    let from = path.len() - 1;
+    for at in canvas.trail().into_iter().map(|p| [p.x, p.y]) {
+        let last = path.last().copied().unwrap_or(at);
+        if window.tools.tool == Tool::Box {
+            path.truncate(1);
+            path.push(at);
+        } else if (at[0] - last[0]).hypot(at[1] - last[1]) >= SPACING {
+            path.push(at);
+        }
+    }
+    let new = path[from.min(path.len() - 1)..].to_vec();
+    if window.tools.tool == Tool::Brush && new.len() > 1 {
+        // What is painted first has replaced the selection.
+        let combine = if combine == Combine::Replace { Combine::Add } else { combine };
+        paint(canvas, window, new, combine);
+    }
+}
+
+fn paint(canvas: &Canvas<'_>, window: &mut Window, path: Vec<[f64; 2]>, combine: Combine) {
+    let radius = canvas.pixels(window.tools.radius);
+    let visible = window.tools.visible;
+    window.apply(Command::Select { area: Area::Brush { path, radius }, combine, visible });
+}
+
+fn finish(window: &mut Window, combine: Combine) {
+    let path = std::mem::take(&mut window.tools.path);
+    let area = match (window.tools.tool, path.as_slice()) {
+        (Tool::Lasso, [_, _, _, ..]) => Area::Lasso { path },
+        (Tool::Box, [from, to]) => Area::Box { from: *from, to: *to },
+        // A click on nothing in particular.
+        (Tool::Lasso | Tool::Box, _) if combine == Combine::Replace => Area::None,
+        _ => return,
+    };
+    let visible = window.tools.visible;
+    window.apply(Command::Select { area, combine, visible });
+}
+
+fn draw(canvas: &Canvas<'_>, window: &Window) {
+    let painter = canvas.painter();
+    let stroke = Stroke::new(1.5, theme::color(theme::SELECTED));
+    let points: Vec<Pos2> = window.tools.path.iter().map(|p| canvas.at((*p).into())).collect();
+    match (window.tools.tool, points.as_slice()) {
+        (Tool::Brush, _) if canvas.is_hovered() => {
+            if let Some(at) = canvas.pointer_pos() {
+                let radius = window.tools.radius;
+                painter.circle_stroke(at, radius + 0.5, Stroke::new(2.5, Color32::from_black_alpha(90)));
+                painter.circle_stroke(at, radius, Stroke::new(1.2, Color32::WHITE));
+            }
+        }
+        (Tool::Lasso, [first, .., last]) => {
+            painter.add(Shape::line(points.clone(), stroke));
+            painter.add(Shape::dashed_line(&[*last, *first], stroke, 5.0, 4.0));
+        }
+        (Tool::Box, [from, to]) => {
+            let rect = Rect::from_two_pos(*from, *to);
+            painter.rect(
+                rect,
+                0.0,
+                theme::color(theme::SELECTED).gamma_multiply(0.12),
+                stroke,
+                StrokeKind::Inside,
+            );
+        }
+        _ => {}
+    }
+}

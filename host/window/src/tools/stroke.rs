@@ -1,0 +1,94 @@
+//! Brush strokes on the surface, for plugins that take them.
+
+use crate::viewport::Canvas;
+use crate::window::Window;
+use eframe::egui::{Color32, Event, Key, Pos2, Shape, Stroke};
+use glam::DVec3;
+use simod_viewer::{Command, Hit};
+
+/// Points of a stroke are so far apart at least, in radii of the brush.
+const SPACING: f64 = 0.15;
+/// Corners of the circle that shows the brush.
+const CORNERS: usize = 48;
+
+pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+    let Some((step, _, _, plugin)) = window.chosen() else { return false };
+    if !plugin.is_some_and(|plugin| plugin.consumes().strokes) {
+        return false;
+    }
+    let drawing = window.state().is_drawing();
+    if drawing && canvas.ctx().input(|i| i.key_pressed(Key::Escape)) {
+        window.apply(Command::DropStroke);
+        return true;
+    }
+    let hit = match canvas.pointer() {
+        Some(pixel) if canvas.is_hovered() || drawing => window.state_mut().pick(pixel),
+        _ => None,
+    };
+    if let Some(hit) = &hit {
+        draw(canvas, window, hit);
+    }
+    let at = hit.as_ref().and_then(|hit| window.state().in_step(step, hit));
+    let Some(scale) = window.state().scene().map(|scene| scene.frame().scale) else { return false };
+    let radius = window.tools.stroke_radius * scale;
+    let invert = if canvas.modifiers().command { -1.0 } else { 1.0 };
+    match (canvas.is_pressed(), drawing, at) {
+        (true, false, Some(at)) => {
+            let strength = invert * window.tools.strength;
+            let params = Default::default();
+            if window.apply(Command::BeginStroke { step, radius, strength, params }) {
+                add(canvas, window, at);
+            }
+        }
+        (_, true, Some(at)) if canvas.is_down() => {
+            let far = window.tools.path.last().is_none_or(|last| {
+                let camera = window.state().camera();
+                let size = window.state().size();
+                let depth = hit.as_ref().and_then(|hit| camera.project(hit.local, size)).map_or(1.0, |p| p.1);
+                let spacing = SPACING * window.tools.stroke_radius / camera.pixel_length(depth, size);
+                canvas.pointer().is_some_and(|p| p.distance((*last).into()) > spacing.max(2.0))
+            });
+            if far {
+                add(canvas, window, at);
+            }
+        }
+        (_, true, _) if !canvas.is_down() => {
+            window.tools.path.clear();
+            window.apply(Command::EndStroke);
+        }
+        _ => {}
+    }
+    drawing || canvas.is_pressed() && at.is_some()
+}
+
+fn add(canvas: &Canvas<'_>, window: &mut Window, at: DVec3) {
+    let force = canvas.ctx().input(|i| {
+        i.events.iter().rev().find_map(|event| match event {
+            Event::Touch { force, .. } => *force,
+            _ => None,
+        })
+    });
+    if let Some(pixel) = canvas.pointer() {
+        window.tools.path.push([pixel.x, pixel.y]);
+    }
+    window.apply(Command::StrokePoint { at, pressure: force.map(|force| force.clamp(0.0, 1.0)) });
+}
+
+/// The brush, lying on the surface.
+fn draw(canvas: &Canvas<'_>, window: &Window, hit: &Hit) {
+    let (camera, size) = (window.state().camera(), window.state().size());
+    let (x, y) = hit.normal.any_orthonormal_pair();
+    let radius = window.tools.stroke_radius;
+    let point = |i: usize| {
+        let (sin, cos) = (i as f64 / CORNERS as f64 * std::f64::consts::TAU).sin_cos();
+        let pixel = camera.project(hit.local + radius * (x * cos + y * sin), size)?.0;
+        Some(canvas.at(pixel))
+    };
+    let points: Vec<Pos2> = (0..CORNERS).filter_map(point).collect();
+    let painter = canvas.painter();
+    painter.add(Shape::closed_line(points.clone(), Stroke::new(3.0, Color32::from_black_alpha(90))));
+    painter.add(Shape::closed_line(points, Stroke::new(1.4, Color32::WHITE)));
+    if let Some((middle, _)) = camera.project(hit.local, size) {
+        painter.circle_filled(canvas.at(middle), 2.0, Color32::WHITE);
+    }
+}

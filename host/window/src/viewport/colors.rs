@@ -1,0 +1,108 @@
+//! The samples' colours: overlay, regions of the chosen step, selection.
+
+use crate::theme;
+use crate::window::Window;
+use simod_session::Shapes;
+use simod_session::edit::StepId;
+use simod_session::session_file::Role;
+use simod_viewer::overlay::{self, Field};
+use simod_viewer::{Overlay, Scene, Selection};
+use std::sync::Arc;
+
+/// How much of a selected sample's colour is that of the selection.
+const SELECTED: f32 = 0.75;
+const REGION: f32 = 0.62;
+
+/// What the colours depend on.
+#[derive(PartialEq, Default)]
+struct Key {
+    samples: usize,
+    overlay: Overlay,
+    /// Of the scene, where an overlay is shown that depends on it.
+    revision: Option<u64>,
+    selection: Selection,
+    /// The regions of the step that is chosen, if they are shown, and the address of what it began with.
+    regions: Option<(StepId, Vec<(Role, Shapes)>, usize)>,
+}
+
+/// The colours, as they were asked for last.
+#[derive(Default)]
+pub struct Colors {
+    key: Key,
+    weights: Vec<(Role, Field)>,
+    colors: Option<Vec<[u8; 3]>>,
+}
+
+impl Colors {
+    /// The samples' colours, or nothing if all are the same; and whether they have changed.
+    pub fn update(&mut self, window: &mut Window, scene: &Arc<Scene>) -> (Option<&[[u8; 3]]>, bool) {
+        let key = key(window, scene);
+        let changed = key != self.key;
+        if changed {
+            if key.regions != self.key.regions || key.samples != self.key.samples {
+                self.weights = weights(window, scene, &key);
+            }
+            self.colors = self.made(window, scene, &key);
+            self.key = key;
+        }
+        (self.colors.as_deref(), changed)
+    }
+
+    /// Whether samples have colours of their own.
+    pub fn is_some(&self) -> bool {
+        self.colors.is_some()
+    }
+
+    fn made(&self, window: &mut Window, scene: &Scene, key: &Key) -> Option<Vec<[u8; 3]>> {
+        let plain = key.overlay == Overlay::None && self.weights.is_empty();
+        if plain && key.selection.is_empty() {
+            return None;
+        }
+        let mut colors = match window.state_mut().field() {
+            Some(field) => (0..scene.len()).map(|i| field.color(i)).collect(),
+            None => vec![theme::CLAY; scene.len()],
+        };
+        if key.overlay == Overlay::None {
+            for (role, field) in &self.weights {
+                let tint = theme::role_color(*role);
+                for (color, weight) in colors.iter_mut().zip(&field.values) {
+                    *color = mixed(*color, tint, REGION * weight);
+                }
+            }
+        }
+        for i in key.selection.samples() {
+            let color = &mut colors[i as usize];
+            *color = mixed(*color, theme::SELECTED, SELECTED);
+        }
+        Some(colors)
+    }
+}
+
+fn key(window: &Window, scene: &Arc<Scene>) -> Key {
+    let overlay = window.state().overlay();
+    let regions = window.chosen().filter(|_| window.looks.regions).map(|(at, id, deformation, _)| {
+        // A mask that is everything would be no news.
+        let shown = deformation.regions.into_iter().map(|r| (r.role, r.shapes)).collect();
+        (id, shown, scene.before.get(at).map_or(0, |before| before.as_ptr() as usize))
+    });
+    Key {
+        samples: scene.len(),
+        overlay,
+        revision: (overlay != Overlay::None).then_some(scene.revision),
+        selection: window.state().selection().clone(),
+        regions,
+    }
+}
+
+fn weights(window: &Window, scene: &Scene, key: &Key) -> Vec<(Role, Field)> {
+    let (Some((_, regions, _)), Some(at)) = (&key.regions, window.state().chosen()) else {
+        return Vec::new();
+    };
+    // A step that was not reached yet begins with what is shown.
+    let before = scene.before.get(at).unwrap_or(&scene.positions);
+    regions.iter().map(|(role, shapes)| (*role, overlay::region(scene, before, shapes))).collect()
+}
+
+fn mixed(a: [u8; 3], b: [u8; 3], t: f32) -> [u8; 3] {
+    std::array::from_fn(|i| (f32::from(a[i]) * (1.0 - t) + f32::from(b[i]) * t).round() as u8)
+}

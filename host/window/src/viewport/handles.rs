@@ -1,0 +1,171 @@
+//! Handles as dots: those that the chosen step's plugin placed, and the middles of its handle regions.
+
+use super::Canvas;
+use crate::theme;
+use crate::tools::{Target, Tool};
+use crate::window::Window;
+use eframe::egui::{Color32, Pos2, Shape, Stroke, pos2};
+use glam::DVec3;
+use simod_session::session_file::Role;
+use simod_viewer::motion::handle_matrix;
+use std::collections::HashMap;
+
+/// How near the pointer has to be, in points.
+const REACH: f32 = 11.0;
+
+/// Of dots that are not chosen.
+const DOT: Color32 = Color32::from_rgb(90, 160, 235);
+
+/// A dot.
+struct Dot {
+    target: Target,
+    at: Pos2,
+    depth: f64,
+    /// Of the dot that it hangs on.
+    parent: Option<Pos2>,
+}
+
+fn dots(canvas: &Canvas<'_>, window: &Window) -> Vec<Dot> {
+    let state = window.state();
+    let (Some((step, _, deformation, _)), Some(scene)) = (window.chosen(), state.scene()) else {
+        return Vec::new();
+    };
+    let (frame, camera, size) = (scene.frame(), state.camera(), state.size());
+    let project = |p: DVec3| {
+        let (pixel, depth) = camera.project(frame.to_local_exact(p), size)?;
+        Some((canvas.at(pixel), depth))
+    };
+    let mut dots = Vec::new();
+    for (i, region) in deformation.regions.iter().enumerate().filter(|(_, r)| r.role == Role::Handle) {
+        // Without a pivot of its own it would take all samples to find the middle.
+        let Some(pivot) = region.motion.pivot else { continue };
+        if let Some((at, depth)) = project(handle_matrix(&region.motion, pivot).translation) {
+            dots.push(Dot { target: Target::Region(i), at, depth, parent: None });
+        }
+    }
+    let placed = state.handles(step);
+    for (desc, place) in &placed {
+        let Some((at, depth)) = project(place.position()) else { continue };
+        let parent = placed.get(desc.parent as usize).and_then(|(_, parent)| project(parent.position()));
+        let target = Target::Handle(desc.id.to_string());
+        dots.push(Dot { target, at, depth, parent: parent.map(|p| p.0) });
+    }
+    // Those in front are drawn last.
+    dots.sort_by(|a, b| b.depth.total_cmp(&a.depth));
+    dots
+}
+
+fn is_shown(tool: Tool) -> bool {
+    !tool.selects() && tool != Tool::Stroke
+}
+
+fn nearest<'a>(canvas: &Canvas<'_>, dots: &'a [Dot]) -> Option<&'a Dot> {
+    let pointer = canvas.pointer_pos().filter(|_| canvas.is_hovered())?;
+    let near = dots.iter().filter(|dot| dot.at.distance(pointer) < REACH);
+    near.min_by(|a, b| a.at.distance(pointer).total_cmp(&b.at.distance(pointer)))
+}
+
+/// Draws them.
+pub fn draw(canvas: &Canvas<'_>, window: &Window) {
+    if !is_shown(window.tools.tool) {
+        return;
+    }
+    let dots = dots(canvas, window);
+    let painter = canvas.painter();
+    let hovered = nearest(canvas, &dots).map(|dot| dot.target.clone());
+    for (a, b) in dots.iter().filter_map(|dot| Some((dot.at, dot.parent?))) {
+        bone(canvas, b, a);
+    }
+    grid(canvas, &dots);
+    let [nearest, farthest] = dots
+        .iter()
+        .fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], dot| [a.min(dot.depth), b.max(dot.depth)]);
+    let many = dots.len() > 200;
+    for dot in &dots {
+        let chosen = window.tools.target.as_ref() == Some(&dot.target);
+        let hovered = hovered.as_ref() == Some(&dot.target);
+        // What is farther is fainter.
+        let far = ((dot.depth - nearest) / (farthest - nearest).max(1e-9)) as f32;
+        let (color, radius) = match (chosen, hovered) {
+            (true, _) => (theme::color(theme::SELECTED), 6.0),
+            (_, true) => (Color32::WHITE, 6.5),
+            _ if many => (DOT.gamma_multiply(1.0 - 0.6 * far), 3.0),
+            _ => (DOT.gamma_multiply(1.0 - 0.5 * far), 5.0),
+        };
+        let outline = Stroke::new(1.2, Color32::from_black_alpha(if chosen || hovered { 220 } else { 140 }));
+        match dot.target {
+            Target::Handle(_) => painter.circle(dot.at, radius, color, outline),
+            Target::Region(_) => {
+                let r = radius + 1.5;
+                let corners = [(0.0, -r), (r, 0.0), (0.0, r), (-r, 0.0)];
+                let corners = corners.map(|(x, y)| pos2(dot.at.x + x, dot.at.y + y)).to_vec();
+                let color =
+                    if chosen || hovered { color } else { theme::color(theme::role_color(Role::Handle)) };
+                painter.add(Shape::convex_polygon(corners, color, outline))
+            }
+        };
+    }
+    if let Some(Target::Handle(name)) = &hovered {
+        canvas.response.clone().on_hover_text_at_pointer(name);
+    }
+}
+
+/// Handles whose ids are three whole numbers, as `3,3,3`, are the points of a grid: lines between neighbours.
+fn grid(canvas: &Canvas<'_>, dots: &[Dot]) {
+    let place = |dot: &Dot| {
+        let Target::Handle(id) = &dot.target else { return None };
+        let numbers: Vec<i32> = id.split(',').map(str::parse).collect::<Result<_, _>>().ok()?;
+        <[i32; 3]>::try_from(numbers).ok()
+    };
+    let places: HashMap<[i32; 3], Pos2> = dots.iter().filter_map(|dot| Some((place(dot)?, dot.at))).collect();
+    let stroke = Stroke::new(1.0, DOT.gamma_multiply(0.4));
+    for ([i, j, k], at) in &places {
+        for next in [[i + 1, *j, *k], [*i, j + 1, *k], [*i, *j, k + 1]] {
+            if let Some(to) = places.get(&next) {
+                canvas.painter().line_segment([*at, *to], stroke);
+            }
+        }
+    }
+}
+
+/// Thick at the parent, thin at the child, as bones are drawn.
+fn bone(canvas: &Canvas<'_>, from: Pos2, to: Pos2) {
+    let way = to - from;
+    let side = way.normalized().rot90() * (0.08 * way.length()).clamp(2.0, 7.0);
+    let thick = from + 0.16 * way;
+    let corners = vec![from, thick + side, to, thick - side];
+    let fill = Color32::from_rgba_unmultiplied(90, 160, 235, 110);
+    canvas.painter().add(Shape::convex_polygon(
+        corners,
+        fill,
+        Stroke::new(1.0, Color32::from_black_alpha(150)),
+    ));
+}
+
+/// Takes the handle under the pointer, or the handle region that the surface there belongs to. Whether there is one.
+pub fn take(canvas: &Canvas<'_>, window: &mut Window) -> bool {
+    let dots = dots(canvas, window);
+    let target = match nearest(canvas, &dots) {
+        Some(dot) => Some(dot.target.clone()),
+        None => region_under(canvas, window),
+    };
+    let found = target.is_some();
+    if found {
+        window.tools.target = target;
+        if window.tools.tool == Tool::Orbit {
+            window.tools.take(Tool::Move);
+        }
+    }
+    found
+}
+
+fn region_under(canvas: &Canvas<'_>, window: &mut Window) -> Option<Target> {
+    let (step, _, deformation, _) = window.chosen()?;
+    let has_handle = deformation.regions.iter().any(|r| r.role == Role::Handle);
+    let hit = window.state_mut().pick(canvas.pointer().filter(|_| has_handle)?)?;
+    let at = window.state().in_step(step, &hit)?;
+    let holds = |region: &simod_session::session_file::Region| {
+        region.role == Role::Handle && region.shapes.weight(at) > 0.5
+    };
+    deformation.regions.iter().position(holds).map(Target::Region)
+}

@@ -1,0 +1,152 @@
+//! The picture of the model, and what is drawn over it.
+
+mod colors;
+mod corner;
+pub mod handles;
+mod navigate;
+mod picture;
+
+use crate::window::Window;
+use crate::{panels, tools};
+use eframe::egui::{self, CentralPanel, Event, Painter, PointerButton, Pos2, Rect, Response, Sense, Ui};
+use glam::DVec2;
+pub use picture::Viewport;
+use simod_viewer::Command;
+
+/// The part of the window that shows the model.
+pub struct Canvas<'a> {
+    response: &'a Response,
+    painter: Painter,
+    rect: Rect,
+    pixels_per_point: f32,
+    blocked: bool,
+}
+
+impl Canvas<'_> {
+    /// egui's.
+    pub fn ctx(&self) -> &egui::Context {
+        &self.response.ctx
+    }
+
+    /// Where it is, in points.
+    pub fn rect(&self) -> Rect {
+        self.rect
+    }
+
+    /// Draws over the picture.
+    pub fn painter(&self) -> &Painter {
+        &self.painter
+    }
+
+    /// Whether the pointer is over it, and nothing else is before it.
+    pub fn is_hovered(&self) -> bool {
+        self.response.contains_pointer() && !self.blocked
+    }
+
+    /// Where the pointer is, in points.
+    pub fn pointer_pos(&self) -> Option<Pos2> {
+        self.ctx().input(|i| i.pointer.latest_pos())
+    }
+
+    /// The pixel of the picture under the pointer; may be outside of it.
+    pub fn pointer(&self) -> Option<DVec2> {
+        let p = (self.pointer_pos()? - self.rect.min) * self.pixels_per_point;
+        Some(DVec2::new(f64::from(p.x), f64::from(p.y)))
+    }
+
+    /// The pixel where the left button was pressed last.
+    pub fn press(&self) -> Option<[f64; 2]> {
+        let p = (self.ctx().input(|i| i.pointer.press_origin())? - self.rect.min) * self.pixels_per_point;
+        Some([f64::from(p.x), f64::from(p.y)])
+    }
+
+    /// The pixels that the pointer went through since the last picture, to where it is or was let go.
+    pub fn trail(&self) -> Vec<DVec2> {
+        let pixel = |p: Pos2| {
+            let p = (p - self.rect.min) * self.pixels_per_point;
+            DVec2::new(f64::from(p.x), f64::from(p.y))
+        };
+        let of = |event: &Event| match event {
+            Event::PointerMoved(p) => Some(pixel(*p)),
+            Event::PointerButton { pos, button: PointerButton::Primary, .. } => Some(pixel(*pos)),
+            _ => None,
+        };
+        let is_release = |event: &Event| {
+            matches!(event, Event::PointerButton { button: PointerButton::Primary, pressed: false, .. })
+        };
+        self.ctx().input(|i| {
+            let end = i.events.iter().position(is_release).map_or(i.events.len(), |at| at + 1);
+            i.events[..end].iter().filter_map(of).collect()
+        })
+    }
+
+    /// Where a pixel is, in points.
+    pub fn at(&self, pixel: DVec2) -> Pos2 {
+        let p = pixel.as_vec2() / self.pixels_per_point;
+        self.rect.min + egui::vec2(p.x, p.y)
+    }
+
+    /// A length in pixels.
+    pub fn pixels(&self, points: f32) -> f64 {
+        f64::from(points * self.pixels_per_point)
+    }
+
+    /// Whether the left button has just been pressed over it.
+    pub fn is_pressed(&self) -> bool {
+        let modifiers = self.modifiers();
+        self.is_hovered() && self.ctx().input(|i| i.pointer.primary_pressed()) && !modifiers.alt
+    }
+
+    /// Whether the left button is held.
+    pub fn is_down(&self) -> bool {
+        self.ctx().input(|i| i.pointer.primary_down())
+    }
+
+    /// Whether it was clicked with the left button.
+    pub fn is_clicked(&self) -> bool {
+        self.response.clicked_by(PointerButton::Primary) && !self.blocked
+    }
+
+    /// Keys that are held.
+    pub fn modifiers(&self) -> egui::Modifiers {
+        self.ctx().input(|i| i.modifiers)
+    }
+}
+
+/// Shows it in what the panels left.
+pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
+    CentralPanel::no_frame().show(ui, |ui| {
+        let rect = ui.available_rect_before_wrap();
+        let response = ui.allocate_rect(rect, Sense::click_and_drag());
+        response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, "Model"));
+        let pixels_per_point = ui.pixels_per_point();
+        let size = rect.size() * pixels_per_point;
+        let size = [f64::from(size.x.round().max(1.0)), f64::from(size.y.round().max(1.0))];
+        if window.state().size() != size {
+            window.apply(Command::Resize { size });
+        }
+        if window.state().scene().is_none() {
+            viewport.clear(ui, rect, window);
+            panels::welcome::show(ui, rect, window);
+            return;
+        }
+        let painter = ui.painter_at(rect);
+        // Drawn first, and filled once the pointer has moved the camera.
+        let picture = painter.add(egui::Shape::Noop);
+        let over_corner = corner::contains(rect, ui.ctx());
+        let canvas = Canvas { response: &response, painter, rect, pixels_per_point, blocked: over_corner };
+        if window.looks.handles {
+            handles::draw(&canvas, window);
+        }
+        let taken = tools::update(&canvas, window);
+        if !taken {
+            navigate::update(&canvas, window);
+            if canvas.is_clicked() && window.tools.tool.grabs() {
+                handles::take(&canvas, window);
+            }
+        }
+        canvas.painter().set(picture, viewport.picture(&canvas, window));
+        corner::show(ui, rect, window);
+        panels::over::show(ui, rect, window);
+    });
+}

@@ -1,0 +1,237 @@
+//! The picture itself: what the graphics card has of the scene, brought up to date where it changed.
+
+use super::Canvas;
+use super::colors::Colors;
+use crate::screenshot::RADIUS;
+use crate::settings::Theme;
+use crate::window::Window;
+use eframe::egui::{Color32, Mesh, Rect, Shape, TextureId, Ui, pos2};
+use eframe::egui_wgpu::RenderState;
+use simod_scene::{Background, Budget, Gpu, Mode, Scene, Style, Surface, View};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// How long a picture may take while something moves: with a card, and in software.
+const GOALS: [Duration; 2] = [Duration::from_millis(12), Duration::from_millis(45)];
+
+/// How long a picture at rest may take, by what the budget knows, in seconds.
+const PATIENCE: f64 = 0.6;
+
+/// The picture.
+pub struct Viewport(Option<Drawing>);
+
+struct Drawing {
+    render: RenderState,
+    scene: Scene,
+    budget: Budget,
+    texture: Option<(TextureId, [u32; 2])>,
+    colors: Colors,
+    shown: Option<Arc<simod_viewer::Scene>>,
+    ghost: bool,
+    /// From where the last picture was.
+    seen: Option<View>,
+}
+
+impl Viewport {
+    /// None in tests that have nothing to draw with.
+    pub fn new(render: Option<&RenderState>) -> Self {
+        Self(render.map(Drawing::new))
+    }
+
+    /// The card went away: nothing is drawn any more.
+    pub fn lose(&mut self) {
+        self.0 = None;
+    }
+
+    /// The background alone.
+    pub fn clear(&mut self, ui: &Ui, rect: Rect, window: &Window) {
+        ui.painter().add(background(rect, window.settings.theme));
+    }
+
+    /// What to draw where the model is.
+    pub fn picture(&mut self, canvas: &Canvas<'_>, window: &mut Window) -> Shape {
+        match &mut self.0 {
+            Some(drawing) => drawing.picture(canvas, window),
+            None => background(canvas.rect(), window.settings.theme),
+        }
+    }
+}
+
+/// The colours that the renderer has behind the surface.
+fn background(rect: Rect, theme: Theme) -> Shape {
+    let (top, bottom) = match theme {
+        Theme::Dark => (Color32::from_rgb(58, 63, 71), Color32::from_rgb(30, 33, 38)),
+        Theme::Light => (Color32::from_rgb(246, 246, 247), Color32::from_rgb(214, 216, 219)),
+    };
+    let mut mesh = Mesh::default();
+    for (at, color) in [
+        (rect.left_top(), top),
+        (rect.right_top(), top),
+        (rect.right_bottom(), bottom),
+        (rect.left_bottom(), bottom),
+    ] {
+        mesh.colored_vertex(at, color);
+    }
+    mesh.add_triangle(0, 1, 2);
+    mesh.add_triangle(0, 2, 3);
+    Shape::mesh(mesh)
+}
+
+impl Drawing {
+    fn new(render: &RenderState) -> Self {
+        let gpu = Gpu::of(render.device.clone(), render.queue.clone(), &render.adapter.get_info());
+        let budget = Budget::new(GOALS[usize::from(gpu.is_software())]);
+        Self {
+            render: render.clone(),
+            scene: Scene::new(&gpu),
+            budget,
+            texture: None,
+            colors: Colors::default(),
+            shown: None,
+            ghost: false,
+            seen: None,
+        }
+    }
+
+    fn picture(&mut self, canvas: &Canvas<'_>, window: &mut Window) -> Shape {
+        let rect = canvas.rect();
+        let Some(scene) = window.state().scene().cloned() else {
+            return background(rect, window.settings.theme);
+        };
+        if let Err(error) = self.upload(&scene, window) {
+            let hint = "save the session, and report this";
+            let what = error.to_string();
+            window.toasts.error(&simod_core::Error::new(simod_core::ErrorKind::Io, what, hint));
+            return background(rect, window.settings.theme);
+        }
+        let size = window.state().size();
+        let camera = window.state().camera();
+        let bounds = self.bounds(&scene);
+        let view = View {
+            view: camera.view().as_mat4(),
+            projection: camera.projection(size, camera.near_far(bounds)).as_mat4(),
+            size: size.map(|s| s as u32),
+        };
+        let style = Style {
+            mode: if window.looks.triangles { Mode::Triangles } else { Mode::Splats },
+            own_colors: self.colors_are_own(),
+            background: match window.settings.theme {
+                Theme::Dark => Background::Dark,
+                Theme::Light => Background::Light,
+            },
+            occlusion: window.settings.occlusion,
+            ..Style::default()
+        };
+        let started = Instant::now();
+        let before = self.scene.drawn();
+        let moves = canvas.ctx().input(|i| i.pointer.any_down()) || self.seen != Some(view);
+        self.seen = Some(view);
+        // At rest all is drawn at once, unless that would take too long to wait for.
+        let parts = scene.len() as f64 / self.budget.splats() as f64;
+        let takes = parts * GOALS[usize::from(self.scene.gpu().is_software())].as_secs_f64();
+        let whole = !moves && takes < PATIENCE;
+        let budget = (!whole).then_some(&mut self.budget);
+        let picture = self.scene.render(&view, &style, budget).clone();
+        let drawn = self.scene.drawn();
+        // Without a budget the card goes on drawing meanwhile.
+        if !whole && (drawn != before || !drawn.complete) {
+            window.frame_time = started.elapsed();
+        }
+        if !drawn.complete {
+            canvas.ctx().request_repaint();
+        }
+        let id = self.texture(&picture, view.size);
+        let uv = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
+        Shape::image(id, rect, uv, Color32::WHITE)
+    }
+
+    /// Of all that is shown.
+    fn bounds(&self, scene: &simod_viewer::Scene) -> [glam::DVec3; 2] {
+        let [min, max] = scene.bounds();
+        let rest = &scene.sampled.bounds;
+        let frame = scene.frame();
+        let (low, high) = (frame.to_local(rest.min), frame.to_local(rest.max));
+        if self.ghost {
+            return [min.min(low).as_dvec3(), max.max(high).as_dvec3()];
+        }
+        [min.as_dvec3(), max.as_dvec3()]
+    }
+
+    fn colors_are_own(&self) -> bool {
+        self.colors.is_some()
+    }
+
+    /// Brings what the card has up to date.
+    fn upload(
+        &mut self,
+        scene: &Arc<simod_viewer::Scene>,
+        window: &mut Window,
+    ) -> Result<(), simod_scene::BadSurface> {
+        let known = self.shown.as_ref();
+        let same_samples = known.is_some_and(|known| Arc::ptr_eq(&known.sampled, &scene.sampled));
+        let same = same_samples && known.is_some_and(|known| known.revision == scene.revision);
+        let sampled = &scene.sampled;
+        let samples = &sampled.samples;
+        let (colors, recolored) = self.colors.update(window, scene);
+        if !same_samples {
+            let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
+            self.scene.set_surface(&Surface {
+                positions: &scene.positions,
+                normals: &scene.normals,
+                radii: &radii,
+                colors,
+                triangles: &sampled.triangles,
+            })?;
+        } else {
+            if !same {
+                self.scene.set_positions(&scene.positions, &scene.normals)?;
+            }
+            if recolored {
+                let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
+                self.scene.set_colors(&radii, colors)?;
+            }
+        }
+        if window.looks.ghost != self.ghost || self.ghost && !same_samples {
+            self.ghost = window.looks.ghost;
+            let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
+            let rest = Surface {
+                positions: &samples.positions,
+                normals: samples.normals(),
+                radii: &radii,
+                ..Surface::default()
+            };
+            self.scene.set_ghost(self.ghost.then_some(&rest))?;
+        }
+        if !same {
+            self.shown = Some(scene.clone());
+        }
+        Ok(())
+    }
+
+    /// The picture as egui knows it.
+    fn texture(&mut self, picture: &wgpu::TextureView, size: [u32; 2]) -> TextureId {
+        let mut renderer = self.render.renderer.write();
+        let (device, filter) = (&self.render.device, wgpu::FilterMode::Linear);
+        match self.texture {
+            Some((id, known)) if known == size => id,
+            Some((id, _)) => {
+                renderer.update_egui_texture_from_wgpu_texture(device, picture, filter, id);
+                self.texture = Some((id, size));
+                id
+            }
+            None => {
+                let id = renderer.register_native_texture(device, picture, filter);
+                self.texture = Some((id, size));
+                id
+            }
+        }
+    }
+}
+
+impl Drop for Drawing {
+    fn drop(&mut self) {
+        if let Some((id, _)) = self.texture {
+            self.render.renderer.write().free_texture(&id);
+        }
+    }
+}

@@ -1,0 +1,5 @@
+//! What egui does not have.
+
+pub mod curve;
+pub mod icons;
+pub mod parameter;

@@ -1,0 +1,153 @@
+//! A whole edit by names, and what it comes to without the window.
+
+use super::*;
+use built::simod;
+use egui_kittest::kittest::Queryable;
+use glam::DVec3;
+use simod_session::Motion;
+use simod_session::edit::{self, Change};
+use simod_viewer::command::Area;
+use simod_window::Tool;
+
+fn select(harness: &mut Harness<'_, App>, is_in: impl Fn(DVec3) -> bool) {
+    let scene = harness.state().window().state().scene().unwrap().clone();
+    let marks: Vec<bool> = scene.positions.iter().map(|p| is_in(scene.frame().to_model(*p))).collect();
+    let runs = simod_viewer::Selection::of(marks).runs();
+    done(harness, Command::Select { area: Area::Runs(runs), combine: Default::default(), visible: false });
+}
+
+fn click(harness: &mut Harness<'_, App>, label: &str) {
+    harness.get_by_label(label).click();
+    settle(harness);
+}
+
+fn steps(harness: &Harness<'_, App>) -> usize {
+    harness.state().window().steps().len()
+}
+
+#[test]
+fn an_edit_by_names_gives_the_bytes_of_the_command_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window();
+    open(&mut harness, &model(folder.path()));
+
+    click(&mut harness, "+ Add Step");
+    let rbf = plugins().get("rbf").unwrap().name().to_owned();
+    harness.get_by_label_contains(&rbf).click();
+    settle(&mut harness);
+    assert_eq!(steps(&harness), 1);
+
+    select(&mut harness, |p| p.y < 0.3);
+    click(&mut harness, "Make Fixed");
+    select(&mut harness, |p| p.y > 1.7);
+    click(&mut harness, "Make Handle");
+    assert_eq!(harness.state().window().tools.tool, Tool::Move);
+    let chosen = harness.state().window().chosen().unwrap();
+    assert_eq!(chosen.2.regions.len(), 2);
+
+    // Dragged, as by the gizmo: all of it is one change.
+    let pivot = chosen.2.regions[1].motion.pivot;
+    for i in 1..=5 {
+        let translate = DVec3::new(0.1 * f64::from(i), 0.0, 0.0);
+        let motion = Motion { translate, pivot, ..Motion::default() };
+        let change = Change::MoveRegion { region: 1, motion };
+        done(&mut harness, Command::Drag(edit::Command::Change { at: 0, change }));
+    }
+    done(&mut harness, Command::Rest);
+    let moved = |harness: &Harness<'_, App>| {
+        let scene = harness.state().window().state().scene().unwrap().clone();
+        scene.positions.iter().zip(&scene.sampled.samples.positions).any(|(p, q)| p.distance(*q) > 0.05)
+    };
+    assert!(moved(&harness));
+
+    // Undone and done again by keys.
+    harness.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Z);
+    settle(&mut harness);
+    assert!(!moved(&harness));
+    harness.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::Y);
+    settle(&mut harness);
+    assert!(moved(&harness));
+
+    // Finer around the bend.
+    let before = harness.state().window().state().scene().unwrap().len();
+    select(&mut harness, |p| (0.8..1.2).contains(&p.y));
+    click(&mut harness, "Refine");
+    assert_eq!(steps(&harness), 2);
+    assert!(harness.state().window().state().scene().unwrap().len() > before);
+
+    let (session, here, there) =
+        (folder.path().join("session.toml"), folder.path().join("here.ply"), folder.path().join("there.ply"));
+    done(&mut harness, Command::Save { path: Some(session.clone()) });
+    done(&mut harness, Command::Write { output: here.clone() });
+    harness.run_steps(3);
+    assert!(harness.query_by_label("The deformed model is written").is_some());
+    click(&mut harness, "Close");
+
+    // Opened again, it is the same.
+    let positions = harness.state().window().state().scene().unwrap().positions.clone();
+    done(&mut harness, Command::Open { path: session.clone(), sampling: Default::default(), recover: false });
+    assert_eq!(steps(&harness), 2);
+    assert_eq!(*harness.state().window().state().scene().unwrap().positions, *positions);
+
+    // Beside the plugins that were built.
+    let mut run = std::process::Command::new(simod());
+    run.arg("run").arg(&session).arg("--output").arg(&there).env_remove("SIMOD_PLUGIN_PATH");
+    let output = run.output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(std::fs::read(here).unwrap() == std::fs::read(there).unwrap(), "other bytes than `simod run`");
+}
+
+#[test]
+fn an_error_is_told_with_its_hint_and_changes_nothing() {
+    let mut harness = window();
+    let window = harness.state_mut().window_mut();
+    assert!(!window.apply(Command::Undo));
+    harness.run_steps(2);
+    assert!(harness.query_by_label("no model is open").is_some());
+    assert!(harness.query_by_label("open one").is_some());
+}
+
+#[test]
+fn the_palette_finds_and_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window();
+    open(&mut harness, &model(folder.path()));
+    harness.key_press_modifiers(egui::Modifiers::COMMAND, egui::Key::P);
+    harness.run_steps(2);
+    harness.event(egui::Event::Text("select all".to_owned()));
+    harness.run_steps(2);
+    harness.key_press(egui::Key::Enter);
+    settle(&mut harness);
+    let state = harness.state().window().state();
+    assert_eq!(state.selection().count(), state.scene().unwrap().len());
+    assert!(harness.state().window().palette.is_none());
+}
+
+#[test]
+fn what_is_not_saved_is_not_lost_without_a_question() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = model(folder.path());
+    let mut harness = window();
+    open(&mut harness, &path);
+    done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });
+    harness.state_mut().window_mut().ask_to_open(path);
+    harness.run_steps(3);
+    assert!(harness.query_by_label("Save the edit?").is_some());
+    assert_eq!(steps(&harness), 1);
+    click(&mut harness, "Cancel");
+    assert_eq!(steps(&harness), 1);
+}
+
+#[test]
+fn a_plugin_that_is_not_there_is_named_at_its_step() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path());
+    let session = folder.path().join("session.toml");
+    let text =
+        "[model]\npath = \"model.ply\"\n[sampling]\nsamples = 1500\n[[step]]\ndeform = \"nobody-has-it\"\n";
+    std::fs::write(&session, text).unwrap();
+    let mut harness = window();
+    open(&mut harness, &session);
+    done(&mut harness, Command::Choose { step: Some(0) });
+    assert!(harness.query_by_label_contains("there is no plugin `nobody-has-it`").is_some());
+}
