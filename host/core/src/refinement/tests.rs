@@ -469,7 +469,11 @@ fn models_that_have_changed_and_selections_that_meet_nothing_are_refused() {
 #[test]
 fn memory_is_bounded_and_changes_nothing() {
     let body = Body::new(150_000).without_faces().shuffled();
-    let (first, model) = body.sampled(samples(2000));
+    let (mut first, model) = body.sampled(samples(2000));
+    // Of a larger model, no more would be known.
+    let mut cells = first.held_cells().unwrap().clone();
+    cells.cells.iter_mut().for_each(|cell| cell.ranges = vec![0..150_000]);
+    first.hold_cells(cells);
     let place = ball([0.0, 1.0, 0.0], 0.7);
     let how = |limit, finer| Refining { finer, memory_limit: limit, shapes: Vec::new() };
     let run = |how: Refining| {
