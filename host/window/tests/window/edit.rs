@@ -51,7 +51,10 @@ fn an_edit_by_names_gives_the_bytes_of_the_command_line() {
         let translate = DVec3::new(0.1 * f64::from(i), 0.0, 0.0);
         let motion = Motion { translate, pivot, ..Motion::default() };
         let change = Change::MoveRegion { region: 1, motion };
-        done(&mut harness, Command::Drag(edit::Command::Change { at: 0, change }));
+        // A draft is shown of it, until it rests.
+        let change = edit::Command::Change { at: 0, change };
+        assert!(harness.state_mut().window_mut().apply(Command::Drag(change)));
+        harness.run_steps(2);
     }
     done(&mut harness, Command::Rest);
     let moved = |harness: &Harness<'_, App>| {
