@@ -21,8 +21,16 @@ struct Key {
     /// Of the scene, where an overlay is shown that depends on it.
     revision: Option<u64>,
     selection: Selection,
-    /// The regions of the step that is chosen, if they are shown, and the address of what it began with.
-    regions: Option<(StepId, Vec<(Role, Shapes)>, usize)>,
+    regions: Option<Regions>,
+}
+
+/// The regions of the step that is chosen, if they are shown.
+#[derive(PartialEq)]
+struct Regions {
+    step: StepId,
+    shapes: Vec<(Role, Shapes)>,
+    /// The address of what the step began with.
+    before: usize,
 }
 
 /// The colours, as they were asked for last.
@@ -81,9 +89,9 @@ impl Colors {
 fn key(window: &Window, scene: &Arc<Scene>) -> Key {
     let overlay = window.state().overlay();
     let regions = window.chosen().filter(|_| window.looks.regions).map(|(at, id, deformation, _)| {
-        // A mask that is everything would be no news.
-        let shown = deformation.regions.into_iter().map(|r| (r.role, r.shapes)).collect();
-        (id, shown, scene.before.get(at).map_or(0, |before| before.as_ptr() as usize))
+        let shapes = deformation.regions.into_iter().map(|r| (r.role, r.shapes)).collect();
+        let before = scene.before.get(at).map_or(0, |before| before.as_ptr() as usize);
+        Regions { step: id, shapes, before }
     });
     Key {
         samples: scene.len(),
@@ -95,12 +103,12 @@ fn key(window: &Window, scene: &Arc<Scene>) -> Key {
 }
 
 fn weights(window: &Window, scene: &Scene, key: &Key) -> Vec<(Role, Field)> {
-    let (Some((_, regions, _)), Some(at)) = (&key.regions, window.state().chosen()) else {
+    let (Some(regions), Some(at)) = (&key.regions, window.state().chosen()) else {
         return Vec::new();
     };
     // A step that was not reached yet begins with what is shown.
     let before = scene.before.get(at).unwrap_or(&scene.positions);
-    regions.iter().map(|(role, shapes)| (*role, overlay::region(scene, before, shapes))).collect()
+    regions.shapes.iter().map(|(role, shapes)| (*role, overlay::region(scene, before, shapes))).collect()
 }
 
 fn mixed(a: [u8; 3], b: [u8; 3], t: f32) -> [u8; 3] {

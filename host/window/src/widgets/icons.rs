@@ -6,6 +6,20 @@ use std::f32::consts::TAU;
 
 const WIDTH: f32 = 1.6;
 
+/// Back to the default: an arrow that goes round.
+pub fn back(painter: &Painter, rect: Rect, color: Color32) {
+    let stroke = Stroke::new(1.4, color);
+    let radius = 0.42 * rect.width();
+    let point = |i: i32| {
+        let (sin, cos) = (TAU * (0.62 + 0.72 * i as f32 / 20.0)).sin_cos();
+        rect.center() + radius * eframe::egui::vec2(cos, sin)
+    };
+    painter.add(Shape::line((0..=20).map(point).collect(), stroke));
+    let tip = point(0);
+    painter.line_segment([tip, tip + eframe::egui::vec2(0.5 * radius, -0.95 * radius)], stroke);
+    painter.line_segment([tip, tip + eframe::egui::vec2(1.0 * radius, 0.12 * radius)], stroke);
+}
+
 /// A tool's icon.
 pub fn tool(painter: &Painter, rect: Rect, tool: Tool, color: Color32) {
     let stroke = Stroke::new(WIDTH, color);

@@ -1,6 +1,6 @@
 //! A control for a parameter, whatever it holds.
 
-use super::curve;
+use super::{curve, icons};
 use eframe::egui::{
     self, Button, ComboBox, DragValue, Response, RichText, Role, Slider, Ui, WidgetInfo, color_picker,
 };
@@ -71,7 +71,10 @@ fn name(ui: &mut Ui, desc: &ParamDesc, width: f32) {
 }
 
 fn reset(ui: &mut Ui, desc: &ParamDesc) -> Response {
-    let response = ui.add(Button::new(RichText::new("\u{27f2}").weak()).frame(false));
+    let (rect, response) = ui.allocate_exact_size(egui::Vec2::splat(16.0), egui::Sense::click());
+    let color =
+        if response.hovered() { ui.visuals().strong_text_color() } else { ui.visuals().weak_text_color() };
+    icons::back(ui.painter(), rect.shrink(2.0), color);
     response.widget_info(|| WidgetInfo::labeled(Role::Button, true, format!("Reset {}", desc.name)));
     response.on_hover_text("Back to the default")
 }
