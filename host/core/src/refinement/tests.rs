@@ -472,7 +472,8 @@ fn memory_is_bounded_and_changes_nothing() {
     let (mut first, model) = body.sampled(samples(2000));
     // Of a larger model, no more would be known.
     let mut cells = first.held_cells().unwrap().clone();
-    cells.cells.iter_mut().for_each(|cell| cell.ranges = vec![0..150_000]);
+    let whole = 0..150_000;
+    cells.cells.iter_mut().for_each(|cell| cell.ranges = vec![whole.clone()]);
     first.hold_cells(cells);
     let place = ball([0.0, 1.0, 0.0], 0.7);
     let how = |limit, finer| Refining { finer, memory_limit: limit, shapes: Vec::new() };
