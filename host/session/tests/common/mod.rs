@@ -23,7 +23,8 @@ pub fn built() -> &'static Path {
         cargo.arg("build").arg("--target-dir").arg(profile.parent().unwrap());
         cargo.arg("--profile").arg(if name == "debug" { "dev" } else { name });
         // All of it: a choice of packages would be built with other features of what they depend on, once more.
-        cargo.arg("--workspace").current_dir(env!("CARGO_MANIFEST_DIR"));
+        // The default members, as a plain build has them.
+        cargo.current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
         let output = cargo.output().unwrap();
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         profile.to_owned()
