@@ -124,11 +124,11 @@ fn only_what_is_needed_is_read() {
     let [read, all] =
         [&report["bytes_read"]["vertices"], &report["model_bytes"]].map(|n| n.as_u64().expect("a number"));
     assert!(read * 5 < all, "{read} of {all} bytes");
-    // In no order, all has to be read, and is told.
-    let ply = work.ply("model.ply");
-    let n = ply.len();
-    let mixed = |all: Vec<DVec3>| (0..n).map(|i| all[i * 7_919_477 % n]).collect::<Vec<_>>();
-    work.write("mixed.ply", Ply::of(&mixed(ply.positions()), &mixed(ply.normals())).bytes);
+    // In no order, and too large for the places of all vertices to be kept, nearly all has to be read, and is told.
+    work.simod("generate -o large.ply --vertices 2500000 --no-faces --no-normals --no-colors");
+    let all = work.ply("large.ply").positions();
+    let mixed: Vec<DVec3> = (0..all.len()).map(|i| all[i * 7_919_477 % all.len()]).collect();
+    work.write("mixed.ply", Ply::of(&mixed, &[]).bytes);
     work.simod("sample mixed.ply -o mixed.simod --samples 20000");
     let outcome = work.simod("refine mixed.simod --sphere 0.41,1,0.41,0.1 --factor 10");
     assert!(outcome.lines("note: ")[0].contains("% of its vertices are read"), "{}", outcome.stderr);
