@@ -3,8 +3,9 @@
 
 mod common;
 
-use common::{copy, library, load};
+use common::{copy, load};
 use simod_core::ErrorKind;
+use simod_tests::library;
 
 #[test]
 fn plugins_stand_side_by_side() {

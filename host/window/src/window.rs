@@ -86,7 +86,7 @@ pub struct Window {
     awaited: bool,
     recorded: VecDeque<Command>,
     kept: Instant,
-    /// How long the last pictures took, and when what was opened was asked for, for the status line.
+    /// How long the last picture took, for the status line.
     pub frame_time: Duration,
 }
 

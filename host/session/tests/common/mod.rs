@@ -3,38 +3,13 @@
 
 use simod_session::plugins::PluginFolder;
 use simod_session::{PluginOptions, PluginRegistry};
-use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
+use simod_tests::{built, library};
+use std::env::consts::DLL_SUFFIX;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::OnceLock;
 
 /// The plugins' libraries.
 const PLUGINS: [&str; 3] = ["simod_warp", "simod_rbf", "misbehaving"];
-
-/// The folder with the built plugins: that of the profile that the tests run in.
-pub fn built() -> &'static Path {
-    static BUILT: OnceLock<PathBuf> = OnceLock::new();
-    BUILT.get_or_init(|| {
-        // target/<profile>/deps/<test>
-        let test = std::env::current_exe().unwrap();
-        let profile = test.parent().and_then(Path::parent).unwrap();
-        let name = profile.file_name().and_then(|n| n.to_str()).unwrap();
-        let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-        cargo.arg("build").arg("--target-dir").arg(profile.parent().unwrap());
-        cargo.arg("--profile").arg(if name == "debug" { "dev" } else { name });
-        // All of it: a choice of packages would be built with other features of what they depend on, once more.
-        // The default members, as a plain build has them.
-        cargo.current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
-        let output = cargo.output().unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        profile.to_owned()
-    })
-}
-
-/// A built plugin's library.
-pub fn library(name: &str) -> PathBuf {
-    built().join(format!("{DLL_PREFIX}{name}{DLL_SUFFIX}"))
-}
 
 /// Copies a plugin's library into a folder, under a name of its own.
 pub fn copy(name: &str, folder: &Path, new_name: &str) -> PathBuf {

@@ -1,7 +1,7 @@
 //! A whole edit by names, and what it comes to without the window.
 
 use super::*;
-use built::simod;
+
 use egui_kittest::kittest::Queryable;
 use glam::DVec3;
 use simod_session::Motion;
@@ -93,7 +93,7 @@ fn an_edit_by_names_gives_the_bytes_of_the_command_line() {
     assert_eq!(*harness.state().window().state().scene().unwrap().positions, *positions);
 
     // Beside the plugins that were built.
-    let mut run = std::process::Command::new(simod());
+    let mut run = std::process::Command::new(simod_tests::program());
     run.arg("run").arg(&session).arg("--output").arg(&there).env_remove("SIMOD_PLUGIN_PATH");
     let output = run.output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

@@ -2,23 +2,34 @@
 //! the pictures.
 #![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
-mod built;
 mod edit;
 mod parameters;
 mod picture;
 
-use built::{PLUGINS, library};
 use egui_kittest::Harness;
 use simod_core::generate::{ModelOptions, Shape, write_file};
 use simod_core::progress::Silent;
 use simod_session::plugins::PluginFolder;
 use simod_session::session_file::Sampling;
 use simod_session::{PluginOptions, PluginRegistry};
+use simod_tests::library;
 use simod_viewer::Command;
 use simod_window::{App, Settings, Window};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
+
+/// The libraries of the project's plugins.
+const PLUGINS: [&str; 8] = [
+    "simod_cage",
+    "simod_displacement_paint",
+    "simod_laplacian",
+    "simod_lattice",
+    "simod_rbf",
+    "simod_skinning",
+    "simod_smooth_handle",
+    "simod_warp",
+];
 
 /// Longer than anything here takes.
 const LONG: Duration = Duration::from_secs(300);
