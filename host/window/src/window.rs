@@ -10,7 +10,6 @@ use simod_core::{Error, ErrorKind};
 use simod_session::edit::{self, Change, Entry, StepId};
 use simod_session::session_file::{Deformation, Sampling};
 use simod_session::{Plugin, PluginRegistry};
-use simod_viewer::engine::Job;
 use simod_viewer::record::Recorder;
 use simod_viewer::state::{self, Notice};
 use simod_viewer::{Command, State};
@@ -422,10 +421,5 @@ impl Window {
                 self.change(step, Change::SetParam { id, value }, false);
             }
         }
-    }
-
-    /// Whether something is being done that will change what is shown.
-    pub fn is_busy(&self) -> bool {
-        [Job::Open, Job::Evaluate, Job::Write].iter().any(|job| self.state.activity(*job).is_some())
     }
 }

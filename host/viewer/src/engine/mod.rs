@@ -128,14 +128,21 @@ struct Running {
     write: Option<Arc<Watch>>,
     /// The place of the step that is being done.
     step: Arc<std::sync::atomic::AtomicUsize>,
-    /// Events that were sent, and not taken yet.
+    /// Events that were sent, and not taken yet; and models among them.
     events: usize,
+    opened: usize,
 }
 
 #[derive(Default)]
 struct Shared {
     inner: Mutex<(Wanted, Running)>,
     changed: Condvar,
+}
+
+fn is_idle(wanted: &Wanted, running: &Running) -> bool {
+    let waiting = wanted.open.is_some() || wanted.evaluate.is_some() || wanted.write.is_some();
+    let busy = running.open.is_some() || running.evaluate.is_some() || running.write.is_some();
+    !waiting && !busy && running.events == 0
 }
 
 impl Shared {
@@ -252,25 +259,25 @@ impl Engine {
         }
     }
 
-    /// Whether a job is running, or going to.
-    pub fn is_busy(&self, job: Job) -> bool {
-        self.wants(job) || self.activity(job).is_some()
+    /// Whether another model may be there before long, or is there and was not taken yet.
+    pub fn is_opening(&self) -> bool {
+        let (wanted, running) = &*self.shared.lock();
+        wanted.open.is_some() || running.open.is_some() || running.opened > 0
     }
 
     /// The next thing that happened, if any; never waits.
     pub fn poll(&mut self) -> Option<Event> {
         let event = self.events.try_recv().ok()?;
-        self.shared.lock().1.events -= 1;
+        let Running { events, opened, .. } = &mut self.shared.lock().1;
+        *events -= 1;
+        *opened -= usize::from(matches!(event, Event::Opened(_)));
         Some(event)
     }
 
     /// Whether nothing is running, nothing waits, and all events were taken.
     pub fn is_idle(&self) -> bool {
-        let inner = self.shared.lock();
-        let (wanted, running) = &*inner;
-        let waiting = wanted.open.is_some() || wanted.evaluate.is_some() || wanted.write.is_some();
-        let busy = running.open.is_some() || running.evaluate.is_some() || running.write.is_some();
-        !waiting && !busy && running.events == 0
+        let (wanted, running) = &*self.shared.lock();
+        is_idle(wanted, running)
     }
 
     /// Waits for the next event, for programs without a window.
@@ -285,9 +292,7 @@ impl Engine {
             }
             let inner = self.shared.lock();
             let (wanted, running) = &*inner;
-            let waiting = wanted.open.is_some() || wanted.evaluate.is_some() || wanted.write.is_some();
-            let busy = running.open.is_some() || running.evaluate.is_some() || running.write.is_some();
-            if !waiting && !busy && running.events == 0 {
+            if is_idle(wanted, running) {
                 return Ok(None);
             }
             let left = end.saturating_duration_since(Instant::now());

@@ -53,6 +53,7 @@ impl Teller {
         };
         for event in notes.chain(event.filter(is_news)) {
             running.events += 1;
+            running.opened += usize::from(matches!(event, Event::Opened(_)));
             // Nobody listens any more once the window is closed.
             drop(self.events.send(event));
         }

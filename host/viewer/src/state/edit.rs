@@ -2,7 +2,7 @@
 
 use super::{Open, State, nothing_open, refused};
 use crate::command::Command;
-use crate::engine::{Job, Writing};
+use crate::engine::Writing;
 use crate::overlay::Overlay;
 use crate::scene::Scene;
 use crate::selection::Selection;
@@ -138,7 +138,7 @@ impl State {
     }
 
     pub(super) fn write(&mut self, output: PathBuf) -> Result<()> {
-        if self.engine.is_busy(Job::Open) {
+        if self.engine.is_opening() {
             return Err(refused("another model is being opened", "wait for it"));
         }
         let open = self.open.as_mut().ok_or_else(nothing_open)?;

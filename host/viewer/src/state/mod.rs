@@ -224,7 +224,12 @@ impl State {
     /// Whether the samples are where the steps put them, and no draft.
     pub fn is_settled(&self) -> bool {
         let full = self.open.as_ref().is_none_or(|open| open.scene.effort == Effort::FULL);
-        full && self.shown == self.requested && !self.engine.is_busy(Job::Open)
+        full && self.shown == self.requested && !self.engine.is_opening()
+    }
+
+    /// Whether anything that was asked for is still to come: a model, steps, or a file.
+    pub fn is_busy(&self) -> bool {
+        !self.engine.is_idle()
     }
 
     /// What there is to tell the user since this was asked last.

@@ -53,7 +53,7 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
         });
         bottom -= height + 8.0;
     }
-    if window.is_busy() {
+    if window.state().is_busy() {
         ui.ctx().request_repaint_after(std::time::Duration::from_millis(200));
     }
 }

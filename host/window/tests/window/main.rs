@@ -63,8 +63,7 @@ fn settle(harness: &mut Harness<'_, App>) {
     let end = Instant::now() + LONG;
     loop {
         harness.run_steps(2);
-        let window = harness.state().window();
-        if window.state().is_settled() && !window.is_busy() {
+        if !harness.state().window().state().is_busy() {
             harness.run_steps(2);
             return;
         }
