@@ -29,4 +29,4 @@ pub use pick::Hit;
 pub use record::replay;
 pub use scene::Scene;
 pub use selection::Selection;
-pub use state::State;
+pub use state::{State, Version};

@@ -259,7 +259,12 @@ pub fn appended_deformed(refined: &SampledModel, field: &DeformationField<'_>) -
 }
 
 /// Where points of the model (its coordinates) go; their normals, or none, tell the sheets of the surface apart.
-fn carried(field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3], normals: &[Vec3]) -> Vec<DVec3> {
+pub fn carried(
+    field: &DeformationField<'_>,
+    frame: &Frame,
+    positions: &[DVec3],
+    normals: &[Vec3],
+) -> Vec<DVec3> {
     let mut moved = positions.to_vec();
     let to = &mut [Moved { positions: &mut moved, normals: &mut [], figures: &mut [] }];
     carry(std::slice::from_ref(field), frame, positions, normals, None, to);

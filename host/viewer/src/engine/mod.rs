@@ -6,11 +6,13 @@
 //!
 //! The deformed model is written on a thread of its own, so that the edit goes on meanwhile.
 
+mod comparing;
 mod thread;
 mod wasted;
 mod watch;
 
 use crate::scene::Scene;
+pub use comparing::{Carried, Comparing};
 use serde::{Deserialize, Serialize};
 use simod_core::reconstruction::{Method, Normals, Reconstructed};
 use simod_core::{Error, Result};
@@ -67,6 +69,8 @@ pub enum Job {
     Evaluate,
     /// The deformed model is written.
     Write,
+    /// Another version is made, to be compared with.
+    Compare,
 }
 
 /// What became of a request.
@@ -79,6 +83,15 @@ pub enum Event {
         request: u64,
         /// Where the samples are.
         scene: Box<Scene>,
+    },
+    /// Another version is there.
+    Compared {
+        /// Which, as it was asked for.
+        number: u64,
+        /// Its samples.
+        scene: Arc<Scene>,
+        /// Where it has the others that were asked for.
+        carried: Option<Carried>,
     },
     /// The deformed model was written.
     Written {
@@ -116,6 +129,7 @@ struct Wanted {
     open: Option<Opening>,
     evaluate: Option<Request>,
     write: Option<(Arc<[Entry]>, Writing)>,
+    compare: Option<Comparing>,
     plugins: Option<Arc<PluginRegistry>>,
     end: bool,
 }
@@ -126,6 +140,7 @@ struct Running {
     open: Option<Arc<Watch>>,
     evaluate: Option<(Arc<Watch>, Arc<[Entry]>, Effort)>,
     write: Option<Arc<Watch>>,
+    compare: Option<Arc<Watch>>,
     /// The place of the step that is being done.
     step: Arc<std::sync::atomic::AtomicUsize>,
     /// Events that were sent, and not taken yet; and models among them.
@@ -142,7 +157,8 @@ struct Shared {
 fn is_idle(wanted: &Wanted, running: &Running) -> bool {
     let waiting = wanted.open.is_some() || wanted.evaluate.is_some() || wanted.write.is_some();
     let busy = running.open.is_some() || running.evaluate.is_some() || running.write.is_some();
-    !waiting && !busy && running.events == 0
+    let compares = wanted.compare.is_some() || running.compare.is_some();
+    !waiting && !busy && !compares && running.events == 0
 }
 
 impl Shared {
@@ -182,6 +198,15 @@ impl Engine {
             (wanted.open, wanted.evaluate, wanted.write) = (Some(opening), None, None);
             running.open.iter().for_each(|watch| watch.supersede());
             running.evaluate.iter().for_each(|(watch, ..)| watch.supersede());
+        });
+        self.compare(None);
+    }
+
+    /// Has another version made, instead of a former one, or none any more.
+    pub fn compare(&mut self, comparing: Option<Comparing>) {
+        self.want(|wanted, running| {
+            wanted.compare = comparing;
+            running.compare.iter().for_each(|watch| watch.supersede());
         });
     }
 
@@ -228,6 +253,10 @@ impl Engine {
                 wanted.write = None;
                 running.write.iter().for_each(|watch| watch.cancel());
             }
+            Job::Compare => {
+                wanted.compare = None;
+                running.compare.iter().for_each(|watch| watch.cancel());
+            }
         });
     }
 
@@ -239,6 +268,7 @@ impl Engine {
             Job::Open => running.open.as_ref(),
             Job::Evaluate => running.evaluate.as_ref().map(|(watch, ..)| watch),
             Job::Write => running.write.as_ref(),
+            Job::Compare => running.compare.as_ref(),
         };
         watch.map(|watch| watch.activity())
     }
@@ -256,6 +286,7 @@ impl Engine {
             Job::Open => wanted.open.is_some(),
             Job::Evaluate => wanted.evaluate.is_some(),
             Job::Write => wanted.write.is_some(),
+            Job::Compare => wanted.compare.is_some(),
         }
     }
 
@@ -308,7 +339,7 @@ impl Engine {
 
 impl Drop for Engine {
     fn drop(&mut self) {
-        for job in [Job::Open, Job::Evaluate, Job::Write] {
+        for job in [Job::Open, Job::Evaluate, Job::Write, Job::Compare] {
             self.cancel(job);
         }
         self.want(|wanted, _| wanted.end = true);

@@ -19,7 +19,7 @@ impl State {
         self.open.as_ref().ok_or_else(nothing_open)
     }
 
-    fn document_mut(&mut self) -> Result<&mut Document> {
+    pub(super) fn document_mut(&mut self) -> Result<&mut Document> {
         self.open.as_mut().map(|open| open.editor.document_mut()).ok_or_else(nothing_open)
     }
 
@@ -29,7 +29,9 @@ impl State {
             self.tell(super::Notice::Note(format!("the former edit was not kept: {error}")));
         }
         self.selection = Selection::none(scene.len());
-        (self.chosen, self.stroke, self.depth, self.field) = (None, None, None, None);
+        (self.chosen, self.stroke, self.depth, self.named) = (None, None, None, None);
+        self.fields = [None, None];
+        self.unpin();
         (self.shown, self.floor) = (self.requested, self.requested);
         let bounds = scene.bounds().map(|corner| corner.as_dvec3());
         self.camera.frame(bounds, self.size);
@@ -74,13 +76,17 @@ impl State {
     }
 
     pub(super) fn undo(&mut self) -> Result<()> {
-        self.document_mut()?.undo().ok_or_else(|| refused("there is nothing to undo", "go on"))?;
+        let former = self.steps_now()?;
+        let label = self.document_mut()?.undo();
+        self.swapped(&label.ok_or_else(|| refused("there is nothing to undo", "go on"))?, former);
         self.request(Effort::FULL);
         Ok(())
     }
 
     pub(super) fn redo(&mut self) -> Result<()> {
-        self.document_mut()?.redo().ok_or_else(|| refused("there is nothing to do again", "go on"))?;
+        let former = self.steps_now()?;
+        let label = self.document_mut()?.redo();
+        self.swapped(&label.ok_or_else(|| refused("there is nothing to do again", "go on"))?, former);
         self.request(Effort::FULL);
         Ok(())
     }

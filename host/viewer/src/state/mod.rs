@@ -1,6 +1,8 @@
 //! All that the window shows, and the one way to change it: [`State::apply`].
 
 mod edit;
+mod fields;
+mod pinned;
 mod region;
 mod select;
 mod stroke;
@@ -9,11 +11,13 @@ mod view;
 use crate::camera::Camera;
 use crate::command::Command;
 use crate::engine::{Activity, Engine, Event, Job, Opening, Wake};
-use crate::overlay::{Field, Overlay};
+use crate::overlay::Overlay;
 use crate::pick::DepthBuffer;
 use crate::record::Recorder;
 use crate::scene::Scene;
 use crate::selection::{Adjacency, Selection};
+use pinned::Pinned;
+pub use pinned::Version;
 use simod_core::reconstruction::Reconstructed;
 use simod_core::{Error, ErrorKind, Result};
 use simod_plugin_api::Effort;
@@ -67,7 +71,14 @@ pub struct State {
     recorder: Option<Recorder>,
     /// The depth buffer of a scene.
     depth: Option<(u64, DepthBuffer)>,
-    field: Option<(view::FieldKey, Field)>,
+    /// The numbers of both versions.
+    fields: [Option<fields::Known>; 2],
+    /// The version to compare with.
+    pinned: Option<Pinned>,
+    /// How many were pinned so far.
+    pins: u64,
+    /// What steps are called that were pinned before.
+    named: Option<(String, Arc<[Entry]>)>,
 }
 
 fn refused(what: impl Into<String>, hint: &str) -> Error {
@@ -97,7 +108,10 @@ impl State {
             notices: Vec::new(),
             recorder: None,
             depth: None,
-            field: None,
+            fields: [None, None],
+            pinned: None,
+            pins: 0,
+            named: None,
         }
     }
 
@@ -163,6 +177,13 @@ impl State {
             Command::Resize { size } => self.resize(size),
             Command::Camera(step) => self.move_camera(step),
             Command::Show(overlay) => self.show(overlay),
+            Command::Pin => self.pin(),
+            Command::PinSession { path } => self.pin_session(&path),
+            Command::Unpin => {
+                self.unpin();
+                Ok(())
+            }
+            Command::SwapPinned => self.swap_pinned(),
         }
     }
 
@@ -195,23 +216,33 @@ impl State {
             }
             // Those of the model that was open before are of no use.
             Event::Evaluated { request, scene } => {
-                if let Some(open) = self.open.as_mut().filter(|_| request > self.floor) {
-                    open.show(*scene);
+                if self.open.is_some() && request > self.floor {
+                    self.show_scene(Arc::new(*scene));
                     self.shown = request;
-                    if self.selection.marks().len() != open.scene.len() {
-                        self.selection = self.selection.resized(&open.adjacency);
-                    }
+                    self.compare();
                 }
             }
+            Event::Compared { number, scene, carried } => self.compared(number, scene, carried),
             Event::Written { output, report, seconds } => self.tell(Notice::Written(output, report, seconds)),
             Event::Note(text) => self.tell(Notice::Note(text)),
             Event::Failed { job, error } => {
                 self.tell(Notice::Failed(job, error));
+                if job == Job::Compare {
+                    self.not_compared();
+                }
                 // Steps that were given up for a model that could not be opened.
                 if job == Job::Open && self.shown != self.requested {
                     self.request(Effort::FULL);
                 }
             }
+        }
+    }
+
+    fn show_scene(&mut self, scene: Arc<Scene>) {
+        let Some(open) = &mut self.open else { return };
+        open.show(scene);
+        if self.selection.marks().len() != open.scene.len() {
+            self.selection = self.selection.resized(&open.adjacency);
         }
     }
 
@@ -311,11 +342,11 @@ impl Open {
         Self { editor, scene: Arc::new(scene), adjacency }
     }
 
-    fn show(&mut self, scene: Scene) {
+    fn show(&mut self, scene: Arc<Scene>) {
         if !Arc::ptr_eq(&self.scene.sampled, &scene.sampled) {
             self.adjacency = Arc::new(Adjacency::of_model(&scene.sampled));
         }
-        self.scene = Arc::new(scene);
+        self.scene = scene;
     }
 
     fn steps(&self) -> &Arc<[Entry]> {
