@@ -3,6 +3,7 @@
 
 #[path = "../../../session/tests/common/mod.rs"]
 mod common;
+mod comparing;
 mod edits;
 mod errors;
 mod random;

@@ -14,7 +14,7 @@ use simod_viewer::camera::{Projection, Standard};
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::engine::Job;
 use simod_viewer::selection::Combine;
-use simod_viewer::{Command, Overlay, State};
+use simod_viewer::{Command, Overlay, State, Version};
 
 fn area() -> impl Strategy<Value = Area> {
     let pixel = || prop::array::uniform2(-100.0..1400.0_f64);
@@ -87,6 +87,7 @@ fn command() -> impl Strategy<Value = Command> {
         Overlay::Stretch,
         Overlay::Density,
         Overlay::TransferError,
+        Overlay::Difference,
     ]);
     let point = prop::array::uniform3(-1.0..1.0_f64).prop_map(DVec3::from);
     prop_oneof![
@@ -116,6 +117,9 @@ fn command() -> impl Strategy<Value = Command> {
         1 => Just(Command::Cancel { job: Job::Evaluate }),
         2 => camera().prop_map(Command::Camera),
         1 => overlay.prop_map(Command::Show),
+        1 => Just(Command::Pin),
+        1 => Just(Command::SwapPinned),
+        1 => Just(Command::Unpin),
         1 => prop::array::uniform2(-10.0..2000.0_f64).prop_map(|size| Command::Resize { size }),
     ]
 }
@@ -128,9 +132,12 @@ fn check(state: &mut State) {
     assert!(scene.positions.iter().all(|p| p.is_finite()));
     assert!(scene.normals.iter().all(|n| n.is_finite()));
     assert!(state.camera().is_valid());
-    if let Some(field) = state.field() {
-        assert_eq!(field.values.len(), scene.len());
-        assert!(field.values.iter().all(|x| x.is_finite()));
+    for version in [Version::Now, Version::Pinned] {
+        let samples = state.scene_of(version).map(|scene| scene.len());
+        if let Some(field) = state.field_of(version) {
+            assert_eq!(Some(field.values.len()), samples);
+            assert!(field.values.iter().all(|x| x.is_finite()));
+        }
     }
 }
 
