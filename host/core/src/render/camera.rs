@@ -69,9 +69,9 @@ impl Camera {
         self.position.distance(self.target)
     }
 
-    /// The same view from so far away, where it was nearer.
+    /// The same view from so far away, where it was nearer by more than rounding.
     pub(super) fn at_least(self, distance: f64) -> Self {
-        if self.distance() >= distance {
+        if self.distance() >= distance * (1.0 - 1e-9) {
             return self;
         }
         Self { position: self.target - self.forward * distance, ..self }

@@ -6,6 +6,7 @@ pub mod menu;
 pub mod over;
 mod palette;
 mod parameters;
+mod pinned;
 mod progress;
 mod prompt;
 mod questions;
@@ -16,6 +17,7 @@ pub mod status;
 mod steps;
 mod toasts;
 pub mod tools;
+mod turntable;
 pub mod welcome;
 
 use crate::window::Window;
@@ -24,9 +26,11 @@ pub use palette::Palette;
 pub use prompt::Prompt;
 pub use report::Report;
 pub use toasts::Toasts;
+pub use turntable::Turntable;
 
 /// Windows over all the rest.
 pub fn floating(ctx: &egui::Context, window: &mut Window) {
+    turntable::show(ctx, window);
     prompt::show(ctx, window);
     questions::show(ctx, window);
     palette::show(ctx, window);

@@ -1,6 +1,6 @@
 //! Over the picture: options of the tool, what is being done, and what colours mean.
 
-use super::{legend, progress};
+use super::{legend, pinned, progress};
 use crate::tools::Tool;
 use crate::window::Window;
 use eframe::egui::{
@@ -14,11 +14,12 @@ const MARGIN: f32 = 12.0;
 
 /// All of it.
 pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
-    if window.tools.tool.selects() || window.tools.tool == Tool::Stroke {
+    if window.tools.has_options() {
         options(ui, rect, window);
     }
     legend::show(ui, rect, window);
     progress::show(ui, rect, window);
+    pinned::show(ui, rect, window);
 }
 
 /// A panel over the picture.

@@ -1,6 +1,5 @@
 //! The picture itself: what the graphics card has of the scene, brought up to date where it changed.
 
-use super::Canvas;
 use super::colors::Colors;
 use crate::screenshot::RADIUS;
 use crate::settings::Theme;
@@ -8,6 +7,7 @@ use crate::window::Window;
 use eframe::egui::{Color32, Mesh, Rect, Shape, TextureId, Ui, pos2};
 use eframe::egui_wgpu::RenderState;
 use simod_scene::{Background, Budget, Gpu, Mode, Scene, Style, Surface, View};
+use simod_viewer::Version;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -17,13 +17,21 @@ const GOALS: [Duration; 2] = [Duration::from_millis(12), Duration::from_millis(4
 /// How long a picture at rest may take, by what the budget knows, in seconds.
 const PATIENCE: f64 = 0.6;
 
-/// The picture.
-pub struct Viewport(Option<Drawing>);
+/// The pictures of both versions.
+pub struct Viewport(Option<Pictures>);
+
+struct Pictures {
+    render: RenderState,
+    /// Of the version that is worked on, and the pinned one, once they were shown.
+    drawings: [Option<Drawing>; 2],
+}
 
 struct Drawing {
+    version: Version,
     render: RenderState,
     scene: Scene,
-    budget: Budget,
+    /// With how many pictures share a frame.
+    budget: (u32, Budget),
     texture: Option<(TextureId, [u32; 2])>,
     colors: Colors,
     shown: Option<Arc<simod_viewer::Scene>>,
@@ -35,7 +43,7 @@ struct Drawing {
 impl Viewport {
     /// None in tests that have nothing to draw with.
     pub fn new(render: Option<&RenderState>) -> Self {
-        Self(render.map(Drawing::new))
+        Self(render.map(|render| Pictures { render: render.clone(), drawings: [None, None] }))
     }
 
     /// The card went away: nothing is drawn any more.
@@ -48,11 +56,22 @@ impl Viewport {
         ui.painter().add(background(rect, window.settings.theme));
     }
 
-    /// What to draw where the model is.
-    pub fn picture(&mut self, canvas: &Canvas<'_>, window: &mut Window) -> Shape {
+    /// What to draw where a version is. `share` is how many pictures share a frame.
+    pub fn picture(&mut self, rect: Rect, version: Version, share: u32, window: &mut Window) -> Shape {
         match &mut self.0 {
-            Some(drawing) => drawing.picture(canvas, window),
-            None => background(canvas.rect(), window.settings.theme),
+            Some(Pictures { render, drawings }) => {
+                let drawing = drawings[version as usize].get_or_insert_with(|| Drawing::new(version, render));
+                drawing.picture(rect, share, window)
+            }
+            None => background(rect, window.settings.theme),
+        }
+    }
+
+    /// Lets go what is held of a version that is not there any more.
+    pub fn tidy(&mut self, window: &Window) {
+        for drawing in self.0.iter_mut().flat_map(|pictures| &mut pictures.drawings) {
+            let is_gone = |drawing: &mut Drawing| window.state().scene_of(drawing.version).is_none();
+            drawing.take_if(is_gone);
         }
     }
 }
@@ -78,13 +97,14 @@ fn background(rect: Rect, theme: Theme) -> Shape {
 }
 
 impl Drawing {
-    fn new(render: &RenderState) -> Self {
+    fn new(version: Version, render: &RenderState) -> Self {
         let gpu = Gpu::of(render.device.clone(), render.queue.clone(), &render.adapter.get_info());
-        let budget = Budget::new(GOALS[usize::from(gpu.is_software())]);
+        let goal = GOALS[usize::from(gpu.is_software())];
         Self {
+            version,
             render: render.clone(),
             scene: Scene::new(&gpu),
-            budget,
+            budget: (1, Budget::new(goal)),
             texture: None,
             colors: Colors::default(),
             shown: None,
@@ -93,9 +113,8 @@ impl Drawing {
         }
     }
 
-    fn picture(&mut self, canvas: &Canvas<'_>, window: &mut Window) -> Shape {
-        let rect = canvas.rect();
-        let Some(scene) = window.state().scene().cloned() else {
+    fn picture(&mut self, rect: Rect, share: u32, window: &mut Window) -> Shape {
+        let Some(scene) = window.state().scene_of(self.version).cloned() else {
             return background(rect, window.settings.theme);
         };
         if let Err(error) = self.upload(&scene, window) {
@@ -124,13 +143,16 @@ impl Drawing {
         };
         let started = Instant::now();
         let before = self.scene.drawn();
-        let moves = canvas.ctx().input(|i| i.pointer.any_down()) || self.seen != Some(view);
+        let goal = GOALS[usize::from(self.scene.gpu().is_software())] / share;
+        if self.budget.0 != share {
+            self.budget = (share, Budget::new(goal));
+        }
+        let moves = window.ctx().input(|i| i.pointer.any_down()) || self.seen != Some(view);
         self.seen = Some(view);
         // At rest all is drawn at once, unless that would take too long to wait for.
-        let parts = scene.len() as f64 / self.budget.splats() as f64;
-        let takes = parts * GOALS[usize::from(self.scene.gpu().is_software())].as_secs_f64();
-        let whole = !moves && takes < PATIENCE;
-        let budget = (!whole).then_some(&mut self.budget);
+        let parts = scene.len() as f64 / self.budget.1.splats() as f64;
+        let whole = !moves && parts * goal.as_secs_f64() < PATIENCE / f64::from(share);
+        let budget = (!whole).then_some(&mut self.budget.1);
         let picture = self.scene.render(&view, &style, budget).clone();
         let drawn = self.scene.drawn();
         // Without a budget the card goes on drawing meanwhile.
@@ -138,7 +160,7 @@ impl Drawing {
             window.frame_time = started.elapsed();
         }
         if !drawn.complete {
-            canvas.ctx().request_repaint();
+            window.ctx().request_repaint();
         }
         let id = self.texture(&picture, view.size);
         let uv = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
@@ -172,7 +194,7 @@ impl Drawing {
         let same = same_samples && known.is_some_and(|known| known.revision == scene.revision);
         let sampled = &scene.sampled;
         let samples = &sampled.samples;
-        let (colors, recolored) = self.colors.update(window, scene);
+        let (colors, recolored) = self.colors.update(window, self.version, scene);
         if !same_samples {
             let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
             self.scene.set_surface(&Surface {
