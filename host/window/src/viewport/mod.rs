@@ -137,7 +137,8 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         }
         let painter = ui.painter_at(main);
         // Drawn first, and filled once the pointer has moved the camera.
-        let picture = ui.painter_at(rect).add(egui::Shape::Noop);
+        let whole = ui.painter_at(rect);
+        let picture = whole.add(egui::Shape::Noop);
         let over_corner = corner::contains(main, ui.ctx());
         let canvas = |rect, blocked| {
             let painter = painter.clone();
@@ -162,7 +163,7 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
             navigate::update(&canvas(main, false), window, window.tools.tool);
         }
         let pictures = places.pictures(viewport, window);
-        painter.set(picture, egui::Shape::Vec(pictures));
+        whole.set(picture, egui::Shape::Vec(pictures));
         versions::captions(ui, rect, &places, window);
         corner::show(ui, main, window);
         panels::over::show(ui, rect, window);
