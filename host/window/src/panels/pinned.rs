@@ -25,12 +25,15 @@ fn content(ui: &mut Ui, window: &mut Window, name: &str, held: bool) {
     if window.state().scene_of(Version::Pinned).is_none() {
         ui.spinner();
     }
-    let mut short: String = name.chars().take(LONGEST).collect();
-    if short.len() < name.len() {
-        short.push('\u{2026}');
+    // Side by side, it is written over its picture.
+    if !window.looks.side_by_side {
+        let mut short: String = name.chars().take(LONGEST).collect();
+        if short.len() < name.len() {
+            short.push('\u{2026}');
+        }
+        let label = Label::new(RichText::new(format!("Pinned: {short}")).strong()).extend();
+        ui.add(label).on_hover_text(name);
     }
-    let label = Label::new(RichText::new(format!("Pinned: {short}")).strong()).extend();
-    ui.add(label).on_hover_text(name);
     button(ui, window, "Side by Side", "Side by Side");
     let hold =
         ui.button("Hold to See").on_hover_text("Shows the pinned version while it is held, as the key X");

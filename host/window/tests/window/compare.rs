@@ -23,8 +23,8 @@ fn pressed(harness: &mut Harness<'_, App>, key: egui::Key, modifiers: egui::Modi
     settle(harness);
 }
 
-/// Drags with the left button; nothing moves what is not under the pointer.
-fn drag(harness: &mut Harness<'_, App>, from: egui::Pos2, to: egui::Pos2) {
+/// Drags with the left button.
+pub fn drag(harness: &mut Harness<'_, App>, from: egui::Pos2, to: egui::Pos2) {
     let button = |pos, pressed| egui::Event::PointerButton {
         pos,
         button: egui::PointerButton::Primary,
