@@ -172,3 +172,25 @@ fn handles_of_a_lattice_are_where_it_is_dragged_to() {
     let scene = state.scene().unwrap();
     assert!(*scene.positions != *scene.sampled.samples.positions);
 }
+
+#[test]
+fn samples_emerge_while_a_model_is_opened() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = model(folder.path(), Shape::Amphora, 200_000);
+    // Each news of progress takes a while, so that none is missed here.
+    let mut state = State::new(plugins(), Arc::new(|| std::thread::sleep(crate::Duration::from_millis(5))));
+    state.apply(open(&path, 5000)).unwrap();
+    let (mut counts, mut inside) = (Vec::new(), true);
+    while state.is_opening() {
+        state.emerged(|emerged| {
+            let [low, high] = emerged.bounds.map(|corner| corner.as_vec3());
+            inside &=
+                emerged.positions.iter().all(|p| p.cmpge(low - 1e-3).all() && p.cmple(high + 1e-3).all());
+            assert_eq!([emerged.normals.len(), emerged.spacing.len()], [emerged.positions.len(); 2]);
+            counts.push(emerged.positions.len());
+        });
+        state.poll();
+    }
+    assert!(inside && counts.is_sorted() && counts.iter().any(|n| *n >= 5000), "{counts:?}");
+    assert!(state.scene().is_some() && state.emerged(|_| ()).is_none());
+}
