@@ -178,7 +178,7 @@ fn samples_emerge_while_a_model_is_opened() {
     let folder = tempfile::tempdir().unwrap();
     let path = model(folder.path(), Shape::Amphora, 200_000);
     // Each news of progress takes a while, so that none is missed here.
-    let mut state = State::new(plugins(), Arc::new(|| std::thread::sleep(crate::Duration::from_millis(5))));
+    let mut state = State::new(plugins(), Arc::new(|| std::thread::sleep(std::time::Duration::from_millis(5))));
     state.apply(open(&path, 5000)).unwrap();
     let (mut counts, mut inside) = (Vec::new(), true);
     while state.is_opening() {
