@@ -1,6 +1,5 @@
 //! Pictures of the model without a window, or beside it.
 
-use crate::settings::Theme;
 use crate::window::Window;
 use glam::DVec3;
 use simod_core::render::Image;
@@ -73,10 +72,7 @@ impl Shot {
         let size = window.state().size().map(|pixels| 2 * (0.5 * pixels).clamp(1.0, 4096.0) as u32);
         let style = Style {
             mode: if looks.triangles { Mode::Triangles } else { Mode::Splats },
-            background: match theme {
-                Theme::Dark => Background::Dark,
-                Theme::Light => Background::Light,
-            },
+            background: theme.background(),
             occlusion,
             ..shot.style
         };

@@ -249,22 +249,16 @@ pub fn refine(
     Ok(refined)
 }
 
-/// Where the samples that a refinement has appended go (the model's coordinates), by a deformation of those that were
-/// there before.
-pub fn appended_deformed(refined: &SampledModel, field: &DeformationField<'_>) -> Vec<DVec3> {
-    let first = field.deformed().len();
+/// Where the samples go that a refinement has appended, from `first` on (the model's coordinates), by a deformation of those
+/// that were there before, or of those among them that are around.
+pub fn appended_deformed(refined: &SampledModel, first: usize, field: &DeformationField<'_>) -> Vec<DVec3> {
     let rest = refined.samples.positions.get(first..).unwrap_or_default();
     let rest: Vec<DVec3> = rest.iter().map(|p| refined.frame.to_model(*p)).collect();
     carried(field, &refined.frame, &rest, refined.samples.normals().get(first..).unwrap_or_default())
 }
 
 /// Where points of the model (its coordinates) go; their normals, or none, tell the sheets of the surface apart.
-pub fn carried(
-    field: &DeformationField<'_>,
-    frame: &Frame,
-    positions: &[DVec3],
-    normals: &[Vec3],
-) -> Vec<DVec3> {
+fn carried(field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3], normals: &[Vec3]) -> Vec<DVec3> {
     let mut moved = positions.to_vec();
     let to = &mut [Moved { positions: &mut moved, normals: &mut [], figures: &mut [] }];
     carry(std::slice::from_ref(field), frame, positions, normals, None, to);

@@ -2,9 +2,9 @@
 
 use super::Event;
 use crate::scene::{Scene, common};
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use simod_core::reconstruction::{DeformationField, Method, Surroundings};
-use simod_core::refinement::carried;
+use simod_core::refinement::appended_deformed;
 use simod_core::sampled_model::SampledModel;
 use simod_core::{Error, Progress, Result};
 use simod_plugin_api::Effort;
@@ -81,9 +81,7 @@ fn carry(scene: &Scene, onto: &SampledModel) -> Arc<[Vec3]> {
     }
     let around = Surroundings::of(&scene.sampled.samples);
     let field = DeformationField::new(&around, &scene.positions, Method::default());
-    let others: Vec<DVec3> = rest[both..].iter().map(|p| onto.frame.to_model(*p)).collect();
-    let normals = onto.samples.normals().get(both..).unwrap_or_default();
-    let moved = carried(&field, &onto.frame, &others, normals);
+    let moved = appended_deformed(onto, both, &field);
     let moved = moved.iter().map(|p| onto.frame.to_local(*p));
     scene.positions[..both].iter().copied().chain(moved).collect()
 }

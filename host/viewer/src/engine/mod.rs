@@ -7,12 +7,14 @@
 //! The deformed model is written on a thread of its own, so that the edit goes on meanwhile.
 
 mod comparing;
+mod emerged;
 mod thread;
 mod wasted;
 mod watch;
 
 use crate::scene::Scene;
 pub use comparing::{Carried, Comparing};
+pub use emerged::Emerged;
 use serde::{Deserialize, Serialize};
 use simod_core::reconstruction::{Method, Normals, Reconstructed};
 use simod_core::{Error, Result};
@@ -271,6 +273,12 @@ impl Engine {
             Job::Compare => running.compare.as_ref(),
         };
         watch.map(|watch| watch.activity())
+    }
+
+    /// Looks at those samples of the model that is being opened that are there by now, if there are any.
+    pub fn emerged<T>(&self, look: impl FnOnce(&Emerged) -> T) -> Option<T> {
+        let watch = self.shared.lock().1.open.clone()?;
+        watch.emerged(look)
     }
 
     /// The place of the step that is being done, if any is.

@@ -172,3 +172,55 @@ fn handles_of_a_lattice_are_where_it_is_dragged_to() {
     let scene = state.scene().unwrap();
     assert!(*scene.positions != *scene.sampled.samples.positions);
 }
+
+#[test]
+fn samples_emerge_while_a_model_is_opened() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = model(folder.path(), Shape::Amphora, 200_000);
+    // Each news of progress takes a while, so that none is missed here.
+    let mut state =
+        State::new(plugins(), Arc::new(|| std::thread::sleep(std::time::Duration::from_millis(5))));
+    state.apply(open(&path, 5000)).unwrap();
+    let (mut counts, mut inside) = (Vec::new(), true);
+    while state.is_opening() {
+        state.emerged(|emerged| {
+            let [low, high] = emerged.bounds.map(|corner| corner.as_vec3());
+            inside &=
+                emerged.positions.iter().all(|p| p.cmpge(low - 1e-3).all() && p.cmple(high + 1e-3).all());
+            assert_eq!([emerged.normals.len(), emerged.spacing.len()], [emerged.positions.len(); 2]);
+            counts.push(emerged.positions.len());
+        });
+        state.poll();
+    }
+    assert!(inside && counts.is_sorted() && counts.iter().any(|n| *n >= 5000), "{counts:?}");
+    assert!(state.scene().is_some() && state.emerged(|_| ()).is_none());
+}
+
+#[test]
+fn a_drag_below_a_refinement_rests_where_a_run_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = model(folder.path(), Shape::Amphora, 20_000);
+    let angle = |degrees: f64| {
+        let change = Change::SetParam { id: "angle".into(), value: Some(degrees.into()) };
+        edit::Command::Change { at: 0, change }
+    };
+    let mut state = state(plugins());
+    done(&mut state, open(&path, 1000));
+    done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
+    done(&mut state, Command::Edit(angle(30.0)));
+    let at = pixel(&state, DVec3::new(0.0, 1.0, 0.0));
+    done(&mut state, select(Area::Brush { path: vec![at], radius: 60.0 }));
+    done(&mut state, Command::RefineSelection { finer: Finer::Factor(4.0) });
+    let refined = state.scene().unwrap().len();
+    done(&mut state, Command::Drag(angle(90.0)));
+    assert_eq!((state.scene().unwrap().len(), state.scene().unwrap().effort), (refined, Effort::DRAFT));
+    done(&mut state, Command::Rest);
+    assert_eq!(state.scene().unwrap().effort, Effort::FULL);
+
+    let mut again = self::state(plugins());
+    done(&mut again, open(&path, 1000));
+    for (at, entry) in state.document().unwrap().steps().iter().enumerate() {
+        done(&mut again, Command::Edit(edit::Command::Add { at, step: Box::new((*entry.step).clone()) }));
+    }
+    assert_eq!(state.scene().unwrap().positions, again.scene().unwrap().positions);
+}

@@ -7,7 +7,7 @@ pub mod over;
 mod palette;
 mod parameters;
 mod pinned;
-mod progress;
+pub mod progress;
 mod prompt;
 mod questions;
 mod regions;

@@ -2,9 +2,11 @@
 
 mod colors;
 mod corner;
+mod emerging;
 pub mod handles;
 mod navigate;
 mod picture;
+mod texture;
 mod versions;
 
 use crate::window::Window;
@@ -130,11 +132,6 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
             window.apply(Command::Resize { size });
         }
         viewport.tidy(window);
-        if window.state().scene().is_none() {
-            viewport.clear(ui, rect, window);
-            panels::welcome::show(ui, rect, window);
-            return;
-        }
         let painter = ui.painter_at(main);
         // Drawn first, and filled once the pointer has moved the camera.
         let whole = ui.painter_at(rect);
@@ -144,6 +141,17 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
             let painter = painter.clone();
             Canvas { response: &response, painter, rect, pixels_per_point, blocked: blocked || over_corner }
         };
+        if let Some(emerging) = viewport.emerging(&canvas(main, false), window) {
+            navigate::update(&canvas(main, false), window, window.tools.tool);
+            whole.set(picture, emerging);
+            panels::progress::show(ui, rect, window);
+            return;
+        }
+        if window.state().scene().is_none() {
+            viewport.clear(ui, rect, window);
+            panels::welcome::show(ui, rect, window);
+            return;
+        }
         // The pinned version is looked at only.
         let looks = places.under(ui) == Some(Version::Pinned) && !window.tools.is_dragging();
         let mut taken = false;

@@ -1,12 +1,15 @@
 //! The picture itself: what the graphics card has of the scene, brought up to date where it changed.
 
+use super::Canvas;
 use super::colors::Colors;
+use super::emerging::Emerging;
+use super::texture::Texture;
 use crate::screenshot::RADIUS;
 use crate::settings::Theme;
 use crate::window::Window;
-use eframe::egui::{Color32, Mesh, Rect, Shape, TextureId, Ui, pos2};
+use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
 use eframe::egui_wgpu::RenderState;
-use simod_scene::{Background, Budget, Gpu, Mode, Scene, Style, Surface, View};
+use simod_scene::{Budget, Gpu, Mode, Scene, Style, Surface, View};
 use simod_viewer::Version;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -24,15 +27,16 @@ struct Pictures {
     render: RenderState,
     /// Of the version that is worked on, and the pinned one, once they were shown.
     drawings: [Option<Drawing>; 2],
+    /// Of a model that is being opened.
+    emerging: Option<Emerging>,
 }
 
 struct Drawing {
     version: Version,
-    render: RenderState,
     scene: Scene,
     /// With how many pictures share a frame.
     budget: (u32, Budget),
-    texture: Option<(TextureId, [u32; 2])>,
+    texture: Texture,
     colors: Colors,
     shown: Option<Arc<simod_viewer::Scene>>,
     ghost: bool,
@@ -43,7 +47,7 @@ struct Drawing {
 impl Viewport {
     /// None in tests that have nothing to draw with.
     pub fn new(render: Option<&RenderState>) -> Self {
-        Self(render.map(|render| Pictures { render: render.clone(), drawings: [None, None] }))
+        Self(render.map(|render| Pictures { render: render.clone(), drawings: [None, None], emerging: None }))
     }
 
     /// The card went away: nothing is drawn any more.
@@ -56,10 +60,15 @@ impl Viewport {
         ui.painter().add(background(rect, window.settings.theme));
     }
 
+    /// What to draw of a model that is being opened; nothing where none is, or none of its samples is there yet.
+    pub fn emerging(&mut self, canvas: &Canvas<'_>, window: &Window) -> Option<Shape> {
+        self.0.as_mut()?.emerging(canvas, window)
+    }
+
     /// What to draw where a version is. `share` is how many pictures share a frame.
     pub fn picture(&mut self, rect: Rect, version: Version, share: u32, window: &mut Window) -> Shape {
         match &mut self.0 {
-            Some(Pictures { render, drawings }) => {
+            Some(Pictures { render, drawings, .. }) => {
                 let drawing = drawings[version as usize].get_or_insert_with(|| Drawing::new(version, render));
                 drawing.picture(rect, share, window)
             }
@@ -96,16 +105,33 @@ fn background(rect: Rect, theme: Theme) -> Shape {
     Shape::mesh(mesh)
 }
 
+fn gpu_of(render: &RenderState) -> Gpu {
+    Gpu::of(render.device.clone(), render.queue.clone(), &render.adapter.get_info())
+}
+
+impl Pictures {
+    fn emerging(&mut self, canvas: &Canvas<'_>, window: &Window) -> Option<Shape> {
+        if !window.state().is_opening() {
+            self.emerging = None;
+            return None;
+        }
+        if self.emerging.is_none() {
+            window.state().emerged(|_| ())?;
+            self.emerging = Some(Emerging::new(&self.render, &gpu_of(&self.render)));
+        }
+        self.emerging.as_mut()?.picture(canvas, window).ok()
+    }
+}
+
 impl Drawing {
     fn new(version: Version, render: &RenderState) -> Self {
-        let gpu = Gpu::of(render.device.clone(), render.queue.clone(), &render.adapter.get_info());
+        let gpu = gpu_of(render);
         let goal = GOALS[usize::from(gpu.is_software())];
         Self {
             version,
-            render: render.clone(),
             scene: Scene::new(&gpu),
             budget: (1, Budget::new(goal)),
-            texture: None,
+            texture: Texture::new(render),
             colors: Colors::default(),
             shown: None,
             ghost: false,
@@ -134,10 +160,7 @@ impl Drawing {
         let style = Style {
             mode: if window.looks.triangles { Mode::Triangles } else { Mode::Splats },
             own_colors: self.colors_are_own(),
-            background: match window.settings.theme {
-                Theme::Dark => Background::Dark,
-                Theme::Light => Background::Light,
-            },
+            background: window.settings.theme.background(),
             occlusion: window.settings.occlusion,
             ..Style::default()
         };
@@ -162,9 +185,8 @@ impl Drawing {
         if !drawn.complete {
             window.ctx().request_repaint();
         }
-        let id = self.texture(&picture, view.size);
-        let uv = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
-        Shape::image(id, rect, uv, Color32::WHITE)
+        self.texture.set(&picture, view.size);
+        self.texture.show(rect)
     }
 
     /// Of all that is shown.
@@ -228,32 +250,5 @@ impl Drawing {
             self.shown = Some(scene.clone());
         }
         Ok(())
-    }
-
-    /// The picture as egui knows it.
-    fn texture(&mut self, picture: &wgpu::TextureView, size: [u32; 2]) -> TextureId {
-        let mut renderer = self.render.renderer.write();
-        let (device, filter) = (&self.render.device, wgpu::FilterMode::Linear);
-        match self.texture {
-            Some((id, known)) if known == size => id,
-            Some((id, _)) => {
-                renderer.update_egui_texture_from_wgpu_texture(device, picture, filter, id);
-                self.texture = Some((id, size));
-                id
-            }
-            None => {
-                let id = renderer.register_native_texture(device, picture, filter);
-                self.texture = Some((id, size));
-                id
-            }
-        }
-    }
-}
-
-impl Drop for Drawing {
-    fn drop(&mut self) {
-        if let Some((id, _)) = self.texture {
-            self.render.renderer.write().free_texture(&id);
-        }
     }
 }

@@ -23,8 +23,9 @@ pub struct Places {
 impl Places {
     /// In the part of the window that shows the model.
     pub fn of(rect: Rect, window: &Window) -> Self {
-        let there = window.state().scene_of(Version::Pinned).is_some();
-        if !there {
+        let state = window.state();
+        // While another model is opened, that one is shown.
+        if state.is_opening() || state.scene_of(Version::Pinned).is_none() {
             return Self { now: Some(rect), pinned: None };
         }
         if window.looks.pinned_in_place || is_held(window) {
