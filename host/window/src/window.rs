@@ -13,7 +13,7 @@ use simod_session::session_file::{Deformation, Sampling};
 use simod_session::{Plugin, PluginRegistry};
 use simod_viewer::record::Recorder;
 use simod_viewer::state::{self, Notice};
-use simod_viewer::{Command, State};
+use simod_viewer::{Command, State, Version};
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -286,7 +286,9 @@ impl Window {
     }
 
     fn go_on_replaying(&mut self) {
+        let pins = |state: &State| state.pinned().is_some() && state.scene_of(Version::Pinned).is_none();
         while self.state.is_settled()
+            && !pins(&self.state)
             && let Some(command) = self.recorded.pop_front()
         {
             if !self.apply(command) {

@@ -230,6 +230,9 @@ impl State {
                 if job == Job::Compare {
                     self.not_compared();
                 }
+                if job == Job::Open {
+                    self.compare_again();
+                }
                 // Steps that were given up for a model that could not be opened.
                 if job == Job::Open && self.shown != self.requested {
                     self.request(Effort::FULL);

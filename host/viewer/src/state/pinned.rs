@@ -182,6 +182,14 @@ impl State {
         self.engine.compare(Some(Comparing { number, steps, scene, whole, measure, onto }));
     }
 
+    /// What was asked for was given up.
+    pub(super) fn compare_again(&mut self) {
+        if let Some(pinned) = &mut self.pinned {
+            pinned.asked = None;
+        }
+        self.compare();
+    }
+
     /// What the engine has found of a version.
     pub(super) fn compared(&mut self, number: u64, scene: Arc<Scene>, carried: Option<Carried>) {
         if let Some(pinned) = self.pinned.as_mut().filter(|pinned| pinned.number == number) {

@@ -25,8 +25,9 @@ pub struct Viewport(Option<Pictures>);
 
 struct Pictures {
     render: RenderState,
-    /// Of the version that is worked on, and the pinned one, once they were shown.
-    drawings: [Option<Drawing>; 2],
+    now: Drawing,
+    /// While there is a pinned version, once it was shown.
+    pinned: Option<Drawing>,
     /// Of a model that is being opened.
     emerging: Option<Emerging>,
 }
@@ -47,7 +48,12 @@ struct Drawing {
 impl Viewport {
     /// None in tests that have nothing to draw with.
     pub fn new(render: Option<&RenderState>) -> Self {
-        Self(render.map(|render| Pictures { render: render.clone(), drawings: [None, None], emerging: None }))
+        Self(render.map(|render| Pictures {
+            render: render.clone(),
+            now: Drawing::new(Version::Now, render),
+            pinned: None,
+            emerging: None,
+        }))
     }
 
     /// The card went away: nothing is drawn any more.
@@ -68,19 +74,23 @@ impl Viewport {
     /// What to draw where a version is. `share` is how many pictures share a frame.
     pub fn picture(&mut self, rect: Rect, version: Version, share: u32, window: &mut Window) -> Shape {
         match &mut self.0 {
-            Some(Pictures { render, drawings, .. }) => {
-                let drawing = drawings[version as usize].get_or_insert_with(|| Drawing::new(version, render));
-                drawing.picture(rect, share, window)
-            }
+            Some(Pictures { render, now, pinned, .. }) => match version {
+                Version::Now => now.picture(rect, share, window),
+                Version::Pinned => {
+                    let drawing = pinned.get_or_insert_with(|| Drawing::new(version, render));
+                    drawing.picture(rect, share, window)
+                }
+            },
             None => background(rect, window.settings.theme),
         }
     }
 
-    /// Lets go what is held of a version that is not there any more.
+    /// Lets go of the pinned version where it is not there any more.
     pub fn tidy(&mut self, window: &Window) {
-        for drawing in self.0.iter_mut().flat_map(|pictures| &mut pictures.drawings) {
-            let is_gone = |drawing: &mut Drawing| window.state().scene_of(drawing.version).is_none();
-            drawing.take_if(is_gone);
+        if let Some(pictures) = &mut self.0
+            && window.state().pinned().is_none()
+        {
+            pictures.pinned = None;
         }
     }
 }

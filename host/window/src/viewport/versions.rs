@@ -2,7 +2,7 @@
 
 use super::Viewport;
 use crate::window::Window;
-use eframe::egui::{Align2, Color32, FontId, Key, Modifiers, Pos2, Rect, Stroke, Ui, pos2, vec2};
+use eframe::egui::{Align2, Color32, FontId, Key, Modifiers, Pos2, Rect, Shape, Stroke, Ui, pos2, vec2};
 use simod_viewer::Version;
 
 /// Between two pictures, in points.
@@ -28,7 +28,7 @@ impl Places {
         if state.is_opening() || state.scene_of(Version::Pinned).is_none() {
             return Self { now: Some(rect), pinned: None };
         }
-        if window.looks.pinned_in_place || is_held(window) {
+        if (window.looks.pinned_in_place || is_held(window)) && !window.tools.is_dragging() {
             return Self { now: None, pinned: Some(rect) };
         }
         if !window.looks.side_by_side {
@@ -64,8 +64,8 @@ impl Places {
         }
     }
 
-    /// Draws what is shown, and gives the shapes with their places.
-    pub fn pictures(&self, viewport: &mut Viewport, window: &mut Window) -> Vec<eframe::egui::Shape> {
+    /// What is shown of each.
+    pub fn pictures(&self, viewport: &mut Viewport, window: &mut Window) -> Vec<Shape> {
         let both = [(Version::Pinned, self.pinned), (Version::Now, self.now)];
         let shown: Vec<_> = both.into_iter().filter_map(|(version, rect)| Some((version, rect?))).collect();
         let share = shown.len() as u32;
