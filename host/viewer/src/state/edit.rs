@@ -28,7 +28,7 @@ impl State {
         if let Err(error) = self.autosave() {
             self.tell(super::Notice::Note(format!("the former edit was not kept: {error}")));
         }
-        self.selection = Selection::none(scene.len());
+        (self.selection, self.selections) = (Selection::none(scene.len()), Default::default());
         (self.chosen, self.stroke, self.depth, self.named) = (None, None, None, None);
         self.fields = [None, None];
         self.unpin();
@@ -58,6 +58,8 @@ impl State {
             document.rest();
         }
         document.apply(command)?;
+        self.leave_selection();
+        let document = self.document_mut()?;
         if !dragging {
             document.rest();
         }
@@ -71,22 +73,6 @@ impl State {
 
     pub(super) fn rest(&mut self) -> Result<()> {
         self.document_mut()?.rest();
-        self.request(Effort::FULL);
-        Ok(())
-    }
-
-    pub(super) fn undo(&mut self) -> Result<()> {
-        let former = self.steps_now()?;
-        let label = self.document_mut()?.undo();
-        self.swapped(&label.ok_or_else(|| refused("there is nothing to undo", "go on"))?, former);
-        self.request(Effort::FULL);
-        Ok(())
-    }
-
-    pub(super) fn redo(&mut self) -> Result<()> {
-        let former = self.steps_now()?;
-        let label = self.document_mut()?.redo();
-        self.swapped(&label.ok_or_else(|| refused("there is nothing to do again", "go on"))?, former);
         self.request(Effort::FULL);
         Ok(())
     }
@@ -162,7 +148,7 @@ impl State {
         let same = |change: Option<edit::Command>, command| change.map_or(command, Command::Edit);
         let steps = self.open.as_ref().map(|open| open.steps().clone()).unwrap_or_default();
         match command {
-            Command::Select { .. } => self.resolved_selection(),
+            Command::Select { goes_on, .. } => self.resolved_selection(goes_on),
             Command::Camera(_) => Command::Camera(crate::command::CameraMove::Set(self.camera)),
             Command::MakeRegion { step: at, .. } => {
                 let regions = steps.get(at).and_then(|e| Some(e.step.deformation()?.regions.clone()));

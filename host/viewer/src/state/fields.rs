@@ -38,9 +38,9 @@ impl State {
         self.know(Version::Now);
         self.know(Version::Pinned);
         let ranges = self.fields.iter().flatten().map(|known| known.range);
-        let range = ranges.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]);
-        let fields = self.fields.iter_mut().flatten();
-        range.into_iter().zip(fields).for_each(|(range, known)| known.field.range = range);
+        if let Some(range) = ranges.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]) {
+            self.fields.iter_mut().flatten().for_each(|known| known.field.range = range);
+        }
         self.fields[version as usize].as_ref().map(|known| &known.field)
     }
 

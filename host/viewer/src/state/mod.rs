@@ -2,6 +2,7 @@
 
 mod edit;
 mod fields;
+mod history;
 mod pinned;
 mod region;
 mod select;
@@ -56,6 +57,8 @@ pub struct State {
     plugins: Arc<PluginRegistry>,
     open: Option<Open>,
     selection: Selection,
+    /// The former ones.
+    selections: history::Selections,
     camera: Camera,
     /// Of the picture, in pixels.
     size: [f64; 2],
@@ -97,6 +100,7 @@ impl State {
             plugins,
             open: None,
             selection: Selection::default(),
+            selections: Default::default(),
             camera: Camera::default(),
             size: [1280.0, 800.0],
             chosen: None,
@@ -156,7 +160,9 @@ impl State {
             Command::Redo => self.redo(),
             Command::Choose { step } => self.choose(step),
             Command::AddStep { plugin, at } => self.add_step(&plugin, at),
-            Command::Select { area, combine, visible } => self.select(&area, combine, visible),
+            Command::Select { area, combine, visible, goes_on } => {
+                self.select(&area, combine, visible, goes_on)
+            }
             Command::MakeRegion { step, role, falloff, replaces } => {
                 self.make_region(step, role, falloff, replaces)
             }

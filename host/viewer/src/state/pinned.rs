@@ -114,6 +114,7 @@ impl State {
         }
         let steps = pinned.version.steps.clone();
         self.document_mut()?.replace(SWAP, steps);
+        self.leave_selection();
         self.swapped(SWAP, former);
         self.request(Effort::FULL);
         Ok(())

@@ -120,7 +120,10 @@ fn a_refinement_alone_makes_no_difference() {
     done(&mut state, set(0, "operation", "twist"));
     done(&mut state, Command::Pin);
     done(&mut state, Command::Show(Overlay::Difference));
-    done(&mut state, Command::Select { area: Area::All, combine: Default::default(), visible: false });
+    done(
+        &mut state,
+        Command::Select { area: Area::All, combine: Default::default(), visible: false, goes_on: false },
+    );
     done(&mut state, Command::RefineSelection { finer: Finer::Factor(2.0) });
     assert!(state.scene().unwrap().len() > state.scene_of(Version::Pinned).unwrap().len());
     let most = state.field().unwrap().values.iter().copied().fold(0.0, f32::max);

@@ -1,7 +1,7 @@
 //! A whole edit by commands, as a window would do it.
 
 use super::{done, model, open, pixel, plugins, state};
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use simod_core::generate::Shape;
 use simod_core::progress::Silent;
 use simod_core::reconstruction::Reconstruction;
@@ -33,7 +33,7 @@ impl Write for Tape {
 }
 
 fn select(area: Area) -> Command {
-    Command::Select { area, combine: Combine::Replace, visible: false }
+    Command::Select { area, combine: Combine::Replace, visible: false, goes_on: false }
 }
 
 fn moved(y: f64) -> edit::Command {
@@ -223,4 +223,24 @@ fn a_drag_below_a_refinement_rests_where_a_run_is() {
         done(&mut again, Command::Edit(edit::Command::Add { at, step: Box::new((*entry.step).clone()) }));
     }
     assert_eq!(state.scene().unwrap().positions, again.scene().unwrap().positions);
+}
+
+#[test]
+fn normals_turn_as_the_surface_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut state = state(plugins());
+    done(&mut state, open(&model(folder.path(), Shape::Bar, 40_000), 4000));
+    done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
+    let change = Change::SetParam { id: "angle".into(), value: Some(120.0.into()) };
+    done(&mut state, Command::Edit(edit::Command::Change { at: 0, change }));
+    let scene = state.scene().unwrap();
+    // As those that are fitted with care, but for some at the bar's edges.
+    let fitted = simod_core::reconstruction::deformed_normals(&scene.sampled.samples, &scene.positions);
+    let median = |normals: &[Vec3]| {
+        let mut cosines: Vec<f32> = normals.iter().zip(&fitted).map(|(a, b)| a.dot(*b)).collect();
+        cosines.sort_unstable_by(f32::total_cmp);
+        [cosines[cosines.len() / 10], cosines[cosines.len() / 2]]
+    };
+    let ([low, turned], [_, unmoved]) = (median(&scene.normals), median(scene.sampled.samples.normals()));
+    assert!(low > 0.9 && turned > 0.995 && unmoved < 0.95, "{low}, {turned}, {unmoved}");
 }

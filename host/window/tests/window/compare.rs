@@ -199,7 +199,10 @@ fn a_turntable_is_rendered_from_the_menu_and_stopped() {
     let folder = tempfile::tempdir().unwrap();
     let mut harness = window();
     open(&mut harness, &model(folder.path()));
-    done(&mut harness, Command::Select { area: Area::All, combine: Default::default(), visible: false });
+    done(
+        &mut harness,
+        Command::Select { area: Area::All, combine: Default::default(), visible: false, goes_on: false },
+    );
     harness.set_size(egui::vec2(800.0, 520.0));
     let turn = folder.path().join("turn");
     for (frames, stops) in [(2, false), (500, true)] {
