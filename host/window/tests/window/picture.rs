@@ -65,8 +65,9 @@ fn a_card_that_goes_away_takes_nothing_of_the_edit_along() {
     assert!(simod_viewer::state::recoverable(&path).unwrap().is_none());
     let device = device.get().unwrap();
     device.destroy();
-    // As drawing does.
-    let _ = device.poll(wgpu::PollType::Poll);
+    // What is drawn next notices it.
+    let orbit = simod_viewer::command::CameraMove::Orbit { yaw: 0.3, pitch: 0.0 };
+    assert!(harness.state_mut().window_mut().apply(Command::Camera(orbit)));
     harness.run_steps(4);
     assert!(harness.query_by_label("the graphics card went away").is_some());
     // The edit goes on without its picture, and is kept already.
