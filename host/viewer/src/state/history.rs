@@ -87,7 +87,9 @@ impl State {
     pub(super) fn undo(&mut self) -> Result<()> {
         self.leave_selection();
         let depth = self.changes();
-        if let Some(left) = self.selections.done.pop_back_if(|left| left.depth == depth) {
+        if self.selections.is_last(depth)
+            && let Some(left) = self.selections.done.pop_back()
+        {
             let runs = self.exchange(&left);
             self.selections.undone.push(Left { depth, runs });
             return Ok(());
