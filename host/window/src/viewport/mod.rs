@@ -58,9 +58,14 @@ impl Canvas<'_> {
         Some(DVec2::new(f64::from(p.x), f64::from(p.y)))
     }
 
-    /// The pixel where the left button was pressed last.
+    /// The pixel where the left button was pressed last: of a quick click, it is up again by now.
     pub fn press(&self) -> Option<[f64; 2]> {
-        let p = (self.ctx().input(|i| i.pointer.press_origin())? - self.rect.min) * self.pixels_per_point;
+        let pressed = |event: &Event| match event {
+            Event::PointerButton { pos, button: PointerButton::Primary, pressed: true, .. } => Some(*pos),
+            _ => None,
+        };
+        let at = self.ctx().input(|i| i.events.iter().find_map(pressed).or(i.pointer.press_origin()))?;
+        let p = (at - self.rect.min) * self.pixels_per_point;
         Some([f64::from(p.x), f64::from(p.y)])
     }
 

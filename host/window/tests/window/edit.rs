@@ -195,3 +195,24 @@ fn a_plugin_that_is_not_there_is_named_at_its_step() {
     done(&mut harness, Command::Choose { step: Some(0) });
     assert!(harness.query_by_label_contains("there is no plugin `nobody-has-it`").is_some());
 }
+
+#[test]
+fn a_click_that_is_quicker_than_a_picture_selects() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window();
+    open(&mut harness, &model(folder.path()));
+    harness.state_mut().window_mut().tools.take(Tool::Connected);
+    let at = harness.get_by_label("Model").rect().center();
+    let button = |pressed| egui::Event::PointerButton {
+        pos: at,
+        button: egui::PointerButton::Primary,
+        pressed,
+        modifiers: egui::Modifiers::NONE,
+    };
+    harness.event(egui::Event::PointerMoved(at));
+    harness.run_steps(2);
+    harness.input_mut().events.extend([button(true), button(false)]);
+    settle(&mut harness);
+    let state = harness.state().window().state();
+    assert_eq!(state.selection().count(), state.scene().unwrap().len());
+}
