@@ -238,7 +238,7 @@ fn what_cannot_be_streamed_is_told() {
     assert!(batches.iter().flat_map(|b| &b.positions).all(|p| p.is_finite()));
 
     let refused = |marks: &[bool], text: &str| {
-        let error = Chosen::of(&sampled, marks, ENOUGH).err().expect("an error");
+        let error = Chosen::of(&sampled, marks, ENOUGH).expect_err("an error");
         assert!(error.to_string().contains(text), "{error}");
     };
     refused(&vec![false; marks.len()], "nothing of the model");
@@ -257,7 +257,7 @@ fn what_cannot_be_streamed_is_told() {
     other.positions[777] = DVec3::NAN;
     other.positions[100].y += 1.0;
     let other = other.write();
-    let error = streamed(&sampled, other.as_ref(), &all, None).err().expect("an error");
+    let error = streamed(&sampled, other.as_ref(), &all, None).expect_err("an error");
     assert!(error.to_string().contains("changed since it was sampled"), "{error}");
 
     let mut cells = sampled.held_cells().unwrap().clone();

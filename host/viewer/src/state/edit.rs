@@ -28,6 +28,7 @@ impl State {
         if let Err(error) = self.autosave() {
             self.tell(super::Notice::Note(format!("the former edit was not kept: {error}")));
         }
+        self.end_preview();
         self.selection = Selection::none(scene.len());
         (self.chosen, self.stroke, self.depth, self.field) = (None, None, None, None);
         (self.shown, self.floor) = (self.requested, self.requested);

@@ -1,6 +1,7 @@
 //! All that the window shows, and the one way to change it: [`State::apply`].
 
 mod edit;
+mod preview;
 mod region;
 mod select;
 mod stroke;
@@ -68,6 +69,7 @@ pub struct State {
     /// The depth buffer of a scene.
     depth: Option<(u64, DepthBuffer)>,
     field: Option<(view::FieldKey, Field)>,
+    preview: preview::Preview,
 }
 
 fn refused(what: impl Into<String>, hint: &str) -> Error {
@@ -98,6 +100,7 @@ impl State {
             recorder: None,
             depth: None,
             field: None,
+            preview: preview::Preview::default(),
         }
     }
 
@@ -158,11 +161,15 @@ impl State {
             Command::Write { output } => self.write(output),
             Command::Cancel { job } => {
                 self.engine.cancel(job);
+                if job == Job::Preview {
+                    self.stop_preview();
+                }
                 Ok(())
             }
             Command::Resize { size } => self.resize(size),
             Command::Camera(step) => self.move_camera(step),
             Command::Show(overlay) => self.show(overlay),
+            Command::Preview { what } => self.preview(what),
         }
     }
 
@@ -201,12 +208,21 @@ impl State {
                     if self.selection.marks().len() != open.scene.len() {
                         self.selection = self.selection.resized(&open.adjacency);
                     }
+                    self.follow_samples();
                 }
             }
             Event::Written { output, report, seconds } => self.tell(Notice::Written(output, report, seconds)),
+            Event::Detail { request, batch } => self.take_detail(request, *batch),
+            Event::Streamed { request, report, seconds } => self.take_streamed(request, report, seconds),
             Event::Note(text) => self.tell(Notice::Note(text)),
             Event::Failed { job, error } => {
                 self.tell(Notice::Failed(job, error));
+                match job {
+                    Job::Preview => self.stop_preview(),
+                    // It was interrupted for the model that could not be opened.
+                    Job::Open => self.stream_missing(),
+                    _ => {}
+                }
                 // Steps that were given up for a model that could not be opened.
                 if job == Job::Open && self.shown != self.requested {
                     self.request(Effort::FULL);

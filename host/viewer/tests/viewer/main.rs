@@ -5,6 +5,7 @@
 mod common;
 mod edits;
 mod errors;
+mod preview;
 mod random;
 mod selecting;
 
