@@ -1,5 +1,6 @@
 //! A picture of the model without a window.
 
+use crate::viewport::detail::{Pieces, sample_colors, sample_radii};
 use glam::DVec3;
 use simod_core::{Error, ErrorKind, Result};
 use simod_scene::{Background, Gpu, NoGpu, Scale, Scene, Style, Surface, View};
@@ -25,18 +26,24 @@ pub fn write(state: &mut State, file: &Path) -> Result<()> {
     })?;
     let colors: Option<Vec<[u8; 3]>> =
         state.field().map(|field| (0..shown.len()).map(|i| field.color(i)).collect());
-    let samples = &shown.sampled.samples;
-    let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
+    let detail = state.detail();
+    let radii = sample_radii(shown.sampled.samples.spacing(), detail);
+    let of_samples = match detail {
+        Some(_) => Some(sample_colors(shown.len(), colors.as_deref())),
+        None => colors.clone(),
+    };
     let mut scene = Scene::new(&gpu);
     let surface = Surface {
         positions: &shown.positions,
         normals: &shown.normals,
         radii: &radii,
-        colors: colors.as_deref(),
+        colors: of_samples.as_deref(),
         triangles: &shown.sampled.triangles,
     };
-    scene.set_surface(&surface).map_err(|e| Error::new(ErrorKind::Io, e.to_string(), "report this"))?;
-    let own_colors = colors.is_some();
+    let bad = |e: simod_scene::BadSurface| Error::new(ErrorKind::Io, e.to_string(), "report this");
+    scene.set_surface(&surface).map_err(bad)?;
+    Pieces::default().update(&mut scene, detail, colors.as_deref(), false).map_err(bad)?;
+    let own_colors = of_samples.is_some();
     let style = Style { own_colors, background: Background::Dark, scale: Scale::Double, ..Style::default() };
     let bounds = shown.bounds().map(|corner| corner.as_dvec3());
     scene.render(&view(state.camera(), bounds), &style, None);

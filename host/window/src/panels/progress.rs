@@ -13,11 +13,16 @@ const SIZE: [f32; 2] = [340.0, 92.0];
 /// Each job that is running and takes its time, above each other at the lower edge.
 pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
     let mut bottom = rect.bottom() - 12.0;
-    for (job, what) in [(Job::Open, "Opening"), (Job::Write, "Writing"), (Job::Evaluate, "Deforming")] {
+    for (job, what) in [
+        (Job::Open, "Opening"),
+        (Job::Write, "Writing"),
+        (Job::Evaluate, "Deforming"),
+        (Job::Preview, "Full detail"),
+    ] {
         let Some(activity) = window.state().activity(job) else { continue };
         // It may be over before anybody could read it.
         let left = PATIENCE - activity.seconds;
-        if left > 0.0 && job == Job::Evaluate {
+        if left > 0.0 && matches!(job, Job::Evaluate | Job::Preview) {
             ui.ctx().request_repaint_after(std::time::Duration::from_secs_f64(left));
             continue;
         }

@@ -27,7 +27,8 @@ pub fn show(ui: &mut Ui, window: &Window) {
 fn going_on(ui: &mut Ui, window: &Window) {
     let state = window.state();
     let text = |text: String| RichText::new(text).small();
-    let job = [Job::Open, Job::Write, Job::Evaluate].into_iter().find_map(|job| state.activity(job));
+    let jobs = [Job::Open, Job::Write, Job::Evaluate, Job::Preview];
+    let job = jobs.into_iter().find_map(|job| state.activity(job));
     match job {
         Some(activity) => {
             ui.add(Spinner::new().size(12.0));

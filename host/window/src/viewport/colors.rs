@@ -1,6 +1,7 @@
 //! The samples' colours: overlay, regions of the chosen step, selection.
 
-use crate::theme;
+use super::detail::sample_colors;
+use crate::theme::{self, mixed};
 use crate::window::Window;
 use simod_session::Shapes;
 use simod_session::edit::StepId;
@@ -22,6 +23,8 @@ struct Key {
     revision: Option<u64>,
     selection: Selection,
     regions: Option<Regions>,
+    /// Whether parts are shown in full.
+    detail: bool,
 }
 
 /// The regions of the step that is chosen, if they are shown.
@@ -39,11 +42,12 @@ pub struct Colors {
     key: Key,
     weights: Vec<(Role, Field)>,
     colors: Option<Vec<[u8; 3]>>,
+    tinted: Option<Vec<[u8; 3]>>,
 }
 
 impl Colors {
-    /// The samples' colours, or nothing if all are the same; and whether they have changed.
-    pub fn update(&mut self, window: &mut Window, scene: &Arc<Scene>) -> (Option<&[[u8; 3]]>, bool) {
+    /// Finds the samples' colours. Whether they have changed.
+    pub fn update(&mut self, window: &mut Window, scene: &Arc<Scene>) -> bool {
         let key = key(window, scene);
         let changed = key != self.key;
         if changed {
@@ -51,14 +55,20 @@ impl Colors {
                 self.weights = weights(window, scene, &key);
             }
             self.colors = self.made(window, scene, &key);
+            self.tinted = key.detail.then(|| sample_colors(scene.len(), self.colors.as_deref()));
             self.key = key;
         }
-        (self.colors.as_deref(), changed)
+        changed
     }
 
-    /// Whether samples have colours of their own.
-    pub fn is_some(&self) -> bool {
-        self.colors.is_some()
+    /// What is shown where a sample is; nothing if it is the same everywhere.
+    pub fn of_surface(&self) -> Option<&[[u8; 3]]> {
+        self.colors.as_deref()
+    }
+
+    /// As samples show it.
+    pub fn of_samples(&self) -> Option<&[[u8; 3]]> {
+        self.tinted.as_deref().or(self.colors.as_deref())
     }
 
     fn made(&self, window: &mut Window, scene: &Scene, key: &Key) -> Option<Vec<[u8; 3]>> {
@@ -99,6 +109,7 @@ fn key(window: &Window, scene: &Arc<Scene>) -> Key {
         revision: (overlay != Overlay::None).then_some(scene.revision),
         selection: window.state().selection().clone(),
         regions,
+        detail: window.state().detail().is_some(),
     }
 }
 
@@ -109,8 +120,4 @@ fn weights(window: &Window, scene: &Scene, key: &Key) -> Vec<(Role, Field)> {
     // A step that was not reached yet begins with what is shown.
     let before = scene.before.get(at).unwrap_or(&scene.positions);
     regions.shapes.iter().map(|(role, shapes)| (*role, overlay::region(scene, before, shapes))).collect()
-}
-
-fn mixed(a: [u8; 3], b: [u8; 3], t: f32) -> [u8; 3] {
-    std::array::from_fn(|i| (f32::from(a[i]) * (1.0 - t) + f32::from(b[i]) * t).round() as u8)
 }

@@ -2,6 +2,7 @@
 
 mod colors;
 mod corner;
+pub mod detail;
 pub mod handles;
 mod navigate;
 mod picture;

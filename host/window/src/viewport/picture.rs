@@ -2,12 +2,14 @@
 
 use super::Canvas;
 use super::colors::Colors;
+use super::detail::{Pieces, sample_radii};
 use crate::screenshot::RADIUS;
 use crate::settings::Theme;
 use crate::window::Window;
 use eframe::egui::{Color32, Mesh, Rect, Shape, TextureId, Ui, pos2};
 use eframe::egui_wgpu::RenderState;
 use simod_scene::{Background, Budget, Gpu, Mode, Scene, Style, Surface, View};
+use simod_viewer::Detail;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -27,6 +29,9 @@ struct Drawing {
     texture: Option<(TextureId, [u32; 2])>,
     colors: Colors,
     shown: Option<Arc<simod_viewer::Scene>>,
+    pieces: Pieces,
+    /// What of the detail is shown.
+    detail: Option<u64>,
     ghost: bool,
     /// From where the last picture was.
     seen: Option<View>,
@@ -88,6 +93,8 @@ impl Drawing {
             texture: None,
             colors: Colors::default(),
             shown: None,
+            pieces: Pieces::default(),
+            detail: None,
             ghost: false,
             seen: None,
         }
@@ -127,7 +134,7 @@ impl Drawing {
         let moves = canvas.ctx().input(|i| i.pointer.any_down()) || self.seen != Some(view);
         self.seen = Some(view);
         // At rest all is drawn at once, unless that would take too long to wait for.
-        let parts = scene.len() as f64 / self.budget.splats() as f64;
+        let parts = self.scene.splats() as f64 / self.budget.splats() as f64;
         let takes = parts * GOALS[usize::from(self.scene.gpu().is_software())].as_secs_f64();
         let whole = !moves && takes < PATIENCE;
         let budget = (!whole).then_some(&mut self.budget);
@@ -158,7 +165,7 @@ impl Drawing {
     }
 
     fn colors_are_own(&self) -> bool {
-        self.colors.is_some()
+        self.colors.of_samples().is_some()
     }
 
     /// Brings what the card has up to date.
@@ -172,9 +179,13 @@ impl Drawing {
         let same = same_samples && known.is_some_and(|known| known.revision == scene.revision);
         let sampled = &scene.sampled;
         let samples = &sampled.samples;
-        let (colors, recolored) = self.colors.update(window, scene);
+        let recolored = self.colors.update(window, scene);
+        let detail = window.state().detail();
+        let revision = detail.map(Detail::revision);
+        let covers_others = revision != std::mem::replace(&mut self.detail, revision);
+        let (colors, radii) = (self.colors.of_samples(), || sample_radii(samples.spacing(), detail));
         if !same_samples {
-            let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
+            let radii = radii();
             self.scene.set_surface(&Surface {
                 positions: &scene.positions,
                 normals: &scene.normals,
@@ -186,11 +197,11 @@ impl Drawing {
             if !same {
                 self.scene.set_positions(&scene.positions, &scene.normals)?;
             }
-            if recolored {
-                let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
-                self.scene.set_colors(&radii, colors)?;
+            if recolored || covers_others {
+                self.scene.set_colors(&radii(), colors)?;
             }
         }
+        self.pieces.update(&mut self.scene, detail, self.colors.of_surface(), recolored)?;
         if window.looks.ghost != self.ghost || self.ghost && !same_samples {
             self.ghost = window.looks.ghost;
             let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();

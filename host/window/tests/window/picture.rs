@@ -5,7 +5,7 @@ use simod_core::render::Image;
 use simod_scene::Gpu;
 
 /// Whether to go on: there is something to draw with, or there has to be.
-fn can_draw() -> bool {
+pub fn can_draw() -> bool {
     match Gpu::headless() {
         Ok(_) => true,
         Err(error) if std::env::var_os("CI").is_some() => panic!("{error}"),
