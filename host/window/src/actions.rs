@@ -231,19 +231,19 @@ pub const ALL: &[Action] = &[
         w.keep_settings();
     })
     .on(|w| w.settings.occlusion),
-    action(Menu::View, "Full Detail of What Is Seen", &[(NONE, Key::P)], is_open, |w| {
+    action(Menu::View, "Full Detail of What Is Seen", &[(NONE, Key::I)], is_open, |w| {
         w.apply(Command::Preview { what: Previewed::Seen });
     })
     .on(|w| w.state().detail().is_some_and(|detail| detail.of() == Previewed::Seen))
     .begins(),
-    action(Menu::View, "Full Detail of the Selection", &[(SHIFT, Key::P)], is_selected, |w| {
+    action(Menu::View, "Full Detail of the Selection", &[(SHIFT, Key::I)], is_selected, |w| {
         w.apply(Command::Preview { what: Previewed::Selection });
     })
     .on(|w| w.state().detail().is_some_and(|detail| detail.of() == Previewed::Selection)),
     action(
         Menu::View,
         "Samples Only",
-        &[(ALT, Key::P)],
+        &[(ALT, Key::I)],
         |w| w.state().detail().is_some(),
         |w| {
             w.apply(Command::Preview { what: Previewed::Nothing });

@@ -7,7 +7,7 @@ use simod_core::render::Image;
 use simod_viewer::Previewed;
 
 fn press(harness: &mut Harness<'_, App>, modifiers: egui::Modifiers) {
-    harness.key_press_modifiers(modifiers, egui::Key::P);
+    harness.key_press_modifiers(modifiers, egui::Key::I);
     settle(harness);
 }
 
@@ -63,7 +63,7 @@ fn it_is_seen_and_gone_again() {
     let mut harness =
         builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, Settings::default())));
     open(&mut harness, &path);
-    let mut picture = |harness: &mut Harness<'_, App>, name: &str| {
+    let picture = |harness: &mut Harness<'_, App>, name: &str| {
         harness.run_steps(8);
         let shown = harness.render().unwrap();
         if let Some(folder) = std::env::var_os("SIMOD_PICTURES") {
