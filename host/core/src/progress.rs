@@ -1,6 +1,31 @@
 //! How long work tells where it is, and learns that it shall stop.
 
+use glam::Vec3;
+
+use crate::frame::Frame;
+use crate::geometry::Bounds;
 use crate::{Error, Result};
+
+/// Samples of one cell of a model that is being sampled: see [`Progress::emerge`].
+pub struct Emerging<'a> {
+    /// Whether it is the first one: what came before, if anything, is found anew.
+    pub first: bool,
+    /// All of the model.
+    pub bounds: &'a Bounds,
+    /// The model's local coordinates.
+    pub frame: &'a Frame,
+    pub(crate) visit: &'a dyn Fn(Visitor<'_>),
+}
+
+/// Takes a position and a normal.
+pub(crate) type Visitor<'a> = &'a mut dyn FnMut(Vec3, Vec3);
+
+impl Emerging<'_> {
+    /// Each sample's position, local, and its unit normal, zero where it is unknown.
+    pub fn for_each(&self, mut visit: impl FnMut(Vec3, Vec3)) {
+        (self.visit)(&mut visit);
+    }
+}
 
 /// The other end of a long operation: a progress bar, a window, or nobody.
 ///
@@ -17,6 +42,10 @@ pub trait Progress: Sync {
 
     /// Something that the user should know, though the work goes on: one line.
     fn note(&self, _text: &str) {}
+
+    /// Samples that sampling found in a cell that is complete: for those who like to see them come. They are not the last
+    /// word: where their number is aimed at, fewer may be left in the end.
+    fn emerge(&self, _samples: &Emerging<'_>) {}
 
     /// An error of kind [`Cancelled`](crate::ErrorKind::Cancelled) once the user asked to stop.
     fn check(&self) -> Result<()> {

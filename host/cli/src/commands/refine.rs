@@ -212,7 +212,7 @@ fn write_deformed(
     let more = {
         let around = Surroundings::of(&sampled.samples);
         let field = DeformationField::new(&around, &deformed, Method::default());
-        appended_deformed(refined, &field)
+        appended_deformed(refined, field.deformed().len(), &field)
     };
     deformed.extend(more.iter().map(|p| refined.frame.to_local(*p)));
     let normals = deformed_normals(&refined.samples, &deformed);

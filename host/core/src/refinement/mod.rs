@@ -236,10 +236,9 @@ pub fn refine(
     Ok(refined)
 }
 
-/// Where the samples that a refinement has appended go (the model's coordinates), by a deformation of those that were
-/// there before.
-pub fn appended_deformed(refined: &SampledModel, field: &DeformationField<'_>) -> Vec<DVec3> {
-    let first = field.deformed().len();
+/// Where the samples go that a refinement has appended, from `first` on (the model's coordinates), by a deformation of those
+/// that were there before, or of those among them that are around.
+pub fn appended_deformed(refined: &SampledModel, first: usize, field: &DeformationField<'_>) -> Vec<DVec3> {
     let rest = refined.samples.positions.get(first..).unwrap_or_default();
     let rest: Vec<DVec3> = rest.iter().map(|p| refined.frame.to_model(*p)).collect();
     carried(field, &refined.frame, &rest, refined.samples.normals().get(first..).unwrap_or_default())

@@ -517,8 +517,9 @@ fn shapes_of_the_deformed_model_select_what_is_there_then() {
     // The same clusters, but for those at the rim, whose distance is rounded.
     assert!(at_rest.samples.len().abs_diff(moved.samples.len()) < 20);
     assert!(run(&here, Some(&field)).is_err());
-    for (rest, image) in
-        moved.samples.positions[3000.min(first.samples.len())..].iter().zip(appended_deformed(&moved, &field))
+    for (rest, image) in moved.samples.positions[3000.min(first.samples.len())..]
+        .iter()
+        .zip(appended_deformed(&moved, field.deformed().len(), &field))
     {
         let off = image.distance(moved.frame.to_model(*rest) + by) / moved.frame.scale;
         assert!(off < 1e-5, "{off}");

@@ -23,6 +23,7 @@ use super::vs_tree::{Splitting, VsTree, Workspace, mix};
 use crate::frame::Frame;
 use crate::geometry::Bounds;
 use crate::model::{Model, for_vertices};
+use crate::progress::{Emerging, Visitor};
 use crate::{Error, ErrorKind, Progress, Result};
 
 /// Bytes of items that wait for, or are in, clustering, beyond which the stream stands still. The last cell may be
@@ -119,7 +120,14 @@ impl Pass<'_> {
         let Clustered { forest, hash, ranges, membership } = found;
         let leaves = membership.as_ref().map(Membership::leaves);
         let stop = &AtomicU32::new(self.bound.to_bits());
-        let mut collect = |cell| -> Result<()> {
+        let mut first = true;
+        let mut collect = |cell: ClusteredCell| -> Result<()> {
+            let threshold = f32::from_bits(stop.load(Ordering::Relaxed));
+            let visit = |visit: Visitor<'_>| {
+                cell.tree.cut(threshold, |node| visit(node.position, node.normal));
+            };
+            self.progress.emerge(&Emerging { first, bounds: &grid.bounds, frame, visit: &visit });
+            first = false;
             stop.store(forest.add(cell)?.to_bits(), Ordering::Relaxed);
             Ok(())
         };

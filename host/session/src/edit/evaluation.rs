@@ -1,5 +1,6 @@
 //! The steps of an edit, done on a sampled model: each as far as it, or what comes before it, has changed.
 
+use super::around::Around;
 use super::document::{Entry, StepId};
 use crate::deformer::Message;
 use crate::plugins::PluginRegistry;
@@ -115,8 +116,19 @@ pub struct Refinements {
 
 /// What is known of a step.
 enum Known {
-    Deform { step: Arc<Step>, layer: Box<Layer>, kept: Kept },
-    Refine { key: u64, before: Arc<SampledModel>, after: Arc<SampledModel>, positions: Arc<[Vec3]> },
+    Deform {
+        step: Arc<Step>,
+        layer: Box<Layer>,
+        kept: Kept,
+    },
+    Refine {
+        key: u64,
+        before: Arc<SampledModel>,
+        after: Arc<SampledModel>,
+        positions: Arc<[Vec3]>,
+        /// For drafts, from the first one on.
+        around: Option<Arc<Around>>,
+    },
 }
 
 /// The samples between two steps.
@@ -269,24 +281,34 @@ impl Evaluation {
         progress: &dyn Progress,
     ) -> Result<Between> {
         let Between { sampled, rest } = between;
-        let key = Key::of(rest.key).and(step).end();
+        let mut key = Key::of(rest.key).and(step).end();
         let positions = &rest.positions;
-        let (after, positions) = match self.known.remove(&id) {
-            Some(Known::Refine { key: known, after, positions, .. }) if known == key => (after, positions),
-            Some(Known::Refine { before, after, .. })
-                if effort == Effort::DRAFT && Arc::ptr_eq(&before, sampled) =>
-            {
-                let positions =
-                    with_field(sampled, positions, |field| with_appended(&after, positions, field));
-                (after, positions)
+        let (after, positions, around) = match self.known.remove(&id) {
+            Some(Known::Refine { key: known, after, positions, around, .. }) if known == key => {
+                (after, positions, around)
             }
-            _ => self.refined(step, sampled, positions, progress)?,
+            Some(Known::Refine { before, after, around, .. })
+                if effort == Effort::DRAFT
+                    && Arc::ptr_eq(&before, sampled)
+                    && !Arc::ptr_eq(&before, &after) =>
+            {
+                let around = around.map_or_else(|| Around::new(&before, &after).map(Arc::new), Ok)?;
+                let positions = around.draft(&after, positions).into();
+                // The result may be another one, whether the steps before it know drafts or not.
+                key = Key::of(key).and(&effort).end();
+                (after, positions, Some(around))
+            }
+            _ => {
+                let (after, positions) = self.refined(step, sampled, positions, progress)?;
+                (after, positions, None)
+            }
         };
         let known = Known::Refine {
             key,
             before: sampled.clone(),
             after: after.clone(),
             positions: positions.clone(),
+            around,
         };
         self.known.insert(id, known);
         let rest = with_shape(&after, |shape| shape.rest_at(positions, key))?;
@@ -340,7 +362,7 @@ fn with_appended(
     field: Option<&DeformationField<'_>>,
 ) -> Arc<[Vec3]> {
     let Some(field) = field else { return after.samples.positions.as_slice().into() };
-    let more = appended_deformed(after, field);
+    let more = appended_deformed(after, deformed.len(), field);
     let more = more.iter().map(|p| after.frame.to_local(*p));
     deformed.iter().copied().chain(more).collect()
 }

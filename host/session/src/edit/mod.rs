@@ -1,5 +1,6 @@
 //! Editing: a document of steps with undo, and their evaluation on the samples of a model.
 
+mod around;
 mod document;
 mod editor;
 mod evaluation;

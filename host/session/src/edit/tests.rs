@@ -1,5 +1,6 @@
 //! Documents and their evaluation, with a plugin that counts how often it is called.
 
+use super::around::Around;
 use super::*;
 use crate::deformer::Plugin;
 use crate::motion::Motion;
@@ -8,10 +9,12 @@ use crate::session_file::{Action, Refine, Region, Role, SessionFile, Step, Strok
 use crate::shapes::{Shape, Shapes};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
+use simod_core::generate::{ModelOptions, write_file};
 use simod_core::model::Scalar;
 use simod_core::model::ply::write_points;
 use simod_core::progress::Silent;
-use simod_core::refinement::Finer;
+use simod_core::reconstruction::{DeformationField, Method, Surroundings};
+use simod_core::refinement::{Finer, Refining, Selection, appended_deformed, refine as refine_model};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
 use simod_plugin_api as api;
@@ -598,4 +601,35 @@ proptest! {
         }
         prop_assert_eq!(content(&document), last);
     }
+}
+
+#[test]
+fn drafts_below_a_refinement_are_near_the_result() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model.ply");
+    let options = ModelOptions { vertices: 60_000, ..ModelOptions::default() };
+    write_file(&options, &path, &Silent).unwrap();
+    let model = simod_core::model::open(&path).unwrap();
+    let sampling = Sampling { target: Target::Samples(6000), ..Sampling::default() };
+    let before = sample(model.as_ref(), &sampling, folder.path(), &Silent).unwrap();
+    let distance = |p: DVec3| p.distance(DVec3::new(0.5, 1.0, 0.0)) - 0.3;
+    let selection = Selection { distance: &distance, so_far: None, at_rest: false };
+    let how = Refining { finer: Finer::Factor(1.5), memory_limit: None, shapes: Vec::new() };
+    let refined = refine_model(&before, model.as_ref(), selection, &how, folder.path(), &Silent).unwrap();
+    let after = refined.sampled.unwrap();
+    let twisted = |p: &Vec3| glam::Quat::from_rotation_y(2.0 * p.y) * *p;
+    let deformed: Vec<Vec3> = before.samples.positions.iter().map(twisted).collect();
+
+    let around = Around::new(&before, &after).unwrap();
+    assert!(around.len() * 2 < before.samples.len(), "{} of {}", around.len(), before.samples.len());
+    let draft = around.draft(&after, &deformed);
+    let surroundings = Surroundings::of(&before.samples);
+    let field = DeformationField::new(&surroundings, &deformed, Method::default());
+    let exact = appended_deformed(&after, deformed.len(), &field);
+    assert_eq!(draft.len(), after.samples.len());
+    assert_eq!(draft[..deformed.len()], deformed);
+    let off = |(p, q): (&Vec3, &DVec3)| p.distance(after.frame.to_local(*q));
+    let worst = draft[deformed.len()..].iter().zip(&exact).map(off).fold(0.0, f32::max);
+    let spacing = after.samples.spacing()[deformed.len()..].iter().copied().fold(f32::INFINITY, f32::min);
+    assert!(worst < 0.01 * spacing, "{worst} of {spacing}");
 }

@@ -7,12 +7,14 @@
 //! The deformed model is written on a thread of its own, so that the edit goes on meanwhile; and so are vertices streamed that
 //! are to be seen in full.
 
+mod emerged;
 mod preview;
 mod thread;
 mod wasted;
 mod watch;
 
 use crate::scene::Scene;
+pub use emerged::Emerged;
 pub use preview::Pose;
 use preview::Streaming;
 use serde::{Deserialize, Serialize};
@@ -314,6 +316,12 @@ impl Engine {
             Job::Preview => running.preview.as_ref(),
         };
         watch.map(|watch| watch.activity())
+    }
+
+    /// Looks at those samples of the model that is being opened that are there by now, if there are any.
+    pub fn emerged<T>(&self, look: impl FnOnce(&Emerged) -> T) -> Option<T> {
+        let watch = self.shared.lock().1.open.clone()?;
+        watch.emerged(look)
     }
 
     /// The place of the step that is being done, if any is.

@@ -1,8 +1,10 @@
 //! Where a job is, as the window reads it and the job's thread tells it.
 
 use super::Wake;
+use super::emerged::Emerged;
 use simod_core::Progress;
 use simod_core::memory::anonymous;
+use simod_core::progress::Emerging;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -40,6 +42,7 @@ pub(super) struct Watch {
     /// Hundredths of the stage that the window knows of.
     told: AtomicU64,
     notes: Mutex<Vec<String>>,
+    emerged: Mutex<Option<Emerged>>,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -58,6 +61,7 @@ impl Watch {
             superseded: AtomicBool::new(false),
             told: AtomicU64::new(0),
             notes: Mutex::new(Vec::new()),
+            emerged: Mutex::new(None),
         }
     }
 
@@ -88,6 +92,11 @@ impl Watch {
         lock(&self.stage).name
     }
 
+    /// Looks at the samples that have emerged, if there are any.
+    pub fn emerged<T>(&self, look: impl FnOnce(&Emerged) -> T) -> Option<T> {
+        lock(&self.emerged).as_ref().map(look)
+    }
+
     /// What was told since this was asked last.
     pub fn take_notes(&self) -> Vec<String> {
         std::mem::take(&mut lock(&self.notes))
@@ -113,6 +122,10 @@ impl Progress for Watch {
 
     fn is_cancelled(&self) -> bool {
         self.cancelled.load(Relaxed)
+    }
+
+    fn emerge(&self, samples: &Emerging<'_>) {
+        lock(&self.emerged).get_or_insert_default().add(samples);
     }
 
     fn note(&self, text: &str) {

@@ -9,7 +9,7 @@ mod view;
 
 use crate::camera::Camera;
 use crate::command::Command;
-use crate::engine::{Activity, Engine, Event, Job, Opening, Wake};
+use crate::engine::{Activity, Emerged, Engine, Event, Job, Opening, Wake};
 use crate::overlay::{Field, Overlay};
 use crate::pick::DepthBuffer;
 use crate::record::Recorder;
@@ -256,6 +256,16 @@ impl State {
     /// What a job is doing, if it is running.
     pub fn activity(&self, job: Job) -> Option<Activity> {
         self.engine.activity(job)
+    }
+
+    /// Whether another model may be there before long.
+    pub fn is_opening(&self) -> bool {
+        self.engine.is_opening()
+    }
+
+    /// Looks at those samples of the model that is being opened that are there by now, if there are any.
+    pub fn emerged<T>(&self, look: impl FnOnce(&Emerged) -> T) -> Option<T> {
+        self.engine.emerged(look)
     }
 
     /// The place of the step that is being done, if any is.

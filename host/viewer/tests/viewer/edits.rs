@@ -1,7 +1,7 @@
 //! A whole edit by commands, as a window would do it.
 
 use super::{done, model, open, pixel, plugins, state};
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use simod_core::generate::Shape;
 use simod_core::progress::Silent;
 use simod_core::reconstruction::Reconstruction;
@@ -173,4 +173,76 @@ fn handles_of_a_lattice_are_where_it_is_dragged_to() {
     assert!(moved.position().abs_diff_eq(placed.position() + DVec3::X, 1e-9));
     let scene = state.scene().unwrap();
     assert!(*scene.positions != *scene.sampled.samples.positions);
+}
+
+#[test]
+fn samples_emerge_while_a_model_is_opened() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = model(folder.path(), Shape::Amphora, 200_000);
+    // Each news of progress takes a while, so that none is missed here.
+    let mut state =
+        State::new(plugins(), Arc::new(|| std::thread::sleep(std::time::Duration::from_millis(5))));
+    state.apply(open(&path, 5000)).unwrap();
+    let (mut counts, mut inside) = (Vec::new(), true);
+    while state.is_opening() {
+        state.emerged(|emerged| {
+            let [low, high] = emerged.bounds.map(|corner| corner.as_vec3());
+            inside &=
+                emerged.positions.iter().all(|p| p.cmpge(low - 1e-3).all() && p.cmple(high + 1e-3).all());
+            assert_eq!([emerged.normals.len(), emerged.spacing.len()], [emerged.positions.len(); 2]);
+            counts.push(emerged.positions.len());
+        });
+        state.poll();
+    }
+    assert!(inside && counts.is_sorted() && counts.iter().any(|n| *n >= 5000), "{counts:?}");
+    assert!(state.scene().is_some() && state.emerged(|_| ()).is_none());
+}
+
+#[test]
+fn a_drag_below_a_refinement_rests_where_a_run_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = model(folder.path(), Shape::Amphora, 20_000);
+    let angle = |degrees: f64| {
+        let change = Change::SetParam { id: "angle".into(), value: Some(degrees.into()) };
+        edit::Command::Change { at: 0, change }
+    };
+    let mut state = state(plugins());
+    done(&mut state, open(&path, 1000));
+    done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
+    done(&mut state, Command::Edit(angle(30.0)));
+    let at = pixel(&state, DVec3::new(0.0, 1.0, 0.0));
+    done(&mut state, select(Area::Brush { path: vec![at], radius: 60.0 }));
+    done(&mut state, Command::RefineSelection { finer: Finer::Factor(4.0) });
+    let refined = state.scene().unwrap().len();
+    done(&mut state, Command::Drag(angle(90.0)));
+    assert_eq!((state.scene().unwrap().len(), state.scene().unwrap().effort), (refined, Effort::DRAFT));
+    done(&mut state, Command::Rest);
+    assert_eq!(state.scene().unwrap().effort, Effort::FULL);
+
+    let mut again = self::state(plugins());
+    done(&mut again, open(&path, 1000));
+    for (at, entry) in state.document().unwrap().steps().iter().enumerate() {
+        done(&mut again, Command::Edit(edit::Command::Add { at, step: Box::new((*entry.step).clone()) }));
+    }
+    assert_eq!(state.scene().unwrap().positions, again.scene().unwrap().positions);
+}
+
+#[test]
+fn normals_turn_as_the_surface_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut state = state(plugins());
+    done(&mut state, open(&model(folder.path(), Shape::Bar, 40_000), 4000));
+    done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
+    let change = Change::SetParam { id: "angle".into(), value: Some(120.0.into()) };
+    done(&mut state, Command::Edit(edit::Command::Change { at: 0, change }));
+    let scene = state.scene().unwrap();
+    // As those that are fitted with care, but for some at the bar's edges.
+    let fitted = simod_core::reconstruction::deformed_normals(&scene.sampled.samples, &scene.positions);
+    let median = |normals: &[Vec3]| {
+        let mut cosines: Vec<f32> = normals.iter().zip(&fitted).map(|(a, b)| a.dot(*b)).collect();
+        cosines.sort_unstable_by(f32::total_cmp);
+        [cosines[cosines.len() / 10], cosines[cosines.len() / 2]]
+    };
+    let ([low, turned], [_, unmoved]) = (median(&scene.normals), median(scene.sampled.samples.normals()));
+    assert!(low > 0.9 && turned > 0.995 && unmoved < 0.95, "{low}, {turned}, {unmoved}");
 }

@@ -1,6 +1,6 @@
 //! What goes wrong, and leaves the edit as it was.
 
-use super::common::{copy, load_isolated};
+use super::helpers::common::{copy, load_isolated};
 use super::{LONG, done, model, open, plugins, state};
 use simod_core::ErrorKind;
 use simod_core::generate::Shape;

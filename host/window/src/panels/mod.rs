@@ -7,7 +7,7 @@ pub mod menu;
 pub mod over;
 mod palette;
 mod parameters;
-mod progress;
+pub mod progress;
 mod prompt;
 mod questions;
 mod regions;

@@ -3,9 +3,11 @@
 mod colors;
 mod corner;
 pub mod detail;
+mod emerging;
 pub mod handles;
 mod navigate;
 mod picture;
+mod texture;
 
 use crate::window::Window;
 use crate::{panels, tools};
@@ -126,16 +128,22 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         if window.state().size() != size {
             window.apply(Command::Resize { size });
         }
-        if window.state().scene().is_none() {
-            viewport.clear(ui, rect, window);
-            panels::welcome::show(ui, rect, window);
-            return;
-        }
         let painter = ui.painter_at(rect);
         // Drawn first, and filled once the pointer has moved the camera.
         let picture = painter.add(egui::Shape::Noop);
         let over_corner = corner::contains(rect, ui.ctx());
         let canvas = Canvas { response: &response, painter, rect, pixels_per_point, blocked: over_corner };
+        if let Some(emerging) = viewport.emerging(&canvas, window) {
+            navigate::update(&canvas, window);
+            canvas.painter().set(picture, emerging);
+            panels::progress::show(ui, rect, window);
+            return;
+        }
+        if window.state().scene().is_none() {
+            viewport.clear(ui, rect, window);
+            panels::welcome::show(ui, rect, window);
+            return;
+        }
         if window.looks.handles {
             handles::draw(&canvas, window);
         }

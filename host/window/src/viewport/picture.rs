@@ -3,12 +3,14 @@
 use super::Canvas;
 use super::colors::Colors;
 use super::detail::{Pieces, sample_radii};
+use super::emerging::Emerging;
+use super::texture::Texture;
 use crate::screenshot::RADIUS;
 use crate::settings::Theme;
 use crate::window::Window;
-use eframe::egui::{Color32, Mesh, Rect, Shape, TextureId, Ui, pos2};
+use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
 use eframe::egui_wgpu::RenderState;
-use simod_scene::{Background, Budget, Gpu, Mode, Scene, Style, Surface, View};
+use simod_scene::{Budget, Gpu, Mode, Scene, Style, Surface, View};
 use simod_viewer::Detail;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -26,7 +28,8 @@ struct Drawing {
     render: RenderState,
     scene: Scene,
     budget: Budget,
-    texture: Option<(TextureId, [u32; 2])>,
+    texture: Texture,
+    emerging: Option<Emerging>,
     colors: Colors,
     shown: Option<Arc<simod_viewer::Scene>>,
     pieces: Pieces,
@@ -51,6 +54,11 @@ impl Viewport {
     /// The background alone.
     pub fn clear(&mut self, ui: &Ui, rect: Rect, window: &Window) {
         ui.painter().add(background(rect, window.settings.theme));
+    }
+
+    /// What to draw of a model that is being opened; nothing where none is, or none of its samples is there yet.
+    pub fn emerging(&mut self, canvas: &Canvas<'_>, window: &Window) -> Option<Shape> {
+        self.0.as_mut()?.emerging(canvas, window)
     }
 
     /// What to draw where the model is.
@@ -90,7 +98,8 @@ impl Drawing {
             render: render.clone(),
             scene: Scene::new(&gpu),
             budget,
-            texture: None,
+            texture: Texture::new(render),
+            emerging: None,
             colors: Colors::default(),
             shown: None,
             pieces: Pieces::default(),
@@ -122,10 +131,7 @@ impl Drawing {
         let style = Style {
             mode: if window.looks.triangles { Mode::Triangles } else { Mode::Splats },
             own_colors: self.colors_are_own(),
-            background: match window.settings.theme {
-                Theme::Dark => Background::Dark,
-                Theme::Light => Background::Light,
-            },
+            background: window.settings.theme.background(),
             occlusion: window.settings.occlusion,
             ..Style::default()
         };
@@ -147,9 +153,21 @@ impl Drawing {
         if !drawn.complete {
             canvas.ctx().request_repaint();
         }
-        let id = self.texture(&picture, view.size);
-        let uv = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
-        Shape::image(id, rect, uv, Color32::WHITE)
+        self.texture.set(&picture, view.size);
+        self.texture.show(rect)
+    }
+
+    fn emerging(&mut self, canvas: &Canvas<'_>, window: &Window) -> Option<Shape> {
+        if !window.state().is_opening() {
+            self.emerging = None;
+            return None;
+        }
+        if self.emerging.is_none() {
+            let gpu = self.scene.gpu();
+            window.state().emerged(|_| ())?;
+            self.emerging = Some(Emerging::new(&self.render, gpu));
+        }
+        self.emerging.as_mut()?.picture(canvas, window).ok()
     }
 
     /// Of all that is shown.
@@ -217,32 +235,5 @@ impl Drawing {
             self.shown = Some(scene.clone());
         }
         Ok(())
-    }
-
-    /// The picture as egui knows it.
-    fn texture(&mut self, picture: &wgpu::TextureView, size: [u32; 2]) -> TextureId {
-        let mut renderer = self.render.renderer.write();
-        let (device, filter) = (&self.render.device, wgpu::FilterMode::Linear);
-        match self.texture {
-            Some((id, known)) if known == size => id,
-            Some((id, _)) => {
-                renderer.update_egui_texture_from_wgpu_texture(device, picture, filter, id);
-                self.texture = Some((id, size));
-                id
-            }
-            None => {
-                let id = renderer.register_native_texture(device, picture, filter);
-                self.texture = Some((id, size));
-                id
-            }
-        }
-    }
-}
-
-impl Drop for Drawing {
-    fn drop(&mut self) {
-        if let Some((id, _)) = self.texture {
-            self.render.renderer.write().free_texture(&id);
-        }
     }
 }

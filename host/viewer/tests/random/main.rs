@@ -1,11 +1,17 @@
-//! Whatever a user does, in whatever order: nothing panics, nothing is lost, and nothing grows without bound.
+//! Whatever a user does, in whatever order: nothing panics, nothing is lost, and nothing grows without bound. A program of its own,
+//! as its memory is looked at.
+#![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
-use super::{LONG, done, model, open, plugins, state};
+#[path = "../viewer/helpers.rs"]
+mod helpers;
+
 use glam::DVec3;
+use helpers::{LONG, done, model, open, plugins, state};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 use simod_core::generate::Shape;
+use simod_core::memory::anonymous;
 use simod_core::refinement::Finer;
 use simod_session::Motion;
 use simod_session::edit::{self, Change};
@@ -134,8 +140,13 @@ fn check(state: &mut State) {
     }
 }
 
-/// Does so many random commands.
-fn soak(commands: usize) {
+/// Commands between two looks at the memory: as many as can be undone.
+const SPELL: usize = 1000;
+
+/// Does so many random commands. How much memory is held after each thousand, when nothing is left of the steps but what can be
+/// undone.
+fn soak(commands: usize) -> Vec<u64> {
+    let mut held = Vec::new();
     let folder = tempfile::tempdir().unwrap();
     let mut state = state(plugins());
     done(&mut state, open(&model(folder.path(), Shape::Amphora, 3000), 300));
@@ -162,6 +173,13 @@ fn soak(commands: usize) {
             check(&mut state);
             state.take_notices();
         }
+        if i % SPELL == SPELL - 1 {
+            while !state.document().unwrap().steps().is_empty() {
+                state.apply(Command::Edit(edit::Command::Remove { at: 0 })).unwrap();
+            }
+            state.settle(LONG).unwrap();
+            held.extend(anonymous());
+        }
     }
     state.settle(LONG).unwrap();
     check(&mut state);
@@ -175,15 +193,16 @@ fn soak(commands: usize) {
     assert!(undone <= 1000);
     state.settle(LONG).unwrap();
     check(&mut state);
+    held
 }
 
 #[test]
 fn anything_in_any_order() {
-    soak(300);
-}
-
-#[test]
-#[ignore = "takes minutes: run it with `--ignored`"]
-fn anything_for_a_long_time() {
-    soak(10_000);
+    let held = soak(10_000);
+    println!("MB held after each thousand commands: {:?}", held.iter().map(|b| b >> 20).collect::<Vec<_>>());
+    // The first thousands fill the list of what can be undone; after that no more is needed.
+    if let (Some(early), Some(late)) = (held.get(1..4), held.get(7..)) {
+        let most = |held: &[u64]| held.iter().copied().max().unwrap_or(0);
+        assert!(most(late) <= most(early) + (16 << 20), "{held:?}");
+    }
 }

@@ -1,0 +1,99 @@
+//! The samples of a model that is being opened, as they come.
+
+use super::Canvas;
+use super::texture::Texture;
+use crate::screenshot::RADIUS;
+use crate::settings::Theme;
+use crate::window::Window;
+use eframe::egui::Shape;
+use eframe::egui_wgpu::RenderState;
+use glam::DVec3;
+use simod_scene::{BadSurface, Budget, Gpu, Scene, Style, Surface, View};
+use simod_viewer::engine::Emerged;
+use std::time::{Duration, Instant};
+
+/// How often those that came meanwhile are shown, at most ...
+const PAUSE: Duration = Duration::from_millis(200);
+/// ... with pauses this many times as long as drawing takes: in software, it holds the work up.
+const SHARE: u32 = 2;
+
+/// What is drawn of them.
+pub struct Emerging {
+    scene: Scene,
+    budget: Budget,
+    texture: Texture,
+    /// How many are shown, and since when.
+    shown: usize,
+    since: Option<Instant>,
+    /// How long the last picture took, and from where it was.
+    took: Duration,
+    seen: Option<View>,
+    bounds: [DVec3; 2],
+}
+
+impl Emerging {
+    /// None yet.
+    pub fn new(render: &RenderState, gpu: &Gpu) -> Self {
+        Self {
+            scene: Scene::new(gpu),
+            budget: Budget::new(PAUSE),
+            texture: Texture::new(render),
+            shown: 0,
+            since: None,
+            took: Duration::ZERO,
+            seen: None,
+            bounds: [DVec3::ZERO; 2],
+        }
+    }
+
+    /// Those that are there.
+    pub fn picture(&mut self, canvas: &Canvas<'_>, window: &Window) -> Result<Shape, BadSurface> {
+        let state = window.state();
+        // Once all are there they stay, until the model is shown.
+        let pause = PAUSE.max(SHARE * self.took);
+        canvas.ctx().request_repaint_after(pause);
+        if self.since.is_none_or(|since| since.elapsed() > pause) {
+            state.emerged(|emerged| self.upload(emerged)).unwrap_or(Ok(()))?;
+        }
+        let (size, mut camera) = (state.size(), *state.camera());
+        camera.frame(self.bounds, size);
+        let view = View {
+            view: camera.view().as_mat4(),
+            projection: camera.projection(size, camera.near_far(self.bounds)).as_mat4(),
+            size: size.map(|s| s as u32),
+        };
+        let style = Style {
+            background: window.settings.theme.background(),
+            occlusion: window.settings.occlusion,
+            ..Style::default()
+        };
+        if self.seen != Some(view) {
+            let started = Instant::now();
+            let picture = self.scene.render(&view, &style, Some(&mut self.budget)).clone();
+            self.texture.set(&picture, view.size);
+            (self.seen, self.took) = (Some(view), started.elapsed());
+        }
+        Ok(self.texture.show(canvas.rect()))
+    }
+
+    fn upload(&mut self, emerged: &Emerged) -> Result<(), BadSurface> {
+        if emerged.positions.len() == self.shown {
+            return Ok(());
+        }
+        let Emerged { bounds, positions, normals, spacing, .. } = emerged;
+        (self.bounds, self.seen) = (*bounds, None);
+        let radii: Vec<f32> = spacing.iter().map(|s| RADIUS * s).collect();
+        (self.shown, self.since) = (positions.len(), Some(Instant::now()));
+        self.scene.set_surface(&Surface { positions, normals, radii: &radii, ..Surface::default() })
+    }
+}
+
+impl Theme {
+    /// What the renderer has behind the surface.
+    pub fn background(self) -> simod_scene::Background {
+        match self {
+            Self::Dark => simod_scene::Background::Dark,
+            Self::Light => simod_scene::Background::Light,
+        }
+    }
+}
