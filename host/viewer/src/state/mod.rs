@@ -162,7 +162,7 @@ impl State {
             Command::Cancel { job } => {
                 self.engine.cancel(job);
                 if job == Job::Preview {
-                    self.stop_preview();
+                    self.cancel_preview();
                 }
                 Ok(())
             }

@@ -2,10 +2,13 @@
 
 use super::{State, nothing_open};
 use crate::detail::{Detail, Previewed};
-use crate::engine::Pose;
+use crate::engine::{Job, Pose};
 use rayon::prelude::*;
 use simod_core::Result;
 use simod_core::detail::{Batch, Chosen, ENOUGH, Streamed};
+
+/// Samples around those that are seen, whose vertices may be.
+const RING: usize = 8;
 
 /// What is shown in full, and on its way.
 #[derive(Default)]
@@ -47,7 +50,8 @@ impl State {
             Previewed::Seen => {
                 let neighbours = scene.sampled.samples.neighbours();
                 let seen = self.depth(&scene).seen(&scene);
-                let near = |i: usize| seen[i] || neighbours.of(i).iter().any(|j| seen[*j as usize]);
+                let ring = RING.min(neighbours.k());
+                let near = |i: usize| seen[i] || neighbours.of(i)[..ring].iter().any(|j| seen[*j as usize]);
                 (0..seen.len()).into_par_iter().map(near).collect()
             }
         };
@@ -114,8 +118,16 @@ impl State {
         }
     }
 
-    /// It came to nothing, and is not tried again until somebody asks.
+    /// It came to nothing, and is not tried again until somebody asks; as may be the case already.
     pub(super) fn stop_preview(&mut self) {
+        if !self.engine.wants(Job::Preview) && self.engine.activity(Job::Preview).is_none() {
+            self.preview.streaming = None;
+            self.preview.stopped = true;
+        }
+    }
+
+    /// The user stops it.
+    pub(super) fn cancel_preview(&mut self) {
         self.preview.streaming = None;
         self.preview.stopped = true;
     }

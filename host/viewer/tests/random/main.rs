@@ -20,7 +20,8 @@ use simod_viewer::camera::{Projection, Standard};
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::engine::Job;
 use simod_viewer::selection::Combine;
-use simod_viewer::{Command, Overlay, State};
+use simod_viewer::{Command, Overlay, Previewed, State};
+use std::collections::BTreeSet;
 
 fn area() -> impl Strategy<Value = Area> {
     let pixel = || prop::array::uniform2(-100.0..1400.0_f64);
@@ -94,6 +95,7 @@ fn command() -> impl Strategy<Value = Command> {
         Overlay::Density,
         Overlay::TransferError,
     ]);
+    let previewed = vec![Previewed::Seen, Previewed::Selection, Previewed::Nothing];
     let point = prop::array::uniform3(-1.0..1.0_f64).prop_map(DVec3::from);
     prop_oneof![
         4 => change().prop_map(Command::Edit),
@@ -120,11 +122,16 @@ fn command() -> impl Strategy<Value = Command> {
         1 => Just(Command::EndStroke),
         1 => Just(Command::DropStroke),
         1 => Just(Command::Cancel { job: Job::Evaluate }),
+        1 => Just(Command::Cancel { job: Job::Preview }),
+        2 => prop::sample::select(previewed).prop_map(|what| Command::Preview { what }),
         2 => camera().prop_map(Command::Camera),
         1 => overlay.prop_map(Command::Show),
         1 => prop::array::uniform2(-10.0..2000.0_f64).prop_map(|size| Command::Resize { size }),
     ]
 }
+
+/// Of the model.
+const VERTICES: u64 = 3000;
 
 /// What has to hold at any time.
 fn check(state: &mut State) {
@@ -134,6 +141,22 @@ fn check(state: &mut State) {
     assert!(scene.positions.iter().all(|p| p.is_finite()));
     assert!(scene.normals.iter().all(|n| n.is_finite()));
     assert!(state.camera().is_valid());
+    if let Some(detail) = state.detail() {
+        assert_eq!(detail.covered().len(), scene.len());
+        let mut shown = BTreeSet::new();
+        let (mut held, mut alive) = (0, 0);
+        for piece in detail.pieces().values() {
+            assert!(piece.batch.positions.iter().all(|p| p.is_finite()));
+            held += piece.batch.positions.len() as u64;
+            for ((cell, range), _) in piece.batch.cells.iter().zip(&piece.shown).filter(|(_, shown)| **shown)
+            {
+                assert!(shown.insert(*cell), "cell {cell} is shown twice");
+                alive += range.len() as u64;
+            }
+        }
+        assert_eq!(detail.figures().vertices, alive);
+        assert!(held <= 2 * VERTICES, "{held} vertices");
+    }
     if let Some(field) = state.field() {
         assert_eq!(field.values.len(), scene.len());
         assert!(field.values.iter().all(|x| x.is_finite()));
@@ -149,7 +172,7 @@ fn soak(commands: usize) -> Vec<u64> {
     let mut held = Vec::new();
     let folder = tempfile::tempdir().unwrap();
     let mut state = state(plugins());
-    done(&mut state, open(&model(folder.path(), Shape::Amphora, 3000), 300));
+    done(&mut state, open(&model(folder.path(), Shape::Amphora, VERTICES), 300));
     let mut runner = TestRunner::deterministic();
     let strategy = command();
     let mut accepted = 0;
