@@ -167,7 +167,7 @@ impl Hand {
         let height = |y: f32| (y - low.y) / (high.y - low.y);
         let marks = scene.positions.iter().map(|p| heights.contains(&height(p.y))).collect();
         let area = Area::Runs(Selection::of(marks).runs());
-        self.done(Command::Select { area, combine: Default::default(), visible: false })
+        self.done(Command::Select { area, combine: Default::default(), visible: false, goes_on: false })
     }
 
     fn region(&mut self, step: usize, role: Role, heights: std::ops::Range<f32>) -> Result<()> {

@@ -34,7 +34,7 @@ pub enum Command {
     Drag(edit::Command),
     /// What was dragged rests.
     Rest,
-    /// Takes the last change of the steps back.
+    /// Takes the last change of the steps, or of the selection, back.
     Undo,
     /// Does it again.
     Redo,
@@ -61,6 +61,9 @@ pub enum Command {
         /// Only those that can be seen, instead of all that are behind each other.
         #[serde(default)]
         visible: bool,
+        /// Goes on with the command before, as while a brush is moved: both are undone as one.
+        #[serde(default)]
+        goes_on: bool,
     },
     /// Makes a region of what is selected.
     MakeRegion {

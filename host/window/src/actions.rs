@@ -89,7 +89,7 @@ impl Action {
 }
 
 fn select(w: &mut Window, area: Area) {
-    w.apply(Command::Select { area, combine: Default::default(), visible: false });
+    w.apply(Command::Select { area, combine: Default::default(), visible: false, goes_on: false });
 }
 
 fn look(w: &mut Window, from: Standard) {
@@ -131,7 +131,7 @@ pub const ALL: &[Action] = &[
         Menu::Edit,
         "Undo",
         &[(CTRL, Key::Z)],
-        |w| w.state().document().is_some_and(|d| d.can_undo().is_some()),
+        |w| w.state().can_undo().is_some(),
         |w| {
             w.apply(Command::Undo);
         },
@@ -140,7 +140,7 @@ pub const ALL: &[Action] = &[
         Menu::Edit,
         "Redo",
         &[(CTRL_SHIFT, Key::Z), (CTRL, Key::Y)],
-        |w| w.state().document().is_some_and(|d| d.can_redo().is_some()),
+        |w| w.state().can_redo().is_some(),
         |w| {
             w.apply(Command::Redo);
         },

@@ -58,6 +58,7 @@ pub fn make(window: &mut Window, role: Role) {
             area: simod_viewer::command::Area::None,
             combine: Default::default(),
             visible: false,
+            goes_on: true,
         });
     }
 }

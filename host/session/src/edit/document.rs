@@ -111,6 +111,8 @@ pub struct Document {
     /// What was undone, oldest first, with the steps after it.
     redo: Vec<(String, Arc<[Entry]>)>,
     next: u64,
+    /// How many changes have been done, less those undone.
+    depth: u64,
     /// What the last command changed, if the next one of the same is part of it.
     dragged: Option<Target>,
 }
@@ -150,6 +152,7 @@ impl Document {
         let goes_on = target.is_some() && target == self.dragged && self.redo.is_empty();
         if !goes_on {
             self.undo.push_back((label, before));
+            self.depth += 1;
             if self.undo.len() > LONGEST_HISTORY {
                 self.undo.pop_front();
             }
@@ -168,6 +171,7 @@ impl Document {
     pub fn undo(&mut self) -> Option<String> {
         self.rest();
         let (label, before) = self.undo.pop_back()?;
+        self.depth -= 1;
         self.redo.push((label.clone(), std::mem::replace(&mut self.steps, before)));
         Some(label)
     }
@@ -176,8 +180,14 @@ impl Document {
     pub fn redo(&mut self) -> Option<String> {
         self.rest();
         let (label, after) = self.redo.pop()?;
+        self.depth += 1;
         self.undo.push_back((label.clone(), std::mem::replace(&mut self.steps, after)));
         Some(label)
+    }
+
+    /// How many changes have been done, however many of them can still be undone: it goes down by one with each that is.
+    pub fn depth(&self) -> u64 {
+        self.depth
     }
 
     /// What [`undo`](Self::undo) would take back.

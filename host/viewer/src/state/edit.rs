@@ -19,7 +19,7 @@ impl State {
         self.open.as_ref().ok_or_else(nothing_open)
     }
 
-    fn document_mut(&mut self) -> Result<&mut Document> {
+    pub(super) fn document_mut(&mut self) -> Result<&mut Document> {
         self.open.as_mut().map(|open| open.editor.document_mut()).ok_or_else(nothing_open)
     }
 
@@ -29,7 +29,7 @@ impl State {
             self.tell(super::Notice::Note(format!("the former edit was not kept: {error}")));
         }
         self.end_preview();
-        self.selection = Selection::none(scene.len());
+        (self.selection, self.selections) = (Selection::none(scene.len()), Default::default());
         (self.chosen, self.stroke, self.depth, self.field) = (None, None, None, None);
         (self.shown, self.floor) = (self.requested, self.requested);
         let bounds = scene.bounds().map(|corner| corner.as_dvec3());
@@ -57,6 +57,8 @@ impl State {
             document.rest();
         }
         document.apply(command)?;
+        self.leave_selection();
+        let document = self.document_mut()?;
         if !dragging {
             document.rest();
         }
@@ -70,18 +72,6 @@ impl State {
 
     pub(super) fn rest(&mut self) -> Result<()> {
         self.document_mut()?.rest();
-        self.request(Effort::FULL);
-        Ok(())
-    }
-
-    pub(super) fn undo(&mut self) -> Result<()> {
-        self.document_mut()?.undo().ok_or_else(|| refused("there is nothing to undo", "go on"))?;
-        self.request(Effort::FULL);
-        Ok(())
-    }
-
-    pub(super) fn redo(&mut self) -> Result<()> {
-        self.document_mut()?.redo().ok_or_else(|| refused("there is nothing to do again", "go on"))?;
         self.request(Effort::FULL);
         Ok(())
     }
@@ -157,7 +147,7 @@ impl State {
         let same = |change: Option<edit::Command>, command| change.map_or(command, Command::Edit);
         let steps = self.open.as_ref().map(|open| open.steps().clone()).unwrap_or_default();
         match command {
-            Command::Select { .. } => self.resolved_selection(),
+            Command::Select { goes_on, .. } => self.resolved_selection(goes_on),
             Command::Camera(_) => Command::Camera(crate::command::CameraMove::Set(self.camera)),
             Command::MakeRegion { step: at, .. } => {
                 let regions = steps.get(at).and_then(|e| Some(e.step.deformation()?.regions.clone()));

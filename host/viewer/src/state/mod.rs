@@ -1,6 +1,7 @@
 //! All that the window shows, and the one way to change it: [`State::apply`].
 
 mod edit;
+mod history;
 mod preview;
 mod region;
 mod select;
@@ -53,6 +54,8 @@ pub struct State {
     plugins: Arc<PluginRegistry>,
     open: Option<Open>,
     selection: Selection,
+    /// The former ones.
+    selections: history::Selections,
     camera: Camera,
     /// Of the picture, in pixels.
     size: [f64; 2],
@@ -88,6 +91,7 @@ impl State {
             plugins,
             open: None,
             selection: Selection::default(),
+            selections: Default::default(),
             camera: Camera::default(),
             size: [1280.0, 800.0],
             chosen: None,
@@ -145,7 +149,9 @@ impl State {
             Command::Redo => self.redo(),
             Command::Choose { step } => self.choose(step),
             Command::AddStep { plugin, at } => self.add_step(&plugin, at),
-            Command::Select { area, combine, visible } => self.select(&area, combine, visible),
+            Command::Select { area, combine, visible, goes_on } => {
+                self.select(&area, combine, visible, goes_on)
+            }
             Command::MakeRegion { step, role, falloff, replaces } => {
                 self.make_region(step, role, falloff, replaces)
             }

@@ -1,7 +1,7 @@
 //! What is selected, and what is seen.
 
 use super::State;
-use crate::command::{Area, Command};
+use crate::command::Area;
 use crate::overlay;
 use crate::pick::{DepthBuffer, Hit, in_lasso, near_path, within};
 use crate::scene::Scene;
@@ -25,7 +25,13 @@ impl State {
         &self.depth.insert(made).1
     }
 
-    pub(super) fn select(&mut self, area: &Area, combine: Combine, visible: bool) -> Result<()> {
+    pub(super) fn select(
+        &mut self,
+        area: &Area,
+        combine: Combine,
+        visible: bool,
+        goes_on: bool,
+    ) -> Result<()> {
         let open = self.open()?;
         let (scene, adjacency) = (open.scene.clone(), open.adjacency.clone());
         let (camera, size, count) = (self.camera, self.size, scene.len());
@@ -63,12 +69,7 @@ impl State {
         };
         let replaces = matches!(area, Area::Inverse | Area::Grown | Area::Shrunk);
         let combine = if replaces { Combine::Replace } else { combine };
-        self.selection = self.selection.combined(&seen, combine);
+        self.set_selection(self.selection.combined(&seen, combine), goes_on);
         Ok(())
-    }
-
-    pub(super) fn resolved_selection(&self) -> Command {
-        let area = Area::Runs(self.selection.runs());
-        Command::Select { area, combine: Combine::Replace, visible: false }
     }
 }

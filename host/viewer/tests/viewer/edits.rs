@@ -33,7 +33,7 @@ impl Write for Tape {
 }
 
 fn select(area: Area) -> Command {
-    Command::Select { area, combine: Combine::Replace, visible: false }
+    Command::Select { area, combine: Combine::Replace, visible: false, goes_on: false }
 }
 
 fn moved(y: f64) -> edit::Command {

@@ -1,6 +1,6 @@
 //! What is selected, against what has to be.
 
-use super::{done, model, open, pixel, state};
+use super::{done, model, open, pixel, plugins, state};
 use glam::{DVec2, DVec3};
 use simod_core::generate::Shape;
 use simod_core::model::Scalar;
@@ -51,7 +51,7 @@ fn spheres(folder: &Path, centers: &[DVec3], n: u32) -> PathBuf {
 }
 
 fn select(state: &mut State, area: Area, visible: bool) {
-    state.apply(Command::Select { area, combine: Combine::Replace, visible }).unwrap();
+    state.apply(Command::Select { area, combine: Combine::Replace, visible, goes_on: false }).unwrap();
 }
 
 fn everywhere(state: &State) -> Area {
@@ -117,7 +117,7 @@ fn boxes_lassos_and_brushes_are_those_of_the_pixels() {
     // Once more from all sides, so that nothing is left.
     select(&mut state, Area::All, false);
     let area = everywhere(&state);
-    state.apply(Command::Select { area, combine: Combine::Subtract, visible: true }).unwrap();
+    state.apply(Command::Select { area, combine: Combine::Subtract, visible: true, goes_on: false }).unwrap();
     assert!(!state.selection().is_empty() && state.selection().count() < scene.len());
     select(&mut state, Area::Inverse, false);
     select(&mut state, Area::None, false);
@@ -241,4 +241,50 @@ fn a_region_of_what_is_selected_is_just_that() {
     done(&mut state, Command::Save { path: Some(path.clone()) });
     let saved = SessionFile::load(&path).unwrap();
     assert_eq!(saved.steps[0].deformation().unwrap().regions, steps[0].step.deformation().unwrap().regions);
+}
+
+#[test]
+fn selections_are_undone_between_the_steps() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut state = state(plugins());
+    done(&mut state, open(&model(folder.path(), Shape::Amphora, 20_000), 1000));
+    let select = |state: &mut State, area: Area, combine: Combine, goes_on: bool| {
+        done(state, Command::Select { area, combine, visible: false, goes_on });
+        state.selection().clone()
+    };
+    let some = |from: u32| Area::Runs(vec![from, 100]);
+    let nothing = state.selection().clone();
+    assert_eq!(state.can_undo(), None);
+    // A brush, in three moves of which the first meets nothing; and what changes nothing.
+    select(&mut state, Area::None, Combine::Replace, false);
+    select(&mut state, some(0), Combine::Add, true);
+    let brushed = select(&mut state, some(200), Combine::Add, true);
+    select(&mut state, some(200), Combine::Add, false);
+    assert_eq!(brushed.count(), 200);
+    select(&mut state, some(400), Combine::Add, false);
+    done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
+    done(&mut state, Command::MakeRegion { step: 0, role: Role::Mask, falloff: 0.0, replaces: None });
+    select(&mut state, Area::None, Combine::Replace, true);
+
+    let mut seen = Vec::new();
+    while let Some(what) = state.can_undo().map(str::to_owned) {
+        done(&mut state, Command::Undo);
+        seen.push((what, state.selection().clone()));
+    }
+    let labels: Vec<&str> = seen.iter().map(|(what, _)| what.as_str()).collect();
+    assert_eq!(labels, ["change regions of warp", "add warp", "select", "select"]);
+    assert!(seen[2].1 == brushed && seen[3].1 == nothing);
+    assert_eq!(state.can_redo(), Some("select"));
+    done(&mut state, Command::Redo);
+    assert!(*state.selection() == brushed && state.can_redo() == Some("select"));
+    done(&mut state, Command::Redo);
+    done(&mut state, Command::Redo);
+    done(&mut state, Command::Redo);
+    assert_eq!((state.can_redo(), state.document().unwrap().steps().len()), (None, 1));
+    // Another selection takes the place of those undone.
+    done(&mut state, Command::Undo);
+    done(&mut state, Command::Undo);
+    done(&mut state, Command::Undo);
+    select(&mut state, some(7), Combine::Replace, false);
+    assert_ne!(state.can_redo(), Some("select"));
 }

@@ -89,7 +89,7 @@ fn selecting(ui: &mut Ui, window: &mut Window) {
         ("Shrink", Area::Shrunk, true),
     ] {
         if ui.add_enabled(some || !needs, Button::new(name)).clicked() {
-            window.apply(Command::Select { area, combine: Combine::Replace, visible: false });
+            window.apply(Command::Select { area, combine: Combine::Replace, visible: false, goes_on: false });
         }
     }
 }

@@ -143,7 +143,12 @@ fn more(ui: &mut Ui, window: &mut Window, step: usize, deformation: &Deformation
         }
         if ui.button("Select Its Samples").clicked() {
             let area = Area::Region { step, region: i };
-            window.apply(Command::Select { area, combine: Default::default(), visible: false });
+            window.apply(Command::Select {
+                area,
+                combine: Default::default(),
+                visible: false,
+                goes_on: false,
+            });
             ui.close();
         }
         if ui.button("Show Weight").clicked() {

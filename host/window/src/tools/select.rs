@@ -20,12 +20,17 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
         && let Some(at) = canvas.press()
     {
         if tool == Tool::Connected {
-            window.apply(Command::Select { area: Area::Connected { at }, combine, visible: false });
+            window.apply(Command::Select {
+                area: Area::Connected { at },
+                combine,
+                visible: false,
+                goes_on: false,
+            });
             return true;
         }
         window.tools.path = vec![at];
         if tool == Tool::Brush {
-            paint(canvas, window, vec![at], combine);
+            paint(canvas, window, vec![at], combine, false);
         }
     }
     if !window.tools.path.is_empty() {
@@ -55,14 +60,14 @@ fn follow(canvas: &Canvas<'_>, window: &mut Window, combine: Combine) {
     if window.tools.tool == Tool::Brush && new.len() > 1 {
         // What is painted first has replaced the selection.
         let combine = if combine == Combine::Replace { Combine::Add } else { combine };
-        paint(canvas, window, new, combine);
+        paint(canvas, window, new, combine, true);
     }
 }
 
-fn paint(canvas: &Canvas<'_>, window: &mut Window, path: Vec<[f64; 2]>, combine: Combine) {
+fn paint(canvas: &Canvas<'_>, window: &mut Window, path: Vec<[f64; 2]>, combine: Combine, goes_on: bool) {
     let radius = canvas.pixels(window.tools.radius);
     let visible = window.tools.visible;
-    window.apply(Command::Select { area: Area::Brush { path, radius }, combine, visible });
+    window.apply(Command::Select { area: Area::Brush { path, radius }, combine, visible, goes_on });
 }
 
 fn finish(window: &mut Window, combine: Combine) {
@@ -75,7 +80,7 @@ fn finish(window: &mut Window, combine: Combine) {
         _ => return,
     };
     let visible = window.tools.visible;
-    window.apply(Command::Select { area, combine, visible });
+    window.apply(Command::Select { area, combine, visible, goes_on: false });
 }
 
 fn draw(canvas: &Canvas<'_>, window: &Window) {

@@ -13,7 +13,15 @@ fn select(harness: &mut Harness<'_, App>, is_in: impl Fn(DVec3) -> bool) {
     let scene = harness.state().window().state().scene().unwrap().clone();
     let marks: Vec<bool> = scene.positions.iter().map(|p| is_in(scene.frame().to_model(*p))).collect();
     let runs = simod_viewer::Selection::of(marks).runs();
-    done(harness, Command::Select { area: Area::Runs(runs), combine: Default::default(), visible: false });
+    done(
+        harness,
+        Command::Select {
+            area: Area::Runs(runs),
+            combine: Default::default(),
+            visible: false,
+            goes_on: false,
+        },
+    );
 }
 
 fn click(harness: &mut Harness<'_, App>, label: &str) {

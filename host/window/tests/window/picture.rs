@@ -1,6 +1,7 @@
 //! The whole window as it looks, drawn by whatever graphics card there is, or by software.
 
 use super::*;
+use egui_kittest::kittest::Queryable;
 use simod_core::render::Image;
 use simod_scene::Gpu;
 
@@ -43,4 +44,35 @@ fn the_window_shows_the_model() {
     let light = |x: u32, y: u32| shown.get_pixel(x, y).0[..3].iter().map(|c| u32::from(*c)).sum::<u32>();
     let middle = (48 + (1280 - 324)) / 2;
     assert!(light(middle, 400) > light(80, 400) + 60, "{} and {}", light(middle, 400), light(80, 400));
+}
+
+#[test]
+fn a_card_that_goes_away_takes_nothing_of_the_edit_along() {
+    if !can_draw() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = model(folder.path());
+    let plugins = plugins();
+    let device = std::cell::OnceCell::new();
+    let builder = Harness::builder().with_size([1280.0, 800.0]).wgpu();
+    let mut harness = builder.build_eframe(|cc| {
+        device.get_or_init(|| cc.wgpu_render_state.as_ref().unwrap().device.clone());
+        App::new(cc, Window::new(&cc.egui_ctx, plugins, Settings::default()))
+    });
+    open(&mut harness, &path);
+    done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });
+    assert!(simod_viewer::state::recoverable(&path).unwrap().is_none());
+    let device = device.get().unwrap();
+    device.destroy();
+    // What is drawn next notices it.
+    let orbit = simod_viewer::command::CameraMove::Orbit { yaw: 0.3, pitch: 0.0 };
+    assert!(harness.state_mut().window_mut().apply(Command::Camera(orbit)));
+    harness.run_steps(4);
+    assert!(harness.query_by_label("the graphics card went away").is_some());
+    // The edit goes on without its picture, and is kept already.
+    let kept = simod_viewer::state::recoverable(&path).unwrap().unwrap();
+    assert_eq!(kept.steps.len(), 1);
+    done(&mut harness, Command::Undo);
+    assert!(harness.state().window().steps().is_empty());
 }

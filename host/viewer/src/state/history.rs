@@ -1,0 +1,123 @@
+//! Undo and redo: of the steps by their document, and of the selection between its changes.
+
+use super::{State, refused};
+use crate::command::{Area, Command};
+use crate::selection::{Combine, Selection};
+use simod_core::Result;
+use simod_plugin_api::Effort;
+use std::collections::VecDeque;
+
+/// Most selections that are kept ...
+const LONGEST: usize = 200;
+/// ... and most numbers of all of them, of four bytes each.
+const MOST: usize = 4 << 20;
+
+/// A selection, and how many changes of the steps had been done when it was left.
+struct Left {
+    depth: u64,
+    runs: Vec<u32>,
+}
+
+/// Former selections.
+///
+/// Memory: [`MOST`] numbers, of a selection as it is recorded, forwards and backwards.
+#[derive(Default)]
+pub(super) struct Selections {
+    done: VecDeque<Left>,
+    undone: Vec<Left>,
+    /// Whether one was left for the selection that others may go on with, if the last command made such a one.
+    going_on: Option<bool>,
+}
+
+impl Selections {
+    /// The selection was this one.
+    fn leave(&mut self, depth: u64, before: &Selection) {
+        self.undone.clear();
+        self.done.push_back(Left { depth, runs: before.runs() });
+        while self.done.len() > LONGEST || self.done.iter().map(|left| left.runs.len()).sum::<usize>() > MOST
+        {
+            self.done.pop_front();
+        }
+    }
+
+    /// Whether one was left since so many changes of the steps had been done, and no other change.
+    fn is_last(&self, depth: u64) -> bool {
+        self.done.back().is_some_and(|left| left.depth == depth)
+    }
+
+    /// Whether one was undone since so many changes of the steps had been done, and no other change.
+    fn is_next(&self, depth: u64) -> bool {
+        self.undone.last().is_some_and(|left| left.depth == depth)
+    }
+}
+
+impl State {
+    /// Another selection; if it goes on with what was done before, both are undone as one.
+    pub(super) fn set_selection(&mut self, selection: Selection, goes_on: bool) {
+        let before = std::mem::replace(&mut self.selection, selection);
+        if !goes_on {
+            self.selections.going_on = Some(false);
+        }
+        if before != self.selection && self.selections.going_on == Some(false) {
+            self.selections.leave(self.changes(), &before);
+            self.selections.going_on = Some(true);
+        }
+    }
+
+    /// What selects from now on goes on with a change of the steps.
+    pub(super) fn leave_selection(&mut self) {
+        self.selections.going_on = None;
+    }
+
+    /// Number of changes of the steps that have been done.
+    fn changes(&self) -> u64 {
+        self.document().map_or(0, |document| document.depth())
+    }
+
+    /// What [`Command::Undo`] would take back.
+    pub fn can_undo(&self) -> Option<&str> {
+        if self.selections.is_last(self.changes()) { Some("select") } else { self.document()?.can_undo() }
+    }
+
+    /// What [`Command::Redo`] would do again.
+    pub fn can_redo(&self) -> Option<&str> {
+        if self.selections.is_next(self.changes()) { Some("select") } else { self.document()?.can_redo() }
+    }
+
+    pub(super) fn undo(&mut self) -> Result<()> {
+        self.leave_selection();
+        let depth = self.changes();
+        if let Some(left) = self.selections.done.pop_back_if(|left| left.depth == depth) {
+            let runs = self.exchange(&left);
+            self.selections.undone.push(Left { depth, runs });
+            return Ok(());
+        }
+        self.document_mut()?.undo().ok_or_else(|| refused("there is nothing to undo", "go on"))?;
+        self.request(Effort::FULL);
+        Ok(())
+    }
+
+    pub(super) fn redo(&mut self) -> Result<()> {
+        self.leave_selection();
+        let depth = self.changes();
+        if let Some(left) = self.selections.undone.pop_if(|left| left.depth == depth) {
+            let runs = self.exchange(&left);
+            self.selections.done.push_back(Left { depth, runs });
+            return Ok(());
+        }
+        self.document_mut()?.redo().ok_or_else(|| refused("there is nothing to do again", "go on"))?;
+        self.request(Effort::FULL);
+        Ok(())
+    }
+
+    /// Selects what was selected, and gives what is.
+    fn exchange(&mut self, left: &Left) -> Vec<u32> {
+        let former = Selection::from_runs(&left.runs, self.selection.marks().len());
+        std::mem::replace(&mut self.selection, former).runs()
+    }
+
+    pub(super) fn resolved_selection(&self, goes_on: bool) -> Command {
+        let area = Area::Runs(self.selection.runs());
+        Command::Select { area, combine: Combine::Replace, visible: false, goes_on }
+    }
+}
