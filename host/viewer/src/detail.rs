@@ -25,8 +25,8 @@ pub enum Previewed {
 
 /// Vertices in pieces, as they came.
 ///
-/// Memory: 32 bytes for each vertex. There are at most as many as were [chosen](Chosen), and as many again that others take
-/// the place of.
+/// Memory: 32 bytes for each vertex. There are at most twice as many as were [chosen](Chosen), as a piece is made anew
+/// when others have taken the place of more than half of it; and for what was chosen before, until that is replaced.
 pub struct Detail {
     of: Previewed,
     chosen: Chosen,
