@@ -23,7 +23,7 @@ use std::path::Path;
 const VERTICES: u64 = 60_000;
 
 fn select(area: Area) -> Command {
-    Command::Select { area, combine: Combine::Replace, visible: false }
+    Command::Select { area, combine: Combine::Replace, visible: false, goes_on: false }
 }
 
 /// An amphora that is open, and can be bent by `bent`.
