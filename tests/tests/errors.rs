@@ -313,6 +313,7 @@ fn a_target_that_cannot_be_written() {
         work.refuses(&format!("run edit.toml -o {target}"), &[target]);
         work.refuses(&format!("deform model.simod --session edit.toml -o {target}"), &[target]);
         work.refuses(&format!("render model.ply --size 64x64 -o {target}"), &[target]);
+        work.refuses(&format!("render model.ply --size 64x64 --turntable 2 -o {target}"), &[target]);
         work.refuses(&format!("sample model.ply -o {target}"), &[target]);
     }
     // What is there already stays as it is, whatever fails.

@@ -150,6 +150,17 @@ pub enum Command {
         /// Which part.
         what: Previewed,
     },
+    /// Keeps the steps as they are now, with what they come to, as the version to compare with.
+    Pin,
+    /// Takes the steps of a session as the version to compare with, done on the samples that are there.
+    PinSession {
+        /// The session's file.
+        path: PathBuf,
+    },
+    /// There is no version to compare with any more.
+    Unpin,
+    /// Goes on with the version to compare with, which the steps so far become.
+    SwapPinned,
 }
 
 /// A part of the samples.

@@ -31,4 +31,4 @@ pub use pick::Hit;
 pub use record::replay;
 pub use scene::Scene;
 pub use selection::Selection;
-pub use state::State;
+pub use state::{State, Version};

@@ -1,6 +1,6 @@
 //! Numbers for each sample, to be shown as colours.
 
-use crate::scene::Scene;
+use crate::scene::{Scene, common};
 use crate::selection::Selection;
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
@@ -32,6 +32,10 @@ pub enum Overlay {
     /// The error that the model is expected to have between the samples, in the model's unit. It takes a while, so it is
     /// there when the steps were done with it, and not while something is dragged.
     TransferError,
+    /// How far samples are from where they are in the pinned version, in the model's unit. Samples that only one of both has,
+    /// as refinements appended them, are compared with where the other one's reconstruction carries them. Until that is
+    /// known, and in the pinned version, they take the mean of their neighbours.
+    Difference,
 }
 
 /// Numbers, one for each sample, and what the ends of the scale stand for.
@@ -77,6 +81,41 @@ pub fn region(scene: &Scene, before: &[Vec3], shapes: &Shapes) -> Field {
     let frame = scene.frame();
     let weight = |i: usize| before.get(i).map_or(0.0, |p| shapes.weight(frame.to_model(*p)) as f32);
     Field::weights((0..scene.len()).into_par_iter().map(weight).collect())
+}
+
+/// How far apart samples are in two versions. `carried` has where the other one has all samples of the scene, local positions;
+/// otherwise only those that both have are compared, and the rest take the mean of their neighbours.
+pub fn difference(scene: &Scene, other: &Scene, carried: Option<&[Vec3]>) -> Field {
+    let scale = scene.frame().scale as f32;
+    let to = carried.unwrap_or(&other.positions);
+    let known = if carried.is_some() { scene.len() } else { common(&scene.sampled, &other.sampled) };
+    let pairs = scene.positions.par_iter().zip(to).take(known);
+    let mut values: Vec<f32> = pairs.map(|(p, q)| p.distance(*q) * scale).collect();
+    spread(&mut values, scene);
+    Field::of(values, 0.0)
+}
+
+/// Numbers for the samples behind those that have one: the mean of the neighbours that have, from these outwards.
+fn spread(values: &mut Vec<f32>, scene: &Scene) {
+    let known = values.len();
+    values.resize(scene.len(), f32::NAN);
+    let neighbours = scene.sampled.samples.neighbours();
+    let mut pending: Vec<usize> = (known..scene.len()).collect();
+    while !pending.is_empty() {
+        let mean = |i: &usize| {
+            let near = neighbours.of(*i).iter().map(|j| values[*j as usize]).filter(|x| x.is_finite());
+            let (sum, count) = near.fold((0.0, 0.0), |(sum, count), x| (sum + x, count + 1.0));
+            (*i, if count > 0.0 { sum / count } else { f32::NAN })
+        };
+        let found: Vec<(usize, f32)> = pending.par_iter().map(mean).collect();
+        let before = pending.len();
+        found.into_iter().for_each(|(i, x)| values[i] = x);
+        pending.retain(|i| values[*i].is_nan());
+        // Parts of the surface that hang together with nothing that is known.
+        if pending.len() == before {
+            break;
+        }
+    }
 }
 
 /// How far samples have moved.

@@ -92,6 +92,13 @@ impl Scene {
     }
 }
 
+/// How many of the first samples are the same in two samplings of a model: all but those that refinements appended to one of
+/// both.
+pub fn common(a: &SampledModel, b: &SampledModel) -> usize {
+    let (p, q) = (&a.samples.positions, &b.samples.positions);
+    if std::ptr::eq(a, b) { p.len() } else { p.iter().zip(q).take_while(|(p, q)| p == q).count() }
+}
+
 /// The samples' normals, turned as the triangles between each and its nearest neighbours are: `Σ (r₁ × r₂ · n) d₁ × d₂` over pairs
 /// of neighbours, where `r` are the ways to them at rest and `d` those now. With tangents `s × t = n` that is
 /// `(Σ (r·s) d) × (Σ (r·t) d)`. Quick, and for the eye alone.

@@ -19,6 +19,7 @@ pub enum Menu {
     Edit,
     Select,
     View,
+    Compare,
     Overlay,
     Tool,
     Help,
@@ -54,6 +55,10 @@ fn always(_: &Window) -> bool {
 
 fn is_open(w: &Window) -> bool {
     w.state().scene().is_some()
+}
+
+fn is_pinned(w: &Window) -> bool {
+    w.state().pinned().is_some()
 }
 
 fn is_selected(w: &Window) -> bool {
@@ -123,6 +128,7 @@ pub const ALL: &[Action] = &[
     action(Menu::File, "Save Session As\u{2026}", &[(CTRL_SHIFT, Key::S)], is_open, |w| w.ask(Purpose::Save)),
     action(Menu::File, "Write Deformed Model\u{2026}", &[(CTRL, Key::E)], is_open, |w| w.ask(Purpose::Write))
         .begins(),
+    action(Menu::File, "Render Turntable\u{2026}", &[], crate::turntable::can_begin, crate::turntable::ask),
     action(Menu::File, "Quit", &[(CTRL, Key::Q)], always, |w| {
         w.ctx().send_viewport_cmd(egui::ViewportCommand::Close);
     })
@@ -254,6 +260,27 @@ pub const ALL: &[Action] = &[
         .begins(),
     action(Menu::View, "Light Theme", &[], always, |w| set_theme(w, Theme::Light))
         .on(|w| w.settings.theme == Theme::Light),
+    action(Menu::Compare, "Pin This Version", &[(NONE, Key::P)], is_open, |w| {
+        w.apply(Command::Pin);
+    }),
+    action(Menu::Compare, "Pin a Session\u{2026}", &[], is_open, |w| w.ask(Purpose::Pin)),
+    action(Menu::Compare, "Unpin", &[(SHIFT, Key::P)], is_pinned, |w| {
+        w.apply(Command::Unpin);
+    }),
+    action(Menu::Compare, "Side by Side", &[(NONE, Key::V)], is_pinned, |w| w.looks.side_by_side ^= true)
+        .on(|w| w.looks.side_by_side)
+        .begins(),
+    action(Menu::Compare, "Pinned Version in Place", &[(SHIFT, Key::V)], is_pinned, |w| {
+        w.looks.pinned_in_place ^= true;
+    })
+    .on(|w| w.looks.pinned_in_place),
+    action(Menu::Compare, "Go On with the Pinned Version", &[(SHIFT, Key::X)], is_pinned, |w| {
+        if w.apply(Command::SwapPinned) {
+            w.tools.target = None;
+            w.looks.pinned_in_place = false;
+        }
+    })
+    .begins(),
     action(Menu::Overlay, "Surface Only", &[], is_open, |w| {
         w.apply(Command::Show(Overlay::None));
     })
@@ -266,6 +293,10 @@ pub const ALL: &[Action] = &[
         .on(|w| w.state().overlay() == Overlay::Density),
     action(Menu::Overlay, "Expected Transfer Error", &[], is_open, |w| show(w, Overlay::TransferError))
         .on(|w| w.state().overlay() == Overlay::TransferError),
+    action(Menu::Overlay, "Difference from the Pinned Version", &[], is_pinned, |w| {
+        show(w, Overlay::Difference);
+    })
+    .on(|w| w.state().overlay() == Overlay::Difference),
     tool(Tool::Orbit, &[(NONE, Key::Q)], |w| pick(w, Tool::Orbit), |w| w.tools.tool == Tool::Orbit),
     tool(Tool::Move, &[(NONE, Key::G)], |w| pick(w, Tool::Move), |w| w.tools.tool == Tool::Move),
     tool(Tool::Rotate, &[(NONE, Key::R)], |w| pick(w, Tool::Rotate), |w| w.tools.tool == Tool::Rotate),
@@ -312,14 +343,13 @@ fn pick(w: &mut Window, tool: Tool) {
 /// Does what the keys say that were just pressed.
 pub fn keys(window: &mut Window) {
     let ctx = window.ctx().clone();
-    let busy = |w: &Window| w.question.is_some() || w.palette.is_some() || w.prompt.is_some();
-    if ctx.egui_wants_keyboard_input() || busy(window) {
+    if ctx.egui_wants_keyboard_input() || window.is_asking() {
         return;
     }
     for action in ALL {
         if action.keys.iter().any(|keys| take_key(&ctx, keys)) && (action.can)(window) {
             (action.run)(window);
-            if busy(window) {
+            if window.is_asking() {
                 return;
             }
         }

@@ -1,8 +1,12 @@
 //! The command line.
 
+use crate::screenshot::Shot;
 use crate::settings::Settings;
-use crate::{screenshot, start};
+use crate::turntable::FRAMES;
+use crate::{screenshot, start, turntable};
 use clap::Parser;
+use simod_core::progress::Silent;
+use simod_core::render::FrameFolder;
 use simod_core::{Error, ErrorKind, Result};
 use simod_session::session_file::Sampling;
 use simod_session::worker::{self, WorkerOptions};
@@ -40,6 +44,13 @@ pub struct Arguments {
     /// Draw what there is after that to a PNG file, and end
     #[arg(long, value_name = "PNG")]
     pub screenshot: Option<PathBuf>,
+    /// Draw frames of a full turn of it into a folder, and end
+    #[arg(long, value_name = "DIR")]
+    pub turntable: Option<PathBuf>,
+    /// How many frames
+    #[arg(long, value_name = "N", default_value_t = FRAMES, requires = "turntable",
+        value_parser = clap::value_parser!(u32).range(1..=i64::from(FrameFolder::MOST)))]
+    pub frames: u32,
 }
 
 /// What `simod-viewer` does: everything but `main` itself.
@@ -78,7 +89,7 @@ fn execute(arguments: Arguments) -> Result<()> {
         }
         None => Vec::new(),
     };
-    if !arguments.no_window && arguments.screenshot.is_none() {
+    if !arguments.no_window && arguments.screenshot.is_none() && arguments.turntable.is_none() {
         return start::open_window(arguments, recorded, plugins);
     }
     let open = arguments.path.map(|path| {
@@ -93,10 +104,13 @@ fn execute(arguments: Arguments) -> Result<()> {
             return Err(error);
         }
     }
-    match &arguments.screenshot {
-        Some(file) => screenshot::write(&mut state, file),
-        None => Ok(()),
+    if let Some(file) = &arguments.screenshot {
+        screenshot::write(&mut state, file)?;
     }
+    if let Some(folder) = &arguments.turntable {
+        turntable::write(&Shot::of(&mut state)?, folder, arguments.frames, &Silent)?;
+    }
+    Ok(())
 }
 
 /// Whether it says itself how it is sampled: a session, or the folder of a sampled model.

@@ -16,6 +16,10 @@ pub enum Purpose {
     Save,
     /// Where the deformed model goes.
     Write,
+    /// A session to compare with.
+    Pin,
+    /// The folder for the frames of a turntable.
+    Turntable,
     /// The value of a parameter of a step.
     Parameter {
         /// The step's place.
@@ -35,6 +39,8 @@ impl Purpose {
             Self::OpenFolder => "Open the folder of a sampled model",
             Self::Save => "Save the session",
             Self::Write => "Write the deformed model",
+            Self::Pin => "Pin a session",
+            Self::Turntable => "A new folder for the frames",
             Self::Parameter { .. } => "Choose a file",
         }
     }
@@ -79,6 +85,14 @@ impl Dialog {
             }
             Purpose::Write => {
                 let dialog = dialog.set_file_name(name("deformed.ply"));
+                Box::new(move || dialog.save_file())
+            }
+            Purpose::Pin => {
+                let dialog = dialog.add_filter("Sessions", &["toml"]);
+                Box::new(move || dialog.pick_file())
+            }
+            Purpose::Turntable => {
+                let dialog = dialog.set_file_name(name("turntable"));
                 Box::new(move || dialog.save_file())
             }
             Purpose::Parameter { extensions, .. } => {

@@ -1,12 +1,15 @@
-//! A picture of the model without a window.
+//! Pictures of the model without a window, or beside it.
 
-use crate::viewport::detail::{Pieces, sample_colors, sample_radii};
+use crate::viewport::detail::{Splats, sample_colors, sample_radii, splats};
+use crate::window::Window;
 use glam::DVec3;
+use simod_core::render::Image;
 use simod_core::{Error, ErrorKind, Result};
-use simod_scene::{Background, Gpu, NoGpu, Scale, Scene, Style, Surface, View};
+use simod_scene::{Background, Gpu, Mode, NoGpu, Scale, Scene, Style, Surface, View};
 use simod_viewer::State;
 use simod_viewer::camera::Camera;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Width and height, in pixels.
 const SIZE: [u32; 2] = [1600, 1000];
@@ -18,44 +21,133 @@ pub const RADIUS: f32 = 1.35;
 /// # Errors
 /// Nothing is open, there is nothing to draw with, or the file cannot be written.
 pub fn write(state: &mut State, file: &Path) -> Result<()> {
-    let none = || Error::new(ErrorKind::Argument, "there is no model to be drawn", "name one");
-    let shown = state.scene().cloned().ok_or_else(none)?;
-    let lost = || Error::new(ErrorKind::Io, "the picture cannot be drawn", NoGpu::HINT);
-    let gpu = Gpu::headless().map_err(|e| {
-        Error::new(ErrorKind::Io, e.to_string().lines().next().unwrap_or_default().to_owned(), NoGpu::HINT)
-    })?;
-    let colors: Option<Vec<[u8; 3]>> =
-        state.field().map(|field| (0..shown.len()).map(|i| field.color(i)).collect());
-    let detail = state.detail();
-    let radii = sample_radii(shown.sampled.samples.spacing(), detail);
-    let of_samples = match detail {
-        Some(_) => Some(sample_colors(shown.len(), colors.as_deref())),
-        None => colors.clone(),
-    };
-    let mut scene = Scene::new(&gpu);
-    let surface = Surface {
-        positions: &shown.positions,
-        normals: &shown.normals,
-        radii: &radii,
-        colors: of_samples.as_deref(),
-        triangles: &shown.sampled.triangles,
-    };
-    let bad = |e: simod_scene::BadSurface| Error::new(ErrorKind::Io, e.to_string(), "report this");
-    scene.set_surface(&surface).map_err(bad)?;
-    Pieces::default().update(&mut scene, detail, colors.as_deref(), false).map_err(bad)?;
-    let own_colors = of_samples.is_some();
-    let style = Style { own_colors, background: Background::Dark, scale: Scale::Double, ..Style::default() };
-    let bounds = shown.bounds().map(|corner| corner.as_dvec3());
-    scene.render(&view(state.camera(), bounds), &style, None);
-    let picture = scene.read().ok_or_else(lost)?;
+    let picture = Shot::of(state)?.studio()?.picture(0.0)?;
     simod_core::output::write_file(file, &picture.to_png()?)
 }
 
-fn view(camera: &Camera, bounds: [DVec3; 2]) -> View {
-    let size = SIZE.map(f64::from);
-    View {
-        view: camera.view().as_mat4(),
-        projection: camera.projection(size, camera.near_far(bounds)).as_mat4(),
-        size: SIZE,
+/// What is drawn, and how: it does not change with what it was taken of.
+pub struct Shot {
+    shown: Arc<simod_viewer::Scene>,
+    radii: Vec<f32>,
+    colors: Option<Vec<[u8; 3]>>,
+    /// What is shown in full.
+    detail: Vec<Splats>,
+    camera: Camera,
+    size: [u32; 2],
+    style: Style,
+    ghost: bool,
+}
+
+/// A shot with the device that draws it.
+pub struct Studio<'a> {
+    shot: &'a Shot,
+    scene: Scene,
+    bounds: [DVec3; 2],
+}
+
+impl Shot {
+    /// Of what the state shows.
+    ///
+    /// # Errors
+    /// Nothing is open.
+    pub fn of(state: &mut State) -> Result<Self> {
+        let none = || Error::new(ErrorKind::Argument, "there is no model to be drawn", "name one");
+        let shown = state.scene().cloned().ok_or_else(none)?;
+        let colors: Option<Vec<[u8; 3]>> =
+            state.field().map(|field| (0..shown.len()).map(|i| field.color(i)).collect());
+        let detail = state.detail();
+        let radii = sample_radii(shown.sampled.samples.spacing(), detail);
+        let pieces = detail.into_iter().flat_map(|detail| detail.pieces().values());
+        let in_full = pieces.map(|piece| splats(piece, colors.as_deref())).collect();
+        let colors = match detail {
+            Some(_) => Some(sample_colors(shown.len(), colors.as_deref())),
+            None => colors,
+        };
+        let style = Style {
+            own_colors: colors.is_some(),
+            background: Background::Dark,
+            scale: Scale::Double,
+            ..Style::default()
+        };
+        let camera = *state.camera();
+        Ok(Self { shown, radii, colors, detail: in_full, camera, size: SIZE, style, ghost: false })
+    }
+
+    /// Of what a window shows, as it looks there, but for what is marked for the work on it: the selection, and regions. Width
+    /// and height are even, as films have to be.
+    ///
+    /// # Errors
+    /// Nothing is open.
+    pub fn of_window(window: &mut Window) -> Result<Self> {
+        let (looks, settings) = (window.looks, &window.settings);
+        let (theme, occlusion) = (settings.theme, settings.occlusion);
+        let shot = Self::of(window.state_mut())?;
+        let size = window.state().size().map(|pixels| 2 * (0.5 * pixels).clamp(1.0, 4096.0) as u32);
+        let style = Style {
+            mode: if looks.triangles { Mode::Triangles } else { Mode::Splats },
+            background: theme.background(),
+            occlusion,
+            ..shot.style
+        };
+        Ok(Self { size, style, ghost: looks.ghost, ..shot })
+    }
+
+    /// Gives it to a device of its own.
+    ///
+    /// # Errors
+    /// There is nothing to draw with.
+    pub fn studio(&self) -> Result<Studio<'_>> {
+        let gpu = Gpu::headless().map_err(|e| {
+            let what = e.to_string().lines().next().unwrap_or_default().to_owned();
+            Error::new(ErrorKind::Io, what, NoGpu::HINT)
+        })?;
+        let (shown, samples) = (&self.shown, &self.shown.sampled.samples);
+        let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
+        let mut scene = Scene::new(&gpu);
+        let surface = Surface {
+            positions: &shown.positions,
+            normals: &shown.normals,
+            radii: &self.radii,
+            colors: self.colors.as_deref(),
+            triangles: &shown.sampled.triangles,
+        };
+        let rest = Surface {
+            positions: &samples.positions,
+            normals: samples.normals(),
+            radii: &radii,
+            ..Surface::default()
+        };
+        let bad = |e: simod_scene::BadSurface| Error::new(ErrorKind::Io, e.to_string(), "report this");
+        scene.set_surface(&surface).map_err(bad)?;
+        for (splats, number) in self.detail.iter().zip(0..) {
+            scene.set_detail(number, Some(&splats.surface())).map_err(bad)?;
+        }
+        scene.set_ghost(self.ghost.then_some(&rest)).map_err(bad)?;
+        let mut bounds = shown.bounds();
+        if self.ghost {
+            let at_rest = samples.positions.iter().fold(bounds, |[a, b], p| [a.min(*p), b.max(*p)]);
+            bounds = at_rest;
+        }
+        Ok(Studio { shot: self, scene, bounds: bounds.map(|corner| corner.as_dvec3()) })
+    }
+}
+
+impl Studio<'_> {
+    /// The picture after the camera went round its target by an angle, radians.
+    ///
+    /// # Errors
+    /// The device was lost.
+    pub fn picture(&mut self, turn: f64) -> Result<Image> {
+        let Shot { camera, size, style, .. } = self.shot;
+        let camera = Camera { yaw: camera.yaw + turn, ..*camera };
+        let pixels = size.map(f64::from);
+        let view = View {
+            view: camera.view().as_mat4(),
+            projection: camera.projection(pixels, camera.near_far(self.bounds)).as_mat4(),
+            size: *size,
+        };
+        self.scene.render(&view, style, None);
+        let lost = || Error::new(ErrorKind::Io, "the picture cannot be drawn", NoGpu::HINT);
+        self.scene.read().ok_or_else(lost)
     }
 }

@@ -4,6 +4,7 @@ use crate::dialogs::{Dialog, Purpose};
 use crate::panels::{Palette, Prompt, Report, Toasts};
 use crate::settings::Settings;
 use crate::tools::Tools;
+use crate::turntable::Turning;
 use crate::{example, theme};
 use eframe::egui;
 use simod_core::{Error, ErrorKind};
@@ -12,7 +13,7 @@ use simod_session::session_file::{Deformation, Sampling};
 use simod_session::{Plugin, PluginRegistry};
 use simod_viewer::record::Recorder;
 use simod_viewer::state::{self, Notice};
-use simod_viewer::{Command, State};
+use simod_viewer::{Command, State, Version};
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -32,6 +33,23 @@ pub struct Looks {
     pub regions: bool,
     /// The handles that the chosen step's plugin placed.
     pub handles: bool,
+    /// The pinned version beside the one that is worked on.
+    pub side_by_side: bool,
+    /// The pinned version in its place.
+    pub pinned_in_place: bool,
+}
+
+impl Default for Looks {
+    fn default() -> Self {
+        Self {
+            triangles: false,
+            ghost: false,
+            regions: true,
+            handles: true,
+            side_by_side: false,
+            pinned_in_place: false,
+        }
+    }
 }
 
 /// A question that has to be answered before something goes on.
@@ -61,6 +79,12 @@ pub struct Window {
     pub tools: Tools,
     /// What is shown.
     pub looks: Looks,
+    /// Whether a button is held that shows the pinned version.
+    pub holds_pinned: bool,
+    /// What is asked before a turntable is drawn, while it is.
+    pub turntable: Option<crate::panels::Turntable>,
+    /// The turntable that is being drawn.
+    pub turning: Option<Turning>,
     /// Messages that go away.
     pub toasts: Toasts,
     /// Commands by name, while they are looked for.
@@ -103,7 +127,10 @@ impl Window {
             ctx: ctx.clone(),
             settings,
             tools: Tools::default(),
-            looks: Looks { triangles: false, ghost: false, regions: true, handles: true },
+            looks: Looks::default(),
+            holds_pinned: false,
+            turning: None,
+            turntable: None,
             toasts,
             palette: None,
             report: None,
@@ -146,6 +173,12 @@ impl Window {
     /// Does these commands, each when the one before is done.
     pub fn replay(&mut self, commands: Vec<Command>) {
         self.recorded.extend(commands);
+    }
+
+    /// Whether something has to be answered before anything else.
+    pub fn is_asking(&self) -> bool {
+        let asks = self.question.is_some() || self.turntable.is_some();
+        asks || self.palette.is_some() || self.prompt.is_some()
     }
 
     /// Does a command; an error is shown to the user. Whether it was done.
@@ -198,6 +231,15 @@ impl Window {
             self.awaited = false;
             self.choose_last();
         }
+        if let Some(made) = self.turning.as_ref().and_then(Turning::made) {
+            let turning = self.turning.take();
+            match (made, turning) {
+                (Ok(()), Some(turning)) => self.toasts.note(turning.done()),
+                (Err(error), _) if error.kind() == ErrorKind::Cancelled => self.toasts.note("Stopped."),
+                (Err(error), _) => self.toasts.error(&error),
+                _ => {}
+            }
+        }
         self.name();
         self.take_answer();
         self.go_on_replaying();
@@ -244,7 +286,9 @@ impl Window {
     }
 
     fn go_on_replaying(&mut self) {
+        let pins = |state: &State| state.pinned().is_some() && state.scene_of(Version::Pinned).is_none();
         while self.state.is_settled()
+            && !pins(&self.state)
             && let Some(command) = self.recorded.pop_front()
         {
             if !self.apply(command) {
@@ -373,6 +417,8 @@ impl Window {
             Purpose::Save => {
                 editor.and_then(|e| e.path().map(Path::to_owned)).or_else(|| beside("*-session.toml"))
             }
+            Purpose::Turntable => beside("*-turntable"),
+            Purpose::Pin => beside("*.toml"),
             Purpose::Write => editor.and_then(|e| e.output().map(Path::to_owned)).or_else(|| {
                 let extension = editor?.model()?.extension()?.to_string_lossy().into_owned();
                 beside(&format!("*-deformed.{extension}"))
@@ -415,6 +461,14 @@ impl Window {
             }
             Purpose::Write => {
                 self.apply(Command::Write { output: path });
+            }
+            Purpose::Pin => {
+                self.apply(Command::PinSession { path });
+            }
+            Purpose::Turntable => {
+                if let Some(turntable) = &mut self.turntable {
+                    turntable.folder = path.display().to_string();
+                }
             }
             Purpose::Parameter { step, id, .. } => {
                 let value = Some(path.display().to_string().into());

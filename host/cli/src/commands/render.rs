@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use simod_core::render::picture::{self, Up, View};
+use simod_core::render::{FrameFolder, Image};
 use simod_core::sampled_model::SampledModel;
 use simod_core::{Error, ErrorKind, Result, model, output};
 
@@ -15,9 +16,12 @@ pub struct Render {
     /// A model, or the folder of a sampled one
     #[arg(value_name = "MODEL|DIR")]
     path: PathBuf,
-    /// The PNG file to write
-    #[arg(short, long, value_name = "FILE")]
+    /// The PNG file to write, or with --turntable the folder of PNG files
+    #[arg(short, long, value_name = "FILE|DIR")]
     output: PathBuf,
+    /// Draw so many frames of a full turn, into a folder
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(FrameFolder::MOST)))]
+    turntable: Option<u32>,
     /// Turn the camera about the vertical axis, in degrees
     #[arg(long, default_value_t = 25.0, allow_negative_numbers = true)]
     yaw: f64,
@@ -64,11 +68,20 @@ impl Render {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let view =
             |bounds| View { bounds, yaw: self.yaw, pitch: self.pitch, size: self.size, up: self.up.into() };
-        let image = if self.path.is_dir() {
+        // What is in the way is told before the model is read.
+        let mut folder = self.turntable.map(|_| FrameFolder::create(&self.output)).transpose()?;
+        let mut take = |image: &Image| match &mut folder {
+            Some(folder) => folder.push(image),
+            None => output::write_file(&self.output, &image.to_png()?),
+        };
+        if self.path.is_dir() {
             let sampled = SampledModel::load(&self.path)?;
-            let samples = &sampled.samples;
+            let (samples, view) = (&sampled.samples, view(sampled.bounds));
             report.figure("samples", samples.len());
-            picture::of_samples(&sampled, &samples.positions, samples.normals(), &view(sampled.bounds))
+            match self.turntable {
+                Some(n) => picture::turn_of_samples(&sampled, &view, n, &mut take, report.untimed())?,
+                None => take(&picture::of_samples(&sampled, &samples.positions, samples.normals(), &view))?,
+            }
         } else {
             let model = model::open(&self.path)?;
             let progress = report.progress();
@@ -81,10 +94,25 @@ impl Render {
                 ));
             }
             report.figure("vertices", model.info().vertices);
-            picture::of_model(model.as_ref(), &bounds, &view(bounds), progress)?
-        };
-        output::write_file(&self.output, &image.to_png()?)?;
-        report.line(format!("drew {} as {}", self.path.display(), self.output.display()));
+            let view = view(bounds);
+            match self.turntable {
+                Some(n) => {
+                    picture::turn_of_model(model.as_ref(), &bounds, &view, n, &mut take, progress)?;
+                }
+                None => take(&picture::of_model(model.as_ref(), &bounds, &view, progress)?)?,
+            }
+        }
+        if let (Some(frames), Some(folder)) = (self.turntable, folder) {
+            folder.commit()?;
+            report.figure("frames", frames);
+            report.line(format!(
+                "drew {} as {frames} frames in {}",
+                self.path.display(),
+                self.output.display()
+            ));
+        } else {
+            report.line(format!("drew {} as {}", self.path.display(), self.output.display()));
+        }
         Ok(())
     }
 }

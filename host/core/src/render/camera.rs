@@ -64,6 +64,19 @@ impl Camera {
         self.position
     }
 
+    /// From the target to the eye.
+    pub(super) fn distance(&self) -> f64 {
+        self.position.distance(self.target)
+    }
+
+    /// The same view from so far away, where it was nearer by more than rounding.
+    pub(super) fn at_least(self, distance: f64) -> Self {
+        if self.distance() >= distance * (1.0 - 1e-9) {
+            return self;
+        }
+        Self { position: self.target - self.forward * distance, ..self }
+    }
+
     /// Where a picture of the given size shows a point: pixels from the top left corner; none where the point
     /// is not before the camera.
     pub fn project(&self, p: DVec3, width: u32, height: u32) -> Option<[f32; 2]> {

@@ -21,6 +21,7 @@
 
 mod camera;
 mod font;
+mod frames;
 mod ground;
 mod image;
 pub mod picture;
@@ -29,6 +30,7 @@ mod spacing;
 mod splat;
 
 pub use camera::Camera;
+pub use frames::FrameFolder;
 pub use image::Image;
 pub use spacing::Spacing;
 

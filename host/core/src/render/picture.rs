@@ -58,14 +58,31 @@ impl Up {
 }
 
 impl View {
-    fn renderer(&self, own_colors: bool) -> Renderer {
+    fn camera(&self) -> Camera {
         let [w, h] = self.size;
         let bounds = [self.up.turned(self.bounds.min), self.up.turned(self.bounds.max)];
         let aspect = f64::from(w) / f64::from(h.max(1));
-        let camera = Camera::frame(bounds, self.yaw.to_radians(), self.pitch.to_radians(), aspect);
-        Renderer::new(w, h, camera, Style { own_colors, ground: Some(bounds[0].y) })
+        Camera::frame(bounds, self.yaw.to_radians(), self.pitch.to_radians(), aspect)
+    }
+
+    /// The cameras of a full turn, evenly spaced. All are as far away as the farthest of those that just show everything:
+    /// nothing is cut, and the model does not seem to grow and shrink.
+    fn turn(&self, frames: u32) -> Vec<Camera> {
+        let yaw = |k| self.yaw + 360.0 * f64::from(k) / f64::from(frames);
+        let cameras: Vec<Camera> = (0..frames).map(|k| Self { yaw: yaw(k), ..*self }.camera()).collect();
+        let farthest = cameras.iter().map(Camera::distance).fold(0.0, f64::max);
+        cameras.into_iter().map(|camera| camera.at_least(farthest)).collect()
+    }
+
+    fn renderer(&self, camera: Camera, own_colors: bool) -> Renderer {
+        let [w, h] = self.size;
+        let ground = Some(self.up.turned(self.bounds.min).y);
+        Renderer::new(w, h, camera, Style { own_colors, ground })
     }
 }
+
+/// Takes the pictures of a turn, one after the other.
+pub type Frames<'a> = dyn FnMut(&Image) -> Result<()> + 'a;
 
 /// Bounding box of a model's finite positions.
 ///
@@ -84,7 +101,26 @@ pub fn bounds(model: &dyn Model, progress: &dyn Progress) -> Result<Bounds> {
 /// # Errors
 /// The model cannot be read; the user cancelled.
 pub fn of_model(model: &dyn Model, bounds: &Bounds, view: &View, progress: &dyn Progress) -> Result<Image> {
-    draw(&[model], bounds, view, None, progress)
+    let spacing = spacing(model, bounds, progress)?;
+    draw(&[model], &spacing, view, view.camera(), None, progress)
+}
+
+/// As [`of_model`], so many times while the camera goes once round the vertical axis, in one stream more than two for each
+/// picture. It stands as far back for all as some of them need; the first is that of [`of_model`] if it is one of these.
+///
+/// # Errors
+/// The model cannot be read; `frame` refuses a picture; the user cancelled.
+pub fn turn_of_model(
+    model: &dyn Model,
+    bounds: &Bounds,
+    view: &View,
+    frames: u32,
+    frame: &mut Frames<'_>,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let spacing = spacing(model, bounds, progress)?;
+    let draw = |camera| draw(&[model], &spacing, view, camera, None, progress);
+    view.turn(frames).into_iter().try_for_each(|camera| frame(&draw(camera)?))
 }
 
 /// As [`of_model`], for the first of several models that are read [in step](in_step): `paint` gives its vertices' colours.
@@ -98,18 +134,24 @@ pub fn of_painted(
     paint: &Paint<'_>,
     progress: &dyn Progress,
 ) -> Result<Image> {
-    draw(models, bounds, view, Some(paint), progress)
+    let spacing = spacing(models[0], bounds, progress)?;
+    draw(models, &spacing, view, view.camera(), Some(paint), progress)
+}
+
+fn spacing(model: &dyn Model, bounds: &Bounds, progress: &dyn Progress) -> Result<Spacing> {
+    let mut spacing = Spacing::new([bounds.min, bounds.max]);
+    stream(model, "drawing", progress, |chunk| spacing.add(chunk.positions.iter().copied()))?;
+    Ok(spacing)
 }
 
 fn draw(
     models: &[&dyn Model],
-    bounds: &Bounds,
+    spacing: &Spacing,
     view: &View,
+    camera: Camera,
     paint: Option<&Paint<'_>>,
     progress: &dyn Progress,
 ) -> Result<Image> {
-    let mut spacing = Spacing::new([bounds.min, bounds.max]);
-    stream(models[0], "drawing", progress, |chunk| spacing.add(chunk.positions.iter().copied()))?;
     let points_of = |parts: &[Vertices<'_>]| -> Vec<SurfacePoint> {
         let Vertices { positions, normals } = parts[0];
         let point = |(i, p): (usize, &DVec3)| SurfacePoint {
@@ -120,7 +162,7 @@ fn draw(
         };
         positions.iter().enumerate().map(point).collect()
     };
-    let mut renderer = view.renderer(paint.is_some());
+    let mut renderer = view.renderer(camera, paint.is_some());
     let pass = |draw: &mut dyn FnMut(&[SurfacePoint])| {
         progress.begin("drawing", models[0].info().vertex_bytes);
         in_step(models, progress, |parts| {
@@ -135,20 +177,42 @@ fn draw(
 
 /// Draws samples at local `positions`, each as a disc that its neighbours overlap a little.
 pub fn of_samples(sampled: &SampledModel, positions: &[Vec3], normals: &[Vec3], view: &View) -> Image {
-    let points: Vec<SurfacePoint> = positions
-        .iter()
-        .zip(normals)
-        .zip(sampled.samples.spacing())
-        .map(|((p, n), spacing)| SurfacePoint {
-            position: view.up.turned(sampled.frame.to_model(*p)),
-            normal: view.up.turned(n.as_dvec3()).as_vec3(),
-            color: NO_COLOR,
-            radius: (SAMPLE_RADIUS * f64::from(*spacing) * sampled.frame.scale) as f32,
-        })
-        .collect();
-    let mut renderer = view.renderer(false);
-    renderer.depth(&points);
-    renderer.blend(&points);
+    drawn(&discs(sampled, positions, normals, view), view, view.camera())
+}
+
+/// As [`of_samples`], so many times while the camera goes once round the vertical axis; see [`turn_of_model`].
+///
+/// # Errors
+/// `frame` refuses a picture; the user cancelled.
+pub fn turn_of_samples(
+    sampled: &SampledModel,
+    view: &View,
+    frames: u32,
+    frame: &mut Frames<'_>,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let samples = &sampled.samples;
+    let points = discs(sampled, &samples.positions, samples.normals(), view);
+    view.turn(frames).into_iter().try_for_each(|camera| {
+        progress.check()?;
+        frame(&drawn(&points, view, camera))
+    })
+}
+
+fn discs(sampled: &SampledModel, positions: &[Vec3], normals: &[Vec3], view: &View) -> Vec<SurfacePoint> {
+    let disc = |((p, n), spacing): ((&Vec3, &Vec3), &f32)| SurfacePoint {
+        position: view.up.turned(sampled.frame.to_model(*p)),
+        normal: view.up.turned(n.as_dvec3()).as_vec3(),
+        color: NO_COLOR,
+        radius: (SAMPLE_RADIUS * f64::from(*spacing) * sampled.frame.scale) as f32,
+    };
+    positions.iter().zip(normals).zip(sampled.samples.spacing()).map(disc).collect()
+}
+
+fn drawn(points: &[SurfacePoint], view: &View, camera: Camera) -> Image {
+    let mut renderer = view.renderer(camera, false);
+    renderer.depth(points);
+    renderer.blend(points);
     renderer.finish()
 }
 

@@ -125,7 +125,7 @@ impl Document {
     /// A document with these steps, and nothing to undo.
     pub fn new(steps: impl IntoIterator<Item = Step>) -> Self {
         let mut this = Self::default();
-        this.steps = steps.into_iter().map(|step| this.entry(step)).collect();
+        this.steps = this.entries(steps);
         this
     }
 
@@ -151,15 +151,34 @@ impl Document {
         let before = std::mem::replace(&mut self.steps, steps);
         let goes_on = target.is_some() && target == self.dragged && self.redo.is_empty();
         if !goes_on {
-            self.undo.push_back((label, before));
-            self.depth += 1;
-            if self.undo.len() > LONGEST_HISTORY {
-                self.undo.pop_front();
-            }
+            self.done(label, before);
         }
-        self.redo.clear();
         self.dragged = target;
         Ok(())
+    }
+
+    /// Steps that can take the place of those that are there, by [`replace`](Self::replace): they are other ones than all
+    /// that this document has had.
+    pub fn entries(&mut self, steps: impl IntoIterator<Item = Step>) -> Arc<[Entry]> {
+        steps.into_iter().map(|step| self.entry(step)).collect()
+    }
+
+    /// Takes other steps instead of all that are there; `label` says what that is. They are some that the document has had,
+    /// or [its entries](Self::entries).
+    pub fn replace(&mut self, label: &str, steps: Arc<[Entry]>) {
+        self.rest();
+        let before = std::mem::replace(&mut self.steps, steps);
+        self.done(label.to_owned(), before);
+    }
+
+    /// What was done can be undone.
+    fn done(&mut self, label: String, before: Arc<[Entry]>) {
+        self.undo.push_back((label, before));
+        self.depth += 1;
+        if self.undo.len() > LONGEST_HISTORY {
+            self.undo.pop_front();
+        }
+        self.redo.clear();
     }
 
     /// The drag ends: what comes next is undone by itself.

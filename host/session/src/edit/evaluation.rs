@@ -145,6 +145,11 @@ impl Evaluation {
         Self { sampled, how, known: HashMap::new(), at: Arc::default() }
     }
 
+    /// For other steps on the same samples: nothing is done yet.
+    pub fn another(&self) -> Self {
+        Self::new(self.sampled.clone(), self.how.clone())
+    }
+
     /// The place of the step that is being done, to be looked at from other threads.
     pub fn at(&self) -> &Arc<AtomicUsize> {
         &self.at

@@ -7,6 +7,7 @@
 //! The deformed model is written on a thread of its own, so that the edit goes on meanwhile; and so are vertices streamed that
 //! are to be seen in full.
 
+mod comparing;
 mod emerged;
 mod preview;
 mod thread;
@@ -14,6 +15,7 @@ mod wasted;
 mod watch;
 
 use crate::scene::Scene;
+pub use comparing::{Carried, Comparing};
 pub use emerged::Emerged;
 pub use preview::Pose;
 use preview::Streaming;
@@ -76,6 +78,8 @@ pub enum Job {
     Write,
     /// Vertices are streamed to be seen.
     Preview,
+    /// Another version is made, to be compared with.
+    Compare,
 }
 
 /// What became of a request.
@@ -88,6 +92,15 @@ pub enum Event {
         request: u64,
         /// Where the samples are.
         scene: Box<Scene>,
+    },
+    /// Another version is there.
+    Compared {
+        /// Which, as it was asked for.
+        number: u64,
+        /// Its samples.
+        scene: Arc<Scene>,
+        /// Where it has the others that were asked for.
+        carried: Option<Carried>,
     },
     /// The deformed model was written.
     Written {
@@ -144,6 +157,7 @@ struct Wanted {
     preview: Option<Streaming>,
     /// Nothing is to be seen in full any more.
     forget: bool,
+    compare: Option<Comparing>,
     plugins: Option<Arc<PluginRegistry>>,
     end: bool,
 }
@@ -155,6 +169,7 @@ struct Running {
     evaluate: Option<(Arc<Watch>, Arc<[Entry]>, Effort)>,
     write: Option<Arc<Watch>>,
     preview: Option<Arc<Watch>>,
+    compare: Option<Arc<Watch>>,
     /// The place of the step that is being done.
     step: Arc<std::sync::atomic::AtomicUsize>,
     /// Events that were sent, and not taken yet; and models among them.
@@ -169,15 +184,11 @@ struct Shared {
 }
 
 fn is_idle(wanted: &Wanted, running: &Running) -> bool {
-    let waiting = wanted.open.is_some()
-        || wanted.evaluate.is_some()
-        || wanted.write.is_some()
-        || wanted.preview.is_some();
-    let busy = running.open.is_some()
-        || running.evaluate.is_some()
-        || running.write.is_some()
-        || running.preview.is_some();
-    !waiting && !busy && running.events == 0
+    let waiting = wanted.open.is_some() || wanted.evaluate.is_some() || wanted.write.is_some();
+    let busy = running.open.is_some() || running.evaluate.is_some() || running.write.is_some();
+    let compares = wanted.compare.is_some() || running.compare.is_some();
+    let previews = wanted.preview.is_some() || running.preview.is_some();
+    !waiting && !busy && !compares && !previews && running.events == 0
 }
 
 impl Shared {
@@ -227,6 +238,7 @@ impl Engine {
             running.evaluate.iter().for_each(|(watch, ..)| watch.supersede());
         });
         self.forget_preview();
+        self.compare(None);
     }
 
     /// Has vertices streamed, instead of those that are being streamed; gives the request's number, which comes back with
@@ -253,6 +265,14 @@ impl Engine {
     pub fn forget_preview(&mut self) {
         self.pause_preview();
         self.want(|wanted, _| wanted.forget = true);
+    }
+
+    /// Has another version made, instead of a former one, or none any more.
+    pub fn compare(&mut self, comparing: Option<Comparing>) {
+        self.want(|wanted, running| {
+            wanted.compare = comparing;
+            running.compare.iter().for_each(|watch| watch.supersede());
+        });
     }
 
     /// Has steps done, instead of those that wait for it; if wanted, with the [error to be
@@ -302,6 +322,10 @@ impl Engine {
                 wanted.preview = None;
                 running.preview.iter().for_each(|watch| watch.cancel());
             }
+            Job::Compare => {
+                wanted.compare = None;
+                running.compare.iter().for_each(|watch| watch.cancel());
+            }
         });
     }
 
@@ -314,6 +338,7 @@ impl Engine {
             Job::Evaluate => running.evaluate.as_ref().map(|(watch, ..)| watch),
             Job::Write => running.write.as_ref(),
             Job::Preview => running.preview.as_ref(),
+            Job::Compare => running.compare.as_ref(),
         };
         watch.map(|watch| watch.activity())
     }
@@ -338,6 +363,7 @@ impl Engine {
             Job::Evaluate => wanted.evaluate.is_some(),
             Job::Write => wanted.write.is_some(),
             Job::Preview => wanted.preview.is_some(),
+            Job::Compare => wanted.compare.is_some(),
         }
     }
 
@@ -390,7 +416,7 @@ impl Engine {
 
 impl Drop for Engine {
     fn drop(&mut self) {
-        for job in [Job::Open, Job::Evaluate, Job::Write, Job::Preview] {
+        for job in [Job::Open, Job::Evaluate, Job::Write, Job::Preview, Job::Compare] {
             self.cancel(job);
         }
         self.want(|wanted, _| wanted.end = true);

@@ -1,7 +1,7 @@
 //! The engine's other end: a thread that opens, does steps, and has models written, one after the other.
 
 use super::watch::Watch;
-use super::{Event, Job, Opening, Request, Running, Shared, Wake, Writing};
+use super::{Comparing, Event, Job, Opening, Request, Running, Shared, Wake, Writing};
 use crate::scene::Scene;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::sampled_model::SampledModel;
@@ -39,6 +39,7 @@ enum Task {
     Open(Opening),
     Evaluate(Request),
     Write(Arc<[Entry]>, Writing),
+    Compare(Comparing),
 }
 
 impl Teller {
@@ -80,6 +81,7 @@ impl Teller {
             Job::Evaluate => running.evaluate = None,
             Job::Write => running.write = None,
             Job::Preview => running.preview = None,
+            Job::Compare => running.compare = None,
         }
         self.shared.changed.notify_all();
         drop(inner);
@@ -126,6 +128,10 @@ impl Thread {
                         }
                     }
                 }
+                Task::Compare(comparing) => {
+                    let compared = guarded(|| self.compared(comparing, &*watch));
+                    self.tell.end(Job::Compare, &watch, Some(event(Job::Compare, compared)));
+                }
             }
         }
         if let Some(writer) = self.writer.take() {
@@ -153,6 +159,10 @@ impl Thread {
                 running.evaluate = Some((watch.clone(), request.steps.clone(), request.effort));
                 return Some((Task::Evaluate(request), watch));
             }
+            if let Some(comparing) = wanted.compare.take() {
+                running.compare = Some(watch.clone());
+                return Some((Task::Compare(comparing), watch));
+            }
             if running.write.is_none()
                 && let Some((steps, writing)) = wanted.write.take()
             {
@@ -176,9 +186,13 @@ impl Thread {
     }
 
     fn evaluated(&mut self, steps: &[Entry], effort: Effort, progress: &dyn Progress) -> Result<Evaluated> {
-        let nothing = || Error::new(ErrorKind::Argument, "no model is open", "open one");
-        let evaluation = self.evaluation.as_mut().ok_or_else(nothing)?;
+        let evaluation = self.evaluation.as_mut().ok_or_else(nothing_open)?;
         evaluation.update(steps, &self.plugins, effort, progress)
+    }
+
+    fn compared(&mut self, comparing: Comparing, progress: &dyn Progress) -> Result<Event> {
+        let evaluation = self.evaluation.as_ref().ok_or_else(nothing_open)?;
+        comparing.done(evaluation, &self.plugins, &mut self.revision, progress)
     }
 
     fn scene(&mut self, steps: &[Entry], effort: Effort, progress: &dyn Progress) -> Result<Scene> {
@@ -209,6 +223,10 @@ impl Thread {
         };
         self.writer = std::thread::Builder::new().name("writer".into()).spawn(work).ok();
     }
+}
+
+fn nothing_open() -> Error {
+    Error::new(ErrorKind::Argument, "no model is open", "open one")
 }
 
 fn event(job: Job, result: Result<Event>) -> Event {

@@ -30,7 +30,9 @@ impl State {
         }
         self.end_preview();
         (self.selection, self.selections) = (Selection::none(scene.len()), Default::default());
-        (self.chosen, self.stroke, self.depth, self.field) = (None, None, None, None);
+        (self.chosen, self.stroke, self.depth, self.named) = (None, None, None, None);
+        self.fields = [None, None];
+        self.unpin();
         (self.shown, self.floor) = (self.requested, self.requested);
         let bounds = scene.bounds().map(|corner| corner.as_dvec3());
         self.camera.frame(bounds, self.size);

@@ -87,12 +87,16 @@ impl State {
     pub(super) fn undo(&mut self) -> Result<()> {
         self.leave_selection();
         let depth = self.changes();
-        if let Some(left) = self.selections.done.pop_back_if(|left| left.depth == depth) {
+        if self.selections.is_last(depth)
+            && let Some(left) = self.selections.done.pop_back()
+        {
             let runs = self.exchange(&left);
             self.selections.undone.push(Left { depth, runs });
             return Ok(());
         }
-        self.document_mut()?.undo().ok_or_else(|| refused("there is nothing to undo", "go on"))?;
+        let former = self.steps_now()?;
+        let label = self.document_mut()?.undo();
+        self.swapped(&label.ok_or_else(|| refused("there is nothing to undo", "go on"))?, former);
         self.request(Effort::FULL);
         Ok(())
     }
@@ -105,7 +109,9 @@ impl State {
             self.selections.done.push_back(Left { depth, runs });
             return Ok(());
         }
-        self.document_mut()?.redo().ok_or_else(|| refused("there is nothing to do again", "go on"))?;
+        let former = self.steps_now()?;
+        let label = self.document_mut()?.redo();
+        self.swapped(&label.ok_or_else(|| refused("there is nothing to do again", "go on"))?, former);
         self.request(Effort::FULL);
         Ok(())
     }

@@ -1,7 +1,9 @@
 //! All that the window shows, and the one way to change it: [`State::apply`].
 
 mod edit;
+mod fields;
 mod history;
+mod pinned;
 mod preview;
 mod region;
 mod select;
@@ -11,11 +13,13 @@ mod view;
 use crate::camera::Camera;
 use crate::command::Command;
 use crate::engine::{Activity, Emerged, Engine, Event, Job, Opening, Wake};
-use crate::overlay::{Field, Overlay};
+use crate::overlay::Overlay;
 use crate::pick::DepthBuffer;
 use crate::record::Recorder;
 use crate::scene::Scene;
 use crate::selection::{Adjacency, Selection};
+use pinned::Pinned;
+pub use pinned::Version;
 use simod_core::reconstruction::Reconstructed;
 use simod_core::{Error, ErrorKind, Result};
 use simod_plugin_api::Effort;
@@ -71,8 +75,15 @@ pub struct State {
     recorder: Option<Recorder>,
     /// The depth buffer of a scene.
     depth: Option<(u64, DepthBuffer)>,
-    field: Option<(view::FieldKey, Field)>,
     preview: preview::Preview,
+    /// The numbers of both versions.
+    fields: [Option<fields::Known>; 2],
+    /// The version to compare with.
+    pinned: Option<Pinned>,
+    /// How many were pinned so far.
+    pins: u64,
+    /// What steps are called that were pinned before.
+    named: Option<(String, Arc<[Entry]>)>,
 }
 
 fn refused(what: impl Into<String>, hint: &str) -> Error {
@@ -103,8 +114,11 @@ impl State {
             notices: Vec::new(),
             recorder: None,
             depth: None,
-            field: None,
             preview: preview::Preview::default(),
+            fields: [None, None],
+            pinned: None,
+            pins: 0,
+            named: None,
         }
     }
 
@@ -176,6 +190,13 @@ impl State {
             Command::Camera(step) => self.move_camera(step),
             Command::Show(overlay) => self.show(overlay),
             Command::Preview { what } => self.preview(what),
+            Command::Pin => self.pin(),
+            Command::PinSession { path } => self.pin_session(&path),
+            Command::Unpin => {
+                self.unpin();
+                Ok(())
+            }
+            Command::SwapPinned => self.swap_pinned(),
         }
     }
 
@@ -208,15 +229,14 @@ impl State {
             }
             // Those of the model that was open before are of no use.
             Event::Evaluated { request, scene } => {
-                if let Some(open) = self.open.as_mut().filter(|_| request > self.floor) {
-                    open.show(*scene);
+                if self.open.is_some() && request > self.floor {
+                    self.show_scene(Arc::new(*scene));
                     self.shown = request;
-                    if self.selection.marks().len() != open.scene.len() {
-                        self.selection = self.selection.resized(&open.adjacency);
-                    }
                     self.follow_samples();
+                    self.compare();
                 }
             }
+            Event::Compared { number, scene, carried } => self.compared(number, scene, carried),
             Event::Written { output, report, seconds } => self.tell(Notice::Written(output, report, seconds)),
             Event::Detail { request, batch } => self.take_detail(request, *batch),
             Event::Streamed { request, report, seconds } => self.take_streamed(request, report, seconds),
@@ -225,8 +245,12 @@ impl State {
                 self.tell(Notice::Failed(job, error));
                 match job {
                     Job::Preview => self.stop_preview(),
-                    // It was interrupted for the model that could not be opened.
-                    Job::Open => self.stream_missing(),
+                    Job::Compare => self.not_compared(),
+                    // They were interrupted for the model that could not be opened.
+                    Job::Open => {
+                        self.compare_again();
+                        self.stream_missing();
+                    }
                     _ => {}
                 }
                 // Steps that were given up for a model that could not be opened.
@@ -234,6 +258,14 @@ impl State {
                     self.request(Effort::FULL);
                 }
             }
+        }
+    }
+
+    fn show_scene(&mut self, scene: Arc<Scene>) {
+        let Some(open) = &mut self.open else { return };
+        open.show(scene);
+        if self.selection.marks().len() != open.scene.len() {
+            self.selection = self.selection.resized(&open.adjacency);
         }
     }
 
@@ -343,11 +375,11 @@ impl Open {
         Self { editor, scene: Arc::new(scene), adjacency }
     }
 
-    fn show(&mut self, scene: Scene) {
+    fn show(&mut self, scene: Arc<Scene>) {
         if !Arc::ptr_eq(&self.scene.sampled, &scene.sampled) {
             self.adjacency = Arc::new(Adjacency::of_model(&scene.sampled));
         }
-        self.scene = Arc::new(scene);
+        self.scene = scene;
     }
 
     fn steps(&self) -> &Arc<[Entry]> {

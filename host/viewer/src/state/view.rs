@@ -3,22 +3,10 @@
 use super::{State, refused};
 use crate::camera::Camera;
 use crate::command::CameraMove;
-use crate::overlay::{self, Field, Overlay};
-use crate::selection::Selection;
+use crate::overlay::Overlay;
 use glam::{DVec2, DVec3};
 use simod_core::Result;
 use simod_plugin_api::Effort;
-use simod_session::edit::Entry;
-use std::sync::Arc;
-
-/// What a field depends on.
-pub(super) struct FieldKey {
-    overlay: Overlay,
-    revision: u64,
-    selection: Selection,
-    steps: Arc<[Entry]>,
-    chosen: Option<usize>,
-}
 
 impl State {
     /// The camera.
@@ -42,6 +30,7 @@ impl State {
         if overlay == Overlay::TransferError && !is_there {
             self.request(Effort::FULL);
         }
+        self.compare();
         Ok(())
     }
 
@@ -88,37 +77,5 @@ impl State {
             (min, max) = (min.min(p.as_dvec3()), max.max(p.as_dvec3()));
         }
         camera.frame([min, max], self.size);
-    }
-
-    /// The numbers that are shown on the surface; nothing where only the surface is.
-    pub fn field(&mut self) -> Option<&Field> {
-        let scene = self.scene()?.clone();
-        let steps = self.document()?.steps().clone();
-        let (overlay, revision, chosen) = (self.overlay, scene.revision, self.chosen());
-        let is_known = |key: &FieldKey| {
-            key.overlay == overlay
-                && key.revision == revision
-                && match overlay {
-                    Overlay::Selection => key.selection == self.selection,
-                    Overlay::Region(_) => Arc::ptr_eq(&key.steps, &steps) && key.chosen == chosen,
-                    _ => true,
-                }
-        };
-        if !self.field.as_ref().is_some_and(|(key, _)| is_known(key)) {
-            let field = match overlay {
-                Overlay::None => return None,
-                Overlay::Selection => overlay::selection(&self.selection),
-                Overlay::Region(region) => {
-                    overlay::region(&scene, self.before(chosen?).ok()?, self.shapes(chosen?, region).ok()?)
-                }
-                Overlay::Displacement => overlay::displacement(&scene),
-                Overlay::Stretch => overlay::stretch(&scene),
-                Overlay::Density => overlay::density(&scene),
-                Overlay::TransferError => overlay::transfer_error(&scene)?,
-            };
-            let key = FieldKey { overlay, revision, selection: self.selection.clone(), steps, chosen };
-            self.field = Some((key, field));
-        }
-        self.field.as_ref().map(|(_, field)| field)
     }
 }

@@ -20,7 +20,7 @@ use simod_viewer::camera::{Projection, Standard};
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::engine::Job;
 use simod_viewer::selection::Combine;
-use simod_viewer::{Command, Overlay, Previewed, State};
+use simod_viewer::{Command, Overlay, Previewed, State, Version};
 use std::collections::BTreeSet;
 
 fn area() -> impl Strategy<Value = Area> {
@@ -94,6 +94,7 @@ fn command() -> impl Strategy<Value = Command> {
         Overlay::Stretch,
         Overlay::Density,
         Overlay::TransferError,
+        Overlay::Difference,
     ]);
     let previewed = vec![Previewed::Seen, Previewed::Selection, Previewed::Nothing];
     let point = prop::array::uniform3(-1.0..1.0_f64).prop_map(DVec3::from);
@@ -126,6 +127,9 @@ fn command() -> impl Strategy<Value = Command> {
         2 => prop::sample::select(previewed).prop_map(|what| Command::Preview { what }),
         2 => camera().prop_map(Command::Camera),
         1 => overlay.prop_map(Command::Show),
+        1 => Just(Command::Pin),
+        1 => Just(Command::SwapPinned),
+        1 => Just(Command::Unpin),
         1 => prop::array::uniform2(-10.0..2000.0_f64).prop_map(|size| Command::Resize { size }),
     ]
 }
@@ -157,9 +161,12 @@ fn check(state: &mut State) {
         assert_eq!(detail.figures().vertices, alive);
         assert!(held <= 2 * VERTICES, "{held} vertices");
     }
-    if let Some(field) = state.field() {
-        assert_eq!(field.values.len(), scene.len());
-        assert!(field.values.iter().all(|x| x.is_finite()));
+    for version in [Version::Now, Version::Pinned] {
+        let samples = state.scene_of(version).map(|scene| scene.len());
+        if let Some(field) = state.field_of(version) {
+            assert_eq!(Some(field.values.len()), samples);
+            assert!(field.values.iter().all(|x| x.is_finite()));
+        }
     }
 }
 

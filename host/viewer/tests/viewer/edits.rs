@@ -21,7 +21,7 @@ use std::sync::{Arc, Mutex};
 
 /// What was recorded, to be looked at later.
 #[derive(Clone, Default)]
-struct Tape(Arc<Mutex<Vec<u8>>>);
+pub(super) struct Tape(pub Arc<Mutex<Vec<u8>>>);
 
 impl Write for Tape {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {

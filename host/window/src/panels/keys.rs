@@ -5,7 +5,7 @@ use crate::window::Window;
 use eframe::egui::{self, Grid, RichText, ScrollArea};
 
 /// What the pointer does, whatever the preset.
-const POINTER: [(&str, &str); 7] = [
+const POINTER: [(&str, &str); 8] = [
     ("Left drag beside a handle, or with Alt", "look around"),
     ("Shift + left drag, right drag", "move the picture"),
     ("Wheel, pinch", "zoom to the pointer"),
@@ -13,6 +13,7 @@ const POINTER: [(&str, &str); 7] = [
     ("Arrow keys", "look around in steps"),
     ("[ and ]", "size of the brush"),
     ("Ctrl while a handle is dragged", "in steps"),
+    ("X, held", "the pinned version in place"),
 ];
 
 /// The middle button, or Alt with buttons, by preset.

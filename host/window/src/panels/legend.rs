@@ -20,6 +20,7 @@ fn title(overlay: Overlay) -> Option<(String, &'static str)> {
         Overlay::Displacement => ("Displacement".to_owned(), "model units"),
         Overlay::Stretch => ("Stretch".to_owned(), "times"),
         Overlay::Density => ("Sample distance".to_owned(), "model units"),
+        Overlay::Difference => ("Difference".to_owned(), "model units"),
         Overlay::TransferError => ("Expected transfer error".to_owned(), "model units"),
     })
 }

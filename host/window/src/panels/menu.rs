@@ -8,11 +8,12 @@ use eframe::egui::{self, Button, Frame, Margin, MenuBar, Panel, RichText, Ui};
 use simod_session::Plugin;
 use simod_viewer::{Command, Navigation};
 
-const MENUS: [(&str, Menu); 7] = [
+const MENUS: [(&str, Menu); 8] = [
     ("File", Menu::File),
     ("Edit", Menu::Edit),
     ("Select", Menu::Select),
     ("View", Menu::View),
+    ("Compare", Menu::Compare),
     ("Overlay", Menu::Overlay),
     ("Tool", Menu::Tool),
     ("Help", Menu::Help),

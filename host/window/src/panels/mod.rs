@@ -7,6 +7,7 @@ pub mod menu;
 pub mod over;
 mod palette;
 mod parameters;
+mod pinned;
 pub mod progress;
 mod prompt;
 mod questions;
@@ -17,6 +18,7 @@ pub mod status;
 mod steps;
 mod toasts;
 pub mod tools;
+mod turntable;
 pub mod welcome;
 
 use crate::window::Window;
@@ -25,9 +27,11 @@ pub use palette::Palette;
 pub use prompt::Prompt;
 pub use report::Report;
 pub use toasts::Toasts;
+pub use turntable::Turntable;
 
 /// Windows over all the rest.
 pub fn floating(ctx: &egui::Context, window: &mut Window) {
+    turntable::show(ctx, window);
     prompt::show(ctx, window);
     questions::show(ctx, window);
     palette::show(ctx, window);

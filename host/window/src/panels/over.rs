@@ -1,6 +1,6 @@
 //! Over the picture: options of the tool, what is being done, and what colours mean.
 
-use super::{detail, legend, progress};
+use super::{detail, legend, pinned, progress};
 use crate::tools::Tool;
 use crate::window::Window;
 use eframe::egui::{
@@ -14,12 +14,13 @@ const MARGIN: f32 = 12.0;
 
 /// All of it.
 pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
-    if window.tools.tool.selects() || window.tools.tool == Tool::Stroke {
+    if window.tools.has_options() {
         options(ui, rect, window);
     }
     legend::show(ui, rect, window);
     detail::show(ui, rect, window);
     progress::show(ui, rect, window);
+    pinned::show(ui, rect, window);
 }
 
 /// A panel over the picture.

@@ -2,9 +2,9 @@
 
 use super::{bytes, over::card};
 use crate::window::Window;
-use eframe::egui::{Align, Layout, ProgressBar, Rect, RichText, Spinner, Ui, UiBuilder, pos2, vec2};
+use eframe::egui::{Align, Layout, ProgressBar, Rect, RichText, Spinner, Ui, UiBuilder, pos2};
 use simod_viewer::Command;
-use simod_viewer::engine::Job;
+use simod_viewer::engine::{Activity, Job};
 
 /// What takes longer is shown, in seconds.
 const PATIENCE: f64 = 0.4;
@@ -18,47 +18,59 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
         (Job::Write, "Writing"),
         (Job::Evaluate, "Deforming"),
         (Job::Preview, "Full detail"),
+        (Job::Compare, "Comparing"),
     ] {
         let Some(activity) = window.state().activity(job) else { continue };
         // It may be over before anybody could read it.
         let left = PATIENCE - activity.seconds;
-        if left > 0.0 && matches!(job, Job::Evaluate | Job::Preview) {
+        if left > 0.0 && matches!(job, Job::Evaluate | Job::Preview | Job::Compare) {
             ui.ctx().request_repaint_after(std::time::Duration::from_secs_f64(left));
             continue;
         }
-        let [width, height] = SIZE;
-        let min = pos2(rect.center().x - 0.5 * width, bottom - height);
-        let area = Rect::from_min_size(min, vec2(width, height));
-        let builder = UiBuilder::new().max_rect(area).layout(Layout::top_down(Align::Min));
-        ui.scope_builder(builder, |ui| {
-            card(ui).show(ui, |ui| {
-                ui.set_width(width - 20.0);
-                ui.horizontal(|ui| {
-                    ui.add(Spinner::new().size(14.0));
-                    ui.label(RichText::new(what).strong());
-                    ui.label(RichText::new(activity.stage).weak());
-                    ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                        if ui.button("Cancel").clicked() {
-                            window.apply(Command::Cancel { job });
-                        }
-                    });
-                });
-                if let Some(fraction) = activity.fraction {
-                    ui.add(ProgressBar::new(fraction).desired_height(8.0));
-                }
-                let mut line = format!("{:.0} s", activity.seconds);
-                if activity.rate > 0.0 && activity.fraction.is_some() {
-                    line += &format!("   \u{00b7}   {}/s", bytes(activity.rate));
-                }
-                if let Some(memory) = activity.memory {
-                    line += &format!("   \u{00b7}   {} of memory", bytes(memory as f64));
-                }
-                ui.label(RichText::new(line).small().weak());
-            });
-        });
-        bottom -= height + 8.0;
+        if shown(ui, rect, &mut bottom, what, &activity) {
+            window.apply(Command::Cancel { job });
+        }
     }
-    if window.state().is_busy() {
+    if let Some(turning) = &window.turning
+        && shown(ui, rect, &mut bottom, "Turntable", &turning.activity())
+    {
+        turning.cancel();
+    }
+    if window.state().is_busy() || window.turning.is_some() {
         ui.ctx().request_repaint_after(std::time::Duration::from_millis(200));
     }
+}
+
+/// Something that goes on, above the others. Whether it shall be stopped.
+fn shown(ui: &mut Ui, rect: Rect, bottom: &mut f32, what: &str, activity: &Activity) -> bool {
+    let [width, height] = SIZE;
+    let area = Rect::from_min_size(pos2(rect.center().x - 0.5 * width, *bottom - height), SIZE.into());
+    let builder = UiBuilder::new().max_rect(area).layout(Layout::top_down(Align::Min));
+    let mut stop = false;
+    ui.scope_builder(builder, |ui| {
+        card(ui).show(ui, |ui| {
+            ui.set_width(width - 20.0);
+            ui.horizontal(|ui| {
+                ui.add(Spinner::new().size(14.0));
+                ui.label(RichText::new(what).strong());
+                ui.label(RichText::new(activity.stage).weak());
+                ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                    stop = ui.button("Cancel").clicked();
+                });
+            });
+            if let Some(fraction) = activity.fraction {
+                ui.add(ProgressBar::new(fraction).desired_height(8.0));
+            }
+            let mut line = format!("{:.0} s", activity.seconds);
+            if activity.rate > 0.0 && activity.fraction.is_some() {
+                line += &format!("   \u{00b7}   {}/s", bytes(activity.rate));
+            }
+            if let Some(memory) = activity.memory {
+                line += &format!("   \u{00b7}   {} of memory", bytes(memory as f64));
+            }
+            ui.label(RichText::new(line).small().weak());
+        });
+    });
+    *bottom -= height + 8.0;
+    stop
 }

@@ -2,13 +2,14 @@
 
 use super::{menu, side};
 use crate::regions;
+use crate::theme;
 use crate::window::Window;
 use eframe::egui::{
-    self, Align, Button, Color32, CornerRadius, Frame, Layout, Margin, RichText, Sense, Spinner, Stroke, Ui,
-    UiBuilder,
+    self, Align, Align2, Button, Color32, CornerRadius, CursorIcon, FontId, Frame, LayerId, Layout, Margin,
+    Order, Response, RichText, Sense, Spinner, Stroke, Ui, UiBuilder, vec2,
 };
 use simod_core::refinement::Finer;
-use simod_session::edit::{self, Change, Entry, Status};
+use simod_session::edit::{self, Change, Entry, Status, StepId};
 use simod_session::session_file::Action;
 use simod_viewer::Command;
 
@@ -46,14 +47,45 @@ fn row(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize)
         .inner_margin(Margin::symmetric(8, 5));
     let name = title(window, entry);
     // What is in the row comes later, and before it: it takes its clicks first.
-    let builder = UiBuilder::new().id_salt(entry.id).sense(Sense::click());
+    let builder = UiBuilder::new().id_salt(entry.id).sense(Sense::click_and_drag());
     let whole = ui.scope_builder(builder, |ui| {
         frame.show(ui, |ui| content(ui, window, at, entry, count, &name));
     });
     if whole.response.clicked() {
         choose(window, at, chosen);
     }
+    reorder(ui, window, at, entry.id, &name, &whole.response);
     ui.add_space(1.0);
+}
+
+/// A step that is dragged to another place.
+struct Dragged(StepId);
+
+/// The row can be dragged between others, and others beside it.
+fn reorder(ui: &Ui, window: &mut Window, at: usize, id: StepId, name: &str, row: &Response) {
+    row.dnd_set_drag_payload(Dragged(id));
+    let Some(pointer) = ui.input(|i| i.pointer.latest_pos()) else { return };
+    if row.dragged() {
+        ui.set_cursor_icon(CursorIcon::Grabbing);
+        let layer = LayerId::new(Order::Tooltip, row.id);
+        let (font, color) = (FontId::proportional(13.0), ui.visuals().strong_text_color());
+        let place = pointer + vec2(14.0, 2.0);
+        ui.layer_painter(layer).text(place, Align2::LEFT_TOP, name, font, color);
+    }
+    let Some(dragged) = row.dnd_hover_payload::<Dragged>() else { return };
+    let below = pointer.y > row.rect.center().y;
+    let y = if below { row.rect.bottom() } else { row.rect.top() };
+    ui.painter().hline(row.rect.x_range(), y, Stroke::new(2.0, theme::ACCENT));
+    if row.dnd_release_payload::<Dragged>().is_none() {
+        return;
+    }
+    let Some(from) = window.steps().iter().position(|entry| entry.id == dragged.0) else { return };
+    // Its place once it has left the one where it is.
+    let gap = at + usize::from(below);
+    let to = if gap > from { gap - 1 } else { gap };
+    if to != from {
+        window.apply(Command::Edit(edit::Command::Move { from, to }));
+    }
 }
 
 fn content(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize, name: &str) {

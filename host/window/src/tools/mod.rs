@@ -159,6 +159,11 @@ impl Tools {
         self.dragging || !self.path.is_empty()
     }
 
+    /// Whether options of the tool are shown over the picture.
+    pub fn has_options(&self) -> bool {
+        self.tool.selects() || self.tool == Tool::Stroke
+    }
+
     /// What a selection does with these keys held.
     fn combine_with(&self, modifiers: Modifiers) -> Combine {
         match (modifiers.shift, modifiers.command) {

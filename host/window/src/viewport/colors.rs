@@ -7,7 +7,7 @@ use simod_session::Shapes;
 use simod_session::edit::StepId;
 use simod_session::session_file::Role;
 use simod_viewer::overlay::{self, Field};
-use simod_viewer::{Overlay, Scene, Selection};
+use simod_viewer::{Overlay, Scene, Selection, Version};
 use std::sync::Arc;
 
 /// How much of a selected sample's colour is that of the selection.
@@ -19,8 +19,10 @@ const REGION: f32 = 0.62;
 struct Key {
     samples: usize,
     overlay: Overlay,
-    /// Of the scene, where an overlay is shown that depends on it.
-    revision: Option<u64>,
+    /// Of both versions, where an overlay is shown: its scale is that of both.
+    revisions: Option<[Option<u64>; 2]>,
+    /// Of the overlay's scale.
+    range: Option<[f32; 2]>,
     selection: Selection,
     regions: Option<Regions>,
     /// Whether parts are shown in full.
@@ -46,15 +48,19 @@ pub struct Colors {
 }
 
 impl Colors {
-    /// Finds the samples' colours. Whether they have changed.
-    pub fn update(&mut self, window: &mut Window, scene: &Arc<Scene>) -> bool {
-        let key = key(window, scene);
+    /// Finds the samples' colours. Whether they have changed. The selection and regions are of
+    /// the version that is worked on.
+    pub fn update(&mut self, window: &mut Window, version: Version, scene: &Arc<Scene>) -> bool {
+        let key = match version {
+            Version::Now => key(window, scene),
+            Version::Pinned => plain(window, scene),
+        };
         let changed = key != self.key;
         if changed {
             if key.regions != self.key.regions || key.samples != self.key.samples {
                 self.weights = weights(window, scene, &key);
             }
-            self.colors = self.made(window, scene, &key);
+            self.colors = self.made(window, version, scene, &key);
             self.tinted = key.detail.then(|| sample_colors(scene.len(), self.colors.as_deref()));
             self.key = key;
         }
@@ -71,12 +77,12 @@ impl Colors {
         self.tinted.as_deref().or(self.colors.as_deref())
     }
 
-    fn made(&self, window: &mut Window, scene: &Scene, key: &Key) -> Option<Vec<[u8; 3]>> {
-        let plain = key.overlay == Overlay::None && self.weights.is_empty();
-        if plain && key.selection.is_empty() {
+    fn made(&self, window: &mut Window, version: Version, scene: &Scene, key: &Key) -> Option<Vec<[u8; 3]>> {
+        let field = window.state_mut().field_of(version);
+        if field.is_none() && self.weights.is_empty() && key.selection.is_empty() {
             return None;
         }
-        let mut colors = match window.state_mut().field() {
+        let mut colors = match field {
             Some(field) => (0..scene.len()).map(|i| field.color(i)).collect(),
             None => vec![theme::CLAY; scene.len()],
         };
@@ -96,21 +102,24 @@ impl Colors {
     }
 }
 
-fn key(window: &Window, scene: &Arc<Scene>) -> Key {
+/// Of a version with nothing but the overlay.
+fn plain(window: &mut Window, scene: &Scene) -> Key {
     let overlay = window.state().overlay();
+    let revision = |version| window.state().scene_of(version).map(|scene| scene.revision);
+    let revisions = [Version::Now, Version::Pinned].map(revision);
+    let range = window.state_mut().field().map(|field| field.range);
+    let revisions = (overlay != Overlay::None).then_some(revisions);
+    Key { samples: scene.len(), overlay, revisions, range, ..Key::default() }
+}
+
+fn key(window: &mut Window, scene: &Arc<Scene>) -> Key {
     let regions = window.chosen().filter(|_| window.looks.regions).map(|(at, id, deformation, _)| {
         let shapes = deformation.regions.into_iter().map(|r| (r.role, r.shapes)).collect();
         let before = scene.before.get(at).map_or(0, |before| before.as_ptr() as usize);
         Regions { step: id, shapes, before }
     });
-    Key {
-        samples: scene.len(),
-        overlay,
-        revision: (overlay != Overlay::None).then_some(scene.revision),
-        selection: window.state().selection().clone(),
-        regions,
-        detail: window.state().detail().is_some(),
-    }
+    let (selection, detail) = (window.state().selection().clone(), window.state().detail().is_some());
+    Key { selection, regions, detail, ..plain(window, scene) }
 }
 
 fn weights(window: &Window, scene: &Scene, key: &Key) -> Vec<(Role, Field)> {

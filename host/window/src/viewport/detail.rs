@@ -2,10 +2,12 @@
 
 use crate::screenshot::RADIUS;
 use crate::theme;
+use simod_core::detail::Batch;
 use simod_scene::{BadSurface, Scene, Surface};
 use simod_viewer::Detail;
 use simod_viewer::detail::Piece;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Of a splat that is not drawn.
 const HIDDEN: f32 = -1.0;
@@ -38,25 +40,40 @@ impl Pieces {
             if known == Some(piece.revision) && !recolored {
                 continue;
             }
-            let (radii, colors) = (radii(piece), of_vertices(piece, colors));
+            let splats = splats(piece, colors);
             if known.is_some() {
-                scene.set_detail_colors(*number, &radii, Some(&colors))?;
+                scene.set_detail_colors(*number, &splats.radii, Some(&splats.colors))?;
             } else {
-                let batch = &piece.batch;
-                scene.set_detail(
-                    *number,
-                    Some(&Surface {
-                        positions: &batch.positions,
-                        normals: &batch.normals,
-                        radii: &radii,
-                        colors: Some(&colors),
-                        triangles: &[],
-                    }),
-                )?;
+                scene.set_detail(*number, Some(&splats.surface()))?;
             }
         }
         Ok(())
     }
+}
+
+/// A piece as it is drawn.
+pub struct Splats {
+    batch: Arc<Batch>,
+    radii: Vec<f32>,
+    colors: Vec<[u8; 3]>,
+}
+
+impl Splats {
+    /// As the renderer takes it.
+    pub fn surface(&self) -> Surface<'_> {
+        Surface {
+            positions: &self.batch.positions,
+            normals: &self.batch.normals,
+            radii: &self.radii,
+            colors: Some(&self.colors),
+            triangles: &[],
+        }
+    }
+}
+
+/// A piece in the samples' colours.
+pub fn splats(piece: &Piece, colors: Option<&[[u8; 3]]>) -> Splats {
+    Splats { batch: piece.batch.clone(), radii: radii(piece), colors: of_vertices(piece, colors) }
 }
 
 fn radii(piece: &Piece) -> Vec<f32> {

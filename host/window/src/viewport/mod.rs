@@ -8,13 +8,15 @@ pub mod handles;
 mod navigate;
 mod picture;
 mod texture;
+mod versions;
 
 use crate::window::Window;
 use crate::{panels, tools};
 use eframe::egui::{self, CentralPanel, Event, Painter, PointerButton, Pos2, Rect, Response, Sense, Ui};
 use glam::DVec2;
 pub use picture::Viewport;
-use simod_viewer::Command;
+use simod_viewer::{Command, Version};
+use versions::Places;
 
 /// The part of the window that shows the model.
 pub struct Canvas<'a> {
@@ -122,20 +124,27 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
         let rect = ui.available_rect_before_wrap();
         let response = ui.allocate_rect(rect, Sense::click_and_drag());
         response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, "Model"));
+        let places = Places::of(rect, window);
+        let main = places.main().unwrap_or(rect);
         let pixels_per_point = ui.pixels_per_point();
-        let size = rect.size() * pixels_per_point;
+        let size = main.size() * pixels_per_point;
         let size = [f64::from(size.x.round().max(1.0)), f64::from(size.y.round().max(1.0))];
         if window.state().size() != size {
             window.apply(Command::Resize { size });
         }
-        let painter = ui.painter_at(rect);
+        viewport.tidy(window);
+        let painter = ui.painter_at(main);
         // Drawn first, and filled once the pointer has moved the camera.
-        let picture = painter.add(egui::Shape::Noop);
-        let over_corner = corner::contains(rect, ui.ctx());
-        let canvas = Canvas { response: &response, painter, rect, pixels_per_point, blocked: over_corner };
-        if let Some(emerging) = viewport.emerging(&canvas, window) {
-            navigate::update(&canvas, window);
-            canvas.painter().set(picture, emerging);
+        let whole = ui.painter_at(rect);
+        let picture = whole.add(egui::Shape::Noop);
+        let over_corner = corner::contains(main, ui.ctx());
+        let canvas = |rect, blocked| {
+            let painter = painter.clone();
+            Canvas { response: &response, painter, rect, pixels_per_point, blocked: blocked || over_corner }
+        };
+        if let Some(emerging) = viewport.emerging(&canvas(main, false), window) {
+            navigate::update(&canvas(main, false), window, window.tools.tool);
+            whole.set(picture, emerging);
             panels::progress::show(ui, rect, window);
             return;
         }
@@ -144,18 +153,28 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
             panels::welcome::show(ui, rect, window);
             return;
         }
-        if window.looks.handles {
-            handles::draw(&canvas, window);
-        }
-        let taken = tools::update(&canvas, window);
-        if !taken {
-            navigate::update(&canvas, window);
-            if canvas.is_clicked() && window.tools.tool.grabs() {
+        // The pinned version is looked at only.
+        let looks = places.under(ui) == Some(Version::Pinned) && !window.tools.is_dragging();
+        let mut taken = false;
+        if places.now.is_some() {
+            let canvas = canvas(main, looks);
+            if window.looks.handles {
+                handles::draw(&canvas, window);
+            }
+            taken = tools::update(&canvas, window);
+            if !taken && !looks && canvas.is_clicked() && window.tools.tool.grabs() {
                 handles::take(&canvas, window);
             }
         }
-        canvas.painter().set(picture, viewport.picture(&canvas, window));
-        corner::show(ui, rect, window);
+        if looks {
+            navigate::update(&canvas(places.pinned.unwrap_or(main), false), window, tools::Tool::Orbit);
+        } else if !taken {
+            navigate::update(&canvas(main, false), window, window.tools.tool);
+        }
+        let pictures = places.pictures(viewport, window);
+        whole.set(picture, egui::Shape::Vec(pictures));
+        versions::captions(ui, rect, &places, window);
+        corner::show(ui, main, window);
         panels::over::show(ui, rect, window);
     });
 }

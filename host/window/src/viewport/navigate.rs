@@ -21,8 +21,9 @@ const BUTTONS: [(PointerButton, Button); 3] = [
     (PointerButton::Secondary, Button::Right),
 ];
 
-pub fn update(canvas: &Canvas<'_>, window: &mut Window) {
-    drag(canvas, window);
+/// With this tool in the hand.
+pub fn update(canvas: &Canvas<'_>, window: &mut Window, tool: Tool) {
+    drag(canvas, window, tool);
     if canvas.is_hovered() {
         wheel(canvas, window);
         pinch(canvas, window);
@@ -30,12 +31,12 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) {
     keys(canvas, window);
 }
 
-fn drag(canvas: &Canvas<'_>, window: &mut Window) {
+fn drag(canvas: &Canvas<'_>, window: &mut Window, tool: Tool) {
     let held = canvas.modifiers();
     let modifiers = Modifiers { shift: held.shift, control: held.command, alt: held.alt };
     let moves = |w: &Window, button| {
         let preset = w.settings.navigation().drag(button, modifiers);
-        preset.or_else(|| free(w.tools.tool, button, modifiers))
+        preset.or_else(|| free(tool, button, modifiers))
     };
     let Some((_, button)) = BUTTONS.into_iter().find(|(b, _)| canvas.response.dragged_by(*b)) else { return };
     let Some(drag) = moves(window, button) else { return };

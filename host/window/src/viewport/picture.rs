@@ -11,7 +11,7 @@ use crate::window::Window;
 use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
 use eframe::egui_wgpu::RenderState;
 use simod_scene::{Budget, Gpu, Mode, Scene, Style, Surface, View};
-use simod_viewer::Detail;
+use simod_viewer::{Detail, Version};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -21,15 +21,24 @@ const GOALS: [Duration; 2] = [Duration::from_millis(12), Duration::from_millis(4
 /// How long a picture at rest may take, by what the budget knows, in seconds.
 const PATIENCE: f64 = 0.6;
 
-/// The picture.
-pub struct Viewport(Option<Drawing>);
+/// The pictures of both versions.
+pub struct Viewport(Option<Pictures>);
+
+struct Pictures {
+    render: RenderState,
+    now: Drawing,
+    /// While there is a pinned version, once it was shown.
+    pinned: Option<Drawing>,
+    /// Of a model that is being opened.
+    emerging: Option<Emerging>,
+}
 
 struct Drawing {
-    render: RenderState,
+    version: Version,
     scene: Scene,
-    budget: Budget,
+    /// With how many pictures share a frame.
+    budget: (u32, Budget),
     texture: Texture,
-    emerging: Option<Emerging>,
     colors: Colors,
     shown: Option<Arc<simod_viewer::Scene>>,
     pieces: Pieces,
@@ -43,7 +52,12 @@ struct Drawing {
 impl Viewport {
     /// None in tests that have nothing to draw with.
     pub fn new(render: Option<&RenderState>) -> Self {
-        Self(render.map(Drawing::new))
+        Self(render.map(|render| Pictures {
+            render: render.clone(),
+            now: Drawing::new(Version::Now, render),
+            pinned: None,
+            emerging: None,
+        }))
     }
 
     /// The card went away: nothing is drawn any more.
@@ -61,11 +75,26 @@ impl Viewport {
         self.0.as_mut()?.emerging(canvas, window)
     }
 
-    /// What to draw where the model is.
-    pub fn picture(&mut self, canvas: &Canvas<'_>, window: &mut Window) -> Shape {
+    /// What to draw where a version is. `share` is how many pictures share a frame.
+    pub fn picture(&mut self, rect: Rect, version: Version, share: u32, window: &mut Window) -> Shape {
         match &mut self.0 {
-            Some(drawing) => drawing.picture(canvas, window),
-            None => background(canvas.rect(), window.settings.theme),
+            Some(Pictures { render, now, pinned, .. }) => match version {
+                Version::Now => now.picture(rect, share, window),
+                Version::Pinned => {
+                    let drawing = pinned.get_or_insert_with(|| Drawing::new(version, render));
+                    drawing.picture(rect, share, window)
+                }
+            },
+            None => background(rect, window.settings.theme),
+        }
+    }
+
+    /// Lets go of the pinned version where it is not there any more.
+    pub fn tidy(&mut self, window: &Window) {
+        if let Some(pictures) = &mut self.0
+            && window.state().pinned().is_none()
+        {
+            pictures.pinned = None;
         }
     }
 }
@@ -90,16 +119,33 @@ fn background(rect: Rect, theme: Theme) -> Shape {
     Shape::mesh(mesh)
 }
 
+fn gpu_of(render: &RenderState) -> Gpu {
+    Gpu::of(render.device.clone(), render.queue.clone(), &render.adapter.get_info())
+}
+
+impl Pictures {
+    fn emerging(&mut self, canvas: &Canvas<'_>, window: &Window) -> Option<Shape> {
+        if !window.state().is_opening() {
+            self.emerging = None;
+            return None;
+        }
+        if self.emerging.is_none() {
+            window.state().emerged(|_| ())?;
+            self.emerging = Some(Emerging::new(&self.render, &gpu_of(&self.render)));
+        }
+        self.emerging.as_mut()?.picture(canvas, window).ok()
+    }
+}
+
 impl Drawing {
-    fn new(render: &RenderState) -> Self {
-        let gpu = Gpu::of(render.device.clone(), render.queue.clone(), &render.adapter.get_info());
-        let budget = Budget::new(GOALS[usize::from(gpu.is_software())]);
+    fn new(version: Version, render: &RenderState) -> Self {
+        let gpu = gpu_of(render);
+        let goal = GOALS[usize::from(gpu.is_software())];
         Self {
-            render: render.clone(),
+            version,
             scene: Scene::new(&gpu),
-            budget,
+            budget: (1, Budget::new(goal)),
             texture: Texture::new(render),
-            emerging: None,
             colors: Colors::default(),
             shown: None,
             pieces: Pieces::default(),
@@ -109,9 +155,8 @@ impl Drawing {
         }
     }
 
-    fn picture(&mut self, canvas: &Canvas<'_>, window: &mut Window) -> Shape {
-        let rect = canvas.rect();
-        let Some(scene) = window.state().scene().cloned() else {
+    fn picture(&mut self, rect: Rect, share: u32, window: &mut Window) -> Shape {
+        let Some(scene) = window.state().scene_of(self.version).cloned() else {
             return background(rect, window.settings.theme);
         };
         if let Err(error) = self.upload(&scene, window) {
@@ -137,13 +182,16 @@ impl Drawing {
         };
         let started = Instant::now();
         let before = self.scene.drawn();
-        let moves = canvas.ctx().input(|i| i.pointer.any_down()) || self.seen != Some(view);
+        let goal = GOALS[usize::from(self.scene.gpu().is_software())] / share;
+        if self.budget.0 != share {
+            self.budget = (share, Budget::new(goal));
+        }
+        let moves = window.ctx().input(|i| i.pointer.any_down()) || self.seen != Some(view);
         self.seen = Some(view);
         // At rest all is drawn at once, unless that would take too long to wait for.
-        let parts = self.scene.splats() as f64 / self.budget.splats() as f64;
-        let takes = parts * GOALS[usize::from(self.scene.gpu().is_software())].as_secs_f64();
-        let whole = !moves && takes < PATIENCE;
-        let budget = (!whole).then_some(&mut self.budget);
+        let parts = self.scene.splats() as f64 / self.budget.1.splats() as f64;
+        let whole = !moves && parts * goal.as_secs_f64() < PATIENCE / f64::from(share);
+        let budget = (!whole).then_some(&mut self.budget.1);
         let picture = self.scene.render(&view, &style, budget).clone();
         let drawn = self.scene.drawn();
         // Without a budget the card goes on drawing meanwhile.
@@ -151,23 +199,10 @@ impl Drawing {
             window.frame_time = started.elapsed();
         }
         if !drawn.complete {
-            canvas.ctx().request_repaint();
+            window.ctx().request_repaint();
         }
         self.texture.set(&picture, view.size);
         self.texture.show(rect)
-    }
-
-    fn emerging(&mut self, canvas: &Canvas<'_>, window: &Window) -> Option<Shape> {
-        if !window.state().is_opening() {
-            self.emerging = None;
-            return None;
-        }
-        if self.emerging.is_none() {
-            let gpu = self.scene.gpu();
-            window.state().emerged(|_| ())?;
-            self.emerging = Some(Emerging::new(&self.render, gpu));
-        }
-        self.emerging.as_mut()?.picture(canvas, window).ok()
     }
 
     /// Of all that is shown.
@@ -197,8 +232,8 @@ impl Drawing {
         let same = same_samples && known.is_some_and(|known| known.revision == scene.revision);
         let sampled = &scene.sampled;
         let samples = &sampled.samples;
-        let recolored = self.colors.update(window, scene);
-        let detail = window.state().detail();
+        let recolored = self.colors.update(window, self.version, scene);
+        let detail = window.state().detail().filter(|_| self.version == Version::Now);
         let revision = detail.map(Detail::revision);
         let covers_others = revision != std::mem::replace(&mut self.detail, revision);
         let (colors, radii) = (self.colors.of_samples(), || sample_radii(samples.spacing(), detail));

@@ -109,6 +109,39 @@ fn an_edit_by_names_gives_the_bytes_of_the_command_line() {
 }
 
 #[test]
+fn a_step_is_dragged_to_another_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut harness = window();
+    open(&mut harness, &model(folder.path()));
+    let names = ["warp", "rbf", "lattice"];
+    for plugin in names {
+        done(&mut harness, Command::AddStep { plugin: plugin.to_owned(), at: None });
+    }
+    let order = |harness: &Harness<'_, App>| -> Vec<String> {
+        let steps = harness.state().window().steps();
+        steps.iter().map(|entry| entry.step.name().to_owned()).collect()
+    };
+    let place = |harness: &Harness<'_, App>, id: &str| {
+        let name = plugins().get(id).unwrap().name().to_owned();
+        harness.get_by_label(&format!("Enable {name}")).rect().center() + egui::vec2(60.0, 0.0)
+    };
+    let above = egui::vec2(0.0, -6.0);
+    let (from, to) = (place(&harness, "lattice"), place(&harness, "warp") + above);
+    super::compare::drag(&mut harness, from, to);
+    assert_eq!(order(&harness), ["lattice", "warp", "rbf"]);
+    // That one has something to say, so that its row is higher.
+    let (from, to) = (place(&harness, "lattice"), place(&harness, "rbf") - 4.0 * above);
+    super::compare::drag(&mut harness, from, to);
+    assert_eq!(order(&harness), names);
+    // Beside itself, it stays.
+    let (from, to) = (place(&harness, "rbf"), place(&harness, "warp") - above);
+    super::compare::drag(&mut harness, from, to);
+    assert_eq!(order(&harness), names);
+    done(&mut harness, Command::Undo);
+    assert_eq!(order(&harness), ["lattice", "warp", "rbf"], "a drag is one change");
+}
+
+#[test]
 fn an_error_is_told_with_its_hint_and_changes_nothing() {
     let mut harness = window();
     let window = harness.state_mut().window_mut();

@@ -1,0 +1,87 @@
+//! Another version of the edit, made to be compared with the one that is shown.
+
+use super::Event;
+use crate::scene::{Scene, common};
+use glam::Vec3;
+use simod_core::reconstruction::{DeformationField, Method, Surroundings};
+use simod_core::refinement::appended_deformed;
+use simod_core::sampled_model::SampledModel;
+use simod_core::{Error, Progress, Result};
+use simod_plugin_api::Effort;
+use simod_session::PluginRegistry;
+use simod_session::edit::{Entry, Evaluation};
+use std::sync::Arc;
+
+/// What is wanted of another version.
+#[derive(Clone)]
+pub struct Comparing {
+    /// Which version it is; comes back with the result.
+    pub number: u64,
+    /// Its steps.
+    pub steps: Arc<[Entry]>,
+    /// Its samples, if they are known already.
+    pub scene: Option<Arc<Scene>>,
+    /// Whether a step that cannot be done makes it worthless.
+    pub whole: bool,
+    /// Whether the error to be expected is wanted, too.
+    pub measure: bool,
+    /// Other samples of the model, of which it is wanted where this version has them.
+    pub onto: Option<Arc<SampledModel>>,
+}
+
+/// Where a version has other samples than its own.
+#[derive(Clone)]
+pub struct Carried {
+    /// The model with these samples.
+    pub sampled: Arc<SampledModel>,
+    /// Where they are, one for each: local positions.
+    pub positions: Arc<[Vec3]>,
+}
+
+impl Comparing {
+    /// Does what is missing. `revision` counts up with every scene.
+    pub(super) fn done(
+        self,
+        open: &Evaluation,
+        plugins: &PluginRegistry,
+        revision: &mut u64,
+        progress: &dyn Progress,
+    ) -> Result<Event> {
+        let known = self.scene.filter(|scene| !self.measure || scene.expected_error.is_some());
+        let scene = match known {
+            Some(scene) => scene,
+            None => {
+                let mut evaluation = open.another();
+                let evaluated = evaluation.update(&self.steps, plugins, Effort::FULL, progress)?;
+                *revision += 1;
+                if self.whole
+                    && let Some((_, error)) = evaluated.failure()
+                {
+                    return Err(Error::new(error.kind(), error.to_string(), error.hint()));
+                }
+                let scene = Scene::new(evaluated, &evaluation, Effort::FULL, *revision);
+                Arc::new(if self.measure { scene.measured() } else { scene })
+            }
+        };
+        progress.check()?;
+        let carried = self.onto.map(|sampled| {
+            let positions = carry(&scene, &sampled);
+            Carried { sampled, positions }
+        });
+        Ok(Event::Compared { number: self.number, scene, carried })
+    }
+}
+
+/// Where a version has the samples of `onto`: those that both have are there already, the others go where the
+/// reconstruction carries them.
+fn carry(scene: &Scene, onto: &SampledModel) -> Arc<[Vec3]> {
+    let (rest, both) = (&onto.samples.positions, common(&scene.sampled, onto));
+    if *scene.positions == *scene.sampled.samples.positions {
+        return rest.as_slice().into();
+    }
+    let around = Surroundings::of(&scene.sampled.samples);
+    let field = DeformationField::new(&around, &scene.positions, Method::default());
+    let moved = appended_deformed(onto, both, &field);
+    let moved = moved.iter().map(|p| onto.frame.to_local(*p));
+    scene.positions[..both].iter().copied().chain(moved).collect()
+}

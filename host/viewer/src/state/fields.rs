@@ -1,0 +1,104 @@
+//! The numbers that are shown on the surface, of both versions on one scale.
+
+use super::{State, Version};
+use crate::overlay::{self, Field, Overlay};
+use crate::scene::Scene;
+use crate::selection::Selection;
+use simod_session::edit::Entry;
+use std::sync::Arc;
+
+/// The numbers of a version, as they were found last.
+pub(super) struct Known {
+    key: Key,
+    field: Field,
+    /// Of these numbers alone.
+    range: [f32; 2],
+}
+
+/// What a field depends on.
+struct Key {
+    overlay: Overlay,
+    revision: u64,
+    /// The other version's revision, and whether it is known at all samples; where they are compared.
+    other: Option<(u64, bool)>,
+    selection: Selection,
+    steps: Arc<[Entry]>,
+    chosen: Option<usize>,
+}
+
+impl State {
+    /// The numbers that are shown on the surface; nothing where only the surface is.
+    pub fn field(&mut self) -> Option<&Field> {
+        self.field_of(Version::Now)
+    }
+
+    /// The same of a version. While one is pinned, the scale is that of both; what depends on the selection, or on the step
+    /// that is chosen, is of the other one alone.
+    pub fn field_of(&mut self, version: Version) -> Option<&Field> {
+        self.know(Version::Now);
+        self.know(Version::Pinned);
+        let ranges = self.fields.iter().flatten().map(|known| known.range);
+        if let Some(range) = ranges.reduce(|[a, b], [c, d]| [a.min(c), b.max(d)]) {
+            self.fields.iter_mut().flatten().for_each(|known| known.field.range = range);
+        }
+        self.fields[version as usize].as_ref().map(|known| &known.field)
+    }
+
+    /// Finds the numbers of a version, unless they are known.
+    fn know(&mut self, version: Version) {
+        let known = self.fields[version as usize].take();
+        self.fields[version as usize] = self.found(version, known);
+    }
+
+    fn found(&self, version: Version, known: Option<Known>) -> Option<Known> {
+        let scene = self.scene_of(version)?;
+        let steps = self.document()?.steps();
+        let (overlay, chosen) = (self.overlay, self.chosen());
+        let other = match overlay {
+            Overlay::Difference => Some(self.other(version)?),
+            _ => None,
+        };
+        let carried = match version {
+            Version::Now => self.pinned.as_ref().and_then(|pinned| pinned.carried(&scene.sampled)),
+            Version::Pinned => None,
+        };
+        let compared = other.map(|other| (other.revision, carried.is_some()));
+        let is_same = |Known { key, .. }: &Known| {
+            let shown = match overlay {
+                Overlay::Selection => key.selection == self.selection,
+                Overlay::Region(_) => Arc::ptr_eq(&key.steps, steps) && key.chosen == chosen,
+                _ => true,
+            };
+            (key.overlay, key.revision, key.other) == (overlay, scene.revision, compared) && shown
+        };
+        if known.as_ref().is_some_and(is_same) {
+            return known;
+        }
+        let field = match (overlay, other) {
+            (Overlay::None, _) => return None,
+            (Overlay::Selection | Overlay::Region(_), _) if version == Version::Pinned => return None,
+            (Overlay::Selection, _) => overlay::selection(&self.selection),
+            (Overlay::Region(region), _) => {
+                overlay::region(scene, self.before(chosen?).ok()?, self.shapes(chosen?, region).ok()?)
+            }
+            (Overlay::Displacement, _) => overlay::displacement(scene),
+            (Overlay::Stretch, _) => overlay::stretch(scene),
+            (Overlay::Density, _) => overlay::density(scene),
+            (Overlay::TransferError, _) => overlay::transfer_error(scene)?,
+            (Overlay::Difference, other) => overlay::difference(scene, other?, carried.map(|c| &**c)),
+        };
+        let (revision, steps) = (scene.revision, steps.clone());
+        let key =
+            Key { overlay, revision, other: compared, selection: self.selection.clone(), steps, chosen };
+        let range = field.range;
+        Some(Known { key, field, range })
+    }
+
+    /// The scene of the other version.
+    fn other(&self, version: Version) -> Option<&Arc<Scene>> {
+        self.scene_of(match version {
+            Version::Now => Version::Pinned,
+            Version::Pinned => Version::Now,
+        })
+    }
+}

@@ -1,0 +1,221 @@
+//! The pinned version: other steps on the same samples, to compare with those that are worked on.
+
+use super::{Open, State, nothing_open, refused};
+use crate::engine::{Carried, Comparing};
+use crate::overlay::Overlay;
+use crate::scene::{Scene, common};
+use glam::Vec3;
+use simod_core::Result;
+use simod_core::sampled_model::SampledModel;
+use simod_plugin_api::Effort;
+use simod_session::SessionFile;
+use simod_session::edit::Entry;
+use std::path::Path;
+use std::sync::Arc;
+
+/// What the user reads where a swap is undone.
+const SWAP: &str = "go on with the pinned version";
+
+/// One of the two versions that are compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Version {
+    /// The one that is worked on.
+    Now,
+    /// The one that is pinned.
+    Pinned,
+}
+
+/// A version to compare with. Its samples are shared with the scene that they were shown in.
+pub(super) struct Pinned {
+    /// Which one, for the engine.
+    number: u64,
+    version: Steps,
+    /// Whether it is of no use with a step that cannot be done.
+    whole: bool,
+    /// Where it has the samples of the other version, which was refined otherwise.
+    carried: Option<Carried>,
+    /// What the engine was asked for last: the error to be expected, and where it has these samples.
+    asked: Option<(bool, Option<Arc<SampledModel>>)>,
+}
+
+/// Steps with a name, and the samples that they come to, once these are known.
+pub(super) struct Steps {
+    name: String,
+    steps: Arc<[Entry]>,
+    scene: Option<Arc<Scene>>,
+}
+
+impl Pinned {
+    pub fn scene(&self) -> Option<&Arc<Scene>> {
+        self.version.scene.as_ref()
+    }
+
+    /// Where it has all samples of a scene, if that is known.
+    pub fn carried(&self, onto: &Arc<SampledModel>) -> Option<&Arc<[Vec3]>> {
+        let known = self.carried.as_ref().filter(|carried| Arc::ptr_eq(&carried.sampled, onto));
+        known.map(|carried| &carried.positions)
+    }
+}
+
+impl State {
+    /// What is there to be drawn of a version, if it is there.
+    pub fn scene_of(&self, version: Version) -> Option<&Arc<Scene>> {
+        match version {
+            Version::Now => self.scene(),
+            Version::Pinned => self.pinned.as_ref()?.scene(),
+        }
+    }
+
+    /// What the pinned version is called, if there is one; its samples may still be on their way.
+    pub fn pinned(&self) -> Option<&str> {
+        self.pinned.as_ref().map(|pinned| &*pinned.version.name)
+    }
+
+    pub(super) fn pin(&mut self) -> Result<()> {
+        let version = self.steps_now()?;
+        self.pin_version(version, false);
+        Ok(())
+    }
+
+    pub(super) fn pin_session(&mut self, path: &Path) -> Result<()> {
+        let open = self.open.as_mut().ok_or_else(nothing_open)?;
+        let session = SessionFile::load(path)?;
+        if !is_of(&session, open) {
+            let what = format!("{} is an edit of another model", path.display());
+            return Err(refused(what, "choose a session of the model that is open"));
+        }
+        let steps = open.editor.document_mut().entries(session.steps);
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        self.pin_version(Steps { name, steps, scene: None }, true);
+        Ok(())
+    }
+
+    fn pin_version(&mut self, version: Steps, whole: bool) {
+        self.pins += 1;
+        self.pinned = Some(Pinned { number: self.pins, version, whole, carried: None, asked: None });
+        self.engine.compare(None);
+        self.compare();
+    }
+
+    pub(super) fn unpin(&mut self) {
+        self.pinned = None;
+        self.engine.compare(None);
+        if self.overlay == Overlay::Difference {
+            self.overlay = Overlay::None;
+        }
+    }
+
+    pub(super) fn swap_pinned(&mut self) -> Result<()> {
+        let former = self.steps_now()?;
+        let pinned =
+            self.pinned.as_ref().ok_or_else(|| refused("nothing is pinned", "pin a version first"))?;
+        if pinned.scene().is_none() {
+            return Err(refused("the pinned version is not there yet", "wait for it"));
+        }
+        let steps = pinned.version.steps.clone();
+        self.document_mut()?.replace(SWAP, steps);
+        self.leave_selection();
+        self.swapped(SWAP, former);
+        self.request(Effort::FULL);
+        Ok(())
+    }
+
+    /// The version that is worked on, as it is now.
+    pub(super) fn steps_now(&self) -> Result<Steps> {
+        let open = self.open()?;
+        let steps = open.steps().clone();
+        let known = self.named.as_ref().filter(|(_, named)| Arc::ptr_eq(named, &steps));
+        let name = match (known, open.editor.document().can_undo()) {
+            (Some((name, _)), _) => name.clone(),
+            (None, Some(label)) => format!("after \u{201c}{label}\u{201d}"),
+            (None, None) => "as it was opened".to_owned(),
+        };
+        let scene = (self.is_settled() && self.stroke.is_none()).then(|| open.scene.clone());
+        Ok(Steps { name, steps, scene })
+    }
+
+    /// After a change of the steps that swapped the versions, or took that back: the pinned one is worked on, and the `former`
+    /// one is pinned. Nothing else of this label makes the pinned steps those that are worked on.
+    pub(super) fn swapped(&mut self, label: &str, former: Steps) {
+        let (Some(open), Some(pinned)) = (&self.open, &mut self.pinned) else { return };
+        let steps = open.steps().clone();
+        if label != SWAP || !Arc::ptr_eq(&pinned.version.steps, &steps) {
+            return;
+        }
+        let Steps { name, scene, .. } = std::mem::replace(&mut pinned.version, former);
+        self.named = Some((name, steps.clone()));
+        self.stroke = None;
+        if self.chosen().is_none() {
+            self.chosen = steps.iter().rfind(|entry| entry.step.deformation().is_some()).map(|e| e.id);
+        }
+        // What comes of former requests is not of these steps.
+        self.floor = self.requested;
+        if let Some(scene) = scene {
+            self.show_scene(scene);
+            self.follow_samples();
+        }
+        let Some(Pinned { version, .. }) = self.pinned.take() else { return };
+        self.pin_version(version, false);
+    }
+
+    /// Asks the engine for what is missing of the pinned version.
+    pub(super) fn compare(&mut self) {
+        let (Some(open), Some(pinned)) = (&self.open, &mut self.pinned) else { return };
+        let scene = pinned.version.scene.clone();
+        let measured = scene.as_ref().is_some_and(|scene| scene.expected_error.is_some());
+        let measure = self.overlay == Overlay::TransferError && !measured;
+        let now = &open.scene.sampled;
+        let has_others = |scene: &Arc<Scene>| common(&scene.sampled, now) < open.scene.len();
+        let carries = self.overlay == Overlay::Difference && pinned.carried(now).is_none();
+        let onto = (carries && scene.as_ref().is_some_and(has_others)).then(|| now.clone());
+        if scene.is_some() && !measure && onto.is_none() {
+            return;
+        }
+        let same = |(m, o): &(bool, Option<Arc<SampledModel>>)| {
+            let address = |o: &Option<Arc<SampledModel>>| o.as_ref().map(Arc::as_ptr);
+            *m == measure && address(o) == address(&onto)
+        };
+        if pinned.asked.as_ref().is_some_and(same) {
+            return;
+        }
+        pinned.asked = Some((measure, onto.clone()));
+        let Pinned { number, whole, .. } = *pinned;
+        let steps = pinned.version.steps.clone();
+        self.engine.compare(Some(Comparing { number, steps, scene, whole, measure, onto }));
+    }
+
+    /// What was asked for was given up.
+    pub(super) fn compare_again(&mut self) {
+        if let Some(pinned) = &mut self.pinned {
+            pinned.asked = None;
+        }
+        self.compare();
+    }
+
+    /// What the engine has found of a version.
+    pub(super) fn compared(&mut self, number: u64, scene: Arc<Scene>, carried: Option<Carried>) {
+        if let Some(pinned) = self.pinned.as_mut().filter(|pinned| pinned.number == number) {
+            pinned.version.scene = Some(scene);
+            pinned.carried = carried.or(pinned.carried.take());
+        }
+        self.compare();
+    }
+
+    /// The engine could not make it: without samples it is of no use.
+    pub(super) fn not_compared(&mut self) {
+        if self.pinned.as_ref().is_some_and(|pinned| pinned.scene().is_none()) {
+            self.unpin();
+        }
+    }
+}
+
+/// Whether a session is one of the model that is open.
+fn is_of(session: &SessionFile, open: &Open) -> bool {
+    let source = &open.scene.sampled.source;
+    let file = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    match (&session.fingerprint, &session.model) {
+        (Some(fingerprint), _) => *fingerprint == source.fingerprint,
+        (None, Some(model)) => file(model) == file(open.editor.model().unwrap_or(&source.path)),
+        (None, None) => true,
+    }
+}
