@@ -364,6 +364,23 @@ impl SampledModel {
         self.kept.as_ref()
     }
 
+    /// The same, checked against the model: what was read from a file may lie.
+    ///
+    /// # Errors
+    /// They are not in memory, or of another model.
+    pub(crate) fn checked_cells(&self) -> Result<&KeptCells> {
+        let Some(kept) = self.held_cells() else {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                "the sampled model's cells are not there, without which no part of the model can be read again",
+                "sample the model again, without --skip cells",
+            ));
+        };
+        let Source { vertices, non_finite, bytes, .. } = self.source;
+        kept.check(vertices - non_finite.min(vertices), vertices, bytes, self.samples.len())?;
+        Ok(kept)
+    }
+
     /// Holds cells in memory, as [`cells`](Self::cells) has read them: to be refined, or saved with the samples.
     pub fn hold_cells(&mut self, cells: KeptCells) {
         self.kept = Some(cells);

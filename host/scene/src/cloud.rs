@@ -18,7 +18,8 @@ pub struct Surface<'a> {
     pub positions: &'a [Vec3],
     /// Normals of any length; zero (or not finite) where they are not known.
     pub normals: &'a [Vec3],
-    /// Radii of the discs: a little more than the distance of neighbours, so that discs leave no holes.
+    /// Radii of the discs: a little more than the distance of neighbours, so that discs leave no holes. Where it is negative,
+    /// none is drawn.
     pub radii: &'a [f32],
     /// Red, green and blue, in sRGB; white where there are none.
     pub colors: Option<&'a [[u8; 3]]>,
@@ -117,6 +118,11 @@ impl Cloud {
         if most >= self.len() { self.len() } else { self.order.part(most) }
     }
 
+    /// How many samples are about one of 2^`times`, evenly spread.
+    pub fn halved(&self, times: usize) -> usize {
+        self.order.halved(times)
+    }
+
     /// Number of triangles that can be drawn.
     pub fn triangles(&self) -> usize {
         self.triangles.as_ref().map_or(0, |triangles| triangles.indices as usize / 3)
@@ -141,7 +147,7 @@ impl Cloud {
                 .map(|&i| {
                     let [r, g, b] = colors.map_or([255; 3], |colors| colors[i as usize]);
                     let radius = radii[i as usize];
-                    let radius = if radius.is_finite() { radius.max(0.0) } else { 0.0 };
+                    let radius = if radius.is_finite() { radius } else { 0.0 };
                     [radius.to_bits(), u32::from_le_bytes([r, g, b, 255])]
                 })
                 .collect();

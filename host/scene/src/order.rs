@@ -37,6 +37,11 @@ impl Order {
         let within = self.levels.partition_point(|level| *level <= most.max(1));
         self.levels[within.saturating_sub(1)]
     }
+
+    /// The level of about one of 2^`times` samples.
+    pub fn halved(&self, times: usize) -> usize {
+        self.levels[(self.levels.len() - 1).saturating_sub(times)]
+    }
 }
 
 /// The samples' indices in Morton's order.

@@ -31,10 +31,13 @@ pub struct Scene {
     mesh: TriangleMesh,
     passes: Passes,
     marks: Marks,
-    /// The frame's values for the surface and all that follows, and for the ghost.
+    /// The frame's values for the surface and all that follows, for its details, and for the ghost.
     frame: Uniform,
+    detail_frame: Uniform,
     ghost_frame: Uniform,
     surface: Option<Cloud>,
+    /// More splats of the surface, by numbers that others gave them.
+    details: BTreeMap<u64, Cloud>,
     ghost: Option<Cloud>,
     /// By how finely they are drawn.
     stages: BTreeMap<Scale, Stage>,
@@ -72,10 +75,12 @@ impl Scene {
             passes: Passes::new(device, &frame),
             marks: Marks::new(device, &frame),
             frame: Uniform::new(gpu, &frame),
+            detail_frame: Uniform::new(gpu, &frame),
             ghost_frame: Uniform::new(gpu, &frame),
             gpu: gpu.clone(),
             samples,
             surface: None,
+            details: BTreeMap::new(),
             ghost: None,
             stages: BTreeMap::new(),
             finished: None,
@@ -132,6 +137,44 @@ impl Scene {
         Ok(())
     }
 
+    /// Shows more splats with the surface, as one with it: a part of it in more detail, say, where the surface's own radii are
+    /// negative. It takes the place of that of the same number; or that one goes. Its triangles are not used, and while there
+    /// is any, neither are those of the surface.
+    ///
+    /// # Errors
+    /// Its lists do not fit together.
+    pub fn set_detail(&mut self, number: u64, detail: Option<&Surface<'_>>) -> Result<(), BadSurface> {
+        match detail {
+            Some(detail) => {
+                let bare = Surface { triangles: &[], ..*detail };
+                self.details.insert(number, Cloud::new(&self.gpu, &self.samples, &bare)?);
+            }
+            None => drop(self.details.remove(&number)),
+        }
+        self.of = None;
+        Ok(())
+    }
+
+    /// Changes the radii and colours of such splats.
+    ///
+    /// # Errors
+    /// There are not as many of that number.
+    pub fn set_detail_colors(
+        &mut self,
+        number: u64,
+        radii: &[f32],
+        colors: Option<&[[u8; 3]]>,
+    ) -> Result<(), BadSurface> {
+        let splats = self.details.get(&number).map_or(0, Cloud::len);
+        same_length("radii", radii.len(), splats)?;
+        same_length("colours", colors.map_or(splats, <[_]>::len), splats)?;
+        if let Some(detail) = self.details.get(&number) {
+            detail.write_look(&self.gpu.queue, radii, colors);
+        }
+        self.of = None;
+        Ok(())
+    }
+
     /// Shows a ghost (the rest shape, say), or none. Its colours and triangles are not used.
     ///
     /// # Errors
@@ -158,6 +201,11 @@ impl Scene {
     /// Number of the surface's samples.
     pub fn samples(&self) -> usize {
         self.surface.as_ref().map_or(0, Cloud::len)
+    }
+
+    /// Number of the splats that all of it takes, with its details.
+    pub fn splats(&self) -> usize {
+        self.samples() + self.details.values().map(Cloud::len).sum::<usize>()
     }
 
     /// How much of the surface the last picture shows.
@@ -190,7 +238,7 @@ impl Scene {
             };
             self.draw(&mut encoder, &view, &style, scale, splats);
         } else if !self.drawn.complete {
-            let step = |budget: &&mut Budget| (2 * budget.splats()).max(self.samples() / MOST_STEPS);
+            let step = |budget: &&mut Budget| (2 * budget.splats()).max(self.splats() / MOST_STEPS);
             let splats = budget.as_ref().map_or(usize::MAX, step);
             self.fill(&mut encoder, &view, &style, splats);
         } else if self.marks_changed {

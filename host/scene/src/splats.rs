@@ -22,6 +22,13 @@ pub(crate) struct Splats {
     sums: BindGroupLayout,
 }
 
+/// Some places of a cloud's order, drawn by a frame's values.
+pub(crate) struct Part<'a> {
+    pub frame: &'a BindGroup,
+    pub cloud: &'a Cloud,
+    pub places: Range<usize>,
+}
+
 /// What the passes read of the targets.
 pub(crate) struct Groups {
     nearest: BindGroup,
@@ -87,41 +94,30 @@ impl Splats {
         }
     }
 
-    /// First pass, of these places of the cloud's order; the first part of it begins anew.
-    pub fn depth(
-        &self,
-        encoder: &mut CommandEncoder,
-        targets: &Targets,
-        frame: &BindGroup,
-        cloud: &Cloud,
-        places: Range<usize>,
-    ) {
-        let anew = places.start == 0;
+    /// First pass; anew, or over what is there.
+    pub fn depth(&self, encoder: &mut CommandEncoder, targets: &Targets, parts: &[Part<'_>], anew: bool) {
         let nearest: (&TextureView, _) = (&targets.nearest, anew.then_some(wgpu::Color::TRANSPARENT));
         let depth = Some((&targets.depth, anew.then_some(1.0)));
         let mut pass = begin(encoder, "splats: depth", &[nearest], depth);
         pass.set_pipeline(&self.depth);
-        pass.set_bind_group(0, frame, &[]);
-        cloud.draw_splats(&mut pass, places);
+        draw(&mut pass, parts);
     }
 
-    /// Second pass, once the first one is done.
+    /// Second pass, once the first one is done; anew, or more of it.
     pub fn blend(
         &self,
         encoder: &mut CommandEncoder,
         targets: &Targets,
         groups: &Groups,
-        frame: &BindGroup,
-        cloud: &Cloud,
-        places: Range<usize>,
+        parts: &[Part<'_>],
+        anew: bool,
     ) {
-        let clear = (places.start == 0).then_some(wgpu::Color::TRANSPARENT);
+        let clear = anew.then_some(wgpu::Color::TRANSPARENT);
         let sums = [(&targets.colors, clear), (&targets.surfaces, clear)];
         let mut pass = begin(encoder, "splats: blend", &sums, Some((&targets.depth, None)));
         pass.set_pipeline(&self.blend);
-        pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(2, &groups.nearest, &[]);
-        cloud.draw_splats(&mut pass, places);
+        draw(&mut pass, parts);
     }
 
     /// The means of the sums.
@@ -131,5 +127,12 @@ impl Splats {
         pass.set_bind_group(0, frame, &[]);
         pass.set_bind_group(1, &groups.sums, &[]);
         pass.draw(0..3, 0..1);
+    }
+}
+
+fn draw(pass: &mut wgpu::RenderPass<'_>, parts: &[Part<'_>]) {
+    for Part { frame, cloud, places } in parts {
+        pass.set_bind_group(0, *frame, &[]);
+        cloud.draw_splats(pass, places.clone());
     }
 }

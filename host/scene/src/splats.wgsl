@@ -44,7 +44,8 @@ fn corner(index: u32, hiding_part: bool) -> Corner {
     // Outside of the picture.
     out.position = vec4f(2.0, 2.0, 2.0, 1.0);
     let sample = geometry[index / 3u];
-    if sample.w == HIDDEN {
+    let own = look[index / 3u];
+    if sample.w == HIDDEN || bitcast<f32>(own.x) < 0.0 {
         return out;
     }
     let center = position_of(sample);
@@ -53,7 +54,6 @@ fn corner(index: u32, hiding_part: bool) -> Corner {
     if is_perspective() && depth <= 0.0 {
         return out;
     }
-    let own = look[index / 3u];
     var normal = normal_of(sample);
     var facing = dot(normal, eye);
     let back = facing < 0.0;

@@ -1,6 +1,7 @@
 //! All that a user can do. A list of commands, one JSON object a line, is a recording of an edit.
 
 use crate::camera::{Camera, Projection, Standard, Up};
+use crate::detail::Previewed;
 use crate::engine::Job;
 use crate::overlay::Overlay;
 use crate::selection::Combine;
@@ -143,6 +144,12 @@ pub enum Command {
     Camera(CameraMove),
     /// Shows something else on the surface.
     Show(Overlay),
+    /// Shows a part of the model in full instead of its samples: its vertices are streamed, again each time the edit rests after
+    /// they have moved. It is no part of the edit.
+    Preview {
+        /// Which part.
+        what: Previewed,
+    },
     /// Keeps the steps as they are now, with what they come to, as the version to compare with.
     Pin,
     /// Takes the steps of a session as the version to compare with, done on the samples that are there.

@@ -10,6 +10,7 @@
 
 pub mod camera;
 pub mod command;
+pub mod detail;
 pub mod engine;
 pub mod motion;
 pub mod navigation;
@@ -22,6 +23,7 @@ pub mod state;
 
 pub use camera::Camera;
 pub use command::Command;
+pub use detail::{Detail, Previewed};
 pub use engine::{Engine, Event};
 pub use navigation::Navigation;
 pub use overlay::Overlay;

@@ -183,6 +183,14 @@ impl DepthBuffer {
         (0..scene.len()).into_par_iter().map(is_seen).collect()
     }
 
+    /// Whether each sample is seen, or its disc is, though its middle may be outside of the picture.
+    pub fn seen(&self, scene: &Scene) -> Vec<bool> {
+        let mut seen = self.visible(scene);
+        let nearest = self.nearest.iter().map(|(_, sample)| *sample);
+        nearest.filter(|sample| *sample != NOBODY).for_each(|sample| seen[sample as usize] = true);
+        seen
+    }
+
     /// Depth and sample at a pixel of the buffer.
     fn at(&self, pixel: DVec2) -> Option<(f32, u32)> {
         let inside = pixel.x >= 0.0 && pixel.y >= 0.0;

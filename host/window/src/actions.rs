@@ -10,7 +10,7 @@ use eframe::egui::{self, Event, Key, Modifiers};
 use simod_session::session_file::Role;
 use simod_viewer::camera::{Projection, Standard, Up};
 use simod_viewer::command::{Area, CameraMove};
-use simod_viewer::{Command, Overlay};
+use simod_viewer::{Command, Overlay, Previewed};
 
 /// Where an action is found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -237,6 +237,24 @@ pub const ALL: &[Action] = &[
         w.keep_settings();
     })
     .on(|w| w.settings.occlusion),
+    action(Menu::View, "Full Detail of What Is Seen", &[(NONE, Key::I)], is_open, |w| {
+        w.apply(Command::Preview { what: Previewed::Seen });
+    })
+    .on(|w| w.state().detail().is_some_and(|detail| detail.of() == Previewed::Seen))
+    .begins(),
+    action(Menu::View, "Full Detail of the Selection", &[(SHIFT, Key::I)], is_selected, |w| {
+        w.apply(Command::Preview { what: Previewed::Selection });
+    })
+    .on(|w| w.state().detail().is_some_and(|detail| detail.of() == Previewed::Selection)),
+    action(
+        Menu::View,
+        "Samples Only",
+        &[(ALT, Key::I)],
+        |w| w.state().detail().is_some(),
+        |w| {
+            w.apply(Command::Preview { what: Previewed::Nothing });
+        },
+    ),
     action(Menu::View, "Dark Theme", &[], always, |w| set_theme(w, Theme::Dark))
         .on(|w| w.settings.theme == Theme::Dark)
         .begins(),

@@ -1,5 +1,6 @@
 //! Pictures of the model without a window, or beside it.
 
+use crate::viewport::detail::{Splats, sample_colors, sample_radii, splats};
 use crate::window::Window;
 use glam::DVec3;
 use simod_core::render::Image;
@@ -27,7 +28,10 @@ pub fn write(state: &mut State, file: &Path) -> Result<()> {
 /// What is drawn, and how: it does not change with what it was taken of.
 pub struct Shot {
     shown: Arc<simod_viewer::Scene>,
+    radii: Vec<f32>,
     colors: Option<Vec<[u8; 3]>>,
+    /// What is shown in full.
+    detail: Vec<Splats>,
     camera: Camera,
     size: [u32; 2],
     style: Style,
@@ -51,13 +55,22 @@ impl Shot {
         let shown = state.scene().cloned().ok_or_else(none)?;
         let colors: Option<Vec<[u8; 3]>> =
             state.field().map(|field| (0..shown.len()).map(|i| field.color(i)).collect());
+        let detail = state.detail();
+        let radii = sample_radii(shown.sampled.samples.spacing(), detail);
+        let pieces = detail.into_iter().flat_map(|detail| detail.pieces().values());
+        let in_full = pieces.map(|piece| splats(piece, colors.as_deref())).collect();
+        let colors = match detail {
+            Some(_) => Some(sample_colors(shown.len(), colors.as_deref())),
+            None => colors,
+        };
         let style = Style {
             own_colors: colors.is_some(),
             background: Background::Dark,
             scale: Scale::Double,
             ..Style::default()
         };
-        Ok(Self { shown, colors, camera: *state.camera(), size: SIZE, style, ghost: false })
+        let camera = *state.camera();
+        Ok(Self { shown, radii, colors, detail: in_full, camera, size: SIZE, style, ghost: false })
     }
 
     /// Of what a window shows, as it looks there, but for what is marked for the work on it: the selection, and regions. Width
@@ -94,7 +107,7 @@ impl Shot {
         let surface = Surface {
             positions: &shown.positions,
             normals: &shown.normals,
-            radii: &radii,
+            radii: &self.radii,
             colors: self.colors.as_deref(),
             triangles: &shown.sampled.triangles,
         };
@@ -106,6 +119,9 @@ impl Shot {
         };
         let bad = |e: simod_scene::BadSurface| Error::new(ErrorKind::Io, e.to_string(), "report this");
         scene.set_surface(&surface).map_err(bad)?;
+        for (splats, number) in self.detail.iter().zip(0..) {
+            scene.set_detail(number, Some(&splats.surface())).map_err(bad)?;
+        }
         scene.set_ghost(self.ghost.then_some(&rest)).map_err(bad)?;
         let mut bounds = shown.bounds();
         if self.ghost {

@@ -11,6 +11,20 @@ pub const SELECTED: [u8; 3] = [255, 138, 30];
 /// The surface where it shows nothing else; as the renderer's clay.
 pub const CLAY: [u8; 3] = [197, 189, 180];
 
+/// What samples are tinted with, and how much, where other parts are shown in full.
+pub const SAMPLES: [u8; 3] = [96, 116, 150];
+pub const SAMPLES_SHARE: f32 = 0.3;
+
+/// The surface where samples stand for it and other parts are shown in full.
+pub fn samples_clay() -> [u8; 3] {
+    mixed(CLAY, SAMPLES, SAMPLES_SHARE)
+}
+
+/// A colour between two.
+pub fn mixed(a: [u8; 3], b: [u8; 3], t: f32) -> [u8; 3] {
+    std::array::from_fn(|i| (f32::from(a[i]) * (1.0 - t) + f32::from(b[i]) * t).round() as u8)
+}
+
 /// Of a region's samples and its name.
 pub fn role_color(role: Role) -> [u8; 3] {
     match role {

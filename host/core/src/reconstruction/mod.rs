@@ -34,6 +34,7 @@ pub use binding::bind;
 use blend::Supports;
 use blended_jets::Expanded;
 use block::Workspaces;
+pub(crate) use block::homes;
 pub use block::{Moved, carry};
 pub use diagnostics::{Figures, Folds, principal_stretches};
 use expansion::Expansion;
@@ -150,6 +151,11 @@ impl<'a> DeformationField<'a> {
     /// Local position of each sample after the deformation.
     pub fn deformed(&self) -> &'a [Vec3] {
         self.deformed
+    }
+
+    /// What is known of the samples at rest.
+    pub fn around(&self) -> &'a Surroundings<'a> {
+        self.around
     }
 
     /// Where it folds the surface.

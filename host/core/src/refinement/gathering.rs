@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use crate::frame::Frame;
 use crate::geometry::Bounds;
@@ -18,7 +18,7 @@ use crate::{Progress, Result};
 pub(super) const SAMPLES_OF_A_PART: usize = PART / size_of::<Sample>();
 
 /// All vertices of a cell.
-pub(super) struct Gathered {
+pub(crate) struct Gathered {
     /// Its place among the kept cells.
     pub cell: u32,
     /// In the order of the stream, counted.
@@ -29,8 +29,20 @@ pub(super) struct Gathered {
     pub groups: Option<(Vec<Vec<Group>>, Vec<u32>)>,
 }
 
+/// A vertex of one of the cells that are read.
+pub(crate) struct Visited {
+    /// The place of its cell among these.
+    pub at: u32,
+    /// In the model's coordinates; finite.
+    pub position: DVec3,
+    /// Of length 1; zero where it is not known.
+    pub normal: Vec3,
+    /// Its index in the model.
+    pub index: u64,
+}
+
 /// What is read, and how.
-pub(super) struct Gathering<'a> {
+pub(crate) struct Gathering<'a> {
     pub model: &'a dyn Model,
     pub kept: &'a KeptCells,
     pub frame: Frame,
@@ -51,7 +63,6 @@ impl Gathering<'_> {
     /// Memory: [`BYTES_PER_VERTEX`](Self::BYTES_PER_VERTEX) for each vertex of these cells, and a chunk.
     pub fn read(&self, cells: &[u32], progress: &dyn Progress) -> Result<Option<(Vec<Gathered>, u64)>> {
         let kept = |cell: &u32| &self.kept.cells[*cell as usize];
-        let index: CellMap<u32> = cells.iter().zip(0..).map(|(cell, at)| (kept(cell).key, at)).collect();
         let mut groups = self.edge.map(|edge| Groups::new(cells.len(), edge, u64::MAX));
         let mut found: Vec<Gathered> = cells
             .iter()
@@ -65,49 +76,27 @@ impl Gathering<'_> {
                 }
             })
             .collect();
-        let (mut bytes, mut chunk) = (0, VertexChunk::default());
-        for range in self.ranges(cells) {
-            // What lies between two ranges was in other cells.
-            let mut current: Option<(Bounds, Option<u32>)> = None;
-            groups.iter_mut().for_each(Groups::leave);
-            let mut reader = self.model.vertices(range)?;
-            reader.set_chunk(SMALL_CHUNK);
-            while reader.read(&mut chunk)? {
-                progress.check()?;
-                for (i, p) in chunk.positions.iter().enumerate() {
-                    let cell = match &current {
-                        Some((inside, cell)) if inside.contains(*p) => *cell,
-                        _ if !p.is_finite() => continue,
-                        _ => {
-                            let key = key_at(*p, self.kept.level);
-                            let cell = index.get(&key).copied();
-                            current = Some((cell_box(key, self.kept.level), cell));
-                            if cell.is_none() {
-                                groups.iter_mut().for_each(Groups::leave);
-                            }
-                            cell
-                        }
-                    };
-                    let Some(at) = cell else { continue };
-                    let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
-                    let position = self.frame.to_local(*p);
-                    let found = &mut found[at as usize];
-                    if found.vertices.len() as u64 == kept(&found.cell).vertices {
-                        return Ok(None);
-                    }
-                    if let (Some(groups), Some((_, group_of))) = (&mut groups, &mut found.groups) {
-                        let Some(group) = groups.add(at, position, normal)? else { return Ok(None) };
-                        group_of.push(group);
-                    }
-                    found.vertices.push(Sample { position, normal, index: found.vertices.len() as u32 });
-                    if self.with_ids {
-                        found.ids.push((chunk.first + i as u64) as u32);
-                    }
-                }
-                bytes += chunk.raw().len() as u64;
-                progress.advance(chunk.raw().len() as u64);
+        let bytes = self.visit(cells, progress, |visited| {
+            let Some(Visited { at, position, normal, index }) = visited else {
+                groups.iter_mut().for_each(Groups::leave);
+                return Ok(true);
+            };
+            let position = self.frame.to_local(position);
+            let found = &mut found[at as usize];
+            if found.vertices.len() as u64 == kept(&found.cell).vertices {
+                return Ok(false);
             }
-        }
+            if let (Some(groups), Some((_, group_of))) = (&mut groups, &mut found.groups) {
+                let Some(group) = groups.add(at, position, normal)? else { return Ok(false) };
+                group_of.push(group);
+            }
+            found.vertices.push(Sample { position, normal, index: found.vertices.len() as u32 });
+            if self.with_ids {
+                found.ids.push(index as u32);
+            }
+            Ok(true)
+        })?;
+        let Some(bytes) = bytes else { return Ok(None) };
         for (at, found) in (0..).zip(&mut found) {
             if found.vertices.len() as u64 != kept(&found.cell).vertices {
                 return Ok(None);
@@ -120,6 +109,62 @@ impl Gathering<'_> {
             }
         }
         Ok(Some((found, bytes)))
+    }
+
+    /// Streams the vertices of some cells through `visit`, in the model's order, and nothing each time the stream leaves them;
+    /// how many bytes of the model that took. `None` once `visit` says `false`: that the model has changed.
+    ///
+    /// Memory: a chunk.
+    pub fn visit(
+        &self,
+        cells: &[u32],
+        progress: &dyn Progress,
+        mut visit: impl FnMut(Option<Visited>) -> Result<bool>,
+    ) -> Result<Option<u64>> {
+        let key = |cell: &u32| self.kept.cells[*cell as usize].key;
+        let places: CellMap<u32> = cells.iter().map(key).zip(0..).collect();
+        let (mut bytes, mut chunk) = (0, VertexChunk::default());
+        for range in self.ranges(cells) {
+            // What lies between two ranges was in other cells.
+            let mut current: Option<(Bounds, Option<u32>)> = None;
+            visit(None)?;
+            let mut reader = self.model.vertices(range)?;
+            reader.set_chunk(SMALL_CHUNK);
+            while reader.read(&mut chunk)? {
+                progress.check()?;
+                for (i, p) in chunk.positions.iter().enumerate() {
+                    let cell = match &current {
+                        Some((inside, cell)) if inside.contains(*p) => *cell,
+                        _ if !p.is_finite() => continue,
+                        _ => {
+                            let key = key_at(*p, self.kept.level);
+                            let cell = places.get(&key).copied();
+                            current = Some((cell_box(key, self.kept.level), cell));
+                            if cell.is_none() {
+                                visit(None)?;
+                            }
+                            cell
+                        }
+                    };
+                    let Some(at) = cell else { continue };
+                    let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
+                    let index = chunk.first + i as u64;
+                    if !visit(Some(Visited { at, position: *p, normal, index }))? {
+                        return Ok(None);
+                    }
+                }
+                bytes += chunk.raw().len() as u64;
+                progress.advance(chunk.raw().len() as u64);
+            }
+        }
+        Ok(Some(bytes))
+    }
+
+    /// Bytes of the model that some cells lie in, about.
+    pub fn bytes_of(&self, cells: &[u32]) -> u64 {
+        let vertices: u64 = self.ranges(cells).iter().map(|r| r.end - r.start).sum();
+        let info = self.model.info();
+        (vertices as f64 / info.vertices.max(1) as f64 * info.vertex_bytes as f64) as u64
     }
 
     /// What of the stream holds these cells, ascending.

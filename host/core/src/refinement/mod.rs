@@ -7,12 +7,12 @@
 
 mod appending;
 mod faces;
-mod gathering;
+pub(crate) mod gathering;
 mod needs;
 mod regrowing;
 mod selection;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use std::path::Path;
 
@@ -177,20 +177,7 @@ pub fn refine(
     progress: &dyn Progress,
 ) -> Result<Refined> {
     check(how)?;
-    let Some(kept) = sampled.held_cells() else {
-        return Err(Error::new(
-            ErrorKind::Argument,
-            "the sampled model's cells are not there, which a refinement needs",
-            "sample the model again, without --skip cells",
-        ));
-    };
-    let source = &sampled.source;
-    kept.check(
-        source.vertices - source.non_finite.min(source.vertices),
-        source.vertices,
-        source.bytes,
-        sampled.samples.len(),
-    )?;
+    let kept = sampled.checked_cells()?;
     progress.begin("selecting", 0);
     let mut need = None;
     let sizing = match how.finer {
@@ -425,7 +412,7 @@ impl Work<'_> {
         let most = self.limit() / 2 / BYTES_PER_SAMPLE;
         for batch in self.batches(&cells)? {
             let places: Vec<u32> = batch.iter().map(|(cell, _)| *cell).collect();
-            progress.begin("reading the cells", self.bytes_of(&gathering, &places));
+            progress.begin("reading the cells", gathering.bytes_of(&places));
             let (gathered, bytes) = gathering.read(&places, *progress)?.ok_or_else(|| self.changed())?;
             vertex_bytes += bytes;
             progress.begin("refining", 0);
@@ -543,13 +530,6 @@ impl Work<'_> {
         }
         batches.push(&cells[first..]);
         Ok(batches)
-    }
-
-    /// Bytes of the model that some cells lie in.
-    fn bytes_of(&self, gathering: &Gathering<'_>, cells: &[u32]) -> u64 {
-        let vertices: u64 = gathering.ranges(cells).iter().map(|r| r.end - r.start).sum();
-        let info = self.model.info();
-        (vertices as f64 / info.vertices.max(1) as f64 * info.vertex_bytes as f64) as u64
     }
 
     /// Says so where much more is read than is needed.

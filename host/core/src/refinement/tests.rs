@@ -14,32 +14,32 @@ use crate::sampling::triangles;
 use crate::sampling::{Grouping, Sampling, Splitting, Target, sample};
 
 /// A generated model on the disk.
-struct Body {
-    folder: TempDir,
-    positions: Vec<DVec3>,
-    normals: Vec<Vec3>,
+pub(crate) struct Body {
+    pub folder: TempDir,
+    pub positions: Vec<DVec3>,
+    pub normals: Vec<Vec3>,
     faces: Vec<[u32; 3]>,
 }
 
 impl Body {
-    fn new(vertices: u64) -> Self {
+    pub fn new(vertices: u64) -> Self {
         let (vertices, faces) = Surface::new(Shape::Amphora, vertices).unwrap().mesh().unwrap();
         let (positions, normals) = vertices.iter().map(|v| (v.position, v.normal)).unzip();
         Self { folder: tempfile::tempdir().unwrap(), positions, normals, faces }
     }
 
-    fn without_faces(mut self) -> Self {
+    pub fn without_faces(mut self) -> Self {
         self.faces.clear();
         self
     }
 
-    fn without_normals(mut self) -> Self {
+    pub fn without_normals(mut self) -> Self {
         self.normals.clear();
         self
     }
 
     /// The vertices of a cloud in no order.
-    fn shuffled(mut self) -> Self {
+    pub fn shuffled(mut self) -> Self {
         assert!(self.faces.is_empty() && !self.positions.len().is_multiple_of(7919));
         let n = self.positions.len();
         let from = |i: usize| i * 7919 % n;
@@ -48,23 +48,23 @@ impl Body {
         self
     }
 
-    fn path(&self) -> PathBuf {
+    pub fn path(&self) -> PathBuf {
         self.folder.path().join("model.ply")
     }
 
-    fn write(&self) -> Box<dyn Model> {
+    pub fn write(&self) -> Box<dyn Model> {
         let positions = self.positions.iter().copied();
         write_points(&self.path(), positions, &self.normals, &self.faces, Scalar::F64, &[]).unwrap();
         model::open(&self.path()).unwrap()
     }
 
-    fn sampled(&self, sampling: Sampling) -> (SampledModel, Box<dyn Model>) {
+    pub fn sampled(&self, sampling: Sampling) -> (SampledModel, Box<dyn Model>) {
         let model = self.write();
         (sample(model.as_ref(), &sampling, self.folder.path(), &Silent).unwrap(), model)
     }
 }
 
-fn samples(n: u64) -> Sampling {
+pub(crate) fn samples(n: u64) -> Sampling {
     Sampling { target: Target::Samples(n), ..Sampling::default() }
 }
 

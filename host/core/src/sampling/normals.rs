@@ -36,8 +36,8 @@ fn first(neighbours: &[u32], count: usize) -> &[u32] {
     &neighbours[..count.min(neighbours.len())]
 }
 
-/// The direction of least variance of a sample and its neighbours.
-fn plane_normal(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Vec3 {
+/// The direction of least variance of a point and its neighbours.
+pub fn plane_normal(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Vec3 {
     let around = |j: &u32| (positions[*j as usize] - positions[i]).as_dvec3();
     let mean = neighbours.iter().map(around).sum::<DVec3>() / (neighbours.len() + 1) as f64;
     let mut covariance = DMat3::from_cols(mean * mean.x, mean * mean.y, mean * mean.z);

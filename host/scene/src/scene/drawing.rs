@@ -1,5 +1,7 @@
 //! The way of a frame through the passes.
 
+use std::ops::Range;
+
 use bytemuck::bytes_of;
 use wgpu::{BindGroup, BindGroupLayout, Buffer, BufferUsages, CommandEncoder};
 
@@ -8,6 +10,7 @@ use crate::cloud::Cloud;
 use crate::frame::Frame;
 use crate::gpu::Gpu;
 use crate::pipeline::bind;
+use crate::splats::Part;
 use crate::targets::{Seen, Targets, texture};
 use crate::view::{Mode, Scale, Style, View};
 use crate::{passes, splats};
@@ -24,6 +27,18 @@ pub(super) struct Stage {
     targets: Targets,
     splats: splats::Groups,
     passes: passes::Groups,
+}
+
+/// The most often that details are halved for a frame.
+const MOST_HALVED: usize = 24;
+
+/// What a frame shows of the surface and its details.
+#[derive(Debug, Clone, Copy, Default)]
+struct Shares {
+    /// Splats of the surface.
+    surface: usize,
+    /// How often the details are halved.
+    halved: usize,
 }
 
 /// Splats that both passes have drawn.
@@ -43,7 +58,9 @@ impl Scene {
     /// Whether triangles are shown, in a frame of so many splats.
     fn shows_triangles(&self, style: &Style, splats: usize) -> bool {
         let triangles = self.surface.as_ref().map_or(0, Cloud::triangles);
-        style.mode == Mode::Triangles && (1..=splats.saturating_mul(TRIANGLES_PER_SPLAT)).contains(&triangles)
+        style.mode == Mode::Triangles
+            && self.details.is_empty()
+            && (1..=splats.saturating_mul(TRIANGLES_PER_SPLAT)).contains(&triangles)
     }
 
     /// Makes the textures anew where the picture's size changed.
@@ -87,9 +104,10 @@ impl Scene {
     ) {
         self.stage(view, scale);
         let stage = &self.stages[&scale];
-        let of = self.samples();
-        let splats = self.surface.as_ref().map_or(0, |surface| surface.part(splats));
-        self.set_frame(view, style, stage, splats);
+        let of = self.splats();
+        let shares = self.shares(splats);
+        let splats = shares.surface + self.details.values().map(|c| c.halved(shares.halved)).sum::<usize>();
+        self.set_frame(view, style, stage, shares);
         self.draw_ghost(encoder, stage);
         let frame = &self.frame.group;
         let triangles = self.shows_triangles(style, if splats < of { splats } else { usize::MAX });
@@ -99,9 +117,10 @@ impl Scene {
                 let all = surface.triangles();
                 self.drawn = Drawn { drawn: all, of: all, complete: scale == style.scale };
             }
-            Some(surface) => {
-                self.splats.depth(encoder, &stage.targets, frame, surface, 0..splats);
-                self.splats.blend(encoder, &stage.targets, &stage.splats, frame, surface, 0..splats);
+            Some(_) => {
+                let parts = self.parts(shares);
+                self.splats.depth(encoder, &stage.targets, &parts, true);
+                self.splats.blend(encoder, &stage.targets, &stage.splats, &parts, true);
                 self.splats.resolve(encoder, &stage.splats, frame, &stage.targets.seen);
                 let complete = splats == of && scale == style.scale;
                 self.drawn = Drawn { drawn: splats, of, complete };
@@ -118,26 +137,30 @@ impl Scene {
     /// Sums up at most so many more splats of all, pass by pass; once these are through, they are shown.
     pub(super) fn fill(&mut self, encoder: &mut CommandEncoder, view: &View, style: &Style, splats: usize) {
         let scale = style.scale;
-        let of = self.samples();
+        let of = self.splats();
         if self.shows_triangles(style, usize::MAX) || of == 0 {
             return self.draw(encoder, view, style, scale, usize::MAX);
         }
         self.stage(view, scale);
         let stage = &self.stages[&scale];
-        self.set_frame(view, style, stage, of);
+        self.set_frame(view, style, stage, self.shares(usize::MAX));
         let frame = &self.frame.group;
-        let Some(surface) = &self.surface else { return };
-        if self.filled.depth == 0 {
+        if self.surface.is_none() {
+            return;
+        }
+        let Filled { depth, blend } = self.filled;
+        if depth == 0 {
             self.draw_ghost(encoder, stage);
         }
-        if self.filled.depth < of {
-            let next = self.filled.depth..of.min(self.filled.depth.saturating_add(splats));
-            self.filled.depth = next.end;
-            self.splats.depth(encoder, &stage.targets, frame, surface, next);
+        if depth < of {
+            let end = of.min(depth.saturating_add(splats));
+            self.splats.depth(encoder, &stage.targets, &self.slice(depth..end), depth == 0);
+            self.filled.depth = end;
         } else {
-            let next = self.filled.blend..of.min(self.filled.blend.saturating_add(splats));
-            self.filled.blend = next.end;
-            self.splats.blend(encoder, &stage.targets, &stage.splats, frame, surface, next);
+            let end = of.min(blend.saturating_add(splats));
+            let parts = self.slice(blend..end);
+            self.splats.blend(encoder, &stage.targets, &stage.splats, &parts, blend == 0);
+            self.filled.blend = end;
         }
         if self.filled.blend == of {
             self.splats.resolve(encoder, &stage.splats, frame, &stage.targets.seen);
@@ -152,9 +175,9 @@ impl Scene {
     fn draw_ghost(&self, encoder: &mut CommandEncoder, stage: &Stage) {
         if let (Some(ghost), Some(seen)) = (&self.ghost, &stage.targets.ghost) {
             let frame = &self.ghost_frame.group;
-            let splats = 0..ghost.part(GHOST_SPLATS);
-            self.splats.depth(encoder, &stage.targets, frame, ghost, splats.clone());
-            self.splats.blend(encoder, &stage.targets, &stage.splats, frame, ghost, splats);
+            let part = [Part { frame, cloud: ghost, places: 0..ghost.part(GHOST_SPLATS) }];
+            self.splats.depth(encoder, &stage.targets, &part, true);
+            self.splats.blend(encoder, &stage.targets, &stage.splats, &part, true);
             self.splats.resolve(encoder, &stage.splats, frame, seen);
         }
     }
@@ -179,13 +202,51 @@ impl Scene {
         self.marks_changed = false;
     }
 
-    /// Tells the shaders of a frame of so many of the surface's splats.
-    fn set_frame(&self, view: &View, style: &Style, stage: &Stage, splats: usize) {
+    /// What of the surface and its details at most so many splats are, all of each evenly spread.
+    fn shares(&self, splats: usize) -> Shares {
+        let Some(surface) = &self.surface else { return Shares::default() };
+        if splats >= self.splats() {
+            return Shares { surface: surface.len(), halved: 0 };
+        }
+        let part = surface.part(if self.details.is_empty() { splats } else { splats / 2 });
+        let fits = |times: &usize| {
+            self.details.values().map(|c| c.halved(*times)).sum::<usize>() <= splats.saturating_sub(part)
+        };
+        Shares { surface: part, halved: (0..MOST_HALVED).find(fits).unwrap_or(MOST_HALVED) }
+    }
+
+    /// These shares.
+    fn parts(&self, shares: Shares) -> Vec<Part<'_>> {
+        let surface = self.surface.iter().map(|cloud| (&self.frame.group, cloud, shares.surface));
+        let details = self.details.values().map(|c| (&self.detail_frame.group, c, c.halved(shares.halved)));
+        let part = |(frame, cloud, splats)| Part { frame, cloud, places: 0..splats };
+        surface.chain(details).map(part).collect()
+    }
+
+    /// All splats side by side, and of these some places.
+    fn slice(&self, places: Range<usize>) -> Vec<Part<'_>> {
+        let mut first = 0;
+        let mut parts = self.parts(self.shares(usize::MAX));
+        for part in &mut parts {
+            let end = first + part.places.end;
+            let within = |place: usize| place.clamp(first, end) - first;
+            part.places = within(places.start)..within(places.end);
+            first = end;
+        }
+        parts
+    }
+
+    /// Tells the shaders of a frame of these shares.
+    fn set_frame(&self, view: &View, style: &Style, stage: &Stage, shares: Shares) {
         let radius = self.surface.as_ref().or(self.ghost.as_ref()).map_or(1.0, |cloud| cloud.radius);
         let size = stage.targets.size;
         let mut frame = Frame::new(view, style, size, view.size, radius, self.ghost.is_some());
-        frame.radius_scale = part_scale(splats, self.samples());
+        frame.radius_scale = part_scale(shares.surface, self.samples());
         self.frame.write(&self.gpu, &frame);
+        if !self.details.is_empty() {
+            frame.radius_scale = part_scale(1, 1 << shares.halved);
+            self.detail_frame.write(&self.gpu, &frame);
+        }
         if let Some(ghost) = &self.ghost {
             frame.radius_scale = part_scale(ghost.part(GHOST_SPLATS), ghost.len());
             self.ghost_frame.write(&self.gpu, &frame);

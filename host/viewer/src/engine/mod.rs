@@ -4,10 +4,12 @@
 //! as quickly as the plugins are, unless its result is of no more use: see `wasted`. A preparation that the newer
 //! request needs as well is never cancelled by it, or slow ones would never come to an end while a handle is dragged.
 //!
-//! The deformed model is written on a thread of its own, so that the edit goes on meanwhile.
+//! The deformed model is written on a thread of its own, so that the edit goes on meanwhile; and so are vertices streamed that
+//! are to be seen in full.
 
 mod comparing;
 mod emerged;
+mod preview;
 mod thread;
 mod wasted;
 mod watch;
@@ -15,7 +17,10 @@ mod watch;
 use crate::scene::Scene;
 pub use comparing::{Carried, Comparing};
 pub use emerged::Emerged;
+pub use preview::Pose;
+use preview::Streaming;
 use serde::{Deserialize, Serialize};
+use simod_core::detail::{Batch, Chosen, Streamed};
 use simod_core::reconstruction::{Method, Normals, Reconstructed};
 use simod_core::{Error, Result};
 use simod_plugin_api::Effort;
@@ -27,7 +32,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-use thread::Thread;
+use thread::{Teller, Thread};
 pub use watch::Activity;
 use watch::Watch;
 
@@ -71,6 +76,8 @@ pub enum Job {
     Evaluate,
     /// The deformed model is written.
     Write,
+    /// Vertices are streamed to be seen.
+    Preview,
     /// Another version is made, to be compared with.
     Compare,
 }
@@ -104,6 +111,22 @@ pub enum Event {
         /// How long it took.
         seconds: f64,
     },
+    /// Some vertices of the model are there to be seen.
+    Detail {
+        /// Which request for them it was.
+        request: u64,
+        /// The vertices.
+        batch: Box<Batch>,
+    },
+    /// All vertices are that were asked for.
+    Streamed {
+        /// Which request it was.
+        request: u64,
+        /// How many, and what was read.
+        report: Streamed,
+        /// How long it took.
+        seconds: f64,
+    },
     /// Something that the user should know.
     Note(String),
     /// A job came to nothing; what was there before still holds. Of kind
@@ -131,6 +154,9 @@ struct Wanted {
     open: Option<Opening>,
     evaluate: Option<Request>,
     write: Option<(Arc<[Entry]>, Writing)>,
+    preview: Option<Streaming>,
+    /// Nothing is to be seen in full any more.
+    forget: bool,
     compare: Option<Comparing>,
     plugins: Option<Arc<PluginRegistry>>,
     end: bool,
@@ -142,6 +168,7 @@ struct Running {
     open: Option<Arc<Watch>>,
     evaluate: Option<(Arc<Watch>, Arc<[Entry]>, Effort)>,
     write: Option<Arc<Watch>>,
+    preview: Option<Arc<Watch>>,
     compare: Option<Arc<Watch>>,
     /// The place of the step that is being done.
     step: Arc<std::sync::atomic::AtomicUsize>,
@@ -160,7 +187,8 @@ fn is_idle(wanted: &Wanted, running: &Running) -> bool {
     let waiting = wanted.open.is_some() || wanted.evaluate.is_some() || wanted.write.is_some();
     let busy = running.open.is_some() || running.evaluate.is_some() || running.write.is_some();
     let compares = wanted.compare.is_some() || running.compare.is_some();
-    !waiting && !busy && !compares && running.events == 0
+    let previews = wanted.preview.is_some() || running.preview.is_some();
+    !waiting && !busy && !compares && !previews && running.events == 0
 }
 
 impl Shared {
@@ -174,17 +202,25 @@ pub struct Engine {
     shared: Arc<Shared>,
     events: Receiver<Event>,
     requests: u64,
-    thread: Option<JoinHandle<()>>,
+    threads: Vec<JoinHandle<()>>,
 }
 
 impl Engine {
-    /// Starts the thread.
+    /// Starts the threads.
     pub fn new(plugins: Arc<PluginRegistry>, wake: Wake) -> Self {
         let (sender, events) = channel();
         let shared = Arc::new(Shared::default());
-        let thread = Thread::new(shared.clone(), sender, plugins, wake);
-        let thread = std::thread::Builder::new().name("engine".into()).spawn(move || thread.run()).ok();
-        Self { shared, events, requests: 0, thread }
+        let tell = Teller::new(shared.clone(), sender, wake);
+        let preview = preview::Thread { shared: shared.clone(), tell: tell.clone() };
+        let engine = Thread::new(shared.clone(), tell, plugins);
+        let spawn = |name: &str, run: Box<dyn FnOnce() + Send>| {
+            std::thread::Builder::new().name(name.into()).spawn(run).ok()
+        };
+        let threads = [
+            spawn("engine", Box::new(move || engine.run())),
+            spawn("preview", Box::new(move || preview.run())),
+        ];
+        Self { shared, events, requests: 0, threads: threads.into_iter().flatten().collect() }
     }
 
     fn want(&self, change: impl FnOnce(&mut Wanted, &mut Running)) {
@@ -201,7 +237,34 @@ impl Engine {
             running.open.iter().for_each(|watch| watch.supersede());
             running.evaluate.iter().for_each(|(watch, ..)| watch.supersede());
         });
+        self.forget_preview();
         self.compare(None);
+    }
+
+    /// Has vertices streamed, instead of those that are being streamed; gives the request's number, which comes back with
+    /// them. `model` is where it is, if it was moved.
+    pub fn preview(&mut self, pose: Pose, chosen: Chosen, model: Option<PathBuf>) -> u64 {
+        self.requests += 1;
+        let number = self.requests;
+        self.want(|wanted, running| {
+            running.preview.iter().for_each(|watch| watch.supersede());
+            wanted.preview = Some(Streaming { number, pose, chosen, model });
+        });
+        number
+    }
+
+    /// Streams no more vertices for now, and tells nobody.
+    pub fn pause_preview(&mut self) {
+        self.want(|wanted, running| {
+            wanted.preview = None;
+            running.preview.iter().for_each(|watch| watch.supersede());
+        });
+    }
+
+    /// Nothing is to be seen in full any more: memory is let go.
+    pub fn forget_preview(&mut self) {
+        self.pause_preview();
+        self.want(|wanted, _| wanted.forget = true);
     }
 
     /// Has another version made, instead of a former one, or none any more.
@@ -255,6 +318,10 @@ impl Engine {
                 wanted.write = None;
                 running.write.iter().for_each(|watch| watch.cancel());
             }
+            Job::Preview => {
+                wanted.preview = None;
+                running.preview.iter().for_each(|watch| watch.cancel());
+            }
             Job::Compare => {
                 wanted.compare = None;
                 running.compare.iter().for_each(|watch| watch.cancel());
@@ -270,6 +337,7 @@ impl Engine {
             Job::Open => running.open.as_ref(),
             Job::Evaluate => running.evaluate.as_ref().map(|(watch, ..)| watch),
             Job::Write => running.write.as_ref(),
+            Job::Preview => running.preview.as_ref(),
             Job::Compare => running.compare.as_ref(),
         };
         watch.map(|watch| watch.activity())
@@ -294,6 +362,7 @@ impl Engine {
             Job::Open => wanted.open.is_some(),
             Job::Evaluate => wanted.evaluate.is_some(),
             Job::Write => wanted.write.is_some(),
+            Job::Preview => wanted.preview.is_some(),
             Job::Compare => wanted.compare.is_some(),
         }
     }
@@ -347,18 +416,19 @@ impl Engine {
 
 impl Drop for Engine {
     fn drop(&mut self) {
-        for job in [Job::Open, Job::Evaluate, Job::Write, Job::Compare] {
+        for job in [Job::Open, Job::Evaluate, Job::Write, Job::Preview, Job::Compare] {
             self.cancel(job);
         }
         self.want(|wanted, _| wanted.end = true);
         // All work stops soon, but for that of a plugin in this process that hangs: it ends with the program.
-        let Some(thread) = self.thread.take() else { return };
         let end = Instant::now() + PARTING;
-        while !thread.is_finished() && Instant::now() < end {
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        if thread.is_finished() {
-            let _ = thread.join();
+        for thread in self.threads.drain(..) {
+            while !thread.is_finished() && Instant::now() < end {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            if thread.is_finished() {
+                let _ = thread.join();
+            }
         }
     }
 }

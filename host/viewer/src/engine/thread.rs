@@ -28,7 +28,7 @@ pub(super) struct Thread {
 
 /// The way to the window.
 #[derive(Clone)]
-struct Teller {
+pub(super) struct Teller {
     shared: Arc<Shared>,
     events: Sender<Event>,
     wake: Wake,
@@ -43,8 +43,26 @@ enum Task {
 }
 
 impl Teller {
+    pub fn new(shared: Arc<Shared>, events: Sender<Event>, wake: Wake) -> Self {
+        Self { shared, events, wake }
+    }
+
+    pub fn wake(&self) -> Wake {
+        self.wake.clone()
+    }
+
+    /// Sends what a job has come to so far.
+    pub fn send(&self, event: Event) {
+        let mut inner = self.shared.lock();
+        inner.1.events += 1;
+        drop(self.events.send(event));
+        self.shared.changed.notify_all();
+        drop(inner);
+        (self.wake)();
+    }
+
     /// Sends what became of a job, which is over.
-    fn end(&self, job: Job, watch: &Watch, event: Option<Event>) {
+    pub fn end(&self, job: Job, watch: &Watch, event: Option<Event>) {
         let notes = watch.take_notes().into_iter().map(Event::Note);
         let mut inner = self.shared.lock();
         let running = &mut inner.1;
@@ -62,6 +80,7 @@ impl Teller {
             Job::Open => running.open = None,
             Job::Evaluate => running.evaluate = None,
             Job::Write => running.write = None,
+            Job::Preview => running.preview = None,
             Job::Compare => running.compare = None,
         }
         self.shared.changed.notify_all();
@@ -71,7 +90,7 @@ impl Teller {
 }
 
 /// What work came to, even if it panicked: a mistake here must not take the edit with it.
-fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
+pub(super) fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let text = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
         let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
@@ -81,8 +100,7 @@ fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
 }
 
 impl Thread {
-    pub fn new(shared: Arc<Shared>, events: Sender<Event>, plugins: Arc<PluginRegistry>, wake: Wake) -> Self {
-        let tell = Teller { shared: shared.clone(), events, wake };
+    pub fn new(shared: Arc<Shared>, tell: Teller, plugins: Arc<PluginRegistry>) -> Self {
         Self { shared, tell, plugins, evaluation: None, revision: 0, writer: None }
     }
 

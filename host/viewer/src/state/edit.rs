@@ -28,6 +28,7 @@ impl State {
         if let Err(error) = self.autosave() {
             self.tell(super::Notice::Note(format!("the former edit was not kept: {error}")));
         }
+        self.end_preview();
         (self.selection, self.selections) = (Selection::none(scene.len()), Default::default());
         (self.chosen, self.stroke, self.depth, self.named) = (None, None, None, None);
         self.fields = [None, None];

@@ -4,6 +4,7 @@ mod edit;
 mod fields;
 mod history;
 mod pinned;
+mod preview;
 mod region;
 mod select;
 mod stroke;
@@ -74,6 +75,7 @@ pub struct State {
     recorder: Option<Recorder>,
     /// The depth buffer of a scene.
     depth: Option<(u64, DepthBuffer)>,
+    preview: preview::Preview,
     /// The numbers of both versions.
     fields: [Option<fields::Known>; 2],
     /// The version to compare with.
@@ -112,6 +114,7 @@ impl State {
             notices: Vec::new(),
             recorder: None,
             depth: None,
+            preview: preview::Preview::default(),
             fields: [None, None],
             pinned: None,
             pins: 0,
@@ -178,11 +181,15 @@ impl State {
             Command::Write { output } => self.write(output),
             Command::Cancel { job } => {
                 self.engine.cancel(job);
+                if job == Job::Preview {
+                    self.cancel_preview();
+                }
                 Ok(())
             }
             Command::Resize { size } => self.resize(size),
             Command::Camera(step) => self.move_camera(step),
             Command::Show(overlay) => self.show(overlay),
+            Command::Preview { what } => self.preview(what),
             Command::Pin => self.pin(),
             Command::PinSession { path } => self.pin_session(&path),
             Command::Unpin => {
@@ -225,19 +232,26 @@ impl State {
                 if self.open.is_some() && request > self.floor {
                     self.show_scene(Arc::new(*scene));
                     self.shown = request;
+                    self.follow_samples();
                     self.compare();
                 }
             }
             Event::Compared { number, scene, carried } => self.compared(number, scene, carried),
             Event::Written { output, report, seconds } => self.tell(Notice::Written(output, report, seconds)),
+            Event::Detail { request, batch } => self.take_detail(request, *batch),
+            Event::Streamed { request, report, seconds } => self.take_streamed(request, report, seconds),
             Event::Note(text) => self.tell(Notice::Note(text)),
             Event::Failed { job, error } => {
                 self.tell(Notice::Failed(job, error));
-                if job == Job::Compare {
-                    self.not_compared();
-                }
-                if job == Job::Open {
-                    self.compare_again();
+                match job {
+                    Job::Preview => self.stop_preview(),
+                    Job::Compare => self.not_compared(),
+                    // They were interrupted for the model that could not be opened.
+                    Job::Open => {
+                        self.compare_again();
+                        self.stream_missing();
+                    }
+                    _ => {}
                 }
                 // Steps that were given up for a model that could not be opened.
                 if job == Job::Open && self.shown != self.requested {

@@ -152,6 +152,7 @@ impl State {
         self.floor = self.requested;
         if let Some(scene) = scene {
             self.show_scene(scene);
+            self.follow_samples();
         }
         let Some(Pinned { version, .. }) = self.pinned.take() else { return };
         self.pin_version(version, false);

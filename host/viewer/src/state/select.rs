@@ -18,7 +18,7 @@ impl State {
     }
 
     /// The depth buffer of what is shown.
-    fn depth(&mut self, scene: &Arc<Scene>) -> &DepthBuffer {
+    pub(super) fn depth(&mut self, scene: &Arc<Scene>) -> &DepthBuffer {
         let (camera, size) = (self.camera, self.size);
         let known = self.depth.take().filter(|(r, d)| *r == scene.revision && d.is_of(&camera, size));
         let made = known.unwrap_or_else(|| (scene.revision, DepthBuffer::new(scene, &camera, size)));

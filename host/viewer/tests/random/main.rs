@@ -20,7 +20,8 @@ use simod_viewer::camera::{Projection, Standard};
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::engine::Job;
 use simod_viewer::selection::Combine;
-use simod_viewer::{Command, Overlay, State, Version};
+use simod_viewer::{Command, Overlay, Previewed, State, Version};
+use std::collections::BTreeSet;
 
 fn area() -> impl Strategy<Value = Area> {
     let pixel = || prop::array::uniform2(-100.0..1400.0_f64);
@@ -95,6 +96,7 @@ fn command() -> impl Strategy<Value = Command> {
         Overlay::TransferError,
         Overlay::Difference,
     ]);
+    let previewed = vec![Previewed::Seen, Previewed::Selection, Previewed::Nothing];
     let point = prop::array::uniform3(-1.0..1.0_f64).prop_map(DVec3::from);
     prop_oneof![
         4 => change().prop_map(Command::Edit),
@@ -121,6 +123,8 @@ fn command() -> impl Strategy<Value = Command> {
         1 => Just(Command::EndStroke),
         1 => Just(Command::DropStroke),
         1 => Just(Command::Cancel { job: Job::Evaluate }),
+        1 => Just(Command::Cancel { job: Job::Preview }),
+        2 => prop::sample::select(previewed).prop_map(|what| Command::Preview { what }),
         2 => camera().prop_map(Command::Camera),
         1 => overlay.prop_map(Command::Show),
         1 => Just(Command::Pin),
@@ -130,6 +134,9 @@ fn command() -> impl Strategy<Value = Command> {
     ]
 }
 
+/// Of the model.
+const VERTICES: u64 = 3000;
+
 /// What has to hold at any time.
 fn check(state: &mut State) {
     let scene = state.scene().expect("a model").clone();
@@ -138,6 +145,22 @@ fn check(state: &mut State) {
     assert!(scene.positions.iter().all(|p| p.is_finite()));
     assert!(scene.normals.iter().all(|n| n.is_finite()));
     assert!(state.camera().is_valid());
+    if let Some(detail) = state.detail() {
+        assert_eq!(detail.covered().len(), scene.len());
+        let mut shown = BTreeSet::new();
+        let (mut held, mut alive) = (0, 0);
+        for piece in detail.pieces().values() {
+            assert!(piece.batch.positions.iter().all(|p| p.is_finite()));
+            held += piece.batch.positions.len() as u64;
+            for ((cell, range), _) in piece.batch.cells.iter().zip(&piece.shown).filter(|(_, shown)| **shown)
+            {
+                assert!(shown.insert(*cell), "cell {cell} is shown twice");
+                alive += range.len() as u64;
+            }
+        }
+        assert_eq!(detail.figures().vertices, alive);
+        assert!(held <= 2 * VERTICES, "{held} vertices");
+    }
     for version in [Version::Now, Version::Pinned] {
         let samples = state.scene_of(version).map(|scene| scene.len());
         if let Some(field) = state.field_of(version) {
@@ -156,7 +179,7 @@ fn soak(commands: usize) -> Vec<u64> {
     let mut held = Vec::new();
     let folder = tempfile::tempdir().unwrap();
     let mut state = state(plugins());
-    done(&mut state, open(&model(folder.path(), Shape::Amphora, 3000), 300));
+    done(&mut state, open(&model(folder.path(), Shape::Amphora, VERTICES), 300));
     let mut runner = TestRunner::deterministic();
     let strategy = command();
     let mut accepted = 0;

@@ -48,6 +48,8 @@ fn edit_amphora(state: &mut State, folder: &Path, mut after: impl FnMut(&mut Sta
         after(state);
     };
     apply(state, Command::Camera(CameraMove::Look(Standard::Front)));
+    // Looking closer changes nothing.
+    apply(state, Command::Preview { what: simod_viewer::Previewed::Seen });
     apply(state, Command::AddStep { plugin: "rbf".into(), at: None });
     // All below, by a box; all above, by a lasso.
     let [left, low] = pixel(state, DVec3::new(-1.5, 0.5, 0.0));

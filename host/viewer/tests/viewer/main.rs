@@ -5,6 +5,7 @@ mod comparing;
 mod edits;
 mod errors;
 mod helpers;
+mod preview;
 mod selecting;
 
 use glam::DVec3;

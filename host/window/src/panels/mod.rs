@@ -1,5 +1,6 @@
 //! What is around the picture, and over it.
 
+mod detail;
 mod keys;
 mod legend;
 pub mod menu;

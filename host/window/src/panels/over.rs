@@ -1,6 +1,6 @@
 //! Over the picture: options of the tool, what is being done, and what colours mean.
 
-use super::{legend, pinned, progress};
+use super::{detail, legend, pinned, progress};
 use crate::tools::Tool;
 use crate::window::Window;
 use eframe::egui::{
@@ -18,6 +18,7 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
         options(ui, rect, window);
     }
     legend::show(ui, rect, window);
+    detail::show(ui, rect, window);
     progress::show(ui, rect, window);
     pinned::show(ui, rect, window);
 }

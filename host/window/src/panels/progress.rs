@@ -17,12 +17,13 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
         (Job::Open, "Opening"),
         (Job::Write, "Writing"),
         (Job::Evaluate, "Deforming"),
+        (Job::Preview, "Full detail"),
         (Job::Compare, "Comparing"),
     ] {
         let Some(activity) = window.state().activity(job) else { continue };
         // It may be over before anybody could read it.
         let left = PATIENCE - activity.seconds;
-        if left > 0.0 && matches!(job, Job::Evaluate | Job::Compare) {
+        if left > 0.0 && matches!(job, Job::Evaluate | Job::Preview | Job::Compare) {
             ui.ctx().request_repaint_after(std::time::Duration::from_secs_f64(left));
             continue;
         }

@@ -27,7 +27,7 @@ pub fn show(ui: &mut Ui, window: &Window) {
 fn going_on(ui: &mut Ui, window: &Window) {
     let state = window.state();
     let text = |text: String| RichText::new(text).small();
-    let jobs = [Job::Open, Job::Write, Job::Evaluate, Job::Compare];
+    let jobs = [Job::Open, Job::Write, Job::Evaluate, Job::Preview, Job::Compare];
     let job = jobs.into_iter().find_map(|job| state.activity(job));
     match job {
         Some(activity) => {

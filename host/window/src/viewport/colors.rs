@@ -1,6 +1,7 @@
 //! The samples' colours: overlay, regions of the chosen step, selection.
 
-use crate::theme;
+use super::detail::sample_colors;
+use crate::theme::{self, mixed};
 use crate::window::Window;
 use simod_session::Shapes;
 use simod_session::edit::StepId;
@@ -24,6 +25,8 @@ struct Key {
     range: Option<[f32; 2]>,
     selection: Selection,
     regions: Option<Regions>,
+    /// Whether parts are shown in full.
+    detail: bool,
 }
 
 /// The regions of the step that is chosen, if they are shown.
@@ -41,17 +44,13 @@ pub struct Colors {
     key: Key,
     weights: Vec<(Role, Field)>,
     colors: Option<Vec<[u8; 3]>>,
+    tinted: Option<Vec<[u8; 3]>>,
 }
 
 impl Colors {
-    /// The samples' colours, or nothing if all are the same; and whether they have changed. The selection and regions are of
+    /// Finds the samples' colours. Whether they have changed. The selection and regions are of
     /// the version that is worked on.
-    pub fn update(
-        &mut self,
-        window: &mut Window,
-        version: Version,
-        scene: &Arc<Scene>,
-    ) -> (Option<&[[u8; 3]]>, bool) {
+    pub fn update(&mut self, window: &mut Window, version: Version, scene: &Arc<Scene>) -> bool {
         let key = match version {
             Version::Now => key(window, scene),
             Version::Pinned => plain(window, scene),
@@ -62,14 +61,20 @@ impl Colors {
                 self.weights = weights(window, scene, &key);
             }
             self.colors = self.made(window, version, scene, &key);
+            self.tinted = key.detail.then(|| sample_colors(scene.len(), self.colors.as_deref()));
             self.key = key;
         }
-        (self.colors.as_deref(), changed)
+        changed
     }
 
-    /// Whether samples have colours of their own.
-    pub fn is_some(&self) -> bool {
-        self.colors.is_some()
+    /// What is shown where a sample is; nothing if it is the same everywhere.
+    pub fn of_surface(&self) -> Option<&[[u8; 3]]> {
+        self.colors.as_deref()
+    }
+
+    /// As samples show it.
+    pub fn of_samples(&self) -> Option<&[[u8; 3]]> {
+        self.tinted.as_deref().or(self.colors.as_deref())
     }
 
     fn made(&self, window: &mut Window, version: Version, scene: &Scene, key: &Key) -> Option<Vec<[u8; 3]>> {
@@ -113,8 +118,8 @@ fn key(window: &mut Window, scene: &Arc<Scene>) -> Key {
         let before = scene.before.get(at).map_or(0, |before| before.as_ptr() as usize);
         Regions { step: id, shapes, before }
     });
-    let selection = window.state().selection().clone();
-    Key { selection, regions, ..plain(window, scene) }
+    let (selection, detail) = (window.state().selection().clone(), window.state().detail().is_some());
+    Key { selection, regions, detail, ..plain(window, scene) }
 }
 
 fn weights(window: &Window, scene: &Scene, key: &Key) -> Vec<(Role, Field)> {
@@ -124,8 +129,4 @@ fn weights(window: &Window, scene: &Scene, key: &Key) -> Vec<(Role, Field)> {
     // A step that was not reached yet begins with what is shown.
     let before = scene.before.get(at).unwrap_or(&scene.positions);
     regions.shapes.iter().map(|(role, shapes)| (*role, overlay::region(scene, before, shapes))).collect()
-}
-
-fn mixed(a: [u8; 3], b: [u8; 3], t: f32) -> [u8; 3] {
-    std::array::from_fn(|i| (f32::from(a[i]) * (1.0 - t) + f32::from(b[i]) * t).round() as u8)
 }

@@ -2,6 +2,7 @@
 
 mod colors;
 mod corner;
+pub mod detail;
 mod emerging;
 pub mod handles;
 mod navigate;

@@ -2,6 +2,7 @@
 
 use super::Canvas;
 use super::colors::Colors;
+use super::detail::{Pieces, sample_radii};
 use super::emerging::Emerging;
 use super::texture::Texture;
 use crate::screenshot::RADIUS;
@@ -10,7 +11,7 @@ use crate::window::Window;
 use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
 use eframe::egui_wgpu::RenderState;
 use simod_scene::{Budget, Gpu, Mode, Scene, Style, Surface, View};
-use simod_viewer::Version;
+use simod_viewer::{Detail, Version};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -40,6 +41,9 @@ struct Drawing {
     texture: Texture,
     colors: Colors,
     shown: Option<Arc<simod_viewer::Scene>>,
+    pieces: Pieces,
+    /// What of the detail is shown.
+    detail: Option<u64>,
     ghost: bool,
     /// From where the last picture was.
     seen: Option<View>,
@@ -144,6 +148,8 @@ impl Drawing {
             texture: Texture::new(render),
             colors: Colors::default(),
             shown: None,
+            pieces: Pieces::default(),
+            detail: None,
             ghost: false,
             seen: None,
         }
@@ -183,7 +189,7 @@ impl Drawing {
         let moves = window.ctx().input(|i| i.pointer.any_down()) || self.seen != Some(view);
         self.seen = Some(view);
         // At rest all is drawn at once, unless that would take too long to wait for.
-        let parts = scene.len() as f64 / self.budget.1.splats() as f64;
+        let parts = self.scene.splats() as f64 / self.budget.1.splats() as f64;
         let whole = !moves && parts * goal.as_secs_f64() < PATIENCE / f64::from(share);
         let budget = (!whole).then_some(&mut self.budget.1);
         let picture = self.scene.render(&view, &style, budget).clone();
@@ -212,7 +218,7 @@ impl Drawing {
     }
 
     fn colors_are_own(&self) -> bool {
-        self.colors.is_some()
+        self.colors.of_samples().is_some()
     }
 
     /// Brings what the card has up to date.
@@ -226,9 +232,13 @@ impl Drawing {
         let same = same_samples && known.is_some_and(|known| known.revision == scene.revision);
         let sampled = &scene.sampled;
         let samples = &sampled.samples;
-        let (colors, recolored) = self.colors.update(window, self.version, scene);
+        let recolored = self.colors.update(window, self.version, scene);
+        let detail = window.state().detail().filter(|_| self.version == Version::Now);
+        let revision = detail.map(Detail::revision);
+        let covers_others = revision != std::mem::replace(&mut self.detail, revision);
+        let (colors, radii) = (self.colors.of_samples(), || sample_radii(samples.spacing(), detail));
         if !same_samples {
-            let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
+            let radii = radii();
             self.scene.set_surface(&Surface {
                 positions: &scene.positions,
                 normals: &scene.normals,
@@ -240,11 +250,11 @@ impl Drawing {
             if !same {
                 self.scene.set_positions(&scene.positions, &scene.normals)?;
             }
-            if recolored {
-                let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
-                self.scene.set_colors(&radii, colors)?;
+            if recolored || covers_others {
+                self.scene.set_colors(&radii(), colors)?;
             }
         }
+        self.pieces.update(&mut self.scene, detail, self.colors.of_surface(), recolored)?;
         if window.looks.ghost != self.ghost || self.ghost && !same_samples {
             self.ghost = window.looks.ghost;
             let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();

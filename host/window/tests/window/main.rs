@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
 mod compare;
+mod detail;
 mod edit;
 mod parameters;
 mod picture;

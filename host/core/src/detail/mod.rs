@@ -1,0 +1,279 @@
+//! The model itself where somebody looks: the vertices of some cells are read again and carried over by the deformation, as
+//! many as a picture needs, without writing a file (paper §5 and §6).
+//!
+//! Only the ranges of these cells are read, once. Each cell is handed on when its last vertex came, in batches that are
+//! carried as [`reconstruct`](crate::reconstruction::reconstruct) carries blocks. Where there are more vertices than
+//! are wanted, one of each few that follow each other in a cell is taken (`thinning`).
+
+#[cfg(test)]
+mod tests;
+mod thinning;
+
+use std::ops::Range;
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::model::Model;
+use crate::reconstruction::{DeformationField, Figures, Moved, carry, homes};
+use crate::refinement::gathering::{Gathering, Visited};
+use crate::sampled_model::SampledModel;
+use crate::sampling::kd_tree::KdTree;
+use crate::sampling::normals;
+use crate::{Error, ErrorKind, Progress, Result};
+use thinning::Thinning;
+
+/// So many vertices are enough for most screens: there are hardly more pixels.
+pub const ENOUGH: usize = 3_000_000;
+
+/// Vertices of a batch, to which the last of its cells adds its own.
+pub const BATCH: usize = 1 << 17;
+
+/// Neighbours over which the spacing of vertices is measured, as that of samples.
+const SPACING_NEIGHBOURS: usize = 6;
+
+/// Nowhere, the surface is taken for stretched more than this when discs are to cover it.
+const MOST_STRETCH: f32 = 8.0;
+
+/// The cells to be streamed, and how finely.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Chosen {
+    /// Their places among the kept cells; ascending.
+    pub cells: Vec<u32>,
+    /// One of so many vertices is taken: 1 for all.
+    pub stride: u64,
+}
+
+/// What was streamed.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Streamed {
+    /// Number of vertices that were handed on ...
+    pub vertices: u64,
+    /// ... of so many with a finite position in the cells.
+    pub of: u64,
+    /// Bytes of the model that were read.
+    pub bytes: u64,
+}
+
+/// Vertices of some cells, carried over. All lists but the last one have an entry for each vertex; coordinates are local (see
+/// [`Frame`](crate::frame::Frame)).
+///
+/// Memory: 32 bytes per vertex, 12 per cell.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Batch {
+    /// Where the deformation takes them.
+    pub positions: Vec<Vec3>,
+    /// Of length 1: the model's own, or else estimated at rest, turned by the deformation.
+    pub normals: Vec<Vec3>,
+    /// Mean distance to the nearest vertices that were taken, at rest, times the largest stretch.
+    pub spacing: Vec<f32>,
+    /// A sample near each at rest, on its sheet of the surface.
+    pub homes: Vec<u32>,
+    /// The cells, as in [`Chosen::cells`], and which vertices are theirs, in the order of the model.
+    pub cells: Vec<(u32, Range<u32>)>,
+}
+
+impl Chosen {
+    /// The cells with a marked sample, so finely that they give at most `most` vertices; or one of each cell, where that is
+    /// more.
+    ///
+    /// # Errors
+    /// The cells are not held; there are not as many marks as samples; no sample is marked.
+    pub fn of(sampled: &SampledModel, marks: &[bool], most: usize) -> Result<Self> {
+        let kept = sampled.checked_cells()?;
+        if marks.len() != sampled.samples.len() {
+            let what = format!("{} marks for {} samples", marks.len(), sampled.samples.len());
+            return Err(Error::new(ErrorKind::Argument, what, "give one for each sample"));
+        }
+        let is_marked =
+            |cell: &u32| kept.cells[*cell as usize].tree.samples.iter().any(|s| marks[*s as usize]);
+        let cells: Vec<u32> = (0..kept.cells.len() as u32).filter(is_marked).collect();
+        if cells.is_empty() {
+            let hint = "select a part of the model, or look at it";
+            return Err(Error::new(ErrorKind::Argument, "nothing of the model was chosen", hint));
+        }
+        let vertices: Vec<u64> = cells.iter().map(|cell| kept.cells[*cell as usize].vertices).collect();
+        Ok(Self { cells, stride: thinning::stride(&vertices, most as u64) })
+    }
+
+    /// So many vertices these cells have, and so many of them are taken.
+    pub fn vertices(&self, sampled: &SampledModel) -> [u64; 2] {
+        let Some(kept) = sampled.held_cells() else { return [0; 2] };
+        let of = |cell: &u32| kept.cells.get(*cell as usize).map_or(0, |cell| cell.vertices);
+        let sums = self.cells.iter().map(of).map(|n| [n, n.div_ceil(self.stride)]);
+        sums.fold([0; 2], |[all, taken], [n, k]| [all + n, taken + k])
+    }
+}
+
+/// Streams the chosen cells of the model through `each`, batch by batch, deformed by a field of its samples, or at rest.
+/// Vertices without a finite position are left out.
+///
+/// The batches do not depend on the number of threads. Positions depend on what else was chosen by rounding at most, but for a few
+/// vertices between two sheets of the surface that are near each other, whose homes follow from those before them; spacings
+/// and estimated normals do at the rim of a batch.
+///
+/// Memory: about 250 bytes for each vertex of a batch, and 36 for each that was taken and whose cell is not complete; in a
+/// model in no order, that may be all.
+///
+/// # Errors
+/// The cells are not held, or not those of the model; the model cannot be read, or is not what was sampled; `each`
+/// failed; the user cancelled.
+pub fn stream(
+    sampled: &SampledModel,
+    model: &dyn Model,
+    chosen: &Chosen,
+    field: Option<&DeformationField<'_>>,
+    progress: &dyn Progress,
+    mut each: impl FnMut(Batch) -> Result<()>,
+) -> Result<Streamed> {
+    let kept = sampled.checked_cells()?;
+    if let Some(cell) = chosen.cells.iter().find(|cell| **cell as usize >= kept.cells.len()) {
+        let what = format!("there is no cell {cell} among {}", kept.cells.len());
+        return Err(Error::new(ErrorKind::Argument, what, "choose cells of this model"));
+    }
+    let changed = || sampled.source_changed(model.path());
+    let frame = sampled.frame;
+    let gathering = Gathering { model, kept, frame, edge: None, with_ids: false };
+    let thinning = Thinning::new(chosen.stride);
+    let carrying = Carrying { sampled, field, stride: chosen.stride, progress };
+    let mut open: Vec<Part> = chosen.cells.iter().map(|cell| Part::of(*cell)).collect();
+    let mut complete: Vec<Part> = Vec::new();
+    let mut streamed = Streamed::default();
+    let mut hand_on = |parts: &mut Vec<Part>| -> Result<()> {
+        let batch = carrying.batch(parts)?;
+        parts.clear();
+        if batch.positions.is_empty() { Ok(()) } else { each(batch) }
+    };
+    let mut held = 0;
+    progress.begin("streaming vertices", gathering.bytes_of(&chosen.cells));
+    let bytes = gathering.visit(&chosen.cells, progress, |visited| {
+        let Some(Visited { at, position, normal, .. }) = visited else { return Ok(true) };
+        let part = &mut open[at as usize];
+        let all = kept.cells[part.cell as usize].vertices;
+        if part.seen == all {
+            return Ok(false);
+        }
+        if thinning.takes(part.cell, part.seen, all) {
+            part.positions.push(position);
+            part.normals.push(normal);
+        }
+        part.seen += 1;
+        if part.seen == all {
+            held += part.positions.len();
+            streamed.vertices += part.positions.len() as u64;
+            streamed.of += all;
+            let whole = Part { seen: all, ..Part::of(part.cell) };
+            complete.push(std::mem::replace(part, whole));
+            if held >= BATCH {
+                hand_on(&mut complete)?;
+                held = 0;
+            }
+        }
+        Ok(true)
+    })?;
+    streamed.bytes = bytes.ok_or_else(changed)?;
+    if open.iter().any(|part| part.seen != kept.cells[part.cell as usize].vertices) {
+        return Err(changed());
+    }
+    hand_on(&mut complete)?;
+    Ok(streamed)
+}
+
+/// What has come of a cell.
+struct Part {
+    cell: u32,
+    /// Number of its vertices that came.
+    seen: u64,
+    /// Those that were taken: model coordinates, and normals, zero where there are none.
+    positions: Vec<DVec3>,
+    normals: Vec<Vec3>,
+}
+
+impl Part {
+    fn of(cell: u32) -> Self {
+        Self { cell, seen: 0, positions: Vec::new(), normals: Vec::new() }
+    }
+}
+
+/// How vertices become a batch.
+struct Carrying<'a> {
+    sampled: &'a SampledModel,
+    field: Option<&'a DeformationField<'a>>,
+    stride: u64,
+    progress: &'a dyn Progress,
+}
+
+impl Carrying<'_> {
+    fn batch(&self, parts: &[Part]) -> Result<Batch> {
+        let mut cells = Vec::with_capacity(parts.len());
+        let (mut rest, mut known) = (Vec::new(), Vec::new());
+        for part in parts {
+            let first = rest.len() as u32;
+            rest.extend_from_slice(&part.positions);
+            known.extend_from_slice(&part.normals);
+            cells.push((part.cell, first..rest.len() as u32));
+        }
+        if rest.is_empty() {
+            return Ok(Batch { cells, ..Batch::default() });
+        }
+        let frame = &self.sampled.frame;
+        let local: Vec<Vec3> = rest.par_iter().map(|p| frame.to_local(*p)).collect();
+        self.progress.check()?;
+        // As the model has them, if it has any: they tell sheets apart.
+        let told: &[Vec3] = if known.iter().all(|n| *n == Vec3::ZERO) { &[] } else { &known };
+        let mut at = Vec::new();
+        match self.field {
+            Some(field) => homes(field.around(), frame, &rest, told, &mut at),
+            None => local.par_iter().map(|p| self.sampled.samples.nearest(*p)).collect_into_vec(&mut at),
+        }
+        self.progress.check()?;
+        let (mut turned, mut spacing) = self.surface(&local, &known, &at);
+        self.progress.check()?;
+        let Some(field) = self.field else {
+            return Ok(Batch { positions: local, normals: turned, spacing, homes: at, cells });
+        };
+        let mut moved = rest.clone();
+        let mut figures = vec![Figures::UNKNOWN; rest.len()];
+        let to = Moved { positions: &mut moved, normals: &mut turned, figures: &mut figures };
+        carry(std::slice::from_ref(field), frame, &rest, told, Some(&at), &mut [to]);
+        spacing.iter_mut().zip(&figures).for_each(|(spacing, figures)| {
+            let stretch = figures.stretch[0];
+            *spacing *= if stretch.is_finite() { stretch.min(MOST_STRETCH) } else { 1.0 };
+        });
+        let positions = moved.par_iter().map(|p| frame.to_local(*p)).collect();
+        Ok(Batch { positions, normals: turned, spacing, homes: at, cells })
+    }
+
+    /// Normals at rest of vertices of which some are known, and their spacing.
+    fn surface(&self, positions: &[Vec3], known: &[Vec3], homes: &[u32]) -> (Vec<Vec3>, Vec<f32>) {
+        let samples = &self.sampled.samples;
+        let (of_samples, at_samples) = (samples.spacing(), samples.normals());
+        // Vertices are hardly farther apart than samples.
+        let most = (self.stride as f32).sqrt();
+        let tree = KdTree::new(positions);
+        let look = |(found, near): &mut (Vec<u64>, Vec<u32>), i: usize| {
+            let (p, home) = (positions[i], homes[i] as usize);
+            let is_known = known[i] != Vec3::ZERO;
+            let wanted = if is_known { SPACING_NEIGHBOURS } else { normals::NEIGHBOURS };
+            found.resize(wanted.min(positions.len() - 1), 0);
+            tree.nearest_others(p, i as u32, found);
+            near.clear();
+            near.extend(found.iter().map(|found| *found as u32));
+            let normal = if is_known {
+                known[i]
+            } else {
+                let n = normals::plane_normal(positions, i, near);
+                if n.dot(at_samples[home]) < 0.0 { -n } else { n }
+            };
+            // Vertices may be there twice, as at seams of textures.
+            let (mut sum, mut count) = (0.0, 0);
+            for j in near.iter().take(SPACING_NEIGHBOURS) {
+                let d = positions[*j as usize].distance(p);
+                (sum, count) = (sum + d, count + u8::from(d > 0.0));
+            }
+            let widest = most * of_samples[home];
+            (normal, if count > 0 { (sum / f32::from(count)).min(widest) } else { widest })
+        };
+        (0..positions.len()).into_par_iter().map_init(Default::default, look).unzip()
+    }
+}

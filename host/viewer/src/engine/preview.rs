@@ -1,0 +1,128 @@
+//! A thread that streams vertices of the model to be seen, so that the edit goes on meanwhile.
+
+use super::thread::{Teller, guarded};
+use super::watch::Watch;
+use super::{Event, Job, Shared};
+use glam::Vec3;
+use simod_core::detail::{self, Chosen};
+use simod_core::reconstruction::{DeformationField, Method, Surroundings};
+use simod_core::sampled_model::SampledModel;
+use simod_core::{Progress, Result};
+use std::cell::OnceCell;
+use std::path::PathBuf;
+use std::sync::{Arc, PoisonError};
+use std::time::Instant;
+
+/// Vertices to be streamed.
+pub(super) struct Streaming {
+    pub number: u64,
+    pub pose: Pose,
+    pub chosen: Chosen,
+    /// The model, if it was moved since it was sampled.
+    pub model: Option<PathBuf>,
+}
+
+/// Samples somewhere: what vertices are carried over by.
+#[derive(Clone)]
+pub struct Pose {
+    /// The samples at rest.
+    pub sampled: Arc<SampledModel>,
+    /// Where they are.
+    pub positions: Arc<[Vec3]>,
+}
+
+impl Pose {
+    /// Whether it is the very same; others may be equal nevertheless.
+    pub fn is(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.sampled, &other.sampled) && Arc::ptr_eq(&self.positions, &other.positions)
+    }
+}
+
+/// What to do next.
+enum Task {
+    Stream(Streaming, Arc<Watch>),
+    /// What is known of the samples is not needed any more.
+    Forget,
+}
+
+/// The thread.
+pub(super) struct Thread {
+    pub shared: Arc<Shared>,
+    pub tell: Teller,
+}
+
+impl Thread {
+    pub fn run(self) {
+        let mut next = self.next();
+        while let Some(task) = next {
+            next = match task {
+                Task::Stream(streaming, watch) => self.stream_all(streaming, watch),
+                Task::Forget => self.next(),
+            };
+        }
+    }
+
+    /// Waits for something to do; nothing once the window is closed.
+    fn next(&self) -> Option<Task> {
+        let mut inner = self.shared.lock();
+        loop {
+            let (wanted, running) = &mut *inner;
+            if wanted.end {
+                return None;
+            }
+            if std::mem::take(&mut wanted.forget) {
+                return Some(Task::Forget);
+            }
+            if let Some(streaming) = wanted.preview.take() {
+                let watch = Arc::new(Watch::new(self.tell.wake()));
+                running.preview = Some(watch.clone());
+                return Some(Task::Stream(streaming, watch));
+            }
+            inner = self.shared.changed.wait(inner).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Streams for all poses of the same samples: what is known of them at rest is found once. Gives what is next.
+    fn stream_all(&self, mut streaming: Streaming, mut watch: Arc<Watch>) -> Option<Task> {
+        let sampled = streaming.pose.sampled.clone();
+        let around = OnceCell::new();
+        loop {
+            let done = guarded(|| {
+                let around = || around.get_or_init(|| Surroundings::of(&sampled.samples));
+                self.stream(streaming, around, &*watch)
+            });
+            let event = done.unwrap_or_else(|error| Event::Failed { job: Job::Preview, error });
+            self.tell.end(Job::Preview, &watch, Some(event));
+            (streaming, watch) = match self.next()? {
+                Task::Stream(next, watch) if Arc::ptr_eq(&next.pose.sampled, &sampled) => (next, watch),
+                other => return Some(other),
+            };
+        }
+    }
+
+    fn stream<'a>(
+        &self,
+        streaming: Streaming,
+        around: impl FnOnce() -> &'a Surroundings<'a>,
+        progress: &dyn Progress,
+    ) -> Result<Event> {
+        let Streaming { number, pose: Pose { sampled, positions }, chosen, model } = streaming;
+        let start = Instant::now();
+        let model = sampled.open_source(model.as_deref())?;
+        let each = |batch| {
+            self.tell.send(Event::Detail { request: number, batch: Box::new(batch) });
+            progress.check()
+        };
+        progress.begin("preparing", 0);
+        // As the samples are when the model is written.
+        let deformed = sampled.rounded(&positions);
+        let report = if *positions == *sampled.samples.positions {
+            detail::stream(&sampled, model.as_ref(), &chosen, None, progress, each)?
+        } else {
+            let field = DeformationField::new(around(), &deformed, Method::default());
+            progress.check()?;
+            detail::stream(&sampled, model.as_ref(), &chosen, Some(&field), progress, each)?
+        };
+        Ok(Event::Streamed { request: number, report, seconds: start.elapsed().as_secs_f64() })
+    }
+}

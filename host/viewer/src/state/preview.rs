@@ -1,0 +1,134 @@
+//! Parts of the model in full: asked for, streamed again once the edit rests, and shown in the place of samples.
+
+use super::{State, nothing_open};
+use crate::detail::{Detail, Previewed};
+use crate::engine::{Job, Pose};
+use rayon::prelude::*;
+use simod_core::Result;
+use simod_core::detail::{Batch, Chosen, ENOUGH, Streamed};
+
+/// Samples around those that are seen, whose vertices may be.
+const RING: usize = 8;
+
+/// What is shown in full, and on its way.
+#[derive(Default)]
+pub(super) struct Preview {
+    detail: Option<Detail>,
+    /// The request for what is being streamed, by what samples, and one of how many vertices.
+    streaming: Option<(u64, Pose, u64)>,
+    /// The user stopped it.
+    stopped: bool,
+    /// The last that was streamed to its end, and how long it took.
+    last: Option<(Streamed, f64)>,
+}
+
+impl State {
+    /// What is shown in full, if anything is.
+    pub fn detail(&self) -> Option<&Detail> {
+        self.preview.detail.as_ref()
+    }
+
+    /// What was read for it the last time, and how long it took in seconds.
+    pub fn streamed(&self) -> Option<(Streamed, f64)> {
+        self.preview.last
+    }
+
+    /// Whether vertices are on their way.
+    pub fn is_streaming(&self) -> bool {
+        self.preview.streaming.is_some()
+    }
+
+    pub(super) fn preview(&mut self, what: Previewed) -> Result<()> {
+        let open = self.open.as_ref().ok_or_else(nothing_open)?;
+        let scene = open.scene.clone();
+        let marks = match what {
+            Previewed::Nothing => {
+                self.end_preview();
+                return Ok(());
+            }
+            Previewed::Selection => self.selection.marks().to_vec(),
+            Previewed::Seen => {
+                let neighbours = scene.sampled.samples.neighbours();
+                let seen = self.depth(&scene).seen(&scene);
+                let ring = RING.min(neighbours.k());
+                let near = |i: usize| seen[i] || neighbours.of(i)[..ring].iter().any(|j| seen[*j as usize]);
+                (0..seen.len()).into_par_iter().map(near).collect()
+            }
+        };
+        let chosen = Chosen::of(&scene.sampled, &marks, ENOUGH)?;
+        let pose = Pose { sampled: scene.sampled.clone(), positions: scene.positions.clone() };
+        let preview = &mut self.preview;
+        match &mut preview.detail {
+            Some(detail) => detail.choose(what, chosen),
+            None => preview.detail = Some(Detail::new(what, chosen, pose)),
+        }
+        preview.stopped = false;
+        self.stream_missing();
+        Ok(())
+    }
+
+    /// Samples everywhere.
+    pub(super) fn end_preview(&mut self) {
+        self.preview = Preview::default();
+        self.engine.forget_preview();
+    }
+
+    /// The samples are somewhere else: what was streamed may be stale. It is streamed again once the edit rests.
+    pub(super) fn follow_samples(&mut self) {
+        let Some(scene) = self.open.as_ref().map(|open| open.scene.clone()) else { return };
+        let pose = Pose { sampled: scene.sampled.clone(), positions: scene.positions.clone() };
+        if let Some(detail) = &mut self.preview.detail {
+            detail.follow(pose);
+            self.stream_missing();
+        }
+    }
+
+    /// Has streamed what is wanted and not there, if the edit rests.
+    pub(super) fn stream_missing(&mut self) {
+        let rests = self.is_settled() && self.stroke.is_none() && !self.preview.stopped;
+        let (Some(open), Some(detail)) = (&self.open, &self.preview.detail) else { return };
+        let missing = detail.missing();
+        if !rests || missing.cells.is_empty() {
+            if self.preview.streaming.take().is_some() {
+                self.engine.pause_preview();
+            }
+            return;
+        }
+        let pose = Pose { sampled: open.scene.sampled.clone(), positions: open.scene.positions.clone() };
+        let stride = missing.stride;
+        let model = open.editor.model().map(std::path::Path::to_owned);
+        let request = self.engine.preview(pose.clone(), missing, model);
+        self.preview.streaming = Some((request, pose, stride));
+    }
+
+    /// Some vertices have come.
+    pub(super) fn take_detail(&mut self, request: u64, batch: Batch) {
+        let Preview { detail, streaming, .. } = &mut self.preview;
+        if let (Some(detail), Some((number, pose, stride))) = (detail, streaming)
+            && *number == request
+        {
+            detail.take(batch, *stride, pose);
+        }
+    }
+
+    /// All have come that were asked for.
+    pub(super) fn take_streamed(&mut self, request: u64, report: Streamed, seconds: f64) {
+        if self.preview.streaming.take_if(|(number, ..)| *number == request).is_some() {
+            self.preview.last = Some((report, seconds));
+        }
+    }
+
+    /// It came to nothing, and is not tried again until somebody asks; as may be the case already.
+    pub(super) fn stop_preview(&mut self) {
+        if !self.engine.wants(Job::Preview) && self.engine.activity(Job::Preview).is_none() {
+            self.preview.streaming = None;
+            self.preview.stopped = true;
+        }
+    }
+
+    /// The user stops it.
+    pub(super) fn cancel_preview(&mut self) {
+        self.preview.streaming = None;
+        self.preview.stopped = true;
+    }
+}

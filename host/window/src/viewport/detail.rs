@@ -1,0 +1,109 @@
+//! The vertices that are shown in full, as the graphics card has them.
+
+use crate::screenshot::RADIUS;
+use crate::theme;
+use simod_core::detail::Batch;
+use simod_scene::{BadSurface, Scene, Surface};
+use simod_viewer::Detail;
+use simod_viewer::detail::Piece;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Of a splat that is not drawn.
+const HIDDEN: f32 = -1.0;
+
+/// Which pieces the card has, and what it shows of each.
+#[derive(Default)]
+pub struct Pieces(BTreeMap<u64, u64>);
+
+impl Pieces {
+    /// Brings the card up to date. `colors` are those of the samples, if they are not all the same; all vertices have that of
+    /// theirs.
+    ///
+    /// # Errors
+    /// Never, for pieces that are whole.
+    pub fn update(
+        &mut self,
+        scene: &mut Scene,
+        detail: Option<&Detail>,
+        colors: Option<&[[u8; 3]]>,
+        recolored: bool,
+    ) -> Result<(), BadSurface> {
+        let there = detail.map(Detail::pieces);
+        let gone = |number: &u64| there.is_none_or(|pieces| !pieces.contains_key(number));
+        for number in self.0.keys().copied().filter(gone).collect::<Vec<_>>() {
+            scene.set_detail(number, None)?;
+            self.0.remove(&number);
+        }
+        for (number, piece) in there.into_iter().flatten() {
+            let known = self.0.insert(*number, piece.revision);
+            if known == Some(piece.revision) && !recolored {
+                continue;
+            }
+            let splats = splats(piece, colors);
+            if known.is_some() {
+                scene.set_detail_colors(*number, &splats.radii, Some(&splats.colors))?;
+            } else {
+                scene.set_detail(*number, Some(&splats.surface()))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A piece as it is drawn.
+pub struct Splats {
+    batch: Arc<Batch>,
+    radii: Vec<f32>,
+    colors: Vec<[u8; 3]>,
+}
+
+impl Splats {
+    /// As the renderer takes it.
+    pub fn surface(&self) -> Surface<'_> {
+        Surface {
+            positions: &self.batch.positions,
+            normals: &self.batch.normals,
+            radii: &self.radii,
+            colors: Some(&self.colors),
+            triangles: &[],
+        }
+    }
+}
+
+/// A piece in the samples' colours.
+pub fn splats(piece: &Piece, colors: Option<&[[u8; 3]]>) -> Splats {
+    Splats { batch: piece.batch.clone(), radii: radii(piece), colors: of_vertices(piece, colors) }
+}
+
+fn radii(piece: &Piece) -> Vec<f32> {
+    let mut radii: Vec<f32> = piece.batch.spacing.iter().map(|s| RADIUS * s).collect();
+    for ((_, range), _) in piece.batch.cells.iter().zip(&piece.shown).filter(|(_, shown)| !**shown) {
+        radii[range.start as usize..range.end as usize].fill(HIDDEN);
+    }
+    radii
+}
+
+fn of_vertices(piece: &Piece, colors: Option<&[[u8; 3]]>) -> Vec<[u8; 3]> {
+    let of = |home: &u32| colors.and_then(|colors| colors.get(*home as usize)).copied();
+    piece.batch.homes.iter().map(|home| of(home).unwrap_or(theme::CLAY)).collect()
+}
+
+/// Radii of the samples' discs; none where vertices are shown instead.
+pub fn sample_radii(spacing: &[f32], detail: Option<&Detail>) -> Vec<f32> {
+    let mut radii: Vec<f32> = spacing.iter().map(|s| RADIUS * s).collect();
+    if let Some(detail) = detail {
+        let covered = radii.iter_mut().zip(&**detail.covered()).filter(|(_, covered)| **covered);
+        covered.for_each(|(radius, _)| *radius = HIDDEN);
+    }
+    radii
+}
+
+/// Colours of samples beside vertices that are shown in full: a little other than these.
+pub fn sample_colors(samples: usize, colors: Option<&[[u8; 3]]>) -> Vec<[u8; 3]> {
+    let tinted = |color: [u8; 3]| theme::mixed(color, theme::SAMPLES, theme::SAMPLES_SHARE);
+    match colors {
+        Some(colors) => colors.iter().map(|color| tinted(*color)).collect(),
+        None => vec![tinted(theme::CLAY); samples],
+    }
+}
