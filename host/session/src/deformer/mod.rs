@@ -8,6 +8,8 @@ mod about;
 #[allow(unsafe_code, reason = "tables and pointers of C; each block has its argument")]
 mod c;
 mod code;
+#[allow(unsafe_code, reason = "an instruction that not all processors have; the block has its argument")]
+mod registers;
 
 use crate::params::check_description;
 use rayon::prelude::*;
@@ -26,6 +28,7 @@ pub(crate) use about::About;
 pub(crate) use c::CCode;
 pub(crate) use code::RustCode;
 pub use code::{Capabilities, Code};
+pub(crate) use registers::clear_upper_halves;
 
 /// A plugin that is there to be used.
 pub struct Plugin {
@@ -169,6 +172,7 @@ impl Plugin {
         watch.begin("preparing the deformation");
         let before = self.fingerprint(&input.samples);
         let state = self.code.prepare(input, watch);
+        clear_upper_halves();
         self.check_unchanged(before, &input.samples)?;
         watch.progress.check()?;
         state.map_err(|e| self.failed(&e))
@@ -193,6 +197,7 @@ impl Plugin {
         out.fill([f32::NAN; 3]);
         let before = self.fingerprint(&input.samples);
         let done = self.code.deform(state, input, scratch, out, watch);
+        clear_upper_halves();
         self.check_unchanged(before, &input.samples)?;
         watch.progress.check()?;
         done.map_err(|e| self.failed(&e))?;
@@ -216,6 +221,7 @@ impl Plugin {
             ));
         }
         let done = self.code.evaluate(state, input, points, watch);
+        clear_upper_halves();
         watch.progress.check()?;
         done.map_err(|e| self.failed(&e))?;
         let bad = |p: &[f64; 3]| !p.iter().all(|x| x.is_finite());
@@ -388,6 +394,7 @@ impl HostCalls for Watch<'_> {
                 return Err(());
             }
             body(i);
+            clear_upper_halves();
             Ok(())
         });
         work.is_ok()

@@ -3,7 +3,7 @@
 use super::arena::{ControlMap, Shared};
 use super::protocol::{self, Failure, HandleRecord, InputRecord, Refusal, Reply, Request, Slice};
 use crate::child::limit_memory;
-use crate::deformer::{Code, Plugin};
+use crate::deformer::{Code, Plugin, clear_upper_halves};
 use crate::plugins::load_code;
 use memmap2::Mmap;
 use rayon::prelude::*;
@@ -231,6 +231,7 @@ impl HostCalls for Calls {
                 return Err(());
             }
             body(i);
+            clear_upper_halves();
             let (_, fraction) = self.control.read();
             self.control.beat(fraction);
             Ok(())
