@@ -200,13 +200,36 @@ impl DepthBuffer {
 
     /// The point of the surface under a pixel of the window; nothing where there is none.
     pub fn pick(&self, scene: &Scene, pixel: DVec2) -> Option<Hit> {
-        let shrunk = DVec2::new(
-            pixel.x * self.width as f64 / self.size[0].max(1.0),
-            pixel.y * self.height as f64 / self.size[1].max(1.0),
-        );
-        let (_, sample) = self.at(shrunk).filter(|(_, sample)| *sample != NOBODY)?;
+        let (_, sample) = self.at(self.shrunk(pixel)).filter(|(_, sample)| *sample != NOBODY)?;
+        Some(self.hit(scene, pixel, sample))
+    }
+
+    /// Behind the point under a pixel, where the body ends that begins there: at the nearest surface that looks away. Nothing
+    /// where there is none, as in an open scan.
+    pub fn pick_far_side(&self, scene: &Scene, pixel: DVec2) -> Option<Hit> {
+        let at = self.shrunk(pixel);
+        let (front, first) = self.at(at).filter(|(_, sample)| *sample != NOBODY)?;
+        let from = front + self.radii[first as usize];
+        let behind = |i: usize| {
+            let disc = self.disc(scene, i).filter(|disc| !disc.faces)?;
+            let depth = self.lens.depth_at(at, &disc)? as f32;
+            (depth > from).then_some((depth, i as u32))
+        };
+        let all = (0..scene.len()).into_par_iter().filter_map(behind);
+        // Of equal ones the first, whatever the threads.
+        let (_, sample) = all.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))?;
+        Some(self.hit(scene, pixel, sample))
+    }
+
+    /// A pixel of the window as one of the buffer.
+    fn shrunk(&self, pixel: DVec2) -> DVec2 {
+        let [width, height] = self.size.map(|s| s.max(1.0));
+        pixel * DVec2::new(self.width as f64 / width, self.height as f64 / height)
+    }
+
+    fn hit(&self, scene: &Scene, pixel: DVec2, sample: u32) -> Hit {
         let ray = self.camera.ray(pixel, self.size);
-        Some(surface(scene, &ray, sample, f64::from(self.radii[sample as usize])))
+        surface(scene, &ray, sample, f64::from(self.radii[sample as usize]))
     }
 }
 

@@ -6,7 +6,7 @@ use crate::overlay;
 use crate::pick::{DepthBuffer, Hit, in_lasso, near_path, within};
 use crate::scene::Scene;
 use crate::selection::{Combine, Selection};
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use simod_core::Result;
 use std::sync::Arc;
 
@@ -15,6 +15,17 @@ impl State {
     pub fn pick(&mut self, pixel: DVec2) -> Option<Hit> {
         let scene = self.scene()?.clone();
         self.depth(&scene).pick(&scene, pixel)
+    }
+
+    /// The middle of the body under a pixel, where a step finds it: between the surface there and the one behind it that looks
+    /// away. On the surface where there is none, as in an open scan. Model coordinates.
+    pub fn pick_middle(&mut self, step: usize, pixel: DVec2) -> Option<DVec3> {
+        let scene = self.scene()?.clone();
+        let near = self.depth(&scene).pick(&scene, pixel)?;
+        let far = self.depth(&scene).pick_far_side(&scene, pixel);
+        let near = self.in_step(step, &near)?;
+        let far = far.and_then(|far| self.in_step(step, &far));
+        Some(far.map_or(near, |far| 0.5 * (near + far)))
     }
 
     /// The depth buffer of what is shown.

@@ -244,6 +244,37 @@ fn a_region_of_what_is_selected_is_just_that() {
 }
 
 #[test]
+fn joints_lie_in_the_middle_of_the_body() {
+    let folder = tempfile::tempdir().unwrap();
+    // Two spheres behind each other: the middle is that of the nearer one.
+    let centers = [DVec3::new(0.0, 0.0, 1.5), DVec3::new(0.0, 0.0, -1.5)];
+    let path = spheres(folder.path(), &centers, 60);
+    let mut state = state(plugins());
+    done(&mut state, open(&path, 6000));
+    done(&mut state, Command::AddStep { plugin: "lattice".into(), at: None });
+    state.apply(Command::Camera(CameraMove::Look(Standard::Front))).unwrap();
+    let at = pixel(&state, centers[0]);
+    let middle = state.pick_middle(0, at.into()).unwrap();
+    assert!(middle.distance(centers[0]) < 0.02, "{middle}");
+    assert!(state.pick_middle(0, DVec2::new(2.0, 2.0)).is_none());
+
+    // Half a sphere, from its open side, has nothing behind what is seen.
+    let bowl = folder.path().join("bowl.ply");
+    let points: Vec<DVec3> = (0..5000)
+        .map(|i| (f64::from(i) * 2.399_963, f64::from(i) / 5000.0))
+        .map(|(turn, z)| DVec3::new(turn.cos(), turn.sin(), 0.0) * (1.0 - z * z).sqrt() - DVec3::Z * z)
+        .collect();
+    let normals: Vec<_> = points.iter().map(|p| -p.as_vec3()).collect();
+    write_points(&bowl, points.into_iter(), &normals, &[], Scalar::F64, &[]).unwrap();
+    done(&mut state, open(&bowl, 2000));
+    done(&mut state, Command::AddStep { plugin: "lattice".into(), at: None });
+    state.apply(Command::Camera(CameraMove::Look(Standard::Front))).unwrap();
+    let at = pixel(&state, DVec3::NEG_Z);
+    let on_it = state.pick_middle(0, at.into()).unwrap();
+    assert!(on_it.distance(DVec3::NEG_Z) < 0.02, "{on_it}");
+}
+
+#[test]
 fn selections_are_undone_between_the_steps() {
     let folder = tempfile::tempdir().unwrap();
     let mut state = state(plugins());

@@ -17,8 +17,15 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     if !canvas.is_clicked() || handles::take(canvas, window) {
         return false;
     }
-    let Some(hit) = canvas.pointer().and_then(|pixel| window.state_mut().pick(pixel)) else { return false };
-    let Some(at) = window.state().in_step(step, &hit) else { return false };
+    let Some(pixel) = canvas.pointer() else { return false };
+    // Bones lie in the middle of what they carry; with Shift, on the surface.
+    let at = if canvas.modifiers().shift {
+        let hit = window.state_mut().pick(pixel);
+        hit.and_then(|hit| window.state().in_step(step, &hit))
+    } else {
+        window.state_mut().pick_middle(step, pixel)
+    };
+    let Some(at) = at else { return false };
     let is_joint = |id: &String| deformation.joints.iter().any(|joint| joint.id == *id);
     let parent = match &window.tools.target {
         Some(Target::Handle(id)) if is_joint(id) => Some(id.clone()),
