@@ -14,7 +14,21 @@ use std::sync::Arc;
 /// Width and height, in pixels.
 const SIZE: [u32; 2] = [1600, 1000];
 /// Radius of a disc over the spacing of samples, in the window, too: enough that no gap is left.
-pub const RADIUS: f32 = 1.35;
+const RADIUS: f32 = 1.35;
+
+/// From where a camera sees what is between two corners, in a picture of so many pixels.
+pub fn view(camera: &Camera, size: [f64; 2], bounds: [DVec3; 2]) -> View {
+    View {
+        view: camera.view().as_mat4(),
+        projection: camera.projection(size, camera.near_far(bounds)).as_mat4(),
+        size: size.map(|s| s as u32),
+    }
+}
+
+/// The discs' radii of samples so far apart.
+pub fn disc_radii(spacing: &[f32]) -> Vec<f32> {
+    spacing.iter().map(|s| RADIUS * s).collect()
+}
 
 /// Draws what the state shows, as its camera sees it.
 ///
@@ -102,7 +116,7 @@ impl Shot {
             Error::new(ErrorKind::Io, what, NoGpu::HINT)
         })?;
         let (shown, samples) = (&self.shown, &self.shown.sampled.samples);
-        let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
+        let radii = disc_radii(samples.spacing());
         let mut scene = Scene::new(&gpu);
         let surface = Surface {
             positions: &shown.positions,
@@ -140,13 +154,7 @@ impl Studio<'_> {
     pub fn picture(&mut self, turn: f64) -> Result<Image> {
         let Shot { camera, size, style, .. } = self.shot;
         let camera = Camera { yaw: camera.yaw + turn, ..*camera };
-        let pixels = size.map(f64::from);
-        let view = View {
-            view: camera.view().as_mat4(),
-            projection: camera.projection(pixels, camera.near_far(self.bounds)).as_mat4(),
-            size: *size,
-        };
-        self.scene.render(&view, style, None);
+        self.scene.render(&view(&camera, size.map(f64::from), self.bounds), style, None);
         let lost = || Error::new(ErrorKind::Io, "the picture cannot be drawn", NoGpu::HINT);
         self.scene.read().ok_or_else(lost)
     }

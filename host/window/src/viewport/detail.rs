@@ -1,6 +1,6 @@
 //! The vertices that are shown in full, as the graphics card has them.
 
-use crate::screenshot::RADIUS;
+use crate::screenshot::disc_radii;
 use crate::theme;
 use simod_core::detail::Batch;
 use simod_scene::{BadSurface, Scene, Surface};
@@ -77,7 +77,7 @@ pub fn splats(piece: &Piece, colors: Option<&[[u8; 3]]>) -> Splats {
 }
 
 fn radii(piece: &Piece) -> Vec<f32> {
-    let mut radii: Vec<f32> = piece.batch.spacing.iter().map(|s| RADIUS * s).collect();
+    let mut radii = disc_radii(&piece.batch.spacing);
     for ((_, range), _) in piece.batch.cells.iter().zip(&piece.shown).filter(|(_, shown)| !**shown) {
         radii[range.start as usize..range.end as usize].fill(HIDDEN);
     }
@@ -91,7 +91,7 @@ fn of_vertices(piece: &Piece, colors: Option<&[[u8; 3]]>) -> Vec<[u8; 3]> {
 
 /// Radii of the samples' discs; none where vertices are shown instead.
 pub fn sample_radii(spacing: &[f32], detail: Option<&Detail>) -> Vec<f32> {
-    let mut radii: Vec<f32> = spacing.iter().map(|s| RADIUS * s).collect();
+    let mut radii = disc_radii(spacing);
     if let Some(detail) = detail {
         let covered = radii.iter_mut().zip(&**detail.covered()).filter(|(_, covered)| **covered);
         covered.for_each(|(radius, _)| *radius = HIDDEN);

@@ -2,7 +2,7 @@
 
 use super::Canvas;
 use super::texture::Texture;
-use crate::screenshot::RADIUS;
+use crate::screenshot::{disc_radii, view};
 use crate::settings::Theme;
 use crate::window::Window;
 use eframe::egui::Shape;
@@ -57,11 +57,7 @@ impl Emerging {
         }
         let (size, mut camera) = (state.size(), *state.camera());
         camera.frame(self.bounds, size);
-        let view = View {
-            view: camera.view().as_mat4(),
-            projection: camera.projection(size, camera.near_far(self.bounds)).as_mat4(),
-            size: size.map(|s| s as u32),
-        };
+        let view = view(&camera, size, self.bounds);
         let style = Style {
             background: window.settings.theme.background(),
             occlusion: window.settings.occlusion,
@@ -82,7 +78,7 @@ impl Emerging {
         }
         let Emerged { bounds, positions, normals, spacing, .. } = emerged;
         (self.bounds, self.seen) = (*bounds, None);
-        let radii: Vec<f32> = spacing.iter().map(|s| RADIUS * s).collect();
+        let radii = disc_radii(spacing);
         (self.shown, self.since) = (positions.len(), Some(Instant::now()));
         self.scene.set_surface(&Surface { positions, normals, radii: &radii, ..Surface::default() })
     }

@@ -5,7 +5,7 @@ use super::colors::Colors;
 use super::detail::{Pieces, sample_radii};
 use super::emerging::Emerging;
 use super::texture::Texture;
-use crate::screenshot::RADIUS;
+use crate::screenshot::{disc_radii, view};
 use crate::settings::Theme;
 use crate::window::Window;
 use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
@@ -168,11 +168,7 @@ impl Drawing {
         let size = window.state().size();
         let camera = window.state().camera();
         let bounds = self.bounds(&scene);
-        let view = View {
-            view: camera.view().as_mat4(),
-            projection: camera.projection(size, camera.near_far(bounds)).as_mat4(),
-            size: size.map(|s| s as u32),
-        };
+        let view = view(camera, size, bounds);
         let style = Style {
             mode: if window.looks.triangles { Mode::Triangles } else { Mode::Splats },
             own_colors: self.colors_are_own(),
@@ -257,7 +253,7 @@ impl Drawing {
         self.pieces.update(&mut self.scene, detail, self.colors.of_surface(), recolored)?;
         if window.looks.ghost != self.ghost || self.ghost && !same_samples {
             self.ghost = window.looks.ghost;
-            let radii: Vec<f32> = samples.spacing().iter().map(|s| RADIUS * s).collect();
+            let radii = disc_radii(samples.spacing());
             let rest = Surface {
                 positions: &samples.positions,
                 normals: samples.normals(),

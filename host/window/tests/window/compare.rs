@@ -1,6 +1,6 @@
 //! Two versions side by side, by names; and turntables.
 
-use super::picture::can_draw;
+use super::picture::{can_draw, drawn_window};
 use super::*;
 use egui_kittest::kittest::Queryable;
 use simod_core::Error;
@@ -103,10 +103,7 @@ fn both_versions_are_drawn_beside_each_other() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let plugins = plugins();
-    let builder = Harness::builder().with_size([1280.0, 800.0]).wgpu();
-    let mut harness =
-        builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, Settings::default())));
+    let mut harness = drawn_window();
     open(&mut harness, &model(folder.path()));
     done(&mut harness, Command::Pin);
     harness.state_mut().window_mut().looks.side_by_side = true;

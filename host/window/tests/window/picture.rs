@@ -18,16 +18,20 @@ pub fn can_draw() -> bool {
     }
 }
 
+/// A window with nothing open, and something to draw with.
+pub fn drawn_window() -> Harness<'static, App> {
+    let plugins = plugins();
+    let builder = Harness::builder().with_size([1280.0, 800.0]).wgpu();
+    builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, Settings::default())))
+}
+
 #[test]
 fn the_window_shows_the_model() {
     if !can_draw() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let plugins = plugins();
-    let builder = Harness::builder().with_size([1280.0, 800.0]).wgpu();
-    let mut harness =
-        builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, Settings::default())));
+    let mut harness = drawn_window();
     let empty = harness.render().unwrap();
     open(&mut harness, &model(folder.path()));
     done(&mut harness, Command::AddStep { plugin: "warp".to_owned(), at: None });
