@@ -10,6 +10,8 @@ use simod_viewer::{Command, Previewed};
 
 const MARGIN: f32 = 12.0;
 const SIZE: [f32; 2] = [300.0, 78.0];
+/// Height of the card of a pinned version, with a gap.
+const RAISED: f32 = 46.0;
 
 /// What there is, in words.
 fn words(of: Previewed, Figures { vertices, stride, stale, .. }: Figures) -> String {
@@ -36,7 +38,9 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
     } else {
         words(of, figures)
     };
-    let corner = rect.right_bottom() - vec2(MARGIN, MARGIN);
+    // Above what there is of a pinned version.
+    let raised = if window.state().pinned().is_some() { RAISED } else { 0.0 };
+    let corner = rect.right_bottom() - vec2(MARGIN, MARGIN + raised);
     let area = Rect::from_min_max(pos2(corner.x - SIZE[0], corner.y - SIZE[1]), corner);
     let builder = UiBuilder::new().max_rect(area).layout(Layout::bottom_up(Align::Max));
     ui.scope_builder(builder, |ui| {
