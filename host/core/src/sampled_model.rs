@@ -43,9 +43,33 @@ pub struct Source {
     /// The first of these.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub first_non_finite: Option<u64>,
+    /// How often a vertex is in another cell of the coarse grid than the one before it; not known of folders that former
+    /// versions wrote.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub jumps: Option<u64>,
     /// Hash of the bytes of all vertices.
     pub fingerprint: String,
 }
+
+/// Fewer vertices than this are carried over in a second or two in any order.
+const MANY: u64 = 500_000;
+
+impl Source {
+    /// What the order of the vertices costs a reconstruction, if it is poor: more than half of them are in another cell of the
+    /// coarse grid than the one before.
+    pub fn cost_of_order(&self) -> Option<String> {
+        let jumps = self.jumps.filter(|jumps| self.vertices >= MANY && *jumps > self.vertices / 2)?;
+        Some(format!(
+            "the vertices come in no order in space ({:.0} % of them are in another cell than the one before): to \
+             reconstruct them takes about {TIMES} times as long per vertex as in an order that follows the surface",
+            100.0 * jumps as f64 / self.vertices as f64
+        ))
+    }
+}
+
+/// Processor time per vertex in random order over that in a coherent one: 2 million vertices with normals, 100 000
+/// samples, vectors of 8 to 16.
+const TIMES: u32 = 10;
 
 /// P_S with its source.
 pub struct SampledModel {

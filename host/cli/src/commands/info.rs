@@ -66,6 +66,7 @@ impl Info {
             count(sampled.cells),
             sampled.cell_size
         ));
+        source.cost_of_order().into_iter().for_each(|cost| report.line(cost));
         let kept = SampledModel::kept_cells(&self.path).is_some();
         let cells = if kept { "kept" } else { "not kept, or damaged" };
         report.line(format!("{} triangles; cells and trees {cells}", count(sampled.triangles.len() as u64)));
@@ -80,6 +81,7 @@ impl Info {
         let (min, max) = (sampled.bounds.min, sampled.bounds.max);
         report.line(format!("bounding box {min} to {max}, diagonal {:.6}", sampled.bounds.diagonal()));
         report.figure("vertices", source.vertices);
+        report.figure("jumps", source.jumps);
         report.figure("samples", sampled.samples.len());
         report.figure("cells", sampled.cells);
         report.figure("triangles", sampled.triangles.len());

@@ -117,6 +117,9 @@ impl Sample {
         let vertices = model.info().vertices;
         warn_non_finite(&sampled, report);
         warn_faces(&sampled, report);
+        if let Some(cost) = sampled.source.cost_of_order() {
+            report.warn(cost);
+        }
         report.figure("vertices", vertices);
         report.figure("samples", sampled.samples.len());
         report.figure("cells", sampled.cells);

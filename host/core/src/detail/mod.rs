@@ -108,9 +108,8 @@ impl Chosen {
 /// Streams the chosen cells of the model through `each`, batch by batch, deformed by a field of its samples, or at rest.
 /// Vertices without a finite position are left out.
 ///
-/// The batches do not depend on the number of threads. Positions depend on what else was chosen by rounding at most, but for a few
-/// vertices between two sheets of the surface that are near each other, whose homes follow from those before them; spacings
-/// and estimated normals do at the rim of a batch.
+/// The batches do not depend on the number of threads. Positions do not depend on what else was chosen: they are those that a
+/// reconstruction writes, in single precision. Spacings and estimated normals do, at the rim of a batch.
 ///
 /// Memory: about 250 bytes for each vertex of a batch, and 36 for each that was taken and whose cell is not complete; in a
 /// model in no order, that may be all.
@@ -219,11 +218,9 @@ impl Carrying<'_> {
         let frame = &self.sampled.frame;
         let local: Vec<Vec3> = rest.par_iter().map(|p| frame.to_local(*p)).collect();
         self.progress.check()?;
-        // As the model has them, if it has any: they tell sheets apart.
-        let told: &[Vec3] = if known.iter().all(|n| *n == Vec3::ZERO) { &[] } else { &known };
         let mut at = Vec::new();
         match self.field {
-            Some(field) => homes(field.around(), frame, &rest, told, &mut at),
+            Some(field) => homes(field.around(), frame, &rest, &mut at),
             None => local.par_iter().map(|p| self.sampled.samples.nearest(*p)).collect_into_vec(&mut at),
         }
         self.progress.check()?;
@@ -235,7 +232,7 @@ impl Carrying<'_> {
         let mut moved = rest.clone();
         let mut figures = vec![Figures::UNKNOWN; rest.len()];
         let to = Moved { positions: &mut moved, normals: &mut turned, figures: &mut figures };
-        carry(std::slice::from_ref(field), frame, &rest, told, Some(&at), &mut [to]);
+        carry(std::slice::from_ref(field), frame, &rest, Some(&at), &mut [to]);
         spacing.iter_mut().zip(&figures).for_each(|(spacing, figures)| {
             let stretch = figures.stretch[0];
             *spacing *= if stretch.is_finite() { stretch.min(MOST_STRETCH) } else { 1.0 };

@@ -26,7 +26,7 @@ use crate::{Error, ErrorKind, Progress, Result};
 const MAGIC: &[u8; 8] = b"SIMODBND";
 
 /// To be counted up whenever the format changes, or the homes or surroundings of the same samples.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// Most bytes of a part: a chunk's vertices, each with another home.
 const MOST_BYTES: usize = 10 * crate::model::CHUNK_VERTICES;
@@ -77,7 +77,7 @@ pub fn bind(sampled: &SampledModel, model: &dyn Model, path: &Path, progress: &d
     while reader.read(&mut chunk)? {
         progress.check()?;
         hash.update(chunk.raw());
-        homes(&around, &sampled.frame, &chunk.positions, &chunk.normals, &mut found);
+        homes(&around, &sampled.frame, &chunk.positions, &mut found);
         runs.clear();
         encode(&found, &mut runs);
         file.write_all(&(found.len() as u32).to_le_bytes()).map_err(failed)?;

@@ -11,8 +11,7 @@ use super::homes::Homes;
 use super::{DeformationField, Figures, Method, Surroundings, Transport, projected_barycentric};
 use crate::frame::Frame;
 
-/// Vertices of a block: many, so that there are several of each home. A fixed number, so that the result does not
-/// depend on the number of threads.
+/// Vertices of a block: many, so that there are several of each home.
 pub const BLOCK: usize = 1 << 13;
 
 /// The place of a vertex that does not move.
@@ -61,16 +60,15 @@ pub struct Moved<'a> {
 }
 
 /// Carries consecutive vertices of the model over, by each of the fields for one of `moved`, on all cores. `positions`
-/// are theirs at rest, in the model's coordinates, and `normals` as many or none. Vertices without a finite position
+/// are theirs at rest, in the model's coordinates. Vertices without a finite position
 /// stay as they are. `homes` are as [`bind`](super::bind) kept them, if it did.
 ///
-/// All fields are of the same samples. The result may depend on how vertices are divided into calls, to rounding, but not
-/// on the number of threads.
+/// All fields are of the same samples. What becomes of a vertex depends on its position alone, and that of its normal on
+/// both: not on what other vertices there are, on their order, on the division into calls, or on the number of threads.
 pub fn carry(
     fields: &[DeformationField<'_>],
     frame: &Frame,
     positions: &[DVec3],
-    normals: &[Vec3],
     homes: Option<&[u32]>,
     moved: &mut [Moved<'_>],
 ) {
@@ -84,14 +82,17 @@ pub fn carry(
             block.push(Moved { positions, normals, figures: of_figures.next().unwrap_or_default() });
         }
     }
+    if homes.is_none() {
+        // Before jobs ask for them.
+        first.around.cells();
+    }
     blocks.into_par_iter().zip(positions.par_chunks(BLOCK)).enumerate().for_each(
         |(i, (moved, positions))| {
-            let normals = normals.chunks(BLOCK).nth(i).unwrap_or_default();
             first.around.workspaces.with(|workspace| {
                 workspace.place(frame, positions);
                 match homes {
                     Some(homes) => workspace.take_homes(homes.chunks(BLOCK).nth(i).unwrap_or_default()),
-                    None => workspace.find_homes(first.around, normals),
+                    None => workspace.find_homes(first.around),
                 }
                 workspace.group(fields);
                 fields
@@ -104,19 +105,15 @@ pub fn carry(
 }
 
 /// The homes of consecutive vertices of the model, which `carry` finds itself unless it is told them.
-pub fn homes(
-    around: &Surroundings<'_>,
-    frame: &Frame,
-    positions: &[DVec3],
-    normals: &[Vec3],
-    homes: &mut Vec<u32>,
-) {
+pub fn homes(around: &Surroundings<'_>, frame: &Frame, positions: &[DVec3], homes: &mut Vec<u32>) {
     homes.resize(positions.len(), 0);
+    // Before jobs ask for them.
+    around.cells();
     let blocks = positions.par_chunks(BLOCK).zip(homes.par_chunks_mut(BLOCK));
-    blocks.enumerate().for_each(|(i, (positions, homes))| {
+    blocks.for_each(|(positions, homes)| {
         around.workspaces.with(|workspace| {
             workspace.place(frame, positions);
-            workspace.find_homes(around, normals.chunks(BLOCK).nth(i).unwrap_or_default());
+            workspace.find_homes(around);
             homes.copy_from_slice(&workspace.homes);
         });
     });
@@ -126,13 +123,14 @@ impl Workspace {
     /// Takes the positions of a block.
     fn place(&mut self, frame: &Frame, positions: &[DVec3]) {
         self.local.clear();
-        // Anywhere, if it is not finite: what comes of it is not used.
-        self.local
-            .extend(positions.iter().map(|p| if p.is_finite() { frame.to_local(*p) } else { Vec3::ZERO }));
+        // Anywhere, if it is not finite: what comes of it is not used. A sum with zero is never −0.
+        self.local.extend(
+            positions.iter().map(|p| if p.is_finite() { frame.to_local(*p) + 0.0 } else { Vec3::ZERO }),
+        );
     }
 
-    fn find_homes(&mut self, around: &Surroundings<'_>, normals: &[Vec3]) {
-        Homes::new(around).of(&self.local, normals, &mut self.homes);
+    fn find_homes(&mut self, around: &Surroundings<'_>) {
+        Homes::new(around).of(&self.local, &mut self.homes);
     }
 
     fn take_homes(&mut self, homes: &[u32]) {

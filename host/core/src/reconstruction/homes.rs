@@ -1,117 +1,373 @@
-//! The home of a vertex: the sample around which its neighbourhood is looked up.
+//! The home of a place: the sample around which its neighbourhood is looked up.
 //!
-//! Consecutive vertices of a stream are near each other, so the nearest sample is found by walking on P_S's neighbour
-//! graph from the last one. Where several sheets of the surface are near, the nearest sample may be on the wrong
-//! one: there a vertex' home is the sample whose tangent plane it lies near, on the side to which its normal points.
+//! It follows from the position alone, so that vertices at one place, as those of a soup of triangles, stay together
+//! wherever they stand in the file. A tree of cells has for each the sample whose support reaches its middle best. That
+//! one, or one of its neighbours, is the home. Where several sheets of the surface are near, it may be on the wrong one:
+//! there the home is the sample whose tangent plane the place lies near.
 
-use glam::Vec3;
+use glam::{UVec3, Vec3, Vec4};
+use rayon::prelude::*;
 
 use super::Surroundings;
-use super::sheets::{Sheets, faces_away, sheet_distance};
+use super::expansion::Expansion;
+use super::sheets::{Sheets, sheet_distance};
 use crate::sampling::SampleSet;
 
-/// A vertex keeps the home of the last one if it lies within this part of its support: the home need not be the nearest
-/// sample, as every sample knows all supports that meet its own.
-const STAYS: f32 = 0.5;
+/// The square of the part of a support within which its sample is taken for a home: it need not be the nearest, as every
+/// sample knows all supports that meet its own.
+const NEAR: f32 = 0.25;
 
-/// A vertex further from the last home than this many of its supports is not walked to: vertices in no order.
-const LOST: f32 = 4.0;
+/// Supports of so many samples may meet a cell that is not parted: fewer than each sample has neighbours.
+const MOST: usize = 12;
+
+/// For that, a support ends at this part of its radius: half a spacing.
+const REACH: f32 = 0.35;
+
+/// A cell whose edge is shorter than this part of the least radius is not parted, however many supports overlap there.
+const EDGE: f32 = 0.5;
+
+/// Levels of cells below the whole.
+const LEVELS: u32 = 20;
+
+/// Marks a cell that is parted.
+const PARTED: u32 = 1 << 31;
+
+/// Samples in a cell from which on its parts are made side by side.
+const SIDE_BY_SIDE: usize = 1 << 12;
+
+/// An octree over the supports: for each cell a sample that is near its middle.
+///
+/// Memory: 17 bytes per sample, and 32 for each cell that is parted: about one for seven samples of a surface, and at
+/// most 1.5 per sample, if they are in heaps that are each of a size with [`LEVELS`] cells above. As much again
+/// while it is made.
+pub struct Cells {
+    /// Corner of the whole, in local coordinates.
+    corner: Vec3,
+    /// Finest cells per unit.
+    scale: f32,
+    /// The eighths of each cell that is parted: their place in this list with [`PARTED`], or their sample. The whole is the
+    /// first.
+    parted: Vec<[u32; 8]>,
+    /// Centre of each support, and one over the square of its radius.
+    supports: Vec<Vec4>,
+    /// For each node of the samples' tree, the largest radius below it.
+    largest: Vec<f32>,
+}
+
+impl Cells {
+    /// Of samples with supports of these radii.
+    pub fn of(samples: &SampleSet, radius: &[f32]) -> Self {
+        let positions = &samples.positions;
+        let min = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
+        let max = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
+        // Room for rounding; and for samples that are all at one place.
+        let edge = (1.001 * (max - min).max_element()).max(1e-20);
+        let corner = 0.5 * (min + max) - 0.5 * edge;
+        let supports = positions
+            .iter()
+            .zip(radius)
+            .map(|(p, radius)| p.extend((1.0 / (radius * radius)).min(Expansion::NO_SUPPORT)));
+        let mut cells = Self {
+            corner,
+            scale: (1 << LEVELS) as f32 / edge,
+            parted: Vec::new(),
+            supports: supports.collect(),
+            largest: samples.largest_below(radius),
+        };
+        let whole = Cell { corner, edge, level: 0 };
+        let growing = Growing { supports: &cells.supports, radius };
+        let all: Vec<u32> = (0..positions.len() as u32).collect();
+        let mut parted = Vec::new();
+        growing.part(whole, &all, &mut parted);
+        parted.shrink_to_fit();
+        cells.parted = parted;
+        cells
+    }
+
+    /// The square of how far a point is from a sample, as a part of the radius of its support.
+    #[inline]
+    fn depth(&self, sample: u32, p: Vec3) -> f32 {
+        depth(self.supports[sample as usize], p)
+    }
+}
+
+#[inline]
+fn depth(support: Vec4, p: Vec3) -> f32 {
+    (p - support.truncate()).length_squared() * support.w
+}
+
+/// A cube.
+#[derive(Clone, Copy)]
+struct Cell {
+    corner: Vec3,
+    edge: f32,
+    level: u32,
+}
+
+impl Cell {
+    fn eighth(self, at: usize) -> Self {
+        let edge = 0.5 * self.edge;
+        let side = |bit: usize| if at >> bit & 1 == 1 { edge } else { 0.0 };
+        Self { corner: self.corner + Vec3::new(side(0), side(1), side(2)), edge, level: self.level + 1 }
+    }
+
+    fn middle(self) -> Vec3 {
+        self.corner + 0.5 * self.edge
+    }
+
+    /// Whether a box about a point, so far to each side, meets it.
+    fn meets(self, p: Vec3, reach: f32) -> bool {
+        (p - self.middle()).abs().max_element() <= 0.5 * self.edge + reach
+    }
+}
+
+/// What cells are made of.
+struct Growing<'a> {
+    supports: &'a [Vec4],
+    radius: &'a [f32],
+}
+
+impl Growing<'_> {
+    /// Parts a cell that some samples reach: appends itself and what is below.
+    fn part(&self, cell: Cell, near: &[u32], parted: &mut Vec<[u32; 8]>) {
+        let at = parted.len();
+        parted.push([0; 8]);
+        if near.len() < SIDE_BY_SIDE {
+            for i in 0..8 {
+                parted[at][i] = self.fill(cell.eighth(i), near, parted);
+            }
+            return;
+        }
+        let eighths: Vec<(u32, Vec<[u32; 8]>)> = (0..8)
+            .into_par_iter()
+            .map(|i| {
+                let mut below = Vec::new();
+                (self.fill(cell.eighth(i), near, &mut below), below)
+            })
+            .collect();
+        for (i, (what, below)) in eighths.into_iter().enumerate() {
+            let first = parted.len() as u32;
+            let moved = |what: u32| if what & PARTED == 0 { what } else { what + first };
+            parted[at][i] = moved(what);
+            parted.extend(below.into_iter().map(|eighths| eighths.map(moved)));
+        }
+    }
+
+    /// What a cell is filled with, of which the one that it is a part of is reached by some samples.
+    fn fill(&self, cell: Cell, around: &[u32], parted: &mut Vec<[u32; 8]>) -> u32 {
+        let near: Vec<u32> = around
+            .iter()
+            .copied()
+            .filter(|i| {
+                let i = *i as usize;
+                cell.meets(self.supports[i].truncate(), REACH * self.radius[i])
+            })
+            .collect();
+        let least = near.iter().map(|i| self.radius[*i as usize]).fold(f32::INFINITY, f32::min);
+        if near.len() > MOST && cell.edge > EDGE * least && cell.level < LEVELS {
+            let at = parted.len() as u32;
+            self.part(cell, &near, parted);
+            return at | PARTED;
+        }
+        let middle = cell.middle();
+        let key = |i: &u32| {
+            let support = self.supports[*i as usize];
+            // Where nobody reaches, the nearest.
+            let support = if near.is_empty() { support.with_w(1.0) } else { support };
+            depth(support, middle)
+        };
+        let from = if near.is_empty() { around } else { &near };
+        from.iter().copied().min_by(|a, b| key(a).total_cmp(&key(b)).then(a.cmp(b))).unwrap_or_default()
+    }
+}
+
+/// Where the last place was found, as the next one is mostly near it. What is found does not depend on it.
+struct Finger<'a> {
+    cells: &'a Cells,
+    /// The last place, in finest cells.
+    at: UVec3,
+    /// The cells around it that are parted, by their level ...
+    parted: [u32; LEVELS as usize],
+    /// ... and the level and the sample of the one that is not.
+    level: u32,
+    sample: u32,
+}
+
+impl<'a> Finger<'a> {
+    fn new(cells: &'a Cells) -> Self {
+        let mut finger = Self { cells, at: UVec3::ZERO, parted: [0; LEVELS as usize], level: 0, sample: 0 };
+        finger.descend(0);
+        finger
+    }
+
+    /// The sample of the cell in which a point lies, or next to which.
+    #[inline]
+    fn sample(&mut self, p: Vec3) -> u32 {
+        let most = ((1 << LEVELS) - 1) as f32;
+        let at = ((p - self.cells.corner) * self.cells.scale).clamp(Vec3::ZERO, Vec3::splat(most)).as_uvec3();
+        let differ = at ^ self.at;
+        // Down to this level it is in the same cells as the last one.
+        let common = LEVELS - (u32::BITS - (differ.x | differ.y | differ.z).leading_zeros());
+        self.at = at;
+        if common < self.level {
+            self.descend(common);
+        }
+        self.sample
+    }
+
+    fn descend(&mut self, from: u32) {
+        let mut level = from;
+        let mut parted = self.parted[level as usize];
+        loop {
+            let bits = (self.at >> (LEVELS - 1 - level)) & 1;
+            let what = self.cells.parted[parted as usize][(bits.x | bits.y << 1 | bits.z << 2) as usize];
+            level += 1;
+            if what & PARTED == 0 {
+                (self.level, self.sample) = (level, what);
+                return;
+            }
+            parted = what & !PARTED;
+            self.parted[level as usize] = parted;
+        }
+    }
+}
 
 /// What homes are found with.
 #[derive(Clone, Copy)]
 pub struct Homes<'a> {
-    positions: &'a [Vec3],
-    normals: &'a [Vec3],
-    radius: &'a [f32],
     samples: &'a SampleSet,
     sheets: &'a Sheets,
+    radius: &'a [f32],
+    cells: &'a Cells,
 }
 
 impl<'a> Homes<'a> {
     /// Of samples that are prepared.
     pub fn new(around: &'a Surroundings<'a>) -> Self {
         let Surroundings { samples, sheets, supports, .. } = around;
-        Self {
-            positions: &samples.positions,
-            normals: samples.normals(),
-            radius: &supports.radius,
-            samples,
-            sheets,
-        }
+        Self { samples, sheets, radius: &supports.radius, cells: around.cells() }
     }
 
-    /// The homes of finite positions that follow each other, with their normals or none.
-    pub fn of(&self, positions: &[Vec3], normals: &[Vec3], homes: &mut Vec<u32>) {
+    /// The homes of finite positions, each of its position alone.
+    pub fn of(&self, positions: &[Vec3], homes: &mut Vec<u32>) {
+        let mut finger = Finger::new(self.cells);
         homes.clear();
-        let mut last = None;
-        homes.extend(positions.iter().enumerate().map(|(i, p)| {
-            let nearest =
-                last.and_then(|from| self.walk(from, *p)).unwrap_or_else(|| self.samples.nearest(*p));
-            last = Some(nearest);
-            if self.sheets.is_crowded(nearest as usize) {
-                self.on_its_sheet(nearest, *p, normals.get(i).copied())
-            } else {
-                nearest
-            }
-        }));
+        homes.extend(positions.iter().map(|p| self.home(*p, finger.sample(*p))));
     }
 
-    /// Steps to ever nearer samples, unless the vertex is near enough to the first one; `None` where it is too far away,
-    /// or beyond the support of the last one, which does not know all supports there.
+    /// The home of a place, in the cell of a sample: a function of the place, and of nothing else that is known of a vertex.
     #[inline]
-    fn walk(&self, from: u32, p: Vec3) -> Option<u32> {
-        let squared = |i: u32| self.positions[i as usize].distance_squared(p);
-        let (mut at, mut distance) = (from, squared(from));
-        let stays = STAYS * self.radius[from as usize];
-        if distance < stays * stays {
-            return Some(from);
-        }
-        let lost = LOST * self.radius[from as usize];
-        if distance > lost * lost {
-            return None;
-        }
-        loop {
-            let here = self.positions[at as usize];
-            let reach = 4.0 * distance;
-            let (mut best, mut best_distance) = (at, distance);
-            let near = self.samples.neighbours().of(at as usize);
-            for j in near {
-                let q = self.positions[*j as usize];
-                // No sample further than twice the distance is nearer than this one.
-                if q.distance_squared(here) > reach {
-                    break;
-                }
-                let d = q.distance_squared(p);
-                if d < best_distance {
-                    (best, best_distance) = (*j, d);
-                }
-            }
-            if best == at {
-                break;
-            }
-            (at, distance) = (best, best_distance);
-        }
-        let radius = self.radius[at as usize];
-        (distance < radius * radius).then_some(at)
+    fn home(&self, p: Vec3, of_cell: u32) -> u32 {
+        let near = if self.cells.depth(of_cell, p) < NEAR { of_cell } else { self.near(p, of_cell) };
+        if self.sheets.is_crowded(near as usize) { self.on_its_sheet(near, p) } else { near }
     }
 
-    /// Of the samples around the nearest one, that on whose sheet the vertex lies.
-    fn on_its_sheet(&self, nearest: u32, p: Vec3, n: Option<Vec3>) -> u32 {
-        let n = n.filter(|n| n.is_finite() && *n != Vec3::ZERO).map(|n| n.normalize_or_zero());
-        let around = self.samples.neighbours().of(nearest as usize);
-        // Samples that face the other way come last, those that face aside are as good as others.
-        let key = |i: u32| {
-            let i = i as usize;
-            let away = n.is_some_and(|n| faces_away(self.normals[i], n));
-            (away, sheet_distance(p - self.positions[i], self.normals[i]))
-        };
-        let mut best = (key(nearest), nearest);
-        for j in around {
-            let entry = (key(*j), *j);
-            if entry.0 < best.0 {
-                best = entry;
+    /// A sample whose support reaches a point, if there is one, or else the nearest.
+    fn near(&self, p: Vec3, of_cell: u32) -> u32 {
+        let (mut best, mut least) = (of_cell, self.cells.depth(of_cell, p));
+        for i in self.samples.neighbours().of(of_cell as usize) {
+            let depth = self.cells.depth(*i, p);
+            if depth < least {
+                (best, least) = (*i, depth);
+                if depth < NEAR {
+                    return best;
+                }
             }
         }
-        best.1
+        if least < 1.0 {
+            return best;
+        }
+        let deepest = self.samples.deepest(p, self.radius, &self.cells.largest);
+        deepest.unwrap_or_else(|| self.samples.nearest(p))
+    }
+
+    /// Of the samples around one that is near, that on whose sheet the point lies; or, if its support does not reach the
+    /// point, another one of that sheet whose support does.
+    fn on_its_sheet(&self, near: u32, p: Vec3) -> u32 {
+        let (positions, normals) = (&self.samples.positions, self.samples.normals());
+        let key = |i: u32| sheet_distance(p - positions[i as usize], normals[i as usize]);
+        let (mut best, mut least) = (near, key(near));
+        for i in self.samples.neighbours().of(near as usize) {
+            let distance = key(*i);
+            if distance < least {
+                (best, least) = (*i, distance);
+            }
+        }
+        let (mut home, mut least) = (best, self.cells.depth(best, p));
+        if least >= 1.0 {
+            for i in self.sheets.of_sample(best as usize) {
+                let depth = self.cells.depth(*i, p);
+                if depth < least {
+                    (home, least) = (*i, depth);
+                }
+            }
+        }
+        if least < 1.0 { home } else { best }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Samples of a density that varies by much, in heaps, on lines and at the same places.
+    fn samples() -> impl Strategy<Value = Vec<Vec3>> {
+        let x = || (0u32..1000).prop_map(|x| x as f32 / 1000.0);
+        let point = (x(), x(), x(), 0i32..12).prop_map(|(x, y, z, size)| {
+            let p = Vec3::new(x, 0.1 * (6.0 * x).sin() + 1e-3 * y, z);
+            Vec3::new(0.3, 0.0, 0.7) + (p - Vec3::new(0.5, 0.0, 0.5)) * 0.5f32.powi(size)
+        });
+        (proptest::collection::vec(point, 1..400), 1usize..10).prop_map(|(mut points, copies)| {
+            let again: Vec<Vec3> = points.iter().take(20).copied().collect();
+            (1..copies).for_each(|_| points.extend(&again));
+            points
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn a_home_reaches_its_places_wherever_any_sample_does(
+            points in samples(),
+            offsets in proptest::collection::vec((any::<u32>(), -1.0..1.0f32, -1.0..1.0f32, -1.0..1.0f32, 0i32..14), 1..100),
+        ) {
+            let set = SampleSet::new(points.clone(), Vec::new()).expect("samples");
+            let around = Surroundings::of(&set);
+            let places: Vec<Vec3> = offsets
+                .iter()
+                .map(|(i, x, y, z, size)| points[*i as usize % points.len()] + Vec3::new(*x, *y, *z) * 0.5f32.powi(*size))
+                .collect();
+            let (mut homes, mut one) = (Vec::new(), Vec::new());
+            Homes::new(&around).of(&places, &mut homes);
+            let cells = around.cells();
+            for (p, home) in places.iter().zip(&homes) {
+                Homes::new(&around).of(&[*p], &mut one);
+                prop_assert_eq!(&one, &[*home]);
+                let reaches = |i: u32| cells.depth(i, *p) < 0.999;
+                let reached = (0..points.len() as u32).any(|i| reaches(i) && around.supports.radius[i as usize] > 1e-9);
+                let crowded = (0..points.len()).any(|i| around.sheets.is_crowded(i));
+                // Where sheets are near, those who reach a place may be on another one.
+                if reached && !crowded {
+                    prop_assert!(cells.depth(*home, *p) < 1.0, "{p}: {home}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_cells_are_the_same_on_any_number_of_threads() {
+        let points: Vec<Vec3> = (0..20_000u32)
+            .map(|i| Vec3::new((i as f32 * 0.618).fract(), (i as f32 * 0.01).sin(), i as f32 / 20_000.0))
+            .collect();
+        let set = SampleSet::new(points, Vec::new()).expect("samples");
+        set.prepare();
+        let radius = vec![0.03; set.len()];
+        let of = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            pool.install(|| Cells::of(&set, &radius).parted)
+        };
+        let cells = of(1);
+        assert!(cells == of(3));
+        assert!(cells.len() > 100 && cells.len() < set.len(), "{}", cells.len());
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! P_S and P_S* sample an unknown map D of space. Before streaming, `sheets` finds which samples belong together,
 //! `local_frames` fits D's gradient at each, and `blended_jets` expands D about it to second order. While streaming,
-//! `homes` finds the sample around which a vertex lies, by following the stream; `blend` carries whole blocks of
+//! `homes` finds the sample around which a vertex lies, by its position alone; `blend` carries whole blocks of
 //! vertices over by the expansions around their homes, or `projected_barycentric` each vertex in the paper's way;
 //! `stream` does so for the whole file. `diagnostics` says what it does to the surface, and `expected_error` where it is probably off. [`transfer_error`] compares a result with the exact map.
 
@@ -25,6 +25,8 @@ mod stream;
 mod tests;
 pub mod transfer_error;
 
+use std::sync::OnceLock;
+
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
@@ -38,6 +40,7 @@ pub(crate) use block::homes;
 pub use block::{Moved, carry};
 pub use diagnostics::{Figures, Folds, principal_stretches};
 use expansion::Expansion;
+use homes::Cells;
 use limiter::Limiter;
 use local_frames::LocalFrames;
 use neighbourhood::Neighbourhood;
@@ -93,6 +96,8 @@ pub struct Surroundings<'a> {
     samples: &'a SampleSet,
     sheets: Sheets,
     supports: Supports,
+    /// What homes are found by: made when a place is first looked up, as fitting does not need it.
+    cells: OnceLock<Cells>,
     workspaces: Workspaces,
 }
 
@@ -107,7 +112,18 @@ impl<'a> Surroundings<'a> {
 
     /// What was found out before.
     fn known(samples: &'a SampleSet, sheets: Sheets, supports: Supports) -> Self {
-        Self { samples, sheets, supports, workspaces: Workspaces::default() }
+        Self { samples, sheets, supports, cells: OnceLock::new(), workspaces: Workspaces::default() }
+    }
+
+    fn cells(&self) -> &Cells {
+        match self.cells.get() {
+            Some(cells) => cells,
+            // Jobs of the thread pool make them: no other one may wait for that.
+            None => {
+                let cells = Cells::of(self.samples, &self.supports.radius);
+                self.cells.get_or_init(|| cells)
+            }
+        }
     }
 }
 

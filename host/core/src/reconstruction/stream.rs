@@ -19,7 +19,7 @@ use crate::sampled_model::{SampledModel, fingerprint, same_file};
 use crate::{Error, ErrorKind, Progress, Result};
 
 /// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on with then.
-const REVISION: u32 = 3;
+const REVISION: u32 = 4;
 
 /// What is lost at most, in bytes of the model, when the program is killed: see [`Reconstruction::part_bytes`].
 pub const PART_BYTES: u64 = 256 << 20;
@@ -116,6 +116,9 @@ pub fn reconstruct(
 ) -> Result<Reconstructed> {
     // Before the work begins: targets that cannot be written, or must not be.
     check_targets(model, versions, how)?;
+    if let Some(cost) = sampled.source.cost_of_order() {
+        progress.note(&cost);
+    }
     let folding = vec![None; versions.len()];
     let mut work = Work {
         sampled,
@@ -273,7 +276,7 @@ impl<'a> Work<'a> {
                 .collect();
             let homes = binding.as_mut().map(|binding| binding.next(chunk.len())).transpose()?;
             let (fields, frame) = (&fields[..moved.len()], &self.sampled.frame);
-            carry(fields, frame, &chunk.positions, &chunk.normals, homes, &mut moved);
+            carry(fields, frame, &chunk.positions, homes, &mut moved);
             for (Edited { positions, .. }, (file, figures)) in versions.iter().zip(&mut surveys) {
                 if let Some(file) = file {
                     file.write(positions, figures)?;

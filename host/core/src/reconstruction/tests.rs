@@ -2,7 +2,7 @@
 
 use glam::{Affine3A, DVec3, EulerRot, Mat3, Quat, Vec3};
 
-use super::{DeformationField, Method, Moved, Surroundings, carry};
+use super::{DeformationField, Figures, Method, Moved, Surroundings, carry};
 use crate::frame::Frame;
 use crate::sampling::SampleSet;
 
@@ -39,7 +39,7 @@ fn carried_with_normals(
     let rest: Vec<DVec3> = points.iter().map(|p| p.as_dvec3()).collect();
     let (mut positions, mut turned) = (rest.clone(), normals.to_vec());
     let moved = Moved { positions: &mut positions, normals: &mut turned, figures: &mut [] };
-    carry(std::slice::from_ref(field), &LOCAL, &rest, normals, None, &mut [moved]);
+    carry(std::slice::from_ref(field), &LOCAL, &rest, None, &mut [moved]);
     (positions.iter().map(|p| p.as_vec3()).collect(), turned)
 }
 
@@ -171,18 +171,95 @@ fn the_gradient_is_that_of_what_the_vertices_do() {
     }
 }
 
-#[test]
-fn how_vertices_are_divided_into_calls_matters_little() {
-    // Each walk begins anew, and may find another home; but all homes know the same supports.
-    let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
-    let around = Surroundings::of(&set);
-    let deformed: Vec<Vec3> = set.positions.iter().map(|p| Quat::from_rotation_z(2.0 * p.z) * *p).collect();
-    let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
-    let points: Vec<Vec3> = patch(97).collect();
-    let whole = carried(&field, &points);
-    let one_by_one: Vec<Vec3> = points.iter().map(|p| carried(&field, &[*p])[0]).collect();
-    let worst = whole.iter().zip(one_by_one).map(|(a, b)| a.distance(b)).fold(0.0, f32::max);
-    assert!(worst < 1e-6, "{worst}");
+/// What a call gives for each vertex: the bits of its position and of its normal, and its figures.
+type Bits = ([u64; 3], [u32; 3], [u32; 3]);
+
+fn bits(field: &DeformationField, points: &[(Vec3, Vec3)]) -> Vec<Bits> {
+    let rest: Vec<DVec3> = points.iter().map(|(p, _)| p.as_dvec3()).collect();
+    let mut positions = rest.clone();
+    let mut normals: Vec<Vec3> = points.iter().map(|(_, n)| *n).collect();
+    let mut figures = vec![Figures::UNKNOWN; rest.len()];
+    let moved = Moved { positions: &mut positions, normals: &mut normals, figures: &mut figures };
+    carry(std::slice::from_ref(field), &LOCAL, &rest, None, &mut [moved]);
+    let figures = figures.iter().map(|f| [f.displacement, f.stretch[0], f.stretch[1]].map(f32::to_bits));
+    let normals = normals.iter().map(|n| n.to_array().map(f32::to_bits));
+    let positions = positions.iter().map(|p| p.to_array().map(f64::to_bits));
+    positions.zip(normals).zip(figures).map(|((p, n), f)| (p, n, f)).collect()
+}
+
+proptest::proptest! {
+    #![proptest_config(proptest::prelude::ProptestConfig::with_cases(24))]
+
+    /// Whatever stands before and beside it in the file, whatever its normal, and however many threads there are; also where
+    /// sheets are near, where samples are noise, and off all of them.
+    #[test]
+    fn what_becomes_of_a_vertex_is_a_function_of_its_place(
+        seed in 0u64..u64::MAX, model in 0usize..4, motion in 0usize..4, barycentric: bool,
+    ) {
+        let mut state = seed | 1;
+        let mut random = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f32 / (1u64 << 24) as f32
+        };
+        let (positions, known) = match model {
+            0 => (patch(25).collect(), Vec::new()),
+            1 => plates(0.3, [-Vec3::Y, Vec3::Y]),
+            2 => plates(0.2, [Vec3::Y, Vec3::Y]),
+            _ => ((0..600).map(|_| Vec3::new(random(), random(), random() * random())).collect(), Vec::new()),
+        };
+        let set = SampleSet::new(positions, known).expect("samples");
+        let around = Surroundings::of(&set);
+        let deformed: Vec<Vec3> = set
+            .positions
+            .iter()
+            .map(|p| match motion {
+                0 => Quat::from_rotation_z(2.0 * p.z) * *p,
+                1 => *p + Vec3::Y * f32::from(u8::from(random() < 0.5)),
+                2 => *p + Vec3::new(random(), random(), random()),
+                _ => *p + Vec3::X * f32::from(u8::from(p.y > 0.003)),
+            })
+            .collect();
+        let method = if barycentric { Method::ProjectedBarycentric } else { Method::BlendedJets };
+        let field = DeformationField::new(&around, &deformed, method);
+
+        // Each place three times, with other normals; and once more, with zero of the other sign.
+        let mut points: Vec<(Vec3, Vec3)> = Vec::new();
+        for i in 0..3000 {
+            let q = set.positions[(random() * set.len() as f32) as usize % set.len()];
+            let far = [0.0, 0.003, 0.03, 0.3][i % 4];
+            let mut p = q + far * (Vec3::new(random(), random(), random()) - 0.5);
+            p.x = if i % 50 == 0 { 0.0 } else { p.x };
+            for _ in 0..3 {
+                points.push((p, Vec3::new(random(), random(), random()) - 0.5));
+            }
+        }
+        let whole = bits(&field, &points);
+        for (i, same) in whole.chunks(3).enumerate() {
+            assert!(same.iter().all(|s| s.0 == same[0].0 && s.2 == same[0].2), "place {i} comes apart");
+        }
+        // In another order, and in calls of other sizes, on other numbers of threads.
+        let mut order: Vec<usize> = (0..points.len()).collect();
+        (1..order.len()).for_each(|i| order.swap(i, (random() * i as f32) as usize));
+        let shuffled: Vec<(Vec3, Vec3)> = order.iter().map(|i| points[*i]).collect();
+        for (threads, size) in [(1, 9000), (2, 4000), (3, 77)] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            let parts: Vec<Bits> =
+                pool.install(|| shuffled.chunks(size).flat_map(|part| bits(&field, part)).collect());
+            assert!(order.iter().zip(&parts).all(|(i, b)| whole[*i] == *b), "{threads} threads, {size} at a time");
+        }
+        for i in (0..points.len()).step_by(500) {
+            assert!(bits(&field, &points[i..=i])[0] == whole[i], "vertex {i} alone");
+        }
+        let (zero, other): (Vec<_>, Vec<_>) = points
+            .iter()
+            .filter(|(p, _)| p.x == 0.0)
+            .map(|(p, n)| ((p.with_x(0.0), *n), (p.with_x(-0.0), *n)))
+            .unzip();
+        let zeros = bits(&field, &zero).into_iter().zip(bits(&field, &other));
+        // The sign of zero may be left of a vertex that stays where it is.
+        let value = |b: &Bits| b.0.map(|x| f64::from_bits(x) + 0.0);
+        assert!(zeros.into_iter().all(|(a, b)| value(&a) == value(&b) && a.1 == b.1));
+    }
 }
 
 /// Two plates a part of the spacing apart, with jitter; `facing` of the upper one over the lower.

@@ -16,7 +16,7 @@ pub(crate) mod tests;
 
 use std::path::Path;
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -241,14 +241,14 @@ pub fn refine(
 pub fn appended_deformed(refined: &SampledModel, first: usize, field: &DeformationField<'_>) -> Vec<DVec3> {
     let rest = refined.samples.positions.get(first..).unwrap_or_default();
     let rest: Vec<DVec3> = rest.iter().map(|p| refined.frame.to_model(*p)).collect();
-    carried(field, &refined.frame, &rest, refined.samples.normals().get(first..).unwrap_or_default())
+    carried(field, &refined.frame, &rest)
 }
 
-/// Where points of the model (its coordinates) go; their normals, or none, tell the sheets of the surface apart.
-fn carried(field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3], normals: &[Vec3]) -> Vec<DVec3> {
+/// Where points of the model (its coordinates) go.
+fn carried(field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3]) -> Vec<DVec3> {
     let mut moved = positions.to_vec();
     let to = &mut [Moved { positions: &mut moved, normals: &mut [], figures: &mut [] }];
-    carry(std::slice::from_ref(field), frame, positions, normals, None, to);
+    carry(std::slice::from_ref(field), frame, positions, None, to);
     moved
 }
 

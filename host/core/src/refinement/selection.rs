@@ -86,7 +86,7 @@ impl<'a> Selected<'a> {
     fn distance(&self, p: Vec3) -> f64 {
         let p = self.frame.to_model(p);
         let p = match self.selection.pose() {
-            Some(field) => carried(field, &self.frame, &[p], &[]).first().copied().unwrap_or(p),
+            Some(field) => carried(field, &self.frame, &[p]).first().copied().unwrap_or(p),
             None => p,
         };
         (self.selection.distance)(p) / self.frame.scale

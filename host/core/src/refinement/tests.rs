@@ -543,8 +543,7 @@ fn with_field<T>(
 
 /// How far each vertex is off, as a fraction of the diagonal.
 fn off(sampled: &SampledModel, body: &Body, map: &dyn Fn(DVec3) -> DVec3) -> Vec<f64> {
-    let moved =
-        with_field(sampled, map, |field| carried(field, &sampled.frame, &body.positions, &body.normals));
+    let moved = with_field(sampled, map, |field| carried(field, &sampled.frame, &body.positions));
     let diagonal = sampled.bounds.diagonal();
     body.positions.iter().zip(&moved).map(|(p, q)| q.distance(map(*p)) / diagonal).collect()
 }

@@ -56,6 +56,62 @@ impl KdTree {
         search.found[0] as u32
     }
 
+    /// For each node the largest radius of balls about its points: what [`deepest`](Self::deepest) takes.
+    ///
+    /// Memory: half a byte per point.
+    pub fn largest_below(&self, radius: &[f32]) -> Vec<f32> {
+        let mut largest = vec![0.0; self.boxes.len()];
+        self.largest_of(0, 0, self.leaves.len(), radius, &mut largest);
+        largest
+    }
+
+    fn largest_of(
+        &self,
+        node: usize,
+        first: usize,
+        leaves: usize,
+        radius: &[f32],
+        largest: &mut [f32],
+    ) -> f32 {
+        largest[node] = if leaves == 1 {
+            let indices = self.leaves[first].index.iter().filter(|i| **i != u32::MAX);
+            indices.map(|i| radius[*i as usize]).fold(0.0, f32::max)
+        } else {
+            let left = leaves / 2;
+            let a = self.largest_of(node + 1, first, left, radius, largest);
+            a.max(self.largest_of(node + 2 * left, first + left, leaves - left, radius, largest))
+        };
+        largest[node]
+    }
+
+    /// Of balls about the points that hold `p`, that in which it is nearest to the middle, as a part of the radius.
+    pub fn deepest(&self, p: Vec3, radius: &[f32], largest: &[f32]) -> Option<u32> {
+        let mut least = (1.0, u32::MAX);
+        let mut open = vec![(0, 0, self.leaves.len())];
+        while let Some((node, first, leaves)) = open.pop() {
+            let reach = largest[node];
+            // Written so that nothing is lost by rounding.
+            if self.boxes[node].distance_squared(p) > 1.0001 * reach * reach {
+                continue;
+            }
+            if leaves > 1 {
+                let left = leaves / 2;
+                open.extend([(node + 1, first, left), (node + 2 * left, first + left, leaves - left)]);
+                continue;
+            }
+            let leaf = &self.leaves[first];
+            for (at, i) in leaf.index.iter().enumerate().filter(|(_, i)| **i != u32::MAX) {
+                let d = Vec3::new(leaf.x[at], leaf.y[at], leaf.z[at]) - p;
+                let r = radius[*i as usize];
+                let depth = d.length_squared() / (r * r);
+                if depth < 1.0 && (depth, *i) < least {
+                    least = (depth, *i);
+                }
+            }
+        }
+        (least.1 != u32::MAX).then_some(least.1)
+    }
+
     /// The points nearest to `p` without one of them, nearest first: as many as `found` is long, which is no longer
     /// than there are. The numbers' lower halves are the points' indices.
     pub fn nearest_others(&self, p: Vec3, but: u32, found: &mut [Found]) {
@@ -189,6 +245,18 @@ mod tests {
             let mut found = vec![0; sorted.len()];
             tree.nearest_others(p, but, &mut found);
             prop_assert_eq!(found.iter().map(|f| *f as u32).collect::<Vec<_>>(), sorted);
+        }
+
+        #[test]
+        fn the_deepest_ball_is_that_in_which_a_point_is_nearest_to_the_middle(
+            balls in proptest::collection::vec((point(), 0.0..2.0f32), 1..300), p in point(),
+        ) {
+            let (points, radius): (Vec<Vec3>, Vec<f32>) = balls.into_iter().unzip();
+            let tree = KdTree::new(&points);
+            let depth = |i: usize| points[i].distance_squared(p) / (radius[i] * radius[i]);
+            let held = (0..points.len()).filter(|i| depth(*i) < 1.0);
+            let deepest = held.min_by(|i, j| depth(*i).total_cmp(&depth(*j)));
+            prop_assert_eq!(tree.deepest(p, &radius, &tree.largest_below(&radius)), deepest.map(|i| i as u32));
         }
     }
 }

@@ -247,6 +247,7 @@ pub fn sample(
         }
     };
     progress.check()?;
+    let jumps = ranges.jumps();
     let kept = (!sampling.skip.cells).then(|| keep(&grid, ranges, faces, cut.trees));
     let sampled = SampledModel::new(
         Source {
@@ -255,6 +256,7 @@ pub fn sample(
             vertices: info.vertices,
             non_finite: non_finite.count,
             first_non_finite: non_finite.first,
+            jumps: Some(jumps),
             fingerprint: fingerprint(hash.digest128()),
         },
         Sampling { grouping, ..*sampling },

@@ -22,6 +22,8 @@ pub struct Ranges {
     most: usize,
     /// The cell that the stream is in, and since which vertex.
     open: Option<(u32, u64)>,
+    /// How often it came into another cell.
+    jumps: u64,
 }
 
 /// The ranges of a cell. All but the last are packed: each as its distance from the end of the one before, and its length.
@@ -74,7 +76,7 @@ impl Ranges {
     /// No range, of so many cells.
     pub fn new(cells: usize) -> Self {
         let most = (MOST / cells.max(1)).clamp(OF_A_CELL.start, OF_A_CELL.end);
-        Self { cells: vec![Packed::default(); cells], most, open: None }
+        Self { cells: vec![Packed::default(); cells], most, open: None, jumps: 0 }
     }
 
     /// From this vertex on the stream is in a cell.
@@ -82,6 +84,7 @@ impl Ranges {
         match self.open {
             Some((open, _)) if open == cell => {}
             _ => {
+                self.jumps += u64::from(self.open.is_some());
                 self.close(vertex);
                 self.open = Some((cell, vertex));
             }
@@ -91,6 +94,11 @@ impl Ranges {
     /// The stream ends before this vertex.
     pub fn finish(&mut self, vertex: u64) {
         self.close(vertex);
+    }
+
+    /// How often the stream came from one cell into another.
+    pub fn jumps(&self) -> u64 {
+        self.jumps
     }
 
     /// The ranges of each cell: ascending, and not empty.

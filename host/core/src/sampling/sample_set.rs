@@ -169,6 +169,16 @@ impl SampleSet {
         self.surroundings().tree.nearest(p)
     }
 
+    /// What [`deepest`](Self::deepest) takes, of balls about the samples.
+    pub(crate) fn largest_below(&self, radius: &[f32]) -> Vec<f32> {
+        self.surroundings().tree.largest_below(radius)
+    }
+
+    /// Of balls about the samples that hold a point, that in which it is nearest to the middle, as a part of the radius.
+    pub(crate) fn deepest(&self, p: Vec3, radius: &[f32], largest: &[f32]) -> Option<u32> {
+        self.surroundings().tree.deepest(p, radius, largest)
+    }
+
     #[inline]
     fn surroundings(&self) -> &Surroundings {
         self.surroundings.get_or_init(|| Surroundings::of(&self.positions))
