@@ -37,8 +37,8 @@ const SIDE_BY_SIDE: usize = 1 << 12;
 
 /// An octree over the supports: for each cell a sample that is near its middle.
 ///
-/// Memory: 17 bytes per sample, and 32 for each cell that is parted: about one for seven samples of a surface, and at
-/// most 1.5 per sample, if they are in heaps that are each of a size with [`LEVELS`] cells above. As much again
+/// Memory: 17 bytes per sample, and 32 for each cell that is parted: about one for seven samples of a surface. Where
+/// samples are in heaps of a dozen, each has a chain of at most [`LEVELS`] cells, which makes 1.5 per sample. As much again
 /// while it is made.
 pub struct Cells {
     /// Corner of the whole, in local coordinates.
