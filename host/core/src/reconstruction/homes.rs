@@ -60,8 +60,10 @@ impl Cells {
         let positions = &samples.positions;
         let min = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
         let max = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
-        // Room for rounding; and for samples that are all at one place.
-        let edge = (1.001 * (max - min).max_element()).max(1e-20);
+        // Room for rounding: the finest cells are still eight times as wide as coordinates there are exact. And room for
+        // samples that are all at one place.
+        let size = (max - min).max_element().max(min.abs().max(max.abs()).max_element());
+        let edge = (1.001 * size).max(1e-20);
         let corner = 0.5 * (min + max) - 0.5 * edge;
         let supports = positions
             .iter()
