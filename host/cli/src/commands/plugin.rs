@@ -11,6 +11,10 @@ use super::plugin_options::{PluginOptions, Serve};
 use crate::report::Report;
 
 /// List the deformation plugins, show one, check one, or begin a new one
+///
+/// A plugin is a program: it runs with your rights, and can read, change and delete whatever you can. Plugins that did not come
+/// with SIMOD run in processes of their own, so that one that crashes, hangs or takes all memory does no harm to your work. That
+/// protects from mistakes and not from malice: install plugins only from those whom you would have run any other program.
 #[derive(Subcommand)]
 pub enum Plugin {
     /// List the plugins that were found
@@ -34,8 +38,13 @@ pub enum Plugin {
 impl Plugin {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         match self {
-            Self::List { plugins } => list(&plugins.discover(report), report),
-            Self::Info { id, plugins } => info(plugins.discover(report).get(&id)?, report),
+            Self::List { plugins } => list(&plugins.discover(report)?, report),
+            Self::Info { id, plugins } => {
+                let registry = plugins.discover(report)?;
+                let plugin = registry.get(&id)?;
+                registry.replaced(plugin).into_iter().for_each(|notice| report.warn(notice));
+                info(plugin, report);
+            }
             Self::Serve(serve) => serve.execute()?,
             Self::New(new) => new.execute(report)?,
             Self::Check(check) => check.execute(report)?,
@@ -52,6 +61,9 @@ fn list(registry: &PluginRegistry, report: &mut Report) {
     }
     if plugins.is_empty() {
         report.line("no plugins found; folders are looked for in SIMOD_PLUGIN_PATH, the user's data folder, and beside the program");
+    }
+    for plugin in plugins {
+        registry.replaced(plugin).into_iter().for_each(|notice| report.warn(notice));
     }
     for duplicate in registry.duplicates() {
         report.line(format!(

@@ -7,8 +7,9 @@
 mod about;
 #[allow(unsafe_code, reason = "tables and pointers of C; each block has its argument")]
 mod c;
+mod care;
 mod code;
-#[allow(unsafe_code, reason = "an instruction that not all processors have; the block has its argument")]
+#[allow(unsafe_code, reason = "registers of the processor; each block has its argument")]
 mod registers;
 
 use crate::params::check_description;
@@ -26,9 +27,9 @@ use xxhash_rust::xxh3::Xxh3Default;
 
 pub(crate) use about::About;
 pub(crate) use c::CCode;
+pub(crate) use care::{Care, CarefulCode};
 pub(crate) use code::RustCode;
 pub use code::{Capabilities, Code};
-pub(crate) use registers::clear_upper_halves;
 
 /// A plugin that is there to be used.
 pub struct Plugin {
@@ -37,6 +38,7 @@ pub struct Plugin {
     descriptor: Descriptor,
     consumes: Consumes,
     path: PathBuf,
+    shipped: bool,
 }
 
 /// A line from a plugin for the user.
@@ -51,6 +53,11 @@ pub struct Message {
 }
 
 impl Message {
+    /// A warning on a plugin.
+    pub(crate) fn warning(plugin: &str, text: String) -> Self {
+        Self { plugin: plugin.to_owned(), level: LogLevel::WARNING, text }
+    }
+
     /// Whether the result may not be what the user wants.
     pub fn is_warning(&self) -> bool {
         self.level.0 >= LogLevel::WARNING.0
@@ -104,7 +111,17 @@ impl Plugin {
                 "use a later version of the program, or an earlier one of the plugin",
             )
         })?;
-        Ok(Self { code, capabilities, consumes, descriptor, path: path.to_owned() })
+        Ok(Self { code, capabilities, consumes, descriptor, path: path.to_owned(), shipped: false })
+    }
+
+    /// The same, if it came with the program.
+    pub(crate) fn shipped(self, shipped: bool) -> Self {
+        Self { shipped, ..self }
+    }
+
+    /// Whether it came with the program.
+    pub fn is_shipped(&self) -> bool {
+        self.shipped
     }
 
     /// Stable id, such as `warp`.
@@ -172,7 +189,6 @@ impl Plugin {
         watch.begin("preparing the deformation");
         let before = self.fingerprint(&input.samples);
         let state = self.code.prepare(input, watch);
-        clear_upper_halves();
         self.check_unchanged(before, &input.samples)?;
         watch.progress.check()?;
         state.map_err(|e| self.failed(&e))
@@ -197,7 +213,6 @@ impl Plugin {
         out.fill([f32::NAN; 3]);
         let before = self.fingerprint(&input.samples);
         let done = self.code.deform(state, input, scratch, out, watch);
-        clear_upper_halves();
         self.check_unchanged(before, &input.samples)?;
         watch.progress.check()?;
         done.map_err(|e| self.failed(&e))?;
@@ -221,7 +236,6 @@ impl Plugin {
             ));
         }
         let done = self.code.evaluate(state, input, points, watch);
-        clear_upper_halves();
         watch.progress.check()?;
         done.map_err(|e| self.failed(&e))?;
         let bad = |p: &[f64; 3]| !p.iter().all(|x| x.is_finite());
@@ -393,8 +407,8 @@ impl HostCalls for Watch<'_> {
             if self.progress.is_cancelled() {
                 return Err(());
             }
+            let _kept = Care::Registers.enter();
             body(i);
-            clear_upper_halves();
             Ok(())
         });
         work.is_ok()
