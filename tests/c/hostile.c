@@ -44,7 +44,7 @@ static void change_rounding(void)
 
 __attribute__((constructor)) static void load(void)
 {
-    if (DOES == SLEEPS_AT_LOAD) sleep(30);
+    if (DOES == SLEEPS_AT_LOAD && !getenv("AWAKE")) sleep(30);
     if (DOES == STARTS_A_PROCESS_AT_LOAD) {
         start_a_process();
         sleep(30);
@@ -133,7 +133,8 @@ static uint8_t is_identity(const SimodDeformInput *input)
 static const void *extension(const char *id)
 {
     static const SimodIsIdentity identity = { is_identity };
-    return DOES == MOVES_AT_REST_AND_SAYS_SO && strcmp(id, SIMOD_IS_IDENTITY) == 0 ? &identity : NULL;
+    int tells = DOES == MOVES_AT_REST_AND_SAYS_SO || DOES == SLEEPS_AT_LOAD;
+    return tells && strcmp(id, SIMOD_IS_IDENTITY) == 0 ? &identity : NULL;
 }
 
 const SimodPlugin simod_plugin_entry = {

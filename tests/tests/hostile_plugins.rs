@@ -8,7 +8,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use simod_tests::{Outcome, Workplace, library};
+use simod_tests::{Outcome, Workplace};
 
 const DEFORM: &str = "deform model.simod --session edit.toml -o out.ply";
 
@@ -97,7 +97,8 @@ fn a_library_that_does_not_finish_loading_can_be_interrupted() {
     let work = sampled();
     build(&work, "SLEEPS_AT_LOAD");
     let before = work.snapshot();
-    for line in ["plugin list", DEFORM, "plugin check plugins/hostile.so"] {
+    // In the last one it is known what it is, and it is loaded when it is first called.
+    for line in ["plugin list", DEFORM, "plugin check plugins/hostile.so", DEFORM] {
         let child = start(&work, line);
         wait_until(&work, "it loads", |n| n == 2);
         std::thread::sleep(Duration::from_millis(200));
@@ -108,6 +109,10 @@ fn a_library_that_does_not_finish_loading_can_be_interrupted() {
         assert_eq!((outcome.code, outcome.lines("error: ")), (Some(130), vec!["cancelled"]), "{line}");
         wait_until(&work, line, |n| n == 0);
         assert_eq!(work.snapshot(), before);
+        if line.contains("check") {
+            assert!(work.command("plugin list").env("AWAKE", "1").status().unwrap().success());
+            assert!(work.plugin_cache().is_file());
+        }
     }
 }
 
@@ -184,7 +189,7 @@ fn none_takes_the_place_of_another_unnoticed() {
     }
     // A newer one.
     let other = same("99.0.0");
-    let compare = "model = \"model.ply\"\n[[method]]\nname = \"one\"\nsession = \"edit.toml\"\n\
+    let compare = "[model]\npath = \"model.ply\"\n[[method]]\nname = \"one\"\nsession = \"edit.toml\"\n\
                    [[method]]\nname = \"two\"\nsession = \"edit.toml\"\n";
     work.write("compare.toml", compare);
     for line in lines.into_iter().chain(["compare compare.toml -o compared"]) {
@@ -243,5 +248,154 @@ fn an_open_folder_is_told() {
         }
     }
     std::fs::set_permissions(&folder, std::fs::Permissions::from_mode(0o755)).unwrap();
-    let _ = library("simod_warp");
+}
+
+/// What a plugin says of itself, and to the user, does nothing to a terminal: no escape sequences, no lines of its own.
+#[test]
+fn nothing_raw_reaches_a_terminal() {
+    let work = sampled();
+    build(&work, "SPEAKS_RAW");
+    let refused = "[[step]]\ndeform = \"hostile\"\nparams = { by = 2 }\n";
+    work.write(
+        "refused.toml",
+        String::from_utf8(work.read("edit.toml"))
+            .unwrap()
+            .replace("[[step]]\ndeform = \"hostile\"\n", refused),
+    );
+    let lines = [
+        "plugin list",
+        "plugin list --json",
+        "plugin info hostile",
+        "plugin info hostile --json",
+        "plugin check hostile",
+        "plugin check hostile --json",
+        DEFORM,
+        "run edit.toml --json",
+        "run refused.toml",
+        "run refused.toml --isolate never",
+    ];
+    let is_raw = |c: char| c.is_control() && c != '\n';
+    for line in lines {
+        let outcome = work.run(line);
+        for text in [&outcome.stdout, &outcome.stderr] {
+            assert!(!text.chars().any(is_raw), "{line}: {text:?}");
+            // A line that looks like one of the program's own.
+            assert!(
+                !text.lines().any(|l| l.starts_with("error: \u{9b}") || l.starts_with("error:  2Jfake")),
+                "{line}: {text}"
+            );
+        }
+        if line.ends_with("--json") {
+            assert_eq!(outcome.stdout.lines().count(), 1, "{line}");
+        }
+    }
+    // As data, all is as it was said.
+    let info = work.report("plugin info hostile");
+    assert!(info["parameters"][0]["hint"].as_str().unwrap().contains("\u{1b}[31m"), "{info}");
+    let check = work.run("plugin check hostile --rule texts");
+    assert!(check.stdout.starts_with("FAIL texts") && check.stdout.contains("U+001B"), "{}", check.stdout);
+}
+
+/// Results that are numbers, and of no use to what follows, are the fault of who gave them.
+#[test]
+fn results_too_far_away_are_the_plugin_s_fault() {
+    let work = sampled();
+    let steps = "[[step]]\ndeform = \"hostile\"\n[[step]]\ndeform = \"warp\"\nparams = { angle = 33 }\n";
+    for does in ["GOES_FAR", "GOES_TOO_FAR"] {
+        let library = build(&work, does);
+        for steps in ["[[step]]\ndeform = \"hostile\"\n", steps] {
+            work.write_session("model.ply", 500, steps);
+            for options in ["", " --isolate never"] {
+                let named =
+                    ["edit.toml, line 5: plugin hostile", "1 of 500 positions are farther away", "index 0"];
+                work.refuses(&format!("{DEFORM}{options}"), &named);
+                work.refuses(&format!("run edit.toml{options}"), &named);
+            }
+        }
+        let report = work.run(&format!("plugin check {} --rule collinear --json", library.display())).json();
+        assert!(report["rules"][0]["found"].as_str().unwrap().contains("too far away"), "{report}");
+    }
+}
+
+/// A function that is nowhere is told when the library is loaded, and not by a crash when it is called.
+#[test]
+fn a_function_that_is_nowhere_is_told_at_load() {
+    let work = sampled();
+    let library = work.build_c("tests/c/hostile.c", "hostile", &["-DDOES=LACKS_A_FUNCTION", "-DLACKING"]);
+    let outcome = work.run(&format!("plugin check {}", library.display()));
+    assert_eq!(outcome.code, Some(1));
+    assert!(outcome.stdout.starts_with("FAIL loads"), "{}", outcome.stdout);
+    assert!(outcome.stdout.lines().next().unwrap().contains("not_there_at_all"), "{}", outcome.stdout);
+    for options in ["", " --isolate never"] {
+        let refused = work.refuses(&format!("{DEFORM}{options}"), &["edit.toml, line 5", "not_there_at_all"]);
+        assert!(refused.hint().contains("link it"), "{}", refused.stderr);
+    }
+}
+
+/// A tool whose defaults do something keeps the rule on identity where it says so, and what is to be said stands in the hint;
+/// one that lags behind its handles is told what it misses, and by how much.
+#[test]
+fn tools_that_do_something_by_themselves_say_so() {
+    let work = Workplace::new();
+    let rules = |does: &str| {
+        let library = build(&work, does);
+        let rules = "--rule identity --rule rigid --rule is-identity";
+        let outcome = work.run(&format!("plugin check {} {rules} --json", library.display()));
+        let report = outcome.json();
+        let of = |id: &str| {
+            let rule = report["rules"].as_array().unwrap().iter().find(|r| r["rule"] == id).unwrap();
+            ["verdict", "found", "hint"].map(|key| rule[key].as_str().unwrap().to_owned())
+        };
+        (of("identity"), of("rigid"))
+    };
+    let ([verdict, _, hint], [rigid, ..]) = rules("MOVES_AT_REST");
+    assert_eq!((verdict.as_str(), rigid.as_str()), ("fail", "skip"));
+    assert!(hint.contains("`IsIdentity`") && hint.contains("SIMOD_IS_IDENTITY"), "{hint}");
+    let ([verdict, found, _], [rigid, ..]) = rules("MOVES_AT_REST_AND_SAYS_SO");
+    assert_eq!((verdict.as_str(), rigid.as_str()), ("pass", "skip"), "{found}");
+    let ([verdict, ..], [rigid, found, hint]) = rules("LAGS_BEHIND");
+    assert_eq!((verdict.as_str(), rigid.as_str()), ("pass", "warn"), "{found}");
+    assert!(found.contains("of the diagonal from where") && found.contains("more than 1e-4"), "{found}");
+    assert!(hint.contains("in full"), "{hint}");
+}
+
+/// What a user can choose is there as data, and in groups as text.
+#[test]
+fn parameters_are_told_as_data() {
+    let work = Workplace::new().with_plugins("plugins");
+    build(&work, "NOTHING");
+    let info = work.report("plugin info hostile");
+    let by = &info["parameters"][0];
+    let expected = serde_json::json!({
+        "id": "by", "name": "By", "kind": "float", "unit": null, "default": 1.0, "hard_range": [-2.0, 2.0],
+        "soft_range": [null, null], "group": "Distances", "hint": "How far", "invalidates_preparation": false,
+        "text": "How far: a number from -2 to 2; default 1",
+    });
+    assert_eq!(*by, expected);
+    let text = work.simod("plugin info hostile").stdout;
+    assert!(text.contains("\n  Distances:\n    by "), "{text}");
+    let warp = work.report("plugin info warp");
+    let of = |id: &str| {
+        let all = warp["parameters"].as_array().unwrap();
+        all.iter().find(|p| p["id"] == id).unwrap_or_else(|| panic!("{id}: {warp}")).clone()
+    };
+    let operation = of("operation");
+    assert!(
+        operation["choices"].as_array().unwrap().iter().any(|c| c["id"] == operation["default"]),
+        "{operation}"
+    );
+    assert_eq!(of("angle")["unit"], "degrees");
+    assert_eq!(of("axis")["kind"], "direction");
+}
+
+/// An id that is taken is refused before a project is made of it.
+#[test]
+fn a_new_plugin_takes_no_other_s_id() {
+    let work = Workplace::new().with_plugins("plugins");
+    work.refuses("plugin new warp", &["there is a plugin `warp` already"]);
+    build(&work, "NOTHING");
+    let refused =
+        work.refuses("plugin new hostile --lang c", &["there is a plugin `hostile` already", "hostile.so"]);
+    assert!(refused.hint().contains("my-hostile"), "{}", refused.stderr);
+    assert_eq!(work.names(), ["plugins"]);
 }

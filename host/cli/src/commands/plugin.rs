@@ -3,7 +3,7 @@
 use clap::Subcommand;
 use serde_json::json;
 use simod_core::Result;
-use simod_session::{Plugin as Loaded, PluginRegistry};
+use simod_session::{Plugin as Loaded, PluginRegistry, param_data};
 
 use super::plugin_check::{Check, CheckRule};
 use super::plugin_new::New;
@@ -136,12 +136,18 @@ fn info(plugin: &Loaded, report: &mut Report) {
     }
     let needs = if needs.is_empty() { "nothing but the samples".to_owned() } else { needs.join("; ") };
     report.line(format!("takes {needs}"));
+    let mut group = String::new();
     for param in simod_session::describe_params(plugin) {
-        report.line(format!("  {:14} {}", param.id, param.text));
+        if param.group != group {
+            // What stands in no group after one that does is told apart as well.
+            let title = if param.group.is_empty() { "others" } else { &param.group };
+            report.line(format!("  {title}:"));
+            group.clone_from(&param.group);
+        }
+        let indent = if group.is_empty() { "  " } else { "    " };
+        report.line(format!("{indent}{:14} {}", param.id, param.text));
     }
     report.figure("id", plugin.id());
     report.figure("version", plugin.version());
-    let params = simod_session::describe_params(plugin);
-    let params = params.into_iter().map(|p| json!({"id": p.id, "text": p.text}));
-    report.figure("parameters", params.collect::<Vec<_>>());
+    report.figure("parameters", plugin.params().iter().map(param_data).collect::<Vec<_>>());
 }

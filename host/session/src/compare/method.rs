@@ -137,6 +137,7 @@ impl<'a> Bench<'a> {
                     Role::Mask => true,
                 });
                 let action = Action::Deform(Deformation {
+                    param_places: Default::default(),
                     plugin: None,
                     deform: deform.clone(),
                     params: params.clone(),

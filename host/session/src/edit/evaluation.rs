@@ -222,7 +222,7 @@ impl Evaluation {
                     Err(e) if e.kind() == ErrorKind::Cancelled => return Err(e),
                     Err(e) => {
                         failed = true;
-                        Status::Failed(at(&step.place, e))
+                        Status::Failed(at(step.place_of(&e), e))
                     }
                 }
             };

@@ -1,7 +1,9 @@
 //! Loading one library.
 
 use super::library_file::{self, Kind};
-use crate::deformer::{About, CCode, Capabilities, Care, CarefulCode, Code, Plugin, RustCode, cannot_load};
+use crate::deformer::{
+    About, CCode, Capabilities, Care, CarefulCode, Code, Plugin, RustCode, cannot_load, load_whole,
+};
 use abi_stable::library::{LibraryError, RootModule, lib_header_from_path};
 use simod_core::{Error, ErrorKind, Result};
 use simod_plugin_api::{
@@ -28,6 +30,8 @@ pub(crate) fn load_code(path: &Path, shipped: bool) -> Result<Box<dyn Code>> {
     let file = copy.as_ref().map_or(path, |copy| copy.path());
     Ok(match kind {
         Kind::Rust => {
+            // What comes next would take it as far as it is there. It stays loaded.
+            std::mem::forget(load_whole(file, path)?);
             let module = root_module(file).map_err(|e| explain(path, &e.0, e.1.as_deref()))?;
             Box::new(CarefulCode::new(RustCode::new(module), care))
         }

@@ -12,6 +12,7 @@ use crate::session_file::Step;
 #[cfg(unix)]
 use crate::worker::{self, WorkerCode, WorkerOptions};
 use cache::{Cache, Stamp};
+pub(crate) use library_file::aborts_on_panic;
 use load::LazyCode;
 pub(crate) use load::load_code;
 use simod_core::progress::Silent;

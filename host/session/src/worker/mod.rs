@@ -204,6 +204,10 @@ impl Code for WorkerCode {
         true
     }
 
+    fn get_ready(&self, calls: &dyn HostCalls) -> PluginResult<()> {
+        self.worker(calls).map(drop)
+    }
+
     fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State> {
         let (worker, input, reply) = self.call_with_input("prepare", input, calls, Request::Prepare)?;
         match reply {
