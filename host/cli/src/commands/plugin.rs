@@ -140,7 +140,7 @@ fn info(plugin: &Loaded, report: &mut Report) {
     for param in simod_session::describe_params(plugin) {
         if param.group != group {
             // What stands in no group after one that does is told apart as well.
-            let title = if param.group.is_empty() { "others" } else { &param.group };
+            let title = if param.group.is_empty() { "others" } else { param.group.as_str() };
             report.line(format!("  {title}:"));
             group.clone_from(&param.group);
         }
