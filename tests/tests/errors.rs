@@ -241,14 +241,20 @@ fn a_session_that_makes_no_sense() {
     let outcome = refuses("[[step]]\ndeform = \"wrap\"", &["edit.toml, line 5", "`wrap`"]);
     assert!(outcome.hint().contains("`warp`"), "{}", outcome.hint());
     let outcome =
-        refuses("[[step]]\ndeform = \"warp\"\nparams = { angel = 3 }", &["edit.toml, line 5", "angel"]);
+        refuses("[[step]]\ndeform = \"warp\"\nparams = { angel = 3 }", &["edit.toml, line 7", "angel"]);
     assert!(outcome.hint().contains("angle"), "{}", outcome.hint());
     let outcome = refuses(
         "[[step]]\ndeform = \"rbf\"\nparams = { tolerance = 5 }",
-        &["edit.toml, line 5", "tolerance"],
+        &["edit.toml, line 7", "tolerance"],
     );
     assert!(outcome.hint().contains('1'), "{}", outcome.hint());
-    refuses("[[step]]\ndeform = \"warp\"\nparams = { angle = \"much\" }", &["edit.toml, line 5", "angle"]);
+    refuses("[[step]]\ndeform = \"warp\"\nparams = { angle = \"much\" }", &["edit.toml, line 7", "angle"]);
+    // Each parameter on a line of its own; also where the plugin itself refuses it.
+    let table = |params: &str| {
+        format!("[[step]]\ndeform = \"warp\"\n\n[step.params]\noperation = \"bend\"\n\n{params}\n")
+    };
+    refuses(&table("angle = true"), &["edit.toml, line 11", "`angle`"]);
+    refuses(&table("axis = [0, 0, 0]"), &["edit.toml, line 11", "`axis`"]);
     refuses("[[step]]\ndeform = \"warp\"\nparams = { from = 0.5, to = -0.5 }", &["warp", "from"]);
     refuses("[[step]]\ndeform = \"rbf\"", &["edit.toml, line 5", "rbf"]);
     refuses("[[step]]\ndeform = ", &["edit.toml, line 6"]);

@@ -7,7 +7,7 @@ use serde_json::Value;
 use simod_tests::{Outcome, Workplace, library};
 
 /// All rules.
-const RULES: usize = 27;
+const RULES: usize = 29;
 
 /// A report of `simod plugin check --json` on the misbehaving plugin, which does `how` wrong.
 fn check(work: &Workplace, how: &str, options: &str) -> (Outcome, Value) {
@@ -59,6 +59,7 @@ fn each_wrong_breaks_its_rule() {
         ("evaluate-disagrees", "evaluate", "agree to"),
         ("nan-at-bounds", "bounds", "with by = 2.0: deform gives 500 of 500"),
         ("bad-descriptor", "descriptor", "out of its range"),
+        ("raw-texts", "texts", "the plugin's summary has a character U+001B in it"),
         ("log-spam", "log", "1000 lines"),
         ("error-in-prepare", "ordinary", "this does not please me"),
     ];
@@ -68,6 +69,40 @@ fn each_wrong_breaks_its_rule() {
         expect_failure(&outcome, &report, id, found);
         assert_eq!(with_verdict(&report, "fail"), [id], "{how}");
         assert_eq!(rule(&report, "loads")["verdict"], "pass", "{how}");
+    }
+}
+
+/// What is too much to read is told by both rules on the description, and asked of both doors.
+#[test]
+fn descriptions_have_limits() {
+    let work = Workplace::new();
+    for (how, found) in [
+        ("many-params", "the parameters are 10003, more than 10000"),
+        ("many-choices", "the choices of parameter `many` are 10001"),
+        ("long-hint", "the hint of parameter `long` is 65536 bytes long"),
+    ] {
+        let (outcome, report) = check(&work, how, "--rule descriptor --rule texts --rule ordinary");
+        expect_failure(&outcome, &report, "descriptor", found);
+        expect_failure(&outcome, &report, "texts", found);
+        assert_eq!(with_verdict(&report, "skip"), ["ordinary"], "{how}");
+    }
+}
+
+/// A library in Rust whose panics end the process is told from others, before any of it runs.
+#[test]
+#[cfg(target_os = "linux")]
+fn panics_that_abort_are_noticed() {
+    let work = Workplace::new();
+    let source = "#[unsafe(export_name = \"_1as_0lib_1header_0root_bmodule_bloader\")]\npub static ROOT: u64 = 0;\n\
+                  #[unsafe(no_mangle)]\npub extern \"C\" fn f(x: usize) -> usize { [1, 2][x] + std::env::args().count() }\n";
+    work.write("lib.rs", source);
+    for (how, verdict) in [("abort", "fail"), ("unwind", "pass")] {
+        let mut rustc = std::process::Command::new("rustc");
+        rustc.args(["--edition=2024", "--crate-type=cdylib", "-O", "lib.rs", "-o", "lib.so", "-C"]);
+        let output = rustc.arg(format!("panic={how}")).current_dir(work.path("")).output().expect("rustc");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let report = work.run("plugin check lib.so --rule unwinds --json").json();
+        assert_eq!(rule(&report, "unwinds")["verdict"], verdict, "{how}: {report}");
     }
 }
 

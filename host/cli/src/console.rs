@@ -75,8 +75,8 @@ impl Console {
 }
 
 /// Text that may quote a file's content, on one line of a terminal.
-fn line(text: &str) -> String {
-    text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+pub fn line(text: &str) -> String {
+    text.chars().map(|c| if simod_session::is_raw(c) { ' ' } else { c }).collect()
 }
 
 impl Stages {

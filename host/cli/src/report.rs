@@ -6,7 +6,8 @@ use std::time::Instant;
 use serde_json::{Map, Value, json};
 use simod_core::{Error, Progress, Result};
 
-use crate::console::Console;
+use crate::console::{Console, line};
+use simod_session::is_raw;
 
 /// Collects the figures of a command.
 pub struct Report<'a> {
@@ -97,9 +98,9 @@ impl<'a> Report<'a> {
             self.figures.insert("seconds".into(), seconds.into());
             self.figures.insert("phases".into(), phases.into());
             self.figures.insert("peak_memory_bytes".into(), self.console.peak_memory().into());
-            writeln!(out, "{}", Value::Object(self.figures))
+            writeln!(out, "{}", shown_json(&Value::Object(self.figures)))
         } else {
-            self.lines.iter().try_for_each(|line| writeln!(out, "{line}"))
+            self.lines.iter().try_for_each(|text| writeln!(out, "{}", line(text)))
         };
         match written.and_then(|()| out.flush()) {
             // A reader that has seen enough, as `head`, is no failure.
@@ -109,6 +110,16 @@ impl<'a> Report<'a> {
             _ => self.failure.map_or(Ok(()), Err),
         }
     }
+}
+
+/// JSON in which no character is one that a terminal may obey: such are written by their numbers, which means the same.
+fn shown_json(value: &Value) -> String {
+    let mut text = String::new();
+    for c in value.to_string().chars() {
+        // Outside of texts there is none.
+        if is_raw(c) { text.push_str(&format!("\\u{:04x}", u32::from(c))) } else { text.push(c) }
+    }
+    text
 }
 
 /// A count with thin separators: 2 000 000.
@@ -136,6 +147,14 @@ pub fn rate(vertices: u64, seconds: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn json_has_nothing_that_a_terminal_obeys() {
+        let value = serde_json::json!({ "name": "red\u{1b}[31m \u{9b}2J \u{202e}Größe" });
+        let text = super::shown_json(&value);
+        assert!(!text.chars().any(simod_session::is_raw), "{text:?}");
+        assert_eq!(serde_json::from_str::<serde_json::Value>(&text).expect("JSON"), value);
+    }
+
     #[test]
     fn counts_are_grouped() {
         assert_eq!(super::count(0), "0");

@@ -1,7 +1,11 @@
 //! Other processes of this program, which may come to any end.
 
+mod ended;
+
+pub(crate) use ended::Ended;
+
 use std::io::Read;
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -39,19 +43,19 @@ pub struct Outcome {
 }
 
 /// Runs this program with the given arguments for at most `time`. Where the user asks to stop, it is ended, and the
-/// error says so.
-pub fn run(command: &mut Command, time: Duration, progress: &dyn Progress) -> Result<Outcome> {
+/// error says so. Nothing that it started is left behind.
+pub fn run(mut command: Command, time: Duration, progress: &dyn Progress) -> Result<Outcome> {
     let refused = |e: std::io::Error| {
         let what = format!("cannot run this program once more: {e}");
         Error::new(ErrorKind::Io, what, "check the permissions of the program, and the limits on processes")
     };
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-    let mut child = Ended::new(command.spawn().map_err(refused)?);
-    let output = Tail::of(child.0.stdout.take());
-    let errors = Tail::of(child.0.stderr.take());
+    let mut child = Ended::start(command).map_err(refused)?;
+    let output = Tail::of(child.stdout());
+    let errors = Tail::of(child.stderr());
     let started = Instant::now();
     let status = loop {
-        if let Some(status) = child.0.try_wait().map_err(refused)? {
+        if let Some(status) = child.try_wait().map_err(refused)? {
             break Some(status);
         }
         progress.check()?;
@@ -75,47 +79,6 @@ pub fn run(command: &mut Command, time: Duration, progress: &dyn Progress) -> Re
 /// Whether a process that printed this had no more memory: what Rust, C++ and Python say before they give up.
 pub(crate) fn ran_out_of_memory(errors: &str) -> bool {
     ["memory allocation of", "bad_alloc", "MemoryError"].iter().any(|text| errors.contains(text))
-}
-
-/// A process that does not outlive this.
-pub(crate) struct Ended(Child);
-
-impl Ended {
-    /// Ends the process when this is dropped.
-    pub fn new(child: Child) -> Self {
-        Self(child)
-    }
-
-    /// What it prints on standard error, if that is asked for, and for the first time.
-    pub fn stderr(&mut self) -> Option<std::process::ChildStderr> {
-        self.0.stderr.take()
-    }
-
-    /// Ends it, if it does not end by itself at this moment; and how it ended, where that is known.
-    pub fn end(&mut self) -> Option<ExitStatus> {
-        let since = Instant::now();
-        while since.elapsed() < LAST_WORDS {
-            match self.0.try_wait() {
-                Ok(None) => std::thread::sleep(INTERVAL),
-                ended => return ended.ok().flatten(),
-            }
-        }
-        self.kill();
-        self.0.wait().ok()
-    }
-
-    /// Ends it at once.
-    pub fn kill(&mut self) {
-        // Fails where it has ended already.
-        let _ = self.0.kill();
-    }
-}
-
-impl Drop for Ended {
-    fn drop(&mut self) {
-        self.kill();
-        let _ = self.0.wait();
-    }
 }
 
 /// The end of what a process prints, read by a thread, so that it never waits for a reader.
@@ -188,18 +151,23 @@ fn describe_code(status: ExitStatus) -> String {
 /// Whether [`limit_memory`] has an effect on this system.
 pub const LIMITS_MEMORY: bool = cfg!(target_os = "linux");
 
-/// Ends this process together with the thread that started it. On Linux; elsewhere an endless process goes on when the
-/// other one is killed.
-#[cfg(target_os = "linux")]
-pub fn end_with_parent() {
-    use rustix::process::{Signal, set_parent_process_death_signal};
-    // No reason not to go on where it does not work.
-    let _ = set_parent_process_death_signal(Some(Signal::KILL));
+/// Ends this process together with the one of this number that started it; at once, if that has ended already. On Linux by a
+/// signal of the system's; elsewhere a process that does not listen goes on for a moment when the other one is killed.
+pub fn end_with(parent: u32) {
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::process::{Signal, set_parent_process_death_signal};
+        // No reason not to go on where it does not work.
+        let _ = set_parent_process_death_signal(Some(Signal::KILL));
+    }
+    // It may have ended before the signal was asked for. Whoever is the parent then, it is another one.
+    #[cfg(unix)]
+    if std::os::unix::process::parent_id() != parent {
+        std::process::exit(1);
+    }
+    #[cfg(not(unix))]
+    let _ = parent;
 }
-
-/// See the version for Linux.
-#[cfg(not(target_os = "linux"))]
-pub fn end_with_parent() {}
 
 /// Lets this process have no more than so many bytes of memory from now on, and leave no image of it on the disk when it
 /// crashes. On Linux; other systems have no such limits.
@@ -242,7 +210,9 @@ mod tests {
     }
 
     fn shell_for(time: Duration, script: &str) -> Outcome {
-        run(Command::new("sh").args(["-c", script]), time, &Silent).expect("a shell")
+        let mut command = Command::new("sh");
+        command.args(["-c", script]);
+        run(command, time, &Silent).expect("a shell")
     }
 
     #[test]

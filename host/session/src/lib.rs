@@ -29,9 +29,9 @@ mod vector;
 #[cfg(unix)]
 pub mod worker;
 
-pub use deformer::{Capabilities, Code, Message, Plugin};
+pub use deformer::{Capabilities, Code, Message, Plugin, is_raw};
 pub use motion::Motion;
-pub use params::{ParamValue, Params, describe_params};
+pub use params::{ParamValue, Params, describe_params, param_data};
 pub use picked::PickedPoints;
 pub use pipeline::{DeformedSamples, Run, deform};
 pub use plugins::{Isolation, PluginOptions, PluginRegistry, Rejected};

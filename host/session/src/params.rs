@@ -1,11 +1,11 @@
 //! Parameters: checked against the plugin's descriptions, completed by defaults, made local.
 
-use crate::deformer::Plugin;
+use crate::deformer::{Plugin, limits};
 use glam::DVec3;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
 use simod_core::{Error, ErrorKind, Result};
-use simod_plugin_api::{Curve, Descriptor, Param, ParamDesc, ParamKind, Unit};
+use simod_plugin_api::{ChoiceDesc, Curve, Descriptor, Param, ParamDesc, ParamKind, Unit};
 use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 
@@ -166,10 +166,11 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
         )
     };
     let parsed = match d.kind {
-        ParamKind::FLOAT => float(d, number(value).ok_or_else(|| wrong("a number", "0.5"))?),
-        ParamKind::INT => {
-            value.as_integer().map(ParamValue::Int).ok_or_else(|| wrong("a whole number", "10"))?
-        }
+        ParamKind::FLOAT => float(d, number(value).ok_or_else(|| wrong("a number", &default_number(d)))?),
+        ParamKind::INT => value
+            .as_integer()
+            .map(ParamValue::Int)
+            .ok_or_else(|| wrong("a whole number", &nearest_whole(d, value)))?,
         ParamKind::BOOL => {
             value.as_bool().map(ParamValue::Bool).ok_or_else(|| wrong("true or false", "true"))?
         }
@@ -204,9 +205,31 @@ fn checked(plugin: &str, d: &ParamDesc, value: &toml::Value, folder: &Path) -> R
         _ => return Err(argument(format!("{plugin} has a parameter of a kind unknown here: `{id}`"), "")),
     };
     in_range(d, &parsed).map_err(|what| {
-        argument(format!("{plugin}: {what}"), format!("give a value {}", range_text(d.hard_range)))
+        let hint = match d.kind {
+            ParamKind::COLOUR => format!("give numbers from 0 to 1, as {id} = [0.8, 0.2, 0.1]"),
+            ParamKind::CURVE => format!(
+                "give at least two points [x, y] whose numbers are from 0 to 1 and whose x ascend, as {id} = [[0, 1], [0.5, 0.2], [1, 0]]"
+            ),
+            ParamKind::DIRECTION | ParamKind::POINT => "give three finite numbers".to_owned(),
+            _ => format!("give a value {}", range_text(d.hard_range)),
+        };
+        argument(format!("{plugin}: {what}"), hint)
     })?;
     Ok(parsed)
+}
+
+/// A parameter's default, as a user would write it.
+fn default_number(d: &ParamDesc) -> String {
+    d.default_numbers.first().copied().unwrap_or_default().to_string()
+}
+
+/// The whole number in range that is nearest to what was given, or the default where that is no number.
+fn nearest_whole(d: &ParamDesc, value: &toml::Value) -> String {
+    let [min, max] = d.hard_range;
+    match number(value).filter(|x| x.is_finite()) {
+        Some(x) if min.ceil() <= max.floor() => x.round().max(min.ceil()).min(max.floor()).to_string(),
+        _ => default_number(d),
+    }
 }
 
 /// A range in words.
@@ -342,54 +365,118 @@ fn default(d: &ParamDesc) -> std::result::Result<ParamValue, String> {
 pub struct ParamText {
     /// The parameter's id.
     pub id: String,
+    /// What it is shown together with; empty for nothing.
+    pub group: String,
     /// Its kind, default, range and hint.
     pub text: String,
 }
 
 /// A plugin's parameters in words.
 pub fn describe_params(plugin: &Plugin) -> Vec<ParamText> {
-    let describe = |d: &ParamDesc| {
-        let numbers: Vec<String> = d.default_numbers.iter().map(f64::to_string).collect();
-        let default = match d.kind {
-            ParamKind::CHOICE => format!("\"{}\"", d.default_text),
-            ParamKind::BOOL => (d.default_numbers.first() != Some(&0.0)).to_string(),
-            ParamKind::DIRECTION => format!("[{}]", numbers.join(", ")),
-            ParamKind::POINT => format!("[{}] of the model's bounding box", numbers.join(", ")),
-            ParamKind::COLOUR => format!("[{}]", numbers.join(", ")),
-            ParamKind::CURVE => {
-                let points: Vec<String> = numbers.chunks(2).map(|p| format!("[{}]", p.join(", "))).collect();
-                format!("[{}]", points.join(", "))
-            }
-            ParamKind::FILE => "none".to_owned(),
-            _ => numbers.join(""),
-        };
-        let unit = match d.unit {
-            Unit::DEGREES => " degrees",
-            Unit::MODEL_LENGTH if d.kind != ParamKind::POINT => " in the model's unit",
-            Unit::DIAGONAL => " of the diagonal",
-            _ => "",
-        };
-        let kind = match d.kind {
-            ParamKind::CHOICE => {
-                d.choices.iter().map(|c| format!("\"{}\"", c.id)).collect::<Vec<_>>().join(" | ")
-            }
-            ParamKind::POINT => "a point [x, y, z]".to_owned(),
-            ParamKind::DIRECTION => "a direction [x, y, z]".to_owned(),
-            ParamKind::BOOL => "true | false".to_owned(),
-            ParamKind::COLOUR => "a colour [red, green, blue, opacity]".to_owned(),
-            ParamKind::CURVE => "a curve [[x, y], ...] from 0 to 1".to_owned(),
-            ParamKind::FILE if d.choices.is_empty() => "a file".to_owned(),
-            ParamKind::FILE => {
-                let extensions: Vec<String> = d.choices.iter().map(|c| format!(".{}", c.id)).collect();
-                format!("a file {}", extensions.join(" | "))
-            }
-            ParamKind::INT => format!("a whole number {}", range_text(d.hard_range)),
-            _ => format!("a number {}", range_text(d.hard_range)),
-        };
-        let hint = if d.hint.is_empty() { &d.name } else { &d.hint };
-        ParamText { id: d.id.to_string(), text: format!("{hint}: {kind}; default {default}{unit}") }
+    let text =
+        |d: &ParamDesc| ParamText { id: d.id.to_string(), group: d.group.to_string(), text: describe(d) };
+    plugin.params().iter().map(text).collect()
+}
+
+fn describe(d: &ParamDesc) -> String {
+    let numbers: Vec<String> = d.default_numbers.iter().map(f64::to_string).collect();
+    let default = match d.kind {
+        ParamKind::CHOICE => format!("\"{}\"", d.default_text),
+        ParamKind::BOOL => (d.default_numbers.first() != Some(&0.0)).to_string(),
+        ParamKind::DIRECTION => format!("[{}]", numbers.join(", ")),
+        ParamKind::POINT => format!("[{}] of the model's bounding box", numbers.join(", ")),
+        ParamKind::COLOUR => format!("[{}]", numbers.join(", ")),
+        ParamKind::CURVE => {
+            let points: Vec<String> = numbers.chunks(2).map(|p| format!("[{}]", p.join(", "))).collect();
+            format!("[{}]", points.join(", "))
+        }
+        ParamKind::FILE => "none".to_owned(),
+        _ => numbers.join(""),
     };
-    plugin.params().iter().map(describe).collect()
+    let unit = match d.unit {
+        Unit::DEGREES => " degrees",
+        Unit::MODEL_LENGTH if d.kind != ParamKind::POINT => " in the model's unit",
+        Unit::DIAGONAL => " of the diagonal",
+        _ => "",
+    };
+    let kind = match d.kind {
+        ParamKind::CHOICE => {
+            d.choices.iter().map(|c| format!("\"{}\"", c.id)).collect::<Vec<_>>().join(" | ")
+        }
+        ParamKind::POINT => "a point [x, y, z]".to_owned(),
+        ParamKind::DIRECTION => "a direction [x, y, z]".to_owned(),
+        ParamKind::BOOL => "true | false".to_owned(),
+        ParamKind::COLOUR => "a colour [red, green, blue, opacity]".to_owned(),
+        ParamKind::CURVE => "a curve [[x, y], ...] from 0 to 1".to_owned(),
+        ParamKind::FILE if d.choices.is_empty() => "a file".to_owned(),
+        ParamKind::FILE => {
+            let extensions: Vec<String> = d.choices.iter().map(|c| format!(".{}", c.id)).collect();
+            format!("a file {}", extensions.join(" | "))
+        }
+        ParamKind::INT => format!("a whole number {}", range_text(d.hard_range)),
+        _ => format!("a number {}", range_text(d.hard_range)),
+    };
+    let hint = if d.hint.is_empty() { &d.name } else { &d.hint };
+    format!("{hint}: {kind}; default {default}{unit}")
+}
+
+/// What a kind is called, for programs.
+fn kind_name(kind: ParamKind) -> &'static str {
+    match kind {
+        ParamKind::FLOAT => "float",
+        ParamKind::INT => "int",
+        ParamKind::BOOL => "bool",
+        ParamKind::CHOICE => "choice",
+        ParamKind::DIRECTION => "direction",
+        ParamKind::POINT => "point",
+        ParamKind::COLOUR => "colour",
+        ParamKind::CURVE => "curve",
+        ParamKind::FILE => "file",
+        _ => "unknown",
+    }
+}
+
+/// A parameter's description as data: `id`, `name`, `kind`, `unit`, `default` (a number, a text, a truth value, a list, or null
+/// where there is none), `hard_range` and `soft_range` (each end a number, or null for none), `choices` or a file's
+/// `extensions`, `group`, `hint`, `invalidates_preparation`, and all of it in words as `text`.
+pub fn param_data(d: &ParamDesc) -> serde_json::Value {
+    use serde_json::{Value, json};
+    let numbers = d.default_numbers.as_slice();
+    let default = match (d.kind, numbers) {
+        (ParamKind::BOOL, [x, ..]) => json!(*x != 0.0),
+        (ParamKind::INT, [x, ..]) => json!(*x as i64),
+        (ParamKind::FLOAT, [x, ..]) => json!(x),
+        (ParamKind::CHOICE, _) => json!(d.default_text.as_str()),
+        (ParamKind::CURVE, _) => json!(numbers.chunks(2).collect::<Vec<_>>()),
+        (ParamKind::FILE, _) => Value::Null,
+        _ => json!(numbers),
+    };
+    let unit = match d.unit {
+        Unit::NONE => None,
+        Unit::DEGREES => Some("degrees"),
+        Unit::MODEL_LENGTH => Some("model-length"),
+        Unit::DIAGONAL => Some("diagonal"),
+        Unit::RATIO => Some("ratio"),
+        _ => Some("unknown"),
+    };
+    let range = |range: [f64; 2]| json!(range.map(|x| if x.is_finite() { json!(x) } else { Value::Null }));
+    let mut data = json!({
+        "id": d.id.as_str(), "name": d.name.as_str(), "kind": kind_name(d.kind), "unit": unit, "default": default,
+        "group": Some(d.group.as_str()).filter(|group| !group.is_empty()), "hint": d.hint.as_str(),
+        "hard_range": range(d.hard_range), "soft_range": range(d.soft_range),
+        "invalidates_preparation": d.invalidates_preparation, "text": describe(d),
+    });
+    if d.kind == ParamKind::POINT {
+        data["default_is_fraction_of_box"] = json!(true);
+    }
+    if d.kind == ParamKind::CHOICE {
+        let choice = |c: &ChoiceDesc| json!({"id": c.id.as_str(), "label": c.label.as_str()});
+        data["choices"] = d.choices.iter().map(choice).collect();
+    }
+    if d.kind == ParamKind::FILE {
+        data["extensions"] = d.choices.iter().map(|c| json!(c.id.as_str())).collect();
+    }
+    data
 }
 
 /// Whether a text is kebab-case.
@@ -399,6 +486,7 @@ pub(crate) fn is_id(id: &str) -> bool {
 
 /// What is wrong with a plugin's description of itself.
 pub(crate) fn check_description(descriptor: &Descriptor) -> std::result::Result<(), String> {
+    limits::check(descriptor)?;
     if !is_id(&descriptor.id) {
         return Err(format!("the plugin's id `{}` is not kebab-case", descriptor.id));
     }
@@ -480,18 +568,20 @@ mod tests {
         };
         told("angel = 30", "no parameter `angel`", "did you mean `angle`?");
         told("zzzzzz = 30", "no parameter `zzzzzz`", "angle, count");
-        told("angle = \"x\"", "`angle` of warp is string, not a number", "angle = 0.5");
+        told("angle = \"x\"", "`angle` of warp is string, not a number", "angle = 90");
         told("angle = 1000", "`angle` is 1000, out of its range", "from -720 to 720");
         told("angle = nan", "`angle` is not a finite number", "");
         told("count = 0", "out of its range", "at least 1");
-        told("count = 1.5", "not a whole number", "count = 10");
+        told("count = 2.5", "not a whole number", "count = 3");
+        told("count = -7.5", "not a whole number", "count = 1");
+        told("count = \"many\"", "not a whole number", "count = 3");
         told("keep = 1", "not true or false", "true");
         told("operation = \"twits\"", "cannot be `twits`", "did you mean `twist`?");
         told("axis = [1, 2]", "not three numbers", "[0, 1, 0]");
         told("tint = [1, 2]", "not three or four numbers", "[0.8");
-        told("tint = [1, 2, 0]", "not from 0 to 1", "");
-        told("falloff = [[0, 1]]", "less than two", "");
-        told("falloff = [[0.5, 1], [0.2, 0]]", "left to right", "");
+        told("tint = [1, 2, 0]", "not from 0 to 1", "from 0 to 1");
+        told("falloff = [[0, 1]]", "less than two", "at least two points");
+        told("falloff = [[0.5, 1], [0.2, 0]]", "left to right", "whose x ascend");
         told("weights = \"nowhere.toml\"", "cannot read nowhere.toml", "check the path");
         told("weights = \"x.png\"", "not a file of a type", ".rs, .toml");
     }

@@ -9,6 +9,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use simod_core::refinement::Finer;
 use simod_core::{Error, ErrorKind, Result};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{ErrorKind as ErrorOfIo, Read};
 use std::ops::Range;
@@ -137,6 +138,28 @@ pub struct Deformation {
     /// What paths among the parameters are relative to.
     #[serde(default)]
     pub folder: PathBuf,
+    /// Where the parameters stand in the file; for errors.
+    #[serde(skip)]
+    pub param_places: ParamPlaces,
+}
+
+/// Where the parameters of a step stand in its file, as `session.toml, line 9`. No part of what the step is: all are equal.
+#[derive(Debug, Clone, Default)]
+pub struct ParamPlaces(BTreeMap<String, String>);
+
+impl PartialEq for ParamPlaces {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl ParamPlaces {
+    /// Where an error belongs to that came up in the step at `place`: to the parameter that it names, if the file gives that one.
+    pub(crate) fn of<'a>(&'a self, place: &'a str, error: &Error) -> &'a str {
+        let text = error.to_string();
+        let named = text.split("parameter `").skip(1).filter_map(|rest| rest.split('`').next());
+        named.filter_map(|id| self.0.get(id)).next().map_or(place, String::as_str)
+    }
 }
 
 /// Where a plugin came from: for those who do not have it.
@@ -181,6 +204,11 @@ impl Step {
             Action::Deform(deformation) => &deformation.deform,
             Action::Refine(_) => "refine",
         }
+    }
+
+    /// Where an error of the step belongs to: the step, or the parameter that it names.
+    pub(crate) fn place_of<'a>(&'a self, error: &Error) -> &'a str {
+        self.deformation().map_or(&self.place, |d| d.param_places.of(&self.place, error))
     }
 
     /// Whether there may be more samples after it.
@@ -325,7 +353,7 @@ struct RawStep {
     deform: Option<String>,
     plugin: Option<Origin>,
     #[serde(default)]
-    params: toml::Table,
+    params: BTreeMap<Spanned<String>, toml::Value>,
     #[serde(default)]
     region: Vec<Spanned<RawRegion>>,
     #[serde(default)]
@@ -559,10 +587,12 @@ impl Source<'_> {
         for stroke in raw.stroke {
             strokes.push(Arc::new(self.stroke(stroke)?));
         }
+        let places = raw.params.keys().map(|id| (id.get_ref().clone(), self.place(&id.span())));
         Ok(Deformation {
             deform,
             plugin: raw.plugin,
-            params: raw.params,
+            param_places: ParamPlaces(places.collect()),
+            params: raw.params.into_iter().map(|(id, value)| (id.into_inner(), value)).collect(),
             regions: raw.region.into_iter().map(|r| self.region(r)).collect::<Result<_>>()?,
             joints: self.joints(raw.joint)?,
             handles: self.handles(raw.handle)?,

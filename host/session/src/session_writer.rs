@@ -286,6 +286,7 @@ mod tests {
         let turned = Motion { degrees: 30.0, pivot: Some(DVec3::ZERO), scale: 2.0, ..Motion::default() };
         let shifted = Motion { translate: DVec3::X, axis: DVec3::Z, ..Motion::default() };
         let deformation = Deformation {
+            param_places: Default::default(),
             deform: "rbf".to_owned(),
             plugin: None,
             params: "kernel = \"triharmonic\"\ntolerance = 1e-4\nname = \"a \\\" b\"".parse().unwrap(),

@@ -75,9 +75,10 @@ const SERVE: &str = "serve-plugin";
 
 fn serve(rest: Vec<std::ffi::OsString>) -> Result<()> {
     let wrong = || Error::new(ErrorKind::Argument, "the program calls this itself", "do not call it");
-    let [file, memory] = rest.as_slice() else { return Err(wrong()) };
+    let [file, memory, parent] = rest.as_slice() else { return Err(wrong()) };
     let memory = memory.to_str().and_then(|text| text.parse().ok()).ok_or_else(wrong)?;
-    worker::serve(file.as_ref(), memory)
+    let parent = parent.to_str().and_then(|text| text.parse().ok()).ok_or_else(wrong)?;
+    worker::serve(file.as_ref(), memory, parent)
 }
 
 fn execute(arguments: Arguments) -> Result<()> {

@@ -32,7 +32,7 @@ impl Compare {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let mut file = CompareFile::load(&self.file)?;
         file.model = self.model.unwrap_or(file.model);
-        let plugins = self.plugins.discover(report);
+        let plugins = self.plugins.discover(report)?;
         let progress = report.progress();
         let comparison = compare::compare(&file, &plugins, self.keep_models, &self.output, progress)?;
         for (method, figures) in comparison.done() {

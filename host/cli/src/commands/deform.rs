@@ -10,7 +10,7 @@ use simod_session::edit::Refinements;
 use simod_session::{SessionFile, Stack, deform};
 
 use super::plugin_options::PluginOptions;
-use super::tell;
+use super::{notices, tell};
 use crate::report::{Report, count};
 
 /// Deform the samples by the steps of a session
@@ -37,7 +37,8 @@ impl Deform {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let session = SessionFile::load(&self.session)?;
         let refined = self.refined_folder(&session)?.map(Path::to_owned);
-        let plugins = self.plugins.discover(report);
+        let plugins = self.plugins.discover(report)?;
+        notices(&plugins, &session.steps, report);
         let stack = Stack::build(&session.steps, &plugins)?;
         let mut sampled = SampledModel::load(&self.sampled)?;
         let progress = report.progress();

@@ -36,7 +36,7 @@ impl Demo {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         std::fs::create_dir_all(&self.output).map_err(|e| Error::io("create", &self.output, &e))?;
         let file = |name: &str| self.output.join(name);
-        let plugins = PluginOptions::default().discover(report);
+        let plugins = PluginOptions::default().discover(report)?;
         let progress = report.progress();
 
         let options = ModelOptions { vertices: self.vertices, ..ModelOptions::default() };

@@ -20,7 +20,8 @@ pub mod view;
 use simod_core::sampled_model::SampledModel;
 use simod_core::{Error, ErrorKind, Result};
 
-use simod_session::Message;
+use simod_session::session_file::Step;
+use simod_session::{Message, PluginRegistry};
 
 use crate::report::{Report, count};
 
@@ -33,6 +34,11 @@ pub fn set_threads(n: usize) -> Result<()> {
             "leave --threads out to use all cores",
         )
     })
+}
+
+/// Says what the user should know of the plugins that do these steps, before they do.
+fn notices(plugins: &PluginRegistry, steps: &[Step], report: &mut Report) {
+    plugins.notices(steps).into_iter().for_each(|notice| report.warn(notice));
 }
 
 /// Passes on what plugins had to say.

@@ -3,7 +3,7 @@
 use clap::Subcommand;
 use serde_json::json;
 use simod_core::Result;
-use simod_session::{Plugin as Loaded, PluginRegistry};
+use simod_session::{Plugin as Loaded, PluginRegistry, param_data};
 
 use super::plugin_check::{Check, CheckRule};
 use super::plugin_new::New;
@@ -11,6 +11,10 @@ use super::plugin_options::{PluginOptions, Serve};
 use crate::report::Report;
 
 /// List the deformation plugins, show one, check one, or begin a new one
+///
+/// A plugin is a program: it runs with your rights, and can read, change and delete whatever you can. Plugins that did not come
+/// with SIMOD run in processes of their own, so that one that crashes, hangs or takes all memory does no harm to your work. That
+/// protects from mistakes and not from malice: install plugins only from those whom you would have run any other program.
 #[derive(Subcommand)]
 pub enum Plugin {
     /// List the plugins that were found
@@ -34,8 +38,13 @@ pub enum Plugin {
 impl Plugin {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         match self {
-            Self::List { plugins } => list(&plugins.discover(report), report),
-            Self::Info { id, plugins } => info(plugins.discover(report).get(&id)?, report),
+            Self::List { plugins } => list(&plugins.discover(report)?, report),
+            Self::Info { id, plugins } => {
+                let registry = plugins.discover(report)?;
+                let plugin = registry.get(&id)?;
+                registry.replaced(plugin).into_iter().for_each(|notice| report.warn(notice));
+                info(plugin, report);
+            }
             Self::Serve(serve) => serve.execute()?,
             Self::New(new) => new.execute(report)?,
             Self::Check(check) => check.execute(report)?,
@@ -52,6 +61,9 @@ fn list(registry: &PluginRegistry, report: &mut Report) {
     }
     if plugins.is_empty() {
         report.line("no plugins found; folders are looked for in SIMOD_PLUGIN_PATH, the user's data folder, and beside the program");
+    }
+    for plugin in plugins {
+        registry.replaced(plugin).into_iter().for_each(|notice| report.warn(notice));
     }
     for duplicate in registry.duplicates() {
         report.line(format!(
@@ -124,12 +136,18 @@ fn info(plugin: &Loaded, report: &mut Report) {
     }
     let needs = if needs.is_empty() { "nothing but the samples".to_owned() } else { needs.join("; ") };
     report.line(format!("takes {needs}"));
+    let mut group = String::new();
     for param in simod_session::describe_params(plugin) {
-        report.line(format!("  {:14} {}", param.id, param.text));
+        if param.group != group {
+            // What stands in no group after one that does is told apart as well.
+            let title = if param.group.is_empty() { "others" } else { param.group.as_str() };
+            report.line(format!("  {title}:"));
+            group.clone_from(&param.group);
+        }
+        let indent = if group.is_empty() { "  " } else { "    " };
+        report.line(format!("{indent}{:14} {}", param.id, param.text));
     }
     report.figure("id", plugin.id());
     report.figure("version", plugin.version());
-    let params = simod_session::describe_params(plugin);
-    let params = params.into_iter().map(|p| json!({"id": p.id, "text": p.text}));
-    report.figure("parameters", params.collect::<Vec<_>>());
+    report.figure("parameters", plugin.params().iter().map(param_data).collect::<Vec<_>>());
 }

@@ -49,6 +49,9 @@ pub struct CheckRule {
     /// How much memory this process may take (on Linux)
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     memory_limit: Option<u64>,
+    /// End with the process of this number, which started this one
+    #[arg(long, value_name = "N")]
+    parent: Option<u32>,
 }
 
 fn parse_rule(id: &str) -> std::result::Result<&'static Rule, String> {
@@ -70,8 +73,10 @@ struct Checked {
 
 impl CheckRule {
     pub fn execute(self, report: &mut Report) -> Result<()> {
+        if let Some(parent) = self.parent {
+            child::end_with(parent);
+        }
         if let Some(bytes) = self.memory_limit {
-            child::end_with_parent();
             child::limit_memory(bytes)?;
         }
         let finding = check::check_rule(&self.file, self.rule, self.seed);
@@ -111,7 +116,7 @@ impl Check {
     fn library(&self, report: &mut Report) -> Result<PathBuf> {
         let path = Path::new(&self.plugin);
         if path.extension().is_none() && path.components().count() == 1 && !path.is_file() {
-            return Ok(PluginOptions::default().discover(report).get(&self.plugin)?.path().to_owned());
+            return Ok(PluginOptions::default().discover(report)?.get(&self.plugin)?.path().to_owned());
         }
         // The dynamic linker would look for a bare name elsewhere.
         path.canonicalize().map_err(|e| Error::io("read", path, &e))
@@ -123,7 +128,8 @@ impl Check {
         let mut command = Command::new(program);
         command.args(["plugin", "check-rule", "--json"]).arg(file).arg(rule.id);
         command.args(["--seed", &self.seed.to_string(), "--memory-limit", &self.memory_limit.to_string()]);
-        let outcome = child::run(&mut command, self.time_limit, progress)?;
+        command.args(["--parent", &std::process::id().to_string()]);
+        let outcome = child::run(command, self.time_limit, progress)?;
         let because = |what: String| {
             if outcome.last_error.is_empty() { what } else { format!("{what}: {}", outcome.last_error) }
         };

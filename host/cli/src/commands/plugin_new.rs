@@ -12,6 +12,7 @@ use serde_json::json;
 use simod_core::output::{folder_of, write_file};
 use simod_core::{Error, ErrorKind, Result};
 
+use super::plugin_options::PluginOptions;
 use crate::report::Report;
 
 /// Begin a plugin of your own: a project in Rust or C that builds, tests itself and works
@@ -106,6 +107,15 @@ const LONGEST: usize = 64;
 impl New {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let names = Names::of(&self.name)?;
+        let known = PluginOptions::default().discover(report)?;
+        if let Some(other) = known.plugins().iter().find(|plugin| plugin.id() == names.id) {
+            let what = format!("there is a plugin `{}` already: {}", names.id, other.path().display());
+            let hint = format!(
+                "choose another id, such as my-{}: of two plugins with one id, one is not used",
+                names.id
+            );
+            return Err(Error::new(ErrorKind::Argument, what, hint));
+        }
         let folder = self.path.unwrap_or_default().join(&names.id);
         write_project(&folder, &names, self.lang)?;
         let (source, library) = match self.lang {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use simod_core::Result;
+use simod_core::{Error, Result};
 use simod_session::worker::{self, WorkerOptions};
 use simod_session::{Isolation, PluginOptions as Options, PluginRegistry};
 
@@ -19,7 +19,11 @@ const MEMORY: u64 = 4 << 30;
 #[derive(Args)]
 #[command(next_help_heading = "Plugins")]
 pub struct PluginOptions {
-    /// Which plugins run in processes of their own, where a crash does no harm
+    /// Use this plugin's library, whatever others of its id there are (may be given several times)
+    #[arg(long, value_name = "FILE")]
+    r#use: Vec<PathBuf>,
+    /// Which plugins run in processes of their own, where a crash does no harm. It is no protection from a plugin that means
+    /// harm: wherever it runs, it has your rights
     #[arg(long, value_enum, default_value_t)]
     isolate: Isolate,
     /// How long a plugin in a process of its own may give no sign of life
@@ -44,13 +48,18 @@ enum Isolate {
 /// What is the default on the command line.
 impl Default for PluginOptions {
     fn default() -> Self {
-        Self { isolate: Isolate::default(), plugin_patience: PATIENCE, plugin_memory: MEMORY }
+        Self {
+            r#use: Vec::new(),
+            isolate: Isolate::default(),
+            plugin_patience: PATIENCE,
+            plugin_memory: MEMORY,
+        }
     }
 }
 
 impl PluginOptions {
-    /// Finds the plugins in the standard folders, and says what cannot be used, and what takes long.
-    pub fn discover(self, report: &mut Report) -> PluginRegistry {
+    /// Finds the plugins in the standard folders, and says what cannot be used, what takes long, and what anybody may change.
+    pub fn discover(self, report: &mut Report) -> Result<PluginRegistry> {
         let isolation = match self.isolate {
             Isolate::Others => Isolation::Others,
             Isolate::Always => Isolation::Always,
@@ -59,8 +68,12 @@ impl PluginOptions {
         // This program once more, however it is called now.
         let program = std::env::current_exe().unwrap_or_else(|_| PathBuf::from("simod"));
         let command = vec![program, "plugin".into(), "serve".into()];
-        let options = WorkerOptions { command, silence: self.plugin_patience, memory: self.plugin_memory };
-        let registry = PluginRegistry::discover(&Options::standard(isolation, options));
+        let worker = WorkerOptions { command, silence: self.plugin_patience, memory: self.plugin_memory };
+        let options = Options { chosen: self.r#use, ..Options::standard(isolation, worker) };
+        let registry = PluginRegistry::discover_with(&options, report.untimed())?;
+        if let Some(error) = registry.refused_choice() {
+            return Err(Error::new(error.kind(), error.to_string(), error.hint()));
+        }
         for rejected in registry.rejected() {
             report.warn(rejected.error.to_string());
         }
@@ -68,7 +81,13 @@ impl PluginOptions {
             let (file, seconds) = (slow.path.display(), slow.time.as_secs_f64());
             report.warn(format!("{file} took {seconds:.1} s to say what it is"));
         }
-        registry
+        for folder in registry.open_folders() {
+            report.warn(format!(
+                "anybody on this machine may write to the plugin folder {}, and so have code run as you: take that right away, with `chmod o-w`",
+                folder.display()
+            ));
+        }
+        Ok(registry)
     }
 }
 
@@ -80,11 +99,13 @@ pub struct Serve {
     file: PathBuf,
     /// How much memory this process may take, in bytes
     memory: u64,
+    /// The number of the process that started it
+    parent: u32,
 }
 
 impl Serve {
     pub fn execute(self) -> Result<()> {
-        worker::serve(&self.file, self.memory)
+        worker::serve(&self.file, self.memory, self.parent)
     }
 }
 

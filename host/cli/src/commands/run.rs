@@ -11,7 +11,7 @@ use simod_session::{Run as Pipeline, SessionFile};
 
 use super::plugin_options::PluginOptions;
 use super::reconstruct::{MethodName, NormalsName};
-use super::{tell, warn_non_finite};
+use super::{notices, tell, warn_non_finite};
 use crate::report::{Report, count, rate};
 
 /// Do a whole session: sample its model, deform the samples, write the deformed model
@@ -54,7 +54,8 @@ impl Run {
             normals: self.normals.into(),
             ..Reconstruction::default()
         };
-        let plugins = self.plugins.discover(report);
+        let plugins = self.plugins.discover(report)?;
+        notices(&plugins, &session.steps, report);
         let progress = report.progress();
         let run = Pipeline::execute(&session, &plugins, &how, self.measure, &output, progress)?;
         describe(&run, report);

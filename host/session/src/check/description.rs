@@ -2,8 +2,9 @@
 
 use super::subject::{Subject, answer};
 use super::{Checked, Finding};
+use crate::deformer::{is_raw, limits};
 use crate::params::{check_description, is_id};
-use crate::plugins::standard_folders;
+use crate::plugins::{aborts_on_panic, standard_folders};
 use crate::{PluginOptions, PluginRegistry};
 use simod_plugin_api::{Descriptor, InputDesc, ParamDesc, ParamKind};
 use std::path::Path;
@@ -38,6 +39,39 @@ pub(super) fn descriptor(subject: &Subject) -> Checked<Finding> {
         return Ok(Finding::warn(format!("{first}{more}"), "tell users what they need to know"));
     }
     Ok(Finding::pass(format!("{} parameters", descriptor.params.len())))
+}
+
+/// Nothing of what users read does anything to a terminal, and all of it is as long as it may be.
+pub(super) fn texts(subject: &Subject) -> Checked<Finding> {
+    let descriptor = subject.plugin.descriptor();
+    if let Err(what) = limits::check(descriptor) {
+        return Err(Finding::fail(what, "say less: users read names and hints in one line"));
+    }
+    let texts = limits::texts(descriptor);
+    if let Some((text, what)) = texts.iter().find(|(text, _)| text.chars().any(is_raw)) {
+        let raw = text.chars().find(|c| is_raw(*c)).unwrap_or_default();
+        let hint = "write one line of plain text, without line breaks, tabs and escape sequences";
+        return Err(Finding::fail(format!("{what} has a character U+{:04X} in it", u32::from(raw)), hint));
+    }
+    /// What is longer does not stand in one line.
+    const LINE: usize = 500;
+    if let Some((text, what)) = texts.iter().find(|(text, _)| text.chars().count() > LINE) {
+        let found = format!("{what} is {} characters long", text.chars().count());
+        return Ok(Finding::warn(found, "users read it in one line: say less"));
+    }
+    Ok(Finding::pass(format!("{} texts", texts.len())))
+}
+
+/// A panic reaches the shims that make an error of it.
+pub(super) fn unwinds(file: &Path) -> Finding {
+    match aborts_on_panic(file) {
+        None => Finding::skip("it is not in Rust, or not known what a panic does"),
+        Some(false) => Finding::pass("panics unwind"),
+        Some(true) => Finding::fail(
+            "it was built with `panic = \"abort\"`: a panic ends the process that it runs in",
+            "take `panic = \"abort\"` out of the profile in Cargo.toml, and build it again",
+        ),
+    }
 }
 
 /// Nobody who installs the plugin loses one that came with the program.

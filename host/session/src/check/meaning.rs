@@ -51,13 +51,27 @@ pub(super) fn identity(subject: &Subject) -> Checked<Finding> {
     }
     let case = case.at_rest();
     let (_, positions) = subject.run_ordinary(&case)?;
-    Ok(match difference(&case.positions, &positions) {
-        None => Finding::pass("nothing moved"),
-        Some(what) => Finding::fail(
-            format!("samples move though no handle does, and nothing is painted: {what}"),
-            "add displacements to the rest positions, so that no motion is exactly none",
-        ),
-    })
+    let Some(what) = difference(&case.positions, &positions) else {
+        return Ok(Finding::pass("nothing moved"));
+    };
+    if says_that_it_moves(subject, &case)? {
+        return Ok(Finding::pass(format!("its defaults do something, as its `is_identity` says: {what}")));
+    }
+    Ok(Finding::fail(
+        format!("samples move though no handle does, and nothing is painted: {what}"),
+        "add displacements to the rest positions, so that no motion is exactly none; a tool whose defaults do something by \
+         themselves says so by `IsIdentity`, which then gives `false` here (`SIMOD_IS_IDENTITY` in C)",
+    ))
+}
+
+/// Whether the plugin itself says that it does something here.
+fn says_that_it_moves(subject: &Subject, case: &Case) -> Checked<bool> {
+    let plugin = &subject.plugin;
+    if !plugin.capabilities().is_identity {
+        return Ok(false);
+    }
+    let told = answer("is_identity", case.deform_input(|input| plugin.code().is_identity(input)))?;
+    told.map(|is_identity| !is_identity).map_err(Refusal::of_ordinary)
 }
 
 pub(super) fn rigid(subject: &Subject) -> Checked<Finding> {
@@ -75,14 +89,32 @@ pub(super) fn rigid(subject: &Subject) -> Checked<Finding> {
     let regions = if consumes.handle_regions { consumes.min_handles.max(1) as usize } else { 0 };
     let mut case = case.all_handles(regions, moved);
     case.strokes.clear();
+    let still = case.clone().at_rest();
+    if difference(&still.positions, &subject.run_ordinary(&still)?.1).is_some() {
+        return Ok(Finding::skip("samples move before any handle does: there is nothing to compare with"));
+    }
     let (_, positions) = subject.run_ordinary(&case)?;
-    let exact = case.positions.iter().map(|p| moved.apply(p.map(f64::from)));
-    let worst = farthest(exact, positions.iter().map(|p| p.map(f64::from))) / bounds.diagonal();
-    let text = format!("the motion is met to {worst:.1e} of the diagonal");
+    let left = case.positions.iter().zip(&positions).filter(|(p, q)| p == q).count();
+    if left > 0 {
+        // Each handle has a reach, beyond which nothing follows: then nothing moves as a whole.
+        let all = positions.len();
+        return Ok(Finding::skip(format!("{left} of {all} samples are out of the handles' reach")));
+    }
+    let exact: Vec<_> = case.positions.iter().map(|p| moved.apply(p.map(f64::from))).collect();
+    let missed = |i: usize| DVec3::from(exact[i]).distance(DVec3::from(positions[i].map(f64::from)));
+    let at = (0..exact.len()).max_by(|a, b| missed(*a).total_cmp(&missed(*b))).unwrap_or(0);
+    let worst = missed(at) / bounds.diagonal();
     Ok(if worst <= RIGID {
-        Finding::pass(text)
+        Finding::pass(format!("the motion is met to {worst:.1e} of the diagonal"))
     } else {
-        Finding::warn(text, "users expect that what is moved as a whole keeps its shape")
+        Finding::warn(
+            format!(
+                "all handles and samples are moved by one rigid motion, and sample {at} ends {worst:.1e} of the diagonal \
+                 from where that takes it, more than {RIGID:.0e}"
+            ),
+            "users expect that what is moved as a whole keeps its shape: let displacements follow the handles' motions in \
+             full where all weights are 1; if the tool is meant to lag behind or to bend, nothing needs to be done",
+        )
     })
 }
 

@@ -95,10 +95,22 @@ pub const LOADS: &str = "loads";
 /// The rule on the description, without which plugins are not used.
 const DESCRIPTOR: &str = "descriptor";
 
+/// The rule on the description's texts, which can be asked of a wrong one too.
+const TEXTS: &str = "texts";
+
+/// The rule on the library's file alone.
+const UNWINDS: &str = "unwinds";
+
 /// All rules, in the order to check them.
 pub const RULES: &[Rule] = &[
     Rule { id: LOADS, asks: "the library loads and describes itself", run: description::loads },
     Rule { id: DESCRIPTOR, asks: "the description makes sense", run: description::descriptor },
+    Rule { id: TEXTS, asks: "what users read is lines of plain text", run: description::texts },
+    Rule {
+        id: UNWINDS,
+        asks: "a panic is an error, and not the end of the process",
+        run: |subject| Ok(description::unwinds(subject.plugin.path())),
+    },
     Rule { id: "own-id", asks: "no plugin of the program has its id", run: description::own_id },
     Rule { id: "ordinary", asks: "an ordinary model is deformed by the defaults", run: meaning::ordinary },
     Rule { id: "no-samples", asks: "no sample at all does no harm", run: inputs::no_samples },
@@ -154,12 +166,16 @@ pub fn rule(id: &str) -> Result<&'static Rule> {
 ///
 /// The library stays loaded; and what it does to this process, nobody knows.
 pub fn check_rule(file: &Path, rule: &Rule, seed: u64) -> Finding {
+    if rule.id == UNWINDS {
+        // None of it needs to run.
+        return description::unwinds(file);
+    }
     let plugin = match load_unchecked(file) {
         Ok(plugin) => plugin,
         Err(error) => return Finding::fail(error.to_string(), error.hint()),
     };
     let subject = Subject::new(plugin, seed);
-    if ![LOADS, DESCRIPTOR].contains(&rule.id) && description::is_wrong(&subject) {
+    if ![LOADS, DESCRIPTOR, TEXTS].contains(&rule.id) && description::is_wrong(&subject) {
         return Finding::skip(format!("its description is wrong: see the rule `{DESCRIPTOR}`"));
     }
     (rule.run)(&subject).unwrap_or_else(|finding| finding)

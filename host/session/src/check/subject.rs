@@ -2,7 +2,7 @@
 
 use super::case::Case;
 use super::{Checked, Finding};
-use crate::deformer::{Plugin, line};
+use crate::deformer::{Plugin, is_usable, line};
 use rayon::prelude::*;
 use simod_plugin_api::{ErrorCode, HostCalls, LogLevel, PluginError, PluginResult, Scratch, State};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -154,7 +154,7 @@ pub(super) fn unwritten(case: &Case) -> Vec<[f32; 3]> {
 /// The positions, where all are written and finite.
 fn written(out: Vec<[f32; 3]>) -> Checked<Vec<[f32; 3]>> {
     let is_unwritten = |p: &[f32; 3]| p.iter().any(|x| x.to_bits() == UNWRITTEN.to_bits());
-    let is_bad = |p: &[f32; 3]| !p.iter().all(|x| x.is_finite());
+    let is_bad = |p: &[f32; 3]| !is_usable(p.map(f64::from));
     let unwritten = out.iter().filter(|p| is_unwritten(p)).count();
     if unwritten > 0 {
         let first = out.iter().position(is_unwritten).unwrap_or(0);
@@ -170,10 +170,11 @@ fn written(out: Vec<[f32; 3]>) -> Checked<Vec<[f32; 3]>> {
         let bad = out.iter().filter(|p| is_bad(p)).count();
         return Err(Finding::fail(
             format!(
-                "deform gives {bad} of {} positions that are not finite, the first at index {first}",
-                out.len()
+                "deform gives {bad} of {} positions that are not finite, or too far away, the first at index {first}: {:?}",
+                out.len(),
+                out[first]
             ),
-            "give finite positions, or return an error",
+            "give positions that what follows can work with, or return an error",
         ));
     }
     Ok(out)

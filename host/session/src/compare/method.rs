@@ -69,6 +69,8 @@ impl<'a> Bench<'a> {
     ) -> Result<Deformed> {
         let memory = MemoryWatch::start();
         let steps = self.steps(method, record)?;
+        let notices = self.plugins.notices(&steps);
+        notices.iter().for_each(|notice| progress.note(notice));
         let stack = Stack::build(&steps, self.plugins)?;
         record.steps = stack.in_effect().map(StepRecord::new).collect();
         let (rest, sample) = self.sampling(method.sampling, progress)?;
@@ -109,7 +111,11 @@ impl<'a> Bench<'a> {
             displacement: None,
             on_samples: on_samples(&sampled, &positions, progress)?,
             folded_samples: done.folding.first().copied().flatten().map(|f| f.samples),
-            messages: words(&messages),
+            messages: notices
+                .into_iter()
+                .map(|notice| format!("warning: {notice}"))
+                .chain(words(&messages))
+                .collect(),
         });
         Ok(Deformed { name: name.to_owned(), sampled, positions, output })
     }
@@ -131,6 +137,7 @@ impl<'a> Bench<'a> {
                     Role::Mask => true,
                 });
                 let action = Action::Deform(Deformation {
+                    param_places: Default::default(),
                     plugin: None,
                     deform: deform.clone(),
                     params: params.clone(),

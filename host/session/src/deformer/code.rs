@@ -30,6 +30,12 @@ pub trait Code: Send + Sync {
         false
     }
 
+    /// Has the library loaded where that is done late, so that the calls which nobody can stop need not wait for it.
+    fn get_ready(&self, calls: &dyn HostCalls) -> PluginResult<()> {
+        let _ = calls;
+        Ok(())
+    }
+
     /// See [`Deformer::prepare`](simod_plugin_api::Deformer::prepare).
     fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State>;
 

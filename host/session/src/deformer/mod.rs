@@ -7,8 +7,10 @@
 mod about;
 #[allow(unsafe_code, reason = "tables and pointers of C; each block has its argument")]
 mod c;
+mod care;
 mod code;
-#[allow(unsafe_code, reason = "an instruction that not all processors have; the block has its argument")]
+pub(crate) mod limits;
+#[allow(unsafe_code, reason = "registers of the processor; each block has its argument")]
 mod registers;
 
 use crate::params::check_description;
@@ -25,10 +27,11 @@ use std::sync::{Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3Default;
 
 pub(crate) use about::About;
-pub(crate) use c::CCode;
+pub(crate) use c::{CCode, load_whole};
+pub(crate) use care::{Care, CarefulCode};
 pub(crate) use code::RustCode;
 pub use code::{Capabilities, Code};
-pub(crate) use registers::clear_upper_halves;
+pub use limits::is_raw;
 
 /// A plugin that is there to be used.
 pub struct Plugin {
@@ -37,6 +40,7 @@ pub struct Plugin {
     descriptor: Descriptor,
     consumes: Consumes,
     path: PathBuf,
+    shipped: bool,
 }
 
 /// A line from a plugin for the user.
@@ -51,6 +55,11 @@ pub struct Message {
 }
 
 impl Message {
+    /// A warning on a plugin.
+    pub(crate) fn warning(plugin: &str, text: String) -> Self {
+        Self { plugin: plugin.to_owned(), level: LogLevel::WARNING, text }
+    }
+
     /// Whether the result may not be what the user wants.
     pub fn is_warning(&self) -> bool {
         self.level.0 >= LogLevel::WARNING.0
@@ -104,7 +113,17 @@ impl Plugin {
                 "use a later version of the program, or an earlier one of the plugin",
             )
         })?;
-        Ok(Self { code, capabilities, consumes, descriptor, path: path.to_owned() })
+        Ok(Self { code, capabilities, consumes, descriptor, path: path.to_owned(), shipped: false })
+    }
+
+    /// The same, if it came with the program.
+    pub(crate) fn shipped(self, shipped: bool) -> Self {
+        Self { shipped, ..self }
+    }
+
+    /// Whether it came with the program.
+    pub fn is_shipped(&self) -> bool {
+        self.shipped
     }
 
     /// Stable id, such as `warp`.
@@ -172,7 +191,6 @@ impl Plugin {
         watch.begin("preparing the deformation");
         let before = self.fingerprint(&input.samples);
         let state = self.code.prepare(input, watch);
-        clear_upper_halves();
         self.check_unchanged(before, &input.samples)?;
         watch.progress.check()?;
         state.map_err(|e| self.failed(&e))
@@ -197,12 +215,12 @@ impl Plugin {
         out.fill([f32::NAN; 3]);
         let before = self.fingerprint(&input.samples);
         let done = self.code.deform(state, input, scratch, out, watch);
-        clear_upper_halves();
         self.check_unchanged(before, &input.samples)?;
         watch.progress.check()?;
         done.map_err(|e| self.failed(&e))?;
-        let bad = |p: &[f32; 3]| !p.iter().all(|x| x.is_finite());
-        self.all_finite(out.len(), out.iter().filter(|p| bad(p)).count(), out.iter().position(bad))
+        let bad = |p: &[f32; 3]| !is_usable(p.map(f64::from));
+        let first = out.iter().position(bad).map(|i| (i, out[i].map(f64::from)));
+        self.all_usable(out.len(), out.iter().filter(|p| bad(p)).count(), first)
     }
 
     /// Replaces the points by their images. On an error their content is meaningless.
@@ -221,11 +239,11 @@ impl Plugin {
             ));
         }
         let done = self.code.evaluate(state, input, points, watch);
-        clear_upper_halves();
         watch.progress.check()?;
         done.map_err(|e| self.failed(&e))?;
-        let bad = |p: &[f64; 3]| !p.iter().all(|x| x.is_finite());
-        self.all_finite(points.len(), points.iter().filter(|p| bad(p)).count(), points.iter().position(bad))
+        let bad = |p: &[f64; 3]| !is_usable(*p);
+        let first = points.iter().position(bad).map(|i| (i, points[i]));
+        self.all_usable(points.len(), points.iter().filter(|p| bad(p)).count(), first)
     }
 
     /// The handles that the plugin places for this input; none where it has no such.
@@ -244,10 +262,13 @@ impl Plugin {
     }
 
     /// Whether the plugin would leave all samples where they are.
-    pub(crate) fn is_identity(&self, input: &DeformInput<'_>) -> Result<bool> {
+    pub(crate) fn is_identity(&self, input: &DeformInput<'_>, watch: &Watch<'_>) -> Result<bool> {
         if !self.capabilities.is_identity {
             return Ok(false);
         }
+        let ready = self.code.get_ready(watch);
+        watch.progress.check()?;
+        ready.map_err(|e| self.failed(&e))?;
         self.code.is_identity(input).map_err(|e| self.failed(&e))
     }
 
@@ -272,14 +293,17 @@ impl Plugin {
         Err(Error::new(ErrorKind::Plugin, what, "this is a bug of the plugin; tell its author"))
     }
 
-    fn all_finite(&self, count: usize, bad: usize, first: Option<usize>) -> Result<()> {
-        let Some(first) = first else { return Ok(()) };
+    /// `bad` of `count` results cannot be used: `first` is the first one, and its index.
+    fn all_usable(&self, count: usize, bad: usize, first: Option<(usize, [f64; 3])>) -> Result<()> {
+        let Some((first, at)) = first else { return Ok(()) };
+        let what = if at.iter().all(|x| x.is_finite()) {
+            "are farther away than what follows can work with"
+        } else {
+            "are unwritten or not finite"
+        };
         Err(Error::new(
             ErrorKind::Plugin,
-            format!(
-                "plugin {}: {bad} of {count} positions are unwritten or not finite, the first at index {first}",
-                self.id()
-            ),
+            format!("plugin {}: {bad} of {count} positions {what}, the first at index {first}", self.id()),
             "try less extreme parameters; if that does not help, it is a bug of the plugin",
         ))
     }
@@ -318,15 +342,27 @@ impl Plugin {
     }
 }
 
+/// The largest coordinate of a result, in local units, of which the model's diagonal is 1 to 2: far beyond any use, and such
+/// that the steps that follow can square distances and multiply what they get in single precision.
+const FARTHEST: f64 = 1e9;
+
+/// Whether what follows can work with a position: it is finite, and not farther away than [`FARTHEST`].
+pub(crate) fn is_usable(p: [f64; 3]) -> bool {
+    p.iter().all(|x| x.abs() <= FARTHEST)
+}
+
 /// What is wrong with the handles that a plugin places.
 pub(crate) fn check_handles(handles: &[HandleDesc]) -> std::result::Result<(), String> {
     let mut ids = HashSet::new();
     for (i, handle) in handles.iter().enumerate() {
-        if handle.id.is_empty() || handle.id.contains(char::is_whitespace) {
+        if [&handle.id, &handle.name].iter().any(|text| text.len() >= limits::LONGEST_TEXT) {
+            return Err(format!("the id or name of the handle `{}` is too long", line(&handle.id)));
+        }
+        if handle.id.is_empty() || handle.id.contains(|c: char| c.is_whitespace() || is_raw(c)) {
             return Err(format!("the id `{}` of a handle is empty, or has white space", line(&handle.id)));
         }
         if !ids.insert(handle.id.as_str()) {
-            return Err(format!("there are two handles `{}`", handle.id));
+            return Err(format!("there are two handles `{}`", line(&handle.id)));
         }
         if handle.position.iter().any(|x| !x.is_finite()) {
             return Err(format!("the handle `{}` is at {:?}", handle.id, handle.position));
@@ -345,7 +381,12 @@ pub(crate) fn cannot_load(path: &Path, reason: &str) -> Error {
     let reason = reason.lines().next().unwrap_or_default();
     let reason = reason.strip_prefix(&format!("{file}: ")).unwrap_or(reason);
     let what = format!("cannot load {file}: {reason}");
-    Error::new(ErrorKind::Plugin, what, "is it a library for this system, and complete?")
+    let hint = if reason.contains("undefined symbol") || reason.contains("symbol not found") {
+        "link it with the library that has this symbol, or install that one"
+    } else {
+        "is it a library for this system, and complete?"
+    };
+    Error::new(ErrorKind::Plugin, what, hint)
 }
 
 fn refused(path: &Path, what: &str) -> Error {
@@ -356,7 +397,9 @@ fn refused(path: &Path, what: &str) -> Error {
 /// A plugin's text on one line, of bounded length.
 pub(crate) fn line(text: &str) -> String {
     const LONGEST: usize = 500;
-    text.split_whitespace().collect::<Vec<_>>().join(" ").chars().take(LONGEST).collect()
+    // What is raw, as what a terminal obeys, separates words as white space does.
+    let words = text.split(|c: char| c.is_whitespace() || is_raw(c)).filter(|word| !word.is_empty());
+    words.collect::<Vec<_>>().join(" ").chars().take(LONGEST).collect()
 }
 
 /// The host as one plugin sees it: passes progress and cancellation on, collects what it says.
@@ -393,8 +436,8 @@ impl HostCalls for Watch<'_> {
             if self.progress.is_cancelled() {
                 return Err(());
             }
+            let _kept = Care::Registers.enter();
             body(i);
-            clear_upper_halves();
             Ok(())
         });
         work.is_ok()

@@ -57,6 +57,21 @@ impl Evaluated {
         })
     }
 
+    /// The same, with what users should know of the plugins that did the steps: see [`PluginRegistry::notices`].
+    #[must_use]
+    pub fn with_notices(mut self, steps: &[Entry], registry: &PluginRegistry) -> Self {
+        for (id, status) in &mut self.statuses {
+            let (Status::Done(messages), Some(Entry { step, .. })) =
+                (status, steps.iter().find(|entry| entry.id == *id))
+            else {
+                continue;
+            };
+            let notices = registry.notices(std::slice::from_ref(&**step));
+            messages.splice(..0, notices.into_iter().map(|text| Message::warning(step.name(), text)));
+        }
+        self
+    }
+
     /// Writes the deformed model, whole or not at all. `model` is where it is, if it was moved since it was sampled.
     ///
     /// # Errors
@@ -207,7 +222,7 @@ impl Evaluation {
                     Err(e) if e.kind() == ErrorKind::Cancelled => return Err(e),
                     Err(e) => {
                         failed = true;
-                        Status::Failed(at(&step.place, e))
+                        Status::Failed(at(step.place_of(&e), e))
                     }
                 }
             };

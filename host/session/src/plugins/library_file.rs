@@ -3,7 +3,9 @@
 //! cut off without a complaint: the process then dies on touching it.
 
 use object::read::macho::{FatArch, MachOFatFile32, MachOFatFile64};
-use object::{Architecture, BinaryFormat, File, FileKind, Object, ObjectSegment, ReadCache, ReadRef};
+use object::{
+    Architecture, BinaryFormat, File, FileKind, Object, ObjectSegment, ObjectSymbol, ReadCache, ReadRef,
+};
 use simod_core::{Error, ErrorKind, Result};
 use std::path::Path;
 
@@ -47,6 +49,21 @@ pub(super) fn kind(path: &Path) -> Result<Kind> {
         },
     };
     Err(Error::new(ErrorKind::Plugin, format!("{} {what}", path.display()), hint))
+}
+
+/// Whether a plugin in Rust was built with `panic = "abort"`; nothing where that cannot be told.
+///
+/// What unwinds is a library that the plugin names its functions of: one that makes panics unwind calls the one that begins
+/// that. One that aborts has the others alone, by which it finds out where it was.
+pub(crate) fn aborts_on_panic(path: &Path) -> Option<bool> {
+    let cache = ReadCache::new(std::fs::File::open(path).ok()?);
+    let file = File::parse(&cache).ok()?;
+    let has =
+        |symbol: &[u8]| file.dynamic_symbols().any(|s| s.is_undefined() && s.name_bytes() == Ok(symbol));
+    let is_rust = file.exports().ok()?.iter().any(|e| e.name() == SYMBOLS[0].0.as_bytes());
+    let unwinder_is_elsewhere = has(b"_Unwind_Backtrace") || has(b"_Unwind_Resume");
+    (is_rust && file.format() == BinaryFormat::Elf && unwinder_is_elsewhere)
+        .then(|| !has(b"_Unwind_RaiseException"))
 }
 
 /// The format of a library, and what kind of plugin it is, if any; nothing if something is missing.

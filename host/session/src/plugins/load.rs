@@ -1,7 +1,9 @@
 //! Loading one library.
 
 use super::library_file::{self, Kind};
-use crate::deformer::{About, CCode, Capabilities, Code, Plugin, RustCode, cannot_load};
+use crate::deformer::{
+    About, CCode, Capabilities, Care, CarefulCode, Code, Plugin, RustCode, cannot_load, load_whole,
+};
 use abi_stable::library::{LibraryError, RootModule, lib_header_from_path};
 use simod_core::{Error, ErrorKind, Result};
 use simod_plugin_api::{
@@ -17,18 +19,23 @@ pub(super) fn interface() -> &'static str {
     PluginModRef::VERSION_STRINGS.version.as_str()
 }
 
-/// Loads a plugin's code for good: libraries are never unloaded. One that is no plugin is never loaded.
-pub(crate) fn load_code(path: &Path) -> Result<Box<dyn Code>> {
+/// Loads a plugin's code for good: libraries are never unloaded. One that is no plugin is never loaded. What one that did not
+/// come with the program does to this process is undone after each call, as far as that can be done.
+pub(crate) fn load_code(path: &Path, shipped: bool) -> Result<Box<dyn Code>> {
     let kind = library_file::kind(path)?;
+    let care = if shipped { Care::Registers } else { Care::Process };
+    let _kept = care.enter();
     let copy = fresh_copy(path)?;
     // Once it is loaded, its name does not matter; where it does, the file goes when the system cleans up.
     let file = copy.as_ref().map_or(path, |copy| copy.path());
     Ok(match kind {
         Kind::Rust => {
+            // What comes next would take it as far as it is there. It stays loaded.
+            std::mem::forget(load_whole(file, path)?);
             let module = root_module(file).map_err(|e| explain(path, &e.0, e.1.as_deref()))?;
-            Box::new(RustCode::new(module))
+            Box::new(CarefulCode::new(RustCode::new(module), care))
         }
-        Kind::C => Box::new(CCode::load(file, path)?),
+        Kind::C => Box::new(CarefulCode::new(CCode::load(file, path)?, care)),
     })
 }
 
@@ -59,19 +66,20 @@ fn root_module(path: &Path) -> std::result::Result<PluginModRef, (LibraryError, 
 pub(super) struct LazyCode {
     path: PathBuf,
     about: About,
+    shipped: bool,
     code: OnceLock<std::result::Result<Box<dyn Code>, PluginError>>,
 }
 
 impl LazyCode {
     /// The code of a library that says this about itself. Loads nothing.
-    pub fn new(path: &Path, about: About) -> Self {
-        Self { path: path.to_owned(), about, code: OnceLock::new() }
+    pub fn new(path: &Path, about: About, shipped: bool) -> Self {
+        Self { path: path.to_owned(), about, shipped, code: OnceLock::new() }
     }
 
     fn code(&self) -> PluginResult<&dyn Code> {
         let load = || {
             let failed = |e: Error| PluginError::internal(e.to_string()).hint(e.hint());
-            let code = load_code(&self.path).map_err(failed)?;
+            let code = load_code(&self.path, self.shipped).map_err(failed)?;
             if Plugin::ask(code.as_ref(), &self.path).map_err(failed)? != self.about {
                 let what = "the library is not what it was when it was looked at";
                 return Err(PluginError::internal(what).hint("run the command again"));

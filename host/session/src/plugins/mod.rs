@@ -8,12 +8,15 @@ mod load;
 
 use crate::deformer::{About, Plugin};
 use crate::params::nearest;
+use crate::session_file::Step;
 #[cfg(unix)]
 use crate::worker::{self, WorkerCode, WorkerOptions};
 use cache::{Cache, Stamp};
+pub(crate) use library_file::aborts_on_panic;
 use load::LazyCode;
 pub(crate) use load::load_code;
-use simod_core::{Error, ErrorKind, Result};
+use simod_core::progress::Silent;
+use simod_core::{Error, ErrorKind, Progress, Result};
 use std::cmp::Ordering;
 use std::collections::HashMap;
 use std::env::consts::{DLL_EXTENSION, DLL_PREFIX};
@@ -33,7 +36,7 @@ pub struct Rejected {
     pub error: Error,
 }
 
-/// A library that is not used because another of the same id has a higher version, or came first.
+/// A library that is not used because another of the same id has a higher version, came with the program, or came first.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Duplicate {
     /// The plugin's id.
@@ -42,6 +45,10 @@ pub struct Duplicate {
     pub used: PathBuf,
     /// The one that is not.
     pub unused: PathBuf,
+    /// The version of the one that is not.
+    pub unused_version: String,
+    /// Whether the one that is not came with the program.
+    pub unused_is_shipped: bool,
 }
 
 /// A folder to look in.
@@ -70,6 +77,8 @@ pub enum Isolation {
 /// How plugins are looked for and run.
 #[derive(Debug, Clone)]
 pub struct PluginOptions {
+    /// Libraries to use whatever others of their ids there are.
+    pub chosen: Vec<PathBuf>,
     /// The folders to look in, most important first.
     pub folders: Vec<PluginFolder>,
     /// Which plugins run in processes of their own.
@@ -86,12 +95,13 @@ impl PluginOptions {
     #[cfg(unix)]
     pub fn standard(isolation: Isolation, worker: WorkerOptions) -> Self {
         let (folders, cache) = (standard_folders(), cache::standard_file());
-        Self { folders, isolation, worker: Arc::new(worker), cache }
+        Self { chosen: Vec::new(), folders, isolation, worker: Arc::new(worker), cache }
     }
 
     /// The given folders in this process, and nothing to remember.
     pub fn in_process(folders: Vec<PluginFolder>) -> Self {
         Self {
+            chosen: Vec::new(),
             folders,
             isolation: Isolation::Never,
             #[cfg(unix)]
@@ -124,6 +134,10 @@ pub struct PluginRegistry {
     rejected: Vec<Rejected>,
     duplicates: Vec<Duplicate>,
     slow: Vec<Slow>,
+    /// Folders that anybody may write to.
+    open: Vec<PathBuf>,
+    /// Libraries that are used whatever others there are.
+    chosen: Vec<PathBuf>,
     /// All libraries that were looked at, as they were then, used or not.
     seen: HashMap<PathBuf, (Stamp, Option<Arc<Plugin>>)>,
 }
@@ -173,26 +187,51 @@ impl PluginRegistry {
     /// Finds out what is in the folders. Folders that do not exist are fine. Libraries that were looked at before and did
     /// not change since are not run, nor loaded before they are used.
     pub fn discover(options: &PluginOptions) -> Self {
+        // Nobody asks to stop.
+        Self::discover_with(options, &Silent).unwrap_or_default()
+    }
+
+    /// [`discover`](Self::discover), stopping where `progress` says so.
+    ///
+    /// # Errors
+    /// Cancelled.
+    pub fn discover_with(options: &PluginOptions, progress: &dyn Progress) -> Result<Self> {
         let mut registry = Self::default();
-        registry.refresh(options);
-        registry
+        registry.refresh_with(options, progress)?;
+        Ok(registry)
     }
 
     /// Looks again. Plugins whose library did not change stay the same; one that changed is a new plugin, beside which
     /// the former one goes on to work for those that use it.
     pub fn refresh(&mut self, options: &PluginOptions) {
+        // Nobody asks to stop.
+        let _ = self.refresh_with(options, &Silent);
+    }
+
+    fn refresh_with(&mut self, options: &PluginOptions, progress: &dyn Progress) -> Result<()> {
         let before = std::mem::take(self).seen;
         let mut cache = Cache::load(options.cache.clone());
+        for file in &options.chosen {
+            let path = file.canonicalize().unwrap_or_else(|_| file.clone());
+            self.chosen.push(path);
+            self.look_at(file.clone(), false, options, &before, &mut cache, progress)?;
+        }
         for folder in &options.folders {
             match libraries(folder) {
-                Ok(files) => files.into_iter().for_each(|file| {
-                    self.look_at(file, folder.shipped, options, &before, &mut cache);
-                }),
+                Ok(files) => {
+                    if is_open(&folder.path) {
+                        self.open.push(folder.path.clone());
+                    }
+                    for file in files {
+                        self.look_at(file, folder.shipped, options, &before, &mut cache, progress)?;
+                    }
+                }
                 Err(error) => self.rejected.push(Rejected { path: folder.path.clone(), error }),
             }
         }
         cache.save();
         self.plugins.sort_by(|a, b| a.id().cmp(b.id()));
+        Ok(())
     }
 
     fn look_at(
@@ -202,23 +241,25 @@ impl PluginRegistry {
         options: &PluginOptions,
         before: &HashMap<PathBuf, (Stamp, Option<Arc<Plugin>>)>,
         cache: &mut Cache,
-    ) {
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        progress.check()?;
         // The same file by another name, as through a link, is one library.
         let path = file.canonicalize().unwrap_or_else(|_| file.clone());
         if self.seen.contains_key(&path) {
-            return;
+            return Ok(());
         }
         let Some(stamp) = Stamp::of(&path) else {
             let e = std::io::Error::from(std::io::ErrorKind::NotFound);
             self.rejected.push(Rejected { error: Error::io("read the plugin", &file, &e), path: file });
-            return;
+            return Ok(());
         };
         if let Some((old, Some(plugin))) = before.get(&path)
             && *old == stamp
         {
             self.seen.insert(path, (stamp, Some(plugin.clone())));
             self.add(plugin.clone());
-            return;
+            return Ok(());
         }
         let isolated = match options.isolation {
             Isolation::Others => !shipped,
@@ -227,7 +268,9 @@ impl PluginRegistry {
         };
         let started = Instant::now();
         let known = cache.get(&path, stamp);
-        let plugin = open(&file, isolated, options, known.clone()).map(Arc::new);
+        let plugin = open(&file, shipped, isolated, options, known.clone(), progress);
+        progress.check()?;
+        let plugin = plugin.map(Arc::new);
         let time = started.elapsed();
         if time > SLOW {
             self.slow.push(Slow { path: file.clone(), time });
@@ -242,20 +285,87 @@ impl PluginRegistry {
             }
             Err(error) => self.rejected.push(Rejected { path: file, error }),
         }
+        Ok(())
+    }
+
+    /// Whether a library is used whatever others of its id there are.
+    fn is_chosen(&self, plugin: &Plugin) -> bool {
+        plugin.path().canonicalize().is_ok_and(|path| self.chosen.contains(&path))
     }
 
     fn add(&mut self, plugin: Arc<Plugin>) {
-        let Some(known) = self.plugins.iter_mut().find(|p| p.id() == plugin.id()) else {
+        let Some(at) = self.plugins.iter().position(|p| p.id() == plugin.id()) else {
             self.plugins.push(plugin);
             return;
         };
-        let newer = compare_versions(plugin.version(), known.version()) == Ordering::Greater;
-        let unused = if newer { std::mem::replace(known, plugin) } else { plugin };
+        let known_is_chosen = self.is_chosen(&self.plugins[at]);
+        let known = &mut self.plugins[at];
+        let better = match compare_versions(plugin.version(), known.version()) {
+            Ordering::Greater => true,
+            // Nobody takes the place of the program's own without something new.
+            Ordering::Equal => plugin.is_shipped() && !known.is_shipped(),
+            Ordering::Less => false,
+        };
+        let unused = if better && !known_is_chosen { std::mem::replace(known, plugin) } else { plugin };
         self.duplicates.push(Duplicate {
             id: known.id().to_owned(),
             used: known.path().to_owned(),
             unused: unused.path().to_owned(),
+            unused_version: unused.version().to_owned(),
+            unused_is_shipped: unused.is_shipped(),
         });
+    }
+
+    /// What users of these steps should know of the plugins that do them: one that came from elsewhere takes the place of the
+    /// program's own, or a step was made with another version.
+    pub fn notices(&self, steps: &[Step]) -> Vec<String> {
+        let mut notices = Vec::new();
+        for step in steps.iter().filter(|step| step.enabled) {
+            let Some(deformation) = step.deformation() else { continue };
+            let Ok(plugin) = self.get(&deformation.deform) else { continue };
+            notices.extend(self.replaced(plugin).filter(|notice| !notices.contains(notice)));
+            let made_with = deformation.plugin.as_ref().map(|origin| origin.version.as_str());
+            if let Some(version) = made_with.filter(|version| *version != plugin.version()) {
+                notices.push(format!(
+                    "{}: the step was made with {} {version}, and {} is used",
+                    step.place,
+                    plugin.id(),
+                    plugin.version()
+                ));
+            }
+        }
+        notices
+    }
+
+    /// The plugin of the program's own that this one takes the place of, in words; nothing where that was asked for.
+    pub fn replaced(&self, plugin: &Plugin) -> Option<String> {
+        let own = self.duplicates.iter().find(|d| d.id == plugin.id() && d.unused_is_shipped)?;
+        if plugin.is_shipped() || self.is_chosen(plugin) {
+            return None;
+        }
+        Some(format!(
+            "{} {} from {} takes the place of the program's own {} {}: remove it if that is not meant, or say `--use {}`",
+            plugin.id(),
+            plugin.version(),
+            plugin.path().display(),
+            plugin.id(),
+            own.unused_version,
+            plugin.path().display()
+        ))
+    }
+
+    /// Folders that were looked in and that anybody on this machine may write to, and thereby have code run as the user.
+    pub fn open_folders(&self) -> &[PathBuf] {
+        &self.open
+    }
+
+    /// Why a library that was chosen is not used, if so.
+    pub fn refused_choice(&self) -> Option<&Error> {
+        let is_chosen = |r: &&Rejected| {
+            let path = r.path.canonicalize().unwrap_or_else(|_| r.path.clone());
+            self.chosen.contains(&path)
+        };
+        self.rejected.iter().find(is_chosen).map(|r| &r.error)
     }
 
     /// Libraries that took their time to say what they are.
@@ -304,13 +414,20 @@ impl PluginRegistry {
 
 /// Loads a library into this process, whatever it says about itself.
 pub(crate) fn load_unchecked(path: &Path) -> Result<Plugin> {
-    let code = load_code(path)?;
+    let code = load_code(path, false)?;
     let about = Plugin::ask(code.as_ref(), path)?;
     Plugin::unchecked(code, about, path)
 }
 
 /// The plugin of a library, of which may be known what it is.
-fn open(file: &Path, isolated: bool, options: &PluginOptions, known: Option<About>) -> Result<Plugin> {
+fn open(
+    file: &Path,
+    shipped: bool,
+    isolated: bool,
+    options: &PluginOptions,
+    known: Option<About>,
+    progress: &dyn Progress,
+) -> Result<Plugin> {
     #[cfg(unix)]
     if isolated {
         let about = match known {
@@ -319,17 +436,33 @@ fn open(file: &Path, isolated: bool, options: &PluginOptions, known: Option<Abou
                 // No process is started for what is no plugin.
                 library_file::kind(file)?;
                 let silence = INTRODUCTION.min(options.worker.silence);
-                worker::ask(file, &Arc::new(WorkerOptions { silence, ..(*options.worker).clone() }))?
+                let options = Arc::new(WorkerOptions { silence, ..(*options.worker).clone() });
+                worker::ask(file, &options, progress)?
             }
         };
         let code = WorkerCode::new(file, about.clone(), options.worker.clone());
-        return Plugin::known(Box::new(code), about, file);
+        return Plugin::known(Box::new(code), about, file).map(|plugin| plugin.shipped(shipped));
     }
     // There are no such processes on other systems.
-    let _ = (isolated, options);
-    match known {
-        Some(about) => Plugin::known(Box::new(LazyCode::new(file, about.clone())), about, file),
-        None => Plugin::new(load_code(file)?, file),
+    let _ = (isolated, options, progress);
+    let plugin = match known {
+        Some(about) => Plugin::known(Box::new(LazyCode::new(file, about.clone(), shipped)), about, file),
+        None => Plugin::new(load_code(file, shipped)?, file),
+    };
+    plugin.map(|plugin| plugin.shipped(shipped))
+}
+
+/// Whether anybody may write to a folder.
+fn is_open(folder: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        folder.metadata().is_ok_and(|meta| meta.permissions().mode() & 0o002 != 0)
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = folder;
+        false
     }
 }
 

@@ -5,7 +5,7 @@ use crate::deformer::{Message, Plugin, Watch};
 use crate::motion::to_local;
 use crate::params::{LocalParams, ParamValue, Params, nearest};
 use crate::plugins::PluginRegistry;
-use crate::session_file::{Deformation, HandleMove, Joint, Role, Stroke};
+use crate::session_file::{Deformation, HandleMove, Joint, ParamPlaces, Role, Stroke};
 use crate::shapes::Shapes;
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
@@ -21,6 +21,8 @@ use xxhash_rust::xxh3::Xxh3Default;
 pub(crate) struct Layer {
     /// Where in the session it stands; for errors.
     pub place: String,
+    /// Where its parameters stand; likewise.
+    pub param_places: ParamPlaces,
     pub plugin: Arc<Plugin>,
     /// What the session gives, and what became of it.
     given: toml::Table,
@@ -142,6 +144,7 @@ impl Layer {
         let strokes = step.strokes.iter().enumerate().map(stroke).collect::<Result<_>>()?;
         let mut layer = Self {
             place: place.to_owned(),
+            param_places: step.param_places.clone(),
             plugin,
             given: step.params.clone(),
             params,
@@ -226,7 +229,7 @@ impl Layer {
             Arc::new(Done { positions, messages, plugin, preparation, rest, motions, masks })
         };
         let nothing = api::Samples::new(&[], &[], &[]);
-        if motions.call(nothing, rest.bounds, |input| plugin.is_identity(input))? {
+        if motions.call(nothing, rest.bounds, |input| plugin.is_identity(input, &watch))? {
             // What comes after it need not be done again.
             let positions = rest.positions.clone();
             return Ok((rest.clone(), done(None, rest, positions, watch.into_messages(), motions)));

@@ -104,7 +104,8 @@ impl Stack {
         let enabled = steps.iter().filter(|step| step.enabled);
         let deformations = enabled.filter_map(|step| Some((step.deformation()?, &step.place)));
         let layer = |(deformation, place): (&Deformation, &String)| {
-            Layer::build(deformation, place, registry, None).map_err(|e| at(place, e))
+            Layer::build(deformation, place, registry, None)
+                .map_err(|e| at(deformation.param_places.of(place, &e), e))
         };
         Ok(Self { layers: deformations.map(layer).collect::<Result<_>>()? })
     }
@@ -136,7 +137,7 @@ impl Stack {
         let mut layers = Vec::with_capacity(self.layers.len());
         for layer in &self.layers {
             let done = layer.update(&rest, shape, &mut Kept::default(), api::Effort::FULL, progress);
-            let (next, done) = done.map_err(|e| at(&layer.place, e))?;
+            let (next, done) = done.map_err(|e| at(layer.param_places.of(&layer.place, &e), e))?;
             messages.extend(done.messages.iter().cloned());
             layers.push(done);
             rest = next;

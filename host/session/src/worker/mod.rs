@@ -13,14 +13,13 @@ use crate::child::{Ended, Tail, describe, ran_out_of_memory};
 use crate::deformer::{About, Capabilities, Code};
 use arena::{Arena, ControlMap, Range};
 use protocol::{InputRecord, MotionRecord, Refusal, Reply, Request, Slice};
-use simod_core::{Error, ErrorKind, Result};
+use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::{
     DeformInput, Descriptor, ErrorCode, HandleDesc, HostCalls, LogLevel, PluginError, PluginResult,
     PrepareInput, Scratch, State,
 };
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
-use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
@@ -38,7 +37,7 @@ const GRACE: Duration = Duration::from_secs(2);
 /// How plugins' processes are run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct WorkerOptions {
-    /// The program, and the arguments that make it call [`serve`] with the two that follow them.
+    /// The program, and the arguments that make it call [`serve`] with the three that follow them.
     pub command: Vec<PathBuf>,
     /// How long a call may go on without any sign of life, as progress is one.
     pub silence: Duration,
@@ -102,8 +101,19 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// Starts a process for a library, asks what it is, and ends it again.
-pub(crate) fn ask(library: &Path, options: &Arc<WorkerOptions>) -> Result<About> {
-    Worker::start(library, options).map(|(_, about)| about)
+pub(crate) fn ask(library: &Path, options: &Arc<WorkerOptions>, progress: &dyn Progress) -> Result<About> {
+    Worker::start(library, options, &Asking(progress)).map(|(_, about)| about)
+}
+
+/// The wish of the user to stop, and nothing else.
+struct Asking<'a>(&'a dyn Progress);
+
+impl HostCalls for Asking<'_> {
+    fn progress(&self, _: f64) -> bool {
+        !self.0.is_cancelled()
+    }
+
+    fn log(&self, _: LogLevel, _: &str) {}
 }
 
 impl WorkerCode {
@@ -113,14 +123,14 @@ impl WorkerCode {
     }
 
     /// The process, started if there is none.
-    fn worker(&self) -> PluginResult<Arc<Worker>> {
+    fn worker(&self, calls: &dyn HostCalls) -> PluginResult<Arc<Worker>> {
         let mut worker = lock(&self.worker);
         if let Some(worker) = worker.as_ref()
             && !lock(&worker.link).is_dead
         {
             return Ok(worker.clone());
         }
-        let (started, about) = Worker::start(&self.library, &self.options)
+        let (started, about) = Worker::start(&self.library, &self.options, calls)
             .map_err(|e| PluginError::internal(e.to_string()).hint(e.hint()))?;
         if about != self.about {
             let hint = "run the command again";
@@ -152,7 +162,7 @@ impl WorkerCode {
         calls: &dyn HostCalls,
         request: impl FnOnce(InputRecord) -> Request,
     ) -> PluginResult<(Arc<Worker>, Range, Reply)> {
-        let worker = self.worker()?;
+        let worker = self.worker(calls)?;
         let mut link = lock(&worker.link);
         let (mut record, arrays) = InputRecord::new(input);
         record.range = link.put(&arrays)?;
@@ -194,6 +204,10 @@ impl Code for WorkerCode {
         true
     }
 
+    fn get_ready(&self, calls: &dyn HostCalls) -> PluginResult<()> {
+        self.worker(calls).map(drop)
+    }
+
     fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State> {
         let (worker, input, reply) = self.call_with_input("prepare", input, calls, Request::Prepare)?;
         match reply {
@@ -207,7 +221,7 @@ impl Code for WorkerCode {
     }
 
     fn new_scratch(&self) -> PluginResult<Scratch> {
-        let worker = self.worker()?;
+        let worker = self.worker(&())?;
         let mut link = lock(&worker.link);
         let reply = self.call(&worker, &mut link, "new_scratch", &Request::NewScratch, &())?;
         drop(link);
@@ -226,7 +240,7 @@ impl Code for WorkerCode {
         out: &mut [[f32; 3]],
         calls: &dyn HostCalls,
     ) -> PluginResult<()> {
-        let worker = self.worker()?;
+        let worker = self.worker(calls)?;
         let state = state.get::<WorkerState>().ok_or_else(foreign)?;
         let state = self.own(&worker, &state.worker, state)?.id;
         let scratch = scratch.get_mut::<WorkerScratch>().ok_or_else(foreign)?;
@@ -249,7 +263,7 @@ impl Code for WorkerCode {
         points: &mut [[f64; 3]],
         calls: &dyn HostCalls,
     ) -> PluginResult<()> {
-        let worker = self.worker()?;
+        let worker = self.worker(calls)?;
         let state = state.get::<WorkerState>().ok_or_else(foreign)?;
         let state = self.own(&worker, &state.worker, state)?.id;
         let motion = MotionRecord::new(input);
@@ -272,7 +286,7 @@ impl Code for WorkerCode {
     }
 
     fn is_identity(&self, input: &DeformInput<'_>) -> PluginResult<bool> {
-        let worker = self.worker()?;
+        let worker = self.worker(&())?;
         let bounds = [input.bounds.min, input.bounds.max];
         let request = Request::IsIdentity { bounds, motion: MotionRecord::new(input) };
         let mut link = lock(&worker.link);
@@ -362,7 +376,7 @@ impl End {
 
 impl Worker {
     /// Starts a process for a library, and hears what the library is.
-    fn start(library: &Path, options: &Arc<WorkerOptions>) -> Result<(Self, About)> {
+    fn start(library: &Path, options: &Arc<WorkerOptions>, calls: &dyn HostCalls) -> Result<(Self, About)> {
         let refused = |e: std::io::Error| {
             let what = format!("cannot start a process for the plugin {}: {e}", library.display());
             Error::new(
@@ -371,24 +385,21 @@ impl Worker {
                 "check the limits on processes and memory, or use `--isolate never`",
             )
         };
-        let (socket, theirs) = UnixStream::pair().map_err(refused)?;
+        let (mut socket, theirs) = UnixStream::pair().map_err(refused)?;
         let arena = Arena::create().map_err(refused)?;
         let control = ControlMap::new(arena.shared()).map_err(refused)?;
         let [program, arguments @ ..] = options.command.as_slice() else {
             return Err(refused(std::io::Error::other("no program is named")));
         };
         let mut command = Command::new(program);
-        command.args(arguments).arg(library).arg(options.memory.to_string());
+        command.args(arguments).arg(library);
+        command.args([options.memory.to_string(), std::process::id().to_string()]);
         command.env("RAYON_NUM_THREADS", rayon::current_num_threads().to_string());
         // Both ends of the way are handed over as standard streams, which needs nothing unsafe. The process moves them.
         command.stdin(Stdio::from(OwnedFd::from(theirs)));
         command.stdout(Stdio::from(arena.shared().file().map_err(refused)?));
         command.stderr(Stdio::piped());
-        // What the user types at the terminal to stop is this process's to handle.
-        command.process_group(0);
-        let mut child = Ended::new(command.spawn().map_err(refused)?);
-        // What is left of `command` holds their end of the socket open.
-        drop(command);
+        let mut child = Ended::start(command).map_err(refused)?;
         let errors = Tail::of(child.stderr());
 
         let (sender, replies) = sync_channel(64);
@@ -401,6 +412,8 @@ impl Worker {
             }
         };
         std::thread::Builder::new().name("plugin".into()).spawn(read).map_err(refused)?;
+        // Where it has ended already, that is told below.
+        let _ = protocol::send(&mut socket, &Request::Load);
         let this = Self {
             link: Mutex::new(Link { socket, replies, arena, is_dead: false }),
             control,
@@ -408,11 +421,13 @@ impl Worker {
             errors,
             drops: Mutex::new(Vec::new()),
         };
-        let loaded = this.wait(&lock(&this.link), &(), options.silence);
+        // There is nothing to wait for where it is not to be loaded any more.
+        let loaded = this.wait(&lock(&this.link), calls, options.silence, Duration::ZERO);
         match loaded {
             Ok(Reply::Loaded(Ok(about))) => Ok((this, *about)),
             Ok(Reply::Loaded(Err(Refusal { what, hint }))) => Err(Error::new(ErrorKind::Plugin, what, hint)),
             Ok(_) => Err(refused(std::io::Error::other("it says what it was not asked"))),
+            Err(End::Deaf) => Err(Error::cancelled()),
             Err(end) => {
                 let error = end.explain("loading", options.memory);
                 let what = format!("{}: {}", library.display(), error.message);
@@ -439,11 +454,18 @@ impl Worker {
         }
         self.control.reset();
         protocol::send(&mut link.socket, request).map_err(|_| self.death())?;
-        self.wait(link, calls, silence)
+        self.wait(link, calls, silence, GRACE)
     }
 
-    /// Waits for an answer, and passes on what comes before it.
-    fn wait(&self, link: &Link, calls: &dyn HostCalls, silence: Duration) -> std::result::Result<Reply, End> {
+    /// Waits for an answer, and passes on what comes before it. Where the user asks to stop, the plugin has so much time to do so
+    /// as `grace` says.
+    fn wait(
+        &self,
+        link: &Link,
+        calls: &dyn HostCalls,
+        silence: Duration,
+        grace: Duration,
+    ) -> std::result::Result<Reply, End> {
         let (mut beats, _) = self.control.read();
         let mut heard = Instant::now();
         let mut asked_to_stop: Option<Instant> = None;
@@ -460,7 +482,7 @@ impl Worker {
             }
             if !calls.progress(fraction) {
                 self.control.cancel.store(1, std::sync::atomic::Ordering::Relaxed);
-                if asked_to_stop.get_or_insert_with(Instant::now).elapsed() > GRACE {
+                if asked_to_stop.get_or_insert_with(Instant::now).elapsed() >= grace {
                     lock(&self.child).kill();
                     return Err(End::Deaf);
                 }

@@ -16,6 +16,9 @@ const LONGEST: u32 = 1 << 28;
 /// What the program asks for.
 #[derive(Serialize, Deserialize)]
 pub(super) enum Request {
+    /// Loads the library: the first request. Nothing of the library runs before, so that this process is ready for whatever
+    /// that does: it ends with the program by then.
+    Load,
     Prepare(InputRecord),
     NewScratch,
     /// `fill` is what `out` is filled with before.

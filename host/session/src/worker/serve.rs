@@ -2,8 +2,8 @@
 
 use super::arena::{ControlMap, Shared};
 use super::protocol::{self, Failure, HandleRecord, InputRecord, Refusal, Reply, Request, Slice};
-use crate::child::limit_memory;
-use crate::deformer::{Code, Plugin, clear_upper_halves};
+use crate::child::{end_with, limit_memory};
+use crate::deformer::{Care, Code, Plugin};
 use crate::plugins::load_code;
 use memmap2::Mmap;
 use rayon::prelude::*;
@@ -22,11 +22,12 @@ use std::sync::{Mutex, PoisonError};
 const LINES: usize = 1000;
 
 /// Answers requests on a library, as this process's standard streams bring them, until the other side ends. The plugin
-/// may take `memory` bytes.
+/// may take `memory` bytes. `parent` is the number of the program's process.
 ///
 /// # Errors
 /// The standard streams are not those that the program makes, or the memory cannot be limited.
-pub fn serve(library: &Path, memory: u64) -> Result<()> {
+pub fn serve(library: &Path, memory: u64, parent: u32) -> Result<()> {
+    end_with(parent);
     let refused = |e: std::io::Error| {
         let what = format!("this command is for the program itself: {e}");
         Error::new(ErrorKind::Argument, what, "see `simod help` for the others")
@@ -53,8 +54,12 @@ pub fn serve(library: &Path, memory: u64) -> Result<()> {
     };
     std::thread::Builder::new().name("requests".into()).spawn(read).map_err(refused)?;
 
+    // By now the thread above is at work: one that begins while a library loads may have to wait until that is done.
+    if !matches!(requests.recv(), Ok(Request::Load)) {
+        end();
+    }
     let calls = Calls { control, socket: Mutex::new(socket), lines: AtomicUsize::new(0) };
-    let loaded = load_code(library).and_then(|code| {
+    let loaded = load_code(library, false).and_then(|code| {
         let about = Plugin::ask(code.as_ref(), library)?;
         Ok((code, about))
     });
@@ -108,6 +113,8 @@ fn wrap<T>(result: PluginResult<T>) -> std::result::Result<T, Failure> {
 impl Workshop {
     fn answer(&mut self, request: Request) -> Option<Reply> {
         Some(match request {
+            // It was.
+            Request::Load => return None,
             Request::Prepare(input) => Reply::Made(wrap(self.prepare(input))),
             Request::NewScratch => {
                 let scratch = self.code.new_scratch().map(|scratch| {
@@ -230,8 +237,9 @@ impl HostCalls for Calls {
             if !self.goes_on() {
                 return Err(());
             }
+            let kept = Care::Registers.enter();
             body(i);
-            clear_upper_halves();
+            drop(kept);
             let (_, fraction) = self.control.read();
             self.control.beat(fraction);
             Ok(())

@@ -187,7 +187,8 @@ impl Thread {
 
     fn evaluated(&mut self, steps: &[Entry], effort: Effort, progress: &dyn Progress) -> Result<Evaluated> {
         let evaluation = self.evaluation.as_mut().ok_or_else(nothing_open)?;
-        evaluation.update(steps, &self.plugins, effort, progress)
+        let evaluated = evaluation.update(steps, &self.plugins, effort, progress)?;
+        Ok(evaluated.with_notices(steps, &self.plugins))
     }
 
     fn compared(&mut self, comparing: Comparing, progress: &dyn Progress) -> Result<Event> {

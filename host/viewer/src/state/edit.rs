@@ -104,6 +104,7 @@ impl State {
         self.plugins.get(plugin)?;
         let path = open.editor.path().or(open.editor.model()).unwrap_or(Path::new(""));
         let deformation = Deformation {
+            param_places: Default::default(),
             plugin: None,
             deform: plugin.to_owned(),
             params: toml::Table::new(),

@@ -89,8 +89,13 @@ impl Deformer for Misbehaving {
             "slow-at-load" => std::thread::sleep(Duration::from_millis(800)),
             _ => {}
         }
-        Descriptor::new("misbehaving", "Misbehaving", env!("CARGO_PKG_VERSION"))
-            .summary("Does one thing wrong")
+        let descriptor = Descriptor::new("misbehaving", "Misbehaving", env!("CARGO_PKG_VERSION"));
+        too_much(descriptor, &how)
+            .summary(if how == "raw-texts" {
+                "Does one \x1b[31mthing\nwrong"
+            } else {
+                "Does one thing wrong"
+            })
             .param(
                 ParamDesc::choice("how", "How", "well", &HOW)
                     .hint("What goes wrong")
@@ -176,6 +181,21 @@ impl Evaluate for Misbehaving {
         let by = state.by(input.params())?;
         points.iter_mut().for_each(|p| *p = [p[0] + by, p[1] + aside, p[2]]);
         Ok(())
+    }
+}
+
+/// More than anybody reads, in one way or another.
+fn too_much(descriptor: Descriptor, how: &str) -> Descriptor {
+    let number = |id: &str| ParamDesc::float(id, "A number", 0.0).hint("One of them");
+    match how {
+        "many-params" => (0..10_001).map(|i| number(&format!("p{i}"))).fold(descriptor, Descriptor::param),
+        "long-hint" => descriptor.param(number("long").hint(&"very ".repeat(20_000)[..1 << 16])),
+        "many-choices" => {
+            let ids: Vec<String> = (0..10_001).map(|i| format!("c{i}")).collect();
+            let choices: Vec<_> = ids.iter().map(|id| (id.as_str(), "One of them")).collect();
+            descriptor.param(ParamDesc::choice("many", "Many", "c0", &choices))
+        }
+        _ => descriptor,
     }
 }
 

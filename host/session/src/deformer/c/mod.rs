@@ -79,16 +79,31 @@ impl Drop for CState {
     }
 }
 
+/// Loads a library, for good, with all functions that it needs of others: a missing one is an error here, and not the end of the
+/// process when it is first called. `file` is that at `path`, or a copy of it.
+pub(crate) fn load_whole(file: &Path, path: &Path) -> Result<Library> {
+    // SAFETY: initialisers of the library run, and may do anything. Whoever puts a library into a plugin
+    // folder wants its code to run.
+    #[cfg(unix)]
+    let library = unsafe {
+        use libloading::os::unix;
+        unix::Library::open(Some(file), unix::RTLD_NOW | unix::RTLD_LOCAL).map(Library::from)
+    };
+    // SAFETY: as above; this system looks for all functions anyway.
+    #[cfg(not(unix))]
+    let library = unsafe { Library::new(file) };
+    library.map_err(|e| {
+        let reason = e.source().map_or_else(|| e.to_string(), ToString::to_string);
+        let reason = reason.replace(&*file.display().to_string(), &path.display().to_string());
+        cannot_load(path, &reason)
+    })
+}
+
 impl CCode {
     /// Loads a library, for good, which is known to have the table: from `file`, which is that at `path`, or
     /// a copy of it.
     pub fn load(file: &Path, path: &Path) -> Result<Self> {
-        // SAFETY: initialisers of the library run, and may do anything. Whoever puts a library into a plugin
-        // folder wants its code to run.
-        let library = unsafe { Library::new(file) }.map_err(|e| {
-            let reason = e.source().map_or_else(|| e.to_string(), ToString::to_string);
-            cannot_load(path, &reason)
-        })?;
+        let library = load_whole(file, path)?;
         // Never unloaded: states and descriptions point into it.
         let library = Box::leak(Box::new(library));
         // SAFETY: the symbol's address is taken, whatever is there.

@@ -1,13 +1,8 @@
 //! Reading what a plugin's pointers point to, with as much distrust as is possible.
 
+use crate::deformer::limits::{LONGEST_LIST, LONGEST_TEXT};
 use simod_plugin_api::{PluginError, PluginResult};
 use std::ffi::c_char;
-
-/// The longest text, in bytes: what is longer has no end.
-const LONGEST_TEXT: usize = 1 << 16;
-
-/// The longest list in a description: what is longer is no count.
-const LONGEST_LIST: usize = 10_000;
 
 /// A struct; an error that says `what` it was if the pointer is no good.
 ///
