@@ -1,4 +1,4 @@
-//! The terminal: progress and errors on standard error, cancel by Ctrl-C.
+//! The terminal: progress and errors on standard error, cancel by Ctrl-C and by the signals that mean the same.
 
 use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,9 +9,25 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use simod_core::memory::MemoryWatch;
 use simod_core::{Error, Progress};
 
+/// The exit code of a program that was stopped.
+pub const CANCELLED: i32 = 130;
+
+/// How long work that is asked to stop may not even look whether it is.
+const DEAF: Duration = Duration::from_secs(1);
+
+/// How long it may take to stop then.
+const SLOW: Duration = Duration::from_secs(10);
+
+/// Whether the user asked to stop, and somebody knows of it.
+#[derive(Default)]
+struct Wish {
+    cancelled: AtomicBool,
+    is_known: AtomicBool,
+}
+
 /// Progress bar (silent where standard error is no terminal), clock of the stages, and cancel flag.
 pub struct Console {
-    cancelled: Arc<AtomicBool>,
+    wish: Arc<Wish>,
     memory: MemoryWatch,
     stages: Mutex<Stages>,
 }
@@ -24,17 +40,20 @@ struct Stages {
 }
 
 impl Console {
-    /// Takes over Ctrl-C: the first asks the work to stop, the second ends the process.
+    /// Takes over Ctrl-C and its kin: the first asks the work to stop, the second ends the process. So does the first where
+    /// nobody listens, as in a library that is being loaded.
     pub fn new() -> Self {
-        let cancelled = Arc::new(AtomicBool::new(false));
-        let flag = cancelled.clone();
-        // Without a handler Ctrl-C ends the process at once, which leaves a temporary file at worst.
-        let _ = ctrlc::set_handler(move || {
-            if flag.swap(true, Ordering::Relaxed) {
-                std::process::exit(130);
-            }
-        });
-        Self { cancelled, memory: MemoryWatch::start(), stages: Mutex::default() }
+        let wish = Arc::new(Wish::default());
+        let for_signals = wish.clone();
+        // Without a handler Ctrl-C ends the process at once, which leaves hidden files at worst.
+        let _ = signals::listen(move |again| for_signals.stop(again));
+        Self { wish, memory: MemoryWatch::start(), stages: Mutex::default() }
+    }
+
+    /// Of a process that works for another one, which asks it to stop by other ways.
+    pub fn of_worker() -> Self {
+        let _ = signals::ignore_interrupt();
+        Self { wish: Arc::default(), memory: MemoryWatch::start(), stages: Mutex::default() }
     }
 
     /// Peak anonymous memory so far.
@@ -71,6 +90,92 @@ impl Console {
                 let _ = writeln!(std::io::stderr(), "{line}");
             }
         }
+    }
+}
+
+impl Wish {
+    /// Asks the work to stop, and sees to it that it does.
+    fn stop(self: &Arc<Self>, again: bool) {
+        if again {
+            leave();
+        }
+        if self.cancelled.swap(true, Ordering::Relaxed) {
+            return;
+        }
+        let this = self.clone();
+        let watch = move || {
+            std::thread::sleep(DEAF);
+            if this.is_known.load(Ordering::Relaxed) {
+                std::thread::sleep(SLOW);
+            }
+            let error = Error::cancelled();
+            let _ = writeln!(std::io::stderr(), "error: {error}\nhint: {}", error.hint());
+            leave();
+        };
+        let _ = std::thread::Builder::new().name("cancel".into()).spawn(watch);
+    }
+}
+
+/// Ends the process, without what it is writing.
+fn leave() -> ! {
+    simod_core::claim::abandon_all();
+    std::process::exit(CANCELLED)
+}
+
+/// Signals that ask a program to stop.
+#[cfg(unix)]
+mod signals {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
+    use signal_hook::iterator::Signals;
+
+    /// Calls `told` for each of them, with whether it is to end the process at once.
+    pub fn listen(told: impl Fn(bool) + Send + 'static) -> std::io::Result<()> {
+        let ignored = ignored();
+        let is_wanted = |signal: &i32| {
+            // As `nohup` and shells ask for: who ignores a limit on files hears of it by the write that fails.
+            ![SIGHUP, SIGXFSZ].contains(signal) || ignored.is_some_and(|set| set >> (signal - 1) & 1 == 0)
+        };
+        let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP, SIGXFSZ].into_iter().filter(is_wanted))?;
+        let wait = move || {
+            let mut before = false;
+            for signal in signals.forever() {
+                // Each write beyond the limit sends one.
+                told(before && signal != SIGXFSZ);
+                before |= signal != SIGXFSZ;
+            }
+        };
+        std::thread::Builder::new().name("signals".into()).spawn(wait).map(drop)
+    }
+
+    /// The terminal sends Ctrl-C to all processes; this one is not meant.
+    pub fn ignore_interrupt() -> std::io::Result<()> {
+        let mut signals = Signals::new([SIGINT])?;
+        std::thread::Builder::new()
+            .name("signals".into())
+            .spawn(move || signals.forever().for_each(drop))
+            .map(drop)
+    }
+
+    /// The signals that this process was started to ignore, a bit each; nothing where the system does not tell.
+    fn ignored() -> Option<u64> {
+        let status = std::fs::read_to_string("/proc/self/status").ok()?;
+        let set = status.lines().find_map(|line| line.strip_prefix("SigIgn:"))?;
+        u64::from_str_radix(set.trim(), 16).ok()
+    }
+}
+
+/// See the version for Unix.
+#[cfg(not(unix))]
+mod signals {
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    pub fn listen(told: impl Fn(bool) + Send + 'static) -> Result<(), ctrlc::Error> {
+        let before = AtomicBool::new(false);
+        ctrlc::set_handler(move || told(before.swap(true, Ordering::Relaxed)))
+    }
+
+    pub fn ignore_interrupt() -> Result<(), ctrlc::Error> {
+        ctrlc::set_handler(|| {})
     }
 }
 
@@ -127,6 +232,10 @@ impl Progress for Console {
     }
 
     fn is_cancelled(&self) -> bool {
-        self.cancelled.load(Ordering::Relaxed)
+        let cancelled = self.wish.cancelled.load(Ordering::Relaxed);
+        if cancelled {
+            self.wish.is_known.store(true, Ordering::Relaxed);
+        }
+        cancelled
     }
 }

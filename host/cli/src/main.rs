@@ -13,7 +13,7 @@ use simod_core::ErrorKind;
 use commands::{
     bind, compare, deform, demo, generate, info, plugin, reconstruct, refine, render, run, sample, view,
 };
-use console::Console;
+use console::{CANCELLED, Console};
 use report::Report;
 
 /// Freeform deformation of models of any size: sample, deform the samples with any mix of plugins, and stream the
@@ -24,9 +24,9 @@ struct Arguments {
     /// Print one JSON object on standard output instead of text
     #[arg(long, global = true)]
     json: bool,
-    /// Use this many threads (default: all cores)
-    #[arg(long, global = true, value_name = "N")]
-    threads: Option<usize>,
+    /// Use this many threads, at most 1024 (default: all cores)
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
     #[command(subcommand)]
     command: Command,
 }
@@ -51,19 +51,25 @@ enum Command {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let console = Console::new();
+    // A process that answers another one is stopped by that.
+    let is_worker = matches!(&arguments.command, Command::Plugin(plugin) if plugin.is_worker());
+    let console = if is_worker { Console::of_worker() } else { Console::new() };
     match execute(arguments, &console) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             console.error(&error);
-            if error.kind() == ErrorKind::Cancelled { ExitCode::from(130) } else { ExitCode::FAILURE }
+            if error.kind() == ErrorKind::Cancelled {
+                ExitCode::from(CANCELLED as u8)
+            } else {
+                ExitCode::FAILURE
+            }
         }
     }
 }
 
 fn execute(arguments: Arguments, console: &Console) -> simod_core::Result<()> {
     if let Some(n) = arguments.threads {
-        commands::set_threads(n)?;
+        commands::set_threads(usize::from(n))?;
     }
     let mut report = Report::new(console);
     match arguments.command {

@@ -1,7 +1,7 @@
 //! What a command has to say when it is done: lines for people, or one JSON object with `--json`.
 
 use std::io::Write;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use serde_json::{Map, Value, json};
 use simod_core::{Error, Progress, Result};
@@ -83,10 +83,9 @@ impl<'a> Report<'a> {
         let seconds = self.seconds();
         let stages = self.console.stages();
         if self.timed {
-            let phase =
-                |(name, time): &(&str, std::time::Duration)| format!("{name} {:.2} s", time.as_secs_f64());
+            let phase = |(name, time): &(&str, Duration)| format!("{name} {}", duration(time.as_secs_f64()));
             let phases: Vec<String> = stages.iter().map(phase).collect();
-            self.lines.push(format!("{seconds:.2} s: {}", phases.join(", ")));
+            self.lines.push(format!("{}: {}", duration(seconds), phases.join(", ")));
             if let Some(peak) = self.console.peak_memory() {
                 self.lines.push(format!("peak memory {} MB", peak.div_ceil(1 << 20)));
             }
@@ -122,6 +121,11 @@ fn shown_json(value: &Value) -> String {
     text
 }
 
+/// A time for people, of three digits at least where it is not tiny: "1.50 s", "12.3 ms".
+pub fn duration(seconds: f64) -> String {
+    if seconds >= 1.0 { format!("{seconds:.2} s") } else { format!("{:.1} ms", (1e3 * seconds).max(0.1)) }
+}
+
 /// A count with thin separators: 2 000 000.
 pub fn count(n: u64) -> String {
     let digits = n.to_string();
@@ -153,6 +157,15 @@ mod tests {
         let text = super::shown_json(&value);
         assert!(!text.chars().any(simod_session::is_raw), "{text:?}");
         assert_eq!(serde_json::from_str::<serde_json::Value>(&text).expect("JSON"), value);
+    }
+
+    #[test]
+    fn no_time_is_none() {
+        let times =
+            [(0.0, "0.1 ms"), (0.0042, "4.2 ms"), (0.9, "900.0 ms"), (1.0, "1.00 s"), (75.5, "75.50 s")];
+        for (seconds, text) in times {
+            assert_eq!(super::duration(seconds), text);
+        }
     }
 
     #[test]

@@ -47,6 +47,7 @@ impl Error {
             K::NotFound => "check the path; it is relative to the current folder",
             K::PermissionDenied => "check the permissions of the file and of its folder",
             K::StorageFull | K::QuotaExceeded => "free some space, or write to another disk",
+            K::FileTooLarge => "raise the limit on the size of files, or write to another disk",
             K::IsADirectory => "give the path of a file, not of a folder",
             K::NotADirectory => "a part of the path is a file where a folder is needed",
             K::ReadOnlyFilesystem => "write to another disk",

@@ -9,11 +9,14 @@
 //! Nothing here holds memory proportional to `P_L` (but [`measure`], which is for meshes in memory), prints, opens a
 //! window, or knows of plugins.
 
+pub mod claim;
 pub mod detail;
 pub mod error;
 pub mod frame;
 pub mod generate;
 pub mod geometry;
+pub mod guard;
+pub mod input;
 pub mod measure;
 pub mod memory;
 pub mod model;

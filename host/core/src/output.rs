@@ -2,14 +2,14 @@
 //!
 //! Whatever the program writes goes to a hidden file beside the target first, which takes the target's name
 //! only when it is complete and on the disk. Killed at any moment, the program leaves the old file or the new one
-//! (and perhaps the hidden one, `.simod-….part`). Models, which take long, are written in parts (`resumable`).
+//! (and perhaps the hidden one, `.simod-NAME.part`, which the next call to the same target removes: `claim`). Models, which
+//! take long, are written in parts (`resumable`).
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use tempfile::NamedTempFile;
-
+use crate::claim::Claim;
 use crate::{Error, ErrorKind, Result};
 
 /// Bytes collected before they are written; longer writes go straight through.
@@ -21,11 +21,8 @@ const MAX_LINKS: usize = 40;
 /// A file in the making. Dropped before [`commit`](Self::commit), it leaves no trace.
 #[derive(Debug)]
 pub struct OutputFile {
-    writer: BufWriter<NamedTempFile>,
-    /// What the caller calls the file.
-    path: PathBuf,
-    /// The file that is created or replaced: `path` itself, unless that is a link.
-    target: PathBuf,
+    writer: BufWriter<File>,
+    claim: Claim,
 }
 
 impl OutputFile {
@@ -33,40 +30,32 @@ impl OutputFile {
     /// replaced.
     ///
     /// # Errors
-    /// The folder is missing or cannot be written to, `path` is a folder or a device, or the disk is too full.
+    /// The folder is missing or cannot be written to, `path` is a folder or a device, another process writes it, or the disk
+    /// is too full.
     pub fn create(path: &Path, expected_bytes: u64) -> Result<Self> {
-        let target = regular_target(path)?;
-        let folder = folder_of(&target);
-        check_space(path, folder, expected_bytes)?;
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(".simod-").suffix(".part");
-        #[cfg(unix)]
-        {
-            use std::os::unix::fs::PermissionsExt;
-            // As any other new file: the system takes away what the user's umask says.
-            builder.permissions(fs::Permissions::from_mode(0o666));
-        }
-        let file = builder.tempfile_in(folder).map_err(|e| Error::io("write", path, &e))?;
-        let writer = BufWriter::with_capacity(BUFFER, file);
-        Ok(Self { writer, path: path.to_owned(), target })
+        check_space(path, folder_of(&regular_target(path)?), expected_bytes)?;
+        let claim = Claim::file(path, false)?;
+        let file = claim.part().try_clone().map_err(|e| claim.failed(&e))?;
+        Ok(Self { writer: BufWriter::with_capacity(BUFFER, file), claim })
     }
 
-    /// Puts the file in its place, once all of it is on the disk.
+    /// Puts the file in its place, once all of it is on the disk, with the permissions and the owner of what it replaces.
     ///
     /// # Errors
     /// The disk is full, or the operating system refuses; the target is then what it was.
     pub fn commit(self) -> Result<()> {
-        let Self { writer, path, target } = self;
-        let failed = |e: &io::Error| Error::io("write", &path, e);
-        let file = writer.into_inner().map_err(|e| failed(e.error()))?;
-        file.as_file().sync_all().map_err(|e| failed(&e))?;
-        file.persist(&target).map_err(|e| failed(&e.error))?;
-        sync_folder(folder_of(&target)).map_err(|e| failed(&e))
+        let Self { writer, mut claim } = self;
+        let commit = || -> io::Result<()> {
+            writer.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
+            claim.put_in_place()?;
+            sync_folder(folder_of(&claim.places().target))
+        };
+        commit().map_err(|e| claim.failed(&e))
     }
 
     /// A refusal with the file's name, packed so that it passes through [`Write`].
     fn named(&self, error: &io::Error) -> io::Error {
-        io::Error::new(error.kind(), Error::io("write", &self.path, error))
+        io::Error::new(error.kind(), self.claim.failed(error))
     }
 }
 
@@ -99,27 +88,36 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
 /// # Errors
 /// It is a folder or a device, or links lead nowhere.
 pub(crate) fn regular_target(path: &Path) -> Result<PathBuf> {
-    let target = follow_links(path)?;
-    match fs::metadata(&target) {
-        _ if target.file_name().is_none() => {
-            Err(Error::io("write", path, &io::ErrorKind::IsADirectory.into()))
-        }
+    // Asked of the path: what it leads to may have no name, as a pipe behind `/dev/stdout`.
+    let is = fs::metadata(path);
+    let target = target_of(path)?;
+    match is {
         Ok(meta) if meta.is_dir() => Err(Error::io("write", path, &io::ErrorKind::IsADirectory.into())),
         // Renaming a file over a device would replace the device.
         Ok(meta) if !meta.is_file() => Err(Error::new(
             ErrorKind::Argument,
             format!("cannot write {}: it is a pipe or a device", path.display()),
-            "give the path of a file",
+            "what is written has another name until it is whole, and a pipe or a device cannot take that back: give the path of \
+             a file",
         )),
         _ => Ok(target),
     }
+}
+
+/// What `path` means in the end, whatever it is; it has a name.
+pub(crate) fn target_of(path: &Path) -> Result<PathBuf> {
+    let target = follow_links(path)?;
+    if target.file_name().is_none() {
+        return Err(Error::io("write", path, &io::ErrorKind::IsADirectory.into()));
+    }
+    Ok(target)
 }
 
 /// That file by the one name that all paths to it share, where its folder exists.
 ///
 /// # Errors
 /// As for [`regular_target`], and the folder is missing.
-pub(crate) fn canonical_target(path: &Path) -> Result<PathBuf> {
+pub fn canonical_target(path: &Path) -> Result<PathBuf> {
     let target = regular_target(path)?;
     let folder = folder_of(&target).canonicalize().map_err(|e| Error::io("write", path, &e))?;
     Ok(folder.join(target.file_name().unwrap_or_default()))

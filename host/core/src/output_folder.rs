@@ -1,17 +1,18 @@
 //! Folders that appear whole or not at all.
 
+use std::fs::{self, File};
+use std::io;
 use std::path::{Path, PathBuf};
 
-use tempfile::TempDir;
-
+use crate::claim::{Claim, remove, take_permissions};
 use crate::output::{exchange, folder_of, sync_folder};
 use crate::{Error, Result};
 
 /// A folder in the making: a hidden one beside its place, which takes its name when it is complete. Dropped before
-/// [`commit`](Self::commit), it leaves no trace.
+/// [`commit`](Self::commit), it leaves no trace. As long as it is there, nobody else writes a folder of this name.
 #[derive(Debug)]
 pub struct OutputFolder {
-    new: TempDir,
+    claim: Claim,
     target: PathBuf,
 }
 
@@ -19,18 +20,28 @@ impl OutputFolder {
     /// Begins the folder `target`. What may be there already, and be replaced, is for the caller to check.
     ///
     /// # Errors
-    /// The folder that it is to lie in is missing, or cannot be written to.
+    /// The folder that it is to lie in is missing, or cannot be written to; another process writes it.
     pub fn create(target: &Path) -> Result<Self> {
-        let new = tempfile::Builder::new()
-            .prefix(".simod-")
-            .tempdir_in(folder_of(target))
-            .map_err(|e| Error::io("write", target, &e))?;
-        Ok(Self { new, target: target.to_owned() })
+        let claim = Claim::folder(target)?;
+        let mut builder = fs::DirBuilder::new();
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::DirBuilderExt;
+            // Nobody sees what will not be seen in the end.
+            builder.mode(if target.exists() { 0o700 } else { 0o777 });
+        }
+        builder.create(&claim.places().new_folder).map_err(|e| claim.failed(&e))?;
+        Ok(Self { claim, target: target.to_owned() })
     }
 
     /// Where its files are written for now.
     pub fn path(&self) -> &Path {
-        self.new.path()
+        &self.claim.places().new_folder
+    }
+
+    /// What it will be called.
+    pub fn target(&self) -> &Path {
+        &self.target
     }
 
     /// An error of a file in it, told of the folder that was asked for and not of its temporary name.
@@ -39,51 +50,45 @@ impl OutputFolder {
         Error::new(e.kind(), told(&e.to_string()), told(e.hint()))
     }
 
-    /// Puts the folder in its place. What is there goes away: in one step where the system can.
+    /// Puts the folder in its place. What is there goes away, in one step where the system can; the folder, and its files
+    /// that replace others, have the permissions and the owners of those.
     ///
     /// # Errors
     /// The operating system refuses; the place is then as it was.
     pub fn commit(self) -> Result<()> {
-        let Self { new, target } = self;
-        let io = |e: std::io::Error| Error::io("write", &target, &e);
-        let parent = folder_of(&target);
-        set_permissions(new.path()).map_err(io)?;
+        self.put_in_place().map_err(|e| self.claim.failed(&e))
+    }
+
+    fn put_in_place(&self) -> io::Result<()> {
+        let places = self.claim.places();
+        let (new, target, parent) = (self.path(), &places.target, folder_of(&places.target));
         if target.symlink_metadata().is_err() {
-            std::fs::rename(new.path(), &target).map_err(io)?;
-        } else if exchange(new.path(), &target).map_err(io)? {
-            // What was there goes with the temporary folder.
-            return sync_folder(parent).map_err(io);
-        } else {
-            let old = tempfile::Builder::new().prefix(".simod-old-").tempdir_in(parent).map_err(io)?;
-            std::fs::rename(&target, old.path().join("old")).map_err(io)?;
-            if let Err(e) = std::fs::rename(new.path(), &target) {
-                // Back as it was; if even that fails, it stays where it is.
-                let old = old.keep();
-                std::fs::rename(old.join("old"), &target).map_err(io)?;
-                let _ = std::fs::remove_dir(old);
-                return Err(io(e));
+            fs::rename(new, target)?;
+            return sync_folder(parent);
+        }
+        for entry in fs::read_dir(new)? {
+            let file = entry?.path();
+            let former = target.join(file.file_name().unwrap_or_default());
+            if former.symlink_metadata().is_ok_and(|is| is.is_file()) {
+                take_permissions(&File::open(&file)?, &former)?;
             }
         }
-        // Moved away: there is nothing to remove under the temporary name.
-        let _ = new.keep();
-        sync_folder(parent).map_err(io)
+        #[cfg(unix)]
+        take_permissions(&File::open(new)?, target)?;
+        if exchange(new, target)? {
+            // What was there is under the temporary name now; what cannot be removed of it hurts nobody.
+            let _ = remove(new);
+            return sync_folder(parent);
+        }
+        fs::rename(target, &places.old_folder)?;
+        if let Err(e) = fs::rename(new, target) {
+            // Back as it was; if even that fails, the next call does it.
+            fs::rename(&places.old_folder, target)?;
+            return Err(e);
+        }
+        sync_folder(parent)?;
+        remove(&places.old_folder)
     }
-}
-
-/// Temporary folders are private; a result has the permissions of any other new folder.
-fn set_permissions(folder: &Path) -> std::io::Result<()> {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        // What mkdir would give under the present umask, which can only be read by making something.
-        let probe = folder.join(".mode");
-        std::fs::create_dir(&probe)?;
-        let mode = std::fs::metadata(&probe)?.permissions().mode();
-        std::fs::remove_dir(&probe)?;
-        std::fs::set_permissions(folder, std::fs::Permissions::from_mode(mode))?;
-    }
-    let _ = folder;
-    Ok(())
 }
 
 #[cfg(test)]

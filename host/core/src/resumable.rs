@@ -1,23 +1,24 @@
 //! Large outputs, written in parts, that can be gone on with after the program was killed.
 //!
-//! While `name` is written there are two hidden files beside it. `.simod-name.part` holds its beginning, and is locked, so
-//! that no other process writes the same file. `.simod-name.journal` lists the parts of it that are known to be on the
+//! While `name` is written there are two hidden files beside it. `.simod-name.part` holds its beginning, and is locked
+//! ([claim](crate::claim)), so that no other process writes the same file. `.simod-name.journal` lists the parts of it that are known to be on the
 //! disk, each with a checksum, and a key of all that determines the bytes; it is replaced at once, by way of
 //! `.simod-name.journal.new`. What is not in the journal is not relied on, and what is there is checked before it is.
 
-use std::ffi::OsString;
-use std::fs::{self, File, OpenOptions, TryLockError};
+use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 
 use xxhash_rust::xxh3::{Xxh3Default, xxh3_128};
 
+use crate::claim::{Claim, Places, remove};
+use crate::input::open_at_once;
 use crate::model::Output;
-use crate::output::{folder_of, regular_target, sync_folder};
+use crate::output::{folder_of, sync_folder};
 use crate::uncached::UncachedFile;
-use crate::{Error, ErrorKind, Progress, Result};
+use crate::{Error, Progress, Result};
 
 /// What a journal begins with.
 const FORMAT: &str = "simod-journal/1";
@@ -25,16 +26,16 @@ const FORMAT: &str = "simod-journal/1";
 /// Bytes that are checked at a time.
 const BLOCK: usize = 1 << 20;
 
-/// Longest name of a target that the hidden names contain; names of files have at most 255 bytes.
-const LONGEST_NAME: usize = 200;
+/// No journal is longer: it has at most 1024 parts and a few, of some 60 bytes each.
+const LONGEST: u64 = 1 << 20;
 
 /// A file in the making, a piece at a time. Dropped before [`commit`](Self::commit), it leaves no trace, unless it is
 /// to be [kept](Self::keep).
 ///
 /// Memory: 2 MiB, and the journal, of some 60 bytes for each part.
 pub(crate) struct ResumableFile {
-    places: Places,
-    /// The part file, locked.
+    claim: Claim,
+    /// The part file.
     file: UncachedFile,
     journal: Journal,
     recorder: Recorder,
@@ -46,7 +47,6 @@ pub(crate) struct ResumableFile {
     since: u64,
     /// A part is over once it stands for so many bytes of the model.
     part_bytes: u64,
-    leave: bool,
 }
 
 /// What [`ResumableFile::open`] finds.
@@ -71,31 +71,33 @@ impl ResumableFile {
         part_bytes: u64,
         progress: &dyn Progress,
     ) -> Result<Opened> {
-        let places = Places::of(path)?;
-        let file = places.lock()?;
+        let claim = Claim::file(path, resume)?;
+        let handle = || claim.part().try_clone().map_err(|e| claim.failed(&e));
         let mut this = Self {
-            recorder: Recorder::new(&file, &places)?,
-            places,
-            file: UncachedFile::new(file),
+            recorder: Recorder::new(handle()?, claim.places().clone()),
+            file: UncachedFile::new(handle()?),
+            claim,
             journal: Journal { key, parts: Vec::new(), is_complete: false },
             pieces: 0,
             end: 0,
             hash: Xxh3Default::new(),
             since: 0,
             part_bytes,
-            leave: false,
         };
         let found = if resume { this.find(progress)? } else { Found::default() };
         if found.in_target {
             // The empty part file goes, the journal stays until the end.
-            this.leave = true;
-            let _ = fs::remove_file(&this.places.part);
-            return Ok(Opened::Finished(Finished { places: this.places.clone(), leave: false }));
+            this.claim.keep();
+            let places = this.claim.places().clone();
+            let _ = fs::remove_file(&places.part);
+            return Ok(Opened::Finished(Finished { places, leave: false }));
         }
         if found.parts.is_empty() {
             // In this order: a journal never speaks of bytes that are gone.
-            let begun = remove(&this.places.journal).and_then(|()| this.file.file().set_len(0));
-            begun.and_then(|()| this.journal.replace(&this.places, false)).map_err(|e| this.failed(&e))?;
+            let begun = remove(&this.claim.places().journal).and_then(|()| this.file.file().set_len(0));
+            begun
+                .and_then(|()| this.journal.replace(this.claim.places(), false))
+                .map_err(|e| this.failed(&e))?;
         }
         this.journal.parts = found.parts;
         if found.is_complete {
@@ -106,8 +108,9 @@ impl ResumableFile {
 
     /// What an earlier call left that can be relied on.
     fn find(&mut self, progress: &dyn Progress) -> Result<Found> {
-        let name = self.places.path.display();
-        let Some(journal) = Journal::read(&self.places) else { return Ok(Found::default()) };
+        let places = self.claim.places().clone();
+        let name = places.path.display();
+        let Some(journal) = Journal::read(&places) else { return Ok(Found::default()) };
         let Some(Journal { key, mut parts, is_complete }) = journal else {
             progress.note(&format!("{name}: the journal is damaged; starting anew"));
             return Ok(Found::default());
@@ -120,12 +123,11 @@ impl ResumableFile {
         }
         let bytes = parts.last().map_or(0, |p| p.end);
         let in_target = is_complete && self.file.file().metadata().is_ok_and(|m| m.len() == 0);
-        let target = in_target.then(|| File::open(&self.places.target).ok()).flatten();
-        // Whoever cancels now has lost nothing.
-        self.leave = true;
+        let target = in_target.then(|| crate::input::open(&places.target).ok()).flatten();
         progress.begin("checking what is there", bytes);
-        let good = good_parts(target.as_ref().unwrap_or(self.file.file()), &parts, progress)?;
-        self.leave = false;
+        let good = good_parts(target.as_ref().unwrap_or(self.file.file()), &parts, progress);
+        // Whoever cancels now has lost nothing.
+        let good = good.inspect_err(|_| self.claim.keep())?;
         let all = good == parts.len();
         let length = |file: &File| file.metadata().is_ok_and(|m| m.len() == bytes);
         if in_target {
@@ -156,7 +158,7 @@ impl ResumableFile {
         if !self.journal.parts.is_empty() {
             // First, so that it never speaks of bytes that are gone.
             self.journal.parts.retain(|p| p.pieces <= pieces);
-            self.journal.replace(&self.places, true).map_err(|e| self.failed(&e))?;
+            self.journal.replace(self.claim.places(), true).map_err(|e| self.failed(&e))?;
         }
         self.pieces = pieces;
         self.end = self.journal.parts.last().map_or(0, |p| p.end);
@@ -193,7 +195,7 @@ impl ResumableFile {
                     self.journal.parts.push(self.open_part());
                 }
                 self.journal.is_complete = true;
-                self.journal.replace(&self.places, true)?;
+                self.journal.replace(self.claim.places(), true)?;
             }
             Ok(())
         };
@@ -205,31 +207,27 @@ impl ResumableFile {
     /// # Errors
     /// The operating system refuses; the target is then what it was.
     pub(crate) fn commit(&mut self) -> Result<Finished> {
-        fs::rename(&self.places.part, &self.places.target).map_err(|e| self.failed(&e))?;
-        self.leave = true;
-        let finished = Finished { places: self.places.clone(), leave: false };
-        sync_folder(folder_of(&self.places.target)).map_err(|e| self.failed(&e))?;
+        self.claim.put_in_place().map_err(|e| self.failed(&e))?;
+        let finished = Finished { places: self.claim.places().clone(), leave: false };
+        sync_folder(folder_of(&finished.places.target)).map_err(|e| self.failed(&e))?;
         Ok(finished)
     }
 
     /// Leaves the recorded parts to a later call, if there are any.
     pub(crate) fn keep(mut self) {
-        if self.leave {
-            return;
-        }
         // What could not be recorded is not kept.
         let _ = self.recorder.finish();
-        let Some(Some(journal)) = Journal::read(&self.places) else { return };
+        let Some(Some(journal)) = Journal::read(self.claim.places()) else { return };
         if let Some(last) = journal.parts.last() {
             // The rest may be what fills the disk. If it cannot be cut off, it is when the file is gone on with.
             let _ = self.file.file().set_len(last.end);
-            let _ = remove(&self.places.new_journal);
-            self.leave = true;
+            let _ = remove(&self.claim.places().new_journal);
+            self.claim.keep();
         }
     }
 
     fn failed(&self, error: &io::Error) -> Error {
-        Error::io("write", &self.places.path, error)
+        self.claim.failed(error)
     }
 }
 
@@ -254,13 +252,8 @@ impl Output for ResumableFile {
 
 impl Drop for ResumableFile {
     fn drop(&mut self) {
-        // First, as it writes the journal.
+        // First, as it writes the journal; what is left goes with the claim.
         let _ = self.recorder.finish();
-        if !self.leave {
-            // While it is locked.
-            self.places.remove_journal();
-            let _ = fs::remove_file(&self.places.part);
-        }
     }
 }
 
@@ -329,7 +322,7 @@ fn good_parts(mut file: &File, parts: &[Part], progress: &dyn Progress) -> Resul
 /// Bytes of the file `path` that the disk holds already: what is there of its part file, and with `resume` the file itself,
 /// if an earlier call finished it.
 pub(crate) fn bytes_there(path: &Path, resume: bool) -> u64 {
-    let Ok(places) = Places::of(path) else { return 0 };
+    let Ok(places) = Places::of_file(path) else { return 0 };
     let len = |path: &Path| fs::metadata(path).map_or(0, |m| m.len());
     match fs::metadata(&places.part) {
         Ok(part) => part.len(),
@@ -342,106 +335,7 @@ pub(crate) fn bytes_there(path: &Path, resume: bool) -> u64 {
 
 /// Whether an earlier call left something of the file `path`.
 pub(crate) fn is_left(path: &Path) -> bool {
-    Places::of(path).is_ok_and(|places| places.journal.exists())
-}
-
-/// The files that belong to an output.
-#[derive(Debug, Clone)]
-struct Places {
-    /// What the caller calls the output.
-    path: PathBuf,
-    /// The file that is created or replaced: `path` itself, unless that is a link.
-    target: PathBuf,
-    part: PathBuf,
-    journal: PathBuf,
-    new_journal: PathBuf,
-}
-
-impl Places {
-    fn of(path: &Path) -> Result<Self> {
-        let target = regular_target(path)?;
-        let name = target.file_name().unwrap_or_default();
-        let beside = |suffix: &str| {
-            let mut hidden = OsString::from(".simod-");
-            if name.len() > LONGEST_NAME {
-                hidden.push(format!("{:032x}", xxh3_128(name.as_encoded_bytes())));
-            } else {
-                hidden.push(name);
-            }
-            hidden.push(suffix);
-            target.with_file_name(hidden)
-        };
-        Ok(Self {
-            path: path.to_owned(),
-            part: beside(".part"),
-            journal: beside(".journal"),
-            new_journal: beside(".journal.new"),
-            target,
-        })
-    }
-
-    /// Opens the part file for this process alone.
-    fn lock(&self) -> Result<File> {
-        const ATTEMPTS: usize = 100;
-        let failed = |e: io::Error| Error::io("write", &self.path, &e);
-        for _ in 0..ATTEMPTS {
-            // Not through a link that somebody else put there.
-            if fs::symlink_metadata(&self.part).is_ok_and(|meta| !meta.is_file()) {
-                return Err(Error::new(
-                    ErrorKind::Argument,
-                    format!("cannot write {}: {} is in the way", self.path.display(), self.part.display()),
-                    "remove it",
-                ));
-            }
-            let mut options = OpenOptions::new();
-            options.read(true).write(true).create(true).truncate(false);
-            let file = options.open(&self.part).map_err(failed)?;
-            // Where the file system knows no locks, there are none.
-            if let Err(TryLockError::WouldBlock) = file.try_lock() {
-                break;
-            }
-            // Whoever had it before may have renamed or removed it meanwhile.
-            if is_file_at(&file, &self.part) {
-                return Ok(file);
-            }
-        }
-        Err(Error::new(
-            ErrorKind::Argument,
-            format!("{} is being written by another process", self.path.display()),
-            "wait until it is done, or write to another file",
-        ))
-    }
-
-    fn remove_journal(&self) {
-        // If it cannot be removed, the next call takes it for what it is: a journal without its part.
-        let _ = remove(&self.journal);
-        let _ = remove(&self.new_journal);
-    }
-}
-
-/// Removes a file, which need not be there.
-fn remove(path: &Path) -> io::Result<()> {
-    match fs::remove_file(path) {
-        Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
-        _ => Ok(()),
-    }
-}
-
-/// Whether an open file is the one of this name.
-fn is_file_at(file: &File, path: &Path) -> bool {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::MetadataExt;
-        let identity = |meta: &fs::Metadata| (meta.dev(), meta.ino());
-        let (open, named) = (file.metadata(), fs::symlink_metadata(path));
-        matches!((open, named), (Ok(a), Ok(b)) if identity(&a) == identity(&b))
-    }
-    #[cfg(not(unix))]
-    {
-        // Nothing renames or removes an open file there.
-        let _ = (file, path);
-        true
-    }
+    Places::of_file(path).is_ok_and(|places| places.journal.exists())
 }
 
 /// What is known to be on the disk.
@@ -508,13 +402,21 @@ impl Journal {
 
     /// The journal in its place, if there is one; `Some(None)` if it is damaged.
     fn read(places: &Places) -> Option<Option<Self>> {
-        let bytes = fs::read(&places.journal).ok()?;
+        // Not through a link that somebody else put there.
+        let file = open_at_once(&places.journal, false).ok()?;
+        let mut bytes = Vec::new();
+        if !file.metadata().is_ok_and(|is| is.is_file())
+            || file.take(LONGEST).read_to_end(&mut bytes).is_err()
+        {
+            return Some(None);
+        }
         Some(std::str::from_utf8(&bytes).ok().and_then(Self::decode))
     }
 
     /// Puts the journal in its place, at once; if it is to last through a power failure, by way of the disk.
     fn replace(&self, places: &Places, sync: bool) -> io::Result<()> {
-        let mut file = File::create(&places.new_journal)?;
+        remove(&places.new_journal)?;
+        let mut file = OpenOptions::new().write(true).create_new(true).open(&places.new_journal)?;
         file.write_all(self.encode().as_bytes())?;
         if sync {
             file.sync_data()?;
@@ -532,9 +434,8 @@ struct Recorder {
 }
 
 impl Recorder {
-    fn new(file: &File, places: &Places) -> Result<Self> {
-        let file = file.try_clone().map_err(|e| Error::io("write", &places.path, &e))?;
-        Ok(Self { idle: Some((file, places.clone())), busy: None })
+    fn new(file: File, places: Places) -> Self {
+        Self { idle: Some((file, places)), busy: None }
     }
 
     /// Records what is written up to now. An earlier failure is told here, or in [`finish`](Self::finish).

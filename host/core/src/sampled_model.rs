@@ -8,8 +8,10 @@ use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3Default;
 
+use crate::claim::Claim;
 use crate::frame::Frame;
 use crate::geometry::Bounds;
+use crate::input::{self, Identity};
 use crate::model::{self, FaceChunk, Model, Scalar, VertexChunk};
 use crate::output_folder::OutputFolder;
 use crate::refinement::Refinement;
@@ -28,11 +30,33 @@ pub const BINDING: &str = "binding.bin";
 /// The file with the cells: see [`KeptCells`].
 const CELLS: &str = "cells.bin";
 
+/// What describes the folder.
+const DESCRIPTION: &str = "simod.toml";
+
+/// P_S as a file.
+const SAMPLES: &str = "samples.ply";
+
+/// All files of a folder.
+pub(crate) const OWN_FILES: [&str; 4] = [DESCRIPTION, SAMPLES, CELLS, BINDING];
+
+/// Longest description: each refinement adds a few hundred bytes.
+const LONGEST_DESCRIPTION: u64 = 64 << 20;
+
+/// Longest file of cells.
+const LONGEST_CELLS: u64 = 16 << 30;
+
+/// How far from the middle of the model a deformed sample may be, in local units: the model's size, about.
+const FARTHEST: f32 = 1e12;
+
+/// Most samples that are read: they are held, with some hundred bytes each.
+const MOST_SAMPLES: u64 = 1 << 29;
+
 /// The model that was sampled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Source {
     /// The file; in `simod.toml` relative to the folder.
+    #[serde(with = "any_path")]
     pub path: PathBuf,
     /// Its size.
     pub bytes: u64,
@@ -70,6 +94,44 @@ impl Source {
 /// Processor time per vertex in random order over that in a coherent one: 2 million vertices with normals, 100 000
 /// samples, vectors of 8 to 16.
 const TIMES: u32 = 10;
+
+/// Paths in files: text where they are, and bytes where not, as systems allow.
+mod any_path {
+    use std::path::{Path, PathBuf};
+
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    #[derive(Serialize, Deserialize)]
+    #[serde(untagged)]
+    enum Written {
+        Text(PathBuf),
+        Bytes(Vec<u8>),
+    }
+
+    pub fn serialize<S: Serializer>(path: &Path, to: S) -> Result<S::Ok, S::Error> {
+        #[cfg(unix)]
+        if path.to_str().is_none() {
+            use std::os::unix::ffi::OsStrExt;
+            return Written::Bytes(path.as_os_str().as_bytes().to_vec()).serialize(to);
+        }
+        path.serialize(to)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<PathBuf, D::Error> {
+        Ok(match Written::deserialize(from)? {
+            Written::Text(path) => path,
+            #[cfg(unix)]
+            Written::Bytes(bytes) => {
+                use std::os::unix::ffi::OsStringExt;
+                std::ffi::OsString::from_vec(bytes).into()
+            }
+            #[cfg(not(unix))]
+            Written::Bytes(_) => {
+                return Err(serde::de::Error::custom("the model's name is none on this system"));
+            }
+        })
+    }
+}
 
 /// P_S with its source.
 pub struct SampledModel {
@@ -220,10 +282,26 @@ impl SampledModel {
     /// # Errors
     /// The folder cannot be written, or something else is there.
     pub fn save(&self, folder: &Path) -> Result<()> {
+        self.save_in(Self::begin(folder)?)
+    }
+
+    /// Begins the folder that a sampled model will be [saved in](Self::save_in), so that nobody else writes it meanwhile.
+    ///
+    /// # Errors
+    /// As of [`save`](Self::save), or another process writes it.
+    pub fn begin(folder: &Path) -> Result<OutputFolder> {
         Self::check_target(folder)?;
-        let new = OutputFolder::create(folder)?;
+        OutputFolder::create(folder)
+    }
+
+    /// As [`save`](Self::save), to a folder that was begun before.
+    ///
+    /// # Errors
+    /// As of [`save`](Self::save).
+    pub fn save_in(&self, new: OutputFolder) -> Result<()> {
+        let folder = new.target();
         let named = |e: Error| new.named(&e);
-        let points = new.path().join("samples.ply");
+        let points = new.path().join(SAMPLES);
         let normals =
             if self.sampling.skip.normals { self.samples.known_normals() } else { self.samples.normals() };
         self.write_points(&points, &self.samples.positions, normals).map_err(named)?;
@@ -258,11 +336,13 @@ impl SampledModel {
         let text = toml::to_string(&description).map_err(|e| {
             Error::new(ErrorKind::Io, format!("cannot describe the samples: {e}"), "report this")
         })?;
-        output::write_file(&new.path().join("simod.toml"), text.as_bytes()).map_err(named)?;
+        output::write_file(&new.path().join(DESCRIPTION), text.as_bytes()).map_err(named)?;
         if let Some(kept) = &self.kept {
             let bytes = kept.encode(&description.samples_fingerprint)?;
             output::write_file(&new.path().join(CELLS), &bytes).map_err(named)?;
         }
+        // What came there meanwhile is not lost.
+        Self::check_target(folder)?;
         new.commit()
     }
 
@@ -284,14 +364,14 @@ impl SampledModel {
                 Err(failed(std::io::ErrorKind::NotADirectory.into()))
             };
         }
-        if !folder.join("simod.toml").is_file() {
+        if !Self::is_at(folder) {
             return refused("exists and is no sampled model".to_owned());
         }
         // What is replaced is removed: nothing of the user's own.
         let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
         let foreign = |name: &std::ffi::OsStr| {
             let left = name.to_str().is_some_and(|n| n.starts_with(".simod-") && n.ends_with(".part"));
-            name != "simod.toml" && name != "samples.ply" && name != CELLS && name != BINDING && !left
+            !OWN_FILES.iter().any(|own| name == *own) && !left
         };
         match entries.flatten().map(|e| e.file_name()).find(|name| foreign(name)) {
             Some(name) => refused(format!("holds {} beside the samples", name.display())),
@@ -299,20 +379,25 @@ impl SampledModel {
         }
     }
 
+    /// Whether there is a folder of a sampled model, as far as its names tell.
+    pub(crate) fn is_at(folder: &Path) -> bool {
+        folder.join(DESCRIPTION).is_file()
+    }
+
     /// Reads a folder.
     ///
     /// # Errors
     /// The folder is no sampled model, is of a version that is not known, or its files do not fit each other.
     pub fn load(folder: &Path) -> Result<Self> {
-        let file = folder.join("simod.toml");
-        let text = std::fs::read_to_string(&file).map_err(|e| match e.kind() {
-            std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory => Error::new(
+        let file = folder.join(DESCRIPTION);
+        if !file.exists() {
+            return Err(Error::new(
                 ErrorKind::Argument,
-                format!("{} is no sampled model: it has no simod.toml", folder.display()),
+                format!("{} is no sampled model: it has no {DESCRIPTION}", folder.display()),
                 "give the folder that `simod sample` wrote",
-            ),
-            _ => Error::io("read", &file, &e),
-        })?;
+            ));
+        }
+        let text = input::read_text(&file, LONGEST_DESCRIPTION)?;
         let damaged = |what: String| {
             Error::new(
                 ErrorKind::Format,
@@ -335,7 +420,7 @@ impl SampledModel {
             "double" => Scalar::F64,
             other => return Err(damaged(format!("position-type is {other:?}, not \"float\" or \"double\""))),
         };
-        let samples = folder.join("samples.ply");
+        let samples = folder.join(SAMPLES);
         if file_fingerprint(&samples)? != description.samples_fingerprint {
             return Err(Error::new(
                 ErrorKind::Mismatch,
@@ -374,7 +459,8 @@ impl SampledModel {
             bounds,
             frame,
             position_type,
-            samples: SampleSet::new(positions.iter().map(|p| frame.to_local(*p)).collect(), normals)?,
+            samples: SampleSet::new(positions.iter().map(|p| frame.to_local(*p)).collect(), normals)
+                .map_err(|e| Error::new(e.kind(), format!("{}: {e}", samples.display()), e.hint()))?,
             refinements: description.refinement,
             triangles,
             faces_without_vertex: 0,
@@ -400,9 +486,13 @@ impl SampledModel {
                 "sample the model again, without --skip cells",
             ));
         };
-        let Source { vertices, non_finite, bytes, .. } = self.source;
-        kept.check(vertices - non_finite.min(vertices), vertices, bytes, self.samples.len())?;
+        self.check_cells(kept)?;
         Ok(kept)
+    }
+
+    fn check_cells(&self, kept: &KeptCells) -> Result<()> {
+        let Source { vertices, non_finite, bytes, .. } = self.source;
+        kept.check(vertices - non_finite.min(vertices), vertices, bytes, self.samples.len())
     }
 
     /// Holds cells in memory, as [`cells`](Self::cells) has read them: to be refined, or saved with the samples.
@@ -422,7 +512,7 @@ impl SampledModel {
         elsewhere: Option<&Path>,
         progress: &dyn Progress,
     ) -> Result<KeptCells> {
-        if let Some(kept) = Self::kept_cells(folder) {
+        if let Some(kept) = Self::kept_cells(folder).filter(|kept| self.check_cells(kept).is_ok()) {
             return Ok(kept);
         }
         if !self.refinements.is_empty() {
@@ -447,15 +537,24 @@ impl SampledModel {
                 "sample the model again",
             ));
         };
-        let samples_fingerprint = file_fingerprint(&folder.join("samples.ply"))?;
-        output::write_file(&folder.join(CELLS), &kept.encode(&samples_fingerprint)?)?;
+        self.keep_cells(folder, &kept)?;
         Ok(kept)
+    }
+
+    /// Puts the cells into the folder, unless another process is writing it, or has.
+    fn keep_cells(&self, folder: &Path, kept: &KeptCells) -> Result<()> {
+        let Ok(_claim) = Claim::folder(folder) else { return Ok(()) };
+        let samples = file_fingerprint(&folder.join(SAMPLES))?;
+        if Self::load(folder)?.samples.positions != self.samples.positions {
+            return Ok(());
+        }
+        output::write_file(&folder.join(CELLS), &kept.encode(&samples)?)
     }
 
     /// The cells in a folder, if their file is there, whole, and of the samples there.
     pub fn kept_cells(folder: &Path) -> Option<KeptCells> {
-        let (of, kept) = KeptCells::decode(&std::fs::read(folder.join(CELLS)).ok()?).ok()?;
-        (of == file_fingerprint(&folder.join("samples.ply")).ok()?).then_some(kept)
+        let (of, kept) = KeptCells::decode(&input::read(&folder.join(CELLS), LONGEST_CELLS).ok()?).ok()?;
+        (of == file_fingerprint(&folder.join(SAMPLES)).ok()?).then_some(kept)
     }
 
     /// Opens the model that was sampled, or `elsewhere` if it was moved.
@@ -565,6 +664,18 @@ impl SampledModel {
                 "mend the deformation: every sample needs a finite position",
             ));
         }
+        // Squares of lengths have to be numbers, too.
+        if let Some(i) = local.iter().position(|p| p.abs().max_element() > FARTHEST) {
+            return Err(Error::new(
+                ErrorKind::Degenerate,
+                format!(
+                    "{}: sample {i} is at {}, too far from the model to go on",
+                    path.display(),
+                    positions[i]
+                ),
+                "mend the deformation: no sample can be a trillion times the model's size away",
+            ));
+        }
         Ok(local)
     }
 }
@@ -572,7 +683,7 @@ impl SampledModel {
 /// Hash of a whole file.
 fn file_fingerprint(path: &Path) -> Result<String> {
     let failed = |e: std::io::Error| Error::io("read", path, &e);
-    let mut file = std::fs::File::open(path).map_err(failed)?;
+    let mut file = input::open(path)?;
     let (mut hash, mut block) = (Xxh3Default::new(), vec![0; 1 << 16]);
     loop {
         match file.read(&mut block).map_err(failed)? {
@@ -589,7 +700,7 @@ pub(crate) fn fingerprint(hash: u128) -> String {
 
 /// Whether both paths lead to the same file.
 pub(crate) fn same_file(a: &Path, b: &Path) -> bool {
-    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+    Identity::of(a).is_some_and(|a| Some(a) == Identity::of(b))
 }
 
 /// Reads P_S whole.
@@ -608,6 +719,17 @@ fn read_samples(path: &Path) -> Result<(Vec<DVec3>, Vec<Vec3>, Vec<[u32; 3]>)> {
 /// Reads a point set whole. For P_S and P_S* only, which fit in memory.
 fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<Vec3>)> {
     let model = model::open(path)?;
+    if model.info().vertices > MOST_SAMPLES {
+        return Err(Error::new(
+            ErrorKind::Format,
+            format!(
+                "{} has {} vertices, and samples are {MOST_SAMPLES} at most",
+                path.display(),
+                model.info().vertices
+            ),
+            "give a file of samples, not the model",
+        ));
+    }
     let (mut positions, mut normals) = (Vec::new(), Vec::new());
     let mut reader = model.vertices(0..model.info().vertices)?;
     let mut chunk = VertexChunk::default();

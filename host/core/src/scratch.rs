@@ -54,7 +54,9 @@ impl Scratch {
 }
 
 fn refused(action: &str, folder: &Path, advice: &str, e: &std::io::Error) -> Error {
-    let what = Error::io(&format!("{action} a temporary file in"), folder, e);
+    // Where it is, also where it was called `.`.
+    let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    let what = Error::io(&format!("{action} a temporary file in"), &folder, e);
     let hint = format!("{}; or {advice}", what.hint());
     Error::new(what.kind(), what.to_string(), hint)
 }

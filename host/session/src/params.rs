@@ -4,10 +4,13 @@ use crate::deformer::{Plugin, limits};
 use glam::DVec3;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
-use simod_core::{Error, ErrorKind, Result};
+use simod_core::{Error, ErrorKind, Result, input};
 use simod_plugin_api::{ChoiceDesc, Curve, Descriptor, Param, ParamDesc, ParamKind, Unit};
 use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
+
+/// Longest file that a plugin is given: it may read all of it.
+const LONGEST_FILE: u64 = 1 << 30;
 
 /// A parameter's value, of the kind that its description asks for.
 #[derive(Debug, Clone, PartialEq)]
@@ -321,12 +324,11 @@ fn file(d: &ParamDesc, folder: &Path, path: &str) -> std::result::Result<ParamVa
     let here = |e: std::io::Error| {
         (format!("parameter `{id}`: cannot read {}: {e}", full.display()), "check the path".to_owned())
     };
-    let meta = std::fs::File::open(&full).and_then(|file| file.metadata()).map_err(here)?;
-    if !meta.is_file() {
-        return Err((
-            format!("parameter `{id}`: {} is no file", full.display()),
-            "check the path".to_owned(),
-        ));
+    let told = |e: Error| (format!("parameter `{id}`: {e}"), e.hint().to_owned());
+    let opened = input::open(&full).map_err(told)?;
+    if opened.metadata().map_err(here)?.len() > LONGEST_FILE {
+        let what = format!("parameter `{id}`: {} has more than 1 GiB", full.display());
+        return Err((what, "give a smaller file".to_owned()));
     }
     let full = full.canonicalize().map_err(here)?;
     if full.to_str().is_none() {
@@ -582,7 +584,7 @@ mod tests {
         told("tint = [1, 2, 0]", "not from 0 to 1", "from 0 to 1");
         told("falloff = [[0, 1]]", "less than two", "at least two points");
         told("falloff = [[0.5, 1], [0.2, 0]]", "left to right", "whose x ascend");
-        told("weights = \"nowhere.toml\"", "cannot read nowhere.toml", "check the path");
+        told("weights = \"nowhere.toml\"", "cannot open nowhere.toml", "check the path");
         told("weights = \"x.png\"", "not a file of a type", ".rs, .toml");
     }
 

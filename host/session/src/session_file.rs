@@ -7,13 +7,13 @@ use crate::side_file;
 use crate::strokes_file;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
+use simod_core::input;
+use simod_core::output::{canonical_target, folder_of};
 use simod_core::refinement::Finer;
 use simod_core::{Error, ErrorKind, Result};
-use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{ErrorKind as ErrorOfIo, Read};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 use toml::Spanned;
 
@@ -36,6 +36,8 @@ pub struct SessionFile {
     pub steps: Vec<Step>,
     /// Where the deformed model goes.
     pub output: Option<PathBuf>,
+    /// The same as it stands in the file, if this was read from one.
+    pub named_output: Option<PathBuf>,
 }
 
 /// How finely to sample. At most one of `samples` and `error` is given.
@@ -400,6 +402,35 @@ impl SessionFile {
         Self::parse(&text, path)
     }
 
+    /// Where the session itself says that the deformed model goes: beside it, or in a folder beside it. `path` is the session's. A
+    /// session may be a stranger's, who has no say about other folders.
+    ///
+    /// # Errors
+    /// It does not say so, or names another place.
+    pub fn output_beside(&self, path: &Path) -> Result<&Path> {
+        let Some(output) = self.output.as_deref() else {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("{} does not say where the result goes", path.display()),
+                "add [output] path = \"…\" to the session, or give -o FILE",
+            ));
+        };
+        let folder = folder_of(path);
+        // By what it says and, through links, in fact.
+        let is_plain = |part| matches!(part, Component::Normal(_) | Component::CurDir);
+        if self.named_output.as_deref().is_some_and(|named| named.components().all(is_plain)) {
+            let target = canonical_target(output)?;
+            if folder.canonicalize().is_ok_and(|folder| target.starts_with(folder)) {
+                return Ok(output);
+            }
+        }
+        Err(Error::new(
+            ErrorKind::Argument,
+            format!("{} would have its result written to {}", path.display(), output.display()),
+            "a session by itself writes beside itself alone: say with -o FILE where the result goes",
+        ))
+    }
+
     /// Reads a session from its text; `path` is where it came from.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let source = Source { text, path };
@@ -419,26 +450,47 @@ impl SessionFile {
             model: raw.model.map(|m| folder.join(m.path)),
             sampling,
             steps: raw.step.into_iter().map(|s| source.step(s)).collect::<Result<_>>()?,
-            output: raw.output.map(|o| folder.join(o.path)),
+            output: raw.output.as_ref().map(|o| folder.join(&o.path)),
+            named_output: raw.output.map(|o| o.path),
         })
     }
 }
 
 /// The text of a small file; `what` it should be, and what to give, for errors.
 pub(crate) fn read_text(path: &Path, what: &str, hint: &str) -> Result<String> {
-    let mut text = String::new();
-    let read = File::open(path).and_then(|file| file.take(LARGEST).read_to_string(&mut text));
-    let read =
-        read.and_then(|n| if n as u64 == LARGEST { Err(ErrorOfIo::InvalidData.into()) } else { Ok(()) });
-    read.map_err(|e| match e.kind() {
-        ErrorOfIo::InvalidData => Error::new(
+    input::read_text(path, LARGEST).map_err(|e| match e.kind() {
+        ErrorKind::Format => Error::new(
             ErrorKind::Format,
             format!("{} is no {what}: not UTF-8 text, or too long", path.display()),
             hint,
         ),
-        _ => Error::io(&format!("read the {what}"), path, &e),
-    })?;
-    Ok(text)
+        _ => e,
+    })
+}
+
+/// All files that a session, or a file of methods, names to be read: the model, strokes, selections, files among
+/// parameters. What is missing is told when it is needed.
+///
+/// # Errors
+/// The file itself cannot be read.
+pub fn inputs(path: &Path) -> Result<Vec<PathBuf>> {
+    fn texts(value: &toml::Value, found: &mut dyn FnMut(&str)) {
+        match value {
+            toml::Value::String(text) => found(text),
+            toml::Value::Array(all) => all.iter().for_each(|value| texts(value, found)),
+            toml::Value::Table(all) => all.values().for_each(|value| texts(value, found)),
+            _ => {}
+        }
+    }
+    let text = read_text(path, "session", "give a session file (session.toml), not a model")?;
+    let Ok(mut table) = text.parse::<toml::Table>() else { return Ok(Vec::new()) };
+    table.remove("output");
+    let (folder, mut files) = (path.parent().unwrap_or(Path::new("")), Vec::new());
+    // Which of them name files is known to the plugins alone: those that there are.
+    texts(&toml::Value::Table(table), &mut |text| {
+        files.extend(Some(folder.join(text)).filter(|path| !text.is_empty() && path.is_file()));
+    });
+    Ok(files)
 }
 
 /// The file, for errors that say where.
@@ -601,50 +653,56 @@ impl Source<'_> {
         })
     }
 
-    /// The joints, each after the one that it hangs on.
+    /// The joints, each after the one that it hangs on: those that hang on none first, and then what hangs on these.
     fn joints(&self, raw: Vec<Spanned<Joint>>) -> Result<Vec<Joint>> {
-        let mut joints: Vec<Joint> = Vec::with_capacity(raw.len());
-        let mut waiting = raw;
-        while !waiting.is_empty() {
-            let before = joints.len();
-            let is_ready = |j: &Spanned<Joint>, joints: &[Joint]| match &j.get_ref().parent {
-                Some(parent) => joints.iter().any(|known| known.id == *parent),
-                None => true,
-            };
-            let (ready, rest): (Vec<_>, Vec<_>) = waiting.into_iter().partition(|j| is_ready(j, &joints));
-            if let (true, Some(first)) = (ready.is_empty(), rest.first()) {
-                let joint = first.get_ref();
-                let parent = joint.parent.as_deref().unwrap_or_default();
-                let what =
-                    format!("joint `{}` hangs on `{parent}`, which is no joint or hangs on it", joint.id);
-                return Err(self.error(
-                    &first.span(),
-                    &what,
-                    "name another joint of the step as its `parent`",
-                ));
+        let mut numbers: HashMap<String, usize> = HashMap::with_capacity(raw.len());
+        for (number, joint) in raw.iter().enumerate() {
+            let (span, joint) = (joint.span(), joint.get_ref());
+            self.check_id(&span, &joint.id, numbers.contains_key(&joint.id))?;
+            if !joint.at.is_finite() {
+                let what = "a joint has a coordinate that is no finite number";
+                return Err(self.error(&span, what, "correct the joint"));
             }
-            for joint in ready {
-                let span = joint.span();
-                let joint = joint.into_inner();
-                self.check_id(&span, &joint.id, joints.iter().map(|j| &j.id))?;
-                if !joint.at.is_finite() {
-                    let what = "a joint has a coordinate that is no finite number";
-                    return Err(self.error(&span, what, "correct the joint"));
-                }
-                joints.push(joint);
-            }
-            debug_assert!(joints.len() > before);
-            waiting = rest;
+            numbers.insert(joint.id.clone(), number);
         }
-        Ok(joints)
+        // Number of joints that each one hangs on; 0 where that is not known yet.
+        let mut depths = vec![0usize; raw.len()];
+        for first in 0..raw.len() {
+            let (mut above, mut joint) = (Vec::new(), first);
+            let depth = loop {
+                if depths[joint] > 0 {
+                    break depths[joint];
+                }
+                above.push(joint);
+                let Some(parent) = &raw[joint].get_ref().parent else { break 0 };
+                // A way that is longer than there are joints goes round.
+                match numbers.get(parent).filter(|_| above.len() <= raw.len()) {
+                    Some(number) => joint = *number,
+                    None => {
+                        let Joint { id, parent, .. } = raw[first].get_ref();
+                        let parent = parent.as_deref().unwrap_or_default();
+                        let what =
+                            format!("joint `{id}` hangs on `{parent}`, which is no joint or hangs on it");
+                        let hint = "name another joint of the step as its `parent`";
+                        return Err(self.error(&raw[first].span(), &what, hint));
+                    }
+                }
+            };
+            above.iter().rev().zip(depth + 1..).for_each(|(joint, depth)| depths[*joint] = depth);
+        }
+        let mut joints: Vec<(usize, Joint)> =
+            depths.into_iter().zip(raw.into_iter().map(Spanned::into_inner)).collect();
+        joints.sort_by_key(|(depth, _)| *depth);
+        Ok(joints.into_iter().map(|(_, joint)| joint).collect())
     }
 
     fn handles(&self, raw: Vec<Spanned<RawHandle>>) -> Result<Vec<HandleMove>> {
         let mut handles: Vec<HandleMove> = Vec::with_capacity(raw.len());
+        let mut known = HashSet::new();
         for handle in raw {
             let span = handle.span();
             let RawHandle { id, r#move } = handle.into_inner();
-            self.check_id(&span, &id, handles.iter().map(|h| &h.id))?;
+            self.check_id(&span, &id, !known.insert(id.clone()))?;
             let motion = *r#move.get_ref();
             if let Some(what) = motion.defect() {
                 return Err(self.error(&r#move.span(), what, "correct the move"));
@@ -655,16 +713,11 @@ impl Source<'_> {
     }
 
     /// Ids are words, each given once.
-    fn check_id<'b>(
-        &self,
-        span: &Range<usize>,
-        id: &str,
-        mut others: impl Iterator<Item = &'b String>,
-    ) -> Result<()> {
+    fn check_id(&self, span: &Range<usize>, id: &str, is_known: bool) -> Result<()> {
         if id.is_empty() || id.contains(char::is_whitespace) {
             return Err(self.error(span, "an `id` is empty or has white space", "give it one word"));
         }
-        if others.any(|other| other == id) {
+        if is_known {
             let what = format!("`{id}` is there twice");
             return Err(self.error(span, &what, "remove one of both, or give it another id"));
         }

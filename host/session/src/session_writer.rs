@@ -334,6 +334,7 @@ mod tests {
                 ),
             ],
             output: Some(folder.join("out.ply")),
+            named_output: Some("out.ply".into()),
         }
     }
 

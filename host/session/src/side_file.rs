@@ -6,12 +6,15 @@
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use simod_core::{Error, ErrorKind, Result, output};
+use simod_core::{Error, ErrorKind, Result, input, output};
 use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::xxh3_128;
 
 /// Points beyond which something goes to a file of its own.
 pub const MOST_IN_SESSION: usize = 1000;
+
+/// Longest file: 40 million points.
+const LONGEST: u64 = 1 << 30;
 
 /// Digits of the hash in a file's name.
 const HASH: usize = 12;
@@ -60,7 +63,7 @@ pub fn write(session: &Path, kind: Kind, content: &impl Serialize) -> Result<Ref
     let short = fingerprint.rsplit(':').next().and_then(|hex| hex.get(..HASH)).unwrap_or_default();
     let file = PathBuf::from(format!("{stem}-{short}.{extension}"));
     let path = output::folder_of(session).join(&file);
-    if std::fs::read(&path).ok().as_deref() != Some(&bytes) {
+    if input::read(&path, LONGEST).ok().as_deref() != Some(&bytes) {
         output::write_file(&path, &bytes)?;
     }
     Ok(Reference { file, fingerprint })
@@ -100,7 +103,7 @@ impl Reference {
     ) -> Result<T> {
         let (magic, _, what) = kind.names();
         let path = folder.join(&self.file);
-        let bytes = std::fs::read(&path).map_err(|e| Error::io(&format!("read the {what}"), &path, &e))?;
+        let bytes = input::read(&path, LONGEST)?;
         let refused = |what: &str| {
             let what = format!("{} {what}", path.display());
             Error::new(ErrorKind::Mismatch, what, "put the file that was saved with the session beside it")
@@ -153,7 +156,7 @@ mod tests {
             let empty = [magic, &[0]].concat();
             assert!(spoil(&empty, &fingerprint(&empty)).contains("is wrong: none"));
             std::fs::remove_file(&path).unwrap();
-            assert!(read(&reference).unwrap_err().to_string().contains(&format!("cannot read the {what}")));
+            assert!(read(&reference).unwrap_err().to_string().contains(reference.file.to_str().unwrap()));
         }
     }
 }

@@ -7,8 +7,8 @@ use glam::DVec3;
 use simod_plugin_api::{Joint as GivenJoint, PluginError, PluginResult};
 use std::path::Path;
 
-/// Joints are numbered in 16 bits where samples are bound to them.
-const MOST_JOINTS: usize = 1 << 15;
+/// Each joint's distances are found by themselves, so that more would take long. They are numbered in 16 bits.
+const MOST_JOINTS: usize = 1 << 12;
 /// Bones below this part of the skeleton's size have no direction.
 const SHORTEST: f64 = 1e-9;
 

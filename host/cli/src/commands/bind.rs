@@ -3,10 +3,13 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use simod_core::Result;
+use simod_core::claim::Claim;
+use simod_core::guard::Kind;
 use simod_core::reconstruction::bind;
 use simod_core::sampled_model::{BINDING, SampledModel};
+use simod_core::{ErrorKind, Result};
 
+use super::overwrite::Overwrite;
 use crate::report::{Report, count};
 
 /// Find out once who is near whom, for a model that will be reconstructed again and again
@@ -18,13 +21,24 @@ pub struct Bind {
     /// The model that was sampled, if it was moved since
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
 }
 
 impl Bind {
     pub fn execute(self, report: &mut Report) -> Result<()> {
+        // As long as it is bound, its samples stay the same.
+        let _claim = match Claim::folder(&self.sampled) {
+            // Where nothing can be written beside the folder, nobody replaces it.
+            Err(e) if e.kind() == ErrorKind::Io => None,
+            claim => Some(claim?),
+        };
         let sampled = SampledModel::load(&self.sampled)?;
         let model = sampled.open_source(self.model.as_deref())?;
         let path = self.sampled.join(BINDING);
+        let mut guard = self.overwrite.guard();
+        guard.reads_all([model.path(), &sampled.source.path]);
+        guard.writes(&path, Kind::Binding)?;
         let bytes = bind(&sampled, model.as_ref(), &path, report.progress())?;
         report.figure("vertices", model.info().vertices);
         report.figure("samples", sampled.samples.len());

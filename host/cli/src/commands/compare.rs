@@ -4,10 +4,12 @@ use std::path::PathBuf;
 
 use clap::Args;
 use simod_core::Result;
+use simod_core::guard::Guard;
 use simod_session::compare::{self, CompareFile};
+use simod_session::session_file::inputs;
 
 use super::plugin_options::PluginOptions;
-use crate::report::{Report, count};
+use crate::report::{Report, count, duration};
 
 /// Do several methods on one model, and compare what they make of it: a page, figures and pictures
 #[derive(Args)]
@@ -33,17 +35,22 @@ impl Compare {
         let mut file = CompareFile::load(&self.file)?;
         file.model = self.model.unwrap_or(file.model);
         let plugins = self.plugins.discover(report)?;
+        let mut guard = Guard::default();
+        guard.reads_all([&self.file, &file.model]);
+        guard.reads_all(inputs(&self.file)?);
+        guard.reads_all(plugins.files());
+        guard.replaces_folder(&self.output)?;
         let progress = report.progress();
         let comparison = compare::compare(&file, &plugins, self.keep_models, &self.output, progress)?;
         for (method, figures) in comparison.done() {
             let seconds = figures.seconds;
             report.line(format!(
-                "{}: {} samples in {:.2} s, deformed in {:.2} s, reconstructed in {:.2} s",
+                "{}: {} samples in {}, deformed in {}, reconstructed in {}",
                 method.name,
                 count(figures.samples as u64),
-                seconds.sample,
-                seconds.deform,
-                seconds.reconstruct
+                duration(seconds.sample),
+                duration(seconds.deform),
+                duration(seconds.reconstruct)
             ));
         }
         for (method, failure) in comparison.failed() {

@@ -3,12 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use simod_core::guard::Kind;
 use simod_core::output::folder_of;
 use simod_core::sampled_model::SampledModel;
 use simod_core::{Error, ErrorKind, Result};
 use simod_session::edit::Refinements;
+use simod_session::session_file::inputs;
 use simod_session::{SessionFile, Stack, deform};
 
+use super::overwrite::Overwrite;
 use super::plugin_options::PluginOptions;
 use super::{notices, tell};
 use crate::report::{Report, count};
@@ -30,6 +33,8 @@ pub struct Deform {
     #[arg(long, value_name = "DIR")]
     refined: Option<PathBuf>,
     #[command(flatten)]
+    overwrite: Overwrite,
+    #[command(flatten)]
     plugins: PluginOptions,
 }
 
@@ -38,9 +43,20 @@ impl Deform {
         let session = SessionFile::load(&self.session)?;
         let refined = self.refined_folder(&session)?.map(Path::to_owned);
         let plugins = self.plugins.discover(report)?;
+        let mut guard = self.overwrite.guard();
+        guard.reads_all([&self.sampled, &self.session]);
+        guard.reads_all(inputs(&self.session)?);
+        guard.reads_all(plugins.files());
         notices(&plugins, &session.steps, report);
         let stack = Stack::build(&session.steps, &plugins)?;
         let mut sampled = SampledModel::load(&self.sampled)?;
+        guard.reads(&sampled.source.path);
+        guard.writes(&self.output, Kind::Model)?;
+        let begun = refined.as_deref().map(|folder| {
+            guard.replaces_folder(folder)?;
+            SampledModel::begin(folder)
+        });
+        let begun = begun.transpose()?;
         let progress = report.progress();
         let mut how = Refinements::default();
         if let Some(folder) = &refined {
@@ -49,8 +65,8 @@ impl Deform {
         }
         let deformed = deform(sampled, &session.steps, &plugins, how, progress)?;
         let sampled = &deformed.sampled;
-        if let Some(folder) = &refined {
-            sampled.save(folder)?;
+        if let Some(begun) = begun {
+            sampled.save_in(begun)?;
         }
         tell(&deformed.messages, report);
         sampled.write_deformed(&self.output, &deformed.positions, &deformed.normals)?;

@@ -4,12 +4,14 @@ use std::path::PathBuf;
 
 use clap::Args;
 use simod_core::generate::{ModelOptions, write_file};
+use simod_core::guard::Kind;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::render::Image;
 use simod_core::render::picture::{self, Up, View};
 use simod_core::{Error, Result, model, output};
 use simod_session::{Run, SessionFile};
 
+use super::overwrite::Overwrite;
 use super::plugin_options::PluginOptions;
 use super::run::{describe, describe_error};
 use crate::report::{Report, count};
@@ -27,6 +29,8 @@ pub struct Demo {
     /// Number of samples
     #[arg(long, default_value_t = 100_000, value_name = "N")]
     samples: u64,
+    #[command(flatten)]
+    overwrite: Overwrite,
 }
 
 /// The session that the demo does; its number of samples is filled in.
@@ -36,6 +40,15 @@ impl Demo {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         std::fs::create_dir_all(&self.output).map_err(|e| Error::io("create", &self.output, &e))?;
         let file = |name: &str| self.output.join(name);
+        let mut guard = self.overwrite.guard();
+        for (name, kind) in [
+            ("amphora.ply", Kind::Model),
+            ("session.toml", Kind::Session),
+            ("amphora-edited.ply", Kind::Model),
+            ("before-after.png", Kind::Picture),
+        ] {
+            guard.writes(&file(name), kind)?;
+        }
         let plugins = PluginOptions::default().discover(report)?;
         let progress = report.progress();
 

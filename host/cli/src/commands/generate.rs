@@ -6,8 +6,10 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use simod_core::Result;
 use simod_core::generate::{Encoding, ModelOptions, Shape, write_file};
+use simod_core::guard::Kind;
 use simod_core::model::Scalar;
 
+use super::overwrite::Overwrite;
 use crate::report::{Report, count, rate};
 
 /// Write a generated model of any size
@@ -39,6 +41,8 @@ pub struct Generate {
     #[arg(long, value_name = "X,Y,Z", default_value = "0,0,0", hide_default_value = true)]
     #[arg(value_parser = parse_offset, allow_hyphen_values = true)]
     offset: DVec3,
+    #[command(flatten)]
+    overwrite: Overwrite,
 }
 
 fn parse_offset(text: &str) -> std::result::Result<DVec3, String> {
@@ -101,6 +105,7 @@ impl Generate {
             faces: !self.no_faces,
             offset: self.offset,
         };
+        self.overwrite.guard().writes(&self.output, Kind::Model)?;
         let info = write_file(&options, &self.output, report.progress())?;
         report.figure("vertices", info.vertices);
         report.figure("faces", info.faces);

@@ -4,8 +4,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde_json::json;
+use simod_core::geometry::Bounds;
 use simod_core::model::Scalar;
 use simod_core::refinement::Refinement;
+use simod_core::render::picture;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::Target;
 use simod_core::{Result, model};
@@ -28,6 +30,7 @@ impl Info {
     fn model(&self, report: &mut Report) -> Result<()> {
         let model = model::open(&self.path)?;
         model.check_complete(report.progress())?;
+        let bounds = picture::bounds(model.as_ref(), report.progress())?;
         let info = model.info();
         let scalar = scalar_name(info.position_type);
         report.line(format!("{}: {}, {} bytes", self.path.display(), info.format, count(info.bytes)));
@@ -36,6 +39,11 @@ impl Info {
         report.line(format!("{} faces", count(info.faces)));
         if !info.other_properties.is_empty() {
             report.line(format!("further properties: {}", info.other_properties.join(", ")));
+        }
+        if bounds.is_empty() {
+            report.line("no vertex has a finite position");
+        } else {
+            tell_bounds(&bounds, report);
         }
         report.figure("format", info.format.as_str());
         report.figure("vertices", info.vertices);
@@ -78,8 +86,7 @@ impl Info {
                 refinement.places()
             ));
         }
-        let (min, max) = (sampled.bounds.min, sampled.bounds.max);
-        report.line(format!("bounding box {min} to {max}, diagonal {:.6}", sampled.bounds.diagonal()));
+        tell_bounds(&sampled.bounds, report);
         report.figure("vertices", source.vertices);
         report.figure("jumps", source.jumps);
         report.figure("samples", sampled.samples.len());
@@ -93,10 +100,15 @@ impl Info {
         };
         report.figure("refinements", sampled.refinements.iter().map(refinement).collect::<Vec<_>>());
         report.figure("source", source.path.display().to_string());
-        report.figure("bounds", json!([min.to_array(), max.to_array()]));
-        report.figure("diagonal", sampled.bounds.diagonal());
         Ok(())
     }
+}
+
+fn tell_bounds(bounds: &Bounds, report: &mut Report) {
+    let (min, max) = (bounds.min, bounds.max);
+    report.line(format!("bounding box {min} to {max}, diagonal {:.6}", bounds.diagonal()));
+    report.figure("bounds", json!([min.to_array(), max.to_array()]));
+    report.figure("diagonal", bounds.diagonal());
 }
 
 /// As PLY has it.

@@ -6,6 +6,7 @@ pub mod deform;
 pub mod demo;
 pub mod generate;
 pub mod info;
+mod overwrite;
 pub mod plugin;
 mod plugin_check;
 mod plugin_new;

@@ -36,6 +36,11 @@ pub enum Plugin {
 }
 
 impl Plugin {
+    /// Whether it is this program once more, at work for another process of it.
+    pub fn is_worker(&self) -> bool {
+        matches!(self, Self::Serve(_))
+    }
+
     pub fn execute(self, report: &mut Report) -> Result<()> {
         match self {
             Self::List { plugins } => list(&plugins.discover(report)?, report),

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use serde_json::{Value, json};
-use simod_core::{Error, ErrorKind, Progress, Result};
+use simod_core::{Error, ErrorKind, Progress, Result, input};
 use simod_session::check::{self, Finding, RULES, Rule, Verdict};
 
 use super::plugin_options::PluginOptions;
@@ -118,6 +118,8 @@ impl Check {
         if path.extension().is_none() && path.components().count() == 1 && !path.is_file() {
             return Ok(PluginOptions::default().discover(report)?.get(&self.plugin)?.path().to_owned());
         }
+        // A pipe would be waited for.
+        input::open(path)?;
         // The dynamic linker would look for a bare name elsewhere.
         path.canonicalize().map_err(|e| Error::io("read", path, &e))
     }

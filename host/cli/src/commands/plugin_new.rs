@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use simod_core::output::{folder_of, write_file};
+use simod_core::output_folder::OutputFolder;
 use simod_core::{Error, ErrorKind, Result};
 
 use super::plugin_options::PluginOptions;
@@ -244,21 +245,10 @@ fn write_project(folder: &Path, names: &Names, language: Language) -> Result<()>
         let hint = "choose another name, or another place by --path";
         return Err(Error::new(ErrorKind::Argument, what, hint));
     }
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".simod-");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        // As any other new folder: the system takes away what the user's umask says.
-        builder.permissions(fs::Permissions::from_mode(0o777));
-    }
-    let new = builder.tempdir_in(folder_of(folder)).map_err(|e| failed(&e))?;
+    let new = OutputFolder::create(folder)?;
     // What fails is told of the folder that was asked for, not of its temporary name.
     let write = |path: String, text: &str| {
-        write_file(&new.path().join(path), text.as_bytes()).map_err(|e| {
-            let what = e.to_string().replace(&*new.path().to_string_lossy(), &folder.to_string_lossy());
-            Error::new(e.kind(), what, e.hint())
-        })
+        write_file(&new.path().join(path), text.as_bytes()).map_err(|e| new.named(&e))
     };
     for (path, text) in language.files() {
         fs::create_dir_all(folder_of(&new.path().join(&path))).map_err(|e| failed(&e))?;
@@ -268,10 +258,7 @@ fn write_project(folder: &Path, names: &Names, language: Language) -> Result<()>
         // Refused where something came into it meanwhile.
         fs::remove_dir(folder).map_err(|e| failed(&e))?;
     }
-    fs::rename(new.path(), folder).map_err(|e| failed(&e))?;
-    // Moved away: there is nothing to remove under the temporary name.
-    let _ = new.keep();
-    Ok(())
+    new.commit()
 }
 
 #[cfg(test)]

@@ -4,11 +4,13 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use simod_core::Result;
+use simod_core::guard::Kind;
 use simod_core::reconstruction::{
     Folding, Method, Normals, PART_BYTES, Reconstruction, Version, reconstruct,
 };
 use simod_core::sampled_model::{BINDING, SampledModel};
 
+use super::overwrite::Overwrite;
 use super::sample::parse_bytes;
 use super::warn_non_finite;
 use crate::report::{Report, count, rate};
@@ -48,6 +50,8 @@ pub struct Reconstruct {
     /// How much of the model is lost at most when a run is killed; for tests
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes, default_value_t = PART_BYTES, hide = true)]
     part_size: u64,
+    #[command(flatten)]
+    overwrite: Overwrite,
 }
 
 /// What becomes of normals.
@@ -95,6 +99,14 @@ impl Reconstruct {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let paths = versions(&self.deformed, &self.output, self.diagnostics.as_deref())?;
         let sampled = SampledModel::load(&self.sampled)?;
+        let mut guard = self.overwrite.guard();
+        guard.reads(&self.sampled);
+        // That the model itself is kept is seen to where it is streamed.
+        guard.reads_all(self.model.is_some().then_some(&sampled.source.path));
+        guard.reads_all(paths.iter().map(|v| &v.deformed));
+        for path in paths.iter().flat_map(|v| [&v.output].into_iter().chain(&v.diagnostics)) {
+            guard.writes(path, Kind::Model)?;
+        }
         let deformed =
             paths.iter().map(|v| sampled.read_deformed(&v.deformed)).collect::<Result<Vec<_>>>()?;
         let model = sampled.open_source(self.model.as_deref())?;

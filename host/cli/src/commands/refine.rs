@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::{ArgGroup, Args};
 use glam::{DVec3, Vec3};
 use serde_json::json;
+use simod_core::guard::Kind;
 use simod_core::output::folder_of;
 use simod_core::reconstruction::{DeformationField, Method, Surroundings, deformed_normals};
 use simod_core::refinement::{Finer, Refining, Selection, appended_deformed, refine};
@@ -12,6 +13,7 @@ use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_core::{Error, ErrorKind, Result};
 use simod_session::{Shape, Shapes};
 
+use super::overwrite::Overwrite;
 use super::sample::parse_bytes;
 use crate::report::{Report, count};
 
@@ -68,6 +70,8 @@ pub struct Refine {
     /// Memory to stay below, as 500M or 2G [default: a quarter of the machine's, at most 2G]
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     memory_limit: Option<u64>,
+    #[command(flatten)]
+    overwrite: Overwrite,
 }
 
 /// So many numbers with commas between them.
@@ -83,18 +87,23 @@ impl Refine {
         let shapes = self.shapes()?;
         let target = self.into.as_deref().unwrap_or(&self.sampled);
         SampledModel::check_target(target)?;
-        if let (Some(from), Some(to)) = (&self.deformed, &self.output)
-            && matches!((from.canonicalize(), to.canonicalize()), (Ok(a), Ok(b)) if a == b)
-        {
-            return Err(Error::new(
-                ErrorKind::Argument,
-                format!("{} would be overwritten", from.display()),
-                "write the deformed samples of the refined model to another file",
-            ));
-        }
+        // From here on nobody else refines it, or what this one does would be lost.
+        let begun = SampledModel::begin(target)?;
         let mut sampled = SampledModel::load(&self.sampled)?;
         let deformed = self.deformed.as_deref().map(|path| sampled.read_deformed(path)).transpose()?;
         let model = sampled.open_source(self.model.as_deref())?;
+        let mut guard = self.overwrite.guard();
+        guard.reads_all([model.path(), &sampled.source.path]);
+        if self.into.is_some() {
+            // All else that is read may be replaced in place.
+            guard.reads(&self.sampled);
+            guard.replaces_folder(target)?;
+        }
+        guard.reads(&self.sampled);
+        guard.reads_all(&self.deformed);
+        if let Some(output) = &self.output {
+            guard.writes(output, Kind::Model)?;
+        }
         let progress = report.progress();
         sampled.hold_cells(sampled.cells(&self.sampled, self.model.as_deref(), progress)?);
 
@@ -131,7 +140,7 @@ impl Refine {
         let was_bound = self.into.is_none() && self.sampled.join(BINDING).exists();
         if let Some(refined) = refined {
             progress.begin("writing", 0);
-            refined.save(target)?;
+            refined.save_in(begun)?;
         }
 
         let samples = refined.unwrap_or(&sampled).samples.len();

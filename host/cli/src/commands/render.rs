@@ -3,11 +3,13 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use simod_core::guard::Kind;
 use simod_core::render::picture::{self, Up, View};
 use simod_core::render::{FrameFolder, Image};
 use simod_core::sampled_model::SampledModel;
 use simod_core::{Error, ErrorKind, Result, model, output};
 
+use super::overwrite::Overwrite;
 use crate::report::Report;
 
 /// Draw a model, or the samples of a sampled model, as a PNG picture
@@ -34,6 +36,8 @@ pub struct Render {
     /// Size of the picture in pixels
     #[arg(long, default_value = "1000x1000", value_name = "WxH", value_parser = parse_size)]
     size: [u32; 2],
+    #[command(flatten)]
+    overwrite: Overwrite,
 }
 
 /// The model's axis that points up.
@@ -69,6 +73,12 @@ impl Render {
         let view =
             |bounds| View { bounds, yaw: self.yaw, pitch: self.pitch, size: self.size, up: self.up.into() };
         // What is in the way is told before the model is read.
+        let mut guard = self.overwrite.guard();
+        guard.reads(&self.path);
+        match self.turntable {
+            Some(_) => guard.replaces_folder(&self.output)?,
+            None => guard.writes(&self.output, Kind::Picture)?,
+        }
         let mut folder = self.turntable.map(|_| FrameFolder::create(&self.output)).transpose()?;
         let mut take = |image: &Image| match &mut folder {
             Some(folder) => folder.push(image),

@@ -4,11 +4,14 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde_json::json;
+use simod_core::Result;
+use simod_core::guard::Kind;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::reconstruction::transfer_error::TransferError;
-use simod_core::{Error, ErrorKind, Result};
+use simod_session::session_file::inputs;
 use simod_session::{Run as Pipeline, SessionFile};
 
+use super::overwrite::Overwrite;
 use super::plugin_options::PluginOptions;
 use super::reconstruct::{MethodName, NormalsName};
 use super::{notices, tell, warn_non_finite};
@@ -35,6 +38,8 @@ pub struct Run {
     #[arg(long)]
     measure: bool,
     #[command(flatten)]
+    overwrite: Overwrite,
+    #[command(flatten)]
     plugins: PluginOptions,
 }
 
@@ -42,19 +47,22 @@ impl Run {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let mut session = SessionFile::load(&self.session)?;
         session.model = self.model.or(session.model);
-        let output = self.output.or_else(|| session.output.clone()).ok_or_else(|| {
-            Error::new(
-                ErrorKind::Argument,
-                format!("{} does not say where the result goes", self.session.display()),
-                "add [output] path = \"…\" to the session, or give -o FILE",
-            )
-        })?;
+        let output = match self.output {
+            Some(output) => output,
+            None => session.output_beside(&self.session)?.to_owned(),
+        };
         let how = Reconstruction {
             method: self.method.into(),
             normals: self.normals.into(),
             ..Reconstruction::default()
         };
         let plugins = self.plugins.discover(report)?;
+        let mut guard = self.overwrite.guard();
+        guard.reads(&self.session);
+        guard.reads_all(&session.model);
+        guard.reads_all(inputs(&self.session)?);
+        guard.reads_all(plugins.files());
+        guard.writes(&output, Kind::Model)?;
         notices(&plugins, &session.steps, report);
         let progress = report.progress();
         let run = Pipeline::execute(&session, &plugins, &how, self.measure, &output, progress)?;

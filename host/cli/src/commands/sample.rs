@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use simod_core::guard::Guard;
 use simod_core::output::folder_of;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Grouping, Sampling, Skip, Splitting, Target, sample};
@@ -109,11 +110,14 @@ impl SamplingArguments {
 
 impl Sample {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        SampledModel::check_target(&self.output)?;
+        let mut guard = Guard::default();
+        guard.reads(&self.model);
+        guard.replaces_folder(&self.output)?;
+        let begun = SampledModel::begin(&self.output)?;
         let model = model::open(&self.model)?;
         let folder = folder_of(&self.output);
         let sampled = sample(model.as_ref(), &self.sampling.sampling(), folder, report.progress())?;
-        sampled.save(&self.output)?;
+        sampled.save_in(begun)?;
         let vertices = model.info().vertices;
         warn_non_finite(&sampled, report);
         warn_faces(&sampled, report);

@@ -3,9 +3,9 @@
 //! Files are read, never mapped into memory: a mapped file that another program shortens kills the process
 //! (SIGBUS), whereas a read returns an error; and mapped pages count as memory of the process.
 
-use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
+use crate::input;
 use crate::positioned::Positioned;
 use crate::{Error, ErrorKind, Result};
 
@@ -21,19 +21,7 @@ impl Source {
     /// Opens a regular file that is not empty.
     pub(crate) fn open(path: &Path) -> Result<Self> {
         let refused = |e| Error::io("open", path, &e);
-        // Asked before opening: opening a pipe would wait for its other end.
-        let meta = fs::metadata(path).map_err(refused)?;
-        if meta.is_dir() {
-            return Err(refused(std::io::ErrorKind::IsADirectory.into()));
-        }
-        if !meta.is_file() {
-            return Err(Error::new(
-                ErrorKind::Argument,
-                format!("{} is a pipe or a device, not a file", path.display()),
-                "a model is read several times: save it to a file first",
-            ));
-        }
-        let file = File::open(path).map_err(refused)?;
+        let file = input::open(path)?;
         let len = file.metadata().map_err(refused)?.len();
         if len == 0 {
             return Err(Error::new(

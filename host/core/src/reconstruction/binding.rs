@@ -17,13 +17,15 @@ use super::Surroundings;
 use super::blend::Supports;
 use super::block::homes;
 use super::sheets::Sheets;
+use crate::input;
 use crate::model::{Model, VertexChunk};
 use crate::output::OutputFile;
 use crate::sampled_model::{SampledModel, fingerprint};
 use crate::varint::{self, Numbers};
 use crate::{Error, ErrorKind, Progress, Result};
 
-const MAGIC: &[u8; 8] = b"SIMODBND";
+/// What a binding begins with.
+pub(crate) const MAGIC: &[u8; 8] = b"SIMODBND";
 
 /// To be counted up whenever the format changes, or the homes or surroundings of the same samples.
 const VERSION: u32 = 3;
@@ -146,11 +148,10 @@ impl Binding {
         path: &Path,
         sampled: &'a SampledModel,
     ) -> std::result::Result<Option<(Self, Surroundings<'a>)>, String> {
-        let file = match File::open(path) {
-            Ok(file) => file,
-            Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(e) => return Err(e.to_string()),
-        };
+        if !path.exists() {
+            return Ok(None);
+        }
+        let file = input::open(path).map_err(|e| e.to_string())?;
         let length = file.metadata().map_err(|e| e.to_string())?.len();
         let mut file = BufReader::with_capacity(1 << 18, file);
         let cut_off = |_| "it is cut off".to_owned();
@@ -183,6 +184,11 @@ impl Binding {
         }
         let around = Surroundings::known(samples, head.sheets, head.supports);
         Ok(Some((Self { file, samples: n, bytes: Vec::new(), homes: Vec::new() }, around)))
+    }
+
+    /// The homes of the vertices that were read last.
+    pub(super) fn homes(&self) -> &[u32] {
+        &self.homes
     }
 
     /// The homes of the next vertices, which are a chunk.

@@ -32,6 +32,7 @@ use rayon::prelude::*;
 
 pub use crate::model::Normals;
 use crate::sampling::SampleSet;
+pub(crate) use binding::MAGIC as BINDING_MAGIC;
 pub use binding::bind;
 use blend::Supports;
 use blended_jets::Expanded;

@@ -274,7 +274,13 @@ impl<'a> Work<'a> {
                 .zip(&mut surveys)
                 .map(|(Edited { positions, normals }, (_, figures))| Moved { positions, normals, figures })
                 .collect();
-            let homes = binding.as_mut().map(|binding| binding.next(chunk.len())).transpose()?;
+            let known = binding.as_mut().map(|binding| binding.next(chunk.len()).map(drop));
+            if let (Some(Err(why)), Some(path)) = (known, self.how.binding) {
+                // What was found by it so far is what would have been found without.
+                self.progress.note(&format!("{} is not used from here on: {why}", path.display()));
+                binding = None;
+            }
+            let homes = binding.as_ref().map(Binding::homes);
             let (fields, frame) = (&fields[..moved.len()], &self.sampled.frame);
             carry(fields, frame, &chunk.positions, homes, &mut moved);
             for (Edited { positions, .. }, (file, figures)) in versions.iter().zip(&mut surveys) {

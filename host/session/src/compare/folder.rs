@@ -3,7 +3,7 @@
 use super::file::Method;
 use serde::Deserialize;
 use simod_core::output::folder_of;
-use simod_core::{Error, ErrorKind, Result};
+use simod_core::{Error, ErrorKind, Result, input};
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
@@ -12,6 +12,9 @@ pub(super) const INDEX: &str = "index.html";
 
 /// All figures.
 pub(super) const RECORD: &str = "compare.json";
+
+/// No record is longer.
+const LONGEST: u64 = 64 << 20;
 
 /// The picture of the model at rest.
 pub(super) const REST: &str = "rest.png";
@@ -51,7 +54,7 @@ impl Target {
             let is_folder = std::fs::metadata(parent).map_err(failed)?.is_dir();
             return if is_folder { Ok(()) } else { Err(failed(std::io::ErrorKind::NotADirectory.into())) };
         }
-        let former = std::fs::read(folder.join(RECORD)).ok();
+        let former = input::read(&folder.join(RECORD), LONGEST).ok();
         let former: Option<Former> = former.and_then(|bytes| serde_json::from_slice(&bytes).ok());
         let Some(former) = former.filter(|former| former.format == FORMAT) else {
             return Err(self.refused("exists and is no comparison"));

@@ -5,12 +5,16 @@
 
 use crate::deformer::About;
 use serde::{Deserialize, Serialize};
+use simod_core::{input, output};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 /// Changes whenever what is kept has another form or meaning.
 const FORM: u32 = 1;
+
+/// No cache is longer.
+const LONGEST: u64 = 64 << 20;
 
 /// What tells one state of a file from another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -61,7 +65,7 @@ impl Cache {
     pub fn load(file: Option<PathBuf>) -> Self {
         let versions = [env!("CARGO_PKG_VERSION"), super::load::interface()].map(str::to_owned);
         let read = |file: &PathBuf| -> Option<Content> {
-            let content: Content = serde_json::from_slice(&std::fs::read(file).ok()?).ok()?;
+            let content: Content = serde_json::from_slice(&input::read(file, LONGEST).ok()?).ok()?;
             (content.form == FORM && content.versions == versions).then_some(content)
         };
         let content = file.as_ref().and_then(read);
@@ -85,15 +89,10 @@ impl Cache {
     pub fn save(mut self) {
         let Some(file) = self.file.filter(|_| self.changed) else { return };
         self.content.libraries.retain(|path, _| path.exists());
-        let write = || -> std::io::Result<()> {
-            let folder = file.parent().unwrap_or(Path::new(""));
-            std::fs::create_dir_all(folder)?;
-            let mut temporary = tempfile::NamedTempFile::new_in(folder)?;
-            serde_json::to_writer(std::io::BufWriter::new(&mut temporary), &self.content)?;
-            temporary.persist(&file)?;
-            Ok(())
-        };
-        let _ = write();
+        let folder = file.parent().unwrap_or(Path::new(""));
+        if let (Ok(()), Ok(bytes)) = (std::fs::create_dir_all(folder), serde_json::to_vec(&self.content)) {
+            let _ = output::write_file(&file, &bytes);
+        }
     }
 }
 

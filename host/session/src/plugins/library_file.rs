@@ -6,7 +6,7 @@ use object::read::macho::{FatArch, MachOFatFile32, MachOFatFile64};
 use object::{
     Architecture, BinaryFormat, File, FileKind, Object, ObjectSegment, ObjectSymbol, ReadCache, ReadRef,
 };
-use simod_core::{Error, ErrorKind, Result};
+use simod_core::{Error, ErrorKind, Result, input};
 use std::path::Path;
 
 /// How a plugin is to be called.
@@ -33,7 +33,7 @@ const NATIVE: BinaryFormat = if cfg!(windows) {
 
 /// The kind of plugin that a library is; an error if it is none, not all there, or for another system.
 pub(super) fn kind(path: &Path) -> Result<Kind> {
-    let file = std::fs::File::open(path).map_err(|e| Error::io("read", path, &e))?;
+    let file = input::open(path)?;
     // Keeps what is read: headers and symbols, not the code.
     let cache = ReadCache::new(file);
     let (what, hint) = match FileKind::parse(&cache) {

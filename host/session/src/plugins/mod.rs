@@ -378,6 +378,11 @@ impl PluginRegistry {
         &self.plugins
     }
 
+    /// The files of all libraries that were looked at, used or not.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        self.seen.keys().map(PathBuf::as_path)
+    }
+
     /// What could not be used, and why.
     pub fn rejected(&self) -> &[Rejected] {
         &self.rejected

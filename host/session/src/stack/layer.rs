@@ -13,6 +13,7 @@ use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api as api;
+use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::sync::{Arc, Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3Default;
@@ -466,9 +467,10 @@ fn listed<'a>(ids: impl Iterator<Item = &'a str> + Clone) -> String {
 }
 
 fn local_joints<'a>(joints: &'a [Joint], frame: &Frame) -> Vec<api::Joint<'a>> {
-    let index = |id: &String| joints.iter().position(|j| j.id == *id).map(|i| i as u32);
+    let index: HashMap<&str, u32> = joints.iter().map(|j| j.id.as_str()).zip(0..).collect();
     let local = |j: &'a Joint| {
-        let parent = j.parent.as_ref().and_then(index).unwrap_or(api::Joint::ROOT);
+        let parent = j.parent.as_ref().and_then(|id| index.get(id.as_str()).copied());
+        let parent = parent.unwrap_or(api::Joint::ROOT);
         api::Joint::new(&j.id, frame.to_local_exact(j.at).to_array(), parent)
     };
     joints.iter().map(local).collect()

@@ -1,0 +1,220 @@
+//! What a command may write over. An output never replaces what the command reads, by whatever name; nor a file of a sampled
+//! model, which makes no sense without the others; nor a file of another kind than is written, unless that is asked for.
+
+use std::ffi::OsStr;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use crate::input::{self, Identity};
+use crate::output::{canonical_target, folder_of};
+use crate::sampled_model::{OWN_FILES, SampledModel};
+use crate::{Error, ErrorKind, Result};
+
+/// What is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A model, or samples, as PLY.
+    Model,
+    /// A picture, as PNG.
+    Picture,
+    /// A session.
+    Session,
+    /// The file that [`bind`](crate::reconstruction::bind) adds to a sampled model.
+    Binding,
+}
+
+impl Kind {
+    /// What it is called.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Model => "PLY file",
+            Self::Picture => "PNG file",
+            Self::Session => "session",
+            Self::Binding => "binding",
+        }
+    }
+
+    /// Whether a file that is there is one, or is empty, so that nothing is lost.
+    fn is_of(self, path: &Path) -> Result<bool> {
+        /// No session is longer.
+        const LONGEST: u64 = 16 << 20;
+        let mut start = Vec::new();
+        let failed = |e: std::io::Error| Error::io("read", path, &e);
+        input::open(path)?.take(8).read_to_end(&mut start).map_err(failed)?;
+        Ok(start.is_empty()
+            || match self {
+                Self::Model => start.starts_with(b"ply\n") || start.starts_with(b"ply\r"),
+                Self::Picture => start == b"\x89PNG\r\n\x1a\n",
+                Self::Binding => start == crate::reconstruction::BINDING_MAGIC,
+                Self::Session => {
+                    let known = ["version", "model", "sampling", "step", "output"];
+                    let table =
+                        input::read_text(path, LONGEST).ok().and_then(|t| t.parse::<toml::Table>().ok());
+                    table.is_some_and(|table| table.keys().all(|key| known.contains(&key.as_str())))
+                }
+            })
+    }
+}
+
+/// Knows what a command reads, and says what it may write. Asked before any work is done.
+#[derive(Debug, Default)]
+pub struct Guard {
+    inputs: Vec<(PathBuf, Identity)>,
+    outputs: Vec<PathBuf>,
+    force: bool,
+}
+
+impl Guard {
+    /// Of a command that reads nothing so far. `force` says that files of another kind may be replaced.
+    pub fn new(force: bool) -> Self {
+        Self { force, ..Self::default() }
+    }
+
+    /// The command reads this file, or this folder with the files of a sampled model in it. There need not be one: that
+    /// is told when it is read.
+    pub fn reads(&mut self, path: &Path) {
+        if let Some(identity) = Identity::of(path) {
+            self.inputs.push((path.to_owned(), identity));
+        }
+        if path.is_dir() {
+            let files = OWN_FILES.iter().map(|name| path.join(name));
+            self.inputs.extend(files.filter_map(|file| Some((file.clone(), Identity::of(&file)?))));
+        }
+    }
+
+    /// As [`reads`](Self::reads), of many.
+    pub fn reads_all<P: AsRef<Path>>(&mut self, paths: impl IntoIterator<Item = P>) {
+        paths.into_iter().for_each(|path| self.reads(path.as_ref()));
+    }
+
+    /// An error if the command may not write this file.
+    ///
+    /// # Errors
+    /// It cannot be written; it is an input of the command, another of its outputs, or a file of a sampled model; or it is
+    /// there, of another kind, and may not be replaced.
+    pub fn writes(&mut self, path: &Path, kind: Kind) -> Result<()> {
+        let target = canonical_target(path)?;
+        let refused = |what: String, hint: &str| Err(Error::new(ErrorKind::Argument, what, hint));
+        if let Some((input, _)) = self.input_at(&target) {
+            let what = if canonical_target(input).is_ok_and(|input| input == target) && !path.is_symlink() {
+                format!("{} is read by this command, and would be overwritten", path.display())
+            } else {
+                format!(
+                    "{} is {}, which this command reads: it would be overwritten",
+                    path.display(),
+                    input.display()
+                )
+            };
+            return refused(what, "write to another file");
+        }
+        let is_own = target.file_name().is_some_and(is_own) && SampledModel::is_at(folder_of(&target));
+        if is_own && kind != Kind::Binding {
+            let what =
+                format!("{} is a file of the sampled model {}", path.display(), folder_of(path).display());
+            return refused(what, "write to a file outside that folder");
+        }
+        if self.outputs.contains(&target) {
+            return refused(
+                format!("two files go to {}", path.display()),
+                "give each of them a name of its own",
+            );
+        }
+        // A binding that is damaged is one all the same.
+        if !self.force && !is_own && target.exists() && !kind.is_of(&target)? {
+            let what = format!("{} is there, and is no {}", path.display(), kind.name());
+            return refused(what, "write to another file, or give --force to replace it");
+        }
+        self.outputs.push(target);
+        Ok(())
+    }
+
+    /// An error if a folder may not be replaced, as an input of the command lies in it.
+    ///
+    /// # Errors
+    /// That.
+    pub fn replaces_folder(&self, folder: &Path) -> Result<()> {
+        let (Ok(place), Some(identity)) = (folder.canonicalize(), Identity::of(folder)) else {
+            return Ok(());
+        };
+        let is_within = |(input, known): &&(PathBuf, Identity)| {
+            *known == identity || input.canonicalize().is_ok_and(|input| input.starts_with(&place))
+        };
+        match self.inputs.iter().find(is_within) {
+            Some((input, _)) => Err(Error::new(
+                ErrorKind::Argument,
+                format!("{} holds {}, which this command reads", folder.display(), input.display()),
+                "write to another folder",
+            )),
+            None => Ok(()),
+        }
+    }
+
+    /// The input that a file is.
+    fn input_at(&self, target: &Path) -> Option<&(PathBuf, Identity)> {
+        let identity = Identity::of(target)?;
+        self.inputs.iter().find(|(_, known)| *known == identity)
+    }
+}
+
+fn is_own(name: &OsStr) -> bool {
+    OWN_FILES.iter().any(|own| name == *own)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::output::write_file;
+
+    #[test]
+    fn inputs_are_known_by_any_name_and_kinds_by_their_content() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for (name, content) in [
+            ("a.ply", "ply\n"),
+            ("b.ply", "ply\r\nx"),
+            ("empty", ""),
+            ("letter", "dear"),
+            ("edit.toml", "[model]\npath = 'a'"),
+            ("Cargo.toml", "[package]"),
+        ] {
+            write_file(&at(name), content.as_bytes()).unwrap();
+        }
+        std::fs::hard_link(at("a.ply"), at("hard")).unwrap();
+        #[cfg(unix)]
+        std::os::unix::fs::symlink("a.ply", at("soft")).unwrap();
+        #[cfg(not(unix))]
+        std::fs::hard_link(at("a.ply"), at("soft")).unwrap();
+        for force in [false, true] {
+            let mut guard = Guard::new(force);
+            guard.reads_all([at("a.ply"), at("missing")]);
+            for name in ["a.ply", "./a.ply", "hard", "soft"] {
+                let error = guard.writes(&at(name), Kind::Model).unwrap_err().to_string();
+                assert!(error.contains("a.ply") && error.contains("command"), "{error}");
+            }
+            let refused = guard.replaces_folder(folder.path()).unwrap_err().to_string();
+            assert!(refused.contains("a.ply"), "{refused}");
+            guard.replaces_folder(&at("elsewhere")).unwrap();
+            guard.writes(&at("b.ply"), Kind::Model).unwrap();
+            assert!(guard.writes(&at("b.ply"), Kind::Model).unwrap_err().to_string().contains("two files"));
+            guard.writes(&at("empty"), Kind::Picture).unwrap();
+            guard.writes(&at("new"), Kind::Picture).unwrap();
+            guard.writes(&at("edit.toml"), Kind::Session).unwrap();
+            for (name, kind) in [("letter", Kind::Model), ("Cargo.toml", Kind::Session)] {
+                let allowed = guard.writes(&at(name), kind);
+                assert_eq!(allowed.is_ok(), force, "{allowed:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn files_of_a_sampled_model_are_not_written_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let own = folder.path().join("samples.ply");
+        write_file(&own, b"ply\n").unwrap();
+        Guard::new(false).writes(&own, Kind::Model).unwrap();
+        write_file(&folder.path().join("simod.toml"), b"format = \"simod-sampled-model/1\"\n").unwrap();
+        let error = Guard::new(true).writes(&own, Kind::Model).unwrap_err().to_string();
+        assert!(error.contains("a file of the sampled model"), "{error}");
+        Guard::new(false).writes(&folder.path().join("other.ply"), Kind::Model).unwrap();
+    }
+}
