@@ -4,13 +4,15 @@
 //! `local_frames` fits D's gradient at each, and `blended_jets` expands D about it to second order. While streaming,
 //! `homes` finds the sample around which a vertex lies, by following the stream; `blend` carries whole blocks of
 //! vertices over by the expansions around their homes, or `projected_barycentric` each vertex in the paper's way;
-//! `stream` does so for the whole file. `diagnostics` says what it does to the surface, and `expected_error` where it is probably off. [`transfer_error`] compares a result with the exact map.
+//! `stream` does so for the whole file. `diagnostics` says what it does to the surface, and `expected_error` how far it is probably off. Where the map of
+//! space itself is known, `exact` evaluates it at each vertex instead, and [`transfer_error`] compares results with it.
 
 mod binding;
 mod blend;
 mod blended_jets;
 mod block;
 mod diagnostics;
+mod exact;
 mod expansion;
 mod expected_error;
 mod homes;
@@ -25,6 +27,9 @@ mod stream;
 mod tests;
 pub mod transfer_error;
 
+use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
@@ -37,7 +42,10 @@ use block::Workspaces;
 pub(crate) use block::homes;
 pub use block::{Moved, carry};
 pub use diagnostics::{Figures, Folds, principal_stretches};
+pub use exact::{EVALUATIONS_WITH_GRADIENT, ExactMap, needs_gradient, write_exact};
 use expansion::Expansion;
+pub use expected_error::{Beyond, ExpectedError};
+use expected_error::{Expectation, Rounding};
 use limiter::Limiter;
 use local_frames::LocalFrames;
 use neighbourhood::Neighbourhood;
@@ -54,6 +62,9 @@ pub struct Transport {
 }
 
 impl Transport {
+    /// Nothing happens.
+    pub const NONE: Self = Self { displacement: Vec3::ZERO, gradient: Mat3::IDENTITY };
+
     /// The normal after the deformation, of the same length as before. `mirrored` says that the deformation as a whole
     /// turns left into right, where what is outside stays outside.
     pub fn normal(&self, n: Vec3, mirrored: bool) -> Vec3 {
@@ -88,12 +99,14 @@ pub enum Method {
 /// What there is to know of the samples at rest, for all deformations of them: who is on whose sheet, and whose word
 /// counts where.
 ///
-/// Memory: about 380 bytes per sample, and what [`SampleSet::prepare`] finds.
+/// Memory: about 390 bytes per sample, and what [`SampleSet::prepare`] finds.
 pub struct Surroundings<'a> {
     samples: &'a SampleSet,
     sheets: Sheets,
     supports: Supports,
     workspaces: Workspaces,
+    /// Of how many vertices each sample was the home.
+    vertices: Vec<AtomicU64>,
 }
 
 impl<'a> Surroundings<'a> {
@@ -107,13 +120,26 @@ impl<'a> Surroundings<'a> {
 
     /// What was found out before.
     fn known(samples: &'a SampleSet, sheets: Sheets, supports: Supports) -> Self {
-        Self { samples, sheets, supports, workspaces: Workspaces::default() }
+        let vertices = (0..samples.len()).map(|_| AtomicU64::new(0)).collect();
+        Self { samples, sheets, supports, workspaces: Workspaces::default(), vertices }
+    }
+
+    /// Counts vertices that were carried around homes.
+    fn count(&self, groups: &[(u32, Range<usize>)]) {
+        for (home, vertices) in groups {
+            self.vertices[*home as usize].fetch_add(vertices.len() as u64, Ordering::Relaxed);
+        }
+    }
+
+    /// The number of vertices so far of which the sample was the home, where anything moves.
+    fn vertices_of(&self, sample: usize) -> u64 {
+        self.vertices[sample].load(Ordering::Relaxed)
     }
 }
 
 /// The deformation that P_S and P_S* sample, ready to be evaluated anywhere near P_S.
 ///
-/// Memory: about 190 bytes per sample.
+/// Memory: about 200 bytes per sample.
 pub struct DeformationField<'a> {
     around: &'a Surroundings<'a>,
     deformed: &'a [Vec3],
@@ -124,6 +150,9 @@ pub struct DeformationField<'a> {
     /// Whether anything moves around the sample as a home.
     active: Vec<bool>,
     folds: Folds,
+    /// What is expected around each sample, if [that was asked for](Self::expecting).
+    expected: Vec<Expectation>,
+    rounding: Rounding,
 }
 
 impl<'a> DeformationField<'a> {
@@ -145,7 +174,18 @@ impl<'a> DeformationField<'a> {
         let limiter = Limiter::new(supports, &expansions, &doubtful);
         let neighbours = |i| sheets.of_sample(i);
         let folds = Folds::of(&expansions, &frames.tells_side, samples.normals(), neighbours);
-        Self { around, deformed, method, frames, expansions, limiter, active, folds }
+        Self {
+            around,
+            deformed,
+            method,
+            frames,
+            expansions,
+            limiter,
+            active,
+            folds,
+            expected: Vec::new(),
+            rounding: Rounding::default(),
+        }
     }
 
     /// Local position of each sample after the deformation.
@@ -163,11 +203,15 @@ impl<'a> DeformationField<'a> {
         &self.folds
     }
 
-    /// What becomes of the surface at a vertex of this home. `distance` is how far it moves, in the model's unit.
-    fn figures(&self, home: usize, distance: f64, gradient: &Mat3) -> Figures {
+    /// What becomes of the surface at a vertex of this home, at `p`, local coordinates; `scale` is the length of a local unit.
+    fn figures(&self, home: usize, p: Vec3, moved: &Transport, scale: f64) -> Figures {
+        let Transport { displacement, gradient } = moved;
         let stretch = principal_stretches(gradient, self.around.samples.normals()[home]);
         let folded = self.folds.contains(home, gradient);
-        Figures { displacement: distance as f32, stretch, folded }
+        let expected_error = if self.active[home] { self.expected_at(home, p, *displacement) } else { 0.0 };
+        let [displacement, expected_error] =
+            [displacement.length(), expected_error].map(|x| (f64::from(x) * scale) as f32);
+        Figures { displacement, stretch, folded, expected_error }
     }
 
     /// Carries a vertex over that no support reaches, as one that lies far off the samples.

@@ -214,11 +214,7 @@ impl Plugin {
         watch: &Watch<'_>,
     ) -> Result<()> {
         if !self.capabilities.evaluate {
-            return Err(Error::new(
-                ErrorKind::Plugin,
-                format!("plugin {} deforms samples only, not any point of space", self.id()),
-                "use a reconstruction method instead of the exact map",
-            ));
+            return Err(self.samples_only());
         }
         let done = self.code.evaluate(state, input, points, watch);
         clear_upper_halves();
@@ -226,6 +222,18 @@ impl Plugin {
         done.map_err(|e| self.failed(&e))?;
         let bad = |p: &[f64; 3]| !p.iter().all(|x| x.is_finite());
         self.all_finite(points.len(), points.iter().filter(|p| bad(p)).count(), points.iter().position(bad))
+    }
+
+    /// That it has no map of space.
+    pub(crate) fn samples_only(&self) -> Error {
+        Error::new(
+            ErrorKind::Plugin,
+            format!(
+                "plugin {} deforms samples only, not any point of space, so the exact deformation is not known",
+                self.id()
+            ),
+            "measure, or evaluate exactly, sessions of space deformations, as warp, lattice and rbf; or switch the step off",
+        )
     }
 
     /// The handles that the plugin places for this input; none where it has no such.
