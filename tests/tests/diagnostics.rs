@@ -42,10 +42,11 @@ fn figures(work: &Workplace, name: &str) -> Vec<Figures> {
     let header = std::str::from_utf8(&bytes[..end]).expect("text");
     let is_double = header.contains("property double x\nproperty double y\nproperty double z\n");
     let expected = "property float displacement\nproperty float stretch_max\nproperty float stretch_min\n\
-                    property uchar folded\nend_header\n";
+                    property uchar folded\n\
+                    property float expected_error\nproperty float expected_error_fraction\nend_header\n";
     assert!(header.ends_with(expected), "{header}");
     let position = if is_double { 24 } else { 12 };
-    let figures = bytes[end..].chunks(position + 13).map(|vertex| {
+    let figures = bytes[end..].chunks(position + 21).map(|vertex| {
         let number = |i: usize| {
             let at = position + 4 * i;
             f64::from(f32::from_le_bytes(vertex[at..at + 4].try_into().expect("four bytes")))

@@ -25,6 +25,7 @@ pub mod shapes;
 mod side_file;
 pub mod stack;
 mod strokes_file;
+pub mod tolerance;
 mod vector;
 #[cfg(unix)]
 pub mod worker;
@@ -33,8 +34,9 @@ pub use deformer::{Capabilities, Code, Message, Plugin, is_raw};
 pub use motion::Motion;
 pub use params::{ParamValue, Params, describe_params, param_data};
 pub use picked::PickedPoints;
-pub use pipeline::{DeformedSamples, Run, deform};
+pub use pipeline::{DeformedSamples, ExactCost, Run, Running, deform};
 pub use plugins::{Isolation, PluginOptions, PluginRegistry, Rejected};
 pub use session_file::SessionFile;
 pub use shapes::{Shape, Shapes};
 pub use stack::{Deformed, PreparedStack, Renormal, RestShape, Stack};
+pub use tolerance::{Certificate, Tolerance};

@@ -4,11 +4,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use simod_core::model::{self, Model};
 use simod_core::output::folder_of;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
-use simod_core::reconstruction::{Reconstruction, Version, deformed_normals, reconstruct};
+use simod_core::reconstruction::{
+    DeformationField, EVALUATIONS_WITH_GRADIENT, Method, Reconstructed, Reconstruction, Surroundings,
+    Version, deformed_normals, needs_gradient, reconstruct, write_exact,
+};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
 use simod_core::{Error, ErrorKind, Progress, Result};
@@ -19,6 +22,7 @@ use crate::edit::{Document, Evaluated, Evaluation, Refinements, messages};
 use crate::plugins::PluginRegistry;
 use crate::session_file::{self, SessionFile, Step};
 use crate::stack::{PreparedStack, Stack};
+use crate::tolerance::{self, Certificate, Tolerance};
 
 /// Samples a session's model, which comes with it. Temporary files without a name are made in `folder`.
 ///
@@ -88,12 +92,45 @@ pub fn deform(
     Ok(DeformedSamples { sampled, positions, normals, stack, messages })
 }
 
+/// How a session is run.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Running<'a> {
+    /// How the deformation is transferred.
+    pub how: Reconstruction<'a>,
+    /// A file for what becomes of each vertex: see [`Version::diagnostics`].
+    pub diagnostics: Option<&'a Path>,
+    /// [`Run::transfer_error`] will be asked for.
+    pub measure: bool,
+    /// Every vertex is evaluated by the plugins; nothing is transferred.
+    pub exact: bool,
+    /// Samples are added until nothing is expected to be off by more.
+    pub tolerance: Option<Tolerance>,
+}
+
+/// What the evaluation of every vertex was expected to take.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExactCost {
+    /// How often the steps are evaluated, in all.
+    pub evaluations: u64,
+    /// By the time that some of them took, beforehand.
+    pub seconds: f64,
+}
+
+/// Points that are evaluated to tell what all vertices will take.
+const TRIED: usize = 4096;
+
 /// A finished run of a session.
 pub struct Run {
     /// The samples after the deformation, with those at rest.
     pub deformed: DeformedSamples,
     /// The deformed model.
     pub output: PathBuf,
+    /// What was written.
+    pub written: Reconstructed,
+    /// That the tolerance is met, if there was one.
+    pub certificate: Option<Certificate>,
+    /// What was told beforehand, if every vertex was evaluated.
+    pub exact: Option<ExactCost>,
     /// Seconds from opening the model to the finished output.
     pub seconds: f64,
 }
@@ -112,21 +149,62 @@ impl Run {
         output: &Path,
         progress: &dyn Progress,
     ) -> Result<Self> {
+        let running = Running { how: *how, measure, ..Running::default() };
+        Self::execute_with(session, plugins, &running, output, progress)
+    }
+
+    /// The same in other ways.
+    ///
+    /// # Errors
+    /// As above; a step deforms samples alone, and all vertices are to be evaluated, or measured, which is noticed before anything
+    /// is read; the tolerance cannot be met, which is known before anything is written.
+    pub fn execute_with(
+        session: &SessionFile,
+        plugins: &PluginRegistry,
+        running: &Running<'_>,
+        output: &Path,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
+        let Running { how, diagnostics, measure, exact, tolerance } = running;
         let start = Instant::now();
         let stack = Stack::build(&session.steps, plugins)?;
-        if measure && !stack.plugins().all(|p| p.capabilities().evaluate) {
-            return Err(not_evaluable());
+        if *measure || *exact {
+            stack.check_evaluable()?;
+        }
+        if tolerance.is_some() && (*exact || how.method != Method::BlendedJets) {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                "a tolerance is kept by refining for the method blended-jets",
+                "leave out --tolerance, or --exact and --method",
+            ));
         }
         let folder = folder_of(output);
         let triangles = stack.plugins().any(|p| p.consumes().triangles);
-        let cells = session.steps.iter().any(|step| step.enabled && step.refines());
+        let cells = tolerance.is_some() || session.steps.iter().any(|step| step.enabled && step.refines());
         let skip = Skip { triangles: !triangles, cells: !cells, ..Skip::default() };
         let (sampled, model) = sampled(session, skip, folder, progress)?;
-        let refinements = Refinements { folder: folder.to_owned(), ..Refinements::default() };
-        let deformed = deform(sampled, &session.steps, plugins, refinements, progress)?;
-        let version = Version { deformed: &deformed.positions, output, diagnostics: None };
-        reconstruct(&deformed.sampled, model.as_ref(), &[version], how, progress)?;
-        Ok(Self { deformed, output: output.to_owned(), seconds: start.elapsed().as_secs_f64() })
+        let (deformed, certificate) = match tolerance {
+            Some(tolerance) => {
+                let tolerance = tolerance.fraction(sampled.bounds.diagonal());
+                let by = (&session.steps[..], plugins);
+                let (deformed, certificate) =
+                    tolerance::meet(sampled, model.as_ref(), by, tolerance, folder, progress)?;
+                (deformed, Some(certificate))
+            }
+            None => {
+                let refinements = Refinements { folder: folder.to_owned(), ..Refinements::default() };
+                (deform(sampled, &session.steps, plugins, refinements, progress)?, None)
+            }
+        };
+        let version = Version { deformed: &deformed.positions, output, diagnostics: *diagnostics };
+        let (written, exact) = if *exact {
+            let cost = told_cost(&deformed, model.as_ref(), running, progress)?;
+            (evaluated(&deformed, model.as_ref(), &version, how, progress)?, Some(cost))
+        } else {
+            (reconstruct(&deformed.sampled, model.as_ref(), &[version], how, progress)?, None)
+        };
+        let seconds = start.elapsed().as_secs_f64();
+        Ok(Self { deformed, output: output.to_owned(), written, certificate, exact, seconds })
     }
 
     /// Compares the output with the exact image of every vertex of the model.
@@ -134,24 +212,58 @@ impl Run {
     /// # Errors
     /// A plugin of the stack does not know its map between the samples; a file cannot be read; cancelled.
     pub fn transfer_error(&self, progress: &dyn Progress) -> Result<TransferError> {
-        let exact = &self.deformed.stack;
-        if !exact.can_evaluate() {
-            return Err(not_evaluable());
-        }
         let model = self.deformed.sampled.open_source(None)?;
         let output = model::open(&self.output)?;
         let diagonal = self.deformed.sampled.bounds.diagonal();
-        let map = |points: &mut [glam::DVec3]| exact.evaluate_with(points, progress);
+        let map = |points: &mut [DVec3]| self.deformed.stack.evaluate_with(points, progress);
         transfer_error::measure(model.as_ref(), output.as_ref(), diagonal, &map, progress)
     }
 }
 
-fn not_evaluable() -> Error {
-    Error::new(
-        ErrorKind::Plugin,
-        "a plugin of the session deforms samples only, so the exact deformation is not known",
-        "measure sessions of space deformations, as warp and rbf",
-    )
+/// Tells what the evaluation of all vertices will take, by that of some samples.
+fn told_cost(
+    deformed: &DeformedSamples,
+    model: &dyn Model,
+    running: &Running<'_>,
+    progress: &dyn Progress,
+) -> Result<ExactCost> {
+    let DeformedSamples { sampled, stack, .. } = deformed;
+    let rest = &sampled.samples.positions;
+    let step = rest.len().div_ceil(TRIED);
+    let some: Vec<DVec3> = rest.iter().step_by(step).map(|p| sampled.frame.to_model(*p)).collect();
+    // The first time, caches are cold.
+    let mut seconds = f64::INFINITY;
+    for _ in 0..2 {
+        let start = Instant::now();
+        stack.evaluate_with(&mut some.clone(), progress)?;
+        seconds = seconds.min(start.elapsed().as_secs_f64());
+    }
+    let gradient = needs_gradient(model, running.how.normals, running.diagnostics);
+    let vertices = model.info().vertices;
+    let evaluations = vertices * if gradient { EVALUATIONS_WITH_GRADIENT } else { 1 };
+    let seconds = seconds / some.len() as f64 * evaluations as f64;
+    progress.note(&format!(
+        "the steps are evaluated at each of {vertices} vertices{}, which takes about {seconds:.1} s",
+        if gradient { ", and at six points around it for the gradient" } else { "" }
+    ));
+    Ok(ExactCost { evaluations, seconds })
+}
+
+/// Writes the exact image of every vertex.
+fn evaluated(
+    deformed: &DeformedSamples,
+    model: &dyn Model,
+    version: &Version<'_>,
+    how: &Reconstruction<'_>,
+    progress: &dyn Progress,
+) -> Result<Reconstructed> {
+    let DeformedSamples { sampled, positions, stack, .. } = deformed;
+    progress.begin("preparing", 0);
+    let around = Surroundings::of(&sampled.samples);
+    let field = DeformationField::new(&around, positions, Method::default())
+        .expecting(&sampled.frame, model.info().position_type);
+    let map = |points: &mut [DVec3]| stack.evaluate_with(points, progress);
+    write_exact(sampled, model, &field, &map, version, how, progress)
 }
 
 impl From<session_file::Sampling> for Sampling {

@@ -3,12 +3,18 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use simod_core::Result;
+use glam::Vec3;
+use serde_json::json;
 use simod_core::guard::Kind;
+use simod_core::model::Model;
 use simod_core::reconstruction::{
-    Folding, Method, Normals, PART_BYTES, Reconstruction, Version, reconstruct,
+    Beyond, DeformationField, ExpectedError, Folding, Method, Normals, PART_BYTES, Reconstruction,
+    Surroundings, Version, reconstruct,
 };
 use simod_core::sampled_model::{BINDING, SampledModel};
+use simod_core::{Error, ErrorKind, Result};
+use simod_session::Tolerance;
+use simod_session::tolerance::check_precision;
 
 use super::overwrite::Overwrite;
 use super::sample::parse_bytes;
@@ -31,10 +37,15 @@ pub struct Reconstruct {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// A PLY file to write beside it, for viewers of scalar fields: each vertex' new position, its displacement, the largest
-    /// and the smallest stretch of the surface, and whether it is folded (turned inside out). {} as in -o; not with
+    /// and the smallest stretch of the surface, whether it is folded (turned inside out), and how far it is probably off
+    /// (`expected_error`, in the model's unit, and `expected_error_fraction`, of the diagonal). {} as in -o; not with
     /// --resume
     #[arg(long, value_name = "FILE")]
     diagnostics: Option<PathBuf>,
+    /// Write nothing if any vertex is expected to be off by more: a fraction of the diagonal, or with the suffix u a length
+    /// in the model's unit, as 0.002u
+    #[arg(long, value_name = "L", allow_hyphen_values = true)]
+    tolerance: Option<Tolerance>,
     /// The model that was sampled, if it was moved since
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -127,9 +138,19 @@ impl Reconstruct {
             part_bytes: self.part_size,
             binding: Some(&binding),
         };
+        if let Some(tolerance) = self.tolerance {
+            report.progress().begin("estimating the error", 0);
+            let expected =
+                self.check_tolerance(tolerance, &sampled, model.as_ref(), &paths, &deformed, report)?;
+            report.figure(
+                "tolerance",
+                json!({"fraction": tolerance.fraction(sampled.bounds.diagonal()), "expected": expected}),
+            );
+        }
         let done = reconstruct(&sampled, model.as_ref(), &versions, &how, report.progress())?;
         warn_non_finite(&sampled, report);
         describe_folding(&paths, &done.folding, report);
+        self.describe_expected(&paths, &done.expected, sampled.bounds.diagonal(), report);
         report.figure("vertices", done.vertices);
         report.figure("versions", versions.len());
         report.figure("samples", sampled.samples.len());
@@ -148,6 +169,129 @@ impl Reconstruct {
         ));
         Ok(())
     }
+}
+
+impl Reconstruct {
+    /// An error where any vertex of a version is expected to be off by more; what is expected at most.
+    fn check_tolerance(
+        &self,
+        tolerance: Tolerance,
+        sampled: &SampledModel,
+        model: &dyn Model,
+        paths: &[VersionPaths],
+        deformed: &[Vec<Vec3>],
+        report: &mut Report,
+    ) -> Result<f64> {
+        if self.method != MethodName::BlendedJets {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                "what is expected is known of the method blended-jets alone",
+                "leave out --tolerance or --method",
+            ));
+        }
+        let tolerance = tolerance.fraction(sampled.bounds.diagonal());
+        check_precision(sampled, model, tolerance)?;
+        let around = Surroundings::of(&sampled.samples);
+        let mut most = 0.0f64;
+        for (paths, deformed) in paths.iter().zip(deformed) {
+            report.progress().check()?;
+            let field = DeformationField::new(&around, deformed, self.method.into())
+                .expecting(&sampled.frame, model.info().position_type);
+            if let Some(beyond) = field.expected_beyond(sampled, tolerance) {
+                let Beyond { worst, place, samples, needed } = beyond;
+                return Err(Error::new(
+                    ErrorKind::Argument,
+                    format!(
+                        "{}: vertices are expected to be off by up to {worst:.1e} of the diagonal near ({:.6}, {:.6}, {:.6}), \
+                         and by more than the tolerance of {tolerance:.1e} around {} samples; nothing was written",
+                        paths.output.display(),
+                        place.x,
+                        place.y,
+                        place.z,
+                        count(samples)
+                    ),
+                    format!(
+                        "`{}` adds samples where they are needed, about {}; then deform these by the program that deformed \
+                         the others, as where the transfer places them tells nothing about it",
+                        self.refining(paths, tolerance, Some(needed)),
+                        count(needed)
+                    ),
+                ));
+            }
+            most = field.expected_beyond(sampled, 0.0).map_or(0.0, |all| all.worst).max(most);
+        }
+        Ok(most)
+    }
+
+    /// The command that adds samples to come below an error.
+    fn refining(&self, paths: &VersionPaths, error: f64, samples: Option<u64>) -> String {
+        let samples = samples.map_or_else(String::new, |n| format!(" --samples {}", n.max(1)));
+        format!(
+            "simod refine {} --auto --error {error:.1e}{samples} --deformed {} -o more.ply",
+            self.sampled.display(),
+            paths.deformed.display()
+        )
+    }
+
+    /// Says how far the versions are expected to be off, and warns where that is more than will be accepted.
+    fn describe_expected(
+        &self,
+        paths: &[VersionPaths],
+        expected: &[Option<ExpectedError>],
+        diagonal: f64,
+        report: &mut Report,
+    ) {
+        let figure = match expected {
+            [one] => json!(one),
+            several => json!(several),
+        };
+        report.figure("expected_error", figure);
+        for (paths, expected) in paths.iter().zip(expected) {
+            let Some(expected) = expected else { continue };
+            describe_expected(expected, diagonal, report);
+            if let Some(beyond) = expected.beyond {
+                let which = if self.deformed.len() > 1 {
+                    format!("{}: ", paths.output.display())
+                } else {
+                    String::new()
+                };
+                let help = format!(
+                    "`{}` adds about {} samples where they are needed",
+                    self.refining(paths, ExpectedError::ACCEPTED, Some(beyond.needed)),
+                    count(beyond.needed)
+                );
+                warn_beyond(&which, &beyond, diagonal, &help, report);
+            }
+        }
+    }
+}
+
+/// Reports how far vertices are expected to be off.
+pub fn describe_expected(expected: &ExpectedError, diagonal: f64, report: &mut Report) {
+    let ExpectedError { rms, p999, worst, of_vertices, .. } = expected;
+    report.line(format!(
+        "expected transfer error{}: rms {rms:.1e}, 99.9 % below {p999:.1e}, worst {worst:.1e} of the diagonal ({:.1e}, {:.1e}, \
+         {:.1e} in the model's unit)",
+        if *of_vertices { " of the vertices" } else { ", by the samples" },
+        rms * diagonal,
+        p999 * diagonal,
+        worst * diagonal
+    ));
+}
+
+/// Warns where more is expected than a user will accept.
+pub fn warn_beyond(which: &str, beyond: &Beyond, diagonal: f64, help: &str, report: &mut Report) {
+    let Beyond { worst, place, samples, .. } = beyond;
+    report.warn(format!(
+        "{which}vertices are expected to be off by up to {worst:.1e} of the diagonal ({:.1e} in the model's unit), near \
+         ({:.6}, {:.6}, {:.6}), and by more than {:.0e} around {} samples; {help}",
+        worst * diagonal,
+        place.x,
+        place.y,
+        place.z,
+        ExpectedError::ACCEPTED,
+        count(*samples)
+    ));
 }
 
 /// Says where the versions fold the surface.

@@ -9,11 +9,11 @@ use simod_core::guard::Kind;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::reconstruction::transfer_error::TransferError;
 use simod_session::session_file::inputs;
-use simod_session::{Run as Pipeline, SessionFile};
+use simod_session::{Certificate, ExactCost, Run as Pipeline, Running, SessionFile, Tolerance};
 
 use super::overwrite::Overwrite;
 use super::plugin_options::PluginOptions;
-use super::reconstruct::{MethodName, NormalsName};
+use super::reconstruct::{MethodName, NormalsName, describe_expected, warn_beyond};
 use super::{notices, tell, warn_non_finite};
 use crate::report::{Report, count, rate};
 
@@ -34,9 +34,22 @@ pub struct Run {
     /// What becomes of the model's normals
     #[arg(long, value_enum, default_value_t)]
     normals: NormalsName,
-    /// Compare the result with the exact deformation of every vertex, where all plugins know it
+    /// Compare the result with the exact deformation of every vertex; refused, naming the step, where one deforms samples
+    /// only
     #[arg(long)]
     measure: bool,
+    /// Evaluate all steps at every vertex, and transfer nothing: the reference, at its cost, which is told beforehand.
+    /// Refused, naming the step, where one deforms samples only
+    #[arg(long, conflicts_with = "tolerance")]
+    exact: bool,
+    /// Add samples, which the plugins deform as well, until no vertex is expected to be off by more: a fraction of the
+    /// diagonal, or with the suffix u a length in the model's unit, as 0.002u. Where that cannot be met, nothing is
+    /// written, and the reason is told
+    #[arg(long, value_name = "L", allow_hyphen_values = true)]
+    tolerance: Option<Tolerance>,
+    /// A PLY file to write beside the result, as that of `simod reconstruct --diagnostics`
+    #[arg(long, value_name = "FILE")]
+    diagnostics: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
     #[command(flatten)]
@@ -63,10 +76,35 @@ impl Run {
         guard.reads_all(inputs(&self.session)?);
         guard.reads_all(plugins.files());
         guard.writes(&output, Kind::Model)?;
+        if let Some(diagnostics) = &self.diagnostics {
+            guard.writes(diagnostics, Kind::Model)?;
+        }
         notices(&plugins, &session.steps, report);
         let progress = report.progress();
-        let run = Pipeline::execute(&session, &plugins, &how, self.measure, &output, progress)?;
+        let running = Running {
+            how,
+            diagnostics: self.diagnostics.as_deref(),
+            measure: self.measure,
+            exact: self.exact,
+            tolerance: self.tolerance,
+        };
+        let run = Pipeline::execute_with(&session, &plugins, &running, &output, progress)?;
         describe(&run, report);
+        let diagonal = run.deformed.sampled.bounds.diagonal();
+        if let Some(expected) = run.written.expected.first().copied().flatten() {
+            report.figure("expected_error", json!(expected));
+            describe_expected(&expected, diagonal, report);
+            if let Some(beyond) = expected.beyond {
+                let help = "add a step `refine = { auto = true }` at the end, or run with --tolerance";
+                warn_beyond("", &beyond, diagonal, help, report);
+            }
+        }
+        if let Some(cost) = run.exact {
+            describe_cost(&cost, report);
+        }
+        if let Some(certificate) = run.certificate {
+            describe_certificate(&certificate, diagonal, report);
+        }
         if self.measure {
             describe_error(&run.transfer_error(progress)?, report);
         }
@@ -94,6 +132,47 @@ pub fn describe(run: &Pipeline, report: &mut Report) {
         report.figure("run_peak_memory_bytes", peak);
         report.line(format!("peak memory of the edit {} MB", peak.div_ceil(1 << 20)));
     }
+}
+
+/// Reports what every vertex' evaluation was expected to take.
+fn describe_cost(cost: &ExactCost, report: &mut Report) {
+    report.figure("exact", json!({"evaluations": cost.evaluations, "expected_seconds": cost.seconds}));
+    report.line(format!(
+        "every vertex is exact: {} evaluations of the steps, which were expected to take {:.1} s",
+        count(cost.evaluations),
+        cost.seconds
+    ));
+}
+
+/// Reports that a tolerance is met, and what tells so.
+fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut Report) {
+    let Certificate { tolerance, expected, added, rounds, truth } = certificate;
+    report.figure(
+        "certificate",
+        json!({
+            "tolerance": tolerance,
+            "tolerance_length": tolerance * diagonal,
+            "expected": expected,
+            "added_samples": added,
+            "rounds": rounds,
+            "true_error": truth.map(|t| json!({"vertices": t.vertices, "rms": t.rms, "p999": t.p999, "max": t.max})),
+        }),
+    );
+    report.line(format!(
+        "tolerance {tolerance:.1e} of the diagonal: up to {expected:.1e} are expected around the samples, {} of which were \
+         added in {rounds} rounds and deformed by the plugins",
+        count(*added)
+    ));
+    report.line(match truth {
+        Some(t) => format!(
+            "true error at {} vertices: rms {:.1e}, 99.9 % below {:.1e}, worst {:.1e} of the diagonal",
+            count(t.vertices),
+            t.rms,
+            t.p999,
+            t.max
+        ),
+        None => "the true error is not known, as a step deforms samples only".to_owned(),
+    });
 }
 
 /// Reports how far a run is from the exact deformation.

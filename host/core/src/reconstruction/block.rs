@@ -95,6 +95,7 @@ pub fn carry(
                     None => workspace.find_homes(first.around),
                 }
                 workspace.group(fields);
+                first.around.count(&workspace.grouped.groups);
                 fields
                     .iter()
                     .zip(moved)
@@ -157,15 +158,14 @@ impl Workspace {
             let home = self.homes[i] as usize;
             let figures = figures.get_mut(i);
             if !p.is_finite() || !field.active[home] {
-                let still = || field.figures(home, 0.0, &Mat3::IDENTITY);
+                let still = || field.figures(home, self.local[i], &Transport::NONE, frame.scale);
                 figures.into_iter().for_each(|f| *f = if p.is_finite() { still() } else { Figures::UNKNOWN });
                 continue;
             }
             let one_by_one = self.one_by_one(field, i);
             // Only the displacement is in single precision.
-            let way = one_by_one.map_or_else(|| self.displacement(i), |moved| moved.displacement);
-            let way = way.as_dvec3() * frame.scale;
-            *image += way;
+            let displacement = one_by_one.map_or_else(|| self.displacement(i), |moved| moved.displacement);
+            *image += displacement.as_dvec3() * frame.scale;
             if let Some(n) = normals.get_mut(i).filter(|n| n.is_finite()) {
                 *n = match one_by_one {
                     Some(moved) => moved.normal(*n, field.frames.mirrored),
@@ -174,7 +174,8 @@ impl Workspace {
             }
             if let Some(figures) = figures {
                 let gradient = one_by_one.map_or_else(|| self.gradient(i), |moved| moved.gradient);
-                *figures = field.figures(home, way.length(), &gradient);
+                let moved = Transport { displacement, gradient };
+                *figures = field.figures(home, self.local[i], &moved, frame.scale);
             }
         }
     }

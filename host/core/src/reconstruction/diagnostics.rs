@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use glam::{DVec3, Mat3, Vec3};
 
 use super::expansion::Expansion;
+use super::expected_error::Tally;
 use crate::model::{ModelInfo, Scalar};
 use crate::output::OutputFile;
 use crate::{Error, Result};
@@ -23,14 +24,17 @@ pub struct Figures {
     pub stretch: [f32; 2],
     /// Whether it is turned inside out, other than most of the model.
     pub folded: bool,
+    /// How far it is expected to be off, in the model's unit.
+    pub expected_error: f32,
 }
 
 impl Figures {
     /// Of a vertex without a finite position.
-    pub const UNKNOWN: Self = Self { displacement: f32::NAN, stretch: [f32::NAN; 2], folded: false };
+    pub const UNKNOWN: Self =
+        Self { displacement: f32::NAN, stretch: [f32::NAN; 2], folded: false, expected_error: f32::NAN };
 
     /// Bytes in a file.
-    const BYTES: u64 = 13;
+    const BYTES: u64 = 21;
 }
 
 /// The largest and the smallest factor by which a deformation of this gradient changes lengths within the plane across
@@ -128,8 +132,12 @@ pub struct DiagnosticsFile {
     file: OutputFile,
     path: PathBuf,
     scalar: Scalar,
+    /// One over the model's diagonal at rest.
+    inverse_diagonal: f64,
     /// Folded vertices up to here.
     pub folded: u64,
+    /// What is expected of the vertices up to here, as fractions of the diagonal.
+    pub expected: Tally,
 }
 
 impl DiagnosticsFile {
@@ -138,11 +146,11 @@ impl DiagnosticsFile {
         info.vertices * (3 * info.position_type.size() as u64 + Figures::BYTES)
     }
 
-    /// Begins the file of a model.
+    /// Begins the file of a model with this diagonal at rest.
     ///
     /// # Errors
     /// As for [`OutputFile::create`], and [`write`](Self::write).
-    pub fn create(path: &Path, info: &ModelInfo) -> Result<Self> {
+    pub fn create(path: &Path, info: &ModelInfo, diagonal: f64) -> Result<Self> {
         let scalar = info.position_type;
         let kind = match scalar {
             Scalar::F32 => "float",
@@ -152,12 +160,16 @@ impl DiagnosticsFile {
         header.push_str(&format!("element vertex {}\n", info.vertices));
         let of_floats = ["displacement", "stretch_max", "stretch_min"].map(|name| ("float", name));
         let position = ["x", "y", "z"].map(|name| (kind, name));
-        for (kind, name) in position.into_iter().chain(of_floats).chain([("uchar", "folded")]) {
+        let expected = ["expected_error", "expected_error_fraction"].map(|name| ("float", name));
+        let all = position.into_iter().chain(of_floats).chain([("uchar", "folded")]).chain(expected);
+        for (kind, name) in all {
             header.push_str(&format!("property {kind} {name}\n"));
         }
         header.push_str("end_header\n");
         let file = OutputFile::create(path, Self::expected_bytes(info))?;
-        let mut this = Self { file, path: path.to_owned(), scalar, folded: 0 };
+        let inverse_diagonal = 1.0 / diagonal.max(f64::MIN_POSITIVE);
+        let expected = Tally::default();
+        let mut this = Self { file, path: path.to_owned(), scalar, inverse_diagonal, folded: 0, expected };
         this.file.write_all(header.as_bytes()).map_err(|e| this.failed(e))?;
         Ok(this)
     }
@@ -183,6 +195,9 @@ impl DiagnosticsFile {
                 bytes.extend_from_slice(numbers.as_flattened());
                 bytes.push(f.folded.into());
                 self.folded += u64::from(f.folded);
+                let part = f64::from(f.expected_error) * self.inverse_diagonal;
+                bytes.extend_from_slice([f.expected_error, part as f32].map(f32::to_le_bytes).as_flattened());
+                self.expected.add(part, 1);
             }
             self.file.write_all(&bytes).map_err(|e| self.failed(e))?;
         }

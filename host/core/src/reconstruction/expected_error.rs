@@ -1,14 +1,25 @@
-//! How far the reconstruction is probably off around each sample, without knowing the exact map.
+//! How far the reconstruction is probably off, without knowing the exact map: around each sample, and at each vertex.
 //!
 //! Halfway between two neighbours the expansions about both have a say. Each takes what it leaves out, the third order, for
 //! nothing; so the distance between what they say is of the size of what both leave out there. Where the deformation has
 //! details that the samples do not tell, as at a step, they differ by those.
+//!
+//! At a vertex all supports that reach it have a say, and how far these are from what is made of them tells about that
+//! very place. What they leave out together they do not tell; what the samples disagree by halfway stands for that, and
+//! for more of it where a vertex lies beyond the samples, as off the surface or outside a border. Rounding comes on top:
+//! of the samples' positions, of the displacement, and of the file that is written.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use serde::Serialize;
 
-use super::DeformationField;
+use super::blend::LEAST_WEIGHT;
 use super::local_frames::ROUNDING;
+use super::transfer_error::Histogram;
+use super::{DeformationField, Method, Neighbourhood, blended_jets};
+use crate::frame::Frame;
+use crate::model::Scalar;
+use crate::sampled_model::SampledModel;
 
 /// Neighbours of a sample that its word is compared with: its ring.
 const RING: usize = 8;
@@ -16,23 +27,273 @@ const RING: usize = 8;
 /// Differences below so many times the rounding of positions tell nothing.
 const TELLING: f64 = 4.0;
 
+/// The part of the spread of what supports say at a vertex that counts; the truth is mostly less.
+const OF_SPREAD: f32 = 0.7;
+
+/// The part of the samples' disagreement halfway that counts, where a vertex lies among them.
+const OF_DISAGREEMENT: f32 = 0.38;
+
+/// From so far from the middle of the samples that reach it on, as a part of the support's radius, a vertex lies beyond them:
+/// what they leave out counts as much more ...
+const AMONG: f32 = 0.1;
+
+/// ... as it lies further, up to so many times.
+const FURTHEST: f32 = 4.0;
+
+/// Where fewer have a say, as many as the weights amount to (their sum's square over that of their squares), there is nobody
+/// to disagree, and what the samples leave out counts so many times.
+const ALONE: f32 = 1.5;
+const FOR_ALL: f32 = 5.0;
+
+/// The root of the mean square of what rounding to single precision makes, as a part of the number that is rounded.
+const SINGLE: f32 = 2.5e-8;
+
+/// What is expected around a sample, in local units.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Expectation {
+    /// The root of the mean square of how far it and its neighbours disagree halfway.
+    disagreement: f32,
+    /// The furthest of that.
+    largest: f32,
+}
+
+/// What the file that is written rounds.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Rounding {
+    /// The model's origin, from the local one, in local units; `None` where positions are doubles.
+    from: Option<Vec3>,
+}
+
+impl Rounding {
+    /// Of a model with positions of this type.
+    pub fn of(frame: &Frame, positions: Scalar) -> Self {
+        Self { from: (positions == Scalar::F32).then(|| (frame.origin / frame.scale).as_vec3()) }
+    }
+
+    /// What writing it makes of a vertex that goes from `p` by `u`, local units; one that does not move is not rounded again.
+    fn written(self, p: Vec3, u: Vec3) -> f32 {
+        let moves = u != Vec3::ZERO;
+        self.from.filter(|_| moves).map_or(0.0, |origin| SINGLE * (p + u + origin).length())
+    }
+
+    /// What rounding makes at a vertex or a sample that goes from `p` by `u`, local units.
+    fn at(self, p: Vec3, u: Vec3) -> f32 {
+        if u == Vec3::ZERO {
+            return 0.0;
+        }
+        // Samples are rounded each for itself, and the blend is a mean of some; the displacement comes of several sums.
+        let (sample, displacement) = (0.7 * (p + u).length(), 1.2 * u.length());
+        hypot([self.written(p, u), SINGLE * sample, SINGLE * displacement])
+    }
+}
+
+/// How far vertices are expected to be off. Lengths are fractions of the model's diagonal at rest.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ExpectedError {
+    /// Root of the mean square.
+    pub rms: f64,
+    /// 99.9 % of the vertices are expected to be off by less (to 2 %).
+    pub p999: f64,
+    /// The worst.
+    pub worst: f64,
+    /// Whether it was estimated at each vertex, for diagnostics. Otherwise it is that of the samples, each for as many vertices as
+    /// it was the home of.
+    pub of_vertices: bool,
+    /// Where samples alone tell that it is more than will be [accepted](Self::ACCEPTED).
+    #[serde(skip)]
+    pub beyond: Option<Beyond>,
+}
+
+/// Where more is expected than is accepted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Beyond {
+    /// The largest error that is expected around a sample, as a fraction of the diagonal.
+    pub worst: f64,
+    /// That sample, in the model's coordinates at rest.
+    pub place: DVec3,
+    /// Number of samples around which it is more than is accepted.
+    pub samples: u64,
+    /// About how many samples more it takes until it is less, where the deformation is smooth.
+    pub needed: u64,
+}
+
+impl ExpectedError {
+    /// What a user will accept, as a fraction of the diagonal. In a picture in which the model is four thousand pixels long it
+    /// is less than half of one, at the worst vertex; more may show, as a dent or an edge that is not straight.
+    pub const ACCEPTED: f64 = 1e-4;
+
+    /// The power of the size of clusters that the error falls with; four times as many samples halve the size.
+    const ORDER: f64 = 3.0;
+}
+
+/// Estimates of many vertices, summed up. Fractions of the diagonal.
+#[derive(Default)]
+pub(super) struct Tally {
+    histogram: Histogram,
+    count: u64,
+    squares: f64,
+    worst: f64,
+}
+
+impl Tally {
+    /// Adds `vertices` for which so much is expected.
+    pub fn add(&mut self, expected: f64, vertices: u64) {
+        if vertices > 0 && expected.is_finite() {
+            self.histogram.add_many(expected, vertices);
+            self.count += vertices;
+            self.squares += expected * expected * vertices as f64;
+            self.worst = self.worst.max(expected);
+        }
+    }
+
+    /// What they come to.
+    pub fn sum(&self, of_vertices: bool) -> ExpectedError {
+        ExpectedError {
+            rms: (self.squares / self.count.max(1) as f64).sqrt(),
+            p999: self.histogram.quantile(0.999),
+            worst: self.worst,
+            of_vertices,
+            beyond: None,
+        }
+    }
+}
+
 impl DeformationField<'_> {
     /// The transfer error to be expected around each sample, local units: the largest difference between its expansion
     /// and those of its neighbours, halfway. Nothing for what rounding explains, as of a rigid motion.
     ///
     /// It is an estimate of the size, not a bound: `docs/refinement.md` says how it compares with the error.
     pub fn expected_error(&self) -> Vec<f32> {
+        let told = |e: Expectation| if f64::from(e.largest) < TELLING * ROUNDING { 0.0 } else { e.largest };
+        self.around_samples().map(told).collect()
+    }
+
+    /// Finds out what is expected around the samples, which all further estimates rest on. `positions` is the type of those in
+    /// the file that is written.
+    pub fn expecting(mut self, frame: &Frame, positions: Scalar) -> Self {
+        self.expected = self.around_samples().collect();
+        self.rounding = Rounding::of(frame, positions);
+        self
+    }
+
+    fn around_samples(&self) -> impl IndexedParallelIterator<Item = Expectation> + '_ {
         let positions = &self.around.samples.positions;
         let says = |i: usize, p: Vec3| self.expansions[i].at(p - positions[i]).0;
-        let off = |i: usize, j: usize| {
+        let off = move |i: usize, j: usize| {
             let halfway = 0.5 * (positions[i] + positions[j]);
             says(i, halfway).distance(says(j, halfway))
         };
-        let largest = |i: usize| {
-            let near = self.around.sheets.of_sample(i).iter().take(RING);
-            let largest = near.map(|j| off(i, *j as usize)).fold(0.0, f32::max);
-            if f64::from(largest) < TELLING * ROUNDING { 0.0 } else { largest }
-        };
-        (0..positions.len()).into_par_iter().map(largest).collect()
+        (0..positions.len()).into_par_iter().map(move |i| {
+            let near = self.around.sheets.of_sample(i);
+            let near = &near[..near.len().min(RING)];
+            let (mut largest, mut squares) = (0.0f32, 0.0);
+            for off in near.iter().map(|j| off(i, *j as usize)) {
+                largest = largest.max(off);
+                squares += off * off;
+            }
+            Expectation { disagreement: (squares / near.len().max(1) as f32).sqrt(), largest }
+        })
     }
+
+    /// How far a vertex at `p`, of this home, that goes by `u`, is expected to be off; local units. The field has to be
+    /// [expecting](Self::expecting).
+    pub(super) fn expected_at(&self, home: usize, p: Vec3, u: Vec3) -> f32 {
+        let mut heard = Heard::default();
+        for i in self.around.supports.of_home(home).iter().map(|r| r.sample as usize) {
+            let e = &self.expansions[i];
+            let s = 1.0 - p.distance_squared(Vec3::from_array(e.center)) * e.inverse_square;
+            if s > 0.0 {
+                heard.add(self, i, s * s * s, p, u);
+            }
+        }
+        if heard.sum < LEAST_WEIGHT {
+            heard = Heard::default();
+            let near = Neighbourhood::gather(self.around, home, blended_jets::BLENDED, p);
+            near.weighted().iter().for_each(|&(i, w)| heard.add(self, i as usize, w, p, u));
+        }
+        let Heard { sum, squares, spread, disagreement, center } = heard;
+        let radius = self.around.supports.radius[home].max(f32::MIN_POSITIVE);
+        let beyond = p.distance(center / sum) / radius;
+        let alone = sum * sum < ALONE * squares;
+        let further = if alone { FOR_ALL } else { (beyond / AMONG).clamp(1.0, FURTHEST) };
+        let [spread, disagreement] = [(spread / sum).sqrt(), disagreement / sum];
+        hypot([OF_SPREAD * spread, OF_DISAGREEMENT * disagreement * further, self.rounding.at(p, u)])
+    }
+
+    /// How far vertices are expected to be off by what the samples tell, each for as many vertices as it was the home of in
+    /// all that was carried so far, of `vertices`; the others do not move. `None` where the method is another one, which leaves out
+    /// other things. The field has to be [expecting](Self::expecting).
+    pub(super) fn expected_of_samples(&self, of: &SampledModel, vertices: u64) -> Option<ExpectedError> {
+        if self.method != Method::BlendedJets {
+            return None;
+        }
+        let diagonal = of.local_diagonal();
+        let (mut tally, mut counted) = (Tally::default(), 0);
+        for (i, e) in self.expected.iter().enumerate() {
+            let n = self.around.vertices_of(i);
+            let part = |x: f32| f64::from(hypot([x, self.rounding_at(i)])) / diagonal;
+            tally.add(part(OF_DISAGREEMENT * e.disagreement), n);
+            tally.worst = tally.worst.max(if n > 0 { part(e.largest) } else { 0.0 });
+            counted += n;
+        }
+        tally.add(0.0, vertices.saturating_sub(counted));
+        let beyond = self.expected_beyond(of, ExpectedError::ACCEPTED);
+        Some(ExpectedError { beyond, ..tally.sum(false) })
+    }
+
+    /// What writing the file makes of a vertex that is known exactly, local units.
+    pub(super) fn written_rounding(&self, p: Vec3, u: Vec3) -> f32 {
+        self.rounding.written(p, u)
+    }
+
+    /// What rounding makes at a sample.
+    fn rounding_at(&self, sample: usize) -> f32 {
+        self.rounding.at(self.around.samples.positions[sample], self.expansions[sample].displacement())
+    }
+
+    /// Where more is expected than `accepted`, a fraction of the diagonal of the model of which the samples are. The field has to
+    /// be [expecting](Self::expecting).
+    pub fn expected_beyond(&self, of: &SampledModel, accepted: f64) -> Option<Beyond> {
+        let diagonal = of.local_diagonal();
+        let part = |(i, e): (usize, &Expectation)| {
+            (i, f64::from(hypot([e.largest, self.rounding_at(i)])) / diagonal)
+        };
+        let beyond = || self.expected.iter().enumerate().map(part).filter(|(_, e)| *e > accepted);
+        let (at, worst) = beyond().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))?;
+        let more = |(_, e): (usize, f64)| (e / accepted).powf(2.0 / ExpectedError::ORDER) - 1.0;
+        Some(Beyond {
+            worst,
+            place: of.frame.to_model(self.around.samples.positions[at]),
+            samples: beyond().count() as u64,
+            needed: beyond().map(more).sum::<f64>().ceil() as u64,
+        })
+    }
+}
+
+/// What those who reach a vertex have to say, each with its weight.
+#[derive(Default)]
+struct Heard {
+    /// Of the weights, and of their squares.
+    sum: f32,
+    squares: f32,
+    /// Squares of how far each is from what was made of them.
+    spread: f32,
+    disagreement: f32,
+    center: Vec3,
+}
+
+impl Heard {
+    /// Hears sample `i` on a vertex at `p` that goes by `u`.
+    fn add(&mut self, field: &DeformationField<'_>, i: usize, w: f32, p: Vec3, u: Vec3) {
+        let q = Vec3::from_array(field.expansions[i].center);
+        self.spread += w * field.expansions[i].at(p - q).0.distance_squared(u);
+        self.disagreement += w * field.expected.get(i).map_or(f32::NAN, |e| e.disagreement);
+        self.center += w * q;
+        self.sum += w;
+        self.squares += w * w;
+    }
+}
+
+fn hypot<const N: usize>(parts: [f32; N]) -> f32 {
+    parts.iter().map(|x| x * x).sum::<f32>().sqrt()
 }

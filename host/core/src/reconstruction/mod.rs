@@ -4,13 +4,15 @@
 //! `local_frames` fits D's gradient at each, and `blended_jets` expands D about it to second order. While streaming,
 //! `homes` finds the sample around which a vertex lies, by its position alone; `blend` carries whole blocks of
 //! vertices over by the expansions around their homes, or `projected_barycentric` each vertex in the paper's way;
-//! `stream` does so for the whole file. `diagnostics` says what it does to the surface, and `expected_error` where it is probably off. [`transfer_error`] compares a result with the exact map.
+//! `stream` does so for the whole file. `diagnostics` says what it does to the surface, and `expected_error` how far it is probably off. Where the map of
+//! space itself is known, `exact` evaluates it at each vertex instead, and [`transfer_error`] compares results with it.
 
 mod binding;
 mod blend;
 mod blended_jets;
 mod block;
 mod diagnostics;
+mod exact;
 mod expansion;
 mod expected_error;
 mod homes;
@@ -25,7 +27,9 @@ mod stream;
 mod tests;
 pub mod transfer_error;
 
+use std::ops::Range;
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
@@ -40,7 +44,10 @@ use block::Workspaces;
 pub(crate) use block::homes;
 pub use block::{Moved, carry};
 pub use diagnostics::{Figures, Folds, principal_stretches};
+pub use exact::{EVALUATIONS_WITH_GRADIENT, ExactMap, needs_gradient, write_exact};
 use expansion::Expansion;
+pub use expected_error::{Beyond, ExpectedError};
+use expected_error::{Expectation, Rounding};
 use homes::Cells;
 use limiter::Limiter;
 use local_frames::LocalFrames;
@@ -58,6 +65,9 @@ pub struct Transport {
 }
 
 impl Transport {
+    /// Nothing happens.
+    pub const NONE: Self = Self { displacement: Vec3::ZERO, gradient: Mat3::IDENTITY };
+
     /// The normal after the deformation, of the same length as before. `mirrored` says that the deformation as a whole
     /// turns left into right, where what is outside stays outside.
     pub fn normal(&self, n: Vec3, mirrored: bool) -> Vec3 {
@@ -92,7 +102,7 @@ pub enum Method {
 /// What there is to know of the samples at rest, for all deformations of them: who is on whose sheet, and whose word
 /// counts where.
 ///
-/// Memory: about 380 bytes per sample, and what [`SampleSet::prepare`] finds.
+/// Memory: about 390 bytes per sample, and what [`SampleSet::prepare`] finds.
 pub struct Surroundings<'a> {
     samples: &'a SampleSet,
     sheets: Sheets,
@@ -100,6 +110,8 @@ pub struct Surroundings<'a> {
     /// What homes are found by: made when a place is first looked up, as fitting does not need it.
     cells: OnceLock<Cells>,
     workspaces: Workspaces,
+    /// Of how many vertices each sample was the home.
+    vertices: Vec<AtomicU64>,
 }
 
 impl<'a> Surroundings<'a> {
@@ -113,7 +125,15 @@ impl<'a> Surroundings<'a> {
 
     /// What was found out before.
     fn known(samples: &'a SampleSet, sheets: Sheets, supports: Supports) -> Self {
-        Self { samples, sheets, supports, cells: OnceLock::new(), workspaces: Workspaces::default() }
+        let vertices = (0..samples.len()).map(|_| AtomicU64::new(0)).collect();
+        Self {
+            samples,
+            sheets,
+            supports,
+            cells: OnceLock::new(),
+            workspaces: Workspaces::default(),
+            vertices,
+        }
     }
 
     fn cells(&self) -> &Cells {
@@ -126,11 +146,23 @@ impl<'a> Surroundings<'a> {
             }
         }
     }
+
+    /// Counts vertices that were carried around homes.
+    fn count(&self, groups: &[(u32, Range<usize>)]) {
+        for (home, vertices) in groups {
+            self.vertices[*home as usize].fetch_add(vertices.len() as u64, Ordering::Relaxed);
+        }
+    }
+
+    /// The number of vertices so far of which the sample was the home, where anything moves.
+    fn vertices_of(&self, sample: usize) -> u64 {
+        self.vertices[sample].load(Ordering::Relaxed)
+    }
 }
 
 /// The deformation that P_S and P_S* sample, ready to be evaluated anywhere near P_S.
 ///
-/// Memory: about 190 bytes per sample.
+/// Memory: about 200 bytes per sample.
 pub struct DeformationField<'a> {
     around: &'a Surroundings<'a>,
     deformed: &'a [Vec3],
@@ -141,6 +173,9 @@ pub struct DeformationField<'a> {
     /// Whether anything moves around the sample as a home.
     active: Vec<bool>,
     folds: Folds,
+    /// What is expected around each sample, if [that was asked for](Self::expecting).
+    expected: Vec<Expectation>,
+    rounding: Rounding,
 }
 
 impl<'a> DeformationField<'a> {
@@ -162,7 +197,18 @@ impl<'a> DeformationField<'a> {
         let limiter = Limiter::new(supports, &expansions, &doubtful);
         let neighbours = |i| sheets.of_sample(i);
         let folds = Folds::of(&expansions, &frames.tells_side, samples.normals(), neighbours);
-        Self { around, deformed, method, frames, expansions, limiter, active, folds }
+        Self {
+            around,
+            deformed,
+            method,
+            frames,
+            expansions,
+            limiter,
+            active,
+            folds,
+            expected: Vec::new(),
+            rounding: Rounding::default(),
+        }
     }
 
     /// Local position of each sample after the deformation.
@@ -180,11 +226,15 @@ impl<'a> DeformationField<'a> {
         &self.folds
     }
 
-    /// What becomes of the surface at a vertex of this home. `distance` is how far it moves, in the model's unit.
-    fn figures(&self, home: usize, distance: f64, gradient: &Mat3) -> Figures {
+    /// What becomes of the surface at a vertex of this home, at `p`, local coordinates; `scale` is the length of a local unit.
+    fn figures(&self, home: usize, p: Vec3, moved: &Transport, scale: f64) -> Figures {
+        let Transport { displacement, gradient } = moved;
         let stretch = principal_stretches(gradient, self.around.samples.normals()[home]);
         let folded = self.folds.contains(home, gradient);
-        Figures { displacement: distance as f32, stretch, folded }
+        let expected_error = if self.active[home] { self.expected_at(home, p, *displacement) } else { 0.0 };
+        let [displacement, expected_error] =
+            [displacement.length(), expected_error].map(|x| (f64::from(x) * scale) as f32);
+        Figures { displacement, stretch, folded, expected_error }
     }
 
     /// Carries a vertex over that no support reaches, as one that lies far off the samples.

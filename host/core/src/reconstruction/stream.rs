@@ -11,7 +11,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 
 use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
-use super::{DeformationField, Figures, Method, Moved, Surroundings, carry};
+use super::{DeformationField, ExpectedError, Figures, Method, Moved, Surroundings, carry};
 use crate::model::{Edited, MAX_VERSIONS, Model, Normals, Output, Rewriting, VertexChunk};
 use crate::output::{canonical_target, check_space, folder_of};
 use crate::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
@@ -35,8 +35,9 @@ pub struct Version<'a> {
     /// The file to write, which appears whole or not at all.
     pub output: &'a Path,
     /// A file that is to say what becomes of the surface at each vertex, likewise: a binary PLY file of the deformed
-    /// positions with `displacement` (in the model's unit), `stretch_max` and `stretch_min` (1 at rest), and `folded` (0
-    /// or 1). The numbers of a vertex without a finite position are NaN, and it is not folded.
+    /// positions with `displacement` (in the model's unit), `stretch_max` and `stretch_min` (1 at rest), `folded` (0
+    /// or 1), `expected_error` (how far the vertex is probably off, in the model's unit), and `expected_error_fraction` (the same
+    /// as a fraction of the diagonal at rest). The numbers of a vertex without a finite position are NaN, and it is not folded.
     pub diagnostics: Option<&'a Path>,
 }
 
@@ -93,6 +94,9 @@ pub struct Reconstructed {
     pub taken_over: u64,
     /// Where each version folds the surface; nothing is known of those that an earlier call had finished.
     pub folding: Vec<Option<Folding>>,
+    /// How far each version is expected to be off; nothing is known of those that an earlier call had finished, nor of another
+    /// method than blended jets without diagnostics. What an earlier call wrote of a version is not counted.
+    pub expected: Vec<Option<ExpectedError>>,
 }
 
 /// Transfers each deformation of the samples to their model and writes it to its output. Up to [`MAX_VERSIONS`] of them
@@ -102,7 +106,7 @@ pub struct Reconstructed {
 /// user cancelled or the disk is full.
 ///
 /// Memory: a field for each version of a reading (see [`DeformationField`]), the chunks of [`Model::rewrite`], and with
-/// diagnostics 16 bytes for each vertex of a chunk and version.
+/// diagnostics 20 bytes for each vertex of a chunk and version.
 ///
 /// # Errors
 /// The model cannot be read or is not what was sampled; an output cannot be written, is written by another process, is
@@ -119,7 +123,7 @@ pub fn reconstruct(
     if let Some(cost) = sampled.source.cost_of_order() {
         progress.note(&cost);
     }
-    let folding = vec![None; versions.len()];
+    let (folding, expected) = (vec![None; versions.len()], vec![None; versions.len()]);
     let mut work = Work {
         sampled,
         model,
@@ -129,6 +133,7 @@ pub fn reconstruct(
         finished: Vec::new(),
         taken_over: 0,
         folding,
+        expected,
     };
     match work.write(versions) {
         Ok(()) => Ok(Reconstructed {
@@ -136,13 +141,14 @@ pub fn reconstruct(
             non_finite: sampled.source.non_finite,
             taken_over: work.taken_over,
             folding: work.folding,
+            expected: work.expected,
         }),
         Err(error) => Err(work.stop(error, versions)),
     }
 }
 
 /// An error where an output is the model or two are the same, or the disk has no room for them.
-fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &Reconstruction) -> Result<()> {
+pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &Reconstruction) -> Result<()> {
     if how.resume && versions.iter().any(|v| v.diagnostics.is_some()) {
         return Err(Error::new(
             ErrorKind::Argument,
@@ -196,6 +202,7 @@ struct Work<'a> {
     taken_over: u64,
     /// Of each version, as far as it is known.
     folding: Vec<Option<Folding>>,
+    expected: Vec<Option<ExpectedError>>,
 }
 
 /// A version that is being written.
@@ -214,7 +221,8 @@ impl<'a> Work<'a> {
             let (key, part_bytes) = (self.key(version.deformed), self.part_bytes());
             match ResumableFile::open(version.output, key, self.how.resume, part_bytes, self.progress)? {
                 Opened::Unfinished(file) => {
-                    let create = |path| DiagnosticsFile::create(path, self.model.info());
+                    let diagonal = self.sampled.bounds.diagonal();
+                    let create = |path| DiagnosticsFile::create(path, self.model.info(), diagonal);
                     let diagnostics = version.diagnostics.map(create).transpose()?;
                     self.pass.push(Begun {
                         number,
@@ -248,8 +256,11 @@ impl<'a> Work<'a> {
 
         self.progress.begin("preparing", 0);
         let (mut binding, surroundings) = self.surroundings()?;
-        let field =
-            |begun: &Begun<'a>| DeformationField::new(&surroundings, begun.version.deformed, self.how.method);
+        let info = self.model.info();
+        let field = |begun: &Begun<'a>| {
+            let field = DeformationField::new(&surroundings, begun.version.deformed, self.how.method);
+            field.expecting(&self.sampled.frame, info.position_type)
+        };
         let fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
         for (field, begun) in fields.iter().zip(&self.pass) {
             let folds = field.folds();
@@ -300,7 +311,13 @@ impl<'a> Work<'a> {
         self.pass.iter_mut().try_for_each(|begun| begun.file.complete(several))?;
         // That may have taken a while.
         self.progress.check()?;
-        for Begun { number, file, diagnostics, .. } in &mut self.pass {
+        for (field, Begun { number, file, diagnostics, .. }) in fields.iter().zip(&mut self.pass) {
+            let of_vertices = diagnostics.as_ref().map(|file| file.expected.sum(true));
+            let of_samples = field.expected_of_samples(self.sampled, info.vertices);
+            self.expected[*number] = match (of_vertices, of_samples) {
+                (Some(vertices), Some(samples)) => Some(ExpectedError { beyond: samples.beyond, ..vertices }),
+                (vertices, samples) => vertices.or(samples),
+            };
             // First, as they may still fill the disk.
             if let Some(diagnostics) = diagnostics.take() {
                 self.folding[*number] =

@@ -2,8 +2,12 @@
 
 use glam::DVec3;
 use serde::Serialize;
+use xxhash_rust::xxh3::xxh3_64;
 
-use crate::model::{Model, in_step};
+use super::expected_error::Tally;
+use super::{DeformationField, ExpectedError, Moved, carry};
+use crate::model::{Model, Scalar, for_vertices, in_step};
+use crate::sampled_model::SampledModel;
 use crate::{Progress, Result};
 
 /// The deviation of a deformed model from the exact one. Lengths are fractions of the model's diagonal at rest.
@@ -72,6 +76,50 @@ pub fn measure(
     })
 }
 
+/// Compares what `field` makes of some vertices, no more than `most` and chosen at random, with their exact images; nothing is
+/// written, but their positions are rounded as the file does it. The same vertices each time; [`jump`](TransferError::jump) is 0.
+///
+/// Memory: a chunk of the model, and 72 bytes for each of its vertices.
+///
+/// # Errors
+/// As of [`measure`].
+pub fn measure_some(
+    model: &dyn Model,
+    field: &DeformationField<'_>,
+    of: &SampledModel,
+    most: u64,
+    exact: &dyn Fn(&mut [DVec3]) -> Result<()>,
+    progress: &dyn Progress,
+) -> Result<TransferError> {
+    let info = model.info();
+    progress.begin("measuring some vertices", info.vertex_bytes);
+    let share = most as f64 / info.vertices.max(1) as f64;
+    let is_chosen = |i: u64| share >= 1.0 || xxh3_64(&i.to_le_bytes()) as f64 / (u64::MAX as f64) < share;
+    let scale = 1.0 / of.bounds.diagonal().max(f64::MIN_POSITIVE);
+    let mut errors = Tally::default();
+    let mut count = 0;
+    for_vertices(model, |chunk| {
+        progress.check()?;
+        let chosen: Vec<usize> = (0..chunk.len())
+            .filter(|i| is_chosen(chunk.first + *i as u64) && chunk.positions[*i].is_finite())
+            .collect();
+        let rest: Vec<DVec3> = chosen.iter().map(|i| chunk.positions[*i]).collect();
+        let (mut found, mut truth) = (rest.clone(), rest.clone());
+        let moved = Moved { positions: &mut found, normals: &mut [], figures: &mut [] };
+        carry(std::slice::from_ref(field), &of.frame, &rest, None, &mut [moved]);
+        exact(&mut truth)?;
+        for (found, truth) in found.iter().zip(&truth) {
+            let written = if info.position_type == Scalar::F32 { found.as_vec3().as_dvec3() } else { *found };
+            errors.add(written.distance(*truth) * scale, 1);
+            count += 1;
+        }
+        progress.advance(chunk.raw().len() as u64);
+        Ok(())
+    })?;
+    let ExpectedError { rms, p999, worst: max, .. } = errors.sum(true);
+    Ok(TransferError { vertices: count, rms, p999, max, jump: 0.0 })
+}
+
 /// Counts of positive values on a logarithmic scale from 1e-12 to 1e3, 64 bins per factor of ten.
 pub(crate) struct Histogram {
     bins: Vec<u64>,
@@ -88,9 +136,13 @@ impl Default for Histogram {
 
 impl Histogram {
     pub(crate) fn add(&mut self, x: f64) {
+        self.add_many(x, 1);
+    }
+
+    pub(crate) fn add_many(&mut self, x: f64, count: u64) {
         let bin = ((x.log10() - LEAST_EXPONENT) * BINS_PER_DECADE).max(0.0) as usize;
         let last = self.bins.len() - 1;
-        self.bins[bin.min(last)] += 1;
+        self.bins[bin.min(last)] += count;
     }
 
     /// The middle of the bin that holds the quantile; 0 for anything below the scale.

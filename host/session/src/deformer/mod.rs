@@ -232,11 +232,7 @@ impl Plugin {
         watch: &Watch<'_>,
     ) -> Result<()> {
         if !self.capabilities.evaluate {
-            return Err(Error::new(
-                ErrorKind::Plugin,
-                format!("plugin {} deforms samples only, not any point of space", self.id()),
-                "use a reconstruction method instead of the exact map",
-            ));
+            return Err(self.samples_only());
         }
         let done = self.code.evaluate(state, input, points, watch);
         watch.progress.check()?;
@@ -244,6 +240,18 @@ impl Plugin {
         let bad = |p: &[f64; 3]| !is_usable(*p);
         let first = points.iter().position(bad).map(|i| (i, points[i]));
         self.all_usable(points.len(), points.iter().filter(|p| bad(p)).count(), first)
+    }
+
+    /// That it has no map of space.
+    pub(crate) fn samples_only(&self) -> Error {
+        Error::new(
+            ErrorKind::Plugin,
+            format!(
+                "plugin {} deforms samples only, not any point of space, so the exact deformation is not known",
+                self.id()
+            ),
+            "measure, or evaluate exactly, sessions of space deformations, as warp, lattice and rbf; or switch the step off",
+        )
     }
 
     /// The handles that the plugin places for this input; none where it has no such.

@@ -125,6 +125,15 @@ impl Stack {
         self.layers.iter().map(|l| &*l.plugin)
     }
 
+    /// # Errors
+    /// A step deforms samples alone, so that the map of space is not known; the error names the first such step.
+    pub fn check_evaluable(&self) -> Result<()> {
+        match self.layers.iter().find(|layer| !layer.plugin.capabilities().evaluate) {
+            None => Ok(()),
+            Some(layer) => Err(at(&layer.place, layer.plugin.samples_only())),
+        }
+    }
+
     /// Each layer's plugin with all parameters in effect.
     pub(crate) fn in_effect(&self) -> impl Iterator<Item = (&Plugin, &Params)> {
         self.layers.iter().map(|l| (&*l.plugin, l.params()))

@@ -1,0 +1,184 @@
+//! The exact map at every vertex, where it is known as a map of space: what a reconstruction is measured by, and the result
+//! itself where its cost does not matter.
+
+use std::path::Path;
+
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+use xxhash_rust::xxh3::Xxh3Default;
+
+use super::diagnostics::DiagnosticsFile;
+use super::stream::{Folding, check_targets};
+use super::{DeformationField, Figures, Reconstructed, Reconstruction, Transport, Version};
+use crate::model::{Edited, Model, Normals, Output, Rewriting, VertexChunk};
+use crate::output::OutputFile;
+use crate::sampled_model::{SampledModel, fingerprint};
+use crate::{Progress, Result};
+
+/// Step of the central differences that give the gradient, in local units: a power of two near the third root of the
+/// rounding of doubles.
+const STEP: f64 = 1.0 / (1 << 17) as f64;
+
+/// A gradient this near to that of the identity is the identity: differences do not tell them apart.
+const STILL: f64 = 1e-8;
+
+/// How often the map is evaluated for each vertex, if normals or diagnostics need its gradient.
+pub const EVALUATIONS_WITH_GRADIENT: u64 = 7;
+
+/// Replaces points, in the model's coordinates, by their images; those that are not finite stay. From any thread.
+pub type ExactMap<'a> = dyn Fn(&mut [DVec3]) -> Result<()> + Sync + 'a;
+
+/// Whether the gradient is needed besides the images.
+pub fn needs_gradient(model: &dyn Model, normals: Normals, diagnostics: Option<&Path>) -> bool {
+    diagnostics.is_some() || model.info().has_normals && normals == Normals::Transform
+}
+
+/// Writes the model with the exact image of each vertex; all else of the file is as it is. Normals turn by the map's gradient,
+/// from differences in double precision. `field` is the deformation of the samples: it tells whether the whole is mirrored, and
+/// where it folds.
+///
+/// Memory: the chunks of [`Model::rewrite`], and 170 bytes for each vertex of a chunk with its gradient, 24 without.
+///
+/// # Errors
+/// As of [`reconstruct`](super::reconstruct), or `map` fails.
+pub fn write_exact(
+    sampled: &SampledModel,
+    model: &dyn Model,
+    field: &DeformationField<'_>,
+    map: &ExactMap<'_>,
+    version: &Version<'_>,
+    how: &Reconstruction<'_>,
+    progress: &dyn Progress,
+) -> Result<Reconstructed> {
+    check_targets(model, &[*version], how)?;
+    let info = model.info();
+    let mut file = OutputFile::create(version.output, info.bytes)?;
+    let create = |path| DiagnosticsFile::create(path, info, sampled.bounds.diagonal());
+    let mut diagnostics = version.diagnostics.map(create).transpose()?;
+    let gradients = needs_gradient(model, how.normals, version.diagnostics);
+    let mut hash = Xxh3Default::new();
+    let exact = Exact { sampled, field, map };
+    let mut edit = |chunk: &VertexChunk, versions: &mut [Edited]| {
+        hash.update(chunk.raw());
+        for edited in versions {
+            let moved = exact.carry(&chunk.positions, gradients)?;
+            for (position, moved) in edited.positions.iter_mut().zip(&moved) {
+                *position += moved.way;
+            }
+            for (normal, moved) in edited.normals.iter_mut().zip(&moved) {
+                let transport = moved.transport(sampled.frame.scale);
+                *normal = transport.normal(*normal, field.frames.mirrored);
+            }
+            if let Some(file) = &mut diagnostics {
+                file.write(&edited.positions, &exact.figures(&chunk.positions, &moved))?;
+            }
+        }
+        Ok(())
+    };
+    progress.begin("evaluating every vertex", info.bytes);
+    let outputs: &mut [&mut dyn Output] = &mut [&mut file];
+    let rewriting = Rewriting { normals: how.normals, pieces_done: 0 };
+    model.rewrite(outputs, rewriting, &mut edit, progress)?;
+    if sampled.source.fingerprint != fingerprint(hash.digest128()) {
+        return Err(sampled.source_changed(model.path()));
+    }
+    let folds = field.folds();
+    let first = folds.first.map(|i| sampled.frame.to_model(sampled.samples.positions[i]));
+    let mut folding = Folding { samples: folds.samples, first, vertices: None };
+    let mut expected = None;
+    if let Some(diagnostics) = diagnostics {
+        (folding.vertices, expected) = (Some(diagnostics.folded), Some(diagnostics.expected.sum(true)));
+        diagnostics.commit()?;
+    }
+    progress.check()?;
+    file.commit()?;
+    Ok(Reconstructed {
+        vertices: info.vertices,
+        non_finite: sampled.source.non_finite,
+        taken_over: 0,
+        folding: vec![Some(folding)],
+        expected: vec![expected],
+    })
+}
+
+struct Exact<'a> {
+    sampled: &'a SampledModel,
+    field: &'a DeformationField<'a>,
+    map: &'a ExactMap<'a>,
+}
+
+/// What the map does to a vertex.
+#[derive(Clone, Copy)]
+struct Carried {
+    /// In the model's unit; nothing where the vertex is not finite.
+    way: DVec3,
+    gradient: DMat3,
+}
+
+impl Carried {
+    /// The same in local units of this length.
+    fn transport(&self, scale: f64) -> Transport {
+        Transport { displacement: (self.way / scale).as_vec3(), gradient: self.gradient.as_mat3() }
+    }
+}
+
+impl Exact<'_> {
+    /// Evaluates the map at vertices, and around them if the gradient is asked for.
+    fn carry(&self, positions: &[DVec3], gradient: bool) -> Result<Vec<Carried>> {
+        let frame = &self.sampled.frame;
+        let mut images = positions.to_vec();
+        (self.map)(&mut images)?;
+        let way = |(p, image): (&DVec3, &DVec3)| {
+            // What the map does not move comes back from local coordinates rounded.
+            let still = frame.to_model_exact(frame.to_local_exact(*p));
+            let way = if p.is_finite() { *image - still } else { DVec3::ZERO };
+            Carried { way, gradient: DMat3::IDENTITY }
+        };
+        let mut carried: Vec<Carried> = positions.iter().zip(&images).map(way).collect();
+        if !gradient {
+            return Ok(carried);
+        }
+        let step = STEP * frame.scale;
+        let mut columns = Vec::with_capacity(3);
+        for axis in DVec3::AXES {
+            let beside = |by: f64| -> Result<Vec<DVec3>> {
+                let mut points: Vec<DVec3> = positions.iter().map(|p| *p + by * axis).collect();
+                (self.map)(&mut points)?;
+                Ok(points)
+            };
+            columns.push((beside(step)?, beside(-step)?));
+        }
+        for (i, (p, carried)) in positions.iter().zip(&mut carried).enumerate() {
+            // The distance that there really is, where coordinates are large.
+            let column = |axis: usize| {
+                let (after, before) = (&columns[axis].0, &columns[axis].1);
+                (after[i] - before[i]) / ((p[axis] + step) - (p[axis] - step))
+            };
+            let gradient = DMat3::from_cols(column(0), column(1), column(2));
+            if gradient.is_finite() && !gradient.abs_diff_eq(DMat3::IDENTITY, STILL) {
+                carried.gradient = gradient;
+            }
+        }
+        Ok(carried)
+    }
+
+    /// What becomes of the surface at vertices.
+    fn figures(&self, positions: &[DVec3], carried: &[Carried]) -> Vec<Figures> {
+        let Self { sampled, field, .. } = self;
+        let frame = &sampled.frame;
+        let figures = |(p, carried): (&DVec3, &Carried)| {
+            if !p.is_finite() {
+                return Figures::UNKNOWN;
+            }
+            let local = frame.to_local(*p);
+            let home = sampled.samples.nearest(local) as usize;
+            let moved = carried.transport(frame.scale);
+            let rounding = field.written_rounding(local, moved.displacement);
+            Figures {
+                expected_error: (f64::from(rounding) * frame.scale) as f32,
+                ..field.figures(home, local, &moved, frame.scale)
+            }
+        };
+        positions.par_iter().zip(carried).map(figures).collect()
+    }
+}

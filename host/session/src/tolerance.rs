@@ -1,0 +1,266 @@
+//! Runs to a tolerance: samples are added where the transfer is expected to be off by more, and deformed by the plugins, until it is
+//! nowhere. Samples that the transfer itself placed would tell nothing about it.
+
+use std::path::Path;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use glam::DVec3;
+use simod_core::model::{Model, Scalar};
+use simod_core::reconstruction::transfer_error::{TransferError, measure_some};
+use simod_core::reconstruction::{Beyond, DeformationField, Method, Surroundings};
+use simod_core::refinement::{Finer, Refining, Selection, refine};
+use simod_core::sampled_model::SampledModel;
+use simod_core::{Error, ErrorKind, Progress, Result};
+
+use crate::edit::Refinements;
+use crate::pipeline::{DeformedSamples, deform};
+use crate::plugins::PluginRegistry;
+use crate::session_file::Step;
+
+/// Rounds of refinement; the number of samples may double in each.
+const ROUNDS: u64 = 12;
+
+/// No more samples than so many times those at the beginning, or than [`FEW`] ...
+const MOST: u64 = 64;
+/// ... if that is more.
+const FEW: u64 = 1 << 20;
+
+/// The largest expected error has to fall to this part of what it was, in two rounds: at a step it does not.
+const FALLS: f64 = 0.9;
+
+/// Vertices at which the exact map is asked.
+const MEASURED: u64 = 1_000_000;
+
+/// What the estimates of samples in single precision do not tell, in local units, which are at most the diagonal.
+const LEAST_LOCAL: f64 = 2e-6;
+
+/// How far vertices may be off.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Tolerance {
+    /// As a fraction of the model's diagonal at rest.
+    Fraction(f64),
+    /// In the model's unit.
+    Length(f64),
+}
+
+impl Tolerance {
+    /// As a fraction of this diagonal.
+    pub fn fraction(self, diagonal: f64) -> f64 {
+        match self {
+            Self::Fraction(f) => f,
+            Self::Length(l) => l / diagonal.max(f64::MIN_POSITIVE),
+        }
+    }
+}
+
+impl FromStr for Tolerance {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let (number, of): (&str, fn(f64) -> Self) = match text.strip_suffix('u') {
+            Some(number) => (number, Self::Length),
+            None => (text, Self::Fraction),
+        };
+        match number.trim().parse::<f64>() {
+            Ok(x) if x.is_finite() && x > 0.0 => Ok(of(x)),
+            _ => Err("give a fraction of the diagonal, as 1e-5, or a length in the model's unit, as 0.002u"
+                .to_owned()),
+        }
+    }
+}
+
+/// That a tolerance is met. Errors are fractions of the diagonal.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Certificate {
+    /// The tolerance.
+    pub tolerance: f64,
+    /// The largest error that is expected around a sample.
+    pub expected: f64,
+    /// Number of samples that were added.
+    pub added: u64,
+    /// In how many rounds.
+    pub rounds: u64,
+    /// The true error of some vertices, where all plugins know their map.
+    pub truth: Option<TransferError>,
+}
+
+/// Whether a file can tell so small errors at all.
+///
+/// # Errors
+/// It cannot; the error says why.
+pub fn check_precision(sampled: &SampledModel, model: &dyn Model, tolerance: f64) -> Result<()> {
+    let diagonal = sampled.bounds.diagonal().max(f64::MIN_POSITIVE);
+    let refused = |why: String, least: f64| {
+        Err(Error::new(
+            ErrorKind::Argument,
+            format!("the tolerance of {tolerance:.1e} of the diagonal cannot be met: {why}"),
+            format!(
+                "give {least:.1e} or more; `simod run --exact` does without samples where all plugins know their map"
+            ),
+        ))
+    };
+    if model.info().position_type == Scalar::F32 {
+        let largest = sampled.bounds.min.abs().max(sampled.bounds.max.abs());
+        let ulp = |x: f64| 2f64.powi(x.max(f64::MIN_POSITIVE).log2().floor() as i32 - 23);
+        let rounding = 0.5 * DVec3::from(largest.to_array().map(ulp)).length() / diagonal;
+        if 2.0 * rounding > tolerance {
+            let why =
+                format!("the file's positions are of type float, which alone makes up to {rounding:.1e}");
+            return refused(why, 2.0 * rounding);
+        }
+    }
+    let least = LEAST_LOCAL / sampled.local_diagonal().max(f64::MIN_POSITIVE);
+    if least > tolerance {
+        return refused(
+            format!("samples are in single precision, and tell nothing about less than {least:.1e}"),
+            least,
+        );
+    }
+    Ok(())
+}
+
+/// Deforms samples by the steps, and adds more, which the steps deform as well, until nothing is expected to be off by more.
+/// `sampled` holds its cells.
+///
+/// # Errors
+/// The tolerance cannot be met, for a reason that is told; a step cannot be done; the user cancelled.
+pub(crate) fn meet(
+    sampled: SampledModel,
+    model: &dyn Model,
+    (steps, plugins): (&[Step], &PluginRegistry),
+    tolerance: f64,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<(DeformedSamples, Certificate)> {
+    check_precision(&sampled, model, tolerance)?;
+    let first = sampled.samples.len() as u64;
+    let most = (MOST * first).max(FEW).min(sampled.source.vertices);
+    let refinements = Refinements { folder: folder.to_owned(), ..Refinements::default() };
+    let again = |sampled: Arc<SampledModel>, steps: &[Step]| {
+        deform(sampled, steps, plugins, refinements.clone(), progress)
+    };
+    let mut deformed = again(sampled.into(), steps)?;
+    // The samples that steps have added were placed by the transfer: now the plugins place them.
+    let plain: Vec<Step> = steps.iter().filter(|step| !step.refines()).cloned().collect();
+    if plain.len() < steps.len() {
+        deformed = again(deformed.sampled, &plain)?;
+    }
+    let mut asked = tolerance;
+    let mut worst: Vec<f64> = Vec::new();
+    for rounds in 0.. {
+        let of = deformed.sampled.clone();
+        let refined = {
+            progress.begin("estimating the error", 0);
+            let around = Surroundings::of(&of.samples);
+            let field = DeformationField::new(&around, &deformed.positions, Method::default())
+                .expecting(&of.frame, model.info().position_type);
+            let mut beyond = field.expected_beyond(&of, asked);
+            if beyond.is_none() {
+                let truth = truth(&deformed, model, &field, progress)?;
+                let off = truth.map_or(0.0, |truth| truth.max);
+                if off <= tolerance {
+                    let expected = field.expected_beyond(&of, 0.0).map_or(0.0, |all| all.worst);
+                    let added = of.samples.len() as u64 - first;
+                    drop(field);
+                    return Ok((deformed, Certificate { tolerance, expected, added, rounds, truth }));
+                }
+                // The estimate was too small somewhere: less is asked for everywhere.
+                while beyond.is_none() {
+                    asked *= 0.7 * (tolerance / off).clamp(0.5, 1.0);
+                    if check_precision(&of, model, asked).is_err() {
+                        return Err(not_met(
+                            tolerance,
+                            off,
+                            "what is left is below what the estimate tells",
+                            None,
+                        ));
+                    }
+                    beyond = field.expected_beyond(&of, asked);
+                }
+            }
+            let Some(beyond) = beyond else { continue };
+            worst.push(beyond.worst / asked);
+            let samples = of.samples.len() as u64;
+            let why = if rounds == ROUNDS {
+                Some(format!("{ROUNDS} rounds of refinement have not been enough"))
+            } else if samples >= most {
+                Some(format!("it has {samples} samples by now, and {most} are the most"))
+            } else if worst.len() > 3 && beyond.worst / asked > FALLS * worst[worst.len() - 3] {
+                Some("more samples do not help, as the deformation has a step there, or details of the size of the \
+                      vertices' spacing"
+                    .to_owned())
+            } else {
+                None
+            };
+            if let Some(why) = why {
+                return Err(not_met(tolerance, beyond.worst, &why, Some(&beyond)));
+            }
+            let budget = (most - samples).min(samples);
+            let how = Refining {
+                finer: Finer::Auto { error: asked, samples: Some(budget) },
+                memory_limit: None,
+                shapes: Vec::new(),
+            };
+            let everywhere = |_: DVec3| -1.0;
+            let selection = Selection { distance: &everywhere, so_far: Some(&field), at_rest: true };
+            let done = refine(&of, model, selection, &how, folder, progress)?;
+            let Some(refined) = done.sampled else {
+                let why = "there are no vertices left there that could be samples";
+                return Err(not_met(tolerance, beyond.worst, why, Some(&beyond)));
+            };
+            progress.note(&format!(
+                "up to {:.1e} of the diagonal are expected: {} samples more are deformed",
+                beyond.worst, done.added
+            ));
+            refined
+        };
+        deformed = again(refined.into(), &plain)?;
+    }
+    unreachable!("the number of rounds is bounded")
+}
+
+/// The true error of some vertices, where all plugins know their map.
+fn truth(
+    deformed: &DeformedSamples,
+    model: &dyn Model,
+    field: &DeformationField<'_>,
+    progress: &dyn Progress,
+) -> Result<Option<TransferError>> {
+    if !deformed.stack.can_evaluate() {
+        return Ok(None);
+    }
+    let exact = |points: &mut [DVec3]| deformed.stack.evaluate_with(points, progress);
+    measure_some(model, field, &deformed.sampled, MEASURED, &exact, progress).map(Some)
+}
+
+fn not_met(tolerance: f64, left: f64, why: &str, beyond: Option<&Beyond>) -> Error {
+    let place = beyond.map_or_else(String::new, |b| {
+        format!(" near ({:.6}, {:.6}, {:.6})", b.place.x, b.place.y, b.place.z)
+    });
+    Error::new(
+        ErrorKind::Argument,
+        format!(
+            "the tolerance of {tolerance:.1e} of the diagonal is not met{place}, where {left:.1e} is expected: {why}"
+        ),
+        "nothing was written; give a larger tolerance, sample the model more finely, or make the deformation smoother there",
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tolerances_are_fractions_or_lengths() {
+        let read = |text: &str| text.parse::<Tolerance>();
+        assert_eq!(read("1e-5"), Ok(Tolerance::Fraction(1e-5)));
+        assert_eq!(read("0.25u"), Ok(Tolerance::Length(0.25)));
+        assert_eq!(read("0.25 u"), Ok(Tolerance::Length(0.25)));
+        for bad in ["", "u", "-1e-5", "0", "nan", "inf", "1e-5m", "1e-5uu"] {
+            assert!(read(bad).is_err(), "{bad}");
+        }
+        assert_eq!(Tolerance::Length(0.5).fraction(100.0), 0.005);
+        assert_eq!(Tolerance::Fraction(0.5).fraction(100.0), 0.5);
+    }
+}

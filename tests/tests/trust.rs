@@ -1,0 +1,208 @@
+//! What is said of the transfer's error holds: estimates beside the truth, the exact map at every vertex, and tolerances.
+
+use glam::{DQuat, DVec3};
+use serde_json::Value;
+use simod_tests::Workplace;
+
+/// Half a turn about y, over the height of the amphora.
+fn twist(p: DVec3) -> DVec3 {
+    DQuat::from_rotation_y(1.5 * p.y) * p
+}
+
+/// A local bump, where the surface is.
+fn bump(p: DVec3) -> DVec3 {
+    let at = DVec3::new(0.0, 1.0, 0.4);
+    p + DVec3::new(0.06, 0.08, 0.1) * (-p.distance_squared(at) / 0.04).exp()
+}
+
+/// What a diagnostics file expects of each vertex: in the model's unit, and as a fraction.
+fn expected(work: &Workplace, name: &str) -> Vec<[f64; 2]> {
+    let bytes = work.read(name);
+    let end = bytes.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
+    let number = |at: &[u8]| f64::from(f32::from_le_bytes(at.try_into().expect("four bytes")));
+    bytes[end..].chunks(33).map(|v| [number(&v[25..29]), number(&v[29..33])]).collect()
+}
+
+fn figure(report: &Value, name: &str) -> f64 {
+    report[name].as_f64().unwrap_or_else(|| panic!("no {name} in {report}"))
+}
+
+#[test]
+fn what_is_expected_is_of_the_size_of_the_truth() {
+    for shape in ["amphora", "bumpy-sphere"] {
+        let work = Workplace::new();
+        work.simod(&format!("generate -o model.ply --vertices 60000 --shape {shape}"));
+        work.simod("sample model.ply -o model.simod --samples 4000");
+        let model = work.ply("model.ply");
+        let (rest, diagonal) = (model.positions(), model.diagonal());
+        for map in [twist, bump] {
+            work.move_samples("model.simod", map);
+            let line = "reconstruct model.simod --deformed deformed.ply -o out.ply";
+            let plain = work.report(line);
+            let report = work.report(&format!("{line} --diagnostics figures.ply"));
+            let truth: Vec<f64> = rest
+                .iter()
+                .zip(work.ply("out.ply").positions())
+                .map(|(p, q)| q.distance(map(*p)) / diagonal)
+                .collect();
+            let rms = |all: &[f64]| (all.iter().map(|e| e * e).sum::<f64>() / all.len() as f64).sqrt();
+            let told = expected(&work, "figures.ply");
+            let fractions: Vec<f64> = told.iter().map(|[_, fraction]| *fraction).collect();
+            for [length, fraction] in &told {
+                assert!((length - fraction * diagonal).abs() <= 1e-5 * length, "{length} {fraction}");
+            }
+            let ratio = rms(&fractions) / rms(&truth);
+            assert!((1.0 / 3.0..3.0).contains(&ratio), "{shape}: {ratio}");
+            let of_vertices = &report["expected_error"];
+            assert_eq!(of_vertices["of_vertices"], true);
+            assert!((figure(of_vertices, "rms") / rms(&fractions) - 1.0).abs() < 1e-3);
+            // By the samples alone, more roughly.
+            let of_samples = &plain["expected_error"];
+            let ratio = figure(of_samples, "rms") / rms(&truth);
+            assert_eq!(of_samples["of_vertices"], false);
+            assert!((0.2..5.0).contains(&ratio), "{shape}: {ratio} by the samples");
+            assert!(figure(of_samples, "worst") > truth.iter().copied().fold(0.0, f64::max) / 3.0, "{shape}");
+            for t in [1e-6, 1e-5, 1e-4] {
+                let beyond: Vec<usize> = (0..truth.len()).filter(|i| truth[*i] > 3.0 * t).collect();
+                let warned = beyond.iter().filter(|i| fractions[**i] > t).count();
+                assert!(
+                    warned * 100 >= beyond.len() * 95,
+                    "{shape}: {warned} of {} beyond {t}",
+                    beyond.len()
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_exact_is_expected_to_be() {
+    let work = Workplace::new();
+    work.simod("generate -o model.ply --vertices 30000");
+    work.simod("sample model.ply -o model.simod --samples 2000");
+    let maps: [(&dyn Fn(DVec3) -> DVec3, f64); 3] = [
+        (&|p| p, 0.0),
+        (&|p| DQuat::from_rotation_x(1.0) * p + DVec3::ONE, 3e-7),
+        (&|p| p * DVec3::new(1.5, 0.7, 1.0), 3e-7),
+    ];
+    for (map, most) in maps {
+        work.move_samples("model.simod", map);
+        let report =
+            work.report("reconstruct model.simod --deformed deformed.ply -o out.ply --diagnostics f.ply");
+        assert!(figure(&report["expected_error"], "rms") <= most, "{report}");
+        assert!(report["warnings"].is_null(), "{report}");
+        assert!(expected(&work, "f.ply").iter().flatten().all(|e| *e >= 0.0));
+    }
+}
+
+#[test]
+fn a_step_is_warned_of() {
+    let work = Workplace::new();
+    work.simod("generate -o model.ply --vertices 30000");
+    work.simod("sample model.ply -o model.simod --samples 2000");
+    work.move_samples("model.simod", |p| if p.y > 1.0 { p + 0.2 * DVec3::Y } else { p });
+    let report = work.report("reconstruct model.simod --deformed deformed.ply -o out.ply");
+    let warnings = report["warnings"].as_array().expect("warnings");
+    let warning = warnings.iter().filter_map(Value::as_str).find(|w| w.contains("expected to be off"));
+    let warning = warning.unwrap_or_else(|| panic!("{report}"));
+    assert!(warning.contains("simod refine model.simod --auto --error 1.0e-4 --samples "), "{warning}");
+}
+
+const TWIST: &str =
+    "[[step]]\ndeform = \"warp\"\nparams = { operation = \"twist\", axis = [0, 1, 0], angle = 90 }\n";
+const SMOOTH: &str = "[[step]]\ndeform = \"laplacian\"\n\
+    [[step.region]]\nrole = \"fixed\"\nshapes = [{ half-space = { point = [0, 0.5, 0], normal = [0, -1, 0] } }]\n\
+    [[step.region]]\nrole = \"handle\"\nshapes = [{ half-space = { point = [0, 1.5, 0], normal = [0, 1, 0] } }]\n\
+    move = { translate = [0, 0.1, 0] }\n";
+const MASK: &str = "[[step.region]]\nrole = \"mask\"\nshapes = [{ half-space = { point = [0, 1, 0], normal = [0, 1, 0] } }]\n";
+
+#[test]
+fn every_vertex_is_evaluated() {
+    let work = Workplace::new();
+    work.simod("generate -o model.ply --vertices 40000");
+    let before = work.ply("model.ply");
+    work.write_session("model.ply", 4000, TWIST);
+    work.simod("run edit.toml -o transferred.ply");
+    let transferred = work.ply("transferred.ply");
+    let report = work.report("run edit.toml --exact --measure --diagnostics figures.ply");
+    assert!(figure(&report["transfer_error"], "max") < 1.5e-7, "{report}");
+    assert!(figure(&report["exact"], "expected_seconds") > 0.0);
+    assert_eq!(report["exact"]["evaluations"], 7 * 40_000u64.max(before.len() as u64));
+    let exact = work.ply("edited.ply");
+    assert!(exact.other_bytes() == before.other_bytes(), "what is no vertex has changed");
+    let turned = |(a, b): (&DVec3, &DVec3)| a.angle_between(*b).to_degrees();
+    let mut angles: Vec<f64> = exact.normals().iter().zip(&transferred.normals()).map(turned).collect();
+    angles.sort_by(f64::total_cmp);
+    assert!(angles[angles.len() / 2] < 0.1, "{} degrees in the median", angles[angles.len() / 2]);
+    assert!(expected(&work, "figures.ply").iter().all(|[_, e]| *e < 2e-7));
+    // Where a mask keeps the step away, and where nothing is deformed, not a bit changes.
+    work.write_session("model.ply", 4000, &format!("{TWIST}{MASK}"));
+    work.simod("run edit.toml --exact");
+    let masked = work.ply("edited.ply");
+    let mut kept = 0;
+    for (i, p) in before.positions().iter().enumerate().filter(|(_, p)| p.y < 0.99) {
+        kept += 1;
+        assert_eq!(masked.positions()[i], *p);
+        assert_eq!(masked.normals()[i], before.normals()[i]);
+    }
+    assert!(kept > 5000);
+}
+
+#[test]
+fn a_step_that_knows_samples_only_is_named() {
+    let work = Workplace::new();
+    work.simod("generate -o model.ply --vertices 20000");
+    work.write_session("model.ply", 1000, &format!("{TWIST}{SMOOTH}"));
+    for option in ["--exact", "--measure", "--exact --measure"] {
+        work.refuses(&format!("run edit.toml {option}"), &["laplacian", "samples only", "edit.toml"]);
+    }
+    // Before the model is read, even.
+    std::fs::remove_file(work.path("model.ply")).expect("a file");
+    work.refuses("run edit.toml --exact", &["laplacian", "samples only"]);
+}
+
+#[test]
+fn a_run_is_refined_until_its_tolerance_is_met() {
+    let work = Workplace::new();
+    work.simod("generate -o model.ply --vertices 60000");
+    let diagonal = work.ply("model.ply").diagonal();
+    work.write_session("model.ply", 2000, TWIST);
+    let report = work.report("run edit.toml --tolerance 2e-5 --measure");
+    let certificate = &report["certificate"];
+    assert!(figure(certificate, "added_samples") > 0.0, "{report}");
+    assert!(figure(certificate, "expected") <= 2e-5, "{report}");
+    assert!(figure(&certificate["true_error"], "max") <= 2e-5, "{report}");
+    assert_eq!(certificate["true_error"]["vertices"], report["vertices"]);
+    // All vertices were measured, so that it is the worst.
+    assert!(figure(&report["transfer_error"], "max") <= 2e-5, "{report}");
+    // The same in the model's unit.
+    let bytes = work.read("edited.ply");
+    work.simod(&format!("run edit.toml --tolerance {}u", 2e-5 * diagonal));
+    let again = work.ply("edited.ply").positions();
+    let differs =
+        simod_tests::Ply::parse(bytes).positions().iter().zip(&again).any(|(a, b)| a.distance(*b) > 1e-5);
+    assert!(!differs);
+    // What floats cannot tell.
+    std::fs::remove_file(work.path("edited.ply")).expect("a file");
+    work.refuses("run edit.toml --tolerance 1e-9", &["1.0e-9", "cannot be met", "float"]);
+    for bad in ["0", "-1e-5", "nan", "1e-5m"] {
+        assert_eq!(work.run(&format!("run edit.toml --tolerance {bad}")).code, Some(2), "{bad}");
+    }
+}
+
+#[test]
+fn reconstruct_checks_a_tolerance() {
+    let work = Workplace::new();
+    work.simod("generate -o model.ply --vertices 30000");
+    work.simod("sample model.ply -o model.simod --samples 2000");
+    work.move_samples("model.simod", twist);
+    let line = "reconstruct model.simod --deformed deformed.ply -o out.ply";
+    let named = ["out.ply", "1.0e-5", "simod refine model.simod --auto", "program that deformed"];
+    work.refuses(&format!("{line} --tolerance 1e-5"), &named);
+    work.refuses(&format!("{line} --tolerance 1e-9"), &["cannot be met"]);
+    let report = work.report(&format!("{line} --tolerance 0.1"));
+    assert!(figure(&report["tolerance"], "expected") < 0.1);
+    let checked = work.read("out.ply");
+    work.simod(line);
+    assert!(work.read("out.ply") == checked);
+}
