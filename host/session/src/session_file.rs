@@ -147,7 +147,7 @@ pub struct Deformation {
 
 /// Where the parameters of a step stand in its file, as `session.toml, line 9`. No part of what the step is: all are equal.
 #[derive(Debug, Clone, Default)]
-pub struct ParamPlaces(BTreeMap<String, String>);
+pub struct ParamPlaces(Arc<BTreeMap<String, String>>);
 
 impl PartialEq for ParamPlaces {
     fn eq(&self, _: &Self) -> bool {
@@ -643,7 +643,7 @@ impl Source<'_> {
         Ok(Deformation {
             deform,
             plugin: raw.plugin,
-            param_places: ParamPlaces(places.collect()),
+            param_places: ParamPlaces(Arc::new(places.collect())),
             params: raw.params.into_iter().map(|(id, value)| (id.into_inner(), value)).collect(),
             regions: raw.region.into_iter().map(|r| self.region(r)).collect::<Result<_>>()?,
             joints: self.joints(raw.joint)?,

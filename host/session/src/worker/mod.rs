@@ -355,7 +355,7 @@ enum End {
 
 impl End {
     fn explain(self, call: &str, memory: u64) -> PluginError {
-        let check = "the session goes on without it; `simod plugin check` tells its author more";
+        let check = "leave the step out, or choose other parameters; `simod plugin check` tells the plugin's author more";
         let error = |what: String| PluginError::new(ErrorCode::INTERNAL, what).hint(check);
         match self {
             Self::Died { is_memory: true, .. } => {
