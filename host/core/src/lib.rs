@@ -31,6 +31,7 @@ mod resumable;
 pub mod sampled_model;
 pub mod sampling;
 mod scratch;
+pub mod touching;
 mod uncached;
 mod varint;
 

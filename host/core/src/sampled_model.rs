@@ -19,6 +19,7 @@ use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::lattice::Grid;
 use crate::sampling::triangles::Triangles;
 use crate::sampling::{Grouping, SampleSet, Sampling, Skip, Splitting, Target};
+use crate::touching::Contacts;
 use crate::{Error, ErrorKind, Progress, Result, output};
 
 /// What is written on the first line of `simod.toml`.
@@ -37,7 +38,7 @@ const DESCRIPTION: &str = "simod.toml";
 const SAMPLES: &str = "samples.ply";
 
 /// All files of a folder.
-pub(crate) const OWN_FILES: [&str; 4] = [DESCRIPTION, SAMPLES, CELLS, BINDING];
+pub(crate) const OWN_FILES: [&str; 5] = [DESCRIPTION, SAMPLES, CELLS, SHEETS, BINDING];
 
 /// Longest description: each refinement adds a few hundred bytes.
 const LONGEST_DESCRIPTION: u64 = 64 << 20;
@@ -50,6 +51,9 @@ const FARTHEST: f32 = 1e12;
 
 /// Most samples that are read: they are held, with some hundred bytes each.
 const MOST_SAMPLES: u64 = 1 << 29;
+
+/// The file of who is on whose sheet where parts touch: see [`Contacts`].
+const SHEETS: &str = "sheets.bin";
 
 /// The model that was sampled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -213,7 +217,6 @@ impl SampledModel {
         position_type: Scalar,
         (mut positions, normals): (Vec<Vec3>, Vec<Vec3>),
         triangles: Triangles,
-        kept: Option<KeptCells>,
     ) -> Result<Self> {
         let (bounds, frame) = (grid.bounds, Frame::of(&grid.bounds));
         // Far from zero, or at sizes beyond its exponent, single precision would spoil the samples.
@@ -239,7 +242,7 @@ impl SampledModel {
             triangles: triangles.triangles,
             faces_without_vertex: triangles.without_vertex,
             tangled_faces: triangles.tangled,
-            kept,
+            kept: None,
         })
     }
 
@@ -341,6 +344,9 @@ impl SampledModel {
             let bytes = kept.encode(&description.samples_fingerprint)?;
             output::write_file(&new.path().join(CELLS), &bytes).map_err(named)?;
         }
+        if let Some(contacts) = self.samples.contacts() {
+            contacts.save(&new.path().join(SHEETS), &description.samples_fingerprint).map_err(named)?;
+        }
         // What came there meanwhile is not lost.
         Self::check_target(folder)?;
         new.commit()
@@ -441,6 +447,10 @@ impl SampledModel {
                 "the samples were replaced: sample the model again, and write deformed samples to another file",
             ));
         }
+        let local = positions.iter().map(|p| frame.to_local(*p)).collect();
+        let mut set = SampleSet::new(local, normals)
+            .map_err(|e| Error::new(e.kind(), format!("{}: {e}", samples.display()), e.hint()))?;
+        set.set_contacts(Contacts::load(&folder.join(SHEETS), &description.samples_fingerprint, set.len())?);
         let path = folder.join(&description.model.path);
         // Without the detours that a relative path makes, where it still exists.
         let path = path.canonicalize().unwrap_or(path);
@@ -452,15 +462,15 @@ impl SampledModel {
                 memory_limit: None,
                 splitting: description.sampling.splitting,
                 grouping: description.sampling.group_level.map_or(Grouping::Never, Grouping::Level),
-                skip: Skip { normals: normals.is_empty(), ..Skip::default() },
+                skip: Skip { normals: set.known_normals().is_empty(), ..Skip::default() },
+                sheets: set.contacts().is_some(),
             },
             cells: description.sampling.cells,
             cell_size: description.sampling.cell_size,
             bounds,
             frame,
             position_type,
-            samples: SampleSet::new(positions.iter().map(|p| frame.to_local(*p)).collect(), normals)
-                .map_err(|e| Error::new(e.kind(), format!("{}: {e}", samples.display()), e.hint()))?,
+            samples: set,
             refinements: description.refinement,
             triangles,
             faces_without_vertex: 0,
@@ -492,7 +502,9 @@ impl SampledModel {
 
     fn check_cells(&self, kept: &KeptCells) -> Result<()> {
         let Source { vertices, non_finite, bytes, .. } = self.source;
-        kept.check(vertices - non_finite.min(vertices), vertices, bytes, self.samples.len())
+        let parted = self.samples.contacts().map_or(&[][..], Contacts::parted);
+        let parted = parted.iter().map(|[sample, _]| *sample);
+        kept.check(vertices - non_finite.min(vertices), vertices, bytes, self.samples.len(), parted)
     }
 
     /// Holds cells in memory, as [`cells`](Self::cells) has read them: to be refined, or saved with the samples.
@@ -524,8 +536,10 @@ impl SampledModel {
         }
         let source = self.open_source(elsewhere)?;
         // The triangles tell where the faces of each cell are.
+        let sheets = self.samples.contacts().is_some();
         let skip = Skip { triangles: self.triangles.is_empty(), cells: false, normals: true };
-        let again = crate::sampling::sample(&*source, &Sampling { skip, ..self.sampling }, folder, progress)?;
+        let again =
+            crate::sampling::sample(&*source, &Sampling { skip, sheets, ..self.sampling }, folder, progress)?;
         if again.source.fingerprint != self.source.fingerprint {
             return Err(self.source_changed(source.path()));
         }

@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use memmap2::Mmap;
+use memmap2::{Mmap, MmapMut};
 
 use crate::positioned::Positioned;
 use crate::{Error, Result};
@@ -49,6 +49,14 @@ impl Scratch {
         // SAFETY: the file has no name and both its handles are in `self`, which ends here: no one else can
         // shorten or change it as long as it is mapped.
         let map = unsafe { Mmap::map(&self.handle) };
+        map.map_err(|e| refused("read", &self.folder, self.advice, &e))
+    }
+
+    /// Likewise as memory that can be written. All of it must have been written before, so that the disk has room for it.
+    pub(crate) fn map_mut(self) -> Result<MmapMut> {
+        #[expect(unsafe_code, reason = "the map of a file")]
+        // SAFETY: as of `map`: no one else has the file.
+        let map = unsafe { MmapMut::map_mut(&self.handle) };
         map.map_err(|e| refused("read", &self.folder, self.advice, &e))
     }
 }

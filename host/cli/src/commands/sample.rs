@@ -46,6 +46,9 @@ pub struct SamplingArguments {
     /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be estimated
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
     skip: Vec<Part>,
+    /// Tell parts that touch apart by the model's faces, as the fingers of a fist
+    #[arg(long)]
+    sheets: bool,
 }
 
 /// How clusters are split.
@@ -104,6 +107,7 @@ impl SamplingArguments {
                 cells: skips(Part::Cells),
                 normals: skips(Part::Normals),
             },
+            sheets: self.sheets,
         }
     }
 }

@@ -21,6 +21,7 @@ use crate::input;
 use crate::model::{Model, VertexChunk};
 use crate::output::OutputFile;
 use crate::sampled_model::{SampledModel, fingerprint};
+use crate::touching::Contacts;
 use crate::varint::{self, Numbers};
 use crate::{Error, ErrorKind, Progress, Result};
 
@@ -104,9 +105,9 @@ fn key(sampled: &SampledModel) -> String {
         format!("{} {} {} {origin:?} {scale:?}", env!("CARGO_PKG_VERSION"), source.fingerprint, source.bytes);
     let samples = &sampled.samples;
     let points = [&samples.positions, samples.known_normals()].map(bytemuck::cast_slice::<Vec3, u8>);
-    fingerprint(xxh3_128(
-        &[small.as_bytes(), points[0], points[1]].map(xxh3_128).map(u128::to_le_bytes).concat(),
-    ))
+    let hashes = [small.as_bytes(), points[0], points[1]].map(xxh3_128);
+    let hashes = hashes.into_iter().chain(samples.contacts().map(Contacts::digest));
+    fingerprint(xxh3_128(&hashes.flat_map(u128::to_le_bytes).collect::<Vec<_>>()))
 }
 
 fn encode(homes: &[u32], runs: &mut Vec<u8>) {

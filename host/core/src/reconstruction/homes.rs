@@ -261,7 +261,21 @@ impl<'a> Homes<'a> {
     #[inline]
     fn home(&self, p: Vec3, of_cell: u32) -> u32 {
         let near = if self.cells.depth(of_cell, p) < NEAR { of_cell } else { self.near(p, of_cell) };
-        if self.sheets.is_crowded(near as usize) { self.on_its_sheet(near, p) } else { near }
+        if !self.sheets.is_crowded(near as usize) {
+            return near;
+        }
+        // Where parts touch, it is known which sheet some places are on.
+        match self.samples.contacts().and_then(|contacts| contacts.sample_at(p)) {
+            Some(own) => self.nearest_on_sheet(own, p),
+            None => self.on_its_sheet(near, p),
+        }
+    }
+
+    /// Of a sample and those on its sheet, the one whose support reaches a point best.
+    fn nearest_on_sheet(&self, own: u32, p: Vec3) -> u32 {
+        let all = self.sheets.of_sample(own as usize).iter().copied().chain([own]);
+        let depth = |i: u32| self.cells.depth(i, p);
+        all.min_by(|a, b| depth(*a).total_cmp(&depth(*b)).then(a.cmp(b))).unwrap_or(own)
     }
 
     /// A sample whose support reaches a point, if there is one, or else the nearest.

@@ -53,6 +53,7 @@ use limiter::Limiter;
 use local_frames::LocalFrames;
 use neighbourhood::Neighbourhood;
 use sheets::Sheets;
+pub(crate) use sheets::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS};
 pub use stream::{Folding, PART_BYTES, Reconstructed, Reconstruction, Version, reconstruct};
 
 /// What happens to one vertex.
@@ -121,6 +122,13 @@ impl<'a> Surroundings<'a> {
         let sheets = Sheets::of(samples);
         let supports = Supports::of(samples, &sheets);
         Self::known(samples, sheets, supports)
+    }
+
+    /// Whether a sample is on the sheet of another.
+    pub(crate) fn share_sheet(&self, i: usize, j: u32) -> bool {
+        i as u32 == j
+            || self.sheets.of_sample(i).contains(&j)
+            || self.sheets.of_sample(j as usize).contains(&(i as u32))
     }
 
     /// What was found out before.

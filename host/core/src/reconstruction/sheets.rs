@@ -6,6 +6,8 @@
 //! chord's part along that mean tells how far one sample is *above* the other: it is counted [`STACKED`]-fold. Each
 //! sample is linked to the nearest few others in that measure, and its sheet is what these links reach among its
 //! neighbours in space.
+//!
+//! Where the model's faces have told who is on whose sheet ([`Contacts`](crate::touching::Contacts)), what they say holds.
 
 use std::ops::Range;
 
@@ -19,7 +21,7 @@ use crate::sampling::SampleSet;
 pub const SHEET_NEIGHBOURS: usize = 32;
 
 /// Neighbours in space that are looked at where several sheets are near.
-const CROWDED_NEIGHBOURS: usize = 96;
+pub const CROWDED_NEIGHBOURS: usize = 96;
 
 /// How much more a distance across the surface counts than one along it.
 const STACKED: f32 = 10.0;
@@ -54,6 +56,9 @@ impl Sheets {
             (0..samples.len()).into_par_iter().map(|i| links(positions, normals, graph.of(i), i)).collect();
         let nowhere = || vec![NOWHERE; samples.len()];
         let alone = |places: &mut Vec<u8>, i: usize| {
+            if let Some(same) = samples.contacts().and_then(|contacts| contacts.same_sheet(i)) {
+                return Some(same.to_vec());
+            }
             let near = graph.of(i);
             if near.iter().all(|j| surely_along(positions, normals, i, *j as usize))
                 || reached(&links, i, near, places).count() == near.len()

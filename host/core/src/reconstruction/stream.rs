@@ -374,8 +374,10 @@ impl<'a> Work<'a> {
         );
         let samples = &sampled.samples;
         let points = [&samples.positions, samples.known_normals(), deformed].map(bytemuck::cast_slice);
+        let contacts = samples.contacts().map(|contacts| contacts.digest().to_le_bytes());
+        let contacts = contacts.as_ref().map(|digest| &digest[..]);
         let mut hash = Xxh3Default::new();
-        for bytes in [small.as_bytes()].into_iter().chain(points) {
+        for bytes in [small.as_bytes()].into_iter().chain(points).chain(contacts) {
             hash.update(&(bytes.len() as u64).to_le_bytes());
             hash.update(bytes);
         }

@@ -17,6 +17,8 @@ pub(super) struct Appended {
     /// Positions and normals of the new samples; a normal is zero where unknown.
     pub positions: Vec<Vec3>,
     pub normals: Vec<Vec3>,
+    /// The sample whose cluster each was part of.
+    pub origins: Vec<u32>,
     /// The new tree of each cell that was looked at.
     pub trees: Vec<(u32, CutTree)>,
     /// Ascending: from this built leaf on, up to that of the next entry, leaves belong to this sample.
@@ -79,7 +81,9 @@ pub(super) fn append(kept: &KeptCells, positions: &[Vec3], cells: &[Regrown], bo
     let Pieces { parts, split, starts } = pieces;
     out.starts = starts;
     let mut sample_of: Vec<Option<u32>> = vec![None; parts.len()];
+    let mut origins = vec![0; parts.len()];
     for (sample, cells) in &split {
+        cells.iter().cloned().for_each(|parts| origins[parts].fill(*sample));
         out.split[*sample as usize] = true;
         // It may stand for whole cells besides, which are not split.
         let stays = of_sample[*sample as usize] as usize > cells.len();
@@ -95,10 +99,11 @@ pub(super) fn append(kept: &KeptCells, positions: &[Vec3], cells: &[Regrown], bo
         }
         heirs.iter().for_each(|i| sample_of[*i] = Some(*sample));
     }
-    for (part, sample) in parts.iter().zip(sample_of) {
+    for ((part, sample), origin) in parts.iter().zip(sample_of).zip(origins) {
         let sample = sample.unwrap_or_else(|| {
             out.positions.push(part.position);
             out.normals.push(part.normal);
+            out.origins.push(origin);
             (positions.len() + out.positions.len() - 1) as u32
         });
         out.trees[part.tree].1.samples[part.place] = sample;

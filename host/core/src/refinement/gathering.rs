@@ -176,7 +176,7 @@ impl Gathering<'_> {
 }
 
 /// All of these ranges, ascending; those that overlap, or have no more than `near` between them, are one.
-pub(super) fn joined(ranges: impl Iterator<Item = Range<u64>>, near: u64) -> Vec<Range<u64>> {
+pub(crate) fn joined(ranges: impl Iterator<Item = Range<u64>>, near: u64) -> Vec<Range<u64>> {
     let mut all: Vec<_> = ranges.collect();
     all.sort_unstable_by_key(|range| range.start);
     let mut joined: Vec<Range<u64>> = Vec::new();

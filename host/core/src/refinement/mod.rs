@@ -14,6 +14,7 @@ mod selection;
 #[cfg(test)]
 pub(crate) mod tests;
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use glam::DVec3;
@@ -189,7 +190,8 @@ pub fn refine(
         }
         _ => Sizing::Selected(Selected::new(selection, sampled.frame)),
     };
-    let leaves = sizing.leaves(sampled, kept);
+    let mut leaves = sizing.leaves(sampled, kept);
+    leave_parted(sampled, kept, &mut leaves, progress);
     if !leaves.iter().flatten().any(|leaf| leaf.inside) {
         return Err(meets_nothing());
     }
@@ -228,12 +230,43 @@ pub fn refine(
     }
     progress.check()?;
     let mut kept = kept.clone();
-    let Appended { positions, normals, trees, .. } = appended;
+    let Appended { positions, normals, origins, trees, .. } = appended;
     trees.into_iter().for_each(|(cell, tree)| kept.cells[cell as usize].tree = tree);
     let transfer_error = need.map(|need| need.allowed);
     let record = Refinement { shapes: how.shapes.clone(), error: refined.error, added, transfer_error };
-    refined.sampled = Some(sampled.refined((positions, normals), triangles, kept, record)?);
+    let mut with_new = sampled.refined((positions, normals), triangles, kept, record)?;
+    if let Some(contacts) = sampled.samples.contacts() {
+        with_new.samples.prepare();
+        let contacts = contacts.refined(&with_new.samples, &origins);
+        with_new.samples.set_contacts(Some(contacts));
+    }
+    refined.sampled = Some(with_new);
     Ok(refined)
+}
+
+/// Clusters that hold several sheets stay as they are: positions alone do not tell whose their vertices are.
+fn leave_parted(
+    sampled: &SampledModel,
+    kept: &KeptCells,
+    leaves: &mut [Vec<Nearest>],
+    progress: &dyn Progress,
+) {
+    let Some(contacts) = sampled.samples.contacts() else { return };
+    let parted: BTreeSet<u32> = contacts.parted().iter().map(|[_, of]| *of).collect();
+    let mut inside = 0;
+    for (leaves, cell) in leaves.iter_mut().zip(&kept.cells) {
+        for (leaf, sample) in leaves.iter_mut().zip(&cell.tree.samples) {
+            if parted.contains(sample) {
+                leaf.slack = f32::INFINITY;
+                inside += usize::from(leaf.inside);
+            }
+        }
+    }
+    if inside > 0 {
+        progress.note(&format!(
+            "{inside} of the clusters there stay as they are: parts of the model touch in them"
+        ));
+    }
 }
 
 /// Where the samples go that a refinement has appended, from `first` on (the model's coordinates), by a deformation of those

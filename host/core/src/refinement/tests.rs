@@ -10,7 +10,7 @@ use crate::generate::{Shape, Surface};
 use crate::model::ply::write_points;
 use crate::model::{self, Scalar};
 use crate::progress::Silent;
-use crate::sampling::triangles;
+use crate::sampling::triangles::{self, Wanted};
 use crate::sampling::{Grouping, Sampling, Splitting, Target, sample};
 
 /// A generated model on the disk.
@@ -172,7 +172,14 @@ fn every_vertex_has_a_sample_and_samples_stay_however_often_it_is_refined() {
             assert!(next.samples.normals()[old..].iter().all(|n| n.is_normalized()));
             let finite = next.source.vertices - next.source.non_finite;
             let kept = next.held_cells().unwrap();
-            kept.check(finite, next.source.vertices, next.source.bytes, next.samples.len()).unwrap();
+            kept.check(
+                finite,
+                next.source.vertices,
+                next.source.bytes,
+                next.samples.len(),
+                std::iter::empty(),
+            )
+            .unwrap();
             assert!(counts(&next, model.as_ref()).iter().all(|n| *n > 0), "{finer:?} {sampling:?}");
             // Far away, nothing is read, and nothing new is there.
             let far = next.samples.positions[old..].iter().map(|p| place(next.frame.to_model(*p)));
@@ -265,7 +272,8 @@ fn triangles_are_those_of_all_faces() {
         ] {
             now = refined(&now, model.as_ref(), finer, &place).unwrap().sampled.unwrap();
             let members: Vec<u32> = members(&now, model.as_ref()).into_iter().map(Option::unwrap).collect();
-            let all = triangles::reindex(model.as_ref(), &members, now.samples.len(), None, &Silent);
+            let all =
+                triangles::reindex(model.as_ref(), &members, now.samples.len(), all_triangles(), &Silent);
             assert!(now.triangles == all.unwrap().triangles, "{sampling:?} {finer:?}");
         }
     }
@@ -355,7 +363,8 @@ fn faces_of_every_form_are_read_where_they_are() {
                 _ => assert!(done.face_bytes * 4 < all, "{form:?}: {} of {all}", done.face_bytes),
             }
             let members: Vec<u32> = members(&now, model.as_ref()).into_iter().map(Option::unwrap).collect();
-            let all = triangles::reindex(model.as_ref(), &members, now.samples.len(), None, &Silent);
+            let all =
+                triangles::reindex(model.as_ref(), &members, now.samples.len(), all_triangles(), &Silent);
             assert!(now.triangles == all.unwrap().triangles, "{form:?} {finer:?}");
         }
     }
@@ -539,6 +548,11 @@ fn with_field<T>(
     let deformed = deformed_by(sampled, map);
     let around = crate::reconstruction::Surroundings::of(&sampled.samples);
     call(&DeformationField::new(&around, &deformed, crate::reconstruction::Method::default()))
+}
+
+/// To look for triangles alone.
+fn all_triangles() -> Wanted<'static> {
+    Wanted { triangles: true, ..Wanted::default() }
 }
 
 /// How far each vertex is off, as a fraction of the diagonal.

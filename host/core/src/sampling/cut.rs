@@ -126,6 +126,9 @@ impl Forest {
                 None => {
                     tree.prune(threshold);
                     let errors = tree.nodes.iter().map(|n| n.key).collect();
+                    let is_inner = |i: &usize| tree.nodes[*i].end as usize > i + 1;
+                    let inner = (0..tree.nodes.len()).filter(is_inner).map(|i| &tree.nodes[i]);
+                    cut.inner.extend(inner.map(|node| (node.position, node.normal)));
                     let children: Vec<u8> = (0..tree.nodes.len()).map(|i| tree.children(i) as u8).collect();
                     let leaves = tree.nodes.iter().zip(&children).filter(|(_, children)| **children == 0);
                     leaves.for_each(|(node, _)| cut.push(node, first_leaf));
@@ -167,11 +170,72 @@ pub struct Cut {
     /// Ascending: from this leaf on (all cells' leaves are counted in one row, in which each cell has as many
     /// places as samples), up to that of the next entry, leaves belong to this sample.
     pub starts: Vec<(u32, u32)>,
+    /// Position and normal of each node of the trees that has others below it, one tree after the other.
+    inner: Vec<(Vec3, Vec3)>,
 }
 
 impl Cut {
-    fn samples(&self) -> usize {
+    pub fn samples(&self) -> usize {
         self.positions.len()
+    }
+
+    /// A cut through the same trees of at most so many samples, if there are no fewer trees; and which of them has the clusters
+    /// of each sample. What is above the cells stays as it is.
+    pub fn coarser(&self, target: usize) -> (Self, Vec<u32>) {
+        let splits = || {
+            let inner =
+                |(children, error): (&u8, &f32)| children.checked_sub(1).map(|n| (*error, u32::from(n)));
+            self.trees.iter().flat_map(move |tree| tree.children.iter().zip(&tree.errors).filter_map(inner))
+        };
+        let roots = self.samples() - splits().map(|(_, added)| added as usize).sum::<usize>();
+        let threshold = threshold_for(splits(), roots, target);
+        let mut coarser = Self::default();
+        let mut becomes = vec![u32::MAX; self.samples()];
+        let (mut starts, mut inner) = (self.starts.iter(), self.inner.iter());
+        for tree in &self.trees {
+            let (mut new, ends) = (CutTree::default(), tree.ends());
+            let mut samples = tree.samples.iter();
+            // The end of the subtree that has become a sample, and that.
+            let mut within: Option<(usize, u32)> = None;
+            for (i, children) in tree.children.iter().enumerate() {
+                within = within.filter(|(end, _)| i < *end);
+                let leaf = (*children == 0).then(|| (samples.next(), starts.next()));
+                let own = if leaf.is_none() { inner.next() } else { None };
+                let splits = within.is_none() && *children > 0 && tree.errors[i] > threshold;
+                if within.is_none() {
+                    new.children.push(if splits { *children } else { 0 });
+                    new.errors.push(tree.errors[i]);
+                    if !splits {
+                        // A sample of several cells is there from the first of them on.
+                        let known =
+                            leaf.and_then(|(sample, _)| sample).map(|sample| becomes[*sample as usize]);
+                        let to = known.filter(|to| *to != u32::MAX).unwrap_or(coarser.samples() as u32);
+                        if to as usize == coarser.samples() {
+                            let of_leaf = || leaf.and_then(|(sample, _)| sample).map(|s| *s as usize);
+                            let of_leaf = || of_leaf().map(|s| (self.positions[s], self.normals[s]));
+                            let (position, normal) = own.copied().or_else(of_leaf).unwrap_or_default();
+                            coarser.positions.push(position);
+                            coarser.normals.push(normal);
+                        }
+                        new.samples.push(to);
+                        if *children > 0 {
+                            within = Some((ends[i], to));
+                        }
+                        coarser
+                            .starts
+                            .extend(starts.as_slice().first().filter(|_| leaf.is_none()).map(|s| (s.0, to)));
+                    } else {
+                        coarser.inner.extend(own);
+                    }
+                }
+                if let (Some((Some(sample), start)), Some(to)) = (leaf, new.samples.last()) {
+                    becomes[*sample as usize] = *to;
+                    coarser.starts.extend(start.map(|start| (start.0, *to)));
+                }
+            }
+            coarser.trees.push(new);
+        }
+        (coarser, becomes)
     }
 
     fn push(&mut self, node: &Node, first_leaf: u32) {
@@ -375,6 +439,26 @@ mod tests {
                 let slack = 6 + wanted / 50;
                 assert!(n <= wanted && n + slack >= wanted, "{n} samples for {target} at {resolution}");
             }
+        }
+    }
+
+    #[test]
+    fn a_coarser_cut_is_that_of_fewer_samples() {
+        for resolution in [2, 32] {
+            let finer = sampled(Some(3000), 0.0, resolution);
+            let (coarser, becomes) = finer.coarser(1700);
+            assert!(check(&coarser) <= 1700 && coarser.samples() > 1600);
+            assert!(coarser.starts.is_sorted());
+            let at = |cut: &Cut, leaf: u32| cut.starts[cut.starts.partition_point(|(s, _)| *s <= leaf) - 1].1;
+            for (leaf, sample) in &finer.starts {
+                assert_eq!(at(&coarser, *leaf), becomes[*sample as usize]);
+            }
+            // Where nothing merges above the cells, it is the very same.
+            if resolution == 2 {
+                let same = sampled(Some(1700), 0.0, resolution);
+                assert!(coarser.positions == same.positions && coarser.trees == same.trees);
+            }
+            assert!(finer.coarser(5000).0.positions == finer.positions);
         }
     }
 

@@ -145,17 +145,25 @@ impl KeptCells {
     }
 
     /// Checks that the cells are those of a model of so many vertices with a finite position, of `all`, in a file of so many bytes,
-    /// and of so many samples: a file that is whole may still lie.
+    /// and of so many samples, of which no cell has those that are parted: a file that is whole may still lie.
     ///
     /// # Errors
     /// They are not.
-    pub fn check(&self, finite: u64, all: u64, bytes: u64, samples: usize) -> Result<()> {
+    pub fn check(
+        &self,
+        finite: u64,
+        all: u64,
+        bytes: u64,
+        samples: usize,
+        parted: impl Iterator<Item = u32>,
+    ) -> Result<()> {
         let mut keys: Vec<_> = self.cells.iter().map(|cell| cell.key).collect();
         keys.sort_unstable();
         if !(-1100..=1100).contains(&self.level) || keys.windows(2).any(|w| w[0] == w[1]) {
             return Err(damaged("its cells are none"));
         }
         let (mut vertices, mut known) = (0u64, vec![false; samples]);
+        parted.for_each(|sample| known[sample as usize] = true);
         for cell in &self.cells {
             let held = cell.ranges.iter().map(|r| r.end.saturating_sub(r.start)).fold(0, u64::saturating_add);
             if !are_ranges(&cell.ranges, all) || cell.vertices == 0 || cell.vertices > held {
@@ -264,7 +272,7 @@ mod tests {
             },
         };
         let good = KeptCells { level: -4, knows_faces: true, cells: vec![cell(0), cell(1)] };
-        good.check(10, 11, 100, 6).expect("good cells");
+        good.check(10, 11, 100, 6, std::iter::empty()).expect("good cells");
         let lies: [&dyn Fn(&mut KeptCell); 21] = [
             &|c| c.key = [0; 3],
             &|c| c.vertices = 6,
@@ -291,13 +299,13 @@ mod tests {
         for (i, lie) in lies.iter().enumerate() {
             let mut cells = good.clone();
             lie(&mut cells.cells[1]);
-            assert!(cells.check(10, 11, 100, 6).is_err(), "lie {i}");
+            assert!(cells.check(10, 11, 100, 6, std::iter::empty()).is_err(), "lie {i}");
         }
         for (finite, bytes, samples) in [(11, 100, 6), (10, 99, 6), (10, 100, 7)] {
-            assert!(good.check(finite, 11, bytes, samples).is_err());
+            assert!(good.check(finite, 11, bytes, samples, std::iter::empty()).is_err());
         }
         let unknown = KeptCells { knows_faces: false, ..good };
-        assert!(unknown.check(10, 11, 100, 6).is_err(), "faces that nobody knows");
+        assert!(unknown.check(10, 11, 100, 6, std::iter::empty()).is_err(), "faces that nobody knows");
     }
 
     #[test]

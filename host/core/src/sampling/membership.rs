@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use bytemuck::{cast_slice, cast_slice_mut};
-use memmap2::Mmap;
+use memmap2::MmapMut;
 use rayon::prelude::*;
 
 use super::lattice::Grid;
@@ -30,7 +30,7 @@ const BYTES: u64 = size_of::<u32>() as u64;
 /// No sample.
 const NONE: u32 = u32::MAX;
 
-const ADVICE: &str = "leave the triangles out with --skip triangles";
+const ADVICE: &str = "leave the triangles out with --skip triangles, and do without --sheets";
 
 /// While the model streams.
 ///
@@ -133,7 +133,7 @@ impl Membership {
             progress.advance(chunk.len() as u64);
             self.items.write_at(cast_slice(&chunk), first * BYTES)
         })?;
-        Ok(SampleOf(self.items.map()?))
+        Ok(SampleOf(self.items.map_mut()?))
     }
 }
 
@@ -160,12 +160,17 @@ impl Leaves {
 }
 
 /// The sample of each vertex.
-pub struct SampleOf(Mmap);
+pub struct SampleOf(MmapMut);
 
 impl SampleOf {
     /// The samples of all vertices; `u32::MAX` for those that have none, as their position is not finite.
     pub fn all(&self) -> &[u32] {
         cast_slice(&self.0)
+    }
+
+    /// The same, to be changed.
+    pub fn all_mut(&mut self) -> &mut [u32] {
+        cast_slice_mut(&mut self.0)
     }
 }
 

@@ -34,6 +34,7 @@ use crate::frame::Frame;
 use crate::model::{Model, SMALL_CHUNK, VertexChunk};
 use crate::output::human_size;
 use crate::sampled_model::{SampledModel, Source, fingerprint};
+use crate::touching::{Contacts, Islands, Parted, Parting};
 use crate::{Error, ErrorKind, Progress, Result};
 use face_ranges::FaceRanges;
 use finalization::{Clustered, Pass};
@@ -41,8 +42,7 @@ use gather::{Groups, Samples};
 use kept_cells::{KeptCell, KeptCells};
 use lattice::{CellKey, CellRecord, Grid, Lattice};
 use membership::Membership;
-use ranges::Ranges;
-use triangles::Triangles;
+use triangles::{Triangles, Wanted};
 
 /// How fine P_S shall be.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -77,6 +77,9 @@ pub struct Sampling {
     pub grouping: Grouping,
     /// What is not wanted.
     pub skip: Skip,
+    /// Whether faces tell sheets apart that touch, which takes a pass over them as the triangles do, and temporary files of at
+    /// most 12 bytes per vertex.
+    pub sheets: bool,
 }
 
 /// Parts of a sampled model that can be left out.
@@ -199,7 +202,7 @@ pub fn sample(
             most: usize::try_from(sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE)
                 .unwrap_or(usize::MAX),
             foresight,
-            with_members: !sampling.skip.triangles
+            with_members: (sampling.sheets || !sampling.skip.triangles)
                 && info.faces > 0
                 && info.vertices <= Membership::MAX_VERTICES,
             folder,
@@ -227,29 +230,23 @@ pub fn sample(
             None => unreachable!("without foresight, all is kept that the cut may need"),
         },
     };
+    let (jumps, ranges) = (ranges.jumps(), ranges.into_cells().collect::<Vec<_>>());
 
-    let mut faces = None;
-    let triangles = match membership {
-        None => Triangles::default(),
+    let mut reindexed = Reindexed { cut, triangles: Triangles::default(), faces: None, parted: None };
+    let parting = Parting { model, ranges: &ranges, frame, folder, progress };
+    let sample_of = match membership {
+        None => None,
         Some(members) => {
             progress.begin("looking up each vertex' sample", info.vertices);
-            let sample_of = members.finish(&cut.starts, progress)?;
-            progress.begin("reindexing the faces", info.face_bytes);
-            let samples = cut.positions.len();
-            let mut ranges = (!sampling.skip.cells).then(|| FaceRanges::new(&cut.trees, samples));
-            let found = triangles::reindex(model, sample_of.all(), samples, ranges.as_mut(), progress);
-            let found = found.map_err(|e| {
-                let hint = format!("{}; or leave the triangles out with --skip triangles", e.hint());
-                if e.kind() == ErrorKind::Format { Error::new(e.kind(), e.to_string(), hint) } else { e }
-            })?;
-            faces = ranges.filter(|_| !found.triangles.is_empty()).and_then(|r| r.into_cells(&cut.trees));
-            found
+            let mut sample_of = members.finish(&reindexed.cut.starts, progress)?;
+            reindexed.run(sampling, &parting, sample_of.all_mut())?;
+            Some(sample_of)
         }
     };
+    let Reindexed { cut, triangles, faces, parted } = reindexed;
     progress.check()?;
-    let jumps = ranges.jumps();
-    let kept = (!sampling.skip.cells).then(|| keep(&grid, ranges, faces, cut.trees));
-    let sampled = SampledModel::new(
+    let trees = cut.trees;
+    let mut sampled = SampledModel::new(
         Source {
             path: model.path().to_owned(),
             bytes: info.bytes,
@@ -264,8 +261,14 @@ pub fn sample(
         info.position_type,
         (cut.positions, cut.normals),
         triangles,
-        kept,
     )?;
+    if let (Some(parted), Some(sample_of)) = (parted, sample_of) {
+        progress.begin("telling the sheets apart", 0);
+        Contacts::find(&mut sampled, &parted, sample_of.all(), &trees, &parting)?;
+    }
+    if !sampling.skip.cells {
+        sampled.hold_cells(keep(&grid, ranges, faces, trees));
+    }
     if !sampling.skip.normals && !sampled.samples.knows_normals() {
         progress.begin("estimating normals", 0);
         sampled.samples.normals();
@@ -274,16 +277,110 @@ pub fn sample(
     Ok(sampled)
 }
 
+/// P_S once the faces are known.
+struct Reindexed {
+    cut: cut::Cut,
+    triangles: Triangles,
+    /// Where the faces of each cell are.
+    faces: Option<Vec<Vec<Range<u64>>>>,
+    /// How clusters of several sheets were parted.
+    parted: Option<Parted>,
+}
+
+impl Reindexed {
+    /// Reads the faces. Where they tell that clusters hold several sheets, these are parted, if need be after a
+    /// coarser cut, so that there are no more samples than are wanted; and the faces are read once more.
+    fn run(&mut self, sampling: &Sampling, parting: &Parting<'_>, sample_of: &mut [u32]) -> Result<()> {
+        let info = parting.model.info();
+        let (mut islands, mut welded) = (None, false);
+        if sampling.sheets {
+            let mut each = Islands::new(sample_of.len(), self.cut.samples(), parting.folder)?;
+            // Where faces share no vertices, positions tell what hangs together.
+            welded = info.vertices / 2 > info.faces;
+            if welded {
+                parting.weld_all(&mut each, sample_of)?;
+            }
+            islands = Some(each);
+        }
+        self.read_faces(sampling, parting, sample_of, islands.as_mut())?;
+        let Some(mut islands) = islands else { return Ok(()) };
+        let Some(mut parts) = parting.find(&mut islands, sample_of, &self.cut.trees, welded)? else {
+            return Ok(());
+        };
+
+        let mut most = usize::MAX;
+        if let Target::Samples(n) = sampling.target {
+            let n = usize::try_from(n).unwrap_or(usize::MAX);
+            let needed = parts.needed();
+            if self.cut.samples() + needed > n {
+                let (cut, becomes) = self.cut.coarser(n.saturating_sub(needed).max(n.div_ceil(2)));
+                sample_of.par_iter_mut().for_each(|sample| {
+                    *sample = becomes.get(*sample as usize).copied().unwrap_or(*sample);
+                });
+                islands.merge(sample_of);
+                self.cut = cut;
+                match parting.find(&mut islands, sample_of, &self.cut.trees, true)? {
+                    Some(found) => parts = found,
+                    None => return self.read_faces(sampling, parting, sample_of, None),
+                }
+            }
+            most = n.saturating_sub(self.cut.samples());
+        }
+        let parted = parts.part(self.cut.samples() as u32, most);
+        parted.renumber(&islands, sample_of);
+        drop(islands);
+        for (sample, position, normal) in &parted.moved {
+            self.cut.positions[*sample as usize] = *position;
+            self.cut.normals[*sample as usize] = *normal;
+        }
+        for (_, position, normal) in &parted.added {
+            self.cut.positions.push(*position);
+            self.cut.normals.push(*normal);
+        }
+        self.parted = Some(parted);
+        self.read_faces(sampling, parting, sample_of, None)
+    }
+
+    /// Finds the triangles, and where the faces of each cell are, if they are wanted; and what hangs together.
+    fn read_faces(
+        &mut self,
+        sampling: &Sampling,
+        parting: &Parting<'_>,
+        sample_of: &[u32],
+        islands: Option<&mut Islands>,
+    ) -> Result<()> {
+        let triangles = !sampling.skip.triangles;
+        if !triangles && islands.is_none() {
+            return Ok(());
+        }
+        parting.progress.begin("reindexing the faces", parting.model.info().face_bytes);
+        let (trees, samples) = (&self.cut.trees, self.cut.samples());
+        let added = self.parted.as_ref().map_or(&[][..], |parted| &parted.added);
+        let mut ranges = (triangles && !sampling.skip.cells)
+            .then(|| FaceRanges::new(trees, samples - added.len(), added.iter().map(|(of, ..)| *of)));
+        let wanted = Wanted { triangles, ranges: ranges.as_mut(), islands };
+        let found = triangles::reindex(parting.model, sample_of, samples, wanted, parting.progress);
+        self.triangles = found.map_err(|e| {
+            let hint =
+                format!("{}; or leave the faces out with --skip triangles, and without --sheets", e.hint());
+            if e.kind() == ErrorKind::Format { Error::new(e.kind(), e.to_string(), hint) } else { e }
+        })?;
+        self.faces =
+            ranges.filter(|_| !self.triangles.triangles.is_empty()).and_then(|r| r.into_cells(trees));
+        Ok(())
+    }
+}
+
 /// What is kept of the cells.
 fn keep(
     grid: &Grid,
-    ranges: Ranges,
+    ranges: Vec<Vec<Range<u64>>>,
     faces: Option<Vec<Vec<Range<u64>>>>,
     trees: Vec<kept_cells::CutTree>,
 ) -> KeptCells {
     let knows_faces = faces.is_some();
     let faces = faces.unwrap_or_else(|| vec![Vec::new(); trees.len()]);
-    let cells = grid.keys.iter().zip(&grid.records).zip(ranges.into_cells()).zip(faces).zip(trees);
+    let cells = grid.keys.iter().zip(&grid.records).zip(ranges).zip(faces).zip(trees);
     let cell = |((((key, record), ranges), faces), tree): ((((&CellKey, &CellRecord), _), _), _)| KeptCell {
         key: *key,
         vertices: record.count,

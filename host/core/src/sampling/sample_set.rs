@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use super::kd_tree::KdTree;
 use super::normals;
+use crate::touching::Contacts;
 use crate::{Error, ErrorKind, Result};
 
 /// Neighbours that are known of each sample: enough for a second-order fit, and for the neighbourhoods of all
@@ -55,6 +56,7 @@ pub struct SampleSet {
     /// All normals, where some had to be estimated.
     estimated: OnceLock<Vec<Vec3>>,
     surroundings: OnceLock<Surroundings>,
+    contacts: Option<Contacts>,
 }
 
 /// Who is near whom: found when it is first asked for, as writing the samples does not need it.
@@ -83,7 +85,14 @@ impl SampleSet {
             known = Vec::new();
         }
         let all_known = !known.is_empty() && !known.contains(&Vec3::ZERO);
-        Ok(Self { positions, known, all_known, estimated: OnceLock::new(), surroundings: OnceLock::new() })
+        Ok(Self {
+            positions,
+            known,
+            all_known,
+            estimated: OnceLock::new(),
+            surroundings: OnceLock::new(),
+            contacts: None,
+        })
     }
 
     /// Unit normals, consistently oriented.
@@ -125,6 +134,19 @@ impl SampleSet {
     /// The normals that stem from the model; zero where there is none, and empty if there are none at all.
     pub fn known_normals(&self) -> &[Vec3] {
         &self.known
+    }
+
+    /// Who is on whose sheet where parts of the model touch, as its faces tell; `None` where none do, or it has no faces.
+    pub fn contacts(&self) -> Option<&Contacts> {
+        self.contacts.as_ref()
+    }
+
+    pub(crate) fn set_contacts(&mut self, contacts: Option<Contacts>) {
+        self.contacts = contacts;
+    }
+
+    pub(crate) fn take_contacts(&mut self) -> Option<Contacts> {
+        self.contacts.take()
     }
 
     /// Number of samples.

@@ -3,6 +3,7 @@
 
 use super::face_ranges::FaceRanges;
 use crate::model::{Model, for_faces};
+use crate::touching::Islands;
 use crate::{Progress, Result};
 
 /// Most triangles for each sample. A closed surface has two, and any that is worth the name not many more; beyond
@@ -21,8 +22,18 @@ pub struct Triangles {
     pub tangled: bool,
 }
 
-/// Streams the faces of a model. `sample_of` says which sample each vertex belongs to. Where the faces of each cell are, is noted in
-/// `ranges`.
+/// What is looked for in the faces.
+#[derive(Default)]
+pub struct Wanted<'a> {
+    /// The triangles of P_S.
+    pub triangles: bool,
+    /// Where the faces of each cell are.
+    pub ranges: Option<&'a mut FaceRanges>,
+    /// What hangs together.
+    pub islands: Option<&'a mut Islands>,
+}
+
+/// Streams the faces of a model. `sample_of` says which sample each vertex belongs to.
 ///
 /// Memory: the chunks of [`for_faces`], and 12 bytes for each of at most twice [`MOST_PER_SAMPLE`] triangles per sample,
 /// twice while the list grows; a surface has about two, found once or twice each.
@@ -33,44 +44,63 @@ pub fn reindex(
     model: &dyn Model,
     sample_of: &[u32],
     samples: usize,
-    mut ranges: Option<&mut FaceRanges>,
+    wanted: Wanted<'_>,
     progress: &dyn Progress,
 ) -> Result<Triangles> {
+    let Wanted { triangles, mut ranges, mut islands } = wanted;
     let most = MOST_PER_SAMPLE * samples.max(64);
     let mut found = Triangles::default();
     for_faces(model, |chunk| {
         progress.check()?;
-        let mut marks = chunk.marks.iter().peekable();
-        for (at, corners) in chunk.triangles.iter().enumerate() {
-            if let Some(ranges) = &mut ranges {
-                while let Some(mark) = marks.next_if(|mark| mark.triangle <= at) {
-                    ranges.mark(mark.offset);
+        let mut reindex = || {
+            let mut marks = chunk.marks.iter().peekable();
+            for (at, corners) in chunk.triangles.iter().enumerate() {
+                if let Some(ranges) = &mut ranges {
+                    while let Some(mark) = marks.next_if(|mark| mark.triangle <= at) {
+                        ranges.mark(mark.offset);
+                    }
+                    let known = corners.iter().filter_map(|corner| sample_of.get(*corner as usize).copied());
+                    known
+                        .filter(|sample| (*sample as usize) < samples)
+                        .for_each(|sample| ranges.meet(sample));
                 }
-                let known = corners.iter().filter_map(|corner| sample_of.get(*corner as usize).copied());
-                known.filter(|sample| (*sample as usize) < samples).for_each(|sample| ranges.meet(sample));
+                let [Some(a), Some(b), Some(c)] = corners.map(|corner| sample_of.get(corner as usize)) else {
+                    found.without_vertex += 1;
+                    continue;
+                };
+                // Vertices without a finite position have no sample.
+                if triangles
+                    && !found.tangled
+                    && a != b
+                    && b != c
+                    && c != a
+                    && [a, b, c].iter().all(|s| (**s as usize) < samples)
+                {
+                    found.triangles.push(first_least([*a, *b, *c]));
+                }
             }
-            let [Some(a), Some(b), Some(c)] = corners.map(|corner| sample_of.get(corner as usize)) else {
-                found.without_vertex += 1;
-                continue;
-            };
-            // Vertices without a finite position have no sample.
-            if !found.tangled
-                && a != b
-                && b != c
-                && c != a
-                && [a, b, c].iter().all(|s| (**s as usize) < samples)
-            {
-                found.triangles.push(first_least([*a, *b, *c]));
+            if let Some(ranges) = &mut ranges {
+                marks.for_each(|mark| ranges.mark(mark.offset));
             }
-        }
-        if let Some(ranges) = &mut ranges {
-            marks.for_each(|mark| ranges.mark(mark.offset));
-        }
-        if found.triangles.len() > 2 * most {
-            once_each(&mut found.triangles);
-            if found.triangles.len() > most {
-                (found.triangles, found.tangled) = (Vec::new(), true);
+            if found.triangles.len() > 2 * most {
+                once_each(&mut found.triangles);
+                if found.triangles.len() > most {
+                    (found.triangles, found.tangled) = (Vec::new(), true);
+                }
             }
+        };
+        match &mut islands {
+            // Side by side, each in the file's order.
+            Some(islands) => {
+                rayon::join(reindex, || {
+                    for corners in &chunk.triangles {
+                        if let [Some(a), Some(b), Some(c)] = corners.map(|v| sample_of.get(v as usize)) {
+                            islands.take(*corners, [*a, *b, *c]);
+                        }
+                    }
+                });
+            }
+            None => reindex(),
         }
         progress.advance(chunk.bytes);
         Ok(())

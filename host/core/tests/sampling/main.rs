@@ -7,6 +7,7 @@ mod emerging;
 mod groups;
 mod parts;
 mod promises;
+mod touching;
 mod triangles;
 
 use std::sync::atomic::{AtomicU32, Ordering};

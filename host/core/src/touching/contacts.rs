@@ -1,0 +1,415 @@
+//! Who is on whose sheet where sheets meet, as the model's faces tell it: found once, while sampling, and kept in the folder.
+//!
+//! The file begins with eight letters and a version. What is known of the samples follows, then the places, and a checksum of all
+//! before it.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::io::{self, BufReader, Read, Write};
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use xxhash_rust::xxh3::Xxh3Default;
+
+use super::parting::{Parted, Parting};
+use super::places::Places;
+use super::sorter::Sorter;
+use crate::input;
+use crate::output::OutputFile;
+use crate::reconstruction::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, Surroundings, homes};
+use crate::sampled_model::SampledModel;
+use crate::sampling::SampleSet;
+use crate::sampling::kept_cells::CutTree;
+use crate::{Error, ErrorKind, Result};
+
+const MAGIC: &[u8; 8] = b"SIMODSHT";
+const VERSION: u32 = 1;
+
+/// A way over the surface, from sample to sample, that is longer than so many times the distance of the furthest neighbour
+/// leads to another sheet, or another side of a fold.
+const DETOUR: f32 = 1.5;
+
+/// Vertices whose homes are looked up at a time.
+const BATCH: usize = 1 << 14;
+
+/// Which samples are on the same sheet, near places where sheets meet.
+///
+/// Memory: at most 140 bytes for each sample near which sheets meet, and those of [`Places`].
+#[derive(Debug, Default)]
+pub struct Contacts {
+    lists: Lists,
+    places: Arc<Places>,
+}
+
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct Lists {
+    /// Samples near which sheets meet, ascending.
+    samples: Vec<u32>,
+    starts: Vec<u32>,
+    /// The neighbours of each on its sheet, the nearest first.
+    same: Vec<u32>,
+    /// Samples that were parted from the sample of a cluster, and that one: they are in no cell's tree.
+    parted: Vec<[u32; 2]>,
+}
+
+impl Contacts {
+    /// Of the samples of a model whose clusters were [parted](Parted), of which `sample_of` says what vertex belongs to
+    /// which. `trees` has the samples of each cell.
+    ///
+    /// # Errors
+    /// The model cannot be read, or a temporary file written; the user cancelled.
+    pub fn find(
+        sampled: &mut SampledModel,
+        parted: &Parted,
+        sample_of: &[u32],
+        trees: &[CutTree],
+        parting: &Parting<'_>,
+    ) -> Result<()> {
+        let samples = &sampled.samples;
+        samples.prepare();
+        let first = samples.len() - parted.added.len();
+        let parted_from: Vec<[u32; 2]> =
+            (first as u32..).zip(&parted.added).map(|(i, (of, ..))| [i, *of]).collect();
+        let lists = Lists::new(same_sheet(samples, &parted.joined, &parted.seeds), parted_from);
+        if lists.samples.is_empty() && lists.parted.is_empty() {
+            return Ok(());
+        }
+        sampled.samples.set_contacts(Some(Self { lists, ..Self::default() }));
+        let places = Self::exceptions(sampled, sample_of, trees, parting)?;
+        let contacts = sampled.samples.take_contacts();
+        sampled.samples.set_contacts(contacts.map(|contacts| Self { places: Arc::new(places), ..contacts }));
+        Ok(())
+    }
+
+    /// The places of vertices whose homes would be on another sheet than their own cluster is on.
+    fn exceptions(
+        sampled: &SampledModel,
+        sample_of: &[u32],
+        trees: &[CutTree],
+        parting: &Parting<'_>,
+    ) -> Result<Places> {
+        let samples = &sampled.samples;
+        let around = Surroundings::of(samples);
+        let Some(Self { lists, .. }) = samples.contacts() else { return Ok(Places::default()) };
+        let of_cell: BTreeMap<u32, u32> = lists.parted.iter().map(|[sample, of]| (*sample, *of)).collect();
+        let chosen: BTreeSet<u32> =
+            lists.samples.iter().map(|sample| *of_cell.get(sample).unwrap_or(sample)).collect();
+        let mut places = Sorter::new(parting.folder);
+        let (mut positions, mut own): (Vec<DVec3>, Vec<u32>) = Default::default();
+        let mut found = Vec::new();
+        let mut flush = |positions: &mut Vec<DVec3>, own: &mut Vec<u32>| {
+            homes(&around, &sampled.frame, positions, &mut found);
+            for ((p, own), home) in positions.iter().zip(own.iter()).zip(&found) {
+                if !around.share_sheet(*own as usize, *home) {
+                    places.push(Places::entry(sampled.frame.to_local(*p), *own))?;
+                }
+            }
+            positions.clear();
+            own.clear();
+            Ok(())
+        };
+        let ranges = parting.ranges_with(trees, |sample| chosen.contains(&sample));
+        parting.vertices(ranges, |vertex, p, _| {
+            let sample = sample_of[vertex as usize];
+            if !p.is_finite() || lists.place(sample as usize).is_none() {
+                return Ok(());
+            }
+            positions.push(p);
+            own.push(sample);
+            if own.len() == BATCH { flush(&mut positions, &mut own) } else { Ok(()) }
+        })?;
+        flush(&mut positions, &mut own)?;
+        Places::of(places, samples.len(), parting.folder)
+    }
+
+    /// The same of a model that was refined: `samples`, of which those behind the ones that are known each were part of the
+    /// cluster of one of `origins`.
+    pub(crate) fn refined(&self, samples: &SampleSet, origins: &[u32]) -> Self {
+        let before = samples.len() - origins.len();
+        let origin = |i: u32| (i as usize).checked_sub(before).map_or(i, |new| origins[new]);
+        let knows = |i: u32, j: u32| self.same_sheet(i as usize).is_some_and(|same| same.contains(&j));
+        let list = |i: u32| {
+            let own = origin(i);
+            self.same_sheet(own as usize)?;
+            let near = samples.nearest_neighbours(i as usize, CROWDED_NEIGHBOURS);
+            let is_same = |j: &u32| {
+                let other = origin(*j);
+                other == own || knows(own, other) || knows(other, own)
+            };
+            let same: Vec<u32> = near.into_iter().filter(is_same).take(SHEET_NEIGHBOURS).collect();
+            Some((i, same))
+        };
+        let mut lists: BTreeMap<u32, Vec<u32>> =
+            (0..samples.len() as u32).into_par_iter().filter_map(list).collect();
+        make_mutual(samples, &mut lists);
+        Self { lists: Lists::new(lists, self.lists.parted.clone()), places: self.places.clone() }
+    }
+
+    /// The neighbours of a sample on its sheet, nearest first; `None` where no sheets meet.
+    pub fn same_sheet(&self, sample: usize) -> Option<&[u32]> {
+        self.lists.of(sample)
+    }
+
+    /// The sample on whose sheet a local position is, where it is not known from the position itself.
+    #[inline]
+    pub fn sample_at(&self, p: Vec3) -> Option<u32> {
+        self.places.sample_at(p)
+    }
+
+    /// Samples that no cell's tree has, and the one of its cluster that each was parted from.
+    pub fn parted(&self) -> &[[u32; 2]] {
+        &self.lists.parted
+    }
+
+    /// Number of samples near which sheets meet.
+    pub fn samples(&self) -> usize {
+        self.lists.samples.len()
+    }
+
+    /// Number of places that are kept.
+    pub fn places(&self) -> usize {
+        self.places.all().len()
+    }
+
+    /// A hash of all of it.
+    pub fn digest(&self) -> u128 {
+        let mut hash = Hashed { to: io::sink(), hash: Xxh3Default::new() };
+        // What goes nowhere can be written.
+        let _ = self.write_content("", &mut hash);
+        hash.hash.digest128()
+    }
+
+    fn write_content(&self, samples_fingerprint: &str, mut to: impl Write) -> io::Result<()> {
+        let head = (samples_fingerprint, &self.lists, self.places.all().len() as u64);
+        let head = postcard::to_allocvec(&head).map_err(io::Error::other)?;
+        to.write_all(MAGIC)?;
+        to.write_all(&VERSION.to_le_bytes())?;
+        to.write_all(&(head.len() as u64).to_le_bytes())?;
+        to.write_all(&head)?;
+        self.places.write(to)
+    }
+
+    /// Writes a file, for the `samples.ply` with this hash.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn save(&self, path: &Path, samples_fingerprint: &str) -> Result<()> {
+        let failed = |e: io::Error| match e.downcast::<Error>() {
+            Ok(error) => error,
+            Err(e) => Error::io("write", path, &e),
+        };
+        let mut file = OutputFile::create(path, 12 * self.places.all().len() as u64)?;
+        let mut hashed = Hashed { to: &mut file, hash: Xxh3Default::new() };
+        self.write_content(samples_fingerprint, &mut hashed).map_err(failed)?;
+        let checksum = hashed.hash.digest128();
+        file.write_all(&checksum.to_le_bytes()).map_err(failed)?;
+        file.commit()
+    }
+
+    /// Reads a file, if it is there: of so many samples, and of the `samples.ply` with this hash.
+    ///
+    /// # Errors
+    /// It cannot be read; it is damaged, or of other samples.
+    pub fn load(path: &Path, samples_fingerprint: &str, samples: usize) -> Result<Option<Self>> {
+        if path.symlink_metadata().is_err() {
+            return Ok(None);
+        }
+        let file = input::open(path)?;
+        let refused = |what: &str| {
+            Error::new(
+                ErrorKind::Format,
+                format!("{} is of no use: {what}", path.display()),
+                "sample the model again",
+            )
+        };
+        let cut_off = |_| refused("it is cut off");
+        let length = file.metadata().map_err(|e| Error::io("read", path, &e))?.len();
+        let mut reader = Hashed { to: BufReader::new(file), hash: Xxh3Default::new() };
+        let mut start = [0; 20];
+        reader.read_exact(&mut start).map_err(cut_off)?;
+        let bytes = u64::from_le_bytes(start[12..].try_into().unwrap_or_default());
+        if &start[..8] != MAGIC {
+            return Err(refused("it does not begin as such a file does"));
+        }
+        if start[8..12] != VERSION.to_le_bytes() {
+            return Err(refused("it is of a version that is not known"));
+        }
+        if bytes > length {
+            return Err(refused("it is cut off"));
+        }
+        let mut head = vec![0; bytes as usize];
+        reader.read_exact(&mut head).map_err(cut_off)?;
+        let (of, lists, count): (String, Lists, u64) =
+            postcard::from_bytes(&head).map_err(|e| refused(&e.to_string()))?;
+        // Before anything is held by what it says.
+        if length - bytes.min(length) != 20 + count.saturating_mul(12).saturating_add(16) {
+            return Err(refused("it is cut off"));
+        }
+        let places = Places::read(&mut reader, count, samples, &std::env::temp_dir()).map_err(cut_off)??;
+        let expected = reader.hash.digest128();
+        let mut checksum = [0; 16];
+        reader.read_exact(&mut checksum).map_err(cut_off)?;
+        if u128::from_le_bytes(checksum) != expected {
+            return Err(refused("its checksum is wrong"));
+        }
+        if of != samples_fingerprint {
+            return Err(refused("it belongs to other samples"));
+        }
+        match places {
+            Some(places) if lists.is_valid(samples) => Ok(Some(Self { lists, places: Arc::new(places) })),
+            _ => Err(refused("its numbers make no sense")),
+        }
+    }
+}
+
+impl Lists {
+    fn new(lists: BTreeMap<u32, Vec<u32>>, parted: Vec<[u32; 2]>) -> Self {
+        let mut all = Self { starts: vec![0], parted, ..Self::default() };
+        for (sample, same) in lists {
+            all.samples.push(sample);
+            all.same.extend(same);
+            all.starts.push(all.same.len() as u32);
+        }
+        all
+    }
+
+    fn place(&self, sample: usize) -> Option<usize> {
+        self.samples.binary_search(&(sample as u32)).ok()
+    }
+
+    fn of(&self, sample: usize) -> Option<&[u32]> {
+        let at = self.place(sample)?;
+        Some(&self.same[self.starts[at] as usize..self.starts[at + 1] as usize])
+    }
+
+    fn is_valid(&self, samples: usize) -> bool {
+        let exist = |s: &u32| (*s as usize) < samples;
+        self.samples.windows(2).all(|w| w[0] < w[1])
+            && self.samples.iter().chain(&self.same).chain(self.parted.iter().flatten()).all(exist)
+            && self.starts.len() == self.samples.len() + 1
+            && self.starts.first() == Some(&0)
+            && self.starts.is_sorted_by(|a, b| a <= b && b - a <= SHEET_NEIGHBOURS as u32)
+            && self.starts.last().is_some_and(|end| *end as usize == self.same.len())
+            && (0..self.samples.len()).all(|at| {
+                let list = &self.same[self.starts[at] as usize..self.starts[at + 1] as usize];
+                !list.contains(&self.samples[at])
+            })
+    }
+}
+
+/// Hashes what goes through.
+struct Hashed<T> {
+    to: T,
+    hash: Xxh3Default,
+}
+
+impl<T: Write> Write for Hashed<T> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.to.write(bytes)?;
+        self.hash.update(&bytes[..written]);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.to.flush()
+    }
+}
+
+impl<T: Read> Read for Hashed<T> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let read = self.to.read(bytes)?;
+        self.hash.update(&bytes[..read]);
+        Ok(read)
+    }
+}
+
+/// The neighbours on its sheet of each sample near which sheets meet: going out from `seeds`, as far as the nearest samples are
+/// not all on the same one. `joined` has all pairs of samples that faces join, both ways, ascending.
+fn same_sheet(samples: &SampleSet, joined: &[[u32; 2]], seeds: &[u32]) -> BTreeMap<u32, Vec<u32>> {
+    let joined = &Joined::new(samples.len(), joined);
+    let mut known: BTreeSet<u32> = seeds.iter().copied().collect();
+    let mut open = seeds.to_vec();
+    let mut lists = BTreeMap::new();
+    while !open.is_empty() {
+        let found: Vec<(u32, Vec<u32>, Vec<u32>)> = open
+            .par_iter()
+            .filter_map(|sample| {
+                let near = samples.nearest_neighbours(*sample as usize, CROWDED_NEIGHBOURS);
+                let mut same = connected(&samples.positions, joined, *sample, &near);
+                same.truncate(SHEET_NEIGHBOURS);
+                (same[..] != near[..same.len()]).then_some((*sample, near, same))
+            })
+            .collect();
+        open.clear();
+        for (sample, near, same) in found {
+            open.extend(near.iter().filter(|near| known.insert(**near)));
+            lists.insert(sample, same);
+        }
+    }
+    make_mutual(samples, &mut lists);
+    lists
+}
+
+/// Who is left out by a sample leaves that one out, too.
+fn make_mutual(samples: &SampleSet, lists: &mut BTreeMap<u32, Vec<u32>>) {
+    let near = |i: u32| samples.nearest_neighbours(i as usize, CROWDED_NEIGHBOURS);
+    let left_out = |(sample, same): (&u32, &Vec<u32>)| -> Vec<(u32, u32)> {
+        let all = near(*sample);
+        // Who lies beyond the last one of the list is not left out.
+        let end = same.last().map_or(all.len(), |last| all.iter().position(|j| j == last).unwrap_or(0));
+        all[..end].iter().filter(|j| !same.contains(j)).map(|j| (*j, *sample)).collect()
+    };
+    let pairs: Vec<(u32, u32)> = lists.par_iter().flat_map_iter(left_out).collect();
+    for (by, whom) in pairs {
+        let nearest = || samples.neighbours().of(by as usize).to_vec();
+        let list = lists.get(&by).cloned().unwrap_or_else(nearest);
+        if list.contains(&whom) {
+            lists.insert(by, list.into_iter().filter(|j| *j != whom).collect());
+        }
+    }
+}
+
+/// The samples that faces join with each.
+struct Joined<'a> {
+    starts: Vec<u32>,
+    pairs: &'a [[u32; 2]],
+}
+
+impl<'a> Joined<'a> {
+    fn new(samples: usize, pairs: &'a [[u32; 2]]) -> Self {
+        let mut starts = vec![0; samples + 1];
+        pairs.iter().for_each(|pair| starts[pair[0] as usize + 1] += 1);
+        (0..samples).for_each(|i| starts[i + 1] += starts[i]);
+        Self { starts, pairs }
+    }
+
+    fn with(&self, sample: u32) -> impl Iterator<Item = u32> + '_ {
+        let (start, end) = (self.starts[sample as usize], self.starts[sample as usize + 1]);
+        self.pairs[start as usize..end as usize].iter().map(|pair| pair[1])
+    }
+}
+
+/// Those of `near`, in their order, to which a short way leads from a sample, over samples that faces join.
+fn connected(positions: &[Vec3], joined: &Joined<'_>, sample: u32, near: &[u32]) -> Vec<u32> {
+    let place: HashMap<u32, usize> = near.iter().copied().chain([sample]).zip(0..).collect();
+    let distance = |a: u32, b: u32| positions[a as usize].distance(positions[b as usize]);
+    let most = DETOUR * near.last().map_or(0.0, |last| distance(sample, *last));
+    // The sample itself has the last place.
+    let nodes: Vec<u32> = near.iter().copied().chain([sample]).collect();
+    let mut ways = vec![f32::INFINITY; nodes.len()];
+    let mut done = vec![false; nodes.len()];
+    ways[near.len()] = 0.0;
+    loop {
+        let open = (0..nodes.len()).filter(|i| !done[*i] && ways[*i] <= most);
+        let Some(at) = open.min_by(|a, b| ways[*a].total_cmp(&ways[*b])) else { break };
+        done[at] = true;
+        for to in joined.with(nodes[at]) {
+            if let Some(to) = place.get(&to) {
+                ways[*to] = ways[*to].min(ways[at] + distance(nodes[at], nodes[*to]));
+            }
+        }
+    }
+    near.iter().zip(done).filter(|(_, done)| *done).map(|(j, _)| *j).collect()
+}

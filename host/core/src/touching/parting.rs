@@ -1,0 +1,297 @@
+//! Clusters that hold several sheets are parted: each sheet gets a sample of its own, or joins a cluster of its own sheet nearby.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::ops::Range;
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::islands::{Graph, Islands, Mixed};
+use super::sorter::{Sorter, entry, hash_of};
+use crate::frame::Frame;
+use crate::model::{Model, SMALL_CHUNK, VertexChunk};
+use crate::refinement::gathering::joined;
+use crate::sampling::cluster::{Moments, Sample};
+use crate::sampling::finalization::unit;
+use crate::sampling::kept_cells::CutTree;
+use crate::{Progress, Result};
+
+/// A sheet with fewer than this part of its cluster's vertices joins a cluster nearby, if it can.
+const LEAST_PART: f64 = 0.125;
+
+/// What parts are looked for in.
+pub struct Parting<'a> {
+    /// The model.
+    pub model: &'a dyn Model,
+    /// Where the vertices of each cell are.
+    pub ranges: &'a [Vec<Range<u64>>],
+    /// Local coordinates.
+    pub frame: Frame,
+    /// Where temporary files go.
+    pub folder: &'a Path,
+    /// Watches.
+    pub progress: &'a dyn Progress,
+}
+
+/// A sheet of a cluster of several.
+pub struct Part {
+    /// Its islands.
+    islands: Vec<u32>,
+    moments: Moments,
+}
+
+/// What is known of the clusters of several sheets: each with its parts, the largest first.
+pub struct Parts {
+    graph: Graph,
+    mixed: Vec<(u32, Vec<Part>)>,
+}
+
+/// What the clusters come to.
+pub struct Parted {
+    /// Of each island in a cluster of several sheets, by its first vertex: the sample that it belongs to.
+    sample_of: HashMap<u32, u32>,
+    /// Clusters of several sheets.
+    mixed: BTreeSet<u32>,
+    /// Of each sample that stands for another part than it did: position and normal.
+    pub moved: Vec<(u32, Vec3, Vec3)>,
+    /// The same of the new samples, and the one that each was parted from.
+    pub added: Vec<(u32, Vec3, Vec3)>,
+    /// Samples that faces join; both ways, each once, ascending.
+    pub joined: Vec<[u32; 2]>,
+    /// Samples with a part of a cluster of several sheets.
+    pub seeds: Vec<u32>,
+}
+
+impl Parting<'_> {
+    /// Joins what is at the same position, everywhere: for models whose faces share no vertices.
+    ///
+    /// # Errors
+    /// The model cannot be read, or a temporary file written; the user cancelled.
+    pub fn weld_all(&self, islands: &mut Islands, sample_of: &[u32]) -> Result<()> {
+        self.weld(vec![0..self.model.info().vertices], islands, sample_of)
+    }
+
+    fn weld(&self, ranges: Vec<Range<u64>>, islands: &mut Islands, sample_of: &[u32]) -> Result<()> {
+        let mut sorter = Sorter::new(self.folder);
+        self.vertices(
+            ranges,
+            |vertex, p, _| {
+                if p.is_finite() { sorter.push(entry(hash_of(p), vertex)) } else { Ok(()) }
+            },
+        )?;
+        let mut last: Option<[u32; 3]> = None;
+        sorter.finish(|entry| {
+            if let Some(last) = last.filter(|last| last[..2] == entry[..2]) {
+                let with_cluster = |vertex: u32| (vertex, sample_of[vertex as usize]);
+                islands.join(with_cluster(last[2]), with_cluster(entry[2]));
+            }
+            last = Some(entry);
+            Ok(())
+        })
+    }
+
+    /// The clusters of several sheets, once the faces are known; `None` if there is none. `trees` has the samples of each cell;
+    /// `welded` says that equal positions are joined already.
+    ///
+    /// # Errors
+    /// As of [`weld_all`](Self::weld_all).
+    pub fn find(
+        &self,
+        islands: &mut Islands,
+        sample_of: &[u32],
+        trees: &[CutTree],
+        welded: bool,
+    ) -> Result<Option<Parts>> {
+        let several = islands.mixed(sample_of);
+        if several.is_empty() {
+            return Ok(None);
+        }
+        if !welded {
+            // Seams of the file are none of the surface.
+            let ranges = self.ranges_with(trees, |sample| several.binary_search(&sample).is_ok());
+            self.weld(ranges, islands, sample_of)?;
+            if islands.mixed(sample_of).is_empty() {
+                return Ok(None);
+            }
+        }
+        let graph = islands.graph(sample_of);
+        let mixed = graph.parts();
+        if mixed.is_empty() {
+            return Ok(None);
+        }
+        let clusters: BTreeMap<u32, usize> = mixed.iter().map(|m| m.cluster).zip(0..).collect();
+        let ranges = self.ranges_with(trees, |sample| clusters.contains_key(&sample));
+        let mut place_of: HashMap<u32, (usize, usize)> = HashMap::new();
+        for (i, Mixed { parts, .. }) in mixed.iter().enumerate() {
+            for (j, part) in parts.iter().enumerate() {
+                place_of.extend(part.iter().map(|island| (graph.firsts[*island as usize], (i, j))));
+            }
+        }
+        let mut found: Vec<(u32, Vec<Part>)> = mixed
+            .into_iter()
+            .map(|Mixed { cluster, parts }| {
+                let part = |islands| Part { islands, moments: Moments::default() };
+                (cluster, parts.into_iter().map(part).collect())
+            })
+            .collect();
+        self.vertices(ranges, |vertex, p, normal| {
+            if !clusters.contains_key(&sample_of[vertex as usize]) {
+                return Ok(());
+            }
+            if let Some((i, j)) = place_of.get(&islands.first(vertex)) {
+                let sample = Sample { position: self.frame.to_local(p), normal, index: 0 };
+                found[*i].1[*j].moments.add(&Moments::of(&[sample]));
+            }
+            Ok(())
+        })?;
+        for (_, parts) in &mut found {
+            let first = |part: &Part| part.islands.first().copied();
+            parts.sort_by(|a, b| {
+                b.moments.count().total_cmp(&a.moments.count()).then(first(a).cmp(&first(b)))
+            });
+        }
+        Ok(Some(Parts { graph, mixed: found }))
+    }
+
+    /// Where the cells are that hold vertices of chosen samples.
+    pub fn ranges_with(&self, trees: &[CutTree], chosen: impl Fn(u32) -> bool) -> Vec<Range<u64>> {
+        let of_chosen = |tree: &CutTree| tree.samples.iter().any(|sample| chosen(*sample));
+        let cells = trees.iter().zip(self.ranges).filter(|(tree, _)| of_chosen(tree));
+        // Where reading cannot begin anywhere, going on costs less than beginning again.
+        let near = if self.model.info().random_access { 0 } else { u64::MAX };
+        joined(cells.flat_map(|(_, ranges)| ranges.iter().cloned()), near)
+    }
+
+    /// Reads the vertices of some ranges: index, position in the model's coordinates, and unit normal.
+    ///
+    /// # Errors
+    /// They cannot be read, or `visit` failed; the user cancelled.
+    pub fn vertices(
+        &self,
+        ranges: Vec<Range<u64>>,
+        mut visit: impl FnMut(u32, DVec3, Vec3) -> Result<()>,
+    ) -> Result<()> {
+        let mut chunk = VertexChunk::default();
+        for range in ranges {
+            let mut reader = self.model.vertices(range)?;
+            reader.set_chunk(SMALL_CHUNK);
+            while reader.read(&mut chunk)? {
+                self.progress.check()?;
+                for (i, p) in chunk.positions.iter().enumerate() {
+                    let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
+                    visit((chunk.first + i as u64) as u32, *p, normal)?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Parts {
+    /// How many samples more all parts would have, if as many may be added as they need.
+    pub fn needed(&self) -> usize {
+        self.decide(usize::MAX).1
+    }
+
+    /// For each mixed cluster, which of its parts get a sample: at most so many more in all, for the largest parts. And how
+    /// many that are.
+    fn decide(&self, most: usize) -> (Vec<Vec<bool>>, usize) {
+        let mut wanted: Vec<(f64, usize, usize)> = Vec::new();
+        for (i, (_, parts)) in self.mixed.iter().enumerate() {
+            let all: f64 = parts.iter().map(|part| part.moments.count()).sum();
+            for (j, part) in parts.iter().enumerate().skip(1) {
+                let own = self.neighbours(part).next().is_none();
+                let count = part.moments.count();
+                if count > 0.0 && (own || (count > 1.0 && count >= LEAST_PART * all)) {
+                    wanted.push((count, i, j));
+                }
+            }
+        }
+        wanted.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+        wanted.truncate(most);
+        let mut gets: Vec<Vec<bool>> = self.mixed.iter().map(|(_, parts)| vec![false; parts.len()]).collect();
+        wanted.iter().for_each(|(_, i, j)| gets[*i][*j] = true);
+        (gets, wanted.len())
+    }
+
+    /// Islands of other clusters that a part is joined with.
+    fn neighbours<'a>(&'a self, part: &'a Part) -> impl Iterator<Item = u32> + 'a {
+        part.islands.iter().flat_map(|island| self.graph.joined(*island)).copied()
+    }
+
+    /// Parts the clusters, with at most so many new samples, of which the first one will be `first`.
+    pub fn part(self, first: u32, most: usize) -> Parted {
+        const OPEN: u32 = u32::MAX;
+        let (gets, _) = self.decide(most);
+        let (mut moved, mut added) = (Vec::new(), Vec::new());
+        let mut sample = self.graph.cluster.clone();
+        let mut open: Vec<(usize, usize)> = Vec::new();
+        for (i, (cluster, parts)) in self.mixed.iter().enumerate() {
+            for (j, part) in parts.iter().enumerate() {
+                let (position, normal, _) = part.moments.representative();
+                let of_part = if j == 0 {
+                    moved.push((*cluster, position, normal));
+                    *cluster
+                } else if gets[i][j] {
+                    added.push((*cluster, position, normal));
+                    first + added.len() as u32 - 1
+                } else {
+                    open.push((i, j));
+                    OPEN
+                };
+                part.islands.iter().for_each(|island| sample[*island as usize] = of_part);
+            }
+        }
+        // What has none of its own joins a sample nearby on its sheet.
+        while !open.is_empty() {
+            let before = open.len();
+            let mut joins = Vec::new();
+            open.retain(|(i, j)| {
+                let part = &self.mixed[*i].1[*j];
+                let nearby = self.neighbours(part).map(|island| sample[island as usize]);
+                let Some(to) = nearby.filter(|s| *s != OPEN).min() else { return true };
+                joins.extend(part.islands.iter().map(|island| (*island, to)));
+                false
+            });
+            joins.iter().for_each(|(island, to)| sample[*island as usize] = *to);
+            if open.len() == before {
+                // Nothing of its sheet has a sample: it stays with its cluster.
+                for (i, j) in open.drain(..) {
+                    let (cluster, parts) = &self.mixed[i];
+                    parts[j].islands.iter().for_each(|island| sample[*island as usize] = *cluster);
+                }
+            }
+        }
+        let of_mixed = || self.mixed.iter().flat_map(|(_, parts)| parts).flat_map(|part| &part.islands);
+        let mut seeds: Vec<u32> = of_mixed().map(|island| sample[*island as usize]).collect();
+        seeds.sort_unstable();
+        seeds.dedup();
+        let graph = &self.graph;
+        let mut joined: Vec<[u32; 2]> = (0..graph.firsts.len() as u32)
+            .into_par_iter()
+            .flat_map_iter(|i| graph.joined(i).iter().map(move |j| [i, *j]))
+            .map(|pair| pair.map(|island| sample[island as usize]))
+            .filter(|[a, b]| a != b)
+            .collect();
+        joined.par_sort_unstable();
+        joined.dedup();
+        let sample_of =
+            of_mixed().map(|island| (graph.firsts[*island as usize], sample[*island as usize])).collect();
+        let mixed = self.mixed.iter().map(|(cluster, _)| *cluster).collect();
+        Parted { sample_of, mixed, moved, added, joined, seeds }
+    }
+}
+
+impl Parted {
+    /// Notes in `sample_of` which sample each vertex belongs to now.
+    pub fn renumber(&self, islands: &Islands, sample_of: &mut [u32]) {
+        sample_of.par_iter_mut().enumerate().for_each(|(vertex, sample)| {
+            if self.mixed.contains(sample)
+                && let Some(own) = self.sample_of.get(&islands.first_of(vertex as u32))
+            {
+                *sample = *own;
+            }
+        });
+    }
+}

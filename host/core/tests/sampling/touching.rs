@@ -1,0 +1,224 @@
+//! Parts of a model that touch: their faces tell them apart.
+
+use std::f64::consts::{PI, TAU};
+use std::fs;
+
+use glam::{DVec3, Vec3};
+use simod_core::model;
+use simod_core::progress::Silent;
+use simod_core::reconstruction::{DeformationField, Method, Moved, Surroundings, carry};
+use simod_core::refinement::{Finer, Refining, Selection, refine};
+use simod_core::sampled_model::SampledModel;
+use simod_core::sampling::{Sampling, Skip, Target};
+
+use crate::body::{Body, sample_file};
+use crate::cells::Saved;
+
+/// A tube of rings of vertices around points with two directions each; closed, if its last ring is followed by the first one.
+fn tube(rings: &[(DVec3, DVec3, DVec3)], around: u32, radius: f64, closed: bool) -> Body {
+    let mut body = Body::default();
+    for (center, a, b) in rings {
+        let at = |j: u32| TAU * f64::from(j) / f64::from(around);
+        body.positions.extend((0..around).map(|j| *center + radius * (*a * at(j).cos() + *b * at(j).sin())));
+    }
+    let count = rings.len() as u32;
+    for i in 0..if closed { count } else { count - 1 } {
+        for j in 0..around {
+            let at = |i: u32, j: u32| i % count * around + j % around;
+            body.faces.push([at(i, j), at(i + 1, j), at(i + 1, j + 1)]);
+            body.faces.push([at(i, j), at(i + 1, j + 1), at(i, j + 1)]);
+        }
+    }
+    body
+}
+
+const RADIUS: f64 = 0.2;
+
+/// Two interlocked rings that touch inside, but for a gap; and for each vertex whether it is of the second.
+fn rings(gap: f64) -> (Body, Vec<f64>) {
+    let ring = |center: DVec3, x: DVec3, y: DVec3| {
+        let at = |i: u32| {
+            let t = TAU * f64::from(i) / 300.0;
+            let out = x * t.cos() + y * t.sin();
+            (center + out, out, x.cross(y))
+        };
+        tube(&(0..300).map(at).collect::<Vec<_>>(), 60, RADIUS, true)
+    };
+    let mut body = ring(DVec3::ZERO, DVec3::X, DVec3::Y);
+    let second = ring(DVec3::X * (2.0 - 2.0 * RADIUS - gap), DVec3::X, DVec3::Z);
+    let first = body.positions.len() as u32;
+    body.positions.extend(second.positions);
+    body.faces.extend(second.faces.into_iter().map(|face| face.map(|v| v + first)));
+    let part = (0..body.positions.len()).map(|v| f64::from(u32::from(v as u32 >= first))).collect();
+    (body, part)
+}
+
+/// A stem whose end is bent over and lies on it, but for a gap, and how far each vertex goes with that arm.
+fn cactus(gap: f64) -> (Body, Vec<f64>) {
+    let bend = RADIUS + 0.5 * gap;
+    let (up, over, down) = (1.5, PI * bend, 1.2);
+    let count = 500;
+    let ring = |i: u32| {
+        let s = f64::from(i) / f64::from(count - 1) * (up + over + down);
+        let angle = ((s - up) / bend).clamp(0.0, PI);
+        let height = s.min(up) + bend * angle.sin() - (s - up - over).max(0.0);
+        let center = DVec3::new(bend * (1.0 - angle.cos()), 0.0, height);
+        let along = DVec3::new(angle.sin(), 0.0, angle.cos());
+        ((center, DVec3::Y.cross(along), DVec3::Y), angle / PI)
+    };
+    let rings: Vec<_> = (0..count).map(ring).collect();
+    let body = tube(&rings.iter().map(|(ring, _)| *ring).collect::<Vec<_>>(), 80, RADIUS, false);
+    let way = |w: f64| w * w * (3.0 - 2.0 * w);
+    (body, rings.iter().flat_map(|(_, w)| vec![way(*w); 80]).collect())
+}
+
+/// Each face with vertices of its own, as in an STL file.
+fn soup((body, part): (Body, Vec<f64>)) -> (Body, Vec<f64>) {
+    let corners: Vec<usize> = body.faces.iter().flatten().map(|v| *v as usize).collect();
+    let faces = (0..body.faces.len() as u32).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
+    let positions = corners.iter().map(|v| body.positions[*v]).collect();
+    (Body { positions, normals: Vec::new(), faces }, corners.iter().map(|v| part[*v]).collect())
+}
+
+/// Where a sample belongs: how far its place goes with the second part. It lies at the surface of one of two tubes.
+fn of_rings(gap: f64) -> impl Fn(DVec3) -> f64 {
+    move |p| {
+        let off = |center: DVec3, axis: DVec3| {
+            let d = p - center;
+            let flat = d - axis * d.dot(axis);
+            ((flat.length() - 1.0).hypot(d.dot(axis)) - RADIUS).abs()
+        };
+        let second = off(DVec3::X * (2.0 - 2.0 * RADIUS - gap), DVec3::X.cross(DVec3::Z));
+        f64::from(u32::from(second < off(DVec3::ZERO, DVec3::Z)))
+    }
+}
+
+fn of_cactus(gap: f64) -> impl Fn(DVec3) -> f64 {
+    let bend = RADIUS + 0.5 * gap;
+    move |p| {
+        if p.z > 1.5 {
+            let w = (p.z - 1.5).atan2(bend - p.x) / PI;
+            return w * w * (3.0 - 2.0 * w);
+        }
+        let off = |x: f64| ((p.x - x).hypot(p.y) - RADIUS).abs();
+        f64::from(u32::from(off(2.0 * bend) < off(0.0)))
+    }
+}
+
+const AWAY: DVec3 = DVec3::new(0.6, 0.64, 0.48);
+
+/// Moves the samples of the second part away, and gives for each vertex how far it is off, as a fraction of the way.
+fn pulled(sampled: &SampledModel, body: &Body, part: &[f64], of: &dyn Fn(DVec3) -> f64) -> Vec<f64> {
+    let place = |p: &Vec3| {
+        let p = sampled.frame.to_model(*p);
+        sampled.frame.to_local(p + AWAY * of(p))
+    };
+    let deformed: Vec<Vec3> = sampled.samples.positions.iter().map(place).collect();
+    let around = Surroundings::of(&sampled.samples);
+    let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
+    let mut moved = body.positions.clone();
+    let to = &mut [Moved { positions: &mut moved, normals: &mut [], figures: &mut [] }];
+    carry(&[field], &sampled.frame, &body.positions, None, to);
+    let off = |((p, q), part): ((&DVec3, &DVec3), &f64)| (*q - *p - AWAY * *part).length();
+    body.positions.iter().zip(&moved).zip(part).map(off).collect()
+}
+
+fn share(off: &[f64], beyond: f64) -> f64 {
+    off.iter().filter(|off| **off > beyond).count() as f64 / off.len() as f64
+}
+
+fn sampling(sheets: bool) -> Sampling {
+    Sampling { target: Target::Samples(4000), sheets, ..Sampling::default() }
+}
+
+#[test]
+fn nobody_stays_and_nobody_follows() {
+    type Case = (&'static str, (Body, Vec<f64>), Box<dyn Fn(DVec3) -> f64>);
+    let cases: [Case; 4] = [
+        ("rings that touch", rings(1e-3), Box::new(of_rings(1e-3))),
+        ("rings that cross", rings(-5e-3), Box::new(of_rings(-5e-3))),
+        ("an arm on its stem", cactus(1e-3), Box::new(of_cactus(1e-3))),
+        ("rings of single faces", soup(rings(1e-3)), Box::new(of_rings(1e-3))),
+    ];
+    for (name, (body, part), of) in cases {
+        let [with, without] = [true, false].map(|sheets| {
+            let sampled = body.sampled(sampling(sheets));
+            assert_eq!(sampled.samples.contacts().is_some(), sheets, "{name}");
+            assert!((3800..=4000).contains(&sampled.samples.len()), "{name}: {}", sampled.samples.len());
+            pulled(&sampled, &body, &part, &of)
+        });
+        println!(
+            "{name}: {:.5} of the vertices are off by half of the way, {:.5} by a tenth; without, {:.5} and {:.5}",
+            share(&with, 0.5),
+            share(&with, 0.1),
+            share(&without, 0.5),
+            share(&without, 0.1)
+        );
+        assert!(share(&with, 0.5) < 5e-4 && share(&with, 0.5) * 10.0 < share(&without, 0.5), "{name}");
+        assert!(share(&with, 0.1) * 5.0 < share(&without, 0.1), "{name}");
+    }
+}
+
+#[test]
+fn a_refinement_keeps_parts_apart() {
+    let (body, part) = rings(1e-3);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model.ply");
+    body.write(&path);
+    let model = model::open(&path).unwrap();
+    let mut sampled = sample_file(&path, sampling(true));
+    for radius in [0.3, 0.15] {
+        let distance = |p: DVec3| p.distance(DVec3::X * 0.8) - radius;
+        let selection = Selection { distance: &distance, so_far: None, at_rest: true };
+        let how = Refining { finer: Finer::Factor(3.0), memory_limit: None, shapes: Vec::new() };
+        let refined = refine(&sampled, model.as_ref(), selection, &how, folder.path(), &Silent).unwrap();
+        let refined = refined.sampled.unwrap();
+        assert!(refined.samples.len() > sampled.samples.len() + 20);
+        sampled = refined;
+        let off = pulled(&sampled, &body, &part, &of_rings(1e-3));
+        println!("refined: {:.5} off by half of the way", share(&off, 0.5));
+        assert!(share(&off, 0.5) < 1e-3);
+    }
+}
+
+#[test]
+fn what_is_kept_comes_back_and_only_where_parts_touch() {
+    let (body, part) = rings(1e-3);
+    let saved = Saved::new(&body, sampling(true));
+    assert!(saved.names().contains(&"sheets.bin".to_owned()));
+    let (loaded, fresh) = (saved.load(), body.sampled(sampling(true)));
+    let of = of_rings(1e-3);
+    let off = |sampled: &SampledModel| pulled(sampled, &body, &part, &of);
+    assert_eq!(off(&loaded), off(&fresh));
+    assert_eq!(loaded.samples.contacts().unwrap().digest(), fresh.samples.contacts().unwrap().digest());
+    // Without triangles the samples are the same.
+    let plain =
+        body.sampled(Sampling { skip: Skip { triangles: true, ..Skip::default() }, ..sampling(true) });
+    assert_eq!(plain.samples.positions, fresh.samples.positions);
+    assert_eq!(plain.samples.contacts().unwrap().digest(), fresh.samples.contacts().unwrap().digest());
+    // Cells that were lost are found again.
+    let cells = saved.bytes();
+    fs::remove_file(saved.folder().join("cells.bin")).unwrap();
+    saved.cells();
+    assert!(saved.bytes() == cells);
+
+    // Damage is noticed.
+    let path = saved.folder().join("sheets.bin");
+    let bytes = fs::read(&path).unwrap();
+    for i in (0..bytes.len()).step_by(bytes.len() / 40) {
+        let mut changed = bytes.clone();
+        changed[i] ^= 4;
+        fs::write(&path, &changed).unwrap();
+        assert!(SampledModel::load(&saved.folder()).is_err(), "byte {i}");
+        fs::write(&path, &bytes[..i]).unwrap();
+        assert!(SampledModel::load(&saved.folder()).is_err(), "{i} bytes");
+    }
+
+    // Rings that are far from each other touch nowhere, and neither do faces that share no vertices.
+    for (body, _) in [rings(0.3), soup(rings(0.3))] {
+        let apart = Saved::new(&body, sampling(true));
+        assert!(!apart.names().contains(&"sheets.bin".to_owned()));
+        let without = body.sampled(sampling(false));
+        assert_eq!(apart.load().samples.positions, without.samples.positions);
+    }
+}
