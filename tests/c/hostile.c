@@ -44,7 +44,8 @@ static void change_rounding(void)
 
 __attribute__((constructor)) static void load(void)
 {
-    if (DOES == SLEEPS_AT_LOAD && !getenv("AWAKE")) sleep(30);
+    // A signal ends a sleep, and not this.
+    for (int i = 0; DOES == SLEEPS_AT_LOAD && !getenv("AWAKE") && i < 30;) i += sleep(1) == 0;
     if (DOES == STARTS_A_PROCESS_AT_LOAD) {
         start_a_process();
         sleep(30);

@@ -117,6 +117,22 @@ fn a_library_that_does_not_finish_loading_can_be_interrupted() {
     }
 }
 
+/// So does it where that loads in the program itself.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_library_that_loads_in_the_program_can_be_interrupted() {
+    let work = sampled();
+    build(&work, "SLEEPS_AT_LOAD");
+    let child = start(&work, &format!("{DEFORM} --isolate never"));
+    wait_until(&work, "it loads", |n| n == 1);
+    std::thread::sleep(Duration::from_secs(1));
+    let since = Instant::now();
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let outcome = Outcome::from(child.wait_with_output().unwrap());
+    assert!(since.elapsed() < Duration::from_secs(10), "{:?}", since.elapsed());
+    assert_eq!((outcome.code, outcome.lines("error: ")), (Some(130), vec!["cancelled"]));
+}
+
 /// A plugin in the program's own process changes neither the bytes that follow, nor where they go, nor the report.
 #[test]
 fn the_program_s_surroundings_are_kept() {

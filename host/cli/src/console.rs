@@ -119,6 +119,10 @@ impl Wish {
 /// Ends the process, without what it is writing.
 fn leave() -> ! {
     simod_core::claim::abandon_all();
+    // At once: to end in order, the C library waits for libraries that are being loaded.
+    #[cfg(unix)]
+    signal_hook::low_level::exit(CANCELLED);
+    #[cfg(not(unix))]
     std::process::exit(CANCELLED)
 }
 
