@@ -178,6 +178,13 @@ pub fn refine(
 ) -> Result<Refined> {
     check(how)?;
     let kept = sampled.checked_cells()?;
+    if kept.former {
+        return Err(Error::new(
+            ErrorKind::Mismatch,
+            "the model was sampled by a former version, whose trees cannot go on",
+            "sample the model again",
+        ));
+    }
     progress.begin("selecting", 0);
     let mut need = None;
     let sizing = match how.finer {
