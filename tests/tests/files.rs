@@ -74,7 +74,7 @@ fn what_sessions_name_is_not_replaced() {
     let work = workplace();
     let cage = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
     work.write("sub/cage.obj", cage);
-    let steps = "[[step]]\ndeform = \"cage\"\nparams = { cage = \"sub/cage.obj\" }";
+    let steps = "[[step]]\ndeform = \"cage\"\nparams = { file = \"sub/cage.obj\" }";
     work.write_session("model.ply", 500, steps);
     for line in ["run edit.toml -o", "deform model.simod --session edit.toml -o"] {
         work.refuses(&format!("{line} sub/cage.obj --force"), &["cage.obj"]);
@@ -209,7 +209,7 @@ fn pipes_and_devices_are_refused_at_once() {
             refuses("run edit.toml", &["is a pipe or a device"]);
         }
         for (plugin, param, ending) in
-            [("cage", "cage", "obj"), ("skinning", "skeleton", "tgf"), ("skinning", "weights", "csv")]
+            [("cage", "file", "obj"), ("skinning", "skeleton", "tgf"), ("skinning", "weights", "csv")]
         {
             let name = format!("odd.{ending}");
             let _ = std::fs::remove_file(work.path(&name));
@@ -254,7 +254,7 @@ fn files_that_are_too_long_are_refused() {
     hole("long.toml");
     work.refuses("run long.toml", &["long.toml", "too long"]);
     hole("cage.obj");
-    work.write_session("model.ply", 500, "[[step]]\ndeform = \"cage\"\nparams = { cage = \"cage.obj\" }");
+    work.write_session("model.ply", 500, "[[step]]\ndeform = \"cage\"\nparams = { file = \"cage.obj\" }");
     work.refuses("run edit.toml", &["cage.obj"]);
     hole("a.strokes");
     let strokes = "strokes = { file = \"a.strokes\", fingerprint = \"xxh3-128:0\" }";
@@ -401,11 +401,12 @@ fn errors_name_the_file() {
         let rest = end.split_once('"').expect("an end").1;
         work.write("model.simod/simod.toml", format!("{start}samples-fingerprint = \"{hash}\"{rest}"));
     };
-    set("xxh3-128:0");
-    work.refuses("info model.simod", &["samples.ply"]);
+    work.move_samples("model.simod", |p| p + DVec3::X);
     let stdout =
         work.refuses(&line.replace("out.ply", "/dev/stdout"), &["/dev/stdout", "a pipe or a device"]);
     assert!(stdout.hint().contains("whole"), "{}", stdout.hint());
+    set("xxh3-128:0");
+    work.refuses("info model.simod", &["samples.ply"]);
 }
 
 #[test]

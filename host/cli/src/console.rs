@@ -137,7 +137,7 @@ mod signals {
         let ignored = ignored();
         let is_wanted = |signal: &i32| {
             // As `nohup` and shells ask for: who ignores a limit on files hears of it by the write that fails.
-            ![SIGHUP, SIGXFSZ].contains(signal) || ignored.is_some_and(|set| set >> (signal - 1) & 1 == 0)
+            ![SIGHUP, SIGXFSZ].contains(signal) || ignored.is_some_and(|set| (set >> (signal - 1)) & 1 == 0)
         };
         let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP, SIGXFSZ].into_iter().filter(is_wanted))?;
         let wait = move || {

@@ -3,7 +3,7 @@
 //! While a file or folder `name` is written, `.simod-name.part` is there and locked. A file is written into it; for a folder
 //! it stays empty, and `.simod-name.new` is the folder in the making (`.simod-name.old` the former one, where the system
 //! cannot exchange both at once). `.simod-name.journal`, and `.journal.new` by which it is replaced, are those of
-//! [resumable](crate::resumable) files. What a process that was killed left is removed by the next one that has the
+//! large files (`resumable`). What a process that was killed left is removed by the next one that has the
 //! lock; what is locked is somebody's, on this machine or another.
 //!
 //! These names are known, so that somebody else may have put something there: links are never followed or written
@@ -80,7 +80,7 @@ impl Places {
     }
 }
 
-/// The right to write a target. Dropped, nothing hidden is left beside it, unless that was [kept](Self::keep).
+/// The right to write a target. Dropped, nothing hidden is left beside it, unless it is to be gone on with.
 #[derive(Debug)]
 pub struct Claim {
     places: Places,
@@ -279,7 +279,7 @@ fn is_ours_alone(file: &File) -> io::Result<bool> {
     {
         use std::os::unix::fs::MetadataExt;
         let is = file.metadata()?;
-        return Ok(is.nlink() <= 1 && is.uid() == rustix::process::geteuid().as_raw());
+        Ok(is.nlink() <= 1 && is.uid() == rustix::process::geteuid().as_raw())
     }
     #[cfg(not(unix))]
     {
@@ -301,7 +301,7 @@ pub(crate) fn take_permissions(file: &File, from: &Path) -> io::Result<()> {
             && fchown(file, None, Some(former.gid())).is_err()
         {
             // Only the superuser gives files away. The group is another one now, and gets no more than anybody.
-            mode = mode & !0o070 | (mode & 0o007) << 3 & mode;
+            mode = (mode & !0o070) | (((mode & 0o007) << 3) & mode);
         }
         file.set_permissions(fs::Permissions::from_mode(mode))?;
     }

@@ -92,9 +92,13 @@ impl Identity {
     /// Of the file or folder that a path leads to, by way of links; `None` where there is none.
     pub fn of(path: &Path) -> Option<Self> {
         #[cfg(unix)]
-        return std::fs::metadata(path).ok().map(|is| Self::known(&is));
+        {
+            std::fs::metadata(path).ok().map(|is| Self::known(&is))
+        }
         #[cfg(not(unix))]
-        path.canonicalize().ok().map(Self)
+        {
+            path.canonicalize().ok().map(Self)
+        }
     }
 
     #[cfg(unix)]

@@ -116,7 +116,7 @@ pub(crate) fn target_of(path: &Path) -> Result<PathBuf> {
 /// That file by the one name that all paths to it share, where its folder exists.
 ///
 /// # Errors
-/// As for [`regular_target`], and the folder is missing.
+/// It is a folder or a device, links lead nowhere, or the folder is missing.
 pub fn canonical_target(path: &Path) -> Result<PathBuf> {
     let target = regular_target(path)?;
     let folder = folder_of(&target).canonicalize().map_err(|e| Error::io("write", path, &e))?;

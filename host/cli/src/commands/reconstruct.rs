@@ -110,6 +110,8 @@ impl Reconstruct {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let paths = versions(&self.deformed, &self.output, self.diagnostics.as_deref())?;
         let sampled = SampledModel::load(&self.sampled)?;
+        let deformed =
+            paths.iter().map(|v| sampled.read_deformed(&v.deformed)).collect::<Result<Vec<_>>>()?;
         let mut guard = self.overwrite.guard();
         guard.reads(&self.sampled);
         // That the model itself is kept is seen to where it is streamed.
@@ -118,8 +120,6 @@ impl Reconstruct {
         for path in paths.iter().flat_map(|v| [&v.output].into_iter().chain(&v.diagnostics)) {
             guard.writes(path, Kind::Model)?;
         }
-        let deformed =
-            paths.iter().map(|v| sampled.read_deformed(&v.deformed)).collect::<Result<Vec<_>>>()?;
         let model = sampled.open_source(self.model.as_deref())?;
         let versions: Vec<Version<'_>> = paths
             .iter()
