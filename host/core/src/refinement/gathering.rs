@@ -55,7 +55,7 @@ pub(crate) struct Gathering<'a> {
 impl Gathering<'_> {
     /// Bytes that a vertex takes at most until its cell is done: itself, its index and group, and once more while it is
     /// clustered, with the nodes of a tree down to it.
-    pub const BYTES_PER_VERTEX: u64 = 300;
+    pub const BYTES_PER_VERTEX: u64 = 240;
 
     /// Reads some cells; and how many bytes of the model that took. `None` for the first of a cell's vertices that
     /// is not what it was: the model has changed.

@@ -163,7 +163,7 @@ const FORESIGHT: f64 = 3.0;
 /// Refines a sampled model, whose cells are held, where it is selected. Temporary files without a name are made in `folder`, of 4 bytes per
 /// vertex that is read, if there are triangles.
 ///
-/// Memory: below the limit, for any selection. Cells come in batches of at most 96 MiB, or one at a time; 300 bytes for each of their
+/// Memory: below the limit, for any selection. Cells come in batches of at most 96 MiB, or one at a time; 240 bytes for each of their
 /// vertices. The new samples take 200 bytes each, at most half of the limit. P_S itself comes on top.
 ///
 /// # Errors
@@ -179,13 +179,6 @@ pub fn refine(
 ) -> Result<Refined> {
     check(how)?;
     let kept = sampled.checked_cells()?;
-    if kept.former {
-        return Err(Error::new(
-            ErrorKind::Mismatch,
-            "the model was sampled by a former version, whose trees cannot go on",
-            "sample the model again",
-        ));
-    }
     progress.begin("selecting", 0);
     let mut need = None;
     let sizing = match how.finer {

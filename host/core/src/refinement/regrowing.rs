@@ -4,10 +4,9 @@
 //! again along what is kept, which gives the vertices of each leaf; and where a leaf's error is above the bound, a VS-Tree
 //! of these vertices goes on below it. What it comes to does not depend on how many refinements led there.
 
-use crate::sampling::cluster::{Element, Moments, Planed, Sample};
-use crate::sampling::finalization::{Rebuilding, seed_of};
+use crate::sampling::cluster::{Element, Moments, Sample};
+use crate::sampling::finalization::seed_of;
 use crate::sampling::kept_cells::{CutTree, KeptCell};
-use crate::sampling::planes;
 use crate::sampling::vs_tree::{Splitting, VsTree, Workspace, children, mix};
 use glam::Vec3;
 
@@ -133,7 +132,6 @@ impl Regrowing<'_> {
         let seed = seed_of(&kept.key);
         let top = Top::of(tree);
         let leaf_of = self.follow(&mut gathered, tree, &top, seed)?;
-        let planes = planes_of(&gathered.vertices);
 
         // The vertices of each leaf, side by side.
         let mut starts = vec![0usize; top.leaves.len() + 1];
@@ -146,7 +144,7 @@ impl Regrowing<'_> {
         }
 
         let mut found = Regrown { cell: gathered.cell, grown: Vec::new(), members: Vec::new(), built: 0 };
-        let mut workspace = Workspace::<Planed<Sample>>::default();
+        let mut workspace = Workspace::<Sample>::default();
         for (ordinal, leaf) in top.leaves.iter().enumerate() {
             let of_leaf = &order[starts[ordinal]..starts[ordinal + 1]];
             let refined = wanted[leaf.samples.clone()].contains(&true);
@@ -158,10 +156,11 @@ impl Regrowing<'_> {
                 found.members.extend(ids.map(|id| (*id, sample)));
                 continue;
             }
-            let vertex = |(v, index): (&u32, u32)| {
-                Planed::new(Sample { index, ..gathered.vertices[*v as usize] }, planes[*v as usize])
-            };
-            let mut vertices: Vec<Planed<Sample>> = of_leaf.iter().zip(0..).map(vertex).collect();
+            let mut vertices: Vec<Sample> = of_leaf
+                .iter()
+                .zip(0..)
+                .map(|(v, index)| Sample { index, ..gathered.vertices[*v as usize] })
+                .collect();
             let below = mix(seed, ordinal as u64 + 1);
             let (grown, built) = self.grow(&mut vertices, tree, leaf, below, refined, &mut workspace)?;
             let first_leaf = found.built;
@@ -207,12 +206,12 @@ impl Regrowing<'_> {
     /// the leaf of each vertex is in the workspace.
     fn grow(
         &self,
-        vertices: &mut [Planed<Sample>],
+        vertices: &mut [Sample],
         tree: &CutTree,
         leaf: &TopLeaf,
         seed: u64,
         refined: bool,
-        workspace: &mut Workspace<Planed<Sample>>,
+        workspace: &mut Workspace<Sample>,
     ) -> Result<(Grown, u32), Changed> {
         // What is told of each node in turn: its half diagonal, slack, and which kept one it is.
         let mut told: Vec<(f32, f32, Option<u32>)> = Vec::new();
@@ -277,19 +276,6 @@ impl Regrowing<'_> {
     }
 }
 
-/// The planes of all vertices of a cell, each zero where its normal is that of its plane, or nothing tells it: found of the whole
-/// cell, so that they do not depend on where it was refined before.
-fn planes_of(vertices: &[Sample]) -> Vec<Vec3> {
-    let mut workspace = planes::Workspace::default();
-    let mut found = vec![Vec3::ZERO; vertices.len()];
-    for (part, found) in vertices.chunks(SAMPLES_OF_A_PART).zip(found.chunks_mut(SAMPLES_OF_A_PART)) {
-        if let Some(planes) = planes::planes(part, &mut workspace) {
-            found.copy_from_slice(planes);
-        }
-    }
-    found
-}
-
 /// A cell's tree as it is kept.
 struct Along<'a> {
     splitting: Splitting,
@@ -301,10 +287,7 @@ struct Along<'a> {
 impl Along<'_> {
     /// Builds the tree of a part of the cell's items again, of which the kept one begins at this node, and notes the
     /// leaf of each item.
-    fn build<E: Element>(&self, part: &mut [E], start: usize, leaf_of: &mut [u32]) -> Result<(), Changed>
-    where
-        Planed<E>: Element,
-    {
+    fn build<E: Element>(&self, part: &mut [E], start: usize, leaf_of: &mut [u32]) -> Result<(), Changed> {
         let first = part.first().map_or(0, E::index) as usize;
         let kept = &self.top.nodes[start..self.top.nodes[start].end];
         let before = kept[0].leaf;
@@ -313,14 +296,14 @@ impl Along<'_> {
             slots.fill(before);
             return Ok(());
         }
-        let (mut workspace, mut at) = (Rebuilding::default(), 0);
+        let (mut workspace, mut at) = (Workspace::default(), 0);
         let goes_on = |_: &Moments, _: f32, _: u32| {
             at += 1;
             kept.get(at - 1).is_some_and(|node| node.children > 0)
         };
         let root = (f32::INFINITY, self.seed);
-        let (built, _, leaves) = workspace.build(part, self.splitting, root, goes_on);
-        slots.iter_mut().zip(leaves.iter()).for_each(|(slot, leaf)| *slot = before + leaf);
+        let (built, _) = VsTree::build_where(part, &mut workspace, self.splitting, root, goes_on);
+        slots.iter_mut().zip(&workspace.leaves).for_each(|(slot, leaf)| *slot = before + leaf);
         let same = |(i, known): (usize, &TopNode)| {
             built.children(i) == u32::from(known.children)
                 && (known.children == 0 || built.nodes[i].key == self.tree.errors[known.kept])

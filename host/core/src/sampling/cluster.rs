@@ -3,24 +3,18 @@
 //! The error is the product of the L² metric (distance to the mean plane) and the L²·¹ metric (deviation of the
 //! normals), D. Cohen-Steiner, P. Alliez, M. Desbrun, *Variational Shape Approximation*, 2004, as paper §4
 //! proposes. The representative minimises the quadric of the samples' tangent planes (M. Garland,
-//! P. Heckbert 1997; P. Lindstrom 2000), held to the mean by a small ridge. The planes are those across the normals, or
-//! those that the neighbours show ([`planes`](super::planes)).
+//! P. Heckbert 1997; P. Lindstrom 2000), held to the mean by a small ridge.
 
 use glam::{DMat3, DVec3, Vec3, Vec3A, Vec3Swizzles};
 
-use crate::geometry::{least_eigenvalue, symmetric_eigen};
+use crate::geometry::least_eigenvalue;
 
 /// What a VS-Tree is built of: samples of P_L, or small groups of them.
-pub trait Element: Copy + Send + Sync {
+pub trait Element: bytemuck::Pod + Send + Sync {
     /// Mean position, in local coordinates.
     fn position(&self) -> Vec3;
     /// Unit mean normal; zero where there is none.
     fn normal(&self) -> Vec3;
-    /// Unit normal of the plane of the surface, of either sign; zero where nothing tells it.
-    #[inline]
-    fn plane(&self) -> Vec3 {
-        self.normal()
-    }
     /// Its place in its cell, in the order of the stream.
     fn index(&self) -> u32;
     /// Adds the samples of some elements to the moments of a cluster.
@@ -63,10 +57,10 @@ impl Element for Sample {
             for s in samples {
                 let position = Vec3A::from(s.position);
                 (min, max) = (min.min(position), max.max(position));
-                sums.add(position, Vec3A::from(s.normal), Vec3A::from(s.normal));
+                sums.add(position, Vec3A::from(s.normal));
             }
             (moments.min, moments.max) = (min.into(), max.into());
-            moments.add_sums(&sums, samples.len() as f64, sums.planes());
+            moments.add_sums(&sums, samples.len() as f64);
         }
     }
 }
@@ -94,20 +88,15 @@ impl Sums {
     }
 
     #[inline(always)]
-    fn add(&mut self, position: Vec3A, normal: Vec3A, n: Vec3A) {
+    fn add(&mut self, position: Vec3A, n: Vec3A) {
         let p = position - self.center;
         self.position += p;
         self.outer[0] += p * p;
         self.outer[1] += p * p.yzx();
-        self.normal += normal;
+        self.normal += n;
         self.quadric[0] += n * n;
         self.quadric[1] += n * n.yzx();
         self.quadric_b += n * n.dot(p);
-    }
-
-    /// Number of planes: their normals are of unit length, or none.
-    fn planes(&self) -> f64 {
-        self.quadric[0].as_dvec3().element_sum()
     }
 }
 
@@ -155,7 +144,7 @@ impl Group {
     #[inline]
     pub fn add(&mut self, position: Vec3, normal: Vec3) {
         let mut sums = self.sums();
-        sums.add(position.into(), normal.into(), normal.into());
+        sums.add(position.into(), normal.into());
         self.count += 1;
         self.position = sums.position.into();
         self.outer = sums.outer.map(Vec3::from);
@@ -197,86 +186,7 @@ impl Element for Group {
         for group in groups {
             moments.min = moments.min.min(group.center - group.half);
             moments.max = moments.max.max(group.center + group.half);
-            let sums = group.sums();
-            moments.add_sums(&sums, f64::from(group.count), sums.planes());
-        }
-    }
-}
-
-/// An element with the plane that its neighbours show, of which its normal is not.
-#[derive(Debug, Clone, Copy)]
-pub struct Planed<E> {
-    element: E,
-    /// Zero where they show none: then its own normal counts.
-    plane: Vec3,
-}
-
-impl<E: Element> Planed<E> {
-    /// Of an element and the unit normal of its plane, or zero.
-    pub fn new(element: E, plane: Vec3) -> Self {
-        Self { element, plane }
-    }
-}
-
-/// What all elements with planes have.
-macro_rules! with_plane {
-    () => {
-        #[inline]
-        fn position(&self) -> Vec3 {
-            self.element.position()
-        }
-
-        #[inline]
-        fn normal(&self) -> Vec3 {
-            self.element.normal()
-        }
-
-        #[inline]
-        fn plane(&self) -> Vec3 {
-            if self.plane == Vec3::ZERO { self.element.normal() } else { self.plane }
-        }
-
-        #[inline]
-        fn index(&self) -> u32 {
-            self.element.index()
-        }
-    };
-}
-
-impl Element for Planed<Sample> {
-    with_plane!();
-
-    fn add_to(elements: &[Self], moments: &mut Moments) {
-        for elements in elements.chunks(SAMPLES_AT_ONCE) {
-            let mut sums = Sums::about(elements[0].position());
-            let (mut min, mut max) = (Vec3A::from(moments.min), Vec3A::from(moments.max));
-            let mut with_normal = 0.0;
-            for e in elements {
-                let position = Vec3A::from(e.position());
-                (min, max) = (min.min(position), max.max(position));
-                sums.add(position, e.normal().into(), e.plane().into());
-                with_normal += e.normal().length_squared();
-            }
-            (moments.min, moments.max) = (min.into(), max.into());
-            moments.add_sums(&sums, elements.len() as f64, f64::from(with_normal));
-        }
-    }
-}
-
-impl Element for Planed<Group> {
-    with_plane!();
-
-    fn add_to(elements: &[Self], moments: &mut Moments) {
-        for Self { element: group, plane } in elements {
-            moments.min = moments.min.min(group.center - group.half);
-            moments.max = moments.max.max(group.center + group.half);
-            let (mut sums, count, n) = (group.sums(), group.count as f32, Vec3A::from(*plane));
-            let with_normal = sums.planes();
-            if *plane != Vec3::ZERO {
-                sums.quadric = [n * n * count, n * n.yzx() * count];
-                sums.quadric_b = n * n.dot(sums.position);
-            }
-            moments.add_sums(&sums, f64::from(group.count), with_normal);
+            moments.add_sums(&group.sums(), f64::from(group.count));
         }
     }
 }
@@ -290,15 +200,6 @@ pub const REACH_WEIGHT: f64 = 0.08;
 /// Strength of the ridge towards the mean, relative to the trace of the quadric: weaker ones follow smooth surfaces
 /// more closely, but throw samples off surfaces with steep relief.
 const QUADRIC_RIDGE: f64 = 1e-3;
-
-/// By which part of its way from the mean a sample goes on beyond the minimum of the quadric. The surface bends between the
-/// samples too, away from the triangles between them: on a paraboloid, samples are best where the mean distance of the
-/// triangles from it is zero, which is at 1.4 times the way of the minimum for clusters that are hexagons. Irregular ones, and
-/// relief, leave some of it.
-const BEYOND: f64 = 0.3;
-
-/// Mean square deviation of the normals from which on it does not: around edges and corners the minimum is on them.
-const SHARP: f64 = 0.1;
 
 /// Variance of the normals below which a surface is flat: they are stored to so many digits.
 const FLAT: f64 = 1e-6;
@@ -321,8 +222,6 @@ pub struct Moments {
     quadric_b: DVec3,
     /// Number of samples with a normal.
     with_normal: f64,
-    /// Number of samples with a plane.
-    with_plane: f64,
 }
 
 impl Default for Moments {
@@ -337,7 +236,6 @@ impl Default for Moments {
             quadric: [DVec3::ZERO; 2],
             quadric_b: DVec3::ZERO,
             with_normal: 0.0,
-            with_plane: 0.0,
         }
     }
 }
@@ -350,8 +248,8 @@ impl Moments {
         m
     }
 
-    /// Adds the sums over so many samples, of which so many have a normal; not the box.
-    fn add_sums(&mut self, sums: &Sums, count: f64, with_normal: f64) {
+    /// Adds the sums over so many samples; not the box.
+    fn add_sums(&mut self, sums: &Sums, count: f64) {
         let (c, p) = (sums.center.as_dvec3(), sums.position.as_dvec3());
         let quadric = sums.quadric.map(|q| q.as_dvec3());
         self.count += count;
@@ -362,8 +260,8 @@ impl Moments {
         self.quadric[0] += quadric[0];
         self.quadric[1] += quadric[1];
         self.quadric_b += sums.quadric_b.as_dvec3() + symmetric(quadric[0], quadric[1]) * c;
-        self.with_normal += with_normal;
-        self.with_plane += quadric[0].element_sum();
+        // Normals are of unit length, or none.
+        self.with_normal += quadric[0].element_sum();
     }
 
     /// Adds the moments of another, disjoint set.
@@ -375,7 +273,6 @@ impl Moments {
         self.normal += other.normal;
         self.quadric_b += other.quadric_b;
         self.with_normal += other.with_normal;
-        self.with_plane += other.with_plane;
         for i in 0..2 {
             self.outer[i] += other.outer[i];
             self.quadric[i] += other.quadric[i];
@@ -404,7 +301,7 @@ impl Moments {
         variance.element_sum().max(0.0).sqrt()
     }
 
-    /// Σ n nᵀ of the planes, whose largest eigenvector is the mean normal up to sign.
+    /// Σ n nᵀ, whose largest eigenvector is the mean normal up to sign.
     pub fn normal_scatter(&self) -> DMat3 {
         symmetric(self.quadric[0], self.quadric[1])
     }
@@ -413,8 +310,8 @@ impl Moments {
     /// both: the root of the ratio of the normals' standard deviations, which is by how much a cluster has to be
     /// longer to deviate as much from its plane. 1 where it is flat.
     pub fn bending(&self, directions: [Vec3; 2]) -> [f32; 2] {
-        let mean = self.normal / self.with_normal.max(1.0);
-        let scatter = self.normal_scatter() * (1.0 / self.with_plane.max(1.0));
+        let count = self.with_normal.max(1.0);
+        let (mean, scatter) = (self.normal / count, self.normal_scatter() * (1.0 / count));
         let variance = directions.map(|t| {
             let t = t.as_dvec3();
             (t.dot(scatter * t) - mean.dot(t) * mean.dot(t)).max(0.0) + FLAT
@@ -428,11 +325,6 @@ impl Moments {
         self.with_normal > 0.5 * self.count
     }
 
-    /// Whether most samples have a plane.
-    pub fn has_planes(&self) -> bool {
-        self.with_plane > 0.5 * self.count
-    }
-
     /// Direction of the sum of the normals; zero where they cancel or there are none.
     pub fn mean_normal(&self) -> DVec3 {
         self.normal.try_normalize().unwrap_or(DVec3::ZERO)
@@ -440,47 +332,30 @@ impl Moments {
 
     /// What stands for the cluster: position, unit normal (zero where unknown), and the error that this makes.
     pub fn representative(&self) -> (Vec3, Vec3, f32) {
-        let bend = self.bend();
-        let position = self.position(&bend);
-        (position, self.mean_normal().as_vec3(), self.error(position, &bend) as f32)
-    }
-
-    fn bend(&self) -> Bend {
-        if self.has_normals() {
-            let axis = self.mean_normal();
-            // Two sheets may have the same planes.
-            let of_normals = 1.0 - self.normal.length() / self.with_normal;
-            return Bend { axis, deviation: (2.0 * of_normals.max(self.tilt(axis))).clamp(0.0, 2.0) };
-        }
-        if !self.has_planes() {
-            return Bend { axis: DVec3::ZERO, deviation: 0.0 };
-        }
-        let axis = symmetric_eigen(self.normal_scatter()).1.z_axis;
-        Bend { axis, deviation: (2.0 * self.tilt(axis)).clamp(0.0, 2.0) }
-    }
-
-    /// 1 less the root mean square cosine of the planes with this direction.
-    fn tilt(&self, axis: DVec3) -> f64 {
-        1.0 - (axis.dot(self.normal_scatter() * axis) / self.with_plane.max(1.0)).max(0.0).sqrt()
+        let position = self.position();
+        (position, self.mean_normal().as_vec3(), self.error(position) as f32)
     }
 
     /// Error of standing for the cluster by one sample, a length in the model's unit.
     ///
-    /// √(d·ν·s), where d is the rms distance to the mean plane (L²), ν the rms deviation of the normals (L²·¹) and s the rms distance
-    /// to the mean: the product of both metrics, as a length. For a patch of size h and curvature κ it behaves as κh², the height of
-    /// the surface over its chord. Where neither normals nor planes are known d alone, which does so too. A part of the distance
-    /// to the farthest corner of the box is added (see [`REACH_WEIGHT`]).
-    fn error(&self, representative: Vec3, bend: &Bend) -> f64 {
+    /// With normals √(d·ν·s), where d is the rms distance to the mean plane (L²), ν the rms deviation of the
+    /// normals (L²·¹) and s the rms distance to the mean: the product of both metrics, as a length. For a patch of
+    /// size h and curvature κ it behaves as κh², the height of the surface over its chord. Without normals
+    /// d alone, which does so too. A part of the distance to the farthest corner of the box is added (see
+    /// [`REACH_WEIGHT`]).
+    fn error(&self, representative: Vec3) -> f64 {
         if self.count <= 1.0 {
             return 0.0;
         }
         let covariance = self.covariance();
-        let shape = if self.has_normals() || self.has_planes() {
+        let normal = self.mean_normal();
+        let shape = if self.has_normals() {
             let spread = self.spread();
-            let distance = bend.axis.dot(covariance * bend.axis).max(0.0).sqrt();
+            let distance = normal.dot(covariance * normal).max(0.0).sqrt();
+            let deviation = (2.0 * (1.0 - self.normal.length() / self.with_normal)).clamp(0.0, 2.0).sqrt();
             // Normals that cancel give no plane: then the extent itself is the distance.
-            let distance = if bend.axis == DVec3::ZERO { spread } else { distance };
-            (distance * bend.deviation.sqrt() * spread).sqrt()
+            let distance = if normal == DVec3::ZERO { spread } else { distance };
+            (distance * deviation * spread).sqrt()
         } else {
             least_eigenvalue(covariance).sqrt()
         };
@@ -488,29 +363,20 @@ impl Moments {
         shape + REACH_WEIGHT * reach
     }
 
-    /// The minimum of the quadric, a little beyond where the surface bends, inside the box of the samples.
-    fn position(&self, bend: &Bend) -> Vec3 {
+    /// The minimum of the quadric, inside the box of the samples.
+    fn position(&self) -> Vec3 {
         let mean = self.mean();
-        let point = if self.with_plane > 0.0 {
+        let point = if self.with_normal > 0.0 {
             let a = self.normal_scatter();
-            let ridge = DMat3::from_diagonal(DVec3::splat(QUADRIC_RIDGE * self.with_plane));
+            let ridge = DMat3::from_diagonal(DVec3::splat(QUADRIC_RIDGE * self.with_normal));
             let offset = (a + ridge).inverse() * (self.quadric_b - a * mean);
-            let beyond = 1.0 + BEYOND * (1.0 - bend.deviation / SHARP).max(0.0);
-            mean + (offset * beyond).clamp_length_max(self.spread())
+            mean + offset.clamp_length_max(self.spread())
         } else {
             mean
         };
         let point = if point.is_finite() { point } else { mean };
         point.as_vec3().clamp(self.min, self.max)
     }
-}
-
-/// How the surface bends in a cluster.
-struct Bend {
-    /// Unit mean normal, of any sign where normals are not known; zero where they cancel, or nothing is known.
-    axis: DVec3,
-    /// Mean square of how the normals deviate from it.
-    deviation: f64,
 }
 
 /// The matrix of xx, yy, zz and xy, yz, zx.

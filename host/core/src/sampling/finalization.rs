@@ -9,17 +9,15 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError, mpsc};
 
-use bytemuck::Pod;
 use glam::Vec3;
 use xxhash_rust::xxh3::Xxh3Default;
 
-use super::cluster::{Element, Moments, Planed};
+use super::cluster::{Element, Moments};
 use super::cut::{Forest, most_kept, running_bound};
 use super::gather::Gather;
 use super::lattice::{CellKey, Grid, cell_box};
 use super::membership::{Leaves, Membership};
 use super::open_cells::CellItems;
-use super::planes::{self, planes};
 use super::ranges::Ranges;
 use super::vs_tree::{Splitting, VsTree, Workspace, mix};
 use crate::frame::Frame;
@@ -102,10 +100,7 @@ impl Pass<'_> {
     /// # Errors
     /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be written;
     /// the user cancelled.
-    pub fn run<G: Gather>(&self, gather: G) -> Result<Option<Clustered>>
-    where
-        Planed<G::Item>: Element,
-    {
+    pub fn run<G: Gather>(&self, gather: G) -> Result<Option<Clustered>> {
         let info = self.model.info();
         self.progress.begin("clustering", info.vertex_bytes);
         let members = || Membership::new(self.grid, info.vertices, self.folder);
@@ -120,10 +115,7 @@ impl Pass<'_> {
     }
 
     /// Whether there was room.
-    fn stream<G: Gather>(&self, mut gather: G, found: &mut Clustered) -> Result<bool>
-    where
-        Planed<G::Item>: Element,
-    {
+    fn stream<G: Gather>(&self, mut gather: G, found: &mut Clustered) -> Result<bool> {
         let Self { model, grid, frame, .. } = *self;
         let Clustered { forest, hash, ranges, membership } = found;
         let leaves = membership.as_ref().map(Membership::leaves);
@@ -139,7 +131,7 @@ impl Pass<'_> {
             stop.store(forest.add(cell)?.to_bits(), Ordering::Relaxed);
             Ok(())
         };
-        let workspaces = &Mutex::new(Vec::<Rebuilding<G::Item>>::new());
+        let workspaces = &Mutex::new(Vec::<Workspace<G::Item>>::new());
         let (send, receive) = mpsc::channel::<(usize, Result<ClusteredCell>)>();
         let mut has_room = true;
         let streamed = rayon::in_place_scope(|scope| {
@@ -222,30 +214,25 @@ impl Pass<'_> {
 
     /// Clusters a complete cell; one that is larger than a part in parts, whose trees are joined, and kept to
     /// what a cut of the target number of samples can reach.
-    fn cluster<E: Element + Pod>(
+    fn cluster<E: Element>(
         &self,
         cell: u32,
         items: CellItems<E>,
         stop: &AtomicU32,
         members: Option<&Leaves>,
-        workspace: &mut Rebuilding<E>,
-    ) -> Result<ClusteredCell>
-    where
-        Planed<E>: Element,
-    {
+        workspace: &mut Workspace<E>,
+    ) -> Result<ClusteredCell> {
         let seed = seed_of(&self.grid.keys[cell as usize]);
         let mut whole: Option<(VsTree, Moments)> = None;
         items.in_parts(PART / size_of::<E>(), |items| {
             self.progress.check()?;
             let stop = f32::from_bits(stop.load(Ordering::Relaxed));
             let first = items.first().map_or(0, E::index);
-            let goes_on = |_: &Moments, key: f32, _: u32| key > stop;
-            let root = (f32::INFINITY, seed);
-            let (tree, moments, leaves) = workspace.build(items, self.splitting, root, goes_on);
+            let (tree, moments) = VsTree::build(items, workspace, self.splitting, stop, seed);
             if let Some(members) = members {
                 let before = whole.as_ref().map_or(0, |(tree, _)| tree.built());
-                leaves.iter_mut().for_each(|leaf| *leaf += before);
-                members.record(cell, first, leaves)?;
+                workspace.leaves.iter_mut().for_each(|leaf| *leaf += before);
+                members.record(cell, first, &mut workspace.leaves)?;
             }
             whole = Some(match whole.take() {
                 None => (tree, moments),
@@ -262,50 +249,6 @@ impl Pass<'_> {
         })?;
         let (tree, moments) = whole.unwrap_or_default();
         Ok(ClusteredCell { cell, tree, moments })
-    }
-}
-
-/// Memory to build the tree of a part of a cell, used again.
-pub struct Rebuilding<E> {
-    planes: planes::Workspace,
-    planed: Vec<Planed<E>>,
-    own: Workspace<E>,
-    with_planes: Workspace<Planed<E>>,
-}
-
-impl<E> Default for Rebuilding<E> {
-    fn default() -> Self {
-        Self {
-            planes: planes::Workspace::default(),
-            planed: Vec::new(),
-            own: Workspace::default(),
-            with_planes: Workspace::default(),
-        }
-    }
-}
-
-impl<E: Element> Rebuilding<E>
-where
-    Planed<E>: Element,
-{
-    /// The tree of a part of a cell, its moments, and the leaf of each item, with the planes that neighbours show where the items'
-    /// normals are not those of their planes. `root` and `goes_on` are as for [`VsTree::build_where`].
-    pub fn build(
-        &mut self,
-        items: &mut [E],
-        splitting: Splitting,
-        root: (f32, u64),
-        goes_on: impl FnMut(&Moments, f32, u32) -> bool,
-    ) -> (VsTree, Moments, &mut Vec<u32>) {
-        let Some(planes) = planes(items, &mut self.planes) else {
-            let (tree, moments) = VsTree::build_where(items, &mut self.own, splitting, root, goes_on);
-            return (tree, moments, &mut self.own.leaves);
-        };
-        self.planed.clear();
-        self.planed.extend(items.iter().zip(planes).map(|(item, plane)| Planed::new(*item, *plane)));
-        let (tree, moments) =
-            VsTree::build_where(&mut self.planed, &mut self.with_planes, splitting, root, goes_on);
-        (tree, moments, &mut self.with_planes.leaves)
     }
 }
 

@@ -32,7 +32,7 @@ const GROUP_BYTES: u64 = size_of::<Group>() as u64 + 18;
 /// Holds what the stream has brought of each open cell.
 pub trait Gather {
     /// What a cell's VS-Tree is built of.
-    type Item: Element + bytemuck::Pod;
+    type Item: Element;
 
     /// Adds a sample to a cell; the index of the item that it is, or is part of. `None` if there is no room.
     ///

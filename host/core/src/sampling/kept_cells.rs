@@ -12,9 +12,8 @@ use super::lattice::CellKey;
 use crate::{Error, ErrorKind, Result};
 
 const MAGIC: &[u8; 8] = b"SIMODCEL";
-const VERSION: u32 = 4;
-/// Former files have trees with other errors, and those before them know nothing of the faces.
-const OTHER_ERRORS: u32 = 3;
+/// Former files, which know nothing of the faces, are of the version before.
+const VERSION: u32 = 3;
 const WITHOUT_FACES: u32 = 2;
 const HEAD: usize = MAGIC.len() + size_of::<u32>();
 const CHECKSUM: usize = size_of::<u128>();
@@ -26,9 +25,6 @@ pub struct KeptCells {
     pub level: i32,
     /// Whether it is known where the faces of the cells are.
     pub knows_faces: bool,
-    /// Whether the trees are of a former version, with other errors: they cannot go on.
-    #[serde(skip)]
-    pub former: bool,
     /// The cells in the order in which the stream meets them.
     pub cells: Vec<KeptCell>,
 }
@@ -114,8 +110,7 @@ impl KeptCells {
     /// Never, for what sampling makes: only what cannot be held in a file would be refused.
     pub fn encode(&self, samples_fingerprint: &str) -> Result<Vec<u8>> {
         let mut bytes = MAGIC.to_vec();
-        let version = if self.former { OTHER_ERRORS } else { VERSION };
-        bytes.extend(version.to_le_bytes());
+        bytes.extend(VERSION.to_le_bytes());
         let mut bytes =
             postcard::to_extend(&(samples_fingerprint, self), bytes).map_err(|e| damaged(&e.to_string()))?;
         let checksum = xxh3_128(&bytes);
@@ -139,10 +134,7 @@ impl KeptCells {
         }
         let failed = |e: postcard::Error| damaged(&e.to_string());
         match content[MAGIC.len()..].first_chunk().map(|version| u32::from_le_bytes(*version)) {
-            Some(version @ (VERSION | OTHER_ERRORS)) => {
-                let (of, cells): (_, Self) = postcard::from_bytes(&content[HEAD..]).map_err(failed)?;
-                Ok((of, Self { former: version != VERSION, ..cells }))
-            }
+            Some(VERSION) => postcard::from_bytes(&content[HEAD..]).map_err(failed),
             Some(WITHOUT_FACES) => {
                 let (of, former): (_, FormerCells) =
                     postcard::from_bytes(&content[HEAD..]).map_err(failed)?;
@@ -223,7 +215,7 @@ impl From<FormerCells> for KeptCells {
             faces: Vec::new(),
             tree,
         };
-        Self { level, knows_faces: false, former: true, cells: cells.into_iter().map(cell).collect() }
+        Self { level, knows_faces: false, cells: cells.into_iter().map(cell).collect() }
     }
 }
 
@@ -249,7 +241,7 @@ mod tests {
             },
         };
         let cells = (0..3).map(cell).collect();
-        KeptCells { level: -4, knows_faces: true, former: false, cells }
+        KeptCells { level: -4, knows_faces: true, cells }
     }
 
     #[test]
@@ -279,7 +271,7 @@ mod tests {
                 grown: vec![1],
             },
         };
-        let good = KeptCells { level: -4, knows_faces: true, former: false, cells: vec![cell(0), cell(1)] };
+        let good = KeptCells { level: -4, knows_faces: true, cells: vec![cell(0), cell(1)] };
         good.check(10, 11, 100, 6, std::iter::empty()).expect("good cells");
         let lies: [&dyn Fn(&mut KeptCell); 21] = [
             &|c| c.key = [0; 3],
@@ -326,7 +318,7 @@ mod tests {
         let mut bytes = postcard::to_extend(&("hash", level, former), bytes).expect("a file");
         let checksum = xxh3_128(&bytes);
         bytes.extend(checksum.to_le_bytes());
-        let expected = KeptCells { level, knows_faces: false, former: true, cells };
+        let expected = KeptCells { level, knows_faces: false, cells };
         assert_eq!(KeptCells::decode(&bytes).expect("cells"), ("hash".to_owned(), expected));
     }
 

@@ -15,7 +15,6 @@ pub mod lattice;
 mod membership;
 pub(crate) mod normals;
 mod open_cells;
-pub(crate) mod planes;
 mod ranges;
 mod sample_set;
 pub(crate) mod triangles;
@@ -389,7 +388,7 @@ fn keep(
         faces,
         tree,
     };
-    KeptCells { level: grid.level, knows_faces, former: false, cells: cells.map(cell).collect() }
+    KeptCells { level: grid.level, knows_faces, cells: cells.map(cell).collect() }
 }
 
 /// Samples are indexed by 32 bits.

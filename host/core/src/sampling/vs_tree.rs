@@ -23,9 +23,6 @@ const FOLD_COSINE: f32 = 0.3;
 /// Without normals, a cluster counts as flat if its thickness is below this part of its lesser width.
 const FLATNESS: f64 = 0.1;
 
-/// The same, where all planes that the neighbours show lie within the cone.
-const FLATNESS_OF_PLANES: f64 = 0.25;
-
 /// Axes shorter than this part of the longest are not split.
 const SPLIT_ASPECT: f32 = 0.75;
 
@@ -379,10 +376,7 @@ fn examine<E: Element>(samples: &[E], m: &Moments) -> Shape {
     let covariance = m.covariance();
     if !m.has_normals() {
         let (values, vectors) = symmetric_eigen(covariance);
-        let axis = vectors.x_axis.as_vec3();
-        let is_flat = |flatness: f64| values.x <= flatness * flatness * values.y;
-        let is_one_sided = || samples.iter().all(|s| s.plane().dot(axis).abs() > FOLD_COSINE);
-        return if is_flat(FLATNESS) || is_flat(FLATNESS_OF_PLANES) && is_one_sided() {
+        return if values.x <= FLATNESS * FLATNESS * values.y {
             Shape::Sheet([vectors.z_axis.as_vec3(), vectors.y_axis.as_vec3()])
         } else {
             Shape::Folded
