@@ -169,6 +169,8 @@ fn killed_at_any_moment() {
             let is_there = turn % 2 == 1;
             if !is_there {
                 remove(&work, target);
+            } else if content(&work, target).is_empty() {
+                work.simod(line);
             }
             let mut child = start(&work, line);
             std::thread::sleep(whole_time.mul_f64((turn as f64 + 0.5) / turns as f64));
