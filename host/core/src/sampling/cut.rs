@@ -195,10 +195,10 @@ impl Cut {
         for tree in &self.trees {
             let (mut new, ends) = (CutTree::default(), tree.ends());
             let mut samples = tree.samples.iter();
-            // The end of the subtree that has become a sample, and that.
-            let mut within: Option<(usize, u32)> = None;
+            // The end of the subtree that has become a sample.
+            let mut within: Option<usize> = None;
             for (i, children) in tree.children.iter().enumerate() {
-                within = within.filter(|(end, _)| i < *end);
+                within = within.filter(|end| i < *end);
                 let leaf = (*children == 0).then(|| (samples.next(), starts.next()));
                 let own = if leaf.is_none() { inner.next() } else { None };
                 let splits = within.is_none() && *children > 0 && tree.errors[i] > threshold;
@@ -219,18 +219,17 @@ impl Cut {
                         }
                         new.samples.push(to);
                         if *children > 0 {
-                            within = Some((ends[i], to));
+                            within = Some(ends[i]);
                         }
-                        coarser
-                            .starts
-                            .extend(starts.as_slice().first().filter(|_| leaf.is_none()).map(|s| (s.0, to)));
                     } else {
                         coarser.inner.extend(own);
                     }
                 }
                 if let (Some((Some(sample), start)), Some(to)) = (leaf, new.samples.last()) {
                     becomes[*sample as usize] = *to;
-                    coarser.starts.extend(start.map(|start| (start.0, *to)));
+                    // From the first of its leaves on.
+                    let goes_on = coarser.starts.last().is_some_and(|last| last.1 == *to);
+                    coarser.starts.extend(start.filter(|_| !goes_on).map(|start| (start.0, *to)));
                 }
             }
             coarser.trees.push(new);

@@ -64,11 +64,6 @@ impl Islands {
         })
     }
 
-    /// Whether there are so many links that nothing more is noted.
-    pub fn is_tangled(&self) -> bool {
-        self.tangled
-    }
-
     /// Takes a face: its corners, and the cluster of each; a cluster that there is not stands for none.
     #[inline]
     pub fn take(&mut self, corners: [u32; 3], clusters: [u32; 3]) {
@@ -355,7 +350,7 @@ mod tests {
         for face in faces {
             islands.take(*face, face.map(|v| sample_of[v as usize]));
         }
-        assert!(!islands.is_tangled());
+        assert!(!islands.tangled);
         islands.graph(sample_of)
     }
 
@@ -404,6 +399,6 @@ mod tests {
         for u in 0..400 {
             (0..u).for_each(|v| islands.join((u, u), (v, v)));
         }
-        assert!(islands.is_tangled() && islands.graph(&sample_of).firsts.is_empty());
+        assert!(islands.graph(&sample_of).firsts.is_empty() && islands.tangled);
     }
 }

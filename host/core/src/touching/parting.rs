@@ -69,7 +69,8 @@ impl Parting<'_> {
     /// # Errors
     /// The model cannot be read, or a temporary file written; the user cancelled.
     pub fn weld_all(&self, islands: &mut Islands, sample_of: &[u32]) -> Result<()> {
-        self.weld(vec![0..self.model.info().vertices], islands, sample_of)
+        let all = std::iter::once(0..self.model.info().vertices).collect();
+        self.weld(all, islands, sample_of)
     }
 
     fn weld(&self, ranges: Vec<Range<u64>>, islands: &mut Islands, sample_of: &[u32]) -> Result<()> {
