@@ -26,8 +26,11 @@ const MOST: u64 = 64;
 /// ... if that is more.
 const FEW: u64 = 1 << 20;
 
-/// The largest expected error has to fall to this part of what it was, in two rounds: at a step it does not.
+/// The largest expected error has to fall to this part of its least so far ...
 const FALLS: f64 = 0.9;
+/// ... at least once in so many rounds: at a step it does not. Where few samples are added among sparse ones, it rises for
+/// a while.
+const PATIENCE: usize = 4;
 
 /// Vertices at which the exact map is asked.
 const MEASURED: u64 = 1_000_000;
@@ -147,7 +150,7 @@ pub(crate) fn meet(
         deformed = again(deformed.sampled, &plain)?;
     }
     let mut asked = tolerance;
-    let mut worst: Vec<f64> = Vec::new();
+    let (mut least, mut waited) = (f64::INFINITY, 0);
     for rounds in 0.. {
         let of = deformed.sampled.clone();
         let refined = {
@@ -180,13 +183,16 @@ pub(crate) fn meet(
                 }
             }
             let Some(beyond) = beyond else { continue };
-            worst.push(beyond.worst / asked);
+            waited += 1;
+            if beyond.worst < FALLS * least {
+                (least, waited) = (beyond.worst, 0);
+            }
             let samples = of.samples.len() as u64;
             let why = if rounds == ROUNDS {
                 Some(format!("{ROUNDS} rounds of refinement have not been enough"))
             } else if samples >= most {
                 Some(format!("it has {samples} samples by now, and {most} are the most"))
-            } else if worst.len() > 3 && beyond.worst / asked > FALLS * worst[worst.len() - 3] {
+            } else if waited == PATIENCE {
                 Some("more samples do not help, as the deformation has a step there, or details of the size of the \
                       vertices' spacing"
                     .to_owned())

@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::blend::LEAST_WEIGHT;
+use super::expansion::Expansion;
 use super::local_frames::ROUNDING;
 use super::transfer_error::Histogram;
 use super::{DeformationField, Method, Neighbourhood, blended_jets};
@@ -178,10 +179,9 @@ impl DeformationField<'_> {
 
     fn around_samples(&self) -> impl IndexedParallelIterator<Item = Expectation> + '_ {
         let positions = &self.around.samples.positions;
-        let says = |i: usize, p: Vec3| self.expansions[i].at(p - positions[i]).0;
         let off = move |i: usize, j: usize| {
             let halfway = 0.5 * (positions[i] + positions[j]);
-            says(i, halfway).distance(says(j, halfway))
+            says(&self.expansions[i], halfway).distance(says(&self.expansions[j], halfway))
         };
         (0..positions.len()).into_par_iter().map(move |i| {
             let near = self.around.sheets.of_sample(i);
@@ -286,12 +286,21 @@ impl Heard {
     /// Hears sample `i` on a vertex at `p` that goes by `u`.
     fn add(&mut self, field: &DeformationField<'_>, i: usize, w: f32, p: Vec3, u: Vec3) {
         let q = Vec3::from_array(field.expansions[i].center);
-        self.spread += w * field.expansions[i].at(p - q).0.distance_squared(u);
+        self.spread += w * says(&field.expansions[i], p).distance_squared(u);
         self.disagreement += w * field.expected.get(i).map_or(f32::NAN, |e| e.disagreement);
         self.center += w * q;
         self.sum += w;
         self.squares += w * w;
     }
+}
+
+/// The displacement at `p` by an expansion: as [`Expansion::at`], without the gradient.
+#[inline]
+fn says(e: &Expansion, p: Vec3) -> Vec3 {
+    let Vec3 { x, y, z } = p - Vec3::from_array(e.center);
+    Vec3::from_array(e.rows.map(|[u, sx, sy, sz, xx, xy, xz, yy, yz, zz]| {
+        u + (sx + xx * x + xy * y + xz * z) * x + (sy + yy * y + yz * z) * y + (sz + zz * z) * z
+    }))
 }
 
 fn hypot<const N: usize>(parts: [f32; N]) -> f32 {
