@@ -15,6 +15,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::bound::AROUND;
 use super::expansion::Expansion;
 use super::lanes::Lanes;
 use super::sheets::{Sheets, are_lists, blocks};
@@ -42,6 +43,8 @@ pub struct Reaching {
 pub struct Supports {
     /// Radius of each sample's support.
     pub radius: Vec<f32>,
+    /// How far from each sample, on whatever sheet, no more samples are than a [range](super::bound) is of, itself included.
+    pub ranging: Vec<f32>,
     starts: Vec<u32>,
     reaching: Vec<Reaching>,
 }
@@ -53,6 +56,13 @@ impl Supports {
         let n = samples.len();
         let radius: Vec<f32> =
             (0..n).into_par_iter().map(|i| sheets.around(positions, i, SUPPORT_NEIGHBOURS - 1).1).collect();
+        let graph = samples.neighbours();
+        let ranging = (0..n).into_par_iter().map(|i| match graph.of(i).get(AROUND - 2) {
+            // A little less, as distances are rounded.
+            Some(last) => 0.9999 * positions[i].distance(positions[*last as usize]),
+            None => f32::MAX,
+        });
+        let ranging: Vec<f32> = ranging.collect();
         let entry = |home: usize, j: usize| {
             let distance = positions[home].distance(positions[j]);
             (distance < radius[home] + radius[j])
@@ -93,12 +103,13 @@ impl Supports {
                 starts.push(reaching.len() as u32);
             }
         }
-        Self { radius, starts, reaching }
+        Self { radius, ranging, starts, reaching }
     }
 
     /// Whether it is of so many samples: one that was read may be anything.
     pub fn is_valid(&self, samples: usize) -> bool {
         self.radius.len() == samples
+            && self.ranging.len() == samples
             && are_lists(&self.starts, samples, self.reaching.len())
             && self.reaching.iter().all(|r| (r.sample as usize) < samples)
     }

@@ -162,7 +162,7 @@ impl Workspace {
                 figures.into_iter().for_each(|f| *f = if p.is_finite() { still() } else { Figures::UNKNOWN });
                 continue;
             }
-            let one_by_one = self.one_by_one(field, i);
+            let one_by_one = self.bounded(field, i, self.one_by_one(field, i));
             // Only the displacement is in single precision.
             let displacement = one_by_one.map_or_else(|| self.displacement(i), |moved| moved.displacement);
             *image += displacement.as_dvec3() * frame.scale;
@@ -184,17 +184,43 @@ impl Workspace {
     #[inline]
     fn one_by_one(&self, field: &DeformationField<'_>, i: usize) -> Option<Transport> {
         let (home, p) = (self.homes[i] as usize, self.local[i]);
+        let nearer = || if field.reaches(home, p) { None } else { field.by_nearer_ones(home, p) };
         match field.method {
             Method::ProjectedBarycentric => Some(projected_barycentric::carry(field, home, p)),
             Method::BlendedJets if self.grouped.sum[self.place[i] as usize] < LEAST_WEIGHT => {
-                Some(field.beyond(home, p))
+                Some(nearer().unwrap_or_else(|| field.beyond(home, p)))
             }
             Method::BlendedJets if field.limiter.concerns(home) => {
+                if let Some(moved) = nearer() {
+                    return Some(moved);
+                }
                 let blended = Transport { displacement: self.displacement(i), gradient: self.gradient(i) };
                 Some(field.limiter.limited(&field.around.supports, &field.expansions, home, p, blended))
             }
-            Method::BlendedJets => None,
+            Method::BlendedJets => nearer(),
         }
+    }
+
+    /// Likewise, within the range of the samples around.
+    #[inline]
+    fn bounded(
+        &self,
+        field: &DeformationField<'_>,
+        i: usize,
+        one_by_one: Option<Transport>,
+    ) -> Option<Transport> {
+        let (home, p) = (self.homes[i] as usize, self.local[i]);
+        let u = one_by_one.map_or_else(|| self.displacement(i), |moved| moved.displacement);
+        if field.is_bounded(home, p, u) {
+            return one_by_one;
+        }
+        let gradient = || {
+            one_by_one.map_or_else(
+                || field.blended(field.around.reaching(home), p).1.gradient,
+                |moved| moved.gradient,
+            )
+        };
+        field.drawn_back(p, u, gradient).or(one_by_one)
     }
 
     /// The blend at vertex `i` of the block.

@@ -153,6 +153,6 @@ fn fourth(x: f32) -> f32 {
 }
 
 /// a bᵀ
-fn outer(a: Vec3, b: Vec3) -> Mat3 {
+pub fn outer(a: Vec3, b: Vec3) -> Mat3 {
     Mat3::from_cols(a * b.x, a * b.y, a * b.z)
 }

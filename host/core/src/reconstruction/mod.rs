@@ -11,6 +11,9 @@ mod binding;
 mod blend;
 mod blended_jets;
 mod block;
+mod bound;
+#[cfg(test)]
+mod bound_tests;
 mod diagnostics;
 mod exact;
 mod expansion;
@@ -38,23 +41,27 @@ pub use crate::model::Normals;
 use crate::sampling::SampleSet;
 pub(crate) use binding::MAGIC as BINDING_MAGIC;
 pub use binding::bind;
-use blend::Supports;
+use blend::{LEAST_WEIGHT, Supports};
 use blended_jets::Expanded;
 use block::Workspaces;
 pub(crate) use block::homes;
 pub use block::{Moved, carry};
+use bound::Bound;
 pub use diagnostics::{Figures, Folds, principal_stretches};
 pub use exact::{EVALUATIONS_WITH_GRADIENT, ExactMap, needs_gradient, write_exact};
 use expansion::Expansion;
 pub use expected_error::{Beyond, ExpectedError};
 use expected_error::{Expectation, Rounding};
 use homes::Cells;
-use limiter::Limiter;
+use limiter::{Limiter, outer};
 use local_frames::LocalFrames;
 use neighbourhood::Neighbourhood;
 use sheets::Sheets;
 pub(crate) use sheets::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS};
 pub use stream::{Folding, PART_BYTES, Reconstructed, Reconstruction, Version, reconstruct};
+
+/// A home that does not reach a vertex is not its own if other samples are so many times nearer.
+const MUCH_NEARER: f32 = 2.0;
 
 /// What happens to one vertex.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -131,6 +138,11 @@ impl<'a> Surroundings<'a> {
             || self.sheets.of_sample(j as usize).contains(&(i as u32))
     }
 
+    /// The samples whose supports reach where one is the home.
+    fn reaching(&self, home: usize) -> impl Iterator<Item = usize> {
+        self.supports.of_home(home).iter().map(|r| r.sample as usize)
+    }
+
     /// What was found out before.
     fn known(samples: &'a SampleSet, sheets: Sheets, supports: Supports) -> Self {
         let vertices = (0..samples.len()).map(|_| AtomicU64::new(0)).collect();
@@ -178,6 +190,7 @@ pub struct DeformationField<'a> {
     frames: LocalFrames,
     expansions: Vec<Expansion>,
     limiter: Limiter,
+    bound: Bound,
     /// Whether anything moves around the sample as a home.
     active: Vec<bool>,
     folds: Folds,
@@ -203,6 +216,7 @@ impl<'a> DeformationField<'a> {
         let reached = |home| supports.of_home(home).iter().any(|r| moves[r.sample as usize]);
         let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || reached(home)).collect();
         let limiter = Limiter::new(supports, &expansions, &doubtful);
+        let bound = Bound::of(samples, sheets, supports, &expansions);
         let neighbours = |i| sheets.of_sample(i);
         let folds = Folds::of(&expansions, &frames.tells_side, samples.normals(), neighbours);
         Self {
@@ -212,6 +226,7 @@ impl<'a> DeformationField<'a> {
             frames,
             expansions,
             limiter,
+            bound,
             active,
             folds,
             expected: Vec::new(),
@@ -258,5 +273,50 @@ impl<'a> DeformationField<'a> {
             sum += w;
         }
         Transport { displacement: displacement / sum, gradient: Mat3::IDENTITY + gradient * (1.0 / sum) }
+    }
+
+    /// Where a vertex goes that its home's support does not reach, if other samples are much nearer and theirs do. A sheet
+    /// is taken for its own then because a tangent plane of it happens to go past, as planes of the ground do by roofs that
+    /// have few samples.
+    fn by_nearer_ones(&self, home: usize, p: Vec3) -> Option<Transport> {
+        let samples = self.around.samples;
+        let mut found = [0; bound::AROUND];
+        let mut near = samples.nearest_ones(p, &mut found).map(|i| i as usize).peekable();
+        let distance = |i: usize| samples.positions[i].distance(p);
+        let much_nearer = near.peek().is_some_and(|first| distance(home) > MUCH_NEARER * distance(*first));
+        let (sum, moved) = much_nearer.then(|| self.blended(near, p))?;
+        (sum >= LEAST_WEIGHT).then_some(moved)
+    }
+
+    /// Whether the support of its home reaches a vertex.
+    #[inline]
+    fn reaches(&self, home: usize, p: Vec3) -> bool {
+        let e = &self.expansions[home];
+        (p - Vec3::from_array(e.center)).length_squared() * e.inverse_square < 1.0
+    }
+
+    /// The blend of the expansions of these samples at a place, and the sum of their weights: as [`blend`](mod@blend) does
+    /// it, for single vertices.
+    fn blended(&self, samples: impl Iterator<Item = usize>, p: Vec3) -> (f32, Transport) {
+        let (mut own, mut u, mut gradient) = (None, Vec3::ZERO, Mat3::ZERO);
+        let (mut sum, mut sum_slope) = (0.0, Vec3::ZERO);
+        for e in samples.map(|i| &self.expansions[i]) {
+            let d = p - Vec3::from_array(e.center);
+            let s = (1.0 - d.length_squared() * e.inverse_square).max(0.0);
+            if s == 0.0 {
+                continue;
+            }
+            // Beyond the first one's, for precision.
+            let own = *own.get_or_insert(e.displacement());
+            let (at, slope) = e.at(d);
+            let (w, of_weight) = (s * s * s, -6.0 * s * s * e.inverse_square * d);
+            u += w * (at - own);
+            gradient += slope * w + outer(at - own, of_weight);
+            sum += w;
+            sum_slope += of_weight;
+        }
+        let displacement = own.unwrap_or_default() + u / sum;
+        let gradient = Mat3::IDENTITY + (gradient - outer(u / sum, sum_slope)) * (1.0 / sum);
+        (sum, Transport { displacement, gradient })
     }
 }

@@ -26,7 +26,7 @@ fn inner(p: &Vec3) -> bool {
 }
 
 /// Where the field takes points.
-fn carried(field: &DeformationField, points: &[Vec3]) -> Vec<Vec3> {
+pub(super) fn carried(field: &DeformationField, points: &[Vec3]) -> Vec<Vec3> {
     carried_with_normals(field, points, &[]).0
 }
 

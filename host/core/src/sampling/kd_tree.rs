@@ -40,12 +40,21 @@ type Found = u64;
 const NOTHING: Found = u64::MAX;
 
 impl KdTree {
-    /// Of finite points, of which there is at least one.
+    /// Of finite points, of which there is at least one. Takes jobs of the thread pool.
     pub fn new(points: &[Vec3]) -> Self {
+        Self::build(points, true)
+    }
+
+    /// The same, by the calling thread alone: for what jobs of a thread pool wait for.
+    pub fn in_one_job(points: &[Vec3]) -> Self {
+        Self::build(points, false)
+    }
+
+    fn build(points: &[Vec3], in_parallel: bool) -> Self {
         let mut points: Vec<(Vec3, u32)> = points.iter().copied().zip(0..).collect();
         let leaves = points.len().div_ceil(LEAF);
         let mut boxes = vec![Extent { min: Vec3::ZERO, max: Vec3::ZERO }; 2 * leaves - 1];
-        halve(&mut points, &mut boxes);
+        halve(&mut points, &mut boxes, in_parallel);
         Self { leaves: points.chunks(LEAF).map(Leaf::of).collect(), boxes }
     }
 
@@ -112,6 +121,12 @@ impl KdTree {
         (least.1 != u32::MAX).then_some(least.1)
     }
 
+    /// The points nearest to `p`, nearest first: as many as `found` is long, which is no longer than there are. The
+    /// numbers' lower halves are the points' indices.
+    pub fn nearest_ones(&self, p: Vec3, found: &mut [Found]) {
+        self.nearest_others(p, u32::MAX, found);
+    }
+
     /// The points nearest to `p` without one of them, nearest first: as many as `found` is long, which is no longer
     /// than there are. The numbers' lower halves are the points' indices.
     pub fn nearest_others(&self, p: Vec3, but: u32, found: &mut [Found]) {
@@ -123,7 +138,7 @@ impl KdTree {
 }
 
 /// Parts the points at the median along their box's longest side, so that leaves are full, and so on.
-fn halve(points: &mut [(Vec3, u32)], boxes: &mut [Extent]) {
+fn halve(points: &mut [(Vec3, u32)], boxes: &mut [Extent], in_parallel: bool) {
     let Some((whole, halves)) = boxes.split_first_mut() else { return };
     let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     for (p, _) in points.iter() {
@@ -135,7 +150,12 @@ fn halve(points: &mut [(Vec3, u32)], boxes: &mut [Extent]) {
         let axis = (max - min).max_position();
         points.select_nth_unstable_by(left * LEAF, |(p, _), (q, _)| p[axis].total_cmp(&q[axis]));
         let (points, halves) = (points.split_at_mut(left * LEAF), halves.split_at_mut(2 * left - 1));
-        rayon::join(|| halve(points.0, halves.0), || halve(points.1, halves.1));
+        if in_parallel {
+            rayon::join(|| halve(points.0, halves.0, true), || halve(points.1, halves.1, true));
+        } else {
+            halve(points.0, halves.0, false);
+            halve(points.1, halves.1, false);
+        }
     }
 }
 

@@ -57,6 +57,8 @@ pub struct SampleSet {
     estimated: OnceLock<Vec<Vec3>>,
     surroundings: OnceLock<Surroundings>,
     contacts: Option<Contacts>,
+    /// A tree of its own, where the surroundings are not known.
+    tree: OnceLock<KdTree>,
 }
 
 /// Who is near whom: found when it is first asked for, as writing the samples does not need it.
@@ -92,6 +94,7 @@ impl SampleSet {
             estimated: OnceLock::new(),
             surroundings: OnceLock::new(),
             contacts: None,
+            tree: OnceLock::new(),
         })
     }
 
@@ -199,6 +202,22 @@ impl SampleSet {
     /// Of balls about the samples that hold a point, that in which it is nearest to the middle, as a part of the radius.
     pub(crate) fn deepest(&self, p: Vec3, radius: &[f32], largest: &[f32]) -> Option<u32> {
         self.surroundings().tree.deepest(p, radius, largest)
+    }
+
+    /// The indices of the samples nearest to a finite point, nearest first: the beginning of `found`, which is filled
+    /// as far as there are samples. Costs microseconds. May be asked by jobs of a thread pool at any time.
+    pub(crate) fn nearest_ones<'a>(
+        &self,
+        p: Vec3,
+        found: &'a mut [u64],
+    ) -> impl Iterator<Item = u32> + use<'a> {
+        let tree = match self.surroundings.get() {
+            Some(around) => &around.tree,
+            None => self.tree.get_or_init(|| KdTree::in_one_job(&self.positions)),
+        };
+        let count = found.len().min(self.len());
+        tree.nearest_ones(p, &mut found[..count]);
+        found[..count].iter().map(|found| *found as u32)
     }
 
     #[inline]
