@@ -45,7 +45,7 @@ fn a_soup_stays_together() {
     };
     let triangle = |k: u64| {
         let (i, j) = (k / 2 % n, k / 2 / n);
-        if k % 2 == 0 {
+        if k.is_multiple_of(2) {
             [at(i, j), at(i + 1, j), at(i, j + 1)]
         } else {
             [at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)]
@@ -55,7 +55,7 @@ fn a_soup_stays_together() {
     let mut order: Vec<u64> = (0..2 * n * n).collect();
     order.sort_by_key(|k| hash(*k));
     let positions: Vec<DVec3> = order.iter().flat_map(|k| triangle(*k)).collect();
-    let normal = |k: u64| (DVec3::new(hash(k) as f64, 2e19, hash(k + 1) as f64) - 1e19).normalize();
+    let normal = |k: u64| (DVec3::new(hash(k) as f64, 2e19, hash(k + 1) as f64) - 1e19).normalize_or_zero();
     let normals: Vec<DVec3> = order.iter().flat_map(|k| [normal(*k); 3]).collect();
     work.write("soup.ply", Ply::of(&positions, &normals).bytes);
     work.simod("sample soup.ply -o soup.simod --samples 2000");

@@ -123,6 +123,11 @@ impl Cell {
     }
 }
 
+/// What a cell is filled with, where the list that it speaks of stands behind so many others.
+fn behind(others: u32, what: u32) -> u32 {
+    if what & PARTED == 0 { what } else { what + others }
+}
+
 /// What cells are made of.
 struct Growing<'a> {
     supports: &'a [Vec4],
@@ -149,9 +154,8 @@ impl Growing<'_> {
             .collect();
         for (i, (what, below)) in eighths.into_iter().enumerate() {
             let first = parted.len() as u32;
-            let moved = |what: u32| if what & PARTED == 0 { what } else { what + first };
-            parted[at][i] = moved(what);
-            parted.extend(below.into_iter().map(|eighths| eighths.map(moved)));
+            parted[at][i] = behind(first, what);
+            parted.extend(below.into_iter().map(|eighths| eighths.map(|what| behind(first, what))));
         }
     }
 
