@@ -26,7 +26,7 @@ impl Crates {
         let host = rustc.lines().find_map(|l| l.strip_prefix("host: ")).expect("rustc names the host");
         let mut command = MetadataCommand::new();
         command.manifest_path(workspace().join("Cargo.toml"));
-        command.other_options(["--offline", "--filter-platform", host].map(String::from));
+        command.other_options(["--locked", "--filter-platform", host].map(String::from));
         let metadata = command.exec().expect("cargo metadata");
         let resolve = metadata.resolve.as_ref().expect("resolved dependencies");
         let uses = resolve.nodes.iter().map(|node| {
