@@ -137,6 +137,11 @@ impl Claim {
         &self.places
     }
 
+    /// Where the files of a folder are written for now.
+    pub(crate) fn new_folder(&self) -> &Path {
+        &self.places.new_folder
+    }
+
     /// The part file.
     pub(crate) fn part(&self) -> &File {
         &self.file

@@ -30,13 +30,13 @@ impl OutputFolder {
             // Nobody sees what will not be seen in the end.
             builder.mode(if target.exists() { 0o700 } else { 0o777 });
         }
-        builder.create(&claim.places().new_folder).map_err(|e| claim.failed(&e))?;
+        builder.create(claim.new_folder()).map_err(|e| claim.failed(&e))?;
         Ok(Self { claim, target: target.to_owned() })
     }
 
     /// Where its files are written for now.
     pub fn path(&self) -> &Path {
-        &self.claim.places().new_folder
+        self.claim.new_folder()
     }
 
     /// What it will be called.

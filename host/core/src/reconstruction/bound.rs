@@ -241,8 +241,7 @@ impl Range {
             }
             let edge = corner - x;
             let t = -edge.dot(x) / edge.length_squared();
-            // Written so that NaN ends it.
-            if !(t > 1e-5) {
+            if t.is_nan() || t <= 1e-5 {
                 break;
             }
             x += edge * t.min(1.0);
