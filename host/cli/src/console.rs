@@ -44,9 +44,11 @@ impl Console {
     /// nobody listens, as in a library that is being loaded.
     pub fn new() -> Self {
         let wish = Arc::new(Wish::default());
-        let for_signals = wish.clone();
+        let (for_signals, watched) = (wish.clone(), wish.clone());
+        let watcher = std::thread::Builder::new().name("cancel".into()).spawn(move || watched.watch());
+        let watcher = watcher.ok().map(|thread| thread.thread().clone());
         // Without a handler Ctrl-C ends the process at once, which leaves hidden files at worst.
-        let _ = signals::listen(move |again| for_signals.stop(again));
+        let _ = signals::listen(move |again| for_signals.stop(again, watcher.as_ref()));
         Self { wish, memory: MemoryWatch::start(), stages: Mutex::default() }
     }
 
@@ -94,25 +96,30 @@ impl Console {
 }
 
 impl Wish {
-    /// Asks the work to stop, and sees to it that it does.
-    fn stop(self: &Arc<Self>, again: bool) {
+    /// Asks the work to stop.
+    fn stop(&self, again: bool, watcher: Option<&std::thread::Thread>) {
         if again {
             leave();
         }
-        if self.cancelled.swap(true, Ordering::Relaxed) {
-            return;
+        self.cancelled.store(true, Ordering::Relaxed);
+        if let Some(watcher) = watcher {
+            watcher.unpark();
         }
-        let this = self.clone();
-        let watch = move || {
-            std::thread::sleep(DEAF);
-            if this.is_known.load(Ordering::Relaxed) {
-                std::thread::sleep(SLOW);
-            }
-            let error = Error::cancelled();
-            let _ = writeln!(std::io::stderr(), "error: {error}\nhint: {}", error.hint());
-            leave();
-        };
-        let _ = std::thread::Builder::new().name("cancel".into()).spawn(watch);
+    }
+
+    /// Sees to it that the work stops once it was asked to: at work from the beginning, since a thread that begins while a library
+    /// loads may have to wait until that is done.
+    fn watch(&self) {
+        while !self.cancelled.load(Ordering::Relaxed) {
+            std::thread::park();
+        }
+        std::thread::sleep(DEAF);
+        if self.is_known.load(Ordering::Relaxed) {
+            std::thread::sleep(SLOW);
+        }
+        let error = Error::cancelled();
+        let _ = writeln!(std::io::stderr(), "error: {error}\nhint: {}", error.hint());
+        leave();
     }
 }
 
