@@ -148,16 +148,24 @@ fn plugins_are_found_in_three_places() {
     assert_eq!(plugin_path(&work, "warp"), beside);
     assert_eq!(plugin_path(&work, "rbf"), library("simod_rbf"));
 
-    let name = beside.file_name().and_then(|n| n.to_str()).expect("a name").to_owned();
-    let bytes = std::fs::read(&beside).expect("a library");
+    // One of the user's own is found in both other places, of which the one that was named comes first.
+    let built = work.build_c("tests/c/hostile.c", "own", &["-DDOES=NOTHING", "-DID=\"own\""]);
+    let name = built.file_name().and_then(|n| n.to_str()).expect("a name").to_owned();
+    let bytes = std::fs::read(&built).expect("a library");
     let own = format!("../home/.local/share/simod/plugins/{name}");
     work.write(&own, &bytes);
-    assert_same_file(&plugin_path(&work, "warp"), &work.path(&own));
+    assert_same_file(&plugin_path(&work, "own"), &work.path(&own));
 
     work.write(&format!("named/{name}"), &bytes);
     work = work.with_plugins("named");
-    assert_same_file(&plugin_path(&work, "warp"), &work.path("named").join(name));
+    assert_same_file(&plugin_path(&work, "own"), &work.path("named").join(name));
     assert_eq!(plugin_path(&work, "rbf"), library("simod_rbf"));
+
+    // None takes the place of one of the program's own unless its version is higher.
+    let bytes = std::fs::read(&beside).expect("a library");
+    let name = beside.file_name().and_then(|n| n.to_str()).expect("a name");
+    work.write(&format!("named/{name}"), &bytes);
+    assert_eq!(plugin_path(&work, "warp"), beside);
 }
 
 /// The library that a plugin was loaded from.
