@@ -215,6 +215,13 @@ fn weights<S: Simd>(simd: S, lattice: &Lattice, rest: &[[f32; 3]]) -> [[S::f32s;
             }
             values[k] = carried;
         }
+        // The functions add up to one, times what they fade to, of which rounding leaves less the more of them there are.
+        let total =
+            values[..=degree].iter().fold(simd.splat_f32s(f32::MIN_POSITIVE), |a, b| simd.add_f32s(a, *b));
+        let whole = simd.div_f32s(fade, total);
+        for value in &mut values[..=degree] {
+            *value = simd.mul_f32s(*value, whole);
+        }
         values[0] = simd.add_f32s(values[0], below);
         values[1] = simd.sub_f32s(values[1], below);
         values[degree] = simd.add_f32s(values[degree], above);
