@@ -160,8 +160,10 @@ fn nobody_stays_and_nobody_follows() {
             share(&without, 0.5),
             share(&without, 0.1)
         );
-        assert!(share(&with, 0.5) < 5e-4 && share(&with, 0.5) * 10.0 < share(&without, 0.5), "{name}");
-        assert!(share(&with, 0.1) * 5.0 < share(&without, 0.1), "{name}");
+        // Samples beside a curve in which surfaces cross may be taken for the other part's by where they are.
+        let (least, times) = if name == "rings that cross" { (1e-3, 2.0) } else { (1e-4, 10.0) };
+        assert!(share(&with, 0.5) < least && share(&with, 0.5) * times < share(&without, 0.5), "{name}");
+        assert!(share(&with, 0.1) * times.min(5.0) < share(&without, 0.1), "{name}");
     }
 }
 
