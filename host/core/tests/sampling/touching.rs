@@ -5,6 +5,7 @@ use std::fs;
 
 use glam::{DVec3, Vec3};
 use simod_core::model;
+use simod_core::output::write_file;
 use simod_core::progress::Silent;
 use simod_core::reconstruction::{DeformationField, Method, Moved, Surroundings, carry};
 use simod_core::refinement::{Finer, Refining, Selection, refine};
@@ -216,9 +217,9 @@ fn what_is_kept_comes_back_and_only_where_parts_touch() {
     for i in (0..bytes.len()).step_by(bytes.len() / 40) {
         let mut changed = bytes.clone();
         changed[i] ^= 4;
-        fs::write(&path, &changed).unwrap();
+        write_file(&path, &changed).unwrap();
         assert!(SampledModel::load(&saved.folder()).is_err(), "byte {i}");
-        fs::write(&path, &bytes[..i]).unwrap();
+        write_file(&path, &bytes[..i]).unwrap();
         assert!(SampledModel::load(&saved.folder()).is_err(), "{i} bytes");
     }
 
