@@ -32,6 +32,13 @@ const LEVELS: u32 = 20;
 /// Marks a cell that is parted.
 const PARTED: u32 = 1 << 31;
 
+/// A place as deep as this in a sample's support (the square of the distance, as a part of the radius) lies beside the sample: a
+/// tangent plane further off tells nothing of the sheet that the place is on.
+const BESIDE: f32 = 0.6;
+
+/// Neighbours of a sample that have a say in its tangent plane.
+const RING: usize = 6;
+
 /// Samples in a cell from which on its parts are made side by side.
 const SIDE_BY_SIDE: usize = 1 << 12;
 
@@ -304,8 +311,10 @@ impl<'a> Homes<'a> {
     /// Of the samples around one that is near, that on whose sheet the point lies; or, if its support does not reach the
     /// point, another one of that sheet whose support does.
     fn on_its_sheet(&self, near: u32, p: Vec3) -> u32 {
-        let (positions, normals) = (&self.samples.positions, self.samples.normals());
-        let key = |i: u32| sheet_distance(p - positions[i as usize], normals[i as usize]);
+        let key = |i: u32| {
+            let d = p - self.samples.positions[i as usize];
+            (self.cells.depth(i, p) >= BESIDE, sheet_distance(d, self.plane(i)))
+        };
         let (mut best, mut least) = (near, key(near));
         for i in self.samples.neighbours().of(near as usize) {
             let distance = key(*i);
@@ -323,6 +332,14 @@ impl<'a> Homes<'a> {
             }
         }
         if least < 1.0 { home } else { best }
+    }
+
+    /// The normal of the surface around a sample, of which the sample's own tells the relief as well.
+    fn plane(&self, sample: u32) -> Vec3 {
+        let normals = self.samples.normals();
+        let ring = self.sheets.of_sample(sample as usize).iter().take(RING);
+        let sum = ring.map(|i| normals[*i as usize]).sum::<Vec3>() + normals[sample as usize];
+        sum.try_normalize().unwrap_or(normals[sample as usize])
     }
 }
 

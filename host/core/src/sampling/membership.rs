@@ -30,7 +30,7 @@ const BYTES: u64 = size_of::<u32>() as u64;
 /// No sample.
 const NONE: u32 = u32::MAX;
 
-const ADVICE: &str = "leave the triangles out with --skip triangles, and do without --sheets";
+const ADVICE: &str = "leave the triangles out with --skip triangles";
 
 /// While the model streams.
 ///

@@ -36,7 +36,7 @@ const BATCH: usize = 1 << 14;
 
 /// Which samples are on the same sheet, near places where sheets meet.
 ///
-/// Memory: at most 140 bytes for each sample near which sheets meet, and those of [`Places`].
+/// Memory: at most 140 bytes for each sample near which sheets meet, and those of its places.
 #[derive(Debug, Default)]
 pub struct Contacts {
     lists: Lists,
@@ -55,7 +55,7 @@ struct Lists {
 }
 
 impl Contacts {
-    /// Of the samples of a model whose clusters were [parted](Parted), of which `sample_of` says what vertex belongs to
+    /// Of the samples of a model whose clusters were parted, of which `sample_of` says what vertex belongs to
     /// which. `trees` has the samples of each cell.
     ///
     /// # Errors
