@@ -68,12 +68,12 @@ fn killed_and_gone_on_with() {
     let expected = work.read("out.ply");
     let mut killed = 0;
     for count in [0, 1, 4, 8] {
-        work.write("out.ply", "ply precious");
+        work.write("out.ply", "ply\nprecious");
         if !kill_after(&work, RECONSTRUCT, JOURNAL, count) {
             continue;
         }
         killed += 1;
-        assert_eq!(work.read("out.ply"), b"ply precious");
+        assert_eq!(work.read("out.ply"), b"ply\nprecious");
         let left = names(&work);
         assert!(left.contains(&JOURNAL.to_owned()) && left.contains(&PART.to_owned()), "{left:?}");
         let done = parts(&work, JOURNAL);
@@ -116,7 +116,7 @@ fn several_versions_killed_and_gone_on_with() {
         work.write(&format!("in/{version}.ply"), &deformed);
     }
     let line = "reconstruct model.simod --deformed in/*.ply -o out/{}.ply --part-size 1M";
-    work.write("out/1.ply", "ply precious");
+    work.write("out/1.ply", "ply\nprecious");
     work.simod(line);
     let expected = work.read("out/1.ply");
     let check = |when: &str| {

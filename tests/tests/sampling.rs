@@ -341,7 +341,8 @@ fn a_killed_sampling_leaves_the_former_one_as_it_was() {
             break;
         }
         assert!(contents(&work, "model.simod") == before, "after {tenth} tenths of {whole:?}");
-        let shown: Vec<String> = work.names().into_iter().filter(|name| !name.starts_with(".simod-")).collect();
+        let shown: Vec<String> =
+            work.names().into_iter().filter(|name| !name.starts_with(".simod-")).collect();
         assert_eq!(shown, ["model.ply", "model.simod"]);
     }
     // What was left goes with the next run.

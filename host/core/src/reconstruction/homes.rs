@@ -32,10 +32,6 @@ const LEVELS: u32 = 20;
 /// Marks a cell that is parted.
 const PARTED: u32 = 1 << 31;
 
-/// A place as deep as this in a sample's support (the square of the distance, as a part of the radius) lies beside the sample: a
-/// tangent plane further off tells nothing of the sheet that the place is on.
-const BESIDE: f32 = 0.6;
-
 /// Neighbours of a sample that have a say in its tangent plane.
 const RING: usize = 6;
 
@@ -311,13 +307,15 @@ impl<'a> Homes<'a> {
     /// Of the samples around one that is near, that on whose sheet the point lies; or, if its support does not reach the
     /// point, another one of that sheet whose support does.
     fn on_its_sheet(&self, near: u32, p: Vec3) -> u32 {
-        let key = |i: u32| {
-            let d = p - self.samples.positions[i as usize];
-            (self.cells.depth(i, p) >= BESIDE, sheet_distance(d, self.plane(i)))
-        };
-        let (mut best, mut least) = (near, key(near));
+        let away = |i: u32| p - self.samples.positions[i as usize];
+        let (mut best, mut least) = (near, sheet_distance(away(near), self.plane(near)));
         for i in self.samples.neighbours().of(near as usize) {
-            let distance = key(*i);
+            let d = away(*i);
+            // No plane makes it less than that.
+            if d.length_squared() >= least {
+                continue;
+            }
+            let distance = sheet_distance(d, self.plane(*i));
             if distance < least {
                 (best, least) = (*i, distance);
             }
