@@ -109,7 +109,10 @@ fn a_step_is_warned_of() {
     let warnings = report["warnings"].as_array().expect("warnings");
     let warning = warnings.iter().filter_map(Value::as_str).find(|w| w.contains("expected to be off"));
     let warning = warning.unwrap_or_else(|| panic!("{report}"));
-    assert!(warning.contains("simod refine model.simod --auto --error 1.0e-4 --samples "), "{warning}");
+    assert!(
+        warning.contains("simod refine model.simod --auto --error 1.0e-4 --deformed deformed.ply "),
+        "{warning}"
+    );
 }
 
 const TWIST: &str =

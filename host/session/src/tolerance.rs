@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use simod_core::model::{Model, Scalar};
-use simod_core::reconstruction::transfer_error::{TransferError, measure_some};
+use simod_core::reconstruction::transfer_error::{Places, TransferError, measure_some};
 use simod_core::reconstruction::{Beyond, DeformationField, Method, Surroundings};
 use simod_core::refinement::{Finer, Refining, Selection, refine};
 use simod_core::sampled_model::SampledModel;
@@ -19,7 +19,10 @@ use crate::plugins::PluginRegistry;
 use crate::session_file::Step;
 
 /// Rounds of refinement; the number of samples may double in each.
-const ROUNDS: u64 = 12;
+const ROUNDS: u64 = 20;
+
+/// Where it is refined, so much of the tolerance is asked for.
+const ASKED: f64 = 0.3;
 
 /// No more samples than so many times those at the beginning, or than [`FEW`] ...
 const MOST: u64 = 64;
@@ -30,7 +33,7 @@ const FEW: u64 = 1 << 20;
 const FALLS: f64 = 0.9;
 /// ... at least once in so many rounds: at a step it does not. Where few samples are added among sparse ones, it rises for
 /// a while.
-const PATIENCE: usize = 4;
+const PATIENCE: usize = 7;
 
 /// Vertices at which the exact map is asked.
 const MEASURED: u64 = 1_000_000;
@@ -84,7 +87,7 @@ pub struct Certificate {
     pub added: u64,
     /// In how many rounds.
     pub rounds: u64,
-    /// The true error of some vertices, where all plugins know their map.
+    /// The true error of some vertices, and where it is more than allowed, if all plugins know their map.
     pub truth: Option<TransferError>,
 }
 
@@ -138,6 +141,7 @@ pub(crate) fn meet(
 ) -> Result<(DeformedSamples, Certificate)> {
     check_precision(&sampled, model, tolerance)?;
     let first = sampled.samples.len() as u64;
+    let of_diagonal = sampled.local_diagonal().max(f64::MIN_POSITIVE);
     let most = (MOST * first).max(FEW).min(sampled.source.vertices);
     let refinements = Refinements { folder: folder.to_owned(), ..Refinements::default() };
     let again = |sampled: Arc<SampledModel>, steps: &[Step]| {
@@ -149,40 +153,34 @@ pub(crate) fn meet(
     if plain.len() < steps.len() {
         deformed = again(deformed.sampled, &plain)?;
     }
-    let mut asked = tolerance;
+    // Finer than what is allowed, as density changes around what is refined, which costs precision there.
+    let asked = (ASKED * tolerance).max(LEAST_LOCAL / of_diagonal);
     let (mut least, mut waited) = (f64::INFINITY, 0);
     for rounds in 0.. {
         let of = deformed.sampled.clone();
         let refined = {
             progress.begin("estimating the error", 0);
             let around = Surroundings::of(&of.samples);
-            let field = DeformationField::new(&around, &deformed.positions, Method::default())
+            let mut field = DeformationField::new(&around, &deformed.positions, Method::default())
                 .expecting(&of.frame, model.info().position_type);
-            let mut beyond = field.expected_beyond(&of, asked);
+            let mut beyond = field.expected_beyond(&of, tolerance);
             if beyond.is_none() {
-                let truth = truth(&deformed, model, &field, progress)?;
-                let off = truth.map_or(0.0, |truth| truth.max);
+                let found = truth(&deformed, model, &field, tolerance, progress)?;
+                let off = found.as_ref().map_or(0.0, |(truth, _)| truth.max);
                 if off <= tolerance {
                     let expected = field.expected_beyond(&of, 0.0).map_or(0.0, |all| all.worst);
                     let added = of.samples.len() as u64 - first;
+                    let truth = found.map(|(truth, _)| truth);
                     drop(field);
                     return Ok((deformed, Certificate { tolerance, expected, added, rounds, truth }));
                 }
-                // The estimate was too small somewhere: less is asked for everywhere.
-                while beyond.is_none() {
-                    asked *= 0.7 * (tolerance / off).clamp(0.5, 1.0);
-                    if check_precision(&of, model, asked).is_err() {
-                        return Err(not_met(
-                            tolerance,
-                            off,
-                            "what is left is below what the estimate tells",
-                            None,
-                        ));
-                    }
-                    beyond = field.expected_beyond(&of, asked);
-                }
+                // The estimate was too small there.
+                field.learn(&found.map_or_else(Vec::new, |(_, places)| places));
+                beyond = field.expected_beyond(&of, tolerance);
             }
-            let Some(beyond) = beyond else { continue };
+            let Some(beyond) = beyond else {
+                return Err(not_met(tolerance, tolerance, "single vertices are off by a little more", None));
+            };
             waited += 1;
             if beyond.worst < FALLS * least {
                 (least, waited) = (beyond.worst, 0);
@@ -226,18 +224,19 @@ pub(crate) fn meet(
     unreachable!("the number of rounds is bounded")
 }
 
-/// The true error of some vertices, where all plugins know their map.
+/// The true error of some vertices, and where it is more than allowed, if all plugins know their map.
 fn truth(
     deformed: &DeformedSamples,
     model: &dyn Model,
     field: &DeformationField<'_>,
+    tolerance: f64,
     progress: &dyn Progress,
-) -> Result<Option<TransferError>> {
+) -> Result<Option<(TransferError, Places)>> {
     if !deformed.stack.can_evaluate() {
         return Ok(None);
     }
     let exact = |points: &mut [DVec3]| deformed.stack.evaluate_with(points, progress);
-    measure_some(model, field, &deformed.sampled, MEASURED, &exact, progress).map(Some)
+    measure_some(model, field, &deformed.sampled, (MEASURED, tolerance), &exact, progress).map(Some)
 }
 
 fn not_met(tolerance: f64, left: f64, why: &str, beyond: Option<&Beyond>) -> Error {

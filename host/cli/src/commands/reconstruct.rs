@@ -213,7 +213,7 @@ impl Reconstruct {
                     format!(
                         "`{}` adds samples where they are needed, about {}; then deform these by the program that deformed \
                          the others, as where the transfer places them tells nothing about it",
-                        self.refining(paths, tolerance, Some(needed)),
+                        self.refining(paths, tolerance),
                         count(needed)
                     ),
                 ));
@@ -224,10 +224,9 @@ impl Reconstruct {
     }
 
     /// The command that adds samples to come below an error.
-    fn refining(&self, paths: &VersionPaths, error: f64, samples: Option<u64>) -> String {
-        let samples = samples.map_or_else(String::new, |n| format!(" --samples {}", n.max(1)));
+    fn refining(&self, paths: &VersionPaths, error: f64) -> String {
         format!(
-            "simod refine {} --auto --error {error:.1e}{samples} --deformed {} -o more.ply",
+            "simod refine {} --auto --error {error:.1e} --deformed {} -o more.ply",
             self.sampled.display(),
             paths.deformed.display()
         )
@@ -257,7 +256,7 @@ impl Reconstruct {
                 };
                 let help = format!(
                     "`{}` adds about {} samples where they are needed",
-                    self.refining(paths, ExpectedError::ACCEPTED, Some(beyond.needed)),
+                    self.refining(paths, ExpectedError::ACCEPTED),
                     count(beyond.needed)
                 );
                 warn_beyond(&which, &beyond, diagonal, &help, report);

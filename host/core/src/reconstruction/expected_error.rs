@@ -166,7 +166,21 @@ impl DeformationField<'_> {
     /// It is an estimate of the size, not a bound: `docs/refinement.md` says how it compares with the error.
     pub fn expected_error(&self) -> Vec<f32> {
         let told = |e: Expectation| if f64::from(e.largest) < TELLING * ROUNDING { 0.0 } else { e.largest };
-        self.around_samples().map(told).collect()
+        if self.expected.is_empty() {
+            self.around_samples().map(told).collect()
+        } else {
+            self.expected.iter().copied().map(told).collect()
+        }
+    }
+
+    /// Expects no less, around the samples nearest to these places (local coordinates), than what was found there (local units),
+    /// as by [`measure_some`](super::transfer_error::measure_some). The field has to be [expecting](Self::expecting).
+    pub fn learn(&mut self, found: &[(Vec3, f32)]) {
+        for (place, off) in found {
+            let nearest = self.around.samples.nearest(*place) as usize;
+            let largest = &mut self.expected[nearest].largest;
+            *largest = largest.max(*off);
+        }
     }
 
     /// Finds out what is expected around the samples, which all further estimates rest on. `positions` is the type of those in

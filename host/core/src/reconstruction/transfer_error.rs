@@ -1,6 +1,6 @@
 //! How far a reconstruction is from the exact deformation of every vertex.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use serde::Serialize;
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -76,10 +76,18 @@ pub fn measure(
     })
 }
 
+/// Vertices that are further off than allowed: their places (local coordinates) and by how much (local units).
+pub type Places = Vec<(Vec3, f32)>;
+
+/// Most vertices of which [`measure_some`] tells.
+pub const MOST_TOLD: usize = 1 << 16;
+
 /// Compares what `field` makes of some vertices, no more than `most` and chosen at random, with their exact images; nothing is
 /// written, but their positions are rounded as the file does it. The same vertices each time; [`jump`](TransferError::jump) is 0.
 ///
-/// Memory: a chunk of the model, and 72 bytes for each of its vertices.
+/// Vertices that are off by more than `beyond`, a fraction of the diagonal, are told, up to [`MOST_TOLD`].
+///
+/// Memory: a chunk of the model, 72 bytes for each of its vertices, and 16 for each that is told.
 ///
 /// # Errors
 /// As of [`measure`].
@@ -87,11 +95,12 @@ pub fn measure_some(
     model: &dyn Model,
     field: &DeformationField<'_>,
     of: &SampledModel,
-    most: u64,
+    (most, beyond): (u64, f64),
     exact: &dyn Fn(&mut [DVec3]) -> Result<()>,
     progress: &dyn Progress,
-) -> Result<TransferError> {
+) -> Result<(TransferError, Places)> {
     let info = model.info();
+    let mut told = Vec::new();
     progress.begin("measuring some vertices", info.vertex_bytes);
     let share = most as f64 / info.vertices.max(1) as f64;
     let is_chosen = |i: u64| share >= 1.0 || xxh3_64(&i.to_le_bytes()) as f64 / (u64::MAX as f64) < share;
@@ -108,16 +117,20 @@ pub fn measure_some(
         let moved = Moved { positions: &mut found, normals: &mut [], figures: &mut [] };
         carry(std::slice::from_ref(field), &of.frame, &rest, None, &mut [moved]);
         exact(&mut truth)?;
-        for (found, truth) in found.iter().zip(&truth) {
+        for ((rest, found), truth) in rest.iter().zip(&found).zip(&truth) {
             let written = if info.position_type == Scalar::F32 { found.as_vec3().as_dvec3() } else { *found };
-            errors.add(written.distance(*truth) * scale, 1);
+            let off = written.distance(*truth);
+            errors.add(off * scale, 1);
             count += 1;
+            if off * scale > beyond && told.len() < MOST_TOLD {
+                told.push((of.frame.to_local(*rest), (off / of.frame.scale) as f32));
+            }
         }
         progress.advance(chunk.raw().len() as u64);
         Ok(())
     })?;
     let ExpectedError { rms, p999, worst: max, .. } = errors.sum(true);
-    Ok(TransferError { vertices: count, rms, p999, max, jump: 0.0 })
+    Ok((TransferError { vertices: count, rms, p999, max, jump: 0.0 }, told))
 }
 
 /// Counts of positive values on a logarithmic scale from 1e-12 to 1e3, 64 bins per factor of ten.
