@@ -87,7 +87,7 @@ pub struct Certificate {
     pub added: u64,
     /// In how many rounds.
     pub rounds: u64,
-    /// The true error of some vertices, and where it is more than allowed, if all plugins know their map.
+    /// The true error of some vertices, if all plugins know their map.
     pub truth: Option<TransferError>,
 }
 
