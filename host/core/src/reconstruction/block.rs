@@ -157,12 +157,21 @@ impl Workspace {
         for (i, (p, image)) in positions.iter().zip(images).enumerate() {
             let home = self.homes[i] as usize;
             let figures = figures.get_mut(i);
-            if !p.is_finite() || !field.active[home] {
-                let still = || field.figures(home, self.local[i], &Transport::NONE, frame.scale);
-                figures.into_iter().for_each(|f| *f = if p.is_finite() { still() } else { Figures::UNKNOWN });
+            if !p.is_finite() {
+                figures.into_iter().for_each(|f| *f = Figures::UNKNOWN);
                 continue;
             }
-            let one_by_one = self.bounded(field, i, self.one_by_one(field, i));
+            let one_by_one = if field.active[home] {
+                self.bounded(field, i, self.one_by_one(field, i))
+            } else {
+                let dragged_along = field.still_drawn_back(home, self.local[i]);
+                if dragged_along.is_none() {
+                    let still = || field.figures(home, self.local[i], &Transport::NONE, frame.scale);
+                    figures.into_iter().for_each(|f| *f = still());
+                    continue;
+                }
+                dragged_along
+            };
             // Only the displacement is in single precision.
             let displacement = one_by_one.map_or_else(|| self.displacement(i), |moved| moved.displacement);
             *image += displacement.as_dvec3() * frame.scale;

@@ -26,14 +26,20 @@ pub const AROUND: usize = 28;
 /// How far beyond the range a vertex may go, as a part of the local step: a little less than a tenth, for rounding.
 const BEYOND: f32 = 0.095;
 
-/// Neighbours of a sample among the others of a range, to which its edges lead: a ring.
+/// Neighbours of a sample to which its edges lead: a ring.
 const EDGES: usize = 6;
 
-/// Of the edges of a range, this part is less steep …
-const FLATTER: f32 = 0.3;
-/// … than one that may be so many times less steep than what it is continued with. Of a linear map three edges in ten have
-/// less than half of its slope, and beside a step most edges lie on one side of it.
-const STEEPER: f32 = 4.0;
+/// The ridge of the linear map that explains a range, as a part of the samples' mean squared distance from their middle: across
+/// the little that separates two sheets nothing is explained.
+const RIDGE: f32 = 0.02;
+
+/// What the ridge may take of the map, to be made up for.
+const FLATTENED: f32 = 1.25;
+
+/// As long as a linear map leaves no more over than this part, what explains the range continues it …
+const EXPLAINED: f32 = 0.25;
+/// … and less and less of it up to this part: a linear map leaves as much of a step.
+const UNEXPLAINED: f32 = 0.5;
 
 /// The range of the samples beside a home is looked at for vertices within this part of its support.
 const BESIDE: f32 = 0.5;
@@ -61,9 +67,8 @@ impl Extent {
         (self.low, self.high) = (self.low.min(u - ROUNDING as f32), self.high.max(u + ROUNDING as f32));
     }
 
-    fn widen(&mut self, by: f32) {
-        self.low -= by;
-        self.high += by;
+    fn widened(&self, by: f32) -> Self {
+        Self { low: self.low - by, high: self.high + by }
     }
 
     #[inline]
@@ -72,18 +77,60 @@ impl Extent {
     }
 }
 
-/// What is known of the homes, so that hardly any vertex needs a search.
+/// What the edges of samples show.
+#[derive(Debug, Clone, Copy)]
+struct Edges {
+    /// The largest difference of displacements.
+    step: f32,
+    /// The largest such difference over the edge's length.
+    steepest: f32,
+}
+
+impl Edges {
+    const NONE: Self = Self { step: 0.0, steepest: 0.0 };
+
+    /// Of one sample.
+    fn of(samples: &SampleSet, sheets: &Sheets, expansions: &[Expansion], i: usize) -> Self {
+        let mut found = [0; EDGES + 1];
+        // Beside other sheets the nearest samples may be theirs.
+        let ring: &mut dyn Iterator<Item = u32> = if sheets.is_crowded(i) {
+            &mut samples.nearest_ones(samples.positions[i], &mut found).filter(|j| *j as usize != i)
+        } else {
+            &mut sheets.of_sample(i).iter().copied()
+        };
+        let mut edges = Self::NONE;
+        for j in ring.take(EDGES).map(|j| j as usize) {
+            let length = samples.positions[i].distance(samples.positions[j]);
+            let difference = expansions[i].displacement().distance(expansions[j].displacement());
+            edges.step = edges.step.max(difference);
+            if length > 0.0 {
+                edges.steepest = edges.steepest.max(difference / length);
+            }
+        }
+        edges
+    }
+
+    fn include(&mut self, other: &Self) {
+        (self.step, self.steepest) = (self.step.max(other.step), self.steepest.max(other.steepest));
+    }
+}
+
+/// What is known of the samples, so that hardly any vertex needs a search.
 ///
-/// Memory: 24 bytes per sample.
+/// Memory: 32 bytes per sample.
 pub struct Bound {
-    /// Of samples that are surely among those nearest to any vertex within [`BESIDE`] of the home's support.
+    edges: Vec<Edges>,
+    /// Where vertices within [`BESIDE`] of a home's support may go as far as is known from samples that are surely among those
+    /// nearest to any of them.
     beside: Vec<Extent>,
 }
 
 impl Bound {
     /// Of the expansions of all samples.
     pub fn of(samples: &SampleSet, sheets: &Sheets, supports: &Supports, expansions: &[Expansion]) -> Self {
+        let all = || (0..expansions.len()).into_par_iter();
         let positions = &samples.positions;
+        let edges: Vec<Edges> = all().map(|i| Edges::of(samples, sheets, expansions, i)).collect();
         let beside = |home: usize| {
             let within = BESIDE * supports.radius[home];
             let reach = supports.ranging[home] - 2.0 * within;
@@ -92,11 +139,15 @@ impl Bound {
             }
             let near = sheets.of_sample(home).iter().map(|j| *j as usize);
             let near = near.take_while(|j| positions[*j].distance(positions[home]) < reach);
-            let mut extent = Extent::about(expansions[home].displacement());
-            near.for_each(|j| extent.include(expansions[j].displacement()));
-            extent
+            let (mut extent, mut step) = (Extent::about(expansions[home].displacement()), edges[home].step);
+            for j in near {
+                extent.include(expansions[j].displacement());
+                step = step.max(edges[j].step);
+            }
+            extent.widened(BEYOND * step)
         };
-        Self { beside: (0..expansions.len()).into_par_iter().map(beside).collect() }
+        let beside = all().map(beside).collect();
+        Self { edges, beside }
     }
 }
 
@@ -109,6 +160,16 @@ impl DeformationField<'_> {
         part <= BESIDE * BESIDE && self.bound.beside[home].holds(u) || self.is_among_nearest(home, p, u)
     }
 
+    /// Likewise, [`drawn_back`](Self::drawn_back) of a vertex whose home does not move, nor any support that reaches there.
+    #[inline]
+    pub(super) fn still_drawn_back(&self, home: usize, p: Vec3) -> Option<Transport> {
+        // Then the home is among the nearest.
+        if 2.0 * p.distance(self.around.samples.positions[home]) < self.around.supports.ranging[home] {
+            return None;
+        }
+        self.drawn_back(p, Vec3::ZERO, || Mat3::IDENTITY)
+    }
+
     /// Whether a displacement is within the range of those of the home's sheet that are surely among the nearest samples.
     fn is_among_nearest(&self, home: usize, p: Vec3, u: Vec3) -> bool {
         let positions = &self.around.samples.positions;
@@ -117,38 +178,35 @@ impl DeformationField<'_> {
         if reach <= distance {
             return false;
         }
-        let mut extent = Extent::about(self.expansions[home].displacement());
+        let step = |j: usize| self.bound.edges[j].step;
+        let (mut extent, mut largest) = (Extent::about(self.expansions[home].displacement()), step(home));
         self.around.sheets.of_sample(home).iter().map(|j| *j as usize).any(|j| {
             if positions[j].distance_squared(p) < reach * reach {
                 extent.include(self.expansions[j].displacement());
+                largest = largest.max(step(j));
             }
-            extent.holds(u)
+            extent.widened(BEYOND * largest).holds(u)
         })
     }
 
     /// The nearest place within the range of the samples around, for a vertex whose displacement leaves it; `gradient` is
     /// that of the deformation there.
     pub(super) fn drawn_back(&self, p: Vec3, u: Vec3, gradient: impl FnOnce() -> Mat3) -> Option<Transport> {
-        let mut range = Range::around(self, p);
-        // Each step takes longer than the one before.
-        if range.extent.holds(u) {
+        let range = Range::around(self, p);
+        let slack = BEYOND * range.edges.step + ROUNDING as f32;
+        // What continues it takes longer to find.
+        if range.extent.widened(slack).holds(u) {
             return None;
         }
-        let edges = range.edges();
-        let slack = BEYOND * edges.step + ROUNDING as f32;
-        range.extent.widen(slack);
-        if range.extent.holds(u) {
-            return None;
-        }
+        let (steepness, way) = (range.steepness(), range.way_from_hull());
         // Little relief does not add to it.
-        let way = range.way_from_hull();
-        range.extent.widen((edges.steepness * way.length() - 0.5 * slack).max(0.0));
-        if range.extent.holds(u) {
+        let Extent { low, high } = range.extent.widened(slack.max(steepness * way.length() + 0.5 * slack));
+        let held = u.clamp(low, high);
+        if held == u {
             return None;
         }
-        let held = u.clamp(range.extent.low, range.extent.high);
         // Along the range's border nothing changes but what it is continued with.
-        let further = edges.steepness * way.normalize_or_zero();
+        let further = steepness * way.normalize_or_zero();
         let mut rows = gradient().transpose();
         for axis in (0..3).filter(|axis| held[*axis] != u[*axis]) {
             *rows.col_mut(axis) = Vec3::AXES[axis] + (u[axis] - held[axis]).signum() * further;
@@ -164,58 +222,54 @@ struct Range {
     from: [Vec3; AROUND],
     displacement: [Vec3; AROUND],
     extent: Extent,
-}
-
-/// What the edges between the samples of a range show.
-struct Edges {
-    /// The largest difference of displacements.
-    step: f32,
-    /// How steep what continues them may be.
-    steepness: f32,
+    /// Of all of them.
+    edges: Edges,
 }
 
 impl Range {
     fn around(field: &DeformationField<'_>, p: Vec3) -> Self {
-        let (mut from, mut displacement) = ([Vec3::ZERO; AROUND], [Vec3::ZERO; AROUND]);
-        let (mut found, mut count, mut extent) = ([0; AROUND], 0, Extent::NOTHING);
+        let mut found = [0; AROUND];
+        let mut range = Self {
+            count: 0,
+            from: [Vec3::ZERO; AROUND],
+            displacement: [Vec3::ZERO; AROUND],
+            extent: Extent::NOTHING,
+            edges: Edges::NONE,
+        };
         for j in field.around.samples.nearest_ones(p, &mut found) {
             let e = &field.expansions[j as usize];
-            (from[count], displacement[count]) = (Vec3::from_array(e.center) - p, e.displacement());
-            extent.include(displacement[count]);
-            count += 1;
+            range.from[range.count] = Vec3::from_array(e.center) - p;
+            range.displacement[range.count] = e.displacement();
+            range.extent.include(e.displacement());
+            range.edges.include(&field.bound.edges[j as usize]);
+            range.count += 1;
         }
-        Self { count, from, displacement, extent }
+        range
     }
 
-    fn edges(&self) -> Edges {
-        let mut slopes = Vec::with_capacity(AROUND * EDGES);
-        let (mut step, mut steepest) = (0.0f32, 0.0f32);
-        for i in 0..self.count {
-            let mut ring = [(f32::INFINITY, i); EDGES];
-            for j in (0..self.count).filter(|j| *j != i) {
-                let squared = self.from[i].distance_squared(self.from[j]);
-                if squared < ring[EDGES - 1].0 {
-                    let place = ring.partition_point(|(nearer, _)| *nearer <= squared);
-                    ring[place..].rotate_right(1);
-                    ring[place] = (squared, j);
-                }
-            }
-            for (squared, j) in ring.iter().filter(|(_, j)| *j != i) {
-                let difference = self.displacement[i].distance(self.displacement[*j]);
-                step = step.max(difference);
-                if *squared > 0.0 {
-                    let slope = difference / squared.sqrt();
-                    steepest = steepest.max(slope);
-                    slopes.push(slope);
-                }
-            }
+    /// How steep what continues the range may be: as the linear map that explains it, so far as one does.
+    fn steepness(&self) -> f32 {
+        let count = self.count as f32;
+        let (from, displacement) = (&self.from[..self.count], &self.displacement[..self.count]);
+        let middle = from.iter().sum::<Vec3>() / count;
+        let mean = displacement.iter().sum::<Vec3>() / count;
+        let pairs = || from.iter().zip(displacement).map(|(x, u)| (*x - middle, *u - mean));
+        let outer = |u: Vec3, x: Vec3| Mat3::from_cols(u * x.x, u * x.y, u * x.z);
+        let (mut squares, mut products) = (Mat3::ZERO, Mat3::ZERO);
+        for (x, u) in pairs() {
+            squares += outer(x, x);
+            products += outer(u, x);
         }
-        if slopes.is_empty() {
-            return Edges { step, steepness: 0.0 };
-        }
-        let at = (FLATTER * slopes.len() as f32) as usize;
-        let (_, flat, _) = slopes.select_nth_unstable_by(at, f32::total_cmp);
-        Edges { step, steepness: steepest.min(STEEPER * *flat) }
+        let spread: f32 = pairs().map(|(x, _)| x.length_squared()).sum();
+        let slope = products * (squares + Mat3::from_diagonal(Vec3::splat(RIDGE * spread))).inverse();
+        let all: f32 = pairs().map(|(_, u)| u.length_squared()).sum();
+        let left: f32 = pairs().map(|(x, u)| (u - slope * x).length_squared()).sum();
+        let part = (left / all).sqrt();
+        let trust = ((UNEXPLAINED - part) / (UNEXPLAINED - EXPLAINED)).clamp(0.0, 1.0);
+        let norm = slope.to_cols_array().iter().map(|x| x * x).sum::<f32>().sqrt();
+        let steepness = trust * self.edges.steepest.min(FLATTENED * norm);
+        // Samples in one place, or that all go alike, show nothing.
+        if steepness.is_finite() { steepness } else { 0.0 }
     }
 
     /// The way from the samples' convex hull to the vertex, or a little less; nothing within the hull.

@@ -1,7 +1,7 @@
 //! That no vertex leaves the range of the samples around it, whatever the samples are and wherever they go: by the
 //! definition in `docs/reconstruction.md`, over all samples, and with nothing of what the reconstruction knows.
 
-use glam::{DVec3, EulerRot, Quat, Vec3};
+use glam::{DMat3, DVec3, EulerRot, Quat, Vec3};
 use proptest::prelude::*;
 
 use super::tests::carried;
@@ -20,22 +20,21 @@ fn leaves_range(positions: &[Vec3], displacements: &[DVec3], p: Vec3, u: DVec3) 
     order.sort_by(|a, b| key(a).0.total_cmp(&key(b).0).then(a.cmp(b)));
     order.truncate(AROUND);
 
-    let (mut step, mut slopes) = (0.0f64, Vec::new());
+    let (mut step, mut steepest) = (0.0f64, 0.0f64);
     for i in &order {
         let length = |j: usize| positions[*i].as_dvec3().distance(positions[j].as_dvec3());
-        let mut others: Vec<usize> = order.iter().copied().filter(|j| j != i).collect();
+        let mut others: Vec<usize> = (0..positions.len()).filter(|j| j != i).collect();
         others.sort_by(|a, b| length(*a).total_cmp(&length(*b)));
         for j in others.into_iter().take(EDGES) {
             let difference = displacements[*i].distance(displacements[j]);
             step = step.max(difference);
             if length(j) > 0.0 {
-                slopes.push(difference / length(j));
+                steepest = steepest.max(difference / length(j));
             }
         }
     }
-    slopes.sort_by(f64::total_cmp);
-    let flat = slopes.get((0.3 * slopes.len() as f64) as usize).copied().unwrap_or(0.0);
-    let steepness = slopes.last().copied().unwrap_or(0.0).min(4.0 * flat);
+    let (slope, part) = explained(&order, positions, displacements);
+    let steepness = steepest.min(1.25 * slope) * (2.0 - 4.0 * part).clamp(0.0, 1.0);
 
     let corners: Vec<DVec3> = order.iter().map(|i| positions[*i].as_dvec3() - p.as_dvec3()).collect();
     let further = steepness * distance_from_hull(&corners);
@@ -46,6 +45,29 @@ fn leaves_range(positions: &[Vec3], displacements: &[DVec3], p: Vec3, u: DVec3) 
     let rounding = 2e-6 * (1.0 + u.length() + p.as_dvec3().length());
     let leaves = (low - u).max(u - high).max_element() - rounding;
     if leaves <= 0.0 { 0.0 } else { leaves / step }
+}
+
+/// The norm of the linear map that explains displacements, and the part that it leaves over.
+fn explained(order: &[usize], positions: &[Vec3], displacements: &[DVec3]) -> (f64, f64) {
+    let count = order.len() as f64;
+    let middle = order.iter().map(|i| positions[*i].as_dvec3()).sum::<DVec3>() / count;
+    let mean = order.iter().map(|i| displacements[*i]).sum::<DVec3>() / count;
+    let of = |i: &usize| (positions[*i].as_dvec3() - middle, displacements[*i] - mean);
+    let sum = |f: &dyn Fn(DVec3, DVec3) -> f64| order.iter().map(|i| f(of(i).0, of(i).1)).sum::<f64>();
+    let ridge = 0.02 * sum(&|x, _| x.length_squared());
+    let entries = |f: &dyn Fn(DVec3, DVec3, usize, usize) -> f64| {
+        let mut matrix = DMat3::ZERO;
+        for (row, column) in (0..9).map(|k| (k % 3, k / 3)) {
+            matrix.col_mut(column)[row] = sum(&|x, u| f(x, u, row, column));
+        }
+        matrix
+    };
+    let squares =
+        entries(&|x, _, row, column| x[row] * x[column]) + DMat3::from_diagonal(DVec3::splat(ridge));
+    let slope = entries(&|x, u, row, column| u[row] * x[column]) * squares.inverse();
+    let part = (sum(&|x, u| (u - slope * x).length_squared()) / sum(&|_, u| u.length_squared())).sqrt();
+    let norm = slope.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
+    if norm.is_finite() && part.is_finite() { (norm, part) } else { (0.0, 0.0) }
 }
 
 /// The distance of the origin from the convex hull of points, or a little more: by Frank and Wolfe's method.
