@@ -45,8 +45,7 @@ impl Console {
     pub fn new() -> Self {
         let wish = Arc::new(Wish::default());
         let (for_signals, watched) = (wish.clone(), wish.clone());
-        let watcher = std::thread::Builder::new().name("cancel".into()).spawn(move || watched.watch());
-        let watcher = watcher.ok().map(|thread| thread.thread().clone());
+        let watcher = start("cancel", move || watched.watch()).ok();
         // Without a handler Ctrl-C ends the process at once, which leaves hidden files at worst.
         let _ = signals::listen(move |again| for_signals.stop(again, watcher.as_ref()));
         Self { wish, memory: MemoryWatch::start(), stages: Mutex::default() }
@@ -107,8 +106,7 @@ impl Wish {
         }
     }
 
-    /// Sees to it that the work stops once it was asked to: at work from the beginning, since a thread that begins while a library
-    /// loads may have to wait until that is done.
+    /// Sees to it that the work stops once it was asked to.
     fn watch(&self) {
         while !self.cancelled.load(Ordering::Relaxed) {
             std::thread::park();
@@ -121,6 +119,17 @@ impl Wish {
         let _ = writeln!(std::io::stderr(), "error: {error}\nhint: {}", error.hint());
         leave();
     }
+}
+
+/// Starts a thread, and waits until it runs: one that begins while a library loads waits in the C library until that is done.
+fn start(name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<std::thread::Thread> {
+    let (running, runs) = std::sync::mpsc::channel();
+    let thread = std::thread::Builder::new().name(name.into()).spawn(move || {
+        let _ = running.send(());
+        work();
+    })?;
+    let _ = runs.recv();
+    Ok(thread.thread().clone())
 }
 
 /// Ends the process, without what it is writing.
@@ -155,16 +164,13 @@ mod signals {
                 before |= signal != SIGXFSZ;
             }
         };
-        std::thread::Builder::new().name("signals".into()).spawn(wait).map(drop)
+        super::start("signals", wait).map(drop)
     }
 
     /// The terminal sends Ctrl-C to all processes; this one is not meant.
     pub fn ignore_interrupt() -> std::io::Result<()> {
         let mut signals = Signals::new([SIGINT])?;
-        std::thread::Builder::new()
-            .name("signals".into())
-            .spawn(move || signals.forever().for_each(drop))
-            .map(drop)
+        super::start("signals", move || signals.forever().for_each(drop)).map(drop)
     }
 
     /// The signals that this process was started to ignore, a bit each; nothing where the system does not tell.
