@@ -9,7 +9,7 @@
 //! for more of it where a vertex lies beyond the samples, as off the surface or outside a border. Rounding comes on top:
 //! of the samples' positions, of the displacement, and of the file that is written.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -29,17 +29,23 @@ const RING: usize = 8;
 const TELLING: f64 = 4.0;
 
 /// The part of the spread of what supports say at a vertex that counts; the truth is mostly less.
-const OF_SPREAD: f32 = 0.7;
+const OF_SPREAD: f32 = 0.6;
 
 /// The part of the samples' disagreement halfway that counts, where a vertex lies among them.
-const OF_DISAGREEMENT: f32 = 0.38;
+const OF_DISAGREEMENT: f32 = 0.42;
 
-/// From so far from the middle of the samples that reach it on, as a part of the support's radius, a vertex lies beyond them:
-/// what they leave out counts as much more ...
-const AMONG: f32 = 0.1;
+/// A vertex lies beyond the samples that reach it from this square of its distance from their middle on, each direction measured by
+/// how far they are spread in it: what they leave out counts as much more ...
+const AMONG: f32 = 0.5;
 
-/// ... as it lies further, up to so many times.
-const FURTHEST: f32 = 4.0;
+/// ... as the square is larger, up to so many times ...
+const FURTHEST: f32 = 30.0;
+
+/// ... and up to so many times what the one that differs most says there.
+const SAID: f32 = 2.0;
+
+/// The least spread, as a part of the support's radius: all samples of a roof lie in a plane.
+const FLAT: f32 = 0.03;
 
 /// Where fewer have a say, as many as the weights amount to (their sum's square over that of their squares), there is nobody
 /// to disagree, and what the samples leave out counts so many times.
@@ -225,13 +231,14 @@ impl DeformationField<'_> {
             let near = Neighbourhood::gather(self.around, home, blended_jets::BLENDED, p);
             near.weighted().iter().for_each(|&(i, w)| heard.add(self, i as usize, w, p, u));
         }
-        let Heard { sum, squares, spread, disagreement, center } = heard;
+        let Heard { sum, squares, spread, disagreement, furthest, .. } = heard;
         let radius = self.around.supports.radius[home].max(f32::MIN_POSITIVE);
-        let beyond = p.distance(center / sum) / radius;
         let alone = sum * sum < ALONE * squares;
-        let further = if alone { FOR_ALL } else { (beyond / AMONG).clamp(1.0, FURTHEST) };
+        let further =
+            if alone { FOR_ALL } else { (heard.beyond(FLAT * radius) / AMONG).clamp(1.0, FURTHEST) };
         let [spread, disagreement] = [(spread / sum).sqrt(), disagreement / sum];
-        hypot([OF_SPREAD * spread, OF_DISAGREEMENT * disagreement * further, self.rounding.at(p, u)])
+        let left_out = (further * disagreement).min(disagreement.max(SAID * furthest));
+        hypot([OF_SPREAD * spread, OF_DISAGREEMENT * left_out, self.rounding.at(p, u)])
     }
 
     /// How far vertices are expected to be off by what the samples tell, each for as many vertices as it was the home of in
@@ -292,19 +299,38 @@ struct Heard {
     squares: f32,
     /// Squares of how far each is from what was made of them.
     spread: f32,
+    /// The largest of these.
+    furthest: f32,
     disagreement: f32,
-    center: Vec3,
+    /// Of the samples' places from the vertex, and of their products.
+    places: Vec3,
+    products: [Vec3; 3],
 }
 
 impl Heard {
     /// Hears sample `i` on a vertex at `p` that goes by `u`.
     fn add(&mut self, field: &DeformationField<'_>, i: usize, w: f32, p: Vec3, u: Vec3) {
-        let q = Vec3::from_array(field.expansions[i].center);
-        self.spread += w * says(&field.expansions[i], p).distance_squared(u);
+        let off = says(&field.expansions[i], p).distance_squared(u);
+        let d = Vec3::from_array(field.expansions[i].center) - p;
+        self.spread += w * off;
+        self.furthest = self.furthest.max(off.sqrt());
         self.disagreement += w * field.expected.get(i).map_or(f32::NAN, |e| e.disagreement);
-        self.center += w * q;
+        self.places += w * d;
+        (0..3).for_each(|axis| self.products[axis] += d * (w * d[axis]));
         self.sum += w;
         self.squares += w * w;
+    }
+
+    /// The square of the vertex' distance from the middle of the samples, each direction measured by how far they are spread in it,
+    /// or by `least`: the distance of Mahalanobis.
+    fn beyond(&self, least: f32) -> f32 {
+        let middle = self.places / self.sum;
+        let column = |axis: usize| {
+            self.products[axis] / self.sum - middle * middle[axis] + least * least * Vec3::AXES[axis]
+        };
+        let spread = Mat3::from_cols(column(0), column(1), column(2));
+        let beyond = middle.dot(spread.inverse() * middle);
+        if beyond.is_finite() { beyond } else { FURTHEST }
     }
 }
 
