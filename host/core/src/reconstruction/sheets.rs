@@ -29,6 +29,9 @@ const STACKED: f32 = 10.0;
 /// Links of each sample: a ring.
 const LINKS: usize = 6;
 
+/// A sheet has at least so many samples besides the one that is looked at.
+const LEAST: usize = 3;
+
 /// A chord within this sine of the tangent planes is one along the surface.
 const ALONG: f32 = 0.2;
 
@@ -56,7 +59,8 @@ impl Sheets {
             (0..samples.len()).into_par_iter().map(|i| links(positions, normals, graph.of(i), i)).collect();
         let nowhere = || vec![NOWHERE; samples.len()];
         let alone = |places: &mut Vec<u8>, i: usize| {
-            if let Some(same) = samples.contacts().and_then(|contacts| contacts.same_sheet(i)) {
+            let told = samples.contacts().and_then(|contacts| contacts.same_sheet(i));
+            if let Some(same) = told.filter(|same| same.len() >= LEAST) {
                 return Some(same.to_vec());
             }
             let near = graph.of(i);
@@ -67,8 +71,8 @@ impl Sheets {
             }
             let near = samples.nearest_neighbours(i, CROWDED_NEIGHBOURS);
             let same: Vec<u32> = reached(&links, i, &near, places).take(SHEET_NEIGHBOURS).copied().collect();
-            // Noise and creases alone do not make a second sheet.
-            (same[..] != near[..same.len()]).then_some(same)
+            // Noise and creases alone do not make a second sheet, and fewer samples do not tell how they turn: mostly the normal is wrong.
+            (same.len() >= LEAST && same[..] != near[..same.len()]).then_some(same)
         };
         let (mut starts, mut neighbours) = (vec![0], Vec::with_capacity(samples.len() * graph.k()));
         let mut crowded = Vec::with_capacity(samples.len());

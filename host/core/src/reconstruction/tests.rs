@@ -80,6 +80,26 @@ fn similarities_affine_and_quadratic_maps_are_reproduced() {
     assert!(quadratic < 2e-5, "{quadratic}");
 }
 
+/// As of scans with triangles that are inside out.
+#[test]
+fn samples_whose_normals_are_wrong_turn_with_those_around() {
+    let rest: Vec<Vec3> = patch(40).collect();
+    let normal = |(i, p): (usize, &Vec3)| {
+        let n = Vec3::new(-0.6 * (6.0 * p.x).cos(), 1.0, 0.63 * (9.0 * p.z).sin()).normalize();
+        if i % 97 < 2 { -n } else { n }
+    };
+    let normals = rest.iter().enumerate().map(normal).collect();
+    let set = SampleSet::new(rest, normals).expect("samples");
+    let around = Surroundings::of(&set);
+    let rigid = Affine3A::from_rotation_translation(Quat::from_euler(EulerRot::XYZ, 1.0, -2.0, 0.5), Vec3::X);
+    let deformed: Vec<Vec3> = set.positions.iter().map(|p| rigid.transform_point3(*p)).collect();
+    let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
+    let points: Vec<Vec3> = patch(97).filter(inner).collect();
+    for (p, image) in points.iter().zip(carried(&field, &points)) {
+        assert!(rigid.transform_point3(*p).distance(image) < 2e-6, "{p} goes to {image}");
+    }
+}
+
 #[test]
 fn a_smooth_map_is_followed_to_third_order() {
     let twist = |p: Vec3| Quat::from_rotation_z(2.0 * p.z) * p;
