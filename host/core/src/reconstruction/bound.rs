@@ -34,7 +34,7 @@ const EDGES: usize = 6;
 const RIDGE: f32 = 0.02;
 
 /// What the ridge may take of the map, to be made up for.
-const FLATTENED: f32 = 1.25;
+const FLATTENED: f32 = 1.5;
 
 /// As long as a linear map leaves no more over than this part, what explains the range continues it …
 const EXPLAINED: f32 = 0.25;
