@@ -37,9 +37,9 @@ const RIDGE: f32 = 0.02;
 const FLATTENED: f32 = 1.5;
 
 /// As long as a linear map leaves no more over than this part, what explains the range continues it …
-const EXPLAINED: f32 = 0.25;
-/// … and less and less of it up to this part: a linear map leaves as much of a step.
-const UNEXPLAINED: f32 = 0.5;
+const EXPLAINED: f32 = 0.4;
+/// … and less and less of it up to this part: a linear map leaves about half of a step.
+const UNEXPLAINED: f32 = 0.55;
 
 /// The range of the samples beside a home is looked at for vertices within this part of its support.
 const BESIDE: f32 = 0.5;

@@ -34,7 +34,7 @@ fn leaves_range(positions: &[Vec3], displacements: &[DVec3], p: Vec3, u: DVec3) 
         }
     }
     let (slope, part) = explained(&order, positions, displacements);
-    let steepness = steepest.min(1.5 * slope) * (2.0 - 4.0 * part).clamp(0.0, 1.0);
+    let steepness = steepest.min(1.5 * slope) * ((0.55 - part) / 0.15).clamp(0.0, 1.0);
 
     let corners: Vec<DVec3> = order.iter().map(|i| positions[*i].as_dvec3() - p.as_dvec3()).collect();
     let further = steepness * distance_from_hull(&corners);
