@@ -62,6 +62,25 @@ fn three_commands_and_one_write_the_same_bytes() {
 }
 
 #[test]
+fn samples_are_placed_alike_however_they_come_about() {
+    let work = amphora(MANY / 10, MANY / 100);
+    let refine = "[[step]]\nrefine = { shapes = [{ sphere = { center = [0.41, 1, 0.41], radius = 0.25 } }], factor = 4 }\n";
+    let by = |key: &str, option: &str| {
+        work.write_session("amphora.ply", MANY / 100, &format!("{key}{refine}{STEPS}"));
+        work.simod("run edit.toml");
+        work.simod(&format!("sample amphora.ply -o first.simod --samples {} {option}", MANY / 100));
+        let info = work.simod("info first.simod").stdout;
+        assert_eq!(info.contains("planes of the faces"), option.is_empty(), "{info}");
+        work.simod("deform first.simod --session edit.toml -o deformed.ply --refined refined.simod");
+        work.simod("reconstruct refined.simod --deformed deformed.ply -o by-three.ply");
+        let bytes = work.read("edited.ply");
+        assert!(bytes == work.read("by-three.ply"), "{option}: the two ways differ");
+        bytes
+    };
+    assert!(by("", "") != by("place = \"vertices\"\n", "--place vertices"), "it makes no difference");
+}
+
+#[test]
 fn threads_do_not_change_a_byte() {
     let work = amphora(MANY / 4, MANY / 80);
     let with_threads = |n: usize| {

@@ -264,17 +264,17 @@ fn a_disk_that_fills_while_sampling() {
     work.refuses_beyond(700_000, SAMPLE, &["model.simod"]);
     assert!(contents(&work, "model.simod") == before);
 
-    // Two maps and one more, of 4 bytes for each vertex.
+    // Two maps and one more, of 4 bytes for each vertex, and where it is.
     work.simod("generate -o model.ply --vertices 200000 --no-colors");
     for limit in [0, 512, 400_000, 799_744] {
         refused(
             limit,
             "sample model.ply -o model.simod --samples 1000",
-            "or leave the triangles out with --skip triangles",
+            "or do without the faces, by --skip triangles and --place vertices",
         );
     }
     // As the advice says.
-    let line = "sample model.ply -o model.simod --samples 1000 --skip triangles";
+    let line = "sample model.ply -o model.simod --samples 1000 --skip triangles --place vertices";
     let outcome = work.run_beyond(400_000, line);
     assert_eq!(outcome.code, Some(0), "{}", outcome.stderr);
     assert_eq!(work.names(), ["model.ply", "model.simod"]);

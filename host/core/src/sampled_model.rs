@@ -18,7 +18,7 @@ use crate::refinement::Refinement;
 use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::lattice::Grid;
 use crate::sampling::triangles::Triangles;
-use crate::sampling::{Grouping, SampleSet, Sampling, Skip, Splitting, Target};
+use crate::sampling::{Grouping, Placement, SampleSet, Sampling, Skip, Splitting, Target};
 use crate::touching::Contacts;
 use crate::{Error, ErrorKind, Progress, Result, output};
 
@@ -196,6 +196,9 @@ struct SamplingRecord {
     /// Level of the groups that open cells held, if they held groups.
     #[serde(skip_serializing_if = "Option::is_none")]
     group_level: Option<u32>,
+    /// What placed the samples, if not their vertices alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    placement: Option<Placement>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -327,6 +330,8 @@ impl SampledModel {
                     Grouping::Level(level) => Some(level),
                     _ => None,
                 },
+                placement: Some(self.sampling.placement)
+                    .filter(|placement| *placement != Placement::Vertices),
             },
             frame: FrameRecord {
                 origin: self.frame.origin,
@@ -462,6 +467,7 @@ impl SampledModel {
                 memory_limit: None,
                 splitting: description.sampling.splitting,
                 grouping: description.sampling.group_level.map_or(Grouping::Never, Grouping::Level),
+                placement: description.sampling.placement.unwrap_or(Placement::Vertices),
                 skip: Skip { normals: set.known_normals().is_empty(), ..Skip::default() },
                 sheets: set.contacts().is_some(),
             },

@@ -179,8 +179,9 @@ impl Run {
             ));
         }
         let folder = folder_of(output);
-        let triangles = stack.plugins().any(|p| p.consumes().triangles);
         let cells = tolerance.is_some() || session.steps.iter().any(|step| step.enabled && step.refines());
+        // With triangles, a refinement knows the faces, and places its samples as it does those of a folder.
+        let triangles = cells || stack.plugins().any(|p| p.consumes().triangles);
         let skip = Skip { triangles: !triangles, cells: !cells, ..Skip::default() };
         let (sampled, model) = sampled(session, skip, folder, progress)?;
         let (deformed, certificate) = match tolerance {
@@ -273,6 +274,6 @@ impl From<session_file::Sampling> for Sampling {
             (None, Some(e)) => Target::Error(e),
             (None, None) => Target::default(),
         };
-        Self { target, grid: from.grid, ..Self::default() }
+        Self { target, grid: from.grid, placement: from.place.unwrap_or_default(), ..Self::default() }
     }
 }

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use simod_core::input;
 use simod_core::output::{canonical_target, folder_of};
 use simod_core::refinement::Finer;
+use simod_core::sampling::Placement;
 use simod_core::{Error, ErrorKind, Result};
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
@@ -50,6 +51,8 @@ pub struct Sampling {
     pub error: Option<f64>,
     /// Cells of the grid along its longest side.
     pub grid: Option<u32>,
+    /// What places the samples; by the model's faces, where not given.
+    pub place: Option<Placement>,
 }
 
 /// One step of an edit.

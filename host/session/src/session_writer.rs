@@ -83,6 +83,9 @@ fn sampling(from: &Sampling) -> Table {
     if let Some(grid) = from.grid {
         table["grid"] = value(i64::from(grid));
     }
+    if let Some(place) = from.place {
+        table["place"] = value(place.name());
+    }
     table
 }
 
@@ -263,6 +266,7 @@ mod tests {
     use super::*;
     use crate::session_file::Origin;
     use crate::shapes::Shapes;
+    use simod_core::sampling::Placement;
     use std::sync::Arc;
 
     fn stroke(points: usize) -> Arc<Stroke> {
@@ -317,7 +321,12 @@ mod tests {
         SessionFile {
             model: Some(folder.join("models/nefertiti.ply")),
             fingerprint: Some("xxh3-128:0".to_owned()),
-            sampling: Sampling { samples: Some(50_000), error: None, grid: Some(64) },
+            sampling: Sampling {
+                samples: Some(50_000),
+                error: None,
+                grid: Some(64),
+                place: Some(Placement::Vertices),
+            },
             steps: vec![
                 step(Action::Deform(deformation), false),
                 step(refine(Finer::Factor(4.0)), true),
@@ -377,6 +386,7 @@ fingerprint = "xxh3-128:0"
 [sampling]
 samples = 50000
 grid = 64
+place = "vertices"
 
 [[step]]
 enabled = false

@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use simod_core::guard::Guard;
 use simod_core::output::folder_of;
 use simod_core::sampled_model::SampledModel;
-use simod_core::sampling::{Grouping, Sampling, Skip, Splitting, Target, sample};
+use simod_core::sampling::{Grouping, Placement, Sampling, Skip, Splitting, Target, sample};
 use simod_core::{Result, model};
 
 use super::warn_non_finite;
@@ -43,6 +43,10 @@ pub struct SamplingArguments {
     /// How clusters are split: in space and then in their plane, or in space alone
     #[arg(long, value_enum, default_value_t, value_name = "TREE")]
     tree: Tree,
+    /// What places a sample in its cluster: the planes of the model's faces, if it has any, or its vertices alone, without a
+    /// pass over the faces if `--skip triangles` is given too
+    #[arg(long, value_enum, default_value_t, value_name = "BY")]
+    place: Place,
     /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be estimated
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
     skip: Vec<Part>,
@@ -59,6 +63,16 @@ enum Tree {
     Vs,
     /// Octree alone
     Octree,
+}
+
+/// What places samples.
+#[derive(Clone, Copy, Default, ValueEnum)]
+enum Place {
+    /// Planes of faces
+    #[default]
+    Faces,
+    /// Vertices, with their normals
+    Vertices,
 }
 
 /// Parts of a sampled model.
@@ -102,6 +116,10 @@ impl SamplingArguments {
                 Tree::Octree => Splitting::Octree,
             },
             grouping: Grouping::Automatic,
+            placement: match self.place {
+                Place::Faces => Placement::Faces,
+                Place::Vertices => Placement::Vertices,
+            },
             skip: Skip {
                 triangles: skips(Part::Triangles),
                 cells: skips(Part::Cells),

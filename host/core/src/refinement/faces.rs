@@ -5,13 +5,15 @@ use std::ops::Range;
 use std::path::Path;
 
 use bytemuck::cast_slice;
+use glam::Vec3;
 use memmap2::Mmap;
 
 use super::appending::Appended;
-use super::gathering::joined;
+use super::gathering::{Gathered, joined};
 use super::regrowing::Regrown;
 use crate::model::{FaceChunk, Model, for_faces, for_faces_at};
 use crate::sampling::kept_cells::{KeptCell, KeptCells};
+use crate::sampling::placement::Planes;
 use crate::sampling::triangles::{first_least, once_each};
 use crate::scratch::Scratch;
 use crate::{Progress, Result};
@@ -22,19 +24,39 @@ const ADVICE: &str = "sample the model with --skip triangles, which need it";
 const NEAR: u64 = 4 << 10;
 
 const BYTES: u64 = size_of::<u32>() as u64;
+const POSITION_BYTES: u64 = size_of::<Vec3>() as u64;
 
-/// The leaf of each vertex that was read: in a temporary file of 4 bytes per vertex of the model, of which only as much
-/// is on the disk as is known.
+/// The leaf of each vertex that was read, and where it is if faces place the samples: in temporary files of 4 and 12 bytes per
+/// vertex of the model, of which only as much is on the disk as is known.
 pub(super) struct Members {
     file: Scratch,
+    /// Local coordinates.
+    positions: Option<Scratch>,
 }
 
 impl Members {
-    /// Of no vertex yet, of a model of so many.
-    pub fn new(vertices: u64, folder: &Path) -> Result<Self> {
-        let file = Scratch::new(folder, ADVICE)?;
-        file.set_len(vertices * BYTES)?;
-        Ok(Self { file })
+    /// Of no vertex yet, of a model of so many; `with_positions` says whether these are wanted.
+    pub fn new(vertices: u64, with_positions: bool, folder: &Path) -> Result<Self> {
+        let file = |bytes| {
+            let file = Scratch::new(folder, ADVICE)?;
+            file.set_len(vertices * bytes)?;
+            Ok(file)
+        };
+        Ok(Self { file: file(BYTES)?, positions: with_positions.then(|| file(POSITION_BYTES)).transpose()? })
+    }
+
+    /// Notes where a cell's vertices are, if that is wanted.
+    pub fn note_positions(&self, cell: &Gathered) -> Result<()> {
+        let Some(file) = &self.positions else { return Ok(()) };
+        let mut run: Vec<Vec3> = Vec::new();
+        for (i, (id, vertex)) in cell.ids.iter().zip(&cell.vertices).enumerate() {
+            run.push(vertex.position);
+            if cell.ids.get(i + 1).is_none_or(|next| *next != id + 1) {
+                file.write_at(cast_slice(&run), (u64::from(*id) + 1 - run.len() as u64) * POSITION_BYTES)?;
+                run.clear();
+            }
+        }
+        Ok(())
     }
 
     /// Notes the leaves of a cell's vertices.
@@ -55,16 +77,27 @@ impl Members {
 
     /// The samples of the vertices, once they are numbered.
     pub fn finish(self, samples: usize, appended: &Appended) -> Result<SampleOf<'_>> {
-        Ok(SampleOf { map: self.file.map()?, samples: samples as u32, appended })
+        let positions = self.positions.map(Scratch::map).transpose()?;
+        Ok(SampleOf { map: self.file.map()?, positions, samples: samples as u32, appended })
     }
 }
 
 /// The new sample of each vertex that was read.
 pub(super) struct SampleOf<'a> {
     map: Mmap,
+    positions: Option<Mmap>,
     /// Number of samples that were there.
     samples: u32,
     appended: &'a Appended,
+}
+
+/// What the faces come to.
+pub(super) struct Reindexed {
+    pub triangles: Vec<[u32; 3]>,
+    /// Where the new samples are, if faces place them.
+    pub positions: Option<Vec<Vec3>>,
+    /// How many bytes of the model were read.
+    pub bytes: u64,
 }
 
 impl SampleOf<'_> {
@@ -88,16 +121,17 @@ impl SampleOf<'_> {
     }
 
     /// Streams the faces of the cells whose samples are split, or all where it is not known which these are: the new
-    /// triangles, and how many bytes were read.
+    /// triangles, where the faces place the new samples, no further than `slack` allows, if they shall, and how many bytes were read.
     ///
-    /// Memory: 12 bytes per triangle, twice while the list grows; the chunks of [`for_faces`].
+    /// Memory: 12 bytes per triangle, twice while the list grows; that of [`Planes`]; the chunks of [`for_faces`].
     pub fn reindex(
         &self,
         model: &dyn Model,
         old: &[[u32; 3]],
         kept: &KeptCells,
+        slack: Option<&[f32]>,
         progress: &dyn Progress,
-    ) -> Result<(Vec<[u32; 3]>, u64)> {
+    ) -> Result<Reindexed> {
         let stays = |t: &&[u32; 3]| !t.iter().any(|s| self.appended.split[*s as usize]);
         let mut found: Vec<[u32; 3]> = old.iter().filter(stays).copied().collect();
         let (mut bytes, mut limit) = (0, 2 * found.len().max(1 << 16));
@@ -105,10 +139,15 @@ impl SampleOf<'_> {
         let to_read =
             ranges.as_ref().map_or(model.info().face_bytes, |all| all.iter().map(|r| r.end - r.start).sum());
         progress.begin("reindexing the faces", to_read);
+        let vertices = self.positions.as_ref().map(|map| cast_slice(map));
+        let mut planes = vertices.map(|all| Planes::new(all, &self.appended.positions, self.samples));
         let visit = |chunk: &FaceChunk| {
             progress.check()?;
             for corners in &chunk.triangles {
                 let [Some(a), Some(b), Some(c)] = corners.map(|vertex| self.of(vertex)) else { continue };
+                if let Some(planes) = &mut planes {
+                    planes.take(*corners, [a.0, b.0, c.0]);
+                }
                 if (a.1 || b.1 || c.1) && a.0 != b.0 && b.0 != c.0 && c.0 != a.0 {
                     found.push(first_least([a.0, b.0, c.0]));
                 }
@@ -127,6 +166,8 @@ impl SampleOf<'_> {
         }
         once_each(&mut found);
         found.shrink_to_fit();
-        Ok((found, bytes))
+        let positions =
+            planes.map(|planes| planes.place(|sample| slack.map_or(f32::INFINITY, |slack| slack[sample])));
+        Ok(Reindexed { triangles: found, positions, bytes })
     }
 }

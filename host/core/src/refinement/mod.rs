@@ -28,10 +28,10 @@ use crate::model::Model;
 use crate::output::human_size;
 use crate::reconstruction::{DeformationField, Moved, carry};
 use crate::sampled_model::SampledModel;
-use crate::sampling::cut::threshold_for;
+use crate::sampling::cut::{self, threshold_for};
 use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::lattice::CellMap;
-use crate::sampling::{LEAST_MEMORY, total_memory};
+use crate::sampling::{LEAST_MEMORY, Placement, total_memory};
 use crate::{Error, ErrorKind, Progress, Result};
 use appending::{Appended, append};
 use faces::Members;
@@ -161,7 +161,7 @@ const PRUNE_TO: f64 = 1.2;
 const FORESIGHT: f64 = 3.0;
 
 /// Refines a sampled model, whose cells are held, where it is selected. Temporary files without a name are made in `folder`, of 4 bytes per
-/// vertex that is read, if there are triangles.
+/// vertex that is read, if there are triangles, and 12 more where faces place the samples.
 ///
 /// Memory: below the limit, for any selection. Cells come in batches of at most 96 MiB, or one at a time; 240 bytes for each of their
 /// vertices. The new samples take 200 bytes each, at most half of the limit. P_S itself comes on top.
@@ -206,7 +206,7 @@ pub fn refine(
         },
     };
     progress.begin("completing the samples", 0);
-    let appended = append(kept, &sampled.samples.positions, &cells, bound);
+    let mut appended = append(kept, &sampled.samples.positions, &cells, bound);
     drop(cells);
     let added = appended.positions.len() as u64;
     let mut refined = Refined {
@@ -222,11 +222,19 @@ pub fn refine(
     let mut triangles = Vec::new();
     if let Some(members) = members {
         let sample_of = members.finish(sampled.samples.len(), &appended)?;
-        let found = sample_of.reindex(model, &sampled.triangles, kept, progress);
-        (triangles, refined.face_bytes) = found.map_err(|e| match e.kind() {
+        // A bound that was asked for is kept.
+        let slack = matches!(how.finer, Finer::Error(_)).then(|| {
+            let there = sampled.samples.len();
+            let trees = appended.trees.iter().map(|(_, tree)| tree);
+            cut::slack(trees, there..there + appended.positions.len(), bound)
+        });
+        let found = sample_of.reindex(model, &sampled.triangles, kept, slack.as_deref(), progress);
+        let found = found.map_err(|e| match e.kind() {
             ErrorKind::Format if kept.knows_faces => sampled.source_changed(model.path()),
             _ => e,
         })?;
+        (triangles, refined.face_bytes) = (found.triangles, found.bytes);
+        appended.positions = found.positions.unwrap_or(appended.positions);
     }
     progress.check()?;
     let mut kept = kept.clone();
@@ -427,7 +435,8 @@ impl Work<'_> {
         let mut cells = wanted;
         let members = if has_triangles && !cells.is_empty() {
             self.add_neighbours(&mut cells);
-            Some(Members::new(sampled.source.vertices, self.folder)?)
+            let by_faces = sampled.sampling.placement == Placement::Faces;
+            Some(Members::new(sampled.source.vertices, by_faces, self.folder)?)
         } else {
             None
         };
@@ -448,6 +457,9 @@ impl Work<'_> {
             progress.begin("reading the cells", gathering.bytes_of(&places));
             let (gathered, bytes) = gathering.read(&places, *progress)?.ok_or_else(|| self.changed())?;
             vertex_bytes += bytes;
+            if let Some(members) = &members {
+                gathered.iter().try_for_each(|cell| members.note_positions(cell))?;
+            }
             progress.begin("refining", 0);
             let how = Regrowing {
                 splitting: sampled.sampling.splitting,

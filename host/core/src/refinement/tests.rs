@@ -551,7 +551,7 @@ fn with_field<T>(
 }
 
 /// To look for triangles alone.
-fn all_triangles() -> Wanted<'static> {
+fn all_triangles() -> Wanted<'static, 'static> {
     Wanted { triangles: true, ..Wanted::default() }
 }
 

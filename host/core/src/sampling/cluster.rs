@@ -380,7 +380,7 @@ impl Moments {
 }
 
 /// The matrix of xx, yy, zz and xy, yz, zx.
-fn symmetric(diagonal: DVec3, off: DVec3) -> DMat3 {
+pub(crate) fn symmetric(diagonal: DVec3, off: DVec3) -> DMat3 {
     DMat3::from_cols(
         DVec3::new(diagonal.x, off.x, off.z),
         DVec3::new(off.x, diagonal.y, off.y),

@@ -13,9 +13,11 @@
 //! again: of a part f of the vertices, √f times as many are kept, more than its share. Should the rest be so plain that
 //! this is too few in the end, the cut says so, and pass 2 has to begin again without.
 
+use std::ops::Range;
+
 use glam::Vec3;
 
-use super::cluster::Moments;
+use super::cluster::{Moments, REACH_WEIGHT};
 use super::finalization::ClusteredCell;
 use super::kept_cells::CutTree;
 use super::lattice::{CellKey, CellMap, Grid};
@@ -242,6 +244,21 @@ impl Cut {
         self.positions.push(node.position);
         self.normals.push(node.normal);
     }
+}
+
+/// How far each of the samples from `first` on may move without the error of its cluster exceeding a bound, if it does not yet.
+pub fn slack<'a>(trees: impl Iterator<Item = &'a CutTree>, samples: Range<usize>, bound: f32) -> Vec<f32> {
+    let mut slack = vec![f32::INFINITY; samples.len()];
+    for tree in trees {
+        let leaves = tree.children.iter().zip(&tree.errors).filter(|(children, _)| **children == 0);
+        for (sample, (_, error)) in tree.samples.iter().zip(leaves) {
+            let slack = (*sample as usize).checked_sub(samples.start).and_then(|i| slack.get_mut(i));
+            if let Some(slack) = slack.filter(|_| *error <= bound) {
+                *slack = (bound - error) / REACH_WEIGHT as f32;
+            }
+        }
+    }
+    slack
 }
 
 /// Clusters beyond one per tree that are kept for a target, until they are pruned.

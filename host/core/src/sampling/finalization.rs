@@ -71,6 +71,8 @@ pub struct Pass<'a> {
     pub foresight: bool,
     /// Whether it shall be known which cluster each vertex belongs to.
     pub with_members: bool,
+    /// Whether it shall also be known where each vertex is.
+    pub with_positions: bool,
     /// Where temporary files go.
     pub folder: &'a Path,
     /// Watches.
@@ -103,7 +105,7 @@ impl Pass<'_> {
     pub fn run<G: Gather>(&self, gather: G) -> Result<Option<Clustered>> {
         let info = self.model.info();
         self.progress.begin("clustering", info.vertex_bytes);
-        let members = || Membership::new(self.grid, info.vertices, self.folder);
+        let members = || Membership::new(self.grid, info.vertices, self.with_positions, self.folder);
         let mut clustered = Clustered {
             forest: Forest::new(self.grid, self.target, self.bound, self.most, self.foresight),
             hash: Xxh3Default::new(),
@@ -145,7 +147,7 @@ impl Pass<'_> {
                     let cell = match &current {
                         Some((inside, cell)) if inside.contains(*p) => *cell,
                         _ if !p.is_finite() => {
-                            membership.as_mut().map_or(Ok(()), |members| members.push(None))?;
+                            membership.as_mut().map_or(Ok(()), |members| members.push(None, Vec3::NAN))?;
                             continue;
                         }
                         _ => {
@@ -159,12 +161,13 @@ impl Pass<'_> {
                     let c = cell as usize;
                     left[c] = left[c].checked_sub(1).ok_or_else(|| changed(model))?;
                     let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
-                    let Some(index) = gather.add(cell, frame.to_local(*p), normal)? else {
+                    let local = frame.to_local(*p);
+                    let Some(index) = gather.add(cell, local, normal)? else {
                         has_room = false;
                         return Err(Error::cancelled());
                     };
                     if let Some(members) = membership.as_mut() {
-                        members.push(Some((cell, index)))?;
+                        members.push(Some((cell, index)), local)?;
                     }
                     if left[c] == 0 {
                         let items = gather.take(cell);

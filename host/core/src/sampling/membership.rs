@@ -1,14 +1,17 @@
-//! Which sample of P_S stands for each vertex of P_L: what it takes to give P_S the faces of P_L.
+//! Which sample of P_S stands for each vertex of P_L, and where the vertex is: what it takes to know what the faces of P_L are
+//! to P_S.
 //!
 //! As this is as large as P_L, it is in temporary files of 4 bytes per vertex: while the model streams, each vertex'
 //! item (all cells' items are counted in one row, in which a cell has as many places as vertices), and in the end its
-//! sample in the same place; and once a cell is clustered, each item's leaf.
+//! sample in the same place; and once a cell is clustered, each item's leaf. Where faces place the samples, positions take
+//! 12 bytes more.
 
 use std::path::Path;
 use std::sync::Arc;
 
 use bytemuck::{cast_slice, cast_slice_mut};
-use memmap2::MmapMut;
+use glam::Vec3;
+use memmap2::{Mmap, MmapMut};
 use rayon::prelude::*;
 
 use super::lattice::Grid;
@@ -18,6 +21,9 @@ use crate::{Error, Progress, Result};
 
 /// Numbers written at a time, by the stream and by each thread.
 const BUFFER: usize = 1 << 16;
+
+/// Positions written at a time.
+const POSITIONS: usize = 1 << 14;
 
 /// Files of so many numbers: items and later samples, and leaves.
 const FILES: u64 = 2;
@@ -30,15 +36,23 @@ const BYTES: u64 = size_of::<u32>() as u64;
 /// No sample.
 const NONE: u32 = u32::MAX;
 
-const ADVICE: &str = "leave the triangles out with --skip triangles";
+const ADVICE: &str = "do without the faces, by --skip triangles and --place vertices";
 
 /// While the model streams.
 ///
-/// Memory: 4 bytes per cell, and a buffer.
+/// Memory: 4 bytes per cell, and two buffers.
 pub struct Membership {
     leaves: Arc<Leaves>,
     items: Scratch,
     buffer: Vec<u32>,
+    written: u64,
+    positions: Option<Positions>,
+}
+
+/// Where each vertex is, local coordinates.
+struct Positions {
+    file: Scratch,
+    buffer: Vec<Vec3>,
     written: u64,
 }
 
@@ -53,13 +67,14 @@ impl Membership {
     /// Most vertices: beyond it, nothing can refer to them.
     pub const MAX_VERTICES: u64 = NONE as u64;
 
-    /// Of no vertex yet. The files go to `folder`.
+    /// Of no vertex yet; `with_positions` says whether these are wanted. The files go to `folder`.
     ///
     /// # Errors
     /// They cannot be made, or the disk has no room for them.
-    pub fn new(grid: &Grid, vertices: u64, folder: &Path) -> Result<Self> {
+    pub fn new(grid: &Grid, vertices: u64, with_positions: bool, folder: &Path) -> Result<Self> {
         // Better known before a large model is clustered.
-        check_space(folder, folder, FILES * BYTES * vertices)
+        let bytes = FILES * BYTES + if with_positions { size_of::<Vec3>() as u64 } else { 0 };
+        check_space(folder, folder, bytes.saturating_mul(vertices))
             .map_err(|e| Error::new(e.kind(), e.to_string(), format!("{}; or {ADVICE}", e.hint())))?;
         let mut next = 0u32;
         let starts = grid.records.iter().map(|r| {
@@ -75,6 +90,7 @@ impl Membership {
             items: Scratch::new(folder, ADVICE)?,
             buffer: Vec::with_capacity(BUFFER),
             written: 0,
+            positions: with_positions.then(|| Positions::new(folder)).transpose()?,
         })
     }
 
@@ -83,12 +99,15 @@ impl Membership {
         self.leaves.clone()
     }
 
-    /// The next vertex is part of an item of a cell, or of none.
+    /// The next vertex is part of an item of a cell, or of none, and at this place.
     ///
     /// # Errors
     /// The file cannot be written.
     #[inline]
-    pub fn push(&mut self, item: Option<(u32, u32)>) -> Result<()> {
+    pub fn push(&mut self, item: Option<(u32, u32)>, position: Vec3) -> Result<()> {
+        if let Some(positions) = &mut self.positions {
+            positions.push(position)?;
+        }
         self.buffer.push(item.map_or(NONE, |(cell, index)| self.leaves.starts[cell as usize] + index));
         if self.buffer.len() == BUFFER { self.flush() } else { Ok(()) }
     }
@@ -133,7 +152,8 @@ impl Membership {
             progress.advance(chunk.len() as u64);
             self.items.write_at(cast_slice(&chunk), first * BYTES)
         })?;
-        Ok(SampleOf(self.items.map_mut()?))
+        let positions = self.positions.map(Positions::finish).transpose()?;
+        Ok(SampleOf { samples: self.items.map_mut()?, positions })
     }
 }
 
@@ -159,18 +179,45 @@ impl Leaves {
     }
 }
 
+impl Positions {
+    fn new(folder: &Path) -> Result<Self> {
+        Ok(Self { file: Scratch::new(folder, ADVICE)?, buffer: Vec::with_capacity(POSITIONS), written: 0 })
+    }
+
+    #[inline]
+    fn push(&mut self, position: Vec3) -> Result<()> {
+        self.buffer.push(position);
+        if self.buffer.len() == POSITIONS { self.flush() } else { Ok(()) }
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        self.file.write_at(cast_slice(&self.buffer), self.written)?;
+        self.written += size_of_val(&self.buffer[..]) as u64;
+        self.buffer.clear();
+        Ok(())
+    }
+
+    fn finish(mut self) -> Result<Mmap> {
+        self.flush()?;
+        self.file.map()
+    }
+}
+
 /// The sample of each vertex.
-pub struct SampleOf(MmapMut);
+pub struct SampleOf {
+    samples: MmapMut,
+    positions: Option<Mmap>,
+}
 
 impl SampleOf {
     /// The samples of all vertices; `u32::MAX` for those that have none, as their position is not finite.
     pub fn all(&self) -> &[u32] {
-        cast_slice(&self.0)
+        cast_slice(&self.samples)
     }
 
-    /// The same, to be changed.
-    pub fn all_mut(&mut self) -> &mut [u32] {
-        cast_slice_mut(&mut self.0)
+    /// The same, to be changed, and where the vertices are (local coordinates), if that was wanted.
+    pub fn all_mut(&mut self) -> (&mut [u32], Option<&[Vec3]>) {
+        (cast_slice_mut(&mut self.samples), self.positions.as_ref().map(|map| cast_slice(map)))
     }
 }
 

@@ -15,6 +15,7 @@ pub mod lattice;
 mod membership;
 pub(crate) mod normals;
 mod open_cells;
+pub(crate) mod placement;
 mod ranges;
 mod sample_set;
 pub(crate) mod triangles;
@@ -23,10 +24,12 @@ pub mod vs_tree;
 use std::ops::Range;
 use std::path::Path;
 
+use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 pub use gather::Grouping;
+pub use placement::Placement;
 pub use sample_set::{NEIGHBOURS, NeighbourGraph, SampleSet};
 pub use vs_tree::Splitting;
 
@@ -42,6 +45,7 @@ use gather::{Groups, Samples};
 use kept_cells::{KeptCell, KeptCells};
 use lattice::{CellKey, CellRecord, Grid, Lattice};
 use membership::Membership;
+use placement::Planes;
 use triangles::{Triangles, Wanted};
 
 /// How fine P_S shall be.
@@ -75,6 +79,8 @@ pub struct Sampling {
     pub splitting: Splitting,
     /// Whether open cells hold samples or groups of them.
     pub grouping: Grouping,
+    /// What places the samples.
+    pub placement: Placement,
     /// What is not wanted.
     pub skip: Skip,
     /// Whether faces tell sheets apart that touch, which takes a pass over them as the triangles do, and temporary files of at
@@ -140,7 +146,7 @@ pub(crate) fn total_memory() -> u64 {
 }
 
 /// Samples a model. Temporary files without a name are made in `folder`: of at most 40 bytes per vertex if the memory
-/// limit is reached, and of 8 bytes per vertex for the triangles.
+/// limit is reached, and of 8 bytes per vertex for the triangles, of 20 where faces place the samples.
 ///
 /// Not to be called on a thread of the pool of threads that it uses, and waits for.
 ///
@@ -191,6 +197,10 @@ pub fn sample(
         // … and none other than asked for.
         (None, _) => u64::MAX,
     };
+    let reads_faces = info.faces > 0 && info.vertices <= Membership::MAX_VERTICES;
+    let placement = if reads_faces { sampling.placement } else { Placement::Vertices };
+    let sampling = &Sampling { placement, ..*sampling };
+    let by_faces = placement == Placement::Faces;
     let clustered = |foresight| -> Result<_> {
         let pass = Pass {
             model,
@@ -202,9 +212,8 @@ pub fn sample(
             most: usize::try_from(sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE)
                 .unwrap_or(usize::MAX),
             foresight,
-            with_members: (sampling.sheets || !sampling.skip.triangles)
-                && info.faces > 0
-                && info.vertices <= Membership::MAX_VERTICES,
+            with_members: reads_faces && (by_faces || sampling.sheets || !sampling.skip.triangles),
+            with_positions: by_faces,
             folder,
             progress,
         };
@@ -232,18 +241,22 @@ pub fn sample(
     };
     let (jumps, ranges) = (ranges.jumps(), ranges.into_cells().collect::<Vec<_>>());
 
-    let mut reindexed = Reindexed { cut, triangles: Triangles::default(), faces: None, parted: None };
+    let mut reindexed =
+        Reindexed { cut, triangles: Triangles::default(), faces: None, parted: None, placed: None };
     let parting = Parting { model, ranges: &ranges, frame, folder, progress };
     let sample_of = match membership {
         None => None,
         Some(members) => {
             progress.begin("looking up each vertex' sample", info.vertices);
             let mut sample_of = members.finish(&reindexed.cut.starts, progress)?;
-            reindexed.run(sampling, &parting, sample_of.all_mut())?;
+            let (samples, vertices) = sample_of.all_mut();
+            let read = Read { sampling, bound, parting: &parting, vertices };
+            reindexed.run(&read, samples)?;
             Some(sample_of)
         }
     };
-    let Reindexed { cut, triangles, faces, parted } = reindexed;
+    let Reindexed { mut cut, triangles, faces, parted, placed } = reindexed;
+    cut.positions = placed.unwrap_or(cut.positions);
     progress.check()?;
     let trees = cut.trees;
     let mut sampled = SampledModel::new(
@@ -277,6 +290,16 @@ pub fn sample(
     Ok(sampled)
 }
 
+/// How the faces are read.
+struct Read<'a> {
+    sampling: &'a Sampling,
+    /// The error bound, local units, if that is the target.
+    bound: f32,
+    parting: &'a Parting<'a>,
+    /// Where the vertices are (local coordinates), if faces place the samples.
+    vertices: Option<&'a [Vec3]>,
+}
+
 /// P_S once the faces are known.
 struct Reindexed {
     cut: cut::Cut,
@@ -285,12 +308,15 @@ struct Reindexed {
     faces: Option<Vec<Vec<Range<u64>>>>,
     /// How clusters of several sheets were parted.
     parted: Option<Parted>,
+    /// Where the faces place the samples.
+    placed: Option<Vec<Vec3>>,
 }
 
 impl Reindexed {
     /// Reads the faces. Where they tell that clusters hold several sheets, these are parted, if need be after a
     /// coarser cut, so that there are no more samples than are wanted; and the faces are read once more.
-    fn run(&mut self, sampling: &Sampling, parting: &Parting<'_>, sample_of: &mut [u32]) -> Result<()> {
+    fn run(&mut self, read: &Read<'_>, sample_of: &mut [u32]) -> Result<()> {
+        let Read { sampling, parting, .. } = *read;
         let info = parting.model.info();
         let (mut islands, mut welded) = (None, false);
         if sampling.sheets {
@@ -302,7 +328,7 @@ impl Reindexed {
             }
             islands = Some(each);
         }
-        self.read_faces(sampling, parting, sample_of, islands.as_mut())?;
+        self.read_faces(read, sample_of, islands.as_mut())?;
         let Some(mut islands) = islands else { return Ok(()) };
         let Some(mut parts) = parting.find(&mut islands, sample_of, &self.cut.trees, welded)? else {
             return Ok(());
@@ -321,7 +347,7 @@ impl Reindexed {
                 self.cut = cut;
                 match parting.find(&mut islands, sample_of, &self.cut.trees, true)? {
                     Some(found) => parts = found,
-                    None => return self.read_faces(sampling, parting, sample_of, None),
+                    None => return self.read_faces(read, sample_of, None),
                 }
             }
             most = n.saturating_sub(self.cut.samples());
@@ -338,19 +364,20 @@ impl Reindexed {
             self.cut.normals.push(*normal);
         }
         self.parted = Some(parted);
-        self.read_faces(sampling, parting, sample_of, None)
+        self.read_faces(read, sample_of, None)
     }
 
-    /// Finds the triangles, and where the faces of each cell are, if they are wanted; and what hangs together.
+    /// Finds the triangles, and where the faces of each cell are, if they are wanted; what hangs together; and where samples
+    /// are by the faces, if these place them.
     fn read_faces(
         &mut self,
-        sampling: &Sampling,
-        parting: &Parting<'_>,
+        read: &Read<'_>,
         sample_of: &[u32],
         islands: Option<&mut Islands>,
     ) -> Result<()> {
+        let Read { sampling, bound, parting, vertices } = *read;
         let triangles = !sampling.skip.triangles;
-        if !triangles && islands.is_none() {
+        if !triangles && islands.is_none() && vertices.is_none() {
             return Ok(());
         }
         parting.progress.begin("reindexing the faces", parting.model.info().face_bytes);
@@ -358,13 +385,21 @@ impl Reindexed {
         let added = self.parted.as_ref().map_or(&[][..], |parted| &parted.added);
         let mut ranges = (triangles && !sampling.skip.cells)
             .then(|| FaceRanges::new(trees, samples - added.len(), added.iter().map(|(of, ..)| *of)));
-        let wanted = Wanted { triangles, ranges: ranges.as_mut(), islands };
+        let mut planes = vertices.map(|vertices| Planes::new(vertices, &self.cut.positions, 0));
+        let wanted = Wanted { triangles, ranges: ranges.as_mut(), islands, planes: planes.as_mut() };
         let found = triangles::reindex(parting.model, sample_of, samples, wanted, parting.progress);
         self.triangles = found.map_err(|e| {
             let hint =
-                format!("{}; or leave the faces out with --skip triangles, and without --sheets", e.hint());
+                format!("{}; or do without the faces, by --skip triangles and --place vertices", e.hint());
             if e.kind() == ErrorKind::Format { Error::new(e.kind(), e.to_string(), hint) } else { e }
         })?;
+        if let Some(planes) = planes {
+            // The promise of an error bound is kept.
+            let slack = matches!(sampling.target, Target::Error(_))
+                .then(|| cut::slack(trees.iter(), 0..samples, bound));
+            self.placed =
+                Some(planes.place(|sample| slack.as_ref().map_or(f32::INFINITY, |slack| slack[sample])));
+        }
         self.faces =
             ranges.filter(|_| !self.triangles.triangles.is_empty()).and_then(|r| r.into_cells(trees));
         Ok(())

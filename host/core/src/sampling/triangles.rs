@@ -2,6 +2,7 @@
 //! (J. Rossignac, P. Borrel, *Multi-resolution 3D approximations for rendering complex scenes*, 1993).
 
 use super::face_ranges::FaceRanges;
+use super::placement::Planes;
 use crate::model::{Model, for_faces};
 use crate::touching::Islands;
 use crate::{Progress, Result};
@@ -24,13 +25,15 @@ pub struct Triangles {
 
 /// What is looked for in the faces.
 #[derive(Default)]
-pub struct Wanted<'a> {
+pub struct Wanted<'a, 'p> {
     /// The triangles of P_S.
     pub triangles: bool,
     /// Where the faces of each cell are.
     pub ranges: Option<&'a mut FaceRanges>,
     /// What hangs together.
     pub islands: Option<&'a mut Islands>,
+    /// The planes around each sample.
+    pub planes: Option<&'a mut Planes<'p>>,
 }
 
 /// Streams the faces of a model. `sample_of` says which sample each vertex belongs to.
@@ -44,10 +47,10 @@ pub fn reindex(
     model: &dyn Model,
     sample_of: &[u32],
     samples: usize,
-    wanted: Wanted<'_>,
+    wanted: Wanted<'_, '_>,
     progress: &dyn Progress,
 ) -> Result<Triangles> {
-    let Wanted { triangles, mut ranges, mut islands } = wanted;
+    let Wanted { triangles, mut ranges, mut islands, mut planes } = wanted;
     let most = MOST_PER_SAMPLE * samples.max(64);
     let mut found = Triangles::default();
     for_faces(model, |chunk| {
@@ -89,19 +92,24 @@ pub fn reindex(
                 }
             }
         };
-        match &mut islands {
-            // Side by side, each in the file's order.
-            Some(islands) => {
-                rayon::join(reindex, || {
-                    for corners in &chunk.triangles {
-                        if let [Some(a), Some(b), Some(c)] = corners.map(|v| sample_of.get(v as usize)) {
-                            islands.take(*corners, [*a, *b, *c]);
-                        }
-                    }
-                });
+        let known = |corners: [u32; 3]| match corners.map(|v| sample_of.get(v as usize)) {
+            [Some(a), Some(b), Some(c)] => Some([*a, *b, *c]),
+            _ => None,
+        };
+        let mut join = || {
+            let Some(islands) = &mut islands else { return };
+            for corners in &chunk.triangles {
+                known(*corners).into_iter().for_each(|of| islands.take(*corners, of));
             }
-            None => reindex(),
-        }
+        };
+        let mut add_planes = || {
+            let Some(planes) = &mut planes else { return };
+            for corners in &chunk.triangles {
+                known(*corners).into_iter().for_each(|of| planes.take(*corners, of));
+            }
+        };
+        // Side by side, each in the file's order.
+        rayon::join(&mut reindex, || rayon::join(&mut join, &mut add_planes));
         progress.advance(chunk.bytes);
         Ok(())
     })?;

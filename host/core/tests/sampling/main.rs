@@ -6,6 +6,7 @@ mod cells;
 mod emerging;
 mod groups;
 mod parts;
+mod placement;
 mod promises;
 mod touching;
 mod triangles;

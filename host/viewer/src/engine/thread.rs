@@ -262,11 +262,14 @@ fn opened(
 
 /// A session that samples a model as it was sampled.
 fn session_of(sampled: &SampledModel) -> SessionFile {
-    use simod_core::sampling::Target;
+    use simod_core::sampling::{Placement, Target};
     let (samples, error) = match sampled.sampling.target {
         Target::Samples(n) => (Some(n), None),
         Target::Error(e) => (None, Some(e)),
     };
-    let sampling = Sampling { samples, error, grid: sampled.sampling.grid };
+    // Without faces it is no choice.
+    let by_vertices = sampled.sampling.placement == Placement::Vertices && !sampled.triangles.is_empty();
+    let place = by_vertices.then_some(Placement::Vertices);
+    let sampling = Sampling { samples, error, grid: sampled.sampling.grid, place };
     SessionFile { model: Some(sampled.source.path.clone()), sampling, ..SessionFile::default() }
 }
