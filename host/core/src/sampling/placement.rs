@@ -13,10 +13,6 @@ use super::cluster::symmetric;
 /// Strength of the ridge, relative to the trace of the quadric.
 const RIDGE: f64 = 3e-4;
 
-/// How much more a face counts that lies across the border of clusters: the triangles of P_S reach beyond it, as far as to the
-/// next samples.
-const ACROSS: f32 = 3.0;
-
 /// What tells where in its cluster a sample lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -38,7 +34,7 @@ impl Placement {
     }
 }
 
-/// The planes of the faces around each sample, summed up.
+/// The planes of the faces around each sample's cluster, summed up.
 ///
 /// Memory: 48 bytes per sample.
 pub struct Planes<'a> {
@@ -68,10 +64,14 @@ impl<'a> Planes<'a> {
         Self { vertices, samples, first, quadrics: vec![Quadric::default(); samples.len()] }
     }
 
-    /// Adds a face, once, to each sample that one of its corners belongs to: the planes of those at the border of two clusters
-    /// count for both.
+    /// Adds a face across the border of clusters, once, to each sample that one of its corners belongs to. The triangles of P_S
+    /// reach from sample to sample, and so a surface fits them best that is known where clusters meet: faces inside of them
+    /// add nothing to that, and would take most of the time.
     #[inline]
     pub fn take(&mut self, corners: [u32; 3], of: [u32; 3]) {
+        if of[0] == of[1] && of[1] == of[2] {
+            return;
+        }
         let [a, b, c] = corners.map(|vertex| Vec3A::from(self.vertices[vertex as usize]));
         // Its length is twice the area.
         let across = (b - a).cross(c - a);
@@ -80,8 +80,6 @@ impl<'a> Planes<'a> {
         if !normal.is_finite() {
             return;
         }
-        let is_inside = of[0] == of[1] && of[1] == of[2];
-        let across = if is_inside { across } else { across * ACROSS };
         let plane = Quadric {
             squares: (across * normal).extend(0.0),
             products: (across * normal.yzx()).extend(0.0),
@@ -155,9 +153,11 @@ mod tests {
         let samples = [sample];
         let mut planes = Planes::new(vertices, &samples, 7);
         for corners in faces {
-            planes.take(*corners, [7; 3]);
-            // Of samples before and behind.
+            // With samples before and behind, which are none of these.
+            planes.take(*corners, [7, 7, 6]);
             planes.take(*corners, [6, 8, u32::MAX]);
+            // Inside, it is for no triangle of P_S.
+            planes.take([1, 2, 3], [7; 3]);
         }
         planes.place(|_| most)[0]
     }
