@@ -79,6 +79,8 @@
 #define SIMOD_INPUT_STROKES "simod.strokes/1"
 #define SIMOD_INPUT_MODEL_FRAME "simod.model-frame/1"
 #define SIMOD_INPUT_EFFORT "simod.effort/1"
+#define SIMOD_INPUT_TIME "simod.time/1"
+#define SIMOD_INPUT_REST_POSITIONS "simod.rest-positions/1"
 // An input that whoever places handles gets unasked.
 #define SIMOD_INPUT_HANDLE_MOTIONS "simod.handle-motions/1"
 
@@ -86,6 +88,11 @@
 #define SIMOD_EVALUATE "simod.evaluate/1"
 #define SIMOD_HANDLES "simod.handles/1"
 #define SIMOD_IS_IDENTITY "simod.is-identity/1"
+#define SIMOD_MIGRATION "simod.migration/1"
+
+// Services that the host's `extension` is asked for.
+#define SIMOD_NEAREST "simod.nearest/1"
+#define SIMOD_SURFACE "simod.surface/1"
 
 
 // The version of this interface. A host refuses plugins of another major version. The minor one counts up as
@@ -94,7 +101,7 @@
 #define SIMOD_INTERFACE_MAJOR 1
 
 // See SIMOD_INTERFACE_MAJOR.
-#define SIMOD_INTERFACE_MINOR 1
+#define SIMOD_INTERFACE_MINOR 2
 
 // What a call returns if all is well. Everything else is an error.
 #define SIMOD_OK 0
@@ -114,6 +121,9 @@
 
 // A bug of the plugin or the host, or memory that ran out.
 #define SIMOD_INTERNAL 6
+
+// What the plugin needs is not there: an older host, or samples without triangles.
+#define SIMOD_UNSUPPORTED 7
 
 // One number.
 #define SIMOD_PARAM_FLOAT 1
@@ -187,6 +197,12 @@
 
 // Soon, while a handle is dragged.
 #define SIMOD_EFFORT_DRAFT 2
+
+// Positions of the samples as the step is given them: `SimodSamples.positions`.
+#define SIMOD_POSE_CURRENT 1
+
+// Positions of the samples before all steps, for plugins that use SIMOD_INPUT_REST_POSITIONS.
+#define SIMOD_POSE_REST 2
 
 // The parent of a joint or a handle that hangs on no other.
 #define SIMOD_ROOT UINT32_MAX
@@ -361,7 +377,8 @@ typedef struct SimodHost {
                          size_t count,
                          void (*body)(void *context, size_t i),
                          void *context);
-    // A capability of the host by id, such as later versions may have; NULL where there is none.
+    // A capability of the host by id: a SimodNearest for SIMOD_NEAREST and so on, constant. NULL where there
+    // is none.
     const void *(*extension)(const struct SimodHost *host, const char *id);
 } SimodHost;
 
@@ -482,6 +499,91 @@ typedef struct SimodIsIdentity {
     uint8_t (*is_identity)(const struct SimodDeformInput *input);
 } SimodIsIdentity;
 
+// A parameter's former name.
+typedef struct SimodAlias {
+    // The id that older sessions give; no parameter has it now.
+    const char *former;
+    // The id that the parameter has now.
+    const char *now;
+} SimodAlias;
+
+// Where a plugin puts the settings of now.
+typedef struct SimodSettingList {
+    // The host's own.
+    void *context;
+    // Gives a parameter. The host copies it. Its kind is what it looks like: SIMOD_PARAM_FLOAT or _INT for a
+    // number, _BOOL, _CHOICE for any text, _DIRECTION for three numbers, _COLOUR for four, _CURVE for pairs.
+    void (*set)(struct SimodSettingList *list, const struct SimodParam *setting);
+} SimodSettingList;
+
+// SIMOD_MIGRATION: sessions that are older than the plugin keep working.
+typedef struct SimodMigration {
+    // Counts up, from 1, whenever the meaning of a parameter changes; saved sessions write it down. One that
+    // says no version is of the first. Required.
+    uint32_t state_version;
+    // Former names of parameters.
+    const struct SimodAlias *aliases;
+    // How many of them there are.
+    size_t alias_count;
+    // Gives `to` what a session of version `from`, which is less than that of now, has to give now, of what it
+    // gave: in model coordinates and the user's units, checked by nobody, under the ids of now (aliases have
+    // been applied). What is not given to `to` has its default. Takes microseconds; any thread. The host has
+    // no samples in this call. NULL where all stays as it is.
+    uint32_t (*migrate)(uint32_t from,
+                        const struct SimodParam *settings,
+                        size_t count,
+                        struct SimodSettingList *to,
+                        const struct SimodHost *host);
+} SimodMigration;
+
+// SIMOD_NEAREST, of the host: the nearest of the samples of the call that it was asked for in. From any
+// thread; the first time takes some 0.1 s for 350 000 samples, and what it took is kept with the state.
+typedef struct SimodNearest {
+    // How many samples are within `radius` (INFINITY for all of them); the nearest of them are written to
+    // `found`, nearest first, as many as `capacity`. Those at the same distance are in the order of their
+    // indices. 0 where there are no samples in this pose, SIMOD_POSE_...
+    size_t (*find)(const struct SimodHost *host,
+                   uint32_t pose,
+                   const double *point,
+                   double radius,
+                   uint32_t *found,
+                   size_t capacity);
+} SimodNearest;
+
+// A point of the triangles between the samples.
+typedef struct SimodSurfacePoint {
+    // Which of the triangles.
+    uint32_t triangle;
+    // Weights of its corners, at least 0, which add up to 1.
+    double weights[3];
+    // Where it is, local coordinates.
+    double position[3];
+    // From the point that was asked for, or along the ray, as a length.
+    double distance;
+} SimodSurfacePoint;
+
+// SIMOD_SURFACE, of the host: the triangles between the samples, for plugins that use SIMOD_INPUT_TRIANGLES.
+// From any thread; the first time takes some 0.5 s for 700 000 triangles.
+typedef struct SimodSurface {
+    // Whether there are triangles in this pose, SIMOD_POSE_...
+    bool (*has)(const struct SimodHost *host, uint32_t pose);
+    // The point of the surface that is nearest to a point, if it is not farther away than `radius`; whether
+    // there is one.
+    bool (*closest)(const struct SimodHost *host,
+                    uint32_t pose,
+                    const double *point,
+                    double radius,
+                    struct SimodSurfacePoint *found);
+    // Where a ray meets the surface first, from either side, not farther away than `reach`; whether it does.
+    // The direction may be of any length but zero.
+    bool (*ray)(const struct SimodHost *host,
+                uint32_t pose,
+                const double *origin,
+                const double *direction,
+                double reach,
+                struct SimodSurfacePoint *found);
+} SimodSurface;
+
 // SIMOD_INPUT_TRIANGLES, of the preparation: triangles between the samples.
 typedef struct SimodTriangles {
     // Three samples each, counter-clockwise as seen from outside. Several may share an edge or have no area,
@@ -533,6 +635,20 @@ typedef struct SimodEffort {
     // SIMOD_EFFORT_...: a draft, while a handle is dragged, may differ a little from the full result.
     uint32_t effort;
 } SimodEffort;
+
+// SIMOD_INPUT_TIME, of the deformation: when in a sequence it is.
+typedef struct SimodTime {
+    // Which frame of the sequence: 0 for the first, and for what is no sequence.
+    int64_t frame;
+    // Seconds since its beginning; finite.
+    double seconds;
+} SimodTime;
+
+// SIMOD_INPUT_REST_POSITIONS, of the preparation: where the samples were before all steps.
+typedef struct SimodRestPositions {
+    // One for each sample, local coordinates, all finite.
+    const float (*positions)[3];
+} SimodRestPositions;
 
 // SIMOD_INPUT_HANDLE_MOTIONS, of the deformation: how the plugin's own handles were moved.
 typedef struct SimodHandleMotions {

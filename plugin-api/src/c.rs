@@ -16,7 +16,7 @@ use std::ffi::{c_char, c_void};
 /// nothing later.
 pub const SIMOD_INTERFACE_MAJOR: u32 = 1;
 /// See SIMOD_INTERFACE_MAJOR.
-pub const SIMOD_INTERFACE_MINOR: u32 = 1;
+pub const SIMOD_INTERFACE_MINOR: u32 = 2;
 
 /// What a call returns if all is well. Everything else is an error.
 pub const SIMOD_OK: u32 = 0;
@@ -31,6 +31,8 @@ pub const SIMOD_NOT_CONVERGED: u32 = 3;
 pub const SIMOD_CANCELLED: u32 = 4;
 /// A bug of the plugin or the host, or memory that ran out.
 pub const SIMOD_INTERNAL: u32 = 6;
+/// What the plugin needs is not there: an older host, or samples without triangles.
+pub const SIMOD_UNSUPPORTED: u32 = 7;
 
 /// One number.
 pub const SIMOD_PARAM_FLOAT: u32 = 1;
@@ -86,6 +88,11 @@ pub const SIMOD_GIZMO_SCALE: u32 = 4;
 pub const SIMOD_EFFORT_FULL: u32 = 1;
 /// Soon, while a handle is dragged.
 pub const SIMOD_EFFORT_DRAFT: u32 = 2;
+
+/// Positions of the samples as the step is given them: `SimodSamples.positions`.
+pub const SIMOD_POSE_CURRENT: u32 = 1;
+/// Positions of the samples before all steps, for plugins that use SIMOD_INPUT_REST_POSITIONS.
+pub const SIMOD_POSE_REST: u32 = 2;
 
 /// The parent of a joint or a handle that hangs on no other.
 pub const SIMOD_ROOT: u32 = u32::MAX;
@@ -331,6 +338,24 @@ pub struct SimodEffort {
     pub effort: u32,
 }
 
+/// SIMOD_INPUT_TIME, of the deformation: when in a sequence it is.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodTime {
+    /// Which frame of the sequence: 0 for the first, and for what is no sequence.
+    pub frame: i64,
+    /// Seconds since its beginning; finite.
+    pub seconds: f64,
+}
+
+/// SIMOD_INPUT_REST_POSITIONS, of the preparation: where the samples were before all steps.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodRestPositions {
+    /// One for each sample, local coordinates, all finite.
+    pub positions: *const [f32; 3],
+}
+
 /// A joint of a skeleton that the user placed.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
@@ -426,7 +451,8 @@ pub struct SimodHost {
         body: Option<unsafe extern "C" fn(context: *mut c_void, i: usize)>,
         context: *mut c_void,
     ) -> bool,
-    /// A capability of the host by id, such as later versions may have; NULL where there is none.
+    /// A capability of the host by id: a SimodNearest for SIMOD_NEAREST and so on, constant. NULL where there
+    /// is none.
     pub extension: unsafe extern "C" fn(host: *const SimodHost, id: *const c_char) -> *const c_void,
 }
 
@@ -549,4 +575,111 @@ pub struct SimodIsIdentity {
     /// 1 if `deform` would leave all samples where they are, whatever they are: the host then calls neither
     /// `prepare` nor `deform`. 0 is always right. The input has no samples; takes microseconds. Required.
     pub is_identity: Option<unsafe extern "C" fn(input: *const SimodDeformInput) -> u8>,
+}
+
+/// A parameter's former name.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodAlias {
+    /// The id that older sessions give; no parameter has it now.
+    pub former: *const c_char,
+    /// The id that the parameter has now.
+    pub now: *const c_char,
+}
+
+/// Where a plugin puts the settings of now.
+#[repr(C)]
+#[derive(Debug)]
+pub struct SimodSettingList {
+    /// The host's own.
+    pub context: *mut c_void,
+    /// Gives a parameter. The host copies it. Its kind is what it looks like: SIMOD_PARAM_FLOAT or _INT for a
+    /// number, _BOOL, _CHOICE for any text, _DIRECTION for three numbers, _COLOUR for four, _CURVE for pairs.
+    pub set: unsafe extern "C" fn(list: *mut SimodSettingList, setting: *const SimodParam),
+}
+
+/// SIMOD_MIGRATION: sessions that are older than the plugin keep working.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodMigration {
+    /// Counts up, from 1, whenever the meaning of a parameter changes; saved sessions write it down. One that
+    /// says no version is of the first. Required.
+    pub state_version: u32,
+    /// Former names of parameters.
+    pub aliases: *const SimodAlias,
+    /// How many of them there are.
+    pub alias_count: usize,
+    /// Gives `to` what a session of version `from`, which is less than that of now, has to give now, of what it
+    /// gave: in model coordinates and the user's units, checked by nobody, under the ids of now (aliases have
+    /// been applied). What is not given to `to` has its default. Takes microseconds; any thread. The host has
+    /// no samples in this call. NULL where all stays as it is.
+    pub migrate: Option<
+        unsafe extern "C" fn(
+            from: u32,
+            settings: *const SimodParam,
+            count: usize,
+            to: *mut SimodSettingList,
+            host: *const SimodHost,
+        ) -> u32,
+    >,
+}
+
+/// SIMOD_NEAREST, of the host: the nearest of the samples of the call that it was asked for in. From any
+/// thread; the first time takes some 0.1 s for 350 000 samples, and what it took is kept with the state.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodNearest {
+    /// How many samples are within `radius` (INFINITY for all of them); the nearest of them are written to
+    /// `found`, nearest first, as many as `capacity`. Those at the same distance are in the order of their
+    /// indices. 0 where there are no samples in this pose, SIMOD_POSE_...
+    pub find: unsafe extern "C" fn(
+        host: *const SimodHost,
+        pose: u32,
+        point: *const f64,
+        radius: f64,
+        found: *mut u32,
+        capacity: usize,
+    ) -> usize,
+}
+
+/// A point of the triangles between the samples.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodSurfacePoint {
+    /// Which of the triangles.
+    pub triangle: u32,
+    /// Weights of its corners, at least 0, which add up to 1.
+    pub weights: [f64; 3],
+    /// Where it is, local coordinates.
+    pub position: [f64; 3],
+    /// From the point that was asked for, or along the ray, as a length.
+    pub distance: f64,
+}
+
+/// SIMOD_SURFACE, of the host: the triangles between the samples, for plugins that use SIMOD_INPUT_TRIANGLES.
+/// From any thread; the first time takes some 0.5 s for 700 000 triangles.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodSurface {
+    /// Whether there are triangles in this pose, SIMOD_POSE_...
+    pub has: unsafe extern "C" fn(host: *const SimodHost, pose: u32) -> bool,
+    /// The point of the surface that is nearest to a point, if it is not farther away than `radius`; whether
+    /// there is one.
+    pub closest: unsafe extern "C" fn(
+        host: *const SimodHost,
+        pose: u32,
+        point: *const f64,
+        radius: f64,
+        found: *mut SimodSurfacePoint,
+    ) -> bool,
+    /// Where a ray meets the surface first, from either side, not farther away than `reach`; whether it does.
+    /// The direction may be of any length but zero.
+    pub ray: unsafe extern "C" fn(
+        host: *const SimodHost,
+        pose: u32,
+        origin: *const f64,
+        direction: *const f64,
+        reach: f64,
+        found: *mut SimodSurfacePoint,
+    ) -> bool,
 }

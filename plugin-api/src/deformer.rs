@@ -1,8 +1,8 @@
 //! What a plugin's author implements, and the shims between it and the boundary.
 
 use crate::{
-    DeformInput, Descriptor, Extension, HandleDesc, Host, PluginError, PluginMod, PluginModRef, PluginResult,
-    PrepareInput, Scratch, State,
+    DeformInput, Descriptor, Extension, HandleDesc, Host, Migrate, MigrationDesc, PluginError, PluginMod,
+    PluginModRef, PluginResult, PrepareInput, Scratch, Setting, Settings, State,
 };
 use abi_stable::{
     prefix_type::PrefixTypeTrait,
@@ -153,11 +153,25 @@ extern "C" fn is_identity<D: IsIdentity>(input: &DeformInput<'_>) -> RResult<boo
     guarded(|| D::is_identity(input))
 }
 
+extern "C" fn migration<D: Migrate>() -> RResult<MigrationDesc, PluginError> {
+    guarded(|| Ok(D::migration()))
+}
+
+extern "C" fn migrate<D: Migrate>(from: u32, settings: RVec<Setting>) -> RResult<RVec<Setting>, PluginError> {
+    guarded(|| {
+        let mut settings = Settings::new(settings.into());
+        D::migrate(from, &mut settings)?;
+        Ok(settings.into_inner().into())
+    })
+}
+
 /// The capabilities that `export_plugin!` knows, by the words that it takes for them.
 #[doc(hidden)]
 pub mod capability {
     use super::{Evaluate, Handles, IsIdentity};
-    use crate::{EvaluateExtension, Extension, HandlesExtension, IsIdentityExtension};
+    use crate::{
+        EvaluateExtension, Extension, HandlesExtension, IsIdentityExtension, Migrate, MigrationExtension,
+    };
 
     pub fn evaluate<D: Evaluate>() -> Extension {
         const { Extension::new(&EvaluateExtension { evaluate: super::evaluate::<D> }) }
@@ -169,6 +183,15 @@ pub mod capability {
 
     pub fn is_identity<D: IsIdentity>() -> Extension {
         const { Extension::new(&IsIdentityExtension { is_identity: super::is_identity::<D> }) }
+    }
+
+    pub fn migrate<D: Migrate>() -> Extension {
+        const {
+            Extension::new(&MigrationExtension {
+                migration: super::migration::<D>,
+                migrate: super::migrate::<D>,
+            })
+        }
     }
 }
 
@@ -198,7 +221,8 @@ pub fn root_module<D: Deformer>(extension: extern "C" fn(RStr<'_>) -> ROption<Ex
 }
 
 /// Exports a [`Deformer`] as this library's plugin: `export_plugin!(Shift)`, or with what else it implements,
-/// `export_plugin!(Shift, evaluate, handles, is_identity)`: [`Evaluate`], [`Handles`], [`IsIdentity`]. Once per library.
+/// `export_plugin!(Shift, evaluate, handles, is_identity, migrate)`: [`Evaluate`], [`Handles`], [`IsIdentity`], [`Migrate`]. Once
+/// per library.
 #[macro_export]
 macro_rules! export_plugin {
     ($deformer:ty $(, $capability:ident)* $(,)?) => {

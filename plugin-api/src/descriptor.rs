@@ -1,6 +1,8 @@
 //! What a plugin is, and what it wants.
 
-use crate::{Effort, Graph, InputPart, Joints, ModelFrame, ParamDesc, Strokes, Triangles};
+use crate::{
+    Effort, Graph, InputPart, Joints, ModelFrame, ParamDesc, RestPositions, Strokes, Time, Triangles,
+};
 use abi_stable::{
     StableAbi,
     std_types::{RString, RVec},
@@ -43,6 +45,10 @@ pub struct Consumes {
     pub frame: bool,
     /// The [`Effort`](crate::Effort) that a deformation is worth.
     pub effort: bool,
+    /// The [`Time`](crate::Time) of a sequence.
+    pub time: bool,
+    /// The [`RestPositions`](crate::RestPositions) of the samples, before all steps.
+    pub rest_positions: bool,
 }
 
 impl Consumes {
@@ -53,7 +59,7 @@ impl Consumes {
     /// Normals that fit the positions.
     pub const NORMALS: &'static str = "simod.normals/1";
 
-    fn inputs(&self) -> [(&'static str, bool, u32); 9] {
+    fn inputs(&self) -> [(&'static str, bool, u32); 11] {
         [
             (Self::FIXED_REGIONS, self.fixed_regions, self.min_fixed),
             (Self::HANDLE_REGIONS, self.handle_regions, self.min_handles),
@@ -64,6 +70,8 @@ impl Consumes {
             (Strokes::ID, self.strokes, 0),
             (ModelFrame::ID, self.frame, 0),
             (Effort::ID, self.effort, 0),
+            (Time::ID, self.time, 0),
+            (RestPositions::ID, self.rest_positions, 0),
         ]
     }
 
@@ -84,6 +92,8 @@ impl Consumes {
                 Strokes::ID => this.strokes = true,
                 ModelFrame::ID => this.frame = true,
                 Effort::ID => this.effort = true,
+                Time::ID => this.time = true,
+                RestPositions::ID => this.rest_positions = true,
                 id if *at_least > 0 => return Err(id),
                 _ => {}
             }

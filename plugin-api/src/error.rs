@@ -23,6 +23,8 @@ impl ErrorCode {
     pub const PANICKED: Self = Self(5);
     /// A bug: of the plugin, or of the host in calling it.
     pub const INTERNAL: Self = Self(6);
+    /// What the plugin needs is not there: an older host, or samples without triangles.
+    pub const UNSUPPORTED: Self = Self(7);
 }
 
 /// A failure: what sort, one line that says what is wrong, one that says what to do (may be empty).

@@ -1,6 +1,7 @@
 //! The other direction: what a plugin may ask of the host.
 
-use crate::{Extension, Host, PluginError, PluginResult};
+use crate::services::{Lookups, Nearest, NearestService, Pose, Surface, SurfaceService};
+use crate::{ErrorCode, Extension, ExtensionInterface, Host, PluginError, PluginResult};
 
 /// How much a message matters.
 #[repr(transparent)]
@@ -36,7 +37,12 @@ pub trait HostCalls: Sync {
         })
     }
 
-    /// A capability of the host, by id.
+    /// What plugins may look up in the samples of this call.
+    fn lookups(&self) -> Option<&dyn Lookups> {
+        None
+    }
+
+    /// A capability of the host, by id, beside those of [`lookups`](Self::lookups).
     fn extension(&self, id: &str) -> Option<Extension> {
         let _ = id;
         None
@@ -61,12 +67,42 @@ impl<T: HostCalls + ?Sized> HostCalls for &T {
     fn parallel_for(&self, count: usize, body: &(dyn Fn(usize) + Sync)) -> bool {
         (**self).parallel_for(count, body)
     }
+    fn lookups(&self) -> Option<&dyn Lookups> {
+        (**self).lookups()
+    }
     fn extension(&self, id: &str) -> Option<Extension> {
         (**self).extension(id)
     }
 }
 
 impl Host<'_> {
+    /// The nearest of the samples of this call, wherever the plugin is asked for something with samples.
+    ///
+    /// # Errors
+    /// The host is older than this, or has no samples in this pose.
+    pub fn nearest(&self, pose: Pose) -> PluginResult<Nearest<'_>> {
+        let table = self.extension(NearestService::ID).and_then(|e| e.get::<NearestService>());
+        let table = table.filter(|table| (table.has)(self, pose));
+        table.map(|table| Nearest { host: self, table, pose }).ok_or_else(|| {
+            PluginError::new(ErrorCode::UNSUPPORTED, "there are no samples to look up").hint(
+                "take a later version of SIMOD; samples at rest are there for plugins that ask for them",
+            )
+        })
+    }
+
+    /// The triangles between the samples, for plugins that [ask for them](crate::Consumes::triangles).
+    ///
+    /// # Errors
+    /// The host is older than this, or there are no triangles.
+    pub fn surface(&self, pose: Pose) -> PluginResult<Surface<'_>> {
+        let table = self.extension(SurfaceService::ID).and_then(|e| e.get::<SurfaceService>());
+        let table = table.filter(|table| (table.has)(self, pose));
+        table.map(|table| Surface { host: self, table, pose }).ok_or_else(|| {
+            PluginError::new(ErrorCode::UNSUPPORTED, "there are no triangles between the samples")
+                .hint("sample a model with faces, and without `--skip triangles`")
+        })
+    }
+
     /// Tells that so much of the call is done (0 to 1), and learns whether to go on: an error of code
     /// [`CANCELLED`](crate::ErrorCode::CANCELLED), to be returned as it is, where the user asked to stop.
     ///

@@ -3,7 +3,8 @@
 use crate::opaque::Part;
 use crate::params::{Param, Params};
 use crate::parts::{
-    Effort, Graph, HandleMotions, InputPart, Joint, Joints, ModelFrame, Stroke, Strokes, Triangles,
+    Effort, Graph, HandleMotions, InputPart, Joint, Joints, ModelFrame, RestPositions, Stroke, Strokes, Time,
+    Triangles,
 };
 use abi_stable::{StableAbi, std_types::RSlice};
 
@@ -167,6 +168,12 @@ impl<'a> PrepareInput<'a> {
         self.part()
     }
 
+    /// Where the samples were before all steps, for plugins that [ask for it](crate::Consumes::rest_positions); nothing where
+    /// the host is older than this input.
+    pub fn rest_positions(&self) -> Option<&'a [[f32; 3]]> {
+        self.part().map(RestPositions::all)
+    }
+
     /// The joints that the user placed; none where there are none.
     pub fn joints(&self) -> &'a [Joint<'a>] {
         self.part().map_or(&[], Joints::all)
@@ -227,6 +234,12 @@ impl<'a> DeformInput<'a> {
     /// How much time this may take; [`Effort::FULL`] where the host says nothing.
     pub fn effort(&self) -> Effort {
         self.part().copied().unwrap_or(Effort::FULL)
+    }
+
+    /// When in a sequence this is, for plugins that [ask for it](crate::Consumes::time); the beginning where the host says
+    /// nothing.
+    pub fn time(&self) -> Time {
+        self.part().copied().unwrap_or_default()
     }
 
     /// The brush strokes, first to last; none where there are none.

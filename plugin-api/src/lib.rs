@@ -83,6 +83,7 @@
 //! | [`Evaluate::evaluate`] | several threads at once on one state | nanoseconds to microseconds per point |
 //! | [`Handles::handles`] | any | milliseconds |
 //! | [`IsIdentity::is_identity`] | any | microseconds |
+//! | [`Migrate::migrate`] | any | microseconds |
 //!
 //! All inputs are borrowed for the length of the call. A state is immutable and owned by the host until it is
 //! dropped, as is a scratch. Failures are [`PluginError`]s; a panic is caught inside the plugin and becomes one.
@@ -106,11 +107,13 @@ mod error;
 mod handles;
 mod host;
 mod input;
+mod migration;
 mod opaque;
 mod param_set;
 mod params;
 mod parts;
 mod root;
+mod services;
 
 pub use curve::Curve;
 pub use deformer::{Deformer, Evaluate, Handles, IsIdentity};
@@ -119,14 +122,19 @@ pub use error::{ErrorCode, PluginError, PluginResult};
 pub use handles::{Gizmo, HandleDesc};
 pub use host::{HostCalls, LogLevel};
 pub use input::{Affine, Bounds, DeformInput, PrepareInput, Region, Role, Samples};
+pub use migration::{AliasDesc, Migrate, MigrationDesc, Setting, Settings};
 pub use opaque::{Extension, ExtensionInterface, Host, Scratch, State};
 pub use param_set::{Choice, ParamSet, ParamType, Ranged};
 pub use params::{ChoiceDesc, Param, ParamDesc, ParamKind, Params, Unit};
 pub use parts::{
-    Effort, Graph, HandleMotions, InputPart, Joint, Joints, ModelFrame, Part, Stroke, Strokes, Triangles,
+    Effort, Graph, HandleMotions, InputPart, Joint, Joints, ModelFrame, Part, RestPositions, Stroke, Strokes,
+    Time, Triangles,
 };
 pub use plugin_api_derive::{Choice, ParamSet};
-pub use root::{EvaluateExtension, HandlesExtension, IsIdentityExtension, PluginMod, PluginModRef};
+pub use root::{
+    EvaluateExtension, HandlesExtension, IsIdentityExtension, MigrationExtension, PluginMod, PluginModRef,
+};
+pub use services::{Lookups, Nearest, NearestService, Pose, Surface, SurfacePoint, SurfaceService};
 
 /// What the macros and the host need of the crates below; not for plugins.
 #[doc(hidden)]

@@ -7,11 +7,12 @@
 
 use crate::{
     Effort, EvaluateExtension, Graph, HandleMotions, HandlesExtension, HostCalls, IsIdentityExtension,
-    Joints, LogLevel, ModelFrame, PluginError, PluginResult, Strokes, Triangles,
+    Joints, LogLevel, Lookups, MigrationExtension, ModelFrame, NearestService, PluginError, PluginResult,
+    Pose, RestPositions, Strokes, SurfacePoint, SurfaceService, Time, Triangles,
 };
 use abi_stable::{
     StableAbi,
-    std_types::{ROption, RStr},
+    std_types::{ROption, RSliceMut, RStr},
 };
 use std::any::{Any, TypeId};
 use std::ffi::c_void;
@@ -242,7 +243,72 @@ extern "C" fn call_parallel<T: HostCalls>(context: *const c_void, count: usize, 
 }
 
 extern "C" fn call_extension<T: HostCalls>(context: *const c_void, id: RStr<'_>) -> ROption<Extension> {
-    guarded(context, None, |calls: &T| calls.extension(id.as_str())).into()
+    guarded(context, None, |calls: &T| match id.as_str() {
+        NearestService::ID if calls.lookups().is_some() => {
+            Some(const { Extension::new(&NearestService { has: has_samples::<T>, find: call_nearest::<T> }) })
+        }
+        SurfaceService::ID if calls.lookups().is_some() => Some(
+            const {
+                Extension::new(&SurfaceService {
+                    has: has_triangles::<T>,
+                    closest: call_closest::<T>,
+                    ray: call_ray::<T>,
+                })
+            },
+        ),
+        id => calls.extension(id),
+    })
+    .into()
+}
+
+/// A look-up for a plugin. The tables' functions are called by [`Nearest`](crate::Nearest) and [`Surface`](crate::Surface)
+/// alone, with the host that gave the table: of the same `T`.
+fn look_up<T: HostCalls, R>(host: &Host<'_>, or: R, call: impl FnOnce(&dyn Lookups) -> R) -> R {
+    guarded(host.context, None, |calls: &T| calls.lookups().map(call)).unwrap_or(or)
+}
+
+extern "C" fn has_samples<T: HostCalls>(host: &Host<'_>, pose: Pose) -> bool {
+    look_up::<T, _>(host, false, |lookups| lookups.has_samples(pose))
+}
+
+extern "C" fn has_triangles<T: HostCalls>(host: &Host<'_>, pose: Pose) -> bool {
+    look_up::<T, _>(host, false, |lookups| lookups.has_triangles(pose))
+}
+
+extern "C" fn call_nearest<T: HostCalls>(
+    host: &Host<'_>,
+    pose: Pose,
+    point: &[f64; 3],
+    radius: f64,
+    mut found: RSliceMut<'_, u32>,
+) -> usize {
+    look_up::<T, _>(host, 0, |lookups| lookups.nearest(pose, *point, radius, found.as_mut_slice()))
+}
+
+/// Whether something was found, and what.
+fn give(found: Option<SurfacePoint>, to: &mut SurfacePoint) -> bool {
+    found.map(|found| *to = found).is_some()
+}
+
+extern "C" fn call_closest<T: HostCalls>(
+    host: &Host<'_>,
+    pose: Pose,
+    point: &[f64; 3],
+    radius: f64,
+    to: &mut SurfacePoint,
+) -> bool {
+    give(look_up::<T, _>(host, None, |lookups| lookups.closest(pose, *point, radius)), to)
+}
+
+extern "C" fn call_ray<T: HostCalls>(
+    host: &Host<'_>,
+    pose: Pose,
+    origin: &[f64; 3],
+    direction: &[f64; 3],
+    reach: f64,
+    to: &mut SurfacePoint,
+) -> bool {
+    give(look_up::<T, _>(host, None, |lookups| lookups.ray(pose, *origin, *direction, reach)), to)
 }
 
 /// A table of functions that is known by an id.
@@ -268,6 +334,21 @@ unsafe impl ExtensionInterface for HandlesExtension {
 // SAFETY: as above.
 unsafe impl ExtensionInterface for IsIdentityExtension {
     const ID: &'static str = "simod.is-identity/1";
+}
+
+// SAFETY: as above.
+unsafe impl ExtensionInterface for MigrationExtension {
+    const ID: &'static str = "simod.migration/1";
+}
+
+// SAFETY: as above.
+unsafe impl ExtensionInterface for NearestService {
+    const ID: &'static str = "simod.nearest/1";
+}
+
+// SAFETY: as above.
+unsafe impl ExtensionInterface for SurfaceService {
+    const ID: &'static str = "simod.surface/1";
 }
 
 /// A capability beyond the root module: an untyped pointer to a table, with its id.
@@ -352,6 +433,16 @@ unsafe impl InputPart<'_> for ModelFrame {
 // SAFETY: as above.
 unsafe impl InputPart<'_> for Effort {
     const ID: &'static str = "simod.effort/1";
+}
+
+// SAFETY: as above.
+unsafe impl<'a> InputPart<'a> for RestPositions<'a> {
+    const ID: &'static str = "simod.rest-positions/1";
+}
+
+// SAFETY: as above.
+unsafe impl InputPart<'_> for Time {
+    const ID: &'static str = "simod.time/1";
 }
 
 /// An untyped pointer to an [`InputPart`], with its id.

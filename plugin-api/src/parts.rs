@@ -114,6 +114,36 @@ impl Effort {
     pub const DRAFT: Self = Self(2);
 }
 
+/// When in a sequence a deformation is, `simod.time/1`: of the deformation. The same samples and motions at another time
+/// may go elsewhere.
+#[repr(C)]
+#[derive(StableAbi, Debug, Clone, Copy, PartialEq, Default)]
+pub struct Time {
+    /// Which frame of the sequence: 0 for the first, and for what is no sequence.
+    pub frame: i64,
+    /// Seconds since its beginning; finite.
+    pub seconds: f64,
+}
+
+/// Where the samples were before all steps, `simod.rest-positions/1`: of the preparation.
+#[repr(C)]
+#[derive(StableAbi, Debug, Clone, Copy)]
+pub struct RestPositions<'a> {
+    positions: RSlice<'a, [f32; 3]>,
+}
+
+impl<'a> RestPositions<'a> {
+    /// A view of the host's array.
+    pub fn new(positions: &'a [[f32; 3]]) -> Self {
+        Self { positions: positions.into() }
+    }
+
+    /// One for each sample, local coordinates, all finite.
+    pub fn all(&self) -> &'a [[f32; 3]] {
+        self.positions.as_slice()
+    }
+}
+
 /// A joint of a skeleton that the user placed.
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
@@ -275,6 +305,9 @@ mod tests {
         assert_eq!(input.effort(), Effort::FULL, "where nothing is said");
         let parts = [Part::new(&Effort::DRAFT)];
         assert_eq!(input.with_parts(&parts).effort(), Effort::DRAFT);
+        assert_eq!(input.time(), Time::default(), "where nothing is said");
+        let time = Time { frame: 3, seconds: 0.125 };
+        assert_eq!(input.with_parts(&[Part::new(&time)]).time(), time);
         assert_eq!((graph.of(0), graph.of(1), graph.of(2)), (&[1, 2][..], &[0][..], &[][..]));
     }
 }

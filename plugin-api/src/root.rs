@@ -1,7 +1,8 @@
 //! The exported tables: the root module, which every plugin has, and the extensions.
 
 use crate::{
-    DeformInput, Descriptor, Extension, HandleDesc, Host, PluginError, PrepareInput, Scratch, State,
+    DeformInput, Descriptor, Extension, HandleDesc, Host, MigrationDesc, PluginError, PrepareInput, Scratch,
+    Setting, State,
 };
 use abi_stable::{
     StableAbi,
@@ -70,4 +71,14 @@ pub struct HandlesExtension {
 pub struct IsIdentityExtension {
     /// [`IsIdentity::is_identity`](crate::IsIdentity::is_identity).
     pub is_identity: extern "C" fn(&DeformInput<'_>) -> RResult<bool, PluginError>,
+}
+
+/// The extension `simod.migration/1`: sessions that are older than the plugin.
+#[repr(C)]
+#[derive(StableAbi)]
+pub struct MigrationExtension {
+    /// [`Migrate::migration`](crate::Migrate::migration).
+    pub migration: extern "C" fn() -> RResult<MigrationDesc, PluginError>,
+    /// [`Migrate::migrate`](crate::Migrate::migrate): what a session of an older version gives, and what becomes of it.
+    pub migrate: extern "C" fn(u32, RVec<Setting>) -> RResult<RVec<Setting>, PluginError>,
 }

@@ -10,8 +10,9 @@ use cbindgen::{Builder, Config};
 use simod_plugin_api::c::*;
 use simod_plugin_api::{
     Consumes, Effort, ErrorCode, EvaluateExtension, ExtensionInterface, Gizmo, Graph, HandleDesc,
-    HandleMotions, HandlesExtension, InputPart, IsIdentityExtension, Joint, Joints, LogLevel, ModelFrame,
-    ParamKind, Role, Strokes, Triangles, Unit,
+    HandleMotions, HandlesExtension, InputPart, IsIdentityExtension, Joint, Joints, LogLevel,
+    MigrationExtension, ModelFrame, NearestService, ParamKind, Pose, RestPositions, Role, Strokes,
+    SurfaceService, Time, Triangles, Unit,
 };
 
 /// A path in this crate.
@@ -49,6 +50,7 @@ fn codes_and_ids_are_those_of_the_rust_interface() {
         (SIMOD_NOT_CONVERGED, ErrorCode::NOT_CONVERGED.0),
         (SIMOD_CANCELLED, ErrorCode::CANCELLED.0),
         (SIMOD_INTERNAL, ErrorCode::INTERNAL.0),
+        (SIMOD_UNSUPPORTED, ErrorCode::UNSUPPORTED.0),
         (SIMOD_PARAM_FLOAT, ParamKind::FLOAT.0),
         (SIMOD_PARAM_INT, ParamKind::INT.0),
         (SIMOD_PARAM_BOOL, ParamKind::BOOL.0),
@@ -73,6 +75,8 @@ fn codes_and_ids_are_those_of_the_rust_interface() {
         (SIMOD_GIZMO_SCALE, Gizmo::SCALE.0),
         (SIMOD_EFFORT_FULL, Effort::FULL.0),
         (SIMOD_EFFORT_DRAFT, Effort::DRAFT.0),
+        (SIMOD_POSE_CURRENT, Pose::CURRENT.0),
+        (SIMOD_POSE_REST, Pose::REST.0),
         (SIMOD_ROOT, Joint::ROOT),
         (SIMOD_ROOT, HandleDesc::ROOT),
     ];
@@ -90,9 +94,14 @@ fn codes_and_ids_are_those_of_the_rust_interface() {
         ("INPUT_HANDLE_MOTIONS", <HandleMotions<'_> as InputPart<'_>>::ID),
         ("INPUT_MODEL_FRAME", <ModelFrame as InputPart<'_>>::ID),
         ("INPUT_EFFORT", <Effort as InputPart<'_>>::ID),
+        ("INPUT_TIME", <Time as InputPart<'_>>::ID),
+        ("INPUT_REST_POSITIONS", <RestPositions<'_> as InputPart<'_>>::ID),
         ("EVALUATE", EvaluateExtension::ID),
         ("HANDLES", HandlesExtension::ID),
         ("IS_IDENTITY", IsIdentityExtension::ID),
+        ("MIGRATION", MigrationExtension::ID),
+        ("NEAREST", NearestService::ID),
+        ("SURFACE", SurfaceService::ID),
     ];
     for (name, id) in ids {
         let line = format!("#define SIMOD_{name} \"{id}\"\n");
@@ -152,6 +161,8 @@ fn a_c_compiler_sees_the_same_structs() {
         SimodGraph { starts, neighbours }
         SimodModelFrame { origin, scale }
         SimodEffort { effort }
+        SimodTime { frame, seconds }
+        SimodRestPositions { positions }
         SimodJoint { id, position, parent }
         SimodJoints { joints, count }
         SimodHandleMotions { motions, count }
@@ -169,6 +180,12 @@ fn a_c_compiler_sees_the_same_structs() {
         SimodHandleList { context, add }
         SimodHandles { handles }
         SimodIsIdentity { is_identity }
+        SimodAlias { former, now }
+        SimodSettingList { context, set }
+        SimodMigration { state_version, aliases, alias_count, migrate }
+        SimodNearest { find }
+        SimodSurfacePoint { triangle, weights, position, distance }
+        SimodSurface { has, closest, ray }
     };
     let header = header();
     let structs = header.lines().filter(|l| l.starts_with("typedef struct ")).count();

@@ -11,7 +11,8 @@ use abi_stable::StableAbi;
 use abi_stable::type_layout::{TLField, TypeLayout};
 use simod_plugin_api::{
     Effort, EvaluateExtension, Graph, HandleMotions, HandlesExtension, IsIdentityExtension, Joints,
-    ModelFrame, PluginModRef, Strokes, Triangles,
+    MigrationExtension, ModelFrame, NearestService, PluginModRef, RestPositions, Strokes, SurfaceService,
+    Time, Triangles,
 };
 
 /// Each type of ours by name: its size and alignment (on 64 bits), and its fields in order.
@@ -85,6 +86,11 @@ fn the_shape_changes_with_the_version_alone() {
         Strokes::LAYOUT,
         ModelFrame::LAYOUT,
         Effort::LAYOUT,
+        MigrationExtension::LAYOUT,
+        NearestService::LAYOUT,
+        SurfaceService::LAYOUT,
+        Time::LAYOUT,
+        RestPositions::LAYOUT,
     ];
     others.into_iter().for_each(|layout| describe(layout, &mut shape));
     shape.retain(|_, text| !text.is_empty());

@@ -15,7 +15,8 @@
 enum {
     NOTHING, SLEEPS_AT_LOAD, STARTS_A_PROCESS_AT_LOAD, STARTS_A_PROCESS, CHANGES_ROUNDING, CHANGES_FOLDER, PRINTS,
     CLOSES_OUTPUT, SPEAKS_RAW, GOES_FAR, GOES_TOO_FAR, LACKS_A_FUNCTION, MOVES_AT_REST, MOVES_AT_REST_AND_SAYS_SO,
-    LAGS_BEHIND,
+    LAGS_BEHIND, ALIASES_RAW, ALIASES_A_PARAMETER, VERSION_ZERO, GIVES_ENDLESSLY, GIVES_WHAT_IS_NOT_THERE,
+    CRASHES_WHILE_MIGRATING, GIVES_NOTHING_GOOD,
 };
 
 #ifndef VERSION
@@ -131,8 +132,28 @@ static uint8_t is_identity(const SimodDeformInput *input)
     return 0;
 }
 
+static uint32_t migrate(uint32_t from, const SimodParam *settings, size_t count, SimodSettingList *to,
+                        const SimodHost *host)
+{
+    (void)from, (void)settings, (void)count, (void)host;
+    double by = 1;
+    SimodParam good = { .id = "by", .kind = SIMOD_PARAM_FLOAT, .numbers = &by, .count = 1 };
+    SimodParam bad = good;
+    if (DOES == CRASHES_WHILE_MIGRATING) abort();
+    if (DOES == GIVES_WHAT_IS_NOT_THERE) bad.id = RAW;
+    if (DOES == GIVES_NOTHING_GOOD) bad.numbers = NULL;
+    for (int i = 0; i < (DOES == GIVES_ENDLESSLY ? 20000 : 1); i++) to->set(to, &bad);
+    return SIMOD_OK;
+}
+
 static const void *extension(const char *id)
 {
+    static const SimodAlias aliases[] = { { DOES == ALIASES_A_PARAMETER ? "by" : RAW, "by" } };
+    static const SimodMigration migration = {
+        .state_version = DOES == VERSION_ZERO ? 0 : 2, .aliases = aliases,
+        .alias_count = DOES == ALIASES_RAW || DOES == ALIASES_A_PARAMETER, .migrate = migrate,
+    };
+    if (DOES >= ALIASES_RAW && strcmp(id, SIMOD_MIGRATION) == 0) return &migration;
     static const SimodIsIdentity identity = { is_identity };
     int tells = DOES == MOVES_AT_REST_AND_SAYS_SO || DOES == SLEEPS_AT_LOAD;
     return tells && strcmp(id, SIMOD_IS_IDENTITY) == 0 ? &identity : NULL;

@@ -4,6 +4,7 @@
 
 mod built;
 mod compiler;
+pub mod damage;
 mod motion;
 mod ply;
 mod workplace;

@@ -416,3 +416,41 @@ fn a_new_plugin_takes_no_other_s_id() {
     assert!(refused.hint().contains("my-hostile"), "{}", refused.stderr);
     assert_eq!(work.names(), ["plugins"]);
 }
+
+/// Whatever a plugin makes of older sessions, it is an error that names it, in both places where it may run.
+#[test]
+fn bad_migrations_are_the_plugin_s_fault() {
+    let work = sampled();
+    for (does, what) in [
+        ("ALIASES_RAW", "the alias `"),
+        ("ALIASES_A_PARAMETER", "the alias `by` is a parameter's id"),
+        ("VERSION_ZERO", "its state version is 0"),
+        ("GIVES_ENDLESSLY", "more than 10000 settings"),
+        ("GIVES_WHAT_IS_NOT_THERE", "none of its parameters"),
+        ("GIVES_NOTHING_GOOD", "the numbers of the setting `by`"),
+        ("CRASHES_WHILE_MIGRATING", "signal 6"),
+    ] {
+        build(&work, does);
+        for place in ["always", "never"] {
+            if does.starts_with("CRASHES") && place == "never" {
+                continue;
+            }
+            work.write_session("model.ply", 500, "[[step]]\ndeform = \"hostile\"\nparams = { by = 0.5 }\n");
+            let outcome = work.run(&format!("{DEFORM} --isolate {place}"));
+            assert_eq!(outcome.code, Some(1), "{does}: {}", outcome.stderr);
+            assert!(
+                outcome.stderr.contains(what) && outcome.stderr.contains("hostile"),
+                "{does}: {}",
+                outcome.stderr
+            );
+            assert!(!outcome.stderr.contains('\u{1b}'), "{does}: {}", outcome.stderr);
+            assert!(!work.path("out.ply").exists());
+        }
+        let report = work
+            .run(&format!(
+                "plugin check plugins/hostile{DLL_SUFFIX} --rule descriptor --rule migration --json"
+            ))
+            .json();
+        assert!(report["failed"].as_u64() >= Some(1), "{does}: {report}");
+    }
+}

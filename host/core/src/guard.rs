@@ -47,7 +47,7 @@ impl Kind {
                 Self::Picture => start == b"\x89PNG\r\n\x1a\n",
                 Self::Binding => start == crate::reconstruction::BINDING_MAGIC,
                 Self::Session => {
-                    let known = ["version", "model", "sampling", "step", "output"];
+                    let known = ["version", "model", "sampling", "time", "step", "output"];
                     let table =
                         input::read_text(path, LONGEST).ok().and_then(|t| t.parse::<toml::Table>().ok());
                     table.is_some_and(|table| table.keys().all(|key| known.contains(&key.as_str())))

@@ -3,8 +3,10 @@
 //! what is behind them is reached. `PROPTEST_CASES` says how many.
 
 use std::path::Path;
+use std::sync::Mutex;
 
 use proptest::prelude::*;
+use simod_core::Progress;
 use simod_core::generate::{Encoding, ModelOptions, write_file};
 use simod_core::model::{self, FaceChunk, VertexChunk};
 use simod_core::output;
@@ -13,72 +15,8 @@ use simod_core::reconstruction::{Reconstruction, Version, bind, reconstruct};
 use simod_core::refinement::{Finer, Refining, Selection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
+use simod_tests::damage::{damage, damaged, runner};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
-
-/// What is done to bytes.
-#[derive(Debug, Clone)]
-enum Damage {
-    Flip { at: f64, bits: u8 },
-    Number { at: f64, value: u64, width: usize },
-    Cut { at: f64, len: f64 },
-    Double { at: f64, len: f64 },
-    Word { nth: usize, with: &'static str },
-}
-
-/// Numbers and words that are likely to be believed.
-const NUMBERS: [u64; 8] = [0, 1, 0x7f, 0xff, 0x7fff_ffff, 0xffff_ffff, 1 << 40, u64::MAX];
-const WORDS: [&str; 10] =
-    ["0", "-1", "1e400", "nan", "18446744073709551615", "4294967295", "\"\"", "list", "[]", "../../x"];
-
-fn damage() -> impl Strategy<Value = Damage> {
-    let part = || 0.0..1.0f64;
-    prop_oneof![
-        3 => (part(), 1u8..).prop_map(|(at, bits)| Damage::Flip { at, bits }),
-        3 => (part(), prop::sample::select(&NUMBERS[..]), 1usize..=8)
-            .prop_map(|(at, value, width)| Damage::Number { at, value, width }),
-        2 => (part(), 0.0..0.3f64).prop_map(|(at, len)| Damage::Cut { at, len }),
-        1 => (part(), 0.0..0.2f64).prop_map(|(at, len)| Damage::Double { at, len }),
-        3 => (0usize..60, prop::sample::select(&WORDS[..])).prop_map(|(nth, with)| Damage::Word { nth, with }),
-    ]
-}
-
-/// The bytes damaged; places are parts of the first `within` of them.
-fn damaged(bytes: &[u8], within: usize, all: &[Damage]) -> Vec<u8> {
-    let mut bytes = bytes.to_vec();
-    for damage in all {
-        let length = within.min(bytes.len());
-        if length == 0 {
-            break;
-        }
-        let place = |part: f64| ((part * length as f64) as usize).min(length - 1);
-        match *damage {
-            Damage::Flip { at, bits } => bytes[place(at)] ^= bits,
-            Damage::Number { at, value, width } => {
-                let at = place(at);
-                bytes.iter_mut().skip(at).zip(value.to_le_bytes()).take(width).for_each(|(b, v)| *b = v);
-            }
-            Damage::Cut { at, len } => {
-                let (at, len) = (place(at), place(len));
-                bytes.drain(at..(at + len).min(length));
-            }
-            Damage::Double { at, len } => {
-                let (at, len) = (place(at), place(len));
-                let part = bytes[at..(at + len).min(length)].to_vec();
-                bytes.splice(at..at, part);
-            }
-            Damage::Word { nth, with } => {
-                let is_blank = |b: &u8| b.is_ascii_whitespace();
-                let starts = (1..length).filter(|i| is_blank(&bytes[i - 1]) && !is_blank(&bytes[*i]));
-                let starts: Vec<usize> = starts.collect();
-                if let Some(start) = (!starts.is_empty()).then(|| starts[nth % starts.len()]) {
-                    let end = (start..length).find(|i| is_blank(&bytes[*i])).unwrap_or(length);
-                    bytes.splice(start..end, with.bytes());
-                }
-            }
-        }
-    }
-    bytes
-}
 
 fn put(path: &Path, bytes: &[u8]) {
     output::write_file(path, bytes).expect("a written file");
@@ -97,7 +35,7 @@ impl Good {
         let options = ModelOptions { vertices: 1000, encoding, ..ModelOptions::default() };
         write_file(&options, &at("m.ply"), &Silent).expect("a model");
         let model = model::open(&at("m.ply")).expect("a model");
-        let how = Sampling { target: Target::Samples(100), ..Sampling::default() };
+        let how = Sampling { target: Target::Samples(100), sheets: true, ..Sampling::default() };
         let sampled = sample(&*model, &how, folder.path(), &Silent).expect("samples");
         sampled.save(&at("m.simod")).expect("a folder");
         bind(&sampled, &*model, &at("m.simod/binding.bin"), &Silent).expect("a binding");
@@ -144,16 +82,6 @@ fn read_all(path: &Path) {
     let _ = model.check_complete(&Silent);
 }
 
-/// So many cases, unless the environment says how many.
-fn cases(count: u32) -> ProptestConfig {
-    let config = ProptestConfig::default();
-    if std::env::var_os("PROPTEST_CASES").is_some() {
-        config
-    } else {
-        ProptestConfig { cases: count, ..config }
-    }
-}
-
 #[test]
 fn damaged_models_do_no_harm() {
     for encoding in [Encoding::Ascii, Encoding::BinaryLittleEndian, Encoding::BinaryBigEndian] {
@@ -161,7 +89,7 @@ fn damaged_models_do_no_harm() {
         let bytes = good.read("m.ply");
         let header = bytes.windows(10).position(|w| w == b"end_header").expect("a header") + 11;
         let path = good.folder.path().join("damaged.ply");
-        let mut runner = proptest::test_runner::TestRunner::new(cases(150));
+        let mut runner = runner(150);
         // Half of them in the header, where the structure is.
         let all = (prop::collection::vec(damage(), 1..4), any::<bool>());
         let tested = runner.run(&all, |(all, in_header)| {
@@ -180,13 +108,13 @@ fn damaged_models_do_no_harm() {
 #[test]
 fn damaged_folders_do_no_harm() {
     let good = Good::new(Encoding::BinaryLittleEndian);
-    let names = ["simod.toml", "samples.ply", "cells.bin", "binding.bin"];
+    let names = ["simod.toml", "samples.ply", "cells.bin", "binding.bin", "sheets.bin"];
     let kept: Vec<(String, Vec<u8>)> = names
         .iter()
         .map(|name| format!("m.simod/{name}"))
         .map(|name| (name.clone(), good.read(&name)))
         .collect();
-    let mut runner = proptest::test_runner::TestRunner::new(cases(150));
+    let mut runner = runner(150);
     let all = (prop::collection::vec(damage(), 1..3), 0..names.len(), any::<bool>());
     let tested = runner.run(&all, |(all, which, fits)| {
         let (name, bytes) = &kept[which];
@@ -198,7 +126,7 @@ fn damaged_folders_do_no_harm() {
                     let hash = |bytes: &[u8]| format!("xxh3-128:{:032x}", xxh3_128(bytes));
                     good.put(&kept[0].0, text.replace(&hash(bytes), &hash(&spoilt)).as_bytes());
                 }
-                "cells.bin" if spoilt.len() > 16 => {
+                "cells.bin" | "sheets.bin" if spoilt.len() > 16 => {
                     let end = spoilt.len() - 16;
                     let hash = xxh3_128(&spoilt[..end]).to_le_bytes();
                     spoilt[end..].copy_from_slice(&hash);
@@ -216,6 +144,67 @@ fn damaged_folders_do_no_harm() {
     // And what was put back is as good as it was.
     let again = SampledModel::load(&good.folder.path().join("m.simod")).expect("a sampled model");
     assert_eq!(again.samples.positions, good.sampled.samples.positions);
+}
+
+/// Interrupts a reconstruction, so that its part file and its journal are left, and goes on by damaged ones: it ends, with the right
+/// bytes, and nothing is left.
+#[test]
+fn damaged_journals_do_no_harm() {
+    let good = Good::new(Encoding::BinaryLittleEndian);
+    let at = |name: &str| good.folder.path().join(name);
+    let model = model::open(&at("m.ply")).expect("a model");
+    let deformed = good.sampled.samples.positions.clone();
+    let write = |resume: bool, progress: &dyn Progress| {
+        let version = Version { deformed: &deformed, output: &at("out.ply"), diagnostics: None };
+        let how = Reconstruction { resume, part_bytes: 1000, ..Reconstruction::default() };
+        reconstruct(&good.sampled, &*model, &[version], &how, progress)
+    };
+    write(false, &Silent).expect("a reconstruction");
+    let expected = good.read("out.ply");
+    let kept = Keeping { files: Mutex::default(), folder: good.folder.path() };
+    write(false, &kept).expect("a reconstruction");
+    let files = kept.files.into_inner().expect("files");
+    let (journal, part) = files.expect("a journal beside a part file");
+    let names = [".simod-out.ply.journal", ".simod-out.ply.part"];
+    let all = (prop::collection::vec(damage(), 1..3), any::<bool>(), any::<bool>());
+    let tested = runner(150).run(&all, |(all, which, new)| {
+        let spoilt =
+            |bytes: &Vec<u8>, yes: bool| if yes { damaged(bytes, bytes.len(), &all) } else { bytes.clone() };
+        let name = if new && !which { ".simod-out.ply.journal.new" } else { names[0] };
+        plain(&at(name), &spoilt(&journal, !which));
+        plain(&at(names[1]), &spoilt(&part, which));
+        std::fs::remove_file(at("out.ply")).expect("the file of before");
+        write(true, &Silent).expect("a reconstruction");
+        assert!(good.read("out.ply") == expected, "other bytes");
+        assert!(names.iter().all(|name| !at(name).exists()), "something is left");
+        Ok(())
+    });
+    tested.expect("no panic");
+}
+
+/// A file as it is, without the hidden ones beside it.
+fn plain(path: &Path, bytes: &[u8]) {
+    use std::io::Write;
+    std::fs::File::create(path).and_then(|mut file| file.write_all(bytes)).expect("a written file");
+}
+
+/// Keeps the journal and the part file as a process leaves them that is killed: the last ones with parts.
+struct Keeping<'a> {
+    folder: &'a Path,
+    files: Mutex<Option<(Vec<u8>, Vec<u8>)>>,
+}
+
+impl Progress for Keeping<'_> {
+    fn begin(&self, _: &'static str, _: u64) {}
+    fn advance(&self, _: u64) {
+        let read = |name: &str| std::fs::read(self.folder.join(name)).ok().filter(|bytes| !bytes.is_empty());
+        if let (Some(journal), Some(part)) = (read(".simod-out.ply.journal"), read(".simod-out.ply.part")) {
+            *self.files.lock().expect("files") = Some((journal, part));
+        }
+    }
+    fn is_cancelled(&self) -> bool {
+        false
+    }
 }
 
 /// Makes the checksums of a binding's parts fit again, as far as its parts are there.

@@ -14,6 +14,7 @@ pub mod child;
 pub mod compare;
 pub mod deformer;
 pub mod edit;
+mod migration;
 pub mod motion;
 pub mod params;
 mod picked;
@@ -30,7 +31,7 @@ mod vector;
 #[cfg(unix)]
 pub mod worker;
 
-pub use deformer::{Capabilities, Code, Message, Plugin, is_raw};
+pub use deformer::{Capabilities, Code, Message, Migration, Plugin, is_raw};
 pub use motion::Motion;
 pub use params::{ParamValue, Params, describe_params, param_data};
 pub use picked::PickedPoints;

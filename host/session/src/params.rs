@@ -1,11 +1,12 @@
 //! Parameters: checked against the plugin's descriptions, completed by defaults, made local.
 
-use crate::deformer::{Plugin, limits};
+use crate::deformer::{Migration, Plugin, limits};
 use glam::DVec3;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
 use simod_core::{Error, ErrorKind, Result, input};
 use simod_plugin_api::{ChoiceDesc, Curve, Descriptor, Param, ParamDesc, ParamKind, Unit};
+use std::collections::HashSet;
 use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 
@@ -518,6 +519,35 @@ pub(crate) fn check_description(descriptor: &Descriptor) -> std::result::Result<
     Ok(())
 }
 
+/// What is wrong with what a plugin says of its older sessions.
+pub(crate) fn check_migration(
+    descriptor: &Descriptor,
+    migration: &Migration,
+) -> std::result::Result<(), String> {
+    let Migration { state_version, aliases } = migration;
+    if *state_version == 0 {
+        return Err("its state version is 0, and the first one is 1".to_owned());
+    }
+    if aliases.len() > limits::LONGEST_LIST {
+        return Err(format!("the aliases are {}, more than {}", aliases.len(), limits::LONGEST_LIST));
+    }
+    let is_now = |id: &str| descriptor.params.iter().any(|d| d.id == id);
+    let mut known = HashSet::new();
+    for (former, now) in aliases {
+        let short: String = former.chars().take(40).collect();
+        if former.len() >= limits::LONGEST_TEXT || !is_id(former) {
+            return Err(format!("the alias `{short}` is not kebab-case, or too long"));
+        }
+        if is_now(former) || !known.insert(former) {
+            return Err(format!("the alias `{short}` is a parameter's id, or there twice"));
+        }
+        if !is_now(now) {
+            return Err(format!("the alias `{short}` is of no parameter that there is"));
+        }
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -586,6 +616,28 @@ mod tests {
         told("falloff = [[0.5, 1], [0.2, 0]]", "left to right", "whose x ascend");
         told("weights = \"nowhere.toml\"", "cannot open nowhere.toml", "check the path");
         told("weights = \"x.png\"", "not a file of a type", ".rs, .toml");
+    }
+
+    #[test]
+    fn aliases_are_checked() {
+        let x = Descriptor::new("x", "X", "1.0.0").param(ParamDesc::float("a", "A", 0.0));
+        let with = |state_version, aliases: &[(&str, &str)]| {
+            let aliases = aliases.iter().map(|(f, n)| ((*f).to_owned(), (*n).to_owned())).collect();
+            check_migration(&x, &Migration { state_version, aliases })
+        };
+        assert_eq!(with(1, &[("b", "a"), ("c", "a")]), Ok(()));
+        for (aliases, what) in [
+            (&[("b", "c")][..], "of no parameter"),
+            (&[("a", "a")], "a parameter's id"),
+            (&[("b", "a"), ("b", "a")], "there twice"),
+            (&[("B", "a")], "not kebab-case"),
+        ] {
+            assert!(with(1, aliases).unwrap_err().contains(what));
+        }
+        assert!(with(0, &[]).unwrap_err().contains("version is 0"));
+        let many: Vec<(String, String)> = (0..10_001).map(|i| (format!("b{i}"), "a".to_owned())).collect();
+        let many = Migration { state_version: 1, aliases: many };
+        assert!(check_migration(&x, &many).unwrap_err().contains("10001"));
     }
 
     #[test]

@@ -179,6 +179,7 @@ impl Run {
             ));
         }
         let folder = folder_of(output);
+        let time = session.time.time();
         let cells = tolerance.is_some() || session.steps.iter().any(|step| step.enabled && step.refines());
         // With triangles, a refinement knows the faces, and places its samples as it does those of a folder.
         let triangles = cells || stack.plugins().any(|p| p.consumes().triangles);
@@ -187,13 +188,13 @@ impl Run {
         let (deformed, certificate) = match tolerance {
             Some(tolerance) => {
                 let tolerance = tolerance.fraction(sampled.bounds.diagonal());
-                let by = (&session.steps[..], plugins);
+                let by = (&session.steps[..], plugins, time);
                 let (deformed, certificate) =
                     tolerance::meet(sampled, model.as_ref(), by, tolerance, folder, progress)?;
                 (deformed, Some(certificate))
             }
             None => {
-                let refinements = Refinements { folder: folder.to_owned(), ..Refinements::default() };
+                let refinements = Refinements { folder: folder.to_owned(), time, ..Refinements::default() };
                 (deform(sampled, &session.steps, plugins, refinements, progress)?, None)
             }
         };

@@ -12,6 +12,7 @@ use simod_core::output::{canonical_target, folder_of};
 use simod_core::refinement::Finer;
 use simod_core::sampling::Placement;
 use simod_core::{Error, ErrorKind, Result};
+use simod_plugin_api::Time;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
@@ -35,6 +36,8 @@ pub struct SessionFile {
     pub sampling: Sampling,
     /// Deformations and refinements, first to last.
     pub steps: Vec<Step>,
+    /// When in a sequence the steps are done.
+    pub time: SessionTime,
     /// Where the deformed model goes.
     pub output: Option<PathBuf>,
     /// The same as it stands in the file, if this was read from one.
@@ -53,6 +56,38 @@ pub struct Sampling {
     pub grid: Option<u32>,
     /// What places the samples; by the model's faces, where not given.
     pub place: Option<Placement>,
+}
+
+/// When in a sequence steps are done, for plugins that take the time.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct SessionTime {
+    /// Which frame it is; 0 where that is not said.
+    pub frame: Option<i64>,
+    /// Frames in a second; 24 where that is not said.
+    pub rate: Option<f64>,
+    /// Seconds since the beginning; by frame and rate where they are not said.
+    pub seconds: Option<f64>,
+}
+
+impl SessionTime {
+    /// As plugins get it.
+    pub fn time(&self) -> Time {
+        let frame = self.frame.unwrap_or(0);
+        let seconds = self.seconds.unwrap_or_else(|| frame as f64 / self.rate.unwrap_or(24.0));
+        Time { frame, seconds }
+    }
+
+    /// What is wrong with it, if anything.
+    pub fn defect(&self) -> Option<&'static str> {
+        if self.rate.is_some_and(|rate| !(rate > 0.0 && rate.is_finite())) {
+            Some("`rate` is no number of frames in a second")
+        } else if !self.time().seconds.is_finite() {
+            Some("`seconds` is no finite number")
+        } else {
+            None
+        }
+    }
 }
 
 /// One step of an edit.
@@ -125,6 +160,9 @@ pub struct Deformation {
     pub deform: String,
     /// Where the plugin came from, as far as that was known when the session was saved.
     pub plugin: Option<Origin>,
+    /// The version of what the plugin's parameters mean; where nothing is said, the first.
+    #[serde(default)]
+    pub state_version: Option<u32>,
     /// The parameters that differ from their defaults.
     #[serde(default)]
     pub params: toml::Table,
@@ -146,6 +184,32 @@ pub struct Deformation {
     /// Where the parameters stand in the file; for errors.
     #[serde(skip)]
     pub param_places: ParamPlaces,
+    /// What was changed when it was brought up to its plugin; for users.
+    #[serde(skip)]
+    pub notes: Notes,
+}
+
+/// What was done to a step, in words. No part of what the step is: all are equal.
+#[derive(Debug, Clone, Default)]
+pub struct Notes(Arc<[String]>);
+
+impl PartialEq for Notes {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl From<Vec<String>> for Notes {
+    fn from(notes: Vec<String>) -> Self {
+        Self(notes.into())
+    }
+}
+
+impl Notes {
+    /// One by one.
+    pub fn iter(&self) -> impl Iterator<Item = &str> {
+        self.0.iter().map(String::as_str)
+    }
 }
 
 /// Where the parameters of a step stand in its file, as `session.toml, line 9`. No part of what the step is: all are equal.
@@ -159,6 +223,17 @@ impl PartialEq for ParamPlaces {
 }
 
 impl ParamPlaces {
+    /// The same where parameters have other names.
+    pub(crate) fn renamed(&self, aliases: &[(String, String)]) -> Self {
+        let mut places = (*self.0).clone();
+        for (former, now) in aliases {
+            if let Some(place) = places.get(former).cloned() {
+                places.entry(now.clone()).or_insert(place);
+            }
+        }
+        Self(Arc::new(places))
+    }
+
     /// Where an error belongs to that came up in the step at `place`: to the parameter that it names, if the file gives that one.
     pub(crate) fn of<'a>(&'a self, place: &'a str, error: &Error) -> &'a str {
         let text = error.to_string();
@@ -199,6 +274,25 @@ impl std::fmt::Display for Origin {
             write!(f, ", {}", self.url)?;
         }
         Ok(())
+    }
+}
+
+impl Deformation {
+    /// One by a plugin, which is given nothing.
+    pub fn of(plugin: &str) -> Self {
+        Self {
+            deform: plugin.to_owned(),
+            plugin: None,
+            state_version: None,
+            params: toml::Table::new(),
+            regions: Vec::new(),
+            joints: Vec::new(),
+            handles: Vec::new(),
+            strokes: Vec::new(),
+            folder: PathBuf::new(),
+            param_places: ParamPlaces::default(),
+            notes: Notes::default(),
+        }
     }
 }
 
@@ -334,6 +428,7 @@ struct RawSession {
     model: Option<RawModel>,
     #[serde(default)]
     sampling: Option<Spanned<Sampling>>,
+    time: Option<Spanned<SessionTime>>,
     #[serde(default)]
     step: Vec<Spanned<RawStep>>,
     output: Option<RawPath>,
@@ -357,6 +452,7 @@ struct RawPath {
 struct RawStep {
     deform: Option<String>,
     plugin: Option<Origin>,
+    state_version: Option<u32>,
     #[serde(default)]
     params: BTreeMap<Spanned<String>, toml::Value>,
     #[serde(default)]
@@ -452,6 +548,7 @@ impl SessionFile {
             fingerprint: raw.model.as_ref().and_then(|m| m.fingerprint.clone()),
             model: raw.model.map(|m| folder.join(m.path)),
             sampling,
+            time: raw.time.map_or(Ok(SessionTime::default()), |time| source.time(&time))?,
             steps: raw.step.into_iter().map(|s| source.step(s)).collect::<Result<_>>()?,
             output: raw.output.as_ref().map(|o| folder.join(&o.path)),
             named_output: raw.output.map(|o| o.path),
@@ -556,6 +653,17 @@ impl Source<'_> {
         Ok(sampling)
     }
 
+    fn time(&self, time: &Spanned<SessionTime>) -> Result<SessionTime> {
+        match time.get_ref().defect() {
+            Some(what) => Err(self.error(
+                &time.span(),
+                what,
+                "give a frame, such as 12, and perhaps a rate, such as 24",
+            )),
+            None => Ok(*time.get_ref()),
+        }
+    }
+
     fn step(&self, step: Spanned<RawStep>) -> Result<Step> {
         let (span, raw) = (step.span(), step.into_inner());
         let (enabled, place) = (raw.enabled.unwrap_or(true), self.place(&span));
@@ -570,6 +678,7 @@ impl Source<'_> {
     fn refine(&self, span: &Range<usize>, raw: RawStep) -> Result<Refine> {
         let nothing_else = raw.deform.is_none()
             && raw.plugin.is_none()
+            && raw.state_version.is_none()
             && raw.params.is_empty()
             && raw.region.is_empty()
             && raw.joint.is_empty()
@@ -646,6 +755,8 @@ impl Source<'_> {
         Ok(Deformation {
             deform,
             plugin: raw.plugin,
+            state_version: raw.state_version,
+            notes: Notes::default(),
             param_places: ParamPlaces(Arc::new(places.collect())),
             params: raw.params.into_iter().map(|(id, value)| (id.into_inner(), value)).collect(),
             regions: raw.region.into_iter().map(|r| self.region(r)).collect::<Result<_>>()?,
@@ -823,6 +934,8 @@ path = "/elsewhere/out.ply"
         told("[sampling]\nsamples = \"x\"", 2, "string \"x\"");
         told("[sampling]\nsamples = 1\nerror = 1e-3", 1, "both");
         told("[model\n", 1, "");
+        told("[time]\nrate = 0", 1, "`rate` is no number");
+        told("[time]\nseconds = nan", 1, "`seconds` is no finite number");
         let region = "[[step]]\ndeform = \"rbf\"\n[[step.region]]\n";
         told(&format!("{region}role = \"free\"\nshapes = []"), 4, "free");
         told(&format!("{region}role = \"fixed\"\nshapes = []"), 3, "no shape");

@@ -4,8 +4,8 @@
 use crate::motion::Motion;
 use crate::picked::PickedPoints;
 use crate::session_file::{
-    Action, Deformation, HandleMove, Joint, Refine, Region, Role, Sampling, SessionFile, Step, Stroke,
-    VERSION,
+    Action, Deformation, HandleMove, Joint, Refine, Region, Role, Sampling, SessionFile, SessionTime, Step,
+    Stroke, VERSION,
 };
 use crate::shapes::Shape;
 use crate::strokes_file;
@@ -47,6 +47,9 @@ impl SessionFile {
         if !sampling.is_empty() {
             document["sampling"] = Item::Table(sampling);
         }
+        if self.time != SessionTime::default() {
+            document["time"] = Item::Table(time(&self.time));
+        }
         if !self.steps.is_empty() {
             let step = |s| step(s, path, &mut files);
             let steps = self.steps.iter().map(step).collect::<Result<ArrayOfTables>>()?;
@@ -85,6 +88,20 @@ fn sampling(from: &Sampling) -> Table {
     }
     if let Some(place) = from.place {
         table["place"] = value(place.name());
+    }
+    table
+}
+
+fn time(from: &SessionTime) -> Table {
+    let mut table = Table::new();
+    if let Some(frame) = from.frame {
+        table["frame"] = value(frame);
+    }
+    if let Some(rate) = from.rate {
+        table["rate"] = value(rate);
+    }
+    if let Some(seconds) = from.seconds {
+        table["seconds"] = value(seconds);
     }
     table
 }
@@ -131,6 +148,9 @@ fn deformation(
     if let Some(origin) = &from.plugin {
         let plugin = origin.serialize(ValueSerializer::new()).map_err(|e| lost("a plugin's origin", &e))?;
         table["plugin"] = value(plugin);
+    }
+    if let Some(version) = from.state_version {
+        table["state-version"] = value(i64::from(version));
     }
     if !from.params.is_empty() {
         table["params"] = value(inline(&from.params)?);
@@ -291,8 +311,10 @@ mod tests {
         let shifted = Motion { translate: DVec3::X, axis: DVec3::Z, ..Motion::default() };
         let deformation = Deformation {
             param_places: Default::default(),
+            notes: Default::default(),
             deform: "rbf".to_owned(),
             plugin: None,
+            state_version: Some(3),
             params: "kernel = \"triharmonic\"\ntolerance = 1e-4\nname = \"a \\\" b\"".parse().unwrap(),
             regions: vec![
                 region(Role::Fixed, 0.0, Motion::default()),
@@ -327,6 +349,7 @@ mod tests {
                 grid: Some(64),
                 place: Some(Placement::Vertices),
             },
+            time: SessionTime { frame: Some(-3), rate: Some(25.0), seconds: None },
             steps: vec![
                 step(Action::Deform(deformation), false),
                 step(refine(Finer::Factor(4.0)), true),
@@ -388,9 +411,14 @@ samples = 50000
 grid = 64
 place = "vertices"
 
+[time]
+frame = -3
+rate = 25.0
+
 [[step]]
 enabled = false
 deform = "rbf"
+state-version = 3
 params = { kernel = "triharmonic", name = 'a " b', tolerance = 0.0001 }
 
 [[step.region]]

@@ -17,6 +17,7 @@ use crate::edit::Refinements;
 use crate::pipeline::{DeformedSamples, deform};
 use crate::plugins::PluginRegistry;
 use crate::session_file::Step;
+use simod_plugin_api::Time;
 
 /// Rounds of refinement; the number of samples may double in each.
 const ROUNDS: u64 = 20;
@@ -134,7 +135,7 @@ pub fn check_precision(sampled: &SampledModel, model: &dyn Model, tolerance: f64
 pub(crate) fn meet(
     sampled: SampledModel,
     model: &dyn Model,
-    (steps, plugins): (&[Step], &PluginRegistry),
+    (steps, plugins, time): (&[Step], &PluginRegistry, Time),
     tolerance: f64,
     folder: &Path,
     progress: &dyn Progress,
@@ -143,7 +144,7 @@ pub(crate) fn meet(
     let first = sampled.samples.len() as u64;
     let of_diagonal = sampled.local_diagonal().max(f64::MIN_POSITIVE);
     let most = (MOST * first).max(FEW).min(sampled.source.vertices);
-    let refinements = Refinements { folder: folder.to_owned(), ..Refinements::default() };
+    let refinements = Refinements { folder: folder.to_owned(), time, ..Refinements::default() };
     let again = |sampled: Arc<SampledModel>, steps: &[Step]| {
         deform(sampled, steps, plugins, refinements.clone(), progress)
     };

@@ -13,6 +13,7 @@ use simod_session::{SessionFile, Stack, deform};
 
 use super::overwrite::Overwrite;
 use super::plugin_options::PluginOptions;
+use super::time_options::TimeOptions;
 use super::{notices, tell};
 use crate::report::{Report, count};
 
@@ -32,6 +33,8 @@ pub struct Deform {
     /// do
     #[arg(long, value_name = "DIR")]
     refined: Option<PathBuf>,
+    #[command(flatten)]
+    time: TimeOptions,
     #[command(flatten)]
     overwrite: Overwrite,
     #[command(flatten)]
@@ -58,7 +61,8 @@ impl Deform {
         });
         let begun = begun.transpose()?;
         let progress = report.progress();
-        let mut how = Refinements::default();
+        let time = self.time.over(session.time)?.time();
+        let mut how = Refinements { time, ..Refinements::default() };
         if let Some(folder) = &refined {
             sampled.hold_cells(sampled.cells(&self.sampled, None, progress)?);
             how.folder = folder_of(folder).to_owned();

@@ -9,6 +9,7 @@ pub mod info;
 mod overwrite;
 pub mod plugin;
 mod plugin_check;
+mod plugin_migrate;
 mod plugin_new;
 mod plugin_options;
 pub mod reconstruct;
@@ -16,6 +17,7 @@ pub mod refine;
 pub mod render;
 pub mod run;
 pub mod sample;
+mod time_options;
 pub mod view;
 
 use simod_core::sampled_model::SampledModel;

@@ -6,6 +6,7 @@ use simod_core::Result;
 use simod_session::{Plugin as Loaded, PluginRegistry, param_data};
 
 use super::plugin_check::{Check, CheckRule};
+use super::plugin_migrate::Migrate;
 use super::plugin_new::New;
 use super::plugin_options::{PluginOptions, Serve};
 use crate::report::Report;
@@ -31,6 +32,7 @@ pub enum Plugin {
     },
     Serve(Serve),
     New(New),
+    Migrate(Migrate),
     Check(Check),
     CheckRule(CheckRule),
 }
@@ -52,6 +54,7 @@ impl Plugin {
             }
             Self::Serve(serve) => serve.execute()?,
             Self::New(new) => new.execute(report)?,
+            Self::Migrate(migrate) => migrate.execute(report)?,
             Self::Check(check) => check.execute(report)?,
             Self::CheckRule(rule) => rule.execute(report)?,
         }
@@ -122,6 +125,8 @@ fn info(plugin: &Loaded, report: &mut Report) {
         (consumes.strokes, "strokes", "uses_strokes"),
         (consumes.frame, "the model's frame", "uses_frame"),
         (consumes.effort, "drafts while dragging", "makes_drafts"),
+        (consumes.time, "the time of a sequence", "uses_time"),
+        (consumes.rest_positions, "the samples before all steps", "uses_rest_positions"),
     ] {
         if used {
             needs.push(what.to_owned());
@@ -152,6 +157,17 @@ fn info(plugin: &Loaded, report: &mut Report) {
         let indent = if group.is_empty() { "  " } else { "    " };
         report.line(format!("{indent}{:14} {}", param.id, param.text));
     }
+    if let Some(migration) = plugin.migration() {
+        report.line(format!("  state version {}, which saved sessions write down", migration.state_version));
+        for (former, now) in &migration.aliases {
+            report.line(format!("  `{now}` was once called `{former}`"));
+        }
+    }
+    let alias = |(former, now): &(String, String)| json!({"former": former, "now": now});
+    let aliases = plugin.migration().map(|m| m.aliases.iter().map(alias).collect::<Vec<_>>());
+    report.figure("state_version", plugin.state_version());
+    report.figure("aliases", aliases.unwrap_or_default());
+    report.figure("migrates", plugin.migration().is_some());
     report.figure("id", plugin.id());
     report.figure("version", plugin.version());
     report.figure("parameters", plugin.params().iter().map(param_data).collect::<Vec<_>>());

@@ -14,6 +14,7 @@ use simod_session::{Certificate, ExactCost, Run as Pipeline, Running, SessionFil
 use super::overwrite::Overwrite;
 use super::plugin_options::PluginOptions;
 use super::reconstruct::{MethodName, NormalsName, describe_expected, warn_beyond};
+use super::time_options::TimeOptions;
 use super::{notices, tell, warn_non_finite};
 use crate::report::{Report, count, rate};
 
@@ -51,6 +52,8 @@ pub struct Run {
     #[arg(long, value_name = "FILE")]
     diagnostics: Option<PathBuf>,
     #[command(flatten)]
+    time: TimeOptions,
+    #[command(flatten)]
     overwrite: Overwrite,
     #[command(flatten)]
     plugins: PluginOptions,
@@ -60,6 +63,7 @@ impl Run {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let mut session = SessionFile::load(&self.session)?;
         session.model = self.model.or(session.model);
+        session.time = self.time.over(session.time)?;
         let output = match self.output {
             Some(output) => output,
             None => session.output_beside(&self.session)?.to_owned(),

@@ -7,7 +7,7 @@
 
 use glam::DVec3;
 use rayon::prelude::*;
-use rstar::{AABB, PointDistance, RTree, RTreeObject};
+use rstar::{AABB, PointDistance, RTree, RTreeObject, SelectionFunction};
 use serde::Serialize;
 
 use super::{corners, cross};
@@ -25,15 +25,26 @@ pub struct Distances {
     pub max: f64,
 }
 
-/// Triangles among which the nearest is found, in an R*-tree.
+/// Triangles among which the nearest, and the first on a ray, is found, in an R*-tree.
 ///
 /// Memory: about 150 bytes for each triangle.
 pub struct Surface {
     facets: RTree<Facet>,
 }
 
-/// A triangle with an area.
-struct Facet([DVec3; 3]);
+/// A triangle with an area, and which it is.
+struct Facet([DVec3; 3], u32);
+
+/// A point of a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OnSurface {
+    /// Which of the triangles it is on.
+    pub triangle: u32,
+    /// Weights of the triangle's corners, at least 0, which add up to 1.
+    pub weights: DVec3,
+    /// Where it is.
+    pub position: DVec3,
+}
 
 impl RTreeObject for Facet {
     type Envelope = AABB<[f64; 3]>;
@@ -54,8 +65,8 @@ impl Surface {
     /// The triangles between these positions, but for those without an area: their sides belong to others. Nothing if
     /// none is left.
     pub fn new(positions: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
-        let facets = triangles.iter().filter_map(|t| corners(positions, *t));
-        let facets: Vec<Facet> = facets.filter(|c| cross(*c).length_squared() > 0.0).map(Facet).collect();
+        let facets = triangles.iter().zip(0..).filter_map(|(t, i)| Some(Facet(corners(positions, *t)?, i)));
+        let facets: Vec<Facet> = facets.filter(|f| cross(f.0).length_squared() > 0.0).collect();
         (!facets.is_empty()).then(|| Self { facets: RTree::bulk_load(facets) })
     }
 
@@ -63,6 +74,22 @@ impl Surface {
     pub fn distance(&self, p: DVec3) -> f64 {
         let nearest = self.facets.nearest_neighbor(p.to_array());
         nearest.map_or(f64::INFINITY, |facet| facet.distance_2(&p.to_array()).sqrt())
+    }
+
+    /// The point of the surface that is nearest to a point, which has to be finite.
+    pub fn closest(&self, p: DVec3) -> Option<OnSurface> {
+        let facet = self.facets.nearest_neighbor(p.to_array())?;
+        Some(facet.at(nearest_on(facet.0, p)))
+    }
+
+    /// Where a ray of a finite origin and direction, which is not zero, meets the surface first, from either side; of several
+    /// triangles there, the first one.
+    pub fn first_on_ray(&self, origin: DVec3, direction: DVec3) -> Option<OnSurface> {
+        let along = Along { origin, inverse: direction.recip() };
+        let met = self.facets.locate_with_selection_function(along);
+        let met = met.filter_map(|facet| Some((meets(facet.0, origin, direction)?, facet)));
+        let first = met.min_by(|(a, f), (b, g)| a.total_cmp(b).then(f.1.cmp(&g.1)));
+        first.map(|(t, facet)| facet.at(origin + t * direction))
     }
 
     /// How far another surface is from this one: the corners of its triangles. All 0 for one without any.
@@ -90,6 +117,60 @@ impl Surface {
         }
         Ok(Distances { rms: if weights > 0.0 { (sum / weights).sqrt() } else { 0.0 }, max })
     }
+}
+
+impl Facet {
+    /// A point that is on it but for rounding.
+    fn at(&self, position: DVec3) -> OnSurface {
+        let [a, b, c] = self.0;
+        let normal = cross(self.0);
+        let part = |from: DVec3, to: DVec3| (to - from).cross(position - from).dot(normal).max(0.0);
+        let parts = DVec3::new(part(b, c), part(c, a), part(a, b));
+        OnSurface { triangle: self.1, weights: parts / parts.element_sum(), position }
+    }
+}
+
+/// The boxes that a ray meets.
+struct Along {
+    origin: DVec3,
+    /// One over the direction's components; infinite for those that are 0.
+    inverse: DVec3,
+}
+
+impl SelectionFunction<Facet> for Along {
+    fn should_unpack_parent(&self, envelope: &AABB<[f64; 3]>) -> bool {
+        let [lower, upper] = [envelope.lower(), envelope.upper()].map(DVec3::from_array);
+        let (mut enter, mut leave) = (0.0f64, f64::INFINITY);
+        for i in 0..3 {
+            let at = |x: f64| (x - self.origin[i]) * self.inverse[i];
+            let (a, b) = (at(lower[i]), at(upper[i]));
+            // Where the ray lies in a side's plane, which gives no number, that side says nothing.
+            if !(a.is_nan() || b.is_nan()) {
+                (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
+            }
+        }
+        // A little more than that, so that nothing is lost by rounding.
+        enter <= leave * (1.0 + 1e-12)
+    }
+}
+
+/// How far along a ray it meets a triangle, in lengths of the direction: by the volumes that the ray spans with the sides (T.
+/// Möller, B. Trumbore, *Fast, Minimum Storage Ray-Triangle Intersection*, 1997).
+fn meets([a, b, c]: [DVec3; 3], origin: DVec3, direction: DVec3) -> Option<f64> {
+    let (u, v) = (b - a, c - a);
+    let across = direction.cross(v);
+    let volume = u.dot(across);
+    if volume == 0.0 {
+        return None;
+    }
+    let from = origin - a;
+    let by_u = from.dot(across) / volume;
+    let around = from.cross(u);
+    let by_v = direction.dot(around) / volume;
+    let t = v.dot(around) / volume;
+    // Sides belong to both of their triangles, so that no ray slips through between.
+    let slack = 1e-12;
+    (by_u >= -slack && by_v >= -slack && by_u + by_v <= 1.0 + slack && t >= 0.0 && t.is_finite()).then_some(t)
 }
 
 /// A third of the area of the triangles at each vertex.
@@ -222,6 +303,36 @@ mod tests {
         triangles.extend(dense.iter().map(|t| t.map(|i| i + first)));
         let found = between(&(points, triangles), &plane);
         assert!((found.rms - 0.02f64.sqrt()).abs() < 1e-12, "{found:?}");
+    }
+
+    #[test]
+    fn points_of_a_surface_and_rays_know_their_triangles() {
+        let (points, triangles) = sphere(1.0, 12);
+        let surface = Surface::new(&points, &triangles).unwrap();
+        let mut met = 0;
+        for i in 0..200 {
+            let t = f64::from(i);
+            let to = DVec3::new((t * 0.7).sin(), (t * 1.3).cos(), (t * 0.37).sin()).normalize();
+            let found = surface.closest(to * 1.5).unwrap();
+            let corners = triangles[found.triangle as usize].map(|i| points[i as usize]);
+            let mixed =
+                corners[0] * found.weights.x + corners[1] * found.weights.y + corners[2] * found.weights.z;
+            assert!(found.weights.min_element() >= 0.0 && mixed.distance(found.position) < 1e-12);
+            assert!((found.position.distance(to * 1.5) - surface.distance(to * 1.5)).abs() < 1e-12);
+            // From inside by any length of the direction, the wall is met once; from outside the near side is first.
+            let inner = surface.first_on_ray(DVec3::ZERO, to * 7.0).unwrap();
+            assert!(inner.position.normalize().distance(to) < 1e-12 && inner.position.length() > 0.98);
+            let outer = surface.first_on_ray(to * 3.0, -to).unwrap();
+            assert!(outer.position.distance(inner.position) < 1e-9, "{outer:?} is not {inner:?}");
+            met += usize::from(surface.first_on_ray(to * 3.0, to).is_none());
+        }
+        assert_eq!(met, 200, "away from it nothing is met");
+        // Along an axis, and in the plane of a box.
+        let flat = square(1.0, 4);
+        let flat = Surface::new(&flat.0, &flat.1).unwrap();
+        let down = flat.first_on_ray(DVec3::new(0.25, 2.0, 0.25), DVec3::NEG_Y).unwrap();
+        assert_eq!(down.position, DVec3::new(0.25, 0.0, 0.25));
+        assert_eq!(flat.first_on_ray(DVec3::new(-1.0, 0.0, 0.3), DVec3::X), None);
     }
 
     #[test]

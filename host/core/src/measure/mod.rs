@@ -22,7 +22,7 @@ mod size;
 mod vertexwise;
 
 pub use details::{Details, Rotation};
-pub use distance::{Distances, Surface};
+pub use distance::{Distances, OnSurface, Surface};
 pub use size::{area, area_distortion, edge_distortion, is_closed, volume};
 pub use vertexwise::{Angles, Beside, Difference, beside};
 

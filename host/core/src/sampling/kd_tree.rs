@@ -121,6 +121,30 @@ impl KdTree {
         (least.1 != u32::MAX).then_some(least.1)
     }
 
+    /// All points that are not farther from `p` than `radius`, nearest first. The numbers' lower halves are the points'
+    /// indices.
+    pub fn within(&self, p: Vec3, radius: f32) -> Vec<Found> {
+        let most = radius * radius;
+        let (mut found, mut open) = (Vec::new(), vec![(0, 0, self.leaves.len())]);
+        while let Some((node, first, leaves)) = open.pop() {
+            if self.boxes[node].distance_squared(p) > most {
+                continue;
+            }
+            if leaves > 1 {
+                let left = leaves / 2;
+                open.extend([(node + 1, first, left), (node + 2 * left, first + left, leaves - left)]);
+                continue;
+            }
+            let leaf = &self.leaves[first];
+            let near = leaf.distances(p).into_iter().zip(leaf.index);
+            let near = near.filter(|(distance, index)| *distance <= most && *index != u32::MAX);
+            found
+                .extend(near.map(|(distance, index)| u64::from(distance.to_bits()) << 32 | u64::from(index)));
+        }
+        found.sort_unstable();
+        found
+    }
+
     /// The points nearest to `p`, nearest first: as many as `found` is long, which is no longer than there are. The
     /// numbers' lower halves are the points' indices.
     pub fn nearest_ones(&self, p: Vec3, found: &mut [Found]) {
@@ -168,6 +192,15 @@ impl Leaf {
         }
         leaf
     }
+
+    /// Squared distances of a point.
+    #[inline]
+    fn distances(&self, p: Vec3) -> [f32; LEAF] {
+        std::array::from_fn(|i| {
+            let (x, y, z) = (self.x[i] - p.x, self.y[i] - p.y, self.z[i] - p.z);
+            x * x + y * y + z * z
+        })
+    }
 }
 
 impl Extent {
@@ -208,12 +241,7 @@ impl Search<'_> {
     }
 
     fn look_at(&mut self, leaf: &Leaf) {
-        let p = self.point;
-        let distance: [f32; LEAF] = std::array::from_fn(|i| {
-            let (x, y, z) = (leaf.x[i] - p.x, leaf.y[i] - p.y, leaf.z[i] - p.z);
-            x * x + y * y + z * z
-        });
-        for (distance, index) in distance.iter().zip(leaf.index) {
+        for (distance, index) in leaf.distances(self.point).iter().zip(leaf.index) {
             let found = u64::from(distance.to_bits()) << 32 | u64::from(index);
             if found < self.farthest() && index != self.but {
                 self.insert(found);
@@ -265,6 +293,20 @@ mod tests {
             let mut found = vec![0; sorted.len()];
             tree.nearest_others(p, but, &mut found);
             prop_assert_eq!(found.iter().map(|f| *f as u32).collect::<Vec<_>>(), sorted);
+        }
+
+        #[test]
+        fn within_a_radius_all_are_found(
+            points in proptest::collection::vec(point(), 1..300), p in point(), radius in 0.0..3.0f32,
+        ) {
+            let tree = KdTree::new(&points);
+            let distance = |i: u32| points[i as usize].distance_squared(p);
+            let mut near: Vec<u32> =
+                (0..points.len() as u32).filter(|i| distance(*i) <= radius * radius).collect();
+            near.sort_by(|i, j| distance(*i).total_cmp(&distance(*j)).then(i.cmp(j)));
+            let found: Vec<u32> = tree.within(p, radius).iter().map(|f| *f as u32).collect();
+            prop_assert_eq!(found, near);
+            prop_assert_eq!(tree.within(p, f32::INFINITY).len(), points.len());
         }
 
         #[test]

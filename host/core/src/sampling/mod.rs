@@ -29,6 +29,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 pub use gather::Grouping;
+pub use kd_tree::KdTree;
 pub use placement::Placement;
 pub use sample_set::{NEIGHBOURS, NeighbourGraph, SampleSet};
 pub use vs_tree::Splitting;

@@ -11,7 +11,7 @@ use simod_core::geometry::Bounds;
 use simod_core::sampling::SampleSet;
 use simod_plugin_api::{
     Affine, DeformInput, Graph, HandleDesc, HandleMotions, Joint, Joints, ModelFrame, Param, Part,
-    PrepareInput, Region, Role, Samples, Stroke, Strokes, Triangles,
+    PrepareInput, Region, RestPositions, Role, Samples, Stroke, Strokes, Time, Triangles,
 };
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
@@ -37,6 +37,10 @@ pub(super) struct Case {
     joints: Vec<(String, [f64; 3], u32)>,
     /// Whether the plugin uses the model's frame.
     frame: bool,
+    /// Where the plugin uses them, a little beside where the samples are now.
+    rest: Option<Vec<[f32; 3]>>,
+    /// Where the plugin uses it.
+    time: Option<Time>,
     /// The motions of the handles that the plugin placed for these joints, samples and parameters.
     pub handles: Vec<Affine>,
     /// The paths of strokes, where the plugin uses some.
@@ -68,6 +72,10 @@ impl Case {
             bounds: simod_plugin_api::Bounds { min: bounds.min.to_array(), max: bounds.max.to_array() },
             joints: if consumes.joints { joints(&bounds) } else { Vec::new() },
             frame: consumes.frame,
+            rest: consumes
+                .rest_positions
+                .then(|| set.positions.iter().map(|p| [p.x + 0.01, p.y, p.z]).collect()),
+            time: consumes.time.then_some(Time { frame: 12, seconds: 0.5 }),
             handles: Vec::new(),
             strokes: if consumes.strokes { strokes(&set.positions) } else { Vec::new() },
             positions: bytemuck::cast_slice(&set.positions).to_vec(),
@@ -107,6 +115,12 @@ impl Case {
         self
     }
 
+    /// The same at another time of a sequence.
+    pub fn at_time(mut self, time: Time) -> Self {
+        self.time = Some(time);
+        self
+    }
+
     /// A sphere with bumps, of so many samples.
     pub fn bumpy_sphere(plugin: &Plugin, count: usize) -> Checked<Self> {
         let (positions, normals) = (0..count).map(|i| bumpy_sphere(i, count)).unzip();
@@ -128,6 +142,7 @@ impl Case {
         self.normals.clear();
         self.spacing.clear();
         self.triangles.clear();
+        self.rest = self.rest.map(|_| Vec::new());
         self.neighbours = self.neighbours.map(|_| (vec![0], Vec::new()));
         self.regions.iter_mut().for_each(|(_, weights)| weights.clear());
         self
@@ -190,6 +205,8 @@ impl Case {
         if self.frame {
             parts.push(Part::new(&frame));
         }
+        let rest = self.rest.as_ref().map(|rest| RestPositions::new(rest));
+        parts.extend(rest.iter().map(Part::new));
         call(&PrepareInput::new(self.samples(), self.bounds, &regions, &params).with_parts(&parts))
     }
 
@@ -210,6 +227,7 @@ impl Case {
         if !self.strokes.is_empty() {
             parts.push(Part::new(&strokes));
         }
+        parts.extend(self.time.iter().map(Part::new));
         call(&DeformInput::new(self.samples(), self.bounds, &self.transforms, &params).with_parts(&parts))
     }
 }

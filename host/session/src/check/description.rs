@@ -3,7 +3,7 @@
 use super::subject::{Subject, answer};
 use super::{Checked, Finding};
 use crate::deformer::{is_raw, limits};
-use crate::params::{check_description, is_id};
+use crate::params::{check_description, check_migration, is_id};
 use crate::plugins::{aborts_on_panic, standard_folders};
 use crate::{PluginOptions, PluginRegistry};
 use simod_plugin_api::{Descriptor, InputDesc, ParamDesc, ParamKind};
@@ -23,6 +23,9 @@ pub(super) fn is_wrong(subject: &Subject) -> bool {
 /// The description makes sense, and is always the same.
 pub(super) fn descriptor(subject: &Subject) -> Checked<Finding> {
     let descriptor = subject.plugin.descriptor();
+    if let Some(what) = subject.plugin.migration().and_then(|m| check_migration(descriptor, m).err()) {
+        return Err(Finding::fail(what, "correct what `Migrate::migration` gives"));
+    }
     let fail = |what| Err(Finding::fail(what, "correct what `Deformer::descriptor` gives"));
     if let Some(what) = wrong(descriptor) {
         return fail(what);

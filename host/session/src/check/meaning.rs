@@ -7,6 +7,7 @@ use super::{Checked, Finding};
 use crate::stack::rows;
 use glam::DVec3;
 use simod_core::geometry::Bounds;
+use simod_plugin_api::Time;
 
 /// How far a rigid motion may be missed, in units of the diagonal.
 const RIGID: f64 = 1e-4;
@@ -250,6 +251,35 @@ pub(super) fn is_identity(subject: &Subject) -> Checked<Finding> {
         }
     }
     Ok(Finding::pass("what it says holds"))
+}
+
+/// A plugin that takes the time deforms at any, and at the same one always in the same way, whatever was between.
+pub(super) fn time(subject: &Subject) -> Checked<Finding> {
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    if !subject.plugin.consumes().time {
+        return Ok(Finding::skip("it does not take the time"));
+    }
+    let (state, first) = subject.run_ordinary(&case)?;
+    let mut scratch = subject.scratch()?;
+    let mut moved = 0;
+    for (frame, seconds) in [(0, 0.0), (-24, -1.0), (1, 1.0 / 24.0), (2_400_000, 1e5), (12, 0.5)] {
+        let at = case.clone().at_time(Time { frame, seconds });
+        // It may refuse a time, politely.
+        let Ok(positions) = subject.deform(&at, &state, &mut scratch)? else { continue };
+        match difference(&first, &positions) {
+            Some(what) if frame == 12 => {
+                let found = format!("at the time of before, after others, {what}");
+                return Err(Finding::fail(found, "let the result depend on the input and the state alone"));
+            }
+            Some(_) => moved += 1,
+            None => {}
+        }
+    }
+    Ok(if moved > 0 {
+        Finding::pass("it moves with the time")
+    } else {
+        Finding::pass("no time makes a difference")
+    })
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ mod description;
 mod inputs;
 mod limits;
 mod meaning;
+mod migration;
 mod parameters;
 mod random;
 mod subject;
@@ -139,6 +140,8 @@ pub const RULES: &[Rule] = &[
     Rule { id: "evaluate", asks: "the map of space agrees with the samples", run: meaning::evaluate },
     Rule { id: "handles", asks: "handles that it places make sense", run: meaning::handles },
     Rule { id: "is-identity", asks: "it tells the truth on doing nothing", run: meaning::is_identity },
+    Rule { id: "migration", asks: "older sessions keep working", run: migration::migration },
+    Rule { id: "time", asks: "any time of a sequence is no trouble", run: meaning::time },
     Rule { id: "bounds", asks: "parameters may take any value in range", run: parameters::bounds },
     Rule {
         id: "invalidation",

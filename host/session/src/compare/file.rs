@@ -73,6 +73,8 @@ pub enum Work {
     Plugin {
         /// Its id.
         deform: String,
+        /// The version of what its parameters mean; where nothing is said, the first.
+        state_version: Option<u32>,
         /// The parameters that differ from their defaults.
         params: toml::Table,
         /// What paths among them are relative to.
@@ -101,6 +103,7 @@ struct RawCompare {
 struct RawMethod {
     name: String,
     deform: Option<String>,
+    state_version: Option<u32>,
     #[serde(default)]
     params: toml::Table,
     session: Option<PathBuf>,
@@ -208,8 +211,13 @@ fn method(
         return wrong(&what, "make two comparisons of it, which share a method");
     }
     let work = match (raw.deform, raw.session) {
-        (Some(deform), None) => Work::Plugin { deform, params: raw.params, folder: folder.to_owned() },
-        (None, Some(session)) if raw.params.is_empty() => Work::Session(folder.join(session)),
+        (Some(deform), None) => {
+            let (state_version, params) = (raw.state_version, raw.params);
+            Work::Plugin { deform, state_version, params, folder: folder.to_owned() }
+        }
+        (None, Some(session)) if raw.params.is_empty() && raw.state_version.is_none() => {
+            Work::Session(folder.join(session))
+        }
         (None, Some(_)) => {
             return wrong("a method of a whole session has no `params`", "change them in the session");
         }

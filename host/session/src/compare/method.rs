@@ -129,7 +129,7 @@ impl<'a> Bench<'a> {
                 record.session = Some(text);
                 Ok(session.steps)
             }
-            Work::Plugin { deform, params, folder } => {
+            Work::Plugin { deform, state_version, params, folder } => {
                 let takes = self.plugins.get(deform)?.consumes();
                 let regions = self.file.regions.iter().filter(|region| match region.role {
                     Role::Fixed => takes.fixed_regions,
@@ -137,15 +137,11 @@ impl<'a> Bench<'a> {
                     Role::Mask => true,
                 });
                 let action = Action::Deform(Deformation {
-                    param_places: Default::default(),
-                    plugin: None,
-                    deform: deform.clone(),
+                    state_version: *state_version,
                     params: params.clone(),
                     regions: regions.cloned().collect(),
-                    joints: Vec::new(),
-                    handles: Vec::new(),
-                    strokes: Vec::new(),
                     folder: folder.clone(),
+                    ..Deformation::of(deform)
                 });
                 Ok(vec![Step { action, enabled: true, place: method.place.clone() }])
             }

@@ -2,7 +2,9 @@
 
 use super::Capabilities;
 use serde::{Deserialize, Serialize};
-use simod_plugin_api::{ChoiceDesc, Descriptor, InputDesc, ParamDesc, ParamKind, Unit};
+use simod_plugin_api::{
+    AliasDesc, ChoiceDesc, Descriptor, InputDesc, MigrationDesc, ParamDesc, ParamKind, Unit,
+};
 
 /// A plugin's description and capabilities.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -10,6 +12,24 @@ pub(crate) struct About {
     #[serde(with = "DescriptorRecord")]
     pub descriptor: Descriptor,
     pub capabilities: Capabilities,
+    /// Of a plugin whose older sessions keep working.
+    pub migration: Option<Migration>,
+}
+
+/// A [`MigrationDesc`].
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Migration {
+    /// The version of its sessions now.
+    pub state_version: u32,
+    /// Former ids of parameters, and those of now.
+    pub aliases: Vec<(String, String)>,
+}
+
+impl From<MigrationDesc> for Migration {
+    fn from(desc: MigrationDesc) -> Self {
+        let alias = |alias: AliasDesc| (alias.former.into(), alias.now.into());
+        Self { state_version: desc.state_version, aliases: desc.aliases.into_iter().map(alias).collect() }
+    }
 }
 
 /// A [`Descriptor`].
@@ -130,7 +150,8 @@ mod tests {
                 ..Default::default()
             });
         let capabilities = Capabilities { evaluate: true, ..Capabilities::default() };
-        let about = About { descriptor, capabilities };
+        let migration = Some(MigrationDesc::new(2).alias("z", "a").into());
+        let about = About { descriptor, capabilities, migration };
         let text = serde_json::to_string(&about).unwrap();
         assert_eq!(serde_json::from_str::<About>(&text).unwrap(), about);
         let bytes = postcard::to_stdvec(&about).unwrap();

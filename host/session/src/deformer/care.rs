@@ -5,9 +5,10 @@
 //! `docs/plugins.md`.
 
 use super::registers::{Modes, clear_upper_halves};
-use super::{Capabilities, Code};
+use super::{Capabilities, Code, Migration};
 use simod_plugin_api::{
-    DeformInput, Descriptor, HandleDesc, HostCalls, PluginError, PluginResult, PrepareInput, Scratch, State,
+    DeformInput, Descriptor, HandleDesc, HostCalls, PluginError, PluginResult, PrepareInput, Scratch,
+    Setting, State,
 };
 
 /// How much is undone.
@@ -166,6 +167,11 @@ impl<C: Code> Code for CarefulCode<C> {
         self.code.capabilities()
     }
 
+    fn migration(&self) -> PluginResult<Option<Migration>> {
+        let _kept = self.care.enter();
+        self.code.migration()
+    }
+
     fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State> {
         let _kept = self.care.enter();
         self.code.prepare(input, calls).map(|state| State::new(self.careful(state)))
@@ -210,6 +216,11 @@ impl<C: Code> Code for CarefulCode<C> {
     fn is_identity(&self, input: &DeformInput<'_>) -> PluginResult<bool> {
         let _kept = self.care.enter();
         self.code.is_identity(input)
+    }
+
+    fn migrate(&self, from: u32, settings: Vec<Setting>) -> PluginResult<Vec<Setting>> {
+        let _kept = self.care.enter();
+        self.code.migrate(from, settings)
     }
 }
 

@@ -1,8 +1,10 @@
 //! A plugin's code, however it is reached, as the plugin answers: checked by nobody yet.
 
+use super::Migration;
 use simod_plugin_api::{
     DeformInput, Descriptor, EvaluateExtension, ExtensionInterface, HandleDesc, HandlesExtension, Host,
-    HostCalls, IsIdentityExtension, PluginModRef, PluginResult, PrepareInput, Scratch, State,
+    HostCalls, IsIdentityExtension, MigrationExtension, PluginModRef, PluginResult, PrepareInput, Scratch,
+    Setting, State,
 };
 
 /// What a plugin can do besides deforming samples.
@@ -24,6 +26,9 @@ pub trait Code: Send + Sync {
 
     /// What it can do.
     fn capabilities(&self) -> Capabilities;
+
+    /// What it says of its older sessions, if it knows them.
+    fn migration(&self) -> PluginResult<Option<Migration>>;
 
     /// Whether it runs in another process.
     fn is_isolated(&self) -> bool {
@@ -66,6 +71,9 @@ pub trait Code: Send + Sync {
 
     /// See [`IsIdentity::is_identity`](simod_plugin_api::IsIdentity::is_identity).
     fn is_identity(&self, input: &DeformInput<'_>) -> PluginResult<bool>;
+
+    /// See [`Migrate::migrate`](simod_plugin_api::Migrate::migrate).
+    fn migrate(&self, from: u32, settings: Vec<Setting>) -> PluginResult<Vec<Setting>>;
 }
 
 /// The code of a plugin that was built with the interface's crate, in this process. A call costs some nanoseconds.
@@ -74,6 +82,7 @@ pub(crate) struct RustCode {
     evaluate: Option<&'static EvaluateExtension>,
     handles: Option<&'static HandlesExtension>,
     is_identity: Option<&'static IsIdentityExtension>,
+    migration: Option<&'static MigrationExtension>,
 }
 
 impl RustCode {
@@ -87,6 +96,7 @@ impl RustCode {
             evaluate: extension(module),
             handles: extension(module),
             is_identity: extension(module),
+            migration: extension(module),
         }
     }
 }
@@ -105,6 +115,10 @@ impl Code for RustCode {
             handles: self.handles.is_some(),
             is_identity: self.is_identity.is_some(),
         }
+    }
+
+    fn migration(&self) -> PluginResult<Option<Migration>> {
+        self.migration.map(|m| (m.migration)().into_result().map(Migration::from)).transpose()
     }
 
     fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State> {
@@ -144,5 +158,10 @@ impl Code for RustCode {
 
     fn is_identity(&self, input: &DeformInput<'_>) -> PluginResult<bool> {
         (self.is_identity.expect(OFFERED).is_identity)(input).into_result()
+    }
+
+    fn migrate(&self, from: u32, settings: Vec<Setting>) -> PluginResult<Vec<Setting>> {
+        let migrate = self.migration.expect(OFFERED).migrate;
+        migrate(from, settings.into()).into_result().map(Into::into)
     }
 }

@@ -10,15 +10,16 @@ mod c;
 mod care;
 mod code;
 pub(crate) mod limits;
+mod lookups;
 #[allow(unsafe_code, reason = "registers of the processor; each block has its argument")]
 mod registers;
 
-use crate::params::check_description;
+use crate::params::{check_description, check_migration};
 use rayon::prelude::*;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::{
     Consumes, DeformInput, Descriptor, ErrorCode, HandleDesc, HostCalls, LogLevel, ParamDesc, PluginError,
-    PrepareInput, Samples, Scratch, State,
+    PrepareInput, Samples, Scratch, Setting, State,
 };
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -27,17 +28,20 @@ use std::sync::{Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3Default;
 
 pub(crate) use about::About;
+pub use about::Migration;
 pub(crate) use c::{CCode, load_whole};
 pub(crate) use care::{Care, CarefulCode};
 pub(crate) use code::RustCode;
 pub use code::{Capabilities, Code};
 pub use limits::is_raw;
+pub(crate) use lookups::LookingCode;
 
 /// A plugin that is there to be used.
 pub struct Plugin {
     code: Box<dyn Code>,
     capabilities: Capabilities,
     descriptor: Descriptor,
+    migration: Option<Migration>,
     consumes: Consumes,
     path: PathBuf,
     shipped: bool,
@@ -81,7 +85,7 @@ impl Plugin {
     /// A plugin of a test's own.
     #[cfg(test)]
     pub(crate) fn in_process(module: simod_plugin_api::PluginModRef, path: &Path) -> Result<Self> {
-        Self::new(Box::new(RustCode::new(module)), path)
+        Self::new(Box::new(LookingCode(RustCode::new(module))), path)
     }
 
     /// Asks a plugin what it is, and checks the answer.
@@ -93,18 +97,21 @@ impl Plugin {
     /// A plugin of which is known what it is; checked.
     pub(crate) fn known(code: Box<dyn Code>, about: About, path: &Path) -> Result<Self> {
         check_description(&about.descriptor).map_err(|what| refused(path, &what))?;
+        let migration = about.migration.as_ref().map(|m| check_migration(&about.descriptor, m));
+        migration.transpose().map_err(|what| refused(path, &what))?;
         Self::unchecked(code, about, path)
     }
 
     /// What a plugin says that it is.
     pub(crate) fn ask(code: &dyn Code, path: &Path) -> Result<About> {
         let descriptor = code.descriptor().map_err(|e| refused(path, &line(&e.message)))?;
-        Ok(About { descriptor, capabilities: code.capabilities() })
+        let migration = code.migration().map_err(|e| refused(path, &line(&e.message)))?;
+        Ok(About { descriptor, capabilities: code.capabilities(), migration })
     }
 
     /// A plugin of which is known what it is, whatever that may be: for those who look at it more closely.
     pub(crate) fn unchecked(code: Box<dyn Code>, about: About, path: &Path) -> Result<Self> {
-        let About { descriptor, capabilities } = about;
+        let About { descriptor, capabilities, migration } = about;
         let consumes = Consumes::from_inputs(&descriptor.inputs).map_err(|id| {
             let what = format!("{} needs the input `{id}`, which this program does not have", path.display());
             Error::new(
@@ -113,7 +120,15 @@ impl Plugin {
                 "use a later version of the program, or an earlier one of the plugin",
             )
         })?;
-        Ok(Self { code, capabilities, consumes, descriptor, path: path.to_owned(), shipped: false })
+        Ok(Self {
+            code,
+            capabilities,
+            migration,
+            consumes,
+            descriptor,
+            path: path.to_owned(),
+            shipped: false,
+        })
     }
 
     /// The same, if it came with the program.
@@ -174,6 +189,16 @@ impl Plugin {
     /// What it can do besides deforming samples.
     pub fn capabilities(&self) -> Capabilities {
         self.capabilities
+    }
+
+    /// The version of what its parameters mean: 1 where it says none.
+    pub fn state_version(&self) -> u32 {
+        self.migration.as_ref().map_or(1, |m| m.state_version)
+    }
+
+    /// What it says of its older sessions, if it knows them.
+    pub fn migration(&self) -> Option<&Migration> {
+        self.migration.as_ref()
     }
 
     /// Whether it runs in a process of its own.
@@ -280,6 +305,11 @@ impl Plugin {
         self.code.is_identity(input).map_err(|e| self.failed(&e))
     }
 
+    /// What a step of an older session has to give now; under the ids of now, checked by nobody yet.
+    pub(crate) fn migrate(&self, from: u32, settings: Vec<Setting>) -> Result<Vec<Setting>> {
+        self.code.migrate(from, settings).map_err(|e| self.failed(&e))
+    }
+
     /// A hash of the samples' arrays, about a millisecond for 350 000; nothing for a plugin in another process, which has
     /// a copy of them.
     fn fingerprint(&self, samples: &Samples<'_>) -> Option<u64> {
@@ -335,7 +365,8 @@ impl Plugin {
 impl Plugin {
     /// What it says that it is, and can do.
     pub(crate) fn about(&self) -> About {
-        About { descriptor: self.descriptor.clone(), capabilities: self.capabilities }
+        let migration = self.migration.clone();
+        About { descriptor: self.descriptor.clone(), capabilities: self.capabilities, migration }
     }
 
     /// Its description, as it was told at load.

@@ -54,7 +54,14 @@ impl Editor {
         plugins: Arc<PluginRegistry>,
         folder: PathBuf,
     ) -> (Self, Evaluation) {
-        let document = Document::new(session.steps.iter().cloned());
+        // Steps that cannot be brought up to their plugins say so when they are done.
+        let up_to_date = |step: &Step| {
+            let mut step = [step.clone()];
+            let _ = plugins.migrate(&mut step);
+            let [step] = step;
+            step
+        };
+        let document = Document::new(session.steps.iter().map(up_to_date));
         let session = SessionFile {
             model: session.model.or_else(|| Some(sampled.source.path.clone())),
             fingerprint: Some(sampled.source.fingerprint.clone()),
@@ -62,7 +69,7 @@ impl Editor {
             ..session
         };
         let model = session.model.clone();
-        let how = Refinements { model, folder, memory_limit: None };
+        let how = Refinements { model, folder, memory_limit: None, time: session.time.time() };
         let (saved, kept) = (document.steps().clone(), document.steps().clone());
         let evaluation = Evaluation::new(Arc::new(sampled), how);
         (Self { session, path, document, plugins, saved, kept }, evaluation)
@@ -149,32 +156,37 @@ impl Editor {
 
     /// The session as it would be saved at a place.
     fn at(&self, path: &Path) -> SessionFile {
-        let folder = folder_of(path);
-        let step = |entry: &Entry| match &entry.step.action {
-            Action::Deform(d) => {
-                Step { action: Action::Deform(self.moved(d, folder)), ..(*entry.step).clone() }
-            }
-            Action::Refine(_) => (*entry.step).clone(),
-        };
-        SessionFile { steps: self.document.steps().iter().map(step).collect(), ..self.session.clone() }
+        let steps = self.document.steps().iter().map(|entry| (*entry.step).clone()).collect();
+        saved_at(&SessionFile { steps, ..self.session.clone() }, path, &self.plugins)
     }
+}
 
-    /// A deformation whose files are named as seen from another folder, with where its plugin came from.
-    fn moved(&self, from: &Deformation, folder: &Path) -> Deformation {
-        let mut to = Deformation { folder: folder.to_owned(), ..from.clone() };
-        let Ok(plugin) = self.plugins.get(&from.deform) else { return to };
-        to.plugin = Origin::of(plugin);
-        if from.folder != folder {
-            for file in plugin.params().iter().filter(|d| d.kind == ParamKind::FILE) {
-                if let Some(toml::Value::String(name)) = to.params.get_mut(file.id.as_str())
-                    && let Some(seen) = relative(&from.folder.join(&*name), folder).to_str()
-                {
-                    *name = seen.to_owned();
-                }
+/// A deformation whose files are named as seen from another folder, with where its plugin came from.
+fn moved(from: &Deformation, folder: &Path, plugins: &PluginRegistry) -> Deformation {
+    let mut to = Deformation { folder: folder.to_owned(), ..from.clone() };
+    let Ok(plugin) = plugins.get(&from.deform) else { return to };
+    to.plugin = Origin::of(plugin);
+    if from.folder != folder {
+        for file in plugin.params().iter().filter(|d| d.kind == ParamKind::FILE) {
+            if let Some(toml::Value::String(name)) = to.params.get_mut(file.id.as_str())
+                && let Some(seen) = relative(&from.folder.join(&*name), folder).to_str()
+            {
+                *name = seen.to_owned();
             }
         }
-        to
     }
+    to
+}
+
+/// A session as it is saved at a place: its steps name files as seen from there, and where their plugins came from.
+#[must_use]
+pub fn saved_at(session: &SessionFile, path: &Path, plugins: &PluginRegistry) -> SessionFile {
+    let folder = folder_of(path);
+    let step = |step: &Step| match &step.action {
+        Action::Deform(d) => Step { action: Action::Deform(moved(d, folder, plugins)), ..step.clone() },
+        Action::Refine(_) => step.clone(),
+    };
+    SessionFile { steps: session.steps.iter().map(step).collect(), ..session.clone() }
 }
 
 /// The file that keeps a session against a crash.

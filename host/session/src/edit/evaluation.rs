@@ -5,7 +5,7 @@ use super::document::{Entry, StepId};
 use crate::deformer::Message;
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Refine, Step};
-use crate::stack::{Done, Kept, Key, Layer, PreparedStack, Rest, RestShape, at};
+use crate::stack::{Done, Kept, Key, Layer, Moment, PreparedStack, Rest, RestShape, at};
 use glam::Vec3;
 use simod_core::reconstruction::{
     DeformationField, Method, Reconstructed, Reconstruction, Surroundings, Version, deformed_normals,
@@ -14,7 +14,7 @@ use simod_core::reconstruction::{
 use simod_core::refinement::{Refining, Selection, appended_deformed, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::{Error, ErrorKind, Progress, Result};
-use simod_plugin_api::{Effort, HandleDesc};
+use simod_plugin_api::{Effort, HandleDesc, Time};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -118,7 +118,7 @@ pub struct Evaluation {
     at: Arc<AtomicUsize>,
 }
 
-/// How the model is read again, where steps refine it.
+/// How the model is read again, where steps refine it; and when in a sequence they are done.
 #[derive(Debug, Clone, Default)]
 pub struct Refinements {
     /// The model, if it was moved since it was sampled.
@@ -127,6 +127,8 @@ pub struct Refinements {
     pub folder: PathBuf,
     /// Bytes of memory to stay below; as for sampling where not given.
     pub memory_limit: Option<u64>,
+    /// For plugins that take the time.
+    pub time: Time,
 }
 
 /// What is known of a step.
@@ -163,6 +165,11 @@ impl Evaluation {
     /// For other steps on the same samples: nothing is done yet.
     pub fn another(&self) -> Self {
         Self::new(self.sampled.clone(), self.how.clone())
+    }
+
+    /// Goes to another time of a sequence: steps of plugins that take the time are done anew.
+    pub fn set_time(&mut self, time: Time) {
+        self.how.time = time;
     }
 
     /// The place of the step that is being done, to be looked at from other threads.
@@ -253,8 +260,9 @@ impl Evaluation {
     ) -> Result<(Arc<Rest>, Arc<Done>)> {
         let Some(deformation) = step.deformation() else { return Err(no_deformation()) };
         let (layer, mut kept) = self.layer(id, step, deformation, registry)?;
+        let moment = Moment { effort, time: self.how.time };
         let done = with_shape(&between.sampled, |shape| {
-            layer.update(&between.rest, shape, &mut kept, effort, progress)
+            layer.update(&between.rest, shape, &mut kept, moment, progress)
         });
         self.known.insert(id, Known::Deform { step: step.clone(), layer, kept });
         done

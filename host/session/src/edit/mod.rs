@@ -8,6 +8,6 @@ mod evaluation;
 mod tests;
 
 pub use document::{Change, Command, Document, Entry, StepId};
-pub use editor::{Editor, forget, recover};
+pub use editor::{Editor, forget, recover, saved_at};
 pub(crate) use evaluation::messages;
 pub use evaluation::{Evaluated, Evaluation, Refinements, Status};

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 /// Changes whenever what is kept has another form or meaning.
-const FORM: u32 = 1;
+const FORM: u32 = 2;
 
 /// No cache is longer.
 const LONGEST: u64 = 64 << 20;
@@ -118,8 +118,8 @@ mod tests {
             Stamp::of(&library).unwrap()
         };
         let old = write("one");
-        let about =
-            About { descriptor: Descriptor::new("x", "X", "1.0.0"), capabilities: Capabilities::default() };
+        let (descriptor, capabilities) = (Descriptor::new("x", "X", "1.0.0"), Capabilities::default());
+        let about = About { descriptor, capabilities, migration: None };
         let mut cache = Cache::load(Some(file.clone()));
         assert_eq!(cache.get(&library, old), None);
         cache.put(&library, old, about.clone());

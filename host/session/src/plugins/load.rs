@@ -2,13 +2,14 @@
 
 use super::library_file::{self, Kind};
 use crate::deformer::{
-    About, CCode, Capabilities, Care, CarefulCode, Code, Plugin, RustCode, cannot_load, load_whole,
+    About, CCode, Capabilities, Care, CarefulCode, Code, LookingCode, Migration, Plugin, RustCode,
+    cannot_load, load_whole,
 };
 use abi_stable::library::{LibraryError, RootModule, lib_header_from_path};
 use simod_core::{Error, ErrorKind, Result};
 use simod_plugin_api::{
     DeformInput, Descriptor, HandleDesc, HostCalls, PluginError, PluginModRef, PluginResult, PrepareInput,
-    Scratch, State,
+    Scratch, Setting, State,
 };
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -33,9 +34,9 @@ pub(crate) fn load_code(path: &Path, shipped: bool) -> Result<Box<dyn Code>> {
             // What comes next would take it as far as it is there. It stays loaded.
             std::mem::forget(load_whole(file, path)?);
             let module = root_module(file).map_err(|e| explain(path, &e.0, e.1.as_deref()))?;
-            Box::new(CarefulCode::new(RustCode::new(module), care))
+            Box::new(CarefulCode::new(LookingCode(RustCode::new(module)), care))
         }
-        Kind::C => Box::new(CarefulCode::new(CCode::load(file, path)?, care)),
+        Kind::C => Box::new(CarefulCode::new(LookingCode(CCode::load(file, path)?), care)),
     })
 }
 
@@ -99,6 +100,10 @@ impl Code for LazyCode {
         self.about.capabilities
     }
 
+    fn migration(&self) -> PluginResult<Option<Migration>> {
+        Ok(self.about.migration.clone())
+    }
+
     fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State> {
         self.code()?.prepare(input, calls)
     }
@@ -134,6 +139,10 @@ impl Code for LazyCode {
 
     fn is_identity(&self, input: &DeformInput<'_>) -> PluginResult<bool> {
         self.code()?.is_identity(input)
+    }
+
+    fn migrate(&self, from: u32, settings: Vec<Setting>) -> PluginResult<Vec<Setting>> {
+        self.code()?.migrate(from, settings)
     }
 }
 

@@ -1,11 +1,12 @@
 //! One layer of a stack: a plugin with its parameters, regions, joints, handles and strokes.
 
-use super::{Rest, RestShape, neighbour_lists, not_one_per_sample, rows};
+use super::{Moment, Rest, RestShape, neighbour_lists, not_one_per_sample, rows};
 use crate::deformer::{Message, Plugin, Watch};
+use crate::migration::{in_its_words, migrated};
 use crate::motion::to_local;
 use crate::params::{LocalParams, ParamValue, Params, nearest};
 use crate::plugins::PluginRegistry;
-use crate::session_file::{Deformation, HandleMove, Joint, ParamPlaces, Role, Stroke};
+use crate::session_file::{Deformation, HandleMove, Joint, Notes, ParamPlaces, Role, Stroke};
 use crate::shapes::Shapes;
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
@@ -25,6 +26,8 @@ pub(crate) struct Layer {
     /// Where its parameters stand; likewise.
     pub param_places: ParamPlaces,
     pub plugin: Arc<Plugin>,
+    /// What was changed when the step was brought up to the plugin.
+    notes: Notes,
     /// What the session gives, and what became of it.
     given: toml::Table,
     params: Arc<Params>,
@@ -94,6 +97,8 @@ struct Motions {
     strokes: Vec<Arc<LocalStroke>>,
     /// Where the plugin asks for it.
     effort: Option<api::Effort>,
+    /// Likewise.
+    time: Option<api::Time>,
 }
 
 /// A stroke in local coordinates.
@@ -127,7 +132,13 @@ impl Layer {
             }
             None => e,
         })?;
-        let plugin = plugin.clone();
+        let now = migrated(step, plugin).map_err(|e| in_its_words(e, step, plugin))?;
+        let layer = Self::of(now.as_ref().unwrap_or(step), place, plugin.clone(), before);
+        layer.map_err(|e| in_its_words(e, step, plugin))
+    }
+
+    /// Of a step that is as the plugin has it now.
+    fn of(step: &Deformation, place: &str, plugin: Arc<Plugin>, before: Option<&Self>) -> Result<Self> {
         let check = |given: &toml::Table| {
             Params::check(plugin.id(), plugin.params(), given, &step.folder).map(Arc::new)
         };
@@ -147,6 +158,7 @@ impl Layer {
             place: place.to_owned(),
             param_places: step.param_places.clone(),
             plugin,
+            notes: step.notes.clone(),
             given: step.params.clone(),
             params,
             regions: Vec::new(),
@@ -219,14 +231,16 @@ impl Layer {
         rest: &Arc<Rest>,
         shape: &RestShape<'_>,
         kept: &mut Kept,
-        effort: api::Effort,
+        moment: Moment,
         progress: &dyn Progress,
     ) -> Result<(Arc<Rest>, Arc<Done>)> {
         let plugin = &self.plugin;
         let watch = Watch::new(progress, plugin.id(), size_of_val(&*rest.positions) as u64);
-        let motions = self.motions(rest, shape, kept, effort, &watch)?;
-        let done = |preparation, rest: &Arc<Rest>, positions, messages, motions| {
+        let motions = self.motions(rest, shape, kept, moment, &watch)?;
+        let done = |preparation, rest: &Arc<Rest>, positions, messages: Vec<Message>, motions| {
             let (plugin, masks, rest) = (plugin.clone(), self.masks.clone(), rest.clone());
+            let notes = self.notes.iter().map(|note| self.told(note));
+            let messages = notes.chain(messages).collect();
             Arc::new(Done { positions, messages, plugin, preparation, rest, motions, masks })
         };
         let nothing = api::Samples::new(&[], &[], &[]);
@@ -255,6 +269,12 @@ impl Layer {
         };
         let positions = done.positions.clone();
         Ok((Arc::new(Rest { positions, normals_fit: false, key, ..(**rest).clone() }), done))
+    }
+
+    /// A note on the step, for users.
+    fn told(&self, note: &str) -> Message {
+        let place = if self.place.is_empty() { String::new() } else { format!("{}: ", self.place) };
+        Message::warning(self.plugin.id(), format!("{place}{note}"))
     }
 
     /// What the plugin prepared for this rest shape, or prepares now.
@@ -342,6 +362,10 @@ impl Layer {
         if consumes.frame {
             parts.push(api::Part::new(&model_frame));
         }
+        let at_rest = api::RestPositions::new(bytemuck::cast_slice(shape.positions));
+        if consumes.rest_positions && shape.positions.len() == rest.positions.len() {
+            parts.push(api::Part::new(&at_rest));
+        }
         call(&api::PrepareInput::new(rest.samples(), rest.bounds, regions, &values).with_parts(&parts))
     }
 
@@ -351,7 +375,7 @@ impl Layer {
         rest: &Rest,
         shape: &RestShape<'_>,
         kept: &mut Kept,
-        effort: api::Effort,
+        moment: Moment,
         watch: &Watch<'_>,
     ) -> Result<Motions> {
         let (frame, bounds) = (&shape.frame, &shape.bounds);
@@ -373,7 +397,8 @@ impl Layer {
             transforms: self.transforms.iter().map(|&t| rows(to_local(t, frame))).collect(),
             handles: self.handle_motions(kept.handles(), frame)?,
             strokes: kept.strokes.iter().map(|(.., local)| local.clone()).collect(),
-            effort: self.plugin.consumes().effort.then_some(effort),
+            effort: self.plugin.consumes().effort.then_some(moment.effort),
+            time: self.plugin.consumes().time.then_some(moment.time),
         })
     }
 
@@ -500,7 +525,14 @@ impl Motions {
     /// A key with all of it.
     fn key(&self, former: u64) -> Key {
         let strokes: Vec<u64> = self.strokes.iter().map(|s| s.key).collect();
-        Key::of(former).and(&(&self.params, &self.transforms, &self.handles, &strokes, self.effort))
+        Key::of(former).and(&(
+            &self.params,
+            &self.transforms,
+            &self.handles,
+            &strokes,
+            self.effort,
+            self.time,
+        ))
     }
 
     /// Calls with what a deformation gets.
@@ -528,6 +560,7 @@ impl Motions {
             parts.push(api::Part::new(&strokes));
         }
         parts.extend(self.effort.iter().map(api::Part::new));
+        parts.extend(self.time.iter().map(api::Part::new));
         call(&api::DeformInput::new(samples, bounds, &self.transforms, &values).with_parts(&parts))
     }
 }

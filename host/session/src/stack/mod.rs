@@ -26,6 +26,13 @@ const BLOCK: usize = 4096;
 /// Derives unit normals, one per sample, from changed positions (local coordinates).
 pub type Renormal<'a> = dyn Fn(&[Vec3]) -> Vec<Vec3> + Sync + 'a;
 
+/// For what a deformation is, and when in a sequence.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Moment {
+    pub effort: api::Effort,
+    pub time: api::Time,
+}
+
 /// The samples as they were taken, and where.
 #[derive(Clone, Copy)]
 pub struct RestShape<'a> {
@@ -145,7 +152,8 @@ impl Stack {
         let mut messages = Vec::new();
         let mut layers = Vec::with_capacity(self.layers.len());
         for layer in &self.layers {
-            let done = layer.update(&rest, shape, &mut Kept::default(), api::Effort::FULL, progress);
+            let moment = Moment { effort: api::Effort::FULL, time: api::Time::default() };
+            let done = layer.update(&rest, shape, &mut Kept::default(), moment, progress);
             let (next, done) = done.map_err(|e| at(layer.param_places.of(&layer.place, &e), e))?;
             messages.extend(done.messages.iter().cloned());
             layers.push(done);

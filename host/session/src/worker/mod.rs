@@ -10,13 +10,13 @@ mod protocol;
 mod serve;
 
 use crate::child::{Ended, Tail, describe, ran_out_of_memory};
-use crate::deformer::{About, Capabilities, Code};
+use crate::deformer::{About, Capabilities, Code, Migration};
 use arena::{Arena, ControlMap, Range};
-use protocol::{InputRecord, MotionRecord, Refusal, Reply, Request, Slice};
+use protocol::{InputRecord, MotionRecord, Refusal, Reply, Request, SettingRecord, Slice};
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::{
     DeformInput, Descriptor, ErrorCode, HandleDesc, HostCalls, LogLevel, PluginError, PluginResult,
-    PrepareInput, Scratch, State,
+    PrepareInput, Scratch, Setting, State,
 };
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
@@ -200,6 +200,10 @@ impl Code for WorkerCode {
         self.about.capabilities
     }
 
+    fn migration(&self) -> PluginResult<Option<Migration>> {
+        Ok(self.about.migration.clone())
+    }
+
     fn is_isolated(&self) -> bool {
         true
     }
@@ -292,6 +296,17 @@ impl Code for WorkerCode {
         let mut link = lock(&worker.link);
         match self.call(&worker, &mut link, "is_identity", &request, &())? {
             Reply::Identity(answer) => answer.map_err(PluginError::from),
+            _ => Err(confused()),
+        }
+    }
+
+    fn migrate(&self, from: u32, settings: Vec<Setting>) -> PluginResult<Vec<Setting>> {
+        let worker = self.worker(&())?;
+        let request = Request::Migrate(from, settings.into_iter().map(SettingRecord::from).collect());
+        let mut link = lock(&worker.link);
+        match self.call(&worker, &mut link, "migrate", &request, &())? {
+            Reply::Settings(Ok(settings)) => Ok(settings.into_iter().map(Setting::from).collect()),
+            Reply::Settings(Err(failure)) => Err(failure.into()),
             _ => Err(confused()),
         }
     }

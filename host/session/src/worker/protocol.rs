@@ -6,7 +6,8 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use simod_plugin_api::{
     Affine, DeformInput, Effort, ErrorCode, Graph, HandleDesc, HandleMotions, Joint, Joints, ModelFrame,
-    Param, ParamKind, Part, PluginError, PrepareInput, Region, Role, Samples, Stroke, Strokes, Triangles,
+    Param, ParamKind, Part, PluginError, PrepareInput, Region, RestPositions, Role, Samples, Setting, Stroke,
+    Strokes, Time, Triangles,
 };
 use std::io::{Error, Read, Result, Write};
 
@@ -35,6 +36,8 @@ pub(super) enum Request {
         points: Slice,
     },
     Handles(InputRecord),
+    /// The version that settings are of, and these.
+    Migrate(u32, Vec<SettingRecord>),
     IsIdentity {
         bounds: [[f64; 3]; 2],
         motion: MotionRecord,
@@ -57,6 +60,29 @@ pub(super) enum Reply {
     Done(std::result::Result<(), Failure>),
     Handles(std::result::Result<Vec<HandleRecord>, Failure>),
     Identity(std::result::Result<bool, Failure>),
+    Settings(std::result::Result<Vec<SettingRecord>, Failure>),
+}
+
+/// A [`Setting`].
+#[derive(Serialize, Deserialize)]
+pub(super) struct SettingRecord {
+    id: String,
+    kind: u32,
+    numbers: Vec<f64>,
+    text: String,
+}
+
+impl From<Setting> for SettingRecord {
+    fn from(s: Setting) -> Self {
+        Self { id: s.id.into(), kind: s.kind.0, numbers: s.numbers.into(), text: s.text.into() }
+    }
+}
+
+impl From<SettingRecord> for Setting {
+    fn from(r: SettingRecord) -> Self {
+        let (id, numbers, text) = (r.id.into(), r.numbers.into(), r.text.into());
+        Self { id, kind: ParamKind(r.kind), numbers, text }
+    }
 }
 
 /// Why a library is not used.
@@ -129,6 +155,7 @@ pub(super) struct InputRecord {
     triangles: Option<usize>,
     /// Number of all neighbours.
     graph: Option<usize>,
+    rest: bool,
     bounds: [[f64; 3]; 2],
     params: Vec<ParamRecord>,
     joints: Option<Vec<(String, [f64; 3], u32)>>,
@@ -153,6 +180,7 @@ impl InputRecord {
             arrays.push(bytemuck::cast_slice(graph.starts()));
             arrays.push(bytemuck::cast_slice(graph.all()));
         }
+        arrays.extend(input.rest_positions().map(bytemuck::cast_slice));
         let joint = |j: &Joint<'_>| (j.id().to_owned(), j.position, j.parent);
         let record = Self {
             range: Range { offset: 0, len: 0 },
@@ -162,6 +190,7 @@ impl InputRecord {
             roles: input.regions().iter().map(|r| r.role.0).collect(),
             triangles: triangles.map(<[_]>::len),
             graph: graph.map(|g| g.all().len()),
+            rest: input.rest_positions().is_some(),
             bounds: [input.bounds.min, input.bounds.max],
             params: input.params().iter().map(ParamRecord::from).collect(),
             joints: input.part::<Joints<'_>>().map(|j| j.all().iter().map(joint).collect()),
@@ -185,6 +214,7 @@ impl InputRecord {
             Some(all) => Some(Graph::new(rest.take(self.count + 1)?, rest.take(all)?)),
             None => None,
         };
+        let rest = if self.rest { Some(RestPositions::new(rest.take(self.count)?)) } else { None };
         let params: Vec<Param<'_>> = self.params.iter().map(ParamRecord::view).collect();
         let joints: Option<Vec<Joint<'_>>> = self
             .joints
@@ -193,6 +223,7 @@ impl InputRecord {
         let joints = joints.as_ref().map(|joints| Joints::new(joints));
         let mut parts: Vec<Part<'_>> = graph.iter().map(Part::new).collect();
         parts.extend(triangles.iter().map(Part::new));
+        parts.extend(rest.iter().map(Part::new));
         parts.extend(joints.iter().map(Part::new));
         let frame = self.frame.map(|(origin, scale)| ModelFrame { origin, scale });
         parts.extend(frame.iter().map(Part::new));
@@ -269,6 +300,7 @@ pub(super) struct MotionRecord {
     handles: Option<Vec<[[f64; 4]; 3]>>,
     strokes: Option<Vec<StrokeRecord>>,
     effort: Option<u32>,
+    time: Option<(i64, f64)>,
 }
 
 #[derive(Clone, Serialize, Deserialize)]
@@ -299,6 +331,7 @@ impl MotionRecord {
             handles: input.part::<HandleMotions<'_>>().map(|h| rows(h.all())),
             strokes: input.part::<Strokes<'_>>().map(|s| s.all().iter().map(stroke).collect()),
             effort: input.part::<Effort>().map(|e| e.0),
+            time: input.part::<Time>().map(|t| (t.frame, t.seconds)),
         }
     }
 
@@ -329,6 +362,8 @@ impl MotionRecord {
         parts.extend(strokes.iter().map(Part::new));
         let effort = self.effort.map(Effort);
         parts.extend(effort.iter().map(Part::new));
+        let time = self.time.map(|(frame, seconds)| Time { frame, seconds });
+        parts.extend(time.iter().map(Part::new));
         call(&DeformInput::new(samples, bounds, &transforms, &params).with_parts(&parts))
     }
 }
@@ -356,4 +391,50 @@ pub(super) fn receive<T: DeserializeOwned>(from: &mut impl Read) -> Result<Optio
     let mut bytes = vec![0; len as usize];
     from.read_exact(&mut bytes)?;
     postcard::from_bytes(&bytes).map(Some).map_err(Error::other)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::deformer::Capabilities;
+    use proptest::prelude::*;
+    use simod_plugin_api::Descriptor;
+    use simod_tests::damage::{damage, damaged, runner};
+
+    /// What a plugin's process says may be anything: an error or a message, no panic, and no memory for what is not there.
+    #[test]
+    fn damaged_messages_do_no_harm() {
+        let (descriptor, capabilities) = (Descriptor::new("x", "X", "1.0.0"), Capabilities::default());
+        let about = About { descriptor, capabilities, migration: None };
+        let failure = || Failure { code: 1, message: "what".to_owned(), hint: "why".to_owned() };
+        let setting =
+            SettingRecord { id: "a".to_owned(), kind: 1, numbers: vec![1.0; 9], text: String::new() };
+        let handle = HandleDesc::new("3,3", [1.0, 2.0, 3.0]);
+        let replies = [
+            Reply::Loaded(Ok(Box::new(about))),
+            Reply::Log { level: 2, text: "a line".to_owned() },
+            Reply::Made(Ok(7)),
+            Reply::Done(Err(failure())),
+            Reply::Handles(Ok(vec![handle.into()])),
+            Reply::Settings(Ok(vec![setting])),
+        ];
+        let good = replies.map(|reply| {
+            let mut bytes = Vec::new();
+            send(&mut bytes, &reply).expect("a message");
+            bytes
+        });
+        let all = (prop::collection::vec(damage(), 1..4), 0..good.len());
+        let tested = runner(1000).run(&all, |(all, which)| {
+            let bytes = damaged(&good[which], good[which].len(), &all);
+            // A plugin has the whole length to lie in, as far as a message may be long: `receive` makes room for it.
+            let short = bytes.get(..4).is_some_and(|len| len[3] == 0 && len[2] < 16);
+            if short && let Ok(Some(Reply::Handles(Ok(handles)))) = receive::<Reply>(&mut &bytes[..]) {
+                drop(crate::deformer::check_handles(
+                    &handles.into_iter().map(HandleDesc::from).collect::<Vec<_>>(),
+                ));
+            }
+            Ok(())
+        });
+        tested.expect("no panic");
+    }
 }

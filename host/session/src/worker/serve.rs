@@ -1,14 +1,18 @@
 //! A plugin's process: it answers the program's requests until there is nobody to answer.
 
 use super::arena::{ControlMap, Shared};
-use super::protocol::{self, Failure, HandleRecord, InputRecord, Refusal, Reply, Request, Slice};
+use super::protocol::{
+    self, Failure, HandleRecord, InputRecord, Refusal, Reply, Request, SettingRecord, Slice,
+};
 use crate::child::{end_with, limit_memory};
 use crate::deformer::{Care, Code, Plugin};
 use crate::plugins::load_code;
 use memmap2::Mmap;
 use rayon::prelude::*;
 use simod_core::{Error, ErrorKind, Result};
-use simod_plugin_api::{HostCalls, LogLevel, PluginError, PluginResult, PrepareInput, Scratch, State};
+use simod_plugin_api::{
+    HostCalls, LogLevel, PluginError, PluginResult, PrepareInput, Scratch, Setting, State,
+};
 use std::collections::HashMap;
 use std::fs::File;
 use std::os::fd::AsFd;
@@ -134,6 +138,11 @@ impl Workshop {
                 let handles = self.with_input(&input, |input| self.code.handles(input, &self.calls));
                 let records = handles.map(|all| all.into_iter().map(HandleRecord::from).collect());
                 Reply::Handles(wrap(records))
+            }
+            Request::Migrate(from, settings) => {
+                let settings = settings.into_iter().map(Setting::from).collect();
+                let migrated = self.code.migrate(from, settings);
+                Reply::Settings(wrap(migrated.map(|all| all.into_iter().map(SettingRecord::from).collect())))
             }
             Request::IsIdentity { bounds: [min, max], motion } => {
                 let samples = simod_plugin_api::Samples::new(&[], &[], &[]);

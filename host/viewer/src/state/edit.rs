@@ -101,19 +101,10 @@ impl State {
 
     pub(super) fn add_step(&mut self, plugin: &str, at: Option<usize>) -> Result<()> {
         let open = self.open()?;
-        self.plugins.get(plugin)?;
+        let state_version = self.plugins.get(plugin)?.migration().map(|m| m.state_version);
         let path = open.editor.path().or(open.editor.model()).unwrap_or(Path::new(""));
-        let deformation = Deformation {
-            param_places: Default::default(),
-            plugin: None,
-            deform: plugin.to_owned(),
-            params: toml::Table::new(),
-            regions: Vec::new(),
-            joints: Vec::new(),
-            handles: Vec::new(),
-            strokes: Vec::new(),
-            folder: folder_of(path).to_owned(),
-        };
+        let folder = folder_of(path).to_owned();
+        let deformation = Deformation { state_version, folder, ..Deformation::of(plugin) };
         let at = at.unwrap_or(open.steps().len());
         self.add(at, Action::Deform(deformation))?;
         self.choose(Some(at))

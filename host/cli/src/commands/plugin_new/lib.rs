@@ -8,11 +8,11 @@ mod tests;
 
 use simod_plugin_api::*;
 
-/// The deformation with all that a user can choose: names and hints are what they see. SIMOD checks the values, and
-/// completes them by the defaults. A point's default is in fractions of the model's box.
+/// What a user can choose: names and hints are what they see. SIMOD checks the values, and completes them by the
+/// defaults. A point's default is in fractions of the model's box.
 #[derive(ParamSet)]
 struct __TYPE__ {
-    /// What swells
+    /// What swells, until its handle is moved
     #[param(point, name = "Centre", default = [0.5; 3])]
     center: [f64; 3],
     /// Its reach: a fraction of the model's diagonal, so that the default suits a model of any size
@@ -21,18 +21,34 @@ struct __TYPE__ {
     /// Below 0 pinches
     #[param(default = 0.5, hard = -1.0..=10.0)]
     strength: f64,
-    /// From 1 for wide to 8 for narrow
-    #[param(default = 2.0, hard = 1.0..=8.0)]
-    falloff: f64,
 }
 
-impl __TYPE__ {
-    /// The map: a point at distance `r < radius` from the centre goes to `1 + strength · (1 - (r / radius)²)^falloff`
-    /// times that distance; all others stay exactly where they are.
-    fn image(&self, p: [f64; 3], bounds: &Bounds) -> [f64; 3] {
+/// The push from the centre (left) to the rim (right): a curve that the user draws.
+const PROFILE: [[f64; 2]; 5] = [[0.0, 1.0], [0.25, 0.88], [0.5, 0.56], [0.75, 0.19], [1.0, 0.0]];
+
+/// The deformation, as parameters and the handle have it.
+struct Bulge<'a> {
+    center: [f64; 3],
+    reach: f64,
+    strength: f64,
+    profile: Curve<'a>,
+}
+
+impl<'a> Bulge<'a> {
+    fn of(input: &DeformInput<'a>) -> PluginResult<Self> {
+        let __TYPE__ { center, radius, strength } = input.params().read()?;
+        // The handle's motion moves what swells along.
+        let center = input.handle_motions().first().map_or(center, |motion| motion.apply(center));
+        let (reach, profile) = (radius * input.bounds.diagonal(), input.params().curve("profile")?);
+        Ok(Self { center, reach, strength, profile })
+    }
+
+    /// The map: a point at distance `r < reach` from the centre goes to `1 + strength · profile(r / reach)` times that
+    /// distance; all others stay exactly where they are.
+    fn image(&self, p: [f64; 3]) -> [f64; 3] {
         let d = [0, 1, 2].map(|i| p[i] - self.center[i]);
-        let t = d.iter().map(|x| x * x).sum::<f64>() / (self.radius * bounds.diagonal()).powi(2);
-        let push = if t < 1.0 { self.strength * (1.0 - t).powf(self.falloff) } else { 0.0 };
+        let t = d.iter().map(|x| x * x).sum::<f64>().sqrt() / self.reach;
+        let push = if t < 1.0 { self.strength * self.profile.at(t) } else { 0.0 };
         [0, 1, 2].map(|i| p[i] + push * d[i])
     }
 }
@@ -45,6 +61,7 @@ impl Deformer for __TYPE__ {
         Descriptor::new("__NAME__", "__TITLE__", env!("CARGO_PKG_VERSION"))
             .summary("Swells the model about a point, or pinches it")
             .param_set::<Self>()
+            .param(ParamDesc::curve("profile", "Profile", &PROFILE).hint("The push from the centre to the rim"))
     }
 
     fn prepare(_: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<()> {
@@ -59,9 +76,9 @@ impl Deformer for __TYPE__ {
         out: &mut [[f32; 3]],
         _: &Host<'_>,
     ) -> PluginResult<()> {
-        let this: Self = input.params().read()?;
+        let bulge = Bulge::of(input)?;
         for (out, p) in out.iter_mut().zip(input.samples.positions()) {
-            *out = this.image(p.map(f64::from), &input.bounds).map(|x| x as f32);
+            *out = bulge.image(p.map(f64::from)).map(|x| x as f32);
         }
         Ok(())
     }
@@ -70,10 +87,25 @@ impl Deformer for __TYPE__ {
 /// The same map at any point, by which SIMOD measures its results. It can be left out, with `evaluate` below.
 impl Evaluate for __TYPE__ {
     fn evaluate(_: &(), input: &DeformInput<'_>, points: &mut [[f64; 3]], _: &Host<'_>) -> PluginResult<()> {
-        let this: Self = input.params().read()?;
-        points.iter_mut().for_each(|p| *p = this.image(*p, &input.bounds));
+        let bulge = Bulge::of(input)?;
+        points.iter_mut().for_each(|p| *p = bulge.image(*p));
         Ok(())
     }
 }
 
-simod_plugin_api::export_plugin!(__TYPE__, evaluate);
+/// What a user can grab: here the centre.
+impl Handles for __TYPE__ {
+    fn handles(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<Vec<HandleDesc>> {
+        let this: Self = input.params().read()?;
+        Ok(vec![HandleDesc::new("center", this.center).name("Centre").gizmo(Gizmo::TRANSLATE)])
+    }
+}
+
+/// Whether there is nothing to do: samples move though no handle does, unless there is no strength.
+impl IsIdentity for __TYPE__ {
+    fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
+        Ok(Bulge::of(input)?.strength == 0.0)
+    }
+}
+
+simod_plugin_api::export_plugin!(__TYPE__, evaluate, handles, is_identity);

@@ -18,17 +18,22 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Where points go: by `deform`, and by `evaluate`. The radius is 0.3 of the diagonal.
-fn images(points: &[[f32; 3]], strength: f64) -> (Vec<[f32; 3]>, Vec<[f64; 3]>) {
+/// Where points go: by `deform`, and by `evaluate`. The radius is 0.3 of the diagonal, and the handle is moved by so much.
+fn images_where(points: &[[f32; 3]], strength: f64, moved: [f64; 3]) -> (Vec<[f32; 3]>, Vec<[f64; 3]>) {
     let strength = [strength];
     let params = [
         Param::numbers("center", ParamKind::POINT, &[0.0; 3]),
         Param::numbers("radius", ParamKind::FLOAT, &[0.3]),
         Param::numbers("strength", ParamKind::FLOAT, &strength),
-        Param::numbers("falloff", ParamKind::FLOAT, &[2.0]),
+        Param::numbers("profile", ParamKind::CURVE, PROFILE.as_flattened()),
     ];
     let (host, samples) = (Host::new(&()), Samples::new(points, &[], &[]));
-    let input = DeformInput::new(samples, BOUNDS, &[], &params);
+    let mut motion = Affine::IDENTITY;
+    motion.rows.iter_mut().zip(moved).for_each(|(row, by)| row[3] = by);
+    let motions = [motion];
+    let motions = HandleMotions::new(&motions);
+    let parts = [Part::new(&motions)];
+    let input = DeformInput::new(samples, BOUNDS, &[], &params).with_parts(&parts);
     __TYPE__::prepare(&PrepareInput::new(samples, BOUNDS, &[], &params), &host).unwrap();
     // What is not written stays visible.
     let mut deformed = vec![[f32::NAN; 3]; points.len()];
@@ -36,6 +41,21 @@ fn images(points: &[[f32; 3]], strength: f64) -> (Vec<[f32; 3]>, Vec<[f64; 3]>) 
     let mut evaluated = exactly(points);
     __TYPE__::evaluate(&(), &input, &mut evaluated, &host).unwrap();
     (deformed, evaluated)
+}
+
+fn images(points: &[[f32; 3]], strength: f64) -> (Vec<[f32; 3]>, Vec<[f64; 3]>) {
+    images_where(points, strength, [0.0; 3])
+}
+
+#[test]
+fn what_swells_follows_the_handle() {
+    let (points, moved) = (points(), [0.4, 0.0, -0.2]);
+    let (_, images) = images_where(&points, 0.5, moved);
+    for (p, q) in exactly(&points).into_iter().zip(images) {
+        let from_center = distance(p, moved);
+        let is_reached = from_center > 1e-9 && from_center < 0.3 * BOUNDS.diagonal();
+        assert_eq!(distance(p, q) > 1e-9, is_reached, "{p:?} goes to {q:?}");
+    }
 }
 
 #[test]

@@ -1,10 +1,11 @@
 //! What a plugin says that it is, in the words of the Rust interface.
 
 use super::read::{list, one, text, text_or_none};
+use crate::deformer::Migration;
 use abi_stable::std_types::{RString, RVec};
-use simod_plugin_api::c::{SimodDescriptor, SimodHandleDesc, SimodParamDesc};
+use simod_plugin_api::c::{SimodDescriptor, SimodHandleDesc, SimodMigration, SimodParam, SimodParamDesc};
 use simod_plugin_api::{
-    ChoiceDesc, Descriptor, Gizmo, HandleDesc, InputDesc, ParamDesc, ParamKind, PluginResult, Unit,
+    ChoiceDesc, Descriptor, Gizmo, HandleDesc, InputDesc, ParamDesc, ParamKind, PluginResult, Setting, Unit,
 };
 
 /// A plugin's description.
@@ -96,6 +97,35 @@ pub(super) unsafe fn handle(pointer: *const SimodHandleDesc) -> PluginResult<Han
         let name = text_or_none(d.name, "the name of a handle")?;
         let handle = HandleDesc::new(&text(d.id, "the id of a handle")?, d.position);
         Ok(handle.name(&name).gizmo(gizmo).parent(d.parent))
+    }
+}
+
+/// What a plugin says of its older sessions.
+///
+/// # Safety
+/// The pointers in it are NULL or as the header says.
+pub(super) unsafe fn migration(m: &SimodMigration) -> PluginResult<Migration> {
+    // SAFETY: by the contract, for all that follow.
+    unsafe {
+        let aliases = list(m.aliases, m.alias_count, "the aliases")?.iter();
+        let alias =
+            aliases.map(|a| Ok((text(a.former, "an alias")?, text(a.now, "the id that an alias is of")?)));
+        Ok(Migration { state_version: m.state_version, aliases: alias.collect::<PluginResult<_>>()? })
+    }
+}
+
+/// A setting that a plugin gives.
+///
+/// # Safety
+/// The pointer and those in what it points to are NULL or as the header says.
+pub(super) unsafe fn setting(pointer: *const SimodParam) -> PluginResult<Setting> {
+    // SAFETY: by the contract, for all that follow.
+    unsafe {
+        let s = one(pointer, "a setting")?;
+        let id = text(s.id, "the id of a setting")?;
+        let numbers = list(s.numbers, s.count, &format!("the numbers of the setting `{id}`"))?;
+        let text = text_or_none(s.text, &format!("the text of the setting `{id}`"))?;
+        Ok(Setting { kind: ParamKind(s.kind), numbers: numbers.into(), text: text.into(), id: id.into() })
     }
 }
 

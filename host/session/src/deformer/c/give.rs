@@ -2,12 +2,12 @@
 
 use simod_plugin_api::c::{
     SimodAffine, SimodBounds, SimodDeformInput, SimodEffort, SimodGraph, SimodHandleMotions, SimodJoint,
-    SimodJoints, SimodModelFrame, SimodParam, SimodPart, SimodPrepareInput, SimodRegion, SimodSamples,
-    SimodStroke, SimodStrokes, SimodTriangles,
+    SimodJoints, SimodModelFrame, SimodParam, SimodPart, SimodPrepareInput, SimodRegion, SimodRestPositions,
+    SimodSamples, SimodStroke, SimodStrokes, SimodTime, SimodTriangles,
 };
 use simod_plugin_api::{
     Affine, Bounds, DeformInput, Effort, Joint, Params, PluginError, PluginResult, PrepareInput, Samples,
-    Stroke,
+    Setting, Stroke, Time,
 };
 use std::ffi::{CStr, CString, c_void};
 use std::ptr::null;
@@ -65,6 +65,24 @@ impl Texts {
     }
 }
 
+/// Calls with settings of a session, as long as they are there.
+pub(super) fn with_settings<T>(
+    settings: &[Setting],
+    call: impl FnOnce(*const SimodParam, usize) -> T,
+) -> PluginResult<T> {
+    let texts = settings.iter().map(|s| Ok((c_text(&s.id)?, c_text(&s.text)?)));
+    let texts = texts.collect::<PluginResult<Vec<_>>>()?;
+    let settings = settings.iter().zip(&texts).map(|(s, (id, text))| SimodParam {
+        id: id.as_ptr(),
+        kind: s.kind.0,
+        numbers: start(&s.numbers),
+        count: s.numbers.len(),
+        text: text.as_ptr(),
+    });
+    let settings: Vec<SimodParam> = settings.collect();
+    Ok(call(start(&settings), settings.len()))
+}
+
 /// An input that is known by an id.
 fn part<T>(id: &'static CStr, data: &T) -> SimodPart {
     SimodPart { id: id.as_ptr(), data: std::ptr::from_ref(data).cast::<c_void>() }
@@ -97,6 +115,8 @@ pub(super) fn with_prepare_input<T>(
     parts.extend(triangles.as_ref().map(|t| part(c"simod.triangles/1", t)));
     parts.extend(graph.as_ref().map(|g| part(c"simod.graph/1", g)));
     parts.extend(frame.as_ref().map(|f| part(c"simod.model-frame/1", f)));
+    let rest = input.rest_positions().map(|p| SimodRestPositions { positions: start(p) });
+    parts.extend(rest.as_ref().map(|r| part(c"simod.rest-positions/1", r)));
     parts.extend((joints.count > 0).then(|| part(c"simod.joints/1", &joints)));
     let input = SimodPrepareInput {
         samples: samples(&input.samples),
@@ -142,6 +162,8 @@ pub(super) fn with_deform_input<T>(
     parts.extend((motions.count > 0).then(|| part(c"simod.handle-motions/1", &motions)));
     parts.extend((strokes.count > 0).then(|| part(c"simod.strokes/1", &strokes)));
     parts.extend(effort.as_ref().map(|e| part(c"simod.effort/1", e)));
+    let time = input.part::<Time>().map(|t| SimodTime { frame: t.frame, seconds: t.seconds });
+    parts.extend(time.as_ref().map(|t| part(c"simod.time/1", t)));
     let input = SimodDeformInput {
         samples: samples(&input.samples),
         bounds: bounds(&input.bounds),

@@ -1,8 +1,8 @@
 //! The host as a plugin in C sees it.
 
-use super::read::lossy;
-use simod_plugin_api::c::{SIMOD_CANCELLED, SimodHost};
-use simod_plugin_api::{ErrorCode, HostCalls, LogLevel, PluginError};
+use super::read::{list, lossy};
+use simod_plugin_api::c::{SIMOD_CANCELLED, SimodHost, SimodNearest, SimodSurface, SimodSurfacePoint};
+use simod_plugin_api::{ErrorCode, HostCalls, LogLevel, PluginError, Pose, SurfacePoint};
 use std::ffi::{c_char, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Mutex, PoisonError};
@@ -106,9 +106,98 @@ unsafe extern "C" fn parallel_for(
     guarded(host, false, |ear| ear.calls.parallel_for(count, &|i| body.call(i)))
 }
 
-/// There are none yet.
-unsafe extern "C" fn extension(_: *const SimodHost, _: *const c_char) -> *const c_void {
-    std::ptr::null()
+/// The services that there are for the samples of the call.
+unsafe extern "C" fn extension(host: *const SimodHost, id: *const c_char) -> *const c_void {
+    static NEAREST: SimodNearest = SimodNearest { find };
+    static SURFACE: SimodSurface = SimodSurface { has, closest, ray };
+    // SAFETY: the header asks for a text.
+    let id = unsafe { lossy(id) };
+    guarded(host, std::ptr::null(), |ear| match id.as_str() {
+        "simod.nearest/1" if ear.calls.lookups().is_some() => std::ptr::from_ref(&NEAREST).cast(),
+        "simod.surface/1" if ear.calls.lookups().is_some() => std::ptr::from_ref(&SURFACE).cast(),
+        _ => std::ptr::null(),
+    })
+}
+
+/// Three numbers that a plugin points to.
+///
+/// # Safety
+/// If it is not NULL and aligned, there are three.
+unsafe fn three(numbers: *const f64) -> Option<[f64; 3]> {
+    // SAFETY: by the contract.
+    unsafe { list(numbers, 3, "numbers") }.ok()?.try_into().ok()
+}
+
+unsafe extern "C" fn find(
+    host: *const SimodHost,
+    pose: u32,
+    point: *const f64,
+    radius: f64,
+    found: *mut u32,
+    capacity: usize,
+) -> usize {
+    guarded(host, 0, |ear| {
+        // SAFETY: the header asks for three numbers.
+        let (Some(lookups), Some(point)) = (ear.calls.lookups(), unsafe { three(point) }) else { return 0 };
+        let room: &mut [u32] = if capacity == 0 || found.is_null() || !found.is_aligned() {
+            &mut []
+        } else {
+            // SAFETY: the header asks for room for so many, which is the plugin's own.
+            unsafe { std::slice::from_raw_parts_mut(found, capacity) }
+        };
+        lookups.nearest(Pose(pose), point, radius, room)
+    })
+}
+
+unsafe extern "C" fn has(host: *const SimodHost, pose: u32) -> bool {
+    guarded(host, false, |ear| ear.calls.lookups().is_some_and(|lookups| lookups.has_triangles(Pose(pose))))
+}
+
+/// Writes what was found; whether something was.
+///
+/// # Safety
+/// If it is not NULL and aligned, there is room for a point.
+unsafe fn put(found: Option<SurfacePoint>, to: *mut SimodSurfacePoint) -> bool {
+    let Some(SurfacePoint { triangle, weights, position, distance }) = found else { return false };
+    if to.is_null() || !to.is_aligned() {
+        return false;
+    }
+    // SAFETY: by the contract.
+    unsafe { to.write(SimodSurfacePoint { triangle, weights, position, distance }) };
+    true
+}
+
+unsafe extern "C" fn closest(
+    host: *const SimodHost,
+    pose: u32,
+    point: *const f64,
+    radius: f64,
+    found: *mut SimodSurfacePoint,
+) -> bool {
+    // SAFETY: the header asks for three numbers, and for room for a point.
+    guarded(host, false, |ear| unsafe {
+        let (Some(lookups), Some(point)) = (ear.calls.lookups(), three(point)) else { return false };
+        put(lookups.closest(Pose(pose), point, radius), found)
+    })
+}
+
+unsafe extern "C" fn ray(
+    host: *const SimodHost,
+    pose: u32,
+    origin: *const f64,
+    direction: *const f64,
+    reach: f64,
+    found: *mut SimodSurfacePoint,
+) -> bool {
+    // SAFETY: as above.
+    guarded(host, false, |ear| unsafe {
+        let (Some(lookups), Some(origin), Some(direction)) =
+            (ear.calls.lookups(), three(origin), three(direction))
+        else {
+            return false;
+        };
+        put(lookups.ray(Pose(pose), origin, direction, reach), found)
+    })
 }
 
 #[cfg(test)]
@@ -148,6 +237,10 @@ mod tests {
             assert!((host.parallel_for)(&host, 11, Some(count), context));
             assert!(!(host.parallel_for)(&host, 11, None, context));
             assert!((host.extension)(&host, c"simod.graph/1".as_ptr()).is_null());
+            assert!(
+                (host.extension)(&host, c"simod.nearest/1".as_ptr()).is_null(),
+                "where there are no samples"
+            );
             assert_eq!((host.error)(&host, 2, c"too few".as_ptr(), std::ptr::null()), 2);
         }
         assert_eq!((calls.0.load(Ordering::Relaxed), sum.into_inner()), (1, 55));

@@ -9,16 +9,18 @@ mod give;
 mod listen;
 mod read;
 
-use super::{Capabilities, Code, cannot_load};
-use give::{with_deform_input, with_prepare_input};
+use super::{Capabilities, Code, Migration, cannot_load, limits, line};
+use give::{with_deform_input, with_prepare_input, with_settings};
 use libloading::Library;
 use simod_core::{Error, ErrorKind, Result};
 use simod_plugin_api::c::{
     SIMOD_INTERFACE_MAJOR, SIMOD_INTERFACE_MINOR, SIMOD_OK, SimodDeformInput, SimodEvaluate, SimodHandleDesc,
-    SimodHandleList, SimodHandles, SimodHost, SimodIsIdentity, SimodPlugin, SimodPrepareInput,
+    SimodHandleList, SimodHandles, SimodHost, SimodIsIdentity, SimodMigration, SimodParam, SimodPlugin,
+    SimodPrepareInput, SimodSettingList,
 };
 use simod_plugin_api::{
-    DeformInput, Descriptor, HandleDesc, HostCalls, PluginError, PluginResult, PrepareInput, Scratch, State,
+    DeformInput, Descriptor, HandleDesc, HostCalls, PluginError, PluginResult, PrepareInput, Scratch,
+    Setting, State,
 };
 use std::error::Error as _;
 use std::ffi::{CStr, c_void};
@@ -36,6 +38,8 @@ type Evaluate = unsafe extern "C" fn(
     *const SimodHost,
 ) -> u32;
 type Handles = unsafe extern "C" fn(*const SimodPrepareInput, *mut SimodHandleList, *const SimodHost) -> u32;
+type Migrate =
+    unsafe extern "C" fn(u32, *const SimodParam, usize, *mut SimodSettingList, *const SimodHost) -> u32;
 type IsIdentity = unsafe extern "C" fn(*const SimodDeformInput) -> u8;
 
 /// The functions of a plugin in C. A call costs what it takes to put the input into other words: of
@@ -52,6 +56,7 @@ pub(crate) struct CCode {
     evaluate: Option<Evaluate>,
     handles: Option<Handles>,
     is_identity: Option<IsIdentity>,
+    migration: Option<(Migration, Option<Migrate>)>,
     /// What may be missing.
     plugin: SimodPlugin,
 }
@@ -153,11 +158,13 @@ impl CCode {
             Error::new(ErrorKind::Plugin, format!("{}: {what}", path.display()), bug)
         };
         // SAFETY: the header says which struct has which id.
-        let (evaluate, handles, is_identity) = unsafe {
+        let (evaluate, handles, is_identity, migration) = unsafe {
             (
                 extension::<SimodEvaluate>(&plugin, c"simod.evaluate/1"),
                 extension::<SimodHandles>(&plugin, c"simod.handles/1"),
                 extension::<SimodIsIdentity>(&plugin, c"simod.is-identity/1"),
+                extension::<SimodMigration>(&plugin, c"simod.migration/1")
+                    .map(|m| Ok((describe::migration(&m)?, m.migrate))),
             )
         };
         Ok(Self {
@@ -166,6 +173,9 @@ impl CCode {
             is_identity: is_identity
                 .map(|e| e.is_identity.ok_or_else(|| missing(c"simod.is-identity/1")))
                 .transpose()?,
+            migration: migration.transpose().map_err(|e: PluginError| {
+                Error::new(ErrorKind::Plugin, format!("{}: {}", path.display(), line(&e.message)), bug)
+            })?,
             describe,
             deform,
             plugin,
@@ -215,6 +225,10 @@ impl Code for CCode {
             handles: self.handles.is_some(),
             is_identity: self.is_identity.is_some(),
         }
+    }
+
+    fn migration(&self) -> PluginResult<Option<Migration>> {
+        Ok(self.migration.as_ref().map(|(migration, _)| migration.clone()))
     }
 
     fn prepare(&self, input: &PrepareInput<'_>, calls: &dyn HostCalls) -> PluginResult<State> {
@@ -296,6 +310,40 @@ impl Code for CCode {
         let is_identity = self.is_identity.expect(OFFERED);
         // SAFETY: the pointer is good for the length of the call.
         with_deform_input(input, |input| unsafe { is_identity(input) } != 0)
+    }
+
+    fn migrate(&self, from: u32, settings: Vec<Setting>) -> PluginResult<Vec<Setting>> {
+        // Without the function, all stays as it is.
+        let Some(migrate) = self.migration.as_ref().expect(OFFERED).1 else { return Ok(settings) };
+        let mut found: PluginResult<Vec<Setting>> = Ok(Vec::new());
+        let mut list = SimodSettingList { context: (&raw mut found).cast(), set: set_setting };
+        with_settings(&settings, |settings, count| {
+            // SAFETY: all pointers are good for the length of the call.
+            call(&(), |host| unsafe { migrate(from, settings, count, &raw mut list, host) })
+        })??;
+        found.map_err(|e| e.hint("this is a bug of the plugin; tell its author"))
+    }
+}
+
+/// What `SimodSettingList::set` does: the first setting that cannot be read, or that is one too many, is what is told.
+unsafe extern "C" fn set_setting(list: *mut SimodSettingList, setting: *const SimodParam) {
+    if list.is_null() {
+        return;
+    }
+    // SAFETY: the plugin passes the list that it was given, whose context is the one that `CCode::migrate` made; it gives
+    // settings one by one.
+    let found = unsafe { &mut *(*list).context.cast::<PluginResult<Vec<Setting>>>() };
+    if let Ok(settings) = found {
+        if settings.len() >= limits::LONGEST_LIST {
+            *found =
+                Err(PluginError::internal(format!("it gives more than {} settings", limits::LONGEST_LIST)));
+            return;
+        }
+        // SAFETY: the header asks for a good pointer.
+        match unsafe { describe::setting(setting) } {
+            Ok(setting) => settings.push(setting),
+            Err(error) => *found = Err(error),
+        }
     }
 }
 

@@ -1,0 +1,57 @@
+//! `simod plugin migrate`: a session as the plugins of today have it.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use simod_core::Result;
+use simod_core::guard::Kind;
+use simod_session::SessionFile;
+use simod_session::edit::saved_at;
+use simod_session::session_file::inputs;
+
+use super::overwrite::Overwrite;
+use super::plugin_options::PluginOptions;
+use crate::report::Report;
+
+/// Write a session anew with the parameters that its plugins have now
+///
+/// Sessions that are older than their plugins work as they are, and say what is changed each time. Comments are not kept.
+#[derive(Args)]
+pub struct Migrate {
+    /// The session
+    session: PathBuf,
+    /// The session to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    #[command(flatten)]
+    plugins: PluginOptions,
+}
+
+impl Migrate {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        let mut session = SessionFile::load(&self.session)?;
+        let plugins = self.plugins.discover(report)?;
+        let mut guard = self.overwrite.guard();
+        guard.reads(&self.session);
+        guard.reads_all(inputs(&self.session)?);
+        guard.reads_all(plugins.files());
+        guard.writes(&self.output, Kind::Session)?;
+        let notes = plugins.migrate(&mut session.steps)?;
+        for step in &session.steps {
+            if let Some(deformation) = step.deformation() {
+                // What is not there cannot be asked.
+                plugins.get(&deformation.deform)?;
+            }
+        }
+        saved_at(&session, &self.output, &plugins).save(&self.output)?;
+        report.figure("changes", notes.as_slice());
+        if notes.is_empty() {
+            report.line("the session is as its plugins have it");
+        }
+        notes.into_iter().for_each(|note| report.line(note));
+        report.line(format!("wrote {}", self.output.display()));
+        Ok(())
+    }
+}

@@ -1,0 +1,36 @@
+//! When in a sequence the steps of a session are done.
+
+use clap::Args;
+use simod_core::{Error, ErrorKind, Result};
+use simod_session::session_file::SessionTime;
+
+/// `--frame` and `--time`.
+#[derive(Args)]
+pub struct TimeOptions {
+    /// The frame of a sequence, for plugins that take the time; instead of the session's `[time]`
+    #[arg(long, value_name = "N", allow_hyphen_values = true)]
+    frame: Option<i64>,
+    /// Seconds since the sequence's beginning; where not given, by the frame and the session's `rate`, or 24 frames a second
+    #[arg(long, value_name = "SECONDS", allow_hyphen_values = true)]
+    time: Option<f64>,
+}
+
+impl TimeOptions {
+    /// A session's time, as far as nothing else was asked for.
+    pub fn over(&self, session: SessionTime) -> Result<SessionTime> {
+        let asked = self.frame.is_some() || self.time.is_some();
+        let time = SessionTime {
+            frame: self.frame.or(session.frame),
+            seconds: if asked { self.time } else { session.seconds },
+            ..session
+        };
+        match time.defect() {
+            Some(_) => Err(Error::new(
+                ErrorKind::Argument,
+                "--time is no finite number",
+                "give seconds, such as 0.5",
+            )),
+            None => Ok(time),
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! The rule on sessions that are older than the plugin.
+
+use super::subject::{Subject, answer};
+use super::{Checked, Finding};
+use crate::migration::migrated;
+use crate::params::check_migration;
+use crate::session_file::Deformation;
+use simod_plugin_api::ParamKind;
+
+/// Sessions of all versions that give nothing, or every parameter by its default and by each former name, become what the
+/// plugin takes; always the same, and nothing of what they become is changed once more.
+pub(super) fn migration(subject: &Subject) -> Checked<Finding> {
+    let plugin = &subject.plugin;
+    if let Some(what) = plugin.migration().and_then(|m| check_migration(plugin.descriptor(), m).err()) {
+        return Err(Finding::fail(what, HINT));
+    }
+    let Some(migration) = plugin.migration() else {
+        return Ok(Finding::skip("it says nothing of older sessions"));
+    };
+    match answer("migration", plugin.code().migration())? {
+        Ok(Some(again)) if again == *migration => {}
+        _ => {
+            let hint = "have `Migrate::migration` give the same each time";
+            return Err(Finding::fail("it says something else of older sessions when asked twice", hint));
+        }
+    }
+    let numbers = |x: &[f64]| toml::Value::Array(x.iter().map(|x| toml::Value::Float(*x)).collect());
+    let given = plugin.params().iter().filter_map(|d| {
+        let value = match (d.kind, d.default_numbers.as_slice()) {
+            (ParamKind::FLOAT, [x]) => toml::Value::Float(*x),
+            (ParamKind::INT, [x]) => toml::Value::Integer(*x as i64),
+            (ParamKind::BOOL, [x]) => toml::Value::Boolean(*x != 0.0),
+            (ParamKind::CHOICE, _) => toml::Value::String(d.default_text.to_string()),
+            (ParamKind::DIRECTION | ParamKind::COLOUR, x) => numbers(x),
+            (ParamKind::CURVE, x) => toml::Value::Array(x.chunks(2).map(numbers).collect()),
+            _ => return None,
+        };
+        Some((d.id.to_string(), value))
+    });
+    let defaults: toml::Table = given.collect();
+    let mut tables = vec![toml::Table::new(), defaults.clone()];
+    for (former, now) in &migration.aliases {
+        let mut table = defaults.clone();
+        if let Some(value) = table.remove(now) {
+            table.insert(former.clone(), value);
+            tables.push(table);
+        }
+    }
+    let (mut refused, mut done) = (None, 0);
+    for from in (1..=migration.state_version).rev().take(VERSIONS).chain([1]) {
+        for params in &tables {
+            let step = Deformation {
+                state_version: Some(from),
+                params: params.clone(),
+                ..Deformation::of(plugin.id())
+            };
+            let fail = |what: String| Finding::fail(format!("from state version {from}: {what}"), HINT);
+            let brought =
+                |step: &Deformation| migrated(step, plugin).map(|new| new.unwrap_or_else(|| step.clone()));
+            let first = match brought(&step) {
+                Ok(first) => first,
+                // What old defaults were, nobody knows here: it may refuse what it cannot understand.
+                Err(e) if !e.hint().contains("bug of the plugin") && !e.to_string().contains("panicked") => {
+                    refused.get_or_insert_with(|| e.to_string());
+                    continue;
+                }
+                Err(e) => return Err(fail(e.to_string())),
+            };
+            if brought(&step).ok().as_ref() != Some(&first) {
+                return Err(fail("the same settings become others each time".to_owned()));
+            }
+            if brought(&first).ok().as_ref() != Some(&first) {
+                return Err(fail("what became of it is changed once more".to_owned()));
+            }
+            done += 1;
+        }
+    }
+    Ok(match refused {
+        Some(what) if done == 0 => Finding::warn(format!("it refuses all older sessions: {what}"), HINT),
+        _ => Finding::pass(format!(
+            "state version {}, {} aliases",
+            migration.state_version,
+            migration.aliases.len()
+        )),
+    })
+}
+
+/// Versions that are tried, besides the first.
+const VERSIONS: usize = 50;
+
+const HINT: &str = "see `Migrate` in simod-plugin-api";

@@ -1,0 +1,126 @@
+// The plugin of tests/plugins/surveyor, in C.
+#include "simod_plugin.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { MODE, REACH, PARAM_COUNT };
+
+// Samples that are looked up at once: more than there are in any test.
+enum { ROOM = 1000000 };
+
+static const SimodChoiceDesc modes[] = {
+    { "nearest", NULL }, { "within", NULL }, { "rest", NULL }, { "closest", NULL }, { "ray", NULL }, { "time", NULL },
+};
+
+static const SimodParamDesc params[PARAM_COUNT] = {
+    [MODE] = { .id = "mode", .name = "Mode", .hint = "What is looked up", .kind = SIMOD_PARAM_CHOICE, .choices = modes,
+               .choice_count = 6, .default_text = "nearest" },
+    [REACH] = { .id = "reach", .name = "Reach", .hint = "How far it looks, as a part of the diagonal",
+                .kind = SIMOD_PARAM_FLOAT, .hard_range = { 0, 1 }, .default_numbers = { 0.1 } },
+};
+
+static const SimodInputDesc inputs[] = {
+    { SIMOD_INPUT_TRIANGLES, 0 }, { SIMOD_INPUT_REST_POSITIONS, 0 }, { SIMOD_INPUT_TIME, 0 },
+};
+
+static const SimodDescriptor descriptor = {
+    .id = "surveyor-in-c", .name = "Surveyor", .version = "3.0.0", .author = "a third party",
+    .summary = "Moves samples to where the host says that something is", .params = params, .param_count = PARAM_COUNT,
+    .inputs = inputs, .input_count = 3,
+};
+
+static const SimodDescriptor *describe(void) { return &descriptor; }
+
+// Each thread has its own.
+static void *new_scratch(void) { return malloc(ROOM * sizeof(uint32_t)); }
+
+static void mean(const SimodSamples *samples, const uint32_t *found, size_t count, float *out)
+{
+    double sum[3] = { 0, 0, 0 };
+    for (size_t i = 0; i < count; i++)
+        for (int k = 0; k < 3; k++) sum[k] += samples->positions[found[i]][k];
+    for (int k = 0; k < 3; k++) out[k] = (float)(sum[k] / (double)count);
+}
+
+static uint32_t deform(const void *state, const SimodDeformInput *input, void *scratch, float (*out)[3],
+                       const SimodHost *host)
+{
+    (void)state;
+    uint32_t *found = scratch;
+    const char *mode = input->params[MODE].text;
+    double diagonal = 0;
+    for (int k = 0; k < 3; k++) diagonal += pow(input->bounds.max[k] - input->bounds.min[k], 2);
+    double reach = input->params[REACH].numbers[0] * sqrt(diagonal);
+    const SimodNearest *nearest = host->extension(host, SIMOD_NEAREST);
+    const SimodSurface *surface = host->extension(host, SIMOD_SURFACE);
+    const SimodTime *time = simod_part(input->parts, input->part_count, SIMOD_INPUT_TIME);
+    if (!nearest || !surface || !time) return host->error(host, SIMOD_UNSUPPORTED, "the host is too old", NULL);
+    int looks = strcmp(mode, "closest") == 0 || strcmp(mode, "ray") == 0;
+    if (looks && !surface->has(host, SIMOD_POSE_CURRENT))
+        return host->error(host, SIMOD_UNSUPPORTED, "there are no triangles between the samples", "sample some");
+    for (size_t i = 0; i < input->samples.count; i++) {
+        const float *from = input->samples.positions[i];
+        double p[3] = { from[0], from[1], from[2] };
+        SimodSurfacePoint at;
+        memcpy(out[i], from, sizeof out[i]);
+        if (strcmp(mode, "nearest") == 0) {
+            nearest->find(host, SIMOD_POSE_CURRENT, p, INFINITY, found, 5);
+            mean(&input->samples, found, 5, out[i]);
+        } else if (strcmp(mode, "within") == 0) {
+            size_t count = nearest->find(host, SIMOD_POSE_CURRENT, p, reach, found, ROOM);
+            mean(&input->samples, found, count, out[i]);
+        } else if (strcmp(mode, "rest") == 0) {
+            nearest->find(host, SIMOD_POSE_REST, p, INFINITY, found, 1);
+            memcpy(out[i], input->samples.positions[found[0]], sizeof out[i]);
+        } else if (strcmp(mode, "closest") == 0) {
+            p[0] += reach;
+            if (surface->closest(host, SIMOD_POSE_CURRENT, p, INFINITY, &at))
+                for (int k = 0; k < 3; k++) out[i][k] = (float)at.position[k];
+        } else if (strcmp(mode, "ray") == 0) {
+            const double down[3] = { 0, 0, -2 };
+            p[2] = 10;
+            if (surface->ray(host, SIMOD_POSE_CURRENT, p, down, INFINITY, &at))
+                for (int k = 0; k < 3; k++) out[i][k] = (float)at.position[k];
+        } else {
+            out[i][0] = from[0] + (float)time->seconds;
+            out[i][1] = from[1] + (float)time->frame;
+        }
+    }
+    return SIMOD_OK;
+}
+
+static uint32_t migrate(uint32_t from, const SimodParam *settings, size_t count, SimodSettingList *to,
+                        const SimodHost *host)
+{
+    (void)from;
+    for (size_t i = 0; i < count; i++) {
+        SimodParam setting = settings[i];
+        double reach;
+        if (strcmp(setting.id, "reach") == 0) {
+            if (setting.numbers[0] < 0)
+                return host->error(host, SIMOD_INVALID_PARAMETER, "parameter `reach` was never below 0",
+                                   "give a part of the diagonal");
+            reach = setting.numbers[0] / 100;
+            setting.kind = SIMOD_PARAM_FLOAT;
+            setting.numbers = &reach;
+        }
+        to->set(to, &setting);
+    }
+    return SIMOD_OK;
+}
+
+static const void *extension(const char *id)
+{
+    static const SimodAlias aliases[] = { { "method", "mode" }, { "distance", "reach" } };
+    static const SimodMigration migration = {
+        .state_version = 2, .aliases = aliases, .alias_count = 2, .migrate = migrate,
+    };
+    return strcmp(id, SIMOD_MIGRATION) == 0 ? &migration : NULL;
+}
+
+const SimodPlugin simod_plugin_entry = {
+    .interface_major = SIMOD_INTERFACE_MAJOR, .interface_minor = SIMOD_INTERFACE_MINOR, .size = sizeof(SimodPlugin),
+    .describe = describe, .new_scratch = new_scratch, .drop_scratch = free, .deform = deform, .extension = extension,
+};

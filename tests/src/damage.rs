@@ -1,0 +1,150 @@
+//! Damaged files, for tests of readers: as their structure suggests, numbers become others, words and lines too, and parts are
+//! cut out, doubled and exchanged.
+
+use proptest::prelude::*;
+use proptest::test_runner::TestRunner;
+
+/// What is done to bytes.
+/// Places are parts of the whole.
+#[derive(Debug, Clone)]
+pub enum Damage {
+    /// Some bits of a byte.
+    Flip {
+        /// Where.
+        at: f64,
+        /// Which bits.
+        bits: u8,
+    },
+    /// Bytes become a number, the lowest first.
+    Number {
+        /// Where.
+        at: f64,
+        /// Which.
+        value: u64,
+        /// How many bytes.
+        width: usize,
+    },
+    /// A part is missing.
+    Cut {
+        /// Where.
+        at: f64,
+        /// How much.
+        len: f64,
+    },
+    /// A part is there twice.
+    Double {
+        /// Where.
+        at: f64,
+        /// How much.
+        len: f64,
+    },
+    /// A word becomes another one.
+    Word {
+        /// Which.
+        nth: usize,
+        /// The other one.
+        with: &'static str,
+    },
+    /// A line is somewhere else, too.
+    Line {
+        /// Which.
+        nth: usize,
+        /// After which other.
+        after: usize,
+    },
+}
+
+/// Numbers and words that are likely to be believed.
+const NUMBERS: [u64; 8] = [0, 1, 0x7f, 0xff, 0x7fff_ffff, 0xffff_ffff, 1 << 40, u64::MAX];
+const WORDS: [&str; 16] = [
+    "0",
+    "-1",
+    "1e400",
+    "nan",
+    "18446744073709551615",
+    "4294967295",
+    "\"\"",
+    "list",
+    "[]",
+    "../../x",
+    "{}",
+    "#",
+    "true",
+    "1e308",
+    "\"/dev/zero\"",
+    "[[1, 2], [3]]",
+];
+
+/// Any damage.
+pub fn damage() -> impl Strategy<Value = Damage> {
+    let part = || 0.0..1.0f64;
+    prop_oneof![
+        3 => (part(), 1u8..).prop_map(|(at, bits)| Damage::Flip { at, bits }),
+        3 => (part(), prop::sample::select(&NUMBERS[..]), 1usize..=8)
+            .prop_map(|(at, value, width)| Damage::Number { at, value, width }),
+        2 => (part(), 0.0..0.3f64).prop_map(|(at, len)| Damage::Cut { at, len }),
+        1 => (part(), 0.0..0.2f64).prop_map(|(at, len)| Damage::Double { at, len }),
+        3 => (0usize..200, prop::sample::select(&WORDS[..])).prop_map(|(nth, with)| Damage::Word { nth, with }),
+        1 => (0usize..60, 0usize..60).prop_map(|(nth, after)| Damage::Line { nth, after }),
+    ]
+}
+
+/// The bytes damaged; places are parts of the first `within` of them.
+pub fn damaged(bytes: &[u8], within: usize, all: &[Damage]) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    for damage in all {
+        let length = within.min(bytes.len());
+        if length == 0 {
+            break;
+        }
+        let place = |part: f64| ((part * length as f64) as usize).min(length - 1);
+        match *damage {
+            Damage::Flip { at, bits } => bytes[place(at)] ^= bits,
+            Damage::Number { at, value, width } => {
+                let at = place(at);
+                bytes.iter_mut().skip(at).zip(value.to_le_bytes()).take(width).for_each(|(b, v)| *b = v);
+            }
+            Damage::Cut { at, len } => {
+                let (at, len) = (place(at), place(len));
+                bytes.drain(at..(at + len).min(length));
+            }
+            Damage::Double { at, len } => {
+                let (at, len) = (place(at), place(len));
+                let part = bytes[at..(at + len).min(length)].to_vec();
+                bytes.splice(at..at, part);
+            }
+            Damage::Word { nth, with } => {
+                let is_blank = |b: &u8| b.is_ascii_whitespace();
+                let starts = (1..length).filter(|i| is_blank(&bytes[i - 1]) && !is_blank(&bytes[*i]));
+                let starts: Vec<usize> = starts.collect();
+                if let Some(start) = (!starts.is_empty()).then(|| starts[nth % starts.len()]) {
+                    let end = (start..length).find(|i| is_blank(&bytes[*i])).unwrap_or(length);
+                    bytes.splice(start..end, with.bytes());
+                }
+            }
+            Damage::Line { nth, after } => {
+                let mut lines: Vec<Vec<u8>> =
+                    bytes.split_inclusive(|b| *b == b'\n').map(<[u8]>::to_vec).collect();
+                let line = lines[nth % lines.len()].clone();
+                lines.insert(after % lines.len(), line);
+                bytes = lines.concat();
+            }
+        }
+    }
+    bytes
+}
+
+/// So many cases, unless the environment says how many.
+pub fn cases(count: u32) -> ProptestConfig {
+    let config = ProptestConfig::default();
+    if std::env::var_os("PROPTEST_CASES").is_some() {
+        config
+    } else {
+        ProptestConfig { cases: count, ..config }
+    }
+}
+
+/// Runs so many cases, unless the environment says how many.
+pub fn runner(count: u32) -> TestRunner {
+    TestRunner::new(cases(count))
+}

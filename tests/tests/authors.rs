@@ -1,0 +1,217 @@
+//! What the host has for third parties' plugins, through both doors, in this process and in others: samples and surfaces to be
+//! looked up, the time, and older sessions that keep working.
+#![cfg(unix)]
+
+use std::env::consts::DLL_SUFFIX;
+
+use glam::DVec3;
+use serde_json::Value;
+use simod_tests::{Outcome, Workplace, library};
+
+/// The plugin in Rust and in C, and where it can run.
+const IDS: [&str; 2] = ["surveyor", "surveyor-in-c"];
+const PLACES: [&str; 2] = ["never", "always"];
+
+fn workplace() -> Workplace {
+    let work = Workplace::new().with_plugins("plugins");
+    work.build_c("tests/c/surveyor.c", "in_c", &[]);
+    work.write(
+        &format!("plugins/surveyor{DLL_SUFFIX}"),
+        std::fs::read(library("surveyor")).expect("a library"),
+    );
+    work.simod("generate -o model.ply --shape bumpy-sphere --vertices 5000");
+    work.simod("sample model.ply -o model.simod --samples 500");
+    work
+}
+
+/// Deforms by a step, through both doors and in both places, which all give the same bytes: the result.
+fn deformed(work: &Workplace, before: &str, step: &str, options: &str) -> Vec<DVec3> {
+    let mut known: Option<Vec<u8>> = None;
+    for id in IDS {
+        work.write("edit.toml", format!("{before}\n[[step]]\ndeform = \"{id}\"\n{step}\n"));
+        for place in PLACES {
+            work.simod(&format!(
+                "deform model.simod --session edit.toml -o out.ply --isolate {place} {options}"
+            ));
+            let bytes = std::fs::read(work.path("out.ply")).expect("samples");
+            assert!(
+                *known.get_or_insert_with(|| bytes.clone()) == bytes,
+                "{id} in another process: {place}, {step}"
+            );
+        }
+    }
+    work.ply("out.ply").positions()
+}
+
+fn now(params: &str) -> String {
+    format!("state-version = 2\nparams = {{ {params} }}")
+}
+
+#[test]
+fn samples_and_surfaces_are_looked_up_in_any_process() {
+    let work = workplace();
+    let rest = work.ply("model.simod/samples.ply").positions();
+    let nearest = |p: DVec3, count: usize, among: &[DVec3]| {
+        let mut all: Vec<usize> = (0..among.len()).collect();
+        all.sort_by(|i, j| among[*i].distance(p).total_cmp(&among[*j].distance(p)));
+        all.truncate(count);
+        all
+    };
+    let mean = |of: &[usize]| of.iter().map(|i| rest[*i]).sum::<DVec3>() / of.len() as f64;
+    for (p, q) in rest.iter().zip(deformed(&work, "", &now("mode = \"nearest\""), "")) {
+        assert!(q.distance(mean(&nearest(*p, 5, &rest))) < 1e-5, "{p} went to {q}");
+    }
+    let diagonal = work.ply("model.ply").diagonal();
+    let mut most = 0;
+    for (p, q) in rest.iter().zip(deformed(&work, "", &now("mode = \"within\", reach = 0.2"), "")) {
+        let count = rest.iter().filter(|other| other.distance(*p) <= 0.2 * diagonal).count();
+        most = most.max(count);
+        assert!(q.distance(mean(&nearest(*p, count, &rest))) < 1e-3 * diagonal, "{p} went to {q}");
+    }
+    assert!(most > 64, "more than are looked for at first");
+
+    // After a step before it: what is near at rest is not what is near now.
+    let bend = "[[step]]\ndeform = \"warp\"\nparams = { operation = \"bend\", angle = 120 }";
+    work.write("bend.toml", bend);
+    work.simod("deform model.simod --session bend.toml -o bent.ply");
+    let bent = work.ply("bent.ply").positions();
+    let found = deformed(&work, bend, &now("mode = \"rest\""), "");
+    let mut others = 0;
+    for (i, q) in found.iter().enumerate() {
+        let near = nearest(bent[i], 1, &rest)[0];
+        others += usize::from(near != i);
+        assert!(q.distance(bent[near]) < 1e-5, "sample {i}");
+    }
+    assert!(others > 100, "{others} samples are nearer to others' places at rest");
+
+    let reach = 0.3 * diagonal;
+    for (p, q) in rest.iter().zip(deformed(&work, "", &now("mode = \"closest\", reach = 0.3"), "")) {
+        let from = *p + DVec3::X * reach;
+        let corner = rest[nearest(from, 1, &rest)[0]].distance(from);
+        assert!(q.distance(from) <= corner + 1e-6, "{p}: {q} is not the nearest");
+        let beside = rest[nearest(q, 1, &rest)[0]].distance(q);
+        assert!(beside < 0.1 * diagonal, "{p}: {q} is not on the surface");
+    }
+    let mut lifted = 0;
+    for (p, q) in rest.iter().zip(deformed(&work, "", &now("mode = \"ray\""), "")) {
+        assert!(
+            (q.truncate() - p.truncate()).length() < 1e-5 && q.z > p.z - 0.05 * diagonal,
+            "{p} went to {q}"
+        );
+        lifted += usize::from(q.z > p.z + 0.05 * diagonal);
+    }
+    assert!((100..400).contains(&lifted), "{lifted} of the samples are below others");
+
+    // Where there are no triangles, that is said.
+    work.simod("sample model.ply -o points.simod --samples 500 --skip triangles");
+    work.write("edit.toml", format!("[[step]]\ndeform = \"surveyor\"\n{}", now("mode = \"ray\"")));
+    for place in PLACES {
+        let line = format!("deform points.simod --session edit.toml -o out.ply --isolate {place}");
+        work.refuses(&line, &["edit.toml, line 1", "surveyor", "no triangles between the samples"]);
+    }
+}
+
+#[test]
+fn the_time_comes_from_the_session_and_the_command() {
+    let work = workplace();
+    let rest = work.ply("model.simod/samples.ply").positions();
+    // One local unit is this many of the model's.
+    let step = now("mode = \"time\"");
+    let shift = |before: &str, options: &str| {
+        let moved = deformed(&work, before, &step, options);
+        let by = moved[0] - rest[0];
+        assert!(
+            moved.iter().zip(&rest).all(|(q, p)| (*q - *p).distance(by) < 1e-4),
+            "all of it moves by {by}"
+        );
+        by
+    };
+    let unit = shift("", "--frame 1").y;
+    assert!(unit > 0.0);
+    let expect = |before: &str, options: &str, frame: f64, seconds: f64| {
+        let by = shift(before, options) / unit;
+        assert!(by.distance(DVec3::new(seconds, frame, 0.0)) < 1e-4, "{before} {options}: {by}");
+    };
+    expect("", "", 0.0, 0.0);
+    expect("[time]\nframe = 6", "", 6.0, 0.25);
+    expect("[time]\nframe = 6\nrate = 12", "", 6.0, 0.5);
+    expect("[time]\nframe = 6\nrate = 12", "--frame 3", 3.0, 0.25);
+    expect("[time]\nframe = 6\nseconds = 2", "--time -0.5", 6.0, -0.5);
+    // The whole way takes it as well.
+    work.write("whole.toml", format!("[model]\npath = \"model.ply\"\n[sampling]\nsamples = 500\n[[step]]\ndeform = \"surveyor\"\n{step}\n"));
+    work.simod("run whole.toml -o moved.ply --frame 2 --time 1");
+    let by = work.ply("moved.ply").positions()[7] - work.ply("model.ply").positions()[7];
+    assert!((by / unit).distance(DVec3::new(1.0, 2.0, 0.0)) < 1e-3, "{by}");
+    work.refuses("deform model.simod --session whole.toml -o out.ply --time nan", &["--time"]);
+}
+
+fn warnings(outcome: &Outcome) -> Vec<String> {
+    let report: Value = outcome.json();
+    let all = report["warnings"].as_array().cloned().unwrap_or_default();
+    all.iter().map(|w| w.as_str().expect("text").to_owned()).collect()
+}
+
+#[test]
+fn older_sessions_keep_working_and_are_told_what_changed() {
+    let work = workplace();
+    let expected = deformed(&work, "", &now("mode = \"within\", reach = 0.15"), "");
+    let old = "params = { method = \"within\", distance = 15 }";
+    assert_eq!(deformed(&work, "", old, ""), expected);
+    for id in IDS {
+        for place in PLACES {
+            work.write("edit.toml", format!("# An old one\n[[step]]\ndeform = \"{id}\"\n{old}\n"));
+            let deform =
+                format!("deform model.simod --session edit.toml -o out.ply --json --isolate {place}");
+            let told = warnings(&work.simod(&deform));
+            let [method, distance, brought] = &told[..] else { panic!("{told:?}") };
+            assert!(
+                method.contains("edit.toml, line 2") && method.contains("`method` is called `mode` now"),
+                "{method}"
+            );
+            assert!(distance.contains("`distance` is called `reach` now"), "{distance}");
+            let change = "state version 1 to 2: reach = 15 became reach = 0.15";
+            assert!(brought.contains(id) && brought.contains(change), "{brought}");
+
+            // Written anew, it says which version it is of, and nothing more is told.
+            let migrate = format!("plugin migrate edit.toml -o new.toml --isolate {place}");
+            let report = work.report(&migrate);
+            assert_eq!(report["changes"].as_array().map(Vec::len), Some(3), "{report}");
+            let text = std::fs::read_to_string(work.path("new.toml")).expect("a session");
+            assert!(text.contains("state-version = 2") && text.contains("reach = 0.15"), "{text}");
+            assert!(text.contains("mode = \"within\"") && !text.contains("method"), "{text}");
+            let outcome = work.simod(&deform.replace("edit.toml", "new.toml"));
+            assert!(warnings(&outcome).is_empty(), "{}", outcome.stdout);
+            assert_eq!(work.ply("out.ply").positions(), expected);
+
+            // What is wrong is told with the plugin, the step, and the parameter's line.
+            work.write("bad.toml", format!("[[step]]\ndeform = \"{id}\"\n\nparams.distance = -1\n"));
+            let line = format!("deform model.simod --session bad.toml -o out.ply --isolate {place}");
+            work.refuses(&line, &["bad.toml, line 4", &format!("plugin {id}"), "`reach` was never below 0"]);
+        }
+        work.write("new.toml", format!("[[step]]\ndeform = \"{id}\"\nstate-version = 3\n"));
+        work.refuses("deform model.simod --session new.toml -o out.ply", &["line 1", id, "state version 3"]);
+        let both = "params = { method = \"ray\", mode = \"ray\" }";
+        work.write("new.toml", format!("[[step]]\ndeform = \"{id}\"\n{both}\n"));
+        work.refuses("deform model.simod --session new.toml -o out.ply", &["line 3", "both are given"]);
+
+        let info = work.report(&format!("plugin info {id}"));
+        assert_eq!(info["state_version"], 2, "{info}");
+        assert_eq!(info["aliases"][0]["former"], "method", "{info}");
+        assert_eq!((&info["uses_time"], &info["uses_rest_positions"]), (&true.into(), &true.into()));
+    }
+}
+
+#[test]
+fn plugins_that_look_things_up_pass_all_rules() {
+    let work = workplace();
+    for file in [format!("surveyor{DLL_SUFFIX}"), format!("in_c{DLL_SUFFIX}")] {
+        let outcome = work.run(&format!("plugin check plugins/{file} --json"));
+        let report = outcome.json();
+        assert_eq!(report["failed"], 0, "{report}");
+        let rules = report["rules"].as_array().expect("rules");
+        for id in ["migration", "time", "no-samples", "not-a-number", "large"] {
+            let rule = rules.iter().find(|r| r["rule"] == id).expect("the rule");
+            assert_eq!(rule["verdict"], "pass", "{rule}");
+        }
+    }
+}
