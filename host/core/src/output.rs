@@ -120,6 +120,9 @@ pub(crate) fn target_of(path: &Path) -> Result<PathBuf> {
 pub fn canonical_target(path: &Path) -> Result<PathBuf> {
     let target = regular_target(path)?;
     let folder = folder_of(&target).canonicalize().map_err(|e| Error::io("write", path, &e))?;
+    if !folder.is_dir() {
+        return Err(Error::io("write", path, &io::ErrorKind::NotADirectory.into()));
+    }
     Ok(folder.join(target.file_name().unwrap_or_default()))
 }
 
