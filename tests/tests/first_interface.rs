@@ -45,7 +45,11 @@ fn works(library: &Path) {
     let work = Workplace::new().with_plugins("plugins");
     work.write(&format!("plugins/veteran{DLL_SUFFIX}"), std::fs::read(library).expect("a library"));
     let checked = work.report(&format!("plugin check {}", library.display()));
-    assert_eq!((&checked["failed"], &checked["skipped"]), (&0.into(), &0.into()), "{checked}");
+    assert_eq!(checked["failed"], 0, "{checked}");
+    // What it does not know does not apply to it.
+    let rules = checked["rules"].as_array().expect("rules").iter();
+    let skipped: Vec<_> = rules.filter(|r| r["verdict"] == "skip").map(|r| &r["rule"]).collect();
+    assert_eq!(skipped, ["migration", "time"], "{checked}");
     work.simod("generate -o model.ply --vertices 5000");
     work.simod("sample model.ply -o model.simod --samples 500");
     work.write("notes.txt", "to be read");
