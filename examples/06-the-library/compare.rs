@@ -18,7 +18,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let method = |samples: u64| Method {
         name: format!("{samples} samples"),
         place: "here".to_owned(),
-        work: Work::Plugin { deform: plugin.clone(), params: toml::Table::new(), folder: PathBuf::new() },
+        work: Work::Plugin {
+            deform: plugin.clone(),
+            state_version: None,
+            params: toml::Table::new(),
+            folder: PathBuf::new(),
+        },
         sampling: Sampling { samples: Some(samples), ..Sampling::default() },
         reconstruction: Default::default(),
     };

@@ -107,6 +107,7 @@ pub struct Step {
 /// What a step does.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[expect(clippy::large_enum_variant, reason = "nearly all steps are the large one, and a session has a few")]
 pub enum Action {
     /// The samples are moved.
     Deform(Deformation),

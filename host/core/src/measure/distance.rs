@@ -312,7 +312,7 @@ mod tests {
         let mut met = 0;
         for i in 0..200 {
             let t = f64::from(i);
-            let to = DVec3::new((t * 0.7).sin(), (t * 1.3).cos(), (t * 0.37).sin()).normalize();
+            let to = DVec3::new((t * 0.7).sin(), (t * 1.3).cos(), (t * 0.37).sin()).normalize_or_zero();
             let found = surface.closest(to * 1.5).unwrap();
             let corners = triangles[found.triangle as usize].map(|i| points[i as usize]);
             let mixed =
@@ -321,7 +321,9 @@ mod tests {
             assert!((found.position.distance(to * 1.5) - surface.distance(to * 1.5)).abs() < 1e-12);
             // From inside by any length of the direction, the wall is met once; from outside the near side is first.
             let inner = surface.first_on_ray(DVec3::ZERO, to * 7.0).unwrap();
-            assert!(inner.position.normalize().distance(to) < 1e-12 && inner.position.length() > 0.98);
+            assert!(
+                inner.position.normalize_or_zero().distance(to) < 1e-12 && inner.position.length() > 0.98
+            );
             let outer = surface.first_on_ray(to * 3.0, -to).unwrap();
             assert!(outer.position.distance(inner.position) < 1e-9, "{outer:?} is not {inner:?}");
             met += usize::from(surface.first_on_ray(to * 3.0, to).is_none());
