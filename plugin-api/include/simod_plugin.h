@@ -537,7 +537,7 @@ typedef struct SimodMigration {
 } SimodMigration;
 
 // SIMOD_NEAREST, of the host: the nearest of the samples of the call that it was asked for in. From any
-// thread; the first time takes some 0.1 s for 350 000 samples, and what it took is kept with the state.
+// thread; the first time it builds a tree, which is kept with the state.
 typedef struct SimodNearest {
     // How many samples are within `radius` (INFINITY for all of them); the nearest of them are written to
     // `found`, nearest first, as many as `capacity`. Those at the same distance are in the order of their
@@ -563,7 +563,7 @@ typedef struct SimodSurfacePoint {
 } SimodSurfacePoint;
 
 // SIMOD_SURFACE, of the host: the triangles between the samples, for plugins that use SIMOD_INPUT_TRIANGLES.
-// From any thread; the first time takes some 0.5 s for 700 000 triangles.
+// From any thread; the first time it builds a tree.
 typedef struct SimodSurface {
     // Whether there are triangles in this pose, SIMOD_POSE_...
     bool (*has)(const struct SimodHost *host, uint32_t pose);

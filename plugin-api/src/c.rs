@@ -625,7 +625,7 @@ pub struct SimodMigration {
 }
 
 /// SIMOD_NEAREST, of the host: the nearest of the samples of the call that it was asked for in. From any
-/// thread; the first time takes some 0.1 s for 350 000 samples, and what it took is kept with the state.
+/// thread; the first time it builds a tree, which is kept with the state.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodNearest {
@@ -657,7 +657,7 @@ pub struct SimodSurfacePoint {
 }
 
 /// SIMOD_SURFACE, of the host: the triangles between the samples, for plugins that use SIMOD_INPUT_TRIANGLES.
-/// From any thread; the first time takes some 0.5 s for 700 000 triangles.
+/// From any thread; the first time it builds a tree.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct SimodSurface {

@@ -71,7 +71,7 @@ pub trait Lookups: Sync {
     fn ray(&self, pose: Pose, origin: [f64; 3], direction: [f64; 3], reach: f64) -> Option<SurfacePoint>;
 }
 
-/// The samples nearest to points. Cheap to ask from any thread; the first time takes some 0.1 s for 350 000 samples.
+/// The samples nearest to points. Cheap to ask from any thread; the first time it builds a tree.
 #[derive(Debug, Clone, Copy)]
 pub struct Nearest<'a> {
     pub(crate) host: &'a Host<'a>,
@@ -107,7 +107,7 @@ impl Nearest<'_> {
     }
 }
 
-/// The triangles between the samples. Cheap to ask from any thread; the first time takes some 0.5 s for 700 000 triangles.
+/// The triangles between the samples. Cheap to ask from any thread; the first time it builds a tree.
 #[derive(Debug, Clone, Copy)]
 pub struct Surface<'a> {
     pub(crate) host: &'a Host<'a>,

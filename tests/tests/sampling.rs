@@ -264,7 +264,7 @@ fn a_disk_that_fills_while_sampling() {
     work.refuses_beyond(700_000, SAMPLE, &["model.simod"]);
     assert!(contents(&work, "model.simod") == before);
 
-    // Two maps and one more, of 4 bytes for each vertex, and where it is.
+    // Two maps and one more, of 4 bytes for each vertex.
     work.simod("generate -o model.ply --vertices 200000 --no-colors");
     for limit in [0, 512, 400_000, 799_744] {
         refused(

@@ -43,8 +43,8 @@ pub struct SamplingArguments {
     /// How clusters are split: in space and then in their plane, or in space alone
     #[arg(long, value_enum, default_value_t, value_name = "TREE")]
     tree: Tree,
-    /// What places a sample in its cluster: the planes of the model's faces, if it has any, or its vertices alone, without a
-    /// pass over the faces if `--skip triangles` is given too
+    /// What places a sample in its cluster: its vertices alone, or the planes of the model's faces, if it has any: nearer to the
+    /// surface where normals are missing or not its own, and less evenly
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
     place: Place,
     /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be estimated
@@ -69,9 +69,9 @@ enum Tree {
 #[derive(Clone, Copy, Default, ValueEnum)]
 enum Place {
     /// Planes of faces
-    #[default]
     Faces,
     /// Vertices, with their normals
+    #[default]
     Vertices,
 }
 

@@ -18,9 +18,9 @@ const RIDGE: f64 = 3e-4;
 #[serde(rename_all = "kebab-case")]
 pub enum Placement {
     /// The planes of the faces, where the model has any: they take a pass, and temporary files of at most 20 bytes per vertex.
-    #[default]
     Faces,
     /// The tangent planes of the vertices that have normals; without, their mean.
+    #[default]
     Vertices,
 }
 

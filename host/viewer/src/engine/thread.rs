@@ -267,9 +267,7 @@ fn session_of(sampled: &SampledModel) -> SessionFile {
         Target::Samples(n) => (Some(n), None),
         Target::Error(e) => (None, Some(e)),
     };
-    // Without faces it is no choice.
-    let by_vertices = sampled.sampling.placement == Placement::Vertices && !sampled.triangles.is_empty();
-    let place = by_vertices.then_some(Placement::Vertices);
+    let place = Some(sampled.sampling.placement).filter(|by| *by == Placement::Faces);
     let sampling = Sampling { samples, error, grid: sampled.sampling.grid, place };
     SessionFile { model: Some(sampled.source.path.clone()), sampling, ..SessionFile::default() }
 }
