@@ -1,11 +1,13 @@
 //! Damaged files, for tests of readers: as their structure suggests, numbers become others, words and lines too, and parts are
 //! cut out, doubled and exchanged.
 
+use std::io::Write;
+use std::path::Path;
+
 use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 
-/// What is done to bytes.
-/// Places are parts of the whole.
+/// What is done to bytes. Places are parts of the whole.
 #[derive(Debug, Clone)]
 pub enum Damage {
     /// Some bits of a byte.
@@ -142,6 +144,18 @@ pub fn cases(count: u32) -> ProptestConfig {
     } else {
         ProptestConfig { cases: count, ..config }
     }
+}
+
+/// Calls `check` with files of so many damaged versions of `good`; it panics where they do harm.
+pub fn damaged_files(good: &str, count: u32, check: impl Fn(&Path)) {
+    let all = prop::collection::vec(damage(), 1..4);
+    let tested = runner(count).run(&all, |all| {
+        let mut file = tempfile::NamedTempFile::new().expect("a file");
+        file.write_all(&damaged(good.as_bytes(), good.len(), &all)).expect("space");
+        check(file.path());
+        Ok(())
+    });
+    tested.expect("no harm");
 }
 
 /// Runs so many cases, unless the environment says how many.
