@@ -81,6 +81,7 @@
 #define SIMOD_INPUT_EFFORT "simod.effort/1"
 #define SIMOD_INPUT_TIME "simod.time/1"
 #define SIMOD_INPUT_REST_POSITIONS "simod.rest-positions/1"
+#define SIMOD_INPUT_ATTRIBUTES "simod.attributes/1"
 // An input that whoever places handles gets unasked.
 #define SIMOD_INPUT_HANDLE_MOTIONS "simod.handle-motions/1"
 
@@ -101,7 +102,7 @@
 #define SIMOD_INTERFACE_MAJOR 1
 
 // See SIMOD_INTERFACE_MAJOR.
-#define SIMOD_INTERFACE_MINOR 2
+#define SIMOD_INTERFACE_MINOR 3
 
 // What a call returns if all is well. Everything else is an error.
 #define SIMOD_OK 0
@@ -203,6 +204,30 @@
 
 // Positions of the samples before all steps, for plugins that use SIMOD_INPUT_REST_POSITIONS.
 #define SIMOD_POSE_REST 2
+
+// An attribute of whole numbers from -128 to 127.
+#define SIMOD_ATTRIBUTE_I8 1
+
+// An attribute of whole numbers from 0 to 255, as colours often are.
+#define SIMOD_ATTRIBUTE_U8 2
+
+// An attribute of whole numbers of 16 bits with a sign.
+#define SIMOD_ATTRIBUTE_I16 3
+
+// An attribute of whole numbers from 0 to 65535.
+#define SIMOD_ATTRIBUTE_U16 4
+
+// An attribute of whole numbers of 32 bits with a sign.
+#define SIMOD_ATTRIBUTE_I32 5
+
+// An attribute of whole numbers of 32 bits, from 0 on.
+#define SIMOD_ATTRIBUTE_U32 6
+
+// An attribute of numbers in single precision.
+#define SIMOD_ATTRIBUTE_F32 7
+
+// An attribute of numbers in double precision.
+#define SIMOD_ATTRIBUTE_F64 8
 
 // The parent of a joint or a handle that hangs on no other.
 #define SIMOD_ROOT UINT32_MAX
@@ -650,6 +675,26 @@ typedef struct SimodRestPositions {
     const float (*positions)[3];
 } SimodRestPositions;
 
+// A property of the model's vertices that is neither position nor normal, as a colour's red or a confidence.
+typedef struct SimodAttribute {
+    // What the model's file calls it, as "red"; no two of them have one name.
+    const char *name;
+    // What its numbers are in the file: SIMOD_ATTRIBUTE_...
+    uint32_t kind;
+    // One for each sample, in the property's own unit (a colour of SIMOD_ATTRIBUTE_U8 goes from 0 to 255), all
+    // finite: the mean over the vertices that the sample stands for.
+    const float *values;
+} SimodAttribute;
+
+// SIMOD_INPUT_ATTRIBUTES, of the preparation, of the deformation, and where handles are placed: colours and
+// other attributes of the samples, as far as the model has them. See `simod_attribute`.
+typedef struct SimodAttributes {
+    // In the file's order.
+    const struct SimodAttribute *attributes;
+    // How many the model has; may be 0.
+    size_t count;
+} SimodAttributes;
+
 // SIMOD_INPUT_HANDLE_MOTIONS, of the deformation: how the plugin's own handles were moved.
 typedef struct SimodHandleMotions {
     // One map of space for each handle that the plugin placed, in its order: from the rest pose to the
@@ -713,5 +758,16 @@ static inline const void *simod_part(const SimodPart *parts, size_t count, const
     for (size_t i = 0; i < count; i++)
         if (strcmp(parts[i].id, id) == 0)
             return parts[i].data;
+    return NULL;
+}
+
+// The values of the attribute of a name, one for each sample: NULL where the model has none of this name, or
+// there is no input SIMOD_INPUT_ATTRIBUTES.
+static inline const float *simod_attribute(const SimodPart *parts, size_t count, const char *name)
+{
+    const SimodAttributes *all = (const SimodAttributes *)simod_part(parts, count, SIMOD_INPUT_ATTRIBUTES);
+    for (size_t i = 0; all && i < all->count; i++)
+        if (strcmp(all->attributes[i].name, name) == 0)
+            return all->attributes[i].values;
     return NULL;
 }

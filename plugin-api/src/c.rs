@@ -16,7 +16,7 @@ use std::ffi::{c_char, c_void};
 /// nothing later.
 pub const SIMOD_INTERFACE_MAJOR: u32 = 1;
 /// See SIMOD_INTERFACE_MAJOR.
-pub const SIMOD_INTERFACE_MINOR: u32 = 2;
+pub const SIMOD_INTERFACE_MINOR: u32 = 3;
 
 /// What a call returns if all is well. Everything else is an error.
 pub const SIMOD_OK: u32 = 0;
@@ -93,6 +93,23 @@ pub const SIMOD_EFFORT_DRAFT: u32 = 2;
 pub const SIMOD_POSE_CURRENT: u32 = 1;
 /// Positions of the samples before all steps, for plugins that use SIMOD_INPUT_REST_POSITIONS.
 pub const SIMOD_POSE_REST: u32 = 2;
+
+/// An attribute of whole numbers from -128 to 127.
+pub const SIMOD_ATTRIBUTE_I8: u32 = 1;
+/// An attribute of whole numbers from 0 to 255, as colours often are.
+pub const SIMOD_ATTRIBUTE_U8: u32 = 2;
+/// An attribute of whole numbers of 16 bits with a sign.
+pub const SIMOD_ATTRIBUTE_I16: u32 = 3;
+/// An attribute of whole numbers from 0 to 65535.
+pub const SIMOD_ATTRIBUTE_U16: u32 = 4;
+/// An attribute of whole numbers of 32 bits with a sign.
+pub const SIMOD_ATTRIBUTE_I32: u32 = 5;
+/// An attribute of whole numbers of 32 bits, from 0 on.
+pub const SIMOD_ATTRIBUTE_U32: u32 = 6;
+/// An attribute of numbers in single precision.
+pub const SIMOD_ATTRIBUTE_F32: u32 = 7;
+/// An attribute of numbers in double precision.
+pub const SIMOD_ATTRIBUTE_F64: u32 = 8;
 
 /// The parent of a joint or a handle that hangs on no other.
 pub const SIMOD_ROOT: u32 = u32::MAX;
@@ -354,6 +371,30 @@ pub struct SimodTime {
 pub struct SimodRestPositions {
     /// One for each sample, local coordinates, all finite.
     pub positions: *const [f32; 3],
+}
+
+/// A property of the model's vertices that is neither position nor normal, as a colour's red or a confidence.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodAttribute {
+    /// What the model's file calls it, as "red"; no two of them have one name.
+    pub name: *const c_char,
+    /// What its numbers are in the file: SIMOD_ATTRIBUTE_...
+    pub kind: u32,
+    /// One for each sample, in the property's own unit (a colour of SIMOD_ATTRIBUTE_U8 goes from 0 to 255), all
+    /// finite: the mean over the vertices that the sample stands for.
+    pub values: *const f32,
+}
+
+/// SIMOD_INPUT_ATTRIBUTES, of the preparation, of the deformation, and where handles are placed: colours and
+/// other attributes of the samples, as far as the model has them. See `simod_attribute`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct SimodAttributes {
+    /// In the file's order.
+    pub attributes: *const SimodAttribute,
+    /// How many the model has; may be 0.
+    pub count: usize,
 }
 
 /// A joint of a skeleton that the user placed.

@@ -1,7 +1,8 @@
 //! What a plugin is, and what it wants.
 
 use crate::{
-    Effort, Graph, InputPart, Joints, ModelFrame, ParamDesc, RestPositions, Strokes, Time, Triangles,
+    Attributes, Effort, Graph, InputPart, Joints, ModelFrame, ParamDesc, RestPositions, Strokes, Time,
+    Triangles,
 };
 use abi_stable::{
     StableAbi,
@@ -49,6 +50,8 @@ pub struct Consumes {
     pub time: bool,
     /// The [`RestPositions`](crate::RestPositions) of the samples, before all steps.
     pub rest_positions: bool,
+    /// The [`Attributes`](crate::Attributes) of the samples, as colours: the model is read once more for them.
+    pub attributes: bool,
 }
 
 impl Consumes {
@@ -59,7 +62,7 @@ impl Consumes {
     /// Normals that fit the positions.
     pub const NORMALS: &'static str = "simod.normals/1";
 
-    fn inputs(&self) -> [(&'static str, bool, u32); 11] {
+    fn inputs(&self) -> [(&'static str, bool, u32); 12] {
         [
             (Self::FIXED_REGIONS, self.fixed_regions, self.min_fixed),
             (Self::HANDLE_REGIONS, self.handle_regions, self.min_handles),
@@ -72,6 +75,7 @@ impl Consumes {
             (Effort::ID, self.effort, 0),
             (Time::ID, self.time, 0),
             (RestPositions::ID, self.rest_positions, 0),
+            (Attributes::ID, self.attributes, 0),
         ]
     }
 
@@ -94,6 +98,7 @@ impl Consumes {
                 Effort::ID => this.effort = true,
                 Time::ID => this.time = true,
                 RestPositions::ID => this.rest_positions = true,
+                Attributes::ID => this.attributes = true,
                 id if *at_least > 0 => return Err(id),
                 _ => {}
             }

@@ -3,8 +3,8 @@
 use crate::opaque::Part;
 use crate::params::{Param, Params};
 use crate::parts::{
-    Effort, Graph, HandleMotions, InputPart, Joint, Joints, ModelFrame, RestPositions, Stroke, Strokes, Time,
-    Triangles,
+    Attribute, Attributes, Effort, Graph, HandleMotions, InputPart, Joint, Joints, ModelFrame, RestPositions,
+    Stroke, Strokes, Time, Triangles,
 };
 use abi_stable::{StableAbi, std_types::RSlice};
 
@@ -174,6 +174,18 @@ impl<'a> PrepareInput<'a> {
         self.part().map(RestPositions::all)
     }
 
+    /// Colours and other attributes of the samples, in the file's order, for plugins that
+    /// [ask for them](crate::Consumes::attributes); none where the model has none, or the host is older than this input.
+    pub fn attributes(&self) -> &'a [Attribute<'a>] {
+        self.part().map_or(&[], Attributes::all)
+    }
+
+    /// One value for each sample of the attribute that the model's file calls so: see [`Attribute::values`]. Nothing where
+    /// the model has no such attribute.
+    pub fn attribute(&self, name: &str) -> Option<&'a [f32]> {
+        self.part().and_then(|all: &Attributes<'_>| all.get(name)).map(Attribute::values)
+    }
+
     /// The joints that the user placed; none where there are none.
     pub fn joints(&self) -> &'a [Joint<'a>] {
         self.part().map_or(&[], Joints::all)
@@ -240,6 +252,18 @@ impl<'a> DeformInput<'a> {
     /// nothing.
     pub fn time(&self) -> Time {
         self.part().copied().unwrap_or_default()
+    }
+
+    /// Colours and other attributes of the samples, in the file's order, for plugins that
+    /// [ask for them](crate::Consumes::attributes); none where the model has none, or the host is older than this input.
+    pub fn attributes(&self) -> &'a [Attribute<'a>] {
+        self.part().map_or(&[], Attributes::all)
+    }
+
+    /// One value for each sample of the attribute that the model's file calls so: see [`Attribute::values`]. Nothing where
+    /// the model has no such attribute.
+    pub fn attribute(&self, name: &str) -> Option<&'a [f32]> {
+        self.part().and_then(|all: &Attributes<'_>| all.get(name)).map(Attribute::values)
     }
 
     /// The brush strokes, first to last; none where there are none.

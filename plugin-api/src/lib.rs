@@ -127,8 +127,8 @@ pub use opaque::{Extension, ExtensionInterface, Host, Scratch, State};
 pub use param_set::{Choice, ParamSet, ParamType, Ranged};
 pub use params::{ChoiceDesc, Param, ParamDesc, ParamKind, Params, Unit};
 pub use parts::{
-    Effort, Graph, HandleMotions, InputPart, Joint, Joints, ModelFrame, Part, RestPositions, Stroke, Strokes,
-    Time, Triangles,
+    Attribute, AttributeKind, Attributes, Effort, Graph, HandleMotions, InputPart, Joint, Joints, ModelFrame,
+    Part, RestPositions, Stroke, Strokes, Time, Triangles,
 };
 pub use plugin_api_derive::{Choice, ParamSet};
 pub use root::{

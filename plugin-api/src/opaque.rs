@@ -6,9 +6,9 @@
 #![allow(unsafe_code, reason = "type-erased pointers cross the boundary; each block has its argument")]
 
 use crate::{
-    Effort, EvaluateExtension, Graph, HandleMotions, HandlesExtension, HostCalls, IsIdentityExtension,
-    Joints, LogLevel, Lookups, MigrationExtension, ModelFrame, NearestService, PluginError, PluginResult,
-    Pose, RestPositions, Strokes, SurfacePoint, SurfaceService, Time, Triangles,
+    Attributes, Effort, EvaluateExtension, Graph, HandleMotions, HandlesExtension, HostCalls,
+    IsIdentityExtension, Joints, LogLevel, Lookups, MigrationExtension, ModelFrame, NearestService,
+    PluginError, PluginResult, Pose, RestPositions, Strokes, SurfacePoint, SurfaceService, Time, Triangles,
 };
 use abi_stable::{
     StableAbi,
@@ -438,6 +438,11 @@ unsafe impl InputPart<'_> for Effort {
 // SAFETY: as above.
 unsafe impl<'a> InputPart<'a> for RestPositions<'a> {
     const ID: &'static str = "simod.rest-positions/1";
+}
+
+// SAFETY: as above.
+unsafe impl<'a> InputPart<'a> for Attributes<'a> {
+    const ID: &'static str = "simod.attributes/1";
 }
 
 // SAFETY: as above.

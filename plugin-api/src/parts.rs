@@ -144,6 +144,83 @@ impl<'a> RestPositions<'a> {
     }
 }
 
+/// What an attribute's numbers are in the model's file.
+#[repr(transparent)]
+#[derive(StableAbi, Debug, Clone, Copy, PartialEq, Eq)]
+pub struct AttributeKind(pub u32);
+
+impl AttributeKind {
+    /// Whole numbers from -128 to 127.
+    pub const I8: Self = Self(1);
+    /// Whole numbers from 0 to 255, as colours often are.
+    pub const U8: Self = Self(2);
+    /// Whole numbers of 16 bits with a sign.
+    pub const I16: Self = Self(3);
+    /// Whole numbers from 0 to 65535.
+    pub const U16: Self = Self(4);
+    /// Whole numbers of 32 bits with a sign.
+    pub const I32: Self = Self(5);
+    /// Whole numbers of 32 bits, from 0 on.
+    pub const U32: Self = Self(6);
+    /// Numbers in single precision.
+    pub const F32: Self = Self(7);
+    /// Numbers in double precision.
+    pub const F64: Self = Self(8);
+}
+
+/// A property of the model's vertices that is neither position nor normal, as a colour's red or a confidence.
+#[repr(C)]
+#[derive(StableAbi, Debug, Clone, Copy)]
+pub struct Attribute<'a> {
+    name: RStr<'a>,
+    /// What its numbers are in the file.
+    pub kind: AttributeKind,
+    values: RSlice<'a, f32>,
+}
+
+impl<'a> Attribute<'a> {
+    /// A view of the host's array.
+    pub fn new(name: &'a str, kind: AttributeKind, values: &'a [f32]) -> Self {
+        Self { name: name.into(), kind, values: values.into() }
+    }
+
+    /// What the model's file calls it, as `red`; no two of them have one name.
+    pub fn name(&self) -> &'a str {
+        self.name.as_str()
+    }
+
+    /// One for each sample, in the property's own unit (a `uchar` colour goes from 0 to 255), all finite: the mean over the
+    /// vertices that the sample stands for.
+    pub fn values(&self) -> &'a [f32] {
+        self.values.as_slice()
+    }
+}
+
+/// Colours and other attributes of the samples, as far as the model has them, `simod.attributes/1`: of the preparation and
+/// of the deformation, and where a plugin [places its handles](crate::Handles).
+#[repr(C)]
+#[derive(StableAbi, Debug, Clone, Copy)]
+pub struct Attributes<'a> {
+    attributes: RSlice<'a, Attribute<'a>>,
+}
+
+impl<'a> Attributes<'a> {
+    /// A view of the host's array.
+    pub fn new(attributes: &'a [Attribute<'a>]) -> Self {
+        Self { attributes: attributes.into() }
+    }
+
+    /// All of them, in the file's order; none where the model has none.
+    pub fn all(&self) -> &'a [Attribute<'a>] {
+        self.attributes.as_slice()
+    }
+
+    /// The one of a name; nothing where the model has none.
+    pub fn get(&self, name: &str) -> Option<&'a Attribute<'a>> {
+        self.all().iter().find(|attribute| attribute.name() == name)
+    }
+}
+
 /// A joint of a skeleton that the user placed.
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, Copy)]
@@ -309,5 +386,12 @@ mod tests {
         let time = Time { frame: 3, seconds: 0.125 };
         assert_eq!(input.with_parts(&[Part::new(&time)]).time(), time);
         assert_eq!((graph.of(0), graph.of(1), graph.of(2)), (&[1, 2][..], &[0][..], &[][..]));
+        assert!(input.attributes().is_empty() && input.attribute("red").is_none(), "where nothing is said");
+        let red = [Attribute::new("red", AttributeKind::U8, &[255.0])];
+        let attributes = Attributes::new(&red);
+        let parts = [Part::new(&attributes)];
+        let input = input.with_parts(&parts);
+        assert_eq!(input.attribute("red"), Some(&[255.0][..]));
+        assert!(input.attribute("green").is_none());
     }
 }

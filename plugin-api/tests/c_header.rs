@@ -9,9 +9,9 @@ use std::process::Command;
 use cbindgen::{Builder, Config};
 use simod_plugin_api::c::*;
 use simod_plugin_api::{
-    Consumes, Effort, ErrorCode, EvaluateExtension, ExtensionInterface, Gizmo, Graph, HandleDesc,
-    HandleMotions, HandlesExtension, InputPart, IsIdentityExtension, Joint, Joints, LogLevel,
-    MigrationExtension, ModelFrame, NearestService, ParamKind, Pose, RestPositions, Role, Strokes,
+    AttributeKind, Attributes, Consumes, Effort, ErrorCode, EvaluateExtension, ExtensionInterface, Gizmo,
+    Graph, HandleDesc, HandleMotions, HandlesExtension, InputPart, IsIdentityExtension, Joint, Joints,
+    LogLevel, MigrationExtension, ModelFrame, NearestService, ParamKind, Pose, RestPositions, Role, Strokes,
     SurfaceService, Time, Triangles, Unit,
 };
 
@@ -77,6 +77,14 @@ fn codes_and_ids_are_those_of_the_rust_interface() {
         (SIMOD_EFFORT_DRAFT, Effort::DRAFT.0),
         (SIMOD_POSE_CURRENT, Pose::CURRENT.0),
         (SIMOD_POSE_REST, Pose::REST.0),
+        (SIMOD_ATTRIBUTE_I8, AttributeKind::I8.0),
+        (SIMOD_ATTRIBUTE_U8, AttributeKind::U8.0),
+        (SIMOD_ATTRIBUTE_I16, AttributeKind::I16.0),
+        (SIMOD_ATTRIBUTE_U16, AttributeKind::U16.0),
+        (SIMOD_ATTRIBUTE_I32, AttributeKind::I32.0),
+        (SIMOD_ATTRIBUTE_U32, AttributeKind::U32.0),
+        (SIMOD_ATTRIBUTE_F32, AttributeKind::F32.0),
+        (SIMOD_ATTRIBUTE_F64, AttributeKind::F64.0),
         (SIMOD_ROOT, Joint::ROOT),
         (SIMOD_ROOT, HandleDesc::ROOT),
     ];
@@ -96,6 +104,7 @@ fn codes_and_ids_are_those_of_the_rust_interface() {
         ("INPUT_EFFORT", <Effort as InputPart<'_>>::ID),
         ("INPUT_TIME", <Time as InputPart<'_>>::ID),
         ("INPUT_REST_POSITIONS", <RestPositions<'_> as InputPart<'_>>::ID),
+        ("INPUT_ATTRIBUTES", <Attributes<'_> as InputPart<'_>>::ID),
         ("EVALUATE", EvaluateExtension::ID),
         ("HANDLES", HandlesExtension::ID),
         ("IS_IDENTITY", IsIdentityExtension::ID),
@@ -163,6 +172,8 @@ fn a_c_compiler_sees_the_same_structs() {
         SimodEffort { effort }
         SimodTime { frame, seconds }
         SimodRestPositions { positions }
+        SimodAttribute { name, kind, values }
+        SimodAttributes { attributes, count }
         SimodJoint { id, position, parent }
         SimodJoints { joints, count }
         SimodHandleMotions { motions, count }

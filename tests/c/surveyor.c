@@ -12,23 +12,25 @@ enum { ROOM = 1000000 };
 
 static const SimodChoiceDesc modes[] = {
     { "nearest", NULL }, { "within", NULL }, { "rest", NULL }, { "closest", NULL }, { "ray", NULL }, { "time", NULL },
+    { "paint", NULL },
 };
 
 static const SimodParamDesc params[PARAM_COUNT] = {
     [MODE] = { .id = "mode", .name = "Mode", .hint = "What is looked up", .kind = SIMOD_PARAM_CHOICE, .choices = modes,
-               .choice_count = 6, .default_text = "nearest" },
+               .choice_count = 7, .default_text = "nearest" },
     [REACH] = { .id = "reach", .name = "Reach", .hint = "How far it looks, as a part of the diagonal",
                 .kind = SIMOD_PARAM_FLOAT, .hard_range = { 0, 1 }, .default_numbers = { 0.1 } },
 };
 
 static const SimodInputDesc inputs[] = {
     { SIMOD_INPUT_TRIANGLES, 0 }, { SIMOD_INPUT_REST_POSITIONS, 0 }, { SIMOD_INPUT_TIME, 0 },
+    { SIMOD_INPUT_ATTRIBUTES, 0 },
 };
 
 static const SimodDescriptor descriptor = {
     .id = "surveyor-in-c", .name = "Surveyor", .version = "3.0.0", .author = "a third party",
     .summary = "Moves samples to where the host says that something is", .params = params, .param_count = PARAM_COUNT,
-    .inputs = inputs, .input_count = 3,
+    .inputs = inputs, .input_count = 4,
 };
 
 static const SimodDescriptor *describe(void) { return &descriptor; }
@@ -60,6 +62,10 @@ static uint32_t deform(const void *state, const SimodDeformInput *input, void *s
     int looks = strcmp(mode, "closest") == 0 || strcmp(mode, "ray") == 0;
     if (looks && !surface->has(host, SIMOD_POSE_CURRENT))
         return host->error(host, SIMOD_UNSUPPORTED, "there are no triangles between the samples", "sample some");
+    const SimodAttributes *all = simod_part(input->parts, input->part_count, SIMOD_INPUT_ATTRIBUTES);
+    const float *red = simod_attribute(input->parts, input->part_count, "red");
+    const float *quality = simod_attribute(input->parts, input->part_count, "quality");
+    if (strcmp(mode, "paint") == 0 && !red) host->log(host, SIMOD_LOG_WARNING, "there is no red");
     for (size_t i = 0; i < input->samples.count; i++) {
         const float *from = input->samples.positions[i];
         double p[3] = { from[0], from[1], from[2] };
@@ -83,6 +89,10 @@ static uint32_t deform(const void *state, const SimodDeformInput *input, void *s
             p[2] = 10;
             if (surface->ray(host, SIMOD_POSE_CURRENT, p, down, INFINITY, &at))
                 for (int k = 0; k < 3; k++) out[i][k] = (float)at.position[k];
+        } else if (strcmp(mode, "paint") == 0) {
+            out[i][0] = (float)(p[0] + (red ? red[i] : 0.0) / 255.0);
+            out[i][1] = (float)(p[1] + (quality ? quality[i] : 0.0));
+            out[i][2] = (float)(p[2] + (all ? (double)all->count : 0.0));
         } else {
             out[i][0] = from[0] + (float)time->seconds;
             out[i][1] = from[1] + (float)time->frame;

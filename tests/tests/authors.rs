@@ -105,6 +105,8 @@ fn samples_and_surfaces_are_looked_up_in_any_process() {
     // Where there are no triangles, that is said.
     work.simod("sample model.ply -o points.simod --samples 500 --skip triangles");
     work.write("edit.toml", format!("[[step]]\ndeform = \"surveyor\"\n{}", now("mode = \"ray\"")));
+    // What it asks for besides is kept, whatever becomes of the step.
+    assert_eq!(work.run("deform points.simod --session edit.toml -o out.ply").code, Some(1));
     for place in PLACES {
         let line = format!("deform points.simod --session edit.toml -o out.ply --isolate {place}");
         work.refuses(&line, &["edit.toml, line 1", "surveyor", "no triangles between the samples"]);
@@ -143,6 +145,113 @@ fn the_time_comes_from_the_session_and_the_command() {
     let by = work.ply("moved.ply").positions()[7] - work.ply("model.ply").positions()[7];
     assert!((by / unit).distance(DVec3::new(1.0, 2.0, 0.0)) < 1e-3, "{by}");
     work.refuses("deform model.simod --session whole.toml -o out.ply --time nan", &["--time"]);
+}
+
+#[test]
+fn colours_and_other_attributes_are_those_of_the_model() {
+    let work = workplace();
+    // A sphere that is the redder the higher it is, and a quality that goes along x.
+    let sphere = work.ply("model.ply").positions();
+    let write = |name: &str, properties: &str, values: &dyn Fn(&DVec3) -> String| {
+        let count = sphere.len();
+        let mut text = format!(
+            "ply\nformat ascii 1.0\nelement vertex {count}\nproperty float x\nproperty float y\nproperty float z\n\
+             {properties}end_header\n"
+        );
+        sphere.iter().for_each(|p| text += &format!("{} {} {} {}\n", p.x, p.y, p.z, values(p)));
+        work.write(name, text);
+    };
+    let properties = "property uchar red\nproperty list uchar int marks\nproperty double quality\n";
+    write("painted.ply", properties, &|p| format!("{} 2 1 2 {}", ((p.z + 1.2) * 100.0) as u8, p.x));
+    work.simod("sample painted.ply -o model.simod --samples 500");
+    let rest = work.ply("model.simod/samples.ply").positions();
+    // One local unit is this many of the model's: the attributes are counted along z, of which there are two.
+    let paint = now("mode = \"paint\"");
+    let kept = || std::fs::read(work.path("model.simod/attributes.bin")).ok();
+    let stages = |line: &str| {
+        let report = work.report(line);
+        let stages = report["phases"].as_array().expect("stages");
+        stages.iter().filter(|s| s["name"] == "reading the attributes").count()
+    };
+    // Who asks for none pays for none.
+    work.write("edit.toml", "[[step]]\ndeform = \"warp\"\nparams = { operation = \"bend\", angle = 30 }");
+    assert_eq!(stages("deform model.simod --session edit.toml -o out.ply"), 0);
+    assert_eq!(kept(), None);
+
+    let found = deformed(&work, "", &paint, "");
+    assert!(kept().is_some());
+    let unit = (found[0].z - rest[0].z) / 2.0;
+    assert!(unit > 0.0 && found.iter().zip(&rest).all(|(q, p)| ((q.z - p.z) / unit - 2.0).abs() < 1e-4));
+    let near = work.ply("model.ply").diagonal() * 0.03;
+    for (p, q) in rest.iter().zip(&found) {
+        let [red, quality] = [(q.x - p.x) / unit * 255.0, (q.y - p.y) / unit];
+        assert!((quality - p.x).abs() < near, "{quality} at {p}");
+        assert!((red - ((p.z + 1.2) * 100.0 - 0.5)).abs() < 100.0 * near + 1.0, "{red} at {p}");
+    }
+
+    // The model is read once, and not needed any more.
+    assert_eq!(stages("deform model.simod --session edit.toml -o out.ply"), 0);
+    let whole = kept().expect("a file");
+    std::fs::rename(work.path("painted.ply"), work.path("moved.ply")).expect("a file");
+    assert_eq!(deformed(&work, "", &paint, ""), found);
+    // Where neither is there, that is said; the model may be elsewhere. Damage is mended.
+    for damage in 0..8 {
+        let mut bytes = whole.clone();
+        let place = damage * (bytes.len() - 1) / 7;
+        bytes[place] ^= 0x10;
+        work.write("model.simod/attributes.bin", &bytes);
+        if damage == 0 {
+            let line = "deform model.simod --session edit.toml -o out.ply";
+            let refused = work.refuses(line, &["painted.ply is gone"]);
+            assert!(refused.hint().contains("--model"), "{}", refused.hint());
+        }
+        let line = "deform model.simod --session edit.toml -o out.ply --model moved.ply";
+        assert_eq!(stages(line), 1, "damage at {place}");
+        assert_eq!(work.ply("out.ply").positions(), found);
+        assert!(kept() == Some(whole.clone()), "it is as it was");
+    }
+    // Another model of the same size is refused.
+    let changed = String::from_utf8(work.read("moved.ply")).expect("text").replace(" 2 1 2 ", " 2 1 3 ");
+    work.write("other.ply", changed);
+    std::fs::remove_file(work.path("model.simod/attributes.bin")).expect("a file");
+    let line = "deform model.simod --session edit.toml -o out.ply --model other.ply";
+    work.refuses(line, &["other.ply changed since it was sampled"]);
+    assert_eq!(kept(), None);
+
+    // Samples of a refinement have theirs, in the folder as in a session.
+    std::fs::rename(work.path("moved.ply"), work.path("painted.ply")).expect("a file");
+    let line = "deform model.simod --session edit.toml -o out.ply";
+    work.simod(line);
+    let refine = "refine model.simod --factor 2 --sphere 0,0,1,0.8 --into fine.simod";
+    work.simod(refine);
+    work.simod(&line.replace("model.simod", "fine.simod"));
+    let (fine, moved) = (work.ply("fine.simod/samples.ply").positions(), work.ply("out.ply").positions());
+    assert!(fine.len() > rest.len() + 20 && moved.len() == fine.len());
+    for (p, q) in fine.iter().zip(&moved) {
+        assert!(((q.y - p.y) / unit - p.x).abs() < near, "{p}");
+    }
+    let in_session = format!(
+        "[[step]]\nrefine = {{ factor = 2, shapes = [{{ sphere = {{ center = [0, 0, 1], radius = 0.8 }} }}] }}\n\
+         [[step]]\ndeform = \"surveyor\"\n{paint}"
+    );
+    work.write("both.toml", in_session);
+    work.simod("deform model.simod --session both.toml -o out.ply --refined again.simod");
+    assert_eq!(work.ply("out.ply").positions(), moved);
+
+    // The whole way, from the model and back to it.
+    work.write_session("painted.ply", 500, &format!("[[step]]\ndeform = \"surveyor\"\n{paint}"));
+    assert_eq!(stages("run edit.toml -o run.ply"), 1);
+    let (before, after) = (work.ply("painted.ply").positions(), work.ply("run.ply").positions());
+    let worst = before.iter().zip(&after).map(|(p, q)| ((q.y - p.y) / unit - p.x).abs()).fold(0.0, f64::max);
+    assert!(worst < near, "{worst}");
+
+    // A model without any: nothing is read, and the plugin does without.
+    write("plain.ply", "", &|_| String::new());
+    work.simod("sample plain.ply -o plain.simod --samples 300");
+    let outcome = work.simod("deform plain.simod --session edit.toml -o out.ply --json");
+    assert!(warnings(&outcome).iter().any(|w| w.contains("there is no red")), "{}", outcome.stdout);
+    assert_eq!(work.ply("out.ply").positions(), work.ply("plain.simod/samples.ply").positions());
+    assert_eq!(work.report("plugin info surveyor")["uses_attributes"], true);
 }
 
 fn warnings(outcome: &Outcome) -> Vec<String> {
@@ -209,7 +318,7 @@ fn plugins_that_look_things_up_pass_all_rules() {
         let report = outcome.json();
         assert_eq!(report["failed"], 0, "{report}");
         let rules = report["rules"].as_array().expect("rules");
-        for id in ["migration", "time", "no-samples", "not-a-number", "large"] {
+        for id in ["migration", "time", "attributes", "no-samples", "not-a-number", "large"] {
             let rule = rules.iter().find(|r| r["rule"] == id).expect("the rule");
             assert_eq!(rule["verdict"], "pass", "{rule}");
         }

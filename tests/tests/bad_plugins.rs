@@ -80,7 +80,7 @@ fn a_plugin_of_another_abi_version() {
     let derive = std::fs::read(workspace().join("plugin-api/derive/Cargo.toml")).expect("a manifest");
     work.write("next/plugin-api/derive/Cargo.toml", derive);
     let api = std::fs::read_to_string(workspace().join("plugin-api/Cargo.toml")).expect("a manifest");
-    let api = api.replace("version = \"1.2.0\"", "version = \"2.0.0\"");
+    let api = api.replace("version = \"1.3.0\"", "version = \"2.0.0\"");
     work.write("next/plugin-api/Cargo.toml", api);
     work.write(
         "next/plugin/Cargo.toml",
@@ -93,7 +93,7 @@ fn a_plugin_of_another_abi_version() {
     run_build(cargo);
 
     install(&work, "from_the_future", std::fs::read(library("from_the_future")).expect("a library"));
-    check_rejected(&work, "from_the_future", "interface 2.0.0, this program has 1.2.0");
+    check_rejected(&work, "from_the_future", "interface 2.0.0, this program has 1.3.0");
 }
 
 const FROM_THE_FUTURE: &str = r#"

@@ -9,6 +9,7 @@
 //! Nothing here holds memory proportional to `P_L` (but [`measure`], which is for meshes in memory), prints, opens a
 //! window, or knows of plugins.
 
+pub mod attributes;
 pub mod claim;
 pub mod detail;
 pub mod error;

@@ -3,11 +3,13 @@
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, OnceLock};
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3Default;
 
+use crate::attributes::Attributes;
 use crate::claim::Claim;
 use crate::frame::Frame;
 use crate::geometry::Bounds;
@@ -38,13 +40,16 @@ const DESCRIPTION: &str = "simod.toml";
 const SAMPLES: &str = "samples.ply";
 
 /// All files of a folder.
-pub(crate) const OWN_FILES: [&str; 5] = [DESCRIPTION, SAMPLES, CELLS, SHEETS, BINDING];
+pub(crate) const OWN_FILES: [&str; 6] = [DESCRIPTION, SAMPLES, CELLS, SHEETS, ATTRIBUTES, BINDING];
 
 /// Longest description: each refinement adds a few hundred bytes.
 const LONGEST_DESCRIPTION: u64 = 64 << 20;
 
 /// Longest file of cells.
 const LONGEST_CELLS: u64 = 16 << 30;
+
+/// Longest file of attributes.
+const LONGEST_ATTRIBUTES: u64 = 16 << 30;
 
 /// How far from the middle of the model a deformed sample may be, in local units: the model's size, about.
 const FARTHEST: f32 = 1e12;
@@ -54,6 +59,9 @@ const MOST_SAMPLES: u64 = 1 << 29;
 
 /// The file of who is on whose sheet where parts touch: see [`Contacts`].
 const SHEETS: &str = "sheets.bin";
+
+/// The file of the samples' attributes, once they were asked for: see [`Attributes`].
+const ATTRIBUTES: &str = "attributes.bin";
 
 /// The model that was sampled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -165,6 +173,10 @@ pub struct SampledModel {
     pub tangled_faces: bool,
     /// The cells, after sampling; see [`cells`](Self::cells).
     kept: Option<KeptCells>,
+    /// The folder that it was read from, and the hash of the `samples.ply` there.
+    folder: Option<(PathBuf, String)>,
+    /// Once they were asked for.
+    attributes: OnceLock<Arc<Attributes>>,
 }
 
 /// The content of `simod.toml`.
@@ -246,6 +258,8 @@ impl SampledModel {
             faces_without_vertex: triangles.without_vertex,
             tangled_faces: triangles.tangled,
             kept: None,
+            folder: None,
+            attributes: OnceLock::new(),
         })
     }
 
@@ -273,6 +287,8 @@ impl SampledModel {
             refinements: self.refinements.iter().cloned().chain([refinement]).collect(),
             triangles,
             kept: Some(kept),
+            folder: None,
+            attributes: OnceLock::new(),
             ..*self
         })
     }
@@ -351,6 +367,10 @@ impl SampledModel {
         }
         if let Some(contacts) = self.samples.contacts() {
             contacts.save(&new.path().join(SHEETS), &description.samples_fingerprint).map_err(named)?;
+        }
+        if let Some(attributes) = self.attributes.get() {
+            let of = [&*description.samples_fingerprint, &*self.source.fingerprint];
+            output::write_file(&new.path().join(ATTRIBUTES), &attributes.encode(of)?).map_err(named)?;
         }
         // What came there meanwhile is not lost.
         Self::check_target(folder)?;
@@ -482,6 +502,8 @@ impl SampledModel {
             faces_without_vertex: 0,
             tangled_faces: false,
             kept: None,
+            folder: Some((folder.to_owned(), description.samples_fingerprint)),
+            attributes: OnceLock::new(),
         })
     }
 
@@ -575,6 +597,47 @@ impl SampledModel {
     pub fn kept_cells(folder: &Path) -> Option<KeptCells> {
         let (of, kept) = KeptCells::decode(&input::read(&folder.join(CELLS), LONGEST_CELLS).ok()?).ok()?;
         (of == file_fingerprint(&folder.join(SAMPLES)).ok()?).then_some(kept)
+    }
+
+    /// Colours and other attributes of the samples: those that the folder keeps, or else from the model, which is read
+    /// once more for them; what was found is kept in the folder that the samples are from. `elsewhere` is the model if it was
+    /// moved.
+    ///
+    /// # Errors
+    /// As of [`open_source`](Self::open_source); the model is not what was sampled, or cannot be read; the user cancelled.
+    pub fn attributes(&self, elsewhere: Option<&Path>, progress: &dyn Progress) -> Result<&Arc<Attributes>> {
+        if let Some(known) = self.attributes.get() {
+            return Ok(known);
+        }
+        let found = match self.kept_attributes() {
+            Some(kept) => kept,
+            None => {
+                let found = Attributes::of(self, &*self.open_source(elsewhere)?, progress)?;
+                if let Err(e) = self.keep_attributes(&found) {
+                    progress.note(&format!("the attributes are not kept, and found anew the next time: {e}"));
+                }
+                found
+            }
+        };
+        Ok(self.attributes.get_or_init(|| Arc::new(found)))
+    }
+
+    /// The attributes in the folder, if their file is there, whole, and of these samples.
+    fn kept_attributes(&self) -> Option<Attributes> {
+        let (folder, samples) = self.folder.as_ref()?;
+        let bytes = input::read(&folder.join(ATTRIBUTES), LONGEST_ATTRIBUTES).ok()?;
+        Attributes::decode(&bytes, [samples, &self.source.fingerprint], self.samples.len()).ok()
+    }
+
+    /// Puts the attributes into the folder, if there is one, unless another process is writing it, or has.
+    fn keep_attributes(&self, attributes: &Attributes) -> Result<()> {
+        let Some((folder, samples)) = &self.folder else { return Ok(()) };
+        let Ok(_claim) = Claim::folder(folder) else { return Ok(()) };
+        if file_fingerprint(&folder.join(SAMPLES))? != *samples {
+            return Ok(());
+        }
+        let bytes = attributes.encode([samples, &self.source.fingerprint])?;
+        output::write_file(&folder.join(ATTRIBUTES), &bytes)
     }
 
     /// Opens the model that was sampled, or `elsewhere` if it was moved.

@@ -39,6 +39,8 @@ impl Good {
         let sampled = sample(&*model, &how, folder.path(), &Silent).expect("samples");
         sampled.save(&at("m.simod")).expect("a folder");
         bind(&sampled, &*model, &at("m.simod/binding.bin"), &Silent).expect("a binding");
+        let folder_again = SampledModel::load(&at("m.simod")).expect("a folder");
+        assert!(folder_again.attributes(None, &Silent).expect("attributes").get("red").is_some());
         Self { folder, sampled }
     }
 
@@ -55,6 +57,10 @@ impl Good {
         let at = |name: &str| self.folder.path().join(name);
         let Ok(mut sampled) = SampledModel::load(&at("m.simod")) else { return };
         let Ok(model) = sampled.open_source(None) else { return };
+        if let Ok(attributes) = sampled.attributes(None, &Silent) {
+            let samples = sampled.samples.len();
+            assert!(attributes.all().iter().all(|of| of.values.len() == samples));
+        }
         let deformed = sampled.samples.positions.clone();
         let version = Version { deformed: &deformed, output: &at("out.ply"), diagnostics: None };
         let binding = at("m.simod/binding.bin");
@@ -95,8 +101,10 @@ fn damaged_models_do_no_harm() {
         let tested = runner.run(&all, |(all, in_header)| {
             put(&path, &damaged(&bytes, if in_header { header } else { bytes.len() }, &all));
             read_all(&path);
-            if let Ok(model) = model::open(&path) {
-                let _ = sample(&*model, &Sampling::default(), good.folder.path(), &Silent);
+            if let Ok(model) = model::open(&path)
+                && let Ok(sampled) = sample(&*model, &Sampling::default(), good.folder.path(), &Silent)
+            {
+                let _ = sampled.attributes(None, &Silent);
             }
             Ok(())
         });
@@ -108,7 +116,7 @@ fn damaged_models_do_no_harm() {
 #[test]
 fn damaged_folders_do_no_harm() {
     let good = Good::new(Encoding::BinaryLittleEndian);
-    let names = ["simod.toml", "samples.ply", "cells.bin", "binding.bin", "sheets.bin"];
+    let names = ["simod.toml", "samples.ply", "cells.bin", "binding.bin", "sheets.bin", "attributes.bin"];
     let kept: Vec<(String, Vec<u8>)> = names
         .iter()
         .map(|name| format!("m.simod/{name}"))
@@ -126,7 +134,7 @@ fn damaged_folders_do_no_harm() {
                     let hash = |bytes: &[u8]| format!("xxh3-128:{:032x}", xxh3_128(bytes));
                     good.put(&kept[0].0, text.replace(&hash(bytes), &hash(&spoilt)).as_bytes());
                 }
-                "cells.bin" | "sheets.bin" if spoilt.len() > 16 => {
+                "cells.bin" | "sheets.bin" | "attributes.bin" if spoilt.len() > 16 => {
                     let end = spoilt.len() - 16;
                     let hash = xxh3_128(&spoilt[..end]).to_le_bytes();
                     spoilt[end..].copy_from_slice(&hash);

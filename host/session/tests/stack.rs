@@ -39,6 +39,7 @@ fn rest(positions: &[Vec3]) -> RestShape<'_> {
         spacing: &[],
         triangles: &[],
         neighbours: None,
+        attributes: None,
         frame: FRAME,
         bounds,
         renormal: None,

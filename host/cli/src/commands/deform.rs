@@ -29,6 +29,10 @@ pub struct Deform {
     /// The deformed samples to write (PLY)
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// The model, if it was moved since it was sampled: read where a step refines, or a plugin asks for colours and other
+    /// attributes that the sampled model does not keep yet
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
     /// The folder for the model as the session's steps refine it: the deformed samples are of that one. Needed if any
     /// do
     #[arg(long, value_name = "DIR")]
@@ -54,6 +58,7 @@ impl Deform {
         let stack = Stack::build(&session.steps, &plugins)?;
         let mut sampled = SampledModel::load(&self.sampled)?;
         guard.reads(&sampled.source.path);
+        guard.reads_all(&self.model);
         guard.writes(&self.output, Kind::Model)?;
         let begun = refined.as_deref().map(|folder| {
             guard.replaces_folder(folder)?;
@@ -62,9 +67,9 @@ impl Deform {
         let begun = begun.transpose()?;
         let progress = report.progress();
         let time = self.time.over(session.time)?.time();
-        let mut how = Refinements { time, ..Refinements::default() };
+        let mut how = Refinements { model: self.model.clone(), time, ..Refinements::default() };
         if let Some(folder) = &refined {
-            sampled.hold_cells(sampled.cells(&self.sampled, None, progress)?);
+            sampled.hold_cells(sampled.cells(&self.sampled, self.model.as_deref(), progress)?);
             how.folder = folder_of(folder).to_owned();
         }
         let deformed = deform(sampled, &session.steps, &plugins, how, progress)?;

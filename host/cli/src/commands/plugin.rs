@@ -127,6 +127,7 @@ fn info(plugin: &Loaded, report: &mut Report) {
         (consumes.effort, "drafts while dragging", "makes_drafts"),
         (consumes.time, "the time of a sequence", "uses_time"),
         (consumes.rest_positions, "the samples before all steps", "uses_rest_positions"),
+        (consumes.attributes, "colours and other attributes, if there are any", "uses_attributes"),
     ] {
         if used {
             needs.push(what.to_owned());

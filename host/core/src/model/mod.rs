@@ -10,6 +10,7 @@ pub mod ply;
 mod source;
 
 pub use in_step::{Vertices, in_step};
+pub use ply::Type;
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -18,6 +19,7 @@ use std::sync::mpsc::sync_channel;
 use std::thread;
 
 use glam::{DVec3, Vec3};
+use serde::{Deserialize, Serialize};
 
 use crate::{Progress, Result};
 use source::Source;
@@ -53,6 +55,25 @@ impl Scalar {
     }
 }
 
+/// A number that each vertex has, beside its position and its normal.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Attribute {
+    /// What the file calls it, as `red`.
+    pub name: String,
+    /// The type of its numbers.
+    pub kind: Type,
+}
+
+impl Attribute {
+    /// Longest name, in bytes.
+    const LONGEST_NAME: usize = 255;
+
+    /// Whether something can be asked for by this name: it is short, and nothing in it needs care when it is shown.
+    pub(crate) fn is_name(name: &str) -> bool {
+        (1..=Self::LONGEST_NAME).contains(&name.len()) && !name.chars().any(char::is_control)
+    }
+}
+
 /// What is known of a model once it is open, before any vertex is read.
 #[derive(Debug, Clone)]
 pub struct ModelInfo {
@@ -68,6 +89,8 @@ pub struct ModelInfo {
     pub position_type: Scalar,
     /// Vertex properties other than position and normal, in the file's order, as "uchar red".
     pub other_properties: Vec<String>,
+    /// Those of them that are numbers, as colours, in the file's order: no two have one name.
+    pub attributes: Vec<Attribute>,
     /// Size of the file in bytes.
     pub bytes: u64,
     /// Whether reading can begin at any vertex without going over those before it.
@@ -318,6 +341,13 @@ pub trait Model: Send + Sync {
     /// # Errors
     /// The file cannot be read.
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
+
+    /// The numbers of the [first attributes](ModelInfo::attributes), as many as there are lists, one for each vertex of a
+    /// chunk that was read from this model. What the lists held is gone.
+    ///
+    /// # Errors
+    /// In a text format, something is no number.
+    fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()>;
 
     /// A reader of all faces, in the file's order, as triangles: a polygon of more than three corners becomes a
     /// fan about its first corner, one of fewer gives none, and a strip's triangles are turned to the same side.

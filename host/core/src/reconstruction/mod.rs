@@ -138,6 +138,15 @@ impl<'a> Surroundings<'a> {
             || self.sheets.of_sample(j as usize).contains(&(i as u32))
     }
 
+    /// The sample nearest to a local place of this home, among those on the home's sheet; the first of those that are equally
+    /// near.
+    pub(crate) fn nearest_on_sheet(&self, home: u32, p: Vec3) -> u32 {
+        let distance = |i: u32| self.samples.positions[i as usize].distance_squared(p);
+        let near = self.sheets.of_sample(home as usize).iter().map(|i| (distance(*i), *i));
+        let nearer = |a: (f32, u32), b: (f32, u32)| if b < a { b } else { a };
+        near.fold((distance(home), home), nearer).1
+    }
+
     /// The samples whose supports reach where one is the home.
     fn reaching(&self, home: usize) -> impl Iterator<Item = usize> {
         self.supports.of_home(home).iter().map(|r| r.sample as usize)

@@ -1,6 +1,7 @@
 //! Sampling whole models: any order, any memory limit, any place and size, and all parts of a sampled model.
 #![allow(clippy::unwrap_used, reason = "a failing helper fails the test")]
 
+mod attributes;
 mod body;
 mod cells;
 mod emerging;

@@ -10,8 +10,9 @@ use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
 use simod_core::sampling::SampleSet;
 use simod_plugin_api::{
-    Affine, DeformInput, Graph, HandleDesc, HandleMotions, Joint, Joints, ModelFrame, Param, Part,
-    PrepareInput, Region, RestPositions, Role, Samples, Stroke, Strokes, Time, Triangles,
+    Affine, Attribute, AttributeKind, Attributes, DeformInput, Graph, HandleDesc, HandleMotions, Joint,
+    Joints, ModelFrame, Param, Part, PrepareInput, Region, RestPositions, Role, Samples, Stroke, Strokes,
+    Time, Triangles,
 };
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
@@ -41,6 +42,8 @@ pub(super) struct Case {
     rest: Option<Vec<[f32; 3]>>,
     /// Where the plugin uses it.
     time: Option<Time>,
+    /// Names and values, where the plugin uses them.
+    pub attributes: Option<Vec<(String, Vec<f32>)>>,
     /// The motions of the handles that the plugin placed for these joints, samples and parameters.
     pub handles: Vec<Affine>,
     /// The paths of strokes, where the plugin uses some.
@@ -75,6 +78,7 @@ impl Case {
             rest: consumes
                 .rest_positions
                 .then(|| set.positions.iter().map(|p| [p.x + 0.01, p.y, p.z]).collect()),
+            attributes: consumes.attributes.then(|| colours(set.len())),
             time: consumes.time.then_some(Time { frame: 12, seconds: 0.5 }),
             handles: Vec::new(),
             strokes: if consumes.strokes { strokes(&set.positions) } else { Vec::new() },
@@ -121,6 +125,13 @@ impl Case {
         self
     }
 
+    /// The same with other attributes: names, and what sample `i` has.
+    pub fn with_attributes(mut self, names: &[&str], value: impl Fn(usize) -> f32) -> Self {
+        let values: Vec<f32> = (0..self.positions.len()).map(value).collect();
+        self.attributes = Some(names.iter().map(|name| ((*name).to_owned(), values.clone())).collect());
+        self
+    }
+
     /// A sphere with bumps, of so many samples.
     pub fn bumpy_sphere(plugin: &Plugin, count: usize) -> Checked<Self> {
         let (positions, normals) = (0..count).map(|i| bumpy_sphere(i, count)).unzip();
@@ -143,6 +154,7 @@ impl Case {
         self.spacing.clear();
         self.triangles.clear();
         self.rest = self.rest.map(|_| Vec::new());
+        self.attributes.iter_mut().flatten().for_each(|(_, values)| values.clear());
         self.neighbours = self.neighbours.map(|_| (vec![0], Vec::new()));
         self.regions.iter_mut().for_each(|(_, weights)| weights.clear());
         self
@@ -166,6 +178,9 @@ impl Case {
         bytemuck::cast_slice::<_, u8>(&self.spacing).hash(&mut hasher);
         self.triangles.hash(&mut hasher);
         self.neighbours.hash(&mut hasher);
+        for (_, values) in self.attributes.iter().flatten() {
+            bytemuck::cast_slice::<_, u8>(values).hash(&mut hasher);
+        }
         for (role, weights) in &self.regions {
             role.0.hash(&mut hasher);
             bytemuck::cast_slice::<_, u8>(weights).hash(&mut hasher);
@@ -178,6 +193,12 @@ impl Case {
         }
         self.params.hash(&mut hasher);
         hasher.finish()
+    }
+
+    fn attributes(&self) -> Option<Vec<Attribute<'_>>> {
+        let attribute = |(name, values)| Attribute::new(name, AttributeKind::F32, values);
+        let all = self.attributes.as_ref()?;
+        Some(all.iter().map(|(name, values): &(String, Vec<f32>)| attribute((name, values))).collect())
     }
 
     fn samples(&self) -> Samples<'_> {
@@ -207,6 +228,9 @@ impl Case {
         }
         let rest = self.rest.as_ref().map(|rest| RestPositions::new(rest));
         parts.extend(rest.iter().map(Part::new));
+        let attributes = self.attributes();
+        let attributes = attributes.as_deref().map(Attributes::new);
+        parts.extend(attributes.iter().map(Part::new));
         call(&PrepareInput::new(self.samples(), self.bounds, &regions, &params).with_parts(&parts))
     }
 
@@ -228,6 +252,9 @@ impl Case {
             parts.push(Part::new(&strokes));
         }
         parts.extend(self.time.iter().map(Part::new));
+        let attributes = self.attributes();
+        let attributes = attributes.as_deref().map(Attributes::new);
+        parts.extend(attributes.iter().map(Part::new));
         call(&DeformInput::new(self.samples(), self.bounds, &self.transforms, &params).with_parts(&parts))
     }
 }
@@ -268,6 +295,14 @@ fn regions(plugin: &Plugin, count: usize) -> Vec<(Role, Vec<f32>)> {
         (role, (0..count).map(weight).collect())
     };
     (0..fixed + handles).map(region).collect()
+}
+
+/// A colour that changes from sample to sample, as a scan has it, and a quality.
+fn colours(count: usize) -> Vec<(String, Vec<f32>)> {
+    let values = |step: usize| (0..count).map(|i| (i * step % 256) as f32).collect();
+    [("red", 1), ("green", 3), ("blue", 7), ("quality", 11)]
+        .map(|(name, step)| (name.to_owned(), values(step)))
+        .into()
 }
 
 /// A chain of joints through the box, with a branch.

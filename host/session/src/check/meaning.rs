@@ -282,6 +282,29 @@ pub(super) fn time(subject: &Subject) -> Checked<Finding> {
     })
 }
 
+/// A plugin that takes attributes of the samples does without them, and with values that it does not expect.
+pub(super) fn attributes(subject: &Subject) -> Checked<Finding> {
+    let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
+    let Some(usual) = case.attributes.clone() else {
+        return Ok(Finding::skip("it takes no attributes of the samples"));
+    };
+    let (_, first) = subject.run_ordinary(&case)?;
+    let names: Vec<&str> = usual.iter().map(|(name, _)| name.as_str()).collect();
+    let cases = [
+        case.clone().with_attributes(&[], |_| 0.0),
+        case.clone().with_attributes(&["scalar_Scalar field #1", "vertex-confidence"], |i| i as f32),
+        case.clone().with_attributes(&names, |_| 0.0),
+        case.clone().with_attributes(&names, |i| if i % 2 == 0 { f32::MAX } else { f32::MIN }),
+    ];
+    let mut moved = 0;
+    for case in &cases {
+        // It may refuse them, politely.
+        let Ok((_, positions)) = subject.run(case)? else { continue };
+        moved += usize::from(difference(&first, &positions).is_some());
+    }
+    Ok(if moved > 0 { Finding::pass("it moves with them") } else { Finding::pass("they make no difference") })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -142,6 +142,7 @@ pub const RULES: &[Rule] = &[
     Rule { id: "is-identity", asks: "it tells the truth on doing nothing", run: meaning::is_identity },
     Rule { id: "migration", asks: "older sessions keep working", run: migration::migration },
     Rule { id: "time", asks: "any time of a sequence is no trouble", run: meaning::time },
+    Rule { id: "attributes", asks: "models with any attributes are no trouble", run: meaning::attributes },
     Rule { id: "bounds", asks: "parameters may take any value in range", run: parameters::bounds },
     Rule {
         id: "invalidation",

@@ -261,8 +261,15 @@ impl Evaluation {
         let Some(deformation) = step.deformation() else { return Err(no_deformation()) };
         let (layer, mut kept) = self.layer(id, step, deformation, registry)?;
         let moment = Moment { effort, time: self.how.time };
-        let done = with_shape(&between.sampled, |shape| {
-            layer.update(&between.rest, shape, &mut kept, moment, progress)
+        let sampled = &between.sampled;
+        // They are of the samples, which the rest shape's key stands for.
+        let attributes = layer.plugin.consumes().attributes;
+        let attributes = attributes.then(|| sampled.attributes(self.how.model.as_deref(), progress));
+        let done = attributes.transpose().and_then(|attributes| {
+            with_shape(sampled, |shape| {
+                let shape = RestShape { attributes, ..*shape };
+                layer.update(&between.rest, &shape, &mut kept, moment, progress)
+            })
         });
         self.known.insert(id, Known::Deform { step: step.clone(), layer, kept });
         done
@@ -406,6 +413,7 @@ fn with_shape<T>(sampled: &SampledModel, call: impl FnOnce(&RestShape<'_>) -> T)
         bounds: sampled.bounds,
         triangles: &sampled.triangles,
         neighbours: Some(samples.neighbours()),
+        attributes: None,
         renormal: Some(&|positions| deformed_normals(samples, positions)),
     })
 }

@@ -10,8 +10,10 @@ use crate::session_file::{Deformation, HandleMove, Joint, Notes, ParamPlaces, Ro
 use crate::shapes::Shapes;
 use glam::{DAffine3, DVec3, Vec3};
 use rayon::prelude::*;
+use simod_core::attributes::Attributes;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
+use simod_core::model::Type;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api as api;
 use std::collections::HashMap;
@@ -65,6 +67,8 @@ pub(crate) struct Done {
 struct Preparation {
     state: api::State,
     rest: Arc<Rest>,
+    /// Where the plugin asks for them.
+    attributes: Option<Arc<Attributes>>,
     /// Between deformations, which may go on where the last one stopped.
     scratch: Mutex<Option<api::Scratch>>,
     messages: Vec<Message>,
@@ -244,7 +248,7 @@ impl Layer {
             Arc::new(Done { positions, messages, plugin, preparation, rest, motions, masks })
         };
         let nothing = api::Samples::new(&[], &[], &[]);
-        if motions.call(nothing, rest.bounds, |input| plugin.is_identity(input, &watch))? {
+        if motions.call(nothing, rest.bounds, None, |input| plugin.is_identity(input, &watch))? {
             // What comes after it need not be done again.
             let positions = rest.positions.clone();
             return Ok((rest.clone(), done(None, rest, positions, watch.into_messages(), motions)));
@@ -363,6 +367,9 @@ impl Layer {
             parts.push(api::Part::new(&model_frame));
         }
         let at_rest = api::RestPositions::new(bytemuck::cast_slice(shape.positions));
+        let attributes = consumes.attributes.then(|| attributes_of(shape.attributes));
+        let attributes = attributes.as_deref().map(api::Attributes::new);
+        parts.extend(attributes.iter().map(api::Part::new));
         if consumes.rest_positions && shape.positions.len() == rest.positions.len() {
             parts.push(api::Part::new(&at_rest));
         }
@@ -419,6 +426,7 @@ impl Layer {
         Ok(Preparation {
             state,
             rest: rest.clone(),
+            attributes: shape.attributes.filter(|_| self.plugin.consumes().attributes).cloned(),
             scratch: Mutex::default(),
             messages: watch.into_messages(),
         })
@@ -437,7 +445,7 @@ impl Layer {
         // Out of its place, where it does not come back after a failure.
         let mut scratch = slot.take().map_or_else(|| self.plugin.new_scratch(), Ok)?;
         let buffer = bytemuck::cast_slice_mut(&mut out);
-        motions.call(rest.samples(), rest.bounds, |input| {
+        motions.call(rest.samples(), rest.bounds, preparation.attributes.as_ref(), |input| {
             self.plugin.deform(&preparation.state, input, &mut scratch, buffer, watch)
         })?;
         *slot = Some(scratch);
@@ -491,6 +499,24 @@ fn listed<'a>(ids: impl Iterator<Item = &'a str> + Clone) -> String {
     text
 }
 
+/// Attributes of the samples, as plugins have them.
+fn attributes_of(all: Option<&Arc<Attributes>>) -> Vec<api::Attribute<'_>> {
+    let kind = |kind| match kind {
+        Type::I8 => api::AttributeKind::I8,
+        Type::U8 => api::AttributeKind::U8,
+        Type::I16 => api::AttributeKind::I16,
+        Type::U16 => api::AttributeKind::U16,
+        Type::I32 => api::AttributeKind::I32,
+        Type::U32 => api::AttributeKind::U32,
+        Type::F32 => api::AttributeKind::F32,
+        Type::F64 => api::AttributeKind::F64,
+    };
+    let all = all.map_or(&[][..], |all| all.all());
+    all.iter()
+        .map(|of| api::Attribute::new(&of.attribute.name, kind(of.attribute.kind), &of.values))
+        .collect()
+}
+
 fn local_joints<'a>(joints: &'a [Joint], frame: &Frame) -> Vec<api::Joint<'a>> {
     let index: HashMap<&str, u32> = joints.iter().map(|j| j.id.as_str()).zip(0..).collect();
     let local = |j: &'a Joint| {
@@ -540,6 +566,7 @@ impl Motions {
         &self,
         samples: api::Samples<'_>,
         bounds: api::Bounds,
+        attributes: Option<&Arc<Attributes>>,
         call: impl FnOnce(&api::DeformInput<'_>) -> T,
     ) -> T {
         let values = self.params.views();
@@ -561,6 +588,9 @@ impl Motions {
         }
         parts.extend(self.effort.iter().map(api::Part::new));
         parts.extend(self.time.iter().map(api::Part::new));
+        let attributes = attributes.map(|all| attributes_of(Some(all)));
+        let attributes = attributes.as_deref().map(api::Attributes::new);
+        parts.extend(attributes.iter().map(api::Part::new));
         call(&api::DeformInput::new(samples, bounds, &self.transforms, &values).with_parts(&parts))
     }
 }
@@ -581,7 +611,8 @@ impl Done {
         let Some(preparation) = &self.preparation else { return Ok(()) };
         let rest: Vec<DVec3> = if self.masks.is_empty() { Vec::new() } else { points.to_vec() };
         let buffer = bytemuck::cast_slice_mut(points);
-        self.motions.call(self.rest.samples(), self.rest.bounds, |input| {
+        let attributes = preparation.attributes.as_ref();
+        self.motions.call(self.rest.samples(), self.rest.bounds, attributes, |input| {
             self.plugin.evaluate(&preparation.state, input, buffer, watch)
         })?;
         for (q, p) in points.iter_mut().zip(rest) {

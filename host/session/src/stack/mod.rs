@@ -12,6 +12,7 @@ use crate::session_file::{Deformation, Step};
 use glam::{DAffine3, DVec3, Vec3};
 pub(crate) use layer::{Done, Kept, Key, Layer};
 use rayon::prelude::*;
+use simod_core::attributes::Attributes;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
 use simod_core::progress::Silent;
@@ -46,6 +47,8 @@ pub struct RestShape<'a> {
     pub triangles: &'a [[u32; 3]],
     /// The samples' nearest neighbours.
     pub neighbours: Option<&'a NeighbourGraph>,
+    /// Colours and other attributes of the samples, where they were asked for.
+    pub attributes: Option<&'a Arc<Attributes>>,
     /// The map between model and local coordinates.
     pub frame: Frame,
     /// The model's box, model coordinates.
@@ -333,6 +336,7 @@ mod tests {
             spacing: &[],
             triangles: &triangles,
             neighbours: Some(set.neighbours()),
+            attributes: None,
             frame: Frame { origin: DVec3::ZERO, scale: 1.0 },
             bounds: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
             renormal: None,
@@ -430,6 +434,7 @@ mod tests {
             spacing: &[],
             triangles: &[],
             neighbours: None,
+            attributes: None,
             frame: Frame { origin: DVec3::Y * 10.0, scale: 2.0 },
             bounds: Bounds { min: DVec3::Y * 10.0, max: DVec3::new(4.0, 11.0, 1.0) },
             renormal: None,

@@ -5,9 +5,9 @@ use crate::deformer::About;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use simod_plugin_api::{
-    Affine, DeformInput, Effort, ErrorCode, Graph, HandleDesc, HandleMotions, Joint, Joints, ModelFrame,
-    Param, ParamKind, Part, PluginError, PrepareInput, Region, RestPositions, Role, Samples, Setting, Stroke,
-    Strokes, Time, Triangles,
+    Affine, Attribute, AttributeKind, Attributes, DeformInput, Effort, ErrorCode, Graph, HandleDesc,
+    HandleMotions, Joint, Joints, ModelFrame, Param, ParamKind, Part, PluginError, PrepareInput, Region,
+    RestPositions, Role, Samples, Setting, Stroke, Strokes, Time, Triangles,
 };
 use std::io::{Error, Read, Result, Write};
 
@@ -151,6 +151,8 @@ pub(super) struct InputRecord {
     count: usize,
     normals: bool,
     spacing: bool,
+    /// Names and kinds.
+    attributes: Option<Vec<(String, u32)>>,
     roles: Vec<u32>,
     triangles: Option<usize>,
     /// Number of all neighbours.
@@ -172,6 +174,7 @@ impl InputRecord {
             bytemuck::cast_slice(samples.normals()),
             bytemuck::cast_slice(samples.spacing()),
         ];
+        arrays.extend(input.attributes().iter().map(|a| bytemuck::cast_slice(a.values())));
         arrays.extend(input.regions().iter().map(|r| bytemuck::cast_slice(r.weights())));
         let triangles = input.triangles().map(Triangles::indices);
         arrays.extend(triangles.map(bytemuck::cast_slice));
@@ -181,12 +184,14 @@ impl InputRecord {
             arrays.push(bytemuck::cast_slice(graph.all()));
         }
         arrays.extend(input.rest_positions().map(bytemuck::cast_slice));
+        let attribute = |a: &Attribute<'_>| (a.name().to_owned(), a.kind.0);
         let joint = |j: &Joint<'_>| (j.id().to_owned(), j.position, j.parent);
         let record = Self {
             range: Range { offset: 0, len: 0 },
             count: samples.positions().len(),
             normals: !samples.normals().is_empty(),
             spacing: !samples.spacing().is_empty(),
+            attributes: input.part::<Attributes<'_>>().map(|a| a.all().iter().map(attribute).collect()),
             roles: input.regions().iter().map(|r| r.role.0).collect(),
             triangles: triangles.map(<[_]>::len),
             graph: graph.map(|g| g.all().len()),
@@ -203,6 +208,7 @@ impl InputRecord {
     pub fn with<T>(&self, bytes: &[u8], call: impl FnOnce(&PrepareInput<'_>) -> T) -> Option<T> {
         let mut rest = Arrays(bytes);
         let samples = self.take_samples(&mut rest)?;
+        let attributes = self.take_attributes(&mut rest)?;
         let weights: Vec<&[f32]> = self.roles.iter().map(|_| rest.take(self.count)).collect::<Option<_>>()?;
         let regions: Vec<Region<'_>> =
             self.roles.iter().zip(weights).map(|(role, w)| Region::new(Role(*role), w)).collect();
@@ -227,12 +233,24 @@ impl InputRecord {
         parts.extend(joints.iter().map(Part::new));
         let frame = self.frame.map(|(origin, scale)| ModelFrame { origin, scale });
         parts.extend(frame.iter().map(Part::new));
+        let attributes = attributes.as_deref().map(Attributes::new);
+        parts.extend(attributes.iter().map(Part::new));
         Some(call(&PrepareInput::new(samples, bounds(self.bounds), &regions, &params).with_parts(&parts)))
     }
 
-    /// The samples, of whose arrays nothing is copied.
-    pub fn samples<'a>(&self, bytes: &'a [u8]) -> Option<Samples<'a>> {
-        self.take_samples(&mut Arrays(bytes))
+    /// What a deformation gets of it: the samples, of whose arrays nothing is copied, and their attributes, where they are
+    /// asked for.
+    pub fn samples<'a>(&'a self, bytes: &'a [u8]) -> Option<(Samples<'a>, Option<Vec<Attribute<'a>>>)> {
+        let mut arrays = Arrays(bytes);
+        Some((self.take_samples(&mut arrays)?, self.take_attributes(&mut arrays)?))
+    }
+
+    fn take_attributes<'a>(&'a self, rest: &mut Arrays<'a>) -> Option<Option<Vec<Attribute<'a>>>> {
+        let Some(attributes) = &self.attributes else { return Some(None) };
+        let mut one = |(name, kind): &'a (String, u32)| {
+            Some(Attribute::new(name, AttributeKind(*kind), rest.take(self.count)?))
+        };
+        attributes.iter().map(&mut one).collect::<Option<_>>().map(Some)
     }
 
     fn take_samples<'a>(&self, rest: &mut Arrays<'a>) -> Option<Samples<'a>> {
@@ -335,10 +353,11 @@ impl MotionRecord {
         }
     }
 
-    /// Calls with the input of a deformation of these samples.
+    /// Calls with the input of a deformation of these samples, with these attributes.
     pub fn with<T>(
         &self,
         samples: Samples<'_>,
+        attributes: Option<Vec<Attribute<'_>>>,
         bounds: simod_plugin_api::Bounds,
         call: impl FnOnce(&DeformInput<'_>) -> T,
     ) -> T {
@@ -364,6 +383,8 @@ impl MotionRecord {
         parts.extend(effort.iter().map(Part::new));
         let time = self.time.map(|(frame, seconds)| Time { frame, seconds });
         parts.extend(time.iter().map(Part::new));
+        let attributes = attributes.as_deref().map(Attributes::new);
+        parts.extend(attributes.iter().map(Part::new));
         call(&DeformInput::new(samples, bounds, &transforms, &params).with_parts(&parts))
     }
 }

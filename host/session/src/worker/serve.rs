@@ -147,7 +147,7 @@ impl Workshop {
             Request::IsIdentity { bounds: [min, max], motion } => {
                 let samples = simod_plugin_api::Samples::new(&[], &[], &[]);
                 let bounds = simod_plugin_api::Bounds { min, max };
-                let answer = motion.with(samples, bounds, |input| self.code.is_identity(input));
+                let answer = motion.with(samples, None, bounds, |input| self.code.is_identity(input));
                 Reply::Identity(wrap(answer))
             }
             Request::DropState(id) => {
@@ -188,20 +188,23 @@ impl Workshop {
     ) -> PluginResult<()> {
         let (state, input, map) = self.states.get(&state).ok_or_else(|| broken("there is no such state"))?;
         let scratch = self.scratches.get_mut(&scratch).ok_or_else(|| broken("there is no such scratch"))?;
-        let samples = input.samples(map).ok_or_else(|| broken("it is too short"))?;
+        let (samples, attributes) = input.samples(map).ok_or_else(|| broken("it is too short"))?;
         let mut buffer = self.shared.map_mut(out.range).map_err(broken)?;
         let out: &mut [[f32; 3]] = bytemuck::cast_slice_mut(&mut buffer[..out.len as usize]);
         out.fill(fill);
-        motion
-            .with(samples, input.bounds(), |input| self.code.deform(state, input, scratch, out, &self.calls))
+        motion.with(samples, attributes, input.bounds(), |input| {
+            self.code.deform(state, input, scratch, out, &self.calls)
+        })
     }
 
     fn evaluate(&self, state: u64, motion: &protocol::MotionRecord, points: Slice) -> PluginResult<()> {
         let (state, input, map) = self.states.get(&state).ok_or_else(|| broken("there is no such state"))?;
-        let samples = input.samples(map).ok_or_else(|| broken("it is too short"))?;
+        let (samples, attributes) = input.samples(map).ok_or_else(|| broken("it is too short"))?;
         let mut buffer = self.shared.map_mut(points.range).map_err(broken)?;
         let points = bytemuck::cast_slice_mut(&mut buffer[..points.len as usize]);
-        motion.with(samples, input.bounds(), |input| self.code.evaluate(state, input, points, &self.calls))
+        motion.with(samples, attributes, input.bounds(), |input| {
+            self.code.evaluate(state, input, points, &self.calls)
+        })
     }
 }
 

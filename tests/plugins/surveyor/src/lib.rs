@@ -25,6 +25,8 @@ enum Mode {
     Closest,
     Ray,
     Time,
+    /// Along x by red, along y by quality, and along z by how many attributes there are.
+    Paint,
 }
 
 impl Deformer for Surveyor {
@@ -32,7 +34,13 @@ impl Deformer for Surveyor {
     type Scratch = ();
 
     fn descriptor() -> Descriptor {
-        let consumes = Consumes { triangles: true, rest_positions: true, time: true, ..Consumes::default() };
+        let consumes = Consumes {
+            triangles: true,
+            rest_positions: true,
+            time: true,
+            attributes: true,
+            ..Consumes::default()
+        };
         Descriptor::new("surveyor", "Surveyor", env!("CARGO_PKG_VERSION"))
             .summary("Moves samples to where the host says that something is")
             .author("a third party")
@@ -47,7 +55,14 @@ impl Deformer for Surveyor {
         if itself != [0] || rest.len() != input.samples.positions().len() {
             return Err(PluginError::internal(format!("the first sample is {itself:?}")));
         }
-        Ok(())
+        let all = input.attributes();
+        match all.iter().find(|a| a.values().len() != rest.len() || a.values().iter().any(|x| !x.is_finite()))
+        {
+            Some(bad) => {
+                Err(PluginError::internal(format!("not one number for each sample: {}", bad.name())))
+            }
+            None => Ok(()),
+        }
     }
 
     fn deform(
@@ -94,6 +109,18 @@ impl Deformer for Surveyor {
                 for ([x, y, z], out) in samples.iter().map(|p| p.map(f64::from)).zip(out) {
                     let found = surface.ray([x, y, 10.0], [0.0, 0.0, -2.0], f64::INFINITY);
                     *out = found.map_or([x, y, z], |found| found.position).map(|x| x as f32);
+                }
+            }
+            Mode::Paint => {
+                let count = input.attributes().len();
+                let (red, quality) = (input.attribute("red"), input.attribute("quality"));
+                if red.is_none() {
+                    host.warn("there is no red");
+                }
+                for (i, (p, out)) in samples.iter().zip(out).enumerate() {
+                    let by = [red.map_or(0.0, |x| f64::from(x[i])), quality.map_or(0.0, |x| f64::from(x[i]))];
+                    let [x, y, z] = p.map(f64::from);
+                    *out = [x + by[0] / 255.0, y + by[1], z + count as f64].map(|x| x as f32);
                 }
             }
             Mode::Time => {

@@ -6,7 +6,7 @@ use std::io::Write;
 
 use glam::{DVec3, Vec3};
 
-use super::header::quoted;
+use super::header::{Type, quoted};
 use super::layout::{Component, Layout, Slot};
 use super::rewrite::{Unfit, same_normal};
 use crate::model::{Edited, Scalar, VertexChunk};
@@ -174,6 +174,11 @@ fn parse(scalar: Scalar, word: &[u8]) -> Option<f64> {
         Scalar::F64 => fast_float2::parse(word).ok(),
     };
     value.or_else(|| is_microsoft_nan(std::str::from_utf8(word).ok()?).then_some(f64::NAN))
+}
+
+/// A number of a type, rounded to it if that is single precision.
+pub(super) fn number(kind: Type, word: &[u8]) -> Option<f64> {
+    parse(if kind == Type::F32 { Scalar::F32 } else { Scalar::F64 }, word)
 }
 
 /// Numbers that are not finite, as Microsoft's C library prints them: such vertices are left alone anyway.

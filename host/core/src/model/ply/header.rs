@@ -2,6 +2,8 @@
 
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+
 use super::layout::NORMAL;
 use crate::Result;
 use crate::model::source::Source;
@@ -31,16 +33,24 @@ impl Encoding {
     }
 }
 
-/// Type of a number.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Type {
+/// Type of a number in a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Type {
+    /// A signed byte.
     I8,
+    /// A byte.
     U8,
+    /// 16 bits with a sign.
     I16,
+    /// 16 bits.
     U16,
+    /// 32 bits with a sign.
     I32,
+    /// 32 bits.
     U32,
+    /// Single precision.
     F32,
+    /// Double precision.
     F64,
 }
 
@@ -59,8 +69,8 @@ impl Type {
         matches!(self, Self::F32 | Self::F64)
     }
 
-    /// The name in PLY's original spelling.
-    pub(super) fn name(self) -> &'static str {
+    /// The name in PLY's original spelling, as `uchar`.
+    pub fn name(self) -> &'static str {
         match self {
             Self::I8 => "char",
             Self::U8 => "uchar",

@@ -2,8 +2,8 @@
 
 use super::header::{DAMAGED, Element, Encoding, Shape, Type, quoted};
 use crate::Result;
-use crate::model::Scalar;
 use crate::model::source::Source;
+use crate::model::{Attribute, Scalar};
 
 /// One coordinate of the position or of the normal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -39,6 +39,11 @@ pub(super) struct Layout {
     pub(super) stride: Option<usize>,
     /// The properties that are neither position nor normal, for people.
     pub(super) other: Vec<String>,
+    /// Those of them that are numbers with a name of their own, in the file's order.
+    pub(super) attributes: Vec<Attribute>,
+    /// Where each of these stands: its index among the slots, and bytes from the start of the record where records are of
+    /// fixed size.
+    pub(super) places: Vec<(usize, usize)>,
 }
 
 const POSITION: [&str; 3] = ["x", "y", "z"];
@@ -72,6 +77,7 @@ impl Layout {
             .filter_map(|&name| Some(Component { name, scalar: scalar_of(name)?, offset: 0 }))
             .collect();
         let (mut slots, mut other, mut file_order) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut attributes, mut places) = (Vec::<Attribute>::new(), Vec::new());
         let mut stride = (encoding != Encoding::Ascii).then_some(0);
         for property in &vertex.properties {
             let index = names.iter().position(|n| *n == property.name);
@@ -86,13 +92,21 @@ impl Layout {
             });
             if index.is_none() {
                 other.push(property.describe());
+                let known = attributes.iter().any(|known| known.name == property.name);
+                if let Shape::Scalar(kind) = property.shape
+                    && !known
+                    && Attribute::is_name(&property.name)
+                {
+                    attributes.push(Attribute { name: property.name.clone(), kind });
+                    places.push((slots.len() - 1, stride.unwrap_or(0)));
+                }
             }
             stride = match property.shape {
                 Shape::Scalar(t) => stride.map(|bytes| bytes + t.size()),
                 Shape::List { .. } => None,
             };
         }
-        Ok(Self { encoding, components, file_order, slots, stride, other })
+        Ok(Self { encoding, components, file_order, slots, stride, other, attributes, places })
     }
 
     pub(super) fn has_normals(&self) -> bool {

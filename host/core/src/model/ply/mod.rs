@@ -14,10 +14,12 @@
 //! | `reader` | chunks of vertices from anywhere in the file |
 //! | `faces` | triangles of all faces |
 //! | `binary`, `ascii` | numbers in and out of a chunk's bytes |
+//! | `attributes` | the other numbers of a chunk's bytes, where they are asked for |
 //! | `rewrite` | the whole file anew |
 //! | `writer` | files of our own |
 
 mod ascii;
+mod attributes;
 mod binary;
 mod faces;
 mod header;
@@ -30,6 +32,7 @@ mod writer;
 use std::ops::Range;
 use std::path::Path;
 
+pub use header::Type;
 pub(super) use header::is_ply;
 pub use writer::write_points;
 
@@ -82,6 +85,7 @@ impl PlyModel {
             has_normals: layout.has_normals(),
             position_type: layout.position_type(),
             other_properties: layout.other.clone(),
+            attributes: layout.attributes.clone(),
             bytes: source.len(),
             random_access: layout.stride.is_some(),
             vertex_bytes: 0,
@@ -142,6 +146,14 @@ impl Model for PlyModel {
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         Ok(Box::new(Reader::new(self, range)?))
+    }
+
+    fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
+        attributes::decode(&self.layout, chunk, to).map_err(|e| {
+            let (vertex, name) = (chunk.first + e.vertex as u64, &self.layout.attributes[e.attribute].name);
+            let what = format!("vertex {vertex}: {} {} is no number", header::quoted(name), e.word);
+            self.source.malformed(what, header::DAMAGED)
+        })
     }
 
     fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {

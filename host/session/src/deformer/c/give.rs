@@ -1,13 +1,13 @@
 //! What a plugin gets, in C's words: borrowed as it is, but for texts, which need an end.
 
 use simod_plugin_api::c::{
-    SimodAffine, SimodBounds, SimodDeformInput, SimodEffort, SimodGraph, SimodHandleMotions, SimodJoint,
-    SimodJoints, SimodModelFrame, SimodParam, SimodPart, SimodPrepareInput, SimodRegion, SimodRestPositions,
-    SimodSamples, SimodStroke, SimodStrokes, SimodTime, SimodTriangles,
+    SimodAffine, SimodAttribute, SimodAttributes, SimodBounds, SimodDeformInput, SimodEffort, SimodGraph,
+    SimodHandleMotions, SimodJoint, SimodJoints, SimodModelFrame, SimodParam, SimodPart, SimodPrepareInput,
+    SimodRegion, SimodRestPositions, SimodSamples, SimodStroke, SimodStrokes, SimodTime, SimodTriangles,
 };
 use simod_plugin_api::{
-    Affine, Bounds, DeformInput, Effort, Joint, Params, PluginError, PluginResult, PrepareInput, Samples,
-    Setting, Stroke, Time,
+    Affine, Attribute, Attributes, Bounds, DeformInput, Effort, Joint, Params, PluginError, PluginResult,
+    PrepareInput, Samples, Setting, Stroke, Time,
 };
 use std::ffi::{CStr, CString, c_void};
 use std::ptr::null;
@@ -88,6 +88,28 @@ fn part<T>(id: &'static CStr, data: &T) -> SimodPart {
     SimodPart { id: id.as_ptr(), data: std::ptr::from_ref(data).cast::<c_void>() }
 }
 
+/// Attributes of the samples, whose names have an end.
+struct Named(Vec<CString>, Vec<SimodAttribute>);
+
+impl Named {
+    fn of(attributes: Option<&Attributes<'_>>) -> PluginResult<Option<Self>> {
+        let Some(all) = attributes.map(Attributes::all) else { return Ok(None) };
+        let names: Vec<CString> = all.iter().map(|a| c_text(a.name())).collect::<PluginResult<_>>()?;
+        let attribute = |(a, name): (&Attribute<'_>, &CString)| SimodAttribute {
+            name: name.as_ptr(),
+            kind: a.kind.0,
+            values: start(a.values()),
+        };
+        let attributes = all.iter().zip(&names).map(attribute).collect();
+        Ok(Some(Self(names, attributes)))
+    }
+
+    /// The same as an input; it points to these names.
+    fn input(&self) -> SimodAttributes {
+        SimodAttributes { attributes: start(&self.1), count: self.0.len() }
+    }
+}
+
 /// Calls with what a preparation gets, as long as it is there.
 pub(super) fn with_prepare_input<T>(
     input: &PrepareInput<'_>,
@@ -117,6 +139,9 @@ pub(super) fn with_prepare_input<T>(
     parts.extend(frame.as_ref().map(|f| part(c"simod.model-frame/1", f)));
     let rest = input.rest_positions().map(|p| SimodRestPositions { positions: start(p) });
     parts.extend(rest.as_ref().map(|r| part(c"simod.rest-positions/1", r)));
+    let attributes = Named::of(input.part())?;
+    let attributes = attributes.as_ref().map(Named::input);
+    parts.extend(attributes.as_ref().map(|a| part(c"simod.attributes/1", a)));
     parts.extend((joints.count > 0).then(|| part(c"simod.joints/1", &joints)));
     let input = SimodPrepareInput {
         samples: samples(&input.samples),
@@ -164,6 +189,9 @@ pub(super) fn with_deform_input<T>(
     parts.extend(effort.as_ref().map(|e| part(c"simod.effort/1", e)));
     let time = input.part::<Time>().map(|t| SimodTime { frame: t.frame, seconds: t.seconds });
     parts.extend(time.as_ref().map(|t| part(c"simod.time/1", t)));
+    let attributes = Named::of(input.part())?;
+    let attributes = attributes.as_ref().map(Named::input);
+    parts.extend(attributes.as_ref().map(|a| part(c"simod.attributes/1", a)));
     let input = SimodDeformInput {
         samples: samples(&input.samples),
         bounds: bounds(&input.bounds),

@@ -1,0 +1,200 @@
+//! Colours and other numbers of the model's vertices, as values of the samples: for plugins that ask for them.
+//!
+//! A sample stands for the vertices that are nearest to it, among the samples of the sheet of the surface that they lie on: of a
+//! thin wall that is painted on both sides, no sample gets the other side's colour. Its value is the mean of theirs, in the
+//! attribute's own unit. They are found by one more stream of the model, and kept in the folder of the samples.
+//!
+//! The file begins with eight letters and a version; the hash of the `samples.ply` and of the model that it belongs to
+//! follow, the attributes, and a checksum.
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use xxhash_rust::xxh3::{Xxh3Default, xxh3_128};
+
+use crate::model::{self, Attribute, Model};
+use crate::reconstruction::{Surroundings, homes};
+use crate::sampled_model::{SampledModel, fingerprint};
+use crate::sampling::KdTree;
+use crate::{Error, ErrorKind, Progress, Result};
+
+/// Most attributes that samples have: the first ones of the file.
+pub const MOST: usize = 32;
+
+const MAGIC: &[u8; 8] = b"SIMODATR";
+const VERSION: u32 = 1;
+const HEAD: usize = MAGIC.len() + size_of::<u32>();
+const CHECKSUM: usize = size_of::<u128>();
+
+/// An attribute of the samples.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OfSamples {
+    /// Its name and type in the model's file.
+    pub attribute: Attribute,
+    /// One for each sample, all finite.
+    pub values: Vec<f32>,
+}
+
+/// The attributes of all samples, in the order of the model's file.
+///
+/// Memory: 4 bytes per sample and attribute.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Attributes(Vec<OfSamples>);
+
+/// The mean of numbers of any size.
+///
+/// Memory: 16 bytes per sample and attribute.
+#[derive(Debug, Clone, Copy, Default)]
+struct Mean {
+    sum: f64,
+    count: u64,
+}
+
+impl Mean {
+    /// Takes one more, if it is a number; in the end they are rounded to single precision.
+    fn add(&mut self, value: f64) {
+        if value.is_finite() {
+            self.sum += value.clamp(f64::from(f32::MIN), f64::from(f32::MAX));
+            self.count += 1;
+        }
+    }
+
+    fn value(self) -> Option<f32> {
+        (self.count > 0).then(|| (self.sum / self.count as f64) as f32)
+    }
+}
+
+impl Attributes {
+    /// All of them.
+    pub fn all(&self) -> &[OfSamples] {
+        &self.0
+    }
+
+    /// The values of the attribute that the file calls so, one for each sample.
+    pub fn get(&self, name: &str) -> Option<&[f32]> {
+        self.0.iter().find(|of| of.attribute.name == name).map(|of| &*of.values)
+    }
+
+    /// Reads the model that was sampled. Vertices without a finite position, and values that are no numbers, do not count. A
+    /// sample that no vertex is nearest to takes the value of the nearest one that has one; an attribute without any number
+    /// is left out.
+    ///
+    /// Memory: 16 bytes per sample and attribute, what is known of the samples' surroundings, and some chunks.
+    ///
+    /// # Errors
+    /// The model cannot be read, or is not what was sampled; the user cancelled.
+    pub fn of(sampled: &SampledModel, model: &dyn Model, progress: &dyn Progress) -> Result<Self> {
+        let info = model.info();
+        let attributes = &info.attributes[..info.attributes.len().min(MOST)];
+        if let [_, .., last] = attributes
+            && attributes.len() < info.attributes.len()
+        {
+            progress.note(&format!(
+                "{} has {} attributes, of which the first {MOST} are taken, up to {}",
+                model.path().display(),
+                info.attributes.len(),
+                last.name
+            ));
+        }
+        if attributes.is_empty() {
+            return Ok(Self::default());
+        }
+        let samples = &sampled.samples;
+        progress.begin("reading the attributes", info.vertex_bytes);
+        let around = Surroundings::of(samples);
+        let mut means = vec![vec![Mean::default(); samples.len()]; attributes.len()];
+        // Of a chunk.
+        let mut values = vec![Vec::new(); attributes.len()];
+        let (mut home_of, mut hash) = (Vec::new(), Xxh3Default::new());
+        model::for_vertices(model, |chunk| {
+            progress.check()?;
+            hash.update(chunk.raw());
+            model.attributes(chunk, &mut values)?;
+            homes(&around, &sampled.frame, &chunk.positions, &mut home_of);
+            let nearest = |(home, p): (&mut u32, &DVec3)| {
+                *home = around.nearest_on_sheet(*home, sampled.frame.to_local(*p));
+            };
+            home_of.par_iter_mut().zip(&chunk.positions).with_min_len(1024).for_each(nearest);
+            // In the file's order, so that sums are the same on any machine.
+            for (means, values) in means.iter_mut().zip(&values) {
+                let vertices = chunk.positions.iter().zip(&home_of).zip(values);
+                for ((_, sample), value) in vertices.filter(|((p, _), _)| p.is_finite()) {
+                    means[*sample as usize].add(*value);
+                }
+            }
+            progress.advance(chunk.raw().len() as u64);
+            Ok(())
+        })?;
+        if fingerprint(hash.digest128()) != sampled.source.fingerprint {
+            return Err(sampled.source_changed(model.path()));
+        }
+        let all = attributes.iter().zip(&means).filter_map(|(attribute, means)| {
+            Some(OfSamples { attribute: attribute.clone(), values: completed(means, &samples.positions)? })
+        });
+        Ok(Self(all.collect()))
+    }
+
+    /// The content of a file, for the `samples.ply` and the model of these hashes.
+    pub(crate) fn encode(&self, of: [&str; 2]) -> Result<Vec<u8>> {
+        let bytes = [&MAGIC[..], &VERSION.to_le_bytes()].concat();
+        let mut bytes = postcard::to_extend(&(of, self), bytes).map_err(|e| damaged(&e.to_string()))?;
+        let checksum = xxh3_128(&bytes);
+        bytes.extend_from_slice(&checksum.to_le_bytes());
+        Ok(bytes)
+    }
+
+    /// Reads the content of a file, of so many samples.
+    ///
+    /// # Errors
+    /// It is damaged, of a version that is not known, or of other samples.
+    pub(crate) fn decode(bytes: &[u8], of: [&str; 2], samples: usize) -> Result<Self> {
+        let Some((content, checksum)) = bytes.split_last_chunk::<CHECKSUM>() else {
+            return Err(damaged("it is cut off"));
+        };
+        if content.get(..MAGIC.len()) != Some(MAGIC) {
+            return Err(damaged("it does not begin as such a file does"));
+        }
+        if xxh3_128(content) != u128::from_le_bytes(*checksum) {
+            return Err(damaged("its checksum is wrong"));
+        }
+        if content.get(MAGIC.len()..HEAD) != Some(&VERSION.to_le_bytes()) {
+            return Err(damaged("it is of a version that is not known"));
+        }
+        let (known, all): ([String; 2], Self) =
+            postcard::from_bytes(&content[HEAD..]).map_err(|e| damaged(&e.to_string()))?;
+        if known != of {
+            return Err(damaged("it belongs to other samples"));
+        }
+        if all.is_valid(samples) { Ok(all) } else { Err(damaged("its numbers make no sense")) }
+    }
+
+    fn is_valid(&self, samples: usize) -> bool {
+        let is_good = |(i, of): (usize, &OfSamples)| {
+            Attribute::is_name(&of.attribute.name)
+                && self.0[..i].iter().all(|before| before.attribute.name != of.attribute.name)
+                && of.values.len() == samples
+                && of.values.iter().all(|value| value.is_finite())
+        };
+        self.0.len() <= MOST && self.0.iter().enumerate().all(is_good)
+    }
+}
+
+/// The values of all samples; nothing if none has one.
+fn completed(means: &[Mean], positions: &[Vec3]) -> Option<Vec<f32>> {
+    let known: Vec<usize> = (0..means.len()).filter(|i| means[*i].count > 0).collect();
+    if known.is_empty() {
+        return None;
+    }
+    if known.len() == means.len() {
+        return means.iter().map(|mean| mean.value()).collect();
+    }
+    let tree = KdTree::new(&known.iter().map(|i| positions[*i]).collect::<Vec<_>>());
+    let value =
+        |(mean, p): (&Mean, &Vec3)| mean.value().or_else(|| means[known[tree.nearest(*p) as usize]].value());
+    means.iter().zip(positions).map(value).collect()
+}
+
+fn damaged(what: &str) -> Error {
+    let what = format!("the file of attributes is of no use: {what}");
+    Error::new(ErrorKind::Format, what, "remove it, and it is made anew")
+}
