@@ -364,7 +364,8 @@ fn a_target_that_is_full() {
     for limit in [0, 4096, whole / 2, whole - 512] {
         work.refuses_beyond(limit, RECONSTRUCT, &["out.ply"]);
         work.refuses_beyond(limit, "run edit.toml", &["edited.ply"]);
-        work.refuses_beyond(limit, "generate -o new.ply --vertices 20000", &["new.ply"]);
+        let refused = work.refuses_beyond(limit, "generate -o new.ply --vertices 20000", &["new.ply"]);
+        assert!(refused.hint().contains("raise the limit"), "{}", refused.hint());
     }
     for limit in [0, 4096] {
         work.refuses_beyond(

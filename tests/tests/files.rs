@@ -196,6 +196,7 @@ fn pipes_and_devices_are_refused_at_once() {
             "deform model.simod --session X -o out.ply",
             "reconstruct model.simod --deformed X -o out.ply",
             "plugin check X",
+            "plugin list --use X",
         ] {
             refuses(&line.replace('X', odd), &[odd.trim_start_matches("./"), "is a pipe or a device"]);
         }
@@ -440,6 +441,96 @@ fn names_need_not_be_text() {
     run("refine X --sphere 0,0,0,9 --factor 2", &[folder]);
     run("render X --size 32x32 -o X", &[model, name(b"\xff.png")]);
     run("run edit.toml --model X -o X", &[model, name(b"run-\xff.ply")]);
+    run("deform model.simod --session edit.toml --model X -o X", &[model, name(b"deformed-\xff.ply")]);
+    run("plugin migrate edit.toml -o X", &[name(b"new-\xff.toml")]);
+}
+
+/// A session is a text, and plugins get texts: where a folder's name is none, that is said before anything is written.
+#[test]
+fn folders_whose_names_are_no_text() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+    let work = workplace();
+    let folder = work.path("").join(OsStr::from_bytes(b"odd-\xff"));
+    if std::fs::create_dir(&folder).is_err() {
+        return skip("names are text on this file system");
+    }
+    let beside = |name: &str| folder.join(name);
+    std::fs::copy(work.path("model.ply"), beside("model.ply")).expect("a copy");
+    std::fs::copy(work.path("edit.toml"), beside("edit.toml")).expect("a copy");
+    let of = |line: &str, session: &Path, to: &Path| {
+        let mut command = work.command(line);
+        command.arg(session).arg("-o").arg(to);
+        Outcome::from(command.output().expect("the program starts"))
+    };
+    // What is beside the session is found there, and can be written there.
+    let outcome = of("run", &beside("edit.toml"), &beside("out.ply"));
+    assert_eq!(outcome.code, Some(0), "{}", outcome.stderr);
+    let outcome = of("plugin migrate", &beside("edit.toml"), &beside("new.toml"));
+    assert_eq!(outcome.code, Some(0), "{}", outcome.stderr);
+    let outcome = of("run", &beside("new.toml"), &beside("again.ply"));
+    assert_eq!(outcome.code, Some(0), "{}", outcome.stderr);
+    let read = |name: &str| std::fs::read(beside(name)).expect("an output");
+    assert!(read("out.ply") == read("again.ply"));
+
+    let cage = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
+    work.write("cage.obj", cage);
+    work.write("caged.toml", "[[step]]\ndeform = \"cage\"\nparams = { file = \"cage.obj\" }");
+    for name in ["cage.obj", "caged.toml"] {
+        std::fs::rename(work.path(name), beside(name)).expect("a file");
+    }
+    let outcome = of("deform model.simod --session", &beside("caged.toml"), &work.path("caged.ply"));
+    outcome.refused("deform", &["caged.toml, line 3", "`file`", "cage.obj is not UTF-8"]);
+    // Seen from elsewhere, the same: a session that would not find the cage is not written.
+    let outcome = of("plugin migrate", &beside("caged.toml"), &work.path("elsewhere.toml"));
+    outcome.refused("plugin migrate", &["cage.obj is no text"]);
+    let outcome = of("plugin migrate", &beside("edit.toml"), &work.path("elsewhere.toml"));
+    outcome.refused("plugin migrate", &["model.ply is no text"]);
+    assert!(!work.path("elsewhere.toml").exists() && !work.path("caged.ply").exists());
+}
+
+/// Everything that is written has another name until it is whole, which a pipe cannot take back; a file can.
+#[test]
+fn standard_output_is_written_where_it_is_a_file() {
+    let work = workplace();
+    let methods = "model = { path = \"model.ply\" }\n[[method]]\nname = \"a\"\ndeform = \"warp\"\n";
+    work.write("methods.toml", methods);
+    for line in [
+        "deform model.simod --session edit.toml -o",
+        "reconstruct model.simod --deformed deformed.ply -o",
+        "run edit.toml -o",
+        "render model.ply --size 32x32 -o",
+        "generate --vertices 2000 -o",
+        "plugin migrate edit.toml -o",
+    ] {
+        for name in ["/dev/stdout", "/dev/fd/1", "/dev/null"] {
+            let refused = work.refuses(&format!("{line} {name}"), &[name, "it is a pipe or a device"]);
+            assert!(refused.hint().contains("give the path of a file"), "{}", refused.hint());
+            assert_eq!(refused.stdout, "");
+        }
+        let file = std::fs::File::create(work.path("out")).expect("a file");
+        let mut command = work.command(&format!("{line} /dev/stdout"));
+        let status = command.stdout(file).status().expect("the program starts");
+        assert!(status.success(), "{line}");
+        work.simod(&format!("{line} expected"));
+        assert!(work.read("out") == work.read("expected"), "{line}");
+        std::fs::remove_file(work.path("expected")).expect("a file");
+        std::fs::remove_file(work.path("out")).expect("a file");
+    }
+    for (line, name) in [
+        ("reconstruct model.simod --deformed deformed.ply -o out --diagnostics", "it is a pipe or a device"),
+        ("run edit.toml -o out --diagnostics", "it is a pipe or a device"),
+        (
+            "refine model.simod --sphere 0,0,0,9 --factor 2 --deformed deformed.ply -o",
+            "it is a pipe or a device",
+        ),
+        ("refine model.simod --sphere 0,0,0,9 --factor 2 --into", "is no sampled model"),
+        ("sample model.ply --samples 100 -o", "is no sampled model"),
+        ("compare methods.toml -o", "is no comparison"),
+    ] {
+        let refused = work.refuses(&format!("{line} /dev/stdout"), &["/dev/stdout", name]);
+        assert_eq!(refused.stdout, "");
+    }
 }
 
 #[test]

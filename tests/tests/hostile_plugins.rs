@@ -209,7 +209,12 @@ fn none_takes_the_place_of_another_unnoticed() {
     let compare = "[model]\npath = \"model.ply\"\n[[method]]\nname = \"one\"\nsession = \"edit.toml\"\n\
                    [[method]]\nname = \"two\"\nsession = \"edit.toml\"\n";
     work.write("compare.toml", compare);
-    for line in lines.into_iter().chain(["compare compare.toml -o compared"]) {
+    let others = [
+        "compare compare.toml -o compared",
+        "plugin migrate edit.toml -o new.toml",
+        "plugin check warp --rule descriptor",
+    ];
+    for line in lines.into_iter().chain(others) {
         let outcome = work.simod(line);
         let told = outcome.stderr.lines().filter(|l| l.contains("takes the place of the program's own warp"));
         assert!(told.clone().count() >= 1, "{line}: {}", outcome.stderr);

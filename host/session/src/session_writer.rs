@@ -68,10 +68,11 @@ fn path_table(path: &Path, folder: &Path) -> Result<Table> {
     Ok(table)
 }
 
-fn text(path: &Path) -> Result<String> {
+/// A path as a session has it.
+pub(crate) fn text(path: &Path) -> Result<String> {
     path.to_str().map(str::to_owned).ok_or_else(|| {
         let what = format!("the name {} is no text, which a session has to be", path.display());
-        Error::new(ErrorKind::Argument, what, "rename the file")
+        Error::new(ErrorKind::Argument, what, "rename the file or its folder")
     })
 }
 

@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use simod_core::{Error, ErrorKind, Result, input, output};
 use std::path::{Path, PathBuf};
-use xxhash_rust::xxh3::xxh3_128;
+use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
 /// Points beyond which something goes to a file of its own.
 pub const MOST_IN_SESSION: usize = 1000;
@@ -59,7 +59,7 @@ pub fn write(session: &Path, kind: Kind, content: &impl Serialize) -> Result<Ref
     let bytes = postcard::to_extend(content, magic.to_vec())
         .map_err(|e| Error::new(ErrorKind::Io, format!("cannot write a {what}: {e}"), "report this"))?;
     let fingerprint = fingerprint(&bytes);
-    let stem = session.file_stem().unwrap_or_default().to_string_lossy();
+    let stem = stem(session);
     let short = fingerprint.rsplit(':').next().and_then(|hex| hex.get(..HASH)).unwrap_or_default();
     let file = PathBuf::from(format!("{stem}-{short}.{extension}"));
     let path = output::folder_of(session).join(&file);
@@ -69,6 +69,15 @@ pub fn write(session: &Path, kind: Kind, content: &impl Serialize) -> Result<Ref
     Ok(Reference { file, fingerprint })
 }
 
+/// What the names of files beside a session begin with: a text that is another one for another session.
+fn stem(session: &Path) -> String {
+    let stem = session.file_stem().unwrap_or_default();
+    match stem.to_str() {
+        Some(text) => text.to_owned(),
+        None => format!("{}-{:016x}", stem.to_string_lossy(), xxh3_64(stem.as_encoded_bytes())),
+    }
+}
+
 /// The files that sessions at this path have written beside them, used or not.
 ///
 /// # Errors
@@ -76,7 +85,7 @@ pub fn write(session: &Path, kind: Kind, content: &impl Serialize) -> Result<Ref
 pub fn beside(session: &Path) -> Result<Vec<PathBuf>> {
     let folder = output::folder_of(session);
     let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
-    let stem = session.file_stem().unwrap_or_default().to_string_lossy();
+    let stem = stem(session);
     let is_ours = |path: &Path| {
         let name = path.file_name().and_then(|name| name.to_str());
         let rest = name.and_then(|n| n.strip_prefix(&*stem)?.strip_prefix('-')?.split_once('.'));

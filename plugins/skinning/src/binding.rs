@@ -81,6 +81,9 @@ impl Binding {
         let joints = fields.len() as f64;
         let (done, total) = (AtomicUsize::new(0), AtomicUsize::new(0));
         host.parallel_blocks(&mut fields, 1, |joint, field| {
+            if total.load(Ordering::Relaxed) > MOST {
+                return;
+            }
             let seeds = seeds[joint].iter().copied();
             let at = 0.4 + 0.5 * done.load(Ordering::Relaxed) as f64 / joints;
             let is_needed = |v: u32, d: f32| d <= most - useless[v as usize];
@@ -101,7 +104,7 @@ impl Binding {
         host.progress(0.9)?;
         let total = total.into_inner();
         if total > MOST {
-            let what = format!("is too fine for this skeleton and falloff: {total} distances");
+            let what = format!("is too fine for this skeleton and falloff: more than {MOST} distances");
             return Err(PluginError::parameter("resolution", &what).hint("lower it, or raise `falloff`"));
         }
         let (starts, entries) = by_voxel(&fields, voxels.len());

@@ -115,8 +115,11 @@ impl Check {
     /// The file to check.
     fn library(&self, report: &mut Report) -> Result<PathBuf> {
         let path = Path::new(&self.plugin);
-        if path.extension().is_none() && path.components().count() == 1 && !path.is_file() {
-            return Ok(PluginOptions::default().discover(report)?.get(&self.plugin)?.path().to_owned());
+        if path.extension().is_none() && path.components().count() == 1 && (path.is_dir() || !path.exists()) {
+            let plugins = PluginOptions::default().discover(report)?;
+            let plugin = plugins.get(&self.plugin)?;
+            plugins.replaced(plugin).into_iter().for_each(|notice| report.warn(notice));
+            return Ok(plugin.path().to_owned());
         }
         // A pipe would be waited for.
         input::open(path)?;

@@ -5,10 +5,12 @@ use std::path::PathBuf;
 use clap::Args;
 use simod_core::Result;
 use simod_core::guard::Kind;
+use simod_core::output::canonical_target;
 use simod_session::SessionFile;
 use simod_session::edit::saved_at;
 use simod_session::session_file::inputs;
 
+use super::notices;
 use super::overwrite::Overwrite;
 use super::plugin_options::PluginOptions;
 use crate::report::Report;
@@ -38,6 +40,7 @@ impl Migrate {
         guard.reads_all(inputs(&self.session)?);
         guard.reads_all(plugins.files());
         guard.writes(&self.output, Kind::Session)?;
+        notices(&plugins, &session.steps, report);
         let notes = plugins.migrate(&mut session.steps)?;
         for step in &session.steps {
             if let Some(deformation) = step.deformation() {
@@ -45,7 +48,13 @@ impl Migrate {
                 plugins.get(&deformation.deform)?;
             }
         }
-        saved_at(&session, &self.output, &plugins).save(&self.output)?;
+        // A session names files as seen from its folder, which that of a descriptor, as `/dev/stdout`, is not.
+        let place = if self.output.starts_with("/dev") || self.output.starts_with("/proc") {
+            canonical_target(&self.output)?
+        } else {
+            self.output.clone()
+        };
+        saved_at(&session, &place, &plugins)?.save(&place)?;
         report.figure("changes", notes.as_slice());
         if notes.is_empty() {
             report.line("the session is as its plugins have it");

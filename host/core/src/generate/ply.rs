@@ -108,8 +108,10 @@ pub fn write_ply(
     let mut write = |piece: Vec<u8>| -> Result<()> {
         progress.check()?;
         out.write_all(&piece).map_err(|error| {
-            let what = format!("cannot write the generated model: {}", error.to_string().to_lowercase());
-            Error::new(ErrorKind::Io, what, "check the disk and the path, then try again")
+            error.downcast().unwrap_or_else(|error| {
+                let what = format!("cannot write the generated model: {}", error.to_string().to_lowercase());
+                Error::new(ErrorKind::Io, what, "check the disk and the path, then try again")
+            })
         })?;
         bytes += piece.len() as u64;
         progress.advance(piece.len() as u64);

@@ -5,12 +5,14 @@ use super::evaluation::{Evaluation, Refinements};
 use crate::pipeline::sampled;
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Origin, SessionFile, Step};
+use crate::session_writer::text;
 use crate::side_file;
 use simod_core::output::folder_of;
 use simod_core::sampled_model::{SampledModel, relative};
 use simod_core::sampling::Skip;
 use simod_core::{Error, Progress, Result};
 use simod_plugin_api::ParamKind;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -125,7 +127,7 @@ impl Editor {
     /// # Errors
     /// The file cannot be written.
     pub fn save(&mut self, path: &Path) -> Result<()> {
-        self.at(path).save(path).map(drop)?;
+        self.at(path)?.save(path).map(drop)?;
         let former = self.path.replace(path.to_owned()).unwrap_or_else(|| path.to_owned());
         forget(&former)?;
         forget(path)?;
@@ -147,7 +149,7 @@ impl Editor {
         let steps = steps.clone();
         let model = self.session.model.as_deref().unwrap_or(Path::new("session.toml"));
         let path = autosave_path(self.path.as_deref().unwrap_or(model));
-        let used = self.at(&path).save(&path)?;
+        let used = self.at(&path)?.save(&path)?;
         // The former files beside it, which nobody else knows.
         remove(side_file::beside(&path)?.into_iter().filter(|path| !used.contains(path)))?;
         self.kept = steps;
@@ -155,44 +157,47 @@ impl Editor {
     }
 
     /// The session as it would be saved at a place.
-    fn at(&self, path: &Path) -> SessionFile {
+    fn at(&self, path: &Path) -> Result<SessionFile> {
         let steps = self.document.steps().iter().map(|entry| (*entry.step).clone()).collect();
         saved_at(&SessionFile { steps, ..self.session.clone() }, path, &self.plugins)
     }
 }
 
 /// A deformation whose files are named as seen from another folder, with where its plugin came from.
-fn moved(from: &Deformation, folder: &Path, plugins: &PluginRegistry) -> Deformation {
+fn moved(from: &Deformation, folder: &Path, plugins: &PluginRegistry) -> Result<Deformation> {
     let mut to = Deformation { folder: folder.to_owned(), ..from.clone() };
-    let Ok(plugin) = plugins.get(&from.deform) else { return to };
+    let Ok(plugin) = plugins.get(&from.deform) else { return Ok(to) };
     to.plugin = Origin::of(plugin);
     if from.folder != folder {
         for file in plugin.params().iter().filter(|d| d.kind == ParamKind::FILE) {
-            if let Some(toml::Value::String(name)) = to.params.get_mut(file.id.as_str())
-                && let Some(seen) = relative(&from.folder.join(&*name), folder).to_str()
-            {
-                *name = seen.to_owned();
+            if let Some(toml::Value::String(name)) = to.params.get_mut(file.id.as_str()) {
+                *name = text(&relative(&from.folder.join(&*name), folder))?;
             }
         }
     }
-    to
+    Ok(to)
 }
 
 /// A session as it is saved at a place: its steps name files as seen from there, and where their plugins came from.
-#[must_use]
-pub fn saved_at(session: &SessionFile, path: &Path, plugins: &PluginRegistry) -> SessionFile {
+///
+/// # Errors
+/// A file cannot be named in a text.
+pub fn saved_at(session: &SessionFile, path: &Path, plugins: &PluginRegistry) -> Result<SessionFile> {
     let folder = folder_of(path);
     let step = |step: &Step| match &step.action {
-        Action::Deform(d) => Step { action: Action::Deform(moved(d, folder, plugins)), ..step.clone() },
-        Action::Refine(_) => step.clone(),
+        Action::Deform(d) => Ok(Step { action: Action::Deform(moved(d, folder, plugins)?), ..step.clone() }),
+        Action::Refine(_) => Ok(step.clone()),
     };
-    SessionFile { steps: session.steps.iter().map(step).collect(), ..session.clone() }
+    let steps = session.steps.iter().map(step).collect::<Result<_>>()?;
+    Ok(SessionFile { steps, ..session.clone() })
 }
 
 /// The file that keeps a session against a crash.
 fn autosave_path(session: &Path) -> PathBuf {
-    let name = session.file_name().unwrap_or_default().to_string_lossy();
-    folder_of(session).join(format!(".{name}.autosave"))
+    let mut name = OsString::from(".");
+    name.push(session.file_name().unwrap_or_default());
+    name.push(".autosave");
+    folder_of(session).join(name)
 }
 
 /// What was kept of a session (or, where it had no file yet, of a model) that was not saved before the program ended; nothing
