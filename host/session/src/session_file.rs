@@ -54,7 +54,7 @@ pub struct Sampling {
     pub error: Option<f64>,
     /// Cells of the grid along its longest side.
     pub grid: Option<u32>,
-    /// What places the samples; by the model's faces, where not given.
+    /// What places the samples; that which tells where the surface is, where not given.
     pub place: Option<Placement>,
 }
 

@@ -43,8 +43,8 @@ pub struct SamplingArguments {
     /// How clusters are split: in space and then in their plane, or in space alone
     #[arg(long, value_enum, default_value_t, value_name = "TREE")]
     tree: Tree,
-    /// What places a sample in its cluster: its vertices alone, or the planes of the model's faces, if it has any: nearer to the
-    /// surface where normals are missing or not its own, and less evenly
+    /// What places a sample in its cluster: its vertices alone, or the planes of the model's faces, which are nearer to the
+    /// surface, and less even; unless given, faces where vertices have no normals, or not those of the surface
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
     place: Place,
     /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be estimated
@@ -68,10 +68,12 @@ enum Tree {
 /// What places samples.
 #[derive(Clone, Copy, Default, ValueEnum)]
 enum Place {
+    /// Faces where normals do not tell where the surface is
+    #[default]
+    Automatic,
     /// Planes of faces
     Faces,
     /// Vertices, with their normals
-    #[default]
     Vertices,
 }
 
@@ -117,6 +119,7 @@ impl SamplingArguments {
             },
             grouping: Grouping::Automatic,
             placement: match self.place {
+                Place::Automatic => Placement::Automatic,
                 Place::Faces => Placement::Faces,
                 Place::Vertices => Placement::Vertices,
             },

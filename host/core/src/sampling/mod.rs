@@ -199,7 +199,7 @@ pub fn sample(
         (None, _) => u64::MAX,
     };
     let reads_faces = info.faces > 0 && info.vertices <= Membership::MAX_VERTICES;
-    let placement = if reads_faces { sampling.placement } else { Placement::Vertices };
+    let placement = if reads_faces { sampling.placement.resolve(model)? } else { Placement::Vertices };
     let sampling = &Sampling { placement, ..*sampling };
     let by_faces = placement == Placement::Faces;
     let clustered = |foresight| -> Result<_> {
