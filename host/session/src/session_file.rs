@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use simod_core::input;
 use simod_core::output::{canonical_target, folder_of};
 use simod_core::refinement::Finer;
-use simod_core::sampling::Placement;
+use simod_core::sampling::{By, Placement};
 use simod_core::{Error, ErrorKind, Result};
 use simod_plugin_api::Time;
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -56,6 +56,8 @@ pub struct Sampling {
     pub grid: Option<u32>,
     /// What places the samples; that which tells where the surface is, where not given.
     pub place: Option<Placement>,
+    /// What samples are spread by; the error of their clusters, where not given.
+    pub by: Option<By>,
 }
 
 /// When in a sequence steps are done, for plugins that take the time.

@@ -3,6 +3,7 @@
 
 mod body;
 mod cells;
+mod density;
 mod emerging;
 mod groups;
 mod parts;
