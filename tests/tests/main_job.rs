@@ -70,14 +70,42 @@ fn samples_are_placed_alike_however_they_come_about() {
         work.simod("run edit.toml");
         work.simod(&format!("sample amphora.ply -o first.simod --samples {} {option}", MANY / 100));
         let info = work.simod("info first.simod").stdout;
-        assert_eq!(info.contains("planes of the faces"), !option.is_empty(), "{info}");
+        assert_eq!(info.contains("planes of the faces"), option.contains("faces"), "{info}");
         work.simod("deform first.simod --session edit.toml -o deformed.ply --refined refined.simod");
         work.simod("reconstruct refined.simod --deformed deformed.ply -o by-three.ply");
         let bytes = work.read("edited.ply");
         assert!(bytes == work.read("by-three.ply"), "{option}: the two ways differ");
         bytes
     };
-    assert!(by("", "") != by("place = \"faces\"\n", "--place faces"), "it makes no difference");
+    // The normals of an amphora are its own.
+    let vertices = by("", "");
+    assert!(vertices == by("place = \"vertices\"\n", "--place vertices"), "not what is automatic");
+    assert!(vertices != by("place = \"faces\"\n", "--place faces"), "it makes no difference");
+}
+
+/// `--by`, and `by` in a session, are the same, and the folder remembers it.
+#[test]
+fn samples_are_spread_alike_however_they_come_about() {
+    let work = amphora(MANY / 20, MANY / 200);
+    let refine = "[[step]]\nrefine = { shapes = [{ sphere = { center = [0.41, 1, 0.41], radius = 0.25 } }], factor = 4 }\n";
+    let by = |rule: &str| {
+        work.write_session("amphora.ply", MANY / 200, &format!("by = \"{rule}\"\n{refine}{STEPS}"));
+        work.simod("run edit.toml");
+        work.simod(&format!("sample amphora.ply -o first.simod --samples {} --by {rule}", MANY / 200));
+        let info = work.simod("info first.simod").stdout;
+        assert_eq!(info.contains(&format!("spread by {rule}")), rule != "error", "{info}");
+        work.simod("deform first.simod --session edit.toml -o deformed.ply --refined refined.simod");
+        let info = work.simod("info refined.simod").stdout;
+        assert_eq!(info.contains(&format!("spread by {rule}")), rule != "error", "{info}");
+        work.simod("reconstruct refined.simod --deformed deformed.ply -o by-three.ply");
+        let bytes = work.read("edited.ply");
+        assert!(bytes == work.read("by-three.ply"), "{rule}: the two ways differ");
+        bytes
+    };
+    let (error, area, vertices) = (by("error"), by("area"), by("vertices"));
+    assert!(error != area && area != vertices && vertices != error, "it makes no difference");
+    let outcome = work.run("sample amphora.ply -o second.simod --by colour");
+    assert!(outcome.code != Some(0) && outcome.stderr.contains("area"), "{}", outcome.stderr);
 }
 
 #[test]

@@ -17,10 +17,11 @@ use crate::input::{self, Identity};
 use crate::model::{self, FaceChunk, Model, Scalar, VertexChunk};
 use crate::output_folder::OutputFolder;
 use crate::refinement::Refinement;
+use crate::sampling::density::Rule;
 use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::lattice::Grid;
 use crate::sampling::triangles::Triangles;
-use crate::sampling::{Grouping, Placement, SampleSet, Sampling, Skip, Splitting, Target};
+use crate::sampling::{By, Grouping, Placement, SampleSet, Sampling, Skip, Splitting, Target};
 use crate::touching::Contacts;
 use crate::{Error, ErrorKind, Progress, Result, output};
 
@@ -205,6 +206,9 @@ struct SamplingRecord {
     cell_size: f64,
     #[serde(default)]
     splitting: Splitting,
+    /// What samples are spread by.
+    #[serde(default, skip_serializing_if = "By::is_error")]
+    by: By,
     /// Level of the groups that open cells held, if they held groups.
     #[serde(skip_serializing_if = "Option::is_none")]
     group_level: Option<u32>,
@@ -293,6 +297,13 @@ impl SampledModel {
         })
     }
 
+    /// How its clusters were split, and will be.
+    pub(crate) fn rule(&self) -> Rule {
+        let Source { vertices, non_finite, .. } = self.source;
+        let (finite, edge) = (vertices.saturating_sub(non_finite), self.cell_size / self.frame.scale);
+        Rule::new(self.sampling.splitting, self.sampling.by, finite, self.cells, edge)
+    }
+
     /// The model's diagonal, in local units.
     pub fn local_diagonal(&self) -> f64 {
         self.bounds.diagonal() / self.frame.scale
@@ -342,6 +353,7 @@ impl SampledModel {
                 cells: self.cells,
                 cell_size: self.cell_size,
                 splitting: self.sampling.splitting,
+                by: self.sampling.by,
                 group_level: match self.sampling.grouping {
                     Grouping::Level(level) => Some(level),
                     _ => None,
@@ -486,6 +498,7 @@ impl SampledModel {
                 grid: description.sampling.grid,
                 memory_limit: None,
                 splitting: description.sampling.splitting,
+                by: description.sampling.by,
                 grouping: description.sampling.group_level.map_or(Grouping::Never, Grouping::Level),
                 placement: description.sampling.placement.unwrap_or(Placement::Vertices),
                 skip: Skip { normals: set.known_normals().is_empty(), ..Skip::default() },

@@ -275,6 +275,12 @@ impl From<session_file::Sampling> for Sampling {
             (None, Some(e)) => Target::Error(e),
             (None, None) => Target::default(),
         };
-        Self { target, grid: from.grid, placement: from.place.unwrap_or_default(), ..Self::default() }
+        Self {
+            target,
+            grid: from.grid,
+            by: from.by.unwrap_or_default(),
+            placement: from.place.unwrap_or_default(),
+            ..Self::default()
+        }
     }
 }

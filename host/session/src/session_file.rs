@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use simod_core::input;
 use simod_core::output::{canonical_target, folder_of};
 use simod_core::refinement::Finer;
-use simod_core::sampling::Placement;
+use simod_core::sampling::{By, Placement};
 use simod_core::{Error, ErrorKind, Result};
 use simod_plugin_api::Time;
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -54,8 +54,10 @@ pub struct Sampling {
     pub error: Option<f64>,
     /// Cells of the grid along its longest side.
     pub grid: Option<u32>,
-    /// What places the samples; by the model's faces, where not given.
+    /// What places the samples; that which tells where the surface is, where not given.
     pub place: Option<Placement>,
+    /// What samples are spread by; the error of their clusters, where not given.
+    pub by: Option<By>,
 }
 
 /// When in a sequence steps are done, for plugins that take the time.

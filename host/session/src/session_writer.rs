@@ -87,6 +87,9 @@ fn sampling(from: &Sampling) -> Table {
     if let Some(grid) = from.grid {
         table["grid"] = value(i64::from(grid));
     }
+    if let Some(by) = from.by {
+        table["by"] = value(by.name());
+    }
     if let Some(place) = from.place {
         table["place"] = value(place.name());
     }
@@ -287,7 +290,7 @@ mod tests {
     use super::*;
     use crate::session_file::Origin;
     use crate::shapes::Shapes;
-    use simod_core::sampling::Placement;
+    use simod_core::sampling::{By, Placement};
     use std::sync::Arc;
 
     fn stroke(points: usize) -> Arc<Stroke> {
@@ -349,6 +352,7 @@ mod tests {
                 error: None,
                 grid: Some(64),
                 place: Some(Placement::Vertices),
+                by: Some(By::Area),
             },
             time: SessionTime { frame: Some(-3), rate: Some(25.0), seconds: None },
             steps: vec![
@@ -410,6 +414,7 @@ fingerprint = "xxh3-128:0"
 [sampling]
 samples = 50000
 grid = 64
+by = "area"
 place = "vertices"
 
 [time]

@@ -9,7 +9,7 @@ use simod_core::model::Scalar;
 use simod_core::refinement::Refinement;
 use simod_core::render::picture;
 use simod_core::sampled_model::SampledModel;
-use simod_core::sampling::{Placement, Target};
+use simod_core::sampling::{By, Placement, Target};
 use simod_core::{Result, model};
 
 use crate::report::{Report, count};
@@ -74,6 +74,9 @@ impl Info {
             count(sampled.cells),
             sampled.cell_size
         ));
+        if sampled.sampling.by != By::Error {
+            report.line(format!("spread by {}", sampled.sampling.by.name()));
+        }
         if sampled.sampling.placement == Placement::Faces {
             report.line("placed by the planes of the faces around them");
         }

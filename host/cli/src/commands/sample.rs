@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use simod_core::guard::Guard;
 use simod_core::output::folder_of;
 use simod_core::sampled_model::SampledModel;
-use simod_core::sampling::{Grouping, Placement, Sampling, Skip, Splitting, Target, sample};
+use simod_core::sampling::{By, Grouping, Placement, Sampling, Skip, Splitting, Target, sample};
 use simod_core::{Result, model};
 
 use super::warn_non_finite;
@@ -43,8 +43,12 @@ pub struct SamplingArguments {
     /// How clusters are split: in space and then in their plane, or in space alone
     #[arg(long, value_enum, default_value_t, value_name = "TREE")]
     tree: Tree,
-    /// What places a sample in its cluster: its vertices alone, or the planes of the model's faces, if it has any: nearer to the
-    /// surface where normals are missing or not its own, and less evenly
+    /// What samples are spread by: the `error` of their clusters, so that more are where the surface bends; `area`, as far apart
+    /// everywhere; or `vertices`, the error beside the distance between vertices, so that finer parts get finer samples
+    #[arg(long, value_enum, default_value_t, value_name = "WHAT")]
+    by: Spread,
+    /// What places a sample in its cluster: its vertices alone, or the planes of the model's faces, which are nearer to the
+    /// surface, and less even; unless given, faces where vertices have no normals, or not those of the surface
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
     place: Place,
     /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be estimated
@@ -65,13 +69,27 @@ enum Tree {
     Octree,
 }
 
+/// What samples are spread by.
+#[derive(Clone, Copy, Default, ValueEnum)]
+enum Spread {
+    /// Error of clusters
+    #[default]
+    Error,
+    /// Reach of clusters
+    Area,
+    /// Error of clusters beside the distance between vertices
+    Vertices,
+}
+
 /// What places samples.
 #[derive(Clone, Copy, Default, ValueEnum)]
 enum Place {
+    /// Faces where normals do not tell where the surface is
+    #[default]
+    Automatic,
     /// Planes of faces
     Faces,
     /// Vertices, with their normals
-    #[default]
     Vertices,
 }
 
@@ -116,7 +134,13 @@ impl SamplingArguments {
                 Tree::Octree => Splitting::Octree,
             },
             grouping: Grouping::Automatic,
+            by: match self.by {
+                Spread::Error => By::Error,
+                Spread::Area => By::Area,
+                Spread::Vertices => By::Vertices,
+            },
             placement: match self.place {
+                Place::Automatic => Placement::Automatic,
                 Place::Faces => Placement::Faces,
                 Place::Vertices => Placement::Vertices,
             },

@@ -462,7 +462,7 @@ impl Work<'_> {
             }
             progress.begin("refining", 0);
             let how = Regrowing {
-                splitting: sampled.sampling.splitting,
+                rule: sampled.rule(),
                 sizing: &self.sizing,
                 bound,
                 leaves_from: sampled.samples.len() as u32,

@@ -5,9 +5,10 @@
 //! of these vertices goes on below it. What it comes to does not depend on how many refinements led there.
 
 use crate::sampling::cluster::{Element, Moments, Sample};
+use crate::sampling::density::Rule;
 use crate::sampling::finalization::seed_of;
 use crate::sampling::kept_cells::{CutTree, KeptCell};
-use crate::sampling::vs_tree::{Splitting, VsTree, Workspace, children, mix};
+use crate::sampling::vs_tree::{VsTree, Workspace, children, mix};
 use glam::Vec3;
 
 use super::gathering::{Gathered, SAMPLES_OF_A_PART};
@@ -71,7 +72,7 @@ pub(super) struct Changed;
 
 /// How cells are regrown.
 pub(super) struct Regrowing<'a> {
-    pub splitting: Splitting,
+    pub rule: Rule,
     pub sizing: &'a Sizing<'a>,
     /// Bound inside the selection; local units.
     pub bound: f32,
@@ -186,7 +187,7 @@ impl Regrowing<'_> {
         let mut leaf_of_item = vec![0u32; gathered.items()];
         if top.nodes.len() > 1 {
             let starts = top.parts(gathered.parts()).ok_or(Changed)?;
-            let along = Along { splitting: self.splitting, tree, top, seed };
+            let along = Along { rule: self.rule, tree, top, seed };
             match &mut gathered.groups {
                 Some((parts, _)) => {
                     let mut parts = parts.iter_mut().zip(starts);
@@ -241,7 +242,7 @@ impl Regrowing<'_> {
             goes_on
         };
         let root = (tree.errors[leaf.nodes.start], seed);
-        let (built, _) = VsTree::build_where(vertices, workspace, self.splitting, root, goes_on);
+        let (built, _) = VsTree::build_where(vertices, workspace, self.rule, root, goes_on);
         if next != leaf.nodes.end {
             return Err(Changed);
         }
@@ -278,7 +279,7 @@ impl Regrowing<'_> {
 
 /// A cell's tree as it is kept.
 struct Along<'a> {
-    splitting: Splitting,
+    rule: Rule,
     tree: &'a CutTree,
     top: &'a Top,
     seed: u64,
@@ -302,7 +303,7 @@ impl Along<'_> {
             kept.get(at - 1).is_some_and(|node| node.children > 0)
         };
         let root = (f32::INFINITY, self.seed);
-        let (built, _) = VsTree::build_where(part, &mut workspace, self.splitting, root, goes_on);
+        let (built, _) = VsTree::build_where(part, &mut workspace, self.rule, root, goes_on);
         slots.iter_mut().zip(&workspace.leaves).for_each(|(slot, leaf)| *slot = before + leaf);
         let same = |(i, known): (usize, &TopNode)| {
             built.children(i) == u32::from(known.children)

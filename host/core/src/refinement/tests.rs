@@ -97,8 +97,7 @@ fn members(sampled: &SampledModel, model: &dyn Model) -> Vec<Option<u32>> {
         sampled.frame,
     ));
     let old = sampled.samples.len() as u32;
-    let how =
-        Regrowing { splitting: sampled.sampling.splitting, sizing: &sizing, bound: 0.0, leaves_from: old };
+    let how = Regrowing { rule: sampled.rule(), sizing: &sizing, bound: 0.0, leaves_from: old };
     let mut built = 0;
     let cells: Vec<Regrown> = gathered
         .into_iter()

@@ -359,8 +359,12 @@ impl Moments {
         } else {
             least_eigenvalue(covariance).sqrt()
         };
-        let reach = (representative - self.min).max(self.max - representative).as_dvec3().length();
-        shape + REACH_WEIGHT * reach
+        shape + REACH_WEIGHT * self.reach(representative)
+    }
+
+    /// Distance of a point in the box to its farthest corner.
+    pub fn reach(&self, from: Vec3) -> f64 {
+        (from - self.min).max(self.max - from).as_dvec3().length()
     }
 
     /// The minimum of the quadric, inside the box of the samples.

@@ -14,12 +14,13 @@ use xxhash_rust::xxh3::Xxh3Default;
 
 use super::cluster::{Element, Moments};
 use super::cut::{Forest, most_kept, running_bound};
+use super::density::Rule;
 use super::gather::Gather;
 use super::lattice::{CellKey, Grid, cell_box};
 use super::membership::{Leaves, Membership};
 use super::open_cells::CellItems;
 use super::ranges::Ranges;
-use super::vs_tree::{Splitting, VsTree, Workspace, mix};
+use super::vs_tree::{VsTree, Workspace, mix};
 use crate::frame::Frame;
 use crate::geometry::Bounds;
 use crate::model::{Model, for_vertices};
@@ -60,7 +61,7 @@ pub struct Pass<'a> {
     /// Its local coordinates.
     pub frame: &'a Frame,
     /// How clusters are split.
-    pub splitting: Splitting,
+    pub rule: Rule,
     /// Number of samples that is aimed at, if any.
     pub target: Option<usize>,
     /// Error down to which cells are clustered, in local units.
@@ -231,7 +232,7 @@ impl Pass<'_> {
             self.progress.check()?;
             let stop = f32::from_bits(stop.load(Ordering::Relaxed));
             let first = items.first().map_or(0, E::index);
-            let (tree, moments) = VsTree::build(items, workspace, self.splitting, stop, seed);
+            let (tree, moments) = VsTree::build(items, workspace, self.rule, stop, seed);
             if let Some(members) = members {
                 let before = whole.as_ref().map_or(0, |(tree, _)| tree.built());
                 workspace.leaves.iter_mut().for_each(|leaf| *leaf += before);

@@ -6,6 +6,7 @@
 
 pub mod cluster;
 pub(crate) mod cut;
+pub(crate) mod density;
 mod face_ranges;
 pub(crate) mod finalization;
 pub(crate) mod gather;
@@ -28,6 +29,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+pub use density::By;
 pub use gather::Grouping;
 pub use kd_tree::KdTree;
 pub use placement::Placement;
@@ -40,6 +42,7 @@ use crate::output::human_size;
 use crate::sampled_model::{SampledModel, Source, fingerprint};
 use crate::touching::{Contacts, Islands, Parted, Parting};
 use crate::{Error, ErrorKind, Progress, Result};
+use density::Rule;
 use face_ranges::FaceRanges;
 use finalization::{Clustered, Pass};
 use gather::{Groups, Samples};
@@ -78,6 +81,8 @@ pub struct Sampling {
     pub memory_limit: Option<u64>,
     /// How clusters are split.
     pub splitting: Splitting,
+    /// What samples are spread by.
+    pub by: By,
     /// Whether open cells hold samples or groups of them.
     pub grouping: Grouping,
     /// What places the samples.
@@ -190,7 +195,15 @@ pub fn sample(
     };
     let cells = grid.keys.len();
     let memory = sampling.memory_for_cells(&grid);
-    let grouping = sampling.grouping.resolve(&grid, &frame, sampling.target);
+    let finite = info.vertices - non_finite.count;
+    let edge = grid.cell_size() / frame.scale;
+    let rule = Rule::new(sampling.splitting, sampling.by, finite, cells as u64, edge);
+    // A group is as large wherever it is: finer vertices would be lost in it.
+    let grouping = match (sampling.grouping, sampling.by) {
+        (Grouping::Automatic, By::Vertices) => Grouping::Never,
+        (grouping, _) => grouping,
+    };
+    let grouping = grouping.resolve(&grid, &frame, sampling.target);
     let for_groups = match (sampling.memory_limit, sampling.grouping) {
         (Some(_), _) => memory,
         // Not by the machine's memory, so that the samples do not depend on it …
@@ -199,7 +212,7 @@ pub fn sample(
         (None, _) => u64::MAX,
     };
     let reads_faces = info.faces > 0 && info.vertices <= Membership::MAX_VERTICES;
-    let placement = if reads_faces { sampling.placement } else { Placement::Vertices };
+    let placement = if reads_faces { sampling.placement.resolve(model)? } else { Placement::Vertices };
     let sampling = &Sampling { placement, ..*sampling };
     let by_faces = placement == Placement::Faces;
     let clustered = |foresight| -> Result<_> {
@@ -207,7 +220,7 @@ pub fn sample(
             model,
             grid: &grid,
             frame: &frame,
-            splitting: sampling.splitting,
+            rule,
             target,
             bound,
             most: usize::try_from(sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE)

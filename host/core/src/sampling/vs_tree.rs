@@ -7,7 +7,7 @@
 //! axis alone, somewhat longer along the other. Two sheets with opposite
 //! normals are parted at once, by the sign of their normals, instead of splitting down to their distance.
 //!
-//! A node's *key* is its error, or its parent's if that is less: the clusters of a cut at ε are those reached
+//! A node's *key* is its error, or what `density` makes of it, or its parent's if that is less: the clusters of a cut at ε are those reached
 //! from the root by going on while the key exceeds ε and there is something below, and their number falls as ε
 //! grows.
 
@@ -15,6 +15,7 @@ use glam::{DMat3, DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 use super::cluster::{Element, Moments};
+use super::density::{By, Rule};
 use crate::geometry::symmetric_eigen;
 
 /// A cluster projects on its mean plane without folding if its normals lie within this cosine of the plane's.
@@ -28,6 +29,9 @@ const SPLIT_ASPECT: f32 = 0.75;
 
 /// An axis in the plane along which the surface does not bend counts as being of this part of its length.
 const LEAST_BENDING: f32 = 0.4;
+
+/// Part of a box's extent by which the mean of its vertices is off its middle where they are denser at one end.
+const LOPSIDED: f32 = 0.25;
 
 /// Part of a cluster's error that its place in the tree adds: it orders clusters that are alike (a flat grid of
 /// points has thousands) so that a cut through them is spread evenly instead of sweeping from one end.
@@ -80,12 +84,12 @@ impl VsTree {
     pub fn build<E: Element>(
         elements: &mut [E],
         workspace: &mut Workspace<E>,
-        splitting: Splitting,
+        rule: impl Into<Rule>,
         stop: f32,
         seed: u64,
     ) -> (Self, Moments) {
         let goes_on = |_: &Moments, key: f32, _: u32| key > stop;
-        Self::build_where(elements, workspace, splitting, (f32::INFINITY, seed), goes_on)
+        Self::build_where(elements, workspace, rule, (f32::INFINITY, seed), goes_on)
     }
 
     /// As [`build`](Self::build), where `goes_on` decides which clusters are split, if they can be: it is asked for each
@@ -94,7 +98,7 @@ impl VsTree {
     pub fn build_where<E: Element>(
         elements: &mut [E],
         workspace: &mut Workspace<E>,
-        splitting: Splitting,
+        rule: impl Into<Rule>,
         root: (f32, u64),
         goes_on: impl FnMut(&Moments, f32, u32) -> bool,
     ) -> (Self, Moments) {
@@ -107,7 +111,7 @@ impl VsTree {
         nodes.clear();
         codes.resize(elements.len(), 0);
         let first_index = elements.first().map_or(0, E::index);
-        let mut builder = Builder { splitting, goes_on, nodes, built: 0, codes, leaves, first_index };
+        let mut builder = Builder { rule: rule.into(), goes_on, nodes, built: 0, codes, leaves, first_index };
         let (above, seed) = root;
         let root = Place { above, stage: Stage::Volume, depth: 0, seed };
         builder.node(elements, spare, moments, root);
@@ -256,7 +260,7 @@ impl Place {
 }
 
 struct Builder<'a, F> {
-    splitting: Splitting,
+    rule: Rule,
     goes_on: F,
     nodes: &'a mut Vec<Node>,
     built: u32,
@@ -271,7 +275,7 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
     fn node<E: Element>(&mut self, elements: &mut [E], spare: &mut [E], m: Moments, place: Place) {
         let dither = 1.0 + DITHER * (place.seed >> 40) as f64 / (1u64 << 24) as f64;
         let (position, normal, error) = m.representative();
-        let key = place.above.min((f64::from(error) * dither) as f32);
+        let key = place.above.min((self.rule.key(&m, position, error) * dither) as f32);
         let at = self.nodes.len();
         self.nodes.push(Node { position, normal, key, end: 0, first: self.built });
         let whole = !(self.goes_on)(&m, key, place.depth)
@@ -298,7 +302,7 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
     ) -> bool {
         let stage = match place.stage {
             Stage::Surface(_) if m.mean_normal() != DVec3::ZERO => place.stage,
-            _ if self.splitting == Splitting::Octree => Stage::Volume,
+            _ if self.rule.splitting == Splitting::Octree => Stage::Volume,
             _ => match examine(elements, m) {
                 Shape::Sheet(tangents) => Stage::Surface(tangents),
                 Shape::TwoSheets(axis) => {
@@ -311,6 +315,11 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
         };
         if let Stage::Surface(tangents) = stage {
             let below = |part| place.below(key, stage, part);
+            // Few vertices beside many: at the mean of all these would be parted, and the few never from them.
+            if self.rule.by == By::Vertices && is_lopsided(m) && self.part(elements, spare, octant(m), below)
+            {
+                return true;
+            }
             if self.part(elements, spare, quadrant(m, tangents), below) {
                 return true;
             }
@@ -407,6 +416,14 @@ fn principal_tangents(covariance: DMat3, normal: DVec3) -> [Vec3; 2] {
     let angle = 0.5 * (2.0 * b).atan2(a - c);
     let t = u * angle.cos() + v * angle.sin();
     [t.as_vec3(), normal.cross(t).as_vec3()]
+}
+
+/// Whether the mean is far from the middle of the box, along any of its longer axes.
+fn is_lopsided(m: &Moments) -> bool {
+    let extent = m.max - m.min;
+    let off = (m.mean().as_vec3() - (m.min * 0.5 + m.max * 0.5)).abs();
+    let long = extent.cmpgt(Vec3::splat(extent.max_element() * SPLIT_ASPECT));
+    (off.cmpgt(extent * LOPSIDED) & long).any()
 }
 
 /// The code of an element's place in the cluster's box: one bit per axis that is split, at the middle.

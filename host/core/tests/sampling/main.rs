@@ -4,6 +4,7 @@
 mod attributes;
 mod body;
 mod cells;
+mod density;
 mod emerging;
 mod groups;
 mod parts;

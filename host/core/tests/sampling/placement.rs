@@ -40,6 +40,10 @@ fn by(placement: Placement, target: Target) -> Sampling {
     Sampling { target, placement, ..Sampling::default() }
 }
 
+fn samples(n: u64) -> Sampling {
+    by(Placement::default(), Target::Samples(n))
+}
+
 /// How far the triangles are from the relief, rms.
 fn off(sampled: &SampledModel) -> f64 {
     let mut squares = Vec::new();
@@ -163,4 +167,44 @@ fn cells_of_former_folders_are_made_again() {
         saved.cells();
         assert!(saved.bytes() == bytes, "{placement:?}");
     }
+}
+
+/// Where normals are missing or those of a smoother surface, faces place the samples, and where they are the surface's own, vertices.
+#[test]
+fn normals_are_trusted_unless_faces_tell_otherwise() {
+    let placed = |body: &Body| body.sampled(samples(1000)).sampling.placement;
+    let body = relief();
+    assert_eq!(placed(&body), Placement::Faces);
+    assert_eq!(placed(&body.clone().without_normals()), Placement::Faces);
+    assert_eq!(placed(&body.shuffled()), Placement::Faces);
+    let zero = Body { normals: vec![Vec3::ZERO; body.positions.len()], ..body.clone() };
+    assert_eq!(placed(&zero), Placement::Faces);
+    assert_eq!(placed(&body.clone().without_faces()), Placement::Vertices);
+    assert_eq!(placed(&body.clone().without_faces().without_normals()), Placement::Vertices);
+
+    // On whichever side, and with a little noise.
+    let slope = |p: &DVec3, axis: DVec3| {
+        let (a, b) = (*p - axis * 1e-5, *p + axis * 1e-5);
+        (height(b.x, b.z) - height(a.x, a.z)) / 2e-5
+    };
+    let own = |(i, p): (usize, &DVec3)| {
+        let normal = DVec3::new(-slope(p, DVec3::X), 1.0, -slope(p, DVec3::Z)).normalize_or(DVec3::Y);
+        let noise = DVec3::new((i * 7 % 11) as f64, (i * 5 % 13) as f64, (i * 3 % 17) as f64) * 1e-3;
+        ((normal + noise).normalize_or(DVec3::Y) * if i / 1000 % 2 == 0 { 1.0 } else { -1.0 }).as_vec3()
+    };
+    let body = Body { normals: body.positions.iter().enumerate().map(own).collect(), ..body };
+    assert_eq!(placed(&body), Placement::Vertices);
+    assert_eq!(placed(&body.shuffled()), Placement::Vertices);
+    for shape in [Shape::Amphora, Shape::BumpySphere, Shape::BumpyPlane, Shape::Cactus, Shape::Bar] {
+        let body = Body::generated(shape, 40_000);
+        assert_eq!(placed(&body), Placement::Vertices, "{shape:?}");
+        assert_eq!(placed(&body.without_normals()), Placement::Faces, "{shape:?}");
+    }
+    // Faces that are no surface tell nothing; nor does what is flat.
+    let count = body.positions.len() as u32;
+    let faces = vec![[0, 0, 0], [u32::MAX - 1, count, count + 1], [1, 1, 2]];
+    assert_eq!(placed(&Body { faces, ..body.clone() }), Placement::Vertices);
+    let flat = body.positions.iter().map(|p| DVec3::new(p.x, 0.0, p.z)).collect();
+    let normals = vec![Vec3::new(0.001, 1.0, 0.002); count as usize];
+    assert_eq!(placed(&Body { positions: flat, normals, ..body }), Placement::Vertices);
 }

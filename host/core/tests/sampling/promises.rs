@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::cluster::REACH_WEIGHT;
-use simod_core::sampling::{Grouping, Sampling, Splitting, Target};
+use simod_core::sampling::{By, Grouping, Sampling, Splitting, Target};
 
 use crate::body::{Body, worst_distance};
 
@@ -68,6 +68,10 @@ fn body() -> impl Strategy<Value = Body> {
     )
 }
 
+fn by() -> impl Strategy<Value = By> {
+    prop_oneof![Just(By::Error), Just(By::Area), Just(By::Vertices)]
+}
+
 fn splitting() -> impl Strategy<Value = Splitting> {
     prop_oneof![Just(Splitting::VolumeSurface), Just(Splitting::Octree)]
 }
@@ -109,11 +113,11 @@ proptest! {
 
     #[test]
     fn an_error_bounds_how_far_a_sample_is(
-        body in body(), splitting in splitting(), exponent in -5.0..0.0f64, grid in 2u32..40,
+        body in body(), splitting in splitting(), by in by(), exponent in -5.0..0.0f64, grid in 2u32..40,
     ) {
         let e = 10f64.powf(exponent);
         let sampling =
-            Sampling { target: Target::Error(e), grid: Some(grid), splitting, ..Sampling::default() };
+            Sampling { target: Target::Error(e), grid: Some(grid), splitting, by, ..Sampling::default() };
         let sampled = body.sampled(sampling);
         check_samples(&sampled, &body, 0.0)?;
         let diagonal = sampled.local_diagonal();
@@ -123,10 +127,10 @@ proptest! {
 
     #[test]
     fn a_number_of_samples_is_met(
-        body in body(), splitting in splitting(), n in 1usize..300, grid in 2u32..40,
+        body in body(), splitting in splitting(), by in by(), n in 1usize..300, grid in 2u32..40,
     ) {
         let target = Target::Samples(n as u64);
-        let sampled = body.sampled(Sampling { target, grid: Some(grid), splitting, ..Sampling::default() });
+        let sampled = body.sampled(Sampling { target, grid: Some(grid), splitting, by, ..Sampling::default() });
         check_samples(&sampled, &body, 0.0)?;
         let (found, (places, sides)) = (sampled.samples.len(), distinct(&sampled, &body));
         prop_assert!(found <= n.min(sides), "{} samples instead of {} of {}", found, n, sides);
@@ -141,11 +145,11 @@ proptest! {
 
     #[test]
     fn groups_of_any_points_give_no_more_samples_than_asked_for(
-        body in body(), splitting in splitting(), n in 1usize..300, grid in 2u32..40, level in 0u32..8,
+        body in body(), splitting in splitting(), by in by(), n in 1usize..300, grid in 2u32..40, level in 0u32..8,
     ) {
         let (target, grouping) = (Target::Samples(n as u64), Grouping::Level(level));
         let sampled =
-            body.sampled(Sampling { target, grid: Some(grid), splitting, grouping, ..Sampling::default() });
+            body.sampled(Sampling { target, grid: Some(grid), splitting, by, grouping, ..Sampling::default() });
         let edge = sampled.cell_size / f64::from(1 << level);
         check_samples(&sampled, &body, edge)?;
         prop_assert!(sampled.samples.len() <= n, "{} samples instead of {}", sampled.samples.len(), n);

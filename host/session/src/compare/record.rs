@@ -57,7 +57,7 @@ pub struct MethodRecord {
     pub name: String,
     /// What its files begin with.
     pub file: String,
-    /// `samples`, `error`, `grid` and `place`, as far as they were given.
+    /// `samples`, `error`, `grid`, `by` and `place`, as far as they were given.
     pub sampling: Map<String, Value>,
     /// `blended-jets` or `projected-barycentric`.
     pub reconstruction: String,
@@ -170,6 +170,7 @@ impl MethodRecord {
             ("samples", given.samples.map(Value::from)),
             ("error", given.error.map(Value::from)),
             ("grid", given.grid.map(Value::from)),
+            ("by", given.by.map(|by| Value::from(by.name()))),
             ("place", given.place.map(|place| Value::from(place.name()))),
         ];
         let reconstruction = match method.reconstruction {

@@ -262,12 +262,13 @@ fn opened(
 
 /// A session that samples a model as it was sampled.
 fn session_of(sampled: &SampledModel) -> SessionFile {
-    use simod_core::sampling::{Placement, Target};
+    use simod_core::sampling::{By, Placement, Target};
     let (samples, error) = match sampled.sampling.target {
         Target::Samples(n) => (Some(n), None),
         Target::Error(e) => (None, Some(e)),
     };
+    let by = Some(sampled.sampling.by).filter(|by| *by != By::Error);
     let place = Some(sampled.sampling.placement).filter(|by| *by == Placement::Faces);
-    let sampling = Sampling { samples, error, grid: sampled.sampling.grid, place };
+    let sampling = Sampling { samples, error, grid: sampled.sampling.grid, place, by };
     SessionFile { model: Some(sampled.source.path.clone()), sampling, ..SessionFile::default() }
 }
