@@ -56,6 +56,8 @@ pub struct Sampling {
     pub grid: Option<u32>,
     /// What places the samples; by the model's faces, where not given.
     pub place: Option<Placement>,
+    /// Whether the model's faces tell sheets apart that touch; so they do, where not given.
+    pub sheets: Option<bool>,
 }
 
 /// When in a sequence steps are done, for plugins that take the time.

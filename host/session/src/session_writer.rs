@@ -89,6 +89,9 @@ fn sampling(from: &Sampling) -> Table {
     if let Some(place) = from.place {
         table["place"] = value(place.name());
     }
+    if let Some(sheets) = from.sheets {
+        table["sheets"] = value(sheets);
+    }
     table
 }
 
@@ -348,6 +351,7 @@ mod tests {
                 error: None,
                 grid: Some(64),
                 place: Some(Placement::Vertices),
+                sheets: Some(false),
             },
             time: SessionTime { frame: Some(-3), rate: Some(25.0), seconds: None },
             steps: vec![
@@ -410,6 +414,7 @@ fingerprint = "xxh3-128:0"
 samples = 50000
 grid = 64
 place = "vertices"
+sheets = false
 
 [time]
 frame = -3

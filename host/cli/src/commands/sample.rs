@@ -47,11 +47,12 @@ pub struct SamplingArguments {
     /// surface where normals are missing or not its own, and less evenly
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
     place: Place,
-    /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be estimated
+    /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be estimated, `sheets`: telling
+    /// parts that touch apart by the model's faces, as the fingers of a fist
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
     skip: Vec<Part>,
-    /// Tell parts that touch apart by the model's faces, as the fingers of a fist
-    #[arg(long)]
+    /// Taken as it ever was: sheets are told apart unless they are skipped
+    #[arg(long, hide = true)]
     sheets: bool,
 }
 
@@ -81,6 +82,7 @@ enum Part {
     Triangles,
     Cells,
     Normals,
+    Sheets,
 }
 
 /// A size in bytes, with K, M, G or T for powers of 1024.
@@ -124,8 +126,8 @@ impl SamplingArguments {
                 triangles: skips(Part::Triangles),
                 cells: skips(Part::Cells),
                 normals: skips(Part::Normals),
+                sheets: skips(Part::Sheets) && !self.sheets,
             },
-            sheets: self.sheets,
         }
     }
 }

@@ -3,7 +3,8 @@
 //! The file begins with eight letters and a version. What is known of the samples follows, then the places, and a checksum of all
 //! before it.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 use std::sync::Arc;
@@ -275,19 +276,17 @@ struct Near {
     samples: SampleSet,
 }
 
-/// Homes are looked up among the neighbours of a sample, whose own supports and sheets depend on theirs.
-const RINGS: usize = 3;
+/// Neighbours that are gone on to, one after the other: the home of a place is among those of the sample of its cell, whose
+/// sheet is looked for among those around, by the links that these have to their own neighbours.
+const RINGS: [usize; 3] = [NEIGHBOURS, CROWDED_NEIGHBOURS, NEIGHBOURS];
 
 impl Near {
     fn new(samples: &SampleSet, lists: &Lists) -> Self {
         let mut numbers: BTreeSet<u32> = lists.samples.iter().copied().collect();
         let mut border = lists.samples.clone();
-        for _ in 0..RINGS {
-            let near: Vec<Vec<u32>> = border
-                .par_iter()
-                .map(|i| samples.nearest_neighbours(*i as usize, CROWDED_NEIGHBOURS))
-                .collect();
-            border = near.into_iter().flatten().filter(|i| numbers.insert(*i)).collect();
+        for count in RINGS {
+            let near = border.par_iter().map(|i| samples.nearest_neighbours(*i as usize, count));
+            border = near.collect::<Vec<_>>().into_iter().flatten().filter(|i| numbers.insert(*i)).collect();
         }
         // With the outermost ones of all, the cells in which homes are looked up are those of the whole set.
         for axis in 0..3 {
@@ -423,21 +422,27 @@ fn make_mutual(samples: &SampleSet, lists: &mut BTreeMap<u32, Vec<u32>>) {
 
 /// Those of `near`, in their order, to which a short way leads from a sample, over samples that faces join.
 fn connected(positions: &[Vec3], parted: &Parted, sample: u32, near: &[u32]) -> Vec<u32> {
-    let place: HashMap<u32, usize> = near.iter().copied().chain([sample]).zip(0..).collect();
-    let distance = |a: u32, b: u32| positions[a as usize].distance(positions[b as usize]);
-    let most = DETOUR * near.last().map_or(0.0, |last| distance(sample, *last));
     // The sample itself has the last place.
     let nodes: Vec<u32> = near.iter().copied().chain([sample]).collect();
+    let mut places: Vec<(u32, usize)> = nodes.iter().copied().zip(0..).collect();
+    places.sort_unstable();
+    let place = |node: u32| places.binary_search_by_key(&node, |(node, _)| *node).ok().map(|at| places[at].1);
+    let distance = |a: u32, b: u32| positions[a as usize].distance(positions[b as usize]);
+    let most = DETOUR * near.last().map_or(0.0, |last| distance(sample, *last));
     let mut ways = vec![f32::INFINITY; nodes.len()];
     let mut done = vec![false; nodes.len()];
     ways[near.len()] = 0.0;
-    loop {
-        let open = (0..nodes.len()).filter(|i| !done[*i] && ways[*i] <= most);
-        let Some(at) = open.min_by(|a, b| ways[*a].total_cmp(&ways[*b])) else { break };
-        done[at] = true;
-        for to in parted.joined(nodes[at]) {
-            if let Some(to) = place.get(&to) {
-                ways[*to] = ways[*to].min(ways[at] + distance(nodes[at], nodes[*to]));
+    // Ways are not negative, so that their bits order as they do.
+    let mut open = BinaryHeap::from([Reverse((0, near.len()))]);
+    while let Some(Reverse((_, at))) = open.pop() {
+        if std::mem::replace(&mut done[at], true) {
+            continue;
+        }
+        for to in parted.joined(nodes[at]).filter_map(place) {
+            let way = ways[at] + distance(nodes[at], nodes[to]);
+            if way < ways[to] && way <= most {
+                ways[to] = way;
+                open.push(Reverse((way.to_bits(), to)));
             }
         }
     }

@@ -268,6 +268,6 @@ fn session_of(sampled: &SampledModel) -> SessionFile {
         Target::Error(e) => (None, Some(e)),
     };
     let place = Some(sampled.sampling.placement).filter(|by| *by == Placement::Faces);
-    let sampling = Sampling { samples, error, grid: sampled.sampling.grid, place };
+    let sampling = Sampling { samples, error, grid: sampled.sampling.grid, place, sheets: None };
     SessionFile { model: Some(sampled.source.path.clone()), sampling, ..SessionFile::default() }
 }
