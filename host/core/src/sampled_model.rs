@@ -183,6 +183,11 @@ struct Description {
     refinement: Vec<Refinement>,
 }
 
+/// How clusters were split before that was written down.
+fn without_layers() -> Splitting {
+    Splitting::VolumeSurface
+}
+
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct SamplingRecord {
@@ -191,7 +196,7 @@ struct SamplingRecord {
     grid: Option<u32>,
     cells: u64,
     cell_size: f64,
-    #[serde(default)]
+    #[serde(default = "without_layers")]
     splitting: Splitting,
     /// Level of the groups that open cells held, if they held groups.
     #[serde(skip_serializing_if = "Option::is_none")]

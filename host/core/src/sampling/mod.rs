@@ -12,6 +12,7 @@ pub(crate) mod gather;
 pub(crate) mod kd_tree;
 pub mod kept_cells;
 pub mod lattice;
+mod layers;
 mod membership;
 pub(crate) mod normals;
 mod open_cells;
@@ -200,7 +201,12 @@ pub fn sample(
     };
     let reads_faces = info.faces > 0 && info.vertices <= Membership::MAX_VERTICES;
     let placement = if reads_faces { sampling.placement } else { Placement::Vertices };
-    let sampling = &Sampling { placement, ..*sampling };
+    let splitting = match sampling.splitting {
+        // Where there are faces, these tell layers apart.
+        Splitting::Layered if info.faces > 0 => Splitting::VolumeSurface,
+        splitting => splitting,
+    };
+    let sampling = &Sampling { placement, splitting, ..*sampling };
     let by_faces = placement == Placement::Faces;
     let clustered = |foresight| -> Result<_> {
         let pass = Pass {

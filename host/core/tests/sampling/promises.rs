@@ -69,7 +69,7 @@ fn body() -> impl Strategy<Value = Body> {
 }
 
 fn splitting() -> impl Strategy<Value = Splitting> {
-    prop_oneof![Just(Splitting::VolumeSurface), Just(Splitting::Octree)]
+    prop_oneof![Just(Splitting::Layered), Just(Splitting::VolumeSurface), Just(Splitting::Octree)]
 }
 
 /// Number of places that are told apart in local coordinates, and of places with different normals: where two
