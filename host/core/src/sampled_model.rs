@@ -473,11 +473,8 @@ impl SampledModel {
                 splitting: description.sampling.splitting,
                 grouping: description.sampling.group_level.map_or(Grouping::Never, Grouping::Level),
                 placement: description.sampling.placement.unwrap_or(Placement::Vertices),
-                skip: Skip {
-                    normals: set.known_normals().is_empty(),
-                    sheets: set.contacts().is_none(),
-                    ..Skip::default()
-                },
+                skip: Skip { normals: set.known_normals().is_empty(), ..Skip::default() },
+                sheets: set.contacts().is_some(),
             },
             cells: description.sampling.cells,
             cell_size: description.sampling.cell_size,
@@ -550,9 +547,10 @@ impl SampledModel {
         }
         let source = self.open_source(elsewhere)?;
         // The triangles tell where the faces of each cell are.
-        let skip =
-            Skip { triangles: self.triangles.is_empty(), cells: false, normals: true, ..self.sampling.skip };
-        let again = crate::sampling::sample(&*source, &Sampling { skip, ..self.sampling }, folder, progress)?;
+        let sheets = self.samples.contacts().is_some();
+        let skip = Skip { triangles: self.triangles.is_empty(), cells: false, normals: true };
+        let again =
+            crate::sampling::sample(&*source, &Sampling { skip, sheets, ..self.sampling }, folder, progress)?;
         if again.source.fingerprint != self.source.fingerprint {
             return Err(self.source_changed(source.path()));
         }

@@ -35,7 +35,7 @@ impl Good {
         let options = ModelOptions { vertices: 1000, encoding, ..ModelOptions::default() };
         write_file(&options, &at("m.ply"), &Silent).expect("a model");
         let model = model::open(&at("m.ply")).expect("a model");
-        let how = Sampling { target: Target::Samples(100), ..Sampling::default() };
+        let how = Sampling { target: Target::Samples(100), sheets: true, ..Sampling::default() };
         let sampled = sample(&*model, &how, folder.path(), &Silent).expect("samples");
         sampled.save(&at("m.simod")).expect("a folder");
         bind(&sampled, &*model, &at("m.simod/binding.bin"), &Silent).expect("a binding");

@@ -49,8 +49,7 @@ pub fn sampled(
         ));
     }
     let model = model::open(path)?;
-    let mut sampling: Sampling = session.sampling.into();
-    sampling.skip = Skip { sheets: sampling.skip.sheets, ..skip };
+    let sampling = Sampling { skip, ..session.sampling.into() };
     let sampled = sample(model.as_ref(), &sampling, folder, progress)?;
     if session.fingerprint.as_ref().is_some_and(|known| *known != sampled.source.fingerprint) {
         progress.note(&format!("{} is not what it was when the session was saved", path.display()));
@@ -276,8 +275,7 @@ impl From<session_file::Sampling> for Sampling {
             (None, Some(e)) => Target::Error(e),
             (None, None) => Target::default(),
         };
-        let placement = from.place.unwrap_or_default();
-        let skip = Skip { sheets: from.sheets == Some(false), ..Skip::default() };
-        Self { target, grid: from.grid, placement, skip, ..Self::default() }
+        let (placement, sheets) = (from.place.unwrap_or_default(), from.sheets.unwrap_or_default());
+        Self { target, grid: from.grid, placement, sheets, ..Self::default() }
     }
 }

@@ -56,7 +56,7 @@ pub struct Sampling {
     pub grid: Option<u32>,
     /// What places the samples; by the model's faces, where not given.
     pub place: Option<Placement>,
-    /// Whether the model's faces tell sheets apart that touch; so they do, where not given.
+    /// Whether the model's faces tell sheets apart that touch; they do not, where not given.
     pub sheets: Option<bool>,
 }
 

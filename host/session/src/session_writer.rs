@@ -351,7 +351,7 @@ mod tests {
                 error: None,
                 grid: Some(64),
                 place: Some(Placement::Vertices),
-                sheets: Some(false),
+                sheets: Some(true),
             },
             time: SessionTime { frame: Some(-3), rate: Some(25.0), seconds: None },
             steps: vec![
@@ -414,7 +414,7 @@ fingerprint = "xxh3-128:0"
 samples = 50000
 grid = 64
 place = "vertices"
-sheets = false
+sheets = true
 
 [time]
 frame = -3

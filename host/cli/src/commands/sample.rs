@@ -47,12 +47,11 @@ pub struct SamplingArguments {
     /// surface where normals are missing or not its own, and less evenly
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
     place: Place,
-    /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be estimated, `sheets`: telling
-    /// parts that touch apart by the model's faces, as the fingers of a fist
+    /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be estimated
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
     skip: Vec<Part>,
-    /// Taken as it ever was: sheets are told apart unless they are skipped
-    #[arg(long, hide = true)]
+    /// Tell parts that touch apart by the model's faces, as the fingers of a fist
+    #[arg(long)]
     sheets: bool,
 }
 
@@ -82,7 +81,6 @@ enum Part {
     Triangles,
     Cells,
     Normals,
-    Sheets,
 }
 
 /// A size in bytes, with K, M, G or T for powers of 1024.
@@ -126,8 +124,8 @@ impl SamplingArguments {
                 triangles: skips(Part::Triangles),
                 cells: skips(Part::Cells),
                 normals: skips(Part::Normals),
-                sheets: skips(Part::Sheets) && !self.sheets,
             },
+            sheets: self.sheets,
         }
     }
 }

@@ -85,6 +85,9 @@ pub struct Sampling {
     pub placement: Placement,
     /// What is not wanted.
     pub skip: Skip,
+    /// Whether faces tell sheets apart that touch, which takes a pass over them as the triangles do, and temporary files of at
+    /// most 12 bytes per vertex.
+    pub sheets: bool,
 }
 
 /// Parts of a sampled model that can be left out.
@@ -96,9 +99,6 @@ pub struct Skip {
     pub cells: bool,
     /// Estimating normals where the model has none: whoever needs them estimates them again.
     pub normals: bool,
-    /// Telling sheets that touch apart by the faces, which takes a pass over them as the triangles do, and temporary files of at
-    /// most 12 bytes per vertex.
-    pub sheets: bool,
 }
 
 /// Least memory limit, for a few samples: chunks of the model, the queue of cells, the program itself. Each
@@ -219,7 +219,7 @@ pub fn sample(
             most: usize::try_from(sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE)
                 .unwrap_or(usize::MAX),
             foresight,
-            with_members: reads_faces && (by_faces || !sampling.skip.sheets || !sampling.skip.triangles),
+            with_members: reads_faces && (by_faces || sampling.sheets || !sampling.skip.triangles),
             with_positions: by_faces,
             folder,
             progress,
@@ -326,7 +326,7 @@ impl Reindexed {
         let Read { sampling, parting, .. } = *read;
         let info = parting.model.info();
         let (mut islands, mut welded) = (None, false);
-        if !sampling.skip.sheets {
+        if sampling.sheets {
             let mut each = Islands::new(sample_of.len(), self.cut.samples(), parting.folder)?;
             // Where faces share no vertices, positions tell what hangs together.
             welded = info.vertices / 2 > info.faces;
@@ -396,10 +396,8 @@ impl Reindexed {
         let wanted = Wanted { triangles, ranges: ranges.as_mut(), islands, planes: planes.as_mut() };
         let found = triangles::reindex(parting.model, sample_of, samples, wanted, parting.progress);
         self.triangles = found.map_err(|e| {
-            let hint = format!(
-                "{}; or do without the faces, by --skip triangles,sheets and --place vertices",
-                e.hint()
-            );
+            let hint =
+                format!("{}; or do without the faces, by --skip triangles and --place vertices", e.hint());
             if e.kind() == ErrorKind::Format { Error::new(e.kind(), e.to_string(), hint) } else { e }
         })?;
         if let Some(planes) = planes {

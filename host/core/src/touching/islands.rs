@@ -197,6 +197,9 @@ impl Islands {
 
     /// All islands that are joined with others. `sample_of` is the cluster of each vertex.
     pub fn graph(&mut self, sample_of: &[u32]) -> Graph {
+        if self.links.len() > self.most {
+            self.tidy();
+        }
         let mut links = std::mem::take(&mut self.links);
         links.par_iter_mut().for_each(|link| *link = link.map(|vertex| self.first_of(vertex)));
         let graph = Graph::new(&links, self.latest.len(), |first| sample_of[first as usize]);

@@ -19,4 +19,4 @@ pub(crate) use islands::Islands;
 pub(crate) use parting::{Parted, Parting};
 
 /// What the user can do where a temporary file has no room.
-const ADVICE: &str = "do without telling sheets apart, by --skip sheets";
+const ADVICE: &str = "do without --sheets";

@@ -134,8 +134,7 @@ fn share(off: &[f64], beyond: f64) -> f64 {
 }
 
 fn sampling(sheets: bool) -> Sampling {
-    let skip = Skip { sheets: !sheets, ..Skip::default() };
-    Sampling { target: Target::Samples(4000), skip, ..Sampling::default() }
+    Sampling { target: Target::Samples(4000), sheets, ..Sampling::default() }
 }
 
 #[test]

@@ -268,6 +268,7 @@ fn session_of(sampled: &SampledModel) -> SessionFile {
         Target::Error(e) => (None, Some(e)),
     };
     let place = Some(sampled.sampling.placement).filter(|by| *by == Placement::Faces);
-    let sampling = Sampling { samples, error, grid: sampled.sampling.grid, place, sheets: None };
+    let sheets = sampled.sampling.sheets.then_some(true);
+    let sampling = Sampling { samples, error, grid: sampled.sampling.grid, place, sheets };
     SessionFile { model: Some(sampled.source.path.clone()), sampling, ..SessionFile::default() }
 }
