@@ -196,6 +196,11 @@ struct Description {
     refinement: Vec<Refinement>,
 }
 
+/// How clusters were split before that was written down.
+fn without_layers() -> Splitting {
+    Splitting::VolumeSurface
+}
+
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct SamplingRecord {
@@ -204,7 +209,7 @@ struct SamplingRecord {
     grid: Option<u32>,
     cells: u64,
     cell_size: f64,
-    #[serde(default)]
+    #[serde(default = "without_layers")]
     splitting: Splitting,
     /// What samples are spread by.
     #[serde(default, skip_serializing_if = "By::is_error")]

@@ -280,6 +280,7 @@ impl From<session_file::Sampling> for Sampling {
             grid: from.grid,
             by: from.by.unwrap_or_default(),
             placement: from.place.unwrap_or_default(),
+            sheets: from.sheets.unwrap_or_default(),
             ..Self::default()
         }
     }

@@ -93,6 +93,9 @@ fn sampling(from: &Sampling) -> Table {
     if let Some(place) = from.place {
         table["place"] = value(place.name());
     }
+    if let Some(sheets) = from.sheets {
+        table["sheets"] = value(sheets);
+    }
     table
 }
 
@@ -353,6 +356,7 @@ mod tests {
                 grid: Some(64),
                 place: Some(Placement::Vertices),
                 by: Some(By::Area),
+                sheets: Some(true),
             },
             time: SessionTime { frame: Some(-3), rate: Some(25.0), seconds: None },
             steps: vec![
@@ -416,6 +420,7 @@ samples = 50000
 grid = 64
 by = "area"
 place = "vertices"
+sheets = true
 
 [time]
 frame = -3

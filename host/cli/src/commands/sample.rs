@@ -130,7 +130,7 @@ impl SamplingArguments {
             grid: self.grid,
             memory_limit: self.memory_limit,
             splitting: match self.tree {
-                Tree::Vs => Splitting::VolumeSurface,
+                Tree::Vs => Splitting::Layered,
                 Tree::Octree => Splitting::Octree,
             },
             grouping: Grouping::Automatic,

@@ -352,7 +352,7 @@ impl Moments {
         let shape = if self.has_normals() {
             let spread = self.spread();
             let distance = normal.dot(covariance * normal).max(0.0).sqrt();
-            let deviation = (2.0 * (1.0 - self.normal.length() / self.with_normal)).clamp(0.0, 2.0).sqrt();
+            let deviation = self.deviation();
             // Normals that cancel give no plane: then the extent itself is the distance.
             let distance = if normal == DVec3::ZERO { spread } else { distance };
             (distance * deviation * spread).sqrt()
@@ -362,9 +362,19 @@ impl Moments {
         shape + REACH_WEIGHT * self.reach(representative)
     }
 
+    /// What the error would be if the samples were of two sheets with opposite normals.
+    pub fn error_of_two_sheets(&self, representative: Vec3) -> f64 {
+        std::f64::consts::SQRT_2.sqrt() * self.spread() + REACH_WEIGHT * self.reach(representative)
+    }
+
     /// Distance of a point in the box to its farthest corner.
     pub fn reach(&self, from: Vec3) -> f64 {
         (from - self.min).max(self.max - from).as_dvec3().length()
+    }
+
+    /// Root mean square deviation of the normals from their mean (L²·¹).
+    pub fn deviation(&self) -> f64 {
+        (2.0 * (1.0 - self.normal.length() / self.with_normal)).clamp(0.0, 2.0).sqrt()
     }
 
     /// The minimum of the quadric, inside the box of the samples.

@@ -13,6 +13,7 @@ pub(crate) mod gather;
 pub(crate) mod kd_tree;
 pub mod kept_cells;
 pub mod lattice;
+mod layers;
 mod membership;
 pub(crate) mod normals;
 mod open_cells;
@@ -197,7 +198,12 @@ pub fn sample(
     let memory = sampling.memory_for_cells(&grid);
     let finite = info.vertices - non_finite.count;
     let edge = grid.cell_size() / frame.scale;
-    let rule = Rule::new(sampling.splitting, sampling.by, finite, cells as u64, edge);
+    let splitting = match sampling.splitting {
+        // Where there are faces, these tell layers apart.
+        Splitting::Layered if info.faces > 0 => Splitting::VolumeSurface,
+        splitting => splitting,
+    };
+    let rule = Rule::new(splitting, sampling.by, finite, cells as u64, edge);
     // A group is as large wherever it is: finer vertices would be lost in it.
     let grouping = match (sampling.grouping, sampling.by) {
         (Grouping::Automatic, By::Vertices) => Grouping::Never,
@@ -213,7 +219,7 @@ pub fn sample(
     };
     let reads_faces = info.faces > 0 && info.vertices <= Membership::MAX_VERTICES;
     let placement = if reads_faces { sampling.placement.resolve(model)? } else { Placement::Vertices };
-    let sampling = &Sampling { placement, ..*sampling };
+    let sampling = &Sampling { placement, splitting, ..*sampling };
     let by_faces = placement == Placement::Faces;
     let clustered = |foresight| -> Result<_> {
         let pass = Pass {

@@ -57,13 +57,11 @@ pub struct SampleSet {
     estimated: OnceLock<Vec<Vec3>>,
     surroundings: OnceLock<Surroundings>,
     contacts: Option<Contacts>,
-    /// A tree of its own, where the surroundings are not known.
     tree: OnceLock<KdTree>,
 }
 
 /// Who is near whom: found when it is first asked for, as writing the samples does not need it.
 struct Surroundings {
-    tree: KdTree,
     neighbours: NeighbourGraph,
     spacing: Vec<f32>,
 }
@@ -107,9 +105,8 @@ impl SampleSet {
         self.estimated.get_or_init(|| match self.surroundings.get() {
             Some(around) => normals::completed(&self.positions, &self.known, &around.neighbours),
             None => {
-                let tree = KdTree::new(&self.positions);
-                let near = NeighbourGraph::of_points(&self.positions, &tree, normals::NEIGHBOURS);
-                drop(tree);
+                self.prepare_tree();
+                let near = NeighbourGraph::of_points(&self.positions, self.tree(), normals::NEIGHBOURS);
                 normals::completed(&self.positions, &self.known, &near)
             }
         })
@@ -148,10 +145,6 @@ impl SampleSet {
         self.contacts = contacts;
     }
 
-    pub(crate) fn take_contacts(&mut self) -> Option<Contacts> {
-        self.contacts.take()
-    }
-
     /// Number of samples.
     pub fn len(&self) -> usize {
         self.positions.len()
@@ -185,23 +178,23 @@ impl SampleSet {
     /// At most `count` nearest neighbours of sample `i`, nearest first.
     pub(crate) fn nearest_neighbours(&self, i: usize, count: usize) -> Vec<u32> {
         let mut found = vec![0; count.min(self.len() - 1)];
-        self.surroundings().tree.nearest_others(self.positions[i], i as u32, &mut found);
+        self.tree().nearest_others(self.positions[i], i as u32, &mut found);
         found.into_iter().map(|found| found as u32).collect()
     }
 
     /// The sample nearest to a finite point. Costs about a microsecond: not for every vertex of P_L.
     pub fn nearest(&self, p: Vec3) -> u32 {
-        self.surroundings().tree.nearest(p)
+        self.tree().nearest(p)
     }
 
     /// What [`deepest`](Self::deepest) takes, of balls about the samples.
     pub(crate) fn largest_below(&self, radius: &[f32]) -> Vec<f32> {
-        self.surroundings().tree.largest_below(radius)
+        self.tree().largest_below(radius)
     }
 
     /// Of balls about the samples that hold a point, that in which it is nearest to the middle, as a part of the radius.
     pub(crate) fn deepest(&self, p: Vec3, radius: &[f32], largest: &[f32]) -> Option<u32> {
-        self.surroundings().tree.deepest(p, radius, largest)
+        self.tree().deepest(p, radius, largest)
     }
 
     /// The indices of the samples nearest to a finite point, nearest first: the beginning of `found`, which is filled
@@ -211,25 +204,50 @@ impl SampleSet {
         p: Vec3,
         found: &'a mut [u64],
     ) -> impl Iterator<Item = u32> + use<'a> {
-        let tree = match self.surroundings.get() {
-            Some(around) => &around.tree,
-            None => self.tree.get_or_init(|| KdTree::in_one_job(&self.positions)),
-        };
         let count = found.len().min(self.len());
-        tree.nearest_ones(p, &mut found[..count]);
+        self.tree().nearest_ones(p, &mut found[..count]);
         found[..count].iter().map(|found| *found as u32)
     }
 
     #[inline]
     fn surroundings(&self) -> &Surroundings {
-        self.surroundings.get_or_init(|| Surroundings::of(&self.positions))
+        self.surroundings.get_or_init(|| {
+            self.prepare_tree();
+            Surroundings::of(&self.positions, self.tree())
+        })
+    }
+
+    /// Builds now, with jobs of the thread pool, the tree in which the nearest samples are looked up.
+    pub(crate) fn prepare_tree(&self) {
+        if self.tree.get().is_none() {
+            // Another one that was made meanwhile is the same.
+            let _ = self.tree.set(KdTree::new(&self.positions));
+        }
+    }
+
+    #[inline]
+    fn tree(&self) -> &KdTree {
+        self.tree.get_or_init(|| KdTree::in_one_job(&self.positions))
+    }
+
+    /// The set of some of the samples, with their normals, completed, but without what is known of their sheets.
+    pub(crate) fn part(&self, chosen: &[u32]) -> Self {
+        let normals = self.normals();
+        Self {
+            positions: chosen.iter().map(|i| self.positions[*i as usize]).collect(),
+            known: chosen.iter().map(|i| normals[*i as usize]).collect(),
+            all_known: true,
+            estimated: OnceLock::new(),
+            surroundings: OnceLock::new(),
+            contacts: None,
+            tree: OnceLock::new(),
+        }
     }
 }
 
 impl Surroundings {
-    fn of(positions: &[Vec3]) -> Self {
-        let tree = KdTree::new(positions);
-        let neighbours = NeighbourGraph::of_points(positions, &tree, NEIGHBOURS);
+    fn of(positions: &[Vec3], tree: &KdTree) -> Self {
+        let neighbours = NeighbourGraph::of_points(positions, tree, NEIGHBOURS);
         let near = SPACING_NEIGHBOURS.min(neighbours.k);
         let spacing = (0..positions.len())
             .into_par_iter()
@@ -238,7 +256,7 @@ impl Surroundings {
                 neighbours.of(i)[..near].iter().map(distance).sum::<f32>() / near.max(1) as f32
             })
             .collect();
-        Self { tree, neighbours, spacing }
+        Self { neighbours, spacing }
     }
 }
 

@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cluster::{Element, Moments};
 use super::density::{By, Rule};
+use super::layers::Layers;
 use crate::geometry::symmetric_eigen;
 
 /// A cluster projects on its mean plane without folding if its normals lie within this cosine of the plane's.
@@ -44,8 +45,11 @@ const MAX_DEPTH: u32 = 96;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Splitting {
-    /// In space first, and in the plane of the cluster once it is flat enough.
+    /// In space first, and in the plane of the cluster once it is flat enough; sheets that lie one above the other are parted
+    /// first of all. Where a model has faces, these part the sheets, and clusters are split as without layers.
     #[default]
+    Layered,
+    /// The same, whatever lies one above the other.
     VolumeSurface,
     /// In space alone: what the paper compares the VS-Tree with.
     Octree,
@@ -275,14 +279,30 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
     fn node<E: Element>(&mut self, elements: &mut [E], spare: &mut [E], m: Moments, place: Place) {
         let dither = 1.0 + DITHER * (place.seed >> 40) as f64 / (1u64 << 24) as f64;
         let (position, normal, error) = m.representative();
-        let key = place.above.min((self.rule.key(&m, position, error) * dither) as f32);
+        let layers = (self.rule.splitting == Splitting::Layered)
+            .then(|| Layers::of(elements, &m, place.seed))
+            .flatten();
+        let mut error = self.rule.key(&m, position, error);
+        if layers.is_some() {
+            // Samples go there before they go elsewhere.
+            error = error.max(m.error_of_two_sheets(position));
+        }
+        let key = place.above.min((error * dither) as f32);
         let at = self.nodes.len();
         self.nodes.push(Node { position, normal, key, end: 0, first: self.built });
         let whole = !(self.goes_on)(&m, key, place.depth)
             || elements.len() == 1
             || m.min == m.max
             || place.depth == MAX_DEPTH;
-        if whole || !self.split(elements, spare, &m, key, place) {
+        let split = match layers {
+            _ if whole => false,
+            Some(layers) => {
+                let below = |part| place.below(key, place.stage, part);
+                self.part(elements, spare, |e| usize::from(layers.is_upper(e)), below)
+            }
+            None => self.split(elements, spare, &m, key, place),
+        };
+        if !split {
             for e in elements.iter() {
                 self.leaves[e.index().wrapping_sub(self.first_index) as usize] = self.built;
             }

@@ -3,7 +3,8 @@
 //! The file begins with eight letters and a version. What is known of the samples follows, then the places, and a checksum of all
 //! before it.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 use std::sync::Arc;
@@ -20,8 +21,8 @@ use crate::input;
 use crate::output::OutputFile;
 use crate::reconstruction::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, Surroundings, homes};
 use crate::sampled_model::SampledModel;
-use crate::sampling::SampleSet;
 use crate::sampling::kept_cells::CutTree;
+use crate::sampling::{NEIGHBOURS, SampleSet};
 use crate::{Error, ErrorKind, Result};
 
 const MAGIC: &[u8; 8] = b"SIMODSHT";
@@ -68,31 +69,34 @@ impl Contacts {
         parting: &Parting<'_>,
     ) -> Result<()> {
         let samples = &sampled.samples;
-        samples.prepare();
+        samples.prepare_tree();
         let first = samples.len() - parted.added.len();
         let parted_from: Vec<[u32; 2]> =
             (first as u32..).zip(&parted.added).map(|(i, (of, ..))| [i, *of]).collect();
-        let lists = Lists::new(same_sheet(samples, &parted.joined, &parted.seeds), parted_from);
+        let lists = Lists::new(same_sheet(samples, parted), parted_from);
         if lists.samples.is_empty() && lists.parted.is_empty() {
             return Ok(());
         }
-        sampled.samples.set_contacts(Some(Self { lists, ..Self::default() }));
-        let places = Self::exceptions(sampled, sample_of, trees, parting)?;
-        let contacts = sampled.samples.take_contacts();
-        sampled.samples.set_contacts(contacts.map(|contacts| Self { places: Arc::new(places), ..contacts }));
+        let contacts = Self { lists, ..Self::default() };
+        let places = contacts.exceptions(sampled, sample_of, trees, parting)?;
+        sampled.samples.set_contacts(Some(Self { places: Arc::new(places), ..contacts }));
         Ok(())
     }
 
     /// The places of vertices whose homes would be on another sheet than their own cluster is on.
     fn exceptions(
+        &self,
         sampled: &SampledModel,
         sample_of: &[u32],
         trees: &[CutTree],
         parting: &Parting<'_>,
     ) -> Result<Places> {
-        let samples = &sampled.samples;
-        let around = Surroundings::of(samples);
-        let Some(Self { lists, .. }) = samples.contacts() else { return Ok(Places::default()) };
+        let Self { lists, .. } = self;
+        if lists.samples.is_empty() {
+            return Ok(Places::default());
+        }
+        let near = Near::new(&sampled.samples, lists);
+        let around = Surroundings::of(&near.samples);
         let of_cell: BTreeMap<u32, u32> = lists.parted.iter().map(|[sample, of]| (*sample, *of)).collect();
         let chosen: BTreeSet<u32> =
             lists.samples.iter().map(|sample| *of_cell.get(sample).unwrap_or(sample)).collect();
@@ -102,7 +106,8 @@ impl Contacts {
         let mut flush = |positions: &mut Vec<DVec3>, own: &mut Vec<u32>| {
             homes(&around, &sampled.frame, positions, &mut found);
             for ((p, own), home) in positions.iter().zip(own.iter()).zip(&found) {
-                if !around.share_sheet(*own as usize, *home) {
+                let place = near.place(*own).unwrap_or_default();
+                if !around.share_sheet(place as usize, *home) {
                     places.push(Places::entry(sampled.frame.to_local(*p), *own))?;
                 }
             }
@@ -121,7 +126,7 @@ impl Contacts {
             if own.len() == BATCH { flush(&mut positions, &mut own) } else { Ok(()) }
         })?;
         flush(&mut positions, &mut own)?;
-        Places::of(places, samples.len(), parting.folder)
+        Places::of(places, sampled.samples.len(), parting.folder)
     }
 
     /// The same of a model that was refined: `samples`, of which those behind the ones that are known each were part of the
@@ -264,6 +269,51 @@ impl Contacts {
     }
 }
 
+/// The samples near which sheets meet, with all that the homes of places there depend on.
+struct Near {
+    /// Their numbers in the whole set, ascending.
+    numbers: Vec<u32>,
+    samples: SampleSet,
+}
+
+/// Neighbours that are gone on to, one after the other: the home of a place is among those of the sample of its cell, whose
+/// sheet is looked for among those around, by the links that these have to their own neighbours.
+const RINGS: [usize; 3] = [NEIGHBOURS, CROWDED_NEIGHBOURS, NEIGHBOURS];
+
+impl Near {
+    fn new(samples: &SampleSet, lists: &Lists) -> Self {
+        let mut numbers: BTreeSet<u32> = lists.samples.iter().copied().collect();
+        let mut border = lists.samples.clone();
+        for count in RINGS {
+            let near = border.par_iter().map(|i| samples.nearest_neighbours(*i as usize, count));
+            border = near.collect::<Vec<_>>().into_iter().flatten().filter(|i| numbers.insert(*i)).collect();
+        }
+        // With the outermost ones of all, the cells in which homes are looked up are those of the whole set.
+        for axis in 0..3 {
+            let by_place = |a: &u32, b: &u32| {
+                let [a, b] = [a, b].map(|i| samples.positions[*i as usize][axis]);
+                a.total_cmp(&b)
+            };
+            numbers.extend((0..samples.len() as u32).min_by(by_place));
+            numbers.extend((0..samples.len() as u32).max_by(by_place));
+        }
+        let numbers: Vec<u32> = numbers.into_iter().collect();
+        let mut near = Self { samples: samples.part(&numbers), numbers };
+        let lists = (0..)
+            .zip(&near.numbers)
+            .filter_map(|(place, i)| Some((place, lists.of(*i as usize)?)))
+            .map(|(place, same)| (place, same.iter().filter_map(|i| near.place(*i)).collect()));
+        let lists = Lists::new(lists.collect(), Vec::new());
+        near.samples.set_contacts(Some(Contacts { lists, ..Contacts::default() }));
+        near
+    }
+
+    /// The place of a sample of the whole set.
+    fn place(&self, sample: u32) -> Option<u32> {
+        self.numbers.binary_search(&sample).ok().map(|place| place as u32)
+    }
+}
+
 impl Lists {
     fn new(lists: BTreeMap<u32, Vec<u32>>, parted: Vec<[u32; 2]>) -> Self {
         let mut all = Self { starts: vec![0], parted, ..Self::default() };
@@ -325,19 +375,18 @@ impl<T: Read> Read for Hashed<T> {
     }
 }
 
-/// The neighbours on its sheet of each sample near which sheets meet: going out from `seeds`, as far as the nearest samples are
-/// not all on the same one. `joined` has all pairs of samples that faces join, both ways, ascending.
-fn same_sheet(samples: &SampleSet, joined: &[[u32; 2]], seeds: &[u32]) -> BTreeMap<u32, Vec<u32>> {
-    let joined = &Joined::new(samples.len(), joined);
-    let mut known: BTreeSet<u32> = seeds.iter().copied().collect();
-    let mut open = seeds.to_vec();
+/// The neighbours on its sheet of each sample near which sheets meet: going out from those that were parted, as far as the
+/// nearest samples are not all on the same one.
+fn same_sheet(samples: &SampleSet, parted: &Parted) -> BTreeMap<u32, Vec<u32>> {
+    let mut known: BTreeSet<u32> = parted.seeds.iter().copied().collect();
+    let mut open = parted.seeds.clone();
     let mut lists = BTreeMap::new();
     while !open.is_empty() {
         let found: Vec<(u32, Vec<u32>, Vec<u32>)> = open
             .par_iter()
             .filter_map(|sample| {
                 let near = samples.nearest_neighbours(*sample as usize, CROWDED_NEIGHBOURS);
-                let mut same = connected(&samples.positions, joined, *sample, &near);
+                let mut same = connected(&samples.positions, parted, *sample, &near);
                 same.truncate(SHEET_NEIGHBOURS);
                 (same[..] != near[..same.len()]).then_some((*sample, near, same))
             })
@@ -363,7 +412,7 @@ fn make_mutual(samples: &SampleSet, lists: &mut BTreeMap<u32, Vec<u32>>) {
     };
     let pairs: Vec<(u32, u32)> = lists.par_iter().flat_map_iter(left_out).collect();
     for (by, whom) in pairs {
-        let nearest = || samples.neighbours().of(by as usize).to_vec();
+        let nearest = || samples.nearest_neighbours(by as usize, NEIGHBOURS);
         let list = lists.get(&by).cloned().unwrap_or_else(nearest);
         if list.contains(&whom) {
             lists.insert(by, list.into_iter().filter(|j| *j != whom).collect());
@@ -371,43 +420,29 @@ fn make_mutual(samples: &SampleSet, lists: &mut BTreeMap<u32, Vec<u32>>) {
     }
 }
 
-/// The samples that faces join with each.
-struct Joined<'a> {
-    starts: Vec<u32>,
-    pairs: &'a [[u32; 2]],
-}
-
-impl<'a> Joined<'a> {
-    fn new(samples: usize, pairs: &'a [[u32; 2]]) -> Self {
-        let mut starts = vec![0; samples + 1];
-        pairs.iter().for_each(|pair| starts[pair[0] as usize + 1] += 1);
-        (0..samples).for_each(|i| starts[i + 1] += starts[i]);
-        Self { starts, pairs }
-    }
-
-    fn with(&self, sample: u32) -> impl Iterator<Item = u32> + '_ {
-        let (start, end) = (self.starts[sample as usize], self.starts[sample as usize + 1]);
-        self.pairs[start as usize..end as usize].iter().map(|pair| pair[1])
-    }
-}
-
 /// Those of `near`, in their order, to which a short way leads from a sample, over samples that faces join.
-fn connected(positions: &[Vec3], joined: &Joined<'_>, sample: u32, near: &[u32]) -> Vec<u32> {
-    let place: HashMap<u32, usize> = near.iter().copied().chain([sample]).zip(0..).collect();
-    let distance = |a: u32, b: u32| positions[a as usize].distance(positions[b as usize]);
-    let most = DETOUR * near.last().map_or(0.0, |last| distance(sample, *last));
+fn connected(positions: &[Vec3], parted: &Parted, sample: u32, near: &[u32]) -> Vec<u32> {
     // The sample itself has the last place.
     let nodes: Vec<u32> = near.iter().copied().chain([sample]).collect();
+    let mut places: Vec<(u32, usize)> = nodes.iter().copied().zip(0..).collect();
+    places.sort_unstable();
+    let place = |node: u32| places.binary_search_by_key(&node, |(node, _)| *node).ok().map(|at| places[at].1);
+    let distance = |a: u32, b: u32| positions[a as usize].distance(positions[b as usize]);
+    let most = DETOUR * near.last().map_or(0.0, |last| distance(sample, *last));
     let mut ways = vec![f32::INFINITY; nodes.len()];
     let mut done = vec![false; nodes.len()];
     ways[near.len()] = 0.0;
-    loop {
-        let open = (0..nodes.len()).filter(|i| !done[*i] && ways[*i] <= most);
-        let Some(at) = open.min_by(|a, b| ways[*a].total_cmp(&ways[*b])) else { break };
-        done[at] = true;
-        for to in joined.with(nodes[at]) {
-            if let Some(to) = place.get(&to) {
-                ways[*to] = ways[*to].min(ways[at] + distance(nodes[at], nodes[*to]));
+    // Ways are not negative, so that their bits order as they do.
+    let mut open = BinaryHeap::from([Reverse((0, near.len()))]);
+    while let Some(Reverse((_, at))) = open.pop() {
+        if std::mem::replace(&mut done[at], true) {
+            continue;
+        }
+        for to in parted.joined(nodes[at]).filter_map(place) {
+            let way = ways[at] + distance(nodes[at], nodes[to]);
+            if way < ways[to] && way <= most {
+                ways[to] = way;
+                open.push(Reverse((way.to_bits(), to)));
             }
         }
     }

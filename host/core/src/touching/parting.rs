@@ -49,16 +49,17 @@ pub struct Parts {
 
 /// What the clusters come to.
 pub struct Parted {
-    /// Of each island in a cluster of several sheets, by its first vertex: the sample that it belongs to.
-    sample_of: HashMap<u32, u32>,
+    graph: Graph,
+    /// The sample that each island belongs to.
+    sample: Vec<u32>,
+    /// The islands of samples that have more or fewer than their cluster.
+    islands_of: HashMap<u32, Vec<u32>>,
     /// Clusters of several sheets.
     mixed: BTreeSet<u32>,
     /// Of each sample that stands for another part than it did: position and normal.
     pub moved: Vec<(u32, Vec3, Vec3)>,
     /// The same of the new samples, and the one that each was parted from.
     pub added: Vec<(u32, Vec3, Vec3)>,
-    /// Samples that faces join; both ways, each once, ascending.
-    pub joined: Vec<[u32; 2]>,
     /// Samples with a part of a cluster of several sheets.
     pub seeds: Vec<u32>,
 }
@@ -104,19 +105,20 @@ impl Parting<'_> {
         trees: &[CutTree],
         welded: bool,
     ) -> Result<Option<Parts>> {
-        let several = islands.mixed(sample_of);
-        if several.is_empty() {
-            return Ok(None);
-        }
+        let mut graph = islands.graph(sample_of);
         if !welded {
-            // Seams of the file are none of the surface.
-            let ranges = self.ranges_with(trees, |sample| several.binary_search(&sample).is_ok());
-            self.weld(ranges, islands, sample_of)?;
-            if islands.mixed(sample_of).is_empty() {
+            // Seams of the file are none of the surface. Where most clusters have some, it is quicker to weld all than to see which do.
+            let mut several = graph.several();
+            if several.len() < graph.clusters() / 8 {
+                several = graph.parts().iter().map(|mixed| mixed.cluster).collect();
+            }
+            if several.is_empty() {
                 return Ok(None);
             }
+            let ranges = self.ranges_with(trees, |sample| several.binary_search(&sample).is_ok());
+            self.weld(ranges, islands, sample_of)?;
+            graph = islands.graph(sample_of);
         }
-        let graph = islands.graph(sample_of);
         let mixed = graph.parts();
         if mixed.is_empty() {
             return Ok(None);
@@ -126,7 +128,7 @@ impl Parting<'_> {
         let mut place_of: HashMap<u32, (usize, usize)> = HashMap::new();
         for (i, Mixed { parts, .. }) in mixed.iter().enumerate() {
             for (j, part) in parts.iter().enumerate() {
-                place_of.extend(part.iter().map(|island| (graph.firsts[*island as usize], (i, j))));
+                place_of.extend(part.iter().map(|island| (*island, (i, j))));
             }
         }
         let mut found: Vec<(u32, Vec<Part>)> = mixed
@@ -137,10 +139,12 @@ impl Parting<'_> {
             })
             .collect();
         self.vertices(ranges, |vertex, p, normal| {
-            if !clusters.contains_key(&sample_of[vertex as usize]) {
+            let cluster = sample_of[vertex as usize];
+            if !clusters.contains_key(&cluster) {
                 return Ok(());
             }
-            if let Some((i, j)) = place_of.get(&islands.first(vertex)) {
+            let island = graph.number(cluster, islands.first(vertex));
+            if let Some((i, j)) = island.and_then(|island| place_of.get(&island)) {
                 let sample = Sample { position: self.frame.to_local(p), normal, index: 0 };
                 found[*i].1[*j].moments.add(&Moments::of(&[sample]));
             }
@@ -226,7 +230,7 @@ impl Parts {
         const OPEN: u32 = u32::MAX;
         let (gets, _) = self.decide(most);
         let (mut moved, mut added) = (Vec::new(), Vec::new());
-        let mut sample = self.graph.cluster.clone();
+        let mut sample: Vec<u32> = (0..self.graph.len()).map(|island| self.graph.cluster(island)).collect();
         let mut open: Vec<(usize, usize)> = Vec::new();
         for (i, (cluster, parts)) in self.mixed.iter().enumerate() {
             for (j, part) in parts.iter().enumerate() {
@@ -268,19 +272,16 @@ impl Parts {
         let mut seeds: Vec<u32> = of_mixed().map(|island| sample[*island as usize]).collect();
         seeds.sort_unstable();
         seeds.dedup();
-        let graph = &self.graph;
-        let mut joined: Vec<[u32; 2]> = (0..graph.firsts.len() as u32)
-            .into_par_iter()
-            .flat_map_iter(|i| graph.joined(i).iter().map(move |j| [i, *j]))
-            .map(|pair| pair.map(|island| sample[island as usize]))
-            .filter(|[a, b]| a != b)
-            .collect();
-        joined.par_sort_unstable();
-        joined.dedup();
-        let sample_of =
-            of_mixed().map(|island| (graph.firsts[*island as usize], sample[*island as usize])).collect();
-        let mixed = self.mixed.iter().map(|(cluster, _)| *cluster).collect();
-        Parted { sample_of, mixed, moved, added, joined, seeds }
+        let mut islands_of: HashMap<u32, Vec<u32>> = HashMap::new();
+        let mixed: BTreeSet<u32> = self.mixed.iter().map(|(cluster, _)| *cluster).collect();
+        for island in of_mixed() {
+            let of_sample = sample[*island as usize];
+            let own = || {
+                if mixed.contains(&of_sample) { Vec::new() } else { self.graph.islands(of_sample).collect() }
+            };
+            islands_of.entry(of_sample).or_insert_with(own).push(*island);
+        }
+        Parted { sample, islands_of, mixed, moved, added, seeds, graph: self.graph }
     }
 }
 
@@ -289,10 +290,21 @@ impl Parted {
     pub fn renumber(&self, islands: &Islands, sample_of: &mut [u32]) {
         sample_of.par_iter_mut().enumerate().for_each(|(vertex, sample)| {
             if self.mixed.contains(sample)
-                && let Some(own) = self.sample_of.get(&islands.first_of(vertex as u32))
+                && let Some(island) = self.graph.number(*sample, islands.first_of(vertex as u32))
             {
-                *sample = *own;
+                *sample = self.sample[island as usize];
             }
         });
+    }
+
+    /// The samples that faces join with one; some of them several times.
+    pub fn joined(&self, sample: u32) -> impl Iterator<Item = u32> + '_ {
+        let parts = self.islands_of.get(&sample);
+        let whole = parts.is_none().then(|| self.graph.islands(sample));
+        let islands = parts.into_iter().flatten().copied().chain(whole.into_iter().flatten());
+        islands
+            .flat_map(|island| self.graph.joined(island))
+            .map(|island| self.sample[*island as usize])
+            .filter(move |other| *other != sample)
     }
 }

@@ -73,7 +73,7 @@ fn by() -> impl Strategy<Value = By> {
 }
 
 fn splitting() -> impl Strategy<Value = Splitting> {
-    prop_oneof![Just(Splitting::VolumeSurface), Just(Splitting::Octree)]
+    prop_oneof![Just(Splitting::Layered), Just(Splitting::VolumeSurface), Just(Splitting::Octree)]
 }
 
 /// Number of places that are told apart in local coordinates, and of places with different normals: where two
