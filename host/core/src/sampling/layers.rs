@@ -136,18 +136,16 @@ fn terms([u, v, _]: [f32; 3]) -> [f32; 6] {
 
 /// The quadratic surface through heights, by least squares.
 fn quadratic(places: &[[f32; 3]]) -> Option<[f32; 6]> {
+    // The lower triangle is enough.
     let (mut a, mut b) = ([[0.0; 6]; 6], [DVec3::ZERO; 6]);
     for place in places {
         let terms = terms(*place).map(f64::from);
-        for i in 0..6 {
-            (0..=i).for_each(|j| a[i][j] += terms[i] * terms[j]);
-            b[i].x += terms[i] * f64::from(place[2]);
+        for (i, (row, right)) in a.iter_mut().zip(&mut b).enumerate() {
+            row.iter_mut().zip(&terms[..=i]).for_each(|(sum, term)| *sum += terms[i] * term);
+            right.x += terms[i] * f64::from(place[2]);
         }
     }
-    for i in 0..6 {
-        (i + 1..6).for_each(|j| a[i][j] = a[j][i]);
-        a[i][i] += RIDGE * places.len() as f64;
-    }
+    a.iter_mut().enumerate().for_each(|(i, row)| row[i] += RIDGE * places.len() as f64);
     solve_positive_definite(a, b).map(|x| x.map(|x| x.x as f32))
 }
 

@@ -7,6 +7,7 @@ mod cells;
 mod density;
 mod emerging;
 mod groups;
+mod layers;
 mod parts;
 mod placement;
 mod promises;

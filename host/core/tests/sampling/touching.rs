@@ -109,7 +109,7 @@ fn of_cactus(gap: f64) -> impl Fn(DVec3) -> f64 {
 const AWAY: DVec3 = DVec3::new(0.6, 0.64, 0.48);
 
 /// Moves the samples of the second part away, and gives for each vertex how far it is off, as a fraction of the way.
-fn pulled(sampled: &SampledModel, body: &Body, part: &[f64], of: &dyn Fn(DVec3) -> f64) -> Vec<f64> {
+pub fn pulled(sampled: &SampledModel, body: &Body, part: &[f64], of: &dyn Fn(DVec3) -> f64) -> Vec<f64> {
     let place = |p: &Vec3| {
         let p = sampled.frame.to_model(*p);
         sampled.frame.to_local(p + AWAY * of(p))
