@@ -10,12 +10,13 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use xxhash_rust::xxh3::{Xxh3Default, xxh3_128};
+use xxhash_rust::xxh3::Xxh3Default;
 
 use crate::model::{self, Attribute, Model};
 use crate::reconstruction::{Surroundings, homes};
 use crate::sampled_model::{SampledModel, fingerprint};
 use crate::sampling::KdTree;
+use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
 use crate::{Error, ErrorKind, Progress, Result};
 
 /// Most attributes that samples have: the first ones of the file.
@@ -23,8 +24,6 @@ pub const MOST: usize = 32;
 
 const MAGIC: &[u8; 8] = b"SIMODATR";
 const VERSION: u32 = 1;
-const HEAD: usize = MAGIC.len() + size_of::<u32>();
-const CHECKSUM: usize = size_of::<u128>();
 
 /// An attribute of the samples.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -136,11 +135,7 @@ impl Attributes {
 
     /// The content of a file, for the `samples.ply` and the model of these hashes.
     pub(crate) fn encode(&self, of: [&str; 2]) -> Result<Vec<u8>> {
-        let bytes = [&MAGIC[..], &VERSION.to_le_bytes()].concat();
-        let mut bytes = postcard::to_extend(&(of, self), bytes).map_err(|e| damaged(&e.to_string()))?;
-        let checksum = xxh3_128(&bytes);
-        bytes.extend_from_slice(&checksum.to_le_bytes());
-        Ok(bytes)
+        seal(MAGIC, VERSION, &(of, self)).map_err(|e| damaged(&e.to_string()))
     }
 
     /// Reads the content of a file, of so many samples.
@@ -148,20 +143,12 @@ impl Attributes {
     /// # Errors
     /// It is damaged, of a version that is not known, or of other samples.
     pub(crate) fn decode(bytes: &[u8], of: [&str; 2], samples: usize) -> Result<Self> {
-        let Some((content, checksum)) = bytes.split_last_chunk::<CHECKSUM>() else {
-            return Err(damaged("it is cut off"));
-        };
-        if content.get(..MAGIC.len()) != Some(MAGIC) {
-            return Err(damaged("it does not begin as such a file does"));
-        }
-        if xxh3_128(content) != u128::from_le_bytes(*checksum) {
-            return Err(damaged("its checksum is wrong"));
-        }
-        if content.get(MAGIC.len()..HEAD) != Some(&VERSION.to_le_bytes()) {
-            return Err(damaged("it is of a version that is not known"));
+        let (version, content) = unseal(bytes, MAGIC).map_err(damaged)?;
+        if version != VERSION {
+            return Err(damaged(UNKNOWN_VERSION));
         }
         let (known, all): ([String; 2], Self) =
-            postcard::from_bytes(&content[HEAD..]).map_err(|e| damaged(&e.to_string()))?;
+            postcard::from_bytes(content).map_err(|e| damaged(&e.to_string()))?;
         if known != of {
             return Err(damaged("it belongs to other samples"));
         }

@@ -32,6 +32,7 @@ mod resumable;
 pub mod sampled_model;
 pub mod sampling;
 mod scratch;
+mod sealed;
 pub mod touching;
 mod uncached;
 mod varint;

@@ -6,17 +6,15 @@
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
-use xxhash_rust::xxh3::xxh3_128;
 
 use super::lattice::CellKey;
+use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
 use crate::{Error, ErrorKind, Result};
 
 const MAGIC: &[u8; 8] = b"SIMODCEL";
 /// Former files, which know nothing of the faces, are of the version before.
 const VERSION: u32 = 3;
 const WITHOUT_FACES: u32 = 2;
-const HEAD: usize = MAGIC.len() + size_of::<u32>();
-const CHECKSUM: usize = size_of::<u128>();
 
 /// All occupied cells of a sampled model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -109,13 +107,7 @@ impl KeptCells {
     /// # Errors
     /// Never, for what sampling makes: only what cannot be held in a file would be refused.
     pub fn encode(&self, samples_fingerprint: &str) -> Result<Vec<u8>> {
-        let mut bytes = MAGIC.to_vec();
-        bytes.extend(VERSION.to_le_bytes());
-        let mut bytes =
-            postcard::to_extend(&(samples_fingerprint, self), bytes).map_err(|e| damaged(&e.to_string()))?;
-        let checksum = xxh3_128(&bytes);
-        bytes.extend(checksum.to_le_bytes());
-        Ok(bytes)
+        seal(MAGIC, VERSION, &(samples_fingerprint, self)).map_err(|e| damaged(&e.to_string()))
     }
 
     /// Reads the content of a file: the hash of the `samples.ply` that it belongs to, and the cells.
@@ -123,24 +115,15 @@ impl KeptCells {
     /// # Errors
     /// It is damaged, or of a version that is not known.
     pub fn decode(bytes: &[u8]) -> Result<(String, Self)> {
-        let Some((content, checksum)) = bytes.split_last_chunk::<CHECKSUM>() else {
-            return Err(damaged("it is cut off"));
-        };
-        if content.get(..MAGIC.len()) != Some(MAGIC) {
-            return Err(damaged("it does not begin as such a file does"));
-        }
-        if xxh3_128(content) != u128::from_le_bytes(*checksum) {
-            return Err(damaged("its checksum is wrong"));
-        }
+        let (version, content) = unseal(bytes, MAGIC).map_err(damaged)?;
         let failed = |e: postcard::Error| damaged(&e.to_string());
-        match content[MAGIC.len()..].first_chunk().map(|version| u32::from_le_bytes(*version)) {
-            Some(VERSION) => postcard::from_bytes(&content[HEAD..]).map_err(failed),
-            Some(WITHOUT_FACES) => {
-                let (of, former): (_, FormerCells) =
-                    postcard::from_bytes(&content[HEAD..]).map_err(failed)?;
+        match version {
+            VERSION => postcard::from_bytes(content).map_err(failed),
+            WITHOUT_FACES => {
+                let (of, former): (_, FormerCells) = postcard::from_bytes(content).map_err(failed)?;
                 Ok((of, former.into()))
             }
-            _ => Err(damaged("it is of a version that is not known")),
+            _ => Err(damaged(UNKNOWN_VERSION)),
         }
     }
 
@@ -226,6 +209,7 @@ fn damaged(what: &str) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use xxhash_rust::xxh3::xxh3_128;
 
     fn cells() -> KeptCells {
         let cell = |i: i64| KeptCell {
@@ -325,7 +309,7 @@ mod tests {
     #[test]
     fn other_versions_are_refused() {
         let mut bytes = cells().encode("hash").expect("cells");
-        bytes.truncate(bytes.len() - CHECKSUM);
+        bytes.truncate(bytes.len() - size_of::<u128>());
         bytes[MAGIC.len()] += 1;
         let checksum = xxh3_128(&bytes);
         bytes.extend(checksum.to_le_bytes());
