@@ -181,7 +181,7 @@ mod tests {
     fn sheet(count: u32, bend: f32, height: impl Fn(u32) -> f32, normal: bool) -> Vec<Sample> {
         (0..count)
             .map(|i| {
-                let (u, v) = ((i as f32 * 0.618_034).fract() - 0.5, i as f32 / count as f32 - 0.5);
+                let (u, v) = (0.5 * noise(!i), i as f32 / count as f32 - 0.5);
                 let n = Vec3::new(-2.0 * bend * u, -2.0 * bend * v, 1.0).normalize_or(Vec3::Z);
                 let p = Vec3::new(u, v, bend * (u * u + v * v)) + n * height(i);
                 Sample {
