@@ -15,6 +15,7 @@ use rayon::prelude::*;
 
 use super::blend::Supports;
 use super::expansion::Expansion;
+use super::hull::way_from_hull;
 use super::local_frames::ROUNDING;
 use super::sheets::Sheets;
 use super::{DeformationField, Transport};
@@ -43,9 +44,6 @@ const UNEXPLAINED: f32 = 0.55;
 
 /// The range of the samples beside a home is looked at for vertices within this part of its support.
 const BESIDE: f32 = 0.5;
-
-/// Rounds of the search for the point of the samples' hull that is nearest to a vertex.
-const ROUNDS: usize = 32;
 
 /// Displacements between the least and the greatest, coordinate by coordinate.
 #[derive(Debug, Clone, Copy)]
@@ -198,7 +196,7 @@ impl DeformationField<'_> {
         if range.extent.widened(slack).holds(u) {
             return None;
         }
-        let (steepness, way) = (range.steepness(), range.way_from_hull());
+        let (steepness, way) = (range.steepness(), way_from_hull(&range.from[..range.count]));
         // Little relief does not add to it.
         let Extent { low, high } = range.extent.widened(slack.max(steepness * way.length() + 0.5 * slack));
         let held = u.clamp(low, high);
@@ -270,36 +268,5 @@ impl Range {
         let steepness = trust * self.edges.steepest.min(FLATTENED * norm);
         // Samples in one place, or that all go alike, show nothing.
         if steepness.is_finite() { steepness } else { 0.0 }
-    }
-
-    /// The way from the samples' convex hull to the vertex, or a little less; nothing within the hull.
-    ///
-    /// Its nearest point is found from corner to corner (E. Gilbert, *An Iterative Procedure for Computing the Minimum of
-    /// a Quadratic Form on a Convex Set*, 1966).
-    fn way_from_hull(&self) -> Vec3 {
-        let corners = &self.from[..self.count];
-        let mut x = corners[0];
-        let (mut least, mut way) = (0.0, Vec3::ZERO);
-        for _ in 0..ROUNDS {
-            let square = x.length_squared();
-            if square == 0.0 {
-                return Vec3::ZERO;
-            }
-            let towards = |a: &Vec3| a.dot(x);
-            let corner =
-                corners.iter().copied().min_by(|a, b| towards(a).total_cmp(&towards(b))).unwrap_or(x);
-            // All corners lie beyond this plane.
-            let beyond = corner.dot(x) / square.sqrt();
-            if beyond > least {
-                (least, way) = (beyond, -x * (beyond / square.sqrt()));
-            }
-            let edge = corner - x;
-            let t = -edge.dot(x) / edge.length_squared();
-            if t.is_nan() || t <= 1e-5 {
-                break;
-            }
-            x += edge * t.min(1.0);
-        }
-        way
     }
 }

@@ -234,17 +234,24 @@ proptest! {
 
 #[test]
 fn rigid_motions_are_no_overshoot_however_far_off_the_surface() {
-    let rest: Vec<Vec3> = Model::Sheet.samples(1).into_iter().map(|(p, _)| p).collect();
-    let set = SampleSet::new(rest.clone(), Vec::new()).expect("samples");
-    let around = Surroundings::of(&set);
-    for angle in [0.01, 0.5, 1.5, 3.0] {
+    for (model, angle) in [Model::Sheet, Model::Sheets(0.3, true)]
+        .into_iter()
+        .flat_map(|model| [0.01, 0.5, 1.5, 3.0].map(|angle| (model, angle)))
+    {
+        let rest: Vec<Vec3> = model.samples(1).into_iter().map(|(p, _)| p).collect();
+        let set = SampleSet::new(rest.clone(), Vec::new()).expect("samples");
+        let around = Surroundings::of(&set);
         let map = |p: Vec3| Map::Rigid(angle).of(1, 0, 1, p);
         let deformed: Vec<Vec3> = rest.iter().map(|p| map(*p)).collect();
         let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
         let points: Vec<Vec3> =
             (0..600).map(|i| rest[i % rest.len()] + noises(2, i, 1) * [0.05, 0.3][i % 2]).collect();
         for (p, image) in points.iter().zip(carried(&field, &points)) {
-            assert!(map(*p).distance(image) < 2e-5, "{angle}: {p} goes to {image}, not {}", map(*p));
+            assert!(
+                map(*p).distance(image) < 2e-5,
+                "{model:?}, {angle}: {p} goes to {image}, not {}",
+                map(*p)
+            );
         }
     }
 }

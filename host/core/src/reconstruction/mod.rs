@@ -19,6 +19,7 @@ mod exact;
 mod expansion;
 mod expected_error;
 mod homes;
+mod hull;
 mod lanes;
 mod limiter;
 mod local_frames;

@@ -19,7 +19,7 @@ use crate::sampled_model::{SampledModel, fingerprint, same_file};
 use crate::{Error, ErrorKind, Progress, Result};
 
 /// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on with then.
-const REVISION: u32 = 5;
+const REVISION: u32 = 6;
 
 /// What is lost at most, in bytes of the model, when the program is killed: see [`Reconstruction::part_bytes`].
 pub const PART_BYTES: u64 = 256 << 20;
