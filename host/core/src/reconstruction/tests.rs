@@ -369,3 +369,23 @@ fn degenerate_samples_make_no_spikes() {
         }
     }
 }
+
+#[test]
+fn samples_between_two_sheets_do_not_join_them() {
+    // A third of the spacing apart, facing the same way; one sample of 80 has vertices of both in its cluster.
+    let n = 50;
+    let gap = Vec3::Y * 0.3 / n as f32;
+    let sheet = patch(n).enumerate();
+    let samples: Vec<Vec3> =
+        sheet.flat_map(|(i, p)| if i % 40 == 7 { vec![p + 0.5 * gap] } else { vec![p, p + gap] }).collect();
+    let map = |p: Vec3| Quat::from_rotation_y(2.0 * p.y + p.x) * p;
+    let deformed: Vec<Vec3> = samples.iter().map(|p| map(*p)).collect();
+    let set = SampleSet::new(samples, Vec::new()).expect("samples");
+    let around = Surroundings::of(&set);
+    let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
+    let points: Vec<Vec3> = patch(97).filter(inner).flat_map(|p| [p, p + gap]).collect();
+    let images = carried(&field, &points);
+    let errors = points.iter().zip(images).map(|(p, image)| map(*p).distance_squared(image));
+    let rms = (errors.sum::<f32>() / points.len() as f32).sqrt();
+    assert!(rms < 1e-5, "{rms}");
+}
