@@ -46,12 +46,13 @@ pub(crate) fn scratch_folder() -> PathBuf {
     folder
 }
 
-/// The folder with what is built, as by a plain `cargo build` in the workspace: a choice of packages would
-/// be built with other features of what they depend on, once more.
+/// The folder with what is built: the default members of the workspace, and the plugins that tests alone load. Together,
+/// as a choice of packages would be built with other features of what they depend on, once more.
 pub fn built() -> &'static Path {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
     BUILT.get_or_init(|| {
-        let cargo = cargo_build(workspace());
+        let mut cargo = cargo_build(workspace());
+        cargo.args(["-p", "simod-cli", "-p", "simod-plugin-*", "-p", "surveyor"]);
         run_build(cargo);
         profile_folder()
     })
