@@ -173,6 +173,7 @@ fn what_does_not_load() {
 }
 
 /// What comes with the program breaks no rule; what could be better is printed.
+#[expect(clippy::print_stdout, reason = "this is a part of tests")]
 fn keeps_every_rule(id: &str) {
     let report = Workplace::new().report(&format!("plugin check {id}"));
     assert_eq!(with_verdict(&report, "fail"), [""; 0], "{report}");
