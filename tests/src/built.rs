@@ -10,12 +10,12 @@ pub fn workspace() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a workspace around the tests")
 }
 
-/// A command of cargo's that builds with the profile and in the target folder of the running test.
-pub fn cargo_build(folder: &Path) -> Command {
+/// A command of cargo's that builds with the profile of the running test.
+pub fn cargo_build(folder: &Path, target: &Path) -> Command {
     let profile = profile_folder();
     let name = profile.file_name().and_then(|n| n.to_str()).expect("a profile's folder");
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    cargo.current_dir(folder).arg("build").arg("--target-dir").arg(target_folder());
+    cargo.current_dir(folder).arg("build").arg("--target-dir").arg(target);
     cargo.args(["--profile", if name == "debug" { "dev" } else { name }]);
     cargo
 }
@@ -46,12 +46,13 @@ pub(crate) fn scratch_folder() -> PathBuf {
     folder
 }
 
-/// The folder with what is built, as by a plain `cargo build` in the workspace: a choice of packages would
-/// be built with other features of what they depend on, once more.
+/// The folder with what is built: the default members of the workspace, and the plugins that tests alone load. Together,
+/// as a choice of packages would be built with other features of what they depend on, once more.
 pub fn built() -> &'static Path {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
     BUILT.get_or_init(|| {
-        let cargo = cargo_build(workspace());
+        let mut cargo = cargo_build(workspace(), &target_folder());
+        cargo.args(["-p", "simod-cli", "-p", "simod-plugin-*", "-p", "surveyor"]);
         run_build(cargo);
         profile_folder()
     })
@@ -61,6 +62,12 @@ fn profile_folder() -> PathBuf {
     // target/<profile>/deps/<test>
     let test = std::env::current_exe().expect("the test's own path");
     test.ancestors().nth(2).expect("a test in a target folder").to_owned()
+}
+
+/// A target folder for what is built outside of the workspace, as plugins of other authors are. It is shared and kept from
+/// one run to the next, so that what they depend on is built once.
+pub fn outside_target() -> PathBuf {
+    target_folder().join("outside")
 }
 
 /// The target folder.

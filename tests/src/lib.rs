@@ -9,7 +9,7 @@ mod motion;
 mod ply;
 mod workplace;
 
-pub use built::{built, cargo_build, library, program, run_build, target_folder, workspace};
+pub use built::{built, cargo_build, library, outside_target, program, run_build, target_folder, workspace};
 pub use compiler::has_compiler;
 pub use motion::Motion;
 pub use ply::Ply;

@@ -1,9 +1,9 @@
 //! Plugins that are none, of another version, or misbehave: an error each, and the others go on.
 
-use std::env::consts::DLL_SUFFIX;
+use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
 
 use glam::DVec3;
-use simod_tests::{Workplace, cargo_build, library, run_build, workspace};
+use simod_tests::{Workplace, built, cargo_build, library, outside_target, run_build, workspace};
 
 /// A model and its samples, and a folder `plugins` to look in.
 fn sampled() -> Workplace {
@@ -88,11 +88,13 @@ fn a_plugin_of_another_abi_version() {
          [lib]\ncrate-type = [\"cdylib\"]\n[dependencies]\nsimod-plugin-api.workspace = true\n",
     );
     work.write("next/plugin/src/lib.rs", FROM_THE_FUTURE);
-    let mut cargo = cargo_build(&work.path("next"));
+    let mut cargo = cargo_build(&work.path("next"), &outside_target());
     cargo.args(["--offline", "-p", "from-the-future"]);
     run_build(cargo);
 
-    install(&work, "from_the_future", std::fs::read(library("from_the_future")).expect("a library"));
+    let profile = built().file_name().expect("a profile's folder");
+    let file = outside_target().join(profile).join(format!("{DLL_PREFIX}from_the_future{DLL_SUFFIX}"));
+    install(&work, "from_the_future", std::fs::read(file).expect("a library"));
     check_rejected(&work, "from_the_future", "interface 2.0.0, this program has 1.3.0");
 }
 

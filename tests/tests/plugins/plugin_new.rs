@@ -2,27 +2,26 @@
 #![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use glam::DVec3;
-use simod_tests::{Workplace, built, has_compiler, skip, workspace};
+use simod_tests::{Workplace, built, has_compiler, outside_target, skip, workspace};
 
 /// Where the bulge is, how far it reaches as a fraction of the diagonal, and how strong it is.
 const CENTER: DVec3 = DVec3::new(0.8, 0.0, 0.0);
 const RADIUS: f64 = 0.15;
 const STRENGTH: f64 = 0.5;
 
-/// Kept from one run to the next, so that what a plugin depends on is built once.
-fn target() -> PathBuf {
-    Path::new(env!("CARGO_TARGET_TMPDIR")).join("plugin-new")
-}
-
 /// Runs cargo in a project as a user does, and without the network unless it has to.
 fn cargo(project: &Path, job: &str) {
     let run = |more: &[&str]| {
         let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-        cargo.current_dir(project).args([job, "--release"]).args(more).env("CARGO_TARGET_DIR", target());
+        cargo
+            .current_dir(project)
+            .args([job, "--release"])
+            .args(more)
+            .env("CARGO_TARGET_DIR", outside_target());
         cargo.output().unwrap()
     };
     let mut output = run(&["--offline"]);
@@ -49,7 +48,7 @@ fn a_new_plugin_works_as_it_is() {
     let library = report["library"].as_str().unwrap().strip_prefix("target/").unwrap();
     let file = Path::new(library).file_name().unwrap();
     fs::create_dir(work.path("plugins")).unwrap();
-    fs::copy(target().join(library), work.path("plugins").join(file)).unwrap();
+    fs::copy(outside_target().join(library), work.path("plugins").join(file)).unwrap();
     assert_bulges(&work.with_plugins("plugins"));
 }
 

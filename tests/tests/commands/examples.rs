@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use simod_tests::{Ply, Workplace, built, skip, workspace};
+use simod_tests::{Ply, Workplace, built, outside_target, skip, workspace};
 
 #[test]
 fn a_first_edit() {
@@ -97,6 +97,12 @@ impl Lesson {
         // Kept from one run to the next, so that what a plugin depends on is built once.
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("examples").join(name);
         copy(&repository.join("examples").join(name), &folder, repository);
+        // Where a lesson builds a plugin.
+        let target = folder.join("target");
+        if !target.exists() {
+            fs::create_dir_all(outside_target()).unwrap();
+            std::os::unix::fs::symlink(outside_target(), target).unwrap();
+        }
         // The same versions as here: nothing has to be looked up or downloaded.
         fs::copy(repository.join("Cargo.lock"), folder.join("Cargo.lock")).unwrap();
 

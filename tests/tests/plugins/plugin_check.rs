@@ -173,17 +173,57 @@ fn what_does_not_load() {
 }
 
 /// What comes with the program breaks no rule; what could be better is printed.
-#[test]
-fn our_plugins_keep_all_rules() {
-    let work = Workplace::new();
-    for id in
-        ["warp", "rbf", "laplacian", "lattice", "cage", "smooth-handle", "displacement-paint", "skinning"]
-    {
-        let report = work.report(&format!("plugin check {id}"));
-        assert_eq!(with_verdict(&report, "fail"), [""; 0], "{report}");
-        assert_eq!(report["rules"].as_array().map(Vec::len), Some(RULES));
-        for r in report["rules"].as_array().expect("rules").iter().filter(|r| r["verdict"] != "pass") {
-            println!("{id}: {} {}: {}", r["verdict"], r["rule"], r["found"]);
-        }
+#[expect(clippy::print_stdout, reason = "this is a part of tests")]
+fn keeps_every_rule(id: &str) {
+    let report = Workplace::new().report(&format!("plugin check {id}"));
+    assert_eq!(with_verdict(&report, "fail"), [""; 0], "{report}");
+    assert_eq!(report["rules"].as_array().map(Vec::len), Some(RULES));
+    for r in report["rules"].as_array().expect("rules").iter().filter(|r| r["verdict"] != "pass") {
+        println!("{id}: {} {}: {}", r["verdict"], r["rule"], r["found"]);
+    }
+}
+
+/// A test for each plugin, as some take long and can be checked at the same time.
+mod every_rule_is_kept {
+    use super::keeps_every_rule;
+
+    #[test]
+    fn by_warp() {
+        keeps_every_rule("warp");
+    }
+
+    #[test]
+    fn by_rbf() {
+        keeps_every_rule("rbf");
+    }
+
+    #[test]
+    fn by_laplacian() {
+        keeps_every_rule("laplacian");
+    }
+
+    #[test]
+    fn by_lattice() {
+        keeps_every_rule("lattice");
+    }
+
+    #[test]
+    fn by_cage() {
+        keeps_every_rule("cage");
+    }
+
+    #[test]
+    fn by_smooth_handle() {
+        keeps_every_rule("smooth-handle");
+    }
+
+    #[test]
+    fn by_displacement_paint() {
+        keeps_every_rule("displacement-paint");
+    }
+
+    #[test]
+    fn by_skinning() {
+        keeps_every_rule("skinning");
     }
 }

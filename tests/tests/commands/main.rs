@@ -1,0 +1,20 @@
+//! The program's commands, through the real binary: one module for each subject.
+
+mod bind;
+mod cancel;
+mod compare;
+mod diagnostics;
+mod errors;
+mod examples;
+mod files;
+mod main_job;
+mod place;
+mod refine;
+mod reliability;
+mod resume;
+mod sampling;
+mod sheets;
+mod trust;
+mod turntable;
+mod untouched;
+mod versions;

@@ -1,0 +1,13 @@
+//! Plugins and what their authors rely on, through the real binary: one module for each subject.
+
+mod artists_tools;
+mod authors;
+mod bad_plugins;
+mod c_plugins;
+mod first_interface;
+mod hostile_plugins;
+mod isolation;
+mod own_handles;
+mod plugin_check;
+mod plugin_new;
+mod survey;
