@@ -506,8 +506,11 @@ impl SampledModel {
                 by: description.sampling.by,
                 grouping: description.sampling.group_level.map_or(Grouping::Never, Grouping::Level),
                 placement: description.sampling.placement.unwrap_or(Placement::Vertices),
-                skip: Skip { normals: set.known_normals().is_empty(), ..Skip::default() },
-                sheets: set.contacts().is_some(),
+                skip: Skip {
+                    normals: set.known_normals().is_empty(),
+                    sheets: set.contacts().is_none(),
+                    ..Skip::default()
+                },
             },
             cells: description.sampling.cells,
             cell_size: description.sampling.cell_size,
@@ -582,10 +585,11 @@ impl SampledModel {
         }
         let source = self.open_source(elsewhere)?;
         // The triangles tell where the faces of each cell are.
-        let sheets = self.samples.contacts().is_some();
-        let skip = Skip { triangles: self.triangles.is_empty(), cells: false, normals: true };
-        let again =
-            crate::sampling::sample(&*source, &Sampling { skip, sheets, ..self.sampling }, folder, progress)?;
+        let triangles = self.triangles.is_empty();
+        // Former versions looked for no sheets unless asked to.
+        let sheets = self.samples.contacts().is_none();
+        let skip = Skip { triangles, cells: false, normals: true, sheets };
+        let again = crate::sampling::sample(&*source, &Sampling { skip, ..self.sampling }, folder, progress)?;
         if again.source.fingerprint != self.source.fingerprint {
             return Err(self.source_changed(source.path()));
         }

@@ -14,7 +14,7 @@ use simod_core::progress::Silent;
 use simod_core::reconstruction::{Reconstruction, Version, bind, reconstruct};
 use simod_core::refinement::{Finer, Refining, Selection, refine};
 use simod_core::sampled_model::SampledModel;
-use simod_core::sampling::{Sampling, Target, sample};
+use simod_core::sampling::{Sampling, Skip, Target, sample};
 use simod_tests::damage::{damage, damaged, runner};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
@@ -35,7 +35,8 @@ impl Good {
         let options = ModelOptions { vertices: 1000, encoding, ..ModelOptions::default() };
         write_file(&options, &at("m.ply"), &Silent).expect("a model");
         let model = model::open(&at("m.ply")).expect("a model");
-        let how = Sampling { target: Target::Samples(100), sheets: true, ..Sampling::default() };
+        let skip = Skip { sheets: false, ..Skip::default() };
+        let how = Sampling { target: Target::Samples(100), skip, ..Sampling::default() };
         let sampled = sample(&*model, &how, folder.path(), &Silent).expect("samples");
         sampled.save(&at("m.simod")).expect("a folder");
         bind(&sampled, &*model, &at("m.simod/binding.bin"), &Silent).expect("a binding");

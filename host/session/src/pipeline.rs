@@ -49,7 +49,8 @@ pub fn sampled(
         ));
     }
     let model = model::open(path)?;
-    let sampling = Sampling { skip, ..session.sampling.into() };
+    let mut sampling = Sampling::from(session.sampling);
+    sampling.skip = Skip { sheets: sampling.skip.sheets, ..skip };
     let sampled = sample(model.as_ref(), &sampling, folder, progress)?;
     if session.fingerprint.as_ref().is_some_and(|known| *known != sampled.source.fingerprint) {
         progress.note(&format!("{} is not what it was when the session was saved", path.display()));
@@ -280,7 +281,7 @@ impl From<session_file::Sampling> for Sampling {
             grid: from.grid,
             by: from.by.unwrap_or_default(),
             placement: from.place.unwrap_or_default(),
-            sheets: from.sheets.unwrap_or_default(),
+            skip: Skip { sheets: from.sheets != Some(true), ..Skip::default() },
             ..Self::default()
         }
     }

@@ -270,11 +270,11 @@ fn a_disk_that_fills_while_sampling() {
         refused(
             limit,
             "sample model.ply -o model.simod --samples 1000",
-            "or do without the faces, by --skip triangles and --place vertices",
+            "or do without the faces, by --skip triangles,sheets and --place vertices",
         );
     }
     // As the advice says.
-    let line = "sample model.ply -o model.simod --samples 1000 --skip triangles --place vertices";
+    let line = "sample model.ply -o model.simod --samples 1000 --skip triangles,sheets --place vertices";
     let outcome = work.run_beyond(400_000, line);
     assert_eq!(outcome.code, Some(0), "{}", outcome.stderr);
     assert_eq!(work.names(), ["model.ply", "model.simod"]);

@@ -51,7 +51,8 @@ pub struct SamplingArguments {
     /// surface, and less even; unless given, faces where vertices have no normals, or not those of the surface
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
     place: Place,
-    /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be estimated
+    /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be estimated, `sheets`, as it is
+    /// unless asked for
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
     skip: Vec<Part>,
     /// Tell parts that touch apart by the model's faces, as the fingers of a fist
@@ -99,6 +100,7 @@ enum Part {
     Triangles,
     Cells,
     Normals,
+    Sheets,
 }
 
 /// A size in bytes, with K, M, G or T for powers of 1024.
@@ -148,8 +150,8 @@ impl SamplingArguments {
                 triangles: skips(Part::Triangles),
                 cells: skips(Part::Cells),
                 normals: skips(Part::Normals),
+                sheets: !self.sheets || skips(Part::Sheets),
             },
-            sheets: self.sheets,
         }
     }
 }

@@ -2,14 +2,18 @@
 //!
 //! Of the clusters that a sample's cluster is split into, the one whose representative is nearest goes on being
 //! represented by the sample itself: another one beside it would say the same twice.
+//!
+//! Where sheets of the model touch, a cluster holds vertices of several of them, and has a sample for each. So has each of
+//! the clusters that it is split into: what is on a sheet there goes on from the sample that stood for that sheet.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use glam::Vec3;
 
-use super::regrowing::{Grown, Regrown};
+use super::regrowing::{Grown, Regrown, Sheet};
 use crate::sampling::kept_cells::{CutTree, KeptCells};
+use crate::touching::Guides;
 
 /// What a refinement comes to.
 #[derive(Default)]
@@ -17,8 +21,10 @@ pub(super) struct Appended {
     /// Positions and normals of the new samples; a normal is zero where unknown.
     pub positions: Vec<Vec3>,
     pub normals: Vec<Vec3>,
-    /// The sample whose cluster each was part of.
+    /// The sample whose cluster each was part of, or on whose sheet it is where several meet in a cluster.
     pub origins: Vec<u32>,
+    /// Samples that no tree has, as their cluster holds several sheets, and one that a tree has for it.
+    pub parted: Vec<[u32; 2]>,
     /// The new tree of each cell that was looked at.
     pub trees: Vec<(u32, CutTree)>,
     /// Ascending: from this built leaf on, up to that of the next entry, leaves belong to this sample.
@@ -27,15 +33,19 @@ pub(super) struct Appended {
     pub split: Vec<bool>,
 }
 
-/// A leaf below a split sample.
+/// A leaf below a split sample, or what is on one of several sheets there.
 struct Part {
     position: Vec3,
     normal: Vec3,
     reach: f32,
+    /// The sample that was there for it, and how far that is.
+    origin: u32,
     distance: f32,
     /// The tree, and the place among its samples.
     tree: usize,
     place: usize,
+    /// Whether it has this place: of several sheets, the one with most vertices.
+    is_first: bool,
     /// First of the built leaves.
     first: u32,
 }
@@ -50,8 +60,17 @@ struct Pieces {
     starts: Vec<(u32, u32)>,
 }
 
+/// A sheet with fewer than this part of its cluster's vertices gets no sample of its own.
+const LEAST_PART: f64 = 0.125;
+
 /// Numbers the leaves of all cells, cut at a bound.
-pub(super) fn append(kept: &KeptCells, positions: &[Vec3], cells: &[Regrown], bound: f32) -> Appended {
+pub(super) fn append(
+    kept: &KeptCells,
+    positions: &[Vec3],
+    cells: &[Regrown],
+    bound: f32,
+    guides: Option<&Guides<'_>>,
+) -> Appended {
     let mut of_sample = vec![0u32; positions.len()];
     kept.cells.iter().flat_map(|c| &c.tree.samples).for_each(|s| of_sample[*s as usize] += 1);
 
@@ -65,7 +84,8 @@ pub(super) fn append(kept: &KeptCells, positions: &[Vec3], cells: &[Regrown], bo
         while at < ends.len() {
             if let Some(grown) = next.next_if(|grown| grown.root as usize == at) {
                 let place = out.trees.len();
-                new.take(grown, &grown.cut(bound, old), positions, place, &mut pieces);
+                let how = Taking { positions, guides, place };
+                new.take(grown, &grown.cut(bound, old), how, &mut pieces);
                 at = ends[at];
             } else {
                 if old.grown.binary_search(&(at as u32)).is_ok() {
@@ -81,36 +101,71 @@ pub(super) fn append(kept: &KeptCells, positions: &[Vec3], cells: &[Regrown], bo
     let Pieces { parts, split, starts } = pieces;
     out.starts = starts;
     let mut sample_of: Vec<Option<u32>> = vec![None; parts.len()];
-    let mut origins = vec![0; parts.len()];
     for (sample, cells) in &split {
-        cells.iter().cloned().for_each(|parts| origins[parts].fill(*sample));
-        out.split[*sample as usize] = true;
-        // It may stand for whole cells besides, which are not split.
-        let stays = of_sample[*sample as usize] as usize > cells.len();
-        let nearest = |range: &Range<usize>| {
-            range.clone().min_by(|a, b| parts[*a].distance.total_cmp(&parts[*b].distance))
-        };
-        let near: Vec<usize> = cells.iter().filter_map(nearest).collect();
-        let within = |i: &&usize| parts[**i].distance <= parts[**i].reach;
-        let mut heirs: Vec<usize> = near.iter().filter(within).copied().collect();
-        if heirs.is_empty() && !stays {
-            let first = near.iter().min_by(|a, b| parts[**a].distance.total_cmp(&parts[**b].distance));
-            heirs.extend(first);
+        let parted = guides.map_or(&[][..], |guides| guides.parted_from(*sample));
+        for own in [sample].into_iter().chain(parted) {
+            out.split[*own as usize] = true;
+            // It may stand for whole cells besides, which are not split.
+            let stays = own == sample && of_sample[*own as usize] as usize > cells.len();
+            let nearest = |range: &Range<usize>| {
+                let own = range.clone().filter(|i| parts[*i].origin == *own);
+                own.min_by(|a, b| parts[*a].distance.total_cmp(&parts[*b].distance))
+            };
+            let near: Vec<usize> = cells.iter().filter_map(nearest).collect();
+            let within = |i: &&usize| parts[**i].distance <= parts[**i].reach;
+            let mut heirs: Vec<usize> = near.iter().filter(within).copied().collect();
+            if heirs.is_empty() && !stays {
+                let first = near.iter().min_by(|a, b| parts[**a].distance.total_cmp(&parts[**b].distance));
+                heirs.extend(first);
+            }
+            heirs.iter().for_each(|i| sample_of[*i] = Some(*own));
         }
-        heirs.iter().for_each(|i| sample_of[*i] = Some(*sample));
     }
-    for ((part, sample), origin) in parts.iter().zip(sample_of).zip(origins) {
+    let mut beside: Vec<(u32, usize, usize)> = Vec::new();
+    for (part, sample) in parts.iter().zip(sample_of) {
         let sample = sample.unwrap_or_else(|| {
             out.positions.push(part.position);
             out.normals.push(part.normal);
-            out.origins.push(origin);
+            out.origins.push(part.origin);
             (positions.len() + out.positions.len() - 1) as u32
         });
-        out.trees[part.tree].1.samples[part.place] = sample;
+        if part.is_first {
+            out.trees[part.tree].1.samples[part.place] = sample;
+        } else {
+            beside.push((sample, part.tree, part.place));
+        }
         out.starts.push((part.first, sample));
     }
     out.starts.sort_unstable();
+    if let Some(guides) = guides {
+        // Where nothing is left of what a sample stood for, it is beside the first that has come of its cluster.
+        for (sample, cells) in &split {
+            let part = cells.first().map(|range| &parts[range.start]);
+            beside.extend(part.map(|part| (*sample, part.tree, part.place)));
+        }
+        out.parted = out.parted(kept, guides, &beside);
+    }
     out
+}
+
+impl Appended {
+    /// The samples that no tree has: those that none had, and those that stand beside a place in a tree.
+    fn parted(&self, kept: &KeptCells, guides: &Guides<'_>, beside: &[(u32, usize, usize)]) -> Vec<[u32; 2]> {
+        let mut in_tree = vec![false; self.split.len() + self.positions.len()];
+        let anew: BTreeSet<u32> = self.trees.iter().map(|(cell, _)| *cell).collect();
+        let as_they_were = (0..).zip(&kept.cells).filter(|(cell, _)| !anew.contains(cell));
+        let trees = as_they_were.map(|(_, cell)| &cell.tree).chain(self.trees.iter().map(|(_, tree)| tree));
+        trees.flat_map(|tree| &tree.samples).for_each(|sample| in_tree[*sample as usize] = true);
+        let mut found: BTreeMap<u32, u32> = BTreeMap::new();
+        for (sample, tree, place) in beside.iter().filter(|(sample, ..)| !in_tree[*sample as usize]) {
+            found.entry(*sample).or_insert(self.trees[*tree].1.samples[*place]);
+        }
+        for [sample, of] in guides.parted().iter().filter(|[sample, _]| !in_tree[*sample as usize]) {
+            let of = found.get(of).copied().unwrap_or(*of);
+            found.entry(*sample).or_insert(of);
+        }
+        found.into_iter().map(|(sample, of)| [sample, of]).collect()
+    }
 }
 
 impl Pieces {
@@ -119,6 +174,66 @@ impl Pieces {
         if let Some((sample, _, first)) = open {
             self.split.entry(sample).or_default().push(first..self.parts.len());
         }
+    }
+}
+
+/// How what has grown is taken.
+struct Taking<'a, 'g> {
+    /// Where the samples are that were there.
+    positions: &'a [Vec3],
+    guides: Option<&'a Guides<'g>>,
+    /// The place of the cell's tree among those that are looked at.
+    place: usize,
+}
+
+impl Taking<'_, '_> {
+    /// That which was there, of the cluster of a sample, for the vertices of a sheet.
+    fn own(&self, sample: u32, guide: u32) -> u32 {
+        self.guides.map_or(sample, |all| all.of_cluster(sample, guide))
+    }
+
+    /// What comes of a leaf below a split sample, the sheet with most vertices first, for this place in the tree; and where the
+    /// vertices of the others go on with a sample that was there.
+    fn parts(&self, grown: &Grown, i: usize, sample: u32, place: usize) -> (Vec<Part>, Vec<(u32, u32)>) {
+        let node = &grown.nodes[i];
+        let whole = (node.position, node.normal, node.reach);
+        let part = |origin: u32, (position, normal, reach): (Vec3, Vec3, f32), sheet: usize| Part {
+            position,
+            normal,
+            reach,
+            origin,
+            distance: self.positions[origin as usize].distance(position),
+            tree: self.place,
+            place,
+            is_first: false,
+            first: grown.first_leaf(i, sheet),
+        };
+        let (mut parts, mut starts) = (Vec::new(), Vec::new());
+        if grown.sheets.is_empty() {
+            parts.push(part(sample, whole, 0));
+        }
+        let on_sheet = |(at, sheet): (usize, &Sheet)| {
+            let moments = sheet.moments(grown.leaves(i));
+            (moments.count() > 0.0).then(|| (at, self.own(sample, sheet.guide), moments))
+        };
+        let mut there: Vec<_> = grown.sheets.iter().enumerate().filter_map(on_sheet).collect();
+        there.sort_by(|(.., a), (.., b)| b.count().total_cmp(&a.count()));
+        let all: f64 = there.iter().map(|(.., moments)| moments.count()).sum();
+        for (at, own, moments) in &there {
+            if moments.count() == all {
+                parts.push(part(*own, whole, *at));
+            } else if parts.is_empty() || moments.count() >= LEAST_PART * all {
+                let (position, normal, _) = moments.representative();
+                let reach = 0.5 * (moments.max - moments.min).length();
+                parts.push(part(*own, (position, normal, reach), *at));
+            } else {
+                starts.push((grown.first_leaf(i, *at), *own));
+            }
+        }
+        if let Some(first) = parts.first_mut() {
+            first.is_first = true;
+        }
+        (parts, starts)
     }
 }
 
@@ -141,15 +256,8 @@ impl<S: Iterator<Item = u32>> Renewed<'_, S> {
         }
     }
 
-    /// The cut of a tree that has grown; `place` is its cell's among those that are looked at.
-    fn take(
-        &mut self,
-        grown: &Grown,
-        cut: &[(usize, bool)],
-        positions: &[Vec3],
-        place: usize,
-        pieces: &mut Pieces,
-    ) {
+    /// The cut of a tree that has grown.
+    fn take(&mut self, grown: &Grown, cut: &[(usize, bool)], how: Taking<'_, '_>, pieces: &mut Pieces) {
         let root = self.tree.children.len() as u32;
         // The sample that is split, the end of its subtree, and where its parts begin.
         let mut open: Option<(u32, u32, usize)> = None;
@@ -162,23 +270,21 @@ impl<S: Iterator<Item = u32>> Renewed<'_, S> {
             self.tree.errors.push(node.error);
             let was_leaf = node.known.is_some_and(|k| self.old.children[k as usize] == 0);
             let sample = if was_leaf { self.samples.next() } else { None };
-            let first = grown.first_leaf + node.first;
             match (is_leaf, sample, open) {
                 (true, Some(sample), _) => {
                     self.tree.samples.push(sample);
-                    pieces.starts.push((first, sample));
+                    if grown.sheets.is_empty() {
+                        pieces.starts.push((grown.first_leaf(i, 0), sample));
+                    }
+                    for (at, sheet) in grown.sheets.iter().enumerate() {
+                        pieces.starts.push((grown.first_leaf(i, at), how.own(sample, sheet.guide)));
+                    }
                 }
                 (false, Some(sample), _) => open = Some((sample, node.end, pieces.parts.len())),
                 (true, None, Some((sample, ..))) => {
-                    pieces.parts.push(Part {
-                        position: node.position,
-                        normal: node.normal,
-                        reach: node.reach,
-                        distance: positions[sample as usize].distance(node.position),
-                        tree: place,
-                        place: self.tree.samples.len(),
-                        first,
-                    });
+                    let (parts, starts) = how.parts(grown, i, sample, self.tree.samples.len());
+                    pieces.parts.extend(parts);
+                    pieces.starts.extend(starts);
                     // Known once all parts of all cells are.
                     self.tree.samples.push(sample);
                 }

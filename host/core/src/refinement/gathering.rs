@@ -27,6 +27,8 @@ pub(crate) struct Gathered {
     pub ids: Vec<u32>,
     /// What the cell's tree was built of, if not of the vertices: groups, and that of each vertex.
     pub groups: Option<(Vec<Vec<Group>>, Vec<u32>)>,
+    /// A sample on the sheet of each vertex, if the model touches itself in the cell.
+    pub guides: Vec<u32>,
 }
 
 /// A vertex of one of the cells that are read.
@@ -73,6 +75,7 @@ impl Gathering<'_> {
                     vertices: Vec::with_capacity(n),
                     ids: Vec::with_capacity(if self.with_ids { n } else { 0 }),
                     groups: groups.as_ref().map(|_| (Vec::new(), Vec::with_capacity(n))),
+                    guides: Vec::new(),
                 }
             })
             .collect();

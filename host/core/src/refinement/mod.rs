@@ -14,8 +14,8 @@ mod selection;
 #[cfg(test)]
 pub(crate) mod tests;
 
-use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::OnceLock;
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -32,6 +32,7 @@ use crate::sampling::cut::{self, threshold_for};
 use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::lattice::CellMap;
 use crate::sampling::{LEAST_MEMORY, Placement, total_memory};
+use crate::touching::{Guides, Noted};
 use crate::{Error, ErrorKind, Progress, Result};
 use appending::{Appended, append};
 use faces::Members;
@@ -157,11 +158,14 @@ const KEEP_AT_MOST: f64 = 1.6;
 /// ... to so many times as many.
 const PRUNE_TO: f64 = 1.2;
 
+/// How often room is made for the samples of sheets that share clusters: each time there are fewer of them.
+const ROUNDS_FOR_SHEETS: usize = 8;
+
 /// A bound this many times smaller than what the number of samples foretells is low enough, mostly.
 const FORESIGHT: f64 = 3.0;
 
 /// Refines a sampled model, whose cells are held, where it is selected. Temporary files without a name are made in `folder`, of 4 bytes per
-/// vertex that is read, if there are triangles, and 12 more where faces place the samples.
+/// vertex that is read, if there are triangles, 12 more where faces place the samples, and 16 near places where sheets meet.
 ///
 /// Memory: below the limit, for any selection. Cells come in batches of at most 96 MiB, or one at a time; 240 bytes for each of their
 /// vertices. The new samples take 200 bytes each, at most half of the limit. P_S itself comes on top.
@@ -190,14 +194,17 @@ pub fn refine(
         }
         _ => Sizing::Selected(Selected::new(selection, sampled.frame)),
     };
-    let mut leaves = sizing.leaves(sampled, kept);
-    leave_parted(sampled, kept, &mut leaves, progress);
+    let leaves = sizing.leaves(sampled, kept);
     if !leaves.iter().flatten().any(|leaf| leaf.inside) {
         return Err(meets_nothing());
     }
-    let work = Work { sampled, kept, model, sizing, leaves, how, folder, progress };
+    let contacts = sampled.samples.contacts();
+    let near = OnceLock::new();
+    let guides = contacts.map(|contacts| Guides::new(&sampled.samples, contacts, &near));
+    let guides = guides.as_ref();
+    let work = Work { sampled, kept, model, sizing, leaves, guides, how, folder, progress };
     let goal = work.goal();
-    let (bound, cells, members, figures) = match work.regrow(goal)? {
+    let (bound, cells, members, noted, figures) = match work.regrow(goal)? {
         Some(done) => done,
         // What was foretold was too coarse.
         None => match work.regrow(Goal { least: 0.0, ..goal })? {
@@ -206,7 +213,7 @@ pub fn refine(
         },
     };
     progress.begin("completing the samples", 0);
-    let mut appended = append(kept, &sampled.samples.positions, &cells, bound);
+    let mut appended = append(kept, &sampled.samples.positions, &cells, bound, guides);
     drop(cells);
     let added = appended.positions.len() as u64;
     let mut refined = Refined {
@@ -238,43 +245,21 @@ pub fn refine(
     }
     progress.check()?;
     let mut kept = kept.clone();
-    let Appended { positions, normals, origins, trees, .. } = appended;
+    let Appended { positions, normals, origins, parted, trees, .. } = appended;
     trees.into_iter().for_each(|(cell, tree)| kept.cells[cell as usize].tree = tree);
     let transfer_error = need.map(|need| need.allowed);
     let record = Refinement { shapes: how.shapes.clone(), error: refined.error, added, transfer_error };
     let mut with_new = sampled.refined((positions, normals), triangles, kept, record)?;
-    if let Some(contacts) = sampled.samples.contacts() {
+    if let Some(contacts) = contacts {
         with_new.samples.prepare();
-        let contacts = contacts.refined(&with_new.samples, &origins);
+        let mut contacts = contacts.refined(&with_new.samples, &origins, parted);
+        if let Some(noted) = noted {
+            contacts = contacts.with_places(&with_new, noted, folder)?;
+        }
         with_new.samples.set_contacts(Some(contacts));
     }
     refined.sampled = Some(with_new);
     Ok(refined)
-}
-
-/// Clusters that hold several sheets stay as they are: positions alone do not tell whose their vertices are.
-fn leave_parted(
-    sampled: &SampledModel,
-    kept: &KeptCells,
-    leaves: &mut [Vec<Nearest>],
-    progress: &dyn Progress,
-) {
-    let Some(contacts) = sampled.samples.contacts() else { return };
-    let parted: BTreeSet<u32> = contacts.parted().iter().map(|[_, of]| *of).collect();
-    let mut inside = 0;
-    for (leaves, cell) in leaves.iter_mut().zip(&kept.cells) {
-        for (leaf, sample) in leaves.iter_mut().zip(&cell.tree.samples) {
-            if parted.contains(sample) {
-                leaf.slack = f32::INFINITY;
-                inside += usize::from(leaf.inside);
-            }
-        }
-    }
-    if inside > 0 {
-        progress.note(&format!(
-            "{inside} of the clusters there stay as they are: parts of the model touch in them"
-        ));
-    }
 }
 
 /// Where the samples go that a refinement has appended, from `first` on (the model's coordinates), by a deformation of those
@@ -360,13 +345,15 @@ fn check(how: &Refining) -> Result<()> {
 }
 
 /// A refinement at work.
-struct Work<'a> {
+struct Work<'a, 'g> {
     sampled: &'a SampledModel,
     kept: &'a KeptCells,
     model: &'a dyn Model,
     sizing: Sizing<'a>,
     /// What is known of each leaf of each cell.
     leaves: Vec<Vec<Nearest>>,
+    /// Where the model touches itself.
+    guides: Option<&'a Guides<'g>>,
     how: &'a Refining,
     folder: &'a Path,
     progress: &'a dyn Progress,
@@ -386,9 +373,9 @@ struct Goal {
 /// A cell that is read, and which of its leaves may be split.
 type Met = (u32, Vec<bool>);
 
-type Done = (f32, Vec<Regrown>, Option<Members>, Refined);
+type Done = (f32, Vec<Regrown>, Option<Members>, Option<Noted>, Refined);
 
-impl Work<'_> {
+impl Work<'_, '_> {
     fn limit(&self) -> u64 {
         self.how.memory_limit.unwrap_or_else(|| (total_memory() / 4).min(2 << 30)).max(LEAST_MEMORY)
     }
@@ -448,6 +435,7 @@ impl Work<'_> {
             with_ids: has_triangles,
         };
         self.tell_scattered(&gathering, &cells);
+        let mut noted = self.guides.map(|_| Noted::new(self.folder)).transpose()?;
         let mut bound = goal.least;
         let mut regrown: Vec<Regrown> = Vec::new();
         let (mut built, mut vertex_bytes) = (0u32, 0);
@@ -455,17 +443,30 @@ impl Work<'_> {
         for batch in self.batches(&cells)? {
             let places: Vec<u32> = batch.iter().map(|(cell, _)| *cell).collect();
             progress.begin("reading the cells", gathering.bytes_of(&places));
-            let (gathered, bytes) = gathering.read(&places, *progress)?.ok_or_else(|| self.changed())?;
+            let (mut gathered, bytes) = gathering.read(&places, *progress)?.ok_or_else(|| self.changed())?;
             vertex_bytes += bytes;
             if let Some(members) = &members {
                 gathered.iter().try_for_each(|cell| members.note_positions(cell))?;
             }
             progress.begin("refining", 0);
+            if let Some(guides) = self.guides {
+                for cell in &mut gathered {
+                    if guides.concern(&kept.cells[cell.cell as usize].tree.samples) {
+                        cell.guides = guides.of(&sampled.frame, cell.vertices.iter().map(|v| v.position));
+                    }
+                    if let Some(noted) = &mut noted {
+                        let all =
+                            cell.vertices.iter().zip(&cell.guides).map(|(v, guide)| (v.position, *guide));
+                        noted.note(all.filter(|(_, guide)| guides.concern(&[*guide])))?;
+                    }
+                }
+            }
             let how = Regrowing {
                 rule: sampled.rule(),
                 sizing: &self.sizing,
                 bound,
                 leaves_from: sampled.samples.len() as u32,
+                guides: self.guides,
             };
             let found: Result<Vec<Regrown>> = gathered
                 .into_par_iter()
@@ -502,14 +503,24 @@ impl Work<'_> {
             if target as u64 > most {
                 return Err(too_many(most));
             }
-            let threshold = threshold_for(splits(&regrown, kept), 0, target);
+            // Sheets that share clusters take samples beside those of the trees.
+            let (mut left, mut threshold) = (target, threshold_for(splits(&regrown, kept), 0, target));
+            for _ in 0..ROUNDS_FOR_SHEETS {
+                let cut = bound.max(threshold);
+                let beside: usize = regrown.iter().map(|cell| cell.beside(cut, kept)).sum();
+                if left + beside <= target {
+                    break;
+                }
+                left = target.saturating_sub(beside).min(left.saturating_sub(1));
+                threshold = threshold_for(splits(&regrown, kept), 0, left);
+            }
             if !goal.at_most && threshold < bound && bound == goal.least && goal.least > 0.0 {
                 return Ok(None);
             }
             bound = bound.max(threshold);
         }
         let figures = Refined { cells: cells.len() as u64, vertex_bytes, ..Refined::nothing() };
-        Ok(Some((bound, regrown, members, figures)))
+        Ok(Some((bound, regrown, members, noted, figures)))
     }
 
     /// Adds the cells of all samples that share a triangle with one that may be split: the samples of their vertices have
@@ -524,9 +535,15 @@ impl Work<'_> {
                 .filter(|(_, wanted)| **wanted)
                 .for_each(|(s, _)| split[*s as usize] = true);
         }
+        let parted = self.guides.map_or(&[][..], |guides| guides.parted());
+        parted.iter().for_each(|[sample, of]| split[*sample as usize] = split[*of as usize]);
         let mut needed = split.clone();
         for triangle in self.sampled.triangles.iter().filter(|t| t.iter().any(|s| split[*s as usize])) {
             triangle.iter().for_each(|s| needed[*s as usize] = true);
+        }
+        // No tree has these, but the sample that they are parted from.
+        for [sample, of] in parted {
+            needed[*of as usize] |= needed[*sample as usize];
         }
         // Samples of whole cells need not share a triangle with all that they are next to.
         let index: CellMap<usize> = self.kept.cells.iter().map(|cell| cell.key).zip(0..).collect();

@@ -15,6 +15,7 @@ use crate::sampled_model::SampledModel;
 use crate::sampling::SampleSet;
 use crate::sampling::cluster::REACH_WEIGHT;
 use crate::sampling::kept_cells::KeptCells;
+use crate::touching::Contacts;
 
 /// The power of the clusters' size that the error falls with, where the deformation is smooth: what expansions of second order
 /// leave out. Beside a step it falls more slowly.
@@ -59,6 +60,10 @@ impl<'a> Needs<'a> {
                 let known = &mut errors[*sample as usize];
                 *known = known.max(*error);
             }
+        }
+        // Those that share a cluster with one that a tree has.
+        for [sample, of] in sampled.samples.contacts().map_or(&[][..], Contacts::parted) {
+            errors[*sample as usize] = errors[*of as usize];
         }
         let at = |allowed: f32| Self::allowing(&sampled.samples, &errors, expected, allowed);
         let most = expected.iter().copied().fold(0.0, f32::max);

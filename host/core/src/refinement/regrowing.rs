@@ -7,8 +7,12 @@
 use crate::sampling::cluster::{Element, Moments, Sample};
 use crate::sampling::density::Rule;
 use crate::sampling::finalization::seed_of;
-use crate::sampling::kept_cells::{CutTree, KeptCell};
+use crate::sampling::kept_cells::{CutTree, KeptCell, KeptCells};
 use crate::sampling::vs_tree::{VsTree, Workspace, children, mix};
+use crate::touching::Guides;
+use std::collections::BTreeMap;
+use std::ops::Range;
+
 use glam::Vec3;
 
 use super::gathering::{Gathered, SAMPLES_OF_A_PART};
@@ -41,6 +45,31 @@ pub(super) struct Grown {
     pub nodes: Vec<GrownNode>,
     /// Number of leaves, of all cells, before its first one.
     pub first_leaf: u32,
+    /// Number of leaves that were built. Each sheet has as many, one sheet after the other.
+    pub built: u32,
+    /// The sheets that its vertices are on, if there are several.
+    pub sheets: Vec<Sheet>,
+}
+
+/// The vertices below a sample of the first sampling that are on one sheet of several that touch there.
+#[derive(Debug)]
+pub(super) struct Sheet {
+    /// A sample on the sheet.
+    pub guide: u32,
+    /// The leaves with such vertices, ascending, and what these are.
+    leaves: Vec<(u32, Moments)>,
+}
+
+impl Sheet {
+    /// What is on the sheet in a range of leaves; nothing, if it has no vertices there.
+    pub fn moments(&self, leaves: Range<u32>) -> Moments {
+        let start = self.leaves.partition_point(|(leaf, _)| *leaf < leaves.start);
+        let inside = self.leaves[start..].iter().take_while(|(leaf, _)| *leaf < leaves.end);
+        inside.fold(Moments::default(), |mut sum, (_, moments)| {
+            sum.add(moments);
+            sum
+        })
+    }
 }
 
 /// What became of a cell.
@@ -58,6 +87,21 @@ pub(super) struct Regrown {
 }
 
 impl Regrown {
+    /// At most how many samples sheets take beside those of the tree, at a cut.
+    pub fn beside(&self, bound: f32, kept: &KeptCells) -> usize {
+        let tree = &kept.cells[self.cell as usize].tree;
+        let of_leaf = |grown: &Grown, i: usize| {
+            let there = |sheet: &&Sheet| sheet.moments(grown.leaves(i)).count() > 0.0;
+            grown.sheets.iter().filter(there).count().saturating_sub(1)
+        };
+        let of_grown = |grown: &Grown| -> usize {
+            let is_new = |i: usize| grown.nodes[i].known.is_none();
+            let leaves = grown.cut(bound, tree).into_iter().filter(|(i, is_leaf)| *is_leaf && is_new(*i));
+            leaves.map(|(i, _)| of_leaf(grown, i)).sum()
+        };
+        self.grown.iter().filter(|grown| !grown.sheets.is_empty()).map(of_grown).sum()
+    }
+
     /// So many leaves of other cells come before those of this one.
     pub fn count_from(&mut self, before: u32, leaves_from: u32) {
         self.grown.iter_mut().for_each(|grown| grown.first_leaf += before);
@@ -71,16 +115,29 @@ impl Regrown {
 pub(super) struct Changed;
 
 /// How cells are regrown.
-pub(super) struct Regrowing<'a> {
+pub(super) struct Regrowing<'a, 'g> {
     pub rule: Rule,
     pub sizing: &'a Sizing<'a>,
     /// Bound inside the selection; local units.
     pub bound: f32,
     /// Number of the first leaf that is built: those before are samples.
     pub leaves_from: u32,
+    /// Where the model touches itself.
+    pub guides: Option<&'a Guides<'g>>,
 }
 
 impl Grown {
+    /// The number of a node's first leaf among those of all cells, on a sheet.
+    pub fn first_leaf(&self, i: usize, sheet: usize) -> u32 {
+        self.first_leaf + sheet as u32 * self.built + self.nodes[i].first
+    }
+
+    /// The leaves below a node, of those that were built.
+    pub fn leaves(&self, i: usize) -> Range<u32> {
+        let node = &self.nodes[i];
+        node.first..self.nodes.get(node.end as usize).map_or(self.built, |next| next.first)
+    }
+
     /// The nodes down to a cut inside the selection, and whether each is a leaf of it.
     pub fn cut(&self, bound: f32, tree: &CutTree) -> Vec<(usize, bool)> {
         let (mut found, mut i) = (Vec::new(), 0);
@@ -120,7 +177,7 @@ impl Grown {
     }
 }
 
-impl Regrowing<'_> {
+impl Regrowing<'_, '_> {
     /// Goes on with the tree of a cell. `wanted` says of each leaf whether it may be refined; all trees that went on
     /// below a leaf before are built again where it is, or if the members are asked for.
     pub fn regrow(
@@ -151,10 +208,14 @@ impl Regrowing<'_> {
             let refined = wanted[leaf.samples.clone()].contains(&true);
             let has_grown = leaf.samples.len() > 1;
             let is_asked_for = has_grown && !gathered.ids.is_empty();
+            let samples = &tree.samples[leaf.samples.clone()];
+            // Where no sheets meet, nobody asks for the vertices' own.
+            let guides = self.guides.filter(|all| !gathered.guides.is_empty() && all.concern(samples));
             if !refined && !is_asked_for {
-                let sample = tree.samples[leaf.samples.start];
-                let ids = of_leaf.iter().filter_map(|v| gathered.ids.get(*v as usize));
-                found.members.extend(ids.map(|id| (*id, sample)));
+                for v in of_leaf.iter().map(|v| *v as usize).filter(|v| *v < gathered.ids.len()) {
+                    let own = guides.map(|all| all.of_cluster(samples[0], gathered.guides[v]));
+                    found.members.push((gathered.ids[v], own.unwrap_or(samples[0])));
+                }
                 continue;
             }
             let mut vertices: Vec<Sample> = of_leaf
@@ -165,13 +226,27 @@ impl Regrowing<'_> {
             let below = mix(seed, ordinal as u64 + 1);
             let (grown, built) = self.grow(&mut vertices, tree, leaf, below, refined, &mut workspace)?;
             let first_leaf = found.built;
-            found.built += built;
-            for (v, leaf) in of_leaf.iter().zip(&workspace.leaves) {
+            let (mut sheets, sheet_of) = guides.map_or_else(Default::default, |all| {
+                all.sheets(of_leaf.iter().map(|v| gathered.guides[*v as usize]))
+            });
+            if sheets.len() < 2 {
+                sheets.clear();
+            }
+            let mut on_sheet = vec![BTreeMap::<u32, Moments>::new(); sheets.len()];
+            for (i, (v, leaf)) in of_leaf.iter().zip(&workspace.leaves).enumerate() {
+                let sheet = if sheets.is_empty() { 0 } else { sheet_of[i] };
+                if let Some(on_sheet) = on_sheet.get_mut(sheet as usize) {
+                    let vertex = Moments::of(&[gathered.vertices[*v as usize]]);
+                    on_sheet.entry(*leaf).or_default().add(&vertex);
+                }
                 if let Some(id) = gathered.ids.get(*v as usize) {
-                    found.members.push((*id, self.leaves_from + first_leaf + leaf));
+                    found.members.push((*id, self.leaves_from + first_leaf + sheet * built + leaf));
                 }
             }
-            found.grown.push(Grown { first_leaf, ..grown });
+            found.built += built * sheets.len().max(1) as u32;
+            let sheets = sheets.into_iter().zip(on_sheet);
+            let sheets = sheets.map(|(guide, leaves)| Sheet { guide, leaves: leaves.into_iter().collect() });
+            found.grown.push(Grown { first_leaf, built, sheets: sheets.collect(), ..grown });
         }
         Ok(found)
     }
@@ -273,7 +348,8 @@ impl Regrowing<'_> {
                 known,
             });
         }
-        Ok((Grown { root: leaf.nodes.start as u32, nodes, first_leaf: 0 }, built.built()))
+        let root = leaf.nodes.start as u32;
+        Ok((Grown { root, nodes, first_leaf: 0, built: 0, sheets: Vec::new() }, built.built()))
     }
 }
 

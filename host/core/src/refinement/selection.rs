@@ -106,6 +106,7 @@ impl<'a> Selected<'a> {
             }
             None => positions.par_iter().map(|p| self.distance(*p)).collect(),
         };
+        let contacts = sampled.samples.contacts();
         let of_cell = |cell: &KeptCell| {
             let to_cell = match self.selection.pose() {
                 // Where a cell goes is known of its samples alone.
@@ -120,8 +121,11 @@ impl<'a> Selected<'a> {
             let grown = tree.is_grown();
             let is_leaf = |i: &usize| tree.children[*i] == 0;
             let leaves = (0..tree.children.len()).filter(is_leaf).map(|i| (tree.errors[i], grown[i]));
+            let parted = |sample: u32| contacts.is_some_and(|all| all.same_sheet(sample as usize).is_some());
             let nearest = |((error, below), sample): ((f32, bool), &u32)| {
-                // The error holds the reach; a sample that stayed where it was may stand at its cluster's rim.
+                // The error holds the reach; a sample that stayed where it was may stand at its cluster's rim, and so may that of
+                // one of several sheets.
+                let below = below || parted(*sample);
                 let reach = f64::from(error) / REACH_WEIGHT * if below { 2.0 } else { 1.0 };
                 let distance = (of_sample[*sample as usize] - reach).max(to_cell);
                 Nearest { error, slack: slack(distance), inside: distance <= 0.0 }

@@ -97,7 +97,7 @@ fn members(sampled: &SampledModel, model: &dyn Model) -> Vec<Option<u32>> {
         sampled.frame,
     ));
     let old = sampled.samples.len() as u32;
-    let how = Regrowing { rule: sampled.rule(), sizing: &sizing, bound: 0.0, leaves_from: old };
+    let how = Regrowing { rule: sampled.rule(), sizing: &sizing, bound: 0.0, leaves_from: old, guides: None };
     let mut built = 0;
     let cells: Vec<Regrown> = gathered
         .into_iter()
@@ -110,7 +110,7 @@ fn members(sampled: &SampledModel, model: &dyn Model) -> Vec<Option<u32>> {
             cell
         })
         .collect();
-    let appended = append(kept, &sampled.samples.positions, &cells, 0.0);
+    let appended = append(kept, &sampled.samples.positions, &cells, 0.0, None);
     assert!(appended.positions.is_empty(), "nothing was to be refined");
     let mut of = vec![None; sampled.source.vertices as usize];
     for (vertex, leaf) in cells.iter().flat_map(|cell| &cell.members) {
@@ -148,7 +148,7 @@ fn every_vertex_has_a_sample_and_samples_stay_however_often_it_is_refined() {
         (body(), Sampling { splitting: Splitting::Octree, ..samples(2000) }),
         // Fewer samples than cells, which share them.
         (body(), Sampling { grid: Some(64), ..samples(300) }),
-        (body(), Sampling { target: Target::Error(4e-3), ..Sampling::default() }),
+        (body(), Sampling { target: Target::Error(4e-3), ..samples(0) }),
     ];
     for (body, sampling) in cases {
         let (first, model) = body.sampled(sampling);

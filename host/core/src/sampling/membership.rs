@@ -36,7 +36,7 @@ const BYTES: u64 = size_of::<u32>() as u64;
 /// No sample.
 const NONE: u32 = u32::MAX;
 
-const ADVICE: &str = "do without the faces, by --skip triangles and --place vertices";
+const ADVICE: &str = "do without the faces, by --skip triangles,sheets and --place vertices";
 
 /// While the model streams.
 ///

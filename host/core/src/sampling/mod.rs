@@ -90,13 +90,10 @@ pub struct Sampling {
     pub placement: Placement,
     /// What is not wanted.
     pub skip: Skip,
-    /// Whether faces tell sheets apart that touch, which takes a pass over them as the triangles do, and temporary files of at
-    /// most 12 bytes per vertex.
-    pub sheets: bool,
 }
 
 /// Parts of a sampled model that can be left out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Skip {
     /// The triangles of P_S, which take a pass over the faces, and temporary files of at most 8 bytes per vertex.
     pub triangles: bool,
@@ -104,6 +101,15 @@ pub struct Skip {
     pub cells: bool,
     /// Estimating normals where the model has none: whoever needs them estimates them again.
     pub normals: bool,
+    /// Telling sheets apart that touch, by the faces: it takes a pass over them as the triangles do, and temporary files of at
+    /// most 12 bytes per vertex. Skipped, unless it is asked for.
+    pub sheets: bool,
+}
+
+impl Default for Skip {
+    fn default() -> Self {
+        Self { triangles: false, cells: false, normals: false, sheets: true }
+    }
 }
 
 /// Least memory limit, for a few samples: chunks of the model, the queue of cells, the program itself. Each
@@ -232,7 +238,7 @@ pub fn sample(
             most: usize::try_from(sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE)
                 .unwrap_or(usize::MAX),
             foresight,
-            with_members: reads_faces && (by_faces || sampling.sheets || !sampling.skip.triangles),
+            with_members: reads_faces && (by_faces || !sampling.skip.sheets || !sampling.skip.triangles),
             with_positions: by_faces,
             folder,
             progress,
@@ -339,7 +345,7 @@ impl Reindexed {
         let Read { sampling, parting, .. } = *read;
         let info = parting.model.info();
         let (mut islands, mut welded) = (None, false);
-        if sampling.sheets {
+        if !sampling.skip.sheets {
             let mut each = Islands::new(sample_of.len(), self.cut.samples(), parting.folder)?;
             // Where faces share no vertices, positions tell what hangs together.
             welded = info.vertices / 2 > info.faces;
@@ -350,9 +356,10 @@ impl Reindexed {
         }
         self.read_faces(read, sample_of, islands.as_mut())?;
         let Some(mut islands) = islands else { return Ok(()) };
-        let Some(mut parts) = parting.find(&mut islands, sample_of, &self.cut.trees, welded)? else {
+        let mut parts = parting.find(&mut islands, sample_of, &self.cut.trees, welded)?;
+        if parts.is_empty() {
             return Ok(());
-        };
+        }
 
         let mut most = usize::MAX;
         if let Target::Samples(n) = sampling.target {
@@ -365,14 +372,11 @@ impl Reindexed {
                 });
                 islands.merge(sample_of);
                 self.cut = cut;
-                match parting.find(&mut islands, sample_of, &self.cut.trees, true)? {
-                    Some(found) => parts = found,
-                    None => return self.read_faces(read, sample_of, None),
-                }
+                parts = parting.find(&mut islands, sample_of, &self.cut.trees, true)?;
             }
             most = n.saturating_sub(self.cut.samples());
         }
-        let parted = parts.part(self.cut.samples() as u32, most);
+        let parted = parts.part(&self.cut.positions, most);
         parted.renumber(&islands, sample_of);
         drop(islands);
         for (sample, position, normal) in &parted.moved {
@@ -409,8 +413,10 @@ impl Reindexed {
         let wanted = Wanted { triangles, ranges: ranges.as_mut(), islands, planes: planes.as_mut() };
         let found = triangles::reindex(parting.model, sample_of, samples, wanted, parting.progress);
         self.triangles = found.map_err(|e| {
-            let hint =
-                format!("{}; or do without the faces, by --skip triangles and --place vertices", e.hint());
+            let hint = format!(
+                "{}; or do without the faces, by --skip triangles,sheets and --place vertices",
+                e.hint()
+            );
             if e.kind() == ErrorKind::Format { Error::new(e.kind(), e.to_string(), hint) } else { e }
         })?;
         if let Some(planes) = planes {

@@ -4,25 +4,29 @@
 //! before it.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap};
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
+use bytemuck::cast_slice;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3Default;
 
+use super::ADVICE;
 use super::parting::{Parted, Parting};
 use super::places::Places;
 use super::sorter::Sorter;
+use crate::frame::Frame;
 use crate::input;
 use crate::output::OutputFile;
 use crate::reconstruction::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, Surroundings, homes};
 use crate::sampled_model::SampledModel;
 use crate::sampling::kept_cells::CutTree;
 use crate::sampling::{NEIGHBOURS, SampleSet};
+use crate::scratch::Scratch;
 use crate::{Error, ErrorKind, Result};
 
 const MAGIC: &[u8; 8] = b"SIMODSHT";
@@ -56,8 +60,9 @@ struct Lists {
 }
 
 impl Contacts {
-    /// Of the samples of a model whose clusters were parted, of which `sample_of` says what vertex belongs to
-    /// which. `trees` has the samples of each cell.
+    /// Of the samples of a model whose clusters were parted, of which `sample_of` says what vertex belongs to which. `trees` has the
+    /// samples of each cell. Where clusters were parted there are contacts, though nothing may be near any more: so it is
+    /// known that they were.
     ///
     /// # Errors
     /// The model cannot be read, or a temporary file written; the user cancelled.
@@ -74,9 +79,6 @@ impl Contacts {
         let parted_from: Vec<[u32; 2]> =
             (first as u32..).zip(&parted.added).map(|(i, (of, ..))| [i, *of]).collect();
         let lists = Lists::new(same_sheet(samples, parted), parted_from);
-        if lists.samples.is_empty() && lists.parted.is_empty() {
-            return Ok(());
-        }
         let contacts = Self { lists, ..Self::default() };
         let places = contacts.exceptions(sampled, sample_of, trees, parting)?;
         sampled.samples.set_contacts(Some(Self { places: Arc::new(places), ..contacts }));
@@ -129,9 +131,9 @@ impl Contacts {
         Places::of(places, sampled.samples.len(), parting.folder)
     }
 
-    /// The same of a model that was refined: `samples`, of which those behind the ones that are known each were part of the
-    /// cluster of one of `origins`.
-    pub(crate) fn refined(&self, samples: &SampleSet, origins: &[u32]) -> Self {
+    /// The same of a model that was refined: `samples`, of which those behind the ones that are known each are on the sheet of one
+    /// of `origins`. `parted` are those that no cell's tree has now, each with one of its cluster that a tree has.
+    pub(crate) fn refined(&self, samples: &SampleSet, origins: &[u32], parted: Vec<[u32; 2]>) -> Self {
         let before = samples.len() - origins.len();
         let origin = |i: u32| (i as usize).checked_sub(before).map_or(i, |new| origins[new]);
         let knows = |i: u32, j: u32| self.same_sheet(i as usize).is_some_and(|same| same.contains(&j));
@@ -143,13 +145,44 @@ impl Contacts {
                 let other = origin(*j);
                 other == own || knows(own, other) || knows(other, own)
             };
-            let same: Vec<u32> = near.into_iter().filter(is_same).take(SHEET_NEIGHBOURS).collect();
-            Some((i, same))
+            let same: Vec<u32> = near.iter().copied().filter(is_same).take(SHEET_NEIGHBOURS).collect();
+            let left_out: Vec<(u32, u32)> = left_out_by(i, &near, &same).collect();
+            Some(((i, same), left_out))
         };
-        let mut lists: BTreeMap<u32, Vec<u32>> =
-            (0..samples.len() as u32).into_par_iter().filter_map(list).collect();
-        make_mutual(samples, &mut lists);
-        Self { lists: Lists::new(lists, self.lists.parted.clone()), places: self.places.clone() }
+        let found: Vec<_> = (0..samples.len() as u32).into_par_iter().filter_map(list).collect();
+        let (mut lists, left_out): (BTreeMap<_, _>, Vec<_>) = found.into_iter().unzip();
+        make_mutual(samples, left_out.concat(), &mut lists);
+        Self { lists: Lists::new(lists, parted), places: self.places.clone() }
+    }
+
+    /// The same with the places of those of these vertices whose homes would be on another sheet than they were on.
+    pub(crate) fn with_places(self, sampled: &SampledModel, vertices: Noted, folder: &Path) -> Result<Self> {
+        if vertices.bytes == 0 {
+            return Ok(self);
+        }
+        let mut all = Sorter::new(folder);
+        let near = self.near(&sampled.samples);
+        let around = Surroundings::of(&near.samples);
+        let mut found = Vec::new();
+        vertices.each(|positions, own| {
+            let in_model: Vec<DVec3> = positions.iter().map(|p| sampled.frame.to_model(*p)).collect();
+            homes(&around, &sampled.frame, &in_model, &mut found);
+            for ((p, own), home) in positions.iter().zip(own).zip(&found) {
+                let place = near.place(*own).unwrap_or_default();
+                if !around.share_sheet(place as usize, *home) {
+                    all.push(Places::entry(*p, *own))?;
+                }
+            }
+            Ok(())
+        })?;
+        self.places.all().iter().try_for_each(|place| all.push(*place))?;
+        let places = Arc::new(Places::of(all, sampled.samples.len(), folder)?);
+        Ok(Self { places, ..self })
+    }
+
+    /// The samples, of all of these, near which sheets meet, and those that homes there depend on.
+    pub(crate) fn near(&self, samples: &SampleSet) -> Near {
+        Near::new(samples, &self.lists)
     }
 
     /// The neighbours of a sample on its sheet, nearest first; `None` where no sheets meet.
@@ -270,7 +303,7 @@ impl Contacts {
 }
 
 /// The samples near which sheets meet, with all that the homes of places there depend on.
-struct Near {
+pub(crate) struct Near {
     /// Their numbers in the whole set, ascending.
     numbers: Vec<u32>,
     samples: SampleSet,
@@ -311,6 +344,130 @@ impl Near {
     /// The place of a sample of the whole set.
     fn place(&self, sample: u32) -> Option<u32> {
         self.numbers.binary_search(&sample).ok().map(|place| place as u32)
+    }
+}
+
+/// Vertices near which sheets meet, and a sample on the sheet of each: in a temporary file of 16 bytes per vertex.
+pub(crate) struct Noted {
+    file: Scratch,
+    bytes: u64,
+}
+
+impl Noted {
+    /// Of no vertex yet. The file goes to `folder`.
+    pub fn new(folder: &Path) -> Result<Self> {
+        Ok(Self { file: Scratch::new(folder, ADVICE)?, bytes: 0 })
+    }
+
+    /// Notes vertices at local positions, each with a sample.
+    pub fn note(&mut self, vertices: impl Iterator<Item = (Vec3, u32)>) -> Result<()> {
+        let vertices: Vec<[u32; 4]> =
+            vertices.map(|(p, sample)| [p.x.to_bits(), p.y.to_bits(), p.z.to_bits(), sample]).collect();
+        self.file.write_at(cast_slice(&vertices), self.bytes)?;
+        self.bytes += size_of_val(&vertices[..]) as u64;
+        Ok(())
+    }
+
+    /// Visits all of them, some at a time.
+    fn each(self, mut visit: impl FnMut(&[Vec3], &[u32]) -> Result<()>) -> Result<()> {
+        let map = self.file.map()?;
+        let all: &[[u32; 4]] = cast_slice(&map);
+        for some in all.chunks(BATCH) {
+            let place =
+                |v: &[u32; 4]| Vec3::new(f32::from_bits(v[0]), f32::from_bits(v[1]), f32::from_bits(v[2]));
+            let positions: Vec<Vec3> = some.iter().map(place).collect();
+            let samples: Vec<u32> = some.iter().map(|v| v[3]).collect();
+            visit(&positions, &samples)?;
+        }
+        Ok(())
+    }
+}
+
+/// Tells on which sheet vertices are where sheets meet, by samples that are known. What it takes is found when the first vertices are
+/// [looked at](Self::of).
+pub(crate) struct Guides<'a> {
+    contacts: &'a Contacts,
+    samples: &'a SampleSet,
+    near: &'a OnceLock<Near>,
+    around: OnceLock<Surroundings<'a>>,
+    /// The samples that share the cluster of one that a tree has.
+    parted: HashMap<u32, Vec<u32>>,
+}
+
+impl<'a> Guides<'a> {
+    /// Of these samples, which have contacts. `near` is to be empty.
+    pub fn new(samples: &'a SampleSet, contacts: &'a Contacts, near: &'a OnceLock<Near>) -> Self {
+        let mut parted: HashMap<u32, Vec<u32>> = HashMap::new();
+        contacts.parted().iter().for_each(|[sample, of]| parted.entry(*of).or_default().push(*sample));
+        Self { contacts, samples, near, around: OnceLock::new(), parted }
+    }
+
+    fn near(&self) -> &'a Near {
+        self.near.get_or_init(|| self.contacts.near(self.samples))
+    }
+
+    fn around(&self) -> &Surroundings<'a> {
+        self.around.get_or_init(|| Surroundings::of(&self.near().samples))
+    }
+
+    /// Whether sheets meet near one of these samples.
+    pub fn concern(&self, samples: &[u32]) -> bool {
+        samples.iter().any(|sample| self.contacts.same_sheet(*sample as usize).is_some())
+    }
+
+    /// For each local position near such a sample, a sample of its sheet. Not to be called by jobs of the thread pool.
+    pub fn of(&self, frame: &Frame, positions: impl Iterator<Item = Vec3> + Clone) -> Vec<u32> {
+        let in_model: Vec<DVec3> = positions.clone().map(|p| frame.to_model(p)).collect();
+        let mut guides = Vec::new();
+        homes(self.around(), frame, &in_model, &mut guides);
+        for (guide, p) in guides.iter_mut().zip(positions) {
+            let home = self.near().numbers[*guide as usize];
+            *guide = self.contacts.sample_at(p).unwrap_or(home);
+        }
+        guides
+    }
+
+    /// Whether two samples are on one sheet, as far as it is known.
+    pub fn share_sheet(&self, a: u32, b: u32) -> bool {
+        match [a, b].map(|sample| self.near().place(sample)) {
+            [Some(a), Some(b)] => self.around().share_sheet(a as usize, b),
+            _ => true,
+        }
+    }
+
+    /// As of the contacts.
+    pub fn parted(&self) -> &[[u32; 2]] {
+        self.contacts.parted()
+    }
+
+    /// The samples that share the cluster of one that a tree has, without that one.
+    pub fn parted_from(&self, sample: u32) -> &[u32] {
+        self.parted.get(&sample).map_or(&[], |parted| parted)
+    }
+
+    /// Samples on each of the sheets that some vertices are on, that of most vertices first, and which of these each vertex is on.
+    pub fn sheets(&self, guides: impl Iterator<Item = u32> + Clone) -> (Vec<u32>, Vec<u32>) {
+        let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
+        guides.clone().for_each(|guide| *counts.entry(guide).or_default() += 1);
+        let mut by_count: Vec<(u32, usize)> = counts.into_iter().collect();
+        by_count.sort_by_key(|(_, count)| Reverse(*count));
+        let (mut sheets, mut sheet_of): (Vec<u32>, HashMap<u32, u32>) = Default::default();
+        for (guide, _) in by_count {
+            let known = sheets.iter().position(|first| self.share_sheet(*first, guide));
+            sheet_of.insert(guide, known.unwrap_or(sheets.len()) as u32);
+            if known.is_none() {
+                sheets.push(guide);
+            }
+        }
+        (sheets, guides.map(|guide| sheet_of[&guide]).collect())
+    }
+
+    /// Of the samples of the cluster of one that a tree has, that which is on the sheet of another sample; or else that other one.
+    pub fn of_cluster(&self, sample: u32, guide: u32) -> u32 {
+        let all = || [sample].into_iter().chain(self.parted_from(sample).iter().copied());
+        let found =
+            all().find(|own| *own == guide).or_else(|| all().find(|own| self.share_sheet(*own, guide)));
+        found.unwrap_or(guide)
     }
 }
 
@@ -381,10 +538,16 @@ fn same_sheet(samples: &SampleSet, parted: &Parted) -> BTreeMap<u32, Vec<u32>> {
     let mut known: BTreeSet<u32> = parted.seeds.iter().copied().collect();
     let mut open = parted.seeds.clone();
     let mut lists = BTreeMap::new();
+    let mut left_out = Vec::new();
     while !open.is_empty() {
         let found: Vec<(u32, Vec<u32>, Vec<u32>)> = open
             .par_iter()
             .filter_map(|sample| {
+                // Mostly short ways lead to as many as a list holds, without going round by others.
+                let near = samples.nearest_neighbours(*sample as usize, SHEET_NEIGHBOURS);
+                if connected(&samples.positions, parted, *sample, &near).len() == near.len() {
+                    return None;
+                }
                 let near = samples.nearest_neighbours(*sample as usize, CROWDED_NEIGHBOURS);
                 let mut same = connected(&samples.positions, parted, *sample, &near);
                 same.truncate(SHEET_NEIGHBOURS);
@@ -394,24 +557,24 @@ fn same_sheet(samples: &SampleSet, parted: &Parted) -> BTreeMap<u32, Vec<u32>> {
         open.clear();
         for (sample, near, same) in found {
             open.extend(near.iter().filter(|near| known.insert(**near)));
+            left_out.extend(left_out_by(sample, &near, &same));
             lists.insert(sample, same);
         }
     }
-    make_mutual(samples, &mut lists);
+    make_mutual(samples, left_out, &mut lists);
     lists
 }
 
+/// Those of the nearest of a sample that are on another sheet, each with that sample.
+fn left_out_by<'a>(sample: u32, near: &'a [u32], same: &'a [u32]) -> impl Iterator<Item = (u32, u32)> + 'a {
+    // Who lies beyond the last one of the list is not left out.
+    let end = same.last().map_or(near.len(), |last| near.iter().position(|j| j == last).unwrap_or(0));
+    near[..end].iter().filter(|j| !same.contains(j)).map(move |j| (*j, sample))
+}
+
 /// Who is left out by a sample leaves that one out, too.
-fn make_mutual(samples: &SampleSet, lists: &mut BTreeMap<u32, Vec<u32>>) {
-    let near = |i: u32| samples.nearest_neighbours(i as usize, CROWDED_NEIGHBOURS);
-    let left_out = |(sample, same): (&u32, &Vec<u32>)| -> Vec<(u32, u32)> {
-        let all = near(*sample);
-        // Who lies beyond the last one of the list is not left out.
-        let end = same.last().map_or(all.len(), |last| all.iter().position(|j| j == last).unwrap_or(0));
-        all[..end].iter().filter(|j| !same.contains(j)).map(|j| (*j, *sample)).collect()
-    };
-    let pairs: Vec<(u32, u32)> = lists.par_iter().flat_map_iter(left_out).collect();
-    for (by, whom) in pairs {
+fn make_mutual(samples: &SampleSet, left_out: Vec<(u32, u32)>, lists: &mut BTreeMap<u32, Vec<u32>>) {
+    for (by, whom) in left_out {
         let nearest = || samples.nearest_neighbours(by as usize, NEIGHBOURS);
         let list = lists.get(&by).cloned().unwrap_or_else(nearest);
         if list.contains(&whom) {

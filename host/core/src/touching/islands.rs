@@ -344,17 +344,18 @@ impl Graph {
             if parts.iter().any(|part| part.contains(island)) {
                 continue;
             }
-            let mut part = self.met_from(*island, cluster, islands.len());
+            // What is met from one that was met is of the same part: so it does not matter which is looked at first.
+            let (mut part, mut at) = (vec![*island], 0);
+            while at < part.len() && part.len() < islands.len() {
+                let met = self.met_from(part[at], cluster, islands.len());
+                let new: Vec<u32> = met.into_iter().filter(|island| !part.contains(island)).collect();
+                part.extend(new);
+                at += 1;
+            }
             if part.len() == islands.len() {
                 return None;
             }
-            // Steps go both ways, but those of several islands go further: parts that were taken for two may meet.
-            let (meet, apart): (Vec<_>, Vec<_>) =
-                parts.into_iter().partition(|other: &Vec<u32>| other.iter().any(|i| part.contains(i)));
-            part.extend(meet.into_iter().flatten());
             part.sort_unstable();
-            part.dedup();
-            parts = apart;
             parts.push(part);
         }
         (parts.len() > 1).then_some(Mixed { cluster, parts })

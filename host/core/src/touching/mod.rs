@@ -15,8 +15,9 @@ mod places;
 mod sorter;
 
 pub use contacts::Contacts;
+pub(crate) use contacts::{Guides, Noted};
 pub(crate) use islands::Islands;
 pub(crate) use parting::{Parted, Parting};
 
 /// What the user can do where a temporary file has no room.
-const ADVICE: &str = "do without --sheets";
+const ADVICE: &str = "do without them, by --skip sheets";

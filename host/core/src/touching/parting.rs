@@ -1,5 +1,6 @@
 //! Clusters that hold several sheets are parted: each sheet gets a sample of its own, or joins a cluster of its own sheet nearby.
 
+use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Range;
 use std::path::Path;
@@ -41,6 +42,20 @@ pub struct Part {
     moments: Moments,
 }
 
+impl Part {
+    /// The larger ones first, and of equal ones by where they are: vertices may come in any order.
+    fn by_size(&self, other: &Self) -> Ordering {
+        let larger = other.moments.count().total_cmp(&self.moments.count());
+        larger.then_with(|| by_place(self.moments.mean().as_vec3(), other.moments.mean().as_vec3()))
+    }
+}
+
+/// An order of places.
+fn by_place(a: Vec3, b: Vec3) -> Ordering {
+    let axes = a.to_array().into_iter().zip(b.to_array());
+    axes.fold(Ordering::Equal, |order, (a, b)| order.then(a.total_cmp(&b)))
+}
+
 /// What is known of the clusters of several sheets: each with its parts, the largest first.
 pub struct Parts {
     graph: Graph,
@@ -71,10 +86,11 @@ impl Parting<'_> {
     /// The model cannot be read, or a temporary file written; the user cancelled.
     pub fn weld_all(&self, islands: &mut Islands, sample_of: &[u32]) -> Result<()> {
         let all = std::iter::once(0..self.model.info().vertices).collect();
-        self.weld(all, islands, sample_of)
+        self.weld(all, islands, sample_of).map(|_| ())
     }
 
-    fn weld(&self, ranges: Vec<Range<u64>>, islands: &mut Islands, sample_of: &[u32]) -> Result<()> {
+    /// Joins what is at the same position in some ranges; whether there was anything to join.
+    fn weld(&self, ranges: Vec<Range<u64>>, islands: &mut Islands, sample_of: &[u32]) -> Result<bool> {
         let mut sorter = Sorter::new(self.folder);
         self.vertices(
             ranges,
@@ -82,19 +98,21 @@ impl Parting<'_> {
                 if p.is_finite() { sorter.push(entry(hash_of(p), vertex)) } else { Ok(()) }
             },
         )?;
-        let mut last: Option<[u32; 3]> = None;
+        let (mut last, mut joins): (Option<[u32; 3]>, bool) = (None, false);
         sorter.finish(|entry| {
             if let Some(last) = last.filter(|last| last[..2] == entry[..2]) {
                 let with_cluster = |vertex: u32| (vertex, sample_of[vertex as usize]);
                 islands.join(with_cluster(last[2]), with_cluster(entry[2]));
+                joins = true;
             }
             last = Some(entry);
             Ok(())
-        })
+        })?;
+        Ok(joins)
     }
 
-    /// The clusters of several sheets, once the faces are known; `None` if there is none. `trees` has the samples of each cell;
-    /// `welded` says that equal positions are joined already.
+    /// The clusters of several sheets, once the faces are known. `trees` has the samples of each cell; `welded` says that equal
+    /// positions are joined already.
     ///
     /// # Errors
     /// As of [`weld_all`](Self::weld_all).
@@ -104,25 +122,25 @@ impl Parting<'_> {
         sample_of: &[u32],
         trees: &[CutTree],
         welded: bool,
-    ) -> Result<Option<Parts>> {
+    ) -> Result<Parts> {
         let mut graph = islands.graph(sample_of);
+        let mut mixed = None;
         if !welded {
             // Seams of the file are none of the surface. Where most clusters have some, it is quicker to weld all than to see which do.
             let mut several = graph.several();
             if several.len() < graph.clusters() / 8 {
-                several = graph.parts().iter().map(|mixed| mixed.cluster).collect();
+                let found = mixed.insert(graph.parts());
+                several = found.iter().map(|mixed| mixed.cluster).collect();
             }
             if several.is_empty() {
-                return Ok(None);
+                return Ok(Parts { graph, mixed: Vec::new() });
             }
             let ranges = self.ranges_with(trees, |sample| several.binary_search(&sample).is_ok());
-            self.weld(ranges, islands, sample_of)?;
-            graph = islands.graph(sample_of);
+            if self.weld(ranges, islands, sample_of)? {
+                (graph, mixed) = (islands.graph(sample_of), None);
+            }
         }
-        let mixed = graph.parts();
-        if mixed.is_empty() {
-            return Ok(None);
-        }
+        let mixed = mixed.unwrap_or_else(|| graph.parts());
         let clusters: BTreeMap<u32, usize> = mixed.iter().map(|m| m.cluster).zip(0..).collect();
         let ranges = self.ranges_with(trees, |sample| clusters.contains_key(&sample));
         let mut place_of: HashMap<u32, (usize, usize)> = HashMap::new();
@@ -151,12 +169,9 @@ impl Parting<'_> {
             Ok(())
         })?;
         for (_, parts) in &mut found {
-            let first = |part: &Part| part.islands.first().copied();
-            parts.sort_by(|a, b| {
-                b.moments.count().total_cmp(&a.moments.count()).then(first(a).cmp(&first(b)))
-            });
+            parts.sort_by(Part::by_size);
         }
-        Ok(Some(Parts { graph, mixed: found }))
+        Ok(Parts { graph, mixed: found })
     }
 
     /// Where the cells are that hold vertices of chosen samples.
@@ -194,6 +209,11 @@ impl Parting<'_> {
 }
 
 impl Parts {
+    /// Whether there is no cluster of several sheets.
+    pub fn is_empty(&self) -> bool {
+        self.mixed.is_empty()
+    }
+
     /// How many samples more all parts would have, if as many may be added as they need.
     pub fn needed(&self) -> usize {
         self.decide(usize::MAX).1
@@ -202,21 +222,22 @@ impl Parts {
     /// For each mixed cluster, which of its parts get a sample: at most so many more in all, for the largest parts. And how
     /// many that are.
     fn decide(&self, most: usize) -> (Vec<Vec<bool>>, usize) {
-        let mut wanted: Vec<(f64, usize, usize)> = Vec::new();
+        let mut wanted: Vec<(usize, usize)> = Vec::new();
         for (i, (_, parts)) in self.mixed.iter().enumerate() {
             let all: f64 = parts.iter().map(|part| part.moments.count()).sum();
             for (j, part) in parts.iter().enumerate().skip(1) {
                 let own = self.neighbours(part).next().is_none();
                 let count = part.moments.count();
                 if count > 0.0 && (own || (count > 1.0 && count >= LEAST_PART * all)) {
-                    wanted.push((count, i, j));
+                    wanted.push((i, j));
                 }
             }
         }
-        wanted.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+        let part = |(i, j): (usize, usize)| &self.mixed[i].1[j];
+        wanted.sort_by(|a, b| part(*a).by_size(part(*b)));
         wanted.truncate(most);
         let mut gets: Vec<Vec<bool>> = self.mixed.iter().map(|(_, parts)| vec![false; parts.len()]).collect();
-        wanted.iter().for_each(|(_, i, j)| gets[*i][*j] = true);
+        wanted.iter().for_each(|(i, j)| gets[*i][*j] = true);
         (gets, wanted.len())
     }
 
@@ -225,9 +246,10 @@ impl Parts {
         part.islands.iter().flat_map(|island| self.graph.joined(*island)).copied()
     }
 
-    /// Parts the clusters, with at most so many new samples, of which the first one will be `first`.
-    pub fn part(self, first: u32, most: usize) -> Parted {
+    /// Parts the clusters of samples at these places, with at most so many new samples.
+    pub fn part(self, samples: &[Vec3], most: usize) -> Parted {
         const OPEN: u32 = u32::MAX;
+        let first = samples.len() as u32;
         let (gets, _) = self.decide(most);
         let (mut moved, mut added) = (Vec::new(), Vec::new());
         let mut sample: Vec<u32> = (0..self.graph.len()).map(|island| self.graph.cluster(island)).collect();
@@ -248,14 +270,25 @@ impl Parts {
                 part.islands.iter().for_each(|island| sample[*island as usize] = of_part);
             }
         }
-        // What has none of its own joins a sample nearby on its sheet.
+        let moved_to: HashMap<u32, Vec3> = moved.iter().map(|(sample, p, _)| (*sample, *p)).collect();
+        let place = |sample: u32| match samples.get(sample as usize) {
+            Some(p) => moved_to.get(&sample).copied().unwrap_or(*p),
+            None => added[(sample - first) as usize].1,
+        };
+        // What has none of its own joins the nearest sample that faces join it with.
         while !open.is_empty() {
             let before = open.len();
             let mut joins = Vec::new();
             open.retain(|(i, j)| {
                 let part = &self.mixed[*i].1[*j];
                 let nearby = self.neighbours(part).map(|island| sample[island as usize]);
-                let Some(to) = nearby.filter(|s| *s != OPEN).min() else { return true };
+                let center = part.moments.mean().as_vec3();
+                let nearer = |a: &u32, b: &u32| {
+                    let [p, q] = [*a, *b].map(place);
+                    let distance = |p: Vec3| p.distance_squared(center);
+                    distance(p).total_cmp(&distance(q)).then_with(|| by_place(p, q)).then(a.cmp(b))
+                };
+                let Some(to) = nearby.filter(|s| *s != OPEN).min_by(nearer) else { return true };
                 joins.extend(part.islands.iter().map(|island| (*island, to)));
                 false
             });

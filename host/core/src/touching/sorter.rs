@@ -2,6 +2,7 @@
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
+use std::collections::binary_heap::PeekMut;
 use std::path::Path;
 
 use bytemuck::{cast_slice, cast_slice_mut};
@@ -93,9 +94,13 @@ impl<'a> Sorter<'a> {
         for (i, run) in runs.iter_mut().enumerate() {
             heap.extend(run.pop(&file)?.map(|entry| Reverse((entry, i))));
         }
-        while let Some(Reverse((entry, i))) = heap.pop() {
+        while let Some(mut least) = heap.peek_mut() {
+            let Reverse((entry, i)) = *least;
+            match runs[i].pop(&file)? {
+                Some(next) => *least = Reverse((next, i)),
+                None => _ = PeekMut::pop(least),
+            }
             visit(entry)?;
-            heap.extend(runs[i].pop(&file)?.map(|entry| Reverse((entry, i))));
         }
         Ok(())
     }

@@ -123,7 +123,7 @@ fn groups_parts_and_refinements_place_alike() {
     assert!(faces < 0.7 * vertices, "{faces} and {vertices}");
 
     // As `run` does that needs no triangles.
-    let skip = Skip { triangles: true, cells: true, normals: false };
+    let skip = Skip { triangles: true, cells: true, ..Skip::default() };
     let whole = body.sampled(by(Placement::Faces, target));
     let part = body.sampled(Sampling { skip, ..by(Placement::Faces, target) });
     assert_eq!(whole.samples.positions, part.samples.positions);

@@ -2,6 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 use std::fs;
+use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use simod_core::model;
@@ -134,7 +135,8 @@ fn share(off: &[f64], beyond: f64) -> f64 {
 }
 
 fn sampling(sheets: bool) -> Sampling {
-    Sampling { target: Target::Samples(4000), sheets, ..Sampling::default() }
+    let skip = Skip { sheets: !sheets, ..Skip::default() };
+    Sampling { target: Target::Samples(4000), skip, ..Sampling::default() }
 }
 
 #[test]
@@ -168,25 +170,70 @@ fn nobody_stays_and_nobody_follows() {
     }
 }
 
+/// Number of triangles with samples of both parts.
+fn joining(sampled: &SampledModel, of: &dyn Fn(DVec3) -> f64) -> usize {
+    let is_second = |i: &u32| of(sampled.frame.to_model(sampled.samples.positions[*i as usize])) > 0.5;
+    sampled.triangles.iter().filter(|t| t.iter().any(|i| is_second(i) != is_second(&t[0]))).count()
+}
+
+/// Refined around a place.
+fn refined(sampled: &SampledModel, path: &Path, place: DVec3, radius: f64, finer: Finer) -> SampledModel {
+    let model = model::open(path).unwrap();
+    let distance = |p: DVec3| p.distance(place) - radius;
+    let selection = Selection { distance: &distance, so_far: None, at_rest: true };
+    let how = Refining { finer, memory_limit: None, shapes: Vec::new() };
+    let folder = path.parent().unwrap();
+    refine(sampled, model.as_ref(), selection, &how, folder, &Silent).unwrap().sampled.unwrap()
+}
+
 #[test]
 fn a_refinement_keeps_parts_apart() {
-    let (body, part) = rings(1e-3);
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("model.ply");
-    body.write(&path);
-    let model = model::open(&path).unwrap();
-    let mut sampled = sample_file(&path, sampling(true));
-    for radius in [0.3, 0.15] {
-        let distance = |p: DVec3| p.distance(DVec3::X * 0.8) - radius;
-        let selection = Selection { distance: &distance, so_far: None, at_rest: true };
-        let how = Refining { finer: Finer::Factor(3.0), memory_limit: None, shapes: Vec::new() };
-        let refined = refine(&sampled, model.as_ref(), selection, &how, folder.path(), &Silent).unwrap();
-        let refined = refined.sampled.unwrap();
-        assert!(refined.samples.len() > sampled.samples.len() + 20);
-        sampled = refined;
-        let off = pulled(&sampled, &body, &part, &of_rings(1e-3));
-        println!("refined: {:.5} off by half of the way", share(&off, 0.5));
-        assert!(share(&off, 0.5) < 1e-3);
+    let cactus_of = of_cactus(1e-3);
+    let rings_of = of_rings(1e-3);
+    type Case<'a> = (&'static str, (Body, Vec<f64>), &'a dyn Fn(DVec3) -> f64, DVec3, bool);
+    let cases: [Case<'_>; 4] = [
+        ("rings that touch", rings(1e-3), &rings_of, DVec3::X * 0.8, true),
+        ("without triangles", rings(1e-3), &rings_of, DVec3::X * 0.8, false),
+        ("rings of single faces", soup(rings(1e-3)), &rings_of, DVec3::X * 0.8, true),
+        ("an arm on its stem", cactus(1e-3), &cactus_of, DVec3::new(RADIUS, 0.0, 0.8), true),
+    ];
+    for (name, (body, part), of, place, triangles) in cases {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.ply");
+        body.write(&path);
+        let skip = Skip { triangles: !triangles, ..sampling(true).skip };
+        let target = Target::Samples(1000);
+        let mut sampled = sample_file(&path, Sampling { skip, target, ..sampling(true) });
+        let shares = |sampled: &SampledModel| {
+            let off = pulled(sampled, &body, &part, of).into_iter().zip(&body.positions);
+            let off: Vec<f64> = off.filter(|(_, p)| is_plain(p, name)).map(|(off, _)| off).collect();
+            [share(&off, 0.5), share(&off, 0.1)]
+        };
+        let near = |sampled: &SampledModel| {
+            let near = |p: &&Vec3| sampled.frame.to_model(**p).distance(place) < 0.04;
+            sampled.samples.positions.iter().filter(near).count()
+        };
+        let (mut off, mut there, before) = (shares(&sampled), near(&sampled), joining(&sampled, of));
+        println!("{name}: {off:?}, {there} samples near, {before} triangles join");
+        let steps = [(0.3, Finer::Factor(2.0)), (0.15, Finer::Factor(2.0)), (0.06, Finer::Error(0.0))];
+        for (radius, finer) in steps {
+            let next = refined(&sampled, &path, place, radius, finer);
+            assert!(next.samples.len() > sampled.samples.len() + 20);
+            let (now, more, joins) = (shares(&next), near(&next), joining(&next, of));
+            println!("{name}: {now:?}, {more} samples near, {joins} triangles join");
+            // The samples where they touch are split as all others are.
+            assert!(more > there, "{name}: {more} samples of {there}");
+            // Around the bend of the arm the way changes within a spacing.
+            assert!(now[0] <= off[0] + 1e-4 && now[1] <= off[1] + 5e-4, "{name}");
+            assert!(joins <= before, "{name}: triangles join the parts");
+            // What is saved comes back, and goes on.
+            let saved = folder.path().join("model.simod");
+            next.save(&saved).unwrap();
+            let mut loaded = SampledModel::load(&saved).unwrap();
+            loaded.hold_cells(SampledModel::kept_cells(&saved).unwrap());
+            assert_eq!(shares(&loaded), now);
+            (sampled, off, there) = (loaded, now, more);
+        }
     }
 }
 
@@ -202,7 +249,7 @@ fn what_is_kept_comes_back_and_only_where_parts_touch() {
     assert_eq!(loaded.samples.contacts().unwrap().digest(), fresh.samples.contacts().unwrap().digest());
     // Without triangles the samples are the same.
     let plain =
-        body.sampled(Sampling { skip: Skip { triangles: true, ..Skip::default() }, ..sampling(true) });
+        body.sampled(Sampling { skip: Skip { triangles: true, ..sampling(true).skip }, ..sampling(true) });
     assert_eq!(plain.samples.positions, fresh.samples.positions);
     assert_eq!(plain.samples.contacts().unwrap().digest(), fresh.samples.contacts().unwrap().digest());
     // Cells that were lost are found again.
