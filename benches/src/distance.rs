@@ -48,8 +48,8 @@ pub fn to_points(points: &[DVec3], set: &[DVec3]) -> Option<Distances> {
     (!points.is_empty()).then(|| Distances::of(points, nearest))
 }
 
-/// How far points are from the nearest of the triangles between `vertices`; `None` where there is no point or no
-/// triangle. Triangles without an area are left out: their corners belong to others.
+/// How far points are from the nearest of the triangles between `vertices`; `None` where there is no point or
+/// no triangle. Triangles without an area are left out: their corners belong to others.
 ///
 /// # Panics
 /// A triangle has a vertex that does not exist.
@@ -58,8 +58,8 @@ pub fn to_triangles(points: &[DVec3], vertices: &[DVec3], triangles: &[[u32; 3]]
     Some(Distances::of(points, |p| mesh.distance_to_local_point(vector(p), false)))
 }
 
-/// Triangles among which the closest point can be found (a tree of boxes), without those that have no area; `None` if
-/// none is left.
+/// Triangles among which the closest point can be found (a tree of boxes), without those that have no area;
+/// `None` if none is left.
 ///
 /// # Panics
 /// A triangle has a vertex that does not exist.

@@ -1,4 +1,5 @@
-//! What the benchmark programs share: exact maps of space, models like scans, distances, peers, child processes, and tables.
+//! What the benchmark programs share: exact maps of space, models like scans, distances, peers, child
+//! processes, and tables.
 
 pub mod distance;
 pub mod peers;

@@ -1,5 +1,5 @@
-//! The real programs as child processes: what they report, and what the system says of them; and a plain copy of a
-//! file, to compare with.
+//! The real programs as child processes: what they report, and what the system says of them; and a plain copy
+//! of a file, to compare with.
 
 use std::error::Error;
 use std::fs::File;
@@ -124,8 +124,9 @@ pub fn phase(report: &Value, name: &str) -> Result<f64> {
     phase.ok_or_else(|| format!("simod reports no phase `{name}`").into())
 }
 
-/// Copies a file to the disk, as `cp` and `sync` do, and returns the seconds: the least that any program takes which
-/// writes the file anew. Not `std::fs::copy`, which on some file systems shares the blocks and writes nothing.
+/// Copies a file to the disk, as `cp` and `sync` do, and returns the seconds: the least that any program
+/// takes which writes the file anew. Not `std::fs::copy`, which on some file systems shares the blocks and
+/// writes nothing.
 ///
 /// # Errors
 /// A file cannot be read or written.
@@ -161,8 +162,8 @@ fn watch(child: &mut Child, start: Instant, interval: Duration) -> Result<Vec<Me
     Ok(memory)
 }
 
-/// Anonymous resident memory of a process in bytes: not the pages of files that it maps or that the system caches.
-/// `None` once it has ended, and on systems other than Linux.
+/// Anonymous resident memory of a process in bytes: not the pages of files that it maps or that the system
+/// caches. `None` once it has ended, and on systems other than Linux.
 fn anonymous(process: u32) -> Option<f64> {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:"))?;
@@ -170,8 +171,8 @@ fn anonymous(process: u32) -> Option<f64> {
     Some(kilobytes * 1024.0)
 }
 
-/// Processor seconds of this process so far, of all its threads, in user mode and in the system; NaN where the system
-/// does not tell.
+/// Processor seconds of this process so far, of all its threads, in user mode and in the system; NaN where
+/// the system does not tell.
 pub fn own_cpu() -> f64 {
     cpu(Whose::Own)
 }

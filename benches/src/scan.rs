@@ -1,5 +1,5 @@
-//! Models that look like scans to a sampler: a coarse mesh, refined to any number of vertices on curved triangles
-//! (A. Vlachos et al., *Curved PN triangles*, I3D 2001), with fine relief along its normals.
+//! Models that look like scans to a sampler: a coarse mesh, refined to any number of vertices on curved
+//! triangles (A. Vlachos et al., *Curved PN triangles*, I3D 2001), with fine relief along its normals.
 
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -19,8 +19,8 @@ pub const VERTEX_BYTES: usize = 24;
 /// Vertices that [`Mesh::amphora`] leaves to be made by refining, for each that it has.
 const REFINEMENT: u64 = 16;
 
-/// The relief's octaves: their number, the longest wave in edges of the mesh, and how the next one relates to the last
-/// in frequency and height. The shortest is of 6 edges, so that the mesh can carry it.
+/// The relief's octaves: their number, the longest wave in edges of the mesh, and how the next one relates to
+/// the last in frequency and height. The shortest is of 6 edges, so that the mesh can carry it.
 const OCTAVES: usize = 4;
 const LONGEST_WAVE: f64 = 50.0;
 const LACUNARITY: f64 = 2.0;
@@ -72,7 +72,8 @@ impl Mesh {
         Bounds::of(self.positions.iter().copied())
     }
 
-    /// Unit normals of the vertices, weighted by the areas of the triangles around; zero where there are none.
+    /// Unit normals of the vertices, weighted by the areas of the triangles around; zero where there are
+    /// none.
     pub fn normals(&self) -> Vec<DVec3> {
         let mut normals = vec![DVec3::ZERO; self.positions.len()];
         for triangle in &self.triangles {
@@ -83,8 +84,8 @@ impl Mesh {
         normals.iter().map(|n| n.normalize_or_zero()).collect()
     }
 
-    /// Splits edges until there are exactly so many vertices (at least as many as there are now): all edges while that
-    /// is not too much, and at last the longest ones.
+    /// Splits edges until there are exactly so many vertices (at least as many as there are now): all edges
+    /// while that is not too much, and at last the longest ones.
     pub fn refine_to(&mut self, vertices: usize) {
         while self.positions.len() < vertices && !self.triangles.is_empty() {
             self.split(vertices - self.positions.len());
@@ -108,8 +109,8 @@ impl Mesh {
         }
     }
 
-    /// Puts triangles that are near each other in space near each other in memory (along a Morton curve), as scanners
-    /// and the tools after them leave them; OBJ files often do not.
+    /// Puts triangles that are near each other in space near each other in memory (along a Morton curve), as
+    /// scanners and the tools after them leave them; OBJ files often do not.
     pub fn order(&mut self) {
         let bounds = self.bounds();
         let scale = 1023.0 / (bounds.max - bounds.min).max_element().max(f64::MIN_POSITIVE);

@@ -1,4 +1,5 @@
-//! How many samples does a deformation need? Compares samplings of one model: `library-compare MODEL.ply DIR PLUGIN`.
+//! How many samples does a deformation need? Compares samplings of one model: `library-compare MODEL.ply DIR
+//! PLUGIN`.
 #![allow(clippy::print_stdout, reason = "a program that tells what it did")]
 
 use simod_core::progress::Silent;

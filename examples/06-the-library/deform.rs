@@ -1,4 +1,5 @@
-//! Deforms the samples of a model, by a plugin and by a function of its own: `library-deform DIR DEFORMED.ply`.
+//! Deforms the samples of a model, by a plugin and by a function of its own: `library-deform DIR
+//! DEFORMED.ply`.
 #![allow(clippy::print_stdout, reason = "a program that tells what it did")]
 
 use simod_core::progress::Silent;
@@ -10,7 +11,8 @@ use simod_session::{PluginOptions, PluginRegistry, SessionFile, deform};
 use std::error::Error;
 use std::path::{Path, PathBuf};
 
-/// Steps as a session file has them. They can be built as values, too: see `simod_session::session_file::Step`.
+/// Steps as a session file has them. They can be built as values, too: see
+/// `simod_session::session_file::Step`.
 const STEPS: &str = r#"
 [[step]]
 deform = "warp"
@@ -27,8 +29,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut deformed = deform(sampled, &steps, &plugins, Refinements::default(), &Silent)?;
     deformed.messages.iter().for_each(|message| println!("{}: {}", message.plugin, message.text));
 
-    // And whatever else one can do with points: they are in local coordinates, which the sampled model's frame maps
-    // to the model's.
+    // And whatever else one can do with points: they are in local coordinates, which the sampled model's
+    // frame maps to the model's.
     let sampled = &deformed.sampled;
     for p in &mut deformed.positions {
         p.x += 0.05 * (12.0 * p.y).sin();

@@ -1,5 +1,5 @@
-//! Edits a model as a program with a window would: steps that are added, changed and undone, of which each is done anew as
-//! far as it has to be: `library-edit MODEL OUT SESSION.toml`.
+//! Edits a model as a program with a window would: steps that are added, changed and undone, of which each is
+//! done anew as far as it has to be: `library-edit MODEL OUT SESSION.toml`.
 #![allow(clippy::print_stdout, reason = "a program that tells what it did")]
 
 use simod_core::progress::Silent;
@@ -37,7 +37,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     work.tell("two steps", &editor)?;
 
-    // A slider is dragged: a draft for each position, the full result when it rests. All of it is undone as one.
+    // A slider is dragged: a draft for each position, the full result when it rests. All of it is undone as
+    // one.
     for degrees in [50, 55, 60] {
         let change = Change::SetParam { id: "angle".to_owned(), value: Some(degrees.into()) };
         editor.document_mut().apply(Command::Change { at: 1, change })?;

@@ -116,8 +116,8 @@ impl Affine {
 pub struct PrepareInput<'a> {
     /// The samples at rest.
     pub samples: Samples<'a>,
-    /// The model's box in its rest pose, the same for all layers of a stack: lengths given as fractions of its
-    /// diagonal do not change when an earlier layer does. Samples of later layers may lie outside.
+    /// The model's box in its rest pose, the same for all layers of a stack: lengths given as fractions of
+    /// its diagonal do not change when an earlier layer does. Samples of later layers may lie outside.
     pub bounds: Bounds,
     regions: RSlice<'a, Region<'a>>,
     params: RSlice<'a, Param<'a>>,
@@ -168,20 +168,21 @@ impl<'a> PrepareInput<'a> {
         self.part()
     }
 
-    /// Where the samples were before all steps, for plugins that [ask for it](crate::Consumes::rest_positions); nothing where
-    /// the host is older than this input.
+    /// Where the samples were before all steps, for plugins that [ask for
+    /// it](crate::Consumes::rest_positions); nothing where the host is older than this input.
     pub fn rest_positions(&self) -> Option<&'a [[f32; 3]]> {
         self.part().map(RestPositions::all)
     }
 
-    /// Colours and other attributes of the samples, in the file's order, for plugins that
-    /// [ask for them](crate::Consumes::attributes); none where the model has none, or the host is older than this input.
+    /// Colours and other attributes of the samples, in the file's order, for plugins that [ask for
+    /// them](crate::Consumes::attributes); none where the model has none, or the host is older than this
+    /// input.
     pub fn attributes(&self) -> &'a [Attribute<'a>] {
         self.part().map_or(&[], Attributes::all)
     }
 
-    /// One value for each sample of the attribute that the model's file calls so: see [`Attribute::values`]. Nothing where
-    /// the model has no such attribute.
+    /// One value for each sample of the attribute that the model's file calls so: see [`Attribute::values`].
+    /// Nothing where the model has no such attribute.
     pub fn attribute(&self, name: &str) -> Option<&'a [f32]> {
         self.part().and_then(|all: &Attributes<'_>| all.get(name)).map(Attribute::values)
     }
@@ -248,20 +249,21 @@ impl<'a> DeformInput<'a> {
         self.part().copied().unwrap_or(Effort::FULL)
     }
 
-    /// When in a sequence this is, for plugins that [ask for it](crate::Consumes::time); the beginning where the host says
-    /// nothing.
+    /// When in a sequence this is, for plugins that [ask for it](crate::Consumes::time); the beginning where
+    /// the host says nothing.
     pub fn time(&self) -> Time {
         self.part().copied().unwrap_or_default()
     }
 
-    /// Colours and other attributes of the samples, in the file's order, for plugins that
-    /// [ask for them](crate::Consumes::attributes); none where the model has none, or the host is older than this input.
+    /// Colours and other attributes of the samples, in the file's order, for plugins that [ask for
+    /// them](crate::Consumes::attributes); none where the model has none, or the host is older than this
+    /// input.
     pub fn attributes(&self) -> &'a [Attribute<'a>] {
         self.part().map_or(&[], Attributes::all)
     }
 
-    /// One value for each sample of the attribute that the model's file calls so: see [`Attribute::values`]. Nothing where
-    /// the model has no such attribute.
+    /// One value for each sample of the attribute that the model's file calls so: see [`Attribute::values`].
+    /// Nothing where the model has no such attribute.
     pub fn attribute(&self, name: &str) -> Option<&'a [f32]> {
         self.part().and_then(|all: &Attributes<'_>| all.get(name)).map(Attribute::values)
     }

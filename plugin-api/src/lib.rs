@@ -1,9 +1,9 @@
 //! The one crate that a SIMOD deformation plugin needs.
 //!
 //! A plugin is a dynamic library (`crate-type = ["cdylib"]`) that implements [`Deformer`] and exports it with
-//! [`export_plugin!`]. The host hands it a few hundred thousand samples of a model, and it writes their deformed
-//! positions into the host's buffer: as many as it got, in the same order. How the deformation reaches the
-//! model's billions of vertices is none of its concern.
+//! [`export_plugin!`]. The host hands it a few hundred thousand samples of a model, and it writes their
+//! deformed positions into the host's buffer: as many as it got, in the same order. How the deformation
+//! reaches the model's billions of vertices is none of its concern.
 //!
 //! A whole plugin:
 //!
@@ -68,10 +68,10 @@
 //!
 //! # Coordinates and units
 //!
-//! Everything a plugin sees is in *local* coordinates: the model's own, minus an origin and divided by a scale
-//! that the host chose so that `f32` positions keep their digits and the model's diagonal lies between 1 and 2.
-//! Axes are the model's, untouched. Points and lengths given as parameters ([`Unit::MODEL_LENGTH`]) and the
-//! handles' transforms are local as well. Indices are sample indices.
+//! Everything a plugin sees is in *local* coordinates: the model's own, minus an origin and divided by a
+//! scale that the host chose so that `f32` positions keep their digits and the model's diagonal lies between
+//! 1 and 2. Axes are the model's, untouched. Points and lengths given as parameters ([`Unit::MODEL_LENGTH`])
+//! and the handles' transforms are local as well. Indices are sample indices.
 //!
 //! # Threads, ownership, errors
 //!
@@ -86,18 +86,20 @@
 //! | [`Migrate::migrate`] | any | microseconds |
 //!
 //! All inputs are borrowed for the length of the call. A state is immutable and owned by the host until it is
-//! dropped, as is a scratch. Failures are [`PluginError`]s; a panic is caught inside the plugin and becomes one.
+//! dropped, as is a scratch. Failures are [`PluginError`]s; a panic is caught inside the plugin and becomes
+//! one.
 //!
 //! # Evolution
 //!
 //! The root module and all types that cross the boundary are frozen with the first release: the loader
-//! compares their layouts. What comes later is an extension, a frozen struct of its own, queried by a string id:
-//! the plugin's by the host (`simod.evaluate/1`), the host's by the plugin ([`Host::extension`]), and inputs beside
-//! positions, regions and parameters ([`Part`]), which a description names by their ids ([`InputDesc`]). Ids are never
-//! used for anything else again. Those of third parties begin with a domain of theirs (`org.vendor.thing/1`), those that
-//! may still change with `draft.` (`draft.simod.thing/1`): hosts and plugins of different versions do not share these. Codes
-//! ([`ErrorCode`], [`ParamKind`], [`Unit`], [`Role`], [`LogLevel`]) are numbers, not enums, since an enum with a
-//! value that one side does not know is undefined behaviour; an unknown code is refused, politely.
+//! compares their layouts. What comes later is an extension, a frozen struct of its own, queried by a string
+//! id: the plugin's by the host (`simod.evaluate/1`), the host's by the plugin ([`Host::extension`]), and
+//! inputs beside positions, regions and parameters ([`Part`]), which a description names by their ids
+//! ([`InputDesc`]). Ids are never used for anything else again. Those of third parties begin with a domain of
+//! theirs (`org.vendor.thing/1`), those that may still change with `draft.` (`draft.simod.thing/1`): hosts
+//! and plugins of different versions do not share these. Codes ([`ErrorCode`], [`ParamKind`], [`Unit`],
+//! [`Role`], [`LogLevel`]) are numbers, not enums, since an enum with a value that one side does not know is
+//! undefined behaviour; an unknown code is refused, politely.
 
 pub mod c;
 mod curve;

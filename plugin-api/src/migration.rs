@@ -20,8 +20,8 @@ pub struct AliasDesc {
 #[repr(C)]
 #[derive(StableAbi, Debug, Clone, PartialEq, Eq)]
 pub struct MigrationDesc {
-    /// Counts up, from 1, whenever the meaning of a parameter changes; saved sessions write it down. One that says no
-    /// version is of the first.
+    /// Counts up, from 1, whenever the meaning of a parameter changes; saved sessions write it down. One that
+    /// says no version is of the first.
     pub state_version: u32,
     /// Former names of parameters.
     pub aliases: RVec<AliasDesc>,
@@ -48,8 +48,9 @@ pub struct Setting {
     /// The parameter's id.
     pub id: RString,
     /// What it looks like: [`FLOAT`](ParamKind::FLOAT) or [`INT`](ParamKind::INT) for a number,
-    /// [`BOOL`](ParamKind::BOOL), [`CHOICE`](ParamKind::CHOICE) for any text, [`DIRECTION`](ParamKind::DIRECTION) for three
-    /// numbers, [`COLOUR`](ParamKind::COLOUR) for four, [`CURVE`](ParamKind::CURVE) for pairs of them.
+    /// [`BOOL`](ParamKind::BOOL), [`CHOICE`](ParamKind::CHOICE) for any text,
+    /// [`DIRECTION`](ParamKind::DIRECTION) for three numbers, [`COLOUR`](ParamKind::COLOUR) for four,
+    /// [`CURVE`](ParamKind::CURVE) for pairs of them.
     pub kind: ParamKind,
     /// Its numbers; none where it is a text.
     pub numbers: RVec<f64>,
@@ -135,8 +136,9 @@ pub trait Migrate: crate::Deformer {
     /// The version of its sessions, and former names of parameters. Always the same; called once, at load.
     fn migration() -> MigrationDesc;
 
-    /// Makes of what a session of version `from`, which is less than that of now, gives what it has to give now, under the ids
-    /// of now: aliases have been applied before. Takes microseconds; the same settings always become the same.
+    /// Makes of what a session of version `from`, which is less than that of now, gives what it has to give
+    /// now, under the ids of now: aliases have been applied before. Takes microseconds; the same settings
+    /// always become the same.
     ///
     /// # Errors
     /// The settings cannot be understood any more.

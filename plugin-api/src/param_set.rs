@@ -36,10 +36,10 @@ use crate::{Descriptor, ParamDesc, Params, PluginError, PluginResult};
 ///
 /// and in the plugin's calls: `let Swirl { angle, .. } = input.params().read()?`.
 ///
-/// The type tells the kind: `f64`, `i64`, `bool`, or an enum that is a [`Choice`]; for `[f64; 3]` it is one of the words
-/// `point` and `direction`, and `[f64; 4]` is a `colour`. Curves and files are described by hand, with
-/// [`Descriptor::param`]. The documentation's first paragraph is the hint. What else can stand in `#[param(…)]`, of
-/// which only the default must:
+/// The type tells the kind: `f64`, `i64`, `bool`, or an enum that is a [`Choice`]; for `[f64; 3]` it is one
+/// of the words `point` and `direction`, and `[f64; 4]` is a `colour`. Curves and files are described by
+/// hand, with [`Descriptor::param`]. The documentation's first paragraph is the hint. What else can stand in
+/// `#[param(…)]`, of which only the default must:
 ///
 /// | word | of [`ParamDesc`] |
 /// |---|---|
@@ -181,8 +181,8 @@ impl<T: Choice> ParamType for T {
     }
 }
 
-/// The alternatives of a parameter. Derived for an enum without fields: ids are the variants' names in kebab-case,
-/// and labels the same in words, unless `#[choice(id = "…", label = "…")]` says otherwise.
+/// The alternatives of a parameter. Derived for an enum without fields: ids are the variants' names in
+/// kebab-case, and labels the same in words, unless `#[choice(id = "…", label = "…")]` says otherwise.
 pub trait Choice: Copy + 'static {
     /// All, in the order to show them.
     const ALL: &'static [Self];

@@ -79,6 +79,7 @@ pub struct IsIdentityExtension {
 pub struct MigrationExtension {
     /// [`Migrate::migration`](crate::Migrate::migration).
     pub migration: extern "C" fn() -> RResult<MigrationDesc, PluginError>,
-    /// [`Migrate::migrate`](crate::Migrate::migrate): what a session of an older version gives, and what becomes of it.
+    /// [`Migrate::migrate`](crate::Migrate::migrate): what a session of an older version gives, and what
+    /// becomes of it.
     pub migrate: extern "C" fn(u32, RVec<Setting>) -> RResult<RVec<Setting>, PluginError>,
 }

@@ -1,9 +1,9 @@
-//! What a plugin may look up in the samples that it was given, of which the host keeps trees: the nearest samples,
-//! `simod.nearest/1`, and the surface of the triangles between them, `simod.surface/1`.
+//! What a plugin may look up in the samples that it was given, of which the host keeps trees: the nearest
+//! samples, `simod.nearest/1`, and the surface of the triangles between them, `simod.surface/1`.
 //!
 //! Both are extensions of the host ([`Host::extension`](crate::Host::extension)), asked for by
-//! [`Host::nearest`](crate::Host::nearest) and [`Host::surface`](crate::Host::surface). Trees are built when they are first
-//! asked, and kept with the state. Coordinates are local ones.
+//! [`Host::nearest`](crate::Host::nearest) and [`Host::surface`](crate::Host::surface). Trees are built when
+//! they are first asked, and kept with the state. Coordinates are local ones.
 
 use crate::opaque::Host;
 use abi_stable::{StableAbi, std_types::RSliceMut};
@@ -14,8 +14,8 @@ use abi_stable::{StableAbi, std_types::RSliceMut};
 pub struct Pose(pub u32);
 
 impl Pose {
-    /// Those that the step is given ([`Samples::positions`](crate::Samples::positions)): what the steps before it have
-    /// made.
+    /// Those that the step is given ([`Samples::positions`](crate::Samples::positions)): what the steps
+    /// before it have made.
     pub const CURRENT: Self = Self(1);
     /// Those of the model as it was sampled, before all steps: for plugins that ask for
     /// [`rest_positions`](crate::Consumes::rest_positions).
@@ -80,8 +80,9 @@ pub struct Nearest<'a> {
 }
 
 impl Nearest<'_> {
-    /// How many samples are within `radius` (which may be infinite); the nearest of them are written to `found`, nearest
-    /// first, as many as it holds. Those at the same distance are in the order of their indices.
+    /// How many samples are within `radius` (which may be infinite); the nearest of them are written to
+    /// `found`, nearest first, as many as it holds. Those at the same distance are in the order of their
+    /// indices.
     pub fn find(&self, point: [f64; 3], radius: f64, found: &mut [u32]) -> usize {
         (self.table.find)(self.host, self.pose, &point, radius, found.into())
     }
@@ -116,8 +117,8 @@ pub struct Surface<'a> {
 }
 
 impl Surface<'_> {
-    /// The point of the surface that is nearest to a point; nothing where no triangle has an area, or the point is not
-    /// finite.
+    /// The point of the surface that is nearest to a point; nothing where no triangle has an area, or the
+    /// point is not finite.
     pub fn closest(&self, point: [f64; 3]) -> Option<SurfacePoint> {
         self.closest_within(point, f64::INFINITY)
     }
@@ -128,8 +129,8 @@ impl Surface<'_> {
         (self.table.closest)(self.host, self.pose, &point, radius, &mut found).then_some(found)
     }
 
-    /// Where a ray meets the surface first, not farther away than `reach`: from either side, and from the origin on. The
-    /// direction may be of any length but zero.
+    /// Where a ray meets the surface first, not farther away than `reach`: from either side, and from the
+    /// origin on. The direction may be of any length but zero.
     pub fn ray(&self, origin: [f64; 3], direction: [f64; 3], reach: f64) -> Option<SurfacePoint> {
         let mut found = SurfacePoint::default();
         (self.table.ray)(self.host, self.pose, &origin, &direction, reach, &mut found).then_some(found)

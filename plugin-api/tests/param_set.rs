@@ -1,4 +1,5 @@
-//! `#[derive(ParamSet)]` and `#[derive(Choice)]`: the same descriptions as by hand, and the values in their fields.
+//! `#[derive(ParamSet)]` and `#[derive(Choice)]`: the same descriptions as by hand, and the values in their
+//! fields.
 #![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
 
 use simod_plugin_api::{

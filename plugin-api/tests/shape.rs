@@ -1,8 +1,9 @@
 //! The interface's shape, written down: it cannot change unnoticed.
 //!
-//! A plugin and a host that were built with different shapes of one version would be refused only when they meet, on a
-//! user's machine. `shape.txt` has every type that crosses the boundary. After a wanted change raise the minor version of
-//! this crate (until the first release: not needed), and write the file anew with `SIMOD_WRITE_SHAPE=1 cargo test`.
+//! A plugin and a host that were built with different shapes of one version would be refused only when they
+//! meet, on a user's machine. `shape.txt` has every type that crosses the boundary. After a wanted change
+//! raise the minor version of this crate (until the first release: not needed), and write the file anew with
+//! `SIMOD_WRITE_SHAPE=1 cargo test`.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -28,7 +29,8 @@ fn is_ours(layout: &TypeLayout) -> bool {
     layout.package().as_str() == env!("CARGO_PKG_NAME")
 }
 
-/// A type's name, and for one of abi_stable or of the language what it is made of, as far as that tells anything.
+/// A type's name, and for one of abi_stable or of the language what it is made of, as far as that tells
+/// anything.
 fn name(layout: &'static TypeLayout, depth: usize) -> String {
     let name = layout.full_type().to_string();
     let is_known =

@@ -46,8 +46,9 @@ pub(crate) fn scratch_folder() -> PathBuf {
     folder
 }
 
-/// The folder with what is built: the default members of the workspace, and the plugins that tests alone load. Together,
-/// as a choice of packages would be built with other features of what they depend on, once more.
+/// The folder with what is built: the default members of the workspace, and the plugins that tests alone
+/// load. Together, as a choice of packages would be built with other features of what they depend on, once
+/// more.
 pub fn built() -> &'static Path {
     static BUILT: OnceLock<PathBuf> = OnceLock::new();
     BUILT.get_or_init(|| {
@@ -64,8 +65,8 @@ fn profile_folder() -> PathBuf {
     test.ancestors().nth(2).expect("a test in a target folder").to_owned()
 }
 
-/// A target folder for what is built outside of the workspace, as plugins of other authors are. It is shared and kept from
-/// one run to the next, so that what they depend on is built once.
+/// A target folder for what is built outside of the workspace, as plugins of other authors are. It is shared
+/// and kept from one run to the next, so that what they depend on is built once.
 pub fn outside_target() -> PathBuf {
     target_folder().join("outside")
 }

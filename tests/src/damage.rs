@@ -1,5 +1,5 @@
-//! Damaged files, for tests of readers: as their structure suggests, numbers become others, words and lines too, and parts are
-//! cut out, doubled and exchanged.
+//! Damaged files, for tests of readers: as their structure suggests, numbers become others, words and lines
+//! too, and parts are cut out, doubled and exchanged.
 
 use std::io::Write;
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! PLY files, read by means of the tests' own: where each vertex keeps its position and normal, and all the bytes
-//! that are neither. Independent of the program's reader, and holding the whole file.
+//! PLY files, read by means of the tests' own: where each vertex keeps its position and normal, and all the
+//! bytes that are neither. Independent of the program's reader, and holding the whole file.
 
 use std::ops::Range;
 

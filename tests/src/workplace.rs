@@ -66,7 +66,8 @@ impl Workplace {
         std::fs::File::create(path).and_then(|mut f| f.write_all(bytes.as_ref())).expect("a written file");
     }
 
-    /// Writes `edit.toml`: a session on `model` with so many samples and these steps, which writes `edited.ply`.
+    /// Writes `edit.toml`: a session on `model` with so many samples and these steps, which writes
+    /// `edited.ply`.
     pub fn write_session(&self, model: &str, samples: u64, steps: &str) {
         let model = format!("[model]\npath = \"{model}\"\n[sampling]\nsamples = {samples}\n");
         self.write("edit.toml", format!("{model}{steps}\n[output]\npath = \"edited.ply\"\n"));
@@ -99,7 +100,8 @@ impl Workplace {
         names
     }
 
-    /// The program in this folder, with no environment but a home and a cache of its own; `line` is split at blanks.
+    /// The program in this folder, with no environment but a home and a cache of its own; `line` is split at
+    /// blanks.
     pub fn command(&self, line: &str) -> Command {
         let mut command = Command::new(built::program());
         command.args(line.split_whitespace());
@@ -140,7 +142,8 @@ impl Workplace {
         self.simod(&format!("{line} --json")).json()
     }
 
-    /// Runs the program, which has to refuse as it should (see [`Outcome::refused`]) and leave all files as they are.
+    /// Runs the program, which has to refuse as it should (see [`Outcome::refused`]) and leave all files as
+    /// they are.
     ///
     /// # Panics
     /// It does not.
@@ -227,8 +230,8 @@ impl Outcome {
         self.lines("hint: ")[0]
     }
 
-    /// Checks that the program failed as it should: with exit code 1, one line that says what is wrong and names
-    /// all of `named`, one that says what to do, nothing on standard output, and no panic.
+    /// Checks that the program failed as it should: with exit code 1, one line that says what is wrong and
+    /// names all of `named`, one that says what to do, nothing on standard output, and no panic.
     ///
     /// # Panics
     /// It did not.
@@ -255,8 +258,8 @@ impl From<Output> for Outcome {
     }
 }
 
-/// A real model, where the machine has it: in the folder that `SIMOD_TEST_DATA` names, or `shared/data` beside the
-/// workspace. Says so on standard output where it has not.
+/// A real model, where the machine has it: in the folder that `SIMOD_TEST_DATA` names, or `shared/data`
+/// beside the workspace. Says so on standard output where it has not.
 pub fn real_model(name: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("SIMOD_TEST_DATA")
         .map_or_else(|| built::workspace().join("../shared/data"), PathBuf::from);

@@ -1,5 +1,5 @@
-//! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `plugin-api, core <- session <- viewer, cli`;
-//! `core <- scene`; `viewer, scene <- window`.
+//! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `plugin-api, core <-
+//! session <- viewer, cli`; `core <- scene`; `viewer, scene <- window`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -11,7 +11,8 @@ use simod_tests::workspace;
 /// What draws windows or talks to graphics cards.
 const WINDOWS: [&str; 8] = ["egui", "eframe", "wgpu", "winit", "glutin", "ash", "glow", "softbuffer"];
 
-/// The packages and what they depend on, on this platform: what `cargo metadata` says, by the ids of packages.
+/// The packages and what they depend on, on this platform: what `cargo metadata` says, by the ids of
+/// packages.
 struct Crates {
     names: BTreeMap<String, String>,
     /// The manifests of the workspace's own crates.
@@ -132,8 +133,9 @@ fn arrows_go_one_way() {
     crates.expect_none("host/scene", &["egui", "eframe", "winit", "abi_stable", "simod-plugin-api"]);
 }
 
-/// What the program depends on has the same features whatever is built, so that nothing of it is built a second time: in the
-/// first build, for the tests, and for the window. Where this fails, `host/features` lacks a feature, or has one too many.
+/// What the program depends on has the same features whatever is built, so that nothing of it is built a
+/// second time: in the first build, for the tests, and for the window. Where this fails, `host/features`
+/// lacks a feature, or has one too many.
 #[test]
 fn what_the_program_needs_is_built_once() {
     let program = Packages::of("normal,build", &[]);

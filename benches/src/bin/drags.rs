@@ -1,5 +1,5 @@
-//! How fast the samples follow a hand: from a drag's command to the moved samples that the viewer draws next, as the viewer does it
-//! but for its window.
+//! How fast the samples follow a hand: from a drag's command to the moved samples that the viewer draws next,
+//! as the viewer does it but for its window.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,

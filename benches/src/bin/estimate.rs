@@ -1,5 +1,5 @@
-//! How well the expected transfer error predicts the true one: exact maps of space applied to the samples alone, and at every vertex
-//! what is expected beside what is true.
+//! How well the expected transfer error predicts the true one: exact maps of space applied to the samples
+//! alone, and at every vertex what is expected beside what is true.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,
@@ -20,8 +20,8 @@ use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
 use simod_core::{Error, Result};
 
-/// Thresholds t, as fractions of the diagonal: of the vertices that are off by more than three times t, how many are expected to be
-/// off by more than t?
+/// Thresholds t, as fractions of the diagonal: of the vertices that are off by more than three times t, how
+/// many are expected to be off by more than t?
 const THRESHOLDS: [f64; 9] = [1e-7, 3e-7, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3];
 
 /// Fewer vertices beyond a threshold tell no share.
@@ -117,7 +117,8 @@ struct Compared {
     /// Of all vertices, sorted.
     truth: Vec<f32>,
     expected: Vec<f32>,
-    /// For each threshold: how many vertices are beyond three times that, and how many of them are expected beyond it.
+    /// For each threshold: how many vertices are beyond three times that, and how many of them are expected
+    /// beyond it.
     beyond: [(u64, u64); THRESHOLDS.len()],
     by_samples: ExpectedError,
 }

@@ -1,5 +1,5 @@
-//! The paper's Figure 8 (§7): memory over time while a model is sampled, for models of growing size and for coarse
-//! grids of growing resolution, drawn as SVG.
+//! The paper's Figure 8 (§7): memory over time while a model is sampled, for models of growing size and for
+//! coarse grids of growing resolution, drawn as SVG.
 //!
 //! The real `simod` runs, and the system is asked for its anonymous memory every few milliseconds.
 #![allow(
@@ -205,7 +205,8 @@ fn label(value: f64, largest: f64) -> String {
     format!("{value:.digits$}")
 }
 
-/// A curve of at most `most` points (six or more) that keeps the ends and, of each stretch, the least and the most.
+/// A curve of at most `most` points (six or more) that keeps the ends and, of each stretch, the least and the
+/// most.
 fn thin(curve: &[MemoryPoint], most: usize) -> Vec<MemoryPoint> {
     if curve.len() <= most {
         return curve.to_vec();

@@ -1,5 +1,5 @@
-//! Inverse distance weighting: D. Shepard, *A two-dimensional interpolation function for irregularly-spaced data*, ACM
-//! National Conference 1968.
+//! Inverse distance weighting: D. Shepard, *A two-dimensional interpolation function for irregularly-spaced
+//! data*, ACM National Conference 1968.
 
 use std::num::NonZeroUsize;
 

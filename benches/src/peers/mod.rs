@@ -1,5 +1,5 @@
-//! Other ways to carry a deformation from points to a surface, as they are usually written: for every vertex a query of
-//! a tree, no memory of the vertex before, all cores, models in memory.
+//! Other ways to carry a deformation from points to a surface, as they are usually written: for every vertex
+//! a query of a tree, no memory of the vertex before, all cores, models in memory.
 
 mod affine_least_squares;
 mod closest_triangle;
@@ -29,11 +29,13 @@ pub enum Peer {
     InverseDistance,
     /// Moving least squares over 16 samples, with affine maps.
     AffineLeastSquares,
-    /// Thin-plate splines with affine terms through 16 samples, as SciPy's `RBFInterpolator` with `neighbors=16`.
+    /// Thin-plate splines with affine terms through 16 samples, as SciPy's `RBFInterpolator` with
+    /// `neighbors=16`.
     ThinPlate,
     /// The displacement of the closest point of P_S's triangles.
     ClosestPoint,
-    /// The same, and the offset from there carried with the frame of the triangle, as surface-deform modifiers do.
+    /// The same, and the offset from there carried with the frame of the triangle, as surface-deform
+    /// modifiers do.
     ClosestFrame,
 }
 

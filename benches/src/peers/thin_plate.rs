@@ -1,5 +1,5 @@
-//! Local thin-plate splines: r² log r and an affine polynomial through the nearest samples, as in `RBFInterpolator` of
-//! SciPy (after G. Fasshauer, *Meshfree approximation methods with MATLAB*, 2007).
+//! Local thin-plate splines: r² log r and an affine polynomial through the nearest samples, as in
+//! `RBFInterpolator` of SciPy (after G. Fasshauer, *Meshfree approximation methods with MATLAB*, 2007).
 
 use std::num::NonZeroUsize;
 
@@ -12,7 +12,8 @@ const NEIGHBOURS: NonZeroUsize = NonZeroUsize::new(16).expect("more than 0");
 /// Unknowns: a coefficient per sample, and those of the polynomial.
 const SIZE: usize = NEIGHBOURS.get() + 4;
 
-/// Keeps the system solvable where samples lie in a plane; the coordinates in it are of about 1. SciPy gives up there.
+/// Keeps the system solvable where samples lie in a plane; the coordinates in it are of about 1. SciPy gives
+/// up there.
 const RIDGE: f64 = 1e-12;
 
 pub struct ThinPlate(pub Cloud);
@@ -24,7 +25,8 @@ impl Field for ThinPlate {
         let scale = near.last().map_or(1.0, |last| last.position.distance(p)).max(f64::MIN_POSITIVE).recip();
         let x: Vec<DVec3> = near.iter().map(|sample| (sample.position - p) * scale).collect();
 
-        // The system is symmetric: solved for its values at the point, it gives the weight of each sample there.
+        // The system is symmetric: solved for its values at the point, it gives the weight of each sample
+        // there.
         let mut system = [[0.0; SIZE + 1]; SIZE];
         for (i, a) in x.iter().enumerate() {
             for (j, b) in x.iter().enumerate() {

@@ -2,8 +2,8 @@
 
 use simod_plugin_api::*;
 
-/// Moves a point at distance `r` from the axis by `amplitude · cos(2π r / wavelength)` along it. Lengths are fractions of
-/// the model's diagonal, so that the defaults suit a model of any size.
+/// Moves a point at distance `r` from the axis by `amplitude · cos(2π r / wavelength)` along it. Lengths are
+/// fractions of the model's diagonal, so that the defaults suit a model of any size.
 #[derive(ParamSet)]
 struct Ripple {
     /// Height of the rings

@@ -1,4 +1,5 @@
-//! The terminal: progress and errors on standard error, cancel by Ctrl-C and by the signals that mean the same.
+//! The terminal: progress and errors on standard error, cancel by Ctrl-C and by the signals that mean the
+//! same.
 
 use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -40,8 +41,8 @@ struct Stages {
 }
 
 impl Console {
-    /// Takes over Ctrl-C and its kin: the first asks the work to stop, the second ends the process. So does the first where
-    /// nobody listens, as in a library that is being loaded.
+    /// Takes over Ctrl-C and its kin: the first asks the work to stop, the second ends the process. So does
+    /// the first where nobody listens, as in a library that is being loaded.
     pub fn new() -> Self {
         let wish = Arc::new(Wish::default());
         let (for_signals, watched) = (wish.clone(), wish.clone());
@@ -121,7 +122,8 @@ impl Wish {
     }
 }
 
-/// Starts a thread, and waits until it runs: one that begins while a library loads waits in the C library until that is done.
+/// Starts a thread, and waits until it runs: one that begins while a library loads waits in the C library
+/// until that is done.
 fn start(name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<std::thread::Thread> {
     let (running, runs) = std::sync::mpsc::channel();
     let thread = std::thread::Builder::new().name(name.into()).spawn(move || {
@@ -152,7 +154,8 @@ mod signals {
     pub fn listen(told: impl Fn(bool) + Send + 'static) -> std::io::Result<()> {
         let ignored = ignored();
         let is_wanted = |signal: &i32| {
-            // As `nohup` and shells ask for: who ignores a limit on files hears of it by the write that fails.
+            // As `nohup` and shells ask for: who ignores a limit on files hears of it by the write that
+            // fails.
             ![SIGHUP, SIGXFSZ].contains(signal) || ignored.is_some_and(|set| (set >> (signal - 1)) & 1 == 0)
         };
         let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP, SIGXFSZ].into_iter().filter(is_wanted))?;
@@ -173,7 +176,8 @@ mod signals {
         super::start("signals", move || signals.forever().for_each(drop)).map(drop)
     }
 
-    /// The signals that this process was started to ignore, a bit each; nothing where the system does not tell.
+    /// The signals that this process was started to ignore, a bit each; nothing where the system does not
+    /// tell.
     fn ignored() -> Option<u64> {
         let status = std::fs::read_to_string("/proc/self/status").ok()?;
         let set = status.lines().find_map(|line| line.strip_prefix("SigIgn:"))?;

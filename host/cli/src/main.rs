@@ -16,8 +16,8 @@ use commands::{
 use console::{CANCELLED, Console};
 use report::Report;
 
-/// Freeform deformation of models of any size: sample, deform the samples with any mix of plugins, and stream the
-/// deformation back onto every vertex.
+/// Freeform deformation of models of any size: sample, deform the samples with any mix of plugins, and stream
+/// the deformation back onto every vertex.
 #[derive(Parser)]
 #[command(version, propagate_version = true, max_term_width = 100)]
 struct Arguments {

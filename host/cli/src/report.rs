@@ -111,7 +111,8 @@ impl<'a> Report<'a> {
     }
 }
 
-/// JSON in which no character is one that a terminal may obey: such are written by their numbers, which means the same.
+/// JSON in which no character is one that a terminal may obey: such are written by their numbers, which means
+/// the same.
 fn shown_json(value: &Value) -> String {
     let mut text = String::new();
     for c in value.to_string().chars() {

@@ -17,8 +17,8 @@ pub struct VersionPaths {
     pub diagnostics: Option<PathBuf>,
 }
 
-/// All versions that `deformed`, files or patterns, and `output` and `diagnostics` speak of; those of a pattern in natural
-/// order.
+/// All versions that `deformed`, files or patterns, and `output` and `diagnostics` speak of; those of a
+/// pattern in natural order.
 ///
 /// # Errors
 /// A pattern matches no file; two files to write would be the same, or one is one of the deformed files.
@@ -73,8 +73,8 @@ pub fn versions(
     Ok(versions)
 }
 
-/// The files that a path or a pattern means, each with what `{}` stands for: what the only `*` of the pattern matched,
-/// and otherwise the file's name without its ending.
+/// The files that a path or a pattern means, each with what `{}` stands for: what the only `*` of the pattern
+/// matched, and otherwise the file's name without its ending.
 fn files(named: &Path) -> Result<Vec<(PathBuf, String)>> {
     let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let pattern = named.to_str().filter(|text| text.contains(['*', '?', '[']) && !named.exists());

@@ -1,11 +1,13 @@
-//! Colours and other numbers of the model's vertices, as values of the samples: for plugins that ask for them.
+//! Colours and other numbers of the model's vertices, as values of the samples: for plugins that ask for
+//! them.
 //!
-//! A sample stands for the vertices that are nearest to it, among the samples of the sheet of the surface that they lie on: of a
-//! thin wall that is painted on both sides, no sample gets the other side's colour. Its value is the mean of theirs, in the
-//! attribute's own unit. They are found by one more stream of the model, and kept in the folder of the samples.
+//! A sample stands for the vertices that are nearest to it, among the samples of the sheet of the surface
+//! that they lie on: of a thin wall that is painted on both sides, no sample gets the other side's colour.
+//! Its value is the mean of theirs, in the attribute's own unit. They are found by one more stream of the
+//! model, and kept in the folder of the samples.
 //!
-//! The file begins with eight letters and a version; the hash of the `samples.ply` and of the model that it belongs to
-//! follow, the attributes, and a checksum.
+//! The file begins with eight letters and a version; the hash of the `samples.ply` and of the model that it
+//! belongs to follow, the attributes, and a checksum.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -74,11 +76,12 @@ impl Attributes {
         self.0.iter().find(|of| of.attribute.name == name).map(|of| &*of.values)
     }
 
-    /// Reads the model that was sampled. Vertices without a finite position, and values that are no numbers, do not count. A
-    /// sample that no vertex is nearest to takes the value of the nearest one that has one; an attribute without any number
-    /// is left out.
+    /// Reads the model that was sampled. Vertices without a finite position, and values that are no numbers,
+    /// do not count. A sample that no vertex is nearest to takes the value of the nearest one that has one;
+    /// an attribute without any number is left out.
     ///
-    /// Memory: 16 bytes per sample and attribute, what is known of the samples' surroundings, and some chunks.
+    /// Memory: 16 bytes per sample and attribute, what is known of the samples' surroundings, and some
+    /// chunks.
     ///
     /// # Errors
     /// The model cannot be read, or is not what was sampled; the user cancelled.

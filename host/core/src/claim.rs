@@ -1,13 +1,13 @@
 //! The right to write a target, which one process has at a time, and the hidden files beside it.
 //!
-//! While a file or folder `name` is written, `.simod-name.part` is there and locked. A file is written into it; for a folder
-//! it stays empty, and `.simod-name.new` is the folder in the making (`.simod-name.old` the former one, where the system
-//! cannot exchange both at once). `.simod-name.journal`, and `.journal.new` by which it is replaced, are those of
-//! large files (`resumable`). What a process that was killed left is removed by the next one that has the
-//! lock; what is locked is somebody's, on this machine or another.
+//! While a file or folder `name` is written, `.simod-name.part` is there and locked. A file is written into
+//! it; for a folder it stays empty, and `.simod-name.new` is the folder in the making (`.simod-name.old` the
+//! former one, where the system cannot exchange both at once). `.simod-name.journal`, and `.journal.new` by
+//! which it is replaced, are those of large files (`resumable`). What a process that was killed left is
+//! removed by the next one that has the lock; what is locked is somebody's, on this machine or another.
 //!
-//! These names are known, so that somebody else may have put something there: links are never followed or written
-//! through, and a file that has other names, or another owner, is replaced by a new one.
+//! These names are known, so that somebody else may have put something there: links are never followed or
+//! written through, and a file that has other names, or another owner, is replaced by a new one.
 
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -93,7 +93,8 @@ impl Claim {
     /// Of a file; what was left of an earlier attempt is removed, unless it `resumes` that.
     ///
     /// # Errors
-    /// Another process has it, its folder is missing or cannot be written to, or `path` is a folder or a device.
+    /// Another process has it, its folder is missing or cannot be written to, or `path` is a folder or a
+    /// device.
     pub(crate) fn file(path: &Path, resumes: bool) -> Result<Self> {
         Self::of(Places::of_file(path)?, resumes)
     }
@@ -231,7 +232,8 @@ fn lock(places: &Places, resumes: bool) -> Result<File> {
         };
         match file.try_lock() {
             Err(TryLockError::WouldBlock) => break,
-            // Where the file system knows no locks, being there is one; whoever resumes says that nobody has it.
+            // Where the file system knows no locks, being there is one; whoever resumes says that nobody has
+            // it.
             Err(TryLockError::Error(_)) if !is_new && !resumes => break,
             _ => {}
         }
@@ -305,7 +307,8 @@ pub(crate) fn take_permissions(file: &File, from: &Path) -> io::Result<()> {
             && fchown(file, Some(former.uid()), Some(former.gid())).is_err()
             && fchown(file, None, Some(former.gid())).is_err()
         {
-            // Only the superuser gives files away. The group is another one now, and gets no more than anybody.
+            // Only the superuser gives files away. The group is another one now, and gets no more than
+            // anybody.
             mode = (mode & !0o070) | (((mode & 0o007) << 3) & mode);
         }
         file.set_permissions(fs::Permissions::from_mode(mode))?;

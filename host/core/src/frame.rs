@@ -7,9 +7,9 @@ use crate::geometry::Bounds;
 
 /// The map between the model's coordinates (double) and local ones (single).
 ///
-/// local = (model − origin) / scale. The origin is the middle of the bounding box, so that georeferenced models
-/// keep their precision; the scale is a power of two, so that nothing is rounded by it, and makes the diagonal
-/// lie between 1 and 2, so that squares of lengths neither overflow nor vanish.
+/// local = (model − origin) / scale. The origin is the middle of the bounding box, so that georeferenced
+/// models keep their precision; the scale is a power of two, so that nothing is rounded by it, and makes the
+/// diagonal lie between 1 and 2, so that squares of lengths neither overflow nor vanish.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Frame {
     /// The local origin, in the model's coordinates.

@@ -60,11 +60,12 @@ impl Bounds {
     }
 }
 
-/// Eigenvalues, ascending, and the unit eigenvectors (as columns) of a symmetric matrix. The lower triangle is not read.
+/// Eigenvalues, ascending, and the unit eigenvectors (as columns) of a symmetric matrix. The lower triangle
+/// is not read.
 ///
-/// First the eigenvalue that is farthest from the others, then these in the plane across its eigenvector: so the
-/// vectors are orthonormal, and exact to rounding where the eigenvalues tell them apart (D. Eberly, *A Robust
-/// Eigensolver for 3 × 3 Symmetric Matrices*, 2014).
+/// First the eigenvalue that is farthest from the others, then these in the plane across its eigenvector: so
+/// the vectors are orthonormal, and exact to rounding where the eigenvalues tell them apart (D. Eberly, *A
+/// Robust Eigensolver for 3 × 3 Symmetric Matrices*, 2014).
 pub fn symmetric_eigen(matrix: DMat3) -> (DVec3, DMat3) {
     let [[xx, ..], [xy, yy, _], [xz, yz, zz]] = matrix.to_cols_array_2d();
     let (diagonal, off) = (DVec3::new(xx, yy, zz), DVec3::new(xy, xz, yz));
@@ -116,7 +117,8 @@ pub fn symmetric_eigen(matrix: DMat3) -> (DVec3, DMat3) {
 
 /// The least eigenvalue of a symmetric positive semidefinite matrix, to about 1e-8 of the greatest.
 ///
-/// Newton's method on the characteristic polynomial, which rises to its least root from zero without overshooting.
+/// Newton's method on the characteristic polynomial, which rises to its least root from zero without
+/// overshooting.
 pub fn least_eigenvalue(a: DMat3) -> f64 {
     let trace = a.x_axis.x + a.y_axis.y + a.z_axis.z;
     if !(trace.is_normal() && trace > 0.0) {

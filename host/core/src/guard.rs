@@ -1,5 +1,6 @@
-//! What a command may write over. An output never replaces what the command reads, by whatever name; nor a file of a sampled
-//! model, which makes no sense without the others; nor a file of another kind than is written, unless that is asked for.
+//! What a command may write over. An output never replaces what the command reads, by whatever name; nor a
+//! file of a sampled model, which makes no sense without the others; nor a file of another kind than is
+//! written, unless that is asked for.
 
 use std::ffi::OsStr;
 use std::io::Read;
@@ -70,8 +71,8 @@ impl Guard {
         Self { force, ..Self::default() }
     }
 
-    /// The command reads this file, or this folder with the files of a sampled model in it. There need not be one: that
-    /// is told when it is read.
+    /// The command reads this file, or this folder with the files of a sampled model in it. There need not be
+    /// one: that is told when it is read.
     pub fn reads(&mut self, path: &Path) {
         if let Some(identity) = Identity::of(path) {
             self.inputs.push((path.to_owned(), identity));
@@ -90,8 +91,8 @@ impl Guard {
     /// An error if the command may not write this file.
     ///
     /// # Errors
-    /// It cannot be written; it is an input of the command, another of its outputs, or a file of a sampled model; or it is
-    /// there, of another kind, and may not be replaced.
+    /// It cannot be written; it is an input of the command, another of its outputs, or a file of a sampled
+    /// model; or it is there, of another kind, and may not be replaced.
     pub fn writes(&mut self, path: &Path, kind: Kind) -> Result<()> {
         let target = canonical_target(path)?;
         let refused = |what: String, hint: &str| Err(Error::new(ErrorKind::Argument, what, hint));

@@ -1,5 +1,6 @@
-//! Files that are read: regular ones alone, and no more of them than makes sense. A pipe would be waited for, and a device
-//! such as `/dev/zero` has no end; both are told from the opened file, so that nothing can change in between.
+//! Files that are read: regular ones alone, and no more of them than makes sense. A pipe would be waited for,
+//! and a device such as `/dev/zero` has no end; both are told from the opened file, so that nothing can
+//! change in between.
 
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Read};

@@ -1,13 +1,12 @@
 //! simod-core: freeform deformation that does not care about size.
 //!
 //! A huge model `P_L` is streamed to a small point set `P_S` ([`sampling`]); anything may deform `P_S` to
-//! `P_S*`; the deformation is streamed back onto `P_L` ([`reconstruction`]). `P_S` gets more samples where it needs them
-//! ([`refinement`]). Follows
-//! T. Boubekeur, O. Sorkine, C. Schlick, *SIMOD: Making Freeform Deformation Size-Insensitive*,
-//! Eurographics Symposium on Point-Based Graphics 2007.
+//! `P_S*`; the deformation is streamed back onto `P_L` ([`reconstruction`]). `P_S` gets more samples where it
+//! needs them ([`refinement`]). Follows T. Boubekeur, O. Sorkine, C. Schlick, *SIMOD: Making Freeform
+//! Deformation Size-Insensitive*, Eurographics Symposium on Point-Based Graphics 2007.
 //!
-//! Nothing here holds memory proportional to `P_L` (but [`measure`], which is for meshes in memory), prints, opens a
-//! window, or knows of plugins.
+//! Nothing here holds memory proportional to `P_L` (but [`measure`], which is for meshes in memory), prints,
+//! opens a window, or knows of plugins.
 
 pub mod attributes;
 pub mod claim;

@@ -1,9 +1,9 @@
 //! Files that appear whole or not at all.
 //!
 //! Whatever the program writes goes to a hidden file beside the target first, which takes the target's name
-//! only when it is complete and on the disk. Killed at any moment, the program leaves the old file or the new one
-//! (and perhaps the hidden one, `.simod-NAME.part`, which the next call to the same target removes: `claim`). Models, which
-//! take long, are written in parts (`resumable`).
+//! only when it is complete and on the disk. Killed at any moment, the program leaves the old file or the new
+//! one (and perhaps the hidden one, `.simod-NAME.part`, which the next call to the same target removes:
+//! `claim`). Models, which take long, are written in parts (`resumable`).
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -26,12 +26,12 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    /// Begins the file `path`, which will be of about `expected_bytes`. A link is followed: what it points to is
-    /// replaced.
+    /// Begins the file `path`, which will be of about `expected_bytes`. A link is followed: what it points to
+    /// is replaced.
     ///
     /// # Errors
-    /// The folder is missing or cannot be written to, `path` is a folder or a device, another process writes it, or the disk
-    /// is too full.
+    /// The folder is missing or cannot be written to, `path` is a folder or a device, another process writes
+    /// it, or the disk is too full.
     pub fn create(path: &Path, expected_bytes: u64) -> Result<Self> {
         check_space(path, folder_of(&regular_target(path)?), expected_bytes)?;
         let claim = Claim::file(path, false)?;
@@ -39,7 +39,8 @@ impl OutputFile {
         Ok(Self { writer: BufWriter::with_capacity(BUFFER, file), claim })
     }
 
-    /// Puts the file in its place, once all of it is on the disk, with the permissions and the owner of what it replaces.
+    /// Puts the file in its place, once all of it is on the disk, with the permissions and the owner of what
+    /// it replaces.
     ///
     /// # Errors
     /// The disk is full, or the operating system refuses; the target is then what it was.
@@ -154,7 +155,8 @@ pub fn folder_of(path: &Path) -> &Path {
 
 /// An error where the disk of `folder` has no room for so many bytes of `path`.
 pub(crate) fn check_space(path: &Path, folder: &Path, needed: u64) -> Result<()> {
-    // A file system that cannot tell is no reason to stop; a missing folder is reported when it is written to.
+    // A file system that cannot tell is no reason to stop; a missing folder is reported when it is written
+    // to.
     let Ok(stats) = fs4::statvfs(folder) else { return Ok(()) };
     if stats.total_space() == 0 || stats.available_space() >= needed {
         return Ok(());
@@ -171,8 +173,8 @@ pub(crate) fn check_space(path: &Path, folder: &Path, needed: u64) -> Result<()>
     ))
 }
 
-/// Exchanges two folders at once, where the system can: at any moment each name has one of both. `false` where it
-/// cannot, and nothing is changed.
+/// Exchanges two folders at once, where the system can: at any moment each name has one of both. `false`
+/// where it cannot, and nothing is changed.
 pub(crate) fn exchange(a: &Path, b: &Path) -> io::Result<bool> {
     #[cfg(target_os = "linux")]
     {

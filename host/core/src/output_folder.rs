@@ -8,8 +8,9 @@ use crate::claim::{Claim, remove, take_permissions};
 use crate::output::{exchange, folder_of, sync_folder};
 use crate::{Error, Result};
 
-/// A folder in the making: a hidden one beside its place, which takes its name when it is complete. Dropped before
-/// [`commit`](Self::commit), it leaves no trace. As long as it is there, nobody else writes a folder of this name.
+/// A folder in the making: a hidden one beside its place, which takes its name when it is complete. Dropped
+/// before [`commit`](Self::commit), it leaves no trace. As long as it is there, nobody else writes a folder
+/// of this name.
 #[derive(Debug)]
 pub struct OutputFolder {
     claim: Claim,
@@ -50,8 +51,8 @@ impl OutputFolder {
         Error::new(e.kind(), told(&e.to_string()), told(e.hint()))
     }
 
-    /// Puts the folder in its place. What is there goes away, in one step where the system can; the folder, and its files
-    /// that replace others, have the permissions and the owners of those.
+    /// Puts the folder in its place. What is there goes away, in one step where the system can; the folder,
+    /// and its files that replace others, have the permissions and the owners of those.
     ///
     /// # Errors
     /// The operating system refuses; the place is then as it was.

@@ -43,8 +43,8 @@ pub trait Progress: Sync {
     /// Something that the user should know, though the work goes on: one line.
     fn note(&self, _text: &str) {}
 
-    /// Samples that sampling found in a cell that is complete: for those who like to see them come. They are not the last
-    /// word: where their number is aimed at, fewer may be left in the end.
+    /// Samples that sampling found in a cell that is complete: for those who like to see them come. They are
+    /// not the last word: where their number is aimed at, fewer may be left in the end.
     fn emerge(&self, _samples: &Emerging<'_>) {}
 
     /// An error of kind [`Cancelled`](crate::ErrorKind::Cancelled) once the user asked to stop.

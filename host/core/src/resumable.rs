@@ -1,9 +1,10 @@
 //! Large outputs, written in parts, that can be gone on with after the program was killed.
 //!
-//! While `name` is written there are two hidden files beside it. `.simod-name.part` holds its beginning, and is locked
-//! ([claim](crate::claim)), so that no other process writes the same file. `.simod-name.journal` lists the parts of it that are known to be on the
-//! disk, each with a checksum, and a key of all that determines the bytes; it is replaced at once, by way of
-//! `.simod-name.journal.new`. What is not in the journal is not relied on, and what is there is checked before it is.
+//! While `name` is written there are two hidden files beside it. `.simod-name.part` holds its beginning, and
+//! is locked ([claim](crate::claim)), so that no other process writes the same file. `.simod-name.journal`
+//! lists the parts of it that are known to be on the disk, each with a checksum, and a key of all that
+//! determines the bytes; it is replaced at once, by way of `.simod-name.journal.new`. What is not in the
+//! journal is not relied on, and what is there is checked before it is.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -29,8 +30,8 @@ const BLOCK: usize = 1 << 20;
 /// No journal is longer: it has at most 1024 parts and a few, of some 60 bytes each.
 const LONGEST: u64 = 1 << 20;
 
-/// A file in the making, a piece at a time. Dropped before [`commit`](Self::commit), it leaves no trace, unless it is
-/// to be [kept](Self::keep).
+/// A file in the making, a piece at a time. Dropped before [`commit`](Self::commit), it leaves no trace,
+/// unless it is to be [kept](Self::keep).
 ///
 /// Memory: 2 MiB, and the journal, of some 60 bytes for each part.
 pub(crate) struct ResumableFile {
@@ -58,12 +59,12 @@ pub(crate) enum Opened {
 }
 
 impl ResumableFile {
-    /// Begins the file `path`, whose bytes `key` determines. With `resume`, what an earlier call left is checked and kept
-    /// as far as it is good; why it is not, if so, is told to `progress`.
+    /// Begins the file `path`, whose bytes `key` determines. With `resume`, what an earlier call left is
+    /// checked and kept as far as it is good; why it is not, if so, is told to `progress`.
     ///
     /// # Errors
-    /// The folder is missing or cannot be written to, `path` is a folder or a device, another process writes it, or
-    /// the user cancelled.
+    /// The folder is missing or cannot be written to, `path` is a folder or a device, another process writes
+    /// it, or the user cancelled.
     pub(crate) fn open(
         path: &Path,
         key: String,
@@ -149,8 +150,9 @@ impl ResumableFile {
         self.journal.parts.iter().map(|p| p.pieces)
     }
 
-    /// Goes on after so many pieces: at one of the [boundaries](Self::boundaries), or at the beginning. Has to be called
-    /// before anything is written to what an earlier call left. Returns how many bytes are there.
+    /// Goes on after so many pieces: at one of the [boundaries](Self::boundaries), or at the beginning. Has
+    /// to be called before anything is written to what an earlier call left. Returns how many bytes are
+    /// there.
     ///
     /// # Errors
     /// The journal cannot be written, or the part file cannot be cut.
@@ -180,8 +182,8 @@ impl ResumableFile {
         self.recorder.record(self.journal.clone())
     }
 
-    /// Says that nothing more comes, and waits until all is on the disk. A later call takes the file for finished if it was
-    /// of more than one part, or is `one_of_several`.
+    /// Says that nothing more comes, and waits until all is on the disk. A later call takes the file for
+    /// finished if it was of more than one part, or is `one_of_several`.
     ///
     /// # Errors
     /// The disk is full, or the operating system refuses.
@@ -219,7 +221,8 @@ impl ResumableFile {
         let _ = self.recorder.finish();
         let Some(Some(journal)) = Journal::read(self.claim.places()) else { return };
         if let Some(last) = journal.parts.last() {
-            // The rest may be what fills the disk. If it cannot be cut off, it is when the file is gone on with.
+            // The rest may be what fills the disk. If it cannot be cut off, it is when the file is gone on
+            // with.
             let _ = self.file.file().set_len(last.end);
             let _ = remove(&self.claim.places().new_journal);
             self.claim.keep();
@@ -293,7 +296,8 @@ struct Found {
     in_target: bool,
 }
 
-/// How many of the parts, from the first on, are in the file as they were written. What cannot be read is not.
+/// How many of the parts, from the first on, are in the file as they were written. What cannot be read is
+/// not.
 fn good_parts(mut file: &File, parts: &[Part], progress: &dyn Progress) -> Result<usize> {
     let (mut start, mut block) = (0, vec![0; BLOCK]);
     for (number, part) in parts.iter().enumerate() {
@@ -319,8 +323,8 @@ fn good_parts(mut file: &File, parts: &[Part], progress: &dyn Progress) -> Resul
     Ok(parts.len())
 }
 
-/// Bytes of the file `path` that the disk holds already: what is there of its part file, and with `resume` the file itself,
-/// if an earlier call finished it.
+/// Bytes of the file `path` that the disk holds already: what is there of its part file, and with `resume`
+/// the file itself, if an earlier call finished it.
 pub(crate) fn bytes_there(path: &Path, resume: bool) -> u64 {
     let Ok(places) = Places::of_file(path) else { return 0 };
     let len = |path: &Path| fs::metadata(path).map_or(0, |m| m.len());
@@ -425,8 +429,8 @@ impl Journal {
     }
 }
 
-/// Brings parts to the disk and then into the journal, on a thread of its own, so that writing goes on. One journal is
-/// worked on, and one may wait.
+/// Brings parts to the disk and then into the journal, on a thread of its own, so that writing goes on. One
+/// journal is worked on, and one may wait.
 struct Recorder {
     /// A second handle of the part file, until the thread begins.
     idle: Option<(File, Places)>,

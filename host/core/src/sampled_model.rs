@@ -80,8 +80,8 @@ pub struct Source {
     /// The first of these.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub first_non_finite: Option<u64>,
-    /// How often a vertex is in another cell of the coarse grid than the one before it; not known of folders that former
-    /// versions wrote.
+    /// How often a vertex is in another cell of the coarse grid than the one before it; not known of folders
+    /// that former versions wrote.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub jumps: Option<u64>,
     /// Hash of the bytes of all vertices.
@@ -92,8 +92,8 @@ pub struct Source {
 const MANY: u64 = 500_000;
 
 impl Source {
-    /// What the order of the vertices costs a reconstruction, if it is poor: more than half of them are in another cell of the
-    /// coarse grid than the one before.
+    /// What the order of the vertices costs a reconstruction, if it is poor: more than half of them are in
+    /// another cell of the coarse grid than the one before.
     pub fn cost_of_order(&self) -> Option<String> {
         let jumps = self.jumps.filter(|jumps| self.vertices >= MANY && *jumps > self.vertices / 2)?;
         Some(format!(
@@ -104,8 +104,8 @@ impl Source {
     }
 }
 
-/// Processor time per vertex in random order over that in a coherent one: 2 million vertices with normals, 100 000
-/// samples, vectors of 8 to 16.
+/// Processor time per vertex in random order over that in a coherent one: 2 million vertices with normals,
+/// 100 000 samples, vectors of 8 to 16.
 const TIMES: u32 = 10;
 
 /// Paths in files: text where they are, and bytes where not, as systems allow.
@@ -272,8 +272,8 @@ impl SampledModel {
         })
     }
 
-    /// This model with more samples behind those that it has, local positions and normals (zero where unknown), other
-    /// triangles and cells.
+    /// This model with more samples behind those that it has, local positions and normals (zero where
+    /// unknown), other triangles and cells.
     pub(crate) fn refined(
         &self,
         (positions, normals): (Vec<Vec3>, Vec<Vec3>),
@@ -323,7 +323,8 @@ impl SampledModel {
         self.save_in(Self::begin(folder)?)
     }
 
-    /// Begins the folder that a sampled model will be [saved in](Self::save_in), so that nobody else writes it meanwhile.
+    /// Begins the folder that a sampled model will be [saved in](Self::save_in), so that nobody else writes
+    /// it meanwhile.
     ///
     /// # Errors
     /// As of [`save`](Self::save), or another process writes it.
@@ -556,17 +557,19 @@ impl SampledModel {
         kept.check(vertices - non_finite.min(vertices), vertices, bytes, self.samples.len(), parted)
     }
 
-    /// Holds cells in memory, as [`cells`](Self::cells) has read them: to be refined, or saved with the samples.
+    /// Holds cells in memory, as [`cells`](Self::cells) has read them: to be refined, or saved with the
+    /// samples.
     pub fn hold_cells(&mut self, cells: KeptCells) {
         self.kept = Some(cells);
     }
 
     /// The cells of a sampled model, from its folder; if the file is missing or damaged, the model is sampled
-    /// again, which gives the same cells, and the file is made anew. `elsewhere` is the model if it was moved.
+    /// again, which gives the same cells, and the file is made anew. `elsewhere` is the model if it was
+    /// moved.
     ///
     /// # Errors
-    /// As for [`open_source`](Self::open_source) and [`sample`](crate::sampling::sample); the model is not what was
-    /// sampled; the file cannot be written.
+    /// As for [`open_source`](Self::open_source) and [`sample`](crate::sampling::sample); the model is not
+    /// what was sampled; the file cannot be written.
     pub fn cells(
         &self,
         folder: &Path,
@@ -621,12 +624,13 @@ impl SampledModel {
         (of == file_fingerprint(&folder.join(SAMPLES)).ok()?).then_some(kept)
     }
 
-    /// Colours and other attributes of the samples: those that the folder keeps, or else from the model, which is read
-    /// once more for them; what was found is kept in the folder that the samples are from. `elsewhere` is the model if it was
-    /// moved.
+    /// Colours and other attributes of the samples: those that the folder keeps, or else from the model,
+    /// which is read once more for them; what was found is kept in the folder that the samples are from.
+    /// `elsewhere` is the model if it was moved.
     ///
     /// # Errors
-    /// As of [`open_source`](Self::open_source); the model is not what was sampled, or cannot be read; the user cancelled.
+    /// As of [`open_source`](Self::open_source); the model is not what was sampled, or cannot be read; the
+    /// user cancelled.
     pub fn attributes(&self, elsewhere: Option<&Path>, progress: &dyn Progress) -> Result<&Arc<Attributes>> {
         if let Some(known) = self.attributes.get() {
             return Ok(known);
@@ -665,8 +669,8 @@ impl SampledModel {
     /// Opens the model that was sampled, or `elsewhere` if it was moved.
     ///
     /// # Errors
-    /// It cannot be opened, or is not the model that was sampled, as far as its size tells; the reconstruction
-    /// compares its bytes too.
+    /// It cannot be opened, or is not the model that was sampled, as far as its size tells; the
+    /// reconstruction compares its bytes too.
     pub fn open_source(&self, elsewhere: Option<&Path>) -> Result<Box<dyn Model>> {
         let path = elsewhere.unwrap_or(&self.source.path);
         if elsewhere.is_none() && !path.exists() {
@@ -718,8 +722,9 @@ impl SampledModel {
         deformed.iter().map(round).collect()
     }
 
-    /// Writes deformed samples of a refined model: those of `before`, a file of deformed samples of the model that was
-    /// refined, bit for bit as they are there, and the new ones (model coordinates), in the type of that file's positions.
+    /// Writes deformed samples of a refined model: those of `before`, a file of deformed samples of the model
+    /// that was refined, bit for bit as they are there, and the new ones (model coordinates), in the type of
+    /// that file's positions.
     ///
     /// # Errors
     /// A file cannot be read or written.
@@ -737,8 +742,8 @@ impl SampledModel {
         model::ply::write_points(path, positions.into_iter(), normals, &self.triangles, scalar, &comments)
     }
 
-    /// Reads deformed samples: local positions, in the order of the samples. Normals in the file are not looked
-    /// at, as a tool may leave stale ones.
+    /// Reads deformed samples: local positions, in the order of the samples. Normals in the file are not
+    /// looked at, as a tool may leave stale ones.
     ///
     /// # Errors
     /// The file cannot be read, has another number of vertices than P_S, or positions that are not finite.

@@ -20,7 +20,8 @@ pub(crate) struct Scratch {
 }
 
 impl Scratch {
-    /// A new file in `folder`. If that fails, or what is done with it later, the error's hint ends with `advice`.
+    /// A new file in `folder`. If that fails, or what is done with it later, the error's hint ends with
+    /// `advice`.
     ///
     /// # Errors
     /// It cannot be made.
@@ -43,7 +44,8 @@ impl Scratch {
         self.handle.set_len(bytes).map_err(|e| refused("write", &self.folder, self.advice, &e))
     }
 
-    /// The whole file as memory, which is not anonymous. It must not be empty, and nothing can be written any more.
+    /// The whole file as memory, which is not anonymous. It must not be empty, and nothing can be written any
+    /// more.
     pub(crate) fn map(self) -> Result<Mmap> {
         #[expect(unsafe_code, reason = "the map of a file")]
         // SAFETY: the file has no name and both its handles are in `self`, which ends here: no one else can
@@ -52,7 +54,8 @@ impl Scratch {
         map.map_err(|e| refused("read", &self.folder, self.advice, &e))
     }
 
-    /// Likewise as memory that can be written. All of it must have been written before, so that the disk has room for it.
+    /// Likewise as memory that can be written. All of it must have been written before, so that the disk has
+    /// room for it.
     pub(crate) fn map_mut(self) -> Result<MmapMut> {
         #[expect(unsafe_code, reason = "the map of a file")]
         // SAFETY: as of `map`: no one else has the file.

@@ -1,4 +1,5 @@
-//! Files that are held whole: eight letters, a version, the content in `postcard`'s words, and a checksum of all before it.
+//! Files that are held whole: eight letters, a version, the content in `postcard`'s words, and a checksum of
+//! all before it.
 
 use serde::Serialize;
 use xxhash_rust::xxh3::xxh3_128;

@@ -1,6 +1,6 @@
-//! Writing long files past the operating system's page cache, where it lets us: what is written once and not soon read
-//! need not be copied into memory that other things could use. Bytes are collected, and whole blocks of them go to
-//! the disk as they are.
+//! Writing long files past the operating system's page cache, where it lets us: what is written once and not
+//! soon read need not be copied into memory that other things could use. Bytes are collected, and whole
+//! blocks of them go to the disk as they are.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -17,7 +17,8 @@ const BUFFER: usize = 2 << 20;
 #[derive(Debug)]
 pub(crate) struct UncachedFile {
     file: File,
-    /// The bytes are those from `origin` on, which is a multiple of [`BLOCK`] in memory; `filled` of them have a meaning.
+    /// The bytes are those from `origin` on, which is a multiple of [`BLOCK`] in memory; `filled` of them
+    /// have a meaning.
     buffer: Vec<u8>,
     origin: usize,
     filled: usize,

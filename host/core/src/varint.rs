@@ -1,5 +1,5 @@
-//! Numbers of as few bytes as they need: seven bits in each byte, the lowest first; the highest bit says that there are
-//! more.
+//! Numbers of as few bytes as they need: seven bits in each byte, the lowest first; the highest bit says that
+//! there are more.
 
 /// Appends a number.
 pub(crate) fn push(mut x: u64, to: &mut Vec<u8>) {

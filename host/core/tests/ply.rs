@@ -502,7 +502,8 @@ fn every_truncation_is_an_error() {
         for faces in [Faces::None, Faces::Triangles, Faces::Mixed, Faces::Strips] {
             for spec in [Spec::new(encoding), Spec::difficult(encoding)] {
                 let spec = Spec { faces, ..spec };
-                // All last numbers of the text are of one digit: of longer ones nobody could tell that they are cut.
+                // All last numbers of the text are of one digit: of longer ones nobody could tell that they
+                // are cut.
                 let mut vertices = grid(5);
                 vertices[4] = [1.0; 6];
                 let bytes = spec.build(&vertices);

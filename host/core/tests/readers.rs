@@ -1,6 +1,6 @@
-//! Readers of damaged files: any bytes are an error or fit, and nothing panics. Files are damaged as their structure
-//! suggests: numbers become others, parts are cut out, doubled and exchanged, and checksums are made to fit again, so that
-//! what is behind them is reached. `PROPTEST_CASES` says how many.
+//! Readers of damaged files: any bytes are an error or fit, and nothing panics. Files are damaged as their
+//! structure suggests: numbers become others, parts are cut out, doubled and exchanged, and checksums are
+//! made to fit again, so that what is behind them is reached. `PROPTEST_CASES` says how many.
 
 use std::path::Path;
 use std::sync::Mutex;
@@ -155,8 +155,8 @@ fn damaged_folders_do_no_harm() {
     assert_eq!(again.samples.positions, good.sampled.samples.positions);
 }
 
-/// Interrupts a reconstruction, so that its part file and its journal are left, and goes on by damaged ones: it ends, with the right
-/// bytes, and nothing is left.
+/// Interrupts a reconstruction, so that its part file and its journal are left, and goes on by damaged ones:
+/// it ends, with the right bytes, and nothing is left.
 #[test]
 fn damaged_journals_do_no_harm() {
     let good = Good::new(Encoding::BinaryLittleEndian);

@@ -305,7 +305,8 @@ fn what_is_damaged_is_done_again() {
     assert_eq!(resumed(&Watch::new(u64::MAX)), 0);
 }
 
-/// Versions of one reading go on from where all of them are good, and no later call takes the rest for damaged.
+/// Versions of one reading go on from where all of them are good, and no later call takes the rest for
+/// damaged.
 #[test]
 fn versions_go_on_together() {
     let work = Work::new(Encoding::BinaryLittleEndian);

@@ -1,4 +1,5 @@
-//! How long frames take: `frame-times [--picture FOLDER] [THOUSANDS OF SPLATS ...]` (200, 1000 and 5000 by default).
+//! How long frames take: `frame-times [--picture FOLDER] [THOUSANDS OF SPLATS ...]` (200, 1000 and 5000 by
+//! default).
 //!
 //! Medians over frames of a turning model, each waited for. With `--picture`, writes what is drawn, too.
 #![allow(clippy::print_stdout, reason = "a program that tells what it measured")]

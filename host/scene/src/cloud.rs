@@ -18,8 +18,8 @@ pub struct Surface<'a> {
     pub positions: &'a [Vec3],
     /// Normals of any length; zero (or not finite) where they are not known.
     pub normals: &'a [Vec3],
-    /// Radii of the discs: a little more than the distance of neighbours, so that discs leave no holes. Where it is negative,
-    /// none is drawn.
+    /// Radii of the discs: a little more than the distance of neighbours, so that discs leave no holes. Where
+    /// it is negative, none is drawn.
     pub radii: &'a [f32],
     /// Red, green and blue, in sRGB; white where there are none.
     pub colors: Option<&'a [[u8; 3]]>,
@@ -251,8 +251,8 @@ fn packed(position: Vec3, normal: Vec3) -> Geometry {
     if position.is_finite() { [x, y, z, octahedral(normal)] } else { [0, 0, 0, HIDDEN] }
 }
 
-/// A direction as a point of an octahedron's net, in 16 bits each way: Z. Cigolle et al., *A Survey of Efficient
-/// Representations for Independent Unit Vectors*, JCGT 3(2), 2014.
+/// A direction as a point of an octahedron's net, in 16 bits each way: Z. Cigolle et al., *A Survey of
+/// Efficient Representations for Independent Unit Vectors*, JCGT 3(2), 2014.
 fn octahedral(normal: Vec3) -> u32 {
     let n = normal / normal.abs().element_sum();
     if !n.is_finite() {

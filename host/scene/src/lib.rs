@@ -1,7 +1,8 @@
 //! Draws sampled surfaces with the graphics card: what the viewer's window shows, and pictures without one.
 //!
-//! Geometry is in local coordinates (single precision, about unit size; see `simod_core::frame::Frame`). A [`Scene`]
-//! holds a surface, maybe a ghost of another one, lines and dots, and draws them into a texture of its own:
+//! Geometry is in local coordinates (single precision, about unit size; see `simod_core::frame::Frame`). A
+//! [`Scene`] holds a surface, maybe a ghost of another one, lines and dots, and draws them into a texture of
+//! its own:
 //!
 //! ```no_run
 //! use glam::Vec3;
@@ -24,8 +25,8 @@
 //!
 //! The way of a frame, each a module with its shader:
 //!
-//! 1. `splats`: discs, in two passes, to weighted sums; `resolve` makes the visible surface of them. Or `triangles`,
-//!    which give it at once. The ghost likewise.
+//! 1. `splats`: discs, in two passes, to weighted sums; `resolve` makes the visible surface of them. Or
+//!    `triangles`, which give it at once. The ghost likewise.
 //! 2. `occlusion`: how much light of the surroundings arrives.
 //! 3. `shade`: light and colour, as in `simod_core::render`.
 //! 4. `finish`: smooth edges, in the size asked for; `marks` (lines and dots) over it.
@@ -52,6 +53,6 @@ pub use marks::{Dot, Line};
 pub use scene::{Drawn, Scene};
 pub use view::{Background, Light, Mode, Scale, Style, View};
 
-/// The format of the texture that [`Scene::render`] gives: 8 bits a channel, which hold sRGB values as they are (as in a
-/// PNG file; what egui takes as a texture of the user).
+/// The format of the texture that [`Scene::render`] gives: 8 bits a channel, which hold sRGB values as they
+/// are (as in a PNG file; what egui takes as a texture of the user).
 pub const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;

@@ -1,6 +1,7 @@
 //! Lines and dots over the picture: handles, lattices, bones, cages, the brush.
 //!
-//! Both are segments with round ends, drawn as rectangles of the picture; the borders are as smooth as a pixel allows.
+//! Both are segments with round ends, drawn as rectangles of the picture; the borders are as smooth as a
+//! pixel allows.
 
 use bytemuck::{Pod, Zeroable, cast_slice};
 use glam::Vec3;

@@ -1,9 +1,9 @@
 //! The order in which samples are drawn: every beginning of it is well spread over the surface.
 //!
-//! Samples are put along a curve that fills space (Morton's order), and visited there by van der Corput's sequence, which
-//! halves the gaps again and again; its digits are scrambled (A. B. Owen, 1995; by the hash of S. Laine and T. Karras,
-//! *Stratified Sampling for Stochastic Transparency*, EGSR 2011), so that no regular pattern of the samples meets one of
-//! the sequence.
+//! Samples are put along a curve that fills space (Morton's order), and visited there by van der Corput's
+//! sequence, which halves the gaps again and again; its digits are scrambled (A. B. Owen, 1995; by the hash
+//! of S. Laine and T. Karras, *Stratified Sampling for Stochastic Transparency*, EGSR 2011), so that no
+//! regular pattern of the samples meets one of the sequence.
 
 use glam::{UVec3, Vec3};
 use rayon::prelude::*;
@@ -12,8 +12,8 @@ use rayon::prelude::*;
 pub(crate) struct Order {
     /// The samples' indices.
     pub samples: Vec<u32>,
-    /// How many of them make each level: one for each part of the curve, twice as many parts from level to level. In
-    /// between, some parts would have two.
+    /// How many of them make each level: one for each part of the curve, twice as many parts from level to
+    /// level. In between, some parts would have two.
     levels: Vec<usize>,
 }
 
@@ -80,7 +80,8 @@ fn scrambled(i: u32, bits: u32) -> u32 {
     if bits == 0 {
         return 0;
     }
-    // A hash whose low bits do not depend on the higher ones; turned round, the low ones decide the coarsest halves.
+    // A hash whose low bits do not depend on the higher ones; turned round, the low ones decide the coarsest
+    // halves.
     let mut x = i;
     x = x.wrapping_add(0x9e37_79b9);
     x ^= x.wrapping_mul(0x6c50_b47c);
@@ -109,7 +110,8 @@ mod tests {
         }
     }
 
-    /// In every beginning, the emptiest stretch of the curve is hardly longer than what is due to each sample.
+    /// In every beginning, the emptiest stretch of the curve is hardly longer than what is due to each
+    /// sample.
     #[test]
     fn beginnings_leave_no_gaps() {
         for bits in [1, 8, 12] {

@@ -1,7 +1,8 @@
 //! The passes over the whole picture: occlusion, light, and smooth edges.
 //!
-//! Occlusion follows M. McGuire, B. Osman, M. Bukowski, P. Hennessy, *The Alchemy Screen-Space Ambient Obscurance
-//! Algorithm*, HPG 2011, on a spiral that is turned from pixel to pixel; the light is that of `simod_core::render`.
+//! Occlusion follows M. McGuire, B. Osman, M. Bukowski, P. Hennessy, *The Alchemy Screen-Space Ambient
+//! Obscurance Algorithm*, HPG 2011, on a spiral that is turned from pixel to pixel; the light is that of
+//! `simod_core::render`.
 
 use std::cmp::Ordering;
 

@@ -59,7 +59,8 @@ pub struct Drawn {
     pub drawn: usize,
     /// ... of so many.
     pub of: usize,
-    /// Whether the picture is as it shall be: else [`Scene::render`] has more to draw, when it is called again.
+    /// Whether the picture is as it shall be: else [`Scene::render`] has more to draw, when it is called
+    /// again.
     pub complete: bool,
 }
 
@@ -97,7 +98,8 @@ impl Scene {
         &self.gpu
     }
 
-    /// Shows another surface. What it takes per sample: 24 bytes of the device's memory, 4 here; 12 there per triangle.
+    /// Shows another surface. What it takes per sample: 24 bytes of the device's memory, 4 here; 12 there per
+    /// triangle.
     ///
     /// # Errors
     /// Its lists do not fit together.
@@ -137,9 +139,9 @@ impl Scene {
         Ok(())
     }
 
-    /// Shows more splats with the surface, as one with it: a part of it in more detail, say, where the surface's own radii are
-    /// negative. It takes the place of that of the same number; or that one goes. Its triangles are not used, and while there
-    /// is any, neither are those of the surface.
+    /// Shows more splats with the surface, as one with it: a part of it in more detail, say, where the
+    /// surface's own radii are negative. It takes the place of that of the same number; or that one goes. Its
+    /// triangles are not used, and while there is any, neither are those of the surface.
     ///
     /// # Errors
     /// Its lists do not fit together.
@@ -213,10 +215,12 @@ impl Scene {
         self.drawn
     }
 
-    /// Draws what has changed, and gives the picture: another texture whenever its size changes, the same otherwise.
+    /// Draws what has changed, and gives the picture: another texture whenever its size changes, the same
+    /// otherwise.
     ///
-    /// Without a budget all is drawn at once, and the device may go on drawing when this returns. With one, a changed
-    /// scene is drawn as well as its time allows; then each call draws more, until [`Drawn::complete`].
+    /// Without a budget all is drawn at once, and the device may go on drawing when this returns. With one, a
+    /// changed scene is drawn as well as its time allows; then each call draws more, until
+    /// [`Drawn::complete`].
     pub fn render(&mut self, view: &View, style: &Style, budget: Option<&mut Budget>) -> &TextureView {
         let most = self.gpu.device.limits().max_texture_dimension_2d;
         let view = View { size: view.size.map(|s| s.clamp(1, most)), ..*view };

@@ -1,10 +1,10 @@
-//! Surfaces as oriented discs that overlap: M. Zwicker, H. Pfister, J. van Baar, M. Gross, *Surface Splatting*, SIGGRAPH
-//! 2001; in two passes as in M. Botsch, A. Hornung, M. Zwicker, L. Kobbelt, *High-Quality Surface Splatting on Today's
-//! GPUs*, PBG 2005.
+//! Surfaces as oriented discs that overlap: M. Zwicker, H. Pfister, J. van Baar, M. Gross, *Surface
+//! Splatting*, SIGGRAPH 2001; in two passes as in M. Botsch, A. Hornung, M. Zwicker, L. Kobbelt,
+//! *High-Quality Surface Splatting on Today's GPUs*, PBG 2005.
 //!
-//! The first pass finds the nearest surface, and puts it back by a part of the discs' radii. The second one sums up the
-//! colours, normals and depths of what is not behind it, by a weight that falls to nothing at a disc's border; their means
-//! are the surface that is seen.
+//! The first pass finds the nearest surface, and puts it back by a part of the discs' radii. The second one
+//! sums up the colours, normals and depths of what is not behind it, by a weight that falls to nothing at a
+//! disc's border; their means are the surface that is seen.
 
 use std::ops::Range;
 

@@ -87,7 +87,8 @@ fn a_surface_in_pieces_looks_as_the_whole() {
     assert!(same(&half, &shot(&mut scene)) && scene.splats() == surface.positions.len());
 }
 
-/// Fine details have their colour, and nothing of what they stand for shines through; triangles give way to them.
+/// Fine details have their colour, and nothing of what they stand for shines through; triangles give way to
+/// them.
 #[test]
 fn fine_details_hide_what_is_behind() {
     let Some(gpu) = gpu() else { return };

@@ -34,8 +34,8 @@ fn budget_of(splats: usize) -> Budget {
     budget
 }
 
-/// A part of the samples shows the same surface without holes, through which the blue one inside would be seen; and then
-/// the rest comes, to the picture that is drawn at once.
+/// A part of the samples shows the same surface without holes, through which the blue one inside would be
+/// seen; and then the rest comes, to the picture that is drawn at once.
 #[test]
 fn a_part_is_closed_and_the_rest_follows() {
     let Some(gpu) = gpu() else { return };

@@ -17,7 +17,8 @@ const INTERVAL: Duration = Duration::from_millis(5);
 /// Bytes that are kept of what a process prints: the last ones.
 const KEPT: usize = 64 << 10;
 
-/// How long the last words of a process that ended are waited for. Processes of its own may hold its outputs open.
+/// How long the last words of a process that ended are waited for. Processes of its own may hold its outputs
+/// open.
 const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// How a process ended.
@@ -42,8 +43,8 @@ pub struct Outcome {
     pub last_error: String,
 }
 
-/// Runs this program with the given arguments for at most `time`. Where the user asks to stop, it is ended, and the
-/// error says so. Nothing that it started is left behind.
+/// Runs this program with the given arguments for at most `time`. Where the user asks to stop, it is ended,
+/// and the error says so. Nothing that it started is left behind.
 pub fn run(mut command: Command, time: Duration, progress: &dyn Progress) -> Result<Outcome> {
     let refused = |e: std::io::Error| {
         let what = format!("cannot run this program once more: {e}");
@@ -151,8 +152,9 @@ fn describe_code(status: ExitStatus) -> String {
 /// Whether [`limit_memory`] has an effect on this system.
 pub const LIMITS_MEMORY: bool = cfg!(target_os = "linux");
 
-/// Ends this process together with the one of this number that started it; at once, if that has ended already. On Linux by a
-/// signal of the system's; elsewhere a process that does not listen goes on for a moment when the other one is killed.
+/// Ends this process together with the one of this number that started it; at once, if that has ended
+/// already. On Linux by a signal of the system's; elsewhere a process that does not listen goes on for a
+/// moment when the other one is killed.
 pub fn end_with(parent: u32) {
     #[cfg(target_os = "linux")]
     {
@@ -169,11 +171,11 @@ pub fn end_with(parent: u32) {
     let _ = parent;
 }
 
-/// Lets this process have no more than so many bytes of memory from now on, and leave no image of it on the disk when it
-/// crashes. On Linux; other systems have no such limits.
+/// Lets this process have no more than so many bytes of memory from now on, and leave no image of it on the
+/// disk when it crashes. On Linux; other systems have no such limits.
 ///
-/// What threads reserve comes on top: their stacks, and for all addresses, which also count where they are not used, the
-/// arenas of the C library.
+/// What threads reserve comes on top: their stacks, and for all addresses, which also count where they are
+/// not used, the arenas of the C library.
 #[cfg(target_os = "linux")]
 pub fn limit_memory(bytes: u64) -> Result<()> {
     use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};

@@ -6,8 +6,8 @@
 //! ```
 //!
 //! Model coordinates are double precision and in the model's unit; plugins see *local* ones (see
-//! [`Frame`](simod_core::frame::Frame)). The translation between both happens in [`stack`] alone; foreign code is called in
-//! [`deformer`] alone.
+//! [`Frame`](simod_core::frame::Frame)). The translation between both happens in [`stack`] alone; foreign
+//! code is called in [`deformer`] alone.
 
 pub mod check;
 pub mod child;

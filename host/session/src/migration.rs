@@ -1,5 +1,5 @@
-//! Steps of sessions that are older than their plugin: parameters that have other names now, and those whose meaning changed,
-//! which the plugin brings up to date.
+//! Steps of sessions that are older than their plugin: parameters that have other names now, and those whose
+//! meaning changed, which the plugin brings up to date.
 
 use crate::deformer::{Plugin, limits};
 use crate::plugins::PluginRegistry;
@@ -15,8 +15,8 @@ const EXACT: f64 = 9_007_199_254_740_992.0;
 /// A step, as the plugin has it now; nothing where it is so already. What was done is in its notes.
 ///
 /// # Errors
-/// The step is of a later version than the plugin, gives a parameter by both of its names, or the plugin cannot make anything
-/// of it; or what the plugin makes of it is of no use.
+/// The step is of a later version than the plugin, gives a parameter by both of its names, or the plugin
+/// cannot make anything of it; or what the plugin makes of it is of no use.
 pub(crate) fn migrated(step: &Deformation, plugin: &Plugin) -> Result<Option<Deformation>> {
     let now = plugin.state_version();
     let from = step.state_version.unwrap_or(1);
@@ -218,8 +218,8 @@ fn value(d: &ParamDesc, setting: &Setting) -> Option<toml::Value> {
 }
 
 impl PluginRegistry {
-    /// Brings steps up to the plugins that do them, as they are saved; what was done, in words, each with the step's place. Those
-    /// whose plugin is not there stay as they are.
+    /// Brings steps up to the plugins that do them, as they are saved; what was done, in words, each with the
+    /// step's place. Those whose plugin is not there stay as they are.
     ///
     /// # Errors
     /// A step cannot be brought up to its plugin; the error names it.

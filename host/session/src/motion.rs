@@ -16,8 +16,8 @@ pub struct Motion {
     pub axis: DVec3,
     /// How far, right-handed.
     pub degrees: f64,
-    /// The point that turning and scaling leave in place. Unless given, it is the model's own zero for a region, and
-    /// where it is at rest for a handle that a plugin placed.
+    /// The point that turning and scaling leave in place. Unless given, it is the model's own zero for a
+    /// region, and where it is at rest for a handle that a plugin placed.
     #[serde(deserialize_with = "crate::vector::maybe_three", skip_serializing_if = "Option::is_none")]
     pub pivot: Option<DVec3>,
     /// Size after over size before; positive.
@@ -47,8 +47,8 @@ impl Motion {
         }
     }
 
-    /// The map, in model coordinates, about `pivot` where the motion does not say which. Exactly the identity where
-    /// nothing moves.
+    /// The map, in model coordinates, about `pivot` where the motion does not say which. Exactly the identity
+    /// where nothing moves.
     pub fn to_affine(&self, pivot: DVec3) -> DAffine3 {
         let turn = match self.axis.try_normalize() {
             Some(axis) if self.degrees != 0.0 => DMat3::from_axis_angle(axis, self.degrees.to_radians()),

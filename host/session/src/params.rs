@@ -47,7 +47,8 @@ pub struct Params {
 }
 
 impl Params {
-    /// Checks what the user gave (`plugin` names it in errors) against the descriptions. Paths are relative to `folder`.
+    /// Checks what the user gave (`plugin` names it in errors) against the descriptions. Paths are relative
+    /// to `folder`.
     pub fn check(
         plugin: &str,
         descriptions: &[ParamDesc],
@@ -439,9 +440,10 @@ fn kind_name(kind: ParamKind) -> &'static str {
     }
 }
 
-/// A parameter's description as data: `id`, `name`, `kind`, `unit`, `default` (a number, a text, a truth value, a list, or null
-/// where there is none), `hard_range` and `soft_range` (each end a number, or null for none), `choices` or a file's
-/// `extensions`, `group`, `hint`, `invalidates_preparation`, and all of it in words as `text`.
+/// A parameter's description as data: `id`, `name`, `kind`, `unit`, `default` (a number, a text, a truth
+/// value, a list, or null where there is none), `hard_range` and `soft_range` (each end a number, or null for
+/// none), `choices` or a file's `extensions`, `group`, `hint`, `invalidates_preparation`, and all of it in
+/// words as `text`.
 pub fn param_data(d: &ParamDesc) -> serde_json::Value {
     use serde_json::{Value, json};
     let numbers = d.default_numbers.as_slice();

@@ -1,4 +1,5 @@
-//! A part of a model that a hand selected, as geometry: points that are in it, and points next to them that are not.
+//! A part of a model that a hand selected, as geometry: points that are in it, and points next to them that
+//! are not.
 
 use crate::side_file::{Kind, MOST_IN_SESSION, Reference, write as write_file};
 use glam::DVec3;
@@ -9,8 +10,9 @@ use std::path::Path;
 use std::sync::{Arc, OnceLock};
 use xxhash_rust::xxh3::xxh3_128;
 
-/// Points of a model that were selected, and points around them that were not; model coordinates. Where both are told, any
-/// other point belongs to what is nearer, so the part of the model is the same on any sampling of it.
+/// Points of a model that were selected, and points around them that were not; model coordinates. Where both
+/// are told, any other point belongs to what is nearer, so the part of the model is the same on any sampling
+/// of it.
 ///
 /// Memory: 24 bytes a point, and 32 more once distances are asked for. A clone shares it.
 #[derive(Clone)]
@@ -48,8 +50,8 @@ struct Raw {
 }
 
 impl PickedPoints {
-    /// Of points that are in it, and others that are not. Points outside have to be there wherever the model goes on; none
-    /// says that all of it is selected.
+    /// Of points that are in it, and others that are not. Points outside have to be there wherever the model
+    /// goes on; none says that all of it is selected.
     pub fn new(inside: Vec<DVec3>, outside: Vec<DVec3>) -> Self {
         Self::of(inside, outside, None)
     }
@@ -85,12 +87,13 @@ impl PickedPoints {
         }
     }
 
-    /// Signed distance to the border, in the model's unit: negative or 0 where the nearest point is inside, and a lower
-    /// bound that is exact along the model beyond it. Far inside everywhere where there are no points outside.
+    /// Signed distance to the border, in the model's unit: negative or 0 where the nearest point is inside,
+    /// and a lower bound that is exact along the model beyond it. Far inside everywhere where there are no
+    /// points outside.
     ///
-    /// The border is halfway between points inside and outside. Near it, the distance is half of the difference between those
-    /// to the nearest points of both; farther out, where the nearest one outside tells nothing, that to the nearest
-    /// point inside, without its half of the gap.
+    /// The border is halfway between points inside and outside. Near it, the distance is half of the
+    /// difference between those to the nearest points of both; farther out, where the nearest one outside
+    /// tells nothing, that to the nearest point inside, without its half of the gap.
     pub fn signed_distance(&self, p: DVec3) -> f64 {
         let Content { inside, outside, .. } = &*self.0;
         let search = self.0.search.get_or_init(|| Search::of(inside, outside));
@@ -193,7 +196,8 @@ mod tests {
     use super::*;
     use crate::shapes::{Shape, Shapes};
 
-    /// A grid of unit spacing on the plane, of which those left of x = 0 are selected; outside are `rings` columns.
+    /// A grid of unit spacing on the plane, of which those left of x = 0 are selected; outside are `rings`
+    /// columns.
     fn half(rings: i32) -> PickedPoints {
         let column = |x: i32| (-20..=20).map(move |y| DVec3::new(f64::from(x), f64::from(y), 0.0));
         PickedPoints::new((-10..=0).flat_map(column).collect(), (1..=rings).flat_map(column).collect())

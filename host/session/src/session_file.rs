@@ -123,8 +123,8 @@ pub enum Action {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Refine {
-    /// Where: on the model as the steps before have deformed it. None is everywhere, for those that find out by themselves
-    /// ([`Finer::Auto`]).
+    /// Where: on the model as the steps before have deformed it. None is everywhere, for those that find out
+    /// by themselves ([`Finer::Auto`]).
     pub shapes: Shapes,
     /// How fine.
     pub finer: Finer,
@@ -217,7 +217,8 @@ impl Notes {
     }
 }
 
-/// Where the parameters of a step stand in its file, as `session.toml, line 9`. No part of what the step is: all are equal.
+/// Where the parameters of a step stand in its file, as `session.toml, line 9`. No part of what the step is:
+/// all are equal.
 #[derive(Debug, Clone, Default)]
 pub struct ParamPlaces(Arc<BTreeMap<String, String>>);
 
@@ -239,7 +240,8 @@ impl ParamPlaces {
         Self(Arc::new(places))
     }
 
-    /// Where an error belongs to that came up in the step at `place`: to the parameter that it names, if the file gives that one.
+    /// Where an error belongs to that came up in the step at `place`: to the parameter that it names, if the
+    /// file gives that one.
     pub(crate) fn of<'a>(&'a self, place: &'a str, error: &Error) -> &'a str {
         let text = error.to_string();
         let named = text.split("parameter `").skip(1).filter_map(|rest| rest.split('`').next());
@@ -506,8 +508,8 @@ impl SessionFile {
         Self::parse(&text, path)
     }
 
-    /// Where the session itself says that the deformed model goes: beside it, or in a folder beside it. `path` is the session's. A
-    /// session may be a stranger's, who has no say about other folders.
+    /// Where the session itself says that the deformed model goes: beside it, or in a folder beside it.
+    /// `path` is the session's. A session may be a stranger's, who has no say about other folders.
     ///
     /// # Errors
     /// It does not say so, or names another place.
@@ -573,8 +575,8 @@ pub(crate) fn read_text(path: &Path, what: &str, hint: &str) -> Result<String> {
     })
 }
 
-/// All files that a session, or a file of methods, names to be read: the model, strokes, selections, files among
-/// parameters. What is missing is told when it is needed.
+/// All files that a session, or a file of methods, names to be read: the model, strokes, selections, files
+/// among parameters. What is missing is told when it is needed.
 ///
 /// # Errors
 /// The file itself cannot be read.
@@ -772,7 +774,8 @@ impl Source<'_> {
         })
     }
 
-    /// The joints, each after the one that it hangs on: those that hang on none first, and then what hangs on these.
+    /// The joints, each after the one that it hangs on: those that hang on none first, and then what hangs on
+    /// these.
     fn joints(&self, raw: Vec<Spanned<Joint>>) -> Result<Vec<Joint>> {
         let mut numbers: HashMap<String, usize> = HashMap::with_capacity(raw.len());
         for (number, joint) in raw.iter().enumerate() {

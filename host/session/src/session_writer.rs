@@ -1,5 +1,5 @@
-//! `session.toml`, written: what [`SessionFile::load`] reads, as a person would have put it. What has its default is left
-//! out, and long strokes and selections go to files beside it.
+//! `session.toml`, written: what [`SessionFile::load`] reads, as a person would have put it. What has its
+//! default is left out, and long strokes and selections go to files beside it.
 
 use crate::motion::Motion;
 use crate::picked::PickedPoints;
@@ -19,8 +19,8 @@ use toml_edit::ser::ValueSerializer;
 use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Table, Value, value};
 
 impl SessionFile {
-    /// Writes the session, whole or not at all; the model and the output are named as seen from its folder. Gives the files
-    /// beside it that it refers to.
+    /// Writes the session, whole or not at all; the model and the output are named as seen from its folder.
+    /// Gives the files beside it that it refers to.
     ///
     /// # Errors
     /// A file cannot be written; a path is no text.
@@ -30,7 +30,8 @@ impl SessionFile {
         Ok(strokes)
     }
 
-    /// The session's text at this path; strokes and selections that are too long for it are written beside it, to these files.
+    /// The session's text at this path; strokes and selections that are too long for it are written beside
+    /// it, to these files.
     fn to_toml(&self, path: &Path) -> Result<(String, Vec<PathBuf>)> {
         let mut document = DocumentMut::new();
         document["version"] = value(VERSION);

@@ -108,7 +108,8 @@ impl Shapes {
         self.shapes.iter().map(|s| s.signed_distance(p)).fold(f64::INFINITY, f64::min)
     }
 
-    /// The shapes as a session file has them; of selections that are too long for that, how many points they have, and where.
+    /// The shapes as a session file has them; of selections that are too long for that, how many points they
+    /// have, and where.
     pub fn tables(&self) -> Vec<toml::Table> {
         let summary = |picked: &PickedPoints| {
             let bounds = Bounds::of(picked.inside().iter().copied());
@@ -131,8 +132,8 @@ impl Shapes {
         self.shapes.iter().map(table).collect()
     }
 
-    /// 1 inside and on the surface of any shape, 0 from `falloff` away on, and `1 - 3t² + 2t³` in between, with
-    /// `t` the distance to the surface over `falloff`.
+    /// 1 inside and on the surface of any shape, 0 from `falloff` away on, and `1 - 3t² + 2t³` in between,
+    /// with `t` the distance to the surface over `falloff`.
     pub fn weight(&self, p: DVec3) -> f64 {
         let distance = self.signed_distance(p);
         if distance <= 0.0 {

@@ -1,8 +1,8 @@
 //! Files beside a session: what is too much for a readable file, as long brush strokes and selections.
 //!
-//! A line that says what it is, such as `simod-strokes/1`, and the content in postcard's encoding. The session names the file
-//! with its hash; the name has a part of the hash, so that a session that is saved anew never spoils what the former one
-//! refers to.
+//! A line that says what it is, such as `simod-strokes/1`, and the content in postcard's encoding. The
+//! session names the file with its hash; the name has a part of the hash, so that a session that is saved
+//! anew never spoils what the former one refers to.
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -50,7 +50,8 @@ pub struct Reference {
     pub fingerprint: String,
 }
 
-/// Writes a file beside the session, whole or not at all; one that is there already with the same content stays.
+/// Writes a file beside the session, whole or not at all; one that is there already with the same content
+/// stays.
 ///
 /// # Errors
 /// It cannot be written.
@@ -99,8 +100,8 @@ pub fn beside(session: &Path) -> Result<Vec<PathBuf>> {
 }
 
 impl Reference {
-    /// Reads the file; `folder` is the session's. `make` makes of its content what it stands for, or says what is wrong
-    /// with it.
+    /// Reads the file; `folder` is the session's. `make` makes of its content what it stands for, or says
+    /// what is wrong with it.
     ///
     /// # Errors
     /// The file cannot be read, is not the one that the session was saved with, or holds what makes no sense.

@@ -1,5 +1,5 @@
-//! Runs to a tolerance: samples are added where the transfer is expected to be off by more, and deformed by the plugins, until it is
-//! nowhere. Samples that the transfer itself placed would tell nothing about it.
+//! Runs to a tolerance: samples are added where the transfer is expected to be off by more, and deformed by
+//! the plugins, until it is nowhere. Samples that the transfer itself placed would tell nothing about it.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -32,14 +32,15 @@ const FEW: u64 = 1 << 20;
 
 /// The largest expected error has to fall to this part of its least so far ...
 const FALLS: f64 = 0.9;
-/// ... at least once in so many rounds: at a step it does not. Where few samples are added among sparse ones, it rises for
-/// a while.
+/// ... at least once in so many rounds: at a step it does not. Where few samples are added among sparse ones,
+/// it rises for a while.
 const PATIENCE: usize = 7;
 
 /// Vertices at which the exact map is asked.
 const MEASURED: u64 = 1_000_000;
 
-/// What the estimates of samples in single precision do not tell, in local units, which are at most the diagonal.
+/// What the estimates of samples in single precision do not tell, in local units, which are at most the
+/// diagonal.
 const LEAST_LOCAL: f64 = 2e-6;
 
 /// How far vertices may be off.
@@ -127,8 +128,8 @@ pub fn check_precision(sampled: &SampledModel, model: &dyn Model, tolerance: f64
     Ok(())
 }
 
-/// Deforms samples by the steps, and adds more, which the steps deform as well, until nothing is expected to be off by more.
-/// `sampled` holds its cells.
+/// Deforms samples by the steps, and adds more, which the steps deform as well, until nothing is expected to
+/// be off by more. `sampled` holds its cells.
 ///
 /// # Errors
 /// The tolerance cannot be met, for a reason that is told; a step cannot be done; the user cancelled.

@@ -1,6 +1,6 @@
-//! Readers of damaged files: sessions with the strokes and selections beside them, comparisons, and what is remembered of
-//! plugins. Any bytes are an error or fit, and nothing panics. Hashes are made to fit what is damaged, so that what is behind them is
-//! reached. `PROPTEST_CASES` says how many.
+//! Readers of damaged files: sessions with the strokes and selections beside them, comparisons, and what is
+//! remembered of plugins. Any bytes are an error or fit, and nothing panics. Hashes are made to fit what is
+//! damaged, so that what is behind them is reached. `PROPTEST_CASES` says how many.
 #![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
 
 use std::path::Path;
@@ -144,7 +144,8 @@ fn damaged_comparisons_do_no_harm() {
     tested.unwrap();
 }
 
-/// Strokes and selections that are too long for the session are in files beside it, which it names with their hashes.
+/// Strokes and selections that are too long for the session are in files beside it, which it names with their
+/// hashes.
 #[test]
 fn damaged_strokes_and_selections_do_no_harm() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,7 +1,7 @@
 //! A camera that goes round a point, in local coordinates, where models are of about unit size.
 //!
-//! Its way of looking is two angles about an upright axis, so it never rolls, and stops above and below. Pixels are counted
-//! from the top left of the picture; their middles are at halves.
+//! Its way of looking is two angles about an upright axis, so it never rolls, and stops above and below.
+//! Pixels are counted from the top left of the picture; their middles are at halves.
 
 use glam::{DMat4, DQuat, DVec2, DVec3, DVec4};
 use serde::{Deserialize, Serialize};
@@ -167,7 +167,8 @@ impl Camera {
         }
     }
 
-    /// The ray of a pixel. In orthographic projection it begins at the eye's depth, and goes back from there as well.
+    /// The ray of a pixel. In orthographic projection it begins at the eye's depth, and goes back from there
+    /// as well.
     pub fn ray(&self, pixel: DVec2, size: [f64; 2]) -> Ray {
         let [right, up, back] = self.axes();
         let x = (2.0 * pixel.x / size[0].max(1.0) - 1.0) * aspect(size);
@@ -185,7 +186,8 @@ impl Camera {
         }
     }
 
-    /// The pixel that shows a point, and the point's depth before the eye; nothing for points behind it in perspective.
+    /// The pixel that shows a point, and the point's depth before the eye; nothing for points behind it in
+    /// perspective.
     pub fn project(&self, p: DVec3, size: [f64; 2]) -> Option<(DVec2, f64)> {
         let [right, up, back] = self.axes();
         let d = p - self.eye();
@@ -215,7 +217,8 @@ impl Camera {
         self.pitch = (self.pitch + pitch).clamp(-FRAC_PI_2, FRAC_PI_2);
     }
 
-    /// Moves along the picture, so that what is as deep as the target follows the pointer, which moved by so many pixels.
+    /// Moves along the picture, so that what is as deep as the target follows the pointer, which moved by so
+    /// many pixels.
     pub fn pan(&mut self, pixels: DVec2, size: [f64; 2]) {
         let length = self.pixel_length(self.distance, size);
         let [right, up, _] = self.axes();

@@ -12,8 +12,8 @@ use simod_session::edit;
 use simod_session::session_file::{Role, Sampling};
 use std::path::PathBuf;
 
-/// One thing that a user does. Steps are known by their place, 0 for the first; pixels are counted from the top left of the
-/// picture.
+/// One thing that a user does. Steps are known by their place, 0 for the first; pixels are counted from the
+/// top left of the picture.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Command {
@@ -30,7 +30,8 @@ pub enum Command {
     },
     /// Changes the steps.
     Edit(edit::Command),
-    /// Changes them while something is dragged: a draft is made of it. All changes of the same thing are undone as one.
+    /// Changes them while something is dragged: a draft is made of it. All changes of the same thing are
+    /// undone as one.
     Drag(edit::Command),
     /// What was dragged rests.
     Rest,
@@ -109,7 +110,8 @@ pub enum Command {
     },
     /// The brush moves.
     StrokePoint {
-        /// Where to, model coordinates, as the step finds them: see [`State::in_step`](crate::State::in_step).
+        /// Where to, model coordinates, as the step finds them: see
+        /// [`State::in_step`](crate::State::in_step).
         at: DVec3,
         /// The pen's pressure, 0 to 1, if there is a pen.
         #[serde(default)]
@@ -144,8 +146,8 @@ pub enum Command {
     Camera(CameraMove),
     /// Shows something else on the surface.
     Show(Overlay),
-    /// Shows a part of the model in full instead of its samples: its vertices are streamed, again each time the edit rests after
-    /// they have moved. It is no part of the edit.
+    /// Shows a part of the model in full instead of its samples: its vertices are streamed, again each time
+    /// the edit rests after they have moved. It is no part of the edit.
     Preview {
         /// Which part.
         what: Previewed,

@@ -1,8 +1,9 @@
-//! Vertices of the model that are to be seen instead of samples, and which of them are where the samples are now.
+//! Vertices of the model that are to be seen instead of samples, and which of them are where the samples are
+//! now.
 //!
-//! They come cell by cell. A cell is *fresh* while the samples that decide where its vertices go are where they were when it was
-//! carried over; else it is *stale*, and its samples stand for it again. So what was streamed stays of use when a change is
-//! taken back.
+//! They come cell by cell. A cell is *fresh* while the samples that decide where its vertices go are where
+//! they were when it was carried over; else it is *stale*, and its samples stand for it again. So what was
+//! streamed stays of use when a change is taken back.
 
 use crate::engine::Pose;
 use rayon::prelude::*;
@@ -25,8 +26,9 @@ pub enum Previewed {
 
 /// Vertices in pieces, as they came.
 ///
-/// Memory: 32 bytes for each vertex. There are at most twice as many as were [chosen](Chosen), as a piece is made anew
-/// when others have taken the place of more than half of it; and for what was chosen before, until that is replaced.
+/// Memory: 32 bytes for each vertex. There are at most twice as many as were [chosen](Chosen), as a piece is
+/// made anew when others have taken the place of more than half of it; and for what was chosen before, until
+/// that is replaced.
 pub struct Detail {
     of: Previewed,
     chosen: Chosen,
@@ -104,8 +106,8 @@ impl Detail {
         self.revision
     }
 
-    /// Other cells are wanted, or others of their vertices. What is there and not wanted is let go; what is wanted in
-    /// another number stays until that has come.
+    /// Other cells are wanted, or others of their vertices. What is there and not wanted is let go; what is
+    /// wanted in another number stays until that has come.
     pub fn choose(&mut self, of: Previewed, chosen: Chosen) {
         (self.of, self.chosen) = (of, chosen);
         for cell in 0..self.held.len() {
@@ -252,7 +254,8 @@ impl Detail {
 
 /// Whether vertices around each sample go elsewhere by one pose than by another; nothing where all do.
 ///
-/// Where a vertex goes is told by expansions around it, and these by the samples around theirs: two rings of neighbours.
+/// Where a vertex goes is told by expansions around it, and these by the samples around theirs: two rings of
+/// neighbours.
 fn elsewhere(a: &Pose, b: &Pose) -> Option<Vec<bool>> {
     if !Arc::ptr_eq(&a.sampled, &b.sampled) {
         return None;

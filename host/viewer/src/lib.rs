@@ -4,9 +4,9 @@
 //! window ──Command──▶ State::apply ──steps──▶ Engine (its thread) ──Event──▶ State::poll ──▶ Scene, to be drawn
 //! ```
 //!
-//! The state changes through [`Command`]s alone, so a whole edit can be recorded and replayed without a window; and what comes
-//! back from the thread that does the steps only says where the samples are now. No file that this crate writes differs
-//! from what `simod run` makes of the saved session.
+//! The state changes through [`Command`]s alone, so a whole edit can be recorded and replayed without a
+//! window; and what comes back from the thread that does the steps only says where the samples are now. No
+//! file that this crate writes differs from what `simod run` makes of the saved session.
 
 pub mod camera;
 pub mod command;

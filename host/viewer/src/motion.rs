@@ -1,4 +1,5 @@
-//! Motions of handles as a gizmo has them: a matrix that turns, scales and places the gizmo about the handle's pivot.
+//! Motions of handles as a gizmo has them: a matrix that turns, scales and places the gizmo about the
+//! handle's pivot.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use simod_core::frame::Frame;
@@ -6,15 +7,15 @@ use simod_plugin_api::HandleDesc;
 use simod_session::Motion;
 use simod_session::session_file::HandleMove;
 
-/// Where the gizmo of a handle region is: it is moved, turned and scaled as the region is, and begins at this pivot, whatever
-/// the motion's own is. Model coordinates.
+/// Where the gizmo of a handle region is: it is moved, turned and scaled as the region is, and begins at this
+/// pivot, whatever the motion's own is. Model coordinates.
 pub fn handle_matrix(motion: &Motion, pivot: DVec3) -> DAffine3 {
     let map = motion.to_affine(DVec3::ZERO);
     DAffine3 { matrix3: map.matrix3, translation: map.transform_point3(pivot) }
 }
 
-/// The motion of a handle whose gizmo was at the pivot, unturned and of size 1, and is there now. Scales along axes become their
-/// mean: a motion scales all ways alike.
+/// The motion of a handle whose gizmo was at the pivot, unturned and of size 1, and is there now. Scales
+/// along axes become their mean: a motion scales all ways alike.
 ///
 /// Nothing where the matrix is no motion: it mirrors, flattens, or has numbers that are not finite.
 pub fn motion_of(matrix: DAffine3, pivot: DVec3) -> Option<Motion> {
@@ -47,8 +48,8 @@ fn orthonormal(m: DMat3) -> Option<DMat3> {
     Some(DMat3::from_cols(x, z.cross(x), z))
 }
 
-/// Where the handles that a plugin placed are: each moved by its own motion, and by those of what it hangs on. Model
-/// coordinates; in the plugin's order.
+/// Where the handles that a plugin placed are: each moved by its own motion, and by those of what it hangs
+/// on. Model coordinates; in the plugin's order.
 pub fn placed_handles(handles: &[HandleDesc], moves: &[HandleMove], frame: &Frame) -> Vec<PlacedHandle> {
     let mut placed: Vec<PlacedHandle> = Vec::with_capacity(handles.len());
     for handle in handles {

@@ -29,12 +29,12 @@ pub enum Overlay {
     Stretch,
     /// Mean distance to the nearest samples at rest, in the model's unit.
     Density,
-    /// The error that the model is expected to have between the samples, in the model's unit. It takes a while, so it is
-    /// there when the steps were done with it, and not while something is dragged.
+    /// The error that the model is expected to have between the samples, in the model's unit. It takes a
+    /// while, so it is there when the steps were done with it, and not while something is dragged.
     TransferError,
-    /// How far samples are from where they are in the pinned version, in the model's unit. Samples that only one of both has,
-    /// as refinements appended them, are compared with where the other one's reconstruction carries them. Until that is
-    /// known, and in the pinned version, they take the mean of their neighbours.
+    /// How far samples are from where they are in the pinned version, in the model's unit. Samples that only
+    /// one of both has, as refinements appended them, are compared with where the other one's reconstruction
+    /// carries them. Until that is known, and in the pinned version, they take the mean of their neighbours.
     Difference,
 }
 
@@ -83,8 +83,9 @@ pub fn region(scene: &Scene, before: &[Vec3], shapes: &Shapes) -> Field {
     Field::weights((0..scene.len()).into_par_iter().map(weight).collect())
 }
 
-/// How far apart samples are in two versions. `carried` has where the other one has all samples of the scene, local positions;
-/// otherwise only those that both have are compared, and the rest take the mean of their neighbours.
+/// How far apart samples are in two versions. `carried` has where the other one has all samples of the scene,
+/// local positions; otherwise only those that both have are compared, and the rest take the mean of their
+/// neighbours.
 pub fn difference(scene: &Scene, other: &Scene, carried: Option<&[Vec3]>) -> Field {
     let scale = scene.frame().scale as f32;
     let to = carried.unwrap_or(&other.positions);
@@ -95,7 +96,8 @@ pub fn difference(scene: &Scene, other: &Scene, carried: Option<&[Vec3]>) -> Fie
     Field::of(values, 0.0)
 }
 
-/// Numbers for the samples behind those that have one: the mean of the neighbours that have, from these outwards.
+/// Numbers for the samples behind those that have one: the mean of the neighbours that have, from these
+/// outwards.
 fn spread(values: &mut Vec<f32>, scene: &Scene) {
     let known = values.len();
     values.resize(scene.len(), f32::NAN);
@@ -139,8 +141,8 @@ pub fn stretch(scene: &Scene) -> Field {
     Field::of((0..scene.len()).into_par_iter().map(of).collect(), 1.0)
 }
 
-/// The linear map that carries the ways to the neighbours over best, in the least squares along the tangent plane. It is
-/// fitted to displacements, so that nothing is stretched where nothing moves.
+/// The linear map that carries the ways to the neighbours over best, in the least squares along the tangent
+/// plane. It is fitted to displacements, so that nothing is stretched where nothing moves.
 fn tangent_map(rest: &[Vec3], now: &[Vec3], i: usize, near: &[u32], n: Vec3) -> Option<Mat3> {
     let (s, t) = n.try_normalize()?.any_orthonormal_pair();
     let (mut a, mut b, mut c) = (0.0, 0.0, 0.0);

@@ -1,5 +1,5 @@
-//! What can be seen from the camera: a small depth buffer of splats, drawn on the processor, one sample after the other, so
-//! that it is the same everywhere.
+//! What can be seen from the camera: a small depth buffer of splats, drawn on the processor, one sample after
+//! the other, so that it is the same everywhere.
 
 use crate::camera::{Camera, Projection, Ray};
 use crate::scene::Scene;
@@ -18,8 +18,9 @@ const REACH: f32 = 1.0;
 /// Pixels that a disc covers at least, from its middle.
 const LEAST_REACH: f64 = 0.75;
 
-/// How far behind the nearest surface a sample may lie and still be seen, in radii of its disc: those that face the camera,
-/// and those that do not, which are the far side of something if anything at all lies before them.
+/// How far behind the nearest surface a sample may lie and still be seen, in radii of its disc: those that
+/// face the camera, and those that do not, which are the far side of something if anything at all lies before
+/// them.
 const BEHIND: [f64; 2] = [1.0, 0.25];
 
 /// No sample.
@@ -103,7 +104,8 @@ impl Lens {
         pixel.is_finite().then_some(Disc { pixel, radius, reach, normal, center, faces })
     }
 
-    /// How deep a disc is at a pixel, where it covers it. One that is seen edge-on still covers its own pixel.
+    /// How deep a disc is at a pixel, where it covers it. One that is seen edge-on still covers its own
+    /// pixel.
     fn depth_at(&self, pixel: DVec2, disc: &Disc) -> Option<f64> {
         let (ray, n, c) = (self.ray(pixel), disc.normal, disc.center);
         let hit = if self.flat {
@@ -204,8 +206,8 @@ impl DepthBuffer {
         Some(self.hit(scene, pixel, sample))
     }
 
-    /// Behind the point under a pixel, where the body ends that begins there: at the nearest surface that looks away. Nothing
-    /// where there is none, as in an open scan.
+    /// Behind the point under a pixel, where the body ends that begins there: at the nearest surface that
+    /// looks away. Nothing where there is none, as in an open scan.
     pub fn pick_far_side(&self, scene: &Scene, pixel: DVec2) -> Option<Hit> {
         let at = self.shrunk(pixel);
         let (front, first) = self.at(at).filter(|(_, sample)| *sample != NOBODY)?;
@@ -240,8 +242,8 @@ fn plane(ray: &Ray, point: DVec3, normal: DVec3) -> Option<DVec3> {
     (facing.abs() > 1e-3 && t.is_finite()).then(|| ray.origin + ray.direction * t)
 }
 
-/// Where a ray meets the surface near a sample: first the sample's own plane, then the mean one of the samples around
-/// (M. Alexa et al., *Point Set Surfaces*, 2001, with two steps).
+/// Where a ray meets the surface near a sample: first the sample's own plane, then the mean one of the
+/// samples around (M. Alexa et al., *Point Set Surfaces*, 2001, with two steps).
 fn surface(scene: &Scene, ray: &Ray, sample: u32, radius: f64) -> Hit {
     let of = |i: u32| (scene.positions[i as usize].as_dvec3(), scene.normals[i as usize].as_dvec3());
     let (center, own) = of(sample);

@@ -8,8 +8,8 @@ use std::io::Write;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Writes commands down as they are done. Whatever was shown when they were: what depends on where samples were just then is
-/// written as what it came to.
+/// Writes commands down as they are done. Whatever was shown when they were: what depends on where samples
+/// were just then is written as what it came to.
 pub struct Recorder(Box<dyn Write + Send>);
 
 impl Recorder {

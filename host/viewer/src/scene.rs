@@ -15,7 +15,8 @@ const RING: usize = 6;
 
 /// The samples after the steps. All arrays have one entry for each sample; all coordinates are local.
 pub struct Scene {
-    /// The model with its samples at rest: their normals, spacing, neighbours, and the triangles between them.
+    /// The model with its samples at rest: their normals, spacing, neighbours, and the triangles between
+    /// them.
     pub sampled: Arc<SampledModel>,
     /// Where the samples are.
     pub positions: Arc<[Vec3]>,
@@ -92,16 +93,16 @@ impl Scene {
     }
 }
 
-/// How many of the first samples are the same in two samplings of a model: all but those that refinements appended to one of
-/// both.
+/// How many of the first samples are the same in two samplings of a model: all but those that refinements
+/// appended to one of both.
 pub fn common(a: &SampledModel, b: &SampledModel) -> usize {
     let (p, q) = (&a.samples.positions, &b.samples.positions);
     if std::ptr::eq(a, b) { p.len() } else { p.iter().zip(q).take_while(|(p, q)| p == q).count() }
 }
 
-/// The samples' normals, turned as the triangles between each and its nearest neighbours are: `Σ (r₁ × r₂ · n) d₁ × d₂` over pairs
-/// of neighbours, where `r` are the ways to them at rest and `d` those now. With tangents `s × t = n` that is
-/// `(Σ (r·s) d) × (Σ (r·t) d)`. Quick, and for the eye alone.
+/// The samples' normals, turned as the triangles between each and its nearest neighbours are: `Σ (r₁ × r₂ ·
+/// n) d₁ × d₂` over pairs of neighbours, where `r` are the ways to them at rest and `d` those now. With
+/// tangents `s × t = n` that is `(Σ (r·s) d) × (Σ (r·t) d)`. Quick, and for the eye alone.
 fn turned_normals(sampled: &SampledModel, positions: &[Vec3]) -> Vec<Vec3> {
     let (samples, rest) = (&sampled.samples, &sampled.samples.positions);
     samples.prepare();

@@ -140,7 +140,8 @@ impl Selection {
     }
 }
 
-/// Which samples are next to each other: those that triangles join, or else the nearest ones, whichever calls the other so.
+/// Which samples are next to each other: those that triangles join, or else the nearest ones, whichever calls
+/// the other so.
 pub struct Adjacency {
     starts: Vec<u32>,
     lists: Vec<u32>,

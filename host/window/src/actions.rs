@@ -356,8 +356,8 @@ pub fn keys(window: &mut Window) {
     }
 }
 
-/// Whether a key was pressed just with these; then nobody else takes it. What is held now does not matter: in a slow picture
-/// it may be other keys already.
+/// Whether a key was pressed just with these; then nobody else takes it. What is held now does not matter: in
+/// a slow picture it may be other keys already.
 fn take_key(ctx: &egui::Context, (with, key): &(Modifiers, Key)) -> bool {
     let is_it = |event: &Event| match event {
         Event::Key { key: k, pressed: true, modifiers, .. } if k == key => {

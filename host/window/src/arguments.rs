@@ -19,7 +19,8 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// How long a plugin in a process of its own may give no sign of life, and how much memory it may take: as `simod` has it.
+/// How long a plugin in a process of its own may give no sign of life, and how much memory it may take: as
+/// `simod` has it.
 const PATIENCE: Duration = Duration::from_secs(120);
 const MEMORY: u64 = 4 << 30;
 

@@ -10,7 +10,8 @@ use simod_viewer::Command;
 /// By how much a selection gets finer at once.
 const FINER: f64 = 4.0;
 
-/// Whether a region of this role can be made of the selection: something is selected, and the step takes such regions.
+/// Whether a region of this role can be made of the selection: something is selected, and the step takes such
+/// regions.
 pub fn can_make(window: &Window, role: Role) -> bool {
     !window.state().selection().is_empty() && takes(window, role)
 }

@@ -87,8 +87,8 @@ impl Shot {
         Ok(Self { shown, radii, colors, detail: in_full, camera, size: SIZE, style, ghost: false })
     }
 
-    /// Of what a window shows, as it looks there, but for what is marked for the work on it: the selection, and regions. Width
-    /// and height are even, as films have to be.
+    /// Of what a window shows, as it looks there, but for what is marked for the work on it: the selection,
+    /// and regions. Width and height are even, as films have to be.
     ///
     /// # Errors
     /// Nothing is open.

@@ -18,11 +18,12 @@ use std::time::Instant;
 /// So many frames unless told otherwise: four seconds of a film.
 pub const FRAMES: u32 = 120;
 
-/// Draws so many frames into a folder, which appears whole or not at all. The first is the picture as it is; the camera goes
-/// to the right, round its target.
+/// Draws so many frames into a folder, which appears whole or not at all. The first is the picture as it is;
+/// the camera goes to the right, round its target.
 ///
 /// # Errors
-/// There is nothing to draw with, the folder cannot be written or holds something else, or the user cancelled.
+/// There is nothing to draw with, the folder cannot be written or holds something else, or the user
+/// cancelled.
 pub fn write(shot: &Shot, folder: &Path, frames: u32, progress: &dyn Progress) -> Result<()> {
     let mut folder = FrameFolder::create(folder)?;
     progress.begin("drawing", frames.into());

@@ -396,7 +396,8 @@ impl Window {
         false
     }
 
-    /// Saves, and goes on with what was about to be done; where it is not known where to, the dialog comes first.
+    /// Saves, and goes on with what was about to be done; where it is not known where to, the dialog comes
+    /// first.
     pub fn save_and_leave(&mut self, leaving: Leaving) {
         if self.save() {
             self.leave(leaving);

@@ -1,5 +1,5 @@
-//! The derives of `simod-plugin-api`, which exports them and documents their use: `ParamSet` for a struct of a
-//! plugin's parameters, and `Choice` for an enum of alternatives.
+//! The derives of `simod-plugin-api`, which exports them and documents their use: `ParamSet` for a struct of
+//! a plugin's parameters, and `Choice` for an enum of alternatives.
 
 mod choice;
 mod names;

@@ -89,7 +89,8 @@ fn parameter(field: &Field, used: &mut HashSet<String>) -> syn::Result<Parameter
     })
 }
 
-/// How a parameter is made and read whose kind the type does not tell. The compiler checks that the type fits.
+/// How a parameter is made and read whose kind the type does not tell. The compiler checks that the type
+/// fits.
 fn named_kind(
     Kind { make, read }: &Kind,
     ty: &Type,

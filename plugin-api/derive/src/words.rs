@@ -3,8 +3,8 @@
 use syn::meta::ParseNestedMeta;
 use syn::{Attribute, Error, Expr, ExprRange, Ident, LitStr, RangeLimits};
 
-/// Kinds that a field's type does not tell: the word for each, which is also the function of `ParamDesc` that makes it,
-/// and the method of `Params` that reads it. Those that the type tells implement `ParamType`.
+/// Kinds that a field's type does not tell: the word for each, which is also the function of `ParamDesc` that
+/// makes it, and the method of `Params` that reads it. Those that the type tells implement `ParamType`.
 const KINDS: [(&str, &str); 3] = [("colour", "colour"), ("direction", "vec3"), ("point", "vec3")];
 
 /// A kind that is named, where the type does not tell it.

@@ -1,8 +1,8 @@
 //! Deformation by a cage: a coarse closed surface about the model, whose vertices are handles.
 //!
-//! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005. Each sample's
-//! coordinates are found once, in `prepare`; a motion then costs one product for each sample and each vertex that does
-//! not move as it did the last time.
+//! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005. Each
+//! sample's coordinates are found once, in `prepare`; a motion then costs one product for each sample and
+//! each vertex that does not move as it did the last time.
 
 mod made;
 mod mean_value;
@@ -19,8 +19,8 @@ use simod_plugin_api::{
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use sums::Sums;
 
-/// Samples whose coordinates lie together: those for one vertex follow each other, so that a vertex which does not move
-/// is not read.
+/// Samples whose coordinates lie together: those for one vertex follow each other, so that a vertex which
+/// does not move is not read.
 const TILE: usize = 1024;
 /// The bound of the table of coordinates, in bytes: four for each sample and vertex.
 const LARGEST_TABLE: usize = 1 << 30;

@@ -66,7 +66,8 @@ pub fn divided_box(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: u
                         mesh.vertex(corner)
                     };
                     let mut quad = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
-                    // Diagonals that mirror each other in the face's middle lines: what is symmetric stays so.
+                    // Diagonals that mirror each other in the face's middle lines: what is symmetric stays
+                    // so.
                     if (2 * i < n[b]) == (2 * j < n[c]) {
                         quad.rotate_left(1);
                     }
@@ -81,11 +82,12 @@ pub fn divided_box(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: u
     Cage::new(mesh.grid.iter().map(vertex).collect(), mesh.triangles)
 }
 
-/// A hull as it is seen from the centre, with about `detail` vertices in fixed directions: those of an octahedron whose
-/// edges are divided. Each vertex is drawn in as far as its triangles leave all samples, and a margin, inside.
+/// A hull as it is seen from the centre, with about `detail` vertices in fixed directions: those of an
+/// octahedron whose edges are divided. Each vertex is drawn in as far as its triangles leave all samples, and
+/// a margin, inside.
 ///
-/// On a triangle with corners `v_k / x_k`, a sample `s Σ β_k v_k` lies inside if `Σ s β_k x_k <= 1`: in the inverse radii
-/// `x` these are linear, and a sample has to do with one triangle alone.
+/// On a triangle with corners `v_k / x_k`, a sample `s Σ β_k v_k` lies inside if `Σ s β_k x_k <= 1`: in the
+/// inverse radii `x` these are linear, and a sample has to do with one triangle alone.
 pub fn hull(bounds: &Bounds, samples: &[[f32; 3]], margin: f64, detail: usize) -> PluginResult<Cage> {
     let around = Around::new(bounds, samples, 0.0);
     // 4 n² + 2 vertices.

@@ -1,8 +1,8 @@
 //! Mean value coordinates of a closed triangle mesh.
 //!
-//! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005. What each
-//! triangle gives is the integral of its corners' hat functions over its picture on the unit sphere about the point, by
-//! the *mean vector* of that picture (section 3.1 there). In double precision.
+//! T. Ju, S. Schaefer, J. Warren, *Mean value coordinates for closed triangular meshes*, SIGGRAPH 2005. What
+//! each triangle gives is the integral of its corners' hat functions over its picture on the unit sphere
+//! about the point, by the *mean vector* of that picture (section 3.1 there). In double precision.
 
 use crate::mesh::Cage;
 use glam::DVec3;
@@ -11,11 +11,11 @@ use std::f64::consts::PI;
 
 /// Nearer to a vertex than this, in radii of the cage, points are that vertex.
 const AT_VERTEX: f64 = 1e-12;
-/// Where a triangle's picture has a smaller volume with the point than this, the point lies on the triangle, or in its
-/// plane beside it; where the angle at which an edge is seen is nearer to a half turn, on the edge.
+/// Where a triangle's picture has a smaller volume with the point than this, the point lies on the triangle,
+/// or in its plane beside it; where the angle at which an edge is seen is nearer to a half turn, on the edge.
 const IN_PLANE: f64 = 1e-10;
-/// Farther away from the centre than this, in radii of the cage, points have the coordinates of those at that distance:
-/// triangles that face each other take each other away, until nothing is left but rounding.
+/// Farther away from the centre than this, in radii of the cage, points have the coordinates of those at that
+/// distance: triangles that face each other take each other away, until nothing is left but rounding.
 const FAR: f64 = 100.0;
 
 /// What is known of the vertices and edges as seen from a point; memory to keep from point to point.
@@ -32,8 +32,8 @@ pub struct View {
 }
 
 impl Cage {
-    /// Writes the coordinates of a point, one for each vertex: they sum to 1, and `Σ λ_i p_i` is the point, inside and
-    /// outside. Says whether the point lies outside.
+    /// Writes the coordinates of a point, one for each vertex: they sum to 1, and `Σ λ_i p_i` is the point,
+    /// inside and outside. Says whether the point lies outside.
     pub fn coordinates(&self, x: DVec3, view: &mut View, out: &mut [f64]) -> bool {
         let from_centre = x - self.centre;
         let shorter = FAR * self.radius / from_centre.length();
@@ -78,8 +78,8 @@ impl Cage {
         total < 0.0
     }
 
-    /// The barycentric coordinates of a point on a triangle: each vertex' is the area of the triangle of the point and the
-    /// edge opposite to it.
+    /// The barycentric coordinates of a point on a triangle: each vertex' is the area of the triangle of the
+    /// point and the edge opposite to it.
     fn on_face(corners: [usize; 3], view: &View, normals: [DVec3; 3], out: &mut [f64]) {
         out.fill(0.0);
         // By the product of the three distances.
@@ -89,8 +89,8 @@ impl Cage {
     }
 }
 
-/// Whether a point in a triangle's plane lies on the triangle: then the angles of the edges sum to a full turn, and else one
-/// is the sum of the others.
+/// Whether a point in a triangle's plane lies on the triangle: then the angles of the edges sum to a full
+/// turn, and else one is the sum of the others.
 fn is_over(normals: [DVec3; 3], ratios: [f64; 3]) -> bool {
     let [a, b, c] = std::array::from_fn(|i| ratios[i] * normals[i].length());
     let (widest, half) = (a.max(b).max(c), 0.5 * (a + b + c));
@@ -98,8 +98,8 @@ fn is_over(normals: [DVec3; 3], ratios: [f64; 3]) -> bool {
 }
 
 impl View {
-    /// Sees the edges between the directions. Here goes the time: an arctangent an edge would take three times as long as
-    /// [`RATIO`].
+    /// Sees the edges between the directions. Here goes the time: an arctangent an edge would take three
+    /// times as long as [`RATIO`].
     fn see_edges(&mut self, edges: &[[usize; 2]]) {
         let Self { directions, normals, ratios, .. } = self;
         normals.clear();
@@ -120,8 +120,8 @@ impl View {
     }
 }
 
-/// Angles by their sines, for cosines from 0 to 1: powers of twice the cosine less 1, interpolated in Chebyshev's points,
-/// to 2e-16.
+/// Angles by their sines, for cosines from 0 to 1: powers of twice the cosine less 1, interpolated in
+/// Chebyshev's points, to 2e-16.
 const RATIO: [f64; 21] = [
     1.2091995761561452,
     -0.2636001412812842,

@@ -13,7 +13,8 @@ const FLAT: f64 = 1e-9;
 pub struct Triangle {
     /// Counter-clockwise as seen from outside.
     pub corners: [usize; 3],
-    /// The edge opposite to each corner, and whether it runs there as it does by itself (1), or the other way (-1).
+    /// The edge opposite to each corner, and whether it runs there as it does by itself (1), or the other way
+    /// (-1).
     pub edges: [(usize, f64); 3],
 }
 
@@ -39,8 +40,8 @@ impl Cage {
     /// The surface of these triangles, which may all look inwards as well.
     ///
     /// # Errors
-    /// It is not closed, not consistently oriented, or flat; vertices are not finite, or in no triangle. Vertices are numbered from 1 there,
-    /// as in OBJ files.
+    /// It is not closed, not consistently oriented, or flat; vertices are not finite, or in no triangle.
+    /// Vertices are numbered from 1 there, as in OBJ files.
     pub fn new(vertices: Vec<DVec3>, mut corners: Vec<[usize; 3]>) -> PluginResult<Self> {
         if let Some(v) = vertices.iter().position(|p| !p.is_finite()) {
             return Err(refused(format!("has a vertex that is not finite, number {}", v + 1)));
@@ -113,8 +114,8 @@ impl Cage {
         Ok(())
     }
 
-    /// The cage in a Wavefront OBJ file, in the file's coordinates: its vertices in their order, and its faces as
-    /// triangles. Everything else is passed over.
+    /// The cage in a Wavefront OBJ file, in the file's coordinates: its vertices in their order, and its
+    /// faces as triangles. Everything else is passed over.
     pub fn read(path: &Path, to_local: impl Fn(DVec3) -> DVec3) -> PluginResult<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| {
             PluginError::parameter("file", &format!("cannot be read: {}: {e}", path.display()))

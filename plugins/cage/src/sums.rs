@@ -1,7 +1,8 @@
-//! The samples' displacements, kept from one motion to the next: who drags one vertex of many changes one term of many.
+//! The samples' displacements, kept from one motion to the next: who drags one vertex of many changes one
+//! term of many.
 //!
-//! Terms are rounded to whole multiples of a power of two, of which sums are exact: in whatever order terms came and
-//! went, the sums are the same to the last bit.
+//! Terms are rounded to whole multiples of a power of two, of which sums are exact: in whatever order terms
+//! came and went, the sums are the same to the last bit.
 
 use crate::TILE;
 use glam::DVec3;
@@ -32,8 +33,8 @@ impl Sums {
         &self.tiles
     }
 
-    /// Brings them up to date for a state's table (tile by tile, vertex by vertex, sample by sample) and the vertices'
-    /// displacements.
+    /// Brings them up to date for a state's table (tile by tile, vertex by vertex, sample by sample) and the
+    /// vertices' displacements.
     pub fn update(
         &mut self,
         state: u64,

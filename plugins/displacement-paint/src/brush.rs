@@ -1,7 +1,7 @@
 //! The brushes: where each would have its samples go.
 //!
-//! They are those of today's sculpting programs: each would have every sample under it go somewhere, and how far it goes
-//! there is how much of the brush it feels.
+//! They are those of today's sculpting programs: each would have every sample under it go somewhere, and how
+//! far it goes there is how much of the brush it feels.
 
 use crate::path::Symmetry;
 use glam::{BVec3, DVec3};
@@ -116,7 +116,8 @@ impl<'a> Tool<'a> {
         ]
     }
 
-    /// Whether a stroke acts on the surface as it was when it began, by the most that any part of it makes samples feel.
+    /// Whether a stroke acts on the surface as it was when it began, by the most that any part of it makes
+    /// samples feel.
     pub fn sweeps(&self) -> bool {
         !self.accumulate && matches!(self.brush, Brush::Inflate | Brush::Draw | Brush::Pinch | Brush::Crease)
     }
@@ -127,8 +128,8 @@ impl<'a> Tool<'a> {
         if self.brush == Brush::Crease { f * f } else { f }
     }
 
-    /// What a dab contributes to the middle of a long straight stroke, as a part of the whole: the length of path that it
-    /// stands for, over that which the falloff is worth.
+    /// What a dab contributes to the middle of a long straight stroke, as a part of the whole: the length of
+    /// path that it stands for, over that which the falloff is worth.
     pub fn exposure(&self) -> f64 {
         /// Intervals of Simpson's rule.
         const INTERVALS: u32 = 64;
@@ -139,8 +140,8 @@ impl<'a> Tool<'a> {
         self.spacing / (2.0 * mean).max(self.spacing)
     }
 
-    /// The displacement of a sample that feels all of the brush. `towards` leads to the stroke, `plane` to the mean
-    /// plane, and `grab` is what the stroke moved.
+    /// The displacement of a sample that feels all of the brush. `towards` leads to the stroke, `plane` to
+    /// the mean plane, and `grab` is what the stroke moved.
     pub fn displacement(&self, own_normal: DVec3, under: &Under) -> DVec3 {
         let lift = self.depth * self.strength;
         let pinch = |strength: f64| {

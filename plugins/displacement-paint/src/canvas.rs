@@ -1,8 +1,9 @@
 //! The surface as painted so far, and how to take strokes back.
 //!
-//! Positions and normals after the first strokes are kept from one call to the next, with the keys of these strokes, so
-//! that one more stroke costs that stroke, and one less costs what it touched. What comes out is the same to the last bit
-//! as if all strokes had been painted anew: nothing but the order of strokes decides it.
+//! Positions and normals after the first strokes are kept from one call to the next, with the keys of these
+//! strokes, so that one more stroke costs that stroke, and one less costs what it touched. What comes out is
+//! the same to the last bit as if all strokes had been painted anew: nothing but the order of strokes decides
+//! it.
 
 use crate::grid::Grid;
 use crate::surface::Surface;
@@ -73,8 +74,8 @@ impl Canvas {
         self.surface == surface.id
     }
 
-    /// Takes strokes back until those that are left are the first of `keys`; how many that are. Nothing if it cannot
-    /// remember how it was then: all has to be painted anew.
+    /// Takes strokes back until those that are left are the first of `keys`; how many that are. Nothing if it
+    /// cannot remember how it was then: all has to be painted anew.
     pub fn take_back(&mut self, keys: impl Iterator<Item = u64>) -> Option<usize> {
         let common = self.painted.iter().zip(keys).take_while(|(p, key)| p.key == *key).count();
         while self.painted.len() > common {
@@ -167,8 +168,9 @@ pub struct Rest<'a> {
     pub normals: &'a [Vec3],
 }
 
-/// The normal that a sample's rest normal becomes: what is perpendicular to the images of its tangent plane under the
-/// affine map that fits the displacements around it best. Exactly the rest normal where nothing around it moved.
+/// The normal that a sample's rest normal becomes: what is perpendicular to the images of its tangent plane
+/// under the affine map that fits the displacements around it best. Exactly the rest normal where nothing
+/// around it moved.
 fn turned_normal(surface: &Surface, rest: &Rest<'_>, positions: &[Vec3], i: usize) -> Vec3 {
     let normal = rest.normals[i];
     let n = normal.as_dvec3();

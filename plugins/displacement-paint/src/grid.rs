@@ -45,7 +45,8 @@ impl Grid {
     }
 
     fn slot(&self, cell: I64Vec3) -> usize {
-        // M. Teschner et al., Optimized Spatial Hashing for Collision Detection of Deformable Objects, VMV 2003.
+        // M. Teschner et al., Optimized Spatial Hashing for Collision Detection of Deformable Objects,
+        // VMV 2003.
         let hash = cell.x.wrapping_mul(73_856_093)
             ^ cell.y.wrapping_mul(19_349_663)
             ^ cell.z.wrapping_mul(83_492_791);

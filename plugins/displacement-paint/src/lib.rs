@@ -1,9 +1,11 @@
-//! Displacement painting: brush strokes that inflate, draw, grab, smooth, flatten, pinch and crease the surface.
+//! Displacement painting: brush strokes that inflate, draw, grab, smooth, flatten, pinch and crease the
+//! surface.
 //!
-//! The tool that the paper's users finish with (T. Boubekeur, O. Sorkine, C. Schlick, *SIMOD: Making Freeform Deformation
-//! Size-Insensitive*, 2007, §6: "an inflating displacement tool"). The brushes are those of today's sculpting programs.
-//! A dab reaches what is near in space and connected on the same side of the surface; strokes are the same at any frame
-//! rate; and one more stroke costs that stroke, as the result of those before is kept.
+//! The tool that the paper's users finish with (T. Boubekeur, O. Sorkine, C. Schlick, *SIMOD: Making Freeform
+//! Deformation Size-Insensitive*, 2007, §6: "an inflating displacement tool"). The brushes are those of
+//! today's sculpting programs. A dab reaches what is near in space and connected on the same side of the
+//! surface; strokes are the same at any frame rate; and one more stroke costs that stroke, as the result of
+//! those before is kept.
 
 mod brush;
 mod canvas;
@@ -110,7 +112,8 @@ fn rest<'a>(samples: &Samples<'a>) -> Rest<'a> {
     }
 }
 
-/// The areas that samples at such distances from each other stand for, relative to the largest ordinary one: at most 1.
+/// The areas that samples at such distances from each other stand for, relative to the largest ordinary one:
+/// at most 1.
 fn areas(spacing: &[f32]) -> Vec<f32> {
     /// What is farther apart than so many times the median is no ordinary sample.
     const ORDINARY: f32 = 4.0;

@@ -1,12 +1,13 @@
 //! Painting a stroke, dab by dab.
 //!
-//! Draw, inflate, pinch and crease move the surface as it was when the stroke began: a sample feels the most that any part
-//! of the stroke makes it feel, as a brush that is drawn along sweeps a capsule. So a stroke is even however it was
-//! divided, and crosses itself without a lump. If they accumulate, as smooth and flatten always do, each dab acts on what
-//! the dabs before have made, and counts by the length of path that it stands for: the limit of many is a line integral.
+//! Draw, inflate, pinch and crease move the surface as it was when the stroke began: a sample feels the most
+//! that any part of the stroke makes it feel, as a brush that is drawn along sweeps a capsule. So a stroke is
+//! even however it was divided, and crosses itself without a lump. If they accumulate, as smooth and flatten
+//! always do, each dab acts on what the dabs before have made, and counts by the length of path that it
+//! stands for: the limit of many is a line integral.
 //!
-//! Normals are derived anew after every step that moved something: strokes over strokes bulge in the direction of the
-//! surface as it is.
+//! Normals are derived anew after every step that moved something: strokes over strokes bulge in the
+//! direction of the surface as it is.
 
 use crate::brush::{Brush, Tool, Under};
 use crate::canvas::{Canvas, Rest};
@@ -152,8 +153,8 @@ impl Painter<'_> {
         spots
     }
 
-    /// What a dab and its mirror images do to each sample under them: the mean of what they would have it do, and the most
-    /// that any of them makes it feel.
+    /// What a dab and its mirror images do to each sample under them: the mean of what they would have it do,
+    /// and the most that any of them makes it feel.
     fn gather(
         &self,
         canvas: &Canvas,
@@ -205,11 +206,12 @@ impl Painter<'_> {
         self.refresh(canvas, work, host)
     }
 
-    /// Lowers the curvature by steps of its flow, along the normals: samples do not slide on the surface, whatever their
-    /// density, so that details are neither drawn together nor apart.
+    /// Lowers the curvature by steps of its flow, along the normals: samples do not slide on the surface,
+    /// whatever their density, so that details are neither drawn together nor apart.
     ///
-    /// M. Desbrun, M. Meyer, P. Schröder, A. H. Barr, Implicit fairing of irregular meshes using diffusion and curvature
-    /// flow, SIGGRAPH 1999; the Laplacian is that of the links, in units of their mean squared length.
+    /// M. Desbrun, M. Meyer, P. Schröder, A. H. Barr, Implicit fairing of irregular meshes using diffusion
+    /// and curvature flow, SIGGRAPH 1999; the Laplacian is that of the links, in units of their mean squared
+    /// length.
     fn smooth(
         &self,
         canvas: &mut Canvas,
@@ -240,7 +242,8 @@ impl Painter<'_> {
         self.refresh(canvas, work, host)
     }
 
-    /// How far the samples beside one lie above it on average, along its normal, and their mean squared distance.
+    /// How far the samples beside one lie above it on average, along its normal, and their mean squared
+    /// distance.
     fn bump(&self, canvas: &Canvas, i: usize) -> (DVec3, f64) {
         let (p, n) = (canvas.positions[i], canvas.normals[i].as_dvec3());
         let beside = self.surface.beside(i);
@@ -276,8 +279,8 @@ fn cover(work: &mut Workspace) {
     }
 }
 
-/// The part of the way that is gone after so much time, if what is left decreases steadily; away from the target where
-/// the time is negative.
+/// The part of the way that is gone after so much time, if what is left decreases steadily; away from the
+/// target where the time is negative.
 fn relaxed(time: f64) -> f64 {
     (1.0 - (-time.abs()).exp()).copysign(time)
 }

@@ -1,8 +1,8 @@
 //! Where a stroke's dabs are: its path, divided by arc length.
 //!
-//! A dab's place depends on the path alone, not on how many points the user's machine recorded on it. Dabs lie at
-//! 0, `step`, 2 `step`, ... and at the path's end, so that those of a path are among those of a longer one: what is
-//! drawn already does not swim while the stroke goes on.
+//! A dab's place depends on the path alone, not on how many points the user's machine recorded on it. Dabs
+//! lie at 0, `step`, 2 `step`, ... and at the path's end, so that those of a path are among those of a longer
+//! one: what is drawn already does not swim while the stroke goes on.
 
 use glam::{BVec3, DVec3};
 use simod_plugin_api::{PluginError, PluginResult, Stroke};
@@ -93,8 +93,8 @@ fn mirrored(image: usize) -> BVec3 {
     BVec3::new(image & 1 != 0, image & 2 != 0, image & 4 != 0)
 }
 
-/// The sum over images, which is the mirror image of itself to the last bit where the values are mirror images: mirroring
-/// an axis exchanges the two sides of one level of additions.
+/// The sum over images, which is the mirror image of itself to the last bit where the values are mirror
+/// images: mirroring an axis exchanges the two sides of one level of additions.
 pub fn sum<T: Copy + std::ops::Add<Output = T>>(v: [T; IMAGES]) -> T {
     ((v[0] + v[1]) + (v[2] + v[3])) + ((v[4] + v[5]) + (v[6] + v[7]))
 }

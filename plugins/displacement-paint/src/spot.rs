@@ -1,9 +1,9 @@
 //! What lies under a dab, and how much of the brush each sample feels.
 //!
-//! A sample feels as much as its distance in space tells, as long as the way along the surface is not much longer: paths
-//! on the samples' links are, by nature, somewhat longer than the surface's own, and these somewhat longer than the chord.
-//! What they are longer beyond that is added to the distance. So the brush fades where the surface turns away, and does
-//! not reach the next finger, without any step as it moves.
+//! A sample feels as much as its distance in space tells, as long as the way along the surface is not much
+//! longer: paths on the samples' links are, by nature, somewhat longer than the surface's own, and these
+//! somewhat longer than the chord. What they are longer beyond that is added to the distance. So the brush
+//! fades where the surface turns away, and does not reach the next finger, without any step as it moves.
 
 use crate::canvas::Canvas;
 use crate::surface::{Surface, sheet_distance};
@@ -11,8 +11,8 @@ use glam::{DVec3, Vec3};
 use simod_plugin_api::{Host, PluginResult};
 use std::collections::VecDeque;
 
-/// How much longer than the distance in space a way along the links may be for nothing: about 1.1 for paths on links,
-/// and that of an arc of a third of a circle to its chord.
+/// How much longer than the distance in space a way along the links may be for nothing: about 1.1 for paths
+/// on links, and that of an arc of a third of a circle to its chord.
 const DETOUR: f64 = 1.3;
 
 /// Samples whose normals are farther from the dab's than this cosine feel nothing: the back of a thin wall.
@@ -30,7 +30,8 @@ const NARROW: i32 = 6;
 /// Samples that are looked at at once on one thread.
 const BLOCK: usize = 512;
 
-/// Sums are taken in whole multiples of one over this, so that they do not depend on the order of the samples.
+/// Sums are taken in whole multiples of one over this, so that they do not depend on the order of the
+/// samples.
 const WHOLE: f64 = (1_u64 << 36) as f64;
 
 /// Ways along the surface from one sample, and memory for finding them.
@@ -46,8 +47,9 @@ pub struct Reach {
 impl Reach {
     /// The samples that are no farther than `limit` from `seed` along the surface, and how far they are.
     ///
-    /// Labels are corrected first in, first out, until none improves (E. F. Moore, The shortest path through a maze, 1959):
-    /// where all links are about as long, hardly any does twice, and a queue costs less than a heap.
+    /// Labels are corrected first in, first out, until none improves (E. F. Moore, The shortest path through
+    /// a maze, 1959): where all links are about as long, hardly any does twice, and a queue costs less than a
+    /// heap.
     fn from(&mut self, seed: usize, limit: f64, surface: &Surface, positions: &[Vec3]) -> &[(u32, f64)] {
         self.reset(positions.len());
         let limit = limit as f32;
@@ -146,8 +148,8 @@ impl Node {
     }
 }
 
-/// The way of the brush that a dab stands for: a part of the quadratic B-spline of the dabs, from half way since the one
-/// before to half way to the next. A path of straight pieces would show at each of its corners.
+/// The way of the brush that a dab stands for: a part of the quadratic B-spline of the dabs, from half way
+/// since the one before to half way to the next. A path of straight pieces would show at each of its corners.
 #[derive(Debug, Clone, Copy)]
 pub struct Sweep {
     start: Node,
@@ -281,7 +283,8 @@ impl Finder<'_> {
     ) -> Option<Spot> {
         let seed = self.seed(canvas, p, radius)?;
         let near = reach.inside(seed, p, radius, self.surface, &canvas.positions);
-        // A single sample's normal may be that of a groove's wall: first those around it say which side this is.
+        // A single sample's normal may be that of a groove's wall: first those around it say which side this
+        // is.
         let mean = |facing: DVec3, cosine: f64, sharpness: i32| {
             let mut mean = Mean::default();
             for &(i, distance) in near {
@@ -305,8 +308,8 @@ impl Finder<'_> {
         Some(Spot { node: Node { at, normal, pressure }, origin, seed })
     }
 
-    /// The nearest sample; where several are about as near, as at thin walls, the one near whose tangent plane the point
-    /// lies.
+    /// The nearest sample; where several are about as near, as at thin walls, the one near whose tangent
+    /// plane the point lies.
     fn seed(&self, canvas: &Canvas, p: DVec3, radius: f64) -> Option<usize> {
         let nearest = canvas.grid.nearest(&canvas.positions, p, radius)?;
         let distance = |i: usize| canvas.positions[i].as_dvec3().distance(p);

@@ -1,8 +1,8 @@
 //! What is known of the surface before anything is painted: which samples are beside each other on it.
 //!
-//! The nearest samples in space may be those of the other side of a thin wall, or of the next finger. Two samples of one
-//! sheet have normals that do not oppose, and lie near each other's tangent planes: the chord of an arc is perpendicular
-//! to the mean of both ends' normals, whatever the curvature.
+//! The nearest samples in space may be those of the other side of a thin wall, or of the next finger. Two
+//! samples of one sheet have normals that do not oppose, and lie near each other's tangent planes: the chord
+//! of an arc is perpendicular to the mean of both ends' normals, whatever the curvature.
 
 use crate::grid::Grid;
 use glam::Vec3;
@@ -106,7 +106,8 @@ fn nearest_on_sheet(positions: &[Vec3], normals: &[Vec3], near: &[u32], i: usize
     best.map(|(distance, j)| if distance <= last { j } else { u32::MAX })
 }
 
-/// The links of all samples, and their reverses: where each one's begin, and all of them. Own links come first.
+/// The links of all samples, and their reverses: where each one's begin, and all of them. Own links come
+/// first.
 fn both_ways(nearest: &[[u32; MOST_LINKS]]) -> (Vec<u32>, Vec<u32>) {
     let own = |i: usize| nearest[i].iter().copied().filter(|&j| j != u32::MAX);
     let reverses = || {

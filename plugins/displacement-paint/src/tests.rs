@@ -212,7 +212,8 @@ fn inflating_lifts_the_middle_by_the_depth_and_nothing_outside() {
             if d > 0.302 {
                 assert_eq!(p, q, "{brush}: {d}");
             } else {
-                // The way of the brush lies a little below what is round. The falloff's default is the Hermite kernel.
+                // The way of the brush lies a little below what is round. The falloff's default is the
+                // Hermite kernel.
                 let t = d / 0.3;
                 let expected = 0.06 * (1.0 - 3.0 * t * t + 2.0 * t * t * t);
                 assert!((lift - expected).abs() < 0.004, "{brush} at {t}: {lift} {expected}");

@@ -1,8 +1,9 @@
 //! As rigid as possible: surroundings turn as a whole, as well as those next to them let them.
 //!
-//! O. Sorkine, M. Alexa, *As-Rigid-As-Possible Surface Modeling*, SGP 2007. In turns, rotations are fitted to where the
-//! samples are (the local step), and the samples are placed by the rotations, by one system of equations that never
-//! changes (the global step). Neither can raise the energy. All is reckoned in displacements.
+//! O. Sorkine, M. Alexa, *As-Rigid-As-Possible Surface Modeling*, SGP 2007. In turns, rotations are fitted to
+//! where the samples are (the local step), and the samples are placed by the rotations, by one system of
+//! equations that never changes (the global step). Neither can raise the energy. All is reckoned in
+//! displacements.
 
 use crate::cells::{Cells, covariances};
 use crate::coarse::Prolongation;
@@ -108,8 +109,8 @@ impl Level {
         Ok(())
     }
 
-    /// The energy, but for a constant, and its derivative by the free nodes' displacements. As the rotations are
-    /// those that fit best, they count as constant.
+    /// The energy, but for a constant, and its derivative by the free nodes' displacements. As the rotations
+    /// are those that fit best, they count as constant.
     fn assess(&self, pose: &Pose, motion: &Motion, host: &Host<'_>) -> PluginResult<(f64, Vec<DVec3>)> {
         let problem = &self.problem;
         let Pose { displacements, blends, .. } = pose;
@@ -144,12 +145,13 @@ impl Level {
         Ok((energy, gradient))
     }
 
-    /// Takes the energy down until no node moves farther than `tolerance`, in at most so many `steps`. Gives the
-    /// energies on the way.
+    /// Takes the energy down until no node moves farther than `tolerance`, in at most so many `steps`. Gives
+    /// the energies on the way.
     ///
-    /// A local and a global step are one of Newton's method with the Laplacian for the second derivative. What the
-    /// steps before tell of the derivative makes it better, and saves most of the steps (limited-memory BFGS, as in
-    /// T. Liu, S. Bouaziz, L. Kavan, *Quasi-Newton Methods for Real-Time Simulation of Hyperelastic Materials*, TOG 2017).
+    /// A local and a global step are one of Newton's method with the Laplacian for the second derivative.
+    /// What the steps before tell of the derivative makes it better, and saves most of the steps
+    /// (limited-memory BFGS, as in T. Liu, S. Bouaziz, L. Kavan, *Quasi-Newton Methods for Real-Time
+    /// Simulation of Hyperelastic Materials*, TOG 2017).
     pub fn relax(
         &self,
         pose: &mut Pose,

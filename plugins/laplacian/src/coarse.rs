@@ -1,9 +1,10 @@
-//! A coarse likeness of a surface: a few thousand groups of nodes, on which rotations find their way around in a
-//! fraction of the time.
+//! A coarse likeness of a surface: a few thousand groups of nodes, on which rotations find their way around
+//! in a fraction of the time.
 //!
-//! Rotations vary slowly, so that those of groups do for a start (A. Jacobson et al., *Fast Automatic Skinning
-//! Transformations*, SIGGRAPH 2012). Groups grow around nodes in their order, as in P. Vaněk, J. Mandel, M. Brezina, *Algebraic
-//! Multigrid by Smoothed Aggregation*, 1996, and again around groups, until there are few enough.
+//! Rotations vary slowly, so that those of groups do for a start (A. Jacobson et al., *Fast Automatic
+//! Skinning Transformations*, SIGGRAPH 2012). Groups grow around nodes in their order, as in P. Vaněk, J.
+//! Mandel, M. Brezina, *Algebraic Multigrid by Smoothed Aggregation*, 1996, and again around groups, until
+//! there are few enough.
 
 use crate::constraints::{Soft, Target};
 use crate::elements::Element;

@@ -88,8 +88,8 @@ impl Constraints {
 pub struct Motion {
     /// What all share, to be applied last; nothing where samples are fixed.
     pub common: DAffine3,
-    /// For each handle where it moves a point to, minus the point, before the common motion. Of linear methods:
-    /// minus the point's image under the common motion, after it.
+    /// For each handle where it moves a point to, minus the point, before the common motion. Of linear
+    /// methods: minus the point's image under the common motion, after it.
     displacements: Vec<DAffine3>,
 }
 

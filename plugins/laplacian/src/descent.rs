@@ -1,4 +1,5 @@
-//! What earlier steps of a descent tell of the energy (J. Nocedal, S. Wright, *Numerical Optimization*, §7.2).
+//! What earlier steps of a descent tell of the energy (J. Nocedal, S. Wright, *Numerical Optimization*,
+//! §7.2).
 
 use crate::factor::Factor;
 use glam::DVec3;

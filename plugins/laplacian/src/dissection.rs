@@ -1,8 +1,10 @@
-//! An order of elimination that leaves factors small, and parts of it that have nothing to do with each other.
+//! An order of elimination that leaves factors small, and parts of it that have nothing to do with each
+//! other.
 //!
-//! A. George, *Nested Dissection of a Regular Finite Element Mesh*, SIAM J. Numer. Anal. 1973: a set of nodes is halved,
-//! and the nodes that part the halves are eliminated after both. As the nodes lie in space, each set is halved across its
-//! longest extent (J. Gilbert, G. Miller, S.-H. Teng, *Geometric Mesh Partitioning*, SISC 1998).
+//! A. George, *Nested Dissection of a Regular Finite Element Mesh*, SIAM J. Numer. Anal. 1973: a set of nodes
+//! is halved, and the nodes that part the halves are eliminated after both. As the nodes lie in space, each
+//! set is halved across its longest extent (J. Gilbert, G. Miller, S.-H. Teng, *Geometric Mesh Partitioning*,
+//! SISC 1998).
 
 use crate::eigen;
 use glam::DVec3;
@@ -174,8 +176,8 @@ fn dissect(nodes: &mut [u32], pattern: &Pattern, at: &[DVec3], host: &Host<'_>) 
     Ok(sets)
 }
 
-/// Sorts nodes by the half that they are in, those between last; gives the halves' sizes. `names` are the halves', of no
-/// others.
+/// Sorts nodes by the half that they are in, those between last; gives the halves' sizes. `names` are the
+/// halves', of no others.
 fn halve(
     nodes: &mut [u32],
     names: [u32; 2],

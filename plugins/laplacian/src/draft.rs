@@ -1,7 +1,8 @@
 //! A quick picture: a coarse likeness' pose, carried over to the surface.
 //!
-//! Groups move rigidly, and nodes by the weighted means of what the groups around them do. What is rough about that is
-//! smoothed by a few steps of Jacobi's method on the global step's equations (Sorkine and Alexa 2007).
+//! Groups move rigidly, and nodes by the weighted means of what the groups around them do. What is rough
+//! about that is smoothed by a few steps of Jacobi's method on the global step's equations (Sorkine and Alexa
+//! 2007).
 
 use crate::coarse::Prolongation;
 use crate::constraints::Motion;

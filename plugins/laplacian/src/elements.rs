@@ -1,12 +1,14 @@
-//! Triangles of samples with what finite elements need of them: cotangents and Voronoi areas, from edge lengths alone.
+//! Triangles of samples with what finite elements need of them: cotangents and Voronoi areas, from edge
+//! lengths alone.
 //!
-//! U. Pinkall, K. Polthier, *Computing Discrete Minimal Surfaces and Their Conjugates*, Experimental Mathematics
-//! 1993; M. Meyer et al., *Discrete Differential-Geometry Operators for Triangulated 2-Manifolds*, VisMath 2002.
+//! U. Pinkall, K. Polthier, *Computing Discrete Minimal Surfaces and Their Conjugates*, Experimental
+//! Mathematics 1993; M. Meyer et al., *Discrete Differential-Geometry Operators for Triangulated
+//! 2-Manifolds*, VisMath 2002.
 
 use glam::DVec3;
 
-/// A triangle of samples. Triangle, weights and areas may be of an intrinsic triangulation, whose edges are no straight
-/// lines in space; corners may then be the same sample.
+/// A triangle of samples. Triangle, weights and areas may be of an intrinsic triangulation, whose edges are
+/// no straight lines in space; corners may then be the same sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Element {
     /// Samples.
@@ -36,7 +38,8 @@ impl Element {
         Self { corners, weights: weights.map(|w| factor * w), areas: areas.map(|a| factor * a) }
     }
 
-    /// The weights times the edge vectors from a corner, summed: what its row of the Laplacian gives for this triangle.
+    /// The weights times the edge vectors from a corner, summed: what its row of the Laplacian gives for this
+    /// triangle.
     pub fn laplacian(&self, corner: usize, at: impl Fn(u32) -> DVec3) -> DVec3 {
         let (b, c) = ((corner + 1) % 3, (corner + 2) % 3);
         let p = at(self.corners[corner]);
@@ -58,8 +61,8 @@ pub fn half_cotangents(lengths: [f64; 3]) -> [f64; 3] {
     opposite(lengths, |a, b, c| (b * b + c * c - a * a) / area)
 }
 
-/// The part of the area nearest to each corner; of obtuse triangles, half for the blunt corner and a quarter for each
-/// of the others.
+/// The part of the area nearest to each corner; of obtuse triangles, half for the blunt corner and a quarter
+/// for each of the others.
 fn voronoi_areas(lengths: [f64; 3]) -> [f64; 3] {
     let area = four_areas(lengths) / 4.0;
     let cosines = opposite(lengths, |a, b, c| (b * b + c * c - a * a) / (2.0 * b * c));

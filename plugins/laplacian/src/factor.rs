@@ -1,9 +1,11 @@
-//! Sparse Cholesky factorisation of symmetric positive definite matrices: multifrontal, over a nested dissection.
+//! Sparse Cholesky factorisation of symmetric positive definite matrices: multifrontal, over a nested
+//! dissection.
 //!
-//! I. Duff, J. Reid, *The Multifrontal Solution of Indefinite Sparse Symmetric Linear Systems*, TOMS 1983; J. Liu, *The
-//! Multifrontal Method for Sparse Matrix Solution*, SIAM Review 1992: each part of the tree is a small dense problem (a
-//! front), which passes on what it does to the unknowns after it. Subtrees are factorised and solved side by side, always
-//! the same ones, so that results do not depend on the number of threads; and one can stop at each front.
+//! I. Duff, J. Reid, *The Multifrontal Solution of Indefinite Sparse Symmetric Linear Systems*, TOMS 1983; J.
+//! Liu, *The Multifrontal Method for Sparse Matrix Solution*, SIAM Review 1992: each part of the tree is a
+//! small dense problem (a front), which passes on what it does to the unknowns after it. Subtrees are
+//! factorised and solved side by side, always the same ones, so that results do not depend on the number of
+//! threads; and one can stop at each front.
 
 use crate::dissection::{Part, Pattern, Tree};
 use crate::front::{Front, Update, places};
@@ -106,8 +108,8 @@ impl From<PluginError> for Failure {
 }
 
 impl<T: Stored> Factor<T> {
-    /// Factorises. `at` are places of the unknowns: those that share an entry are near each other. Tells its progress as
-    /// that from one fraction to the other.
+    /// Factorises. `at` are places of the unknowns: those that share an entry are near each other. Tells its
+    /// progress as that from one fraction to the other.
     pub fn new(matrix: Symmetric, at: &[DVec3], told: Range<f64>, host: &Host<'_>) -> PluginResult<Self> {
         let tree = Tree::new(&Pattern::new(&matrix.starts, &matrix.columns), at, host)?;
         let matrix = matrix.in_order(&tree.order);
@@ -124,7 +126,8 @@ impl<T: Stored> Factor<T> {
             .hint("add a fixed region, or sample the model anew"))
     }
 
-    /// Replaces three right-hand sides by solutions, all in one pass over the factor: that is what takes the time.
+    /// Replaces three right-hand sides by solutions, all in one pass over the factor: that is what takes the
+    /// time.
     pub fn solve(&self, sides: &mut [DVec3], host: &Host<'_>) -> PluginResult<()> {
         let mut x: Vec<DVec3> = self.order.iter().map(|i| sides[*i as usize]).collect();
         let Some((top, subtrees)) = self.runs.split_last() else { return Ok(()) };

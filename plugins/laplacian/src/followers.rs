@@ -1,7 +1,7 @@
 //! Loose parts: what nothing holds follows, as a whole, the samples nearest to it.
 //!
-//! So eyes go with their head, and buttons with their coat. The motion is the rigid one nearest to what the samples
-//! around do (K. Arun et al., *Least-Squares Fitting of Two 3-D Point Sets*, PAMI 1987).
+//! So eyes go with their head, and buttons with their coat. The motion is the rigid one nearest to what the
+//! samples around do (K. Arun et al., *Least-Squares Fitting of Two 3-D Point Sets*, PAMI 1987).
 
 use crate::rotation;
 use glam::{DAffine3, DMat3, DVec3};
@@ -22,8 +22,8 @@ pub struct Followers {
 }
 
 impl Followers {
-    /// Finds for each part, by the samples that it has, whom it follows: others that are not loose, of which there are
-    /// some.
+    /// Finds for each part, by the samples that it has, whom it follows: others that are not loose, of which
+    /// there are some.
     pub fn new(
         positions: &[[f32; 3]],
         parts: &BTreeMap<u32, Vec<u32>>,

@@ -30,7 +30,8 @@ pub struct Front {
     pub columns: usize,
     /// The unknowns after them that have to do with them, ascending.
     pub rows: Vec<u32>,
-    /// The columns that are eliminated, one by one, with a row for each unknown; nothing of what is above the diagonal.
+    /// The columns that are eliminated, one by one, with a row for each unknown; nothing of what is above the
+    /// diagonal.
     pub panel: Vec<f64>,
     update: Vec<f64>,
 }

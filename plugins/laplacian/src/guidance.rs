@@ -31,8 +31,8 @@ pub struct Hierarchy {
 }
 
 impl Hierarchy {
-    /// Factorises all that there is to factorise. `stiffness` is that of a draw, per area; `width` that of the
-    /// surroundings, or 0.
+    /// Factorises all that there is to factorise. `stiffness` is that of a draw, per area; `width` that of
+    /// the surroundings, or 0.
     pub fn new(
         problem: Problem,
         stiffness: f64,
@@ -53,8 +53,8 @@ impl Hierarchy {
         Ok(Self { cells, is_wide: width > 0.0, influence, fine, coarse })
     }
 
-    /// The displacements, in at most so many `steps` on all nodes, or until none moves farther than `tolerance`. A draft has no
-    /// number of steps: it is the coarse likeness', carried over.
+    /// The displacements, in at most so many `steps` on all nodes, or until none moves farther than
+    /// `tolerance`. A draft has no number of steps: it is the coarse likeness', carried over.
     pub fn deform(
         &self,
         motion: &Motion,

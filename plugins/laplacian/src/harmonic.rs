@@ -1,8 +1,8 @@
 //! Rotations between those of the handles, by harmonic functions.
 //!
-//! R. Zayer, C. Rössl, Z. Karni, H.-P. Seidel, *Harmonic Guidance for Surface Deformation*, Eurographics 2005: how much each
-//! handle has to say at a node is a harmonic function, 1 on the handle and 0 on other regions. The rotations are blended by
-//! their axes times angles.
+//! R. Zayer, C. Rössl, Z. Karni, H.-P. Seidel, *Harmonic Guidance for Surface Deformation*, Eurographics
+//! 2005: how much each handle has to say at a node is a harmonic function, 1 on the handle and 0 on other
+//! regions. The rotations are blended by their axes times angles.
 
 use crate::arap::Level;
 use crate::constraints::{Motion, Target};
@@ -48,7 +48,8 @@ impl Influence {
         Ok(Self { values, handles })
     }
 
-    /// Rotations of the problem's nodes whose surroundings are whole: of held ones as told, of free ones in between.
+    /// Rotations of the problem's nodes whose surroundings are whole: of held ones as told, of free ones in
+    /// between.
     pub fn turns(&self, problem: &Problem, motion: &Motion) -> Vec<DMat3> {
         let axes: Vec<DVec3> =
             (0..self.handles).map(|h| scaled_axis(motion.turn(Target::Handle(h as u32)))).collect();

@@ -1,10 +1,11 @@
 //! The intrinsic Delaunay triangulation of any heap of triangles.
 //!
-//! N. Sharp, K. Crane, *A Laplacian for Nonmanifold Triangle Meshes*, Symposium on Geometry Processing 2020. Each
-//! triangle is taken twice, as its front and its back, and glued to those around each of its edges (the *tufted
-//! cover*): a surface without borders whose edges have two sides each, whatever the input. Lengths are stretched a
-//! little where triangles have no area (*mollified*), and edges are flipped within the surface until none has a negative
-//! weight. The surface stays what it was: only its triangulation is better. Half of the Laplacian is the input's own.
+//! N. Sharp, K. Crane, *A Laplacian for Nonmanifold Triangle Meshes*, Symposium on Geometry Processing 2020.
+//! Each triangle is taken twice, as its front and its back, and glued to those around each of its edges (the
+//! *tufted cover*): a surface without borders whose edges have two sides each, whatever the input. Lengths
+//! are stretched a little where triangles have no area (*mollified*), and edges are flipped within the
+//! surface until none has a negative weight. The surface stays what it was: only its triangulation is better.
+//! Half of the Laplacian is the input's own.
 
 use crate::elements::{Element, half_cotangents};
 use glam::DVec3;
@@ -26,7 +27,8 @@ pub fn plain(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<Element> {
     triangles.into_iter().zip(lengths).map(|(t, l)| Element::new(t, l)).collect()
 }
 
-/// The intrinsic Delaunay triangulation of what the triangles make up, each of its triangles twice and by half.
+/// The intrinsic Delaunay triangulation of what the triangles make up, each of its triangles twice and by
+/// half.
 pub fn delaunay(positions: &[DVec3], triangles: &[[u32; 3]], host: &Host<'_>) -> PluginResult<Vec<Element>> {
     let (triangles, lengths) = mollified(positions, triangles);
     let mut cover = Cover::tufted(positions, &triangles, &lengths);
@@ -34,8 +36,8 @@ pub fn delaunay(positions: &[DVec3], triangles: &[[u32; 3]], host: &Host<'_>) ->
     Ok(cover.elements().map(|e| e.scaled(0.5)).collect())
 }
 
-/// The triangles with three corners, and the lengths of the edges opposite to each corner, which fulfil the triangle
-/// inequality with some slack.
+/// The triangles with three corners, and the lengths of the edges opposite to each corner, which fulfil the
+/// triangle inequality with some slack.
 fn mollified(positions: &[DVec3], triangles: &[[u32; 3]]) -> (Vec<[u32; 3]>, Vec<[f64; 3]>) {
     let has_three = |t: &[u32; 3]| t[0] != t[1] && t[1] != t[2] && t[2] != t[0];
     let triangles: Vec<[u32; 3]> = triangles.iter().copied().filter(has_three).collect();
@@ -88,7 +90,8 @@ impl Cover {
             length: Vec::with_capacity(6 * triangles.len()),
             twin: vec![u32::MAX; 6 * triangles.len()],
         };
-        // Each edge as its samples in order, and the half-edges that go up and down, on the front and on the back.
+        // Each edge as its samples in order, and the half-edges that go up and down, on the front and on the
+        // back.
         let mut edges: Vec<([u32; 2], u32, u32)> = Vec::with_capacity(3 * triangles.len());
         for (t, (&[a, b, c], &[bc, ca, ab])) in triangles.iter().zip(lengths).enumerate() {
             this.tail.extend([a, b, c, a, c, b]);
@@ -246,8 +249,8 @@ mod tests {
     }
 
     proptest! {
-        /// Any triangles, also without area, with common edges and coincident corners: weights are finite and not
-        /// negative, and areas those of the input.
+        /// Any triangles, also without area, with common edges and coincident corners: weights are finite and
+        /// not negative, and areas those of the input.
         #[test]
         fn any_heap_of_triangles_has_a_laplacian(
             points in proptest::collection::vec(proptest::array::uniform3(0_u8..6), 4..12),

@@ -2,17 +2,17 @@
 //!
 //! Three methods on one discretisation (cotangents, made robust: see `intrinsic`, `stars`):
 //!
-//! - `arap`, the default: as rigid as possible (Sorkine and Alexa 2007; `arap`). Rotations are found on a coarse likeness
-//!   of the surface first (`coarse`), from the handles' own by harmonic interpolation (R. Zayer et al., *Harmonic Guidance for
-//!   Surface Deformation*, Eurographics 2005), then on the surface itself. Details turn, and limbs keep their
-//!   length and girth.
-//! - `bi-laplacian`: the smoothest displacement (Botsch and Kobbelt 2004; `linear`). Linear, and the fastest; details do
-//!   not turn, and large turns make things shrink.
-//! - `laplacian`: two such steps, in which details turn with the surface, and this with the handles (Lipman et al. 2004,
-//!   Zayer et al. 2005; `rotated`).
+//! - `arap`, the default: as rigid as possible (Sorkine and Alexa 2007; `arap`). Rotations are found on a
+//!   coarse likeness of the surface first (`coarse`), from the handles' own by harmonic interpolation (R.
+//!   Zayer et al., *Harmonic Guidance for Surface Deformation*, Eurographics 2005), then on the surface
+//!   itself. Details turn, and limbs keep their length and girth.
+//! - `bi-laplacian`: the smoothest displacement (Botsch and Kobbelt 2004; `linear`). Linear, and the fastest;
+//!   details do not turn, and large turns make things shrink.
+//! - `laplacian`: two such steps, in which details turn with the surface, and this with the handles (Lipman
+//!   et al. 2004, Zayer et al. 2005; `rotated`).
 //!
-//! Regions' weights: 1 holds exactly, less draws as springs do, by `w / (1 - w)`, so that 0 is nothing and 1 the
-//! limit. Parts of the surface that nothing holds follow what is next to them (`followers`).
+//! Regions' weights: 1 holds exactly, less draws as springs do, by `w / (1 - w)`, so that 0 is nothing and 1
+//! the limit. Parts of the surface that nothing holds follow what is next to them (`followers`).
 
 mod arap;
 mod cells;

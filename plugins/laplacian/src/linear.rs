@@ -1,8 +1,8 @@
 //! Displacements as smooth as can be, with one system of equations.
 //!
-//! M. Botsch, L. Kobbelt, *An Intuitive Framework for Real-Time Freeform Modeling*, SIGGRAPH 2004: the least integral of
-//! `|Δd|²` for what the regions do. Handles move affinely, so that all displacements are combinations of four solutions per
-//! handle, found beforehand.
+//! M. Botsch, L. Kobbelt, *An Intuitive Framework for Real-Time Freeform Modeling*, SIGGRAPH 2004: the least
+//! integral of `|Δd|²` for what the regions do. Handles move affinely, so that all displacements are
+//! combinations of four solutions per handle, found beforehand.
 
 use crate::constraints::{Motion, Soft, Target};
 use crate::factor::Factor;
@@ -17,8 +17,8 @@ const PER_HANDLE: usize = 4;
 /// Handles for which solutions are tabulated. More would need more memory than the factorisation, and their
 /// displacements are solved for anew each time.
 const MOST_TABULATED: usize = 12;
-/// Products of the Laplacian's entries that are summed up, at most. A surface has some fifty per sample; a sample that
-/// thousands of others share triangles with has millions.
+/// Products of the Laplacian's entries that are summed up, at most. A surface has some fifty per sample; a
+/// sample that thousands of others share triangles with has millions.
 const MOST_ENTRIES: usize = 1 << 27;
 /// Nodes at once on one thread.
 const TOGETHER: usize = 4096;

@@ -1,9 +1,9 @@
 //! The elements' sums, row by row: the Laplacian, areas, and what rotations of the samples' surroundings do.
 //!
-//! O. Sorkine, M. Alexa, *As-Rigid-As-Possible Surface Modeling*, SGP 2007, with the triangles around a sample as its
-//! surroundings (*spokes and rims*; I. Chao et al., *A Simple Geometric Model for Elastic Deformations*, SIGGRAPH 2010):
-//! the sum over elements of their energies under the rotation of each corner, a third each, is never negative,
-//! whatever the signs of the cotangents.
+//! O. Sorkine, M. Alexa, *As-Rigid-As-Possible Surface Modeling*, SGP 2007, with the triangles around a
+//! sample as its surroundings (*spokes and rims*; I. Chao et al., *A Simple Geometric Model for Elastic
+//! Deformations*, SIGGRAPH 2010): the sum over elements of their energies under the rotation of each corner,
+//! a third each, is never negative, whatever the signs of the cotangents.
 
 use crate::elements::Element;
 use glam::DVec3;

@@ -23,12 +23,12 @@ pub enum Kind {
     Loose,
 }
 
-/// The free samples and those around them, numbered anew: *nodes*. Samples that are held far from any free one
-/// are not among them.
+/// The free samples and those around them, numbered anew: *nodes*. Samples that are held far from any free
+/// one are not among them.
 #[derive(Debug)]
 pub struct Problem {
-    /// The sample that each node is: the free ones first, then the held ones that share an element with those, then
-    /// the held ones that share one with these.
+    /// The sample that each node is: the free ones first, then the held ones that share an element with
+    /// those, then the held ones that share one with these.
     pub samples: Vec<u32>,
     /// Where the nodes are at rest.
     pub rest: Vec<DVec3>,
@@ -45,7 +45,8 @@ pub struct Problem {
 }
 
 impl Problem {
-    /// Picks the nodes. `kinds` and `rest` are of all samples; draws at samples that are not free are left out.
+    /// Picks the nodes. `kinds` and `rest` are of all samples; draws at samples that are not free are left
+    /// out.
     pub fn new(
         rest: &[DVec3],
         elements: &[Element],
@@ -113,8 +114,8 @@ impl Problem {
         std::iter::repeat_n(DVec3::ZERO, self.free).chain(held).collect()
     }
 
-    /// The draws' springs, given how stiff one is where its strength is 1 and so is the area: one or more for each node
-    /// that has any.
+    /// The draws' springs, given how stiff one is where its strength is 1 and so is the area: one or more for
+    /// each node that has any.
     pub fn springs(&self, stiffness: f64) -> Vec<Soft> {
         let spring = |s: &Soft| {
             let area = self.operators.areas[s.node as usize];
@@ -149,7 +150,8 @@ impl Problem {
         }
     }
 
-    /// Factorises a matrix of the free nodes, given by the rows of its lower triangle, with springs, and tells of it as `told`.
+    /// Factorises a matrix of the free nodes, given by the rows of its lower triangle, with springs, and
+    /// tells of it as `told`.
     pub fn factor<T: Stored>(
         &self,
         row: impl Fn(usize) -> Vec<(usize, f64)> + Sync,

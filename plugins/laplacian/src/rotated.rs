@@ -1,9 +1,9 @@
 //! The surface's own Laplacians, turned, and met by least squares.
 //!
-//! Y. Lipman et al., *Differential Coordinates for Interactive Mesh Editing*, SMI 2004, who take the turns from a first
-//! solution that knows none. That collapses where handles turn far, and the turns with it. Here the handles' own turns,
-//! harmonically blended (`harmonic`), are in the first solution, from which then come those of the final one. They vary
-//! slowly, and are found on a coarse likeness of the surface (`coarse`).
+//! Y. Lipman et al., *Differential Coordinates for Interactive Mesh Editing*, SMI 2004, who take the turns
+//! from a first solution that knows none. That collapses where handles turn far, and the turns with it. Here
+//! the handles' own turns, harmonically blended (`harmonic`), are in the first solution, from which then come
+//! those of the final one. They vary slowly, and are found on a coarse likeness of the surface (`coarse`).
 
 use crate::arap::Level;
 use crate::cells::covariances;

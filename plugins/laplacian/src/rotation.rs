@@ -1,8 +1,8 @@
 //! The rotation nearest to a matrix, in the sense of least squares.
 //!
-//! Newton's method on the rotations, as in T. Kugelstadt et al., *Fast Corotated FEM using Operator Splitting*, SCA
-//! 2018, from the rotation of the step before, which is near; and B. Horn's *Closed-form Solution of Absolute Orientation
-//! Using Unit Quaternions*, 1987, where that does not settle.
+//! Newton's method on the rotations, as in T. Kugelstadt et al., *Fast Corotated FEM using Operator
+//! Splitting*, SCA 2018, from the rotation of the step before, which is near; and B. Horn's *Closed-form
+//! Solution of Absolute Orientation Using Unit Quaternions*, 1987, where that does not settle.
 
 use crate::eigen;
 use glam::{DMat3, DQuat, DVec3};
@@ -14,8 +14,8 @@ const SETTLED: f64 = 1e-6;
 /// How strongly the former rotation holds what the matrix leaves open, relative to the matrix.
 const HOLD: f64 = 1e-9;
 
-/// The rotation `R` with the largest `tr(Rᵀ S)`; `start` where `S` says nothing, and as near to it as `S` allows where it
-/// leaves an axis open, as for samples on a line.
+/// The rotation `R` with the largest `tr(Rᵀ S)`; `start` where `S` says nothing, and as near to it as `S`
+/// allows where it leaves an axis open, as for samples on a line.
 pub fn nearest(s: DMat3, start: DMat3) -> DMat3 {
     let size = s.to_cols_array().iter().map(|x| x.abs()).fold(0.0, f64::max);
     if !(size > 0.0 && size.is_finite()) {

@@ -78,7 +78,8 @@ impl<T: Stored> Run<T> {
         update
     }
 
-    /// When all fronts are there: `beyond` are the rows of the last one, and `first` the first unknown of the last run.
+    /// When all fronts are there: `beyond` are the rows of the last one, and `first` the first unknown of the
+    /// last run.
     pub fn end(&mut self, beyond: &[u32], first: usize) {
         for shape in &self.fronts {
             for row in &mut self.rows[shape.at[0] + shape.inside..][..shape.beyond] {
@@ -116,7 +117,8 @@ impl<T: Stored> Run<T> {
         Arch::new().dispatch(Backward { run: self, own, beyond });
     }
 
-    /// `L x = b` for a run that has nothing beyond, whose fronts are large: several threads share each of them.
+    /// `L x = b` for a run that has nothing beyond, whose fronts are large: several threads share each of
+    /// them.
     pub fn forward_together(&self, own: &mut [DVec3], host: &Host<'_>) -> PluginResult<()> {
         let mut known = Sides::default();
         for part in self.parts() {

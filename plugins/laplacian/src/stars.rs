@@ -1,27 +1,27 @@
 //! Triangles where there are none: the Delaunay star of a sample among its neighbours, in their plane.
 //!
-//! M. Belkin, J. Sun, Y. Wang, *Constructing Laplace Operator from Point Clouds in R^d*, SODA 2009, has the idea of
-//! triangulations that are local; N. Sharp, K. Crane 2020, §5.7, that of the Delaunay stars of all samples, found without a
-//! thought of each other. Their cotangents are summed, a third each, which makes the Laplacian symmetric: the
-//! Delaunay triangulation's own where the stars agree. Where they do not, weights may be negative, and the energy of each
-//! triangle is not.
+//! M. Belkin, J. Sun, Y. Wang, *Constructing Laplace Operator from Point Clouds in R^d*, SODA 2009, has the
+//! idea of triangulations that are local; N. Sharp, K. Crane 2020, §5.7, that of the Delaunay stars of all
+//! samples, found without a thought of each other. Their cotangents are summed, a third each, which makes the
+//! Laplacian symmetric: the Delaunay triangulation's own where the stars agree. Where they do not, weights
+//! may be negative, and the energy of each triangle is not.
 
 use crate::eigen;
 use glam::{DVec2, DVec3};
 
 /// Neighbours that are looked at: enough to surround a sample.
 const MOST: usize = 20;
-/// How far from the sample corners of its Voronoi cell may lie, in units of the farthest neighbour's distance. Beyond
-/// it, the sample lies at a border.
+/// How far from the sample corners of its Voronoi cell may lie, in units of the farthest neighbour's
+/// distance. Beyond it, the sample lies at a border.
 const REACH: f64 = 1.0;
 /// Two neighbours are one if they are nearer to each other than this, in the same units.
 const COINCIDENT: f64 = 1e-9;
-/// A neighbour that cuts off less than this, in units of its distance, does not count: of points on one circle, as in
-/// grids, rounding would take some.
+/// A neighbour that cuts off less than this, in units of its distance, does not count: of points on one
+/// circle, as in grids, rounding would take some.
 const COCIRCULAR: f64 = 1e-5;
 
-/// Triangles around sample `i`, which may be none: its neighbours are few, or on a line. `same_side` tells of which
-/// neighbours the sample knows that they are on its side of the surface.
+/// Triangles around sample `i`, which may be none: its neighbours are few, or on a line. `same_side` tells of
+/// which neighbours the sample knows that they are on its side of the surface.
 pub fn star(
     positions: &[DVec3],
     i: u32,
@@ -64,7 +64,8 @@ fn plane(near: &[(u32, DVec3)], reach: f64) -> [DVec3; 2] {
     [order[0], order[1]].map(|k| DVec3::from(vectors[k]))
 }
 
-/// The points of the plane nearer to the origin than to the neighbours so far: a convex polygon, counter-clockwise.
+/// The points of the plane nearer to the origin than to the neighbours so far: a convex polygon,
+/// counter-clockwise.
 struct Cell {
     /// Where each side begins, and the neighbour beyond it; none beyond the border.
     sides: Vec<(DVec2, Option<u32>)>,

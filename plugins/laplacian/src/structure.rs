@@ -1,7 +1,9 @@
-//! Which unknowns each front has, and how much memory a factorisation takes: found before there is any number.
+//! Which unknowns each front has, and how much memory a factorisation takes: found before there is any
+//! number.
 //!
-//! J. Liu, *The Multifrontal Method for Sparse Matrix Solution*, SIAM Review 1992. A surface's fronts are small. Where
-//! samples in one place are joined without any order, they are not, and what cannot be held is refused here.
+//! J. Liu, *The Multifrontal Method for Sparse Matrix Solution*, SIAM Review 1992. A surface's fronts are
+//! small. Where samples in one place are joined without any order, they are not, and what cannot be held is
+//! refused here.
 
 use crate::dissection::{Part, Tree};
 use simod_plugin_api::{ErrorCode, Host, PluginError, PluginResult};
@@ -27,8 +29,8 @@ struct Taken {
 }
 
 impl Structure {
-    /// Of a tree, and the columns from the diagonal on that each row of the matrix in its order has. `size` is that of an
-    /// entry that is kept, in bytes.
+    /// Of a tree, and the columns from the diagonal on that each row of the matrix in its order has. `size`
+    /// is that of an entry that is kept, in bytes.
     pub fn new<'a>(
         tree: &Tree,
         columns: impl Fn(usize) -> &'a [u32] + Sync,

@@ -1,5 +1,5 @@
-//! The elements of the samples: of their triangles where there are any, of their neighbours elsewhere; and what is
-//! connected by them.
+//! The elements of the samples: of their triangles where there are any, of their neighbours elsewhere; and
+//! what is connected by them.
 
 use crate::elements::Element;
 use crate::{intrinsic, stars};

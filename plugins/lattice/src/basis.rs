@@ -1,8 +1,8 @@
 //! Basis functions along one axis of the lattice, and how they go on beyond its ends.
 //!
-//! B-splines over uniform knots which are repeated at both ends, so that the control points at the ends are met
-//! (L. Piegl, W. Tiller, *The NURBS Book*, 1997, algorithm A2.2). With one control point more than the degree they are
-//! Bernstein's polynomials.
+//! B-splines over uniform knots which are repeated at both ends, so that the control points at the ends are
+//! met (L. Piegl, W. Tiller, *The NURBS Book*, 1997, algorithm A2.2). With one control point more than the
+//! degree they are Bernstein's polynomials.
 
 /// Most control points along an axis.
 pub const MOST: usize = 32;
@@ -12,7 +12,8 @@ pub const MOST: usize = 32;
 pub enum Beyond {
     /// As at the nearer end.
     Clamped,
-    /// They go on along their tangents and fade to nothing over this distance: continuous with their derivatives.
+    /// They go on along their tangents and fade to nothing over this distance: continuous with their
+    /// derivatives.
     Smooth {
         /// In units of the axis' length; above 0.
         reach: f64,
@@ -108,8 +109,9 @@ impl Basis {
         let t = (over.abs() / reach).min(1.0);
         let left = 1.0 - t;
         let fade = left * left * (1.0 + 2.0 * t);
-        // At its end only the last function and the one before change, by the degree for each knot's distance. What goes on
-        // is bent back soon: where the outer control points rest and the next ones do not, it is a groove beside the face.
+        // At its end only the last function and the one before change, by the degree for each knot's
+        // distance. What goes on is bent back soon: where the outer control points rest and the next ones do
+        // not, it is a groove beside the face.
         let slope = (self.degree * self.spans()) as f64;
         let along = if t < 1.0 { over * slope * left * left * left } else { 0.0 };
         Place { inside, fade, below: (-along).max(0.0), above: along.max(0.0) }
@@ -140,7 +142,8 @@ impl Basis {
     }
 }
 
-/// The B-splines of a degree that are not zero at `t`, from the knots around: as many as the degree before `t`, and after.
+/// The B-splines of a degree that are not zero at `t`, from the knots around: as many as the degree before
+/// `t`, and after.
 #[inline(always)]
 fn recurrence(degree: usize, t: f64, knots: &[f64], inverses: &[f64], values: &mut [f64], place: &Place) {
     let mut inverses = inverses.iter();

@@ -59,7 +59,8 @@ impl Frame {
     }
 }
 
-/// The corners of the box around the model at rest, and around the samples where earlier steps have moved them.
+/// The corners of the box around the model at rest, and around the samples where earlier steps have moved
+/// them.
 fn corners(bounds: &Bounds, samples: &[[f32; 3]]) -> [DVec3; 8] {
     let (mut min, mut max) = (DVec3::from(bounds.min), DVec3::from(bounds.max));
     for p in samples.iter().map(|p| DVec3::from(p.map(f64::from))) {

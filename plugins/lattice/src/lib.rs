@@ -1,8 +1,10 @@
-//! Free-form deformation: a lattice of control points about the model, or a part of it, bends the space inside.
+//! Free-form deformation: a lattice of control points about the model, or a part of it, bends the space
+//! inside.
 //!
-//! T. W. Sederberg, S. R. Parry, *Free-form deformation of solid geometric models*, SIGGRAPH 1986, with the basis of
-//! Bernstein's polynomials; J. Griessmair, W. Purgathofer, *Deformation of solids with trivariate B-splines*,
-//! Eurographics 1989. The control points are handles. Nothing is prepared but the lattice's place.
+//! T. W. Sederberg, S. R. Parry, *Free-form deformation of solid geometric models*, SIGGRAPH 1986, with the
+//! basis of Bernstein's polynomials; J. Griessmair, W. Purgathofer, *Deformation of solids with trivariate
+//! B-splines*, Eurographics 1989. The control points are handles. Nothing is prepared but the lattice's
+//! place.
 
 mod basis;
 mod frame;
@@ -60,8 +62,8 @@ struct Settings {
     /// By which the box is turned
     #[param(default = 0.0, unit = "degrees", soft = -180.0..=180.0, group = "Box", invalidates_preparation)]
     angle: f64,
-    /// What is beyond a face goes on as inside and fades to rest, or follows the nearest point of the box; where
-    /// the two outermost layers of control points rest, there is no crease
+    /// What is beyond a face goes on as inside and fades to rest, or follows the nearest point of the box;
+    /// where the two outermost layers of control points rest, there is no crease
     #[param(default = Outside::Smooth, group = "Outside", invalidates_preparation)]
     outside: Outside,
     /// Over which part of the box' size a smooth deformation fades outside

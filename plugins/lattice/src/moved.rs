@@ -1,7 +1,7 @@
 //! A lattice whose control points were moved: `p + Σ B_i(u) B_j(v) B_k(w) (P*_ijk - P_ijk)`.
 //!
-//! In displacements, so that what no control point reaches stays exactly where it is. As the functions reproduce their
-//! parameters, this is the same as the sum over the moved control points.
+//! In displacements, so that what no control point reaches stays exactly where it is. As the functions
+//! reproduce their parameters, this is the same as the sum over the moved control points.
 
 use crate::Lattice;
 use crate::basis::{Basis, MOST, Weights};
@@ -19,8 +19,8 @@ const WIDEST: usize = 16;
 /// Displacements of control points.
 pub struct Moved<'a> {
     lattice: &'a Lattice,
-    /// Those along the third axis follow each other, then those along the second one. The fourth number is 0: four fit
-    /// the processor better.
+    /// Those along the third axis follow each other, then those along the second one. The fourth number is 0:
+    /// four fit the processor better.
     displacements: Vec<DVec4>,
     /// Along each axis, the control points from the first to the last moved one; empty if none was moved.
     spans: [Range<usize>; 3],
@@ -121,7 +121,8 @@ impl<'a> Moved<'a> {
     }
 }
 
-/// The control points that count: which basis functions reach, and which were moved; and the functions' values.
+/// The control points that count: which basis functions reach, and which were moved; and the functions'
+/// values.
 #[inline(always)]
 fn both<'v>(weights: &Weights<'v>, moved: &Range<usize>) -> (Range<usize>, &'v [f64]) {
     let from = weights.first.max(moved.start);
@@ -204,7 +205,8 @@ fn weights<S: Simd>(simd: S, lattice: &Lattice, rest: &[[f32; 3]]) -> [[S::f32s;
             [0, 1, 2, 3].map(|number| simd.partial_load_f32s(&places[axis][number][..S::F32_LANES]));
         let rest_of_u = simd.sub_f32s(simd.splat_f32s(1.0), u);
         let (values, degree) = (&mut all[axis], lattice.bases[axis].count() - 1);
-        // Bernstein's recurrence: as in `Basis::at`, with 0 for all knots on the left, and 1 for those on the right.
+        // Bernstein's recurrence: as in `Basis::at`, with 0 for all knots on the left, and 1 for those on the
+        // right.
         values[0] = fade;
         for k in 1..=degree {
             let mut carried = simd.splat_f32s(0.0);
@@ -215,7 +217,8 @@ fn weights<S: Simd>(simd: S, lattice: &Lattice, rest: &[[f32; 3]]) -> [[S::f32s;
             }
             values[k] = carried;
         }
-        // The functions add up to one, times what they fade to, of which rounding leaves less the more of them there are.
+        // The functions add up to one, times what they fade to, of which rounding leaves less the more of
+        // them there are.
         let total =
             values[..=degree].iter().fold(simd.splat_f32s(f32::MIN_POSITIVE), |a, b| simd.add_f32s(a, *b));
         let whole = simd.div_f32s(fade, total);

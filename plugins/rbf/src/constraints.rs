@@ -1,8 +1,8 @@
 //! What the samples in the regions are asked to do.
 //!
 //! Each handle moves affinely, so its samples' displacements are combinations of four functions: 1 and the
-//! coordinates relative to the handle's centroid, in units of its radius; on other regions they are 0. Whatever
-//! the handles do later, these `4 x handles` right-hand sides span it.
+//! coordinates relative to the handle's centroid, in units of its radius; on other regions they are 0.
+//! Whatever the handles do later, these `4 x handles` right-hand sides span it.
 //!
 //! A sample is in a region where its weight is above one half, and then does all that the region does.
 
@@ -142,9 +142,9 @@ impl Constraints {
         Ok(constraints)
     }
 
-    /// Gives constraints on one plane or line, which say nothing about what lies beside it, some thickness: a few
-    /// more on both sides that move along with their region. Without them a handle that turns would shear the
-    /// space beside the plane instead. Not for compact kernels, which would reach farther by them.
+    /// Gives constraints on one plane or line, which say nothing about what lies beside it, some thickness: a
+    /// few more on both sides that move along with their region. Without them a handle that turns would shear
+    /// the space beside the plane instead. Not for compact kernels, which would reach farther by them.
     fn thicken(&mut self, orders: &mut Vec<Vec<usize>>) -> PluginResult<()> {
         let mut added = Vec::new();
         for normal in flat_directions(&self.points)? {
@@ -167,7 +167,8 @@ impl Constraints {
         Ok(())
     }
 
-    /// Whether the samples of some handle are, for the most part, farther than `distance` from its other samples.
+    /// Whether the samples of some handle are, for the most part, farther than `distance` from its other
+    /// samples.
     pub fn is_sparse(&self, distance: f64) -> bool {
         (0..self.handles.len()).any(|handle| {
             let members: Vec<usize> =

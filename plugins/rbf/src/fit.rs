@@ -1,9 +1,9 @@
 //! Choosing the centres, and solving for their weights.
 //!
 //! Incremental least squares, after §4 of Botsch and Kobbelt 2005: few centres at first, the worst served
-//! constraints next, until all are met. Unlike there, each round adds a quarter as many centres as there are, and where
-//! there are very many constraints, some take part that are well spread. Whenever there are twice as many centres, all
-//! constraints are checked, and more that are not met take part.
+//! constraints next, until all are met. Unlike there, each round adds a quarter as many centres as there are,
+//! and where there are very many constraints, some take part that are well spread. Whenever there are twice
+//! as many centres, all constraints are checked, and more that are not met take part.
 
 use crate::TOGETHER;
 use crate::constraints::{Constraints, spread_order};
@@ -18,7 +18,8 @@ const FIRST_CENTERS: usize = 32;
 const ROWS_PER_CENTER: usize = 4;
 /// The same where there may be few centres.
 const FEWEST_ROWS: usize = 512;
-/// Ridge on all unknowns, relative to kernels of about 1: holds what coplanar or coincident constraints leave open.
+/// Ridge on all unknowns, relative to kernels of about 1: holds what coplanar or coincident constraints leave
+/// open.
 const RIDGE: f64 = 1e-9;
 /// Two centres nearer than this in the unit box are one: single-precision positions do not tell them apart.
 const COINCIDENT: f64 = 1e-7;
@@ -92,8 +93,8 @@ struct Fitter<'a> {
 }
 
 impl Fitter<'_> {
-    /// Well spread ones. What is fixed matters to compact kernels only where handles reach it, and becomes a centre when
-    /// that shows.
+    /// Well spread ones. What is fixed matters to compact kernels only where handles reach it, and becomes a
+    /// centre when that shows.
     fn first_centers(&self) -> Vec<usize> {
         let matters = |i: &usize| !self.goal.kernel.is_compact() || self.constraints.handle[*i].is_some();
         let spread = self.constraints.spread.iter().copied().filter(matters);
@@ -107,7 +108,8 @@ impl Fitter<'_> {
         (ROWS_PER_CENTER * self.most).max(FEWEST_ROWS)
     }
 
-    /// Takes more constraints into the least squares, well spread among those that are not met, the worst of each place.
+    /// Takes more constraints into the least squares, well spread among those that are not met, the worst of
+    /// each place.
     fn take_failing(&self, rows: &mut Vec<usize>, residuals: &[f64]) {
         let mut is_row = vec![false; residuals.len()];
         rows.iter().for_each(|&i| is_row[i] = true);
@@ -117,8 +119,8 @@ impl Fitter<'_> {
         rows.extend(spread_order(&self.constraints.points, failing.into_iter(), room));
     }
 
-    /// Adds centres from among `rows` until these constraints are met, there are twice as many, or nothing is left to
-    /// add.
+    /// Adds centres from among `rows` until these constraints are met, there are twice as many, or nothing is
+    /// left to add.
     fn greedy(&self, rows: &[usize], centers: &mut Vec<usize>) -> PluginResult<(Functions, Mat<f64>)> {
         let points: Vec<Point> = rows.iter().map(|&i| self.constraints.points[i]).collect();
         let side = self.goal.kernel.affine();
@@ -165,8 +167,8 @@ impl Fitter<'_> {
         let worst = worst_first(candidates.collect(), residuals);
         let before = centers.len();
         let wanted = (before + (before / 4).max(8)).min(self.most);
-        // Every place is a centre where even the least distance is too large: constraints in one place shall move
-        // differently.
+        // Every place is a centre where even the least distance is too large: constraints in one place shall
+        // move differently.
         for distance in [0.3 / (wanted as f64).sqrt(), COINCIDENT] {
             if centers.len() == before {
                 self.add(worst.iter().map(|&i| rows[i]), wanted, distance, centers);
@@ -175,7 +177,8 @@ impl Fitter<'_> {
         centers.len() > before
     }
 
-    /// Takes candidates, in their order, that keep a distance from all centres so far, until there are `wanted`.
+    /// Takes candidates, in their order, that keep a distance from all centres so far, until there are
+    /// `wanted`.
     fn add(
         &self,
         candidates: impl Iterator<Item = usize>,

@@ -1,9 +1,10 @@
 //! What the fit leaves over in the regions, taken away: their samples do exactly as they are told.
 //!
-//! The residuals, of which none is above the tolerance, are added to the solutions as another map of space: at a sample of
-//! a region its own, around it a mean of the nearest ones, which fades with the distance from the regions. The weights are
-//! those of R. Franke and G. Nielson, *Smooth interpolation of large sets of scattered data*, IJNME 1980: they
-//! interpolate, and vanish at the farthest of the samples that count, so that the map is continuous.
+//! The residuals, of which none is above the tolerance, are added to the solutions as another map of space:
+//! at a sample of a region its own, around it a mean of the nearest ones, which fades with the distance from
+//! the regions. The weights are those of R. Franke and G. Nielson, *Smooth interpolation of large sets of
+//! scattered data*, IJNME 1980: they interpolate, and vanish at the farthest of the samples that count, so
+//! that the map is continuous.
 
 use crate::TOGETHER;
 use crate::constraints::Constraints;

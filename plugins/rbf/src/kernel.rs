@@ -1,7 +1,7 @@
 //! Sums of radial kernels: `Σ w_j φ(|x - c_j|) + affine(x)`, many functions over the same centres at once.
 //!
-//! The compact kernels are those of H. Wendland, *Piecewise polynomial, positive definite and compactly supported radial
-//! functions of minimal degree*, Advances in Computational Mathematics 1995.
+//! The compact kernels are those of H. Wendland, *Piecewise polynomial, positive definite and compactly
+//! supported radial functions of minimal degree*, Advances in Computational Mathematics 1995.
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatMut, MatRef, Par};
@@ -39,8 +39,8 @@ impl Kernel {
         matches!(self, Self::CompactC2 | Self::CompactC4)
     }
 
-    /// Columns of the affine part that goes with it: 1, x, y, z, or none. A compact kernel has none: it would reach
-    /// everywhere.
+    /// Columns of the affine part that goes with it: 1, x, y, z, or none. A compact kernel has none: it would
+    /// reach everywhere.
     pub fn affine(self) -> usize {
         if self.is_compact() { 0 } else { 4 }
     }
@@ -54,7 +54,8 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// The frame of the points' box, of which a side is at least `least` long; nothing where none has an extent.
+    /// The frame of the points' box, of which a side is at least `least` long; nothing where none has an
+    /// extent.
     pub fn of(points: &[Point], least: f64) -> Option<Self> {
         let mut min = [f64::INFINITY; 3];
         let mut max = [f64::NEG_INFINITY; 3];
@@ -81,8 +82,8 @@ impl Frame {
     }
 }
 
-/// The functions φ(|x - c_j|) for all centres, and 1, x, y, z where the kernel has an affine part. Everything in the
-/// unit box.
+/// The functions φ(|x - c_j|) for all centres, and 1, x, y, z where the kernel has an affine part. Everything
+/// in the unit box.
 #[derive(Debug, Clone)]
 pub struct Functions {
     /// The radial function.
@@ -99,8 +100,8 @@ impl Functions {
         self.centers.len() + self.kernel.affine()
     }
 
-    /// Row `i` of `matrix` gets the values at point `i` of the functions from `first` on, as many as it has columns:
-    /// first there are those of the affine part, then those of the centres.
+    /// Row `i` of `matrix` gets the values at point `i` of the functions from `first` on, as many as it has
+    /// columns: first there are those of the affine part, then those of the centres.
     pub fn fill(&self, points: &[Point], first: usize, mut matrix: MatMut<'_, f64>) {
         let per_support = self.support.recip();
         for column in 0..matrix.ncols() {
@@ -129,8 +130,8 @@ impl Functions {
         }
     }
 
-    /// The side conditions Σ w_j = 0, Σ w_j c_j = 0, a row each, which keep the far field affine: the coefficients of the
-    /// functions from `first` on. Nothing where there is no affine part.
+    /// The side conditions Σ w_j = 0, Σ w_j c_j = 0, a row each, which keep the far field affine: the
+    /// coefficients of the functions from `first` on. Nothing where there is no affine part.
     pub fn side_conditions(&self, first: usize, mut matrix: MatMut<'_, f64>) {
         let affine = self.kernel.affine();
         for column in affine.saturating_sub(first)..matrix.ncols() {

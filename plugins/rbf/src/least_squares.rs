@@ -1,5 +1,5 @@
-//! Least squares whose unknowns come by and by: a QR factorisation that grows by columns, as in §4 of Botsch and
-//! Kobbelt 2005, panel by panel, so that all cores take part and a user can stop it.
+//! Least squares whose unknowns come by and by: a QR factorisation that grows by columns, as in §4 of Botsch
+//! and Kobbelt 2005, panel by panel, so that all cores take part and a user can stop it.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::householder::{

@@ -1,14 +1,14 @@
 //! Handle-based deformation of space by radial basis functions.
 //!
 //! M. Botsch, L. Kobbelt, *Real-Time Shape Editing using Radial Basis Functions*, Eurographics 2005: the
-//! displacement `d(x) = Σ w_j |x - c_j|³ + affine(x)` that meets the fixed and the handle regions' samples is as
-//! smooth as can be in between. Handles move affinely, so the solutions for all their motions are spanned by four
-//! per handle: these are found once, in `prepare`, with their values at all samples; a motion then costs one
-//! small product per sample.
+//! displacement `d(x) = Σ w_j |x - c_j|³ + affine(x)` that meets the fixed and the handle regions' samples is
+//! as smooth as can be in between. Handles move affinely, so the solutions for all their motions are spanned
+//! by four per handle: these are found once, in `prepare`, with their values at all samples; a motion then
+//! costs one small product per sample.
 //!
-//! With compact kernels there is no affine part: what is farther than the support from all regions does not move at all,
-//! and a motion of all handles together is none of the whole. Either way what is in a region does exactly what the region
-//! does (`held`).
+//! With compact kernels there is no affine part: what is farther than the support from all regions does not
+//! move at all, and a motion of all handles together is none of the whole. Either way what is in a region
+//! does exactly what the region does (`held`).
 
 mod constraints;
 mod fit;
@@ -151,8 +151,8 @@ impl Prepared {
             let message = format!("{} transforms for {} handles", transforms.len(), self.handles.len());
             return Err(PluginError::internal(message));
         }
-        // Solutions reproduce affine maps anyway; taking the common part out makes that exact, and settles what
-        // coplanar handles leave open. Compact kernels shall leave the rest alone.
+        // Solutions reproduce affine maps anyway; taking the common part out makes that exact, and settles
+        // what coplanar handles leave open. Compact kernels shall leave the rest alone.
         let is_local = self.has_fixed || self.fit.functions.kernel.is_compact();
         let common = if is_local { Affine::IDENTITY } else { mean(transforms) };
         let mut coefficients = Vec::with_capacity(PER_HANDLE * transforms.len());

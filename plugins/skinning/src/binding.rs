@@ -1,11 +1,13 @@
 //! Which joints a place of the model follows, and how much: geodesic voxel binding.
 //!
-//! O. Dionne, M. de Lasa, *Geodesic voxel binding for production character meshes*, SCA 2013. Weights are of the distances
-//! from the bones through the inside of the model. Theirs are `((1 - a) d + a d²)^-2` with `d` in units of the model,
-//! which are powers of the distance between the second and the fourth; here the power itself is the parameter, so that a
-//! limb bends the same whatever its size. Small ones fade to nothing, so that what is far stays.
+//! O. Dionne, M. de Lasa, *Geodesic voxel binding for production character meshes*, SCA 2013. Weights are of
+//! the distances from the bones through the inside of the model. Theirs are `((1 - a) d + a d²)^-2` with `d`
+//! in units of the model, which are powers of the distance between the second and the fourth; here the power
+//! itself is the parameter, so that a limb bends the same whatever its size. Small ones fade to nothing, so
+//! that what is far stays.
 //!
-//! Distances are of voxels; between these they are interpolated to second order, and so weights are a map of space.
+//! Distances are of voxels; between these they are interpolated to second order, and so weights are a map of
+//! space.
 
 use crate::distance::{March, inside, projected};
 use crate::influences::{Influences, limited};
@@ -72,7 +74,8 @@ impl Binding {
         let wide = SHARES[0].powf(-1.0 / rule.power) as f32 * FURTHER[0];
         let needed = |v: u32| wide * nearest.distances[v as usize].max(NEAREST as f32) + FURTHER[1];
         let most = nearest.order.iter().map(|v| needed(*v)).fold(0.0, f32::max);
-        // A march goes on while it may come to where it is needed: at u if d(u) + |uv| <= needed(v) for any v.
+        // A march goes on while it may come to where it is needed: at u if d(u) + |uv| <= needed(v) for any
+        // v.
         let rest = nearest.order.iter().map(|v| (*v, most - needed(*v)));
         let useless = March::new(&voxels, rest, |_, _| true, is_wanted(0.35)).distances;
         host.progress(0.4)?;
@@ -114,8 +117,8 @@ impl Binding {
         Ok(Self { voxels, starts, entries, reached, tree, rule })
     }
 
-    /// What a place follows, with the weights: `room` is for what is in between. Beyond the model, and in parts of it that
-    /// no bone reaches, it is what the nearest place follows.
+    /// What a place follows, with the weights: `room` is for what is in between. Beyond the model, and in
+    /// parts of it that no bone reaches, it is what the nearest place follows.
     pub fn at(&self, p: DVec3, room: &mut Vec<(f64, u16)>) -> Influences {
         let grid = &self.voxels.grid;
         let mut voxel = self.voxels.id(grid.cell(p));
@@ -137,8 +140,8 @@ impl Binding {
         &self.entries[self.starts[voxel] as usize..self.starts[voxel + 1] as usize]
     }
 
-    /// The distances of a place in a voxel from that voxel's joints, in cells: each of the eight voxels around predicts
-    /// them to first order, and they are blended linearly.
+    /// The distances of a place in a voxel from that voxel's joints, in cells: each of the eight voxels
+    /// around predicts them to first order, and they are blended linearly.
     fn distances(&self, p: DVec3, voxel: u32, distances: &mut Vec<(f64, u16)>) {
         let grid = &self.voxels.grid;
         let own = self.of(voxel);

@@ -1,13 +1,15 @@
 //! How a place moves that follows several joints.
 //!
-//! *Linear*: the mean of where each joint takes it. *Dual quaternions*: L. Kavan, S. Collins, J. Žára, C. O'Sullivan, *Geometric
-//! skinning with approximate dual quaternion blending*, ACM TOG 27, 2008: the mean of the joints' rigid motions as a rigid
-//! motion, which keeps volume. A joint's motion that scales is split, as there, into two phases: what it scales about the joint
-//! is blended linearly, and then the rigid rest by dual quaternions.
+//! *Linear*: the mean of where each joint takes it. *Dual quaternions*: L. Kavan, S. Collins, J. Žára, C.
+//! O'Sullivan, *Geometric skinning with approximate dual quaternion blending*, ACM TOG 27, 2008: the mean of
+//! the joints' rigid motions as a rigid motion, which keeps volume. A joint's motion that scales is split, as
+//! there, into two phases: what it scales about the joint is blended linearly, and then the rigid rest by
+//! dual quaternions.
 //!
-//! A dual quaternion and its negative are the same motion, but not in a mean. Signs are chosen once for a pose, each joint's
-//! such that it turns by less than half a turn against the one that it hangs on: choosing them place by place, against the
-//! largest weight, tears the surface apart where the largest weight changes and joints are half a turn from each other.
+//! A dual quaternion and its negative are the same motion, but not in a mean. Signs are chosen once for a
+//! pose, each joint's such that it turns by less than half a turn against the one that it hangs on: choosing
+//! them place by place, against the largest weight, tears the surface apart where the largest weight changes
+//! and joints are half a turn from each other.
 
 use crate::skeleton::Skeleton;
 use glam::{DAffine3, DMat3, DQuat, DVec3, DVec4};
@@ -128,8 +130,9 @@ fn rigid(real: DVec4, dual: DVec4, p: DVec3) -> DVec3 {
     turned + 2.0 * (real.w * d - dual.w * r + r.cross(d))
 }
 
-/// The nearest rotation of a matrix, by Newton's method for the polar decomposition (N. J. Higham, *Computing the polar
-/// decomposition, with applications*, SIAM J. Sci. Stat. Comput. 7, 1986); nothing if it mirrors or flattens.
+/// The nearest rotation of a matrix, by Newton's method for the polar decomposition (N. J. Higham, *Computing
+/// the polar decomposition, with applications*, SIAM J. Sci. Stat. Comput. 7, 1986); nothing if it mirrors or
+/// flattens.
 fn rotation(matrix: DMat3) -> Option<DMat3> {
     let size = matrix.to_cols_array().iter().fold(0.0_f64, |a, x| a.max(x.abs()));
     let mut r = matrix * size.recip();

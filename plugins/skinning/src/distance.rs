@@ -1,8 +1,9 @@
 //! Distances from bones through the inside of a model.
 //!
-//! By fast marching (J. A. Sethian, *A fast marching level set method for monotonically advancing fronts*, PNAS 93, 1996), so
-//! that they are nearly the same in all directions, and do not show the voxels' axes as paths over these do. At the
-//! surface, where voxels have few neighbours over their faces, steps over edges and corners count too.
+//! By fast marching (J. A. Sethian, *A fast marching level set method for monotonically advancing fronts*,
+//! PNAS 93, 1996), so that they are nearly the same in all directions, and do not show the voxels' axes as
+//! paths over these do. At the surface, where voxels have few neighbours over their faces, steps over edges
+//! and corners count too.
 
 use crate::skeleton::on_segment;
 use crate::voxels::{NONE, Voxels};
@@ -26,8 +27,8 @@ pub struct March {
 }
 
 impl March {
-    /// From `seeds`, voxels with their distances. It goes no further from a voxel where `goes_on` says so, and that is no
-    /// longer among those it came to. Stopped half-way if `is_wanted` says so.
+    /// From `seeds`, voxels with their distances. It goes no further from a voxel where `goes_on` says so,
+    /// and that is no longer among those it came to. Stopped half-way if `is_wanted` says so.
     pub fn new(
         voxels: &Voxels,
         seeds: impl Iterator<Item = (u32, f32)>,
@@ -112,8 +113,8 @@ impl March {
         a + (sum + (sum * sum - 3.0 * (squares - 1.0)).max(0.0).sqrt()) / 3.0
     }
 
-    /// Rounds off creases: so many times, each value goes to the mean of its neighbours. Along an axis where one of the
-    /// two is missing it does not count, so that what is linear stays as it is.
+    /// Rounds off creases: so many times, each value goes to the mean of its neighbours. Along an axis where
+    /// one of the two is missing it does not count, so that what is linear stays as it is.
     pub fn smooth(&mut self, voxels: &Voxels, times: usize, is_wanted: impl Fn() -> bool) {
         let mut next = self.distances.clone();
         for _ in 0..times {

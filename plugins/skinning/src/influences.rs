@@ -23,8 +23,8 @@ impl Influences {
     }
 }
 
-/// The largest of some weights, which sum to more than 0, as parts of 1. What the first one has that is left out is taken
-/// off all others, so that none jumps where another takes its place.
+/// The largest of some weights, which sum to more than 0, as parts of 1. What the first one has that is left
+/// out is taken off all others, so that none jumps where another takes its place.
 pub fn limited(weights: &mut [(f64, u16)], limit: usize) -> Influences {
     weights.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let kept = weights.len().min(limit).min(MOST);

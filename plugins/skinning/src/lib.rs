@@ -46,11 +46,12 @@ struct Skinning;
 /// How places move, and which ends reach.
 #[derive(ParamSet)]
 struct Pose {
-    /// What becomes of a place that follows several joints: dual quaternions keep the volume where joints twist, and bulge a
-    /// little where they bend; the linear mean loses some of it
+    /// What becomes of a place that follows several joints: dual quaternions keep the volume where joints
+    /// twist, and bulge a little where they bend; the linear mean loses some of it
     #[param(default = Method::DualQuaternion)]
     method: Method,
-    /// Which joints have a handle `ID/reach`: where it is moved, the chain of bones above bends so that the joint comes there
+    /// Which joints have a handle `ID/reach`: where it is moved, the chain of bones above bends so that the
+    /// joint comes there
     #[param(default = Reach::Ends, group = "Reaching", invalidates_preparation)]
     reach: Reach,
     /// Most bones of a chain that reaches; 0 for all up to the root, or up to where the skeleton branches
@@ -82,16 +83,16 @@ struct Weights {
     /// Most joints that a place follows
     #[param(default = 4, hard = 1..=MOST as i64, group = "Weights", invalidates_preparation)]
     influences: i64,
-    /// How fast a bone's influence falls with the distance, as a power of it: from 2 for soft limbs to 8 and more for joints
-    /// that bend within little more than their width
+    /// How fast a bone's influence falls with the distance, as a power of it: from 2 for soft limbs to 8 and
+    /// more for joints that bend within little more than their width
     #[param(default = 4.0, hard = 2.0..=32.0, soft = 2.0..=10.0, group = "Weights", invalidates_preparation)]
     falloff: f64,
     /// Over which length creases in the distances from bones are rounded off
     #[param(default = 0.005, unit = "diagonal", hard = 0.0..=0.02, soft = 0.0..=0.01, group = "Weights")]
     #[param(invalidates_preparation)]
     smoothing: f64,
-    /// Voxels along the longest side of the model, in which distances are found; limbs that are less than two of them apart
-    /// are taken for one
+    /// Voxels along the longest side of the model, in which distances are found; limbs that are less than two
+    /// of them apart are taken for one
     #[param(default = 128, hard = 16..=256, soft = 64..=256, group = "Weights", invalidates_preparation)]
     resolution: i64,
 }

@@ -56,8 +56,9 @@ impl Handles {
         handles
     }
 
-    /// How each joint's bones move: as the handles say, and then, one after the other, so that ends come to where they are
-    /// wanted. A chain is of `length` bones at most, and ends below a joint that several hang on.
+    /// How each joint's bones move: as the handles say, and then, one after the other, so that ends come to
+    /// where they are wanted. A chain is of `length` bones at most, and ends below a joint that several hang
+    /// on.
     ///
     /// # Errors
     /// There are not as many motions as handles.
@@ -84,7 +85,8 @@ impl Handles {
                 }
             }
         }
-        // What is wanted wherever the skeleton is comes after what is wanted of the posed one, and in its stead.
+        // What is wanted wherever the skeleton is comes after what is wanted of the posed one, and in its
+        // stead.
         for (joint, motion) in self.reaching.iter().zip(&given[count..]) {
             if *motion != DAffine3::IDENTITY {
                 wanted.retain(|(other, _)| other != joint);

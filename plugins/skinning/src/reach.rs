@@ -1,10 +1,10 @@
 //! A chain of bones that reaches for a place.
 //!
-//! A. Aristidou, J. Lasenby, *FABRIK: a fast, iterative solver for the inverse kinematics problem*, Graphical Models 73, 2011: its
-//! joints are drawn to the target and back to where the chain begins, in turns, with their distances kept. What is left is
-//! closed exactly: the chain is bent at one of its joints until its end is as far from its beginning as the target, and
-//! then turned there; a chain that is all but straight may stay away by 1e-8 of its length. Where the target is too far, the
-//! chain is stretched straight towards it.
+//! A. Aristidou, J. Lasenby, *FABRIK: a fast, iterative solver for the inverse kinematics problem*, Graphical
+//! Models 73, 2011: its joints are drawn to the target and back to where the chain begins, in turns, with
+//! their distances kept. What is left is closed exactly: the chain is bent at one of its joints until its end
+//! is as far from its beginning as the target, and then turned there; a chain that is all but straight may
+//! stay away by 1e-8 of its length. Where the target is too far, the chain is stretched straight towards it.
 
 use glam::{DQuat, DVec3};
 
@@ -12,11 +12,12 @@ use glam::{DQuat, DVec3};
 const TIMES: usize = 300;
 /// An end that is so near to its target, as a part of the chain's length, needs no more.
 const NEAR: f64 = 1e-12;
-/// Chains that are so straight, as a part of their length, are pushed aside by as much, so that they can bend.
+/// Chains that are so straight, as a part of their length, are pushed aside by as much, so that they can
+/// bend.
 const STRAIGHT: f64 = 1e-4;
 
-/// How each bone turns, about its upper end, so that the last one's lower end comes to `target`: from a chain's joints,
-/// its beginning first. Nothing turns if the end is there already, but for rounding.
+/// How each bone turns, about its upper end, so that the last one's lower end comes to `target`: from a
+/// chain's joints, its beginning first. Nothing turns if the end is there already, but for rounding.
 pub fn turns(joints: &[DVec3], target: DVec3) -> Vec<DQuat> {
     let still = vec![DQuat::IDENTITY; joints.len().saturating_sub(1)];
     let (Some(&base), Some(&end)) = (joints.first(), joints.last()) else { return still };
@@ -119,8 +120,8 @@ fn close(turns: &mut [DQuat], joints: &[DVec3], target: DVec3) {
             upper.try_normalize().map_or(DVec3::Z, |along| along.any_orthonormal_vector())
         });
         if a > 0.0 && b > 0.0 {
-            // The angle between both parts now, and as it has to be, by the law of cosines for its half: so it keeps
-            // its digits where the chain is nearly straight.
+            // The angle between both parts now, and as it has to be, by the law of cosines for its half: so
+            // it keeps its digits where the chain is nearly straight.
             let now = upper.cross(lower).dot(normal).atan2(upper.dot(lower));
             let (open, shut) = ((a + b - far) * (a + b + far), (far - a + b) * (far + a - b));
             let wanted = 2.0 * open.max(0.0).sqrt().atan2(shut.max(0.0).sqrt());

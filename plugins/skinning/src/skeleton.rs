@@ -1,13 +1,15 @@
 //! A skeleton: joints in a tree. From the session, or from a file.
 //!
-//! A *bone* is the segment from a joint to one that hangs on it, and moves with the upper one. So a joint without any
-//! that hang on it, an *end*, has no bone of its own; a joint all by itself is a bone of no length.
+//! A *bone* is the segment from a joint to one that hangs on it, and moves with the upper one. So a joint
+//! without any that hang on it, an *end*, has no bone of its own; a joint all by itself is a bone of no
+//! length.
 
 use glam::DVec3;
 use simod_plugin_api::{Joint as GivenJoint, PluginError, PluginResult};
 use std::path::Path;
 
-/// Each joint's distances are found by themselves, so that more would take long. They are numbered in 16 bits.
+/// Each joint's distances are found by themselves, so that more would take long. They are numbered in 16
+/// bits.
 const MOST_JOINTS: usize = 1 << 12;
 /// Bones below this part of the skeleton's size have no direction.
 const SHORTEST: f64 = 1e-9;
@@ -113,10 +115,10 @@ impl Skeleton {
         self.joints.iter().position(|j| j.id == id)
     }
 
-    /// The skeleton in a file of points and bones, as libigl and its kin write it (`.tgf`): a line with a name and three
-    /// coordinates for each joint, a line `#`, and a line with two names for each bone, the upper joint first. Further
-    /// numbers of a joint are passed over, and so are edges that say that they are no bone (three more numbers, of which
-    /// the first is 0), and what comes after a second `#`.
+    /// The skeleton in a file of points and bones, as libigl and its kin write it (`.tgf`): a line with a
+    /// name and three coordinates for each joint, a line `#`, and a line with two names for each bone, the
+    /// upper joint first. Further numbers of a joint are passed over, and so are edges that say that they are
+    /// no bone (three more numbers, of which the first is 0), and what comes after a second `#`.
     ///
     /// # Errors
     /// They name the line.
@@ -267,7 +269,8 @@ mod tests {
         told("1 0 0 0\n2 0 0 0\n3 1 0 0\n#\n1 2\n", &["`1` and `2` are in one place"]);
     }
 
-    /// Damaged files are an error or a skeleton whose joints come after those that they hang on, and nothing panics.
+    /// Damaged files are an error or a skeleton whose joints come after those that they hang on, and nothing
+    /// panics.
     #[test]
     fn damaged_files_do_no_harm() {
         let good = "1 0 0 0 0 1e-323\n2 1 0 0\nelbow 2 0 0.5\n4 9 9 9\n#\nelbow 2\n1 elbow 1 0 0\n2 4 0 0 1\n#\nno more\n";

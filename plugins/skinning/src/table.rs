@@ -29,9 +29,9 @@ pub struct WeightTable {
 type Wrong = (Option<usize>, String);
 
 impl WeightTable {
-    /// The table in a file: a line `x y z` and the ids of joints, and then, line by line, a place and a weight for each
-    /// of the joints. Numbers are separated by white space or commas; empty lines and those that begin with `#` are
-    /// passed over. Weights are taken as parts of their sum.
+    /// The table in a file: a line `x y z` and the ids of joints, and then, line by line, a place and a
+    /// weight for each of the joints. Numbers are separated by white space or commas; empty lines and those
+    /// that begin with `#` are passed over. Weights are taken as parts of their sum.
     ///
     /// # Errors
     /// They name the line, and the column.
@@ -65,11 +65,11 @@ impl WeightTable {
         Ok(Self { rows, tree, same: SAME * size.length() })
     }
 
-    /// What a place follows: a row's where it is in that place, and otherwise those of the four nearest, the nearer ones
-    /// more. And how far the nearest is.
+    /// What a place follows: a row's where it is in that place, and otherwise those of the four nearest, the
+    /// nearer ones more. And how far the nearest is.
     ///
-    /// By R. Franke, G. Nielson, *Smooth interpolation of large sets of scattered data*, 1980: a row's part falls to nothing at
-    /// the distance of the fifth, so that none jumps where another takes its place.
+    /// By R. Franke, G. Nielson, *Smooth interpolation of large sets of scattered data*, 1980: a row's part
+    /// falls to nothing at the distance of the fifth, so that none jumps where another takes its place.
     pub fn at(&self, p: DVec3, limit: usize, room: &mut Vec<(f64, u16)>) -> (Influences, f64) {
         let count = NonZero::new(BLENDED + 1).unwrap_or(NonZero::<usize>::MIN);
         let near = self.tree.query(&p.to_array()).nearest_n::<SquaredEuclidean<f64>>(count).execute();

@@ -1,11 +1,12 @@
-//! The model as a solid of voxels, whatever its surface is like: closed or with holes, a soup of triangles, or points alone.
+//! The model as a solid of voxels, whatever its surface is like: closed or with holes, a soup of triangles,
+//! or points alone.
 //!
-//! The surface's voxels are those that triangles pass through; where a sample is in no triangle, those between it and its
-//! nearest neighbours are taken. Inside is what cannot be reached from without over the faces of voxels; and, as there may
-//! be holes, also that from where nearly all lines of sight end at the surface (ray stabbing: F. S. Nooruddin, G. Turk,
-//! *Simplification and repair of polygonal models using volumetric techniques*, IEEE TVCG 9, 2003). So a vessel's
-//! hollow is inside too. An open surface, as one side of a relief, encloses nothing: there what lies between it and the bones counts
-//! as inside.
+//! The surface's voxels are those that triangles pass through; where a sample is in no triangle, those
+//! between it and its nearest neighbours are taken. Inside is what cannot be reached from without over the
+//! faces of voxels; and, as there may be holes, also that from where nearly all lines of sight end at the
+//! surface (ray stabbing: F. S. Nooruddin, G. Turk, *Simplification and repair of polygonal models using
+//! volumetric techniques*, IEEE TVCG 9, 2003). So a vessel's hollow is inside too. An open surface, as one
+//! side of a relief, encloses nothing: there what lies between it and the bones counts as inside.
 
 use crate::grid::Grid;
 use crate::skeleton::on_segment;
@@ -28,7 +29,8 @@ const FAN: usize = 6;
 /// Samples and triangles at once on one thread.
 const TOGETHER: usize = 2048;
 
-/// The neighbours that come after a cell, as their columns, rows and layers are numbered; those before it are opposite.
+/// The neighbours that come after a cell, as their columns, rows and layers are numbered; those before it are
+/// opposite.
 const LATER: [[i32; 3]; 13] = [
     [1, 0, 0],
     [-1, 1, 0],
@@ -60,8 +62,8 @@ pub struct Voxels {
 }
 
 impl Voxels {
-    /// The voxels of samples with their triangles, or neighbours; and of what is between them and the bones, if the
-    /// surface encloses nothing.
+    /// The voxels of samples with their triangles, or neighbours; and of what is between them and the bones,
+    /// if the surface encloses nothing.
     ///
     /// # Errors
     /// They are too many; a sample is not finite.

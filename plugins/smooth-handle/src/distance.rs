@@ -29,8 +29,9 @@ pub fn in_space(positions: &[Vec3], core: &[u32], host: &Host<'_>) -> PluginResu
 
 /// The distance of each sample to the nearest of `core` along the surface; infinite where none is reached.
 ///
-/// E. W. Dijkstra, A note on two problems in connexion with graphs, 1959, on the graph of the samples' neighbours, without
-/// those of the other side of a thin wall. With as many neighbours as it has, ways are a few per cent too long.
+/// E. W. Dijkstra, A note on two problems in connexion with graphs, 1959, on the graph of the samples'
+/// neighbours, without those of the other side of a thin wall. With as many neighbours as it has, ways are a
+/// few per cent too long.
 pub fn on_surface(
     positions: &[Vec3],
     normals: &[Vec3],

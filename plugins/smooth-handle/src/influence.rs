@@ -1,8 +1,9 @@
 //! How much of each handle's motion each sample makes.
 //!
-//! Between what is fixed, at distance d₀, and one handle, at d₁, the paper's parameter is t = d₀ / (d₀ + d₁): the share of
-//! 1/d₁ in 1/d₀ + 1/d₁. So it is said for any number of handles: the share of each in the sum of the reciprocals. A scale
-//! function makes of it how much moves, and is flat at both ends, so that no border shows.
+//! Between what is fixed, at distance d₀, and one handle, at d₁, the paper's parameter is t = d₀ / (d₀ + d₁):
+//! the share of 1/d₁ in 1/d₀ + 1/d₁. So it is said for any number of handles: the share of each in the sum of
+//! the reciprocals. A scale function makes of it how much moves, and is flat at both ends, so that no border
+//! shows.
 
 use crate::distance;
 use crate::regions::Regions;
@@ -171,10 +172,11 @@ struct Ring {
 }
 
 impl Ring {
-    /// Their weighted mean is the sample itself, as far as positive weights can do that: so what grows evenly is left as it
-    /// is, though samples lie unevenly. Of all such weights these are the most alike.
+    /// Their weighted mean is the sample itself, as far as positive weights can do that: so what grows evenly
+    /// is left as it is, though samples lie unevenly. Of all such weights these are the most alike.
     ///
-    /// M. Arroyo, M. Ortiz, Local maximum-entropy approximation schemes, Int. J. Numer. Meth. Engng. 65 (2006).
+    /// M. Arroyo, M. Ortiz, Local maximum-entropy approximation schemes, Int. J. Numer. Meth. Engng. 65
+    /// (2006).
     fn around(of: &Samples<'_>, i: usize) -> Self {
         const NEWTON: usize = 8;
         /// Weights differ by no more than the exponential of twice this.
@@ -289,8 +291,8 @@ impl<'a> Profile<'a> {
         }
     }
 
-    /// How much of each handle's motion a sample of these shares makes: all together what the profile makes of the part
-    /// that is not fixed, each in proportion to what it makes of its own share.
+    /// How much of each handle's motion a sample of these shares makes: all together what the profile makes
+    /// of the part that is not fixed, each in proportion to what it makes of its own share.
     pub fn amounts(&self, shares: &[f32], amounts: &mut [f64]) {
         let handles = &shares[1..];
         if let Some(own) = shares.iter().position(|s| *s == 1.0) {

@@ -1,9 +1,9 @@
 //! Point-based free-form deformation with smooth handles: no mesh, and no system to solve.
 //!
-//! M. Pauly, R. Keiser, L. Kobbelt, M. Gross, *Shape modeling with point-sampled geometry*, SIGGRAPH 2003, §5: what is
-//! fixed is the zero-region, a handle the one-region. Each sample makes a part of the handle's motion, which a scale
-//! function gives from its distances to the two; parts of motions are those of a screw. The tool of most of the SIMOD
-//! paper's figures.
+//! M. Pauly, R. Keiser, L. Kobbelt, M. Gross, *Shape modeling with point-sampled geometry*, SIGGRAPH 2003,
+//! §5: what is fixed is the zero-region, a handle the one-region. Each sample makes a part of the handle's
+//! motion, which a scale function gives from its distances to the two; parts of motions are those of a screw.
+//! The tool of most of the SIMOD paper's figures.
 
 mod distance;
 mod influence;

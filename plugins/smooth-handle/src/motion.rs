@@ -1,10 +1,11 @@
 //! Parts of motions: half a turn of a half turn is a quarter turn.
 //!
-//! An affine map is a stretch (symmetric, of volume 1, about the handle's centre) and then a similarity, which turns,
-//! scales and moves. A similarity is the exponential of a twist, so that a part of it is the exponential of that part of
-//! the twist: the screw motion of a rigid one, a logarithmic spiral where it scales. Twists of several handles are added:
-//! M. Alexa, *Linear combination of transformations*, SIGGRAPH 2002. A turn of more than half a turn is one of less the
-//! other way round: the map does not tell which it was.
+//! An affine map is a stretch (symmetric, of volume 1, about the handle's centre) and then a similarity,
+//! which turns, scales and moves. A similarity is the exponential of a twist, so that a part of it is the
+//! exponential of that part of the twist: the screw motion of a rigid one, a logarithmic spiral where it
+//! scales. Twists of several handles are added: M. Alexa, *Linear combination of transformations*,
+//! SIGGRAPH 2002. A turn of more than half a turn is one of less the other way round: the map does not tell
+//! which it was.
 
 use glam::{DMat3, DQuat, DVec3};
 use simod_plugin_api::Affine;

@@ -22,7 +22,8 @@ pub struct Part {
 }
 
 impl Regions {
-    /// Of a preparation's regions. A sample in several belongs to the first fixed one, or else to the first handle.
+    /// Of a preparation's regions. A sample in several belongs to the first fixed one, or else to the first
+    /// handle.
     pub fn gather(input: &PrepareInput<'_>) -> PluginResult<Self> {
         let count = input.samples.positions().len();
         let regions = input.regions();

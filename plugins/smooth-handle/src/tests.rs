@@ -167,7 +167,8 @@ fn a_twist_turns_by_parts_of_the_angle_and_keeps_the_radius() {
                 "smoother" => t * t * t * (t * (6.0 * t - 15.0) + 10.0),
                 _ => t * t * (3.0 - 2.0 * t),
             };
-            // Half of the bar is half of the angle; ends differ a little, as the nearest sample is not straight below.
+            // Half of the bar is half of the angle; ends differ a little, as the nearest sample is not
+            // straight below.
             assert!((angle / 120.0 - expected).abs() < 0.03, "{profile} at {t}: {angle}");
         }
     }

@@ -36,8 +36,8 @@ struct Settings {
     /// Of a twist or bend, over the whole range
     #[param(default = 90.0, unit = "degrees", soft = -360.0..=360.0)]
     angle: f64,
-    /// Of a taper: size at the end of the range, relative to that at its start; of a stretch: the range's length,
-    /// relative to that before
+    /// Of a taper: size at the end of the range, relative to that at its start; of a stretch: the range's
+    /// length, relative to that before
     #[param(default = 0.5, unit = "ratio", hard = f64::MIN_POSITIVE.., soft = 0.1..=4.0)]
     factor: f64,
     /// Of a stretch: makes all thinner as the range gets longer, so that the range keeps its volume

@@ -1,13 +1,14 @@
 //! The maps themselves, in double precision.
 //!
 //! In the frame of the centre and the axis, a point is `(s, q)`: its signed distance along the axis and the
-//! rest, perpendicular to it. With `r(s)` the range's parameter, 0 at its start, 1 at its end, clamped outside, and
-//! `l(s)` the signed length of the range from the point of it that stays (the centre, or the end next to it) to `s`:
+//! rest, perpendicular to it. With `r(s)` the range's parameter, 0 at its start, 1 at its end, clamped
+//! outside, and `l(s)` the signed length of the range from the point of it that stays (the centre, or the end
+//! next to it) to `s`:
 //!
 //! * twist turns `q` by `angle · r(s)` about the axis;
 //! * taper scales `q` by `1 + (factor - 1) · r(s)`;
-//! * stretch moves along the axis by `(factor - 1) · l(s)`; to keep the range's volume, it scales all `q` by `1 / √factor`:
-//!   those beyond the range too, or it would tear at the ends;
+//! * stretch moves along the axis by `(factor - 1) · l(s)`; to keep the range's volume, it scales all `q` by
+//!   `1 / √factor`: those beyond the range too, or it would tear at the ends;
 //! * shear moves across the axis by `slope · l(s)`;
 //! * bend lays the axis on a circular arc of the same length, of `angle` in all, straight beyond the range.
 
@@ -111,8 +112,8 @@ impl Warp {
         r.clamp(0.0, 1.0)
     }
 
-    /// The nearest point of the range, and the one that stays where the axis itself is moved: the centre, or else the
-    /// end next to it.
+    /// The nearest point of the range, and the one that stays where the axis itself is moved: the centre, or
+    /// else the end next to it.
     fn held_and_still(&self, s: f64) -> (f64, f64) {
         let [from, to] = self.range;
         (s.clamp(from, to), 0.0_f64.clamp(from, to))

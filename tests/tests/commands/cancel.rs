@@ -27,7 +27,8 @@ fn an_interrupted_run_leaves_nothing() {
             continue;
         }
         if outcome.code.is_none() {
-            // The signal came before the program was ready for it: it was ended at once, and had begun nothing.
+            // The signal came before the program was ready for it: it was ended at once, and had begun
+            // nothing.
             assert_eq!(work.snapshot(), before, "after {wait:?}");
             continue;
         }

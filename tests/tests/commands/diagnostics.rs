@@ -111,7 +111,8 @@ fn stretches_of_an_affine_map() {
             along += 1;
             assert!(f.largest > 1.9, "{n}: {}", f.largest);
         }
-        // Where it is across the surface, nothing is stretched; the normals of samples differ from those of vertices.
+        // Where it is across the surface, nothing is stretched; the normals of samples differ from those of
+        // vertices.
         if n.x.abs() > 0.99 {
             assert!(f.largest < 1.3, "{n}: {}", f.largest);
         }

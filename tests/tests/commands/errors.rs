@@ -1,4 +1,5 @@
-//! What goes wrong with files: each time one line says what and where, one what to do, and nothing is left behind.
+//! What goes wrong with files: each time one line says what and where, one what to do, and nothing is left
+//! behind.
 
 use glam::DVec3;
 use simod_tests::{Ply, Workplace, skip};

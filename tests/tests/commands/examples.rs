@@ -136,7 +136,8 @@ impl Lesson {
     }
 }
 
-/// Copies a lesson's sources, with smaller models, fewer samples, and absolute paths to the rest of the repository.
+/// Copies a lesson's sources, with smaller models, fewer samples, and absolute paths to the rest of the
+/// repository.
 fn copy(from: &Path, to: &Path, repository: &Path) {
     fs::create_dir_all(to).unwrap();
     for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {

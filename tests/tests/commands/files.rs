@@ -10,7 +10,8 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 use simod_tests::{Outcome, Workplace, skip};
 
-/// A model, its samples, deformed ones, and a session: `model.ply`, `model.simod`, `deformed.ply`, `edit.toml`.
+/// A model, its samples, deformed ones, and a session: `model.ply`, `model.simod`, `deformed.ply`,
+/// `edit.toml`.
 fn workplace() -> Workplace {
     let work = Workplace::new();
     work.simod("generate -o model.ply --vertices 20000");
@@ -445,7 +446,8 @@ fn names_need_not_be_text() {
     run("plugin migrate edit.toml -o X", &[name(b"new-\xff.toml")]);
 }
 
-/// A session is a text, and plugins get texts: where a folder's name is none, that is said before anything is written.
+/// A session is a text, and plugins get texts: where a folder's name is none, that is said before anything is
+/// written.
 #[test]
 fn folders_whose_names_are_no_text() {
     use std::ffi::OsStr;

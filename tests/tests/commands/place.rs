@@ -1,5 +1,5 @@
-//! A vertex goes where its place goes: whatever file it stands in, and where, and beside whom. And what a poor order of
-//! the vertices will cost is told beforehand.
+//! A vertex goes where its place goes: whatever file it stands in, and where, and beside whom. And what a
+//! poor order of the vertices will cost is told beforehand.
 
 use glam::DVec3;
 use simod_tests::{Ply, Workplace};

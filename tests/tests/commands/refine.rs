@@ -17,8 +17,8 @@ fn twisted(p: DVec3) -> DVec3 {
     DVec3::new(cos * p.x - sin * p.z + 0.2 * p.y * p.y, p.y, sin * p.x + cos * p.z)
 }
 
-/// The rms distance of the deformed model's vertices to where they belong, as a fraction of the diagonal: of those well
-/// inside the sphere, and of those far from it.
+/// The rms distance of the deformed model's vertices to where they belong, as a fraction of the diagonal: of
+/// those well inside the sphere, and of those far from it.
 fn errors(work: &Workplace, model: &str, out: &str) -> [f64; 2] {
     let (model, out) = (work.ply(model), work.ply(out));
     let (diagonal, mut sums) = (model.diagonal(), [(0.0, 0.0); 2]);
@@ -124,7 +124,8 @@ fn only_what_is_needed_is_read() {
     let [read, all] =
         [&report["bytes_read"]["vertices"], &report["model_bytes"]].map(|n| n.as_u64().expect("a number"));
     assert!(read * 5 < all, "{read} of {all} bytes");
-    // In no order, and too large for the places of all vertices to be kept, nearly all has to be read, and is told.
+    // In no order, and too large for the places of all vertices to be kept, nearly all has to be read, and is
+    // told.
     work.simod("generate -o large.ply --vertices 2500000 --no-faces --no-normals --no-colors");
     let all = work.ply("large.ply").positions();
     let mixed: Vec<DVec3> = (0..all.len()).map(|i| all[i * 7_919_477 % all.len()]).collect();

@@ -1,5 +1,5 @@
-//! Whatever ends the program, and whenever: every target is whole, old or new, and nothing hidden stays, or the next run
-//! takes it away. `SIMOD_CAMPAIGN=N` does N times as much as by default.
+//! Whatever ends the program, and whenever: every target is whole, old or new, and nothing hidden stays, or
+//! the next run takes it away. `SIMOD_CAMPAIGN=N` does N times as much as by default.
 #![cfg(unix)]
 
 use std::process::{Child, Command, Stdio};
@@ -14,7 +14,8 @@ fn times(count: usize) -> usize {
     count * more.unwrap_or(1)
 }
 
-/// Each way to write something, with what it writes. `model.ply`, `model.simod`, `deformed.ply` and `edit.toml` are there.
+/// Each way to write something, with what it writes. `model.ply`, `model.simod`, `deformed.ply` and
+/// `edit.toml` are there.
 const WAYS: [(&str, &str); 8] = [
     ("generate -o out --vertices 200000", "out"),
     ("sample model.ply -o out --samples 2000", "out"),
@@ -123,7 +124,8 @@ fn a_hangup_that_is_ignored_is() {
     assert_eq!(outcome.code, Some(0), "{}", outcome.stderr);
 }
 
-/// Where nothing looks whether it shall stop, as in a library that is being loaded, the first Ctrl-C ends it all the same.
+/// Where nothing looks whether it shall stop, as in a library that is being loaded, the first Ctrl-C ends it
+/// all the same.
 #[test]
 fn one_interrupt_is_enough_in_any_stage() {
     let work = workplace();
@@ -152,7 +154,8 @@ fn one_interrupt_is_enough_in_any_stage() {
     }
 }
 
-/// Killed at any moment, a target is as before or as it shall be; and the next run leaves nothing of the former.
+/// Killed at any moment, a target is as before or as it shall be; and the next run leaves nothing of the
+/// former.
 #[test]
 fn killed_at_any_moment() {
     let work = workplace();

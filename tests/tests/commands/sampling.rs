@@ -29,7 +29,8 @@ fn header(work: &Workplace, name: &str) -> String {
     text.split("end_header").next().expect("a header").to_owned()
 }
 
-/// A model whose vertices, each of `width` bytes at the end of the file, are in an order without any coherence.
+/// A model whose vertices, each of `width` bytes at the end of the file, are in an order without any
+/// coherence.
 fn shuffle(work: &Workplace, name: &str, width: usize, count: usize) {
     let bytes = work.read(name);
     let (head, body) = bytes.split_at(bytes.len() - count * width);
@@ -221,7 +222,8 @@ fn memory_that_cannot_be_enough_is_refused() {
     assert_eq!(work.names(), ["model.ply"]);
 }
 
-/// Memory that is less than what the samples of open cells take, and a model beyond what tests hold otherwise.
+/// Memory that is less than what the samples of open cells take, and a model beyond what tests hold
+/// otherwise.
 #[test]
 fn a_large_shuffled_model_needs_no_more_than_its_limit() {
     if !OPTIMISED {
@@ -242,8 +244,8 @@ fn a_large_shuffled_model_needs_no_more_than_its_limit() {
     assert_eq!(work.names(), ["model.ply", "model.simod"]);
 }
 
-/// The disk fills up while samples wait in a file, while the maps for the triangles are written, and while the result
-/// is; what was there before stays.
+/// The disk fills up while samples wait in a file, while the maps for the triangles are written, and while
+/// the result is; what was there before stays.
 #[cfg(unix)]
 #[test]
 fn a_disk_that_fills_while_sampling() {

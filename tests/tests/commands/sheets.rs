@@ -17,8 +17,8 @@ fn spacing() -> f64 {
     (2.0 / SAMPLES as f64).sqrt()
 }
 
-/// Two bumpy plates of side 1, the second `gap` above the first, with their normals, which face away from each other.
-/// Bumps are half as long as the spacing, and their height is a tenth of the gap.
+/// Two bumpy plates of side 1, the second `gap` above the first, with their normals, which face away from
+/// each other. Bumps are half as long as the spacing, and their height is a tenth of the gap.
 fn plates(gap: f64) -> (Vec<DVec3>, Vec<DVec3>) {
     let (height, wave) = (0.1 * gap, TAU / (0.5 * spacing()));
     let plate = |level: f64, side: f64| {
@@ -82,8 +82,8 @@ fn plates_that_face_away_from_each_other_stay_apart() {
     }
 }
 
-/// Without normals, sampling joins plates that are nearer than about three spacings: samples between them belong to
-/// both. Then nothing can be promised but that all is finite, and nothing flies off.
+/// Without normals, sampling joins plates that are nearer than about three spacings: samples between them
+/// belong to both. Then nothing can be promised but that all is finite, and nothing flies off.
 #[test]
 fn plates_that_sampling_joins_make_no_spikes() {
     let shift = DVec3::new(0.1, 0.5, 0.0);

@@ -1,4 +1,5 @@
-//! What is said of the transfer's error holds: estimates beside the truth, the exact map at every vertex, and tolerances.
+//! What is said of the transfer's error holds: estimates beside the truth, the exact map at every vertex, and
+//! tolerances.
 
 use glam::{DQuat, DVec3};
 use serde_json::Value;

@@ -37,7 +37,8 @@ fn a_full_turn_of_what_looks_the_same_from_all_sides() {
     work.simod("sample model.ply -o model.simod --samples 4000");
     let before = work.names();
     for (of, most) in [("model.ply", 1.0), ("model.simod", 1.5)] {
-        // The box around a cylinder is widest across a corner, so that the camera stands as far back as for all.
+        // The box around a cylinder is widest across a corner, so that the camera stands as far back as for
+        // all.
         let how = "--size 160x160 --yaw 45";
         work.simod(&format!("render {of} -o plain.png {how}"));
         let report = work.report(&format!("render {of} -o turn --turntable 4 {how}"));
@@ -52,7 +53,8 @@ fn a_full_turn_of_what_looks_the_same_from_all_sides() {
     assert_eq!(work.names().len(), before.len() + 2);
 }
 
-/// A long thing is neither cut at its widest, nor does it grow and shrink: its picture is as high in all frames.
+/// A long thing is neither cut at its widest, nor does it grow and shrink: its picture is as high in all
+/// frames.
 #[test]
 fn the_camera_stays_as_far_away() {
     let work = Workplace::new();

@@ -1,4 +1,5 @@
-//! The output is the input with other positions, and normals turned with the surface: every other byte is the same.
+//! The output is the input with other positions, and normals turned with the surface: every other byte is the
+//! same.
 
 use glam::DVec3;
 use simod_tests::{MANY, Motion, Ply, Workplace};
@@ -18,8 +19,8 @@ fn check_moved(work: &Workplace, model: &str, samples: u64) {
     assert!(worst < 1e-5, "{model}: positions are off by {worst:.1e} of the diagonal");
     let normals = before.normals();
     if !normals.is_empty() {
-        // They keep their length, which is not 1 in all of these files. The turn is known as well as the rounding
-        // of positions in floats lets it, over the spacing of samples.
+        // They keep their length, which is not 1 in all of these files. The turn is known as well as the
+        // rounding of positions in floats lets it, over the spacing of samples.
         let worst = self::worst(&normals, &after.normals(), |n| motion.turn * n);
         assert!(worst < 1e-3, "{model}: normals are off by {worst:.1e}");
     }
@@ -143,8 +144,9 @@ impl Writer {
     }
 }
 
-/// Vertices after another element and with lists among them, properties in a strange order, normals of length 2, faces with
-/// texture coordinates, strips, an element without properties' usual names, and bytes after the end.
+/// Vertices after another element and with lists among them, properties in a strange order, normals of length
+/// 2, faces with texture coordinates, strips, an element without properties' usual names, and bytes after the
+/// end.
 fn everything(encoding: Encoding, line_end: &'static str, points: &[DVec3]) -> Vec<u8> {
     let mut out = Writer { bytes: Vec::new(), encoding, line_end };
     let format = match encoding {

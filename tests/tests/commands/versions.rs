@@ -102,7 +102,8 @@ fn command_lines_that_make_no_sense() {
     work.refuses(&format!("{reconstruct} in-*.ply -o out-{{}}.ply"), &["in-4.ply"]);
 }
 
-/// Four versions at once: a chunk and what becomes of it is held for each, and nothing that grows with the model.
+/// Four versions at once: a chunk and what becomes of it is held for each, and nothing that grows with the
+/// model.
 #[test]
 #[cfg(target_os = "linux")]
 fn memory_of_several_does_not_grow_with_the_model() {

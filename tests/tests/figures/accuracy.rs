@@ -9,9 +9,9 @@ use simod_tests::{MANY, OPTIMISED, Workplace};
 /// Samples for the model of [`MANY`] vertices.
 const SAMPLES: u64 = MANY / 20;
 
-/// A method of the reconstruction, and the largest errors allowed: root of the mean square and worst vertex, as
-/// fractions of the diagonal, and the deviation of normals in degrees, in the median. For 100 000 samples, and
-/// for the 6000 of a slow build, whose spacing is 4 times as wide.
+/// A method of the reconstruction, and the largest errors allowed: root of the mean square and worst vertex,
+/// as fractions of the diagonal, and the deviation of normals in degrees, in the median. For 100 000 samples,
+/// and for the 6000 of a slow build, whose spacing is 4 times as wide.
 struct Method {
     name: &'static str,
     rms: f64,

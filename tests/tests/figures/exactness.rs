@@ -1,5 +1,5 @@
-//! Identity, rigid motions and similarities of the samples come back on every vertex. They are applied outside: the
-//! tests rewrite the positions in `samples.ply` by themselves, as any program may.
+//! Identity, rigid motions and similarities of the samples come back on every vertex. They are applied
+//! outside: the tests rewrite the positions in `samples.ply` by themselves, as any program may.
 
 use glam::DVec3;
 use simod_tests::{MANY, Motion, Ply, Workplace, real_model};

@@ -89,7 +89,8 @@ fn the_horse_spreads_its_legs() {
     std::fs::copy(horse, work.path("horse.ply")).expect("a copy");
     let before = work.ply("horse.ply");
     let (legs, diagonal) = (Legs::of(&before), before.diagonal());
-    // The largest deviation of any vertex, as a fraction of the diagonal: of both methods, for so many samples.
+    // The largest deviation of any vertex, as a fraction of the diagonal: of both methods, for so many
+    // samples.
     for (samples, jets, barycentric) in [(10_000, 1e-4, 6e-3), (2000, 4e-4, 4e-2)] {
         work.simod(&format!("sample horse.ply -o horse.simod --samples {samples}"));
         work.move_samples("horse.simod", |p| legs.spread(p));

@@ -11,7 +11,8 @@ fn twisted(p: DVec3) -> DVec3 {
     DVec3::new(cos * p.x - sin * p.z + 0.2 * p.y * p.y, p.y, sin * p.x + cos * p.z)
 }
 
-/// A point cloud in the order of its generator and shuffled, and where each of the shuffled vertices comes from.
+/// A point cloud in the order of its generator and shuffled, and where each of the shuffled vertices comes
+/// from.
 fn ordered_and_shuffled(work: &Workplace, vertices: usize) -> Vec<usize> {
     work.simod(&format!("generate -o ordered.ply --vertices {vertices} --no-faces --no-colors"));
     let ordered = work.ply("ordered.ply");
@@ -50,8 +51,8 @@ fn neither_threads_nor_the_order_of_vertices_matter() {
         let mut off: Vec<f64> = off.collect();
         off.sort_by(f64::total_cmp);
         let (half, most, worst) = (off[off.len() / 2], off[off.len() * 97 / 100], off[off.len() - 1]);
-        // Not all: at edges and where sheets meet, it matters where the walk to a home came from, and the samples
-        // are rounded in another order. The paper's method changes its triangles there.
+        // Not all: at edges and where sheets meet, it matters where the walk to a home came from, and the
+        // samples are rounded in another order. The paper's method changes its triangles there.
         assert!(half < 1e-7 && most < 1e-6, "{method}: half differ by {half:.1e}, 97 % by {most:.1e}");
         let tolerance = if method == "blended-jets" { 1e-3 } else { 4e-2 };
         assert!(worst < tolerance, "{method}: one differs by {worst:.1e}");
@@ -98,8 +99,8 @@ fn broken(p: DVec3) -> DVec3 {
     }
 }
 
-/// The nearest sample of a point, and how far the images of the samples around it are from its own, at most, together
-/// with the samples' own distances.
+/// The nearest sample of a point, and how far the images of the samples around it are from its own, at most,
+/// together with the samples' own distances.
 fn spread_around(rest: &[DVec3], deformed: &[DVec3], p: DVec3) -> (usize, f64) {
     let mut order: Vec<(f64, usize)> =
         rest.iter().enumerate().map(|(i, q)| (q.distance_squared(p), i)).collect();

@@ -43,7 +43,8 @@ fn a_stroke_lifts_what_is_under_it() {
     work.refuses("run edit.toml", &["brush", "chisel"]);
 }
 
-/// A handle turns a part of the model exactly, and what lies between it and what is fixed by parts of the angle.
+/// A handle turns a part of the model exactly, and what lies between it and what is fixed by parts of the
+/// angle.
 #[test]
 fn a_smooth_handle_turns_by_parts() {
     let work = Workplace::new();
@@ -74,7 +75,8 @@ fn a_smooth_handle_turns_by_parts() {
     assert!(between > 10_000, "{between}");
 }
 
-/// A compact kernel deforms a part of the model; what is beyond its support, and what is fixed, keeps every byte.
+/// A compact kernel deforms a part of the model; what is beyond its support, and what is fixed, keeps every
+/// byte.
 #[test]
 fn a_compact_handle_moves_what_is_near_alone() {
     let work = Workplace::new();

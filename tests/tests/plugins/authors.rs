@@ -1,5 +1,5 @@
-//! What the host has for third parties' plugins, through both doors, in this process and in others: samples and surfaces to be
-//! looked up, the time, and older sessions that keep working.
+//! What the host has for third parties' plugins, through both doors, in this process and in others: samples
+//! and surfaces to be looked up, the time, and older sessions that keep working.
 #![cfg(unix)]
 
 use std::env::consts::DLL_SUFFIX;

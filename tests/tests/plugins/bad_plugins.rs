@@ -23,8 +23,8 @@ fn step(plugin: &str) -> String {
 
 const DEFORM: &str = "deform model.simod --session edit.toml -o out.ply";
 
-/// `name` is there, but cannot be loaded: a warning where plugins are listed, no obstacle to others, and an error
-/// that says so where it is asked for.
+/// `name` is there, but cannot be loaded: a warning where plugins are listed, no obstacle to others, and an
+/// error that says so where it is asked for.
 fn check_rejected(work: &Workplace, name: &str, reason: &str) {
     let file = format!("{name}{DLL_SUFFIX}");
     let list = work.simod("plugin list --json");

@@ -1,4 +1,5 @@
-//! A plugin that was built when the interface was first released, and with another compiler configuration, keeps working.
+//! A plugin that was built when the interface was first released, and with another compiler configuration,
+//! keeps working.
 
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
 use std::path::{Path, PathBuf};
@@ -59,7 +60,8 @@ fn works(library: &Path) {
         let outcome =
             work.simod(&format!("deform model.simod --session edit.toml -o out.ply --isolate {isolate}"));
         assert!(outcome.stdout.contains("at your service"), "{}", outcome.stdout);
-        // Moved by the grip, lifted along z by one stroke and lowered along y by the other, as far as not held.
+        // Moved by the grip, lifted along z by one stroke and lowered along y by the other, as far as not
+        // held.
         let held = before.iter().filter(|p| p.y <= 0.5).count();
         assert!((10..before.len() - 10).contains(&held), "{held} of {}", before.len());
         let t = 1.0 - held as f64 / before.len() as f64;
@@ -79,7 +81,8 @@ fn a_plugin_of_the_first_release_works() {
 
 #[test]
 fn a_plugin_of_another_compiler_configuration_works() {
-    // Rust's own layouts are shuffled, as another compiler's may be: only what is frozen may cross the boundary.
+    // Rust's own layouts are shuffled, as another compiler's may be: only what is frozen may cross the
+    // boundary.
     works(&build(&target_folder().join("first-interface-shuffled"), |cargo| {
         cargo.env("RUSTC_BOOTSTRAP", "1").env("CARGO_PROFILE_DEV_DEBUG", "false");
         cargo.env("RUSTFLAGS", "-Zrandomize-layout -Copt-level=0 -Cdebug-assertions=on -Coverflow-checks=on");

@@ -1,5 +1,5 @@
-//! Plugins that do not keep to themselves: nothing of them is left behind, nothing else is changed, nothing is said in their
-//! words that a terminal would obey, and none takes the place of another unnoticed.
+//! Plugins that do not keep to themselves: nothing of them is left behind, nothing else is changed, nothing
+//! is said in their words that a terminal would obey, and none takes the place of another unnoticed.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, reason = "a panic is how a test fails")]
 
@@ -133,7 +133,8 @@ fn a_library_that_loads_in_the_program_can_be_interrupted() {
     assert_eq!((outcome.code, outcome.lines("error: ")), (Some(130), vec!["cancelled"]));
 }
 
-/// A plugin in the program's own process changes neither the bytes that follow, nor where they go, nor the report.
+/// A plugin in the program's own process changes neither the bytes that follow, nor where they go, nor the
+/// report.
 #[test]
 fn the_program_s_surroundings_are_kept() {
     let work = sampled();
@@ -174,8 +175,8 @@ fn isolation_is_said_to_be_no_protection_from_malice() {
     }
 }
 
-/// One that calls itself as a plugin of the program's does not take its place, unless it is newer, and then it is told in
-/// every command, or it was asked for.
+/// One that calls itself as a plugin of the program's does not take its place, unless it is newer, and then
+/// it is told in every command, or it was asked for.
 #[test]
 fn none_takes_the_place_of_another_unnoticed() {
     let work = Workplace::new().with_plugins("plugins");
@@ -272,7 +273,8 @@ fn an_open_folder_is_told() {
     std::fs::set_permissions(&folder, std::fs::Permissions::from_mode(0o755)).unwrap();
 }
 
-/// What a plugin says of itself, and to the user, does nothing to a terminal: no escape sequences, no lines of its own.
+/// What a plugin says of itself, and to the user, does nothing to a terminal: no escape sequences, no lines
+/// of its own.
 #[test]
 fn nothing_raw_reaches_a_terminal() {
     let work = sampled();
@@ -354,8 +356,8 @@ fn a_function_that_is_nowhere_is_told_at_load() {
     }
 }
 
-/// A tool whose defaults do something keeps the rule on identity where it says so, and what is to be said stands in the hint;
-/// one that lags behind its handles is told what it misses, and by how much.
+/// A tool whose defaults do something keeps the rule on identity where it says so, and what is to be said
+/// stands in the hint; one that lags behind its handles is told what it misses, and by how much.
 #[test]
 fn tools_that_do_something_by_themselves_say_so() {
     let work = Workplace::new();

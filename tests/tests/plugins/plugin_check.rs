@@ -1,5 +1,5 @@
-//! `simod plugin check`: each thing done wrong breaks its rule, whatever becomes of the process that finds it out, and
-//! the program goes on to the others.
+//! `simod plugin check`: each thing done wrong breaks its rule, whatever becomes of the process that finds it
+//! out, and the program goes on to the others.
 
 use std::env::consts::DLL_SUFFIX;
 

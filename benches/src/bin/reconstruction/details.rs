@@ -1,5 +1,5 @@
-//! What becomes of the model's details: its edges and the angles between its triangles, beside the model deformed
-//! exactly.
+//! What becomes of the model's details: its edges and the angles between its triangles, beside the model
+//! deformed exactly.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -80,7 +80,8 @@ struct Edge {
 
 /// The edges that two triangles share, which agree on the outside.
 fn edges(model: &dyn Model) -> Result<Vec<Edge>> {
-    // Each triangle's edges: the ends in order of their numbers, whether that is the triangle's order, its third corner.
+    // Each triangle's edges: the ends in order of their numbers, whether that is the triangle's order, its
+    // third corner.
     let mut sides: Vec<([u32; 2], bool, u32)> = Vec::new();
     model::for_faces(model, |chunk| {
         for [a, b, c] in &chunk.triangles {

@@ -30,7 +30,8 @@ pub fn measure(arguments: &Arguments) -> Result<()> {
     Ok(())
 }
 
-/// The number of vertices that are not the same, bit by bit, in position or normal; all, where other bytes differ.
+/// The number of vertices that are not the same, bit by bit, in position or normal; all, where other bytes
+/// differ.
 fn vertices_that_differ(model: &dyn Model, other: &dyn Model) -> Result<usize> {
     let vertices = model.info().vertices;
     let (mut readers, mut chunks) = (

@@ -1,4 +1,5 @@
-//! How exact and how fast the reconstruction is, beside other ways to carry the deformation of P_S over to P_L.
+//! How exact and how fast the reconstruction is, beside other ways to carry the deformation of P_S over to
+//! P_L.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,
@@ -54,7 +55,8 @@ struct Arguments {
     /// Speed: the program to measure [default: the one beside this program]
     #[arg(long, value_name = "PATH")]
     simod: Option<PathBuf>,
-    /// Where the temporary files go: for speed on the disk to be measured, with room for the largest model twice
+    /// Where the temporary files go: for speed on the disk to be measured, with room for the largest model
+    /// twice
     #[arg(long, value_name = "DIR", default_value_os_t = std::env::temp_dir())]
     folder: PathBuf,
 }

@@ -33,7 +33,8 @@ pub struct Scene {
     pub sampled: SampledModel,
     /// All vertices.
     pub positions: Vec<DVec3>,
-    /// Processor seconds for the neighbours of the samples, which SIMOD keeps from one deformation to the next.
+    /// Processor seconds for the neighbours of the samples, which SIMOD keeps from one deformation to the
+    /// next.
     neighbours: f64,
     folder: TempDir,
 }

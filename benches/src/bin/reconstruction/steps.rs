@@ -1,4 +1,5 @@
-//! Maps that change within a few samples, or at once: how far a method is off there, and how far it overshoots.
+//! Maps that change within a few samples, or at once: how far a method is off there, and how far it
+//! overshoots.
 
 use glam::{DQuat, DVec3};
 use rayon::prelude::*;
@@ -120,8 +121,9 @@ impl Place {
         }
     }
 
-    /// How far the image of a point lies outside of all that the map makes of any point: along the displacement as a part
-    /// of its length; for a part that moves along an axis, beyond both images that the point might have.
+    /// How far the image of a point lies outside of all that the map makes of any point: along the
+    /// displacement as a part of its length; for a part that moves along an axis, beyond both images that the
+    /// point might have.
     fn overshoot(&self, change: Change, p: DVec3, image: DVec3) -> f64 {
         match change {
             Change::RigidPart => {

@@ -1,5 +1,6 @@
-//! How well and how fast models are sampled: the distances of all vertices of a model like a scan from P_S, beside
-//! other ways to thin a model out; and the time and memory of `simod sample` beside a copy of the same file.
+//! How well and how fast models are sampled: the distances of all vertices of a model like a scan from P_S,
+//! beside other ways to thin a model out; and the time and memory of `simod sample` beside a copy of the same
+//! file.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,

@@ -1,5 +1,5 @@
-//! Other ways to thin a model out, as processes of their own that do nothing else: they read the vertices of a file of
-//! this program's in one go, and write the positions that are left as raw floats.
+//! Other ways to thin a model out, as processes of their own that do nothing else: they read the vertices of
+//! a file of this program's in one go, and write the positions that are left as raw floats.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -136,7 +136,8 @@ pub fn voxel_edge(points: &[DVec3], diagonal: f64, wanted: usize) -> f64 {
     };
     let mut edge = diagonal / 300.0;
     for _ in 0..12 {
-        // As many cells as a surface takes; far below the distances of points there are no more cells to be had.
+        // As many cells as a surface takes; far below the distances of points there are no more cells to be
+        // had.
         let ratio = occupied(edge) as f64 / wanted as f64;
         if (ratio - 1.0).abs() < 2e-3 {
             break;

@@ -1,5 +1,5 @@
-//! The cases and the tools, as tables: what is new in either is a line here, and a session where the tool has handles of
-//! its own.
+//! The cases and the tools, as tables: what is new in either is a line here, and a session where the tool has
+//! handles of its own.
 
 use glam::DVec3;
 use simod_core::generate::Shape;

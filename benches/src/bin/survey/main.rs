@@ -1,5 +1,6 @@
-//! The four cases of M. Botsch, O. Sorkine, *On Linear Variational Surface Deformation Methods*, IEEE TVCG 2008: a bumpy
-//! plane lifted, a cylinder bent, a bar twisted and a cactus bent, by each of our tools, as tables and pictures.
+//! The four cases of M. Botsch, O. Sorkine, *On Linear Variational Surface Deformation Methods*, IEEE TVCG
+//! 2008: a bumpy plane lifted, a cylinder bent, a bar twisted and a cactus bent, by each of our tools, as
+//! tables and pictures.
 #![allow(
     clippy::print_stdout,
     clippy::print_stderr,

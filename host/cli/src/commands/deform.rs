@@ -29,12 +29,12 @@ pub struct Deform {
     /// The deformed samples to write (PLY)
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// The model, if it was moved since it was sampled: read where a step refines, or a plugin asks for colours and other
-    /// attributes that the sampled model does not keep yet
+    /// The model, if it was moved since it was sampled: read where a step refines, or a plugin asks for
+    /// colours and other attributes that the sampled model does not keep yet
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// The folder for the model as the session's steps refine it: the deformed samples are of that one. Needed if any
-    /// do
+    /// The folder for the model as the session's steps refine it: the deformed samples are of that one.
+    /// Needed if any do
     #[arg(long, value_name = "DIR")]
     refined: Option<PathBuf>,
     #[command(flatten)]

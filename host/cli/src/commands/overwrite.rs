@@ -6,7 +6,8 @@ use simod_core::guard::Guard;
 /// The option on files that are there already.
 #[derive(Args)]
 pub struct Overwrite {
-    /// Replace a file that is there though it is of another kind than what is written; never one that this command reads
+    /// Replace a file that is there though it is of another kind than what is written; never one that this
+    /// command reads
     #[arg(long)]
     force: bool,
 }

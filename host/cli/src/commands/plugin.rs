@@ -13,9 +13,10 @@ use crate::report::Report;
 
 /// List the deformation plugins, show one, check one, or begin a new one
 ///
-/// A plugin is a program: it runs with your rights, and can read, change and delete whatever you can. Plugins that did not come
-/// with SIMOD run in processes of their own, so that one that crashes, hangs or takes all memory does no harm to your work. That
-/// protects from mistakes and not from malice: install plugins only from those whom you would have run any other program.
+/// A plugin is a program: it runs with your rights, and can read, change and delete whatever you can. Plugins
+/// that did not come with SIMOD run in processes of their own, so that one that crashes, hangs or takes all
+/// memory does no harm to your work. That protects from mistakes and not from malice: install plugins only
+/// from those whom you would have run any other program.
 #[derive(Subcommand)]
 pub enum Plugin {
     /// List the plugins that were found

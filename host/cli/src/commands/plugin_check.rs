@@ -1,5 +1,5 @@
-//! `simod plugin check`: a plugin's library against all rules, each in a process of its own, so that a plugin that
-//! crashes or never ends breaks one rule and not the program.
+//! `simod plugin check`: a plugin's library against all rules, each in a process of its own, so that a plugin
+//! that crashes or never ends breaks one rule and not the program.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

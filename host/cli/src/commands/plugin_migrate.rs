@@ -17,7 +17,8 @@ use crate::report::Report;
 
 /// Write a session anew with the parameters that its plugins have now
 ///
-/// Sessions that are older than their plugins work as they are, and say what is changed each time. Comments are not kept.
+/// Sessions that are older than their plugins work as they are, and say what is changed each time. Comments
+/// are not kept.
 #[derive(Args)]
 pub struct Migrate {
     /// The session
@@ -48,7 +49,8 @@ impl Migrate {
                 plugins.get(&deformation.deform)?;
             }
         }
-        // A session names files as seen from its folder, which that of a descriptor, as `/dev/stdout`, is not.
+        // A session names files as seen from its folder, which that of a descriptor, as `/dev/stdout`, is
+        // not.
         let place = if self.output.starts_with("/dev") || self.output.starts_with("/proc") {
             canonical_target(&self.output)?
         } else {

@@ -1,6 +1,7 @@
 //! `simod plugin new`: a project for a plugin in Rust or in C that builds, tests itself and works as it is.
 //!
-//! The interface travels along, a crate or a header, so that the project needs neither SIMOD's sources nor a path to them.
+//! The interface travels along, a crate or a header, so that the project needs neither SIMOD's sources nor a
+//! path to them.
 
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
 use std::fs;
@@ -48,8 +49,8 @@ const C_PROJECT: [(&str, &str); 6] = [
     (".gitignore", include_str!("plugin_new/c/gitignore")),
 ];
 
-/// The project's files; words between underscores are filled in. The manifests have other names here, so that cargo
-/// takes the folder for no package.
+/// The project's files; words between underscores are filled in. The manifests have other names here, so that
+/// cargo takes the folder for no package.
 const PROJECT: [(&str, &str); 10] = [
     ("Cargo.toml", include_str!("plugin_new/manifest.toml")),
     ("README.md", include_str!("plugin_new/README.md")),
@@ -225,8 +226,8 @@ fn capitalised(word: &str) -> String {
     letters.next().into_iter().flat_map(char::to_uppercase).chain(letters).collect()
 }
 
-/// Whether the interface or the project uses a type's name, or may: its own would hide it. Says so too often rather
-/// than too rarely.
+/// Whether the interface or the project uses a type's name, or may: its own would hide it. Says so too often
+/// rather than too rarely.
 fn is_known(type_name: &str) -> bool {
     let has_it = |text: &str| text.split(|c: char| !c.is_alphanumeric()).any(|word| word == type_name);
     PROJECT.iter().chain(&INTERFACE).any(|(_, text)| has_it(text))

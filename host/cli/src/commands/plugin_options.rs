@@ -22,8 +22,8 @@ pub struct PluginOptions {
     /// Use this plugin's library, whatever others of its id there are (may be given several times)
     #[arg(long, value_name = "FILE")]
     r#use: Vec<PathBuf>,
-    /// Which plugins run in processes of their own, where a crash does no harm. It is no protection from a plugin that means
-    /// harm: wherever it runs, it has your rights
+    /// Which plugins run in processes of their own, where a crash does no harm. It is no protection from a
+    /// plugin that means harm: wherever it runs, it has your rights
     #[arg(long, value_enum, default_value_t)]
     isolate: Isolate,
     /// How long a plugin in a process of its own may give no sign of life
@@ -58,7 +58,8 @@ impl Default for PluginOptions {
 }
 
 impl PluginOptions {
-    /// Finds the plugins in the standard folders, and says what cannot be used, what takes long, and what anybody may change.
+    /// Finds the plugins in the standard folders, and says what cannot be used, what takes long, and what
+    /// anybody may change.
     pub fn discover(self, report: &mut Report) -> Result<PluginRegistry> {
         let isolation = match self.isolate {
             Isolate::Others => Isolation::Others,

@@ -28,22 +28,22 @@ pub struct Reconstruct {
     /// The sampled model
     #[arg(value_name = "DIR")]
     sampled: PathBuf,
-    /// The deformed samples: samples.ply with other positions, from `simod deform` or any other program. Several files,
-    /// or a pattern as 'frame-*.ply', give a model each
+    /// The deformed samples: samples.ply with other positions, from `simod deform` or any other program.
+    /// Several files, or a pattern as 'frame-*.ply', give a model each
     #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
     deformed: Vec<PathBuf>,
-    /// The deformed model to write. {} in it stands for what the * of --deformed matched, or for a file's name without
-    /// its ending
+    /// The deformed model to write. {} in it stands for what the * of --deformed matched, or for a file's
+    /// name without its ending
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// A PLY file to write beside it, for viewers of scalar fields: each vertex' new position, its displacement, the largest
-    /// and the smallest stretch of the surface, whether it is folded (turned inside out), and how far it is probably off
-    /// (`expected_error`, in the model's unit, and `expected_error_fraction`, of the diagonal). {} as in -o; not with
-    /// --resume
+    /// A PLY file to write beside it, for viewers of scalar fields: each vertex' new position, its
+    /// displacement, the largest and the smallest stretch of the surface, whether it is folded (turned inside
+    /// out), and how far it is probably off (`expected_error`, in the model's unit, and
+    /// `expected_error_fraction`, of the diagonal). {} as in -o; not with --resume
     #[arg(long, value_name = "FILE")]
     diagnostics: Option<PathBuf>,
-    /// Write nothing if any vertex is expected to be off by more: a fraction of the diagonal, or with the suffix u a length
-    /// in the model's unit, as 0.002u
+    /// Write nothing if any vertex is expected to be off by more: a fraction of the diagonal, or with the
+    /// suffix u a length in the model's unit, as 0.002u
     #[arg(long, value_name = "L", allow_hyphen_values = true)]
     tolerance: Option<Tolerance>,
     /// The model that was sampled, if it was moved since
@@ -55,7 +55,8 @@ pub struct Reconstruct {
     /// What becomes of the model's normals
     #[arg(long, value_enum, default_value_t)]
     normals: NormalsName,
-    /// Go on with what an interrupted run of this command left; with it, Ctrl-C and a full disk keep what is done
+    /// Go on with what an interrupted run of this command left; with it, Ctrl-C and a full disk keep what is
+    /// done
     #[arg(long)]
     resume: bool,
     /// How much of the model is lost at most when a run is killed; for tests

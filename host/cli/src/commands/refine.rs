@@ -25,8 +25,8 @@ pub struct Refine {
     /// The sampled model, which takes the new samples unless --into says where else they go
     #[arg(value_name = "DIR")]
     sampled: PathBuf,
-    /// A ball to refine: its centre, in the model's coordinates at rest, and its radius. All shapes that are given are
-    /// united
+    /// A ball to refine: its centre, in the model's coordinates at rest, and its radius. All shapes that are
+    /// given are united
     #[arg(long, value_name = "X,Y,Z,R", value_parser = numbers::<4>, allow_hyphen_values = true)]
     sphere: Vec<[f64; 4]>,
     /// A box to refine: its least and its greatest coordinates
@@ -35,12 +35,12 @@ pub struct Refine {
     /// All on one side of a plane: a point on it, and its normal, which points to that side
     #[arg(long, value_name = "X,Y,Z,NX,NY,NZ", value_parser = numbers::<6>, allow_hyphen_values = true)]
     half_space: Vec<[f64; 6]>,
-    /// Refine wherever the deformed samples show that the deformation needs it, or where it does so in the shapes; --error
-    /// says how far vertices may probably be off, --samples how many more there may be
+    /// Refine wherever the deformed samples show that the deformation needs it, or where it does so in the
+    /// shapes; --error says how far vertices may probably be off, --samples how many more there may be
     #[arg(long, requires = "deformed", conflicts_with = "factor")]
     auto: bool,
-    /// Error bound of a cluster there, as a fraction of the bounding box diagonal; 0 gives every vertex its own sample. With
-    /// --auto, the transfer error that is allowed [default: 1e-5]
+    /// Error bound of a cluster there, as a fraction of the bounding box diagonal; 0 gives every vertex its
+    /// own sample. With --auto, the transfer error that is allowed [default: 1e-5]
     #[arg(
         long,
         value_name = "E",
@@ -54,8 +54,8 @@ pub struct Refine {
     /// About so many samples more; with --auto, at most so many [default: a quarter of those that there are]
     #[arg(long, value_name = "N")]
     samples: Option<u64>,
-    /// Deformed samples of DIR; -o gets those of the refined model: the old ones as they are, the new ones where the
-    /// reconstruction takes them
+    /// Deformed samples of DIR; -o gets those of the refined model: the old ones as they are, the new ones
+    /// where the reconstruction takes them
     #[arg(long, value_name = "FILE", requires = "output")]
     deformed: Option<PathBuf>,
     /// The deformed samples to write (PLY)
@@ -210,7 +210,8 @@ impl Refine {
     }
 }
 
-/// Writes the deformed samples of the refined model; `deformed` are the local positions of those before, from a file.
+/// Writes the deformed samples of the refined model; `deformed` are the local positions of those before, from
+/// a file.
 fn write_deformed(
     sampled: &SampledModel,
     refined: &SampledModel,

@@ -35,17 +35,17 @@ pub struct Run {
     /// What becomes of the model's normals
     #[arg(long, value_enum, default_value_t)]
     normals: NormalsName,
-    /// Compare the result with the exact deformation of every vertex; refused, naming the step, where one deforms samples
-    /// only
+    /// Compare the result with the exact deformation of every vertex; refused, naming the step, where one
+    /// deforms samples only
     #[arg(long)]
     measure: bool,
-    /// Evaluate all steps at every vertex, and transfer nothing: the reference, at its cost, which is told beforehand.
-    /// Refused, naming the step, where one deforms samples only
+    /// Evaluate all steps at every vertex, and transfer nothing: the reference, at its cost, which is told
+    /// beforehand. Refused, naming the step, where one deforms samples only
     #[arg(long, conflicts_with = "tolerance")]
     exact: bool,
-    /// Add samples, which the plugins deform as well, until no vertex is expected to be off by more: a fraction of the
-    /// diagonal, or with the suffix u a length in the model's unit, as 0.002u. Where that cannot be met, nothing is
-    /// written, and the reason is told
+    /// Add samples, which the plugins deform as well, until no vertex is expected to be off by more: a
+    /// fraction of the diagonal, or with the suffix u a length in the model's unit, as 0.002u. Where that
+    /// cannot be met, nothing is written, and the reason is told
     #[arg(long, value_name = "L", allow_hyphen_values = true)]
     tolerance: Option<Tolerance>,
     /// A PLY file to write beside the result, as that of `simod reconstruct --diagnostics`

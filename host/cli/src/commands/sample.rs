@@ -43,16 +43,18 @@ pub struct SamplingArguments {
     /// How clusters are split: in space and then in their plane, or in space alone
     #[arg(long, value_enum, default_value_t, value_name = "TREE")]
     tree: Tree,
-    /// What samples are spread by: the `error` of their clusters, so that more are where the surface bends; `area`, as far apart
-    /// everywhere; or `vertices`, the error beside the distance between vertices, so that finer parts get finer samples
+    /// What samples are spread by: the `error` of their clusters, so that more are where the surface bends;
+    /// `area`, as far apart everywhere; or `vertices`, the error beside the distance between vertices, so
+    /// that finer parts get finer samples
     #[arg(long, value_enum, default_value_t, value_name = "WHAT")]
     by: Spread,
-    /// What places a sample in its cluster: its vertices alone, or the planes of the model's faces, which are nearer to the
-    /// surface, and less even; unless given, faces where vertices have no normals, or not those of the surface
+    /// What places a sample in its cluster: its vertices alone, or the planes of the model's faces, which are
+    /// nearer to the surface, and less even; unless given, faces where vertices have no normals, or not those
+    /// of the surface
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
     place: Place,
-    /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be estimated, `sheets`, as it is
-    /// unless asked for
+    /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be
+    /// estimated, `sheets`, as it is unless asked for
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
     skip: Vec<Part>,
     /// Tell parts that touch apart by the model's faces, as the fingers of a fist

@@ -1,9 +1,10 @@
-//! The model itself where somebody looks: the vertices of some cells are read again and carried over by the deformation, as
-//! many as a picture needs, without writing a file (paper §5 and §6).
+//! The model itself where somebody looks: the vertices of some cells are read again and carried over by the
+//! deformation, as many as a picture needs, without writing a file (paper §5 and §6).
 //!
-//! Only the ranges of these cells are read, once. Each cell is handed on when its last vertex came, in batches that are
-//! carried as [`reconstruct`](crate::reconstruction::reconstruct) carries blocks. Where there are more vertices than
-//! are wanted, one of each few that follow each other in a cell is taken (`thinning`).
+//! Only the ranges of these cells are read, once. Each cell is handed on when its last vertex came, in
+//! batches that are carried as [`reconstruct`](crate::reconstruction::reconstruct) carries blocks. Where
+//! there are more vertices than are wanted, one of each few that follow each other in a cell is taken
+//! (`thinning`).
 
 #[cfg(test)]
 mod tests;
@@ -55,8 +56,8 @@ pub struct Streamed {
     pub bytes: u64,
 }
 
-/// Vertices of some cells, carried over. All lists but the last one have an entry for each vertex; coordinates are local (see
-/// [`Frame`](crate::frame::Frame)).
+/// Vertices of some cells, carried over. All lists but the last one have an entry for each vertex;
+/// coordinates are local (see [`Frame`](crate::frame::Frame)).
 ///
 /// Memory: 32 bytes per vertex, 12 per cell.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -74,8 +75,8 @@ pub struct Batch {
 }
 
 impl Chosen {
-    /// The cells with a marked sample, so finely that they give at most `most` vertices; or one of each cell, where that is
-    /// more.
+    /// The cells with a marked sample, so finely that they give at most `most` vertices; or one of each cell,
+    /// where that is more.
     ///
     /// # Errors
     /// The cells are not held; there are not as many marks as samples; no sample is marked.
@@ -105,18 +106,19 @@ impl Chosen {
     }
 }
 
-/// Streams the chosen cells of the model through `each`, batch by batch, deformed by a field of its samples, or at rest.
-/// Vertices without a finite position are left out.
+/// Streams the chosen cells of the model through `each`, batch by batch, deformed by a field of its samples,
+/// or at rest. Vertices without a finite position are left out.
 ///
-/// The batches do not depend on the number of threads. Positions do not depend on what else was chosen: they are those that a
-/// reconstruction writes, in single precision. Spacings and estimated normals do, at the rim of a batch.
+/// The batches do not depend on the number of threads. Positions do not depend on what else was chosen: they
+/// are those that a reconstruction writes, in single precision. Spacings and estimated normals do, at the rim
+/// of a batch.
 ///
-/// Memory: about 250 bytes for each vertex of a batch, and 36 for each that was taken and whose cell is not complete; in a
-/// model in no order, that may be all.
+/// Memory: about 250 bytes for each vertex of a batch, and 36 for each that was taken and whose cell is not
+/// complete; in a model in no order, that may be all.
 ///
 /// # Errors
-/// The cells are not held, or not those of the model; the model cannot be read, or is not what was sampled; `each`
-/// failed; the user cancelled.
+/// The cells are not held, or not those of the model; the model cannot be read, or is not what was sampled;
+/// `each` failed; the user cancelled.
 pub fn stream(
     sampled: &SampledModel,
     model: &dyn Model,

@@ -184,7 +184,8 @@ fn threads_change_nothing() {
     assert_eq!(run(1), run(3));
 }
 
-/// Without normals of its own, those of the surface, on the side of the samples; and discs as wide as vertices are apart.
+/// Without normals of its own, those of the surface, on the side of the samples; and discs as wide as
+/// vertices are apart.
 #[test]
 fn normals_and_spacings_are_those_of_the_surface() {
     let mut body = Body::new(60_000).without_faces().without_normals();

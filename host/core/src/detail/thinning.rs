@@ -1,11 +1,14 @@
-//! Which vertices are taken where there are too many of them: of each few that follow each other in a cell, one by chance.
+//! Which vertices are taken where there are too many of them: of each few that follow each other in a cell,
+//! one by chance.
 //!
-//! So the number is exact, the choice is the same each time, and no regular pattern of the model's order meets one of the
-//! choice's (jittered sampling: R. L. Cook, *Stochastic Sampling in Computer Graphics*, 1986).
+//! So the number is exact, the choice is the same each time, and no regular pattern of the model's order
+//! meets one of the choice's (jittered sampling: R. L. Cook, *Stochastic Sampling in Computer Graphics*,
+//! 1986).
 
 use crate::sampling::vs_tree::mix;
 
-/// The least stride at which these numbers of vertices give at most `most` in all; or one each, where these are more.
+/// The least stride at which these numbers of vertices give at most `most` in all; or one each, where these
+/// are more.
 pub fn stride(vertices: &[u64], most: u64) -> u64 {
     let taken = |stride: u64| vertices.iter().map(|n| n.div_ceil(stride)).sum::<u64>();
     let (mut low, mut high) = (1, vertices.iter().copied().max().unwrap_or(1).max(1));

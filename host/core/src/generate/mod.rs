@@ -41,8 +41,9 @@ const PIECES: usize = 16;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Shape {
-    /// An amphora, two units high along +y: a closed body with a hollow neck, and two closed handles whose ends
-    /// lie within the body's wall. Full of fine detail: engraved letters, Greek keys, scales, rope, grain.
+    /// An amphora, two units high along +y: a closed body with a hollow neck, and two closed handles whose
+    /// ends lie within the body's wall. Full of fine detail: engraved letters, Greek keys, scales, rope,
+    /// grain.
     Amphora,
     /// A sphere of radius 1 about the origin with waves on it; closed.
     BumpySphere,
@@ -54,8 +55,8 @@ pub enum Shape {
     Cylinder,
     /// A square bar with sharp edges, two units high along +y from the origin: sides of 0.3, closed.
     Bar,
-    /// A cactus, two units high along +y: a stem and two bent arms in the plane of x and y, with ribs and bumps, as
-    /// one closed surface.
+    /// A cactus, two units high along +y: a stem and two bent arms in the plane of x and y, with ribs and
+    /// bumps, as one closed surface.
     Cactus,
 }
 

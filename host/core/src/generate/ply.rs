@@ -93,8 +93,8 @@ pub fn write_file(options: &ModelOptions, path: &Path, progress: &dyn Progress) 
 /// Begins a stage of `progress`, and advances it by the bytes written.
 ///
 /// # Errors
-/// The number of vertices is out of range, or too large for the indices of faces; `out` cannot be written; the
-/// user cancelled.
+/// The number of vertices is out of range, or too large for the indices of faces; `out` cannot be written;
+/// the user cancelled.
 pub fn write_ply(
     options: &ModelOptions,
     out: &mut dyn Write,

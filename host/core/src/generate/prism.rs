@@ -40,7 +40,8 @@ impl Section {
         }
     }
 
-    /// A place on the rim of a section of radius 1, in x and z, and the normal of the side there. Rims run from x to z.
+    /// A place on the rim of a section of radius 1, in x and z, and the normal of the side there. Rims run
+    /// from x to z.
     fn at(&self, column: u32, columns: u32) -> [DVec2; 2] {
         match self {
             Self::Disc => [DVec2::from_angle(TAU * f64::from(column) / f64::from(columns)); 2],

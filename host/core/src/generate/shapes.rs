@@ -72,7 +72,8 @@ pub(super) fn bumpy_plane() -> Box<dyn Patch> {
     Box::new(Plane { relief: bumps })
 }
 
-/// A square of side 2 in the plane of x and z, facing up. The relief gives the height, and its derivatives by x and z.
+/// A square of side 2 in the plane of x and z, facing up. The relief gives the height, and its derivatives by
+/// x and z.
 struct Plane<R> {
     relief: R,
 }

@@ -1,11 +1,12 @@
 //! How the small details of a surface turn against the smooth surface beneath them.
 //!
-//! M. Botsch, O. Sorkine, *On linear variational surface deformation methods*, IEEE TVCG 2008, judge methods by
-//! whether details turn along with the surface. As a figure: the mesh is smoothed by weights that are those of its rest
-//! pose, before and after: p becomes S p. The detail of a vertex is d = (1 − S)² p, its way from the smooth surface
-//! without that which smoothing moves a surface just for being curved; and d′ after. Where the smooth surface turns by R,
-//! the detail turns by the angle between R d and d′. That is 0 for each rigid motion and each scale; a detail that keeps
-//! its direction while the surface beneath tilts turns by the tilt.
+//! M. Botsch, O. Sorkine, *On linear variational surface deformation methods*, IEEE TVCG 2008, judge methods
+//! by whether details turn along with the surface. As a figure: the mesh is smoothed by weights that are
+//! those of its rest pose, before and after: p becomes S p. The detail of a vertex is d = (1 − S)² p, its way
+//! from the smooth surface without that which smoothing moves a surface just for being curved; and d′ after.
+//! Where the smooth surface turns by R, the detail turns by the angle between R d and d′. That is 0 for each
+//! rigid motion and each scale; a detail that keeps its direction while the surface beneath tilts turns by
+//! the tilt.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -28,15 +29,17 @@ pub struct Details<'a> {
 /// How details turn.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Rotation {
-    /// Degrees: root of the mean square over all vertices, weighted by the squared lengths of the details at rest.
+    /// Degrees: root of the mean square over all vertices, weighted by the squared lengths of the details at
+    /// rest.
     pub rms: f64,
-    /// Triangles that turn by more than a right angle against the smooth surface beneath: folded over, or inside out.
+    /// Triangles that turn by more than a right angle against the smooth surface beneath: folded over, or
+    /// inside out.
     pub folded: usize,
 }
 
 impl<'a> Details<'a> {
-    /// Details are what is smaller than `radius`, the standard deviation of the smoothing, in the positions' unit: at
-    /// 0 there are none. It takes about 4 (radius / edge)² steps over the mesh.
+    /// Details are what is smaller than `radius`, the standard deviation of the smoothing, in the positions'
+    /// unit: at 0 there are none. It takes about 4 (radius / edge)² steps over the mesh.
     pub fn new(rest: &'a [DVec3], triangles: &'a [[u32; 3]], radius: f64) -> Self {
         let valid = triangles.iter().filter(|t| corners(rest, **t).is_some());
         let mut sides: Vec<[u32; 2]> = valid.flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]]).collect();
@@ -58,8 +61,8 @@ impl<'a> Details<'a> {
             (0..=rest.len()).map(|i| edges.partition_point(|[a, _]| (*a as usize) < i) as u32).collect();
         let squares: f64 =
             edges.iter().map(|[a, b]| rest[*a as usize].distance_squared(rest[*b as usize])).sum();
-        // Each step is a walk along an edge or none, with the same chance: a variance of a quarter of its length's
-        // square in each direction of the surface.
+        // Each step is a walk along an edge or none, with the same chance: a variance of a quarter of its
+        // length's square in each direction of the surface.
         let variance = 0.25 * squares / edges.len().max(1) as f64;
         let steps = if variance > 0.0 { (radius * radius / variance).ceil().min(1e5) as u32 } else { 0 };
         let neighbours = edges.into_iter().map(|[_, b]| b).collect();
@@ -147,8 +150,8 @@ impl<'a> Details<'a> {
         sums.into_iter().map(DVec3::normalize_or_zero).collect()
     }
 
-    /// The rotation of the smooth surface about a vertex: that which takes the edges and the normal at rest nearest to
-    /// those deformed, by least squares.
+    /// The rotation of the smooth surface about a vertex: that which takes the edges and the normal at rest
+    /// nearest to those deformed, by least squares.
     fn turn(&self, vertex: usize, smooth: &[DVec3], rest_normal: DVec3, normal: DVec3) -> Option<DMat3> {
         let (mut covariance, mut size) = (DMat3::ZERO, 0.0);
         for j in self.around(vertex) {
@@ -166,8 +169,9 @@ fn outer(a: DVec3, b: DVec3) -> DMat3 {
     DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
-/// The rotation of a polar decomposition, by Newton's method (N. J. Higham, *Computing the polar decomposition*, SIAM
-/// J. Sci. Stat. Comput. 1986). None where the matrix has no rotation of its own: singular, or a mirror image.
+/// The rotation of a polar decomposition, by Newton's method (N. J. Higham, *Computing the polar
+/// decomposition*, SIAM J. Sci. Stat. Comput. 1986). None where the matrix has no rotation of its own:
+/// singular, or a mirror image.
 fn rotation_of(matrix: DMat3) -> Option<DMat3> {
     const STEPS: usize = 40;
     if !(matrix.is_finite() && matrix.determinant() > 1e-9) {

@@ -1,9 +1,9 @@
-//! How far surfaces are from each other: the Hausdorff distance and the root mean square, one way and both (P. Cignoni,
-//! C. Rocchini, R. Scopigno, *Metro: measuring error on simplified surfaces*, Computer Graphics Forum 1998), from the
-//! vertices of one mesh to the triangles of the other.
+//! How far surfaces are from each other: the Hausdorff distance and the root mean square, one way and both
+//! (P. Cignoni, C. Rocchini, R. Scopigno, *Metro: measuring error on simplified surfaces*, Computer Graphics
+//! Forum 1998), from the vertices of one mesh to the triangles of the other.
 //!
-//! As vertices alone are looked at, the Hausdorff distance is a lower bound: between its vertices a surface can be farther
-//! away, by no more than its longest edges.
+//! As vertices alone are looked at, the Hausdorff distance is a lower bound: between its vertices a surface
+//! can be farther away, by no more than its longest edges.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -62,8 +62,8 @@ impl PointDistance for Facet {
 }
 
 impl Surface {
-    /// The triangles between these positions, but for those without an area: their sides belong to others. Nothing if
-    /// none is left.
+    /// The triangles between these positions, but for those without an area: their sides belong to others.
+    /// Nothing if none is left.
     pub fn new(positions: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
         let facets = triangles.iter().zip(0..).filter_map(|(t, i)| Some(Facet(corners(positions, *t)?, i)));
         let facets: Vec<Facet> = facets.filter(|f| cross(f.0).length_squared() > 0.0).collect();
@@ -82,8 +82,8 @@ impl Surface {
         Some(facet.at(nearest_on(facet.0, p)))
     }
 
-    /// Where a ray of a finite origin and direction, which is not zero, meets the surface first, from either side; of several
-    /// triangles there, the first one.
+    /// Where a ray of a finite origin and direction, which is not zero, meets the surface first, from either
+    /// side; of several triangles there, the first one.
     pub fn first_on_ray(&self, origin: DVec3, direction: DVec3) -> Option<OnSurface> {
         let along = Along { origin, inverse: direction.recip() };
         let met = self.facets.locate_with_selection_function(along);
@@ -154,8 +154,8 @@ impl SelectionFunction<Facet> for Along {
     }
 }
 
-/// How far along a ray it meets a triangle, in lengths of the direction: by the volumes that the ray spans with the sides (T.
-/// Möller, B. Trumbore, *Fast, Minimum Storage Ray-Triangle Intersection*, 1997).
+/// How far along a ray it meets a triangle, in lengths of the direction: by the volumes that the ray spans
+/// with the sides (T. Möller, B. Trumbore, *Fast, Minimum Storage Ray-Triangle Intersection*, 1997).
 fn meets([a, b, c]: [DVec3; 3], origin: DVec3, direction: DVec3) -> Option<f64> {
     let (u, v) = (b - a, c - a);
     let across = direction.cross(v);
@@ -185,8 +185,8 @@ fn areas(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<f64> {
     areas
 }
 
-/// The point of a triangle, which has an area, that is nearest to `p`: its projection on the plane if that is inside, or
-/// the nearest point of a side.
+/// The point of a triangle, which has an area, that is nearest to `p`: its projection on the plane if that is
+/// inside, or the nearest point of a side.
 fn nearest_on([a, b, c]: [DVec3; 3], p: DVec3) -> DVec3 {
     if [a, b, c].contains(&p) {
         // Not rounded: a surface is at no distance from itself.
@@ -258,7 +258,8 @@ mod tests {
     #[test]
     fn concentric_spheres_are_as_far_apart_as_their_radii() {
         let (inner, outer) = (sphere(1.0, 24), sphere(1.25, 30));
-        // The triangles of the outer one lie within its sphere, by what an arc of an edge rises above its chord.
+        // The triangles of the outer one lie within its sphere, by what an arc of an edge rises above its
+        // chord.
         let rise = 0.005;
         for (from, to) in [(&inner, &outer), (&outer, &inner)] {
             let found = between(from, to);
@@ -319,7 +320,8 @@ mod tests {
                 corners[0] * found.weights.x + corners[1] * found.weights.y + corners[2] * found.weights.z;
             assert!(found.weights.min_element() >= 0.0 && mixed.distance(found.position) < 1e-12);
             assert!((found.position.distance(to * 1.5) - surface.distance(to * 1.5)).abs() < 1e-12);
-            // From inside by any length of the direction, the wall is met once; from outside the near side is first.
+            // From inside by any length of the direction, the wall is met once; from outside the near side is
+            // first.
             let inner = surface.first_on_ray(DVec3::ZERO, to * 7.0).unwrap();
             assert!(
                 inner.position.normalize_or_zero().distance(to) < 1e-12 && inner.position.length() > 0.98

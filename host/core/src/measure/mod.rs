@@ -1,9 +1,9 @@
-//! What a deformation does to a mesh: changes of volume, lengths and areas, and how details turn; and how far the results
-//! of several are from each other.
+//! What a deformation does to a mesh: changes of volume, lengths and areas, and how details turn; and how far
+//! the results of several are from each other.
 //!
-//! For meshes that are held in memory, `P_S` or a model that is small enough; [`beside`] alone is for models of any size. Positions are in any unit; triangles
-//! are indices into them, counter-clockwise as seen from outside. A triangle with an index that is out of range, or
-//! with a corner that is not finite, is left out.
+//! For meshes that are held in memory, `P_S` or a model that is small enough; [`beside`] alone is for models
+//! of any size. Positions are in any unit; triangles are indices into them, counter-clockwise as seen from
+//! outside. A triangle with an index that is out of range, or with a corner that is not finite, is left out.
 //!
 //! ```
 //! use glam::DVec3;

@@ -14,8 +14,8 @@ pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     all.map(|c| c.map(|p| p - origin)).map(|[a, b, c]| a.cross(b).dot(c)).sum::<f64>() / 6.0
 }
 
-/// Whether a mesh holds a volume: but for one side in a hundred, each side of a triangle is also one of another, the other
-/// way round. That much a mesh may lack that was made of a closed one by joining vertices.
+/// Whether a mesh holds a volume: but for one side in a hundred, each side of a triangle is also one of
+/// another, the other way round. That much a mesh may lack that was made of a closed one by joining vertices.
 pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
     let sides = triangles.iter().flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]]);
     let mut sides: Vec<([u32; 2], i8)> =
@@ -33,7 +33,8 @@ pub fn area(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     0.5 * triangles.iter().filter_map(|t| corners(positions, *t)).map(|c| cross(c).length()).sum::<f64>()
 }
 
-/// |l′ / l − 1| over all edges, of length l at rest and l′ deformed. Edges without a length at rest do not count.
+/// The change |l′ / l − 1| of all edges, of length l at rest and l′ deformed. Edges without a length at rest do not
+/// count.
 pub fn edge_distortion(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> Spread {
     let valid = triangles.iter().filter(|t| corners(rest, **t).is_some() && corners(deformed, **t).is_some());
     let mut edges: Vec<[u32; 2]> =
@@ -46,7 +47,8 @@ pub fn edge_distortion(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]
     Spread::of(changes(lengths))
 }
 
-/// |A′ / A − 1| over all triangles, of area A at rest and A′ deformed. Those without an area at rest do not count.
+/// The change |A′ / A − 1| of all triangles, of area A at rest and A′ deformed. Those without an area at rest do not
+/// count.
 pub fn area_distortion(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> Spread {
     let areas = triangles
         .iter()
@@ -110,7 +112,8 @@ mod tests {
 
     #[test]
     fn a_stretch_changes_edges_along_it_alone() {
-        // A square of two triangles, to twice its width: two edges are doubled, two kept, the diagonal is √5 / √2.
+        // A square of two triangles, to twice its width: two edges are doubled, two kept, the diagonal is √5
+        // / √2.
         let rest = [DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y];
         let deformed = rest.map(|p| DMat3::from_diagonal(DVec3::new(2.0, 1.0, 1.0)) * p);
         let triangles = [[0, 1, 2], [0, 2, 3]];

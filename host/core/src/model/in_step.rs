@@ -40,8 +40,8 @@ impl Cursor<'_> {
     }
 }
 
-/// Streams the vertices of versions of a model through `visit`, the same ones of all of them at a time. Begins no stage of
-/// the progress, and advances it by the bytes of the first model.
+/// Streams the vertices of versions of a model through `visit`, the same ones of all of them at a time.
+/// Begins no stage of the progress, and advances it by the bytes of the first model.
 ///
 /// Memory: a small chunk for each model.
 ///

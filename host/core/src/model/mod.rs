@@ -1,8 +1,9 @@
-//! Models behind one streaming interface: vertices come in chunks, and go out as patched chunks; faces come as
-//! triangles.
+//! Models behind one streaming interface: vertices come in chunks, and go out as patched chunks; faces come
+//! as triangles.
 //!
-//! A model is never held: readers keep one chunk of at most [`CHUNK_VERTICES`] vertices or [`CHUNK_TRIANGLES`]
-//! triangles, and [`Model::rewrite`] at most four of them at a time, each with up to [`MAX_VERSIONS`] new versions.
+//! A model is never held: readers keep one chunk of at most [`CHUNK_VERTICES`] vertices or
+//! [`CHUNK_TRIANGLES`] triangles, and [`Model::rewrite`] at most four of them at a time, each with up to
+//! [`MAX_VERSIONS`] new versions.
 
 mod in_step;
 mod pipeline;
@@ -27,7 +28,8 @@ use source::Source;
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
 pub const CHUNK_VERTICES: usize = 1 << 16;
 
-/// Most vertices in a chunk where they are only looked at: several chunks are held then, and large ones gain nothing.
+/// Most vertices in a chunk where they are only looked at: several chunks are held then, and large ones gain
+/// nothing.
 pub const SMALL_CHUNK: usize = 1 << 14;
 
 /// Most triangles in a chunk.
@@ -68,7 +70,8 @@ impl Attribute {
     /// Longest name, in bytes.
     const LONGEST_NAME: usize = 255;
 
-    /// Whether something can be asked for by this name: it is short, and nothing in it needs care when it is shown.
+    /// Whether something can be asked for by this name: it is short, and nothing in it needs care when it is
+    /// shown.
     pub(crate) fn is_name(name: &str) -> bool {
         (1..=Self::LONGEST_NAME).contains(&name.len()) && !name.chars().any(char::is_control)
     }
@@ -95,8 +98,8 @@ pub struct ModelInfo {
     pub bytes: u64,
     /// Whether reading can begin at any vertex without going over those before it.
     pub random_access: bool,
-    /// Bytes of the file that hold vertices (what one streaming pass reads). In a text file where other things
-    /// follow the vertices, an estimate.
+    /// Bytes of the file that hold vertices (what one streaming pass reads). In a text file where other
+    /// things follow the vertices, an estimate.
     pub vertex_bytes: u64,
     /// Bytes of the file that hold faces which have triangles. In a text file, an estimate.
     pub face_bytes: u64,
@@ -136,8 +139,8 @@ impl VertexChunk {
 
 /// What the vertices of a chunk become in one version of the model.
 ///
-/// Memory: 36 bytes per vertex, so at most 2.3 MiB; [`Model::rewrite`] holds one for each version and each of its four
-/// chunks.
+/// Memory: 36 bytes per vertex, so at most 2.3 MiB; [`Model::rewrite`] holds one for each version and each of
+/// its four chunks.
 #[derive(Debug, Default)]
 pub struct Edited {
     /// Positions, as many as the chunk has.
@@ -163,14 +166,15 @@ pub enum Normals {
 pub struct Rewriting {
     /// What becomes of the normals.
     pub normals: Normals,
-    /// So many pieces at the beginning are read, but neither edited nor written: the outputs have them already.
+    /// So many pieces at the beginning are read, but neither edited nor written: the outputs have them
+    /// already.
     pub pieces_done: u64,
 }
 
 /// Where a new version of a model goes. Anything that can be written to is one.
 pub trait Output: Send {
-    /// Takes the next piece of the new file, which stands for `source_bytes` of the model. The same model, rewritten in
-    /// the same way, comes in the same pieces each time.
+    /// Takes the next piece of the new file, which stands for `source_bytes` of the model. The same model,
+    /// rewritten in the same way, comes in the same pieces each time.
     ///
     /// # Errors
     /// It cannot be written.
@@ -208,12 +212,12 @@ pub struct FaceMark {
 /// Triangles of consecutive faces, in the file's order.
 #[derive(Debug, Default)]
 pub struct FaceChunk {
-    /// Indices of each triangle's corners, at most [`CHUNK_TRIANGLES`] triangles. Nothing is checked: there may be
-    /// no vertex of an index, and corners may be equal. An index that no vertex can have, as it is negative or
-    /// 2³² - 1 or more, is given as [`u32::MAX`].
+    /// Indices of each triangle's corners, at most [`CHUNK_TRIANGLES`] triangles. Nothing is checked: there
+    /// may be no vertex of an index, and corners may be equal. An index that no vertex can have, as it is
+    /// negative or 2³² - 1 or more, is given as [`u32::MAX`].
     pub triangles: Vec<[u32; 3]>,
-    /// Where blocks of [`FACES_OF_A_BLOCK`] faces begin, ascending; at the very end, where the last one ends. None where
-    /// faces cannot be read but all at once.
+    /// Where blocks of [`FACES_OF_A_BLOCK`] faces begin, ascending; at the very end, where the last one ends.
+    /// None where faces cannot be read but all at once.
     pub marks: Vec<FaceMark>,
     /// Bytes of the file that this chunk took.
     pub bytes: u64,
@@ -239,7 +243,8 @@ pub trait VertexReader: Send {
     /// From now on chunks have at most so many vertices: [`CHUNK_VERTICES`] until then, and at most.
     fn set_chunk(&mut self, vertices: usize);
 
-    /// Reads the next vertices into `chunk`, whose buffers are reused; `false` (and an empty chunk) at the end.
+    /// Reads the next vertices into `chunk`, whose buffers are reused; `false` (and an empty chunk) at the
+    /// end.
     ///
     /// # Errors
     /// The file cannot be read, ends early or, in a text format, holds something that is no number.
@@ -248,14 +253,15 @@ pub trait VertexReader: Send {
 
 /// Reads triangles of consecutive faces, a chunk at a time.
 pub trait FaceReader: Send {
-    /// Reads the next triangles into `chunk`, whose buffer is reused; `false` (and an empty chunk) at the end.
+    /// Reads the next triangles into `chunk`, whose buffer is reused; `false` (and an empty chunk) at the
+    /// end.
     ///
-    /// Before the end a chunk may be empty, too: for other things in the file that have to be passed over. The
-    /// triangles of a polygon or a strip may lie in two chunks or more.
+    /// Before the end a chunk may be empty, too: for other things in the file that have to be passed over.
+    /// The triangles of a polygon or a strip may lie in two chunks or more.
     ///
     /// # Errors
-    /// The file cannot be read, ends early, or holds a list of negative length or, in a text format, something
-    /// that is no whole number. Nothing more can be read then.
+    /// The file cannot be read, ends early, or holds a list of negative length or, in a text format,
+    /// something that is no whole number. Nothing more can be read then.
     fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool>;
 }
 
@@ -342,15 +348,16 @@ pub trait Model: Send + Sync {
     /// The file cannot be read.
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
 
-    /// The numbers of the [first attributes](ModelInfo::attributes), as many as there are lists, one for each vertex of a
-    /// chunk that was read from this model. What the lists held is gone.
+    /// The numbers of the [first attributes](ModelInfo::attributes), as many as there are lists, one for each
+    /// vertex of a chunk that was read from this model. What the lists held is gone.
     ///
     /// # Errors
     /// In a text format, something is no number.
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()>;
 
-    /// A reader of all faces, in the file's order, as triangles: a polygon of more than three corners becomes a
-    /// fan about its first corner, one of fewer gives none, and a strip's triangles are turned to the same side.
+    /// A reader of all faces, in the file's order, as triangles: a polygon of more than three corners becomes
+    /// a fan about its first corner, one of fewer gives none, and a strip's triangles are turned to the same
+    /// side.
     ///
     /// In a text file the end of the vertices has to be found, where it is not known from reading them.
     ///
@@ -358,12 +365,12 @@ pub trait Model: Send + Sync {
     /// The file cannot be read, or ends within the vertices.
     fn faces(&self) -> Result<Box<dyn FaceReader + '_>>;
 
-    /// A reader of the faces that lie in some ranges of the file's bytes, each from one [`FaceMark`] to another, and
-    /// of nothing else.
+    /// A reader of the faces that lie in some ranges of the file's bytes, each from one [`FaceMark`] to
+    /// another, and of nothing else.
     ///
     /// # Errors
-    /// The model's faces have no marks. When it is read: the file cannot be, or no face ends where a range does, as the
-    /// file has changed; records are counted from the beginning of the range then.
+    /// The model's faces have no marks. When it is read: the file cannot be, or no face ends where a range
+    /// does, as the file has changed; records are counted from the beginning of the range then.
     fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>>;
 
     /// Checks that the file holds all that its header speaks of. Most formats know once the file is open, and
@@ -374,21 +381,22 @@ pub trait Model: Send + Sync {
     /// The file cannot be read, or ends early; the user cancelled.
     fn check_complete(&self, progress: &dyn Progress) -> Result<()>;
 
-    /// Streams the whole file to all `outputs` in one reading: each gets a version of its own, with the positions and
-    /// normals that `edit` gives its vertices. Every other byte is copied as it is.
+    /// Streams the whole file to all `outputs` in one reading: each gets a version of its own, with the
+    /// positions and normals that `edit` gives its vertices. Every other byte is copied as it is.
     ///
-    /// `edit` sees each chunk as it is in the file, and for each output an [`Edited`], which is as the chunk until it
-    /// is changed. For the pieces that `how` says are done there are none of these. A vertex whose position is not
-    /// finite keeps its bytes, whatever `edit` writes, and so does a component that `edit` left as it was.
+    /// `edit` sees each chunk as it is in the file, and for each output an [`Edited`], which is as the chunk
+    /// until it is changed. For the pieces that `how` says are done there are none of these. A vertex whose
+    /// position is not finite keeps its bytes, whatever `edit` writes, and so does a component that `edit`
+    /// left as it was.
     ///
-    /// Reading, `edit` and writing overlap, with at most four chunks in flight; `edit` is called on one thread, in the
-    /// file's order. Advances `progress` by those bytes of this file whose new versions are written; the caller begins
-    /// the stage.
+    /// Reading, `edit` and writing overlap, with at most four chunks in flight; `edit` is called on one
+    /// thread, in the file's order. Advances `progress` by those bytes of this file whose new versions are
+    /// written; the caller begins the stage.
     ///
     /// # Errors
-    /// The file cannot be read, is not what its header says, or changed length; an output cannot be written; `edit`
-    /// failed, gave a finite vertex a non-finite position, or changed the number of vertices; there are more than
-    /// [`MAX_VERSIONS`] outputs; the user cancelled.
+    /// The file cannot be read, is not what its header says, or changed length; an output cannot be written;
+    /// `edit` failed, gave a finite vertex a non-finite position, or changed the number of vertices; there
+    /// are more than [`MAX_VERSIONS`] outputs; the user cancelled.
     fn rewrite(
         &self,
         outputs: &mut [&mut dyn Output],

@@ -1,8 +1,9 @@
 //! Rewriting a file in three threads: one reads, the caller's edits, one writes.
 //!
-//! Four pieces of the file go round from thread to thread, each with a place for every version: no more are ever held,
-//! and none is allocated anew. A thread that fails or is told to stop drops its ends of the channels, which stops the
-//! others at their next piece; since a channel holds all the pieces there are, none of them ever waits to send.
+//! Four pieces of the file go round from thread to thread, each with a place for every version: no more are
+//! ever held, and none is allocated anew. A thread that fails or is told to stop drops its ends of the
+//! channels, which stops the others at their next piece; since a channel holds all the pieces there are, none
+//! of them ever waits to send.
 
 use std::io;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -16,12 +17,13 @@ const PIECES: usize = 4;
 
 /// What a file format has to know about its files for them to be rewritten.
 pub(crate) trait Rewritable: Sync {
-    /// Reads the whole file, once, in pieces: takes an empty one, fills its chunk and gives it on, in the file's order.
-    /// A chunk without vertices is bytes to be copied. When there is none to be taken, the work is over.
+    /// Reads the whole file, once, in pieces: takes an empty one, fills its chunk and gives it on, in the
+    /// file's order. A chunk without vertices is bytes to be copied. When there is none to be taken, the work
+    /// is over.
     fn read_pieces(&self, belt: &Belt, normals: Normals) -> Result<()>;
 
-    /// The bytes of the file for a version of a chunk; `buffer` is an empty one, to be used if needed. The chunk's own
-    /// bytes may be spoilt if `last` says that no further version is made of them.
+    /// The bytes of the file for a version of a chunk; `buffer` is an empty one, to be used if needed. The
+    /// chunk's own bytes may be spoilt if `last` says that no further version is made of them.
     fn encode<'b>(
         &self,
         chunk: &'b mut VertexChunk,
@@ -89,8 +91,8 @@ pub(crate) fn rewrite(
         let _ = recycle.send(Piece::default());
     }
     thread::scope(|scope| {
-        // Everything is moved to the thread that uses it, so that it is dropped when the thread ends, also by a
-        // panic.
+        // Everything is moved to the thread that uses it, so that it is dropped when the thread ends, also by
+        // a panic.
         let belt = Belt { empty, full };
         let reading = scope.spawn(move || file.read_pieces(&belt, how.normals));
         let writing =

@@ -57,7 +57,8 @@ impl Source {
         if done < wanted { Err(self.changed()) } else { Ok(done) }
     }
 
-    /// Appends to `buffer` up to `count` bytes from `offset` on; returns how many, fewer only at the file's end.
+    /// Appends to `buffer` up to `count` bytes from `offset` on; returns how many, fewer only at the file's
+    /// end.
     pub(crate) fn append_at(&self, buffer: &mut Vec<u8>, offset: u64, count: usize) -> Result<usize> {
         let old = buffer.len();
         let count = self.len.saturating_sub(offset).min(count as u64) as usize;

@@ -1,13 +1,14 @@
-//! The blend of expansions over whole blocks of vertices: a partition of unity whose parts are known beforehand.
+//! The blend of expansions over whole blocks of vertices: a partition of unity whose parts are known
+//! beforehand.
 //!
-//! u(p) = Σ wᵢ(p)·uᵢ(p) / Σ wᵢ(p), where wᵢ vanishes at a fixed distance from sample i. So no vertex has to search
-//! and sort its neighbours: around each sample, its *home*, all supports that reach there are listed once, and a vertex
-//! goes through the list of its home. As nothing depends on who is nearest, the blend is as smooth as its
-//! weights, and the gradient (for normals) is the exact one of what the vertices do.
+//! u(p) = Σ wᵢ(p)·uᵢ(p) / Σ wᵢ(p), where wᵢ vanishes at a fixed distance from sample i. So no vertex has to
+//! search and sort its neighbours: around each sample, its *home*, all supports that reach there are listed
+//! once, and a vertex goes through the list of its home. As nothing depends on who is nearest, the blend is
+//! as smooth as its weights, and the gradient (for normals) is the exact one of what the vertices do.
 //!
-//! Vertices of a block are grouped by their homes and processed as many at once as the processor's vector registers
-//! take, which is found out at run time. Every vertex' numbers are computed by the same operations in the same order on
-//! any processor, and none of them is fused: the result has the same bytes everywhere.
+//! Vertices of a block are grouped by their homes and processed as many at once as the processor's vector
+//! registers take, which is found out at run time. Every vertex' numbers are computed by the same operations
+//! in the same order on any processor, and none of them is fused: the result has the same bytes everywhere.
 
 use std::ops::Range;
 
@@ -43,7 +44,8 @@ pub struct Reaching {
 pub struct Supports {
     /// Radius of each sample's support.
     pub radius: Vec<f32>,
-    /// How far from each sample, on whatever sheet, no more samples are than a [range](super::bound) is of, itself included.
+    /// How far from each sample, on whatever sheet, no more samples are than a [range](super::bound) is of,
+    /// itself included.
     pub ranging: Vec<f32>,
     starts: Vec<u32>,
     reaching: Vec<Reaching>,
@@ -68,7 +70,8 @@ impl Supports {
             (distance < radius[home] + radius[j])
                 .then_some(Reaching { from: distance - radius[j], sample: j as u32 })
         };
-        // Where a sample is among the neighbours of another, but not the other way round: as between sparse and dense.
+        // Where a sample is among the neighbours of another, but not the other way round: as between sparse
+        // and dense.
         let mut one_way: Vec<(u32, u32)> = (0..n)
             .into_par_iter()
             .flat_map_iter(|j| {
@@ -122,12 +125,12 @@ impl Supports {
 
 /// Vertices of a block, grouped by their homes, in separate arrays by coordinate.
 ///
-/// Memory: 40 bytes per vertex with a normal, 28 without, 36 more for the gradient; and as much for up to [`PACKET`] more
-/// vertices of each group.
+/// Memory: 40 bytes per vertex with a normal, 28 without, 36 more for the gradient; and as much for up to
+/// [`PACKET`] more vertices of each group.
 #[derive(Debug, Default)]
 pub struct Grouped {
-    /// The groups: their home, and their vertices. Each begins at a multiple of [`PACKET`]; what is between them is
-    /// of no meaning, but finite.
+    /// The groups: their home, and their vertices. Each begins at a multiple of [`PACKET`]; what is between
+    /// them is of no meaning, but finite.
     pub groups: Vec<(u32, Range<usize>)>,
     /// Local coordinates.
     pub positions: [Vec<f32>; 3],
@@ -153,7 +156,8 @@ impl Grouped {
 /// The most vertices that any processor takes at once.
 pub const PACKET: usize = 16;
 
-/// Blends the expansions for all groups, and turns their normals (`mirrored` as for `Transport::normal`); `gradient` says whether the gradient is asked for.
+/// Blends the expansions for all groups, and turns their normals (`mirrored` as for `Transport::normal`);
+/// `gradient` says whether the gradient is asked for.
 pub fn blend(
     supports: &Supports,
     expansions: &[Expansion],

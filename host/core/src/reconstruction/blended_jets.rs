@@ -1,13 +1,13 @@
 //! Transfer by a partition of unity of local Taylor expansions ("jets").
 //!
-//! Around each sample the deformation is expanded to second order in all three directions, by least squares over
-//! the sample's neighbours at rest and deformed. A vertex goes where the [`blend`](super::blend) of the expansions
-//! around it takes it. The first-order case is the form of embedded deformation (R. Sumner, J. Schmid, M. Pauly,
-//! *Embedded Deformation for Shape Manipulation*, 2007).
+//! Around each sample the deformation is expanded to second order in all three directions, by least squares
+//! over the sample's neighbours at rest and deformed. A vertex goes where the [`blend`](super::blend) of the
+//! expansions around it takes it. The first-order case is the form of embedded deformation (R. Sumner, J.
+//! Schmid, M. Pauly, *Embedded Deformation for Shape Manipulation*, 2007).
 //!
-//! The fit is of what the affine maps of [`local_frames`](super::local_frames) leave over, with a small ridge towards
-//! nothing: where the neighbours do not tell, as across a flat neighbourhood, those maps stand. They reproduce
-//! similarities exactly, and so does this.
+//! The fit is of what the affine maps of [`local_frames`](super::local_frames) leave over, with a small ridge
+//! towards nothing: where the neighbours do not tell, as across a flat neighbourhood, those maps stand. They
+//! reproduce similarities exactly, and so does this.
 
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
@@ -27,8 +27,9 @@ const FIT_NEIGHBOURS: usize = 28;
 /// Ridge relative to terms of the size of the neighbourhood.
 const RIDGE: f64 = 1e-7;
 
-/// What a fit leaves over counts as noise of its data: a ridge of so much of it, as a part of the data's square, shows what
-/// the fit explains by terms that the noise leaves undetermined (as Wiener's filter would).
+/// What a fit leaves over counts as noise of its data: a ridge of so much of it, as a part of the data's
+/// square, shows what the fit explains by terms that the noise leaves undetermined (as Wiener's filter
+/// would).
 const NOISE: f64 = 0.3;
 
 /// What a fit to a smooth map may leave over, as a part of the data's square.
@@ -45,7 +46,8 @@ const USELESS: f64 = 0.3;
 /// The power of the ratio of costs by which an expansion is preferred to another.
 const CHOICE: i32 = 8;
 
-/// Rings of samples in doubt, of about three spacings each, through which the gradient around them is handed on.
+/// Rings of samples in doubt, of about three spacings each, through which the gradient around them is handed
+/// on.
 const ROUNDS: usize = 3;
 
 /// What rounding makes of a cost: the root of about 1e-7, for each neighbour.
@@ -114,7 +116,8 @@ pub fn expand(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], frames: &
     Expanded { expansions, doubtful: mended.into_iter().map(|(i, _, doubt)| (i, doubt)).collect() }
 }
 
-/// The gradient around each sample in doubt: that of its neighbours which are in none, or in their turn of theirs.
+/// The gradient around each sample in doubt: that of its neighbours which are in none, or in their turn of
+/// theirs.
 fn prevailing(samples: &SampleSet, sheets: &Sheets, jets: &[Jet], in_doubt: &[u32]) -> Vec<Mat3> {
     // The gradient at each sample, as far as it is known, and how well: from 0 to 1.
     let mut known: Vec<(Mat3, f32)> =
@@ -140,12 +143,12 @@ fn prevailing(samples: &SampleSet, sheets: &Sheets, jets: &[Jet], in_doubt: &[u3
     slopes.into_iter().map(|(slope, _)| slope).collect()
 }
 
-/// The expansion at a sample whose neighbours do not agree, as beside a step: of those of the neighbours, moved to the
-/// sample, the ones that explain the neighbours best.
+/// The expansion at a sample whose neighbours do not agree, as beside a step: of those of the neighbours,
+/// moved to the sample, the ones that explain the neighbours best.
 ///
-/// This is the choice of the smoothest stencil in essentially non-oscillatory schemes (ENO; with weights as in
-/// X.-D. Liu, S. Osher, T. Chan, *Weighted Essentially Non-oscillatory Schemes*, 1994). Best is the least sum of
-/// square roots of distances: a few neighbours that are far off matter little.
+/// This is the choice of the smoothest stencil in essentially non-oscillatory schemes (ENO; with weights as
+/// in X.-D. Liu, S. Osher, T. Chan, *Weighted Essentially Non-oscillatory Schemes*, 1994). Best is the least
+/// sum of square roots of distances: a few neighbours that are far off matter little.
 fn one_sided(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], jets: &[Jet], i: usize) -> Jet {
     let (near, radius) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
     let positions = &samples.positions;

@@ -1,5 +1,5 @@
-//! Blocks of consecutive vertices: each finds its home, vertices of one home are put side by side, and the blend
-//! goes over them.
+//! Blocks of consecutive vertices: each finds its home, vertices of one home are put side by side, and the
+//! blend goes over them.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -59,12 +59,13 @@ pub struct Moved<'a> {
     pub figures: &'a mut [Figures],
 }
 
-/// Carries consecutive vertices of the model over, by each of the fields for one of `moved`, on all cores. `positions`
-/// are theirs at rest, in the model's coordinates. Vertices without a finite position
-/// stay as they are. `homes` are as [`bind`](super::bind) kept them, if it did.
+/// Carries consecutive vertices of the model over, by each of the fields for one of `moved`, on all cores.
+/// `positions` are theirs at rest, in the model's coordinates. Vertices without a finite position stay as
+/// they are. `homes` are as [`bind`](super::bind) kept them, if it did.
 ///
-/// All fields are of the same samples. What becomes of a vertex depends on its position alone, and that of its normal on
-/// both: not on what other vertices there are, on their order, on the division into calls, or on the number of threads.
+/// All fields are of the same samples. What becomes of a vertex depends on its position alone, and that of
+/// its normal on both: not on what other vertices there are, on their order, on the division into calls, or
+/// on the number of threads.
 pub fn carry(
     fields: &[DeformationField<'_>],
     frame: &Frame,

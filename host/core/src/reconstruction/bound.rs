@@ -1,14 +1,14 @@
 //! The bound that no vertex leaves: the range of the samples around it.
 //!
-//! Where fits are badly determined, as between two sheets that move apart, among samples that jitter, or beyond the last
-//! samples, an expansion may explain its neighbours well and take a vertex far away from all of them. Whatever
-//! is blended is therefore compared with where the 28 samples nearest to the vertex go: `docs/reconstruction.md` has
-//! the definition. This is the maximum principle of scattered data, as limiters of finite volumes hold it (T. Barth,
-//! D. Jespersen, *The Design and Application of Upwind Schemes on Unstructured Meshes*, 1989), in space rather than on
-//! a sheet, for coordinates one by one.
+//! Where fits are badly determined, as between two sheets that move apart, among samples that jitter, or
+//! beyond the last samples, an expansion may explain its neighbours well and take a vertex far away from all
+//! of them. Whatever is blended is therefore compared with where the 28 samples nearest to the vertex go:
+//! `docs/reconstruction.md` has the definition. This is the maximum principle of scattered data, as limiters
+//! of finite volumes hold it (T. Barth, D. Jespersen, *The Design and Application of Upwind Schemes on
+//! Unstructured Meshes*, 1989), in space rather than on a sheet, for coordinates one by one.
 //!
-//! Nearly all vertices are seen to keep to it without a search, as they lie within the range of samples beside their
-//! home that are surely among those nearest to them.
+//! Nearly all vertices are seen to keep to it without a search, as they lie within the range of samples
+//! beside their home that are surely among those nearest to them.
 
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
@@ -24,14 +24,15 @@ use crate::sampling::SampleSet;
 /// Samples that a range is of.
 pub const AROUND: usize = 28;
 
-/// How far beyond the range a vertex may go, as a part of the local step: a little less than a tenth, for rounding.
+/// How far beyond the range a vertex may go, as a part of the local step: a little less than a tenth, for
+/// rounding.
 const BEYOND: f32 = 0.095;
 
 /// Neighbours of a sample to which its edges lead: a ring.
 const EDGES: usize = 6;
 
-/// The ridge of the linear map that explains a range, as a part of the samples' mean squared distance from their middle: across
-/// the little that separates two sheets nothing is explained.
+/// The ridge of the linear map that explains a range, as a part of the samples' mean squared distance from
+/// their middle: across the little that separates two sheets nothing is explained.
 const RIDGE: f32 = 0.02;
 
 /// What the ridge may take of the map, to be made up for.
@@ -118,8 +119,8 @@ impl Edges {
 /// Memory: 32 bytes per sample.
 pub struct Bound {
     edges: Vec<Edges>,
-    /// Where vertices within [`BESIDE`] of a home's support may go as far as is known from samples that are surely among those
-    /// nearest to any of them.
+    /// Where vertices within [`BESIDE`] of a home's support may go as far as is known from samples that are
+    /// surely among those nearest to any of them.
     beside: Vec<Extent>,
 }
 
@@ -150,7 +151,8 @@ impl Bound {
 }
 
 impl DeformationField<'_> {
-    /// Whether a displacement of a vertex of this home is seen to keep to the range of the samples around without a search.
+    /// Whether a displacement of a vertex of this home is seen to keep to the range of the samples around
+    /// without a search.
     #[inline]
     pub(super) fn is_bounded(&self, home: usize, p: Vec3, u: Vec3) -> bool {
         let e = &self.expansions[home];
@@ -158,7 +160,8 @@ impl DeformationField<'_> {
         part <= BESIDE * BESIDE && self.bound.beside[home].holds(u) || self.is_among_nearest(home, p, u)
     }
 
-    /// Likewise, [`drawn_back`](Self::drawn_back) of a vertex whose home does not move, nor any support that reaches there.
+    /// Likewise, [`drawn_back`](Self::drawn_back) of a vertex whose home does not move, nor any support that
+    /// reaches there.
     #[inline]
     pub(super) fn still_drawn_back(&self, home: usize, p: Vec3) -> Option<Transport> {
         // Then the home is among the nearest.
@@ -168,7 +171,8 @@ impl DeformationField<'_> {
         self.drawn_back(p, Vec3::ZERO, || Mat3::IDENTITY)
     }
 
-    /// Whether a displacement is within the range of those of the home's sheet that are surely among the nearest samples.
+    /// Whether a displacement is within the range of those of the home's sheet that are surely among the
+    /// nearest samples.
     fn is_among_nearest(&self, home: usize, p: Vec3, u: Vec3) -> bool {
         let positions = &self.around.samples.positions;
         let distance = p.distance(positions[home]);
@@ -187,8 +191,8 @@ impl DeformationField<'_> {
         })
     }
 
-    /// The nearest place within the range of the samples around, for a vertex whose displacement leaves it; `gradient` is
-    /// that of the deformation there.
+    /// The nearest place within the range of the samples around, for a vertex whose displacement leaves it;
+    /// `gradient` is that of the deformation there.
     pub(super) fn drawn_back(&self, p: Vec3, u: Vec3, gradient: impl FnOnce() -> Mat3) -> Option<Transport> {
         let range = Range::around(self, p);
         let slack = BEYOND * range.edges.step + ROUNDING as f32;

@@ -1,5 +1,6 @@
-//! That no vertex leaves the range of the samples around it, whatever the samples are and wherever they go: by the
-//! definition in `docs/reconstruction.md`, over all samples, and with nothing of what the reconstruction knows.
+//! That no vertex leaves the range of the samples around it, whatever the samples are and wherever they go:
+//! by the definition in `docs/reconstruction.md`, over all samples, and with nothing of what the
+//! reconstruction knows.
 
 use glam::{DMat3, DVec3, EulerRot, Quat, Vec3};
 use proptest::prelude::*;
@@ -13,7 +14,8 @@ const AROUND: usize = 28;
 /// Edges of each of them.
 const EDGES: usize = 6;
 
-/// How far, in local steps, a vertex at `p` that is displaced by `u` leaves the range of the samples around it.
+/// How far, in local steps, a vertex at `p` that is displaced by `u` leaves the range of the samples around
+/// it.
 fn leaves_range(positions: &[Vec3], displacements: &[DVec3], p: Vec3, u: DVec3) -> f64 {
     let mut order: Vec<usize> = (0..positions.len()).collect();
     let key = |i: &usize| (positions[*i].distance_squared(p), *i);

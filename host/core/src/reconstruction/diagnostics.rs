@@ -1,5 +1,5 @@
-//! What a deformation does to the surface at each vertex, for people to look at: how far it moves, how much it is
-//! stretched, and whether it is turned inside out.
+//! What a deformation does to the surface at each vertex, for people to look at: how far it moves, how much
+//! it is stretched, and whether it is turned inside out.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -37,8 +37,8 @@ impl Figures {
     const BYTES: u64 = 21;
 }
 
-/// The largest and the smallest factor by which a deformation of this gradient changes lengths within the plane across
-/// `normal`: the singular values of the gradient there. NaN where there is no normal.
+/// The largest and the smallest factor by which a deformation of this gradient changes lengths within the
+/// plane across `normal`: the singular values of the gradient there. NaN where there is no normal.
 pub fn principal_stretches(gradient: &Mat3, normal: Vec3) -> [f32; 2] {
     let Some(normal) = normal.try_normalize() else { return [f32::NAN; 2] };
     let (s, t) = normal.any_orthonormal_pair();
@@ -52,10 +52,10 @@ pub fn principal_stretches(gradient: &Mat3, normal: Vec3) -> [f32; 2] {
 
 /// Where a deformation folds the surface, so that a part of it is turned inside out.
 ///
-/// Folded are samples at which the sign of the gradient's determinant is not that of most samples: so a mirror of the
-/// whole model folds nothing. What lies off the surface is known from its relief alone, and a dent or a bend may
-/// look mirrored by that. So they count only if the surface doubles back somewhere around them: if the images of its
-/// tangent planes, from one sample to the next, turn by more than a right angle.
+/// Folded are samples at which the sign of the gradient's determinant is not that of most samples: so a
+/// mirror of the whole model folds nothing. What lies off the surface is known from its relief alone, and a
+/// dent or a bend may look mirrored by that. So they count only if the surface doubles back somewhere around
+/// them: if the images of its tangent planes, from one sample to the next, turn by more than a right angle.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Folds {
     /// Number of folded samples.
@@ -69,8 +69,8 @@ pub struct Folds {
 }
 
 impl Folds {
-    /// Of the expansions at all samples, which have these normals and neighbours at rest; `is_told` says of each whether
-    /// the surface around it tells the sign of its determinant.
+    /// Of the expansions at all samples, which have these normals and neighbours at rest; `is_told` says of
+    /// each whether the surface around it tells the sign of its determinant.
     pub fn of<'s>(
         expansions: &[Expansion],
         is_told: &[bool],
@@ -117,15 +117,15 @@ impl Folds {
     }
 }
 
-/// What becomes of a piece of surface across `normal`, as a vector across its image: on the same side as seen within the
-/// surface, whether or not the deformation mirrors.
+/// What becomes of a piece of surface across `normal`, as a vector across its image: on the same side as seen
+/// within the surface, whether or not the deformation mirrors.
 fn area_image(gradient: &Mat3, normal: Vec3) -> Vec3 {
     let (s, t) = normal.any_orthonormal_pair();
     (*gradient * s).cross(*gradient * t) * s.cross(t).dot(normal).signum()
 }
 
-/// A file of figures in the making, vertex by vertex: a binary PLY file with the deformed positions, which any viewer
-/// of scalar fields opens. Dropped before [`commit`](Self::commit), it leaves no trace.
+/// A file of figures in the making, vertex by vertex: a binary PLY file with the deformed positions, which
+/// any viewer of scalar fields opens. Dropped before [`commit`](Self::commit), it leaves no trace.
 ///
 /// Memory: a few hundred kilobytes.
 pub struct DiagnosticsFile {
@@ -174,7 +174,8 @@ impl DiagnosticsFile {
         Ok(this)
     }
 
-    /// Writes the next vertices: their positions after the deformation, in the model's coordinates, and as many figures.
+    /// Writes the next vertices: their positions after the deformation, in the model's coordinates, and as
+    /// many figures.
     ///
     /// # Errors
     /// The disk is full, or the operating system refuses.

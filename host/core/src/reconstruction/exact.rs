@@ -1,5 +1,5 @@
-//! The exact map at every vertex, where it is known as a map of space: what a reconstruction is measured by, and the result
-//! itself where its cost does not matter.
+//! The exact map at every vertex, where it is known as a map of space: what a reconstruction is measured by,
+//! and the result itself where its cost does not matter.
 
 use std::path::Path;
 
@@ -15,8 +15,8 @@ use crate::output::OutputFile;
 use crate::sampled_model::{SampledModel, fingerprint};
 use crate::{Progress, Result};
 
-/// Step of the central differences that give the gradient, in local units: a power of two near the third root of the
-/// rounding of doubles.
+/// Step of the central differences that give the gradient, in local units: a power of two near the third root
+/// of the rounding of doubles.
 const STEP: f64 = 1.0 / (1 << 17) as f64;
 
 /// A gradient this near to that of the identity is the identity: differences do not tell them apart.
@@ -25,7 +25,8 @@ const STILL: f64 = 1e-8;
 /// How often the map is evaluated for each vertex, if normals or diagnostics need its gradient.
 pub const EVALUATIONS_WITH_GRADIENT: u64 = 7;
 
-/// Replaces points, in the model's coordinates, by their images; those that are not finite stay. From any thread.
+/// Replaces points, in the model's coordinates, by their images; those that are not finite stay. From any
+/// thread.
 pub type ExactMap<'a> = dyn Fn(&mut [DVec3]) -> Result<()> + Sync + 'a;
 
 /// Whether the gradient is needed besides the images.
@@ -33,11 +34,12 @@ pub fn needs_gradient(model: &dyn Model, normals: Normals, diagnostics: Option<&
     diagnostics.is_some() || model.info().has_normals && normals == Normals::Transform
 }
 
-/// Writes the model with the exact image of each vertex; all else of the file is as it is. Normals turn by the map's gradient,
-/// from differences in double precision. `field` is the deformation of the samples: it tells whether the whole is mirrored, and
-/// where it folds.
+/// Writes the model with the exact image of each vertex; all else of the file is as it is. Normals turn by
+/// the map's gradient, from differences in double precision. `field` is the deformation of the samples: it
+/// tells whether the whole is mirrored, and where it folds.
 ///
-/// Memory: the chunks of [`Model::rewrite`], and 170 bytes for each vertex of a chunk with its gradient, 24 without.
+/// Memory: the chunks of [`Model::rewrite`], and 170 bytes for each vertex of a chunk with its gradient, 24
+/// without.
 ///
 /// # Errors
 /// As of [`reconstruct`](super::reconstruct), or `map` fails.

@@ -4,9 +4,9 @@ use glam::{Mat3, Vec3};
 
 /// The displacement about a sample, u(q + d) = u₀ + S·d + Q(d, d), and how far the sample's word counts.
 ///
-/// One row per coordinate of the displacement holds u₀, the three slopes, and the six second-order terms xx, xy, xz,
-/// yy, yz, zz, in the order in which Horner's rule takes them. Displacements rather than places, as those of
-/// samples that do not move are exactly nothing.
+/// One row per coordinate of the displacement holds u₀, the three slopes, and the six second-order terms xx,
+/// xy, xz, yy, yz, zz, in the order in which Horner's rule takes them. Displacements rather than places, as
+/// those of samples that do not move are exactly nothing.
 ///
 /// Memory: 136 bytes.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,8 +63,8 @@ impl Expansion {
         (Vec3::from_array(parts.map(|(u, _)| u)), gradient)
     }
 
-    /// The displacement of a point at `d`, beyond the support, and its gradient: the second order stays what it is at the
-    /// margin, as no neighbour told what it is there.
+    /// The displacement of a point at `d`, beyond the support, and its gradient: the second order stays what
+    /// it is at the margin, as no neighbour told what it is there.
     pub fn beyond(&self, d: Vec3) -> (Vec3, Mat3) {
         let margin = (1.0 / (d.length_squared() * self.inverse_square)).min(1.0);
         let mut inner = *self;

@@ -1,13 +1,15 @@
-//! How far the reconstruction is probably off, without knowing the exact map: around each sample, and at each vertex.
+//! How far the reconstruction is probably off, without knowing the exact map: around each sample, and at each
+//! vertex.
 //!
-//! Halfway between two neighbours the expansions about both have a say. Each takes what it leaves out, the third order, for
-//! nothing; so the distance between what they say is of the size of what both leave out there. Where the deformation has
-//! details that the samples do not tell, as at a step, they differ by those.
+//! Halfway between two neighbours the expansions about both have a say. Each takes what it leaves out, the
+//! third order, for nothing; so the distance between what they say is of the size of what both leave out
+//! there. Where the deformation has details that the samples do not tell, as at a step, they differ by those.
 //!
-//! At a vertex all supports that reach it have a say, and how far these are from what is made of them tells about that
-//! very place. What they leave out together they do not tell; what the samples disagree by halfway stands for that, and
-//! for more of it where a vertex lies beyond the samples, as off the surface or outside a border. Rounding comes on top:
-//! of the samples' positions, of the displacement, and of the file that is written.
+//! At a vertex all supports that reach it have a say, and how far these are from what is made of them tells
+//! about that very place. What they leave out together they do not tell; what the samples disagree by halfway
+//! stands for that, and for more of it where a vertex lies beyond the samples, as off the surface or outside
+//! a border. Rounding comes on top: of the samples' positions, of the displacement, and of the file that is
+//! written.
 
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
@@ -34,8 +36,8 @@ const OF_SPREAD: f32 = 0.6;
 /// The part of the samples' disagreement halfway that counts, where a vertex lies among them.
 const OF_DISAGREEMENT: f32 = 0.42;
 
-/// A vertex lies beyond the samples that reach it from this square of its distance from their middle on, each direction measured by
-/// how far they are spread in it: what they leave out counts as much more ...
+/// A vertex lies beyond the samples that reach it from this square of its distance from their middle on, each
+/// direction measured by how far they are spread in it: what they leave out counts as much more ...
 const AMONG: f32 = 0.5;
 
 /// ... as the square is larger, up to so many times ...
@@ -47,12 +49,13 @@ const SAID: f32 = 2.0;
 /// The least spread, as a part of the support's radius: all samples of a roof lie in a plane.
 const FLAT: f32 = 0.03;
 
-/// Where fewer have a say, as many as the weights amount to (their sum's square over that of their squares), there is nobody
-/// to disagree, and what the samples leave out counts so many times.
+/// Where fewer have a say, as many as the weights amount to (their sum's square over that of their squares),
+/// there is nobody to disagree, and what the samples leave out counts so many times.
 const ALONE: f32 = 1.5;
 const FOR_ALL: f32 = 5.0;
 
-/// The root of the mean square of what rounding to single precision makes, as a part of the number that is rounded.
+/// The root of the mean square of what rounding to single precision makes, as a part of the number that is
+/// rounded.
 const SINGLE: f32 = 2.5e-8;
 
 /// What is expected around a sample, in local units.
@@ -77,7 +80,8 @@ impl Rounding {
         Self { from: (positions == Scalar::F32).then(|| (frame.origin / frame.scale).as_vec3()) }
     }
 
-    /// What writing it makes of a vertex that goes from `p` by `u`, local units; one that does not move is not rounded again.
+    /// What writing it makes of a vertex that goes from `p` by `u`, local units; one that does not move is
+    /// not rounded again.
     fn written(self, p: Vec3, u: Vec3) -> f32 {
         let moves = u != Vec3::ZERO;
         self.from.filter(|_| moves).map_or(0.0, |origin| SINGLE * (p + u + origin).length())
@@ -88,7 +92,8 @@ impl Rounding {
         if u == Vec3::ZERO {
             return 0.0;
         }
-        // Samples are rounded each for itself, and the blend is a mean of some; the displacement comes of several sums.
+        // Samples are rounded each for itself, and the blend is a mean of some; the displacement comes of
+        // several sums.
         let (sample, displacement) = (0.7 * (p + u).length(), 1.2 * u.length());
         hypot([self.written(p, u), SINGLE * sample, SINGLE * displacement])
     }
@@ -103,8 +108,8 @@ pub struct ExpectedError {
     pub p999: f64,
     /// The worst.
     pub worst: f64,
-    /// Whether it was estimated at each vertex, for diagnostics. Otherwise it is that of the samples, each for as many vertices as
-    /// it was the home of.
+    /// Whether it was estimated at each vertex, for diagnostics. Otherwise it is that of the samples, each
+    /// for as many vertices as it was the home of.
     pub of_vertices: bool,
     /// Where samples alone tell that it is more than will be [accepted](Self::ACCEPTED).
     #[serde(skip)]
@@ -125,11 +130,13 @@ pub struct Beyond {
 }
 
 impl ExpectedError {
-    /// What a user will accept, as a fraction of the diagonal. In a picture in which the model is four thousand pixels long it
-    /// is less than half of one, at the worst vertex; more may show, as a dent or an edge that is not straight.
+    /// What a user will accept, as a fraction of the diagonal. In a picture in which the model is four
+    /// thousand pixels long it is less than half of one, at the worst vertex; more may show, as a dent or an
+    /// edge that is not straight.
     pub const ACCEPTED: f64 = 1e-4;
 
-    /// The power of the size of clusters that the error falls with; four times as many samples halve the size.
+    /// The power of the size of clusters that the error falls with; four times as many samples halve the
+    /// size.
     const ORDER: f64 = 3.0;
 }
 
@@ -166,8 +173,9 @@ impl Tally {
 }
 
 impl DeformationField<'_> {
-    /// The transfer error to be expected around each sample, local units: the largest difference between its expansion
-    /// and those of its neighbours, halfway. Nothing for what rounding explains, as of a rigid motion.
+    /// The transfer error to be expected around each sample, local units: the largest difference between its
+    /// expansion and those of its neighbours, halfway. Nothing for what rounding explains, as of a rigid
+    /// motion.
     ///
     /// It is an estimate of the size, not a bound: `docs/refinement.md` says how it compares with the error.
     pub fn expected_error(&self) -> Vec<f32> {
@@ -179,8 +187,9 @@ impl DeformationField<'_> {
         }
     }
 
-    /// Expects no less, around the samples nearest to these places (local coordinates), than what was found there (local units),
-    /// as by [`measure_some`](super::transfer_error::measure_some). The field has to be [expecting](Self::expecting).
+    /// Expects no less, around the samples nearest to these places (local coordinates), than what was found
+    /// there (local units), as by [`measure_some`](super::transfer_error::measure_some). The field has to be
+    /// [expecting](Self::expecting).
     pub fn learn(&mut self, found: &[(Vec3, f32)]) {
         for (place, off) in found {
             let nearest = self.around.samples.nearest(*place) as usize;
@@ -189,8 +198,8 @@ impl DeformationField<'_> {
         }
     }
 
-    /// Finds out what is expected around the samples, which all further estimates rest on. `positions` is the type of those in
-    /// the file that is written.
+    /// Finds out what is expected around the samples, which all further estimates rest on. `positions` is the
+    /// type of those in the file that is written.
     pub fn expecting(mut self, frame: &Frame, positions: Scalar) -> Self {
         self.expected = self.around_samples().collect();
         self.rounding = Rounding::of(frame, positions);
@@ -215,8 +224,8 @@ impl DeformationField<'_> {
         })
     }
 
-    /// How far a vertex at `p`, of this home, that goes by `u`, is expected to be off; local units. The field has to be
-    /// [expecting](Self::expecting).
+    /// How far a vertex at `p`, of this home, that goes by `u`, is expected to be off; local units. The field
+    /// has to be [expecting](Self::expecting).
     pub(super) fn expected_at(&self, home: usize, p: Vec3, u: Vec3) -> f32 {
         let mut heard = Heard::default();
         for i in self.around.supports.of_home(home).iter().map(|r| r.sample as usize) {
@@ -241,9 +250,10 @@ impl DeformationField<'_> {
         hypot([OF_SPREAD * spread, OF_DISAGREEMENT * left_out, self.rounding.at(p, u)])
     }
 
-    /// How far vertices are expected to be off by what the samples tell, each for as many vertices as it was the home of in
-    /// all that was carried so far, of `vertices`; the others do not move. `None` where the method is another one, which leaves out
-    /// other things. The field has to be [expecting](Self::expecting).
+    /// How far vertices are expected to be off by what the samples tell, each for as many vertices as it was
+    /// the home of in all that was carried so far, of `vertices`; the others do not move. `None` where the
+    /// method is another one, which leaves out other things. The field has to be
+    /// [expecting](Self::expecting).
     pub(super) fn expected_of_samples(&self, of: &SampledModel, vertices: u64) -> Option<ExpectedError> {
         if self.method != Method::BlendedJets {
             return None;
@@ -272,8 +282,8 @@ impl DeformationField<'_> {
         self.rounding.at(self.around.samples.positions[sample], self.expansions[sample].displacement())
     }
 
-    /// Where more is expected than `accepted`, a fraction of the diagonal of the model of which the samples are. The field has to
-    /// be [expecting](Self::expecting).
+    /// Where more is expected than `accepted`, a fraction of the diagonal of the model of which the samples
+    /// are. The field has to be [expecting](Self::expecting).
     pub fn expected_beyond(&self, of: &SampledModel, accepted: f64) -> Option<Beyond> {
         let diagonal = of.local_diagonal();
         let part = |(i, e): (usize, &Expectation)| {
@@ -321,8 +331,8 @@ impl Heard {
         self.squares += w * w;
     }
 
-    /// The square of the vertex' distance from the middle of the samples, each direction measured by how far they are spread in it,
-    /// or by `least`: the distance of Mahalanobis.
+    /// The square of the vertex' distance from the middle of the samples, each direction measured by how far
+    /// they are spread in it, or by `least`: the distance of Mahalanobis.
     fn beyond(&self, least: f32) -> f32 {
         let middle = self.places / self.sum;
         let column = |axis: usize| {

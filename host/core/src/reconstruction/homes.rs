@@ -1,9 +1,9 @@
 //! The home of a place: the sample around which its neighbourhood is looked up.
 //!
-//! It follows from the position alone, so that vertices at one place, as those of a soup of triangles, stay together
-//! wherever they stand in the file. A tree of cells has for each the sample whose support reaches its middle best. That
-//! one, or one of its neighbours, is the home. Where several sheets of the surface are near, it may be on the wrong one:
-//! there the home is the sample whose tangent plane the place lies near.
+//! It follows from the position alone, so that vertices at one place, as those of a soup of triangles, stay
+//! together wherever they stand in the file. A tree of cells has for each the sample whose support reaches
+//! its middle best. That one, or one of its neighbours, is the home. Where several sheets of the surface are
+//! near, it may be on the wrong one: there the home is the sample whose tangent plane the place lies near.
 
 use glam::{UVec3, Vec3, Vec4};
 use rayon::prelude::*;
@@ -13,8 +13,8 @@ use super::expansion::Expansion;
 use super::sheets::{Sheets, sheet_distance};
 use crate::sampling::SampleSet;
 
-/// The square of the part of a support within which its sample is taken for a home: it need not be the nearest, as every
-/// sample knows all supports that meet its own.
+/// The square of the part of a support within which its sample is taken for a home: it need not be the
+/// nearest, as every sample knows all supports that meet its own.
 const NEAR: f32 = 0.25;
 
 /// Supports of so many samples may meet a cell that is not parted: fewer than each sample has neighbours.
@@ -23,7 +23,8 @@ const MOST: usize = 12;
 /// For that, a support ends at this part of its radius: half a spacing.
 const REACH: f32 = 0.35;
 
-/// A cell whose edge is shorter than this part of the least radius is not parted, however many supports overlap there.
+/// A cell whose edge is shorter than this part of the least radius is not parted, however many supports
+/// overlap there.
 const EDGE: f32 = 0.5;
 
 /// Levels of cells below the whole.
@@ -40,16 +41,16 @@ const SIDE_BY_SIDE: usize = 1 << 12;
 
 /// An octree over the supports: for each cell a sample that is near its middle.
 ///
-/// Memory: 17 bytes per sample, and 32 for each cell that is parted: about one for seven samples of a surface. Where
-/// samples are in heaps of a dozen, each has a chain of at most [`LEVELS`] cells, which makes 1.5 per sample. As much again
-/// while it is made.
+/// Memory: 17 bytes per sample, and 32 for each cell that is parted: about one for seven samples of a
+/// surface. Where samples are in heaps of a dozen, each has a chain of at most [`LEVELS`] cells, which makes
+/// 1.5 per sample. As much again while it is made.
 pub struct Cells {
     /// Corner of the whole, in local coordinates.
     corner: Vec3,
     /// Finest cells per unit.
     scale: f32,
-    /// The eighths of each cell that is parted: their place in this list with [`PARTED`], or their sample. The whole is the
-    /// first.
+    /// The eighths of each cell that is parted: their place in this list with [`PARTED`], or their sample.
+    /// The whole is the first.
     parted: Vec<[u32; 8]>,
     /// Centre of each support, and one over the square of its radius.
     supports: Vec<Vec4>,
@@ -63,8 +64,8 @@ impl Cells {
         let positions = &samples.positions;
         let min = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
         let max = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
-        // Room for rounding: the finest cells are still eight times as wide as coordinates there are exact. And room for
-        // samples that are all at one place.
+        // Room for rounding: the finest cells are still eight times as wide as coordinates there are exact.
+        // And room for samples that are all at one place.
         let size = (max - min).max_element().max(min.abs().max(max.abs()).max_element());
         let edge = (1.001 * size).max(1e-20);
         let corner = 0.5 * (min + max) - 0.5 * edge;
@@ -264,7 +265,8 @@ impl<'a> Homes<'a> {
         homes.extend(positions.iter().map(|p| self.home(*p, finger.sample(*p))));
     }
 
-    /// The home of a place, in the cell of a sample: a function of the place, and of nothing else that is known of a vertex.
+    /// The home of a place, in the cell of a sample: a function of the place, and of nothing else that is
+    /// known of a vertex.
     #[inline]
     fn home(&self, p: Vec3, of_cell: u32) -> u32 {
         let near = if self.cells.depth(of_cell, p) < NEAR { of_cell } else { self.near(p, of_cell) };
@@ -304,8 +306,8 @@ impl<'a> Homes<'a> {
         deepest.unwrap_or_else(|| self.samples.nearest(p))
     }
 
-    /// Of the samples around one that is near, that on whose sheet the point lies; or, if its support does not reach the
-    /// point, another one of that sheet whose support does.
+    /// Of the samples around one that is near, that on whose sheet the point lies; or, if its support does
+    /// not reach the point, another one of that sheet whose support does.
     fn on_its_sheet(&self, near: u32, p: Vec3) -> u32 {
         let away = |i: u32| p - self.samples.positions[i as usize];
         let (mut best, mut least) = (near, sheet_distance(away(near), self.plane(near)));

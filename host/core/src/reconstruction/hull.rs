@@ -1,4 +1,5 @@
-//! The point of a convex hull that is nearest to the origin (P. Wolfe, *Finding the Nearest Point in a Polytope*, 1976).
+//! The point of a convex hull that is nearest to the origin (P. Wolfe, *Finding the Nearest Point in a
+//! Polytope*, 1976).
 
 use glam::{DMat3, DVec3, Vec3};
 
@@ -8,8 +9,8 @@ const ROUNDS: usize = 32;
 /// Part of a square that is nothing in double precision.
 const NOTHING: f64 = 1e-12;
 
-/// The way from the hull of `corners` (one at least, finite) to the origin, never too long but for rounding; nothing within the
-/// hull.
+/// The way from the hull of `corners` (one at least, finite) to the origin, never too long but for rounding;
+/// nothing within the hull.
 pub fn way_from_hull(corners: &[Vec3]) -> Vec3 {
     let mut simplex = Simplex::corner(corners[0].as_dvec3());
     let (mut least, mut way) = (0.0, DVec3::ZERO);
@@ -54,8 +55,8 @@ impl Simplex {
         (0..self.count).map(|i| self.corners[i].length_squared()).fold(0.0, f64::max)
     }
 
-    /// Goes to the nearest point of the hull with one more corner, and leaves those out that it does not need. Whether it
-    /// came nearer.
+    /// Goes to the nearest point of the hull with one more corner, and leaves those out that it does not
+    /// need. Whether it came nearer.
     fn include(&mut self, corner: DVec3) -> bool {
         let before = self.nearest().length_squared();
         if self.count == 4 {
@@ -81,8 +82,8 @@ impl Simplex {
         false
     }
 
-    /// The weights of the point nearest to the origin among all that are sums of the corners with weights of sum one; `None` where
-    /// the corners do not span it.
+    /// The weights of the point nearest to the origin among all that are sums of the corners with weights of
+    /// sum one; `None` where the corners do not span it.
     fn affine_weights(&self) -> Option<[f64; 4]> {
         let edge =
             |i: usize| if i + 1 < self.count { self.corners[i + 1] - self.corners[0] } else { DVec3::ZERO };
@@ -103,7 +104,8 @@ mod tests {
     use glam::Quat;
     use proptest::prelude::*;
 
-    /// The least distance of the origin, which is outside, from corners, sides and triangles of any three corners.
+    /// The least distance of the origin, which is outside, from corners, sides and triangles of any three
+    /// corners.
     fn by_triangles(corners: &[Vec3]) -> f64 {
         let mut least = f64::INFINITY;
         for (i, a) in corners.iter().map(|a| a.as_dvec3()).enumerate() {

@@ -1,11 +1,12 @@
 //! A limit to what the blend of expansions may do where the deformation is not smooth.
 //!
-//! A polynomial that is fitted across a step overshoots on both sides. Where a vertex is blended from samples that
-//! their neighbours leave in doubt, it is held within where the samples around it would take it, each by its own
-//! displacement and the gradient that prevails there: in the direction in which the blend departs from their mean, no
-//! further than those of them do that lie that way. This is the limiter of finite volumes (T. Barth, D. Jespersen, *The
-//! Design and Application of Upwind Schemes on Unstructured Meshes*, 1989), for vectors, so that it turns with the
-//! model, and with a mean of fourth powers in the place of the furthest, so that it is as continuous as the weights are.
+//! A polynomial that is fitted across a step overshoots on both sides. Where a vertex is blended from samples
+//! that their neighbours leave in doubt, it is held within where the samples around it would take it, each by
+//! its own displacement and the gradient that prevails there: in the direction in which the blend departs
+//! from their mean, no further than those of them do that lie that way. This is the limiter of finite volumes
+//! (T. Barth, D. Jespersen, *The Design and Application of Upwind Schemes on Unstructured Meshes*, 1989), for
+//! vectors, so that it turns with the model, and with a mean of fourth powers in the place of the furthest,
+//! so that it is as continuous as the weights are.
 
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
@@ -20,7 +21,8 @@ use super::expansion::Expansion;
 struct Held {
     /// The gradient of the displacement that prevails around the sample.
     slope: Mat3,
-    /// The most that it may make of a way: the largest difference of displacements around the sample from its own.
+    /// The most that it may make of a way: the largest difference of displacements around the sample from its
+    /// own.
     most: f32,
     /// How little the sample's expansion is to be believed, from 0 to 1.
     doubt: f32,
@@ -99,7 +101,8 @@ impl Limiter {
         (u.lerp(e.displacement() + way, held.doubt), mixed)
     }
 
-    /// What becomes of a vertex at `p`, for which the expansions around its home, which is concerned, give `blended`.
+    /// What becomes of a vertex at `p`, for which the expansions around its home, which is concerned, give
+    /// `blended`.
     pub fn limited(
         &self,
         supports: &Supports,

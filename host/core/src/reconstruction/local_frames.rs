@@ -1,9 +1,9 @@
 //! The gradient of the deformation at each sample, from its neighbours before and after.
 //!
-//! An affine map is fitted to the neighbours by weighted least squares. Across the plane through them it is held
-//! by a small ridge to a prior, for a flat neighbourhood tells nothing there: the plane's normal goes to the
-//! new normal, scaled by the root of the change of area, as a similarity does. Where the surface has relief, its
-//! neighbours off the plane tell more than the prior, and outweigh it.
+//! An affine map is fitted to the neighbours by weighted least squares. Across the plane through them it is
+//! held by a small ridge to a prior, for a flat neighbourhood tells nothing there: the plane's normal goes to
+//! the new normal, scaled by the root of the change of area, as a similarity does. Where the surface has
+//! relief, its neighbours off the plane tell more than the prior, and outweigh it.
 
 use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
@@ -37,7 +37,8 @@ pub struct LocalFrames {
     pub gradient: Vec<Mat3>,
     /// Unit normal of the deformed surface at each sample.
     pub normal: Vec<Vec3>,
-    /// Whether the neighbours of each sample tell the sign of the gradient's determinant, which is otherwise positive.
+    /// Whether the neighbours of each sample tell the sign of the gradient's determinant, which is otherwise
+    /// positive.
     pub tells_side: Vec<bool>,
     /// Whether the deformation as a whole turns left into right: at most of the samples that tell.
     pub mirrored: bool,

@@ -1,11 +1,13 @@
-//! Reconstruction: the deformation P_S → P_S* is transferred to every vertex of P_L, in one stream (paper §5).
+//! Reconstruction: the deformation P_S → P_S* is transferred to every vertex of P_L, in one stream (paper
+//! §5).
 //!
-//! P_S and P_S* sample an unknown map D of space. Before streaming, `sheets` finds which samples belong together,
-//! `local_frames` fits D's gradient at each, and `blended_jets` expands D about it to second order. While streaming,
-//! `homes` finds the sample around which a vertex lies, by its position alone; `blend` carries whole blocks of
-//! vertices over by the expansions around their homes, or `projected_barycentric` each vertex in the paper's way;
-//! `stream` does so for the whole file. `diagnostics` says what it does to the surface, and `expected_error` how far it is probably off. Where the map of
-//! space itself is known, `exact` evaluates it at each vertex instead, and [`transfer_error`] compares results with it.
+//! P_S and P_S* sample an unknown map D of space. Before streaming, `sheets` finds which samples belong
+//! together, `local_frames` fits D's gradient at each, and `blended_jets` expands D about it to second order.
+//! While streaming, `homes` finds the sample around which a vertex lies, by its position alone; `blend`
+//! carries whole blocks of vertices over by the expansions around their homes, or `projected_barycentric`
+//! each vertex in the paper's way; `stream` does so for the whole file. `diagnostics` says what it does to
+//! the surface, and `expected_error` how far it is probably off. Where the map of space itself is known,
+//! `exact` evaluates it at each vertex instead, and [`transfer_error`] compares results with it.
 
 mod binding;
 mod blend;
@@ -77,14 +79,14 @@ impl Transport {
     /// Nothing happens.
     pub const NONE: Self = Self { displacement: Vec3::ZERO, gradient: Mat3::IDENTITY };
 
-    /// The normal after the deformation, of the same length as before. `mirrored` says that the deformation as a whole
-    /// turns left into right, where what is outside stays outside.
+    /// The normal after the deformation, of the same length as before. `mirrored` says that the deformation
+    /// as a whole turns left into right, where what is outside stays outside.
     pub fn normal(&self, n: Vec3, mirrored: bool) -> Vec3 {
         if self.gradient == Mat3::IDENTITY || !n.is_finite() {
             return n;
         }
-        // F⁻ᵀ up to a factor: the cofactors, which exist for a singular F too. The sign of the determinant here, which
-        // a flat surface hardly tells, would turn single normals round.
+        // F⁻ᵀ up to a factor: the cofactors, which exist for a singular F too. The sign of the determinant
+        // here, which a flat surface hardly tells, would turn single normals round.
         let [a, b, c] = [self.gradient.x_axis, self.gradient.y_axis, self.gradient.z_axis];
         let cofactors = Mat3::from_cols(b.cross(c), c.cross(a), a.cross(b));
         let turned = cofactors * n;
@@ -108,8 +110,8 @@ pub enum Method {
     BlendedJets,
 }
 
-/// What there is to know of the samples at rest, for all deformations of them: who is on whose sheet, and whose word
-/// counts where.
+/// What there is to know of the samples at rest, for all deformations of them: who is on whose sheet, and
+/// whose word counts where.
 ///
 /// Memory: about 390 bytes per sample, and what [`SampleSet::prepare`] finds.
 pub struct Surroundings<'a> {
@@ -139,8 +141,8 @@ impl<'a> Surroundings<'a> {
             || self.sheets.of_sample(j as usize).contains(&(i as u32))
     }
 
-    /// The sample nearest to a local place of this home, among those on the home's sheet; the first of those that are equally
-    /// near.
+    /// The sample nearest to a local place of this home, among those on the home's sheet; the first of those
+    /// that are equally near.
     pub(crate) fn nearest_on_sheet(&self, home: u32, p: Vec3) -> u32 {
         let distance = |i: u32| self.samples.positions[i as usize].distance_squared(p);
         let near = self.sheets.of_sample(home as usize).iter().map(|i| (distance(*i), *i));
@@ -259,7 +261,8 @@ impl<'a> DeformationField<'a> {
         &self.folds
     }
 
-    /// What becomes of the surface at a vertex of this home, at `p`, local coordinates; `scale` is the length of a local unit.
+    /// What becomes of the surface at a vertex of this home, at `p`, local coordinates; `scale` is the length
+    /// of a local unit.
     fn figures(&self, home: usize, p: Vec3, moved: &Transport, scale: f64) -> Figures {
         let Transport { displacement, gradient } = moved;
         let stretch = principal_stretches(gradient, self.around.samples.normals()[home]);
@@ -285,9 +288,9 @@ impl<'a> DeformationField<'a> {
         Transport { displacement: displacement / sum, gradient: Mat3::IDENTITY + gradient * (1.0 / sum) }
     }
 
-    /// Where a vertex goes that its home's support does not reach, if other samples are much nearer and theirs do. A sheet
-    /// is taken for its own then because a tangent plane of it happens to go past, as planes of the ground do by roofs that
-    /// have few samples.
+    /// Where a vertex goes that its home's support does not reach, if other samples are much nearer and
+    /// theirs do. A sheet is taken for its own then because a tangent plane of it happens to go past, as
+    /// planes of the ground do by roofs that have few samples.
     fn by_nearer_ones(&self, home: usize, p: Vec3) -> Option<Transport> {
         let samples = self.around.samples;
         let mut found = [0; bound::AROUND];
@@ -305,8 +308,8 @@ impl<'a> DeformationField<'a> {
         (p - Vec3::from_array(e.center)).length_squared() * e.inverse_square < 1.0
     }
 
-    /// The blend of the expansions of these samples at a place, and the sum of their weights: as [`blend`](mod@blend) does
-    /// it, for single vertices.
+    /// The blend of the expansions of these samples at a place, and the sum of their weights: as
+    /// [`blend`](mod@blend) does it, for single vertices.
     fn blended(&self, samples: impl Iterator<Item = usize>, p: Vec3) -> (f32, Transport) {
         let (mut own, mut u, mut gradient) = (None, Vec3::ZERO, Mat3::ZERO);
         let (mut sum, mut sum_slope) = (0.0, Vec3::ZERO);

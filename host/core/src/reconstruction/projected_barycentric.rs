@@ -1,12 +1,12 @@
-//! Transfer by projected barycentric coordinates, the method of the paper's §5: the vertex is split into a point
-//! of the average plane H and an offset along its normal, the former is expressed in a triangle of three samples
-//! projected on H (W. Heidrich, *Computing the Barycentric Coordinates of a Projected Point*, 2005), and both are
-//! put together again on the deformed side: p* = T'*·B + d·(r*/r)·n*.
+//! Transfer by projected barycentric coordinates, the method of the paper's §5: the vertex is split into a
+//! point of the average plane H and an offset along its normal, the former is expressed in a triangle of
+//! three samples projected on H (W. Heidrich, *Computing the Barycentric Coordinates of a Projected Point*,
+//! 2005), and both are put together again on the deformed side: p* = T'*·B + d·(r*/r)·n*.
 //!
-//! Three guards are ours. A triangle must be well shaped and not leave the vertex far outside, or coordinates and
-//! circumradii explode. The change of scale r*/r stays within the changes of the triangle's edges, between which
-//! it lies for any similarity. H* is taken over the images of the samples that gave H: a search among the
-//! deformed samples would catch sheets that came near.
+//! Three guards are ours. A triangle must be well shaped and not leave the vertex far outside, or coordinates
+//! and circumradii explode. The change of scale r*/r stays within the changes of the triangle's edges,
+//! between which it lies for any similarity. H* is taken over the images of the samples that gave H: a search
+//! among the deformed samples would catch sheets that came near.
 
 use glam::{Mat3, Vec3};
 
@@ -28,8 +28,8 @@ const MIN_SHAPE: f32 = 0.25;
 /// Least barycentric coordinate: how far outside the triangle a vertex may lie.
 const MIN_COORDINATE: f32 = -0.25;
 
-/// Carries a vertex over. Expansions stand in where no triangle of samples is fit to be used, as outside an open
-/// boundary.
+/// Carries a vertex over. Expansions stand in where no triangle of samples is fit to be used, as outside an
+/// open boundary.
 pub fn carry(field: &DeformationField, home: usize, p: Vec3) -> Transport {
     let around = Neighbourhood::gather(field.around, home, NEIGHBOURS, p);
     over_triangle(field, &around, p).unwrap_or_else(|| field.beyond(home, p))
@@ -80,8 +80,9 @@ fn average_plane(around: &Neighbourhood, positions: &[Vec3], normals: &[Vec3]) -
     Some(Plane { center: origin + center / sum, normal: normal.try_normalize()? })
 }
 
-/// Angular voting: the nearest sample, the next one outside its cone, and the next one outside both cones, such that
-/// the triangle passes the guards; with the coordinates of `flat` in the triangle projected along `n`.
+/// Angular voting: the nearest sample, the next one outside its cone, and the next one outside both cones,
+/// such that the triangle passes the guards; with the coordinates of `flat` in the triangle projected along
+/// `n`.
 fn vote(around: &Neighbourhood, rest: &[Vec3], n: Vec3, flat: Vec3) -> Option<([u32; 3], [f32; 3])> {
     let near = around.weighted();
     let position = |m: usize| rest[near[m].0 as usize];

@@ -1,13 +1,14 @@
-//! Which samples lie on the same sheet of the surface: a deformation must not bleed from a finger to the next one,
-//! or from one side of a thin wall to the other, however near they are in space.
+//! Which samples lie on the same sheet of the surface: a deformation must not bleed from a finger to the next
+//! one, or from one side of a thin wall to the other, however near they are in space.
 //!
-//! Two samples that see each other along the surface have normals that do not oppose, and lie near each other's
-//! tangent planes. For an arc the chord is perpendicular to the mean of both normals, whatever its curvature, so the
-//! chord's part along that mean tells how far one sample is *above* the other: it is counted [`STACKED`]-fold. Each
-//! sample is linked to the nearest few others in that measure, and its sheet is what these links reach among its
-//! neighbours in space.
+//! Two samples that see each other along the surface have normals that do not oppose, and lie near each
+//! other's tangent planes. For an arc the chord is perpendicular to the mean of both normals, whatever its
+//! curvature, so the chord's part along that mean tells how far one sample is *above* the other: it is
+//! counted [`STACKED`]-fold. Each sample is linked to the nearest few others in that measure, and its sheet
+//! is what these links reach among its neighbours in space.
 //!
-//! Where the model's faces have told who is on whose sheet ([`Contacts`](crate::touching::Contacts)), what they say holds.
+//! Where the model's faces have told who is on whose sheet ([`Contacts`](crate::touching::Contacts)), what
+//! they say holds.
 
 use std::ops::Range;
 
@@ -74,7 +75,8 @@ impl Sheets {
             }
             let near = samples.nearest_neighbours(i, CROWDED_NEIGHBOURS);
             let same: Vec<u32> = reached(&links, i, &near, places).take(SHEET_NEIGHBOURS).copied().collect();
-            // Noise and creases alone do not make a second sheet, and fewer samples do not tell how they turn: mostly the normal is wrong.
+            // Noise and creases alone do not make a second sheet, and fewer samples do not tell how they
+            // turn: mostly the normal is wrong.
             (same.len() >= LEAST && same[..] != near[..same.len()]).then_some(same)
         };
         let (mut starts, mut neighbours) = (vec![0], Vec::with_capacity(samples.len() * graph.k()));
@@ -93,8 +95,8 @@ impl Sheets {
         sheets
     }
 
-    /// Leaves out neighbours on whose sheets the sample is not: those of a roof, which the walls below link to the ground
-    /// around a sample there, while from the roof only the roof is reached.
+    /// Leaves out neighbours on whose sheets the sample is not: those of a roof, which the walls below link
+    /// to the ground around a sample there, while from the roof only the roof is reached.
     ///
     /// Memory: four bytes per sample, for the time.
     fn leave_out_denied(&mut self, positions: &[Vec3]) {
@@ -125,8 +127,8 @@ impl Sheets {
         self.neighbours.truncate(to);
     }
 
-    /// Whether sample `j`, beside which there are several sheets, knows that sample `i` is not on its own: it is nearer than others
-    /// that are.
+    /// Whether sample `j`, beside which there are several sheets, knows that sample `i` is not on its own: it
+    /// is nearer than others that are.
     fn denies(&self, positions: &[Vec3], j: usize, i: usize) -> bool {
         let same = self.of_sample(j);
         let distance = |k: usize| positions[k].distance_squared(positions[j]);
@@ -155,9 +157,9 @@ impl Sheets {
         self.crowded[i]
     }
 
-    /// At most `count` nearest neighbours of sample `i` on its sheet, and the radius at which a kernel over them
-    /// vanishes: the distance of the first neighbour that is left out, or half as much again as the last where there
-    /// is none; 0 without any neighbours.
+    /// At most `count` nearest neighbours of sample `i` on its sheet, and the radius at which a kernel over
+    /// them vanishes: the distance of the first neighbour that is left out, or half as much again as the last
+    /// where there is none; 0 without any neighbours.
     pub fn around(&self, positions: &[Vec3], i: usize, count: usize) -> (&[u32], f32) {
         let all = self.of_sample(i);
         let near = &all[..all.len().min(count)];
@@ -170,7 +172,8 @@ impl Sheets {
     }
 }
 
-/// All samples, a sixteenth at a time: lists that are found side by side need more room than one behind the other.
+/// All samples, a sixteenth at a time: lists that are found side by side need more room than one behind the
+/// other.
 pub fn blocks(samples: usize) -> impl Iterator<Item = Range<usize>> {
     let size = samples.div_ceil(16).max(1 << 14);
     (0..samples).step_by(size).map(move |start| start..samples.min(start + size))
@@ -184,7 +187,8 @@ pub fn are_lists(starts: &[u32], lists: usize, entries: usize) -> bool {
         && starts.last().is_some_and(|end| *end as usize == entries)
 }
 
-/// Whether normals are more than 120° apart, as on both sides of a thin plate, but not between the walls of a groove.
+/// Whether normals are more than 120° apart, as on both sides of a thin plate, but not between the walls of a
+/// groove.
 #[inline]
 pub fn faces_away(n: Vec3, side: Vec3) -> bool {
     2.0 * n.dot(side) + 1.0 <= 0.0
@@ -230,8 +234,8 @@ fn links(positions: &[Vec3], normals: &[Vec3], near: &[u32], i: usize) -> [u32; 
     best.map(|(_, j)| j)
 }
 
-/// Those of `near` (fewer than 128) that links within them reach from sample `i`, in their order. `places` has one for
-/// each sample, all [`NOWHERE`], before and after.
+/// Those of `near` (fewer than 128) that links within them reach from sample `i`, in their order. `places`
+/// has one for each sample, all [`NOWHERE`], before and after.
 fn reached<'a>(
     links: &[[u32; LINKS]],
     i: usize,

@@ -1,6 +1,6 @@
-//! The second streaming step: every vertex of P_L passes through the deformation field, and out goes the same file
-//! with other positions (and normals) (paper §5, "Streaming Deformation Reconstruction"). Several deformations of the same
-//! samples share a reading of the model.
+//! The second streaming step: every vertex of P_L passes through the deformation field, and out goes the same
+//! file with other positions (and normals) (paper §5, "Streaming Deformation Reconstruction"). Several
+//! deformations of the same samples share a reading of the model.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,10 +18,12 @@ use crate::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
 use crate::sampled_model::{SampledModel, fingerprint, same_file};
 use crate::{Error, ErrorKind, Progress, Result};
 
-/// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on with then.
+/// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on
+/// with then.
 const REVISION: u32 = 6;
 
-/// What is lost at most, in bytes of the model, when the program is killed: see [`Reconstruction::part_bytes`].
+/// What is lost at most, in bytes of the model, when the program is killed: see
+/// [`Reconstruction::part_bytes`].
 pub const PART_BYTES: u64 = 256 << 20;
 
 /// Most parts that an output is recorded in: those of a very large model are larger.
@@ -34,10 +36,11 @@ pub struct Version<'a> {
     pub deformed: &'a [Vec3],
     /// The file to write, which appears whole or not at all.
     pub output: &'a Path,
-    /// A file that is to say what becomes of the surface at each vertex, likewise: a binary PLY file of the deformed
-    /// positions with `displacement` (in the model's unit), `stretch_max` and `stretch_min` (1 at rest), `folded` (0
-    /// or 1), `expected_error` (how far the vertex is probably off, in the model's unit), and `expected_error_fraction` (the same
-    /// as a fraction of the diagonal at rest). The numbers of a vertex without a finite position are NaN, and it is not folded.
+    /// A file that is to say what becomes of the surface at each vertex, likewise: a binary PLY file of the
+    /// deformed positions with `displacement` (in the model's unit), `stretch_max` and `stretch_min` (1 at
+    /// rest), `folded` (0 or 1), `expected_error` (how far the vertex is probably off, in the model's unit),
+    /// and `expected_error_fraction` (the same as a fraction of the diagonal at rest). The numbers of a
+    /// vertex without a finite position are NaN, and it is not folded.
     pub diagnostics: Option<&'a Path>,
 }
 
@@ -48,13 +51,14 @@ pub struct Reconstruction<'a> {
     pub method: Method,
     /// What becomes of the model's normals.
     pub normals: Normals,
-    /// Goes on with what an earlier call left that was killed, or stopped with `resume`, as far as it is good. Without
-    /// it, what was left is replaced.
+    /// Goes on with what an earlier call left that was killed, or stopped with `resume`, as far as it is
+    /// good. Without it, what was left is replaced.
     pub resume: bool,
-    /// A part of an output is on the disk, and can be relied on by a later call, each time so many bytes of the model are
-    /// done; more where that would be over 1024 parts.
+    /// A part of an output is on the disk, and can be relied on by a later call, each time so many bytes of
+    /// the model are done; more where that would be over 1024 parts.
     pub part_bytes: u64,
-    /// Where [`bind`](super::bind) may have kept what does not depend on the deformation. It is used if it fits.
+    /// Where [`bind`](super::bind) may have kept what does not depend on the deformation. It is used if it
+    /// fits.
     pub binding: Option<&'a Path>,
 }
 
@@ -70,9 +74,9 @@ impl Default for Reconstruction<'_> {
     }
 }
 
-/// Where a deformation folds the surface: parts of it are mirrored and most of the model is not, or the other way round,
-/// and between them it doubles back. A mirror of the whole model folds nothing; and where the surface is flat, nothing
-/// tells, and nothing is counted.
+/// Where a deformation folds the surface: parts of it are mirrored and most of the model is not, or the other
+/// way round, and between them it doubles back. A mirror of the whole model folds nothing; and where the
+/// surface is flat, nothing tells, and nothing is counted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Folding {
     /// Number of folded samples.
@@ -94,23 +98,25 @@ pub struct Reconstructed {
     pub taken_over: u64,
     /// Where each version folds the surface; nothing is known of those that an earlier call had finished.
     pub folding: Vec<Option<Folding>>,
-    /// How far each version is expected to be off; nothing is known of those that an earlier call had finished, nor of another
-    /// method than blended jets without diagnostics. What an earlier call wrote of a version is not counted.
+    /// How far each version is expected to be off; nothing is known of those that an earlier call had
+    /// finished, nor of another method than blended jets without diagnostics. What an earlier call wrote of a
+    /// version is not counted.
     pub expected: Vec<Option<ExpectedError>>,
 }
 
-/// Transfers each deformation of the samples to their model and writes it to its output. Up to [`MAX_VERSIONS`] of them
-/// share a reading of the model, and are in their places when it is over.
+/// Transfers each deformation of the samples to their model and writes it to its output. Up to
+/// [`MAX_VERSIONS`] of them share a reading of the model, and are in their places when it is over.
 ///
-/// An error leaves nothing of the versions that are not in their places; but with `resume` the finished parts are kept if the
-/// user cancelled or the disk is full.
+/// An error leaves nothing of the versions that are not in their places; but with `resume` the finished parts
+/// are kept if the user cancelled or the disk is full.
 ///
-/// Memory: a field for each version of a reading (see [`DeformationField`]), the chunks of [`Model::rewrite`], and with
-/// diagnostics 20 bytes for each vertex of a chunk and version.
+/// Memory: a field for each version of a reading (see [`DeformationField`]), the chunks of
+/// [`Model::rewrite`], and with diagnostics 20 bytes for each vertex of a chunk and version.
 ///
 /// # Errors
-/// The model cannot be read or is not what was sampled; an output cannot be written, is written by another process, is
-/// the model itself or that of another version; diagnostics are asked for with `resume`; a new position does not fit its type; the user cancelled.
+/// The model cannot be read or is not what was sampled; an output cannot be written, is written by another
+/// process, is the model itself or that of another version; diagnostics are asked for with `resume`; a new
+/// position does not fit its type; the user cancelled.
 pub fn reconstruct(
     sampled: &SampledModel,
     model: &dyn Model,

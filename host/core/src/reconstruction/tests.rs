@@ -151,7 +151,8 @@ fn at_the_ends_of_a_ramp_neighbouring_vertices_stay_neighbours() {
 
 #[test]
 fn normals_of_a_rough_scan_do_not_come_between() {
-    // Relief of the size of the spacing, and normals that go with it up to 110° off: two may oppose each other.
+    // Relief of the size of the spacing, and normals that go with it up to 110° off: two may oppose each
+    // other.
     let rough = |i: usize, p: Vec3| {
         let noise = |k: usize| ((i * 7919 + k * 104_729) % 997) as f32 / 997.0;
         let (tilt, around) = ((110.0 * noise(1).sqrt()).to_radians(), 6.3 * noise(2));
@@ -210,8 +211,8 @@ fn bits(field: &DeformationField, points: &[(Vec3, Vec3)]) -> Vec<Bits> {
 proptest::proptest! {
     #![proptest_config(proptest::prelude::ProptestConfig::with_cases(24))]
 
-    /// Whatever stands before and beside it in the file, whatever its normal, and however many threads there are; also where
-    /// sheets are near, where samples are noise, and off all of them.
+    /// Whatever stands before and beside it in the file, whatever its normal, and however many threads there
+    /// are; also where sheets are near, where samples are noise, and off all of them.
     #[test]
     fn what_becomes_of_a_vertex_is_a_function_of_its_place(
         seed in 0u64..u64::MAX, model in 0usize..4, motion in 0usize..4, barycentric: bool,
@@ -358,7 +359,8 @@ fn degenerate_samples_make_no_spikes() {
                 let points: Vec<Vec3> =
                     rest.iter().flat_map(|p| [*p, *p + Vec3::new(0.0005, 0.0015, -0.0003)]).collect();
                 for (i, image) in carried(&field, &points).iter().enumerate() {
-                    // The displacements differ by 1.8 at most: no further from the image of its own sample than twice that.
+                    // The displacements differ by 1.8 at most: no further from the image of its own sample
+                    // than twice that.
                     let own = deformed[i / 2];
                     assert!(
                         image.is_finite() && image.distance(own) < 3.6,
@@ -372,7 +374,8 @@ fn degenerate_samples_make_no_spikes() {
 
 #[test]
 fn samples_between_two_sheets_do_not_join_them() {
-    // A third of the spacing apart, facing the same way; one sample of 80 has vertices of both in its cluster.
+    // A third of the spacing apart, facing the same way; one sample of 80 has vertices of both in its
+    // cluster.
     let n = 50;
     let gap = Vec3::Y * 0.3 / n as f32;
     let sheet = patch(n).enumerate();

@@ -10,7 +10,8 @@ use crate::model::{Model, Scalar, for_vertices, in_step};
 use crate::sampled_model::SampledModel;
 use crate::{Progress, Result};
 
-/// The deviation of a deformed model from the exact one. Lengths are fractions of the model's diagonal at rest.
+/// The deviation of a deformed model from the exact one. Lengths are fractions of the model's diagonal at
+/// rest.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TransferError {
     /// Vertices compared: those with a finite position.
@@ -76,14 +77,16 @@ pub fn measure(
     })
 }
 
-/// Vertices that are further off than allowed: their places (local coordinates) and by how much (local units).
+/// Vertices that are further off than allowed: their places (local coordinates) and by how much (local
+/// units).
 pub type Places = Vec<(Vec3, f32)>;
 
 /// Most vertices of which [`measure_some`] tells.
 pub const MOST_TOLD: usize = 1 << 16;
 
-/// Compares what `field` makes of some vertices, no more than `most` and chosen at random, with their exact images; nothing is
-/// written, but their positions are rounded as the file does it. The same vertices each time; [`jump`](TransferError::jump) is 0.
+/// Compares what `field` makes of some vertices, no more than `most` and chosen at random, with their exact
+/// images; nothing is written, but their positions are rounded as the file does it. The same vertices each
+/// time; [`jump`](TransferError::jump) is 0.
 ///
 /// Vertices that are off by more than `beyond`, a fraction of the diagonal, are told, up to [`MOST_TOLD`].
 ///

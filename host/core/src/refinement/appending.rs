@@ -1,10 +1,11 @@
 //! The new samples take their places behind those that were there, whose indices and positions stay.
 //!
-//! Of the clusters that a sample's cluster is split into, the one whose representative is nearest goes on being
-//! represented by the sample itself: another one beside it would say the same twice.
+//! Of the clusters that a sample's cluster is split into, the one whose representative is nearest goes on
+//! being represented by the sample itself: another one beside it would say the same twice.
 //!
-//! Where sheets of the model touch, a cluster holds vertices of several of them, and has a sample for each. So has each of
-//! the clusters that it is split into: what is on a sheet there goes on from the sample that stood for that sheet.
+//! Where sheets of the model touch, a cluster holds vertices of several of them, and has a sample for each.
+//! So has each of the clusters that it is split into: what is on a sheet there goes on from the sample that
+//! stood for that sheet.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -138,7 +139,8 @@ pub(super) fn append(
     }
     out.starts.sort_unstable();
     if let Some(guides) = guides {
-        // Where nothing is left of what a sample stood for, it is beside the first that has come of its cluster.
+        // Where nothing is left of what a sample stood for, it is beside the first that has come of its
+        // cluster.
         for (sample, cells) in &split {
             let part = cells.first().map(|range| &parts[range.start]);
             beside.extend(part.map(|part| (*sample, part.tree, part.place)));
@@ -192,8 +194,8 @@ impl Taking<'_, '_> {
         self.guides.map_or(sample, |all| all.of_cluster(sample, guide))
     }
 
-    /// What comes of a leaf below a split sample, the sheet with most vertices first, for this place in the tree; and where the
-    /// vertices of the others go on with a sample that was there.
+    /// What comes of a leaf below a split sample, the sheet with most vertices first, for this place in the
+    /// tree; and where the vertices of the others go on with a sample that was there.
     fn parts(&self, grown: &Grown, i: usize, sample: u32, place: usize) -> (Vec<Part>, Vec<(u32, u32)>) {
         let node = &grown.nodes[i];
         let whole = (node.position, node.normal, node.reach);

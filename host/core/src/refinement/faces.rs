@@ -1,5 +1,5 @@
-//! The triangles of P_S after a refinement: those that were there, but for those of split clusters, whose faces are
-//! reindexed anew.
+//! The triangles of P_S after a refinement: those that were there, but for those of split clusters, whose
+//! faces are reindexed anew.
 
 use std::ops::Range;
 use std::path::Path;
@@ -26,8 +26,8 @@ const NEAR: u64 = 4 << 10;
 const BYTES: u64 = size_of::<u32>() as u64;
 const POSITION_BYTES: u64 = size_of::<Vec3>() as u64;
 
-/// The leaf of each vertex that was read, and where it is if faces place the samples: in temporary files of 4 and 12 bytes per
-/// vertex of the model, of which only as much is on the disk as is known.
+/// The leaf of each vertex that was read, and where it is if faces place the samples: in temporary files of 4
+/// and 12 bytes per vertex of the model, of which only as much is on the disk as is known.
 pub(super) struct Members {
     file: Scratch,
     /// Local coordinates.
@@ -120,10 +120,12 @@ impl SampleOf<'_> {
         joined(kept.cells.iter().filter(changes).flat_map(|cell| cell.faces.iter().cloned()), NEAR)
     }
 
-    /// Streams the faces of the cells whose samples are split, or all where it is not known which these are: the new
-    /// triangles, where the faces place the new samples, no further than `slack` allows, if they shall, and how many bytes were read.
+    /// Streams the faces of the cells whose samples are split, or all where it is not known which these are:
+    /// the new triangles, where the faces place the new samples, no further than `slack` allows, if they
+    /// shall, and how many bytes were read.
     ///
-    /// Memory: 12 bytes per triangle, twice while the list grows; that of [`Planes`]; the chunks of [`for_faces`].
+    /// Memory: 12 bytes per triangle, twice while the list grows; that of [`Planes`]; the chunks of
+    /// [`for_faces`].
     pub fn reindex(
         &self,
         model: &dyn Model,

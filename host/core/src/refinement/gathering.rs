@@ -55,12 +55,12 @@ pub(crate) struct Gathering<'a> {
 }
 
 impl Gathering<'_> {
-    /// Bytes that a vertex takes at most until its cell is done: itself, its index and group, and once more while it is
-    /// clustered, with the nodes of a tree down to it.
+    /// Bytes that a vertex takes at most until its cell is done: itself, its index and group, and once more
+    /// while it is clustered, with the nodes of a tree down to it.
     pub const BYTES_PER_VERTEX: u64 = 240;
 
-    /// Reads some cells; and how many bytes of the model that took. `None` for the first of a cell's vertices that
-    /// is not what it was: the model has changed.
+    /// Reads some cells; and how many bytes of the model that took. `None` for the first of a cell's vertices
+    /// that is not what it was: the model has changed.
     ///
     /// Memory: [`BYTES_PER_VERTEX`](Self::BYTES_PER_VERTEX) for each vertex of these cells, and a chunk.
     pub fn read(&self, cells: &[u32], progress: &dyn Progress) -> Result<Option<(Vec<Gathered>, u64)>> {
@@ -114,8 +114,9 @@ impl Gathering<'_> {
         Ok(Some((found, bytes)))
     }
 
-    /// Streams the vertices of some cells through `visit`, in the model's order, and nothing each time the stream leaves them;
-    /// how many bytes of the model that took. `None` once `visit` says `false`: that the model has changed.
+    /// Streams the vertices of some cells through `visit`, in the model's order, and nothing each time the
+    /// stream leaves them; how many bytes of the model that took. `None` once `visit` says `false`: that the
+    /// model has changed.
     ///
     /// Memory: a chunk.
     pub fn visit(

@@ -1,9 +1,10 @@
 //! Local refinement (paper §6): more samples where the user asks, appended to P_S.
 //!
-//! The cells that the selection meets are known from what sampling kept. Only their ranges of the model are read
-//! (`gathering`), their trees go on from where they stopped (`regrowing`) down to a smaller error inside the selection
-//! and a rising one around it (`selection`), and what is below the samples that were there becomes new ones (`appending`), with
-//! triangles from the model's faces (`faces`). It works again and again, down to the vertices themselves.
+//! The cells that the selection meets are known from what sampling kept. Only their ranges of the model are
+//! read (`gathering`), their trees go on from where they stopped (`regrowing`) down to a smaller error inside
+//! the selection and a rising one around it (`selection`), and what is below the samples that were there
+//! becomes new ones (`appending`), with triangles from the model's faces (`faces`). It works again and again,
+//! down to the vertices themselves.
 
 mod appending;
 mod faces;
@@ -45,7 +46,8 @@ use selection::{Nearest, Selected, Sizing};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Finer {
-    /// No cluster there has a larger error, as a fraction of the diagonal; 0 gives every vertex a sample of its own.
+    /// No cluster there has a larger error, as a fraction of the diagonal; 0 gives every vertex a sample of
+    /// its own.
     Error(f64),
     /// About so many times as many samples as there are.
     Factor(f64),
@@ -54,7 +56,8 @@ pub enum Finer {
     /// As the deformation so far needs it: more samples around those where the reconstruction is expected
     /// ([`DeformationField::expected_error`]) to be off by more than this.
     Auto {
-        /// The transfer error that is allowed, as a fraction of the diagonal; [`Finer::ALLOWED`], if nobody knows better.
+        /// The transfer error that is allowed, as a fraction of the diagonal; [`Finer::ALLOWED`], if nobody
+        /// knows better.
         error: f64,
         /// Most samples more, for the worst places; a quarter of those that there are, where not given.
         samples: Option<u64>,
@@ -101,7 +104,8 @@ pub struct Refinement {
     pub error: f64,
     /// Number of samples that it appended.
     pub added: u64,
-    /// The transfer error that it allowed, as a fraction of the diagonal, if it was where a deformation needed it.
+    /// The transfer error that it allowed, as a fraction of the diagonal, if it was where a deformation
+    /// needed it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transfer_error: Option<f64>,
 }
@@ -138,7 +142,8 @@ pub struct Refined {
 /// What a deformation needs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Need {
-    /// The largest transfer error that is expected around a selected sample, before; a fraction of the diagonal.
+    /// The largest transfer error that is expected around a selected sample, before; a fraction of the
+    /// diagonal.
     pub expected: f64,
     /// That which the new samples allow: what was asked for, or more, if there may not be enough of them.
     pub allowed: f64,
@@ -146,11 +151,12 @@ pub struct Need {
     pub samples: u64,
 }
 
-/// Most bytes of vertices and what they take that are in work at a time: cells come in batches of so much, unless one
-/// is larger.
+/// Most bytes of vertices and what they take that are in work at a time: cells come in batches of so much,
+/// unless one is larger.
 const BATCH: u64 = 96 << 20;
 
-/// Bytes that a new sample takes until P_S is complete: 1.4 nodes, before and after the cut, and the tree's and its own.
+/// Bytes that a new sample takes until P_S is complete: 1.4 nodes, before and after the cut, and the tree's
+/// and its own.
 const BYTES_PER_SAMPLE: u64 = 200;
 
 /// With a target, trees are cut back when they have so many times as many leaves ...
@@ -164,15 +170,17 @@ const ROUNDS_FOR_SHEETS: usize = 8;
 /// A bound this many times smaller than what the number of samples foretells is low enough, mostly.
 const FORESIGHT: f64 = 3.0;
 
-/// Refines a sampled model, whose cells are held, where it is selected. Temporary files without a name are made in `folder`, of 4 bytes per
-/// vertex that is read, if there are triangles, 12 more where faces place the samples, and 16 near places where sheets meet.
+/// Refines a sampled model, whose cells are held, where it is selected. Temporary files without a name are
+/// made in `folder`, of 4 bytes per vertex that is read, if there are triangles, 12 more where faces place
+/// the samples, and 16 near places where sheets meet.
 ///
-/// Memory: below the limit, for any selection. Cells come in batches of at most 96 MiB, or one at a time; 240 bytes for each of their
-/// vertices. The new samples take 200 bytes each, at most half of the limit. P_S itself comes on top.
+/// Memory: below the limit, for any selection. Cells come in batches of at most 96 MiB, or one at a time; 240
+/// bytes for each of their vertices. The new samples take 200 bytes each, at most half of the limit. P_S
+/// itself comes on top.
 ///
 /// # Errors
-/// The selection does not meet the model; the model cannot be read, or is not what was sampled; a target that is out of
-/// range, or more than memory holds; the user cancelled.
+/// The selection does not meet the model; the model cannot be read, or is not what was sampled; a target that
+/// is out of range, or more than memory holds; the user cancelled.
 pub fn refine(
     sampled: &SampledModel,
     model: &dyn Model,
@@ -262,8 +270,8 @@ pub fn refine(
     Ok(refined)
 }
 
-/// Where the samples go that a refinement has appended, from `first` on (the model's coordinates), by a deformation of those
-/// that were there before, or of those among them that are around.
+/// Where the samples go that a refinement has appended, from `first` on (the model's coordinates), by a
+/// deformation of those that were there before, or of those among them that are around.
 pub fn appended_deformed(refined: &SampledModel, first: usize, field: &DeformationField<'_>) -> Vec<DVec3> {
     let rest = refined.samples.positions.get(first..).unwrap_or_default();
     let rest: Vec<DVec3> = rest.iter().map(|p| refined.frame.to_model(*p)).collect();
@@ -293,8 +301,8 @@ fn meets_nothing() -> Error {
     )
 }
 
-/// What the deformation so far needs where it is selected, for a transfer error (a fraction of the diagonal) and a number of
-/// samples; no sizes, if it needs nothing.
+/// What the deformation so far needs where it is selected, for a transfer error (a fraction of the diagonal)
+/// and a number of samples; no sizes, if it needs nothing.
 fn needs<'a>(
     sampled: &'a SampledModel,
     kept: &KeptCells,
@@ -413,8 +421,8 @@ impl Work<'_, '_> {
         cells.map(|(leaves, cell)| (cell, leaves.iter().map(may).collect())).collect()
     }
 
-    /// Grows the trees of all cells that the selection meets; `None` if the least bound is too coarse for the number of
-    /// samples.
+    /// Grows the trees of all cells that the selection meets; `None` if the least bound is too coarse for the
+    /// number of samples.
     fn regrow(&self, goal: Goal) -> Result<Option<Done>> {
         let Self { sampled, kept, model, progress, .. } = self;
         let wanted = self.wanted(goal.least);
@@ -523,8 +531,8 @@ impl Work<'_, '_> {
         Ok(Some((bound, regrown, members, noted, figures)))
     }
 
-    /// Adds the cells of all samples that share a triangle with one that may be split: the samples of their vertices have
-    /// to be known as well.
+    /// Adds the cells of all samples that share a triangle with one that may be split: the samples of their
+    /// vertices have to be known as well.
     fn add_neighbours(&self, cells: &mut Vec<Met>) {
         let mut split = vec![false; self.sampled.samples.len()];
         for (cell, wanted) in cells.iter() {

@@ -1,9 +1,9 @@
-//! Where a deformation needs more samples: around those where the reconstruction is expected to be off by more than is
-//! allowed.
+//! Where a deformation needs more samples: around those where the reconstruction is expected to be off by
+//! more than is allowed.
 //!
-//! What the expansions leave out is taken to fall with a power of the size of clusters, which tells how much smaller those
-//! of each sample have to be. If there are more new samples than allowed, the error that is allowed rises until there
-//! are not: the worst places come first.
+//! What the expansions leave out is taken to fall with a power of the size of clusters, which tells how much
+//! smaller those of each sample have to be. If there are more new samples than allowed, the error that is
+//! allowed rises until there are not: the worst places come first.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -17,8 +17,8 @@ use crate::sampling::cluster::REACH_WEIGHT;
 use crate::sampling::kept_cells::KeptCells;
 use crate::touching::Contacts;
 
-/// The power of the clusters' size that the error falls with, where the deformation is smooth: what expansions of second order
-/// leave out. Beside a step it falls more slowly.
+/// The power of the clusters' size that the error falls with, where the deformation is smooth: what
+/// expansions of second order leave out. Beside a step it falls more slowly.
 const ORDER: f32 = 3.0;
 
 /// Halvings of the logarithm of the error that is allowed.
@@ -44,8 +44,8 @@ pub(super) struct Needs<'a> {
 }
 
 impl<'a> Needs<'a> {
-    /// Of the samples that are selected and around which more than `allowed` is expected, for about `budget` new ones; `None`
-    /// if there are none.
+    /// Of the samples that are selected and around which more than `allowed` is expected, for about `budget`
+    /// new ones; `None` if there are none.
     pub fn of(
         sampled: &'a SampledModel,
         kept: &KeptCells,

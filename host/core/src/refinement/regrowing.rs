@@ -1,8 +1,9 @@
 //! A cell's tree goes on where it stopped (paper §6).
 //!
-//! What was kept of it tells which clusters were split, and splits follow from the vertices alone. So the tree is built
-//! again along what is kept, which gives the vertices of each leaf; and where a leaf's error is above the bound, a VS-Tree
-//! of these vertices goes on below it. What it comes to does not depend on how many refinements led there.
+//! What was kept of it tells which clusters were split, and splits follow from the vertices alone. So the
+//! tree is built again along what is kept, which gives the vertices of each leaf; and where a leaf's error is
+//! above the bound, a VS-Tree of these vertices goes on below it. What it comes to does not depend on how
+//! many refinements led there.
 
 use crate::sampling::cluster::{Element, Moments, Sample};
 use crate::sampling::density::Rule;
@@ -27,7 +28,8 @@ pub(super) struct GrownNode {
     pub reach: f32,
     /// Its error, or that of one above if that is less.
     pub error: f32,
-    /// That less the slack, or that of one above which is not kept; what a bound inside the selection is compared with.
+    /// That less the slack, or that of one above which is not kept; what a bound inside the selection is
+    /// compared with.
     pub graded: f32,
     /// Index behind its subtree.
     pub end: u32,
@@ -79,8 +81,8 @@ pub(super) struct Regrown {
     pub cell: u32,
     /// In the order of their roots.
     pub grown: Vec<Grown>,
-    /// For each vertex its index in the model and its leaf: a sample that was there, or `leaves_from` and on. None, if
-    /// nobody asked.
+    /// For each vertex its index in the model and its leaf: a sample that was there, or `leaves_from` and on.
+    /// None, if nobody asked.
     pub members: Vec<(u32, u32)>,
     /// Number of leaves that were built.
     pub built: u32,
@@ -150,8 +152,8 @@ impl Grown {
         found
     }
 
-    /// The clusters that a cut can split beyond what is kept: what the bound is compared with, and how many clusters
-    /// the split adds.
+    /// The clusters that a cut can split beyond what is kept: what the bound is compared with, and how many
+    /// clusters the split adds.
     pub fn splits<'a>(&'a self, tree: &'a CutTree) -> impl Iterator<Item = (f32, u32)> + 'a {
         let can = |i: &usize| {
             let node = &self.nodes[*i];
@@ -178,8 +180,8 @@ impl Grown {
 }
 
 impl Regrowing<'_, '_> {
-    /// Goes on with the tree of a cell. `wanted` says of each leaf whether it may be refined; all trees that went on
-    /// below a leaf before are built again where it is, or if the members are asked for.
+    /// Goes on with the tree of a cell. `wanted` says of each leaf whether it may be refined; all trees that
+    /// went on below a leaf before are built again where it is, or if the members are asked for.
     pub fn regrow(
         &self,
         mut gathered: Gathered,
@@ -278,8 +280,8 @@ impl Regrowing<'_, '_> {
         Ok((0..gathered.vertices.len()).map(|v| leaf_of_item[gathered.item_of(v)]).collect())
     }
 
-    /// The tree of the vertices of a leaf: as far as it is kept, and on from there if it is `refined`. Also its number of leaves;
-    /// the leaf of each vertex is in the workspace.
+    /// The tree of the vertices of a leaf: as far as it is kept, and on from there if it is `refined`. Also
+    /// its number of leaves; the leaf of each vertex is in the workspace.
     fn grow(
         &self,
         vertices: &mut [Sample],
@@ -362,8 +364,8 @@ struct Along<'a> {
 }
 
 impl Along<'_> {
-    /// Builds the tree of a part of the cell's items again, of which the kept one begins at this node, and notes the
-    /// leaf of each item.
+    /// Builds the tree of a part of the cell's items again, of which the kept one begins at this node, and
+    /// notes the leaf of each item.
     fn build<E: Element>(&self, part: &mut [E], start: usize, leaf_of: &mut [u32]) -> Result<(), Changed> {
         let first = part.first().map_or(0, E::index) as usize;
         let kept = &self.top.nodes[start..self.top.nodes[start].end];
@@ -438,8 +440,8 @@ impl Top {
         Self { nodes, leaves }
     }
 
-    /// The node with which the tree of each part begins: parts were joined one after the other. `None` if they cannot
-    /// have been.
+    /// The node with which the tree of each part begins: parts were joined one after the other. `None` if
+    /// they cannot have been.
     fn parts(&self, parts: usize) -> Option<Vec<usize>> {
         let (mut starts, mut at, mut left) = (vec![0; parts], 0, parts);
         while left > 1 {

@@ -1,9 +1,9 @@
 //! Where a model is refined: the part of space that was selected, and how clusters may grow away from it.
 //!
-//! Inside the selection no cluster keeps a larger error than the bound. Outside, the bound rises with the distance, so
-//! that sizes of neighbours differ little, as in the sizing fields of mesh generation (P.-O. Persson, *Mesh size functions
-//! for implicit geometries and PDE-based gradient limiting*, 2006): a sudden change of density would spoil the fits of
-//! the reconstruction.
+//! Inside the selection no cluster keeps a larger error than the bound. Outside, the bound rises with the
+//! distance, so that sizes of neighbours differ little, as in the sizing fields of mesh generation (P.-O.
+//! Persson, *Mesh size functions for implicit geometries and PDE-based gradient limiting*, 2006): a sudden
+//! change of density would spoil the fits of the reconstruction.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -23,7 +23,8 @@ pub(super) const GRADING: f64 = 1.0;
 /// A part of space, and the pose of the model in which it is meant.
 #[derive(Clone, Copy)]
 pub struct Selection<'a> {
-    /// Signed distance of a point (model coordinates) to the part's surface, in the model's unit; negative inside.
+    /// Signed distance of a point (model coordinates) to the part's surface, in the model's unit; negative
+    /// inside.
     pub distance: &'a (dyn Fn(DVec3) -> f64 + Sync),
     /// The deformation so far, if there is one.
     pub so_far: Option<&'a DeformationField<'a>>,
@@ -61,8 +62,8 @@ impl Sizing<'_> {
         }
     }
 
-    /// A bound for the slack of each leaf of each cell, from what is known of them without the model; and whether a
-    /// leaf may reach to where the bound is the least.
+    /// A bound for the slack of each leaf of each cell, from what is known of them without the model; and
+    /// whether a leaf may reach to where the bound is the least.
     pub fn leaves(&self, sampled: &SampledModel, kept: &KeptCells) -> Vec<Vec<Nearest>> {
         match self {
             Self::Selected(selected) => selected.leaves(sampled, kept),
@@ -123,8 +124,8 @@ impl<'a> Selected<'a> {
             let leaves = (0..tree.children.len()).filter(is_leaf).map(|i| (tree.errors[i], grown[i]));
             let parted = |sample: u32| contacts.is_some_and(|all| all.same_sheet(sample as usize).is_some());
             let nearest = |((error, below), sample): ((f32, bool), &u32)| {
-                // The error holds the reach; a sample that stayed where it was may stand at its cluster's rim, and so may that of
-                // one of several sheets.
+                // The error holds the reach; a sample that stayed where it was may stand at its cluster's
+                // rim, and so may that of one of several sheets.
                 let below = below || parted(*sample);
                 let reach = f64::from(error) / REACH_WEIGHT * if below { 2.0 } else { 1.0 };
                 let distance = (of_sample[*sample as usize] - reach).max(to_cell);

@@ -289,7 +289,8 @@ enum Form {
 }
 
 impl Body {
-    /// Writes the model with its faces in a form: pairs of triangles as quads, others as they are, some with no triangle.
+    /// Writes the model with its faces in a form: pairs of triangles as quads, others as they are, some with
+    /// no triangle.
     fn write_as(&self, form: Form) -> Box<dyn Model> {
         let mut polygons: Vec<Vec<u32>> = Vec::new();
         let mut faces = self.faces.iter().peekable();
@@ -405,7 +406,8 @@ fn numbers_of_samples_are_met() {
     assert_eq!(all.added, full.added);
 }
 
-/// No spikes: neighbours are not much nearer to each other than others around them, and spacings change slowly.
+/// No spikes: neighbours are not much nearer to each other than others around them, and spacings change
+/// slowly.
 #[test]
 fn density_is_graded() {
     let body = Body::new(200_000).without_faces();
@@ -615,7 +617,8 @@ fn affine(p: DVec3) -> DVec3 {
 /// A deformation of space.
 type Map = fn(DVec3) -> DVec3;
 
-/// The estimate is of the size of the error: it ranks the clusters, and tells the largest error in each within a factor.
+/// The estimate is of the size of the error: it ranks the clusters, and tells the largest error in each
+/// within a factor.
 #[test]
 fn expected_errors_are_of_the_size_of_errors() {
     let body = Body::new(200_000).without_faces();

@@ -7,7 +7,8 @@ use crate::output::write_file;
 use crate::output_folder::OutputFolder;
 use crate::{Error, ErrorKind, Result};
 
-/// A folder of `frame-0001.png` and so on, in the making. Dropped before [`commit`](Self::commit), it leaves no trace.
+/// A folder of `frame-0001.png` and so on, in the making. Dropped before [`commit`](Self::commit), it leaves
+/// no trace.
 #[derive(Debug)]
 pub struct FrameFolder {
     folder: OutputFolder,

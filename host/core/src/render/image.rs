@@ -110,8 +110,8 @@ impl Image {
         montage
     }
 
-    /// The picture above a bar of the colours from 0 to 1, with a label below its left end and its right one. What the font
-    /// does not have stays empty.
+    /// The picture above a bar of the colours from 0 to 1, with a label below its left end and its right one.
+    /// What the font does not have stays empty.
     pub fn with_scale(&self, color: impl Fn(f32) -> [u8; 3], labels: [&str; 2]) -> Self {
         const GAP: u32 = 12;
         let bar = [self.width.saturating_sub(2 * GAP).max(2), 10];

@@ -68,8 +68,8 @@ impl Default for Style {
     }
 }
 
-/// Draws one picture: [`depth`](Self::depth) for all points, then [`blend`](Self::blend) for all points again,
-/// then [`finish`](Self::finish).
+/// Draws one picture: [`depth`](Self::depth) for all points, then [`blend`](Self::blend) for all points
+/// again, then [`finish`](Self::finish).
 pub struct Renderer {
     width: u32,
     height: u32,
@@ -104,8 +104,8 @@ impl Renderer {
         }
     }
 
-    /// Second pass: blends normals and colours of the points on the nearest surface. What was not in the first
-    /// pass does not show.
+    /// Second pass: blends normals and colours of the points on the nearest surface. What was not in the
+    /// first pass does not show.
     pub fn blend(&mut self, points: &[SurfacePoint]) {
         self.canvas.blend(&self.camera, points);
     }

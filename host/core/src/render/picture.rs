@@ -65,8 +65,8 @@ impl View {
         Camera::frame(bounds, self.yaw.to_radians(), self.pitch.to_radians(), aspect)
     }
 
-    /// The cameras of a full turn, evenly spaced. All are as far away as the farthest of those that just show everything:
-    /// nothing is cut, and the model does not seem to grow and shrink.
+    /// The cameras of a full turn, evenly spaced. All are as far away as the farthest of those that just show
+    /// everything: nothing is cut, and the model does not seem to grow and shrink.
     fn turn(&self, frames: u32) -> Vec<Camera> {
         let yaw = |k| self.yaw + 360.0 * f64::from(k) / f64::from(frames);
         let cameras: Vec<Camera> = (0..frames).map(|k| Self { yaw: yaw(k), ..*self }.camera()).collect();
@@ -105,8 +105,9 @@ pub fn of_model(model: &dyn Model, bounds: &Bounds, view: &View, progress: &dyn 
     draw(&[model], &spacing, view, view.camera(), None, progress)
 }
 
-/// As [`of_model`], so many times while the camera goes once round the vertical axis, in one stream more than two for each
-/// picture. It stands as far back for all as some of them need; the first is that of [`of_model`] if it is one of these.
+/// As [`of_model`], so many times while the camera goes once round the vertical axis, in one stream more than
+/// two for each picture. It stands as far back for all as some of them need; the first is that of
+/// [`of_model`] if it is one of these.
 ///
 /// # Errors
 /// The model cannot be read; `frame` refuses a picture; the user cancelled.
@@ -123,7 +124,8 @@ pub fn turn_of_model(
     view.turn(frames).into_iter().try_for_each(|camera| frame(&draw(camera)?))
 }
 
-/// As [`of_model`], for the first of several models that are read [in step](in_step): `paint` gives its vertices' colours.
+/// As [`of_model`], for the first of several models that are read [in step](in_step): `paint` gives its
+/// vertices' colours.
 ///
 /// # Errors
 /// A model cannot be read, or they differ in their number of vertices; the user cancelled.
@@ -180,7 +182,8 @@ pub fn of_samples(sampled: &SampledModel, positions: &[Vec3], normals: &[Vec3], 
     drawn(&discs(sampled, positions, normals, view), view, view.camera())
 }
 
-/// As [`of_samples`], so many times while the camera goes once round the vertical axis; see [`turn_of_model`].
+/// As [`of_samples`], so many times while the camera goes once round the vertical axis; see
+/// [`turn_of_model`].
 ///
 /// # Errors
 /// `frame` refuses a picture; the user cancelled.

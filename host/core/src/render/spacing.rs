@@ -7,10 +7,11 @@ const CELLS: f64 = 128.0;
 
 /// The local spacing of points, from how many there are in the cells of a grid.
 ///
-/// Scans are irregular, and their points come in any order, so neither the extent and the count nor the distance
-/// of consecutive points tells the spacing. The count does, in a block of 3 x 3 x 3 cells, by the area of the
-/// surface there. A plane along the grid meets 9 of the cells, and its area is that of 9 faces of cells; in the
-/// mean over all orientations it meets 3/2 cells per such area. So does whatever is folded more, roughly.
+/// Scans are irregular, and their points come in any order, so neither the extent and the count nor the
+/// distance of consecutive points tells the spacing. The count does, in a block of 3 x 3 x 3 cells, by the
+/// area of the surface there. A plane along the grid meets 9 of the cells, and its area is that of 9 faces of
+/// cells; in the mean over all orientations it meets 3/2 cells per such area. So does whatever is folded
+/// more, roughly.
 pub struct Spacing {
     origin: DVec3,
     cell: f64,

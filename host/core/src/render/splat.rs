@@ -12,9 +12,9 @@ const BAND: usize = 64;
 const BATCH: usize = 1 << 16;
 /// A splat reaches at least so many pixels around its middle, so that none falls between samples.
 const LEAST_REACH: f32 = 0.75;
-/// Shares of their radius to which discs seen from the front and from the back hide what is behind them; farther
-/// out they only blend in. So the discs of a steep or sharp edge hardly stand out from the surface, above all
-/// those whose back is seen, while discs as wide as their spacing still leave no holes.
+/// Shares of their radius to which discs seen from the front and from the back hide what is behind them;
+/// farther out they only blend in. So the discs of a steep or sharp edge hardly stand out from the surface,
+/// above all those whose back is seen, while discs as wide as their spacing still leave no holes.
 const HIDING: [f32; 2] = [0.74, 0.6];
 /// A splat reaches at most so many pixels: a wrong radius costs no minutes.
 const MOST_REACH: f32 = 256.0;
@@ -98,7 +98,8 @@ impl Splat {
         Some(Self { center, normal, color, radius, hiding, pixel, reach, columns, rows })
     }
 
-    /// Depth and weight (0 outside) along a pixel's ray; (`dx`, `dy`) is the way there from the splat's middle.
+    /// Depth and weight (0 outside) along a pixel's ray; (`dx`, `dy`) is the way there from the splat's
+    /// middle.
     fn hit(&self, ray: Vec3, dx: f32, dy: f32) -> (f32, f32) {
         let on_screen = dx * dx + dy * dy;
         let facing = self.normal.dot(ray);

@@ -1,9 +1,9 @@
 //! What is known of a cluster of samples: its moments, from which its error and its representative follow.
 //!
-//! The error is the product of the L² metric (distance to the mean plane) and the L²·¹ metric (deviation of the
-//! normals), D. Cohen-Steiner, P. Alliez, M. Desbrun, *Variational Shape Approximation*, 2004, as paper §4
-//! proposes. The representative minimises the quadric of the samples' tangent planes (M. Garland,
-//! P. Heckbert 1997; P. Lindstrom 2000), held to the mean by a small ridge.
+//! The error is the product of the L² metric (distance to the mean plane) and the L²·¹ metric (deviation of
+//! the normals), D. Cohen-Steiner, P. Alliez, M. Desbrun, *Variational Shape Approximation*, 2004, as paper
+//! §4 proposes. The representative minimises the quadric of the samples' tangent planes (M. Garland, P.
+//! Heckbert 1997; P. Lindstrom 2000), held to the mean by a small ridge.
 
 use glam::{DMat3, DVec3, Vec3, Vec3A, Vec3Swizzles};
 
@@ -68,8 +68,8 @@ impl Element for Sample {
 /// Samples that are summed up in single precision.
 const SAMPLES_AT_ONCE: usize = 256;
 
-/// Sums over samples, in single precision, with their positions relative to a point. Products of two different
-/// coordinates are in the order xy, yz, zx.
+/// Sums over samples, in single precision, with their positions relative to a point. Products of two
+/// different coordinates are in the order xy, yz, zx.
 #[derive(Debug, Clone, Copy)]
 struct Sums {
     center: Vec3A,
@@ -100,9 +100,9 @@ impl Sums {
     }
 }
 
-/// A few samples that lie close together, as the sums over them: what an open cell keeps of a model with very many
-/// samples for each one of P_S. A VS-Tree over these differs from one over the samples in that no
-/// group is parted.
+/// A few samples that lie close together, as the sums over them: what an open cell keeps of a model with very
+/// many samples for each one of P_S. A VS-Tree over these differs from one over the samples in that no group
+/// is parted.
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct Group {
@@ -191,14 +191,14 @@ impl Element for Group {
     }
 }
 
-/// How much of a cluster's extent counts as error, whatever its shape: it bounds the spacing where the surface
-/// is flat and any geometric error is zero, for a deformation need not be flat there.
+/// How much of a cluster's extent counts as error, whatever its shape: it bounds the spacing where the
+/// surface is flat and any geometric error is zero, for a deformation need not be flat there.
 ///
 /// So a sample is within error / `REACH_WEIGHT` of every vertex that it stands for.
 pub const REACH_WEIGHT: f64 = 0.08;
 
-/// Strength of the ridge towards the mean, relative to the trace of the quadric: weaker ones follow smooth surfaces
-/// more closely, but throw samples off surfaces with steep relief.
+/// Strength of the ridge towards the mean, relative to the trace of the quadric: weaker ones follow smooth
+/// surfaces more closely, but throw samples off surfaces with steep relief.
 const QUADRIC_RIDGE: f64 = 1e-3;
 
 /// Variance of the normals below which a surface is flat: they are stored to so many digits.
@@ -306,9 +306,9 @@ impl Moments {
         symmetric(self.quadric[0], self.quadric[1])
     }
 
-    /// How much the surface bends along each of two directions across the mean normal, as a part of the greater of
-    /// both: the root of the ratio of the normals' standard deviations, which is by how much a cluster has to be
-    /// longer to deviate as much from its plane. 1 where it is flat.
+    /// How much the surface bends along each of two directions across the mean normal, as a part of the
+    /// greater of both: the root of the ratio of the normals' standard deviations, which is by how much a
+    /// cluster has to be longer to deviate as much from its plane. 1 where it is flat.
     pub fn bending(&self, directions: [Vec3; 2]) -> [f32; 2] {
         let count = self.with_normal.max(1.0);
         let (mean, scatter) = (self.normal / count, self.normal_scatter() * (1.0 / count));
@@ -330,7 +330,8 @@ impl Moments {
         self.normal.try_normalize().unwrap_or(DVec3::ZERO)
     }
 
-    /// What stands for the cluster: position, unit normal (zero where unknown), and the error that this makes.
+    /// What stands for the cluster: position, unit normal (zero where unknown), and the error that this
+    /// makes.
     pub fn representative(&self) -> (Vec3, Vec3, f32) {
         let position = self.position();
         (position, self.mean_normal().as_vec3(), self.error(position) as f32)
@@ -339,10 +340,10 @@ impl Moments {
     /// Error of standing for the cluster by one sample, a length in the model's unit.
     ///
     /// With normals √(d·ν·s), where d is the rms distance to the mean plane (L²), ν the rms deviation of the
-    /// normals (L²·¹) and s the rms distance to the mean: the product of both metrics, as a length. For a patch of
-    /// size h and curvature κ it behaves as κh², the height of the surface over its chord. Without normals
-    /// d alone, which does so too. A part of the distance to the farthest corner of the box is added (see
-    /// [`REACH_WEIGHT`]).
+    /// normals (L²·¹) and s the rms distance to the mean: the product of both metrics, as a length. For a
+    /// patch of size h and curvature κ it behaves as κh², the height of the surface over its chord. Without
+    /// normals d alone, which does so too. A part of the distance to the farthest corner of the box is added
+    /// (see [`REACH_WEIGHT`]).
     fn error(&self, representative: Vec3) -> f64 {
         if self.count <= 1.0 {
             return 0.0;

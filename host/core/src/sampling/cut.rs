@@ -1,17 +1,18 @@
 //! The cut through all cells' trees that gives P_S: at an error bound, or at a target number of samples.
 //!
-//! Above the cells' VS-Trees stands an octree of the grid's cells, merged two by two, so that a target below the
-//! number of occupied cells, or a large flat region, is met as well.
+//! Above the cells' VS-Trees stands an octree of the grid's cells, merged two by two, so that a target below
+//! the number of occupied cells, or a large flat region, is met as well.
 //!
-//! For a target number N no second look at the model is needed: the clusters of all cells seen so far are kept
-//! down to a running bound ε, raised whenever they are more than 1.6N beyond one per cell. A node above the cells
-//! counts as no better than what is below it, so the final cut splits all of them before it splits a cell's tree
-//! further, and more cells can only add clusters: the final bound is never below the running one, and what was
-//! dropped would not have been in the cut.
+//! For a target number N no second look at the model is needed: the clusters of all cells seen so far are
+//! kept down to a running bound ε, raised whenever they are more than 1.6N beyond one per cell. A node above
+//! the cells counts as no better than what is below it, so the final cut splits all of them before it splits
+//! a cell's tree further, and more cells can only add clusters: the final bound is never below the running
+//! one, and what was dropped would not have been in the cut.
 //!
-//! With *foresight*, the first part of the model does not get all of the N clusters for a while, only to lose most of them
-//! again: of a part f of the vertices, √f times as many are kept, more than its share. Should the rest be so plain that
-//! this is too few in the end, the cut says so, and pass 2 has to begin again without.
+//! With *foresight*, the first part of the model does not get all of the N clusters for a while, only to lose
+//! most of them again: of a part f of the vertices, √f times as many are kept, more than its share. Should
+//! the rest be so plain that this is too few in the end, the cut says so, and pass 2 has to begin again
+//! without.
 
 use std::ops::Range;
 
@@ -29,8 +30,8 @@ const KEEP_AT_MOST: f64 = 1.6;
 /// … down to this many times the target.
 const PRUNE_TO: f64 = 1.2;
 
-/// Bytes for each sample of the target: [`KEEP_AT_MOST`] clusters in trees of about 1.4 nodes per cluster, once more
-/// while they are pruned, and the sample itself.
+/// Bytes for each sample of the target: [`KEEP_AT_MOST`] clusters in trees of about 1.4 nodes per cluster,
+/// once more while they are pruned, and the sample itself.
 pub const BYTES_PER_SAMPLE: u64 = 150;
 
 /// The trees of all cells seen so far.
@@ -181,8 +182,8 @@ impl Cut {
         self.positions.len()
     }
 
-    /// A cut through the same trees of at most so many samples, if there are no fewer trees; and which of them has the clusters
-    /// of each sample. What is above the cells stays as it is.
+    /// A cut through the same trees of at most so many samples, if there are no fewer trees; and which of
+    /// them has the clusters of each sample. What is above the cells stays as it is.
     pub fn coarser(&self, target: usize) -> (Self, Vec<u32>) {
         let splits = || {
             let inner =
@@ -246,7 +247,8 @@ impl Cut {
     }
 }
 
-/// How far each of the samples from `first` on may move without the error of its cluster exceeding a bound, if it does not yet.
+/// How far each of the samples from `first` on may move without the error of its cluster exceeding a bound,
+/// if it does not yet.
 pub fn slack<'a>(trees: impl Iterator<Item = &'a CutTree>, samples: Range<usize>, bound: f32) -> Vec<f32> {
     let mut slack = vec![f32::INFINITY; samples.len()];
     for tree in trees {
@@ -271,8 +273,8 @@ pub fn running_bound<'a>(trees: impl Iterator<Item = &'a VsTree>, target: usize)
     threshold_for(trees.flat_map(VsTree::splits), 0, (PRUNE_TO * target.max(1024) as f64) as usize)
 }
 
-/// The least bound at which a cut has at most `target` clusters, given the clusters that can be split (their key and
-/// how many clusters the split adds) and the number of roots.
+/// The least bound at which a cut has at most `target` clusters, given the clusters that can be split (their
+/// key and how many clusters the split adds) and the number of roots.
 pub fn threshold_for(splits: impl Iterator<Item = (f32, u32)>, roots: usize, target: usize) -> f32 {
     let mut splits: Vec<_> = splits.collect();
     splits.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
@@ -318,7 +320,8 @@ impl Upper {
             let mut index: CellMap<usize> = CellMap::default();
             let (mut level, mut parents): (Vec<UpperNode>, Vec<CellKey>) = Default::default();
             for (i, (node, key)) in below.iter().zip(&keys).enumerate() {
-                // Every other level is shifted by a cell, so that neighbours across zero merge in the end too.
+                // Every other level is shifted by a cell, so that neighbours across zero merge in the end
+                // too.
                 let parent = key.map(|k| (k + shift) >> 1);
                 let at = *index.entry(parent).or_insert_with(|| {
                     parents.push(parent);

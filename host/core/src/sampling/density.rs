@@ -1,4 +1,5 @@
-//! What samples are spread by: how much the error of a cluster counts, where vertices are dense or the surface is flat.
+//! What samples are spread by: how much the error of a cluster counts, where vertices are dense or the
+//! surface is flat.
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -15,9 +16,10 @@ pub enum By {
     Error,
     /// The reach of their clusters alone: as far apart everywhere.
     Area,
-    /// The error of their clusters, beside the distance between vertices: where the model has more vertices for an area than in the
-    /// mean, errors count for more by as much as vertices are nearer to each other. So a detail that was scanned a thousand times
-    /// as finely as the rest gets samples a thousand times as fine.
+    /// The error of their clusters, beside the distance between vertices: where the model has more vertices
+    /// for an area than in the mean, errors count for more by as much as vertices are nearer to each other.
+    /// So a detail that was scanned a thousand times as finely as the rest gets samples a thousand times as
+    /// fine.
     Vertices,
 }
 
@@ -71,7 +73,8 @@ impl Rule {
         Self { splitting, by, density: vertices as f64 / area.max(f64::MIN_POSITIVE) }
     }
 
-    /// What a cluster is split by, given its representative and error; no less than [`REACH_WEIGHT`] times its reach.
+    /// What a cluster is split by, given its representative and error; no less than [`REACH_WEIGHT`] times
+    /// its reach.
     pub fn key(&self, moments: &Moments, position: Vec3, error: f32) -> f64 {
         let error = f64::from(error);
         match self.by {

@@ -1,7 +1,7 @@
 //! Where in the file the faces of each cell's vertices are: what a refinement has to read of them (paper §6).
 //!
-//! Faces are looked at in blocks between two marks of their reader, so that what is kept are bytes of the file, whatever its
-//! format. A block is in the ranges of each cell that one of its faces has a corner in.
+//! Faces are looked at in blocks between two marks of their reader, so that what is kept are bytes of the
+//! file, whatever its format. A block is in the ranges of each cell that one of its faces has a corner in.
 
 use std::ops::Range;
 
@@ -21,7 +21,8 @@ pub struct FaceRanges {
 }
 
 impl FaceRanges {
-    /// Of no face yet. `trees` are those of all cells, of so many samples; others follow them, each parted from one of these.
+    /// Of no face yet. `trees` are those of all cells, of so many samples; others follow them, each parted
+    /// from one of these.
     pub fn new(trees: &[CutTree], samples: usize, parted_from: impl Iterator<Item = u32>) -> Self {
         let mut cell_of = vec![0; samples];
         for (cell, tree) in trees.iter().enumerate().rev() {

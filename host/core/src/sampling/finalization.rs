@@ -1,8 +1,8 @@
 //! Pass 2: spatial finalization (M. Isenburg, Y. Liu, J. Shewchuk, J. Snoeyink, *Streaming Computation of
 //! Delaunay Triangulations*, 2006; paper §4).
 //!
-//! Each sample goes to its cell; when the cell's counter reaches zero no sample of the rest of the stream belongs
-//! to it: it is clustered, on any core, while the stream goes on.
+//! Each sample goes to its cell; when the cell's counter reaches zero no sample of the rest of the stream
+//! belongs to it: it is clustered, on any core, while the stream goes on.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -27,16 +27,16 @@ use crate::model::{Model, for_vertices};
 use crate::progress::{Emerging, Visitor};
 use crate::{Error, ErrorKind, Progress, Result};
 
-/// Bytes of items that wait for, or are in, clustering, beyond which the stream stands still. The last cell may be
-/// larger.
+/// Bytes of items that wait for, or are in, clustering, beyond which the stream stands still. The last cell
+/// may be larger.
 const MAX_QUEUED: usize = 4 << 20;
 
-/// Most bytes of a cell's items that are clustered at once, and as much to sort them, on each thread. A constant, so
-/// that the result depends neither on the machine's memory nor on the number of threads.
+/// Most bytes of a cell's items that are clustered at once, and as much to sort them, on each thread. A
+/// constant, so that the result depends neither on the machine's memory nor on the number of threads.
 pub const PART: usize = 3 << 20;
 
-/// Memory that it takes to cluster cells of which the largest has so many bytes: each part twice, and its tree, of at
-/// most 1.4 nodes per sample, twice.
+/// Memory that it takes to cluster cells of which the largest has so many bytes: each part twice, and its
+/// tree, of at most 1.4 nodes per sample, twice.
 pub fn work_memory(largest: u64) -> u64 {
     // Whatever the number of threads: no more is in work than may be queued, and the last cell.
     6 * (largest.min(PART as u64) + MAX_QUEUED as u64)
@@ -93,16 +93,16 @@ pub struct Clustered {
 }
 
 impl Pass<'_> {
-    /// Streams the model through the grid and clusters each cell, down to the bound or to that which the target has
-    /// come to meanwhile. `None` if `gather` finds no room.
+    /// Streams the model through the grid and clusters each cell, down to the bound or to that which the
+    /// target has come to meanwhile. `None` if `gather` finds no room.
     ///
-    /// Memory: that of `gather`, [`Forest`], [`Ranges`] and [`Membership`]; [`MAX_QUEUED`], and two parts of a cell on
-    /// each thread; the chunks of [`for_vertices`]. Not to be called on a thread of the pool that clusters, which it
-    /// waits for.
+    /// Memory: that of `gather`, [`Forest`], [`Ranges`] and [`Membership`]; [`MAX_QUEUED`], and two parts of
+    /// a cell on each thread; the chunks of [`for_vertices`]. Not to be called on a thread of the pool that
+    /// clusters, which it waits for.
     ///
     /// # Errors
-    /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be written;
-    /// the user cancelled.
+    /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be
+    /// written; the user cancelled.
     pub fn run<G: Gather>(&self, gather: G) -> Result<Option<Clustered>> {
         let info = self.model.info();
         self.progress.begin("clustering", info.vertex_bytes);

@@ -1,8 +1,8 @@
 //! What is gathered of a cell while it is open: its samples as they are, or small groups of them.
 //!
-//! Samples as they are take memory by the number of vertices in open cells, which grows with the model. Where that
-//! is too much, samples in the same little cube are summed up as they come ([`Group`]): a cell then holds as many
-//! groups as the surface in it meets cubes, however many vertices the model has.
+//! Samples as they are take memory by the number of vertices in open cells, which grows with the model. Where
+//! that is too much, samples in the same little cube are summed up as they come ([`Group`]): a cell then
+//! holds as many groups as the surface in it meets cubes, however many vertices the model has.
 
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
@@ -73,7 +73,8 @@ impl Gather for Samples {
 /// Where the latest group of each cube of a cell is, by [`key`].
 type Table = HashMap<u32, u32, BuildHasherDefault<CellHasher>>;
 
-/// Samples summed up in little cubes. They stay in memory: sums that were parted by a file would be other sums.
+/// Samples summed up in little cubes. They stay in memory: sums that were parted by a file would be other
+/// sums.
 pub struct Groups {
     open: OpenCells<Group>,
     edge: f32,
@@ -184,8 +185,8 @@ impl Groups {
 const SHEETS: u32 = 8;
 const NEXT_SHEET: u32 = 1 << 24;
 
-/// A cube's place among those of its cell, which are at most 2^[`MAX_LEVEL`] and one along each axis: so a part of
-/// the coordinates' digits will do.
+/// A cube's place among those of its cell, which are at most 2^[`MAX_LEVEL`] and one along each axis: so a
+/// part of the coordinates' digits will do.
 fn key(cube: IVec3) -> u32 {
     let [x, y, z] = cube.to_array().map(|x| x as u32 & 0xff);
     x | y << 8 | z << 16

@@ -1,5 +1,5 @@
-//! The nearest of a set of points: a k-d tree (J. Friedman, J. Bentley, R. Finkel, *An Algorithm for Finding Best
-//! Matches in Logarithmic Expected Time*, 1977) of tight boxes.
+//! The nearest of a set of points: a k-d tree (J. Friedman, J. Bentley, R. Finkel, *An Algorithm for Finding
+//! Best Matches in Logarithmic Expected Time*, 1977) of tight boxes.
 //!
 //! Points at the same distance are told apart by their index, so what is found depends on the points alone.
 
@@ -13,13 +13,13 @@ const LEAF: usize = 16;
 /// Memory: 20 bytes per point, and 16 more while it is built.
 pub struct KdTree {
     leaves: Vec<Leaf>,
-    /// A node's box, then those of its left half, then those of its right half. A node of n leaves has ⌊n / 2⌋ of them
-    /// on its left, and 2n − 1 boxes in all.
+    /// A node's box, then those of its left half, then those of its right half. A node of n leaves has ⌊n /
+    /// 2⌋ of them on its left, and 2n − 1 boxes in all.
     boxes: Vec<Extent>,
 }
 
-/// Points by coordinates, so that all are looked at together. The last leaf is filled up with points infinitely far
-/// away.
+/// Points by coordinates, so that all are looked at together. The last leaf is filled up with points
+/// infinitely far away.
 struct Leaf {
     x: [f32; LEAF],
     y: [f32; LEAF],
@@ -93,7 +93,8 @@ impl KdTree {
         largest[node]
     }
 
-    /// Of balls about the points that hold `p`, that in which it is nearest to the middle, as a part of the radius.
+    /// Of balls about the points that hold `p`, that in which it is nearest to the middle, as a part of the
+    /// radius.
     pub fn deepest(&self, p: Vec3, radius: &[f32], largest: &[f32]) -> Option<u32> {
         let mut least = (1.0, u32::MAX);
         let mut open = vec![(0, 0, self.leaves.len())];
@@ -121,8 +122,8 @@ impl KdTree {
         (least.1 != u32::MAX).then_some(least.1)
     }
 
-    /// All points that are not farther from `p` than `radius`, nearest first. The numbers' lower halves are the points'
-    /// indices.
+    /// All points that are not farther from `p` than `radius`, nearest first. The numbers' lower halves are
+    /// the points' indices.
     pub fn within(&self, p: Vec3, radius: f32) -> Vec<Found> {
         let most = radius * radius;
         let (mut found, mut open) = (Vec::new(), vec![(0, 0, self.leaves.len())]);
@@ -145,14 +146,14 @@ impl KdTree {
         found
     }
 
-    /// The points nearest to `p`, nearest first: as many as `found` is long, which is no longer than there are. The
-    /// numbers' lower halves are the points' indices.
+    /// The points nearest to `p`, nearest first: as many as `found` is long, which is no longer than there
+    /// are. The numbers' lower halves are the points' indices.
     pub fn nearest_ones(&self, p: Vec3, found: &mut [Found]) {
         self.nearest_others(p, u32::MAX, found);
     }
 
-    /// The points nearest to `p` without one of them, nearest first: as many as `found` is long, which is no longer
-    /// than there are. The numbers' lower halves are the points' indices.
+    /// The points nearest to `p` without one of them, nearest first: as many as `found` is long, which is no
+    /// longer than there are. The numbers' lower halves are the points' indices.
     pub fn nearest_others(&self, p: Vec3, but: u32, found: &mut [Found]) {
         found.fill(NOTHING);
         if !found.is_empty() {
@@ -204,7 +205,8 @@ impl Leaf {
 }
 
 impl Extent {
-    /// Squared distance of a point: rounded as those of the points in the box are, so that it is never greater.
+    /// Squared distance of a point: rounded as those of the points in the box are, so that it is never
+    /// greater.
     #[inline]
     fn distance_squared(&self, p: Vec3) -> f32 {
         let d = (self.min - p).max(p - self.max).max(Vec3::ZERO);
@@ -271,7 +273,8 @@ mod tests {
     use proptest::prelude::*;
 
     fn point() -> impl Strategy<Value = Vec3> {
-        // Few distinct values: coincident and equally distant points are common. And some so far that squares overflow.
+        // Few distinct values: coincident and equally distant points are common. And some so far that squares
+        // overflow.
         let x = || prop_oneof![8 => (-4..4i32).prop_map(|x| x as f32 / 4.0), 1 => -1e30..1e30f32];
         (x(), x(), x()).prop_map(|(x, y, z)| Vec3::new(x, y, z))
     }

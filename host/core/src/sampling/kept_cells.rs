@@ -1,5 +1,6 @@
-//! What is kept of the cells beside P_S, so that a refinement reads no more of the model than it has to and goes on
-//! where the trees stopped (paper §6): where in the stream each cell is, and its VS-Tree down to the samples.
+//! What is kept of the cells beside P_S, so that a refinement reads no more of the model than it has to and
+//! goes on where the trees stopped (paper §6): where in the stream each cell is, and its VS-Tree down to the
+//! samples.
 //!
 //! The file begins with eight letters and a version, and ends with a checksum of all before it.
 
@@ -36,8 +37,8 @@ pub struct KeptCell {
     pub vertices: u64,
     /// Indices of the vertices among which all of them are; ascending.
     pub ranges: Vec<Range<u64>>,
-    /// Bytes of the file among which all faces with one of its vertices are; ascending, and from one mark of their reader
-    /// ([`FaceMark`](crate::model::FaceMark)) to another.
+    /// Bytes of the file among which all faces with one of its vertices are; ascending, and from one mark of
+    /// their reader ([`FaceMark`](crate::model::FaceMark)) to another.
     pub faces: Vec<Range<u64>>,
     /// Its VS-Tree.
     pub tree: CutTree,
@@ -52,8 +53,8 @@ pub struct CutTree {
     pub errors: Vec<f32>,
     /// The sample of each leaf, in their order. A tree of one node may share it with other cells.
     pub samples: Vec<u32>,
-    /// Nodes that were samples until a refinement went on below them, with a VS-Tree over their vertices; ascending,
-    /// and none below another.
+    /// Nodes that were samples until a refinement went on below them, with a VS-Tree over their vertices;
+    /// ascending, and none below another.
     pub grown: Vec<u32>,
 }
 
@@ -127,8 +128,9 @@ impl KeptCells {
         }
     }
 
-    /// Checks that the cells are those of a model of so many vertices with a finite position, of `all`, in a file of so many bytes,
-    /// and of so many samples, of which no cell has those that are parted: a file that is whole may still lie.
+    /// Checks that the cells are those of a model of so many vertices with a finite position, of `all`, in a
+    /// file of so many bytes, and of so many samples, of which no cell has those that are parted: a file that
+    /// is whole may still lie.
     ///
     /// # Errors
     /// They are not.

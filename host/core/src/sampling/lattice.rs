@@ -1,9 +1,9 @@
 //! Pass 1: samples are counted per cell of the coarse grid G (paper §4), whose bounds need not be known.
 //!
-//! The cells are those of a sparse lattice of power-of-two size anchored at the model's zero. It starts as fine
-//! as the coordinates' own precision and its cells are merged two by two whenever the extent outgrows the
-//! resolution. ⌊⌊x/s⌋/2⌋ = ⌊x/2s⌋ exactly for powers of two, so the final cells depend on the set of points
-//! alone, not on their order.
+//! The cells are those of a sparse lattice of power-of-two size anchored at the model's zero. It starts as
+//! fine as the coordinates' own precision and its cells are merged two by two whenever the extent outgrows
+//! the resolution. ⌊⌊x/s⌋/2⌋ = ⌊x/2s⌋ exactly for powers of two, so the final cells depend on the set of
+//! points alone, not on their order.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
@@ -178,8 +178,8 @@ impl Lattice {
         self.level = level;
     }
 
-    /// Takes in what another lattice of the same resolution has counted: the result is that of one that counted
-    /// all samples.
+    /// Takes in what another lattice of the same resolution has counted: the result is that of one that
+    /// counted all samples.
     pub fn absorb(&mut self, mut other: Self) {
         other.flush();
         if other.cells.is_empty() {
@@ -262,7 +262,8 @@ fn exponent(x: f64) -> i32 {
     ((x.to_bits() >> 52) & 0x7ff).max(1) as i32 - 1023
 }
 
-/// The points that are surely in a cell: its upper faces are not, and neither is what rounding may have moved.
+/// The points that are surely in a cell: its upper faces are not, and neither is what rounding may have
+/// moved.
 pub fn cell_box(key: CellKey, level: i32) -> Bounds {
     let half = level / 2;
     let (a, b) = (power_of_two(half), power_of_two(level - half));

@@ -1,9 +1,10 @@
-//! Layers of a cluster: sheets of a point cloud that lie one above the other and face the same way, or have no normals, as those
-//! of cloth on skin, or of a wall that was scanned from both sides. Where there are faces, they tell sheets apart instead
-//! (`touching`).
+//! Layers of a cluster: sheets of a point cloud that lie one above the other and face the same way, or have
+//! no normals, as those of cloth on skin, or of a wall that was scanned from both sides. Where there are
+//! faces, they tell sheets apart instead (`touching`).
 //!
-//! Heights over the cluster's plane, less the quadratic surface that explains them best, are in two heaps then. The heaps are parted
-//! at the height that leaves the least variance in them (N. Otsu, *A Threshold Selection Method from Gray-Level Histograms*, 1979).
+//! Heights over the cluster's plane, less the quadratic surface that explains them best, are in two heaps
+//! then. The heaps are parted at the height that leaves the least variance in them (N. Otsu, *A Threshold
+//! Selection Method from Gray-Level Histograms*, 1979).
 
 use glam::{DMat3, DVec3, Vec3, Vec3Swizzles};
 
@@ -23,17 +24,20 @@ const LEAST_PART: usize = 8;
 /// Layers lie at least so many times farther apart than points in them: closer ones are a rough surface.
 const APART: f64 = 1.5;
 
-/// Part of the variance of the heights that the two layers explain; of heights that are spread evenly they explain 3/4.
+/// Part of the variance of the heights that the two layers explain; of heights that are spread evenly they
+/// explain 3/4.
 const EXPLAINED: f64 = 0.9;
 
-/// The standard deviation of the heights of two layers, of which one may be as small as that, over their distance, is no less.
+/// The standard deviation of the heights of two layers, of which one may be as small as that, over their
+/// distance, is no less.
 const LEAST_DEVIATION: f64 = 0.33;
 
-/// The height of a smooth patch (standard deviation) over the product of the deviation of its normals and its own extent (rms): 0.29
-/// for a disc of a sphere.
+/// The height of a smooth patch (standard deviation) over the product of the deviation of its normals and its
+/// own extent (rms): 0.29 for a disc of a sphere.
 const BENT: f64 = 0.35;
 
-/// Part of a cluster's lesser width below which nothing is looked for: where it bends, its parts will tell better.
+/// Part of a cluster's lesser width below which nothing is looked for: where it bends, its parts will tell
+/// better.
 const THIN: f64 = 1.0 / 16.0;
 
 /// Strength of the ridge that holds the quadratic surface to a plane, relative to the number of elements.
@@ -149,8 +153,8 @@ fn quadratic(places: &[[f32; 3]]) -> Option<[f32; 6]> {
     solve_positive_definite(a, b).map(|x| x.map(|x| x.x as f32))
 }
 
-/// Of ascending heights, where two heaps of them part, how far the means of these are apart, and which part of the variance
-/// that explains.
+/// Of ascending heights, where two heaps of them part, how far the means of these are apart, and which part
+/// of the variance that explains.
 fn two_heaps(heights: &[f32]) -> Option<(f32, f64, f64)> {
     let n = heights.len() as f64;
     let sum = |heights: &[f32]| heights.iter().map(|h| f64::from(*h)).sum::<f64>();

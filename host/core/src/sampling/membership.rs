@@ -1,10 +1,10 @@
-//! Which sample of P_S stands for each vertex of P_L, and where the vertex is: what it takes to know what the faces of P_L are
-//! to P_S.
+//! Which sample of P_S stands for each vertex of P_L, and where the vertex is: what it takes to know what the
+//! faces of P_L are to P_S.
 //!
-//! As this is as large as P_L, it is in temporary files of 4 bytes per vertex: while the model streams, each vertex'
-//! item (all cells' items are counted in one row, in which a cell has as many places as vertices), and in the end its
-//! sample in the same place; and once a cell is clustered, each item's leaf. Where faces place the samples, positions take
-//! 12 bytes more.
+//! As this is as large as P_L, it is in temporary files of 4 bytes per vertex: while the model streams, each
+//! vertex' item (all cells' items are counted in one row, in which a cell has as many places as vertices),
+//! and in the end its sample in the same place; and once a cell is clustered, each item's leaf. Where faces
+//! place the samples, positions take 12 bytes more.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -28,7 +28,8 @@ const POSITIONS: usize = 1 << 14;
 /// Files of so many numbers: items and later samples, and leaves.
 const FILES: u64 = 2;
 
-/// Samples before and behind the last one, among which the next is looked for first: a few cells have as many.
+/// Samples before and behind the last one, among which the next is looked for first: a few cells have as
+/// many.
 const AROUND: usize = 256;
 
 const BYTES: u64 = size_of::<u32>() as u64;
@@ -119,8 +120,8 @@ impl Membership {
         Ok(())
     }
 
-    /// Once all cells are clustered and their threads have dropped the [`Leaves`]. `starts` says from which leaf on
-    /// leaves belong to which sample, ascending.
+    /// Once all cells are clustered and their threads have dropped the [`Leaves`]. `starts` says from which
+    /// leaf on leaves belong to which sample, ascending.
     ///
     /// # Errors
     /// A file cannot be written; the user cancelled.
@@ -157,8 +158,8 @@ impl Membership {
     }
 }
 
-/// The first of the ascending starts that is behind a leaf. It is probably `near` one, as the vertices of a cell follow
-/// each other: those around it are still in the processor's cache.
+/// The first of the ascending starts that is behind a leaf. It is probably `near` one, as the vertices of a
+/// cell follow each other: those around it are still in the processor's cache.
 fn next_start(starts: &[(u32, u32)], leaf: u32, near: usize) -> usize {
     let is_before = |(start, _): &(u32, u32)| *start <= leaf;
     let (low, high) = (near.saturating_sub(AROUND), (near + AROUND).min(starts.len()));

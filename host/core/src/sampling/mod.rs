@@ -1,8 +1,8 @@
 //! Sampling: P_L is streamed twice and leaves the small point set P_S (paper §4).
 //!
-//! Pass 1 ([`lattice`]) counts samples per cell of a coarse grid. Pass 2 (`finalization`) puts each sample in its
-//! cell and clusters a cell ([`vs_tree`], [`cluster`]) once it is complete. A cut through all trees (`cut`)
-//! gives the samples, which [`SampleSet`] completes with neighbours, spacing and normals.
+//! Pass 1 ([`lattice`]) counts samples per cell of a coarse grid. Pass 2 (`finalization`) puts each sample in
+//! its cell and clusters a cell ([`vs_tree`], [`cluster`]) once it is complete. A cut through all trees
+//! (`cut`) gives the samples, which [`SampleSet`] completes with neighbours, spacing and normals.
 
 pub mod cluster;
 pub(crate) mod cut;
@@ -59,8 +59,8 @@ use triangles::{Triangles, Wanted};
 pub enum Target {
     /// This many samples, at most, and only less where the model has no more to tell apart.
     Samples(u64),
-    /// No cluster has a larger error (see [`cluster::Moments::representative`]); a fraction of the diagonal. So every
-    /// vertex has a sample within this / [`cluster::REACH_WEIGHT`].
+    /// No cluster has a larger error (see [`cluster::Moments::representative`]); a fraction of the diagonal.
+    /// So every vertex has a sample within this / [`cluster::REACH_WEIGHT`].
     Error(f64),
 }
 
@@ -95,14 +95,15 @@ pub struct Sampling {
 /// Parts of a sampled model that can be left out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Skip {
-    /// The triangles of P_S, which take a pass over the faces, and temporary files of at most 8 bytes per vertex.
+    /// The triangles of P_S, which take a pass over the faces, and temporary files of at most 8 bytes per
+    /// vertex.
     pub triangles: bool,
     /// The cells, which a refinement needs.
     pub cells: bool,
     /// Estimating normals where the model has none: whoever needs them estimates them again.
     pub normals: bool,
-    /// Telling sheets apart that touch, by the faces: it takes a pass over them as the triangles do, and temporary files of at
-    /// most 12 bytes per vertex. Skipped, unless it is asked for.
+    /// Telling sheets apart that touch, by the faces: it takes a pass over them as the triangles do, and
+    /// temporary files of at most 12 bytes per vertex. Skipped, unless it is asked for.
     pub sheets: bool,
 }
 
@@ -158,14 +159,16 @@ pub(crate) fn total_memory() -> u64 {
     total.unwrap_or(4 << 20) * 1024
 }
 
-/// Samples a model. Temporary files without a name are made in `folder`: of at most 40 bytes per vertex if the memory
-/// limit is reached, and of 8 bytes per vertex for the triangles, of 20 where faces place the samples.
+/// Samples a model. Temporary files without a name are made in `folder`: of at most 40 bytes per vertex if
+/// the memory limit is reached, and of 8 bytes per vertex for the triangles, of 20 where faces place the
+/// samples.
 ///
 /// Not to be called on a thread of the pool of threads that it uses, and waits for.
 ///
 /// # Errors
-/// The model cannot be read, changes meanwhile, or has no vertex with a finite position; the target is zero or not
-/// finite, or takes more than the memory limit; a temporary file cannot be written; the user cancelled.
+/// The model cannot be read, changes meanwhile, or has no vertex with a finite position; the target is zero
+/// or not finite, or takes more than the memory limit; a temporary file cannot be written; the user
+/// cancelled.
 pub fn sample(
     model: &dyn Model,
     sampling: &Sampling,
@@ -339,8 +342,8 @@ struct Reindexed {
 }
 
 impl Reindexed {
-    /// Reads the faces. Where they tell that clusters hold several sheets, these are parted, if need be after a
-    /// coarser cut, so that there are no more samples than are wanted; and the faces are read once more.
+    /// Reads the faces. Where they tell that clusters hold several sheets, these are parted, if need be after
+    /// a coarser cut, so that there are no more samples than are wanted; and the faces are read once more.
     fn run(&mut self, read: &Read<'_>, sample_of: &mut [u32]) -> Result<()> {
         let Read { sampling, parting, .. } = *read;
         let info = parting.model.info();
@@ -391,8 +394,8 @@ impl Reindexed {
         self.read_faces(read, sample_of, None)
     }
 
-    /// Finds the triangles, and where the faces of each cell are, if they are wanted; what hangs together; and where samples
-    /// are by the faces, if these place them.
+    /// Finds the triangles, and where the faces of each cell are, if they are wanted; what hangs together;
+    /// and where samples are by the faces, if these place them.
     fn read_faces(
         &mut self,
         read: &Read<'_>,
@@ -488,9 +491,9 @@ fn check_memory(sampling: &Sampling) -> Result<()> {
     }
 }
 
-/// About 2000 vertices per cell of a surface, which meets about 3R² cells: enough for a tree to be adaptive, few
-/// enough that the open cells of a coherent stream stay small. No more cells than a small part of the samples,
-/// so that they take less memory than these: groups keep the open cells small as well.
+/// About 2000 vertices per cell of a surface, which meets about 3R² cells: enough for a tree to be adaptive,
+/// few enough that the open cells of a coherent stream stay small. No more cells than a small part of the
+/// samples, so that they take less memory than these: groups keep the open cells small as well.
 fn default_grid(vertices: u64, target: Target) -> u32 {
     let resolution = |cells: f64| (cells / 3.0).sqrt();
     let by_vertices = (resolution(vertices as f64 / 2000.0) as u32).next_power_of_two();

@@ -14,13 +14,15 @@ pub const NEIGHBOURS: usize = 12;
 /// Neighbours along which the orientation spreads.
 const ORIENT_NEIGHBOURS: usize = 8;
 
-/// All normals, where only some are known (the others are zero, or all if there are none). All are of unit length.
-/// `graph` has [`NEIGHBOURS`] of each sample or more, if there are as many.
+/// All normals, where only some are known (the others are zero, or all if there are none). All are of unit
+/// length. `graph` has [`NEIGHBOURS`] of each sample or more, if there are as many.
 ///
 /// Known normals spread their orientation to those filled in. A part without any is oriented so that the
-/// normal of its highest sample (along z) points up; whether that is outwards is known for closed surfaces only.
+/// normal of its highest sample (along z) points up; whether that is outwards is known for closed surfaces
+/// only.
 ///
-/// Memory: 12 bytes for each of at most [`ORIENT_NEIGHBOURS`] edges per sample, about five; and 15 per sample.
+/// Memory: 12 bytes for each of at most [`ORIENT_NEIGHBOURS`] edges per sample, about five; and 15 per
+/// sample.
 pub fn completed(positions: &[Vec3], known: &[Vec3], graph: &NeighbourGraph) -> Vec<Vec3> {
     let mut normals = known.to_vec();
     normals.resize(positions.len(), Vec3::ZERO);
@@ -50,8 +52,8 @@ pub fn plane_normal(positions: &[Vec3], i: usize, neighbours: &[u32]) -> Vec3 {
 /// An edge between two samples: the bits of its cost, which order as the cost does, and its ends.
 type Edge = (u32, u32, u32);
 
-/// Turns the normals that are `open` so that those at the ends of each edge of a minimum spanning forest look the same
-/// way. Edges cost 1 − |nᵢ·nⱼ|: orientation spreads where the surface is flattest.
+/// Turns the normals that are `open` so that those at the ends of each edge of a minimum spanning forest look
+/// the same way. Edges cost 1 − |nᵢ·nⱼ|: orientation spreads where the surface is flattest.
 fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open: &[bool]) {
     let near = |i: usize| first(graph.of(i), ORIENT_NEIGHBOURS);
     let cost = |i: usize, j: usize| (1.0 - normals[i].dot(normals[j]).abs()).max(0.0).to_bits();
@@ -113,7 +115,8 @@ impl Parts {
         Self { above: (0..samples as u32).collect(), turned: vec![false; samples] }
     }
 
-    /// The part of a sample, and whether its normal has to be turned to look the same way as that of the part's root.
+    /// The part of a sample, and whether its normal has to be turned to look the same way as that of the
+    /// part's root.
     fn of(&mut self, mut i: usize) -> (usize, bool) {
         let mut turned = false;
         while self.above[i] as usize != i {

@@ -1,8 +1,8 @@
 //! What is held of the cells that are not complete yet, in bounded memory for any order of the stream.
 //!
-//! A stream in spatial order has few open cells at a time. A shuffled one opens all of them, and would hold the
-//! model: when the limit is reached, the fullest cells go to a temporary file and wait there. The file has no name
-//! (or loses it at once), so nothing is left of it however the process ends.
+//! A stream in spatial order has few open cells at a time. A shuffled one opens all of them, and would hold
+//! the model: when the limit is reached, the fullest cells go to a temporary file and wait there. The file
+//! has no name (or loses it at once), so nothing is left of it however the process ends.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -107,8 +107,8 @@ impl<T: Pod> OpenCells<T> {
         &mut self.pool.block_mut(place / BLOCK as u32)[place as usize % BLOCK]
     }
 
-    /// Where the item of a cell is that was added after the one of this index at this place, if none of them were moved
-    /// to the file; `None` if it is in another block.
+    /// Where the item of a cell is that was added after the one of this index at this place, if none of them
+    /// were moved to the file; `None` if it is in another block.
     #[inline]
     pub fn after(&self, cell: u32, place: u32, index: u32) -> Option<u32> {
         let next = place + 1;
@@ -226,8 +226,8 @@ impl<T: Pod> Pool<T> {
 }
 
 impl Spill {
-    /// Writes a piece of items behind all others, with a pointer to the cell's former piece, which it becomes.
-    /// Empties `items`, the bytes of items of this size.
+    /// Writes a piece of items behind all others, with a pointer to the cell's former piece, which it
+    /// becomes. Empties `items`, the bytes of items of this size.
     fn append(&mut self, former: &mut u64, items: &mut Vec<u8>, size: usize) -> Result<()> {
         let file = match &self.file {
             Some(file) => file,
@@ -257,8 +257,8 @@ impl<T: Pod> CellItems<T> {
         count.saturating_mul(size_of::<T>()).min(usize::MAX / 2)
     }
 
-    /// Hands out the items in the order of the stream, in as many parts as it takes for none to have more than
-    /// `limit`, read from the file where they are there.
+    /// Hands out the items in the order of the stream, in as many parts as it takes for none to have more
+    /// than `limit`, read from the file where they are there.
     ///
     /// # Errors
     /// The temporary file cannot be read.

@@ -1,9 +1,10 @@
-//! Samples placed by the faces of P_L: each at the minimum of the quadric of the planes around it, weighted by area (M. Garland,
-//! P. Heckbert 1997; P. Lindstrom, *Out-of-Core Simplification of Large Polygonal Models*, 2000), held by a small ridge to where
-//! its vertices alone have placed it.
+//! Samples placed by the faces of P_L: each at the minimum of the quadric of the planes around it, weighted
+//! by area (M. Garland, P. Heckbert 1997; P. Lindstrom, *Out-of-Core Simplification of Large Polygonal
+//! Models*, 2000), held by a small ridge to where its vertices alone have placed it.
 //!
-//! Faces tell where the surface is when normals do not: where there are none, or those of a smoother surface. Unless it is said
-//! what places the samples, some faces at the beginning of the file are compared with the normals of their corners.
+//! Faces tell where the surface is when normals do not: where there are none, or those of a smoother surface.
+//! Unless it is said what places the samples, some faces at the beginning of the file are compared with the
+//! normals of their corners.
 
 use glam::{DMat3, DVec3, Vec3, Vec3A, Vec3Swizzles, Vec4};
 use rayon::prelude::*;
@@ -20,10 +21,12 @@ const RIDGE: f64 = 3e-4;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Placement {
-    /// Faces where vertices have no normals, or other ones than those of the surface that the faces are; otherwise vertices.
+    /// Faces where vertices have no normals, or other ones than those of the surface that the faces are;
+    /// otherwise vertices.
     #[default]
     Automatic,
-    /// The planes of the faces, where the model has any: they take a pass, and temporary files of at most 20 bytes per vertex.
+    /// The planes of the faces, where the model has any: they take a pass, and temporary files of at most 20
+    /// bytes per vertex.
     Faces,
     /// The tangent planes of the vertices that have normals; without, their mean.
     Vertices,
@@ -37,8 +40,9 @@ const PAIRS: usize = 512;
 /// Vertices between two that are passed over rather than begun anew behind.
 const NEAR: u64 = 256;
 
-/// How much more normals of vertices may differ from those of faces than these from one triangle to the next. Normals of the surface
-/// itself differ 0.4 to 0.9 times as much, and those of a smooth surface below a relief 1.4 to 2.3 times.
+/// How much more normals of vertices may differ from those of faces than these from one triangle to the next.
+/// Normals of the surface itself differ 0.4 to 0.9 times as much, and those of a smooth surface below a
+/// relief 1.4 to 2.3 times.
 const MOST_UNLIKE: f64 = 1.15;
 
 /// An angle by which normals may always differ, radians.
@@ -69,8 +73,8 @@ impl Placement {
     }
 }
 
-/// Whether the normals of vertices may be taken for those of the surface that the faces are: which they are unless faces at the
-/// beginning of the file tell otherwise.
+/// Whether the normals of vertices may be taken for those of the surface that the faces are: which they are
+/// unless faces at the beginning of the file tell otherwise.
 fn normals_are_of_faces(model: &dyn Model) -> Result<bool> {
     let Ok(triangles) = first_pairs(model) else { return Ok(true) };
     let corners = Corners::read(model, &triangles)?;
@@ -101,8 +105,8 @@ fn first_pairs(model: &dyn Model) -> Result<Vec<[u32; 3]>> {
 struct Corners(Vec<(u32, (DVec3, DVec3))>);
 
 impl Corners {
-    /// Those of some triangles, as far as the model has them. Of a model that can only be read from its beginning, those that
-    /// are near each other.
+    /// Those of some triangles, as far as the model has them. Of a model that can only be read from its
+    /// beginning, those that are near each other.
     fn read(model: &dyn Model, triangles: &[[u32; 3]]) -> Result<Self> {
         let mut wanted: Vec<u32> = triangles.iter().flatten().copied().collect();
         wanted.sort_unstable();
@@ -132,7 +136,8 @@ impl Corners {
     }
 }
 
-/// How much the normals of faces differ from those of their corners, and from one face to the next: mean squares, weighted by area.
+/// How much the normals of faces differ from those of their corners, and from one face to the next: mean
+/// squares, weighted by area.
 #[derive(Default)]
 struct Unlike {
     /// Area of the triangles.
@@ -214,9 +219,9 @@ impl<'a> Planes<'a> {
         Self { vertices, samples, first, quadrics: vec![Quadric::default(); samples.len()] }
     }
 
-    /// Adds a face across the border of clusters, once, to each sample that one of its corners belongs to. The triangles of P_S
-    /// reach from sample to sample, and so a surface fits them best that is known where clusters meet: faces inside of them
-    /// add nothing to that, and would take most of the time.
+    /// Adds a face across the border of clusters, once, to each sample that one of its corners belongs to.
+    /// The triangles of P_S reach from sample to sample, and so a surface fits them best that is known where
+    /// clusters meet: faces inside of them add nothing to that, and would take most of the time.
     #[inline]
     pub fn take(&mut self, corners: [u32; 3], of: [u32; 3]) {
         if of[0] == of[1] && of[1] == of[2] {
@@ -257,8 +262,8 @@ impl<'a> Planes<'a> {
         quadric.toward += plane.toward * normal.dot(p);
     }
 
-    /// Where the samples are by the faces: as far from where they were as the corners in their clusters are (rms), and as
-    /// `most` allows, at most.
+    /// Where the samples are by the faces: as far from where they were as the corners in their clusters are
+    /// (rms), and as `most` allows, at most.
     pub fn place(self, most: impl Fn(usize) -> f32 + Sync) -> Vec<Vec3> {
         let moved = |(i, (quadric, sample)): (usize, (&Quadric, &Vec3))| {
             let way = quadric.least();

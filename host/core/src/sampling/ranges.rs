@@ -1,7 +1,8 @@
-//! Where in the stream each cell's vertices are, or its faces: what a refinement has to read again (paper §6).
+//! Where in the stream each cell's vertices are, or its faces: what a refinement has to read again (paper
+//! §6).
 //!
-//! A stream may come back to a cell any number of times; only so many ranges are kept, and those that have the least
-//! between them become one. In files whose rows go around the model, it comes back with each row.
+//! A stream may come back to a cell any number of times; only so many ranges are kept, and those that have
+//! the least between them become one. In files whose rows go around the model, it comes back with each row.
 
 use std::ops::Range;
 
@@ -26,7 +27,8 @@ pub struct Ranges {
     jumps: u64,
 }
 
-/// The ranges of a cell. All but the last are packed: each as its distance from the end of the one before, and its length.
+/// The ranges of a cell. All but the last are packed: each as its distance from the end of the one before,
+/// and its length.
 #[derive(Clone, Default)]
 struct Packed {
     bytes: Vec<u8>,
@@ -122,8 +124,8 @@ impl Ranges {
     }
 }
 
-/// Joins ranges until there are so many, where the gaps are the least. Of gaps of about the same length every other one
-/// goes first, so that they do not all become one range.
+/// Joins ranges until there are so many, where the gaps are the least. Of gaps of about the same length every
+/// other one goes first, so that they do not all become one range.
 fn halve(ranges: &mut Vec<Range<u64>>, keep: usize) {
     let gap = |i: usize| (ranges[i + 1].start - ranges[i].end).checked_ilog2();
     let mut order: Vec<usize> = (0..ranges.len() - 1).collect();

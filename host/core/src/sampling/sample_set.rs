@@ -112,8 +112,8 @@ impl SampleSet {
         })
     }
 
-    /// Takes all normals, as they were estimated before; none, where the model has told them. `false` if they are not
-    /// what they should be.
+    /// Takes all normals, as they were estimated before; none, where the model has told them. `false` if they
+    /// are not what they should be.
     pub(crate) fn set_normals(&self, normals: Vec<Vec3>) -> bool {
         if self.all_known {
             return normals.is_empty();
@@ -136,7 +136,8 @@ impl SampleSet {
         &self.known
     }
 
-    /// Who is on whose sheet where parts of the model touch, as its faces tell; `None` where none do, or it has no faces.
+    /// Who is on whose sheet where parts of the model touch, as its faces tell; `None` where none do, or it
+    /// has no faces.
     pub fn contacts(&self) -> Option<&Contacts> {
         self.contacts.as_ref()
     }
@@ -157,8 +158,8 @@ impl SampleSet {
 
     /// Finds out now what is otherwise found when it is first asked for: neighbours, spacing and normals.
     ///
-    /// To be called before these are asked for by jobs of a thread pool: finding them takes jobs of the pool, and a
-    /// thread that waits for these could take one that waits for it.
+    /// To be called before these are asked for by jobs of a thread pool: finding them takes jobs of the pool,
+    /// and a thread that waits for these could take one that waits for it.
     pub fn prepare(&self) {
         let _ = (self.surroundings(), self.normals());
     }
@@ -192,13 +193,15 @@ impl SampleSet {
         self.tree().largest_below(radius)
     }
 
-    /// Of balls about the samples that hold a point, that in which it is nearest to the middle, as a part of the radius.
+    /// Of balls about the samples that hold a point, that in which it is nearest to the middle, as a part of
+    /// the radius.
     pub(crate) fn deepest(&self, p: Vec3, radius: &[f32], largest: &[f32]) -> Option<u32> {
         self.tree().deepest(p, radius, largest)
     }
 
-    /// The indices of the samples nearest to a finite point, nearest first: the beginning of `found`, which is filled
-    /// as far as there are samples. Costs microseconds. May be asked by jobs of a thread pool at any time.
+    /// The indices of the samples nearest to a finite point, nearest first: the beginning of `found`, which
+    /// is filled as far as there are samples. Costs microseconds. May be asked by jobs of a thread pool at
+    /// any time.
     pub(crate) fn nearest_ones<'a>(
         &self,
         p: Vec3,
@@ -230,7 +233,8 @@ impl SampleSet {
         self.tree.get_or_init(|| KdTree::in_one_job(&self.positions))
     }
 
-    /// The set of some of the samples, with their normals, completed, but without what is known of their sheets.
+    /// The set of some of the samples, with their normals, completed, but without what is known of their
+    /// sheets.
     pub(crate) fn part(&self, chosen: &[u32]) -> Self {
         let normals = self.normals();
         Self {

@@ -7,8 +7,8 @@ use crate::model::{Model, for_faces};
 use crate::touching::Islands;
 use crate::{Progress, Result};
 
-/// Most triangles for each sample. A closed surface has two, and any that is worth the name not many more; beyond
-/// it the faces are a tangle that tells nothing of P_S, as large as P_L's own.
+/// Most triangles for each sample. A closed surface has two, and any that is worth the name not many more;
+/// beyond it the faces are a tangle that tells nothing of P_S, as large as P_L's own.
 const MOST_PER_SAMPLE: usize = 16;
 
 /// Triangles of P_S, as found in a model's faces.
@@ -38,8 +38,8 @@ pub struct Wanted<'a, 'p> {
 
 /// Streams the faces of a model. `sample_of` says which sample each vertex belongs to.
 ///
-/// Memory: the chunks of [`for_faces`], and 12 bytes for each of at most twice [`MOST_PER_SAMPLE`] triangles per sample,
-/// twice while the list grows; a surface has about two, found once or twice each.
+/// Memory: the chunks of [`for_faces`], and 12 bytes for each of at most twice [`MOST_PER_SAMPLE`] triangles
+/// per sample, twice while the list grows; a surface has about two, found once or twice each.
 ///
 /// # Errors
 /// The model cannot be read; the user cancelled.

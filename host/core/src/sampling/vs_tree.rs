@@ -1,15 +1,16 @@
 //! The Volume-Surface Tree of one cell: T. Boubekeur, W. Heidrich, X. Granier, C. Schlick,
 //! *Volume-Surface Trees*, Eurographics 2006, as used for clustering in the paper's §4.
 //!
-//! A cluster is split in space (octree) until it projects on its mean plane without folding, and from there on
-//! in that plane (quadtree, 1 for 4). Splits are at the middle of the cluster's tight box, or at its mean in the
-//! plane, and leave out axes that are much shorter than the longest, so that clusters stay about as wide as long; where the surface bends along one
-//! axis alone, somewhat longer along the other. Two sheets with opposite
-//! normals are parted at once, by the sign of their normals, instead of splitting down to their distance.
+//! A cluster is split in space (octree) until it projects on its mean plane without folding, and from there
+//! on in that plane (quadtree, 1 for 4). Splits are at the middle of the cluster's tight box, or at its mean
+//! in the plane, and leave out axes that are much shorter than the longest, so that clusters stay about as
+//! wide as long; where the surface bends along one axis alone, somewhat longer along the other. Two sheets
+//! with opposite normals are parted at once, by the sign of their normals, instead of splitting down to their
+//! distance.
 //!
-//! A node's *key* is its error, or what `density` makes of it, or its parent's if that is less: the clusters of a cut at ε are those reached
-//! from the root by going on while the key exceeds ε and there is something below, and their number falls as ε
-//! grows.
+//! A node's *key* is its error, or what `density` makes of it, or its parent's if that is less: the clusters
+//! of a cut at ε are those reached from the root by going on while the key exceeds ε and there is something
+//! below, and their number falls as ε grows.
 
 use glam::{DMat3, DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -31,11 +32,12 @@ const SPLIT_ASPECT: f32 = 0.75;
 /// An axis in the plane along which the surface does not bend counts as being of this part of its length.
 const LEAST_BENDING: f32 = 0.4;
 
-/// Part of a box's extent by which the mean of its vertices is off its middle where they are denser at one end.
+/// Part of a box's extent by which the mean of its vertices is off its middle where they are denser at one
+/// end.
 const LOPSIDED: f32 = 0.25;
 
-/// Part of a cluster's error that its place in the tree adds: it orders clusters that are alike (a flat grid of
-/// points has thousands) so that a cut through them is spread evenly instead of sweeping from one end.
+/// Part of a cluster's error that its place in the tree adds: it orders clusters that are alike (a flat grid
+/// of points has thousands) so that a cut through them is spread evenly instead of sweeping from one end.
 const DITHER: f64 = 0.02;
 
 /// Splits below this depth are coincident points in all but name.
@@ -45,8 +47,9 @@ const MAX_DEPTH: u32 = 96;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Splitting {
-    /// In space first, and in the plane of the cluster once it is flat enough; sheets that lie one above the other are parted
-    /// first of all. Where a model has faces, these part the sheets, and clusters are split as without layers.
+    /// In space first, and in the plane of the cluster once it is flat enough; sheets that lie one above the
+    /// other are parted first of all. Where a model has faces, these part the sheets, and clusters are split
+    /// as without layers.
     #[default]
     Layered,
     /// The same, whatever lies one above the other.
@@ -82,7 +85,8 @@ pub struct VsTree {
 impl VsTree {
     /// Builds the tree down to clusters of key `stop` or less. Reorders `elements`, which must not be empty.
     ///
-    /// `workspace.leaves` then has for each element, by its index less that of the first one, the leaf that it is in.
+    /// `workspace.leaves` then has for each element, by its index less that of the first one, the leaf that
+    /// it is in.
     ///
     /// Memory: `workspace` grows to the number of elements; the recursion is at most `MAX_DEPTH` deep.
     pub fn build<E: Element>(
@@ -96,9 +100,9 @@ impl VsTree {
         Self::build_where(elements, workspace, rule, (f32::INFINITY, seed), goes_on)
     }
 
-    /// As [`build`](Self::build), where `goes_on` decides which clusters are split, if they can be: it is asked for each
-    /// one, in preorder, with its moments, its key, and how deep it is. `root` is the least error above the tree, and
-    /// its seed.
+    /// As [`build`](Self::build), where `goes_on` decides which clusters are split, if they can be: it is
+    /// asked for each one, in preorder, with its moments, its key, and how deep it is. `root` is the least
+    /// error above the tree, and its seed.
     pub fn build_where<E: Element>(
         elements: &mut [E],
         workspace: &mut Workspace<E>,
@@ -211,7 +215,8 @@ impl VsTree {
     }
 }
 
-/// Number of children of a node of a tree that is listed parent first; `end` is the index behind a node's subtree.
+/// Number of children of a node of a tree that is listed parent first; `end` is the index behind a node's
+/// subtree.
 pub fn children(node: usize, end: impl Fn(usize) -> u32) -> u32 {
     let (behind, mut child, mut children) = (end(node), node as u32 + 1, 0);
     while child < behind {
@@ -275,7 +280,8 @@ struct Builder<'a, F> {
 }
 
 impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
-    /// Adds the cluster of some elements, and those below. `spare` is as long as they are, and of any content.
+    /// Adds the cluster of some elements, and those below. `spare` is as long as they are, and of any
+    /// content.
     fn node<E: Element>(&mut self, elements: &mut [E], spare: &mut [E], m: Moments, place: Place) {
         let dither = 1.0 + DITHER * (place.seed >> 40) as f64 / (1u64 << 24) as f64;
         let (position, normal, error) = m.representative();
@@ -335,7 +341,8 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
         };
         if let Stage::Surface(tangents) = stage {
             let below = |part| place.below(key, stage, part);
-            // Few vertices beside many: at the mean of all these would be parted, and the few never from them.
+            // Few vertices beside many: at the mean of all these would be parted, and the few never from
+            // them.
             if self.rule.by == By::Vertices && is_lopsided(m) && self.part(elements, spare, octant(m), below)
             {
                 return true;
@@ -618,7 +625,8 @@ mod tests {
         let (_, added) = tree.splits().next().expect("a split");
         assert_eq!(added, 3, "one for four");
         assert_eq!(tree.leaves(), 1024);
-        // 1 + 4 + 16 + … + 1024 = 1365 clusters if each split is in four; small ones of 2 × 3 samples are not.
+        // 1 + 4 + 16 + … + 1024 = 1365 clusters if each split is in four; small ones of 2 × 3 samples are
+        // not.
         assert!(tree.nodes.len() < 2000, "{} clusters", tree.nodes.len());
     }
 

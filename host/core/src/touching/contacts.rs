@@ -1,7 +1,8 @@
-//! Who is on whose sheet where sheets meet, as the model's faces tell it: found once, while sampling, and kept in the folder.
+//! Who is on whose sheet where sheets meet, as the model's faces tell it: found once, while sampling, and
+//! kept in the folder.
 //!
-//! The file begins with eight letters and a version. What is known of the samples follows, then the places, and a checksum of all
-//! before it.
+//! The file begins with eight letters and a version. What is known of the samples follows, then the places,
+//! and a checksum of all before it.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap};
@@ -32,8 +33,8 @@ use crate::{Error, ErrorKind, Result};
 const MAGIC: &[u8; 8] = b"SIMODSHT";
 const VERSION: u32 = 1;
 
-/// A way over the surface, from sample to sample, that is longer than so many times the distance of the furthest neighbour
-/// leads to another sheet, or another side of a fold.
+/// A way over the surface, from sample to sample, that is longer than so many times the distance of the
+/// furthest neighbour leads to another sheet, or another side of a fold.
 const DETOUR: f32 = 1.5;
 
 /// Vertices whose homes are looked up at a time.
@@ -60,9 +61,9 @@ struct Lists {
 }
 
 impl Contacts {
-    /// Of the samples of a model whose clusters were parted, of which `sample_of` says what vertex belongs to which. `trees` has the
-    /// samples of each cell. Where clusters were parted there are contacts, though nothing may be near any more: so it is
-    /// known that they were.
+    /// Of the samples of a model whose clusters were parted, of which `sample_of` says what vertex belongs to
+    /// which. `trees` has the samples of each cell. Where clusters were parted there are contacts, though
+    /// nothing may be near any more: so it is known that they were.
     ///
     /// # Errors
     /// The model cannot be read, or a temporary file written; the user cancelled.
@@ -131,8 +132,9 @@ impl Contacts {
         Places::of(places, sampled.samples.len(), parting.folder)
     }
 
-    /// The same of a model that was refined: `samples`, of which those behind the ones that are known each are on the sheet of one
-    /// of `origins`. `parted` are those that no cell's tree has now, each with one of its cluster that a tree has.
+    /// The same of a model that was refined: `samples`, of which those behind the ones that are known each
+    /// are on the sheet of one of `origins`. `parted` are those that no cell's tree has now, each with one of
+    /// its cluster that a tree has.
     pub(crate) fn refined(&self, samples: &SampleSet, origins: &[u32], parted: Vec<[u32; 2]>) -> Self {
         let before = samples.len() - origins.len();
         let origin = |i: u32| (i as usize).checked_sub(before).map_or(i, |new| origins[new]);
@@ -155,7 +157,8 @@ impl Contacts {
         Self { lists: Lists::new(lists, parted), places: self.places.clone() }
     }
 
-    /// The same with the places of those of these vertices whose homes would be on another sheet than they were on.
+    /// The same with the places of those of these vertices whose homes would be on another sheet than they
+    /// were on.
     pub(crate) fn with_places(self, sampled: &SampledModel, vertices: Noted, folder: &Path) -> Result<Self> {
         if vertices.bytes == 0 {
             return Ok(self);
@@ -309,8 +312,9 @@ pub(crate) struct Near {
     samples: SampleSet,
 }
 
-/// Neighbours that are gone on to, one after the other: the home of a place is among those of the sample of its cell, whose
-/// sheet is looked for among those around, by the links that these have to their own neighbours.
+/// Neighbours that are gone on to, one after the other: the home of a place is among those of the sample of
+/// its cell, whose sheet is looked for among those around, by the links that these have to their own
+/// neighbours.
 const RINGS: [usize; 3] = [NEIGHBOURS, CROWDED_NEIGHBOURS, NEIGHBOURS];
 
 impl Near {
@@ -347,7 +351,8 @@ impl Near {
     }
 }
 
-/// Vertices near which sheets meet, and a sample on the sheet of each: in a temporary file of 16 bytes per vertex.
+/// Vertices near which sheets meet, and a sample on the sheet of each: in a temporary file of 16 bytes per
+/// vertex.
 pub(crate) struct Noted {
     file: Scratch,
     bytes: u64,
@@ -383,8 +388,8 @@ impl Noted {
     }
 }
 
-/// Tells on which sheet vertices are where sheets meet, by samples that are known. What it takes is found when the first vertices are
-/// [looked at](Self::of).
+/// Tells on which sheet vertices are where sheets meet, by samples that are known. What it takes is found
+/// when the first vertices are [looked at](Self::of).
 pub(crate) struct Guides<'a> {
     contacts: &'a Contacts,
     samples: &'a SampleSet,
@@ -415,7 +420,8 @@ impl<'a> Guides<'a> {
         samples.iter().any(|sample| self.contacts.same_sheet(*sample as usize).is_some())
     }
 
-    /// For each local position near such a sample, a sample of its sheet. Not to be called by jobs of the thread pool.
+    /// For each local position near such a sample, a sample of its sheet. Not to be called by jobs of the
+    /// thread pool.
     pub fn of(&self, frame: &Frame, positions: impl Iterator<Item = Vec3> + Clone) -> Vec<u32> {
         let in_model: Vec<DVec3> = positions.clone().map(|p| frame.to_model(p)).collect();
         let mut guides = Vec::new();
@@ -445,7 +451,8 @@ impl<'a> Guides<'a> {
         self.parted.get(&sample).map_or(&[], |parted| parted)
     }
 
-    /// Samples on each of the sheets that some vertices are on, that of most vertices first, and which of these each vertex is on.
+    /// Samples on each of the sheets that some vertices are on, that of most vertices first, and which of
+    /// these each vertex is on.
     pub fn sheets(&self, guides: impl Iterator<Item = u32> + Clone) -> (Vec<u32>, Vec<u32>) {
         let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
         guides.clone().for_each(|guide| *counts.entry(guide).or_default() += 1);
@@ -462,7 +469,8 @@ impl<'a> Guides<'a> {
         (sheets, guides.map(|guide| sheet_of[&guide]).collect())
     }
 
-    /// Of the samples of the cluster of one that a tree has, that which is on the sheet of another sample; or else that other one.
+    /// Of the samples of the cluster of one that a tree has, that which is on the sheet of another sample; or
+    /// else that other one.
     pub fn of_cluster(&self, sample: u32, guide: u32) -> u32 {
         let all = || [sample].into_iter().chain(self.parted_from(sample).iter().copied());
         let found =
@@ -532,8 +540,8 @@ impl<T: Read> Read for Hashed<T> {
     }
 }
 
-/// The neighbours on its sheet of each sample near which sheets meet: going out from those that were parted, as far as the
-/// nearest samples are not all on the same one.
+/// The neighbours on its sheet of each sample near which sheets meet: going out from those that were parted,
+/// as far as the nearest samples are not all on the same one.
 fn same_sheet(samples: &SampleSet, parted: &Parted) -> BTreeMap<u32, Vec<u32>> {
     let mut known: BTreeSet<u32> = parted.seeds.iter().copied().collect();
     let mut open = parted.seeds.clone();

@@ -1,8 +1,9 @@
-//! Which vertices of each cluster hang together by the model's faces, and which of these *islands* the faces join across
-//! the clusters' borders.
+//! Which vertices of each cluster hang together by the model's faces, and which of these *islands* the faces
+//! join across the clusters' borders.
 //!
-//! A cluster whose vertices are in a few islands is nothing special: clusters are cut out of the surface by planes. It is one
-//! of two sheets if its islands are not joined by those around it either: see [`Graph::parts`].
+//! A cluster whose vertices are in a few islands is nothing special: clusters are cut out of the surface by
+//! planes. It is one of two sheets if its islands are not joined by those around it either: see
+//! [`Graph::parts`].
 
 use std::path::Path;
 
@@ -28,7 +29,8 @@ const STEPS: usize = 4;
 
 /// Islands, while faces come.
 ///
-/// Memory: 32 bytes per sample, and 8 for each of at most 32 links per sample, mostly 6; a mapped temporary file of 4 bytes per vertex.
+/// Memory: 32 bytes per sample, and 8 for each of at most 32 links per sample, mostly 6; a mapped temporary
+/// file of 4 bytes per vertex.
 pub struct Islands {
     /// For each vertex, how far before it another one of its island is; 0 for the first of an island.
     back: MmapMut,
@@ -208,8 +210,8 @@ impl Islands {
     }
 }
 
-/// Islands that faces join with others. The first island of each cluster has the cluster's number, all further ones come
-/// behind the clusters.
+/// Islands that faces join with others. The first island of each cluster has the cluster's number, all
+/// further ones come behind the clusters.
 ///
 /// Memory: 8 bytes per sample, and 16 for each of at most 32 links per sample while it is made, mostly 6.
 pub struct Graph {
@@ -344,7 +346,8 @@ impl Graph {
             if parts.iter().any(|part| part.contains(island)) {
                 continue;
             }
-            // What is met from one that was met is of the same part: so it does not matter which is looked at first.
+            // What is met from one that was met is of the same part: so it does not matter which is looked at
+            // first.
             let (mut part, mut at) = (vec![*island], 0);
             while at < part.len() && part.len() < islands.len() {
                 let met = self.met_from(part[at], cluster, islands.len());

@@ -1,10 +1,11 @@
-//! Parts that touch: a closed fist, lips, cloth on skin. Where a model has faces, who is on whose sheet of the surface is told
-//! by how these connect it, however near two sheets come in space.
+//! Parts that touch: a closed fist, lips, cloth on skin. Where a model has faces, who is on whose sheet of
+//! the surface is told by how these connect it, however near two sheets come in space.
 //!
-//! While sampling reads the faces, `islands` finds what hangs together in each cluster, and which of these islands faces
-//! join. Where a cluster turns out to hold two sheets, equal positions are welded first (`sorter`): a place belongs to all
-//! faces there. Clusters that hold two sheets then are parted, one sample for each (`parting`). [`Contacts`] keeps who is on whose
-//! sheet near such places, and of which sheet the vertices are that their position alone would put on another one.
+//! While sampling reads the faces, `islands` finds what hangs together in each cluster, and which of these
+//! islands faces join. Where a cluster turns out to hold two sheets, equal positions are welded first
+//! (`sorter`): a place belongs to all faces there. Clusters that hold two sheets then are parted, one sample
+//! for each (`parting`). [`Contacts`] keeps who is on whose sheet near such places, and of which sheet the
+//! vertices are that their position alone would put on another one.
 //!
 //! Where no cluster holds two sheets, nothing is kept: the samples tell the sheets apart by themselves.
 

@@ -1,4 +1,5 @@
-//! Clusters that hold several sheets are parted: each sheet gets a sample of its own, or joins a cluster of its own sheet nearby.
+//! Clusters that hold several sheets are parted: each sheet gets a sample of its own, or joins a cluster of
+//! its own sheet nearby.
 
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -111,8 +112,8 @@ impl Parting<'_> {
         Ok(joins)
     }
 
-    /// The clusters of several sheets, once the faces are known. `trees` has the samples of each cell; `welded` says that equal
-    /// positions are joined already.
+    /// The clusters of several sheets, once the faces are known. `trees` has the samples of each cell;
+    /// `welded` says that equal positions are joined already.
     ///
     /// # Errors
     /// As of [`weld_all`](Self::weld_all).
@@ -126,7 +127,8 @@ impl Parting<'_> {
         let mut graph = islands.graph(sample_of);
         let mut mixed = None;
         if !welded {
-            // Seams of the file are none of the surface. Where most clusters have some, it is quicker to weld all than to see which do.
+            // Seams of the file are none of the surface. Where most clusters have some, it is quicker to weld
+            // all than to see which do.
             let mut several = graph.several();
             if several.len() < graph.clusters() / 8 {
                 let found = mixed.insert(graph.parts());
@@ -219,8 +221,8 @@ impl Parts {
         self.decide(usize::MAX).1
     }
 
-    /// For each mixed cluster, which of its parts get a sample: at most so many more in all, for the largest parts. And how
-    /// many that are.
+    /// For each mixed cluster, which of its parts get a sample: at most so many more in all, for the largest
+    /// parts. And how many that are.
     fn decide(&self, most: usize) -> (Vec<Vec<bool>>, usize) {
         let mut wanted: Vec<(usize, usize)> = Vec::new();
         for (i, (_, parts)) in self.mixed.iter().enumerate() {

@@ -119,8 +119,8 @@ impl Places {
         self.all().chunks(COPIED).try_for_each(|places| to.write_all(cast_slice(places)))
     }
 
-    /// Reads so many of them, for so many samples; `None` if they are not in order, or speak of samples that there are not.
-    /// A temporary file, should it be needed, is made in `folder`.
+    /// Reads so many of them, for so many samples; `None` if they are not in order, or speak of samples that
+    /// there are not. A temporary file, should it be needed, is made in `folder`.
     pub fn read(
         mut from: impl Read,
         count: u64,

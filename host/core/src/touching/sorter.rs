@@ -1,4 +1,5 @@
-//! Numbers sorted by hashes, more of them than memory holds: sorted runs in a temporary file, which are merged.
+//! Numbers sorted by hashes, more of them than memory holds: sorted runs in a temporary file, which are
+//! merged.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;

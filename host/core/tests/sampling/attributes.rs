@@ -1,5 +1,5 @@
-//! Attributes of the samples: means over the vertices that are nearest, the same of any file, and each side of a wall has its
-//! own.
+//! Attributes of the samples: means over the vertices that are nearest, the same of any file, and each side
+//! of a wall has its own.
 
 use std::path::Path;
 

@@ -74,8 +74,8 @@ fn write(path: &Path, bytes: &[u8]) {
     File::create(path).unwrap().write_all(bytes).unwrap();
 }
 
-/// Checks what holds for all trees, and calls `visit` with the error of each node, that of its parent, and whether
-/// it is a leaf.
+/// Checks what holds for all trees, and calls `visit` with the error of each node, that of its parent, and
+/// whether it is a leaf.
 fn walk(cell: &KeptCell, mut visit: impl FnMut(f32, f32, bool)) {
     let tree = &cell.tree;
     assert_eq!(tree.children.len(), tree.errors.len());

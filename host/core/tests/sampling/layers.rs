@@ -24,7 +24,8 @@ fn depth(p: DVec3) -> f64 {
     (height(p) - p.z) / slope.length() / GAP
 }
 
-/// A sheet over a square and another one below it, facing the same way or without normals; and which vertices are of the lower.
+/// A sheet over a square and another one below it, facing the same way or without normals; and which vertices
+/// are of the lower.
 fn sheets(with_normals: bool) -> (Body, Vec<f64>) {
     let (mut body, mut part) = (Body::default(), Vec::new());
     for (below, i) in (0..2u32).flat_map(|below| (0..SIDE * SIDE).map(move |i| (below, i))) {

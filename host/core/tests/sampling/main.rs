@@ -59,7 +59,8 @@ fn every_vertex_has_a_sample_near_it_at_any_place_and_size() {
             let sampled = placed.sampled(Sampling { target: Target::Samples(3000), ..Sampling::default() });
             let n = sampled.samples.len();
             assert!((2940..=3000).contains(&n), "{n} samples at {scale:e}");
-            // The amphora has an area of about 8.5 square heights: 3000 samples are some 0.03 diagonals apart.
+            // The amphora has an area of about 8.5 square heights: 3000 samples are some 0.03 diagonals
+            // apart.
             let worst = worst_distance(&sampled, &placed.positions);
             assert!(worst < 0.1, "a vertex is {worst} from its nearest sample at {scale:e}");
         }

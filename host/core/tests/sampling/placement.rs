@@ -99,7 +99,8 @@ fn samples_stay_inside_their_clusters() {
     let sampled = body.sampled(by(Placement::Faces, Target::Samples(100_000)));
     assert_eq!(worst_distance(&sampled, &body.positions), 0.0);
 
-    // Faces that are no surface: across the whole model, without area, of vertices that are not there or not finite.
+    // Faces that are no surface: across the whole model, without area, of vertices that are not there or not
+    // finite.
     let mut body = relief();
     let count = body.positions.len() as u32;
     body.positions[7].y = f64::NAN;
@@ -169,7 +170,8 @@ fn cells_of_former_folders_are_made_again() {
     }
 }
 
-/// Where normals are missing or those of a smoother surface, faces place the samples, and where they are the surface's own, vertices.
+/// Where normals are missing or those of a smoother surface, faces place the samples, and where they are the
+/// surface's own, vertices.
 #[test]
 fn normals_are_trusted_unless_faces_tell_otherwise() {
     let placed = |body: &Body| body.sampled(samples(1000)).sampling.placement;

@@ -102,7 +102,8 @@ fn check_samples(sampled: &SampledModel, body: &Body, outside: f64) -> Result<()
     Ok(())
 }
 
-/// Splits come in eights, and clusters alike are split together or not at all: so many samples may be missing.
+/// Splits come in eights, and clusters alike are split together or not at all: so many samples may be
+/// missing.
 const FEW: usize = 16;
 
 /// Cases of each kind.

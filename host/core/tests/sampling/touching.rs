@@ -16,7 +16,8 @@ use simod_core::sampling::{Sampling, Skip, Target};
 use crate::body::{Body, sample_file};
 use crate::cells::Saved;
 
-/// A tube of rings of vertices around points with two directions each; closed, if its last ring is followed by the first one.
+/// A tube of rings of vertices around points with two directions each; closed, if its last ring is followed
+/// by the first one.
 fn tube(rings: &[(DVec3, DVec3, DVec3)], around: u32, radius: f64, closed: bool) -> Body {
     let mut body = Body::default();
     for (center, a, b) in rings {
@@ -82,7 +83,8 @@ fn soup((body, part): (Body, Vec<f64>)) -> (Body, Vec<f64>) {
     (Body { positions, normals: Vec::new(), faces }, corners.iter().map(|v| part[*v]).collect())
 }
 
-/// Where a sample belongs: how far its place goes with the second part. It lies at the surface of one of two tubes.
+/// Where a sample belongs: how far its place goes with the second part. It lies at the surface of one of two
+/// tubes.
 fn of_rings(gap: f64) -> impl Fn(DVec3) -> f64 {
     move |p| {
         let off = |center: DVec3, axis: DVec3| {
@@ -109,7 +111,8 @@ fn of_cactus(gap: f64) -> impl Fn(DVec3) -> f64 {
 
 const AWAY: DVec3 = DVec3::new(0.6, 0.64, 0.48);
 
-/// Moves the samples of the second part away, and gives for each vertex how far it is off, as a fraction of the way.
+/// Moves the samples of the second part away, and gives for each vertex how far it is off, as a fraction of
+/// the way.
 pub fn pulled(sampled: &SampledModel, body: &Body, part: &[f64], of: &dyn Fn(DVec3) -> f64) -> Vec<f64> {
     let place = |p: &Vec3| {
         let p = sampled.frame.to_model(*p);
@@ -125,7 +128,8 @@ pub fn pulled(sampled: &SampledModel, body: &Body, part: &[f64], of: &dyn Fn(DVe
     body.positions.iter().zip(&moved).zip(part).map(off).collect()
 }
 
-/// Where it has to be told apart: not where the arm leaves the stem, as there the way changes within a spacing.
+/// Where it has to be told apart: not where the arm leaves the stem, as there the way changes within a
+/// spacing.
 fn is_plain(p: &DVec3, name: &str) -> bool {
     name != "an arm on its stem" || p.z < 1.3
 }

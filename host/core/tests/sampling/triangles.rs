@@ -69,11 +69,12 @@ impl Quality {
     }
 }
 
-/// Clusters of the vertices of a surface are patches, and so neighbours meet along an edge, three of them at a corner:
-/// but for where a patch is in two parts, or ends in a point.
+/// Clusters of the vertices of a surface are patches, and so neighbours meet along an edge, three of them at
+/// a corner: but for where a patch is in two parts, or ends in a point.
 #[test]
 fn a_closed_surface_stays_nearly_closed() {
-    // The amphora has handles that run through its wall, and engravings about as deep as the samples are apart.
+    // The amphora has handles that run through its wall, and engravings about as deep as the samples are
+    // apart.
     for (shape, bodies, closed) in [(Shape::BumpySphere, 1, 0.985), (Shape::Amphora, 3, 0.92)] {
         let body = Body::generated(shape, 100_000);
         for splitting in [Splitting::VolumeSurface, Splitting::Octree] {
@@ -154,7 +155,8 @@ fn where_each_vertex_is_a_sample_the_triangles_are_the_faces() {
     }
 }
 
-/// Coordinates of few digits, of which all sums of products within a cell are exact: then the order of the vertices rounds nothing.
+/// Coordinates of few digits, of which all sums of products within a cell are exact: then the order of the
+/// vertices rounds nothing.
 fn exact(shape: Shape, vertices: u64) -> Body {
     let mut body = Body::generated(shape, vertices).without_normals();
     body.positions.iter_mut().for_each(|p| *p = (*p * 512.0).round() / 512.0);

@@ -15,11 +15,13 @@ use crate::targets::{Seen, Targets, texture};
 use crate::view::{Mode, Scale, Style, View};
 use crate::{passes, splats};
 
-/// Discs of a part of the samples are so much wider than their number says, as they are not quite evenly spread.
+/// Discs of a part of the samples are so much wider than their number says, as they are not quite evenly
+/// spread.
 const PART_SLACK: f32 = 1.15;
 /// Most splats of a ghost: it is faint, so a part of its samples will do.
 const GHOST_SPLATS: usize = 200_000;
-/// While something moves, a mesh of so many times more triangles than the budget has splats is drawn as splats.
+/// While something moves, a mesh of so many times more triangles than the budget has splats is drawn as
+/// splats.
 const TRIANGLES_PER_SPLAT: usize = 4;
 
 /// Textures of a size.

@@ -28,7 +28,8 @@ pub(super) struct Case {
     spacing: Vec<f32>,
     /// Each sample with its two nearest: no surface, but triangles as they may be.
     triangles: Vec<[u32; 3]>,
-    /// Where the neighbours of each sample begin, and all of them; nothing if the plugin does not ask for them.
+    /// Where the neighbours of each sample begin, and all of them; nothing if the plugin does not ask for
+    /// them.
     neighbours: Option<(Vec<u32>, Vec<u32>)>,
     pub bounds: simod_plugin_api::Bounds,
     pub regions: Vec<(Role, Vec<f32>)>,
@@ -52,8 +53,8 @@ pub(super) struct Case {
 }
 
 impl Case {
-    /// The given samples with as many regions as the plugin wants, moved handles, and default parameters. Normals of
-    /// zero are estimated, as the host does it.
+    /// The given samples with as many regions as the plugin wants, moved handles, and default parameters.
+    /// Normals of zero are estimated, as the host does it.
     pub fn new(plugin: &Plugin, positions: Vec<Vec3>, normals: Vec<Vec3>) -> Checked<Self> {
         let set = SampleSet::new(positions, normals).map_err(|e| Finding::skip(e.to_string()))?;
         let bounds = Bounds::of(set.positions.iter().map(|p| p.as_dvec3()));
@@ -138,7 +139,8 @@ impl Case {
         Self::new(plugin, positions, normals)
     }
 
-    /// The same with other parameters, as a user would write them; those that are not given have their defaults.
+    /// The same with other parameters, as a user would write them; those that are not given have their
+    /// defaults.
     pub fn with_params(&self, plugin: &Plugin, given: &toml::Table) -> Checked<Self> {
         let corner = DVec3::from_array;
         let bounds = Bounds { min: corner(self.bounds.min), max: corner(self.bounds.max) };
@@ -160,7 +162,8 @@ impl Case {
         self
     }
 
-    /// All samples in handles that do the same: as many handles as the plugin needs, each with a part of the samples.
+    /// All samples in handles that do the same: as many handles as the plugin needs, each with a part of the
+    /// samples.
     pub fn all_handles(mut self, handles: usize, transform: Affine) -> Self {
         let count = self.positions.len();
         let part = |h: usize| (0..count).map(|i| f32::from(u8::from(i * handles / count == h))).collect();
@@ -259,8 +262,8 @@ impl Case {
     }
 }
 
-/// A point of a sphere with bumps, whose box has a diagonal between 1 and 2, and the normal there. Points go round
-/// the z axis from one pole to the other, evenly spread.
+/// A point of a sphere with bumps, whose box has a diagonal between 1 and 2, and the normal there. Points go
+/// round the z axis from one pole to the other, evenly spread.
 fn bumpy_sphere(i: usize, count: usize) -> (Vec3, Vec3) {
     const RADIUS: f64 = 0.5;
     const BUMPS: f64 = 0.05;
@@ -276,7 +279,8 @@ fn bumpy_sphere(i: usize, count: usize) -> (Vec3, Vec3) {
     ((d * radius).as_vec3(), normal.normalize_or(d).as_vec3())
 }
 
-/// Regions as the plugin wants them, fixed ones first: each a run of samples, with a soft end, and gaps in between.
+/// Regions as the plugin wants them, fixed ones first: each a run of samples, with a soft end, and gaps in
+/// between.
 fn regions(plugin: &Plugin, count: usize) -> Vec<(Role, Vec<f32>)> {
     const SOFT: f64 = 0.02;
     let wanted = |used: bool, least: u32| if used { least.max(1) as usize } else { 0 };

@@ -127,7 +127,8 @@ fn survives(subject: &Subject, case: &Case) -> Checked<Finding> {
     }))
 }
 
-/// Prepares, deforms, and evaluates at the samples, where the plugin does that: finite positions or a polite error.
+/// Prepares, deforms, and evaluates at the samples, where the plugin does that: finite positions or a polite
+/// error.
 pub(super) fn all_calls(subject: &Subject, case: &Case) -> Checked<Answer<()>> {
     let state = match subject.run(case)? {
         Ok((state, _)) => state,

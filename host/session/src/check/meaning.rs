@@ -253,7 +253,8 @@ pub(super) fn is_identity(subject: &Subject) -> Checked<Finding> {
     Ok(Finding::pass("what it says holds"))
 }
 
-/// A plugin that takes the time deforms at any, and at the same one always in the same way, whatever was between.
+/// A plugin that takes the time deforms at any, and at the same one always in the same way, whatever was
+/// between.
 pub(super) fn time(subject: &Subject) -> Checked<Finding> {
     let case = Case::bumpy_sphere(&subject.plugin, ORDINARY)?;
     if !subject.plugin.consumes().time {

@@ -7,8 +7,8 @@ use crate::params::check_migration;
 use crate::session_file::Deformation;
 use simod_plugin_api::ParamKind;
 
-/// Sessions of all versions that give nothing, or every parameter by its default and by each former name, become what the
-/// plugin takes; always the same, and nothing of what they become is changed once more.
+/// Sessions of all versions that give nothing, or every parameter by its default and by each former name,
+/// become what the plugin takes; always the same, and nothing of what they become is changed once more.
 pub(super) fn migration(subject: &Subject) -> Checked<Finding> {
     let plugin = &subject.plugin;
     if let Some(what) = plugin.migration().and_then(|m| check_migration(plugin.descriptor(), m).err()) {

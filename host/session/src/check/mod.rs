@@ -1,7 +1,8 @@
 //! Rules that every plugin has to keep, and what becomes of one rule for one library.
 //!
-//! A rule calls foreign code in ways that may end the process: whoever checks a plugin that it does not trust runs each
-//! rule in a process of its own (as `simod plugin check` does), and takes what is left of it for an answer.
+//! A rule calls foreign code in ways that may end the process: whoever checks a plugin that it does not trust
+//! runs each rule in a process of its own (as `simod plugin check` does), and takes what is left of it for an
+//! answer.
 
 mod case;
 mod description;

@@ -1,6 +1,7 @@
 //! Random numbers that are the same everywhere.
 //!
-//! G. L. Steele, D. Lea, C. H. Flood, *Fast Splittable Pseudorandom Number Generators*, OOPSLA 2014: SplitMix64.
+//! G. L. Steele, D. Lea, C. H. Flood, *Fast Splittable Pseudorandom Number Generators*, OOPSLA 2014:
+//! SplitMix64.
 
 /// A sequence of random numbers.
 pub(super) struct Random(u64);

@@ -109,7 +109,8 @@ impl Subject {
         Ok(positions.map(|positions| (state, positions)))
     }
 
-    /// As [`run`](Self::run), of a case that there is no reason to refuse: nothing more can be said where it is.
+    /// As [`run`](Self::run), of a case that there is no reason to refuse: nothing more can be said where it
+    /// is.
     pub fn run_ordinary(&self, case: &Case) -> Checked<(State, Vec<[f32; 3]>)> {
         self.run(case)?.map_err(Refusal::of_ordinary)
     }

@@ -1,8 +1,9 @@
 //! A process that does not outlive this one, nor do those that it starts.
 //!
-//! It leads a process group, which is ended with it. What ends it where this process is killed, and cannot do so itself:
-//! on Linux the signal that the system sends to it ([`end_with`](super::end_with)), and on all systems of the kind a shell
-//! that reads a pipe from here until it breaks, and then ends all groups that are left.
+//! It leads a process group, which is ended with it. What ends it where this process is killed, and cannot do
+//! so itself: on Linux the signal that the system sends to it ([`end_with`](super::end_with)), and on all
+//! systems of the kind a shell that reads a pipe from here until it breaks, and then ends all groups that are
+//! left.
 
 use super::{INTERVAL, LAST_WORDS};
 use std::io::Result;
@@ -14,13 +15,14 @@ use std::time::Instant;
 /// A process that does not outlive this.
 pub(crate) struct Ended {
     child: Child,
-    /// How it ended, once it was taken off the system's list: from then on its number may be another process'.
+    /// How it ended, once it was taken off the system's list: from then on its number may be another
+    /// process'.
     status: Option<ExitStatus>,
 }
 
 impl Ended {
-    /// Starts a process at the head of a group of its own. What the user types at the terminal to stop is this process's to
-    /// handle.
+    /// Starts a process at the head of a group of its own. What the user types at the terminal to stop is
+    /// this process's to handle.
     pub fn start(mut command: Command) -> Result<Self> {
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
@@ -76,7 +78,8 @@ impl Ended {
         let _ = self.child.kill();
     }
 
-    /// Whether it has ended, without taking it off the list: as long as it is there, nobody else has its number.
+    /// Whether it has ended, without taking it off the list: as long as it is there, nobody else has its
+    /// number.
     #[cfg(unix)]
     fn has_ended(&self) -> Result<bool> {
         use rustix::process::{WaitId, WaitIdOptions, waitid};
@@ -113,8 +116,8 @@ fn pid(child: &Child) -> Option<rustix::process::Pid> {
     rustix::process::Pid::from_raw(child.id() as i32)
 }
 
-/// Starts a process from a thread that lasts as long as this process: the signal that ends processes with their parent comes
-/// when the *thread* ends that started them.
+/// Starts a process from a thread that lasts as long as this process: the signal that ends processes with
+/// their parent comes when the *thread* ends that started them.
 fn spawn(command: Command) -> Result<Child> {
     type Order = (Command, Sender<Result<Child>>);
     static STARTER: OnceLock<Option<Sender<Order>>> = OnceLock::new();
@@ -202,7 +205,8 @@ mod tests {
         state.rsplit(')').next().is_some_and(|rest| !rest.trim().is_empty() && !rest.trim().starts_with('Z'))
     }
 
-    /// A shell with a child that would go on, which says the child's number and then does what the script says.
+    /// A shell with a child that would go on, which says the child's number and then does what the script
+    /// says.
     fn parent(script: &str) -> (Ended, String) {
         let mut command = Command::new("sh");
         command.args(["-c", &format!("sleep 100 & echo $!; {script}")]).stdout(Stdio::piped());

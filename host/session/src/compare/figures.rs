@@ -37,8 +37,8 @@ pub struct Pair {
     pub second: String,
     /// The same vertices of both.
     pub vertices: Difference,
-    /// From the samples of the first to the triangles between those of the second, and back; nothing where there are no
-    /// triangles. The Hausdorff distance is the larger of the two `max`.
+    /// From the samples of the first to the triangles between those of the second, and back; nothing where
+    /// there are no triangles. The Hausdorff distance is the larger of the two `max`.
     pub surfaces: Option<[Distances; 2]>,
 }
 
@@ -125,7 +125,8 @@ pub(super) fn pairs(
     Ok(beside.differences.iter().map(pair).collect())
 }
 
-/// The end of the colour scale: a round number that 99 of 100 vertices of each method do not reach, or nearly so.
+/// The end of the colour scale: a round number that 99 of 100 vertices of each method do not reach, or nearly
+/// so.
 pub(super) fn color_scale(pairs: &[Pair], reference: &str) -> f64 {
     let with_first = pairs.iter().filter(|pair| pair.first == reference);
     rounded_up(with_first.map(|pair| pair.vertices.p99).fold(0.0, f64::max))

@@ -11,10 +11,12 @@ use toml::Spanned;
 /// Most methods of a comparison: all their models are read at once, and all pairs of them are compared.
 pub const MAX_METHODS: usize = 32;
 
-/// Longest side of a picture in pixels: 4 times as many samples are held, of 64 bytes each, which is 1 GB at most.
+/// Longest side of a picture in pixels: 4 times as many samples are held, of 64 bytes each, which is 1 GB at
+/// most.
 const MAX_SIDE: u32 = 2000;
 
-/// A comparison that is to be made. Paths are as the program needs them: relative to the current folder, or absolute.
+/// A comparison that is to be made. Paths are as the program needs them: relative to the current folder, or
+/// absolute.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CompareFile {
     /// The file's text.

@@ -33,7 +33,8 @@ struct Former {
 }
 
 impl Target {
-    /// Checks a place, before any work is done: nothing is there, or a former comparison, which does not hold the model.
+    /// Checks a place, before any work is done: nothing is there, or a former comparison, which does not hold
+    /// the model.
     pub fn check(folder: &Path, model: &Path) -> Result<Self> {
         let this = Self(folder.to_owned());
         this.check_again()?;
@@ -74,8 +75,8 @@ impl Target {
     }
 }
 
-/// Names for the files of methods: what there is of ASCII letters and digits in the methods' names. `NAME.png` and
-/// `NAME-difference.png` are of one method alone.
+/// Names for the files of methods: what there is of ASCII letters and digits in the methods' names.
+/// `NAME.png` and `NAME-difference.png` are of one method alone.
 pub(super) fn names(methods: &[Method]) -> Vec<String> {
     const LONGEST: usize = 60;
     let mut taken: HashSet<String> = ["rest", "index", "compare", "difference"].map(String::from).into();

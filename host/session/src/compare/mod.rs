@@ -6,14 +6,14 @@
 //!                     DIR/index.html, compare.json, *.png ◀──page, record, pictures── figures of each and of pairs
 //! ```
 //!
-//! What is told of all vertices (displacements, differences vertex by vertex, the transfer error, the pictures) is found by
-//! streaming the models. What needs a surface in memory (volume, edges, areas, folds, distances from surface to surface) is
-//! told of the samples and the triangles between them.
+//! What is told of all vertices (displacements, differences vertex by vertex, the transfer error, the
+//! pictures) is found by streaming the models. What needs a surface in memory (volume, edges, areas, folds,
+//! distances from surface to surface) is told of the samples and the triangles between them.
 //!
-//! Memory: a run of each method, one after the other; of each distinct sampling its samples and triangles, and of each
-//! method 12 bytes a sample, to the end; then a tree of one method's triangles (300 bytes a sample), or a small chunk
-//! (about 1 MB) of each model, or a picture in the making (256 bytes a pixel). On the disk, the deformed models of all
-//! methods at once.
+//! Memory: a run of each method, one after the other; of each distinct sampling its samples and triangles,
+//! and of each method 12 bytes a sample, to the end; then a tree of one method's triangles (300 bytes a
+//! sample), or a small chunk (about 1 MB) of each model, or a picture in the making (256 bytes a pixel). On
+//! the disk, the deformed models of all methods at once.
 
 mod figures;
 mod file;
@@ -38,12 +38,13 @@ use simod_core::output_folder::OutputFolder;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use std::path::Path;
 
-/// Does all methods of a file and writes the folder `output`, whole or not at all: `index.html`, `compare.json`, pictures,
-/// and with `keep_models` the deformed models. A method that fails is told so in the result, and the others go on.
+/// Does all methods of a file and writes the folder `output`, whole or not at all: `index.html`,
+/// `compare.json`, pictures, and with `keep_models` the deformed models. A method that fails is told so in
+/// the result, and the others go on.
 ///
 /// # Errors
-/// The folder is there and no former comparison, or cannot be written; the model cannot be read; no method could be done;
-/// the user cancelled.
+/// The folder is there and no former comparison, or cannot be written; the model cannot be read; no method
+/// could be done; the user cancelled.
 pub fn compare(
     file: &CompareFile,
     plugins: &PluginRegistry,

@@ -1,5 +1,5 @@
-//! The pictures of a comparison, all from one place: the model at rest, what each method makes of it, and how far that is
-//! from the first one.
+//! The pictures of a comparison, all from one place: the model at rest, what each method makes of it, and how
+//! far that is from the first one.
 
 use super::file::CompareFile;
 use super::folder::{REST, difference};
@@ -16,7 +16,8 @@ const CLAY: [u8; 3] = [205, 198, 190];
 const FIXED: [u8; 3] = [120, 140, 175];
 const HANDLE: [u8; 3] = [230, 175, 60];
 
-/// Distances from none to the end of the scale: light to dark, so that they are told apart in print and by everybody.
+/// Distances from none to the end of the scale: light to dark, so that they are told apart in print and by
+/// everybody.
 const SCALE: [[u8; 3]; 6] =
     [[216, 216, 212], [248, 222, 140], [245, 160, 60], [222, 80, 50], [160, 25, 80], [60, 10, 85]];
 
@@ -32,8 +33,8 @@ pub fn color(t: f32) -> [u8; 3] {
     })
 }
 
-/// Draws `models`, of which the first is at rest; `files` has what the others' files begin with, and whose they are. Gives
-/// the pictures' names and contents, and writes them into the record.
+/// Draws `models`, of which the first is at rest; `files` has what the others' files begin with, and whose
+/// they are. Gives the pictures' names and contents, and writes them into the record.
 pub(super) fn draw(
     file: &CompareFile,
     models: &[&dyn Model],

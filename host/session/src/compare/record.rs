@@ -1,5 +1,6 @@
-//! All that a comparison found: `compare.json`. Lengths are fractions of the diagonal of the model's bounding box, angles
-//! in degrees, times in seconds. Two runs of the same file differ in `seconds` and `peak_memory_bytes` alone.
+//! All that a comparison found: `compare.json`. Lengths are fractions of the diagonal of the model's bounding
+//! box, angles in degrees, times in seconds. Two runs of the same file differ in `seconds` and
+//! `peak_memory_bytes` alone.
 
 use super::figures::{OnSamples, Pair};
 use super::file::{CompareFile, Method};
@@ -100,7 +101,8 @@ pub struct Figures {
     pub triangles: usize,
     /// How long it took.
     pub seconds: Seconds,
-    /// Peak anonymous memory of the process while the method was at work; nothing where the system does not tell.
+    /// Peak anonymous memory of the process while the method was at work; nothing where the system does not
+    /// tell.
     pub peak_memory_bytes: Option<u64>,
     /// All vertices beside their exact images; nothing where a plugin does not know these.
     pub transfer_error: Option<TransferError>,

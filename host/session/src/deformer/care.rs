@@ -1,8 +1,8 @@
-//! What a plugin in this process does to it besides what it is asked for, undone after each call: floating-point modes, the
-//! current folder, and standard output, which is the program's alone.
+//! What a plugin in this process does to it besides what it is asked for, undone after each call:
+//! floating-point modes, the current folder, and standard output, which is the program's alone.
 //!
-//! It is a help against libraries that do not think of others. Nothing here keeps a plugin from harm that it means: see
-//! `docs/plugins.md`.
+//! It is a help against libraries that do not think of others. Nothing here keeps a plugin from harm that it
+//! means: see `docs/plugins.md`.
 
 use super::registers::{Modes, clear_upper_halves};
 use super::{Capabilities, Code, Migration};

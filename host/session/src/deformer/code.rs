@@ -18,8 +18,8 @@ pub struct Capabilities {
     pub is_identity: bool,
 }
 
-/// The calls of the plugin interface. Those of what a plugin cannot do, as [`capabilities`](Self::capabilities) tell, are
-/// not made.
+/// The calls of the plugin interface. Those of what a plugin cannot do, as
+/// [`capabilities`](Self::capabilities) tell, are not made.
 pub trait Code: Send + Sync {
     /// What the plugin says that it is.
     fn descriptor(&self) -> PluginResult<Descriptor>;
@@ -35,7 +35,8 @@ pub trait Code: Send + Sync {
         false
     }
 
-    /// Has the library loaded where that is done late, so that the calls which nobody can stop need not wait for it.
+    /// Has the library loaded where that is done late, so that the calls which nobody can stop need not wait
+    /// for it.
     fn get_ready(&self, calls: &dyn HostCalls) -> PluginResult<()> {
         let _ = calls;
         Ok(())
@@ -76,7 +77,8 @@ pub trait Code: Send + Sync {
     fn migrate(&self, from: u32, settings: Vec<Setting>) -> PluginResult<Vec<Setting>>;
 }
 
-/// The code of a plugin that was built with the interface's crate, in this process. A call costs some nanoseconds.
+/// The code of a plugin that was built with the interface's crate, in this process. A call costs some
+/// nanoseconds.
 pub(crate) struct RustCode {
     module: PluginModRef,
     evaluate: Option<&'static EvaluateExtension>,

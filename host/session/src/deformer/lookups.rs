@@ -1,8 +1,9 @@
-//! What a plugin may look up in its samples, as the interface's `services` have it: trees that are built when they are first
-//! asked, in whichever process the plugin runs, and kept with its state.
+//! What a plugin may look up in its samples, as the interface's `services` have it: trees that are built when
+//! they are first asked, in whichever process the plugin runs, and kept with its state.
 //!
-//! Memory, for each state: 12 bytes a triangle where the plugin asks for triangles and 12 a sample where it asks for positions
-//! at rest; 20 a sample once samples were looked up, and 150 a triangle once the surface was, for each pose.
+//! Memory, for each state: 12 bytes a triangle where the plugin asks for triangles and 12 a sample where it
+//! asks for positions at rest; 20 a sample once samples were looked up, and 150 a triangle once the surface
+//! was, for each pose.
 
 use super::{Capabilities, Code, Migration};
 use glam::{DVec3, Vec3};
@@ -61,8 +62,8 @@ impl Looking<'_> {
         }
     }
 
-    /// The tree of the samples; nothing where there are none, or one is nowhere. By the calling thread alone, as several may
-    /// wait for it that do jobs of a thread pool.
+    /// The tree of the samples; nothing where there are none, or one is nowhere. By the calling thread alone,
+    /// as several may wait for it that do jobs of a thread pool.
     fn samples(&self, pose: Pose) -> Option<&KdTree> {
         let (which, positions) = self.pose(pose)?;
         let tree = || {

@@ -310,8 +310,8 @@ impl Plugin {
         self.code.migrate(from, settings).map_err(|e| self.failed(&e))
     }
 
-    /// A hash of the samples' arrays, about a millisecond for 350 000; nothing for a plugin in another process, which has
-    /// a copy of them.
+    /// A hash of the samples' arrays, about a millisecond for 350 000; nothing for a plugin in another
+    /// process, which has a copy of them.
     fn fingerprint(&self, samples: &Samples<'_>) -> Option<u64> {
         (!self.is_isolated()).then(|| {
             let mut hash = Xxh3Default::new();
@@ -374,15 +374,16 @@ impl Plugin {
         &self.descriptor
     }
 
-    /// Its calls as it answers them, with error codes, and output of any kind: to measure and check them. What deforms for
-    /// users is a [`Stack`](crate::Stack), which looks at the output.
+    /// Its calls as it answers them, with error codes, and output of any kind: to measure and check them.
+    /// What deforms for users is a [`Stack`](crate::Stack), which looks at the output.
     pub fn code(&self) -> &dyn Code {
         self.code.as_ref()
     }
 }
 
-/// The largest coordinate of a result, in local units, of which the model's diagonal is 1 to 2: far beyond any use, and such
-/// that the steps that follow can square distances and multiply what they get in single precision.
+/// The largest coordinate of a result, in local units, of which the model's diagonal is 1 to 2: far beyond
+/// any use, and such that the steps that follow can square distances and multiply what they get in single
+/// precision.
 const FARTHEST: f64 = 1e9;
 
 /// Whether what follows can work with a position: it is finite, and not farther away than [`FARTHEST`].

@@ -2,8 +2,8 @@
 
 /// How this thread computes: rounding, and what becomes of numbers too small to be normal.
 ///
-/// A plugin may change that for all that follows on the thread: on purpose, to round elsewhere, or as a library that was built
-/// with `-ffast-math`, which does so when it is loaded.
+/// A plugin may change that for all that follows on the thread: on purpose, to round elsewhere, or as a
+/// library that was built with `-ffast-math`, which does so when it is loaded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Modes {
     #[cfg(target_arch = "x86_64")]
@@ -32,8 +32,8 @@ impl Modes {
 
     /// Makes them those of this thread.
     pub fn set(self) {
-        // SAFETY: both read one number, which `current` got from the same register: no reserved bit is set. All code outside of
-        // plugins relies on the modes that are set here.
+        // SAFETY: both read one number, which `current` got from the same register: no reserved bit is set.
+        // All code outside of plugins relies on the modes that are set here.
         unsafe {
             std::arch::asm!("ldmxcsr [{}]", in(reg) &raw const self.vectors, options(nostack, preserves_flags, readonly));
             std::arch::asm!("fldcw [{}]", in(reg) &raw const self.stack, options(nostack, preserves_flags, readonly));
@@ -55,7 +55,8 @@ impl Modes {
 
     /// Makes them those of this thread.
     pub fn set(self) {
-        // SAFETY: the value is one that `current` read from this register. All code outside of plugins relies on it.
+        // SAFETY: the value is one that `current` read from this register. All code outside of plugins relies
+        // on it.
         unsafe {
             std::arch::asm!("msr fpcr, {}", in(reg) self.control, options(nomem, nostack, preserves_flags))
         };
@@ -73,9 +74,10 @@ impl Modes {
     pub fn set(self) {}
 }
 
-/// Makes the upper halves of the vector registers zero, as each function that used them should have: where one did not (kernels
-/// in assembly, say), all that follows on this thread without vectors that wide is several times as slow: sine and exponential
-/// of the C library were, in one plugin after another one's matrix products.
+/// Makes the upper halves of the vector registers zero, as each function that used them should have: where
+/// one did not (kernels in assembly, say), all that follows on this thread without vectors that wide is
+/// several times as slow: sine and exponential of the C library were, in one plugin after another one's
+/// matrix products.
 #[inline]
 pub(super) fn clear_upper_halves() {
     #[cfg(target_arch = "x86_64")]
@@ -84,8 +86,8 @@ pub(super) fn clear_upper_halves() {
         fn clear() {
             std::arch::x86_64::_mm256_zeroupper();
         }
-        // SAFETY: the processor knows AVX. No function's own values are in upper halves across this call, as the convention for
-        // calls keeps none there.
+        // SAFETY: the processor knows AVX. No function's own values are in upper halves across this call, as
+        // the convention for calls keeps none there.
         unsafe { clear() }
     }
 }

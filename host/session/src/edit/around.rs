@@ -1,5 +1,5 @@
-//! Where the samples that a refinement appended go while something before it is dragged: by the deformation of those around them
-//! alone, which is nearly that of all samples, and found many times as fast.
+//! Where the samples that a refinement appended go while something before it is dragged: by the deformation
+//! of those around them alone, which is nearly that of all samples, and found many times as fast.
 
 use glam::Vec3;
 use simod_core::Result;
@@ -8,8 +8,8 @@ use simod_core::refinement::appended_deformed;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::SampleSet;
 
-/// So many rings of neighbours around the samples that are nearest to those appended: as far as their words reach, and theirs who
-/// tell how the outermost of them turn.
+/// So many rings of neighbours around the samples that are nearest to those appended: as far as their words
+/// reach, and theirs who tell how the outermost of them turn.
 const RINGS: u32 = 3;
 
 /// The samples around those that a refinement appended.

@@ -7,7 +7,8 @@ use simod_core::{Error, ErrorKind, Result};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Changes that can be undone. Each holds the list of steps as it was, which shares all steps that did not change.
+/// Changes that can be undone. Each holds the list of steps as it was, which shares all steps that did not
+/// change.
 const LONGEST_HISTORY: usize = 1000;
 
 /// Which step it is: the same after others were added, moved or removed, and after undo.
@@ -78,8 +79,8 @@ pub enum Change {
         /// From the rest pose, whatever it was before.
         motion: Motion,
     },
-    /// Other joints take the place of those that are there, each after the one that it hangs on. Motions of those that are
-    /// gone go with them.
+    /// Other joints take the place of those that are there, each after the one that it hangs on. Motions of
+    /// those that are gone go with them.
     SetJoints(Vec<Joint>),
     /// A handle that the plugin placed is moved.
     MoveHandle {
@@ -139,12 +140,12 @@ impl Document {
         &self.steps
     }
 
-    /// Does a command. Those that follow each other and set the same thing, as while a handle is dragged, are undone as one,
-    /// until [`rest`](Self::rest).
+    /// Does a command. Those that follow each other and set the same thing, as while a handle is dragged, are
+    /// undone as one, until [`rest`](Self::rest).
     ///
     /// # Errors
-    /// There is no such step or region, or a value makes no sense; nothing has changed then. What only the plugin can
-    /// judge, such as a parameter's range, is told when the step is done.
+    /// There is no such step or region, or a value makes no sense; nothing has changed then. What only the
+    /// plugin can judge, such as a parameter's range, is told when the step is done.
     pub fn apply(&mut self, command: Command) -> Result<()> {
         let (label, target) = (self.label(&command), self.target(&command));
         let steps = self.changed(command)?;
@@ -157,14 +158,14 @@ impl Document {
         Ok(())
     }
 
-    /// Steps that can take the place of those that are there, by [`replace`](Self::replace): they are other ones than all
-    /// that this document has had.
+    /// Steps that can take the place of those that are there, by [`replace`](Self::replace): they are other
+    /// ones than all that this document has had.
     pub fn entries(&mut self, steps: impl IntoIterator<Item = Step>) -> Arc<[Entry]> {
         steps.into_iter().map(|step| self.entry(step)).collect()
     }
 
-    /// Takes other steps instead of all that are there; `label` says what that is. They are some that the document has had,
-    /// or [its entries](Self::entries).
+    /// Takes other steps instead of all that are there; `label` says what that is. They are some that the
+    /// document has had, or [its entries](Self::entries).
     pub fn replace(&mut self, label: &str, steps: Arc<[Entry]>) {
         self.rest();
         let before = std::mem::replace(&mut self.steps, steps);
@@ -204,7 +205,8 @@ impl Document {
         Some(label)
     }
 
-    /// How many changes have been done, however many of them can still be undone: it goes down by one with each that is.
+    /// How many changes have been done, however many of them can still be undone: it goes down by one with
+    /// each that is.
     pub fn depth(&self) -> u64 {
         self.depth
     }

@@ -16,8 +16,8 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What is edited, with its files. Quick to work on: the model itself is in the [`Evaluation`] that comes with it, which may be
-/// on another thread.
+/// What is edited, with its files. Quick to work on: the model itself is in the [`Evaluation`] that comes
+/// with it, which may be on another thread.
 pub struct Editor {
     /// What it is called, and all but the steps.
     session: SessionFile,
@@ -31,11 +31,13 @@ pub struct Editor {
 }
 
 impl Editor {
-    /// Samples a session's model, to edit it, and gives what does its steps. `path` is the session's file, if it has one.
+    /// Samples a session's model, to edit it, and gives what does its steps. `path` is the session's file, if
+    /// it has one.
     ///
     /// # Errors
-    /// The session names no model, it cannot be sampled, or the user cancelled. Steps that cannot be done, as those of
-    /// plugins that are missing, stay in the session, and say so when they are [evaluated](Evaluation::update).
+    /// The session names no model, it cannot be sampled, or the user cancelled. Steps that cannot be done, as
+    /// those of plugins that are missing, stay in the session, and say so when they are
+    /// [evaluated](Evaluation::update).
     pub fn open(
         session: SessionFile,
         path: Option<PathBuf>,
@@ -47,8 +49,8 @@ impl Editor {
         Ok(Self::of(sampled, session, path, plugins, folder))
     }
 
-    /// Edits a model that was sampled before. It has to [hold its cells](SampledModel::hold_cells) to be refined; temporary
-    /// files are made in `folder`.
+    /// Edits a model that was sampled before. It has to [hold its cells](SampledModel::hold_cells) to be
+    /// refined; temporary files are made in `folder`.
     pub fn of(
         sampled: SampledModel,
         session: SessionFile,
@@ -122,7 +124,8 @@ impl Editor {
         self.path.is_some() && Arc::ptr_eq(&self.saved, self.document.steps())
     }
 
-    /// Saves the session, whole or not at all. What was kept against a crash is not needed any more, and removed.
+    /// Saves the session, whole or not at all. What was kept against a crash is not needed any more, and
+    /// removed.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -136,8 +139,8 @@ impl Editor {
         Ok(())
     }
 
-    /// Keeps the steps against a crash, in a hidden file beside the session's, or the model's if the session has none yet;
-    /// if there is anything new to keep. [`recover`] gives them back.
+    /// Keeps the steps against a crash, in a hidden file beside the session's, or the model's if the session
+    /// has none yet; if there is anything new to keep. [`recover`] gives them back.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -178,7 +181,8 @@ fn moved(from: &Deformation, folder: &Path, plugins: &PluginRegistry) -> Result<
     Ok(to)
 }
 
-/// A session as it is saved at a place: its steps name files as seen from there, and where their plugins came from.
+/// A session as it is saved at a place: its steps name files as seen from there, and where their plugins came
+/// from.
 ///
 /// # Errors
 /// A file cannot be named in a text.
@@ -200,8 +204,8 @@ fn autosave_path(session: &Path) -> PathBuf {
     folder_of(session).join(name)
 }
 
-/// What was kept of a session (or, where it had no file yet, of a model) that was not saved before the program ended; nothing
-/// where all was saved.
+/// What was kept of a session (or, where it had no file yet, of a model) that was not saved before the
+/// program ended; nothing where all was saved.
 ///
 /// # Errors
 /// There is something, but it cannot be read.

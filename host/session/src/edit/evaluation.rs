@@ -41,8 +41,8 @@ pub struct Evaluated {
     pub positions: Arc<[Vec3]>,
     /// How each step fared, in their order.
     pub statuses: Vec<(StepId, Status)>,
-    /// What each step began with, up to the one that failed, in their order: local positions, of fewer samples if
-    /// refinements follow. There its regions, strokes and joints are.
+    /// What each step began with, up to the one that failed, in their order: local positions, of fewer
+    /// samples if refinements follow. There its regions, strokes and joints are.
     pub before: Vec<Arc<[Vec3]>>,
     /// The exact map of the steps that were done, where all plugins know it.
     pub stack: PreparedStack,
@@ -57,7 +57,8 @@ impl Evaluated {
         })
     }
 
-    /// The same, with what users should know of the plugins that did the steps: see [`PluginRegistry::notices`].
+    /// The same, with what users should know of the plugins that did the steps: see
+    /// [`PluginRegistry::notices`].
     #[must_use]
     pub fn with_notices(mut self, steps: &[Entry], registry: &PluginRegistry) -> Self {
         for (id, status) in &mut self.statuses {
@@ -72,7 +73,8 @@ impl Evaluated {
         self
     }
 
-    /// Writes the deformed model, whole or not at all. `model` is where it is, if it was moved since it was sampled.
+    /// Writes the deformed model, whole or not at all. `model` is where it is, if it was moved since it was
+    /// sampled.
     ///
     /// # Errors
     /// A step could not be done; the model or the file cannot be read or written; the user cancelled.
@@ -107,10 +109,11 @@ pub(crate) fn messages(statuses: Vec<(StepId, Status)>) -> Result<Vec<Message>> 
     Ok(messages)
 }
 
-/// Does steps again and again, and keeps of each what the next time may need: what the plugin prepared, and the positions.
+/// Does steps again and again, and keeps of each what the next time may need: what the plugin prepared, and
+/// the positions.
 ///
-/// Memory: what the plugins hold, and 12 bytes a sample and step; a copy of the samples for each refinement. What is of
-/// steps that are gone, or switched off, is let go.
+/// Memory: what the plugins hold, and 12 bytes a sample and step; a copy of the samples for each refinement.
+/// What is of steps that are gone, or switched off, is let go.
 pub struct Evaluation {
     sampled: Arc<SampledModel>,
     how: Refinements,
@@ -182,8 +185,8 @@ impl Evaluation {
         &self.sampled
     }
 
-    /// Does the steps. With [`Effort::DRAFT`], plugins that know a quicker way take it, and refinements that were done
-    /// before take the same samples again, though others may be selected by now.
+    /// Does the steps. With [`Effort::DRAFT`], plugins that know a quicker way take it, and refinements that
+    /// were done before take the same samples again, though others may be selected by now.
     ///
     /// # Errors
     /// The user cancelled, or the samples cannot be deformed at all. What fails in a step is in its status.
@@ -240,7 +243,8 @@ impl Evaluation {
         Ok(Evaluated { sampled, positions: rest.positions.clone(), statuses, before, stack })
     }
 
-    /// The handles that a step's plugin placed the last time, local coordinates; none where it was not done yet.
+    /// The handles that a step's plugin placed the last time, local coordinates; none where it was not done
+    /// yet.
     pub fn handles(&self, id: StepId) -> &[HandleDesc] {
         match self.known.get(&id) {
             Some(Known::Deform { kept, .. }) => kept.handles(),

@@ -39,8 +39,8 @@ fn calls() -> [usize; 2] {
     CALLS.replace([0; 2])
 }
 
-/// Turns about z by the point's height, by `factor` from the preparation; moves by `shift`, more in handles and for each
-/// stroke. So no two of its steps can be exchanged.
+/// Turns about z by the point's height, by `factor` from the preparation; moves by `shift`, more in handles
+/// and for each stroke. So no two of its steps can be exchanged.
 struct Counted;
 
 impl api::Deformer for Counted {
@@ -606,7 +606,8 @@ fn content(document: &Document) -> Vec<(StepId, Step)> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Whatever was done, undone and done again: the samples are where they would be from nothing, and all can be undone.
+    /// Whatever was done, undone and done again: the samples are where they would be from nothing, and all
+    /// can be undone.
     #[test]
     fn any_edit_is_as_from_nothing_and_can_be_undone(commands in prop::collection::vec((command(), 0..6_u8), 1..30)) {
         let mut document = Document::new(steps());

@@ -1,7 +1,8 @@
-//! What libraries said about themselves when they were looked at last, so that they need not be loaded to be listed.
+//! What libraries said about themselves when they were looked at last, so that they need not be loaded to be
+//! listed.
 //!
-//! A file in the user's cache folder, by the libraries' paths and stamps. It may be missing, or broken, or not writable:
-//! then the libraries are asked again.
+//! A file in the user's cache folder, by the libraries' paths and stamps. It may be missing, or broken, or
+//! not writable: then the libraries are asked again.
 
 use crate::deformer::About;
 use serde::{Deserialize, Serialize};
@@ -85,7 +86,8 @@ impl Cache {
         self.changed = true;
     }
 
-    /// Writes the cache, without the libraries that are gone. Where that does not work, the next one does the same again.
+    /// Writes the cache, without the libraries that are gone. Where that does not work, the next one does the
+    /// same again.
     pub fn save(mut self) {
         let Some(file) = self.file.filter(|_| self.changed) else { return };
         self.content.libraries.retain(|path, _| path.exists());

@@ -53,8 +53,8 @@ pub(super) fn kind(path: &Path) -> Result<Kind> {
 
 /// Whether a plugin in Rust was built with `panic = "abort"`; nothing where that cannot be told.
 ///
-/// What unwinds is a library that the plugin names its functions of: one that makes panics unwind calls the one that begins
-/// that. One that aborts has the others alone, by which it finds out where it was.
+/// What unwinds is a library that the plugin names its functions of: one that makes panics unwind calls the
+/// one that begins that. One that aborts has the others alone, by which it finds out where it was.
 pub(crate) fn aborts_on_panic(path: &Path) -> Option<bool> {
     let cache = ReadCache::new(std::fs::File::open(path).ok()?);
     let file = File::parse(&cache).ok()?;

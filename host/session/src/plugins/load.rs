@@ -20,8 +20,9 @@ pub(super) fn interface() -> &'static str {
     PluginModRef::VERSION_STRINGS.version.as_str()
 }
 
-/// Loads a plugin's code for good: libraries are never unloaded. One that is no plugin is never loaded. What one that did not
-/// come with the program does to this process is undone after each call, as far as that can be done.
+/// Loads a plugin's code for good: libraries are never unloaded. One that is no plugin is never loaded. What
+/// one that did not come with the program does to this process is undone after each call, as far as that can
+/// be done.
 pub(crate) fn load_code(path: &Path, shipped: bool) -> Result<Box<dyn Code>> {
     let kind = library_file::kind(path)?;
     let care = if shipped { Care::Registers } else { Care::Process };
@@ -54,7 +55,8 @@ fn fresh_copy(path: &Path) -> Result<Option<tempfile::NamedTempFile>> {
     Ok(Some(copy))
 }
 
-/// The functions that a library exports; or what is wrong, and the interface's version that it was built with, where known.
+/// The functions that a library exports; or what is wrong, and the interface's version that it was built
+/// with, where known.
 ///
 /// Not by `RootModule::load_from_file`, which keeps the first library per type and returns it for all others.
 fn root_module(path: &Path) -> std::result::Result<PluginModRef, (LibraryError, Option<String>)> {

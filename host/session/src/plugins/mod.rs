@@ -36,7 +36,8 @@ pub struct Rejected {
     pub error: Error,
 }
 
-/// A library that is not used because another of the same id has a higher version, came with the program, or came first.
+/// A library that is not used because another of the same id has a higher version, came with the program, or
+/// came first.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Duplicate {
     /// The plugin's id.
@@ -142,8 +143,8 @@ pub struct PluginRegistry {
     seen: HashMap<PathBuf, (Stamp, Option<Arc<Plugin>>)>,
 }
 
-/// The folders that [`PluginRegistry::discover`] looks in, most important first: those in `SIMOD_PLUGIN_PATH`,
-/// the user's, `plugins/` beside the running program, and the program's own.
+/// The folders that [`PluginRegistry::discover`] looks in, most important first: those in
+/// `SIMOD_PLUGIN_PATH`, the user's, `plugins/` beside the running program, and the program's own.
 pub fn standard_folders() -> Vec<PluginFolder> {
     let any = |path| PluginFolder { path, by_name: false, shipped: false };
     let mut folders: Vec<PluginFolder> = std::env::var_os(PATH_VARIABLE)
@@ -157,7 +158,8 @@ pub fn standard_folders() -> Vec<PluginFolder> {
     folders
 }
 
-/// A folder of the user's: a variable's on Windows, one in the home on macOS, and elsewhere a variable's or one in the home.
+/// A folder of the user's: a variable's on Windows, one in the home on macOS, and elsewhere a variable's or
+/// one in the home.
 fn users_folder(windows: &str, macos: &str, variable: &str, home: &str) -> Option<PathBuf> {
     let path_of = |name| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
     let in_home = |folder| path_of("HOME").map(|home| home.join(folder));
@@ -184,8 +186,8 @@ impl PluginRegistry {
         registry
     }
 
-    /// Finds out what is in the folders. Folders that do not exist are fine. Libraries that were looked at before and did
-    /// not change since are not run, nor loaded before they are used.
+    /// Finds out what is in the folders. Folders that do not exist are fine. Libraries that were looked at
+    /// before and did not change since are not run, nor loaded before they are used.
     pub fn discover(options: &PluginOptions) -> Self {
         // Nobody asks to stop.
         Self::discover_with(options, &Silent).unwrap_or_default()
@@ -201,8 +203,8 @@ impl PluginRegistry {
         Ok(registry)
     }
 
-    /// Looks again. Plugins whose library did not change stay the same; one that changed is a new plugin, beside which
-    /// the former one goes on to work for those that use it.
+    /// Looks again. Plugins whose library did not change stay the same; one that changed is a new plugin,
+    /// beside which the former one goes on to work for those that use it.
     pub fn refresh(&mut self, options: &PluginOptions) {
         // Nobody asks to stop.
         let _ = self.refresh_with(options, &Silent);
@@ -316,8 +318,8 @@ impl PluginRegistry {
         });
     }
 
-    /// What users of these steps should know of the plugins that do them: one that came from elsewhere takes the place of the
-    /// program's own, or a step was made with another version.
+    /// What users of these steps should know of the plugins that do them: one that came from elsewhere takes
+    /// the place of the program's own, or a step was made with another version.
     pub fn notices(&self, steps: &[Step]) -> Vec<String> {
         let mut notices = Vec::new();
         for step in steps.iter().filter(|step| step.enabled) {
@@ -337,7 +339,8 @@ impl PluginRegistry {
         notices
     }
 
-    /// The plugin of the program's own that this one takes the place of, in words; nothing where that was asked for.
+    /// The plugin of the program's own that this one takes the place of, in words; nothing where that was
+    /// asked for.
     pub fn replaced(&self, plugin: &Plugin) -> Option<String> {
         let own = self.duplicates.iter().find(|d| d.id == plugin.id() && d.unused_is_shipped)?;
         if plugin.is_shipped() || self.is_chosen(plugin) {
@@ -354,7 +357,8 @@ impl PluginRegistry {
         ))
     }
 
-    /// Folders that were looked in and that anybody on this machine may write to, and thereby have code run as the user.
+    /// Folders that were looked in and that anybody on this machine may write to, and thereby have code run
+    /// as the user.
     pub fn open_folders(&self) -> &[PathBuf] {
         &self.open
     }
@@ -493,14 +497,16 @@ fn libraries(folder: &PluginFolder) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Whether a library's file is named as that of the plugin `id` would be: `rbf.so`, `librbf.so`, `libsimod_rbf.so`.
+/// Whether a library's file is named as that of the plugin `id` would be: `rbf.so`, `librbf.so`,
+/// `libsimod_rbf.so`.
 fn is_named(file: &Path, id: &str) -> bool {
     let stem = file.file_stem().and_then(|s| s.to_str()).unwrap_or_default();
     let stem = stem.strip_prefix(DLL_PREFIX).unwrap_or(stem);
     stem.strip_prefix("simod_").unwrap_or(stem) == id.replace('-', "_")
 }
 
-/// `major.minor.patch`, by numbers; what is no number counts as 0, and a pre-release is older than its release.
+/// `major.minor.patch`, by numbers; what is no number counts as 0, and a pre-release is older than its
+/// release.
 fn compare_versions(a: &str, b: &str) -> Ordering {
     let key = |version: &str| {
         let version = version.split('+').next().unwrap_or_default();

@@ -121,8 +121,8 @@ fn argument(what: String, hint: impl Into<String>) -> Error {
 }
 
 impl Layer {
-    /// Checks a step, which stands at this place of the session. `before` is what it was before it was edited: what it shares
-    /// with that is not checked again.
+    /// Checks a step, which stands at this place of the session. `before` is what it was before it was
+    /// edited: what it shares with that is not checked again.
     pub fn build(
         step: &Deformation,
         place: &str,
@@ -326,7 +326,8 @@ impl Layer {
         self.key(rest_key).and(&(params, regions)).end()
     }
 
-    /// A key with what all of the plugin's calls may depend on: which it is, the joints, and the content of files.
+    /// A key with what all of the plugin's calls may depend on: which it is, the joints, and the content of
+    /// files.
     fn key(&self, rest_key: u64) -> Key {
         let file = |value: &ParamValue| match value {
             ParamValue::File(Some(path)) => path.metadata().ok().map(|m| (m.len(), m.modified().ok())),
@@ -458,7 +459,8 @@ impl Layer {
         Ok(out.into())
     }
 
-    /// The motions of the handles that the plugin placed, those of what they hang on included; local coordinates.
+    /// The motions of the handles that the plugin placed, those of what they hang on included; local
+    /// coordinates.
     fn handle_motions(&self, placed: &[api::HandleDesc], frame: &Frame) -> Result<Vec<api::Affine>> {
         let known = |id: &str| placed.iter().any(|h| h.id == id);
         if let Some(unknown) = self.handles.iter().find(|h| !known(&h.id)) {
@@ -629,7 +631,8 @@ fn masked(masks: &[Shapes], at: DVec3, p: DVec3, q: DVec3) -> DVec3 {
     if weight >= 1.0 { q } else { p + weight * (q - p) }
 }
 
-/// A hash of what something depends on, by how it is written: numbers are written so that they come back exactly.
+/// A hash of what something depends on, by how it is written: numbers are written so that they come back
+/// exactly.
 pub(crate) struct Key(Xxh3Default);
 
 impl Key {

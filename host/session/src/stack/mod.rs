@@ -53,7 +53,8 @@ pub struct RestShape<'a> {
     pub frame: Frame,
     /// The model's box, model coordinates.
     pub bounds: Bounds,
-    /// Normals for changed positions, for layers that need them after others. Without it they get the old ones.
+    /// Normals for changed positions, for layers that need them after others. Without it they get the old
+    /// ones.
     pub renormal: Option<&'a Renormal<'a>>,
 }
 
@@ -105,8 +106,8 @@ impl Rest {
 }
 
 impl Stack {
-    /// Finds the plugins of the deformations that are enabled, and checks parameters and regions against what they ask for.
-    /// Refinements are passed over: they are of a model, not of samples alone.
+    /// Finds the plugins of the deformations that are enabled, and checks parameters and regions against what
+    /// they ask for. Refinements are passed over: they are of a model, not of samples alone.
     ///
     /// # Errors
     /// A plugin is not there, or a step does not fit it.
@@ -136,7 +137,8 @@ impl Stack {
     }
 
     /// # Errors
-    /// A step deforms samples alone, so that the map of space is not known; the error names the first such step.
+    /// A step deforms samples alone, so that the map of space is not known; the error names the first such
+    /// step.
     pub fn check_evaluable(&self) -> Result<()> {
         match self.layers.iter().find(|layer| !layer.plugin.capabilities().evaluate) {
             None => Ok(()),
@@ -236,8 +238,8 @@ impl PreparedStack {
         self.layers.iter().all(|layer| layer.can_evaluate())
     }
 
-    /// Replaces points (model coordinates) by their exact images, on all cores. Points that are not finite stay
-    /// as they are. On an error the points' content is meaningless.
+    /// Replaces points (model coordinates) by their exact images, on all cores. Points that are not finite
+    /// stay as they are. On an error the points' content is meaningless.
     pub fn evaluate(&self, points: &mut [DVec3]) -> Result<()> {
         self.evaluate_with(points, &Silent)
     }
@@ -447,7 +449,8 @@ mod tests {
         let joints = "[[step.joint]]\nid = \"hand\"\nat = [2, 10, 0]\nparent = \"arm\"\n\
             [[step.joint]]\nid = \"arm\"\nat = [0, 10, 0]\n";
         assert_eq!(puppet(joints).unwrap()[2], Vec3::X * 2.0, "nothing moves, and nothing is called");
-        // The arm is raised by a quarter turn about itself, and the hand, which hangs on it, by another about its place.
+        // The arm is raised by a quarter turn about itself, and the hand, which hangs on it, by another about
+        // its place.
         let turn =
             |id| format!("[[step.handle]]\nid = \"{id}\"\nmove = {{ axis = [0, 0, 1], degrees = 90 }}\n");
         let moved = puppet(&format!("{joints}{}{}", turn("arm"), turn("hand"))).unwrap();

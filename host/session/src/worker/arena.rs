@@ -1,7 +1,7 @@
 //! Memory that two processes share: one nameless file, grown as needed, of which each maps the ranges in use.
 //!
-//! The file has no name anywhere, so nothing is left of it however the processes end. Its blocks are reserved before they
-//! are mapped: a full disk is an error, and not a signal.
+//! The file has no name anywhere, so nothing is left of it however the processes end. Its blocks are reserved
+//! before they are mapped: a full disk is an error, and not a signal.
 #![allow(unsafe_code, reason = "memory maps; each block has its argument")]
 
 use memmap2::{Mmap, MmapMut, MmapOptions};
@@ -46,16 +46,17 @@ impl Shared {
     /// Maps a range to read.
     pub fn map(&self, range: Range) -> Result<Mmap> {
         self.check(range)?;
-        // SAFETY: the range is within the file, which is never truncated. The other process may write to it at any time,
-        // as foreign code runs there: all that is read is plain numbers, of which any bits are valid, and nothing relies
-        // on reading the same twice.
+        // SAFETY: the range is within the file, which is never truncated. The other process may write to it
+        // at any time, as foreign code runs there: all that is read is plain numbers, of which any bits are
+        // valid, and nothing relies on reading the same twice.
         unsafe { options(range).map(&self.0) }
     }
 
     /// Maps a range to write.
     pub fn map_mut(&self, range: Range) -> Result<MmapMut> {
         self.check(range)?;
-        // SAFETY: as above; of this process, one thread at a time maps a range to write: the one whose call it belongs to.
+        // SAFETY: as above; of this process, one thread at a time maps a range to write: the one whose call
+        // it belongs to.
         unsafe { options(range).map_mut(&self.0) }
     }
 
@@ -76,7 +77,8 @@ fn options(range: Range) -> MmapOptions {
     options
 }
 
-/// Hands out ranges of a shared file. Bounded by what is in use at a time: the arrays of the states that are alive.
+/// Hands out ranges of a shared file. Bounded by what is in use at a time: the arrays of the states that are
+/// alive.
 pub(super) struct Arena {
     shared: Shared,
     end: u64,
@@ -177,8 +179,8 @@ impl std::ops::Deref for ControlMap {
     type Target = Control;
 
     fn deref(&self) -> &Control {
-        // SAFETY: the map is longer than a `Control`, aligned to a page, and lives as long as `self`; all fields are
-        // atomic, so that any process may write to them.
+        // SAFETY: the map is longer than a `Control`, aligned to a page, and lives as long as `self`; all
+        // fields are atomic, so that any process may write to them.
         unsafe { &*self.0.as_ptr().cast::<Control>() }
     }
 }

@@ -1,9 +1,9 @@
 //! Plugins in processes of their own: what they do to themselves, they do not do to the program.
 //!
-//! The program starts itself once more for each such plugin that is called ([`serve`] is what it then does). Requests go
-//! over a socket, arrays through shared memory: those of the samples are copied once for each preparation, and a
-//! deformation copies its result. A plugin that crashes, that takes more memory than it may have, or that gives no sign
-//! of life ends that process alone; the next call starts another one.
+//! The program starts itself once more for each such plugin that is called ([`serve`] is what it then does).
+//! Requests go over a socket, arrays through shared memory: those of the samples are copied once for each
+//! preparation, and a deformation copies its result. A plugin that crashes, that takes more memory than it
+//! may have, or that gives no sign of life ends that process alone; the next call starts another one.
 
 mod arena;
 mod protocol;
@@ -410,7 +410,8 @@ impl Worker {
         command.args(arguments).arg(library);
         command.args([options.memory.to_string(), std::process::id().to_string()]);
         command.env("RAYON_NUM_THREADS", rayon::current_num_threads().to_string());
-        // Both ends of the way are handed over as standard streams, which needs nothing unsafe. The process moves them.
+        // Both ends of the way are handed over as standard streams, which needs nothing unsafe. The process
+        // moves them.
         command.stdin(Stdio::from(OwnedFd::from(theirs)));
         command.stdout(Stdio::from(arena.shared().file().map_err(refused)?));
         command.stderr(Stdio::piped());
@@ -472,8 +473,8 @@ impl Worker {
         self.wait(link, calls, silence, GRACE)
     }
 
-    /// Waits for an answer, and passes on what comes before it. Where the user asks to stop, the plugin has so much time to do so
-    /// as `grace` says.
+    /// Waits for an answer, and passes on what comes before it. Where the user asks to stop, the plugin has
+    /// so much time to do so as `grace` says.
     fn wait(
         &self,
         link: &Link,

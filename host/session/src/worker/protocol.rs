@@ -1,4 +1,5 @@
-//! What the program and a plugin's process say to each other: requests and replies over a socket, arrays in shared memory.
+//! What the program and a plugin's process say to each other: requests and replies over a socket, arrays in
+//! shared memory.
 
 use super::arena::Range;
 use crate::deformer::About;
@@ -17,8 +18,8 @@ const LONGEST: u32 = 1 << 28;
 /// What the program asks for.
 #[derive(Serialize, Deserialize)]
 pub(super) enum Request {
-    /// Loads the library: the first request. Nothing of the library runs before, so that this process is ready for whatever
-    /// that does: it ends with the program by then.
+    /// Loads the library: the first request. Nothing of the library runs before, so that this process is
+    /// ready for whatever that does: it ends with the program by then.
     Load,
     Prepare(InputRecord),
     NewScratch,
@@ -46,8 +47,8 @@ pub(super) enum Request {
     DropScratch(u64),
 }
 
-/// What the plugin's process answers: one for each request but the drops, after any number of log lines; and one
-/// [`Loaded`](Self::Loaded) before all others.
+/// What the plugin's process answers: one for each request but the drops, after any number of log lines; and
+/// one [`Loaded`](Self::Loaded) before all others.
 #[derive(Serialize, Deserialize)]
 pub(super) enum Reply {
     Loaded(std::result::Result<Box<About>, Refusal>),
@@ -238,8 +239,8 @@ impl InputRecord {
         Some(call(&PrepareInput::new(samples, bounds(self.bounds), &regions, &params).with_parts(&parts)))
     }
 
-    /// What a deformation gets of it: the samples, of whose arrays nothing is copied, and their attributes, where they are
-    /// asked for.
+    /// What a deformation gets of it: the samples, of whose arrays nothing is copied, and their attributes,
+    /// where they are asked for.
     pub fn samples<'a>(&'a self, bytes: &'a [u8]) -> Option<(Samples<'a>, Option<Vec<Attribute<'a>>>)> {
         let mut arrays = Arrays(bytes);
         Some((self.take_samples(&mut arrays)?, self.take_attributes(&mut arrays)?))
@@ -422,7 +423,8 @@ mod tests {
     use simod_plugin_api::Descriptor;
     use simod_tests::damage::{damage, damaged, runner};
 
-    /// What a plugin's process says may be anything: an error or a message, no panic, and no memory for what is not there.
+    /// What a plugin's process says may be anything: an error or a message, no panic, and no memory for what
+    /// is not there.
     #[test]
     fn damaged_messages_do_no_harm() {
         let (descriptor, capabilities) = (Descriptor::new("x", "X", "1.0.0"), Capabilities::default());
@@ -447,7 +449,8 @@ mod tests {
         let all = (prop::collection::vec(damage(), 1..4), 0..good.len());
         let tested = runner(1000).run(&all, |(all, which)| {
             let bytes = damaged(&good[which], good[which].len(), &all);
-            // A plugin has the whole length to lie in, as far as a message may be long: `receive` makes room for it.
+            // A plugin has the whole length to lie in, as far as a message may be long: `receive` makes room
+            // for it.
             let short = bytes.get(..4).is_some_and(|len| len[3] == 0 && len[2] < 16);
             if short && let Ok(Some(Reply::Handles(Ok(handles)))) = receive::<Reply>(&mut &bytes[..]) {
                 drop(crate::deformer::check_handles(

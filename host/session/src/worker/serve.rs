@@ -25,8 +25,8 @@ use std::sync::{Mutex, PoisonError};
 /// Lines of a call that are passed on; the program keeps fewer.
 const LINES: usize = 1000;
 
-/// Answers requests on a library, as this process's standard streams bring them, until the other side ends. The plugin
-/// may take `memory` bytes. `parent` is the number of the program's process.
+/// Answers requests on a library, as this process's standard streams bring them, until the other side ends.
+/// The plugin may take `memory` bytes. `parent` is the number of the program's process.
 ///
 /// # Errors
 /// The standard streams are not those that the program makes, or the memory cannot be limited.
@@ -58,7 +58,8 @@ pub fn serve(library: &Path, memory: u64, parent: u32) -> Result<()> {
     };
     std::thread::Builder::new().name("requests".into()).spawn(read).map_err(refused)?;
 
-    // By now the thread above is at work: one that begins while a library loads may have to wait until that is done.
+    // By now the thread above is at work: one that begins while a library loads may have to wait until that
+    // is done.
     if !matches!(requests.recv(), Ok(Request::Load)) {
         end();
     }

@@ -1,11 +1,12 @@
 //! The thread that owns the samples and does the steps, so that the window never waits.
 //!
-//! Of requests to do steps, the latest wins: one that waits is replaced. One that runs goes on, so that a drag is followed
-//! as quickly as the plugins are, unless its result is of no more use: see `wasted`. A preparation that the newer
-//! request needs as well is never cancelled by it, or slow ones would never come to an end while a handle is dragged.
+//! Of requests to do steps, the latest wins: one that waits is replaced. One that runs goes on, so that a
+//! drag is followed as quickly as the plugins are, unless its result is of no more use: see `wasted`. A
+//! preparation that the newer request needs as well is never cancelled by it, or slow ones would never come
+//! to an end while a handle is dragged.
 //!
-//! The deformed model is written on a thread of its own, so that the edit goes on meanwhile; and so are vertices streamed that
-//! are to be seen in full.
+//! The deformed model is written on a thread of its own, so that the edit goes on meanwhile; and so are
+//! vertices streamed that are to be seen in full.
 
 mod comparing;
 mod emerged;
@@ -230,7 +231,8 @@ impl Engine {
         self.shared.changed.notify_all();
     }
 
-    /// Opens something else. What is running for the former model is cancelled, but for a model that is being written.
+    /// Opens something else. What is running for the former model is cancelled, but for a model that is being
+    /// written.
     pub fn open(&mut self, opening: Opening) {
         self.want(|wanted, running| {
             (wanted.open, wanted.evaluate, wanted.write) = (Some(opening), None, None);
@@ -241,8 +243,8 @@ impl Engine {
         self.compare(None);
     }
 
-    /// Has vertices streamed, instead of those that are being streamed; gives the request's number, which comes back with
-    /// them. `model` is where it is, if it was moved.
+    /// Has vertices streamed, instead of those that are being streamed; gives the request's number, which
+    /// comes back with them. `model` is where it is, if it was moved.
     pub fn preview(&mut self, pose: Pose, chosen: Chosen, model: Option<PathBuf>) -> u64 {
         self.requests += 1;
         let number = self.requests;
@@ -303,7 +305,8 @@ impl Engine {
         self.want(|wanted, _| wanted.plugins = Some(plugins));
     }
 
-    /// Stops a job, and what waits to become one. A plugin in a process of its own is stopped even if it hangs.
+    /// Stops a job, and what waits to become one. A plugin in a process of its own is stopped even if it
+    /// hangs.
     pub fn cancel(&mut self, job: Job) {
         self.want(|wanted, running| match job {
             Job::Open => {

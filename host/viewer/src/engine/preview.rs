@@ -82,7 +82,8 @@ impl Thread {
         }
     }
 
-    /// Streams for all poses of the same samples: what is known of them at rest is found once. Gives what is next.
+    /// Streams for all poses of the same samples: what is known of them at rest is found once. Gives what is
+    /// next.
     fn stream_all(&self, mut streaming: Streaming, mut watch: Arc<Watch>) -> Option<Task> {
         let sampled = streaming.pose.sampled.clone();
         let around = OnceCell::new();

@@ -5,10 +5,12 @@ use simod_session::edit::Entry;
 use simod_session::session_file::{Action, Region, Role, Step};
 use std::sync::Arc;
 
-/// Whether doing `before`, of which step `at` is being done (or prepared), helps neither those who look nor the newer request.
+/// Whether doing `before`, of which step `at` is being done (or prepared), helps neither those who look nor
+/// the newer request.
 ///
-/// Drafts are never in each other's way: while something is dragged, each shows where it was a moment ago. Anything else
-/// is wasted once a step up to the one that is being done has changed; but for a preparation that the newer request needs too.
+/// Drafts are never in each other's way: while something is dragged, each shows where it was a moment ago.
+/// Anything else is wasted once a step up to the one that is being done has changed; but for a preparation
+/// that the newer request needs too.
 pub fn is_wasted(
     before: &[Entry],
     was: Effort,

@@ -32,8 +32,8 @@ impl State {
         self.field_of(Version::Now)
     }
 
-    /// The same of a version. While one is pinned, the scale is that of both; what depends on the selection, or on the step
-    /// that is chosen, is of the other one alone.
+    /// The same of a version. While one is pinned, the scale is that of both; what depends on the selection,
+    /// or on the step that is chosen, is of the other one alone.
     pub fn field_of(&mut self, version: Version) -> Option<&Field> {
         self.know(Version::Now);
         self.know(Version::Pinned);

@@ -25,7 +25,8 @@ struct Left {
 pub(super) struct Selections {
     done: VecDeque<Left>,
     undone: Vec<Left>,
-    /// Whether one was left for the selection that others may go on with, if the last command made such a one.
+    /// Whether one was left for the selection that others may go on with, if the last command made such a
+    /// one.
     going_on: Option<bool>,
 }
 

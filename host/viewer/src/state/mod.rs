@@ -130,8 +130,8 @@ impl State {
     /// Does a command.
     ///
     /// # Errors
-    /// It makes no sense, or a file cannot be written; nothing has changed then. What takes its time fails later, with a
-    /// [`Notice`].
+    /// It makes no sense, or a file cannot be written; nothing has changed then. What takes its time fails
+    /// later, with a [`Notice`].
     pub fn apply(&mut self, command: Command) -> Result<()> {
         let settled = self.is_settled();
         self.perform(command.clone())?;

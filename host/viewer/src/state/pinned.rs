@@ -134,8 +134,9 @@ impl State {
         Ok(Steps { name, steps, scene })
     }
 
-    /// After a change of the steps that swapped the versions, or took that back: the pinned one is worked on, and the `former`
-    /// one is pinned. Nothing else of this label makes the pinned steps those that are worked on.
+    /// After a change of the steps that swapped the versions, or took that back: the pinned one is worked on,
+    /// and the `former` one is pinned. Nothing else of this label makes the pinned steps those that are
+    /// worked on.
     pub(super) fn swapped(&mut self, label: &str, former: Steps) {
         let (Some(open), Some(pinned)) = (&self.open, &mut self.pinned) else { return };
         let steps = open.steps().clone();

@@ -1,4 +1,5 @@
-//! Parts of the model in full: asked for, streamed again once the edit rests, and shown in the place of samples.
+//! Parts of the model in full: asked for, streamed again once the edit rests, and shown in the place of
+//! samples.
 
 use super::{State, nothing_open};
 use crate::detail::{Detail, Previewed};
@@ -73,7 +74,8 @@ impl State {
         self.engine.forget_preview();
     }
 
-    /// The samples are somewhere else: what was streamed may be stale. It is streamed again once the edit rests.
+    /// The samples are somewhere else: what was streamed may be stale. It is streamed again once the edit
+    /// rests.
     pub(super) fn follow_samples(&mut self) {
         let Some(scene) = self.open.as_ref().map(|open| open.scene.clone()) else { return };
         let pose = Pose { sampled: scene.sampled.clone(), positions: scene.positions.clone() };

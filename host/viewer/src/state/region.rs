@@ -17,7 +17,8 @@ use simod_session::{Motion, PickedPoints, Shape, Shapes};
 const RING: usize = 8;
 
 impl Open {
-    /// The samples as a step finds them, local coordinates. Of one that was not reached yet, as they are shown.
+    /// The samples as a step finds them, local coordinates. Of one that was not reached yet, as they are
+    /// shown.
     fn before(&self, id: StepId) -> &[Vec3] {
         let steps = self.steps();
         let from = steps.iter().position(|e| e.id == id).unwrap_or(steps.len());
@@ -60,7 +61,8 @@ impl State {
         }
         let outside = |next: &[bool]| (0..count).filter(|i| next[*i]).map(point).collect();
         let picked = PickedPoints::new(inside.clone(), outside(&next));
-        // Those that are nearer to the selection than to its border, as on the other side of a thin wall, have to be told.
+        // Those that are nearer to the selection than to its border, as on the other side of a thin wall,
+        // have to be told.
         let more = |i: usize| !selected(i) && (next[i] || picked.signed_distance(point(i)) <= 0.0);
         let next: Vec<bool> = (0..count).into_par_iter().map(more).collect();
         Ok(PickedPoints::new(inside, outside(&next)))
@@ -116,7 +118,8 @@ impl State {
         self.change(step, Change::SetJoints(joints))
     }
 
-    /// A point of the surface that is shown, where a step finds it: for strokes and joints. Model coordinates.
+    /// A point of the surface that is shown, where a step finds it: for strokes and joints. Model
+    /// coordinates.
     pub fn in_step(&self, step: usize, hit: &Hit) -> Option<DVec3> {
         let open = self.open.as_ref()?;
         let before = self.before(step).ok()?;
@@ -125,7 +128,8 @@ impl State {
         Some(frame.to_model_exact(hit.local - is.as_dvec3() + was.as_dvec3()))
     }
 
-    /// The point that a handle region turns about: its motion's own, or the middle of what it holds. Model coordinates.
+    /// The point that a handle region turns about: its motion's own, or the middle of what it holds. Model
+    /// coordinates.
     pub fn handle_pivot(&self, step: usize, region: usize) -> Option<DVec3> {
         let Region { shapes, motion, .. } = self.deformation(step).ok()?.regions.get(region)?;
         if let Some(pivot) = motion.pivot {

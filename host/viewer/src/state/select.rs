@@ -17,8 +17,8 @@ impl State {
         self.depth(&scene).pick(&scene, pixel)
     }
 
-    /// The middle of the body under a pixel, where a step finds it: between the surface there and the one behind it that looks
-    /// away. On the surface where there is none, as in an open scan. Model coordinates.
+    /// The middle of the body under a pixel, where a step finds it: between the surface there and the one
+    /// behind it that looks away. On the surface where there is none, as in an open scan. Model coordinates.
     pub fn pick_middle(&mut self, step: usize, pixel: DVec2) -> Option<DVec3> {
         let scene = self.scene()?.clone();
         let near = self.depth(&scene).pick(&scene, pixel)?;

@@ -1,5 +1,5 @@
-//! Whatever a user does, in whatever order: nothing panics, nothing is lost, and nothing grows without bound. A program of its own,
-//! as its memory is looked at.
+//! Whatever a user does, in whatever order: nothing panics, nothing is lost, and nothing grows without bound.
+//! A program of its own, as its memory is looked at.
 #![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
 #[path = "../viewer/helpers.rs"]
@@ -173,8 +173,8 @@ fn check(state: &mut State) {
 /// Commands between two looks at the memory: as many as can be undone.
 const SPELL: usize = 1000;
 
-/// Does so many random commands. How much memory is held after each thousand, when nothing is left of the steps but what can be
-/// undone.
+/// Does so many random commands. How much memory is held after each thousand, when nothing is left of the
+/// steps but what can be undone.
 fn soak(commands: usize) -> Vec<u64> {
     let mut held = Vec::new();
     let folder = tempfile::tempdir().unwrap();

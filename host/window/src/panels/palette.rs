@@ -42,7 +42,8 @@ impl Entry {
     }
 }
 
-/// How well a name fits what was typed, less is better: its letters in their order, near each other and at beginnings of words.
+/// How well a name fits what was typed, less is better: its letters in their order, near each other and at
+/// beginnings of words.
 fn fit(name: &str, typed: &str) -> Option<usize> {
     let name: Vec<char> = name.to_lowercase().chars().collect();
     let (mut at, mut cost) = (0, 0);

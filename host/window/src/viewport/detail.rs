@@ -17,8 +17,8 @@ const HIDDEN: f32 = -1.0;
 pub struct Pieces(BTreeMap<u64, u64>);
 
 impl Pieces {
-    /// Brings the card up to date. `colors` are those of the samples, if they are not all the same; all vertices have that of
-    /// theirs.
+    /// Brings the card up to date. `colors` are those of the samples, if they are not all the same; all
+    /// vertices have that of theirs.
     ///
     /// # Errors
     /// Never, for pieces that are whole.

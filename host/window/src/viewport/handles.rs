@@ -142,7 +142,8 @@ fn bone(canvas: &Canvas<'_>, from: Pos2, to: Pos2) {
     ));
 }
 
-/// Takes the handle under the pointer, or the handle region that the surface there belongs to. Whether there is one.
+/// Takes the handle under the pointer, or the handle region that the surface there belongs to. Whether there
+/// is one.
 pub fn take(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     let dots = dots(canvas, window);
     let target = match nearest(canvas, &dots) {

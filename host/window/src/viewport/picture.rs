@@ -70,7 +70,8 @@ impl Viewport {
         ui.painter().add(background(rect, window.settings.theme));
     }
 
-    /// What to draw of a model that is being opened; nothing where none is, or none of its samples is there yet.
+    /// What to draw of a model that is being opened; nothing where none is, or none of its samples is there
+    /// yet.
     pub fn emerging(&mut self, canvas: &Canvas<'_>, window: &Window) -> Option<Shape> {
         self.0.as_mut()?.emerging(canvas, window)
     }

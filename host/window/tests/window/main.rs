@@ -1,5 +1,5 @@
-//! The window, driven as those drive it who do not see it: by the names of its controls. No graphics card is needed, but for
-//! the pictures.
+//! The window, driven as those drive it who do not see it: by the names of its controls. No graphics card is
+//! needed, but for the pictures.
 #![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
 mod compare;

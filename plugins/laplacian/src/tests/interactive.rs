@@ -1,4 +1,5 @@
-//! What dragging a handle needs: drafts, results that do not depend on threads, and an end when the user asks for it.
+//! What dragging a handle needs: drafts, results that do not depend on threads, and an end when the user asks
+//! for it.
 
 use super::scene::{Scene, Threads, held_at_ends, tube, turn};
 use glam::DVec3;

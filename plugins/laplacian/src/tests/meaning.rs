@@ -136,7 +136,8 @@ fn what_is_symmetric_stays_symmetric() {
     }
 }
 
-/// On a tube that is moved as a whole, the bi-Laplacian is the fourth derivative along it, and the displacement a cubic.
+/// On a tube that is moved as a whole, the bi-Laplacian is the fourth derivative along it, and the
+/// displacement a cubic.
 #[test]
 fn the_smoothest_displacement_of_a_tube_is_a_cubic() {
     let error = |n: usize, m: usize| {

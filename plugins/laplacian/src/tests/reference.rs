@@ -1,9 +1,10 @@
 //! The same as libigl, on the same regions: `tests/reference/laplacian.py` says how the figures came about.
 //!
-//! With cotangents as they are, `bi-laplacian` is libigl's `harmonic` of order 2, and `arap` its `ARAP` when both have
-//! converged. The default, robust weights, is another discretisation on purpose: cotangents of the intrinsic
-//! Delaunay triangulation, which have no negative weights; it is held against libigl's own, for closed models, since
-//! ours also flips edges of borders (over to the back). `laplacian` has no counterpart there.
+//! With cotangents as they are, `bi-laplacian` is libigl's `harmonic` of order 2, and `arap` its `ARAP` when
+//! both have converged. The default, robust weights, is another discretisation on purpose: cotangents of the
+//! intrinsic Delaunay triangulation, which have no negative weights; it is held against libigl's own, for
+//! closed models, since ours also flips edges of borders (over to the back). `laplacian` has no counterpart
+//! there.
 
 use super::scene::Scene;
 use glam::DVec3;

@@ -152,8 +152,8 @@ impl Scene {
     }
 }
 
-/// A square pipe along z, `[-w, w]²` across and `[0, 1]` long, closed at its ends: `n` cells along each side of the cross
-/// section, `m` along z.
+/// A square pipe along z, `[-w, w]²` across and `[0, 1]` long, closed at its ends: `n` cells along each side
+/// of the cross section, `m` along z.
 pub fn bar(n: usize, m: usize, w: f64) -> Scene {
     grid_box([n, n, m], DVec3::new(-w, -w, 0.0), DVec3::new(w, w, 1.0))
 }

@@ -78,7 +78,8 @@ fn points_alone_deform_as_their_triangles_do() {
     }
 }
 
-/// A part that nothing holds goes rigidly with what is next to it; a lone point is held by its neighbours, if it knows any.
+/// A part that nothing holds goes rigidly with what is next to it; a lone point is held by its neighbours, if
+/// it knows any.
 #[test]
 fn loose_parts_follow() {
     let scene = held_at_ends(tube(24, 40, 0.1), 0.2);

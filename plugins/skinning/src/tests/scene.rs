@@ -143,8 +143,8 @@ impl Scene {
         self.with(|input| Skinning::handles(input, &Host::new(&())))
     }
 
-    /// The motions of all handles where some move by themselves, about their places: with what they hang on, as the host
-    /// gives them.
+    /// The motions of all handles where some move by themselves, about their places: with what they hang on,
+    /// as the host gives them.
     pub fn motions(&self, moved: &[(&str, DAffine3)]) -> Vec<Affine> {
         let mut totals: Vec<DAffine3> = Vec::new();
         for handle in self.try_handles().unwrap() {

@@ -67,7 +67,8 @@ pub const FORK: [(&str, [f64; 3], u32); 7] = [
     ("b-tip", [1.1, 0.2, 0.0], 5),
 ];
 
-/// Two limbs beside each other, near in space and far along the surface; of three tubes that pass into each other.
+/// Two limbs beside each other, near in space and far along the surface; of three tubes that pass into each
+/// other.
 pub fn fork() -> Surface {
     let limb = |y: f64| tube(DVec3::new(-0.05, y, 0.0), DVec3::new(1.2, y, 0.0), 0.07, 24);
     together(&[limb(0.0), limb(0.2), tube(DVec3::new(0.0, -0.05, 0.0), DVec3::new(0.0, 0.25, 0.0), 0.08, 24)])

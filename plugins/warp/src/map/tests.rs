@@ -141,8 +141,8 @@ proptest! {
         prop_assert!(distance(q, [p[0], p[1] + way, p[2]]) < 1e-12);
     }
 
-    /// A point at `u` towards the centre of curvature gets on the circle that is so much smaller, and as far around it
-    /// as its part of the range.
+    /// A point at `u` towards the centre of curvature gets on the circle that is so much smaller, and as far
+    /// around it as its part of the range.
     #[test]
     fn bend_lays_the_range_on_circles(
         place in places(),

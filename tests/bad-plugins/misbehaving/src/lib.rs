@@ -1,5 +1,5 @@
-//! A plugin that does wrong what the environment variable `SIMOD_MISBEHAVE` says, or else its parameter `how`, and
-//! shifts by 1 along x where it does nothing wrong.
+//! A plugin that does wrong what the environment variable `SIMOD_MISBEHAVE` says, or else its parameter
+//! `how`, and shifts by 1 along x where it does nothing wrong.
 #![allow(unsafe_code, reason = "to write where nobody may is one of the things to do wrong")]
 
 use simod_plugin_api::{

@@ -1,12 +1,13 @@
-//! A third party's plugin that looks up whatever the host has for it, takes the time, and has older sessions. `tests/c/surveyor.c` does the
-//! same in C, to the last bit.
+//! A third party's plugin that looks up whatever the host has for it, takes the time, and has older sessions.
+//! `tests/c/surveyor.c` does the same in C, to the last bit.
 
 use simod_plugin_api::{
     Choice, Consumes, DeformInput, Deformer, Descriptor, Host, Migrate, MigrationDesc, ParamSet, PluginError,
     PluginResult, Pose, PrepareInput, Settings,
 };
 
-/// Once it had `method` for what is `mode` now, and `distance` in percent for what is `reach` now, as a part of the diagonal.
+/// Once it had `method` for what is `mode` now, and `distance` in percent for what is `reach` now, as a part
+/// of the diagonal.
 #[derive(ParamSet)]
 struct Surveyor {
     /// What is looked up

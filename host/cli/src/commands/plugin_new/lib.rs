@@ -1,15 +1,16 @@
 //! Swells a model about a point, or pinches it: a deformation for SIMOD, to be changed into your own.
 //!
-//! SIMOD takes some thousands of samples of a model of any size, asks this library where they go, and carries the
-//! whole model along. All coordinates here are local ones: the model's, shifted and scaled to a diagonal of 1 to 2.
+//! SIMOD takes some thousands of samples of a model of any size, asks this library where they go, and carries
+//! the whole model along. All coordinates here are local ones: the model's, shifted and scaled to a diagonal
+//! of 1 to 2.
 
 #[cfg(test)]
 mod tests;
 
 use simod_plugin_api::*;
 
-/// What a user can choose: names and hints are what they see. SIMOD checks the values, and completes them by the
-/// defaults. A point's default is in fractions of the model's box.
+/// What a user can choose: names and hints are what they see. SIMOD checks the values, and completes them by
+/// the defaults. A point's default is in fractions of the model's box.
 #[derive(ParamSet)]
 struct __TYPE__ {
     /// What swells, until its handle is moved
@@ -43,8 +44,8 @@ impl<'a> Bulge<'a> {
         Ok(Self { center, reach, strength, profile })
     }
 
-    /// The map: a point at distance `r < reach` from the centre goes to `1 + strength · profile(r / reach)` times that
-    /// distance; all others stay exactly where they are.
+    /// The map: a point at distance `r < reach` from the centre goes to `1 + strength · profile(r / reach)`
+    /// times that distance; all others stay exactly where they are.
     fn image(&self, p: [f64; 3]) -> [f64; 3] {
         let d = [0, 1, 2].map(|i| p[i] - self.center[i]);
         let t = d.iter().map(|x| x * x).sum::<f64>().sqrt() / self.reach;

@@ -21,7 +21,8 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Where points go: by `deform`, and by `evaluate`. The radius is 0.3 of the diagonal, and the handle is moved by so much.
+/// Where points go: by `deform`, and by `evaluate`. The radius is 0.3 of the diagonal, and the handle is
+/// moved by so much.
 fn images_where(points: &[[f32; 3]], strength: f64, moved: [f64; 3]) -> (Vec<[f32; 3]>, Vec<[f64; 3]>) {
     let strength = [strength];
     let params = [

@@ -4,8 +4,8 @@ use std::f64::consts::FRAC_PI_2;
 
 use super::form::Form;
 
-/// Height and radius of the rings between which the stem has evenly many; holes are between the third and fourth, and
-/// between the fifth and sixth.
+/// Height and radius of the rings between which the stem has evenly many; holes are between the third and
+/// fourth, and between the fifth and sixth.
 pub(super) const STEM: [[f64; 2]; 8] = [
     [0.0, 0.14],
     [0.06, 0.2],

@@ -1,8 +1,8 @@
 //! The cactus as a surface: where a function of space is zero.
 //!
-//! Distances to the tubes' curves are joined by the logarithm of a sum of exponentials, which is smooth (A. Ricci, *A
-//! constructive geometry for computer graphics*, The Computer Journal 1973, has such blends); the relief is
-//! subtracted.
+//! Distances to the tubes' curves are joined by the logarithm of a sum of exponentials, which is smooth (A.
+//! Ricci, *A constructive geometry for computer graphics*, The Computer Journal 1973, has such blends); the
+//! relief is subtracted.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 

@@ -1,8 +1,9 @@
 //! The cactus' vertices: rings of four sides about each tube, with square grids as caps.
 //!
-//! The stem's sides towards the arms have a hole each, as high as it is wide, whose border is the first ring of the arm.
-//! So every vertex but those at holes' and caps' corners has two rows of neighbours each way, and nothing has to be
-//! looked up: each index is a sum. Vertices begin on cones between rings that are near the surface.
+//! The stem's sides towards the arms have a hole each, as high as it is wide, whose border is the first ring
+//! of the arm. So every vertex but those at holes' and caps' corners has two rows of neighbours each way, and
+//! nothing has to be looked up: each index is a sum. Vertices begin on cones between rings that are near the
+//! surface.
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
 
@@ -12,7 +13,8 @@ use super::super::{Rows, SurfaceVertex};
 use super::counts::{Counts, HOLES, Hole, ROOT, STEM};
 use super::form::Form;
 
-/// Radius of the ring at the edge of an arm's cap, and how far it is beyond the tube's end: parts of the tube's radius.
+/// Radius of the ring at the edge of an arm's cap, and how far it is beyond the tube's end: parts of the
+/// tube's radius.
 const CAP: [f64; 2] = [0.9, 0.44];
 
 /// Rows that belong together.
@@ -109,8 +111,9 @@ impl Cactus {
         index
     }
 
-    /// Row and column on the stem of a vertex of an arm's hole: from the first corner along the sides, as the arm's
-    /// columns go. The stem's left arm begins at the other end of the hole, as its curve goes the other way.
+    /// Row and column on the stem of a vertex of an arm's hole: from the first corner along the sides, as the
+    /// arm's columns go. The stem's left arm begins at the other end of the hole, as its curve goes the other
+    /// way.
     fn border(&self, arm: usize, column: u64) -> (u64, u64) {
         let (Hole { low, high, left }, side) = (self.counts.hole(arm), self.counts.side);
         let height = high - low;
@@ -211,7 +214,8 @@ impl Cactus {
     }
 }
 
-/// The angle of a column of a ring, from the middle of its first side; of two sides of `width` and two of `height`.
+/// The angle of a column of a ring, from the middle of its first side; of two sides of `width` and two of
+/// `height`.
 fn angle_of(column: u64, width: u64, height: u64) -> f64 {
     let (mut column, mut side) = (column, 0);
     let lengths = [width, height, width, height];
@@ -372,7 +376,8 @@ mod tests {
         let cactus = Cactus::new(40_000);
         let (vertices, triangles) = mesh(&cactus);
         assert!(vertices.iter().all(|p| cactus.form.value(*p).abs() < 1e-9));
-        // With all triangles facing away from the inside, the mesh covers the surface once and does not cross itself.
+        // With all triangles facing away from the inside, the mesh covers the surface once and does not cross
+        // itself.
         for triangle in triangles {
             let [a, b, c] = triangle.map(|i| vertices[i as usize]);
             let middle = (a + b + c) / 3.0;

@@ -109,7 +109,8 @@ impl Seen {
         self.offset.length()
     }
 
-    /// The offset across the curve: to the curve's left, and backwards, which is where grids begin to turn to.
+    /// The offset across the curve: to the curve's left, and backwards, which is where grids begin to turn
+    /// to.
     pub fn across(&self) -> DVec2 {
         DVec2::new(self.offset.truncate().dot(self.tangent.perp()), -self.offset.z)
     }

@@ -17,7 +17,8 @@ pub(super) fn is_space(byte: u8) -> bool {
     byte <= b' '
 }
 
-/// The next word of `bytes` from `at` on; `None` if it may go on after them, which it does not at the file's end.
+/// The next word of `bytes` from `at` on; `None` if it may go on after them, which it does not at the file's
+/// end.
 #[inline(always)]
 pub(super) fn next_word(bytes: &[u8], at: usize, whole_file: bool) -> Option<(usize, usize)> {
     let start = at + bytes[at..].iter().position(|&b| !is_space(b))?;
@@ -28,8 +29,8 @@ pub(super) fn next_word(bytes: &[u8], at: usize, whole_file: bool) -> Option<(us
 }
 
 /// Goes over the record that `bytes` begin with (after whitespace, which is part of it): notes where its
-/// components lie (in the chunk's bytes, where the record begins at `base`) and returns its length, or `None` if
-/// it is longer than `bytes`.
+/// components lie (in the chunk's bytes, where the record begins at `base`) and returns its length, or `None`
+/// if it is longer than `bytes`.
 ///
 /// The error is the length of a list that cannot be.
 pub(super) fn scan(
@@ -91,8 +92,8 @@ pub(super) fn decode(layout: &Layout, chunk: &mut VertexChunk) -> Result<(), Not
     Ok(())
 }
 
-/// Appends the chunk's bytes to `text`, with those numbers replaced that were edited, and without normals if they are to
-/// be dropped.
+/// Appends the chunk's bytes to `text`, with those numbers replaced that were edited, and without normals if
+/// they are to be dropped.
 pub(super) fn splice(
     layout: &Layout,
     chunk: &VertexChunk,
@@ -141,8 +142,8 @@ pub(super) fn splice(
     Ok(())
 }
 
-/// Drops a word that ends at `end` of `raw`, what stands before it being in `text` already: with the blanks before it,
-/// or at the start of a line with those behind it. Returns where to go on.
+/// Drops a word that ends at `end` of `raw`, what stands before it being in `text` already: with the blanks
+/// before it, or at the start of a line with those behind it. Returns where to go on.
 fn drop_word(text: &mut Vec<u8>, raw: &[u8], end: usize) -> usize {
     let is_blank = |byte: &u8| is_space(*byte) && !matches!(byte, b'\n' | b'\r');
     if text.last().is_some_and(is_blank) {

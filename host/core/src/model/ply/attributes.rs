@@ -1,4 +1,5 @@
-//! Numbers of vertices that are neither position nor normal: found in the bytes of a chunk, by those who ask for them.
+//! Numbers of vertices that are neither position nor normal: found in the bytes of a chunk, by those who ask
+//! for them.
 
 use super::ascii::{self, next_word};
 use super::binary::{bytes_at, integer};

@@ -276,8 +276,8 @@ fn cut(raw: &mut Vec<u8>, spans: impl Iterator<Item = [usize; 2]>) {
     raw.truncate(kept);
 }
 
-/// Goes over the record that `bytes` begin with: notes where its components lie (in the chunk's bytes, where the
-/// record begins at `base`) and returns its length, or `None` if it is longer than `bytes`.
+/// Goes over the record that `bytes` begin with: notes where its components lie (in the chunk's bytes, where
+/// the record begins at `base`) and returns its length, or `None` if it is longer than `bytes`.
 ///
 /// The error is the length of a list that cannot be.
 pub(super) fn scan(

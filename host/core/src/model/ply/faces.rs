@@ -1,10 +1,10 @@
 //! Triangles of all faces: lists of corners, wherever they lie among other properties and elements.
 //!
-//! Polygons are the records of element `face`, strips those of `tristrips`; either keeps its corners in a list
-//! `vertex_indices` (or `vertex_index`) of integers. Without such a list, an element has no triangles.
+//! Polygons are the records of element `face`, strips those of `tristrips`; either keeps its corners in a
+//! list `vertex_indices` (or `vertex_index`) of integers. Without such a list, an element has no triangles.
 //!
-//! A list may be as long as the file, so it is never held: a fan or a strip needs two corners beside the next.
-//! What is held are [`BLOCK`] bytes of the file.
+//! A list may be as long as the file, so it is never held: a fan or a strip needs two corners beside the
+//! next. What is held are [`BLOCK`] bytes of the file.
 
 use std::ops::Range;
 
@@ -625,7 +625,8 @@ mod tests {
         Property { name: name.into(), shape: Shape::List { count, item } }
     }
 
-    /// An element and its records, each of which has a list of numbers for each property (for a scalar, of one).
+    /// An element and its records, each of which has a list of numbers for each property (for a scalar, of
+    /// one).
     #[derive(Debug, Clone)]
     struct Table {
         name: &'static str,

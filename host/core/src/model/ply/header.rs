@@ -255,8 +255,8 @@ fn parse(bytes: &[u8], whole_file: bool) -> Result<Option<Header>, Wrong> {
 
 /// The byte that ends the lines of a header.
 ///
-/// The first line tells. Binary data may begin with a byte that looks like a line feed, so a carriage return ends lines
-/// only where the first one ends in it alone.
+/// The first line tells. Binary data may begin with a byte that looks like a line feed, so a carriage return
+/// ends lines only where the first one ends in it alone.
 fn line_separator(bytes: &[u8]) -> u8 {
     match memchr::memchr2(b'\r', b'\n', bytes) {
         Some(at) if bytes[at] == b'\r' && bytes.get(at + 1).is_some_and(|&b| b != b'\n') => b'\r',

@@ -41,8 +41,8 @@ pub(super) struct Layout {
     pub(super) other: Vec<String>,
     /// Those of them that are numbers with a name of their own, in the file's order.
     pub(super) attributes: Vec<Attribute>,
-    /// Where each of these stands: its index among the slots, and bytes from the start of the record where records are of
-    /// fixed size.
+    /// Where each of these stands: its index among the slots, and bytes from the start of the record where
+    /// records are of fixed size.
     pub(super) places: Vec<(usize, usize)>,
 }
 

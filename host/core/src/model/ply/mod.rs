@@ -1,10 +1,11 @@
 //! PLY 1.0: text, and binary of either byte order, with any elements and properties in any order.
 //!
-//! Vertices are the records of element `vertex`; their x, y, z (and nx, ny, nz, if all three are there) are of
-//! type float or double. Everything else is passed over when reading, and copied byte by byte when rewriting.
+//! Vertices are the records of element `vertex`; their x, y, z (and nx, ny, nz, if all three are there) are
+//! of type float or double. Everything else is passed over when reading, and copied byte by byte when
+//! rewriting.
 //!
-//! Files are read by positioned reads and never mapped into memory: a mapped file that another program shortens
-//! kills the process (SIGBUS), whereas a read returns an error.
+//! Files are read by positioned reads and never mapped into memory: a mapped file that another program
+//! shortens kills the process (SIGBUS), whereas a read returns an error.
 //!
 //! | module | |
 //! |---|---|
@@ -55,7 +56,8 @@ pub struct PlyModel {
     layout: Layout,
     /// Where in the file the vertices begin.
     vertices_start: u64,
-    /// In a binary file, where each element begins, and after them the end of the last one. Empty in a text file.
+    /// In a binary file, where each element begins, and after them the end of the last one. Empty in a text
+    /// file.
     starts: Vec<u64>,
     offsets: Offsets,
     info: ModelInfo,

@@ -28,8 +28,8 @@ pub(super) struct Reader<'a> {
     chunk: usize,
     /// Where in the file the next vertex begins.
     offset: u64,
-    /// What has been read of the file from `offset` on, where records differ in length: at most `BLOCK` bytes, or
-    /// about a record if that is more.
+    /// What has been read of the file from `offset` on, where records differ in length: at most `BLOCK`
+    /// bytes, or about a record if that is more.
     ahead: Vec<u8>,
 }
 

@@ -1,5 +1,5 @@
-//! Goes over elements without reading their numbers: to find where an element ends, and whether the file does so
-//! too early.
+//! Goes over elements without reading their numbers: to find where an element ends, and whether the file does
+//! so too early.
 //!
 //! The walker is fed the file block by block, of whatever size, and keeps a few bytes between them. It counts
 //! in bytes in a binary file, and in words in a text file; all the rest is the same for both.

@@ -84,8 +84,8 @@ impl Drop for CState {
     }
 }
 
-/// Loads a library, for good, with all functions that it needs of others: a missing one is an error here, and not the end of the
-/// process when it is first called. `file` is that at `path`, or a copy of it.
+/// Loads a library, for good, with all functions that it needs of others: a missing one is an error here, and
+/// not the end of the process when it is first called. `file` is that at `path`, or a copy of it.
 pub(crate) fn load_whole(file: &Path, path: &Path) -> Result<Library> {
     // SAFETY: initialisers of the library run, and may do anything. Whoever puts a library into a plugin
     // folder wants its code to run.
@@ -325,13 +325,14 @@ impl Code for CCode {
     }
 }
 
-/// What `SimodSettingList::set` does: the first setting that cannot be read, or that is one too many, is what is told.
+/// What `SimodSettingList::set` does: the first setting that cannot be read, or that is one too many, is what
+/// is told.
 unsafe extern "C" fn set_setting(list: *mut SimodSettingList, setting: *const SimodParam) {
     if list.is_null() {
         return;
     }
-    // SAFETY: the plugin passes the list that it was given, whose context is the one that `CCode::migrate` made; it gives
-    // settings one by one.
+    // SAFETY: the plugin passes the list that it was given, whose context is the one that `CCode::migrate`
+    // made; it gives settings one by one.
     let found = unsafe { &mut *(*list).context.cast::<PluginResult<Vec<Setting>>>() };
     if let Ok(settings) = found {
         if settings.len() >= limits::LONGEST_LIST {
