@@ -7,7 +7,7 @@ use crate::model::for_vertices;
 use crate::progress::Silent;
 use crate::reconstruction::{Method, Reconstruction, Surroundings, Version, reconstruct};
 use crate::refinement::tests::{Body, samples};
-use crate::sampling::lattice::{CellMap, key_at};
+use crate::sampling::grid::{CellMap, key_at};
 
 fn twist(p: DVec3) -> DVec3 {
     let (sin, cos) = (1.2 * p.y).sin_cos();

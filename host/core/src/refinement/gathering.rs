@@ -7,22 +7,22 @@ use glam::{DVec3, Vec3};
 use crate::frame::Frame;
 use crate::geometry::Bounds;
 use crate::model::{Model, SMALL_CHUNK, VertexChunk};
-use crate::sampling::cluster::{Group, Sample};
+use crate::sampling::cluster::{Group, Vertex};
 use crate::sampling::finalization::{PART, unit};
 use crate::sampling::gather::{Gather, Groups};
+use crate::sampling::grid::{CellMap, cell_box, key_at};
 use crate::sampling::kept_cells::KeptCells;
-use crate::sampling::lattice::{CellMap, cell_box, key_at};
 use crate::{Progress, Result};
 
 /// Vertices of which a cell's tree was built at once, where they were not in groups.
-pub(super) const SAMPLES_OF_A_PART: usize = PART / size_of::<Sample>();
+pub(super) const VERTICES_OF_A_PART: usize = PART / size_of::<Vertex>();
 
 /// All vertices of a cell.
 pub(crate) struct Gathered {
     /// Its place among the kept cells.
     pub cell: u32,
     /// In the order of the stream, counted.
-    pub vertices: Vec<Sample>,
+    pub vertices: Vec<Vertex>,
     /// The index of each in the model; none, if nobody asks.
     pub ids: Vec<u32>,
     /// What the cell's tree was built of, if not of the vertices: groups, and that of each vertex.
@@ -93,7 +93,7 @@ impl Gathering<'_> {
                 let Some(group) = groups.add(at, position, normal)? else { return Ok(false) };
                 group_of.push(group);
             }
-            found.vertices.push(Sample { position, normal, index: found.vertices.len() as u32 });
+            found.vertices.push(Vertex { position, normal, index: found.vertices.len() as u32 });
             if self.with_ids {
                 found.ids.push(index as u32);
             }
@@ -198,7 +198,7 @@ impl Gathered {
     pub fn parts(&self) -> usize {
         match &self.groups {
             Some((parts, _)) => parts.len(),
-            None => self.vertices.len().div_ceil(SAMPLES_OF_A_PART),
+            None => self.vertices.len().div_ceil(VERTICES_OF_A_PART),
         }
     }
 

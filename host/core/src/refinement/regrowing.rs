@@ -5,7 +5,7 @@
 //! above the bound, a VS-Tree of these vertices goes on below it. What it comes to does not depend on how
 //! many refinements led there.
 
-use crate::sampling::cluster::{Element, Moments, Sample};
+use crate::sampling::cluster::{Element, Moments, Vertex};
 use crate::sampling::density::Rule;
 use crate::sampling::finalization::seed_of;
 use crate::sampling::kept_cells::{CutTree, KeptCell, KeptCells};
@@ -16,7 +16,7 @@ use std::ops::Range;
 
 use glam::Vec3;
 
-use super::gathering::{Gathered, SAMPLES_OF_A_PART};
+use super::gathering::{Gathered, VERTICES_OF_A_PART};
 use super::selection::Sizing;
 
 /// A cluster below a sample of the first sampling.
@@ -204,7 +204,7 @@ impl Regrowing<'_, '_> {
         }
 
         let mut found = Regrown { cell: gathered.cell, grown: Vec::new(), members: Vec::new(), built: 0 };
-        let mut workspace = Workspace::<Sample>::default();
+        let mut workspace = Workspace::<Vertex>::default();
         for (ordinal, leaf) in top.leaves.iter().enumerate() {
             let of_leaf = &order[starts[ordinal]..starts[ordinal + 1]];
             let refined = wanted[leaf.samples.clone()].contains(&true);
@@ -220,10 +220,10 @@ impl Regrowing<'_, '_> {
                 }
                 continue;
             }
-            let mut vertices: Vec<Sample> = of_leaf
+            let mut vertices: Vec<Vertex> = of_leaf
                 .iter()
                 .zip(0..)
-                .map(|(v, index)| Sample { index, ..gathered.vertices[*v as usize] })
+                .map(|(v, index)| Vertex { index, ..gathered.vertices[*v as usize] })
                 .collect();
             let below = mix(seed, ordinal as u64 + 1);
             let (grown, built) = self.grow(&mut vertices, tree, leaf, below, refined, &mut workspace)?;
@@ -272,7 +272,7 @@ impl Regrowing<'_, '_> {
                 }
                 None => {
                     let mut copy = gathered.vertices.clone();
-                    let mut parts = copy.chunks_mut(SAMPLES_OF_A_PART).zip(starts);
+                    let mut parts = copy.chunks_mut(VERTICES_OF_A_PART).zip(starts);
                     parts.try_for_each(|(part, start)| along.build(part, start, &mut leaf_of_item))?;
                 }
             }
@@ -284,12 +284,12 @@ impl Regrowing<'_, '_> {
     /// its number of leaves; the leaf of each vertex is in the workspace.
     fn grow(
         &self,
-        vertices: &mut [Sample],
+        vertices: &mut [Vertex],
         tree: &CutTree,
         leaf: &TopLeaf,
         seed: u64,
         refined: bool,
-        workspace: &mut Workspace<Sample>,
+        workspace: &mut Workspace<Vertex>,
     ) -> Result<(Grown, u32), Changed> {
         // What is told of each node in turn: its half diagonal, slack, and which kept one it is.
         let mut told: Vec<(f32, f32, Option<u32>)> = Vec::new();

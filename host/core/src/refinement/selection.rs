@@ -14,8 +14,8 @@ use crate::frame::Frame;
 use crate::reconstruction::DeformationField;
 use crate::sampled_model::SampledModel;
 use crate::sampling::cluster::REACH_WEIGHT;
+use crate::sampling::grid::cell_box;
 use crate::sampling::kept_cells::{KeptCell, KeptCells};
-use crate::sampling::lattice::cell_box;
 
 /// How far clusters may reach, as a part of their distance from the selection.
 pub(super) const GRADING: f64 = 1.0;

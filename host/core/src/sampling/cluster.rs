@@ -1,15 +1,15 @@
-//! What is known of a cluster of samples: its moments, from which its error and its representative follow.
+//! What is known of a cluster of vertices: its moments, from which its error and its representative follow.
 //!
 //! The error is the product of the L² metric (distance to the mean plane) and the L²·¹ metric (deviation of
 //! the normals), D. Cohen-Steiner, P. Alliez, M. Desbrun, *Variational Shape Approximation*, 2004, as paper
-//! §4 proposes. The representative minimises the quadric of the samples' tangent planes (M. Garland, P.
+//! §4 proposes. The representative minimises the quadric of the vertices' tangent planes (M. Garland, P.
 //! Heckbert 1997; P. Lindstrom 2000), held to the mean by a small ridge.
 
 use glam::{DMat3, DVec3, Vec3, Vec3A, Vec3Swizzles};
 
 use crate::geometry::least_eigenvalue;
 
-/// What a VS-Tree is built of: samples of P_L, or small groups of them.
+/// What a VS-Tree is built of: vertices of P_L, or small groups of them.
 pub trait Element: bytemuck::Pod + Send + Sync {
     /// Mean position, in local coordinates.
     fn position(&self) -> Vec3;
@@ -17,14 +17,14 @@ pub trait Element: bytemuck::Pod + Send + Sync {
     fn normal(&self) -> Vec3;
     /// Its place in its cell, in the order of the stream.
     fn index(&self) -> u32;
-    /// Adds the samples of some elements to the moments of a cluster.
+    /// Adds the vertices of some elements to the moments of a cluster.
     fn add_to(elements: &[Self], moments: &mut Moments);
 }
 
-/// A sample of P_L inside a cell: position relative to the model's origin, and unit normal.
+/// A vertex of P_L inside a cell: position relative to the model's origin, and unit normal.
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
-pub struct Sample {
+pub struct Vertex {
     /// Position in local coordinates.
     pub position: Vec3,
     /// Unit normal, or zero where the model has none (or none that is finite) at this vertex.
@@ -33,7 +33,7 @@ pub struct Sample {
     pub index: u32,
 }
 
-impl Element for Sample {
+impl Element for Vertex {
     #[inline]
     fn position(&self) -> Vec3 {
         self.position
@@ -49,26 +49,26 @@ impl Element for Sample {
         self.index
     }
 
-    fn add_to(samples: &[Self], moments: &mut Moments) {
+    fn add_to(vertices: &[Self], moments: &mut Moments) {
         // In single precision about one of them, which is exact enough for so many, and much faster.
-        for samples in samples.chunks(SAMPLES_AT_ONCE) {
-            let mut sums = Sums::about(samples[0].position);
+        for vertices in vertices.chunks(VERTICES_AT_ONCE) {
+            let mut sums = Sums::about(vertices[0].position);
             let (mut min, mut max) = (Vec3A::from(moments.min), Vec3A::from(moments.max));
-            for s in samples {
+            for s in vertices {
                 let position = Vec3A::from(s.position);
                 (min, max) = (min.min(position), max.max(position));
                 sums.add(position, Vec3A::from(s.normal));
             }
             (moments.min, moments.max) = (min.into(), max.into());
-            moments.add_sums(&sums, samples.len() as f64);
+            moments.add_sums(&sums, vertices.len() as f64);
         }
     }
 }
 
-/// Samples that are summed up in single precision.
-const SAMPLES_AT_ONCE: usize = 256;
+/// Vertices that are summed up in single precision.
+const VERTICES_AT_ONCE: usize = 256;
 
-/// Sums over samples, in single precision, with their positions relative to a point. Products of two
+/// Sums over vertices, in single precision, with their positions relative to a point. Products of two
 /// different coordinates are in the order xy, yz, zx.
 #[derive(Debug, Clone, Copy)]
 struct Sums {
@@ -100,8 +100,8 @@ impl Sums {
     }
 }
 
-/// A few samples that lie close together, as the sums over them: what an open cell keeps of a model with very
-/// many samples for each one of P_S. A VS-Tree over these differs from one over the samples in that no group
+/// A few vertices that lie close together, as the sums over them: what an open cell keeps of a model with very
+/// many vertices for each sample of P_S. A VS-Tree over these differs from one over the vertices in that no group
 /// is parted.
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
@@ -120,7 +120,7 @@ pub struct Group {
 }
 
 impl Group {
-    /// Most samples in a group: the sums are in single precision.
+    /// Most vertices in a group: the sums are in single precision.
     const MAX: u32 = 1 << 16;
 
     /// A group of none yet, in a cube, of this place in its cell.
@@ -134,13 +134,13 @@ impl Group {
         self.center
     }
 
-    /// Whether a sample with this normal belongs here, if its position does: it is not of an opposite sheet.
+    /// Whether a vertex with this normal belongs here, if its position does: it is not of an opposite sheet.
     #[inline]
     pub fn takes(&self, normal: Vec3) -> bool {
         self.count < Self::MAX && self.normal.dot(normal) >= 0.0
     }
 
-    /// Takes in a sample.
+    /// Takes in a vertex.
     #[inline]
     pub fn add(&mut self, position: Vec3, normal: Vec3) {
         let mut sums = self.sums();
@@ -220,7 +220,7 @@ pub struct Moments {
     quadric: [DVec3; 2],
     /// Σ n (n·p).
     quadric_b: DVec3,
-    /// Number of samples with a normal.
+    /// Number of vertices with a normal.
     with_normal: f64,
 }
 
@@ -241,14 +241,14 @@ impl Default for Moments {
 }
 
 impl Moments {
-    /// The moments of a set of samples.
+    /// The moments of a set of vertices.
     pub fn of<E: Element>(elements: &[E]) -> Self {
         let mut m = Self::default();
         E::add_to(elements, &mut m);
         m
     }
 
-    /// Adds the sums over so many samples; not the box.
+    /// Adds the sums over so many vertices; not the box.
     fn add_sums(&mut self, sums: &Sums, count: f64) {
         let (c, p) = (sums.center.as_dvec3(), sums.position.as_dvec3());
         let quadric = sums.quadric.map(|q| q.as_dvec3());
@@ -279,7 +279,7 @@ impl Moments {
         }
     }
 
-    /// Number of samples.
+    /// Number of vertices.
     pub fn count(&self) -> f64 {
         self.count
     }
@@ -320,7 +320,7 @@ impl Moments {
         variance.map(|v| (v / most).sqrt().sqrt() as f32)
     }
 
-    /// Whether most samples have a normal.
+    /// Whether most vertices have a normal.
     pub fn has_normals(&self) -> bool {
         self.with_normal > 0.5 * self.count
     }
@@ -363,7 +363,7 @@ impl Moments {
         shape + REACH_WEIGHT * self.reach(representative)
     }
 
-    /// What the error would be if the samples were of two sheets with opposite normals.
+    /// What the error would be if the vertices were of two sheets with opposite normals.
     pub fn error_of_two_sheets(&self, representative: Vec3) -> f64 {
         std::f64::consts::SQRT_2.sqrt() * self.spread() + REACH_WEIGHT * self.reach(representative)
     }
@@ -378,7 +378,7 @@ impl Moments {
         (2.0 * (1.0 - self.normal.length() / self.with_normal)).clamp(0.0, 2.0).sqrt()
     }
 
-    /// The minimum of the quadric, inside the box of the samples.
+    /// The minimum of the quadric, inside the box of the vertices.
     fn position(&self) -> Vec3 {
         let mean = self.mean();
         let point = if self.with_normal > 0.0 {
@@ -407,17 +407,17 @@ pub(crate) fn symmetric(diagonal: DVec3, off: DVec3) -> DMat3 {
 mod tests {
     use super::*;
 
-    fn samples(f: impl Fn(f32, f32) -> (Vec3, Vec3)) -> Vec<Sample> {
+    fn vertices(f: impl Fn(f32, f32) -> (Vec3, Vec3)) -> Vec<Vertex> {
         let grid = |i: i32| i as f32 / 20.0 - 0.5;
         (0..21 * 21)
             .map(|i| f(grid(i % 21), grid(i / 21)))
-            .map(|(position, normal)| Sample { position, normal, index: 0 })
+            .map(|(position, normal)| Vertex { position, normal, index: 0 })
             .collect()
     }
 
     #[test]
     fn a_flat_cluster_has_the_error_of_its_reach_alone() {
-        let m = Moments::of(&samples(|u, v| (Vec3::new(u, 3.0, v), Vec3::Y)));
+        let m = Moments::of(&vertices(|u, v| (Vec3::new(u, 3.0, v), Vec3::Y)));
         let (position, normal, error) = m.representative();
         assert!(position.distance(Vec3::Y * 3.0) < 1e-6 && normal == Vec3::Y);
         assert!((f64::from(error) - REACH_WEIGHT * 0.5f64.sqrt()).abs() < 1e-6);
@@ -426,7 +426,7 @@ mod tests {
     #[test]
     fn error_grows_with_the_square_of_the_size() {
         let bowl = |h: f32| {
-            let m = Moments::of(&samples(|u, v| {
+            let m = Moments::of(&vertices(|u, v| {
                 let (x, z) = (u * h, v * h);
                 (Vec3::new(x, 0.5 * (x * x + z * z), z), Vec3::new(-x, 1.0, -z).normalize_or(Vec3::Y))
             }));
@@ -439,8 +439,8 @@ mod tests {
     }
 
     #[test]
-    fn groups_have_the_moments_of_their_samples() {
-        let all = samples(|u, v| (Vec3::new(u, u * v, v), Vec3::new(v, 1.0, u).normalize_or(Vec3::Y)));
+    fn groups_have_the_moments_of_their_vertices() {
+        let all = vertices(|u, v| (Vec3::new(u, u * v, v), Vec3::new(v, 1.0, u).normalize_or(Vec3::Y)));
         let groups: Vec<Group> = all
             .chunks(21)
             .map(|row| {
@@ -449,11 +449,11 @@ mod tests {
                 group
             })
             .collect();
-        let (of_samples, of_groups) = (Moments::of(&all), Moments::of(&groups));
-        let ((p, n, _), (q, m, _)) = (of_samples.representative(), of_groups.representative());
+        let (of_vertices, of_groups) = (Moments::of(&all), Moments::of(&groups));
+        let ((p, n, _), (q, m, _)) = (of_vertices.representative(), of_groups.representative());
         assert!(p.distance(q) < 1e-5 && n.distance(m) < 1e-5, "{p} {q}");
-        assert!((of_samples.covariance() - of_groups.covariance()).x_axis.length() < 1e-6);
-        assert!(of_groups.min.cmple(of_samples.min).all() && of_groups.max.cmpge(of_samples.max).all());
+        assert!((of_vertices.covariance() - of_groups.covariance()).x_axis.length() < 1e-6);
+        assert!(of_groups.min.cmple(of_vertices.min).all() && of_groups.max.cmpge(of_vertices.max).all());
         // A group of one sheet leaves the other to another.
         assert!(groups[0].takes(Vec3::Y) && !groups[0].takes(-Vec3::Y));
     }
@@ -464,7 +464,7 @@ mod tests {
         let corner: Vec<_> = [Vec3::X, Vec3::Y, Vec3::Z]
             .into_iter()
             .flat_map(|n| {
-                samples(move |u, v| {
+                vertices(move |u, v| {
                     let (a, b) = n.any_orthonormal_pair();
                     let p = Vec3::ONE - (a.abs() * (u + 0.5) + b.abs() * (v + 0.5));
                     (p, n)
@@ -480,7 +480,7 @@ mod tests {
 
     #[test]
     fn merged_moments_are_those_of_the_union() {
-        let all = samples(|u, v| (Vec3::new(u, u * v, v), Vec3::new(v, 1.0, u).normalize_or(Vec3::Y)));
+        let all = vertices(|u, v| (Vec3::new(u, u * v, v), Vec3::new(v, 1.0, u).normalize_or(Vec3::Y)));
         let mut sum = Moments::of(&all[..100]);
         sum.add(&Moments::of(&all[100..]));
         let whole = Moments::of(&all);

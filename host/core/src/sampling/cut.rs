@@ -20,8 +20,8 @@ use glam::Vec3;
 
 use super::cluster::{Moments, REACH_WEIGHT};
 use super::finalization::ClusteredCell;
+use super::grid::{CellKey, CellMap, Grid};
 use super::kept_cells::CutTree;
-use super::lattice::{CellKey, CellMap, Grid};
 use super::vs_tree::{Node, VsTree};
 use crate::{Error, ErrorKind, Result};
 
@@ -40,7 +40,7 @@ pub const BYTES_PER_SAMPLE: u64 = 150;
 /// the target and what one cell has; and the moments of each occupied cell.
 pub struct Forest {
     target: Option<usize>,
-    /// Number of samples of P_L; `None` without foresight.
+    /// Number of vertices of P_L; `None` without foresight.
     vertices: Option<f64>,
     /// Those in the trees.
     seen: f64,
@@ -385,17 +385,17 @@ impl Upper {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sampling::cluster::Sample;
-    use crate::sampling::lattice::Lattice;
+    use crate::sampling::cluster::Vertex;
+    use crate::sampling::grid::GridCounter;
     use crate::sampling::vs_tree::{Splitting, Workspace};
 
-    /// A wavy sheet of 100 × 100 samples, clustered as it streams, for a target.
+    /// A wavy sheet of 100 × 100 vertices, clustered as it streams, for a target.
     fn sampled(target: Option<usize>, bound: f32, resolution: u32) -> Cut {
         let wavy = |x: f32, _| ((9.0 * x).sin() / 9.0, (9.0 * x).cos());
         cut_through(100, wavy, target, bound, resolution, false).expect("nothing is foreseen")
     }
 
-    /// A sheet of `side`² samples, of a height, and a slope along x, by which the stream is ordered.
+    /// A sheet of `side`² vertices, of a height, and a slope along x, by which the stream is ordered.
     fn cut_through(
         side: u32,
         height: impl Fn(f32, f32) -> (f32, f32),
@@ -405,28 +405,28 @@ mod tests {
         foresight: bool,
     ) -> Option<Cut> {
         let place = |i: u32| i as f32 / side as f32 - 0.5;
-        let samples: Vec<Sample> = (0..side * side)
+        let vertices: Vec<Vertex> = (0..side * side)
             .map(|i| {
                 let (x, z) = (place(i / side), place(i % side));
                 let (y, slope) = height(x, z);
                 let normal = Vec3::new(-slope, 1.0, 0.0).normalize_or(Vec3::Y);
-                Sample { position: Vec3::new(x, y, z), normal, index: 0 }
+                Vertex { position: Vec3::new(x, y, z), normal, index: 0 }
             })
             .collect();
-        let mut lattice = Lattice::new(resolution);
-        samples.iter().enumerate().for_each(|(i, s)| lattice.add(s.position.as_dvec3(), i as u64));
-        let grid = lattice.finish();
+        let mut counter = GridCounter::new(resolution);
+        vertices.iter().enumerate().for_each(|(i, s)| counter.add(s.position.as_dvec3(), i as u64));
+        let grid = counter.finish();
         let mut cells = vec![Vec::new(); grid.keys.len()];
-        for s in samples {
+        for s in vertices {
             cells[grid.find(&grid.key_of(s.position.as_dvec3())).expect("a cell") as usize].push(s);
         }
         let mut forest = Forest::new(&grid, target, bound, usize::MAX, foresight);
         let mut stop = bound;
-        for (cell, mut samples) in cells.into_iter().enumerate() {
-            (0..).zip(&mut samples).for_each(|(i, s)| s.index = i);
+        for (cell, mut vertices) in cells.into_iter().enumerate() {
+            (0..).zip(&mut vertices).for_each(|(i, s)| s.index = i);
             let workspace = &mut Workspace::default();
             let (tree, moments) =
-                VsTree::build(&mut samples, workspace, Splitting::VolumeSurface, stop, cell as u64);
+                VsTree::build(&mut vertices, workspace, Splitting::VolumeSurface, stop, cell as u64);
             stop = forest.add(ClusteredCell { cell: cell as u32, tree, moments }).expect("room");
         }
         forest.cut(&grid)

@@ -16,7 +16,7 @@ use super::cluster::{Element, Moments};
 use super::cut::{Forest, most_kept, running_bound};
 use super::density::Rule;
 use super::gather::Gather;
-use super::lattice::{CellKey, Grid, cell_box};
+use super::grid::{CellKey, Grid, cell_box};
 use super::membership::{Leaves, Membership};
 use super::open_cells::CellItems;
 use super::ranges::Ranges;

@@ -1,7 +1,7 @@
-//! What is gathered of a cell while it is open: its samples as they are, or small groups of them.
+//! What is gathered of a cell while it is open: its vertices as they are, or small groups of them.
 //!
-//! Samples as they are take memory by the number of vertices in open cells, which grows with the model. Where
-//! that is too much, samples in the same little cube are summed up as they come ([`Group`]): a cell then
+//! Vertices as they are take memory by the number of vertices in open cells, which grows with the model. Where
+//! that is too much, vertices in the same little cube are summed up as they come ([`Group`]): a cell then
 //! holds as many groups as the surface in it meets cubes, however many vertices the model has.
 
 use std::collections::HashMap;
@@ -11,16 +11,16 @@ use std::path::Path;
 use glam::{IVec3, Vec3};
 
 use super::Target;
-use super::cluster::{Element, Group, Sample};
-use super::lattice::{CellHasher, CellRecord, Grid};
+use super::cluster::{Element, Group, Vertex};
+use super::grid::{CellHasher, CellRecord, Grid};
 use super::open_cells::{CellItems, OpenCells};
 use crate::Result;
 use crate::frame::Frame;
 
-/// Memory for the samples of open cells beyond which they are summed up in groups, if that helps.
-const SAMPLES_AT_EASE: u64 = 12 << 20;
+/// Memory for the vertices of open cells beyond which they are summed up in groups, if that helps.
+const VERTICES_AT_EASE: u64 = 12 << 20;
 
-/// Groups for each sample of P_S: a cluster is then about as well formed as from the samples themselves.
+/// Groups for each sample of P_S: a cluster is then about as well formed as from the vertices themselves.
 const GROUPS_PER_SAMPLE: f64 = 12.0;
 
 /// Most levels of little cubes below a cell, so that its groups are few enough to be clustered at once.
@@ -34,7 +34,7 @@ pub trait Gather {
     /// What a cell's VS-Tree is built of.
     type Item: Element;
 
-    /// Adds a sample to a cell; the index of the item that it is, or is part of. `None` if there is no room.
+    /// Adds a vertex to a cell; the index of the item that it is, or is part of. `None` if there is no room.
     ///
     /// # Errors
     /// The temporary file cannot be written.
@@ -44,28 +44,28 @@ pub trait Gather {
     fn take(&mut self, cell: u32) -> CellItems<Self::Item>;
 }
 
-/// Samples as they are.
-pub struct Samples(OpenCells<Sample>);
+/// Vertices as they are.
+pub struct Vertices(OpenCells<Vertex>);
 
-impl Samples {
+impl Vertices {
     /// For so many cells, in `memory` bytes and otherwise in a file in `folder`.
     pub fn new(cells: usize, memory: u64, folder: &Path) -> Self {
         Self(OpenCells::new(cells, memory, folder))
     }
 }
 
-impl Gather for Samples {
-    type Item = Sample;
+impl Gather for Vertices {
+    type Item = Vertex;
 
     #[inline]
     fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<Option<u32>> {
         // Who asks for the index has fewer than 2^32 vertices.
         let index = self.0.count(cell) as u32;
-        self.0.push(cell, Sample { position, normal, index })?;
+        self.0.push(cell, Vertex { position, normal, index })?;
         Ok(Some(index))
     }
 
-    fn take(&mut self, cell: u32) -> CellItems<Sample> {
+    fn take(&mut self, cell: u32) -> CellItems<Vertex> {
         self.0.take(cell)
     }
 }
@@ -73,7 +73,7 @@ impl Gather for Samples {
 /// Where the latest group of each cube of a cell is, by [`key`].
 type Table = HashMap<u32, u32, BuildHasherDefault<CellHasher>>;
 
-/// Samples summed up in little cubes. They stay in memory: sums that were parted by a file would be other
+/// Vertices summed up in little cubes. They stay in memory: sums that were parted by a file would be other
 /// sums.
 pub struct Groups {
     open: OpenCells<Group>,
@@ -85,13 +85,13 @@ pub struct Groups {
 }
 
 impl Groups {
-    /// The stream was in a cell that is not gathered: the next sample is looked up as if it were so here.
+    /// The stream was in a cell that is not gathered: the next vertex is looked up as if it were so here.
     pub fn leave(&mut self) {
         self.last = None;
     }
 }
 
-/// Where the last sample went: the next one is probably near.
+/// Where the last vertex went: the next one is probably near.
 struct Last {
     cell: u32,
     cube: IVec3,
@@ -205,7 +205,7 @@ fn floor(x: Vec3) -> IVec3 {
     IVec3::select(above, towards_zero - 1, towards_zero)
 }
 
-/// How the samples of open cells are held.
+/// How the vertices of open cells are held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Grouping {
     /// As they are, unless too many are held at a time, and groups of them would be fewer.
@@ -225,13 +225,13 @@ impl Grouping {
             Self::Never => Self::Never,
             Self::Level(level) => Self::Level(level.min(MAX_LEVEL)),
             Self::Automatic => {
-                let samples =
-                    most_open(&grid.records, |r| r.count.saturating_mul(size_of::<Sample>() as u64));
+                let vertices =
+                    most_open(&grid.records, |r| r.count.saturating_mul(size_of::<Vertex>() as u64));
                 level(grid, frame, target).map_or(Self::Never, |level| {
                     // A surface meets about twice as many little cubes as its area has.
                     let cubes = 2 << (2 * level);
                     let groups = most_open(&grid.records, |r| r.count.min(cubes) * GROUP_BYTES);
-                    let helps = samples > SAMPLES_AT_EASE && 2 * groups < samples;
+                    let helps = vertices > VERTICES_AT_EASE && 2 * groups < vertices;
                     if helps { Self::Level(level) } else { Self::Never }
                 })
             }
@@ -257,7 +257,7 @@ fn level(grid: &Grid, frame: &Frame, target: Target) -> Option<u32> {
             (level <= MAX_LEVEL).then_some(level)
         }
         Target::Error(e) => {
-            // The error of a cube's samples is about its edge at most, so that no group breaks the bound.
+            // The error of a cube's vertices is about its edge at most, so that no group breaks the bound.
             let edge = 0.5 * e * grid.bounds.diagonal();
             let level = (grid.cell_size() / edge).log2().ceil().max(0.0);
             (edge / frame.scale > 0.0 && level <= f64::from(MAX_LEVEL)).then_some(level as u32)
@@ -265,7 +265,7 @@ fn level(grid: &Grid, frame: &Frame, target: Target) -> Option<u32> {
     }
 }
 
-/// Most of something that open cells hold at a time; a cell is open from its first sample to its last one.
+/// Most of something that open cells hold at a time; a cell is open from its first vertex to its last one.
 fn most_open(records: &[CellRecord], size: impl Fn(&CellRecord) -> u64) -> u64 {
     let mut events: Vec<(u64, bool, u32)> = Vec::with_capacity(2 * records.len());
     for (i, r) in records.iter().enumerate() {
@@ -291,9 +291,9 @@ mod tests {
     use super::*;
     use crate::sampling::cluster::Moments;
 
-    fn gathered<G: Gather>(gather: &mut G, samples: &[(u32, Vec3, Vec3)]) -> Vec<(Vec<u32>, Vec<G::Item>)> {
+    fn gathered<G: Gather>(gather: &mut G, vertices: &[(u32, Vec3, Vec3)]) -> Vec<(Vec<u32>, Vec<G::Item>)> {
         let mut indices = vec![Vec::new(); 3];
-        for (cell, p, n) in samples {
+        for (cell, p, n) in vertices {
             let index = gather.add(*cell, *p, *n).expect("no file is written").expect("room");
             indices[*cell as usize].push(index);
         }
@@ -311,7 +311,7 @@ mod tests {
     }
 
     /// Two sheets with opposite normals, a thousandth apart, in three cells that take turns.
-    fn samples() -> Vec<(u32, Vec3, Vec3)> {
+    fn vertices() -> Vec<(u32, Vec3, Vec3)> {
         let one = |i: u32| {
             let (a, b) = ((i * 7919 % 1000) as f32 / 1000.0, (i.wrapping_mul(104_729) % 997) as f32 / 997.0);
             let up = i.is_multiple_of(2);
@@ -322,12 +322,12 @@ mod tests {
     }
 
     #[test]
-    fn groups_add_up_to_the_samples_of_their_cell() {
-        let samples = samples();
+    fn groups_add_up_to_the_vertices_of_their_cell() {
+        let vertices = vertices();
         let edge = 1.0 / 32.0;
-        let groups = gathered(&mut Groups::new(3, edge, 1 << 30), &samples);
+        let groups = gathered(&mut Groups::new(3, edge, 1 << 30), &vertices);
         for (cell, (indices, groups)) in groups.iter().enumerate() {
-            let own: Vec<_> = samples.iter().filter(|(c, ..)| *c as usize == cell).collect();
+            let own: Vec<_> = vertices.iter().filter(|(c, ..)| *c as usize == cell).collect();
             assert!(groups.len() <= 2 * 33 * 33, "{} groups", groups.len());
             assert!(groups.iter().enumerate().all(|(i, g)| g.index() as usize == i));
             for ((_, p, n), i) in own.iter().zip(indices) {
@@ -337,7 +337,7 @@ mod tests {
             }
             let all: Vec<_> = own
                 .iter()
-                .map(|(_, position, normal)| Sample { position: *position, normal: *normal, index: 0 })
+                .map(|(_, position, normal)| Vertex { position: *position, normal: *normal, index: 0 })
                 .collect();
             let (a, b) = (Moments::of(&all), Moments::of(groups));
             assert!(a.mean().distance(b.mean()) < 1e-6 && (a.spread() - b.spread()).abs() < 1e-6);
@@ -347,7 +347,7 @@ mod tests {
     #[test]
     fn groups_that_find_no_room_say_so() {
         let mut groups = Groups::new(3, 1.0 / 512.0, 0);
-        let added = samples().into_iter().map(|(cell, p, n)| groups.add(cell, p, n).expect("no file"));
+        let added = vertices().into_iter().map(|(cell, p, n)| groups.add(cell, p, n).expect("no file"));
         assert!(added.collect::<Vec<_>>().contains(&None));
     }
 

@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::lattice::CellKey;
+use super::grid::CellKey;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
 use crate::{Error, ErrorKind, Result};
 

@@ -177,18 +177,18 @@ fn two_heaps(heights: &[f32]) -> Option<(f32, f64, f64)> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::cluster::Sample;
+    use super::super::cluster::Vertex;
     use super::*;
     use proptest::prelude::*;
 
     /// Points of a sheet that bends, so far above it.
-    fn sheet(count: u32, bend: f32, height: impl Fn(u32) -> f32, normal: bool) -> Vec<Sample> {
+    fn sheet(count: u32, bend: f32, height: impl Fn(u32) -> f32, normal: bool) -> Vec<Vertex> {
         (0..count)
             .map(|i| {
                 let (u, v) = (0.5 * noise(!i), i as f32 / count as f32 - 0.5);
                 let n = Vec3::new(-2.0 * bend * u, -2.0 * bend * v, 1.0).normalize_or(Vec3::Z);
                 let p = Vec3::new(u, v, bend * (u * u + v * v)) + n * height(i);
-                Sample {
+                Vertex {
                     position: p + Vec3::splat(0.3),
                     normal: if normal { n } else { Vec3::ZERO },
                     index: i,
@@ -202,8 +202,8 @@ mod tests {
         (mix(5, u64::from(i)) >> 40) as f32 / (1 << 23) as f32 - 1.0
     }
 
-    fn layers(samples: &[Sample]) -> Option<Layers> {
-        Layers::of(samples, &Moments::of(samples), 3)
+    fn layers(vertices: &[Vertex]) -> Option<Layers> {
+        Layers::of(vertices, &Moments::of(vertices), 3)
     }
 
     proptest! {
@@ -214,12 +214,12 @@ mod tests {
             // Layers of points that are this far from each other.
             let gap = (gap * 1.1 * (10.0 / count as f32 / share.min(10 - share) as f32).sqrt()).min(0.25);
             let is_upper = |i: u32| i * 7 % 10 < share;
-            let samples = sheet(count, bend, |i| if is_upper(i) { gap } else { 0.0 } + rough * gap * noise(i), normal);
-            if let Some(found) = layers(&samples) {
-                let is_right = |s: &&Sample| found.is_upper(*s) == (is_upper(s.index) == (found.axes[2].z > 0.0));
-                let wrong = samples.len() - samples.iter().filter(is_right).count();
+            let vertices = sheet(count, bend, |i| if is_upper(i) { gap } else { 0.0 } + rough * gap * noise(i), normal);
+            if let Some(found) = layers(&vertices) {
+                let is_right = |s: &&Vertex| found.is_upper(*s) == (is_upper(s.index) == (found.axes[2].z > 0.0));
+                let wrong = vertices.len() - vertices.iter().filter(is_right).count();
                 // Near the corners a sheet that bends is no quadratic surface.
-                prop_assert!(wrong * 50 <= samples.len(), "{wrong} of {count}");
+                prop_assert!(wrong * 50 <= vertices.len(), "{wrong} of {count}");
             } else {
                 // Where they bend by as much as they are apart, their parts will tell.
                 prop_assert!(bend.abs() > 0.2 || gap < 0.04, "{gap} of {count}");
@@ -232,17 +232,17 @@ mod tests {
         ) {
             let is_upper = |i: u32| i * 7 % 10 < share;
             let gap = gap.max(1.76 * (10.0 / count as f32 / share.min(10 - share) as f32).sqrt());
-            let samples = sheet(count, 0.0, |i| if is_upper(i) { gap } else { 0.0 } + rough * gap * noise(i), normal);
-            let found = layers(&samples).unwrap();
-            for s in &samples {
+            let vertices = sheet(count, 0.0, |i| if is_upper(i) { gap } else { 0.0 } + rough * gap * noise(i), normal);
+            let found = layers(&vertices).unwrap();
+            for s in &vertices {
                 prop_assert_eq!(found.is_upper(s), is_upper(s.index) == (found.axes[2].z > 0.0), "{}", s.index);
             }
         }
 
         #[test]
         fn one_sheet_is_one(count in 24u32..3000, bend in -0.7..0.7f32, normal: bool, rough in 0.0..0.5f32) {
-            let samples = sheet(count, bend, |i| rough * noise(i), normal);
-            prop_assert!(layers(&samples).is_none());
+            let vertices = sheet(count, bend, |i| rough * noise(i), normal);
+            prop_assert!(layers(&vertices).is_none());
         }
     }
 
@@ -260,20 +260,20 @@ mod tests {
     fn heights_in_steps_are_no_layers() {
         // As scanners round them: steps that are smaller than the distance of the points.
         for normal in [false, true] {
-            let samples = sheet(400, 0.0, |i| (0.02 * noise(i) / 0.02).round() * 0.02, normal);
-            assert!(layers(&samples).is_none());
+            let vertices = sheet(400, 0.0, |i| (0.02 * noise(i) / 0.02).round() * 0.02, normal);
+            assert!(layers(&vertices).is_none());
         }
     }
 
     #[test]
     fn nothing_odd_comes_of_odd_clusters() {
-        let same = vec![Sample { position: Vec3::ONE, normal: Vec3::Z, index: 0 }; 100];
+        let same = vec![Vertex { position: Vec3::ONE, normal: Vec3::Z, index: 0 }; 100];
         assert!(layers(&same).is_none());
-        let line: Vec<Sample> =
-            (0..100).map(|i| Sample { position: Vec3::X * i as f32, normal: Vec3::ZERO, index: i }).collect();
+        let line: Vec<Vertex> =
+            (0..100).map(|i| Vertex { position: Vec3::X * i as f32, normal: Vec3::ZERO, index: i }).collect();
         assert!(layers(&line).is_none());
-        let two: Vec<Sample> = (0..100)
-            .map(|i| Sample { position: Vec3::Z * (i % 2) as f32, normal: Vec3::Z, index: i })
+        let two: Vec<Vertex> = (0..100)
+            .map(|i| Vertex { position: Vec3::Z * (i % 2) as f32, normal: Vec3::Z, index: i })
             .collect();
         assert!(layers(&two).is_none());
     }

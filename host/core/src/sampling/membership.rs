@@ -14,7 +14,7 @@ use glam::Vec3;
 use memmap2::{Mmap, MmapMut};
 use rayon::prelude::*;
 
-use super::lattice::Grid;
+use super::grid::Grid;
 use crate::output::check_space;
 use crate::scratch::Scratch;
 use crate::{Error, Progress, Result};

@@ -1,6 +1,6 @@
 //! Sampling: P_L is streamed twice and leaves the small point set P_S (paper §4).
 //!
-//! Pass 1 ([`lattice`]) counts samples per cell of a coarse grid. Pass 2 (`finalization`) puts each sample in
+//! Pass 1 ([`grid`]) counts vertices per cell of a coarse grid. Pass 2 (`finalization`) puts each vertex in
 //! its cell and clusters a cell ([`vs_tree`], [`cluster`]) once it is complete. A cut through all trees
 //! (`cut`) gives the samples, which [`SampleSet`] completes with neighbours, spacing and normals.
 
@@ -10,9 +10,9 @@ pub(crate) mod density;
 mod face_ranges;
 pub(crate) mod finalization;
 pub(crate) mod gather;
+pub mod grid;
 pub(crate) mod kd_tree;
 pub mod kept_cells;
-pub mod lattice;
 mod layers;
 mod membership;
 pub(crate) mod normals;
@@ -46,9 +46,9 @@ use crate::{Error, ErrorKind, Progress, Result};
 use density::Rule;
 use face_ranges::FaceRanges;
 use finalization::{Clustered, Pass};
-use gather::{Groups, Samples};
+use gather::{Groups, Vertices};
+use grid::{CellKey, CellRecord, Grid, GridCounter};
 use kept_cells::{KeptCell, KeptCells};
-use lattice::{CellKey, CellRecord, Grid, Lattice};
 use membership::Membership;
 use placement::Planes;
 use triangles::{Triangles, Wanted};
@@ -139,7 +139,7 @@ impl Sampling {
     /// What is left of the memory limit for the samples of open cells, after all else.
     fn memory_for_cells(&self, grid: &Grid) -> u64 {
         let largest = grid.records.iter().map(|r| r.count).max().unwrap_or(0);
-        let largest = largest.saturating_mul(size_of::<cluster::Sample>() as u64);
+        let largest = largest.saturating_mul(size_of::<cluster::Vertex>() as u64);
         let taken = (LEAST_MEMORY - LEAST_FOR_CELLS)
             .saturating_add(self.memory_for_clusters())
             .saturating_add(512 * grid.keys.len() as u64)
@@ -253,7 +253,7 @@ pub fn sample(
         let (Clustered { forest, hash, ranges, membership }, grouping) = match in_groups {
             Some(clustered) => (clustered, grouping),
             // Those that find no room in memory do so in a file.
-            None => match pass.run(Samples::new(cells, memory, folder))? {
+            None => match pass.run(Vertices::new(cells, memory, folder))? {
                 Some(clustered) => (clustered, Grouping::Never),
                 None => unreachable!("samples always find room, or an error says why not"),
             },
@@ -527,9 +527,9 @@ fn count_cells(model: &dyn Model, resolution: u32, progress: &dyn Progress) -> R
         .into_par_iter()
         .map(|i| count_range(model, i * part..(i + 1) * part, resolution, progress))
         .collect();
-    let (mut lattice, mut non_finite) = (Lattice::new(resolution), NonFinite::default());
+    let (mut counter, mut non_finite) = (GridCounter::new(resolution), NonFinite::default());
     for (cells, others) in counted? {
-        lattice.absorb(cells);
+        counter.absorb(cells);
         non_finite.absorb(others);
     }
     if non_finite.count == info.vertices {
@@ -539,7 +539,7 @@ fn count_cells(model: &dyn Model, resolution: u32, progress: &dyn Progress) -> R
             "check how the file was written: all of its positions hold NaN or infinity",
         ));
     }
-    Ok((lattice.finish(), non_finite))
+    Ok((counter.finish(), non_finite))
 }
 
 fn count_range(
@@ -547,8 +547,8 @@ fn count_range(
     range: Range<u64>,
     resolution: u32,
     progress: &dyn Progress,
-) -> Result<(Lattice, NonFinite)> {
-    let mut lattice = Lattice::new(resolution);
+) -> Result<(GridCounter, NonFinite)> {
+    let mut counter = GridCounter::new(resolution);
     let mut non_finite = NonFinite::default();
     let mut reader = model.vertices(range)?;
     reader.set_chunk(SMALL_CHUNK);
@@ -557,7 +557,7 @@ fn count_range(
         progress.check()?;
         for (index, p) in (chunk.first..).zip(&chunk.positions) {
             if p.is_finite() {
-                lattice.add(*p, index);
+                counter.add(*p, index);
             } else {
                 non_finite.count += 1;
                 non_finite.first.get_or_insert(index);
@@ -565,5 +565,5 @@ fn count_range(
         }
         progress.advance(chunk.raw().len() as u64);
     }
-    Ok((lattice, non_finite))
+    Ok((counter, non_finite))
 }

@@ -12,7 +12,7 @@ use bytemuck::Pod;
 use crate::Result;
 use crate::scratch::Scratch;
 
-/// Items (samples, or groups of them) in a block of memory: a cell's last block is half empty in the mean.
+/// Items (vertices, or groups of them) in a block of memory: a cell's last block is half empty in the mean.
 const BLOCK: usize = 32;
 
 /// Blocks that memory is taken in.
@@ -179,7 +179,7 @@ impl<T: Pod> OpenCells<T> {
     pub fn take(&mut self, cell: u32) -> CellItems<T> {
         let cell = &mut self.cells[cell as usize];
         let mut held = Vec::with_capacity(cell.held as usize);
-        self.pool.drain(cell, |samples| held.extend_from_slice(samples));
+        self.pool.drain(cell, |vertices| held.extend_from_slice(vertices));
         cell.held = 0;
         let piece = std::mem::replace(&mut cell.piece, NO_PIECE);
         let file = self.spill.file.clone().filter(|_| piece != NO_PIECE);
@@ -319,7 +319,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_cell_gets_its_samples_back_in_their_order(
+        fn every_cell_gets_its_vertices_back_in_their_order(
             cells in proptest::collection::vec(0u32..40, 1..30_000), part in 1usize..500, blocks in 0u64..600,
         ) {
             let folder = tempfile::tempdir().expect("a folder");
@@ -334,8 +334,8 @@ mod tests {
             prop_assert!(open.pool.next.len() <= limit);
             for c in 0..40 {
                 let mut found = Vec::new();
-                let samples = open.take(c);
-                samples
+                let vertices = open.take(c);
+                vertices
                     .in_parts(part, |s| {
                         assert!(s.len() <= part);
                         found.extend(s.iter().map(|s| s[0] as usize));

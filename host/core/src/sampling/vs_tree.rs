@@ -128,7 +128,7 @@ impl VsTree {
         (Self { nodes: nodes.clone(), built }, moments)
     }
 
-    /// One tree of two over disjoint sets of samples, below a cluster with the moments of both.
+    /// One tree of two over disjoint sets of vertices, below a cluster with the moments of both.
     pub fn join(first: Self, second: Self, both: &Moments) -> Self {
         let key = |tree: &Self| tree.nodes.first().map_or(0.0, |root| root.key);
         let (position, normal, error) = both.representative();
@@ -396,7 +396,7 @@ impl<F: FnMut(&Moments, f32, u32) -> bool> Builder<'_, F> {
     }
 }
 
-/// How the samples of a cluster lie.
+/// How the vertices of a cluster lie.
 enum Shape {
     /// They project on the plane of these vectors without folding.
     Sheet([Vec3; 2]),
@@ -407,7 +407,7 @@ enum Shape {
 }
 
 /// The transition predicate of the VS-Tree: normals within a cone, or without normals a strict flatness test.
-fn examine<E: Element>(samples: &[E], m: &Moments) -> Shape {
+fn examine<E: Element>(vertices: &[E], m: &Moments) -> Shape {
     let normal = m.mean_normal();
     let covariance = m.covariance();
     if !m.has_normals() {
@@ -419,7 +419,7 @@ fn examine<E: Element>(samples: &[E], m: &Moments) -> Shape {
         };
     }
     // A few vertices without a normal do not hide the sheets that the others show.
-    let known = || samples.iter().map(E::normal).filter(|n| *n != Vec3::ZERO);
+    let known = || vertices.iter().map(E::normal).filter(|n| *n != Vec3::ZERO);
     let n = normal.as_vec3();
     if normal != DVec3::ZERO && known().all(|s| s.dot(n) > FOLD_COSINE) {
         return Shape::Sheet(principal_tangents(covariance, normal));
@@ -485,16 +485,16 @@ pub(crate) fn mix(seed: u64, x: u64) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::cluster::Sample;
+    use super::super::cluster::Vertex;
     use super::*;
     use proptest::prelude::*;
 
-    fn sample(position: Vec3, normal: Vec3) -> Sample {
-        Sample { position, normal, index: 0 }
+    fn vertex(position: Vec3, normal: Vec3) -> Vertex {
+        Vertex { position, normal, index: 0 }
     }
 
-    fn full(samples: &[Sample]) -> VsTree {
-        let mut elements = samples.to_vec();
+    fn full(vertices: &[Vertex]) -> VsTree {
+        let mut elements = vertices.to_vec();
         (0..).zip(&mut elements).for_each(|(i, e)| e.index = i);
         let mut workspace = Workspace::default();
         let (tree, _) = VsTree::build(&mut elements, &mut workspace, Splitting::VolumeSurface, 0.0, 7);
@@ -502,8 +502,8 @@ mod tests {
         assert_eq!(tree.leaves(), tree.built() as usize);
         let mut found = Vec::new();
         tree.cut(0.0, |node| found.push(node.position));
-        for (s, leaf) in samples.iter().zip(&workspace.leaves) {
-            // Samples in one leaf are the same point, or nearly.
+        for (s, leaf) in vertices.iter().zip(&workspace.leaves) {
+            // Vertices in one leaf are the same point, or nearly.
             assert!(found[*leaf as usize].distance(s.position) < 1e-20);
         }
         tree
@@ -515,38 +515,38 @@ mod tests {
         nodes
     }
 
-    fn any_samples() -> impl Strategy<Value = Vec<Sample>> {
+    fn any_vertices() -> impl Strategy<Value = Vec<Vertex>> {
         let x = || prop_oneof![-1.0..1.0f32, (-2..2i32).prop_map(|x| x as f32)];
         let normal = prop_oneof![
             Just(Vec3::ZERO),
             Just(Vec3::X),
             (x(), x(), x()).prop_map(|(x, y, z)| Vec3::new(x, y, z).normalize_or_zero()),
         ];
-        let one = ((x(), x(), x()), normal).prop_map(|((x, y, z), n)| sample(Vec3::new(x, y, z), n));
+        let one = ((x(), x(), x()), normal).prop_map(|((x, y, z), n)| vertex(Vec3::new(x, y, z), n));
         proptest::collection::vec(one, 1..150)
     }
 
     proptest! {
         #[test]
-        fn a_full_tree_has_a_leaf_for_each_distinct_sample(samples in any_samples()) {
-            let tree = full(&samples);
-            let mut distinct: Vec<_> = samples.iter().map(|s| s.position.to_array().map(|x| (x + 0.0).to_bits())).collect();
+        fn a_full_tree_has_a_leaf_for_each_distinct_vertex(vertices in any_vertices()) {
+            let tree = full(&vertices);
+            let mut distinct: Vec<_> = vertices.iter().map(|s| s.position.to_array().map(|x| (x + 0.0).to_bits())).collect();
             distinct.sort_unstable();
             distinct.dedup();
-            // Coincident samples with opposite normals are two.
+            // Coincident vertices with opposite normals are two.
             prop_assert!(tree.leaves() >= distinct.len());
-            for s in &samples {
+            for s in &vertices {
                 let nearest = clusters(&tree, 0.0).iter().map(|c| c.position.distance(s.position)).fold(f32::MAX, f32::min);
                 prop_assert_eq!(nearest, 0.0);
             }
         }
 
         #[test]
-        fn representatives_stay_inside_and_cuts_nest(samples in any_samples(), t in 0.0..0.5f32, u in 0.0..0.5f32) {
-            let tree = full(&samples);
+        fn representatives_stay_inside_and_cuts_nest(vertices in any_vertices(), t in 0.0..0.5f32, u in 0.0..0.5f32) {
+            let tree = full(&vertices);
             let (low, high) = (t.min(u), t.max(u));
             prop_assert!(clusters(&tree, low).len() >= clusters(&tree, high).len());
-            let m = Moments::of(&samples);
+            let m = Moments::of(&vertices);
             let (min, max) = (m.min, m.max);
             for node in &tree.nodes {
                 prop_assert!(node.position.cmpge(min).all() && node.position.cmple(max).all());
@@ -560,8 +560,8 @@ mod tests {
         }
 
         #[test]
-        fn splits_count_what_a_cut_adds(samples in any_samples(), threshold in 0.0..0.5f32) {
-            let tree = full(&samples);
+        fn splits_count_what_a_cut_adds(vertices in any_vertices(), threshold in 0.0..0.5f32) {
+            let tree = full(&vertices);
             let added: u32 = tree.splits().filter(|(key, _)| *key > threshold).map(|(_, n)| n).sum();
             prop_assert_eq!(1 + added as usize, clusters(&tree, threshold).len());
         }
@@ -569,10 +569,10 @@ mod tests {
 
     #[test]
     fn a_joined_tree_cuts_as_both() {
-        let set = |z: f32| -> Vec<Sample> {
+        let set = |z: f32| -> Vec<Vertex> {
             (0..400)
                 .map(|i| {
-                    sample(Vec3::new((i % 20) as f32, (i as f32 * 0.7).sin(), z + (i / 20) as f32), Vec3::Y)
+                    vertex(Vec3::new((i % 20) as f32, (i as f32 * 0.7).sin(), z + (i / 20) as f32), Vec3::Y)
                 })
                 .collect()
         };
@@ -594,7 +594,7 @@ mod tests {
     #[test]
     fn opposite_sides_of_a_thin_plate_are_never_merged() {
         let side = |y: f32, n: Vec3| {
-            (0..400).map(move |i| sample(Vec3::new((i % 20) as f32, y, (i / 20) as f32) / 20.0, n))
+            (0..400).map(move |i| vertex(Vec3::new((i % 20) as f32, y, (i / 20) as f32) / 20.0, n))
         };
         let plate: Vec<_> = side(0.0, -Vec3::Y).chain(side(0.001, Vec3::Y)).collect();
         let tree = full(&plate);
@@ -608,8 +608,8 @@ mod tests {
     #[test]
     fn a_vertex_without_a_normal_does_not_merge_sheets() {
         let side = |y: f32| (0..400).map(move |i| Vec3::new((i % 20) as f32, y, (i / 20) as f32) / 20.0);
-        let mut plate: Vec<_> = side(0.0).map(|p| sample(p, -Vec3::Y)).collect();
-        plate.extend(side(0.001).map(|p| sample(p, Vec3::Y)));
+        let mut plate: Vec<_> = side(0.0).map(|p| vertex(p, -Vec3::Y)).collect();
+        plate.extend(side(0.001).map(|p| vertex(p, Vec3::Y)));
         plate[123].normal = Vec3::ZERO;
         let full = full(&plate);
         assert!(full.nodes[1..].iter().all(|n| n.normal.y.abs() > 0.99 || n.normal == Vec3::ZERO));
@@ -620,24 +620,24 @@ mod tests {
         // Tilted: an octree would cut it into slivers along the axes.
         let n = Vec3::new(0.4, 0.7, 0.3).normalize_or(Vec3::Y);
         let (u, v) = n.any_orthonormal_pair();
-        let patch: Vec<_> = (0..1024).map(|i| sample(u * (i % 32) as f32 + v * (i / 32) as f32, n)).collect();
+        let patch: Vec<_> = (0..1024).map(|i| vertex(u * (i % 32) as f32 + v * (i / 32) as f32, n)).collect();
         let tree = full(&patch);
         let (_, added) = tree.splits().next().expect("a split");
         assert_eq!(added, 3, "one for four");
         assert_eq!(tree.leaves(), 1024);
-        // 1 + 4 + 16 + … + 1024 = 1365 clusters if each split is in four; small ones of 2 × 3 samples are
+        // 1 + 4 + 16 + … + 1024 = 1365 clusters if each split is in four; small ones of 2 × 3 vertices are
         // not.
         assert!(tree.nodes.len() < 2000, "{} clusters", tree.nodes.len());
     }
 
     #[test]
-    fn coincident_and_collinear_samples_end() {
-        assert_eq!(full(&[sample(Vec3::ONE, Vec3::X); 100]).nodes.len(), 1);
-        let line: Vec<_> = (0..100).map(|i| sample(Vec3::X * i as f32, Vec3::Y)).collect();
+    fn coincident_and_collinear_vertices_end() {
+        assert_eq!(full(&[vertex(Vec3::ONE, Vec3::X); 100]).nodes.len(), 1);
+        let line: Vec<_> = (0..100).map(|i| vertex(Vec3::X * i as f32, Vec3::Y)).collect();
         assert_eq!(full(&line).leaves(), 100);
-        let across: Vec<_> = (0..100).map(|i| sample(Vec3::Y * i as f32, Vec3::Y)).collect();
+        let across: Vec<_> = (0..100).map(|i| vertex(Vec3::Y * i as f32, Vec3::Y)).collect();
         assert_eq!(full(&across).leaves(), 100);
-        let halving: Vec<_> = (0..140).map(|i| sample(Vec3::X * 0.5f32.powi(i), Vec3::ZERO)).collect();
+        let halving: Vec<_> = (0..140).map(|i| vertex(Vec3::X * 0.5f32.powi(i), Vec3::ZERO)).collect();
         assert!(full(&halving).leaves() > 90);
     }
 }

@@ -14,7 +14,7 @@ use super::sorter::{Sorter, entry, hash_of};
 use crate::frame::Frame;
 use crate::model::{Model, SMALL_CHUNK, VertexChunk};
 use crate::refinement::gathering::joined;
-use crate::sampling::cluster::{Moments, Sample};
+use crate::sampling::cluster::{Moments, Vertex};
 use crate::sampling::finalization::unit;
 use crate::sampling::kept_cells::CutTree;
 use crate::{Progress, Result};
@@ -165,8 +165,8 @@ impl Parting<'_> {
             }
             let island = graph.number(cluster, islands.first(vertex));
             if let Some((i, j)) = island.and_then(|island| place_of.get(&island)) {
-                let sample = Sample { position: self.frame.to_local(p), normal, index: 0 };
-                found[*i].1[*j].moments.add(&Moments::of(&[sample]));
+                let vertex = Vertex { position: self.frame.to_local(p), normal, index: 0 };
+                found[*i].1[*j].moments.add(&Moments::of(&[vertex]));
             }
             Ok(())
         })?;

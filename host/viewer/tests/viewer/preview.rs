@@ -6,7 +6,7 @@ use simod_core::ErrorKind;
 use simod_core::detail::Batch;
 use simod_core::generate::Shape;
 use simod_core::model::{self, for_vertices};
-use simod_core::sampling::lattice::{CellMap, key_at};
+use simod_core::sampling::grid::{CellMap, key_at};
 use simod_plugin_api::Effort;
 use simod_session::Motion;
 use simod_session::edit::{self, Change};

@@ -1,4 +1,4 @@
-//! Pass 1: samples are counted per cell of the coarse grid G (paper §4), whose bounds need not be known.
+//! Pass 1: vertices are counted per cell of the coarse grid G (paper §4), whose bounds need not be known.
 //!
 //! The cells are those of a sparse lattice of power-of-two size anchored at the model's zero. It starts as
 //! fine as the coordinates' own precision and its cells are merged two by two whenever the extent outgrows
@@ -18,11 +18,11 @@ pub type CellKey = [i64; 3];
 /// What pass 1 keeps of a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CellRecord {
-    /// Number of samples in the cell.
+    /// Number of vertices in the cell.
     pub count: u64,
-    /// Index in the stream of its first sample.
+    /// Index in the stream of its first vertex.
     pub first: u64,
-    /// Index in the stream of its last sample.
+    /// Index in the stream of its last vertex.
     pub last: u64,
 }
 
@@ -63,21 +63,21 @@ pub type CellMap<T> = HashMap<CellKey, T, BuildHasherDefault<CellHasher>>;
 ///
 /// Memory: one record per occupied cell. A surface meets about 3R² of R³ cells; space-filling points could
 /// meet all of them, and then R has to be chosen lower.
-pub struct Lattice {
+pub struct GridCounter {
     resolution: i64,
     /// log₂ of the cell size.
     level: i32,
     cells: CellMap<CellRecord>,
     key_min: CellKey,
     key_max: CellKey,
-    /// The cell of the last sample: streams are coherent, so the map is seldom asked.
+    /// The cell of the last vertex: streams are coherent, so the map is seldom asked.
     current: Option<(CellKey, CellRecord)>,
-    /// What is surely inside that cell and the bounds: most samples are, and need no further look.
+    /// What is surely inside that cell and the bounds: most vertices are, and need no further look.
     inside: Bounds,
     bounds: Bounds,
 }
 
-impl Lattice {
+impl GridCounter {
     /// An empty grid of at most `resolution` cells along each axis (two at the least: cells on both sides of
     /// zero never merge).
     pub fn new(resolution: u32) -> Self {
@@ -93,7 +93,7 @@ impl Lattice {
         }
     }
 
-    /// Counts the sample of the given index in the stream. Its position must be finite.
+    /// Counts the vertex of the given index in the stream. Its position must be finite.
     #[inline]
     pub fn add(&mut self, p: DVec3, index: u64) {
         if let Some((_, record)) = &mut self.current
@@ -111,7 +111,7 @@ impl Lattice {
         }
     }
 
-    /// Counts a sample that may lie in another cell than the last, or outside the bounds so far.
+    /// Counts a vertex that may lie in another cell than the last, or outside the bounds so far.
     fn enter(&mut self, p: DVec3, index: u64) {
         self.bounds.include(p);
         // Keys stay below 2^53, exact in a double and far from overflow.
@@ -178,8 +178,8 @@ impl Lattice {
         self.level = level;
     }
 
-    /// Takes in what another lattice of the same resolution has counted: the result is that of one that
-    /// counted all samples.
+    /// Takes in what another counter of the same resolution has counted: the result is that of one that
+    /// counted all vertices.
     pub fn absorb(&mut self, mut other: Self) {
         other.flush();
         if other.cells.is_empty() {
@@ -204,7 +204,7 @@ impl Lattice {
     pub fn finish(mut self) -> Grid {
         self.flush();
         let mut cells: Vec<_> = self.cells.into_iter().collect();
-        // In the order in which the stream meets them; no two cells share a first sample.
+        // In the order in which the stream meets them; no two cells share a first vertex.
         cells.sort_unstable_by_key(|(_, record)| record.first);
         let index = cells.iter().enumerate().map(|(i, (key, _))| (*key, i as u32)).collect();
         let (keys, records) = cells.into_iter().unzip();
@@ -212,7 +212,7 @@ impl Lattice {
     }
 }
 
-/// The coarse grid G after pass 1: which cells are occupied, by how many samples and where in the stream.
+/// The coarse grid G after pass 1: which cells are occupied, by how many vertices and where in the stream.
 #[derive(Debug)]
 pub struct Grid {
     /// log₂ of the cell size.
@@ -294,9 +294,9 @@ mod tests {
     use proptest::prelude::*;
 
     fn grid(points: &[DVec3], resolution: u32) -> Grid {
-        let mut lattice = Lattice::new(resolution);
-        points.iter().enumerate().for_each(|(i, &p)| lattice.add(p, i as u64));
-        lattice.finish()
+        let mut counter = GridCounter::new(resolution);
+        points.iter().enumerate().for_each(|(i, &p)| counter.add(p, i as u64));
+        counter.finish()
     }
 
     fn point() -> impl Strategy<Value = DVec3> {
@@ -306,7 +306,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_sample_is_counted_once_in_its_own_cell(
+        fn every_vertex_is_counted_once_in_its_own_cell(
             points in proptest::collection::vec(point(), 1..200), resolution in 2u32..64,
         ) {
             let g = grid(&points, resolution);
@@ -327,7 +327,7 @@ mod tests {
             points in proptest::collection::vec(point(), 0..100), cut in 0usize..100, resolution in 2u32..64,
         ) {
             let cut = cut.min(points.len());
-            let mut parts = [Lattice::new(resolution), Lattice::new(resolution), Lattice::new(resolution)];
+            let mut parts = [GridCounter::new(resolution), GridCounter::new(resolution), GridCounter::new(resolution)];
             for (i, p) in points.iter().enumerate() {
                 parts[usize::from(i >= cut)].add(*p, i as u64);
             }
