@@ -5,7 +5,7 @@
 //! expansions around it takes it. The first-order case is the form of embedded deformation (R. Sumner, J.
 //! Schmid, M. Pauly, *Embedded Deformation for Shape Manipulation*, 2007).
 //!
-//! The fit is of what the affine maps of [`local_frames`](super::local_frames) leave over, with a small ridge
+//! The fit is of what the affine maps of [`gradients`](super::gradients) leave over, with a small ridge
 //! towards nothing: where the neighbours do not tell, as across a flat neighbourhood, those maps stand. They
 //! reproduce similarities exactly, and so does this.
 
@@ -13,7 +13,7 @@ use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::expansion::Expansion;
-use super::local_frames::{LocalFrames, ROUNDING};
+use super::gradients::{Gradients, ROUNDING};
 use super::sheets::Sheets;
 use crate::geometry::{hermite, solve_positive_definite};
 use crate::sampling::SampleSet;
@@ -92,9 +92,9 @@ pub struct Doubt {
 }
 
 /// Expands the deformation at all samples.
-pub fn expand(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], frames: &LocalFrames) -> Expanded {
+pub fn expand(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradients: &Gradients) -> Expanded {
     let all = || (0..samples.len()).into_par_iter();
-    let jets: Vec<Jet> = all().map(|i| fit(samples, sheets, deformed, frames.gradient[i], i)).collect();
+    let jets: Vec<Jet> = all().map(|i| fit(samples, sheets, deformed, gradients.gradient[i], i)).collect();
     let in_doubt: Vec<u32> = (0..).zip(&jets).filter(|(_, jet)| jet.doubt > 0.0).map(|(i, _)| i).collect();
     let prevailing = prevailing(samples, sheets, &jets, &in_doubt);
     let mended: Vec<(u32, Jet, Doubt)> = in_doubt

@@ -150,7 +150,7 @@ impl Workspace {
             for (n, place) in normals.iter().zip(&self.place).filter(|(_, place)| **place != NOWHERE) {
                 (0..3).for_each(|i| self.grouped.normals[i][*place as usize] = n[i]);
             }
-            let mirrored = field.frames.mirrored;
+            let mirrored = field.gradients.mirrored;
             let supports = &field.around.supports;
             let gradient = !figures.is_empty() || !normals.is_empty() && field.limiter.is_needed();
             blend(supports, &field.expansions, mirrored, gradient, &mut self.grouped);
@@ -178,7 +178,7 @@ impl Workspace {
             *image += displacement.as_dvec3() * frame.scale;
             if let Some(n) = normals.get_mut(i).filter(|n| n.is_finite()) {
                 *n = match one_by_one {
-                    Some(moved) => moved.normal(*n, field.frames.mirrored),
+                    Some(moved) => moved.normal(*n, field.gradients.mirrored),
                     None => self.normal(i),
                 };
             }

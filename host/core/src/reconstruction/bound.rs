@@ -15,8 +15,8 @@ use rayon::prelude::*;
 
 use super::blend::Supports;
 use super::expansion::Expansion;
+use super::gradients::ROUNDING;
 use super::hull::way_from_hull;
-use super::local_frames::ROUNDING;
 use super::sheets::Sheets;
 use super::{DeformationField, Transport};
 use crate::sampling::SampleSet;

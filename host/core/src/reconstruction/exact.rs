@@ -69,7 +69,7 @@ pub fn write_exact(
             }
             for (normal, moved) in edited.normals.iter_mut().zip(&moved) {
                 let transport = moved.transport(sampled.frame.scale);
-                *normal = transport.normal(*normal, field.frames.mirrored);
+                *normal = transport.normal(*normal, field.gradients.mirrored);
             }
             if let Some(file) = &mut diagnostics {
                 file.write(&edited.positions, &exact.figures(&chunk.positions, &moved))?;

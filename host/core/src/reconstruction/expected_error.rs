@@ -17,7 +17,7 @@ use serde::Serialize;
 
 use super::blend::LEAST_WEIGHT;
 use super::expansion::Expansion;
-use super::local_frames::ROUNDING;
+use super::gradients::ROUNDING;
 use super::transfer_error::Histogram;
 use super::{DeformationField, Method, Neighbourhood, blended_jets};
 use crate::frame::Frame;

@@ -2,7 +2,7 @@
 //! §5).
 //!
 //! P_S and P_S* sample an unknown map D of space. Before streaming, `sheets` finds which samples belong
-//! together, `local_frames` fits D's gradient at each, and `blended_jets` expands D about it to second order.
+//! together, `gradients` fits D's gradient at each, and `blended_jets` expands D about it to second order.
 //! While streaming, `homes` finds the sample around which a vertex lies, by its position alone; `blend`
 //! carries whole blocks of vertices over by the expansions around their homes, or `projected_barycentric`
 //! each vertex in the paper's way; `stream` does so for the whole file. `diagnostics` says what it does to
@@ -20,11 +20,11 @@ mod diagnostics;
 mod exact;
 mod expansion;
 mod expected_error;
+mod gradients;
 mod homes;
 mod hull;
 mod lanes;
 mod limiter;
-mod local_frames;
 mod neighbourhood;
 mod projected_barycentric;
 mod sheets;
@@ -55,9 +55,9 @@ pub use exact::{EVALUATIONS_WITH_GRADIENT, ExactMap, needs_gradient, write_exact
 use expansion::Expansion;
 pub use expected_error::{Beyond, ExpectedError};
 use expected_error::{Expectation, Rounding};
+use gradients::Gradients;
 use homes::Cells;
 use limiter::{Limiter, outer};
-use local_frames::LocalFrames;
 use neighbourhood::Neighbourhood;
 use sheets::Sheets;
 pub(crate) use sheets::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS};
@@ -97,7 +97,7 @@ impl Transport {
 /// The unit normals of the deformed samples: those at rest, turned as their neighbourhoods are.
 pub fn deformed_normals(samples: &SampleSet, deformed: &[Vec3]) -> Vec<Vec3> {
     samples.prepare();
-    LocalFrames::fit(samples, &Sheets::of(samples), deformed).normal
+    Gradients::fit(samples, &Sheets::of(samples), deformed).normal
 }
 
 /// How a vertex is carried over.
@@ -199,7 +199,7 @@ pub struct DeformationField<'a> {
     around: &'a Surroundings<'a>,
     deformed: &'a [Vec3],
     method: Method,
-    frames: LocalFrames,
+    gradients: Gradients,
     expansions: Vec<Expansion>,
     limiter: Limiter,
     bound: Bound,
@@ -219,8 +219,9 @@ impl<'a> DeformationField<'a> {
     pub fn new(around: &'a Surroundings<'a>, deformed: &'a [Vec3], method: Method) -> Self {
         let Surroundings { samples, sheets, supports, .. } = around;
         assert_eq!(samples.len(), deformed.len(), "P_S* corresponds to P_S one to one");
-        let frames = LocalFrames::fit(samples, sheets, deformed);
-        let Expanded { mut expansions, doubtful } = blended_jets::expand(samples, sheets, deformed, &frames);
+        let gradients = Gradients::fit(samples, sheets, deformed);
+        let Expanded { mut expansions, doubtful } =
+            blended_jets::expand(samples, sheets, deformed, &gradients);
         for (e, radius) in expansions.iter_mut().zip(&supports.radius) {
             e.inverse_square = (1.0 / (radius * radius)).min(Expansion::NO_SUPPORT);
         }
@@ -230,12 +231,12 @@ impl<'a> DeformationField<'a> {
         let limiter = Limiter::new(supports, &expansions, &doubtful);
         let bound = Bound::of(samples, sheets, supports, &expansions);
         let neighbours = |i| sheets.of_sample(i);
-        let folds = Folds::of(&expansions, &frames.tells_side, samples.normals(), neighbours);
+        let folds = Folds::of(&expansions, &gradients.tells_side, samples.normals(), neighbours);
         Self {
             around,
             deformed,
             method,
-            frames,
+            gradients,
             expansions,
             limiter,
             bound,

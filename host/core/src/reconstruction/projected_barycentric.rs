@@ -39,7 +39,7 @@ fn over_triangle(field: &DeformationField, around: &Neighbourhood, p: Vec3) -> O
     let samples = field.around.samples;
     let (rest, deformed) = (&samples.positions, field.deformed);
     let plane = average_plane(around, rest, samples.normals())?;
-    let plane_star = average_plane(around, deformed, &field.frames.normal)?;
+    let plane_star = average_plane(around, deformed, &field.gradients.normal)?;
     let d = (p - plane.center).dot(plane.normal);
     let flat = p - d * plane.normal;
 

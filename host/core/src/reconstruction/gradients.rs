@@ -32,7 +32,7 @@ pub const ROUNDING: f64 = 5e-7;
 const TELLING: f64 = 4.0;
 
 /// What the fits give.
-pub struct LocalFrames {
+pub struct Gradients {
     /// Gradient of the deformation at each sample.
     pub gradient: Vec<Mat3>,
     /// Unit normal of the deformed surface at each sample.
@@ -44,7 +44,7 @@ pub struct LocalFrames {
     pub mirrored: bool,
 }
 
-impl LocalFrames {
+impl Gradients {
     /// Fits all samples.
     pub fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3]) -> Self {
         let fits: Vec<(Mat3, bool)> = (0..samples.len())
@@ -155,12 +155,12 @@ mod tests {
         let map =
             Affine3A::from_scale_rotation_translation(Vec3::splat(1.7), rotation, Vec3::new(1.0, 2.0, 3.0));
         let deformed: Vec<Vec3> = set.positions.iter().map(|p| map.transform_point3(*p)).collect();
-        let frames = LocalFrames::fit(&set, &sheets, &deformed);
+        let gradients = Gradients::fit(&set, &sheets, &deformed);
         let expected = Mat3::from_quat(rotation) * 1.7;
-        for (i, f) in frames.gradient.iter().enumerate() {
+        for (i, f) in gradients.gradient.iter().enumerate() {
             // The images are rounded to about 2e-7, and neighbours may lie as little as 1e-3 off the plane.
             assert!(f.abs_diff_eq(expected, 1e-3), "{i}: {f} is not {expected}");
-            assert!(frames.normal[i].distance(rotation * set.normals()[i]) < 1e-3);
+            assert!(gradients.normal[i].distance(rotation * set.normals()[i]) < 1e-3);
         }
     }
 
@@ -173,12 +173,12 @@ mod tests {
         let turned: Vec<Vec3> = set.positions.iter().map(|p| Vec3::new(0.0, 2.0 * p.x, 0.0)).collect();
         let collapsed = vec![Vec3::ONE; 50];
         for deformed in [turned, collapsed] {
-            for f in LocalFrames::fit(&set, &sheets, &deformed).gradient {
+            for f in Gradients::fit(&set, &sheets, &deformed).gradient {
                 assert!(f.is_finite() && f.to_cols_array().iter().all(|x| x.abs() < 4.0), "{f}");
             }
         }
         let one = SampleSet::new(vec![Vec3::ONE], Vec::new()).expect("a sample");
         one.prepare();
-        assert_eq!(LocalFrames::fit(&one, &Sheets::of(&one), &[Vec3::ZERO]).gradient[0], Mat3::IDENTITY);
+        assert_eq!(Gradients::fit(&one, &Sheets::of(&one), &[Vec3::ZERO]).gradient[0], Mat3::IDENTITY);
     }
 }
