@@ -244,10 +244,11 @@ proptest! {
 
     #[test]
     fn nothing_moves_that_the_brush_does_not_touch(
-        brush in 0..7_usize, accumulate in any::<bool>(), radius in 0.05..0.6_f64, seed in 0..1000_usize,
+        brush in 0..7_usize, accumulate in any::<bool>(), radius in 0.05..0.6_f64, seed in 0..987_usize,
     ) {
         let model = Model::sphere(3000, 0.004);
-        let path = arc(on_sphere(seed, 1000).to_array(), on_sphere((seed + 13) % 1000, 1000).to_array(), 12);
+        // Never from pole to pole, where the path would go through the sphere.
+        let path = arc(on_sphere(seed, 1000).to_array(), on_sphere(seed + 13, 1000).to_array(), 12);
         let accumulate = [f64::from(u8::from(accumulate))];
         let out = model.paint(&[Painting { radius, accumulate, ..Painting::new(BRUSHES[brush], &path) }]);
         for (p, q) in model.pairs(&out) {
