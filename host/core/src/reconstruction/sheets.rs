@@ -100,25 +100,26 @@ impl Sheets {
     ///
     /// Memory: four bytes per sample, for the time.
     fn leave_out_denied(&mut self, positions: &[Vec3]) {
+        if !self.crowded.contains(&true) {
+            return;
+        }
         let lists = &*self;
         // A bit for each neighbour.
         let denied = |i: usize| -> u32 {
-            let bits = lists
-                .of_sample(i)
-                .iter()
-                .enumerate()
-                .map(|(at, j)| u32::from(lists.denies(positions, *j as usize, i)) << at);
-            let denied: u32 = bits.sum();
-            let is_enough = lists.of_sample(i).len() >= ENOUGH + denied.count_ones() as usize;
-            if is_enough { denied } else { 0 }
+            let list = lists.of_sample(i);
+            let bit = |(at, j): (usize, &u32)| u32::from(lists.denies(positions, *j as usize, i)) << at;
+            let denied: u32 = list.iter().enumerate().map(bit).sum();
+            if list.len() >= ENOUGH + denied.count_ones() as usize { denied } else { 0 }
         };
         let denied: Vec<u32> = (0..lists.crowded.len()).into_par_iter().map(denied).collect();
         let (mut from, mut to) = (0, 0);
         for (i, denied) in denied.into_iter().enumerate() {
             let end = self.starts[i + 1] as usize;
-            for (_, entry) in (0..).zip(from..end).filter(|(at, _): &(u32, usize)| denied >> at & 1 == 0) {
-                self.neighbours[to] = self.neighbours[entry];
-                to += 1;
+            for at in 0..end - from {
+                if denied >> at & 1 == 0 {
+                    self.neighbours[to] = self.neighbours[from + at];
+                    to += 1;
+                }
             }
             self.crowded[i] |= denied != 0;
             self.starts[i + 1] = to as u32;
@@ -130,11 +131,12 @@ impl Sheets {
     /// Whether sample `j`, beside which there are several sheets, knows that sample `i` is not on its own: it
     /// is nearer than others that are.
     fn denies(&self, positions: &[Vec3], j: usize, i: usize) -> bool {
+        if !self.crowded[j] {
+            return false;
+        }
         let same = self.of_sample(j);
         let distance = |k: usize| positions[k].distance_squared(positions[j]);
-        self.crowded[j]
-            && same.last().is_some_and(|last| distance(i) < distance(*last as usize))
-            && !same.contains(&(i as u32))
+        same.last().is_some_and(|last| distance(i) < distance(*last as usize)) && !same.contains(&(i as u32))
     }
 
     /// Whether it is of so many samples: one that was read may be anything.
