@@ -1,9 +1,10 @@
 //! The gradient of the deformation at each sample, from its neighbours before and after.
 //!
 //! An affine map is fitted to the neighbours by weighted least squares. Across the plane through them it is
-//! held by a small ridge to a prior, for a flat neighbourhood tells nothing there: the plane's normal goes to
-//! the new normal, scaled by the root of the change of area, as a similarity does. Where the surface has
-//! relief, its neighbours off the plane tell more than the prior, and outweigh it.
+//! held by a ridge to a prior, for a flat neighbourhood tells nothing there, and one that rolls gently little
+//! but how the map bends, which looks like shear across the plane: the plane's normal goes to the new normal,
+//! scaled by the root of the change of area, as a similarity does. Where the surface has relief, its
+//! neighbours off the plane tell more than the prior, and outweigh it.
 
 use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
@@ -20,20 +21,21 @@ const FIT_NEIGHBOURS: usize = 16;
 const COLLINEAR: f64 = 1e-3;
 
 /// Weight of the prior for the direction across, relative to the neighbours' whole spread.
-const NORMAL_RIDGE: f64 = 1e-7;
+const PRIOR: f64 = 3e-3;
 
-/// Weight of the prior where it is nearly all that counts.
-const PRIOR: f64 = 1.0;
+/// Its weight where neighbours tell all they can, for each of their own weights: the square of what rounding
+/// makes of how far they are off the plane, for a gradient that is off by a third.
+const LEAST_PRIOR: f64 = 1e-13;
 
 /// What rounding to single precision may leave over, in local units.
 pub const ROUNDING: f64 = 5e-7;
 
-/// Relief that outweighs the prior so many times tells on which side of the surface things come to lie.
-const TELLING: f64 = 4.0;
+/// Relief of this part of the whole spread tells on which side of the surface things come to lie.
+const RELIEF: f64 = 4e-7;
 
 /// What the fits give.
 pub struct Gradients {
-    /// Gradient of the deformation at each sample.
+    /// Gradient of the deformation at each sample, held to the prior across.
     pub gradient: Vec<Mat3>,
     /// Unit normal of the deformed surface at each sample.
     pub normal: Vec<Vec3>,
@@ -47,16 +49,16 @@ pub struct Gradients {
 impl Gradients {
     /// Fits all samples.
     pub fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3]) -> Self {
-        let fits: Vec<(Mat3, bool)> = (0..samples.len())
+        let fits: Vec<(Mat3, Option<f32>)> = (0..samples.len())
             .into_par_iter()
             .map(|i| {
-                let (gradient, tells_side) = fit_one(samples, sheets, deformed, i);
-                (gradient.as_mat3(), tells_side)
+                let (gradient, side) = fit_one(samples, sheets, deformed, i);
+                (gradient.as_mat3(), side.map(|side| side as f32))
             })
             .collect();
-        let (gradient, tells_side): (Vec<Mat3>, Vec<bool>) = fits.into_iter().unzip();
-        let told = gradient.iter().zip(&tells_side).filter(|(_, told)| **told);
-        let mirrored = told.map(|(gradient, _)| gradient.determinant().signum()).sum::<f32>() < 0.0;
+        let (gradient, sides): (Vec<Mat3>, Vec<Option<f32>>) = fits.into_iter().unzip();
+        let mirrored = sides.iter().flatten().sum::<f32>() < 0.0;
+        let tells_side = sides.iter().map(Option::is_some).collect();
         let turned = |(gradient, n): (&Mat3, &Vec3)| {
             let moved = Transport { displacement: Vec3::ZERO, gradient: *gradient };
             moved.normal(*n, mirrored).normalize_or(*n)
@@ -66,15 +68,15 @@ impl Gradients {
     }
 }
 
-/// The gradient at a sample, and whether its neighbours tell the sign of the determinant.
-fn fit_one(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) -> (DMat3, bool) {
+/// The gradient at a sample, and, where its neighbours tell it, the sign of its determinant.
+fn fit_one(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) -> (DMat3, Option<f64>) {
     let (near, radius) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
     let (q, q_star) = (samples.positions[i], deformed[i]);
     if near.iter().all(|j| samples.positions[*j as usize] == deformed[*j as usize]) && q == q_star {
-        return (DMat3::IDENTITY, true);
+        return (DMat3::IDENTITY, Some(1.0));
     }
 
-    let (mut a, mut b) = (DMat3::ZERO, DMat3::ZERO);
+    let (mut a, mut b, mut weights) = (DMat3::ZERO, DMat3::ZERO, 0.0);
     for j in near {
         let j = *j as usize;
         let d = samples.positions[j] - q;
@@ -82,12 +84,13 @@ fn fit_one(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) ->
         let (d, d_star) = (d.as_dvec3(), deformed[j].as_dvec3() - q_star.as_dvec3());
         a += outer(d, d) * w;
         b += outer(d_star, d) * w;
+        weights += w;
     }
 
     let (spread, axes) = symmetric_eigen(a);
     let (across, e2, e1) = (axes.x_axis, axes.y_axis, axes.z_axis);
     if !(spread.z > 0.0 && spread.z.is_finite()) {
-        return (DMat3::IDENTITY, false);
+        return (DMat3::IDENTITY, None);
     }
     let v1 = b * e1 / spread.z;
     if spread.y > COLLINEAR * COLLINEAR * spread.z {
@@ -101,19 +104,24 @@ fn fit_one(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) ->
             let held = |ridge: f64| {
                 (b + outer(prior, across) * ridge) * (a + outer(across, across) * ridge).inverse()
             };
-            // Where the prior explains all neighbours to rounding, the little that they tell is rounding.
-            let f = held(PRIOR * whole);
-            let off = |j: &u32| {
-                let (j, q) = (*j as usize, q.as_dvec3());
-                let d_star = deformed[j].as_dvec3() - q_star.as_dvec3();
-                (f * (samples.positions[j].as_dvec3() - q) - d_star).length()
+            let explains = |f: DMat3| {
+                near.iter().all(|j| {
+                    let (j, q) = (*j as usize, q.as_dvec3());
+                    let d_star = deformed[j].as_dvec3() - q_star.as_dvec3();
+                    (f * (samples.positions[j].as_dvec3() - q) - d_star).length() < ROUNDING
+                })
             };
-            if near.iter().all(|j| off(j) < ROUNDING) {
-                return (f, spread.x > TELLING * NORMAL_RIDGE * whole);
+            let side_of = |f: DMat3| (spread.x > RELIEF * whole).then(|| f.determinant().signum());
+            // Where the prior explains all neighbours to rounding, the little that they tell is rounding;
+            // where an affine map does, nearly without the prior, they tell that it is one.
+            let by_prior = held(PRIOR * whole);
+            if explains(by_prior) {
+                return (by_prior, side_of(by_prior));
             }
-            let f = held(NORMAL_RIDGE * whole);
+            let by_neighbours = held(LEAST_PRIOR * weights);
+            let f = if explains(by_neighbours) { by_neighbours } else { by_prior };
             if f.is_finite() {
-                return (f, spread.x > TELLING * NORMAL_RIDGE * whole);
+                return (f, side_of(by_neighbours));
             }
         }
     }
@@ -122,7 +130,7 @@ fn fit_one(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) ->
         Some(v) => DMat3::from_quat(DQuat::from_rotation_arc(e1, v)) * v1.length(),
         None => DMat3::IDENTITY,
     };
-    (along, false)
+    (along, None)
 }
 
 /// a bᵀ

@@ -20,7 +20,7 @@ use crate::{Error, ErrorKind, Progress, Result};
 
 /// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on
 /// with then.
-const REVISION: u32 = 6;
+const REVISION: u32 = 7;
 
 /// What is lost at most, in bytes of the model, when the program is killed: see
 /// [`Reconstruction::part_bytes`].
