@@ -9,7 +9,7 @@
 //! towards nothing: where the neighbours do not tell, as across a flat neighbourhood, those maps stand. They
 //! reproduce similarities exactly, and so does this.
 
-use glam::{DVec3, Mat3, Vec3};
+use glam::{DMat3, DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::expansion::Expansion;
@@ -43,6 +43,9 @@ const DOUBTFUL: f64 = 0.1;
 /// … and one that leaves over more than this is not to be believed.
 const USELESS: f64 = 0.3;
 
+/// The part of the strain by which the gradient across a surface is expected to differ from its prior.
+const STRAINED: f64 = 0.5;
+
 /// The power of the ratio of costs by which an expansion is preferred to another.
 const CHOICE: i32 = 8;
 
@@ -62,6 +65,36 @@ struct Jet {
     second: [Vec3; 6],
     /// How little the fit is to be believed, from 0 to 1.
     doubt: f64,
+    /// What the prior across the surface may leave off.
+    unresolved: Unresolved,
+}
+
+/// How far an expansion is off around its sample, if the gradient across the surface is another one than the
+/// prior says: local units, for a gradient that differs by [`STRAINED`] of what the deformation strains, and by
+/// all that it varies among the neighbours.
+///
+/// The fit takes such a difference for what it can explain along the samples' surface, and leaves
+/// (A + λ W)⁻¹ λ W e of it, e across, A of the fit's squares: next to nothing where neighbours tell about
+/// the direction across, and nothing at the neighbours themselves.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Unresolved([f32; TERMS]);
+
+impl Unresolved {
+    /// Of a fit with this `matrix` of squares, to which `ridge` was added, for a gradient that is off by so much
+    /// `across`; the fit's unit of length is 1 / `scale`.
+    fn of(matrix: [[f64; TERMS]; TERMS], ridge: f64, across: DVec3, scale: f64) -> Self {
+        let mut right = [DVec3::ZERO; TERMS];
+        right.iter_mut().zip(across.to_array()).for_each(|(right, n)| right.x = ridge * n);
+        let left = solve_positive_definite(matrix, right).unwrap_or_default();
+        Self(std::array::from_fn(|a| (if a < 3 { left[a].x } else { left[a].x * scale }) as f32))
+    }
+
+    /// The length of what is left at `d` from the sample.
+    pub fn at(&self, d: Vec3) -> f32 {
+        let Vec3 { x, y, z } = d;
+        let [a, b, c, xx, xy, xz, yy, yz, zz] = self.0;
+        ((a + xx * x + xy * y + xz * z) * x + (b + yy * y + yz * z) * y + (c + zz * z) * z).abs()
+    }
 }
 
 impl Jet {
@@ -78,6 +111,8 @@ impl Jet {
 pub struct Expanded {
     /// The expansion at each sample.
     pub expansions: Vec<Expansion>,
+    /// What the gradient across the surface leaves open, at each sample.
+    pub unresolved: Vec<Unresolved>,
     /// The samples in doubt, ascending.
     pub doubtful: Vec<(u32, Doubt)>,
 }
@@ -113,7 +148,9 @@ pub fn expand(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradients
     };
     let mut expansions: Vec<Expansion> = jets.iter().enumerate().map(|(i, jet)| expansion(i, jet)).collect();
     mended.iter().for_each(|(i, jet, _)| expansions[*i as usize] = expansion(*i as usize, jet));
-    Expanded { expansions, doubtful: mended.into_iter().map(|(i, _, doubt)| (i, doubt)).collect() }
+    let unresolved = jets.iter().map(|jet| jet.unresolved).collect();
+    let doubtful = mended.into_iter().map(|(i, _, doubt)| (i, doubt)).collect();
+    Expanded { expansions, unresolved, doubtful }
 }
 
 /// The gradient around each sample in doubt: that of its neighbours which are in none, or in their turn of
@@ -196,7 +233,8 @@ impl Jet {
 fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, i: usize) -> Jet {
     let (near, radius) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
     let (q, q_star) = (samples.positions[i], deformed[i]);
-    let affine = Jet { slope: gradient, second: [Vec3::ZERO; 6], doubt: 0.0 };
+    let affine =
+        Jet { slope: gradient, second: [Vec3::ZERO; 6], doubt: 0.0, unresolved: Unresolved::default() };
     let scale = 1.0 / f64::from(radius);
     if !scale.is_finite() {
         return affine;
@@ -228,12 +266,13 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
     if largest < ROUNDING {
         return affine;
     }
-    let ridged = |ridge: f64| {
+    let with_ridge = |ridge: f64| {
         let mut matrix = matrix;
-        for (a, row) in matrix.iter_mut().enumerate() {
-            row[a] += ridge * weights;
-        }
-        let c = solve_positive_definite(matrix, right)?;
+        matrix.iter_mut().enumerate().for_each(|(a, row)| row[a] += ridge * weights);
+        matrix
+    };
+    let ridged = |ridge: f64| {
+        let c = solve_positive_definite(with_ridge(ridge), right)?;
         // For the least squares c, what is left over is Σ w|r|² − c·b, up to the ridge.
         let explained: f64 = c.iter().zip(&right).map(|(c, b)| c.dot(*b)).sum();
         Some((c, (1.0 - explained / squares).max(0.0)))
@@ -253,5 +292,15 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
     let part = (left / squares.max(variation)).sqrt();
     let t = ((part - DOUBTFUL) / (USELESS - DOUBTFUL)).clamp(0.0, 1.0);
     let doubt = if (left / weights).sqrt() < ROUNDING { 0.0 } else { t * t * (3.0 - 2.0 * t) };
-    Jet { slope, second, doubt }
+    let bent: f64 = c[3..].iter().map(|c| c.length_squared()).sum();
+    let off = (STRAINED * strain(prior)).hypot(bent.sqrt() * scale);
+    let across = samples.normals()[i].as_dvec3() * off;
+    let unresolved = Unresolved::of(with_ridge(RIDGE), RIDGE * weights, across, scale);
+    Jet { slope, second, doubt, unresolved }
+}
+
+/// How far a gradient is from a rotation: the size of Green's strain.
+fn strain(f: DMat3) -> f64 {
+    let doubled = f.transpose() * f - DMat3::IDENTITY;
+    0.5 * doubled.to_cols_array().iter().map(|e| e * e).sum::<f64>().sqrt()
 }

@@ -8,7 +8,8 @@
 //! At a vertex all supports that reach it have a say, and how far these are from what is made of them tells
 //! about that very place. What they leave out together they do not tell; what the samples disagree by halfway
 //! stands for that, and for more of it where a vertex lies beyond the samples, as off the surface or outside
-//! a border. Rounding comes on top: of the samples' positions, of the displacement, and of the file that is
+//! a border. How the map varies across a sheet of gentle relief all of them guess alike: what that leaves open
+//! counts, too ([`Unresolved`](super::blended_jets::Unresolved)). Rounding comes on top: of the samples' positions, of the displacement, and of the file that is
 //! written.
 
 use glam::{DVec3, Mat3, Vec3};
@@ -240,14 +241,14 @@ impl DeformationField<'_> {
             let near = Neighbourhood::gather(self.around, home, blended_jets::BLENDED, p);
             near.weighted().iter().for_each(|&(i, w)| heard.add(self, i as usize, w, p, u));
         }
-        let Heard { sum, squares, spread, disagreement, furthest, .. } = heard;
+        let Heard { sum, squares, spread, disagreement, furthest, unresolved, .. } = heard;
         let radius = self.around.supports.radius[home].max(f32::MIN_POSITIVE);
         let alone = sum * sum < ALONE * squares;
         let further =
             if alone { FOR_ALL } else { (heard.beyond(FLAT * radius) / AMONG).clamp(1.0, FURTHEST) };
         let [spread, disagreement] = [(spread / sum).sqrt(), disagreement / sum];
         let left_out = (further * disagreement).min(disagreement.max(SAID * furthest));
-        hypot([OF_SPREAD * spread, OF_DISAGREEMENT * left_out, self.rounding.at(p, u)])
+        hypot([OF_SPREAD * spread, OF_DISAGREEMENT * left_out, unresolved / sum, self.rounding.at(p, u)])
     }
 
     /// How far vertices are expected to be off by what the samples tell, each for as many vertices as it was
@@ -312,6 +313,8 @@ struct Heard {
     /// The largest of these.
     furthest: f32,
     disagreement: f32,
+    /// What the gradient across the surface leaves open.
+    unresolved: f32,
     /// Of the samples' places from the vertex, and of their products.
     places: Vec3,
     products: [Vec3; 3],
@@ -325,6 +328,7 @@ impl Heard {
         self.spread += w * off;
         self.furthest = self.furthest.max(off.sqrt());
         self.disagreement += w * field.expected.get(i).map_or(f32::NAN, |e| e.disagreement);
+        self.unresolved += w * field.unresolved[i].at(-d);
         self.places += w * d;
         (0..3).for_each(|axis| self.products[axis] += d * (w * d[axis]));
         self.sum += w;

@@ -45,7 +45,7 @@ use crate::sampling::SampleSet;
 pub(crate) use binding::MAGIC as BINDING_MAGIC;
 pub use binding::bind;
 use blend::{LEAST_WEIGHT, Supports};
-use blended_jets::Expanded;
+use blended_jets::{Expanded, Unresolved};
 use block::Workspaces;
 pub(crate) use block::homes;
 pub use block::{Moved, carry};
@@ -194,13 +194,14 @@ impl<'a> Surroundings<'a> {
 
 /// The deformation that P_S and P_S* sample, ready to be evaluated anywhere near P_S.
 ///
-/// Memory: about 200 bytes per sample.
+/// Memory: about 240 bytes per sample.
 pub struct DeformationField<'a> {
     around: &'a Surroundings<'a>,
     deformed: &'a [Vec3],
     method: Method,
     gradients: Gradients,
     expansions: Vec<Expansion>,
+    unresolved: Vec<Unresolved>,
     limiter: Limiter,
     bound: Bound,
     /// Whether anything moves around the sample as a home.
@@ -220,7 +221,7 @@ impl<'a> DeformationField<'a> {
         let Surroundings { samples, sheets, supports, .. } = around;
         assert_eq!(samples.len(), deformed.len(), "P_S* corresponds to P_S one to one");
         let gradients = Gradients::fit(samples, sheets, deformed);
-        let Expanded { mut expansions, doubtful } =
+        let Expanded { mut expansions, unresolved, doubtful } =
             blended_jets::expand(samples, sheets, deformed, &gradients);
         for (e, radius) in expansions.iter_mut().zip(&supports.radius) {
             e.inverse_square = (1.0 / (radius * radius)).min(Expansion::NO_SUPPORT);
@@ -238,6 +239,7 @@ impl<'a> DeformationField<'a> {
             method,
             gradients,
             expansions,
+            unresolved,
             limiter,
             bound,
             active,
