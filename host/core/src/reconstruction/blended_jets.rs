@@ -24,8 +24,15 @@ pub const BLENDED: usize = 6;
 /// Neighbours in a fit: three times its terms.
 const FIT_NEIGHBOURS: usize = 28;
 
-/// Ridge relative to terms of the size of the neighbourhood.
-const RIDGE: f64 = 1e-7;
+/// The largest ridge, relative to terms of the size of the neighbourhood ...
+const RIDGE: f64 = 1e-6;
+
+/// ... and the least one, which keeps rounding from being followed.
+const LEAST_RIDGE: f64 = 1e-11;
+
+/// How large the terms of a fit are expected to be, as squares: so many times those of the strain and of what
+/// the affine map leaves over.
+const EXPECTED: f64 = 4.0;
 
 /// What a fit leaves over counts as noise of its data: a ridge of so much of it, as a part of the data's
 /// square, shows what the fit explains by terms that the noise leaves undetermined (as Wiener's filter
@@ -42,6 +49,10 @@ const TERMS: usize = 9;
 const DOUBTFUL: f64 = 0.1;
 /// … and one that leaves over more than this is not to be believed.
 const USELESS: f64 = 0.3;
+
+/// Neighbours that tell less of a direction than this part of what a neighbourhood of full extent would tell
+/// leave it open.
+const TELLING: f64 = 1e-7;
 
 /// The part of the strain by which the gradient across a surface is expected to differ from its prior.
 const STRAINED: f64 = 0.5;
@@ -277,9 +288,12 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
         let explained: f64 = c.iter().zip(&right).map(|(c, b)| c.dot(*b)).sum();
         Some((c, (1.0 - explained / squares).max(0.0)))
     };
-    let Some((c, left)) = ridged(RIDGE) else { return affine };
+    let Some((_, left)) = ridged(LEAST_RIDGE) else { return affine };
+    let (noise, signal) = (left * squares, squares + weights * (strain(prior) / scale).powi(2));
+    let ridge = (LEAST_RIDGE + noise / (EXPECTED * signal)).min(RIDGE);
+    let Some((c, left)) = ridged(ridge) else { return affine };
     // What terms explain that noise of this size leaves undetermined is not relied on.
-    let relied_on = if left > SMOOTH { ridged(RIDGE + NOISE * (left - SMOOTH)) } else { Some((c, left)) };
+    let relied_on = if left > SMOOTH { ridged(ridge + NOISE * (left - SMOOTH)) } else { Some((c, left)) };
     let Some((_, part)) = relied_on else { return affine };
     let first = |a: usize| (c[a] * scale).as_vec3();
     let second = [3, 4, 5, 6, 7, 8].map(|a: usize| (c[a] * scale * scale).as_vec3());
@@ -295,7 +309,7 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
     let bent: f64 = c[3..].iter().map(|c| c.length_squared()).sum();
     let off = (STRAINED * strain(prior)).hypot(bent.sqrt() * scale);
     let across = samples.normals()[i].as_dvec3() * off;
-    let unresolved = Unresolved::of(with_ridge(RIDGE), RIDGE * weights, across, scale);
+    let unresolved = Unresolved::of(with_ridge(TELLING), TELLING * weights, across, scale);
     Jet { slope, second, doubt, unresolved }
 }
 
