@@ -550,6 +550,26 @@ impl SampledModel {
         Ok(kept)
     }
 
+    /// The error of each sample's clusters, the largest; local units. It is 0 where they are a single place.
+    ///
+    /// # Errors
+    /// The cells are not in memory, or of another model.
+    pub fn cluster_errors(&self) -> Result<Vec<f32>> {
+        let mut errors = vec![0.0f32; self.samples.len()];
+        for tree in self.checked_cells()?.cells.iter().map(|cell| &cell.tree) {
+            let leaves = tree.children.iter().zip(&tree.errors).filter(|(children, _)| **children == 0);
+            for ((_, error), sample) in leaves.zip(&tree.samples) {
+                let known = &mut errors[*sample as usize];
+                *known = known.max(*error);
+            }
+        }
+        // Those that share a cluster with one that a tree has.
+        for [sample, of] in self.samples.contacts().map_or(&[][..], Contacts::parted) {
+            errors[*sample as usize] = errors[*of as usize];
+        }
+        Ok(errors)
+    }
+
     fn check_cells(&self, kept: &KeptCells) -> Result<()> {
         let Source { vertices, non_finite, bytes, .. } = self.source;
         let parted = self.samples.contacts().map_or(&[][..], Contacts::parted);
