@@ -138,7 +138,9 @@ impl Attributes {
 
     /// The content of a file, for the `samples.ply` and the model of these hashes.
     pub(crate) fn encode(&self, of: [&str; 2]) -> Result<Vec<u8>> {
-        seal(MAGIC, VERSION, &(of, self)).map_err(|e| damaged(&e.to_string()))
+        seal(MAGIC, VERSION, &(of, self)).map_err(|e| {
+            Error::internal(format!("cannot write the attributes: {e}"), "report this").because(e)
+        })
     }
 
     /// Reads the content of a file, of so many samples.

@@ -23,6 +23,8 @@ pub enum ErrorKind {
     Plugin,
     /// The user asked to stop.
     Cancelled,
+    /// A mistake in this program: nothing is wrong with what it was given.
+    Internal,
 }
 
 /// A failure: one line that says what and where, one that says what to do.
@@ -32,12 +34,34 @@ pub struct Error {
     kind: ErrorKind,
     what: String,
     hint: String,
+    /// What it came of, if a library or the system said so.
+    source: Option<Box<dyn std::error::Error + Send + Sync>>,
 }
 
 impl Error {
     /// A failure of the given kind; `what` names the thing and the place, `hint` what to do.
     pub fn new(kind: ErrorKind, what: impl Into<String>, hint: impl Into<String>) -> Self {
-        Self { kind, what: what.into(), hint: hint.into() }
+        Self { kind, what: what.into(), hint: hint.into(), source: None }
+    }
+
+    /// The same, and what it came of.
+    pub fn because(self, source: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
+        Self { source: Some(source.into()), ..self }
+    }
+
+    /// The same failure, in other words.
+    pub fn saying(self, what: impl Into<String>) -> Self {
+        Self { what: what.into(), ..self }
+    }
+
+    /// The same failure, with something else to do about it.
+    pub fn hinting(self, hint: impl Into<String>) -> Self {
+        Self { hint: hint.into(), ..self }
+    }
+
+    /// A mistake in this program; `hint` asks for a report.
+    pub fn internal(what: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Internal, what, hint)
     }
 
     /// A refused file operation: `action` completes "cannot …", as in "cannot read x.ply: permission denied".
@@ -56,7 +80,10 @@ impl Error {
         // "No such file or directory (os error 2)" without the number, which helps nobody.
         let text = source.to_string();
         let text = text.split(" (os error").next().unwrap_or(&text).to_lowercase();
-        Self::new(ErrorKind::Io, format!("cannot {action} {}: {text}", path.display()), hint)
+        // The system's errors cannot be copied, but their numbers say all.
+        let same = source.raw_os_error().map(std::io::Error::from_raw_os_error);
+        let same = same.unwrap_or_else(|| std::io::Error::new(source.kind(), source.to_string()));
+        Self::new(ErrorKind::Io, format!("cannot {action} {}: {text}", path.display()), hint).because(same)
     }
 
     /// The user asked to stop.
@@ -72,5 +99,29 @@ impl Error {
     /// What to do about it: one line, no full stop.
     pub fn hint(&self) -> &str {
         &self.hint
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::error::Error as _;
+    use std::io;
+
+    #[test]
+    fn what_it_came_of_is_kept() {
+        let source = io::Error::from(io::ErrorKind::PermissionDenied);
+        let error =
+            Error::io("read", Path::new("x.ply"), &source).saying("other words").hinting("other advice");
+        assert_eq!((error.kind(), error.to_string().as_str()), (ErrorKind::Io, "other words"));
+        assert_eq!(error.hint(), "other advice");
+        let kept = error.source().and_then(|e| e.downcast_ref::<io::Error>()).expect("a source");
+        assert_eq!(kept.kind(), io::ErrorKind::PermissionDenied);
+        let missing = std::fs::File::open("/no/such/file").expect_err("no file");
+        let number = missing.raw_os_error();
+        let error = Error::io("read", Path::new("/no/such/file"), &missing);
+        let kept = error.source().and_then(|e| e.downcast_ref::<io::Error>()).expect("a source");
+        assert_eq!(kept.raw_os_error(), number);
+        assert!(Error::cancelled().source().is_none());
     }
 }

@@ -50,6 +50,9 @@ impl Drop for MemoryWatch {
 }
 
 /// Anonymous resident memory in bytes, now; `None` where the system does not tell.
+///
+/// Read here, as `sysinfo` and `memory-stats` know resident memory alone, of which the pages of the model's
+/// files are the most.
 #[cfg(target_os = "linux")]
 pub fn anonymous() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
@@ -58,8 +61,15 @@ pub fn anonymous() -> Option<u64> {
     Some(kilobytes * 1024)
 }
 
-/// Not known on this system.
+/// Resident memory in bytes, now, of which these systems do not tell what is of files; `None` where one does
+/// not tell.
 #[cfg(not(target_os = "linux"))]
 pub fn anonymous() -> Option<u64> {
-    None
+    use sysinfo::{ProcessRefreshKind, ProcessesToUpdate, System, get_current_pid};
+
+    let this = get_current_pid().ok()?;
+    let mut system = System::new();
+    let memory = ProcessRefreshKind::nothing().with_memory();
+    system.refresh_processes_specifics(ProcessesToUpdate::Some(&[this]), false, memory);
+    system.process(this).map(sysinfo::Process::memory)
 }

@@ -46,9 +46,10 @@ impl OutputFolder {
     }
 
     /// An error of a file in it, told of the folder that was asked for and not of its temporary name.
-    pub fn named(&self, e: &Error) -> Error {
+    pub fn named(&self, e: Error) -> Error {
         let told = |text: &str| text.replace(&*self.path().to_string_lossy(), &self.target.to_string_lossy());
-        Error::new(e.kind(), told(&e.to_string()), told(e.hint()))
+        let (what, hint) = (told(&e.to_string()), told(e.hint()));
+        e.saying(what).hinting(hint)
     }
 
     /// Puts the folder in its place. What is there goes away, in one step where the system can; the folder,
@@ -122,7 +123,7 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let folder = OutputFolder::create(&place.path().join("result")).unwrap();
         let error = write_file(&folder.path().join("no/file"), b"").unwrap_err();
-        let told = folder.named(&error).to_string();
+        let told = folder.named(error).to_string();
         assert!(told.contains("/result/no/file") && !told.contains(".simod-"), "{told}");
     }
 }

@@ -34,6 +34,11 @@ pub trait Progress: Sync {
     /// A new stage begins: a few words for the user, and its size in bytes (0 where it is not known).
     fn begin(&self, stage: &'static str, total_bytes: u64);
 
+    /// The same, of a stage that prepares a deformation: what does not depend on how things move.
+    fn begin_preparation(&self, stage: &'static str, total_bytes: u64) {
+        self.begin(stage, total_bytes);
+    }
+
     /// So many more bytes of the stage are done.
     fn advance(&self, bytes: u64);
 

@@ -339,7 +339,7 @@ impl SampledModel {
     /// As of [`save`](Self::save).
     pub fn save_in(&self, new: OutputFolder) -> Result<()> {
         let folder = new.target();
-        let named = |e: Error| new.named(&e);
+        let named = |e: Error| new.named(e);
         let points = new.path().join(SAMPLES);
         let normals =
             if self.sampling.skip.normals { self.samples.known_normals() } else { self.samples.normals() };
@@ -376,7 +376,7 @@ impl SampledModel {
             refinement: self.refinements.clone(),
         };
         let text = toml::to_string(&description).map_err(|e| {
-            Error::new(ErrorKind::Io, format!("cannot describe the samples: {e}"), "report this")
+            Error::internal(format!("cannot describe the samples: {e}"), "report this").because(e)
         })?;
         output::write_file(&new.path().join(DESCRIPTION), text.as_bytes()).map_err(named)?;
         if let Some(kept) = &self.kept {
@@ -491,8 +491,10 @@ impl SampledModel {
             ));
         }
         let local = positions.iter().map(|p| frame.to_local(*p)).collect();
-        let mut set = SampleSet::new(local, normals)
-            .map_err(|e| Error::new(e.kind(), format!("{}: {e}", samples.display()), e.hint()))?;
+        let mut set = SampleSet::new(local, normals).map_err(|e| {
+            let what = format!("{}: {e}", samples.display());
+            e.saying(what)
+        })?;
         set.set_contacts(Contacts::load(&folder.join(SHEETS), &description.samples_fingerprint, set.len())?);
         let path = folder.join(&description.model.path);
         // Without the detours that a relative path makes, where it still exists.
@@ -548,6 +550,26 @@ impl SampledModel {
         };
         self.check_cells(kept)?;
         Ok(kept)
+    }
+
+    /// The error of each sample's clusters, the largest; local units. It is 0 where they are a single place.
+    ///
+    /// # Errors
+    /// The cells are not in memory, or of another model.
+    pub fn cluster_errors(&self) -> Result<Vec<f32>> {
+        let mut errors = vec![0.0f32; self.samples.len()];
+        for tree in self.checked_cells()?.cells.iter().map(|cell| &cell.tree) {
+            let leaves = tree.children.iter().zip(&tree.errors).filter(|(children, _)| **children == 0);
+            for ((_, error), sample) in leaves.zip(&tree.samples) {
+                let known = &mut errors[*sample as usize];
+                *known = known.max(*error);
+            }
+        }
+        // Those that share a cluster with one that a tree has.
+        for [sample, of] in self.samples.contacts().map_or(&[][..], Contacts::parted) {
+            errors[*sample as usize] = errors[*of as usize];
+        }
+        Ok(errors)
     }
 
     fn check_cells(&self, kept: &KeptCells) -> Result<()> {

@@ -69,5 +69,5 @@ fn refused(action: &str, folder: &Path, advice: &str, e: &std::io::Error) -> Err
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let what = Error::io(&format!("{action} a temporary file in"), &folder, e);
     let hint = format!("{}; or {advice}", what.hint());
-    Error::new(what.kind(), what.to_string(), hint)
+    what.hinting(hint)
 }

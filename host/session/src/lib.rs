@@ -14,6 +14,7 @@ pub mod child;
 pub mod compare;
 pub mod deformer;
 pub mod edit;
+mod key;
 mod migration;
 pub mod motion;
 pub mod params;

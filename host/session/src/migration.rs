@@ -77,9 +77,7 @@ pub(crate) fn in_its_words(error: Error, step: &Deformation, plugin: &Plugin) ->
             && !text.contains(&format!("`{former}`"))
     };
     match plugin.migration().and_then(|m| m.aliases.iter().find(is_meant)) {
-        Some((former, _)) => {
-            Error::new(error.kind(), format!("{text}; here it is the parameter `{former}`"), error.hint())
-        }
+        Some((former, _)) => error.saying(format!("{text}; here it is the parameter `{former}`")),
         None => error,
     }
 }
@@ -131,7 +129,7 @@ fn brought(plugin: &Plugin, from: u32, now: u32, params: &toml::Table) -> Result
     let given = plugin.migrate(from, settings.clone())?;
     let refused = |what: String| {
         let what = format!("{call}: {}", crate::deformer::line(&what));
-        Error::new(ErrorKind::Plugin, what, "this is a bug of the plugin; tell its author")
+        crate::deformer::plugins_bug(what)
     };
     check(&given).map_err(refused)?;
     let mut table = toml::Table::new();

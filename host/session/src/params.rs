@@ -1,13 +1,13 @@
 //! Parameters: checked against the plugin's descriptions, completed by defaults, made local.
 
 use crate::deformer::{Migration, Plugin, limits};
+use crate::key::{Key, Keyed};
 use glam::DVec3;
 use simod_core::frame::Frame;
 use simod_core::geometry::Bounds;
 use simod_core::{Error, ErrorKind, Result, input};
 use simod_plugin_api::{ChoiceDesc, Curve, Descriptor, Param, ParamDesc, ParamKind, Unit};
 use std::collections::HashSet;
-use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 
 /// Longest file that a plugin is given: it may read all of it.
@@ -124,11 +124,20 @@ impl Params {
 #[derive(Debug, Clone)]
 pub(crate) struct LocalParams(Vec<(String, ParamKind, Vec<f64>, String)>);
 
-impl Hash for LocalParams {
-    fn hash<H: Hasher>(&self, hasher: &mut H) {
+impl Keyed for LocalParams {
+    fn add_to(&self, key: &mut Key) {
+        self.0.len().add_to(key);
         for (id, kind, numbers, text) in &self.0 {
-            (id, kind.0, text).hash(hasher);
-            numbers.iter().for_each(|x| x.to_bits().hash(hasher));
+            ((id, kind.0), (numbers, text)).add_to(key);
+        }
+    }
+}
+
+impl Keyed for Params {
+    fn add_to(&self, key: &mut Key) {
+        self.values.len().add_to(key);
+        for (id, kind, value) in &self.values {
+            ((id, kind.0), value).add_to(key);
         }
     }
 }

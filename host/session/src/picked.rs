@@ -1,6 +1,7 @@
 //! A part of a model that a hand selected, as geometry: points that are in it, and points next to them that
 //! are not.
 
+use crate::key::{Key, Keyed};
 use crate::side_file::{Kind, MOST_IN_SESSION, Reference, write as write_file};
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -167,6 +168,12 @@ fn nearest(tree: Option<&ImmutableKdTree<f64, 3>>, points: &[DVec3], p: DVec3) -
 impl PartialEq for PickedPoints {
     fn eq(&self, other: &Self) -> bool {
         self.0.hash == other.0.hash && self.0.file == other.0.file
+    }
+}
+
+impl Keyed for PickedPoints {
+    fn add_to(&self, key: &mut Key) {
+        (self.0.hash, self.0.file.as_ref()).add_to(key);
     }
 }
 

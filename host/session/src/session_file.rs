@@ -619,8 +619,9 @@ impl Source<'_> {
     }
 
     /// An error of what is named there.
-    fn at(&self, span: &Range<usize>, e: &Error) -> Error {
-        Error::new(e.kind(), format!("{}: {e}", self.place(span)), e.hint())
+    fn at(&self, span: &Range<usize>, e: Error) -> Error {
+        let what = format!("{}: {e}", self.place(span));
+        e.saying(what)
     }
 
     /// What paths in the file are relative to.
@@ -734,7 +735,7 @@ impl Source<'_> {
         for shape in raw {
             let (span, mut shape) = (shape.span(), shape.into_inner());
             if let Shape::Selection(picked) = shape {
-                shape = Shape::Selection(picked.loaded(self.folder()).map_err(|e| self.at(&span, &e))?);
+                shape = Shape::Selection(picked.loaded(self.folder()).map_err(|e| self.at(&span, e))?);
             }
             if let Some(what) = shape.defect() {
                 return Err(self.error(&span, what, "correct the shape"));
@@ -750,9 +751,7 @@ impl Source<'_> {
         })?;
         let folder = self.folder();
         let mut strokes = match raw.strokes {
-            Some(file) => {
-                strokes_file::read(file.get_ref(), folder).map_err(|e| self.at(&file.span(), &e))?
-            }
+            Some(file) => strokes_file::read(file.get_ref(), folder).map_err(|e| self.at(&file.span(), e))?,
             None => Vec::new(),
         };
         for stroke in raw.stroke {

@@ -276,7 +276,7 @@ fn vector(v: DVec3) -> Value {
 }
 
 fn lost(what: &str, e: &dyn std::fmt::Display) -> Error {
-    Error::new(ErrorKind::Io, format!("cannot write {what}: {e}"), "report this")
+    Error::internal(format!("cannot write {what}: {e}"), "report this")
 }
 
 /// Values as they were given, in one line.

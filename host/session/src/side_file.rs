@@ -58,7 +58,7 @@ pub struct Reference {
 pub fn write(session: &Path, kind: Kind, content: &impl Serialize) -> Result<Reference> {
     let (magic, extension, what) = kind.names();
     let bytes = postcard::to_extend(content, magic.to_vec())
-        .map_err(|e| Error::new(ErrorKind::Io, format!("cannot write a {what}: {e}"), "report this"))?;
+        .map_err(|e| Error::internal(format!("cannot write a {what}: {e}"), "report this").because(e))?;
     let fingerprint = fingerprint(&bytes);
     let stem = stem(session);
     let short = fingerprint.rsplit(':').next().and_then(|hex| hex.get(..HASH)).unwrap_or_default();

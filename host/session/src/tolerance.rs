@@ -11,6 +11,7 @@ use simod_core::reconstruction::transfer_error::{Places, TransferError, measure_
 use simod_core::reconstruction::{Beyond, DeformationField, Method, Surroundings};
 use simod_core::refinement::{Finer, Refining, Selection, refine};
 use simod_core::sampled_model::SampledModel;
+use simod_core::sampling::SampleSet;
 use simod_core::{Error, ErrorKind, Progress, Result};
 
 use crate::edit::Refinements;
@@ -30,11 +31,18 @@ const MOST: u64 = 64;
 /// ... if that is more.
 const FEW: u64 = 1 << 20;
 
-/// The largest expected error has to fall to this part of its least so far ...
+/// Whether the deformation can be followed is asked when the largest expected error has not fallen to this
+/// part of its least so far ...
 const FALLS: f64 = 0.9;
-/// ... at least once in so many rounds: at a step it does not. Where few samples are added among sparse ones,
-/// it rises for a while.
+/// ... in so many rounds. Where few samples are added among sparse ones, it rises for a while.
 const PATIENCE: usize = 7;
+
+/// From samples so many times as near to each other on, what is expected there has to have fallen by as much
+/// at least: where a deformation is smooth it falls with the third power, and at a step not at all.
+const NEARER: f64 = 2.0;
+
+/// Of what is expected, rounding makes so much more at single places than in the mean.
+const ROUNDING: f64 = 4.0;
 
 /// Vertices at which the exact map is asked.
 const MEASURED: u64 = 1_000_000;
@@ -158,6 +166,7 @@ pub(crate) fn meet(
     // Finer than what is allowed, as density changes around what is refined, which costs precision there.
     let asked = (ASKED * tolerance).max(LEAST_LOCAL / of_diagonal);
     let (mut least, mut waited) = (f64::INFINITY, 0);
+    let mut beginning: Option<Beginning> = None;
     for rounds in 0.. {
         let of = deformed.sampled.clone();
         let refined = {
@@ -165,6 +174,10 @@ pub(crate) fn meet(
             let around = Surroundings::of(&of.samples);
             let mut field = DeformationField::new(&around, &deformed.positions, Method::default())
                 .expecting(&of.frame, model.info().position_type);
+            let beginning = beginning.get_or_insert_with(|| Beginning::of(&of, &field));
+            if deformed.stack.can_evaluate() {
+                field = field.expecting_at_vertices(&of)?;
+            }
             let mut beyond = field.expected_beyond(&of, tolerance);
             if beyond.is_none() {
                 let found = truth(&deformed, model, &field, tolerance, progress)?;
@@ -188,18 +201,16 @@ pub(crate) fn meet(
                 (least, waited) = (beyond.worst, 0);
             }
             let samples = of.samples.len() as u64;
-            let why = if rounds == ROUNDS {
+            let limit = if rounds == ROUNDS {
                 Some(format!("{ROUNDS} rounds of refinement have not been enough"))
             } else if samples >= most {
                 Some(format!("it has {samples} samples by now, and {most} are the most"))
-            } else if waited == PATIENCE {
-                Some("more samples do not help, as the deformation has a step there, or details of the size of the \
-                      vertices' spacing"
-                    .to_owned())
             } else {
                 None
             };
-            if let Some(why) = why {
+            let of_deformation = || beginning.why_not(&of, &field, &beyond);
+            let asks = limit.is_some() || waited >= PATIENCE;
+            if let Some(why) = asks.then(|| of_deformation().or(limit)).flatten() {
                 return Err(not_met(tolerance, beyond.worst, &why, Some(&beyond)));
             }
             let budget = (most - samples).min(samples);
@@ -212,8 +223,9 @@ pub(crate) fn meet(
             let selection = Selection { distance: &everywhere, so_far: Some(&field), at_rest: true };
             let done = refine(&of, model, selection, &how, folder, progress)?;
             let Some(refined) = done.sampled else {
-                let why = "there are no vertices left there that could be samples";
-                return Err(not_met(tolerance, beyond.worst, why, Some(&beyond)));
+                let none_left = || "there are no vertices left there that could be samples".to_owned();
+                let why = of_deformation().unwrap_or_else(none_left);
+                return Err(not_met(tolerance, beyond.worst, &why, Some(&beyond)));
             };
             progress.note(&format!(
                 "up to {:.1e} of the diagonal are expected: {} samples more are deformed",
@@ -224,6 +236,44 @@ pub(crate) fn meet(
         deformed = again(refined.into(), &plain)?;
     }
     unreachable!("the number of rounds is bounded")
+}
+
+/// What was expected before samples were added.
+///
+/// Memory: P_S as it was.
+struct Beginning {
+    sampled: Arc<SampledModel>,
+    /// Around each sample; local units.
+    expected: Vec<f32>,
+}
+
+impl Beginning {
+    fn of(sampled: &Arc<SampledModel>, field: &DeformationField<'_>) -> Self {
+        Self { sampled: sampled.clone(), expected: field.expected_error() }
+    }
+
+    /// Why more samples would not help where most is expected, if it is not for want of vertices.
+    fn why_not(&self, now: &SampledModel, field: &DeformationField<'_>, beyond: &Beyond) -> Option<String> {
+        let Beyond { worst, rounding, place, .. } = *beyond;
+        if ROUNDING * rounding > worst {
+            return Some(format!("rounding to floats alone makes about {rounding:.1e} where it goes"));
+        }
+        let at = now.frame.to_local(place);
+        let nearest = |samples: &SampleSet| samples.nearest(at) as usize;
+        let spacing = |samples: &SampleSet| f64::from(samples.spacing()[nearest(samples)]);
+        let nearer = spacing(&self.sampled.samples) / spacing(&now.samples);
+        let first = nearest(&self.sampled.samples);
+        let around = self.sampled.samples.neighbours().of(first).iter().map(|i| *i as usize).chain([first]);
+        let before = around.map(|i| f64::from(self.expected[i])).fold(0.0, f64::max);
+        let disagree = f64::from(field.disagreement(at));
+        (nearer > NEARER && before < nearer * disagree).then(|| {
+            let [before, disagree] = [before, disagree].map(|x| x / now.local_diagonal());
+            format!(
+                "the deformation has a step there, or details of the size of the vertices' spacing, as samples {nearer:.1} \
+                 times as near to each other disagree by {disagree:.1e}, and {before:.1e} at first"
+            )
+        })
+    }
 }
 
 /// The true error of some vertices, and where it is more than allowed, if all plugins know their map.

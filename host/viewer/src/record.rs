@@ -58,7 +58,7 @@ pub fn replay(commands: &[Command], plugins: &Arc<PluginRegistry>) -> Result<Sta
     for (i, command) in commands.iter().enumerate() {
         state.apply(command.clone()).map_err(|e| {
             let what = format!("command {} of the recording cannot be done: {e}", i + 1);
-            Error::new(e.kind(), what, e.hint())
+            e.saying(what)
         })?;
         state.settle(PATIENCE)?;
     }

@@ -131,7 +131,7 @@ impl Shot {
             radii: &radii,
             ..Surface::default()
         };
-        let bad = |e: simod_scene::BadSurface| Error::new(ErrorKind::Io, e.to_string(), "report this");
+        let bad = |e: simod_scene::BadSurface| Error::internal(e.to_string(), "report this");
         scene.set_surface(&surface).map_err(bad)?;
         for (splats, number) in self.detail.iter().zip(0..) {
             scene.set_detail(number, Some(&splats.surface())).map_err(bad)?;

@@ -5,7 +5,7 @@ use crate::screenshot::Shot;
 use crate::window::Window;
 use simod_core::progress::Progress;
 use simod_core::render::FrameFolder;
-use simod_core::{Error, ErrorKind, Result, memory};
+use simod_core::{Error, Result, memory};
 use simod_viewer::engine::Activity;
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
@@ -134,7 +134,7 @@ impl Turning {
             Err(TryRecvError::Empty) => None,
             Err(TryRecvError::Disconnected) => {
                 let what = "the turntable ended with a mistake in the program";
-                Some(Err(Error::new(ErrorKind::Io, what, "report this")))
+                Some(Err(Error::internal(what, "report this")))
             }
         }
     }

@@ -199,6 +199,67 @@ fn a_run_is_refined_until_its_tolerance_is_met() {
     }
 }
 
+/// An eighth of a turn between a lower and an upper part that stay as they are, along an axis.
+fn rbf_twist(axis: [i32; 3], low: f64, high: f64) -> String {
+    let [x, y, z] = axis;
+    let at = |t: f64| format!("[{}, {}, {}]", t * f64::from(x), t * f64::from(y), t * f64::from(z));
+    format!(
+        "[[step]]\ndeform = \"rbf\"\n[[step.region]]\nrole = \"fixed\"\n\
+         shapes = [{{ half-space = {{ point = {}, normal = [{}, {}, {}] }} }}]\n\
+         [[step.region]]\nrole = \"handle\"\nshapes = [{{ half-space = {{ point = {}, normal = {axis:?} }} }}]\n\
+         move = {{ axis = {axis:?}, degrees = 45, pivot = {} }}\n",
+        at(low),
+        -x,
+        -y,
+        -z,
+        at(high),
+        at(0.5 * (low + high)),
+    )
+}
+
+#[test]
+fn tolerances_are_met_from_any_sampling() {
+    let (upright, across) = (rbf_twist([0, 1, 0], 0.5, 1.5), rbf_twist([1, 0, 0], -0.5, 0.5));
+    let cases = [
+        ("amphora", TWIST, "2e-5", [700, 1000, 1400, 5000]),
+        ("amphora", &upright, "1e-4", [1000, 2000, 10_000, 20_000]),
+        ("bumpy-plane", TWIST, "1e-5", [1000, 1400, 2000, 5000]),
+        ("bumpy-plane", &across, "1e-4", [1000, 2000, 5000, 20_000]),
+    ];
+    for (shape, steps, tolerance, samples) in cases {
+        let work = Workplace::new();
+        work.simod(&format!("generate -o model.ply --vertices 60000 --shape {shape}"));
+        let most: f64 = tolerance.parse().expect("a number");
+        for samples in samples {
+            work.write_session("model.ply", samples, steps);
+            let report = work.report(&format!("run edit.toml --tolerance {tolerance} --measure"));
+            assert!(figure(&report["certificate"], "expected") <= most, "{shape} {samples}: {report}");
+            assert!(figure(&report["transfer_error"], "max") <= most, "{shape} {samples}: {report}");
+        }
+    }
+}
+
+#[test]
+fn why_a_tolerance_is_not_met_is_told() {
+    let work = Workplace::new();
+    work.simod("generate -o model.ply --vertices 60000");
+    let far = "[[step]]\ndeform = \"rbf\"\n[[step.region]]\nrole = \"handle\"\n\
+        shapes = [{ half-space = { point = [0, -1, 0], normal = [0, 1, 0] } }]\nmove = { translate = [10000, 0, 0] }\n";
+    let cases = [
+        (format!("{TWIST}{MASK}"), 5000, "1e-4", "a step there"),
+        (far.to_owned(), 2000, "1e-4", "rounding to floats"),
+        (rbf_twist([0, 1, 0], 0.5, 1.5), 20_000, "5e-6", "no vertices left there"),
+    ];
+    for (steps, samples, tolerance, why) in cases {
+        work.write_session("model.ply", samples, &steps);
+        let refused = work.run(&format!("run edit.toml --tolerance {tolerance}"));
+        let errors = refused.lines("error: ");
+        assert_eq!((refused.code, errors.len()), (Some(1), 1), "{}", refused.stderr);
+        assert!(errors[0].contains("is not met") && errors[0].contains(why), "{}", refused.stderr);
+        assert!(!work.names().contains(&"edited.ply".to_owned()));
+    }
+}
+
 #[test]
 fn reconstruct_checks_a_tolerance() {
     let work = Workplace::new();

@@ -251,7 +251,7 @@ fn write_project(folder: &Path, names: &Names, language: Language) -> Result<()>
     let new = OutputFolder::create(folder)?;
     // What fails is told of the folder that was asked for, not of its temporary name.
     let write = |path: String, text: &str| {
-        write_file(&new.path().join(path), text.as_bytes()).map_err(|e| new.named(&e))
+        write_file(&new.path().join(path), text.as_bytes()).map_err(|e| new.named(e))
     };
     for (path, text) in language.files() {
         fs::create_dir_all(folder_of(&new.path().join(&path))).map_err(|e| failed(&e))?;

@@ -199,7 +199,7 @@ impl Reconstruct {
             let field = DeformationField::new(&around, deformed, self.method.into())
                 .expecting(&sampled.frame, model.info().position_type);
             if let Some(beyond) = field.expected_beyond(sampled, tolerance) {
-                let Beyond { worst, place, samples, needed } = beyond;
+                let Beyond { worst, place, samples, needed, .. } = beyond;
                 return Err(Error::new(
                     ErrorKind::Argument,
                     format!(

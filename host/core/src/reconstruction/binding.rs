@@ -62,7 +62,7 @@ pub fn bind(sampled: &SampledModel, model: &dyn Model, path: &Path, progress: &d
     let normals = if samples.knows_normals() { Vec::new() } else { samples.normals().to_vec() };
     let Surroundings { sheets, supports, .. } = &around;
     let head = postcard::to_allocvec(&(key(sampled), normals, sheets, supports)).map_err(|e| {
-        Error::new(ErrorKind::Format, format!("cannot write {}: {e}", path.display()), "report it")
+        Error::internal(format!("cannot write {}: {e}", path.display()), "report it").because(e)
     })?;
 
     let mut file = OutputFile::create(path, head.len() as u64)?;

@@ -12,6 +12,8 @@
 //! counts, too ([`Unresolved`](super::blended_jets::Unresolved)). Rounding comes on top: of the samples' positions, of the displacement, and of the file that is
 //! written.
 
+use std::sync::atomic::{AtomicU32, Ordering};
+
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -19,8 +21,10 @@ use serde::Serialize;
 use super::blend::LEAST_WEIGHT;
 use super::expansion::Expansion;
 use super::gradients::ROUNDING;
+use super::homes::Homes;
 use super::transfer_error::Histogram;
-use super::{DeformationField, Method, Neighbourhood, blended_jets};
+use super::{DeformationField, Method, Moved, Neighbourhood, blended_jets, carry};
+use crate::Result;
 use crate::frame::Frame;
 use crate::model::Scalar;
 use crate::sampled_model::SampledModel;
@@ -64,7 +68,7 @@ const SINGLE: f32 = 2.5e-8;
 pub(super) struct Expectation {
     /// The root of the mean square of how far it and its neighbours disagree halfway.
     disagreement: f32,
-    /// The furthest of that.
+    /// The furthest of that, and of those which have it among their neighbours.
     largest: f32,
 }
 
@@ -122,6 +126,8 @@ pub struct ExpectedError {
 pub struct Beyond {
     /// The largest error that is expected around a sample, as a fraction of the diagonal.
     pub worst: f64,
+    /// What rounding alone makes there, as a fraction of the diagonal.
+    pub rounding: f64,
     /// That sample, in the model's coordinates at rest.
     pub place: DVec3,
     /// Number of samples around which it is more than is accepted.
@@ -175,54 +181,114 @@ impl Tally {
 
 impl DeformationField<'_> {
     /// The transfer error to be expected around each sample, local units: the largest difference between its
-    /// expansion and those of its neighbours, halfway. Nothing for what rounding explains, as of a rigid
-    /// motion.
+    /// expansion and those of its neighbours, halfway, as both ends expect it. Nothing for what rounding
+    /// explains, as of a rigid motion.
     ///
     /// It is an estimate of the size, not a bound: `docs/refinement.md` says how it compares with the error.
     pub fn expected_error(&self) -> Vec<f32> {
         let told = |e: Expectation| if f64::from(e.largest) < TELLING * ROUNDING { 0.0 } else { e.largest };
         if self.expected.is_empty() {
-            self.around_samples().map(told).collect()
+            self.around_samples(&[]).into_iter().map(told).collect()
         } else {
             self.expected.iter().copied().map(told).collect()
         }
     }
 
-    /// Expects no less, around the samples nearest to these places (local coordinates), than what was found
-    /// there (local units), as by [`measure_some`](super::transfer_error::measure_some). The field has to be
-    /// [expecting](Self::expecting).
+    /// Expects no less, around the samples that have a say at these places (local coordinates), than what was
+    /// found there (local units), as by [`measure_some`](super::transfer_error::measure_some). The field has
+    /// to be [expecting](Self::expecting).
     pub fn learn(&mut self, found: &[(Vec3, f32)]) {
-        for (place, off) in found {
-            let nearest = self.around.samples.nearest(*place) as usize;
-            let largest = &mut self.expected[nearest].largest;
-            *largest = largest.max(*off);
+        let places: Vec<Vec3> = found.iter().map(|(place, _)| *place).collect();
+        let mut homes = Vec::new();
+        Homes::new(self.around).of(&places, &mut homes);
+        for ((place, off), home) in found.iter().zip(homes) {
+            let reaching = self.around.supports.of_home(home as usize).iter().map(|r| r.sample as usize);
+            let (expansions, expected) = (&self.expansions, &mut self.expected);
+            let has_say = |i: &usize| within(&expansions[*i], *place) > 0.0;
+            for i in [home as usize].into_iter().chain(reaching.filter(has_say)) {
+                expected[i].largest = expected[i].largest.max(*off);
+            }
         }
     }
 
     /// Finds out what is expected around the samples, which all further estimates rest on. `positions` is the
     /// type of those in the file that is written.
     pub fn expecting(mut self, frame: &Frame, positions: Scalar) -> Self {
-        self.expected = self.around_samples().collect();
+        self.expected = self.around_samples(&[]);
         self.rounding = Rounding::of(frame, positions);
         self
     }
 
-    fn around_samples(&self) -> impl IndexedParallelIterator<Item = Expectation> + '_ {
-        let positions = &self.around.samples.positions;
-        let off = move |i: usize, j: usize| {
-            let halfway = 0.5 * (positions[i] + positions[j]);
-            says(&self.expansions[i], halfway).distance(says(&self.expansions[j], halfway))
-        };
-        (0..positions.len()).into_par_iter().map(move |i| {
-            let near = self.around.sheets.of_sample(i);
-            let near = &near[..near.len().min(RING)];
-            let (mut largest, mut squares) = (0.0f32, 0.0);
-            for off in near.iter().map(|j| off(i, *j as usize)) {
-                largest = largest.max(off);
+    /// How far the sample nearest to a place (local coordinates) and its neighbours disagree halfway at most,
+    /// local units.
+    pub fn disagreement(&self, place: Vec3) -> f32 {
+        let i = self.around.samples.nearest(place) as usize;
+        self.ring(i).iter().map(|j| self.halfway(i, *j as usize)).fold(0.0, f32::max)
+    }
+
+    /// Expects nothing between two samples whose clusters are single places, as there are no vertices. How far
+    /// the transfer is off at these samples themselves counts there. One that has stayed from a larger cluster
+    /// stands beside its vertex, of which this tells less: so it is for deformations that are compared with
+    /// the exact map besides. The field has to be [expecting](Self::expecting).
+    ///
+    /// # Errors
+    /// The cells are not in memory, or of another model.
+    pub fn expecting_at_vertices(mut self, of: &SampledModel) -> Result<Self> {
+        let is_single: Vec<bool> = of.cluster_errors()?.iter().map(|error| *error == 0.0).collect();
+        self.expected = self.around_samples(&is_single);
+        let single: Vec<usize> = (0..is_single.len()).filter(|i| is_single[*i]).collect();
+        let at = |i: &usize| of.frame.to_model(self.around.samples.positions[*i]);
+        let rest: Vec<DVec3> = single.iter().map(at).collect();
+        let mut carried = rest.clone();
+        let moved = Moved { positions: &mut carried, normals: &mut [], figures: &mut [] };
+        carry(std::slice::from_ref(&self), &of.frame, &rest, None, &mut [moved]);
+        for (i, carried) in single.into_iter().zip(carried) {
+            let off = of.frame.to_model(self.deformed[i]).distance(carried) / of.frame.scale;
+            let largest = &mut self.expected[i].largest;
+            *largest = largest.max(off as f32);
+        }
+        Ok(self)
+    }
+
+    /// What is expected around all samples. Nothing is told between two that are single places; none are, if
+    /// nobody says.
+    fn around_samples(&self, is_single: &[bool]) -> Vec<Expectation> {
+        // A sample need not be among the neighbours of its own neighbour: both ends are told. Lengths are in
+        // the order of their bits, and the largest is the same in whatever order they come.
+        let samples = self.expansions.len();
+        let largest: Vec<AtomicU32> = (0..samples).map(|_| AtomicU32::new(0)).collect();
+        let disagreement = |i: usize| {
+            let near = self.ring(i);
+            let mut squares = 0.0;
+            for j in near.iter().map(|j| *j as usize) {
+                let off = self.halfway(i, j);
                 squares += off * off;
+                let both_single = !is_single.is_empty() && is_single[i] && is_single[j];
+                if off > 0.0 && !both_single {
+                    for end in [i, j] {
+                        largest[end].fetch_max(off.to_bits(), Ordering::Relaxed);
+                    }
+                }
             }
-            Expectation { disagreement: (squares / near.len().max(1) as f32).sqrt(), largest }
-        })
+            (squares / near.len().max(1) as f32).sqrt()
+        };
+        let disagreement: Vec<f32> = (0..samples).into_par_iter().map(disagreement).collect();
+        let largest = largest.into_iter().map(|bits| f32::from_bits(bits.into_inner()));
+        let told = |(disagreement, largest)| Expectation { disagreement, largest };
+        disagreement.into_iter().zip(largest).map(told).collect()
+    }
+
+    /// The neighbours that a sample's word is compared with.
+    fn ring(&self, i: usize) -> &[u32] {
+        let near = self.around.sheets.of_sample(i);
+        &near[..near.len().min(RING)]
+    }
+
+    /// How far the expansions about two samples are apart halfway between them.
+    fn halfway(&self, i: usize, j: usize) -> f32 {
+        let positions = &self.around.samples.positions;
+        let halfway = 0.5 * (positions[i] + positions[j]);
+        says(&self.expansions[i], halfway).distance(says(&self.expansions[j], halfway))
     }
 
     /// How far a vertex at `p`, of this home, that goes by `u`, is expected to be off; local units. The field
@@ -231,7 +297,7 @@ impl DeformationField<'_> {
         let mut heard = Heard::default();
         for i in self.around.supports.of_home(home).iter().map(|r| r.sample as usize) {
             let e = &self.expansions[i];
-            let s = 1.0 - p.distance_squared(Vec3::from_array(e.center)) * e.inverse_square;
+            let s = within(e, p);
             if s > 0.0 {
                 heard.add(self, i, s * s * s, p, u);
             }
@@ -295,6 +361,7 @@ impl DeformationField<'_> {
         let more = |(_, e): (usize, f64)| (e / accepted).powf(2.0 / ExpectedError::ORDER) - 1.0;
         Some(Beyond {
             worst,
+            rounding: f64::from(self.rounding_at(at)) / diagonal,
             place: of.frame.to_model(self.around.samples.positions[at]),
             samples: beyond().count() as u64,
             needed: beyond().map(more).sum::<f64>().ceil() as u64,
@@ -346,6 +413,12 @@ impl Heard {
         let beyond = middle.dot(spread.inverse() * middle);
         if beyond.is_finite() { beyond } else { FURTHEST }
     }
+}
+
+/// How far within its support a place is: from 1 at the sample down to 0, and below.
+#[inline]
+fn within(e: &Expansion, p: Vec3) -> f32 {
+    1.0 - p.distance_squared(Vec3::from_array(e.center)) * e.inverse_square
 }
 
 /// The displacement at `p` by an expansion: as [`Expansion::at`], without the gradient.

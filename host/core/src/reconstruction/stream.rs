@@ -224,7 +224,7 @@ struct Begun<'a> {
 impl<'a> Work<'a> {
     fn write(&mut self, versions: &[Version<'a>]) -> Result<()> {
         for (number, version) in versions.iter().enumerate() {
-            let (key, part_bytes) = (self.key(version.deformed), self.part_bytes());
+            let (key, part_bytes) = (self.key(version.deformed)?, self.part_bytes());
             match ResumableFile::open(version.output, key, self.how.resume, part_bytes, self.progress)? {
                 Opened::Unfinished(file) => {
                     let diagonal = self.sampled.bounds.diagonal();
@@ -363,31 +363,36 @@ impl<'a> Work<'a> {
     }
 
     /// Hash of all that determines the bytes of a version.
-    fn key(&self, deformed: &[Vec3]) -> String {
+    fn key(&self, deformed: &[Vec3]) -> Result<String> {
         let Self { sampled, model, how, .. } = self;
         let source = &sampled.source;
         // The fingerprint is of the vertices alone.
         let changed = std::fs::metadata(model.path()).and_then(|meta| meta.modified()).ok();
         let changed = changed.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
-        let (origin, scale) = (sampled.frame.origin.to_array(), sampled.frame.scale);
-        let small = format!(
-            "{REVISION} {} {:?} {:?} {} {} {changed:?} {origin:?} {scale:?}",
-            env!("CARGO_PKG_VERSION"),
-            how.method,
-            how.normals,
-            source.fingerprint,
-            model.info().bytes,
-        );
+        let method = match how.method {
+            Method::ProjectedBarycentric => 0u8,
+            Method::BlendedJets => 1,
+        };
+        let normals = match how.normals {
+            Normals::Keep => 0u8,
+            Normals::Transform => 1,
+            Normals::Drop => 2,
+        };
+        let frame = (sampled.frame.origin.to_array(), sampled.frame.scale);
+        let numbers = (REVISION, method, normals, model.info().bytes, changed, frame);
+        let small = (env!("CARGO_PKG_VERSION"), &source.fingerprint, numbers);
+        let small = postcard::to_allocvec(&small)
+            .map_err(|e| Error::internal(format!("a key cannot be made: {e}"), "report this").because(e))?;
         let samples = &sampled.samples;
         let points = [&samples.positions, samples.known_normals(), deformed].map(bytemuck::cast_slice);
         let contacts = samples.contacts().map(|contacts| contacts.digest().to_le_bytes());
         let contacts = contacts.as_ref().map(|digest| &digest[..]);
         let mut hash = Xxh3Default::new();
-        for bytes in [small.as_bytes()].into_iter().chain(points).chain(contacts) {
+        for bytes in [&small[..]].into_iter().chain(points).chain(contacts) {
             hash.update(&(bytes.len() as u64).to_le_bytes());
             hash.update(bytes);
         }
-        fingerprint(hash.digest128())
+        Ok(fingerprint(hash.digest128()))
     }
 
     /// Ends a call that failed.
@@ -404,6 +409,6 @@ impl<'a> Work<'a> {
         }
         let then = if error.kind() == Cancelled { "when you like" } else { error.hint() };
         let hint = format!("what is done is kept, --resume goes on from there: {then}");
-        Error::new(error.kind(), error.to_string(), hint)
+        error.hinting(hint)
     }
 }

@@ -195,7 +195,7 @@ pub fn refine(
     let mut need = None;
     let sizing = match how.finer {
         Finer::Auto { error, samples } => {
-            let (found, needs) = needs(sampled, kept, selection, error, samples)?;
+            let (found, needs) = needs(sampled, selection, error, samples)?;
             need = Some(found);
             let Some(needs) = needs else { return Ok(Refined { need, ..Refined::nothing() }) };
             Sizing::Needed(needs)
@@ -305,7 +305,6 @@ fn meets_nothing() -> Error {
 /// and a number of samples; no sizes, if it needs nothing.
 fn needs<'a>(
     sampled: &'a SampledModel,
-    kept: &KeptCells,
     selection: Selection<'_>,
     error: f64,
     samples: Option<u64>,
@@ -326,7 +325,7 @@ fn needs<'a>(
     let diagonal = sampled.local_diagonal().max(f64::MIN_POSITIVE);
     let budget = samples.unwrap_or((Finer::SHARE * selected.len() as f64).ceil() as u64);
     let budget = usize::try_from(budget).unwrap_or(usize::MAX);
-    let needs = Needs::of(sampled, kept, &expected, (error * diagonal) as f32, budget);
+    let needs = Needs::of(sampled, &sampled.cluster_errors()?, &expected, (error * diagonal) as f32, budget);
     let need = Need {
         expected: f64::from(expected.iter().copied().fold(0.0, f32::max)) / diagonal,
         allowed: needs.as_ref().map_or(error, |needs| f64::from(needs.allowed) / diagonal),

@@ -45,27 +45,16 @@ pub(super) struct Needs<'a> {
 
 impl<'a> Needs<'a> {
     /// Of the samples that are selected and around which more than `allowed` is expected, for about `budget`
-    /// new ones; `None` if there are none.
+    /// new ones, as the [errors](SampledModel::cluster_errors) of their clusters are; `None` if there are
+    /// none that could get more.
     pub fn of(
         sampled: &'a SampledModel,
-        kept: &KeptCells,
+        errors: &[f32],
         expected: &[f32],
         allowed: f32,
         budget: usize,
     ) -> Option<Self> {
-        let mut errors = vec![0.0f32; expected.len()];
-        for tree in kept.cells.iter().map(|cell| &cell.tree) {
-            let leaves = tree.children.iter().zip(&tree.errors).filter(|(children, _)| **children == 0);
-            for ((_, error), sample) in leaves.zip(&tree.samples) {
-                let known = &mut errors[*sample as usize];
-                *known = known.max(*error);
-            }
-        }
-        // Those that share a cluster with one that a tree has.
-        for [sample, of] in sampled.samples.contacts().map_or(&[][..], Contacts::parted) {
-            errors[*sample as usize] = errors[*of as usize];
-        }
-        let at = |allowed: f32| Self::allowing(&sampled.samples, &errors, expected, allowed);
+        let at = |allowed: f32| Self::allowing(&sampled.samples, errors, expected, allowed);
         let most = expected.iter().copied().fold(0.0, f32::max);
         let (needs, count) = at(allowed);
         if needs.needy == 0 || most <= allowed {
@@ -88,15 +77,32 @@ impl<'a> Needs<'a> {
         let mut wanted = vec![f32::INFINITY; errors.len()];
         // Non-negative numbers are in the order of their bits.
         let mut open: BinaryHeap<Reverse<(u32, u32)>> = BinaryHeap::new();
-        for (i, (error, expected)) in errors.iter().zip(expected).enumerate() {
-            if *expected > allowed && *error > 0.0 {
-                wanted[i] = error * (allowed / expected).powf(1.0 / ORDER);
-                open.push(Reverse((wanted[i].to_bits(), i as u32)));
+        let graph = samples.neighbours();
+        let mut needy = 0;
+        for (i, expected) in expected.iter().enumerate().filter(|(_, expected)| **expected > allowed) {
+            let smaller = (allowed / expected).powf(1.0 / ORDER);
+            // Where the cluster is a single place, what the expansion leaves out is due to those around.
+            let around = graph.of(i).iter().take(RING).map(|j| *j as usize).filter(|_| errors[i] == 0.0);
+            let mut helps = false;
+            for k in [i].into_iter().chain(around).filter(|k| errors[*k] > 0.0) {
+                let bound = smaller * errors[k];
+                helps = true;
+                if bound < wanted[k] {
+                    wanted[k] = bound;
+                    open.push(Reverse((bound.to_bits(), k as u32)));
+                }
+            }
+            needy += usize::from(helps);
+        }
+        // A tree has one of the samples of several sheets for all.
+        for [sample, of] in samples.contacts().map_or(&[][..], Contacts::parted) {
+            let bound = wanted[*sample as usize];
+            if bound < wanted[*of as usize] {
+                wanted[*of as usize] = bound;
+                open.push(Reverse((bound.to_bits(), *of)));
             }
         }
-        let needy = open.len();
         let least = wanted.iter().copied().fold(f32::INFINITY, f32::min);
-        let graph = samples.neighbours();
         while let Some(Reverse((bits, i))) = open.pop() {
             let from = f32::from_bits(bits);
             if from > wanted[i as usize] {

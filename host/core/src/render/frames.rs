@@ -40,7 +40,7 @@ impl FrameFolder {
         }
         self.count += 1;
         let path = self.folder.path().join(format!("frame-{:04}.png", self.count));
-        write_file(&path, &image.to_png()?).map_err(|e| self.folder.named(&e))
+        write_file(&path, &image.to_png()?).map_err(|e| self.folder.named(e))
     }
 
     /// Puts the folder in its place.

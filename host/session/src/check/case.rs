@@ -3,6 +3,7 @@
 use super::subject::{Listener, Refusal, answer};
 use super::{Checked, Finding};
 use crate::deformer::{Plugin, check_handles};
+use crate::key::Key;
 use crate::params::{LocalParams, Params};
 use crate::stack::{neighbour_lists, rows};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
@@ -194,8 +195,7 @@ impl Case {
         for x in self.strokes.iter().flatten().flatten() {
             x.to_bits().hash(&mut hasher);
         }
-        self.params.hash(&mut hasher);
-        hasher.finish()
+        Key::of(hasher.finish()).and(&self.params).end()
     }
 
     fn attributes(&self) -> Option<Vec<Attribute<'_>>> {

@@ -1,24 +1,6 @@
-//! Text of a page: escaped, numbers as people read them, tables.
+//! Text of a page: numbers as people read them, tables.
 
-use std::fmt::Write;
-
-/// Text as it may stand in an element or in an attribute with quotes.
-pub(super) fn escape(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => escaped.push_str("&amp;"),
-            '<' => escaped.push_str("&lt;"),
-            '>' => escaped.push_str("&gt;"),
-            '"' => escaped.push_str("&quot;"),
-            '\'' => escaped.push_str("&#39;"),
-            // What HTML forbids.
-            c if c.is_control() && !matches!(c, '\n' | '\t') => escaped.push('\u{fffd}'),
-            c => escaped.push(c),
-        }
-    }
-    escaped
-}
+use maud::{Markup, html};
 
 /// Three digits that count.
 pub(super) fn number(x: f64) -> String {
@@ -52,42 +34,62 @@ pub(super) fn or_dash(x: Option<f64>) -> String {
     x.map_or(NONE.to_owned(), number)
 }
 
-/// A table: first the column of names, then numbers.
-pub(super) struct Table {
-    html: String,
+/// A table: first the columns of names, then numbers.
+pub(super) struct Table<'a> {
+    caption: &'a str,
+    /// Titles, with their units.
+    titles: &'a [(&'a str, &'a str)],
+    rows: Vec<Markup>,
 }
 
-impl Table {
+impl<'a> Table<'a> {
     /// With a caption, and titles with their units below them.
-    pub fn new(caption: &str, titles: &[(&str, &str)]) -> Self {
-        let mut html =
-            format!("<div class=\"wide\"><table>\n<caption>{}</caption>\n<thead><tr>", escape(caption));
-        for (title, unit) in titles {
-            // Writing to a string does not fail.
-            let _ = write!(html, "<th scope=\"col\">{}", escape(title));
-            if !unit.is_empty() {
-                let _ = write!(html, "<br><small>{}</small>", escape(unit));
-            }
-            html.push_str("</th>");
-        }
-        html.push_str("</tr></thead>\n<tbody>\n");
-        Self { html }
+    pub fn new(caption: &'a str, titles: &'a [(&'a str, &'a str)]) -> Self {
+        Self { caption, titles, rows: Vec::new() }
     }
 
     /// A row: its names, then numbers.
     pub fn row(&mut self, names: &[&str], numbers: impl IntoIterator<Item = String>) {
-        self.html.push_str("<tr>");
-        for name in names {
-            let _ = write!(self.html, "<th scope=\"row\">{}</th>", escape(name));
-        }
-        for number in numbers {
-            let _ = write!(self.html, "<td>{}</td>", escape(&number));
-        }
-        self.html.push_str("</tr>\n");
+        self.rows.push(html! {
+            tr {
+                @for name in names { th scope="row" { (name) } }
+                @for number in numbers { td { (number) } }
+            }
+            "\n"
+        });
     }
 
-    pub fn finish(self) -> String {
-        self.html + "</tbody>\n</table></div>\n"
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    pub fn finish(self) -> Markup {
+        html! {
+            div.wide {
+                table {
+                    "\n"
+                    caption { (self.caption) }
+                    "\n"
+                    thead {
+                        tr {
+                            @for (title, unit) in self.titles {
+                                th scope="col" {
+                                    (title)
+                                    @if !unit.is_empty() { br; small { (unit) } }
+                                }
+                            }
+                        }
+                    }
+                    "\n"
+                    tbody {
+                        "\n"
+                        @for row in self.rows { (row) }
+                    }
+                    "\n"
+                }
+            }
+            "\n"
+        }
     }
 }
 
@@ -97,11 +99,9 @@ mod tests {
 
     #[test]
     fn text_stays_text() {
-        let escaped = escape("<script a=\"b\" c='d'>&amp;\u{1}\n</script>");
-        assert_eq!(escaped, "&lt;script a=&quot;b&quot; c=&#39;d&#39;&gt;&amp;amp;\u{fffd}\n&lt;/script&gt;");
         let mut table = Table::new("<b>", &[("<i>", "<u>")]);
         table.row(&["<x>"], ["<y>".to_owned()]);
-        let html = table.finish();
+        let html = table.finish().into_string();
         assert!(["<b>", "<i>", "<u>", "<x>", "<y>"].iter().all(|tag| !html.contains(tag)), "{html}");
     }
 

@@ -56,7 +56,7 @@ pub fn compare(
     let rest = model::open(&file.model)?;
     let folder = OutputFolder::create(output)?;
     let made = in_folder(file, plugins, keep_models, &folder, rest.as_ref(), &target, progress);
-    let comparison = made.map_err(|e| folder.named(&e))?;
+    let comparison = made.map_err(|e| folder.named(e))?;
     folder.commit()?;
     Ok(comparison)
 }
@@ -79,7 +79,7 @@ fn in_folder(
         match bench.run(method, &name, &mut record, progress) {
             Ok(deformed) => done.push((i, deformed)),
             Err(e) if e.kind() == ErrorKind::Cancelled => return Err(e),
-            Err(e) => record.fail(&folder.named(&e)),
+            Err(e) => record.fail(&folder.named(e)),
         }
         records.push(record);
     }

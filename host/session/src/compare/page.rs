@@ -2,42 +2,75 @@
 
 use super::figures::{DETAIL, Pair};
 use super::folder::{REST, difference};
-use super::html::{NONE, Table, escape, number, or_dash, round_percent};
+use super::html::{NONE, Table, number, or_dash, round_percent};
 use super::pictures::color;
 use super::record::{Comparison, MethodRecord};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Map, Value};
-use std::fmt::Write;
 
 const STYLE: &str = include_str!("page.css");
 
 /// The page, with these pictures in it.
 pub(super) fn page(comparison: &Comparison, pictures: &[(String, Vec<u8>)]) -> String {
     let title = format!("{} methods on {}", comparison.methods.len(), comparison.model.name);
-    let sections = [
-        head(comparison, &title),
-        failures(comparison),
-        gallery(comparison, pictures),
-        differences(comparison, pictures),
-        rest(comparison),
-        pairs(comparison),
-        exact(comparison),
-        costs(comparison),
-        meaning(),
-        parameters(comparison),
-        format!("<h2>The file</h2>\n<pre>{}</pre>\n", escape(&comparison.compare_file)),
-    ];
-    format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
-         content=\"width=device-width, initial-scale=1\">\n<title>{}</title>\n<style>\n{STYLE}</style>\n</head>\n\
-         <body>\n<main>\n{}</main>\n</body>\n</html>\n",
-        escape(&title),
-        sections.concat()
-    )
+    let page = html! {
+        (DOCTYPE) "\n"
+        html lang="en" {
+            "\n"
+            head {
+                "\n"
+                meta charset="utf-8";
+                "\n"
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                "\n"
+                title { (title) }
+                "\n"
+                style { "\n" (PreEscaped(STYLE)) }
+                "\n"
+            }
+            "\n"
+            body {
+                "\n"
+                main {
+                    "\n"
+                    (head(comparison, &title))
+                    (failures(comparison))
+                    (gallery(comparison, pictures))
+                    (differences(comparison, pictures))
+                    (rest(comparison))
+                    (pairs(comparison))
+                    (exact(comparison))
+                    (costs(comparison))
+                    (meaning())
+                    (parameters(comparison))
+                    h2 { "The file" }
+                    "\n"
+                    pre { (comparison.compare_file) }
+                    "\n"
+                }
+                "\n"
+            }
+            "\n"
+        }
+        "\n"
+    };
+    // HTML forbids control characters, which names and files may have.
+    page.into_string().replace(|c: char| c.is_control() && !matches!(c, '\n' | '\t'), "\u{fffd}")
 }
 
-fn head(c: &Comparison, title: &str) -> String {
+/// A heading, and what is below it.
+fn section(title: &str, content: &Markup) -> Markup {
+    html! { h2 { (title) } "\n" (content) }
+}
+
+/// A term, and what it means or is.
+fn entry(term: &str, text: &str) -> Markup {
+    html! { dt { (term) } dd { (text) } "\n" }
+}
+
+fn head(c: &Comparison, title: &str) -> Markup {
     let m = &c.model;
     let facts = [
         ("Model", m.name.clone()),
@@ -46,74 +79,90 @@ fn head(c: &Comparison, title: &str) -> String {
         ("Diagonal", format!("{} in the model's unit", m.diagonal)),
         ("Made by", format!("SIMOD {}", c.simod)),
     ];
-    let facts: String =
-        facts.iter().map(|(name, value)| format!("<dt>{name}</dt><dd>{}</dd>\n", escape(value))).collect();
-    format!(
-        "<h1>{}</h1>\n<dl>\n{facts}</dl>\n<p class=\"soft\">Lengths are in percent of the diagonal of the model's \
-         bounding box at rest. All figures are in <code>compare.json</code> as well.</p>\n",
-        escape(title)
-    )
+    html! {
+        h1 { (title) }
+        "\n"
+        dl { "\n" @for (name, value) in &facts { (entry(name, value)) } }
+        "\n"
+        p.soft {
+            "Lengths are in percent of the diagonal of the model's bounding box at rest. All figures are in "
+            code { "compare.json" }
+            " as well."
+        }
+        "\n"
+    }
 }
 
-fn failures(c: &Comparison) -> String {
-    let mut table = Table::new(
-        "Methods that could not be done.",
-        &[("method", ""), ("what is wrong", ""), ("what to do", "")],
-    );
-    let mut any = false;
+fn failures(c: &Comparison) -> Markup {
+    let titles = [("method", ""), ("what is wrong", ""), ("what to do", "")];
+    let mut table = Table::new("Methods that could not be done.", &titles);
     for (method, failure) in c.failed() {
         table.row(&[&method.name, &failure.what, &failure.hint], []);
-        any = true;
     }
-    if any { format!("<h2 class=\"bad\">Failed</h2>\n{}", table.finish()) } else { String::new() }
+    html! {
+        @if !table.is_empty() { h2.bad { "Failed" } "\n" (table.finish()) }
+    }
 }
 
-/// A picture with its caption, which is HTML; nothing where there is no such picture.
-fn figure(pictures: &[(String, Vec<u8>)], name: &str, alt: &str, caption: &str) -> String {
-    let Some((_, bytes)) = pictures.iter().find(|(other, _)| other == name) else { return String::new() };
-    format!(
-        "<figure><img alt=\"{}\" src=\"data:image/png;base64,{}\"><figcaption>{caption}</figcaption></figure>\n",
-        escape(alt),
-        STANDARD.encode(bytes)
-    )
+/// A picture with its caption; nothing where there is no such picture.
+fn figure(pictures: &[(String, Vec<u8>)], name: &str, alt: &str, caption: &str) -> Option<Markup> {
+    let (_, bytes) = pictures.iter().find(|(other, _)| other == name)?;
+    let source = format!("data:image/png;base64,{}", STANDARD.encode(bytes));
+    Some(html! { figure { img alt=(alt) src=(source); figcaption { (caption) } } "\n" })
 }
 
-fn gallery(c: &Comparison, pictures: &[(String, Vec<u8>)]) -> String {
-    let of = |m: &MethodRecord| figure(pictures, &format!("{}.png", m.file), &m.name, &escape(&m.name));
-    let methods: String = c.done().map(|(m, _)| of(m)).collect();
-    format!(
-        "<h2>Results</h2>\n<p class=\"soft\">All from the same place. The shared regions:<span class=\"key\" \
-         style=\"background:#788caf\"></span>fixed<span class=\"key\" style=\"background:#e6af3c\"></span>handle</p>\n\
-         <div class=\"grid\">\n{}{methods}</div>\n",
-        figure(pictures, REST, "The model at rest", "at rest")
-    )
+fn gallery(c: &Comparison, pictures: &[(String, Vec<u8>)]) -> Markup {
+    let methods =
+        c.done().filter_map(|(m, _)| figure(pictures, &format!("{}.png", m.file), &m.name, &m.name));
+    let all = figure(pictures, REST, "The model at rest", "at rest").into_iter().chain(methods);
+    let key = |color: &str| html! { span.key style=(format!("background:{color}")) {} };
+    html! {
+        h2 { "Results" }
+        "\n"
+        p.soft {
+            "All from the same place. The shared regions:" (key("#788caf")) "fixed" (key("#e6af3c")) "handle"
+        }
+        "\n"
+        div.grid { "\n" @for figure in all { (figure) } }
+        "\n"
+    }
 }
 
-fn differences(c: &Comparison, pictures: &[(String, Vec<u8>)]) -> String {
-    let Some((first, _)) = c.done().next() else { return String::new() };
+fn differences(c: &Comparison, pictures: &[(String, Vec<u8>)]) -> Markup {
+    let Some((first, _)) = c.done().next() else { return Markup::default() };
     let of = |m: &MethodRecord| {
         let alt = format!("Distance of {} to {}", m.name, first.name);
-        figure(pictures, &format!("{}.png", difference(&m.file)), &alt, &escape(&m.name))
+        figure(pictures, &format!("{}.png", difference(&m.file)), &alt, &m.name)
     };
-    let figures: String = c.done().skip(1).map(|(m, _)| of(m)).collect();
+    let figures: Vec<Markup> = c.done().skip(1).filter_map(|(m, _)| of(m)).collect();
     if figures.is_empty() {
-        return String::new();
+        return Markup::default();
     }
     let stops: Vec<String> =
         (0..=10).map(|i| color(i as f32 / 10.0)).map(|[r, g, b]| format!("rgb({r},{g},{b})")).collect();
-    format!(
-        "<h2>Where they differ from {}</h2>\n<p class=\"soft\">Each vertex by its distance to the same vertex of {}, on \
-         one scale for all:</p>\n<p><span style=\"display:inline-block;width:14rem;max-width:50%;height:.8em;\
-         background:linear-gradient(to right,{});border-radius:2px;print-color-adjust:exact\"></span> 0 to {} of the \
-         diagonal and beyond</p>\n<div class=\"grid\">\n{figures}</div>\n",
-        escape(&first.name),
-        escape(&first.name),
-        stops.join(","),
-        round_percent(c.color_scale),
-    )
+    let scale = format!(
+        "display:inline-block;width:14rem;max-width:50%;height:.8em;background:linear-gradient(to right,{});\
+         border-radius:2px;print-color-adjust:exact",
+        stops.join(",")
+    );
+    html! {
+        h2 { "Where they differ from " (first.name) }
+        "\n"
+        p.soft {
+            "Each vertex by its distance to the same vertex of " (first.name) ", on one scale for all:"
+        }
+        "\n"
+        p {
+            span style=(scale) {}
+            " 0 to " (round_percent(c.color_scale)) " of the diagonal and beyond"
+        }
+        "\n"
+        div.grid { "\n" @for figure in figures { (figure) } }
+        "\n"
+    }
 }
 
-fn rest(c: &Comparison) -> String {
+fn rest(c: &Comparison) -> Markup {
     let titles = [
         ("method", ""),
         ("displacement rms", "%"),
@@ -145,12 +194,12 @@ fn rest(c: &Comparison) -> String {
         ];
         table.row(&[&method.name], cells);
     }
-    format!("<h2>Beside the model at rest</h2>\n{}", table.finish())
+    section("Beside the model at rest", &table.finish())
 }
 
-fn pairs(c: &Comparison) -> String {
+fn pairs(c: &Comparison) -> Markup {
     if c.pairs.is_empty() {
-        return String::new();
+        return Markup::default();
     }
     let titles = [
         ("first", ""),
@@ -186,10 +235,10 @@ fn pairs(c: &Comparison) -> String {
         ];
         table.row(&[first, second], cells);
     }
-    format!("<h2>Beside each other</h2>\n{}", table.finish())
+    section("Beside each other", &table.finish())
 }
 
-fn exact(c: &Comparison) -> String {
+fn exact(c: &Comparison) -> Markup {
     let titles = [("method", ""), ("rms", "%"), ("99.9th", "%"), ("max", "%")];
     let mut table = Table::new("All vertices beside their exact images.", &titles);
     let mut any = false;
@@ -200,14 +249,10 @@ fn exact(c: &Comparison) -> String {
         any |= f.transfer_error.is_some();
         table.row(&[&method.name], [of(|e| e.rms), of(|e| e.p999), of(|e| e.max)]);
     }
-    if any {
-        format!("<h2>Transfer from the samples to the model</h2>\n{}", table.finish())
-    } else {
-        String::new()
-    }
+    if any { section("Transfer from the samples to the model", &table.finish()) } else { Markup::default() }
 }
 
-fn costs(c: &Comparison) -> String {
+fn costs(c: &Comparison) -> Markup {
     let titles = [
         ("method", ""),
         ("samples", ""),
@@ -226,11 +271,11 @@ fn costs(c: &Comparison) -> String {
         let times = [s.sample, s.deform, s.reconstruct].map(|s| format!("{s:.2}"));
         table.row(&[&method.name], cells.into_iter().chain(times).chain([memory]));
     }
-    format!("<h2>Time and memory</h2>\n{}", table.finish())
+    section("Time and memory", &table.finish())
 }
 
 /// What the columns mean.
-fn meaning() -> String {
+fn meaning() -> Markup {
     let terms = [
         ("displacement", "how far vertices moved from where they are at rest."),
         ("volume", "its relative change; a dash where the triangles between the samples are not closed."),
@@ -274,35 +319,44 @@ fn meaning() -> String {
          IEEE TVCG 2008, as a figure). 0 for rigid motions.",
         round_percent(DETAIL)
     );
-    let mut list: String =
-        terms.iter().map(|(term, text)| format!("<dt>{term}</dt><dd>{}</dd>\n", escape(text))).collect();
-    let _ = writeln!(list, "<dt>details</dt><dd>{}</dd>", escape(&details));
-    format!("<h2>What the figures mean</h2>\n<dl>\n{list}</dl>\n")
+    html! {
+        h2 { "What the figures mean" }
+        "\n"
+        dl {
+            "\n"
+            @for (term, text) in terms { (entry(term, text)) }
+            (entry("details", &details))
+        }
+        "\n"
+    }
 }
 
-fn parameters(c: &Comparison) -> String {
-    let mut html = "<h2>Methods</h2>\n".to_owned();
-    for method in &c.methods {
-        let given = words(&method.sampling);
-        let sampling = if given.is_empty() { "as by default".to_owned() } else { given };
-        let _ = writeln!(html, "<h3>{}</h3>\n<dl>", escape(&method.name));
-        let mut line = |name: &str, value: &str| {
-            let _ = writeln!(html, "<dt>{}</dt><dd>{}</dd>", escape(name), escape(value));
-        };
-        for step in &method.steps {
-            line(&format!("{} {}", step.plugin, step.version), &words(&step.params));
-        }
-        line("sampling", &sampling);
-        line("reconstruction", &method.reconstruction);
-        for message in method.figures.iter().flat_map(|f| &f.messages) {
-            line("said", message);
-        }
-        html.push_str("</dl>\n");
-        if let Some(session) = &method.session {
-            let _ = writeln!(html, "<pre>{}</pre>", escape(session));
-        }
+fn parameters(c: &Comparison) -> Markup {
+    html! {
+        h2 { "Methods" }
+        "\n"
+        @for method in &c.methods { (parameters_of(method)) }
     }
-    html
+}
+
+fn parameters_of(method: &MethodRecord) -> Markup {
+    let given = words(&method.sampling);
+    let sampling = if given.is_empty() { "as by default" } else { &given };
+    html! {
+        h3 { (method.name) }
+        "\n"
+        dl {
+            "\n"
+            @for step in &method.steps {
+                (entry(&format!("{} {}", step.plugin, step.version), &words(&step.params)))
+            }
+            (entry("sampling", sampling))
+            (entry("reconstruction", &method.reconstruction))
+            @for message in method.figures.iter().flat_map(|f| &f.messages) { (entry("said", message)) }
+        }
+        "\n"
+        @if let Some(session) = &method.session { pre { (session) } "\n" }
+    }
 }
 
 /// `key = value, key = value`.

@@ -213,7 +213,7 @@ impl Plugin {
 
     /// Does the work that does not depend on the transforms.
     pub(crate) fn prepare(&self, input: &PrepareInput<'_>, watch: &Watch<'_>) -> Result<State> {
-        watch.begin("preparing the deformation");
+        watch.begin_preparation("preparing the deformation");
         let before = self.fingerprint(&input.samples);
         let state = self.code.prepare(input, watch);
         self.check_unchanged(before, &input.samples)?;
@@ -289,7 +289,7 @@ impl Plugin {
         let handles = handles.map_err(|e| self.failed(&e))?;
         check_handles(&handles).map_err(|what| {
             let what = format!("plugin {}: {what}", self.id());
-            Error::new(ErrorKind::Plugin, what, "this is a bug of the plugin; tell its author")
+            plugins_bug(what)
         })?;
         Ok(handles)
     }
@@ -328,7 +328,7 @@ impl Plugin {
             return Ok(());
         }
         let what = format!("plugin {} changed the samples, which are not its own", self.id());
-        Err(Error::new(ErrorKind::Plugin, what, "this is a bug of the plugin; tell its author"))
+        Err(plugins_bug(what))
     }
 
     /// `bad` of `count` results cannot be used: `first` is the first one, and its index.
@@ -350,7 +350,7 @@ impl Plugin {
         if error.code == ErrorCode::CANCELLED {
             // The host did not ask for it, or it would have been told before.
             let what = format!("plugin {} stopped unasked", self.id());
-            return Error::new(ErrorKind::Plugin, what, "this is a bug of the plugin; tell its author");
+            return plugins_bug(what);
         }
         let hint = if error.hint.trim().is_empty() {
             format!("`simod plugin info {}` describes what it needs", self.id())
@@ -429,9 +429,17 @@ pub(crate) fn cannot_load(path: &Path, reason: &str) -> Error {
     Error::new(ErrorKind::Plugin, what, hint)
 }
 
+/// What to do about a mistake of a plugin.
+pub(crate) const TELL_AUTHOR: &str = "this is a bug of the plugin; tell its author";
+
+/// A mistake of a plugin, which is named.
+pub(crate) fn plugins_bug(what: impl Into<String>) -> Error {
+    Error::new(ErrorKind::Plugin, what, TELL_AUTHOR)
+}
+
 fn refused(path: &Path, what: &str) -> Error {
     let what = format!("{}: {what}", path.display());
-    Error::new(ErrorKind::Plugin, what, "this is a bug of the plugin; tell its author")
+    plugins_bug(what)
 }
 
 /// A plugin's text on one line, of bounded length.
@@ -462,6 +470,11 @@ impl<'a> Watch<'a> {
     fn begin(&self, stage: &'static str) {
         self.told.store(0, Ordering::Relaxed);
         self.progress.begin(stage, self.size);
+    }
+
+    fn begin_preparation(&self, stage: &'static str) {
+        self.told.store(0, Ordering::Relaxed);
+        self.progress.begin_preparation(stage, self.size);
     }
 
     /// What the plugin said.

@@ -3,9 +3,10 @@
 use super::around::Around;
 use super::document::{Entry, StepId};
 use crate::deformer::Message;
+use crate::key::Key;
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Refine, Step};
-use crate::stack::{Done, Kept, Key, Layer, Moment, PreparedStack, Rest, RestShape, at};
+use crate::stack::{Done, Kept, Layer, Moment, PreparedStack, Rest, RestShape, at};
 use glam::Vec3;
 use simod_core::reconstruction::{
     DeformationField, Method, Reconstructed, Reconstruction, Surroundings, Version, deformed_normals,
@@ -423,5 +424,5 @@ fn with_shape<T>(sampled: &SampledModel, call: impl FnOnce(&RestShape<'_>) -> T)
 }
 
 fn no_deformation() -> Error {
-    Error::new(ErrorKind::Argument, "the step deforms nothing", "report this")
+    Error::internal("the step deforms nothing", "report this")
 }

@@ -174,7 +174,7 @@ fn explain(path: &Path, error: &LibraryError, theirs: Option<&str>) -> Error {
             format!("rebuild the plugin with simod-plugin-api {ours}"),
         ),
         LibraryError::RootModule { .. } | LibraryError::Many(_) => {
-            (format!("{file} failed to start"), "this is a bug of the plugin; tell its author".to_owned())
+            (format!("{file} failed to start"), crate::deformer::TELL_AUTHOR.to_owned())
         }
     };
     Error::new(ErrorKind::Plugin, what, hint)

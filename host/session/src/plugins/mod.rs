@@ -15,6 +15,7 @@ use cache::{Cache, Stamp};
 pub(crate) use library_file::aborts_on_panic;
 use load::LazyCode;
 pub(crate) use load::load_code;
+use semver::Version;
 use simod_core::progress::Silent;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use std::cmp::Ordering;
@@ -505,17 +506,20 @@ fn is_named(file: &Path, id: &str) -> bool {
     stem.strip_prefix("simod_").unwrap_or(stem) == id.replace('-', "_")
 }
 
-/// `major.minor.patch`, by numbers; what is no number counts as 0, and a pre-release is older than its
-/// release.
+/// By the precedence of semantic versions; the build does not count. Missing numbers are 0, and what is no
+/// such version is older than all that are.
 fn compare_versions(a: &str, b: &str) -> Ordering {
-    let key = |version: &str| {
-        let version = version.split('+').next().unwrap_or_default();
-        let (numbers, pre) = version.split_once('-').map_or((version, None), |(n, pre)| (n, Some(pre)));
-        let mut numbers = numbers.split('.').map(|n| n.parse::<u64>().unwrap_or(0));
-        let triple: [u64; 3] = std::array::from_fn(|_| numbers.next().unwrap_or(0));
-        (triple, pre.is_none(), pre.unwrap_or_default().to_owned())
-    };
-    key(a).cmp(&key(b))
+    match (semantic(a), semantic(b)) {
+        (Some(a), Some(b)) => a.cmp_precedence(&b),
+        (a, b) => a.is_some().cmp(&b.is_some()),
+    }
+}
+
+/// A semantic version, of which minor and patch may be missing.
+fn semantic(version: &str) -> Option<Version> {
+    let (numbers, rest) = version.split_at(version.find(['-', '+']).unwrap_or(version.len()));
+    let missing = ".0".repeat(2usize.saturating_sub(numbers.matches('.').count()));
+    Version::parse(&format!("{numbers}{missing}{rest}")).ok()
 }
 
 #[cfg(test)]
@@ -527,6 +531,10 @@ mod tests {
         assert_eq!(compare_versions("0.10.0", "0.9.7"), Ordering::Greater);
         assert_eq!(compare_versions("1.0.0", "1.0.0-rc.1"), Ordering::Greater);
         assert_eq!(compare_versions("1.0", "1.0.0+local"), Ordering::Equal);
+        assert_eq!(compare_versions("1.0.0-rc.10", "1.0.0-rc.2"), Ordering::Greater);
+        assert_eq!(compare_versions("2-rc.1", "1.9"), Ordering::Greater);
+        assert_eq!(compare_versions("of today", "0.0.0-a"), Ordering::Less);
+        assert_eq!(compare_versions("of today", ""), Ordering::Equal);
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use super::{Moment, Rest, RestShape, neighbour_lists, not_one_per_sample, rows};
 use crate::deformer::{Message, Plugin, Watch};
+use crate::key::Key;
 use crate::migration::{in_its_words, migrated};
 use crate::motion::to_local;
 use crate::params::{LocalParams, ParamValue, Params, nearest};
@@ -17,9 +18,7 @@ use simod_core::model::Type;
 use simod_core::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api as api;
 use std::collections::HashMap;
-use std::fmt::Write as _;
 use std::sync::{Arc, Mutex, PoisonError};
-use xxhash_rust::xxh3::Xxh3Default;
 
 #[derive(Debug)]
 pub(crate) struct Layer {
@@ -132,7 +131,7 @@ impl Layer {
         let plugin = registry.get(&step.deform).map_err(|e| match &step.plugin {
             Some(origin) => {
                 let hint = format!("it was {origin}; install it and try again: {}", e.hint());
-                Error::new(e.kind(), e.to_string(), hint)
+                e.hinting(hint)
             }
             None => e,
         })?;
@@ -323,7 +322,7 @@ impl Layer {
             |id: &str| self.plugin.params().iter().any(|d| d.id == id && d.invalidates_preparation);
         let params: Vec<_> = self.params.iter().filter(|(id, _)| prepares(id)).collect();
         let regions: Vec<_> = self.regions.iter().map(|(role, shapes)| (role.0, shapes)).collect();
-        self.key(rest_key).and(&(params, regions)).end()
+        self.key(rest_key).and(&params).and(&regions).end()
     }
 
     /// A key with what all of the plugin's calls may depend on: which it is, the joints, and the content of
@@ -334,7 +333,8 @@ impl Layer {
             _ => None,
         };
         let files: Vec<_> = self.params.iter().filter_map(|(_, value)| file(value)).collect();
-        Key::of(rest_key).and(&Arc::as_ptr(&self.plugin)).and(&self.joints).and(&files)
+        // As long as something is kept of it, no other plugin has its place in memory.
+        Key::of(rest_key).and(&Arc::as_ptr(&self.plugin).addr()).and(&self.joints).and(&files)
     }
 
     /// Calls with what plugins get where nothing moves yet.
@@ -539,12 +539,9 @@ impl LocalStroke {
             pressures: stroke.pressures.clone(),
             params: params.to_local(frame, bounds),
         };
-        let mut hash = Xxh3Default::new();
-        hash.update(bytemuck::bytes_of(&[this.radius, this.strength]));
-        hash.update(bytemuck::cast_slice(&this.points));
-        hash.update(bytemuck::cast_slice(&this.pressures));
-        std::hash::Hash::hash(&this.params, &mut hash);
-        this.key = hash.digest();
+        let LocalStroke { radius, strength, points, pressures, params, .. } = &this;
+        let key = Key::of(0).and(&[*radius, *strength]).and(points).and(pressures).and(params);
+        this.key = key.end();
         this
     }
 }
@@ -553,14 +550,8 @@ impl Motions {
     /// A key with all of it.
     fn key(&self, former: u64) -> Key {
         let strokes: Vec<u64> = self.strokes.iter().map(|s| s.key).collect();
-        Key::of(former).and(&(
-            &self.params,
-            &self.transforms,
-            &self.handles,
-            &strokes,
-            self.effort,
-            self.time,
-        ))
+        let Self { params, transforms, handles, effort, time, .. } = self;
+        Key::of(former).and(params).and(transforms).and(handles).and(&strokes).and(effort).and(time)
     }
 
     /// Calls with what a deformation gets.
@@ -629,33 +620,4 @@ fn masked(masks: &[Shapes], at: DVec3, p: DVec3, q: DVec3) -> DVec3 {
     let weight = masks.iter().map(|m| m.weight(at)).fold(0.0, f64::max);
     // Exactly one of both where there is nothing to blend.
     if weight >= 1.0 { q } else { p + weight * (q - p) }
-}
-
-/// A hash of what something depends on, by how it is written: numbers are written so that they come back
-/// exactly.
-pub(crate) struct Key(Xxh3Default);
-
-impl Key {
-    pub fn of(former: u64) -> Self {
-        let mut hash = Xxh3Default::new();
-        hash.update(&former.to_le_bytes());
-        Self(hash)
-    }
-
-    pub fn and(mut self, what: &impl std::fmt::Debug) -> Self {
-        // Writing to a hash does not fail.
-        let _ = write!(self, "{what:?};");
-        self
-    }
-
-    pub fn end(self) -> u64 {
-        self.0.digest()
-    }
-}
-
-impl std::fmt::Write for Key {
-    fn write_str(&mut self, text: &str) -> std::fmt::Result {
-        self.0.update(text.as_bytes());
-        Ok(())
-    }
 }

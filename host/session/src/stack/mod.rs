@@ -10,7 +10,7 @@ use crate::params::Params;
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Deformation, Step};
 use glam::{DAffine3, DVec3, Vec3};
-pub(crate) use layer::{Done, Kept, Key, Layer};
+pub(crate) use layer::{Done, Kept, Layer};
 use rayon::prelude::*;
 use simod_core::attributes::Attributes;
 use simod_core::frame::Frame;
@@ -222,7 +222,11 @@ pub(crate) fn neighbour_lists(graph: &NeighbourGraph, samples: usize) -> (Vec<u3
 
 /// An error of a layer, with its place; a cancel has none.
 pub(crate) fn at(place: &str, e: Error) -> Error {
-    if e.kind() == ErrorKind::Cancelled { e } else { Error::new(e.kind(), format!("{place}: {e}"), e.hint()) }
+    if e.kind() == ErrorKind::Cancelled {
+        return e;
+    }
+    let what = format!("{place}: {e}");
+    e.saying(what)
 }
 
 /// As plugins take it.

@@ -285,8 +285,7 @@ impl Engine {
         self.want(|wanted, running| {
             if let Some((watch, before, was)) = &running.evaluate {
                 let at = running.step.load(std::sync::atomic::Ordering::Relaxed);
-                let preparing = watch.stage().starts_with("preparing");
-                if wasted::is_wasted(before, *was, &steps, effort, at, preparing) {
+                if wasted::is_wasted(before, *was, &steps, effort, at, watch.stage()) {
                     watch.supersede();
                 }
             }
@@ -394,7 +393,7 @@ impl Engine {
     /// Waits for the next event, for programs without a window.
     ///
     /// # Errors
-    /// Nothing happened for so long, or nothing is going to.
+    /// Nothing happened for so long.
     pub fn wait(&mut self, longest: Duration) -> Result<Option<Event>> {
         let end = Instant::now() + longest;
         loop {
@@ -408,7 +407,8 @@ impl Engine {
             }
             let left = end.saturating_duration_since(Instant::now());
             if left.is_zero() {
-                return Err(Error::cancelled());
+                let what = format!("what was asked for has not come in {} s", longest.as_secs());
+                return Err(Error::internal(what, "save the session, and report this"));
             }
             if running.events == 0 {
                 drop(self.shared.changed.wait_timeout(inner, left));

@@ -95,7 +95,7 @@ pub(super) fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
         let text = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
         let text = text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default();
         let what = format!("a mistake in the program: {text}");
-        Err(Error::new(ErrorKind::Io, what, "save the session, and report this"))
+        Err(Error::internal(what, "save the session, and report this"))
     })
 }
 

@@ -1,5 +1,6 @@
 //! Whether what is being done is of no more use.
 
+use super::watch::StageKind;
 use simod_plugin_api::Effort;
 use simod_session::edit::Entry;
 use simod_session::session_file::{Action, Region, Role, Step};
@@ -17,7 +18,7 @@ pub fn is_wasted(
     after: &[Entry],
     effort: Effort,
     at: usize,
-    preparing: bool,
+    stage: StageKind,
 ) -> bool {
     if was == Effort::DRAFT && effort == Effort::DRAFT {
         return false;
@@ -31,7 +32,7 @@ pub fn is_wasted(
         (Some(a), Some(b)) => a.id == b.id && is_prepared_alike(&a.step, &b.step),
         _ => false,
     };
-    !(at == first && preparing && prepared_alike())
+    !(at == first && stage == StageKind::Preparation && prepared_alike())
 }
 
 /// Whether two steps differ at most in how things move.
@@ -63,7 +64,8 @@ mod tests {
         let before = document.steps().clone();
         let (full, draft) = (Effort::FULL, Effort::DRAFT);
         let wasted = |document: &Document, was, effort, at, preparing| {
-            is_wasted(&before, was, document.steps(), effort, at, preparing)
+            let stage = if preparing { StageKind::Preparation } else { StageKind::Other };
+            is_wasted(&before, was, document.steps(), effort, at, stage)
         };
         assert!(!wasted(&document, full, full, 1, false), "nothing changed");
         let motion = Motion { degrees: 10.0, ..Motion::default() };

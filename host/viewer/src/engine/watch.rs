@@ -24,7 +24,17 @@ pub struct Activity {
     pub memory: Option<u64>,
 }
 
+/// What a stage is, for those who decide whether it is still of use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum StageKind {
+    /// What does not depend on how things move.
+    Preparation,
+    /// Anything else.
+    Other,
+}
+
 struct Stage {
+    kind: StageKind,
     name: &'static str,
     total: u64,
     since: Instant,
@@ -55,7 +65,7 @@ impl Watch {
         Self {
             wake,
             begun: now,
-            stage: Mutex::new(Stage { name: "starting", total: 0, since: now }),
+            stage: Mutex::new(Stage { kind: StageKind::Other, name: "starting", total: 0, since: now }),
             done: AtomicU64::new(0),
             cancelled: AtomicBool::new(false),
             superseded: AtomicBool::new(false),
@@ -87,9 +97,16 @@ impl Watch {
         Activity { stage: stage.name, fraction, rate, seconds, memory }
     }
 
-    /// The stage's name.
-    pub fn stage(&self) -> &'static str {
-        lock(&self.stage).name
+    /// What the stage is.
+    pub fn stage(&self) -> StageKind {
+        lock(&self.stage).kind
+    }
+
+    fn start(&self, kind: StageKind, name: &'static str, total: u64) {
+        *lock(&self.stage) = Stage { kind, name, total, since: Instant::now() };
+        self.done.store(0, Relaxed);
+        self.told.store(0, Relaxed);
+        (self.wake)();
     }
 
     /// Looks at the samples that have emerged, if there are any.
@@ -105,10 +122,11 @@ impl Watch {
 
 impl Progress for Watch {
     fn begin(&self, stage: &'static str, total: u64) {
-        *lock(&self.stage) = Stage { name: stage, total, since: Instant::now() };
-        self.done.store(0, Relaxed);
-        self.told.store(0, Relaxed);
-        (self.wake)();
+        self.start(StageKind::Other, stage, total);
+    }
+
+    fn begin_preparation(&self, stage: &'static str, total: u64) {
+        self.start(StageKind::Preparation, stage, total);
     }
 
     fn advance(&self, bytes: u64) {

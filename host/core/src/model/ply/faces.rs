@@ -15,7 +15,7 @@ use super::walk::{CUT_OFF, Plan, Step};
 use super::{ascii, binary};
 use crate::model::source::Source;
 use crate::model::{CHUNK_TRIANGLES, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader};
-use crate::{Error, ErrorKind, Result};
+use crate::{Error, Result};
 
 /// Bytes read at a time; no word of a text file is longer.
 const BLOCK: usize = 1 << 18;
@@ -243,8 +243,7 @@ impl<'a> SomeFaces<'a> {
     pub(super) fn new(model: &'a PlyModel, ranges: Vec<Range<u64>>) -> Result<Self> {
         let encoding = model.header.encoding;
         let [element] = with_triangles(&model.header)[..] else {
-            return Err(Error::new(
-                ErrorKind::Argument,
+            return Err(Error::internal(
                 format!("{}: its faces can be read only all at once", model.source.path().display()),
                 "this is a bug: please report it",
             ));

@@ -35,7 +35,7 @@ impl<'a> Ear<'a> {
                 ErrorCode(status),
                 format!("failed with code {status}, and does not say why"),
             )
-            .hint("this is a bug of the plugin; tell its author"),
+            .hint(crate::deformer::TELL_AUTHOR),
         }
     }
 }

@@ -127,7 +127,7 @@ impl CCode {
         let refused = |what: &str, hint: &str| {
             Err(Error::new(ErrorKind::Plugin, format!("{}: {what}", path.display()), hint))
         };
-        let bug = "this is a bug of the plugin; tell its author";
+        let bug = crate::deformer::TELL_AUTHOR;
         if table.is_null() || !table.is_aligned() {
             return refused("simod_plugin_entry is no table", bug);
         }
@@ -321,7 +321,7 @@ impl Code for CCode {
             // SAFETY: all pointers are good for the length of the call.
             call(&(), |host| unsafe { migrate(from, settings, count, &raw mut list, host) })
         })??;
-        found.map_err(|e| e.hint("this is a bug of the plugin; tell its author"))
+        found.map_err(|e| e.hint(crate::deformer::TELL_AUTHOR))
     }
 }
 

@@ -1,0 +1,277 @@
+//! Keys of what is kept from one evaluation to the next: hashes of all that a result came from, number by
+//! number and bit by bit. How something is printed has no say.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use glam::DVec3;
+use simod_core::refinement::Finer;
+use simod_plugin_api as api;
+use xxhash_rust::xxh3::Xxh3Default;
+
+use crate::params::ParamValue;
+use crate::session_file::{Joint, Refine};
+use crate::shapes::{Shape, Shapes};
+use crate::side_file::Reference;
+
+/// A key in the making.
+pub(crate) struct Key(Xxh3Default);
+
+impl Key {
+    /// Of what came from something that has this key itself.
+    pub fn of(former: u64) -> Self {
+        Self(Xxh3Default::new()).and(&former)
+    }
+
+    /// Also of this.
+    pub fn and(mut self, what: &(impl Keyed + ?Sized)) -> Self {
+        what.add_to(&mut self);
+        self
+    }
+
+    /// The key.
+    pub fn end(self) -> u64 {
+        self.0.digest()
+    }
+}
+
+/// What a key can be of. What differs is added as different bytes: lengths before lists and texts, a number
+/// before each case.
+pub(crate) trait Keyed {
+    /// Adds all of it.
+    fn add_to(&self, key: &mut Key);
+}
+
+macro_rules! numbers {
+    ($($number:ty),*) => {
+        $(impl Keyed for $number {
+            fn add_to(&self, key: &mut Key) {
+                key.0.update(&self.to_le_bytes());
+            }
+        })*
+    };
+}
+numbers!(u8, u32, u64, u128, i64, f32, f64);
+
+impl Keyed for usize {
+    fn add_to(&self, key: &mut Key) {
+        (*self as u64).add_to(key);
+    }
+}
+
+impl Keyed for bool {
+    fn add_to(&self, key: &mut Key) {
+        u8::from(*self).add_to(key);
+    }
+}
+
+impl Keyed for str {
+    fn add_to(&self, key: &mut Key) {
+        self.len().add_to(key);
+        key.0.update(self.as_bytes());
+    }
+}
+
+impl Keyed for String {
+    fn add_to(&self, key: &mut Key) {
+        self.as_str().add_to(key);
+    }
+}
+
+impl Keyed for Path {
+    fn add_to(&self, key: &mut Key) {
+        let bytes = self.as_os_str().as_encoded_bytes();
+        bytes.len().add_to(key);
+        key.0.update(bytes);
+    }
+}
+
+impl Keyed for SystemTime {
+    fn add_to(&self, key: &mut Key) {
+        match self.duration_since(UNIX_EPOCH) {
+            Ok(since) => (true, since.as_nanos()).add_to(key),
+            Err(before) => (false, before.duration().as_nanos()).add_to(key),
+        }
+    }
+}
+
+impl<T: Keyed + ?Sized> Keyed for &T {
+    fn add_to(&self, key: &mut Key) {
+        (**self).add_to(key);
+    }
+}
+
+impl<T: Keyed + ?Sized> Keyed for Arc<T> {
+    fn add_to(&self, key: &mut Key) {
+        (**self).add_to(key);
+    }
+}
+
+impl<T: Keyed> Keyed for Option<T> {
+    fn add_to(&self, key: &mut Key) {
+        self.is_some().add_to(key);
+        self.iter().for_each(|it| it.add_to(key));
+    }
+}
+
+impl<T: Keyed> Keyed for [T] {
+    fn add_to(&self, key: &mut Key) {
+        self.len().add_to(key);
+        self.iter().for_each(|it| it.add_to(key));
+    }
+}
+
+impl<T: Keyed, const N: usize> Keyed for [T; N] {
+    fn add_to(&self, key: &mut Key) {
+        self.iter().for_each(|it| it.add_to(key));
+    }
+}
+
+impl<T: Keyed> Keyed for Vec<T> {
+    fn add_to(&self, key: &mut Key) {
+        self.as_slice().add_to(key);
+    }
+}
+
+impl<A: Keyed, B: Keyed> Keyed for (A, B) {
+    fn add_to(&self, key: &mut Key) {
+        self.0.add_to(key);
+        self.1.add_to(key);
+    }
+}
+
+impl Keyed for DVec3 {
+    fn add_to(&self, key: &mut Key) {
+        self.to_array().add_to(key);
+    }
+}
+
+impl Keyed for api::Affine {
+    fn add_to(&self, key: &mut Key) {
+        self.rows.add_to(key);
+    }
+}
+
+impl Keyed for api::Effort {
+    fn add_to(&self, key: &mut Key) {
+        self.0.add_to(key);
+    }
+}
+
+impl Keyed for api::Time {
+    fn add_to(&self, key: &mut Key) {
+        (self.frame, self.seconds).add_to(key);
+    }
+}
+
+impl Keyed for Joint {
+    fn add_to(&self, key: &mut Key) {
+        let Self { id, at, parent } = self;
+        ((id, at), parent).add_to(key);
+    }
+}
+
+impl Keyed for Reference {
+    fn add_to(&self, key: &mut Key) {
+        let Self { file, fingerprint } = self;
+        (file.as_path(), fingerprint).add_to(key);
+    }
+}
+
+impl Keyed for Shape {
+    fn add_to(&self, key: &mut Key) {
+        match self {
+            Self::HalfSpace { point, normal } => (0u8, [point, normal]).add_to(key),
+            Self::Sphere { center, radius } => (1u8, (center, radius)).add_to(key),
+            Self::Box { min, max } => (2u8, [min, max]).add_to(key),
+            Self::Selection(picked) => (3u8, picked).add_to(key),
+        }
+    }
+}
+
+impl Keyed for Shapes {
+    fn add_to(&self, key: &mut Key) {
+        let Self { shapes, falloff } = self;
+        (shapes, falloff).add_to(key);
+    }
+}
+
+impl Keyed for Finer {
+    fn add_to(&self, key: &mut Key) {
+        match self {
+            Self::Error(error) => (0u8, error).add_to(key),
+            Self::Factor(factor) => (1u8, factor).add_to(key),
+            Self::Samples(samples) => (2u8, samples).add_to(key),
+            Self::Auto { error, samples } => (3u8, (error, samples)).add_to(key),
+        }
+    }
+}
+
+impl Keyed for Refine {
+    fn add_to(&self, key: &mut Key) {
+        let Self { shapes, finer } = self;
+        (shapes, finer).add_to(key);
+    }
+}
+
+impl Keyed for ParamValue {
+    fn add_to(&self, key: &mut Key) {
+        match self {
+            Self::Float(x) => (0u8, x).add_to(key),
+            Self::Length(x) => (1u8, x).add_to(key),
+            Self::Int(i) => (2u8, i).add_to(key),
+            Self::Bool(b) => (3u8, b).add_to(key),
+            Self::Choice(id) => (4u8, id).add_to(key),
+            Self::Direction(v) => (5u8, v).add_to(key),
+            Self::Point(p) => (6u8, p).add_to(key),
+            Self::PointInBox(t) => (7u8, t).add_to(key),
+            Self::Colour(colour) => (8u8, colour).add_to(key),
+            Self::Curve(points) => (9u8, points).add_to(key),
+            Self::File(path) => (10u8, path.as_deref()).add_to(key),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashSet;
+
+    fn key(what: &(impl Keyed + ?Sized)) -> u64 {
+        Key::of(7).and(what).end()
+    }
+
+    #[test]
+    fn equal_things_have_equal_keys_and_others_do_not() {
+        let ball = |radius| Shape::Sphere { center: DVec3::ONE, radius };
+        let cases = [
+            key(&("ab", "c")),
+            key(&("a", "bc")),
+            key(&vec![1.0, 2.0]),
+            key(&[1.0, 2.0]),
+            key(&(vec![1.0], vec![2.0])),
+            key(&0.0),
+            key(&-0.0),
+            key(&Some(0.0)),
+            key(&None::<f64>),
+            key(&ball(1.0)),
+            key(&ball(1.0 + f64::EPSILON)),
+            key(&Shape::Box { min: DVec3::ZERO, max: DVec3::ONE }),
+            key(&Shape::HalfSpace { point: DVec3::ZERO, normal: DVec3::ONE }),
+            key(&Shapes { shapes: vec![ball(1.0)], falloff: 0.0 }),
+            key(&Shapes { shapes: vec![ball(1.0), ball(1.0)], falloff: 0.0 }),
+            key(&ParamValue::Float(1.0)),
+            key(&ParamValue::Length(1.0)),
+            key(&ParamValue::Choice("a".into())),
+            key(&ParamValue::File(Some("a".into()))),
+            key(&ParamValue::File(None)),
+            key(&Finer::Auto { error: 1.0, samples: None }),
+            key(&Finer::Auto { error: 1.0, samples: Some(1) }),
+            key(&Finer::Error(2.0)),
+        ];
+        assert_eq!(cases.iter().collect::<HashSet<_>>().len(), cases.len());
+        assert_eq!(key(&ball(0.5)), key(&ball(0.5)));
+        assert_ne!(Key::of(1).end(), Key::of(2).end());
+    }
+}
