@@ -34,7 +34,7 @@ const LEVELS: u32 = 20;
 const PARTED: u32 = 1 << 31;
 
 /// Neighbours of a sample that have a say in its tangent plane.
-const RING: usize = 6;
+pub const RING: usize = 6;
 
 /// Samples in a cell from which on its parts are made side by side.
 const SIDE_BY_SIDE: usize = 1 << 12;

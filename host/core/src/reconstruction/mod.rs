@@ -57,10 +57,11 @@ pub use expected_error::{Beyond, ExpectedError};
 use expected_error::{Expectation, Rounding};
 use gradients::Gradients;
 use homes::Cells;
+pub(crate) use homes::RING as TANGENT_RING;
 use limiter::{Limiter, outer};
 use neighbourhood::Neighbourhood;
 use sheets::Sheets;
-pub(crate) use sheets::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS};
+pub(crate) use sheets::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, sheet_distance};
 pub use stream::{Folding, PART_BYTES, Reconstructed, Reconstruction, Version, reconstruct};
 
 /// A home that does not reach a vertex is not its own if other samples are so many times nearer.

@@ -14,6 +14,7 @@
 //! the rest be so plain that this is too few in the end, the cut says so, and pass 2 has to begin again
 //! without.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use glam::Vec3;
@@ -182,20 +183,23 @@ impl Cut {
         self.positions.len()
     }
 
-    /// A cut through the same trees of at most so many samples, if there are no fewer trees; and which of
-    /// them has the clusters of each sample. What is above the cells stays as it is.
-    pub fn coarser(&self, target: usize) -> (Self, Vec<u32>) {
+    /// A cut through the same trees of at most so many samples, if there are no fewer trees, and those that
+    /// shall `stay` are not more; and which of them has the clusters of each sample. What is above the cells
+    /// stays as it is.
+    pub fn coarser(&self, target: usize, stay: impl Fn(u32) -> bool) -> (Self, Vec<u32>) {
+        let errors: Vec<Cow<'_, [f32]>> = self.trees.iter().map(|tree| raised(tree, &stay)).collect();
         let splits = || {
             let inner =
                 |(children, error): (&u8, &f32)| children.checked_sub(1).map(|n| (*error, u32::from(n)));
-            self.trees.iter().flat_map(move |tree| tree.children.iter().zip(&tree.errors).filter_map(inner))
+            let trees = self.trees.iter().zip(&errors);
+            trees.flat_map(move |(tree, errors)| tree.children.iter().zip(&**errors).filter_map(inner))
         };
         let roots = self.samples() - splits().map(|(_, added)| added as usize).sum::<usize>();
         let threshold = threshold_for(splits(), roots, target);
         let mut coarser = Self::default();
         let mut becomes = vec![u32::MAX; self.samples()];
         let (mut starts, mut inner) = (self.starts.iter(), self.inner.iter());
-        for tree in &self.trees {
+        for (tree, errors) in self.trees.iter().zip(&errors) {
             let (mut new, ends) = (CutTree::default(), tree.ends());
             let mut samples = tree.samples.iter();
             // The end of the subtree that has become a sample.
@@ -204,7 +208,7 @@ impl Cut {
                 within = within.filter(|end| i < *end);
                 let leaf = (*children == 0).then(|| (samples.next(), starts.next()));
                 let own = if leaf.is_none() { inner.next() } else { None };
-                let splits = within.is_none() && *children > 0 && tree.errors[i] > threshold;
+                let splits = within.is_none() && *children > 0 && errors[i] > threshold;
                 if within.is_none() {
                     new.children.push(if splits { *children } else { 0 });
                     new.errors.push(tree.errors[i]);
@@ -245,6 +249,23 @@ impl Cut {
         self.positions.push(node.position);
         self.normals.push(node.normal);
     }
+}
+
+/// The errors of a tree, beyond any bound above the samples that shall stay.
+fn raised(tree: &CutTree, stay: impl Fn(u32) -> bool) -> Cow<'_, [f32]> {
+    if !tree.samples.iter().any(|sample| stay(*sample)) {
+        return Cow::Borrowed(&tree.errors);
+    }
+    let mut samples = tree.samples.iter();
+    let stays = tree.children.iter().map(|n| *n == 0 && samples.next().is_some_and(|sample| stay(*sample)));
+    // How many stay before each node, and at last how many there are.
+    let mut before = vec![0u32];
+    before.extend(stays.scan(0, |sum, stays| {
+        *sum += u32::from(stays);
+        Some(*sum)
+    }));
+    let nodes = tree.errors.iter().zip(tree.ends()).enumerate();
+    nodes.map(|(i, (error, end))| if before[end] > before[i] { f32::INFINITY } else { *error }).collect()
 }
 
 /// How far each of the samples from `first` on may move without the error of its cluster exceeding a bound,
@@ -465,7 +486,7 @@ mod tests {
     fn a_coarser_cut_is_that_of_fewer_samples() {
         for resolution in [2, 32] {
             let finer = sampled(Some(3000), 0.0, resolution);
-            let (coarser, becomes) = finer.coarser(1700);
+            let (coarser, becomes) = finer.coarser(1700, |_| false);
             assert!(check(&coarser) <= 1700 && coarser.samples() > 1600);
             assert!(coarser.starts.is_sorted());
             let at = |cut: &Cut, leaf: u32| cut.starts[cut.starts.partition_point(|(s, _)| *s <= leaf) - 1].1;
@@ -477,7 +498,7 @@ mod tests {
                 let same = sampled(Some(1700), 0.0, resolution);
                 assert!(coarser.positions == same.positions && coarser.trees == same.trees);
             }
-            assert!(finer.coarser(5000).0.positions == finer.positions);
+            assert!(finer.coarser(5000, |_| false).0.positions == finer.positions);
         }
     }
 

@@ -21,14 +21,12 @@ pub struct FaceRanges {
 }
 
 impl FaceRanges {
-    /// Of no face yet. `trees` are those of all cells, of so many samples; others follow them, each parted
-    /// from one of these.
-    pub fn new(trees: &[CutTree], samples: usize, parted_from: impl Iterator<Item = u32>) -> Self {
+    /// Of no face yet. `trees` are those of all cells, of so many samples.
+    pub fn new(trees: &[CutTree], samples: usize) -> Self {
         let mut cell_of = vec![0; samples];
         for (cell, tree) in trees.iter().enumerate().rev() {
             tree.samples.iter().for_each(|sample| cell_of[*sample as usize] = cell as u32);
         }
-        parted_from.for_each(|sample| cell_of.push(cell_of[sample as usize]));
         Self { cell_of, ranges: Ranges::new(trees.len()), open: None, met: Vec::new() }
     }
 

@@ -17,7 +17,7 @@ use super::cut::{Forest, most_kept, running_bound};
 use super::density::Rule;
 use super::gather::Gather;
 use super::grid::{CellKey, Grid, cell_box};
-use super::membership::{Leaves, Membership};
+use super::membership::{Leaves, Membership, Noted};
 use super::open_cells::CellItems;
 use super::ranges::Ranges;
 use super::vs_tree::{VsTree, Workspace, mix};
@@ -72,8 +72,8 @@ pub struct Pass<'a> {
     pub foresight: bool,
     /// Whether it shall be known which cluster each vertex belongs to.
     pub with_members: bool,
-    /// Whether it shall also be known where each vertex is.
-    pub with_positions: bool,
+    /// What else shall be known of the vertices then.
+    pub noted: Noted,
     /// Where temporary files go.
     pub folder: &'a Path,
     /// Watches.
@@ -106,7 +106,7 @@ impl Pass<'_> {
     pub fn run<G: Gather>(&self, gather: G) -> Result<Option<Clustered>> {
         let info = self.model.info();
         self.progress.begin("clustering", info.vertex_bytes);
-        let members = || Membership::new(self.grid, info.vertices, self.with_positions, self.folder);
+        let members = || Membership::new(self.grid, info, self.noted, self.folder);
         let mut clustered = Clustered {
             forest: Forest::new(self.grid, self.target, self.bound, self.most, self.foresight),
             hash: Xxh3Default::new(),
@@ -144,6 +144,7 @@ impl Pass<'_> {
 
             for_vertices(model, |chunk| {
                 self.progress.check()?;
+                membership.as_mut().map_or(Ok(()), |members| members.look_for_twins(&chunk.positions))?;
                 for (i, p) in chunk.positions.iter().enumerate() {
                     let cell = match &current {
                         Some((inside, cell)) if inside.contains(*p) => *cell,

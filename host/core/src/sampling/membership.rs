@@ -1,22 +1,24 @@
 //! Which sample of P_S stands for each vertex of P_L, and where the vertex is: what it takes to know what the
-//! faces of P_L are to P_S.
+//! faces of P_L are to P_S. And which vertices are at one place, as far as that is told in passing.
 //!
 //! As this is as large as P_L, it is in temporary files of 4 bytes per vertex: while the model streams, each
 //! vertex' item (all cells' items are counted in one row, in which a cell has as many places as vertices),
 //! and in the end its sample in the same place; and once a cell is clustered, each item's leaf. Where faces
-//! place the samples, positions take 12 bytes more.
+//! place the samples, positions take 12 bytes more, and 4 where these tell sheets apart.
 
 use std::path::Path;
 use std::sync::Arc;
 
 use bytemuck::{cast_slice, cast_slice_mut};
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use memmap2::{Mmap, MmapMut};
 use rayon::prelude::*;
 
 use super::grid::Grid;
+use crate::model::ModelInfo;
 use crate::output::check_space;
 use crate::scratch::Scratch;
+use crate::touching::{FoundTwins, Twins};
 use crate::{Error, Progress, Result};
 
 /// Numbers written at a time, by the stream and by each thread.
@@ -48,6 +50,16 @@ pub struct Membership {
     buffer: Vec<u32>,
     written: u64,
     positions: Option<Positions>,
+    twins: Option<Twins>,
+}
+
+/// What is to be known of the vertices, beside their samples.
+#[derive(Clone, Copy)]
+pub struct Noted {
+    /// Where they are.
+    pub positions: bool,
+    /// Which are at the same position, as far as [`Twins`] finds it.
+    pub twins: bool,
 }
 
 /// Where each vertex is, local coordinates.
@@ -68,13 +80,16 @@ impl Membership {
     /// Most vertices: beyond it, nothing can refer to them.
     pub const MAX_VERTICES: u64 = NONE as u64;
 
-    /// Of no vertex yet; `with_positions` says whether these are wanted. The files go to `folder`.
+    /// Of no vertex yet of a model. The files go to `folder`.
     ///
     /// # Errors
     /// They cannot be made, or the disk has no room for them.
-    pub fn new(grid: &Grid, vertices: u64, with_positions: bool, folder: &Path) -> Result<Self> {
+    pub fn new(grid: &Grid, info: &ModelInfo, noted: Noted, folder: &Path) -> Result<Self> {
+        let vertices = info.vertices;
         // Better known before a large model is clustered.
-        let bytes = FILES * BYTES + if with_positions { size_of::<Vec3>() as u64 } else { 0 };
+        let bytes = FILES * BYTES
+            + if noted.positions { size_of::<Vec3>() as u64 } else { 0 }
+            + if noted.twins { BYTES } else { 0 };
         check_space(folder, folder, bytes.saturating_mul(vertices))
             .map_err(|e| Error::new(e.kind(), e.to_string(), format!("{}; or {ADVICE}", e.hint())))?;
         let mut next = 0u32;
@@ -91,7 +106,8 @@ impl Membership {
             items: Scratch::new(folder, ADVICE)?,
             buffer: Vec::with_capacity(BUFFER),
             written: 0,
-            positions: with_positions.then(|| Positions::new(folder)).transpose()?,
+            positions: noted.positions.then(|| Positions::new(folder)).transpose()?,
+            twins: noted.twins.then(|| Twins::new(vertices, info.faces, folder)).transpose()?,
         })
     }
 
@@ -100,7 +116,16 @@ impl Membership {
         self.leaves.clone()
     }
 
-    /// The next vertex is part of an item of a cell, or of none, and at this place.
+    /// The next vertices are at these places, in the model's coordinates: before they are
+    /// [pushed](Self::push).
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn look_for_twins(&mut self, positions: &[DVec3]) -> Result<()> {
+        self.twins.as_mut().map_or(Ok(()), |twins| twins.take(positions))
+    }
+
+    /// The next vertex is part of an item of a cell, or of none, and at this place, in local coordinates.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -154,7 +179,8 @@ impl Membership {
             self.items.write_at(cast_slice(&chunk), first * BYTES)
         })?;
         let positions = self.positions.map(Positions::finish).transpose()?;
-        Ok(SampleOf { samples: self.items.map_mut()?, positions })
+        let twins = self.twins.map(Twins::finish).transpose()?;
+        Ok(SampleOf { samples: self.items.map_mut()?, positions, twins })
     }
 }
 
@@ -208,12 +234,18 @@ impl Positions {
 pub struct SampleOf {
     samples: MmapMut,
     positions: Option<Mmap>,
+    twins: Option<FoundTwins>,
 }
 
 impl SampleOf {
     /// The samples of all vertices; `u32::MAX` for those that have none, as their position is not finite.
     pub fn all(&self) -> &[u32] {
         cast_slice(&self.samples)
+    }
+
+    /// Which vertices are at the same position, if that was wanted.
+    pub fn take_twins(&mut self) -> Option<FoundTwins> {
+        self.twins.take()
     }
 
     /// The same, to be changed, and where the vertices are (local coordinates), if that was wanted.

@@ -38,8 +38,9 @@ pub use sample_set::{NEIGHBOURS, NeighbourGraph, SampleSet};
 pub use vs_tree::Splitting;
 
 use crate::frame::Frame;
-use crate::model::{Model, SMALL_CHUNK, VertexChunk};
+use crate::model::{FaceChunk, Model, SMALL_CHUNK, VertexChunk, for_faces, for_faces_at};
 use crate::output::human_size;
+use crate::refinement::gathering::joined;
 use crate::sampled_model::{SampledModel, Source, fingerprint};
 use crate::touching::{Contacts, Islands, Parted, Parting};
 use crate::{Error, ErrorKind, Progress, Result};
@@ -49,7 +50,7 @@ use finalization::{Clustered, Pass};
 use gather::{Groups, Vertices};
 use grid::{CellKey, CellRecord, Grid, GridCounter};
 use kept_cells::{KeptCell, KeptCells};
-use membership::Membership;
+use membership::{Membership, Noted, SampleOf};
 use placement::Planes;
 use triangles::{Triangles, Wanted};
 
@@ -102,8 +103,8 @@ pub struct Skip {
     pub cells: bool,
     /// Estimating normals where the model has none: whoever needs them estimates them again.
     pub normals: bool,
-    /// Telling sheets apart that touch, by the faces: it takes a pass over them as the triangles do, and
-    /// temporary files of at most 12 bytes per vertex. Skipped, unless it is asked for.
+    /// Telling sheets apart that touch, by the faces: it takes a pass over them, the same as for the triangles,
+    /// and temporary files of at most 12 bytes per vertex. Skipped, unless it is asked for.
     pub sheets: bool,
 }
 
@@ -242,7 +243,7 @@ pub fn sample(
                 .unwrap_or(usize::MAX),
             foresight,
             with_members: reads_faces && (by_faces || !sampling.skip.sheets || !sampling.skip.triangles),
-            with_positions: by_faces,
+            noted: Noted { positions: by_faces, twins: !sampling.skip.sheets },
             folder,
             progress,
         };
@@ -278,9 +279,8 @@ pub fn sample(
         Some(members) => {
             progress.begin("looking up each vertex' sample", info.vertices);
             let mut sample_of = members.finish(&reindexed.cut.starts, progress)?;
-            let (samples, vertices) = sample_of.all_mut();
-            let read = Read { sampling, bound, parting: &parting, vertices };
-            reindexed.run(&read, samples)?;
+            let read = Read { sampling, bound, parting: &parting };
+            reindexed.run(&read, &mut sample_of)?;
             Some(sample_of)
         }
     };
@@ -325,8 +325,6 @@ struct Read<'a> {
     /// The error bound, local units, if that is the target.
     bound: f32,
     parting: &'a Parting<'a>,
-    /// Where the vertices are (local coordinates), if faces place the samples.
-    vertices: Option<&'a [Vec3]>,
 }
 
 /// P_S once the faces are known.
@@ -343,45 +341,42 @@ struct Reindexed {
 
 impl Reindexed {
     /// Reads the faces. Where they tell that clusters hold several sheets, these are parted, if need be after
-    /// a coarser cut, so that there are no more samples than are wanted; and the faces are read once more.
-    fn run(&mut self, read: &Read<'_>, sample_of: &mut [u32]) -> Result<()> {
+    /// a coarser cut, so that there are no more samples than are wanted; where faces place the samples, those
+    /// of the samples that this changes are read once more.
+    fn run(&mut self, read: &Read<'_>, members: &mut SampleOf) -> Result<()> {
         let Read { sampling, parting, .. } = *read;
         let info = parting.model.info();
-        let (mut islands, mut welded) = (None, false);
-        if !sampling.skip.sheets {
-            let mut each = Islands::new(sample_of.len(), self.cut.samples(), parting.folder)?;
-            // Where faces share no vertices, positions tell what hangs together.
-            welded = info.vertices / 2 > info.faces;
-            if welded {
-                parting.weld_all(&mut each, sample_of)?;
-            }
-            islands = Some(each);
+        let twins = members.take_twins();
+        let (sample_of, vertices) = members.all_mut();
+        let Some(twins) = twins else { return self.read_faces(read, sample_of, vertices, None) };
+        // Where faces share no vertices, positions tell what hangs together.
+        let welded = (info.vertices - twins.count) / 2 > info.faces;
+        let mut islands = Islands::new(twins, sample_of, self.cut.samples());
+        if welded {
+            parting.weld_all(&mut islands, sample_of)?;
         }
-        self.read_faces(read, sample_of, islands.as_mut())?;
-        let Some(mut islands) = islands else { return Ok(()) };
-        let mut parts = parting.find(&mut islands, sample_of, &self.cut.trees, welded)?;
+        self.read_faces(read, sample_of, vertices, Some(&mut islands))?;
+        let parts = parting.find(&mut islands, sample_of, &self.cut.trees, welded)?;
         if parts.is_empty() {
+            self.triangles.put(sample_of);
             return Ok(());
         }
 
-        let mut most = usize::MAX;
+        let (mut most, mut becomes) = (usize::MAX, None);
         if let Target::Samples(n) = sampling.target {
             let n = usize::try_from(n).unwrap_or(usize::MAX);
             let needed = parts.needed();
             if self.cut.samples() + needed > n {
-                let (cut, becomes) = self.cut.coarser(n.saturating_sub(needed).max(n.div_ceil(2)));
-                sample_of.par_iter_mut().for_each(|sample| {
-                    *sample = becomes.get(*sample as usize).copied().unwrap_or(*sample);
-                });
-                islands.merge(sample_of);
-                self.cut = cut;
-                parts = parting.find(&mut islands, sample_of, &self.cut.trees, true)?;
+                let target = n.saturating_sub(needed).max(n.div_ceil(2));
+                let (cut, coarser) = self.cut.coarser(target, |cluster| parts.is_mixed(cluster));
+                (self.cut, becomes) = (cut, Some(coarser));
             }
             most = n.saturating_sub(self.cut.samples());
         }
-        let parted = parts.part(&self.cut.positions, most);
+        let parted = parts.part(&self.cut.positions, becomes.as_deref(), most);
         parted.renumber(&islands, sample_of);
         drop(islands);
+
         for (sample, position, normal) in &parted.moved {
             self.cut.positions[*sample as usize] = *position;
             self.cut.normals[*sample as usize] = *normal;
@@ -390,28 +385,40 @@ impl Reindexed {
             self.cut.positions.push(*position);
             self.cut.normals.push(*normal);
         }
+        if self.triangles.of_vertices || sampling.skip.triangles || self.triangles.tangled {
+            self.triangles.put(sample_of);
+        } else {
+            // There were too many, and samples were put for them.
+            let wanted = Wanted { triangles: true, ..Wanted::default() };
+            self.triangles =
+                triangles::reindex(parting.model, sample_of, self.cut.samples(), wanted, parting.progress)?;
+        }
+        if let (Some(vertices), Some(placed)) = (vertices, self.placed.take()) {
+            let changed = Changed::new(&parted, becomes, self.cut.samples());
+            self.placed = Some(self.place_again(read, sample_of, vertices, &placed, &changed)?);
+        }
         self.parted = Some(parted);
-        self.read_faces(read, sample_of, None)
+        Ok(())
     }
 
     /// Finds the triangles, and where the faces of each cell are, if they are wanted; what hangs together;
-    /// and where samples are by the faces, if these place them.
+    /// and where samples are by the faces, if these place them: if it is known where the vertices are, in
+    /// local coordinates.
     fn read_faces(
         &mut self,
         read: &Read<'_>,
         sample_of: &[u32],
+        vertices: Option<&[Vec3]>,
         islands: Option<&mut Islands>,
     ) -> Result<()> {
-        let Read { sampling, bound, parting, vertices } = *read;
+        let Read { sampling, parting, .. } = *read;
         let triangles = !sampling.skip.triangles;
         if !triangles && islands.is_none() && vertices.is_none() {
             return Ok(());
         }
         parting.progress.begin("reindexing the faces", parting.model.info().face_bytes);
         let (trees, samples) = (&self.cut.trees, self.cut.samples());
-        let added = self.parted.as_ref().map_or(&[][..], |parted| &parted.added);
-        let mut ranges = (triangles && !sampling.skip.cells)
-            .then(|| FaceRanges::new(trees, samples - added.len(), added.iter().map(|(of, ..)| *of)));
+        let mut ranges = (triangles && !sampling.skip.cells).then(|| FaceRanges::new(trees, samples));
         let mut planes = vertices.map(|vertices| Planes::new(vertices, &self.cut.positions, 0));
         let wanted = Wanted { triangles, ranges: ranges.as_mut(), islands, planes: planes.as_mut() };
         let found = triangles::reindex(parting.model, sample_of, samples, wanted, parting.progress);
@@ -422,16 +429,86 @@ impl Reindexed {
             );
             if e.kind() == ErrorKind::Format { Error::new(e.kind(), e.to_string(), hint) } else { e }
         })?;
-        if let Some(planes) = planes {
-            // The promise of an error bound is kept.
-            let slack = matches!(sampling.target, Target::Error(_))
-                .then(|| cut::slack(trees.iter(), 0..samples, bound));
-            self.placed =
-                Some(planes.place(|sample| slack.as_ref().map_or(f32::INFINITY, |slack| slack[sample])));
-        }
+        self.placed = planes.map(|planes| self.place(read, planes));
         self.faces =
             ranges.filter(|_| !self.triangles.triangles.is_empty()).and_then(|r| r.into_cells(trees));
         Ok(())
+    }
+
+    /// Where the samples are by the planes around them.
+    fn place(&self, read: &Read<'_>, planes: Planes<'_>) -> Vec<Vec3> {
+        // The promise of an error bound is kept.
+        let slack = matches!(read.sampling.target, Target::Error(_))
+            .then(|| cut::slack(self.cut.trees.iter(), 0..self.cut.samples(), read.bound));
+        planes.place(|sample| slack.as_ref().map_or(f32::INFINITY, |slack| slack[sample]))
+    }
+
+    /// Where the samples are by the faces, after clusters have changed: those that did not stay where they
+    /// were `placed`. Only faces of cells in which clusters have changed are read, if it is known where they
+    /// are.
+    fn place_again(
+        &self,
+        read: &Read<'_>,
+        sample_of: &[u32],
+        vertices: &[Vec3],
+        placed: &[Vec3],
+        changed: &Changed,
+    ) -> Result<Vec<Vec3>> {
+        let Read { parting, .. } = *read;
+        let mut planes = Planes::new(vertices, &self.cut.positions, 0);
+        let take = |chunk: &FaceChunk| {
+            parting.progress.check()?;
+            for corners in &chunk.triangles {
+                if let [Some(a), Some(b), Some(c)] = corners.map(|vertex| sample_of.get(vertex as usize)) {
+                    planes.take(*corners, [*a, *b, *c]);
+                }
+            }
+            Ok(())
+        };
+        match &self.faces {
+            Some(faces) => {
+                let changes = |tree: &kept_cells::CutTree| tree.samples.iter().any(|s| changed.is(*s));
+                let cells = self.cut.trees.iter().zip(faces).filter(|(tree, _)| changes(tree));
+                let ranges = joined(cells.flat_map(|(_, ranges)| ranges.iter().cloned()), NEAR_FACES);
+                for_faces_at(parting.model, ranges, take)?;
+            }
+            None => for_faces(parting.model, take)?,
+        }
+        let again = self.place(read, planes);
+        let former = |sample: usize| changed.former[sample].map(|former| placed[former as usize]);
+        Ok(again.into_iter().enumerate().map(|(i, again)| former(i).unwrap_or(again)).collect())
+    }
+}
+
+/// Bytes between two ranges of faces that cost less to read than to begin anew.
+const NEAR_FACES: u64 = 4 << 10;
+
+/// Which clusters are others than before some were parted.
+struct Changed {
+    /// For each sample the one that it was, if its cluster is the same.
+    former: Vec<Option<u32>>,
+}
+
+impl Changed {
+    /// `becomes` says which sample each one was merged into, if the cut has become coarser.
+    fn new(parted: &Parted, becomes: Option<Vec<u32>>, samples: usize) -> Self {
+        let first = samples - parted.added.len();
+        let mut former: Vec<Option<u32>> = match &becomes {
+            None => (0..first as u32).map(Some).collect(),
+            Some(_) => vec![None; first],
+        };
+        let mut merged = vec![false; first];
+        for (was, now) in becomes.iter().flatten().enumerate() {
+            merged[*now as usize] |= former[*now as usize].replace(was as u32).is_some();
+        }
+        former.iter_mut().zip(merged).filter(|(_, merged)| *merged).for_each(|(former, _)| *former = None);
+        former.resize(samples, None);
+        parted.seeds.iter().for_each(|sample| former[*sample as usize] = None);
+        Self { former }
+    }
+
+    fn is(&self, sample: u32) -> bool {
+        self.former[sample as usize].is_none()
     }
 }
 

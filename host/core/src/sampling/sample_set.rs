@@ -183,6 +183,17 @@ impl SampleSet {
         found.into_iter().map(|found| found as u32).collect()
     }
 
+    /// The same, sooner if about so many are within `reach`.
+    pub(crate) fn neighbours_about(&self, i: usize, reach: f32, count: usize) -> Vec<u32> {
+        // Some more, as their number is not the same everywhere.
+        let found =
+            if reach > 0.0 { self.tree().within(self.positions[i], 1.15 * reach) } else { Vec::new() };
+        if found.len() <= count {
+            return self.nearest_neighbours(i, count);
+        }
+        found.into_iter().map(|found| found as u32).filter(|j| *j != i as u32).take(count).collect()
+    }
+
     /// The sample nearest to a finite point. Costs about a microsecond: not for every vertex of P_L.
     pub fn nearest(&self, p: Vec3) -> u32 {
         self.tree().nearest(p)

@@ -1,6 +1,8 @@
 //! Triangles of P_S: the faces of P_L whose corners are in three different clusters, between their samples
 //! (J. Rossignac, P. Borrel, *Multi-resolution 3D approximations for rendering complex scenes*, 1993).
 
+use rayon::prelude::*;
+
 use super::face_ranges::FaceRanges;
 use super::placement::Planes;
 use crate::model::{Model, for_faces};
@@ -17,10 +19,26 @@ pub struct Triangles {
     /// Samples of each triangle, in the orientation of its faces; each triangle once, in no order that means
     /// anything.
     pub triangles: Vec<[u32; 3]>,
+    /// They are not of samples yet, but of vertices, for which samples still have to be [put](Self::put).
+    pub of_vertices: bool,
     /// Number of triangles of P_L that refer to a vertex that there is not.
     pub without_vertex: u64,
     /// There were more than [`MOST_PER_SAMPLE`], and all were dropped.
     pub tangled: bool,
+}
+
+impl Triangles {
+    /// Puts samples for vertices, if these are still there: each triangle once, without those that are none.
+    pub fn put(&mut self, sample_of: &[u32]) {
+        if std::mem::take(&mut self.of_vertices) {
+            self.triangles.par_iter_mut().for_each(|triangle| {
+                *triangle = first_least(triangle.map(|vertex| sample_of[vertex as usize]));
+            });
+            self.triangles.retain(|[a, b, c]| a != b && b != c && c != a);
+            once_each(&mut self.triangles);
+            self.triangles.shrink_to_fit();
+        }
+    }
 }
 
 /// What is looked for in the faces.
@@ -36,7 +54,8 @@ pub struct Wanted<'a, 'p> {
     pub planes: Option<&'a mut Planes<'p>>,
 }
 
-/// Streams the faces of a model. `sample_of` says which sample each vertex belongs to.
+/// Streams the faces of a model. `sample_of` says which sample each vertex belongs to. Where islands are
+/// looked for, by which clusters may be parted, the triangles come as vertices, unless there are too many.
 ///
 /// Memory: the chunks of [`for_faces`], and 12 bytes for each of at most twice [`MOST_PER_SAMPLE`] triangles
 /// per sample, twice while the list grows; a surface has about two, found once or twice each.
@@ -52,7 +71,7 @@ pub fn reindex(
 ) -> Result<Triangles> {
     let Wanted { triangles, mut ranges, mut islands, mut planes } = wanted;
     let most = MOST_PER_SAMPLE * samples.max(64);
-    let mut found = Triangles::default();
+    let mut found = Triangles { of_vertices: triangles && islands.is_some(), ..Triangles::default() };
     for_faces(model, |chunk| {
         progress.check()?;
         let mut reindex = || {
@@ -79,13 +98,18 @@ pub fn reindex(
                     && c != a
                     && [a, b, c].iter().all(|s| (**s as usize) < samples)
                 {
-                    found.triangles.push(first_least([*a, *b, *c]));
+                    found.triangles.push(if found.of_vertices {
+                        *corners
+                    } else {
+                        first_least([*a, *b, *c])
+                    });
                 }
             }
             if let Some(ranges) = &mut ranges {
                 marks.for_each(|mark| ranges.mark(mark.offset));
             }
             if found.triangles.len() > 2 * most {
+                found.put(sample_of);
                 once_each(&mut found.triangles);
                 if found.triangles.len() > most {
                     (found.triangles, found.tangled) = (Vec::new(), true);
@@ -113,8 +137,10 @@ pub fn reindex(
         progress.advance(chunk.bytes);
         Ok(())
     })?;
-    once_each(&mut found.triangles);
-    found.triangles.shrink_to_fit();
+    if !found.of_vertices {
+        once_each(&mut found.triangles);
+        found.triangles.shrink_to_fit();
+    }
     Ok(found)
 }
 
@@ -129,6 +155,7 @@ pub fn first_least([a, b, c]: [u32; 3]) -> [u32; 3] {
     }
 }
 
+/// Each triangle once, in the order of their samples.
 pub fn once_each(triangles: &mut Vec<[u32; 3]>) {
     triangles.sort_unstable();
     triangles.dedup();

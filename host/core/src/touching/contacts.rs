@@ -5,7 +5,7 @@
 //! and a checksum of all before it.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
@@ -23,7 +23,9 @@ use super::sorter::Sorter;
 use crate::frame::Frame;
 use crate::input;
 use crate::output::OutputFile;
-use crate::reconstruction::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, Surroundings, homes};
+use crate::reconstruction::{
+    CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, Surroundings, TANGENT_RING, homes, sheet_distance,
+};
 use crate::sampled_model::SampledModel;
 use crate::sampling::kept_cells::CutTree;
 use crate::sampling::{NEIGHBOURS, SampleSet};
@@ -79,17 +81,19 @@ impl Contacts {
         let first = samples.len() - parted.added.len();
         let parted_from: Vec<[u32; 2]> =
             (first as u32..).zip(&parted.added).map(|(i, (of, ..))| [i, *of]).collect();
-        let lists = Lists::new(same_sheet(samples, parted), parted_from);
-        let contacts = Self { lists, ..Self::default() };
-        let places = contacts.exceptions(sampled, sample_of, trees, parting)?;
+        let (lists, others) = same_sheet(samples, parted);
+        let contacts = Self { lists: Lists::new(lists, parted_from), ..Self::default() };
+        let places = contacts.exceptions(sampled, &others, sample_of, trees, parting)?;
         sampled.samples.set_contacts(Some(Self { places: Arc::new(places), ..contacts }));
         Ok(())
     }
 
-    /// The places of vertices whose homes would be on another sheet than their own cluster is on.
+    /// The places of vertices whose homes may be on another sheet than their own cluster is on: where a
+    /// sample of one of the `others` explains the place about as well as its own does.
     fn exceptions(
         &self,
         sampled: &SampledModel,
+        others: &BTreeMap<u32, Vec<u32>>,
         sample_of: &[u32],
         trees: &[CutTree],
         parting: &Parting<'_>,
@@ -98,37 +102,30 @@ impl Contacts {
         if lists.samples.is_empty() {
             return Ok(Places::default());
         }
-        let near = Near::new(&sampled.samples, lists);
-        let around = Surroundings::of(&near.samples);
         let of_cell: BTreeMap<u32, u32> = lists.parted.iter().map(|[sample, of]| (*sample, *of)).collect();
-        let chosen: BTreeSet<u32> =
-            lists.samples.iter().map(|sample| *of_cell.get(sample).unwrap_or(sample)).collect();
+        // A byte per sample, for the time: whether its cell is read, and whether its own vertices are.
+        let mut wanted = vec![(false, false); sampled.samples.len()];
+        for sample in &lists.samples {
+            wanted[*sample as usize].1 = true;
+            wanted[*of_cell.get(sample).unwrap_or(sample) as usize].0 = true;
+        }
+        let planes = Tangents::new(&sampled.samples, lists);
+        let others = lists.samples.iter().map(|sample| others.get(sample).map_or(&[][..], |others| others));
+        let others: Vec<&[u32]> = others.collect();
         let mut places = Sorter::new(parting.folder);
-        let (mut positions, mut own): (Vec<DVec3>, Vec<u32>) = Default::default();
-        let mut found = Vec::new();
-        let mut flush = |positions: &mut Vec<DVec3>, own: &mut Vec<u32>| {
-            homes(&around, &sampled.frame, positions, &mut found);
-            for ((p, own), home) in positions.iter().zip(own.iter()).zip(&found) {
-                let place = near.place(*own).unwrap_or_default();
-                if !around.share_sheet(place as usize, *home) {
-                    places.push(Places::entry(sampled.frame.to_local(*p), *own))?;
-                }
-            }
-            positions.clear();
-            own.clear();
-            Ok(())
-        };
-        let ranges = parting.ranges_with(trees, |sample| chosen.contains(&sample));
+        let ranges = parting.ranges_with(trees, |sample| wanted[sample as usize].0);
         parting.vertices(ranges, |vertex, p, _| {
-            let sample = sample_of[vertex as usize];
-            if !p.is_finite() || lists.place(sample as usize).is_none() {
+            let own = sample_of[vertex as usize];
+            if !p.is_finite() || !wanted[own as usize].1 {
                 return Ok(());
             }
-            positions.push(p);
-            own.push(sample);
-            if own.len() == BATCH { flush(&mut positions, &mut own) } else { Ok(()) }
+            let p = sampled.frame.to_local(p);
+            if planes.doubt(own, others[planes.place[own as usize] as usize], p) {
+                places.push(Places::entry(p, own))
+            } else {
+                Ok(())
+            }
         })?;
-        flush(&mut positions, &mut own)?;
         Places::of(places, sampled.samples.len(), parting.folder)
     }
 
@@ -540,82 +537,253 @@ impl<T: Read> Read for Hashed<T> {
     }
 }
 
-/// The neighbours on its sheet of each sample near which sheets meet: going out from those that were parted,
-/// as far as the nearest samples are not all on the same one.
-fn same_sheet(samples: &SampleSet, parted: &Parted) -> BTreeMap<u32, Vec<u32>> {
-    let mut known: BTreeSet<u32> = parted.seeds.iter().copied().collect();
-    let mut open = parted.seeds.clone();
-    let mut lists = BTreeMap::new();
+/// How much worse than its own sample's a plane may suit a place that is kept nevertheless: homes are found
+/// with a few neighbours more or less than here.
+const DOUBT: f32 = 2.0;
+
+/// The tangent planes by which homes are told where sheets meet.
+struct Tangents<'a> {
+    samples: &'a SampleSet,
+    normals: Vec<Vec3>,
+    /// The square of how far the last of the ring is from each.
+    reach: Vec<f32>,
+    /// The place of each sample in the lists; [`NONE`] where no sheets meet.
+    place: Vec<u32>,
+}
+
+/// No place.
+const NONE: u32 = u32::MAX;
+
+impl<'a> Tangents<'a> {
+    /// Of the samples near which sheets meet.
+    ///
+    /// Memory: 16 bytes for each of them, and 4 per sample.
+    fn new(samples: &'a SampleSet, lists: &Lists) -> Self {
+        let of_samples = samples.normals();
+        let normal = |i: &u32| {
+            let ring = lists.of(*i as usize).unwrap_or_default().iter().take(TANGENT_RING);
+            let sum: Vec3 = ring.chain([i]).map(|j| of_samples[*j as usize]).sum();
+            sum.try_normalize().unwrap_or(of_samples[*i as usize])
+        };
+        let mut place = vec![NONE; samples.len()];
+        (0..).zip(&lists.samples).for_each(|(at, sample)| place[*sample as usize] = at);
+        let reach = |i: &u32| {
+            let ring = lists.of(*i as usize).unwrap_or_default();
+            let last = ring.get(TANGENT_RING).or(ring.last());
+            let distance =
+                |j: &u32| samples.positions[*i as usize].distance_squared(samples.positions[*j as usize]);
+            last.map_or(0.0, distance)
+        };
+        let (normals, reach) = lists.samples.par_iter().map(|i| (normal(i), reach(i))).unzip();
+        Self { samples, normals, reach, place }
+    }
+
+    /// Whether the home of a place of sample `own` may be one of the others: where one of their planes suits it
+    /// about as well, or where it is so far from its own sample that others have their say before it.
+    fn doubt(&self, own: u32, others: &[u32], p: Vec3) -> bool {
+        let away = |i: u32| p - self.samples.positions[i as usize];
+        let normal = |i: u32| self.normals[self.place[i as usize] as usize];
+        let d = away(own);
+        if d.length_squared() >= self.reach[self.place[own as usize] as usize] {
+            return true;
+        }
+        let most = DOUBT * sheet_distance(d, normal(own));
+        others.iter().any(|j| {
+            let d = away(*j);
+            d.length_squared() <= most
+                && (self.place[*j as usize] == NONE || sheet_distance(d, normal(*j)) <= most)
+        })
+    }
+}
+
+/// The neighbours of each of some samples.
+type SampleLists = BTreeMap<u32, Vec<u32>>;
+
+/// A sample near which sheets meet.
+struct Crowded {
+    sample: u32,
+    /// How far as many neighbours are as a list may have.
+    reach: f32,
+    near: Vec<u32>,
+    /// Those of them that are on its sheet, no more than a list may have, and those that are not.
+    same: Vec<u32>,
+    others: Vec<u32>,
+}
+
+/// Samples that are looked at by one job.
+const JOB: usize = 256;
+
+/// The neighbours on its sheet of each sample near which sheets meet, and those that are left out: going out
+/// from those that were parted, as far as the nearest samples are not all on the same one.
+///
+/// Memory: a byte per sample, and on each thread another one.
+fn same_sheet(samples: &SampleSet, parted: &Parted) -> (SampleLists, SampleLists) {
+    let mut known = vec![false; samples.len()];
+    // Each with how far neighbours of the one are from which it was gone on to.
+    let mut open: Vec<(u32, f32)> = parted.seeds.iter().map(|seed| (*seed, 0.0)).collect();
+    open.iter().for_each(|(seed, _)| known[*seed as usize] = true);
+    let (mut lists, mut others) = (SampleLists::new(), SampleLists::new());
     let mut left_out = Vec::new();
+    let distance = |i: u32, j: u32| samples.positions[i as usize].distance(samples.positions[j as usize]);
+    let look = |ways: &mut Ways<'_>, sample: u32, reach: f32| {
+        // Mostly short ways lead to as many as a list holds, without going round by others.
+        let near = samples.neighbours_about(sample as usize, reach, SHEET_NEIGHBOURS);
+        if ways.lead_to_all(sample, &near) {
+            return None;
+        }
+        // On a surface their number grows as the square of the distance does.
+        let more = (CROWDED_NEIGHBOURS as f32 / near.len().max(1) as f32).sqrt();
+        let reach = near.last().map_or(0.0, |last| distance(sample, *last));
+        let near = samples.neighbours_about(sample as usize, more * reach, CROWDED_NEIGHBOURS);
+        let mut same = ways.connected(sample, &near);
+        let others: Vec<u32> = without(&near, &same).collect();
+        same.truncate(SHEET_NEIGHBOURS);
+        (same[..] != near[..same.len()]).then_some(Crowded { sample, reach, near, same, others })
+    };
     while !open.is_empty() {
-        let found: Vec<(u32, Vec<u32>, Vec<u32>)> = open
-            .par_iter()
-            .filter_map(|sample| {
-                // Mostly short ways lead to as many as a list holds, without going round by others.
-                let near = samples.nearest_neighbours(*sample as usize, SHEET_NEIGHBOURS);
-                if connected(&samples.positions, parted, *sample, &near).len() == near.len() {
-                    return None;
-                }
-                let near = samples.nearest_neighbours(*sample as usize, CROWDED_NEIGHBOURS);
-                let mut same = connected(&samples.positions, parted, *sample, &near);
-                same.truncate(SHEET_NEIGHBOURS);
-                (same[..] != near[..same.len()]).then_some((*sample, near, same))
-            })
-            .collect();
+        let jobs = open.par_chunks(JOB).flat_map_iter(|some| {
+            let mut ways = Ways::new(&samples.positions, parted);
+            some.iter().filter_map(|(sample, reach)| look(&mut ways, *sample, *reach)).collect::<Vec<_>>()
+        });
+        let found: Vec<Crowded> = jobs.collect();
         open.clear();
-        for (sample, near, same) in found {
-            open.extend(near.iter().filter(|near| known.insert(**near)));
+        for crowded in found {
+            let Crowded { sample, reach, near, same, others: left } = crowded;
+            // What is beyond the list is beside others that are nearer.
+            for near in &near[..end_of(&near, &same).max(SHEET_NEIGHBOURS.min(near.len()))] {
+                if !std::mem::replace(&mut known[*near as usize], true) {
+                    open.push((*near, reach));
+                }
+            }
             left_out.extend(left_out_by(sample, &near, &same));
+            others.insert(sample, left);
             lists.insert(sample, same);
         }
     }
-    make_mutual(samples, left_out, &mut lists);
-    lists
+    for (by, whom) in make_mutual(samples, left_out, &mut lists) {
+        others.entry(by).or_default().push(whom);
+    }
+    (lists, others)
 }
 
 /// Those of the nearest of a sample that are on another sheet, each with that sample.
 fn left_out_by<'a>(sample: u32, near: &'a [u32], same: &'a [u32]) -> impl Iterator<Item = (u32, u32)> + 'a {
     // Who lies beyond the last one of the list is not left out.
-    let end = same.last().map_or(near.len(), |last| near.iter().position(|j| j == last).unwrap_or(0));
-    near[..end].iter().filter(|j| !same.contains(j)).map(move |j| (*j, sample))
+    without(&near[..end_of(near, same)], same).map(move |j| (j, sample))
 }
 
-/// Who is left out by a sample leaves that one out, too.
-fn make_mutual(samples: &SampleSet, left_out: Vec<(u32, u32)>, lists: &mut BTreeMap<u32, Vec<u32>>) {
+/// Where the last of some of these is.
+fn end_of(near: &[u32], same: &[u32]) -> usize {
+    same.last().map_or(near.len(), |last| near.iter().position(|j| j == last).unwrap_or(0))
+}
+
+/// All but some of them, which are in the same order.
+fn without<'a>(all: &'a [u32], some: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
+    let mut some = some.iter().peekable();
+    all.iter().filter(move |j| some.next_if_eq(j).is_none()).copied()
+}
+
+/// Who is left out by a sample leaves that one out, too: who had not, and whom.
+fn make_mutual(
+    samples: &SampleSet,
+    left_out: Vec<(u32, u32)>,
+    lists: &mut BTreeMap<u32, Vec<u32>>,
+) -> Vec<(u32, u32)> {
+    let mut new = Vec::new();
+    // Of those without a list.
+    let mut nearest: HashMap<u32, Vec<u32>> = HashMap::new();
     for (by, whom) in left_out {
-        let nearest = || samples.nearest_neighbours(by as usize, NEIGHBOURS);
-        let list = lists.get(&by).cloned().unwrap_or_else(nearest);
-        if list.contains(&whom) {
-            lists.insert(by, list.into_iter().filter(|j| *j != whom).collect());
-        }
-    }
-}
-
-/// Those of `near`, in their order, to which a short way leads from a sample, over samples that faces join.
-fn connected(positions: &[Vec3], parted: &Parted, sample: u32, near: &[u32]) -> Vec<u32> {
-    // The sample itself has the last place.
-    let nodes: Vec<u32> = near.iter().copied().chain([sample]).collect();
-    let mut places: Vec<(u32, usize)> = nodes.iter().copied().zip(0..).collect();
-    places.sort_unstable();
-    let place = |node: u32| places.binary_search_by_key(&node, |(node, _)| *node).ok().map(|at| places[at].1);
-    let distance = |a: u32, b: u32| positions[a as usize].distance(positions[b as usize]);
-    let most = DETOUR * near.last().map_or(0.0, |last| distance(sample, *last));
-    let mut ways = vec![f32::INFINITY; nodes.len()];
-    let mut done = vec![false; nodes.len()];
-    ways[near.len()] = 0.0;
-    // Ways are not negative, so that their bits order as they do.
-    let mut open = BinaryHeap::from([Reverse((0, near.len()))]);
-    while let Some(Reverse((_, at))) = open.pop() {
-        if std::mem::replace(&mut done[at], true) {
+        if let Some(list) = lists.get_mut(&by) {
+            if let Some(at) = list.iter().position(|j| *j == whom) {
+                list.remove(at);
+                new.push((by, whom));
+            }
             continue;
         }
-        for to in parted.joined(nodes[at]).filter_map(place) {
-            let way = ways[at] + distance(nodes[at], nodes[to]);
-            if way < ways[to] && way <= most {
-                ways[to] = way;
-                open.push(Reverse((way.to_bits(), to)));
-            }
+        let list = nearest.entry(by).or_insert_with(|| samples.nearest_neighbours(by as usize, NEIGHBOURS));
+        if list.contains(&whom) {
+            lists.insert(by, list.iter().copied().filter(|j| *j != whom).collect());
+            new.push((by, whom));
         }
     }
-    near.iter().zip(done).filter(|(_, done)| *done).map(|(j, _)| *j).collect()
+    new
+}
+
+/// Looks for ways over the surface, over samples that faces join.
+struct Ways<'a> {
+    positions: &'a [Vec3],
+    parted: &'a Parted,
+    /// The place of each sample among those that are looked at, from one on; 0 for others.
+    places: Vec<u8>,
+    /// Where the joins of each begin, and to which places they lead, how far.
+    starts: Vec<usize>,
+    joins: Vec<(u8, f32)>,
+    /// How far each is, and how far it may be.
+    lengths: Vec<f32>,
+    most: f32,
+}
+
+impl<'a> Ways<'a> {
+    fn new(positions: &'a [Vec3], parted: &'a Parted) -> Self {
+        let places = vec![0; positions.len()];
+        let (starts, joins, lengths) = Default::default();
+        Self { positions, parted, places, starts, joins, lengths, most: 0.0 }
+    }
+
+    /// Whether short ways are found at once from a sample to all those of `near`; they may be there if not.
+    fn lead_to_all(&mut self, sample: u32, near: &[u32]) -> bool {
+        self.join(sample, near);
+        self.shorten();
+        self.lengths.iter().all(|length| length.is_finite())
+    }
+
+    /// Those of `near`, in their order, to which a short way leads from a sample.
+    fn connected(&mut self, sample: u32, near: &[u32]) -> Vec<u32> {
+        self.join(sample, near);
+        while self.shorten() {}
+        near.iter().zip(&self.lengths[1..]).filter(|(_, way)| way.is_finite()).map(|(j, _)| *j).collect()
+    }
+
+    /// Looks up what is joined among a sample, which has the first place, and others around it, the nearest
+    /// first: fewer than 255.
+    fn join(&mut self, sample: u32, near: &[u32]) {
+        let Self { positions, parted, places, starts, joins, lengths, most } = self;
+        let distance = |a: u32, b: u32| positions[a as usize].distance(positions[b as usize]);
+        *most = DETOUR * near.last().map_or(0.0, |last| distance(sample, *last));
+        let nodes = || [sample].into_iter().chain(near.iter().copied());
+        (1..).zip(nodes()).for_each(|(place, node)| places[node as usize] = place);
+        starts.clear();
+        joins.clear();
+        for node in nodes() {
+            starts.push(joins.len());
+            parted.each_joined(node, |other| {
+                if let Some(to) = places[other as usize].checked_sub(1) {
+                    joins.push((to, distance(node, other)));
+                }
+            });
+        }
+        starts.push(joins.len());
+        nodes().for_each(|node| places[node as usize] = 0);
+        lengths.clear();
+        lengths.push(0.0);
+        lengths.resize(near.len() + 1, f32::INFINITY);
+    }
+
+    /// Goes on from all places to which ways are known, whether there were any shorter ones.
+    fn shorten(&mut self) -> bool {
+        let mut shorter = false;
+        for at in 0..self.lengths.len() {
+            let way = self.lengths[at];
+            if way.is_finite() {
+                for (to, length) in &self.joins[self.starts[at]..self.starts[at + 1]] {
+                    let (way, known) = (way + length, &mut self.lengths[usize::from(*to)]);
+                    if way < *known && way <= self.most {
+                        *known = way;
+                        shorter = true;
+                    }
+                }
+            }
+        }
+        shorter
+    }
 }

@@ -5,15 +5,11 @@
 //! planes. It is one of two sheets if its islands are not joined by those around it either: see
 //! [`Graph::parts`].
 
-use std::path::Path;
-
 use bytemuck::{cast_slice, cast_slice_mut};
 use memmap2::MmapMut;
 use rayon::prelude::*;
 
-use super::ADVICE;
-use crate::Result;
-use crate::scratch::Scratch;
+use super::twins::Found as FoundTwins;
 
 /// Most links for each sample: beyond it, faces are a tangle that tells nothing.
 const MOST_PER_SAMPLE: usize = 16;
@@ -44,26 +40,32 @@ pub struct Islands {
 }
 
 impl Islands {
-    /// Each vertex by itself. The file goes to `folder`.
-    ///
-    /// # Errors
-    /// It cannot be written.
-    pub fn new(vertices: usize, samples: usize, folder: &Path) -> Result<Self> {
-        let file = Scratch::new(folder, ADVICE)?;
-        // Written, so that there is room on the disk for what is mapped.
-        let zeros = vec![0u8; 1 << 20];
-        let bytes = (vertices * size_of::<u32>()) as u64;
-        for start in (0..bytes).step_by(zeros.len()) {
-            file.write_at(&zeros[..zeros.len().min((bytes - start) as usize)], start)?;
-        }
-        Ok(Self {
-            back: file.map_mut()?,
+    /// Each vertex by itself, but for those that are known to be at one place. `sample_of` is the cluster of
+    /// each.
+    pub fn new(twins: FoundTwins, sample_of: &[u32], samples: usize) -> Self {
+        let mut islands = Self {
+            back: twins.back,
             latest: vec![[[0; 2]; LATEST]; samples],
             links: Vec::new(),
             limit: LINKS_AT_EASE,
             most: MOST_PER_SAMPLE * samples.max(64),
             tangled: false,
-        })
+        };
+        if twins.count > 0 {
+            islands.join_twins(sample_of);
+        }
+        islands
+    }
+
+    /// Twins of one cluster are of one island, others are linked.
+    fn join_twins(&mut self, sample_of: &[u32]) {
+        for vertex in 0..sample_of.len() as u32 {
+            let back = &mut cast_slice_mut::<_, u32>(&mut self.back)[vertex as usize];
+            if *back != 0 {
+                let twin = vertex - std::mem::take(back);
+                self.join((twin, sample_of[twin as usize]), (vertex, sample_of[vertex as usize]));
+            }
+        }
     }
 
     /// Takes a face: its corners, and the cluster of each; a cluster that there is not stands for none.
@@ -72,6 +74,9 @@ impl Islands {
         let known = self.latest.len() as u32;
         let [a, b, c] = clusters;
         if self.tangled || a >= known || b >= known || c >= known {
+            return;
+        }
+        if a == b && b == c && self.are_plainly_one(corners) {
             return;
         }
         let [mut u, mut v, mut w] = corners.map(|corner| self.first(corner));
@@ -99,6 +104,14 @@ impl Islands {
         }
     }
 
+    /// Whether the same vertex of their island is known of all.
+    #[inline]
+    fn are_plainly_one(&self, corners: [u32; 3]) -> bool {
+        let back: &[u32] = cast_slice(&self.back);
+        let [u, v, w] = corners.map(|corner| corner - back[corner as usize]);
+        u == v && v == w
+    }
+
     /// Two islands are one, whose first vertex it gives.
     #[inline]
     fn unite(&mut self, u: u32, v: u32) -> u32 {
@@ -116,8 +129,8 @@ impl Islands {
         let (at, link) = if a < b { (a, [u, v]) } else { (b, [v, u]) };
         let latest = &mut self.latest[at as usize];
         if !latest.contains(&link) {
-            latest.rotate_right(1);
-            latest[0] = link;
+            let [a, b, c, _] = *latest;
+            *latest = [link, a, b, c];
             self.links.push(link);
             if self.links.len() > self.limit {
                 self.tidy();
@@ -184,19 +197,6 @@ impl Islands {
         self.links = links;
     }
 
-    /// Clusters have become one, as `sample_of` says now.
-    pub fn merge(&mut self, sample_of: &[u32]) {
-        let links = std::mem::take(&mut self.links);
-        let clusters = |link: [u32; 2]| link.map(|vertex| sample_of[vertex as usize]);
-        for link in &links {
-            let [a, b] = clusters(*link);
-            if a == b {
-                self.join((link[0], a), (link[1], b));
-            }
-        }
-        self.links = links.into_iter().filter(|link| clusters(*link)[0] != clusters(*link)[1]).collect();
-    }
-
     /// All islands that are joined with others. `sample_of` is the cluster of each vertex.
     pub fn graph(&mut self, sample_of: &[u32]) -> Graph {
         if self.links.len() > self.most {
@@ -213,12 +213,15 @@ impl Islands {
 /// Islands that faces join with others. The first island of each cluster has the cluster's number, all
 /// further ones come behind the clusters.
 ///
-/// Memory: 8 bytes per sample, and 16 for each of at most 32 links per sample while it is made, mostly 6.
+/// Memory: 9 bytes per sample, and 8 more and 16 for each of at most 32 links per sample while it is made,
+/// mostly 6.
 pub struct Graph {
-    /// The first vertex of the first island of each cluster; [`NONE`] where no island is joined with others.
+    /// The first vertex of one island of each cluster; [`NONE`] where no island is joined with others.
     firsts: Vec<u32>,
     /// The cluster and the first vertex of each further island, ascending.
     further: Vec<[u32; 2]>,
+    /// Whether a cluster has further islands.
+    has_further: Vec<bool>,
     starts: Vec<u32>,
     joined: Vec<u32>,
 }
@@ -236,53 +239,65 @@ pub struct Mixed {
 
 impl Graph {
     /// Of links between islands, which are known by their first vertices.
-    fn new(links: &[[u32; 2]], clusters: usize, cluster_of: impl Fn(u32) -> u32 + Sync) -> Self {
+    fn new(links: &[[u32; 2]], clusters: usize, cluster_of: impl Fn(u32) -> u32) -> Self {
         let mut graph = Self {
             firsts: vec![NONE; clusters],
             further: Vec::new(),
+            has_further: vec![false; clusters],
             starts: Vec::new(),
             joined: Vec::new(),
         };
-        for first in links.iter().flatten() {
-            let known = &mut graph.firsts[cluster_of(*first) as usize];
-            *known = (*known).min(*first);
+        // Ends of links that are further islands, which have no number yet.
+        let mut later: Vec<(u32, usize)> = Vec::new();
+        let mut pairs: Vec<[u32; 2]> = Vec::with_capacity(links.len());
+        for (at, link) in links.iter().enumerate() {
+            let mut pair = link.map(&cluster_of);
+            for (end, (first, cluster)) in link.iter().zip(&mut pair).enumerate() {
+                let known = &mut graph.firsts[*cluster as usize];
+                if *known == NONE {
+                    *known = *first;
+                } else if *known != *first {
+                    later.push((at as u32, end));
+                    graph.further.push([*cluster, *first]);
+                }
+            }
+            pairs.push(pair);
         }
-        let islands = links.par_iter().flatten_iter().map(|first| [cluster_of(*first), *first]);
-        graph.further =
-            islands.filter(|[cluster, first]| graph.firsts[*cluster as usize] != *first).collect();
         graph.further.par_sort_unstable();
         graph.further.dedup();
-        let number = |first: u32| graph.number(cluster_of(first), first).unwrap_or_default();
-        let pairs: Vec<[u32; 2]> = links.par_iter().map(|link| link.map(number)).collect();
+        graph.further.iter().for_each(|[cluster, _]| graph.has_further[*cluster as usize] = true);
+        for (at, end) in later {
+            let (pair, link) = (&mut pairs[at as usize], &links[at as usize]);
+            pair[end] = graph.number(pair[end], link[end]).unwrap_or_default();
+        }
 
-        let mut starts = vec![0u32; clusters + graph.further.len() + 1];
+        let count = clusters + graph.further.len();
+        let mut starts = vec![0u32; count + 1];
         pairs.iter().flatten().for_each(|island| starts[*island as usize + 1] += 1);
-        (1..starts.len()).for_each(|i| starts[i] += starts[i - 1]);
+        (0..count).for_each(|i| starts[i + 1] += starts[i]);
+        let mut ends = starts.clone();
         let mut joined = vec![0; 2 * pairs.len()];
         for [a, b] in pairs {
-            // From the end of each list, which so becomes its beginning one place too late.
             for (island, other) in [(a, b), (b, a)] {
-                let end = &mut starts[island as usize + 1];
-                *end -= 1;
+                let end = &mut ends[island as usize];
                 joined[*end as usize] = other;
+                *end += 1;
             }
         }
-        starts.remove(0);
-        starts.push(joined.len() as u32);
-        let mut kept = 0;
-        for island in 0..starts.len() - 1 {
-            let list = starts[island] as usize..starts[island + 1] as usize;
-            starts[island] = kept as u32;
-            joined[list.clone()].sort_unstable();
-            for i in list.clone() {
-                if i == list.start || joined[i] != joined[i - 1] {
-                    joined[kept] = joined[i];
+        // Each once: who was met last by whom.
+        let mut met = vec![NONE; count];
+        let (mut kept, mut from) = (0, 0);
+        for island in 0..count {
+            let to = starts[island + 1] as usize;
+            for at in from..to {
+                let other = joined[at];
+                if std::mem::replace(&mut met[other as usize], island as u32) != island as u32 {
+                    joined[kept] = other;
                     kept += 1;
                 }
             }
-        }
-        if let Some(end) = starts.last_mut() {
-            *end = kept as u32;
+            starts[island + 1] = kept as u32;
+            from = to;
         }
         joined.truncate(kept);
         Self { starts, joined, ..graph }
@@ -316,10 +331,23 @@ impl Graph {
     /// The islands of a cluster that are joined with others.
     pub fn islands(&self, cluster: u32) -> impl Iterator<Item = u32> + '_ {
         let first = self.firsts.get(cluster as usize).filter(|first| **first != NONE).map(|_| cluster);
-        let start = self.further.partition_point(|[of, _]| *of < cluster);
-        let count = self.further[start..].iter().take_while(|[of, _]| *of == cluster).count();
+        let (mut start, mut count) = (0, 0);
+        if self.has_further.get(cluster as usize) == Some(&true) {
+            start = self.further.partition_point(|[of, _]| *of < cluster);
+            count = self.further[start..].iter().take_while(|[of, _]| *of == cluster).count();
+        }
         let begin = (self.firsts.len() + start) as u32;
         first.into_iter().chain(begin..begin + count as u32)
+    }
+
+    /// Visits the islands of a cluster that are joined with others.
+    #[inline]
+    pub fn each_island(&self, cluster: u32, mut visit: impl FnMut(u32)) {
+        if self.has_further[cluster as usize] {
+            self.islands(cluster).for_each(visit);
+        } else if self.firsts[cluster as usize] != NONE {
+            visit(cluster);
+        }
     }
 
     /// The islands that an island is joined with.
@@ -391,11 +419,19 @@ impl Graph {
 
 #[cfg(test)]
 mod tests {
+    use super::super::twins::Twins;
     use super::*;
+    use glam::DVec3;
+
+    fn no_twins(vertices: usize) -> FoundTwins {
+        let mut twins = Twins::new(0, 1, &std::env::temp_dir()).expect("a file");
+        twins.take(&vec![DVec3::ZERO; vertices]).expect("room");
+        twins.finish().expect("a file")
+    }
 
     /// Islands of faces over vertices whose clusters are given.
     fn graph(sample_of: &[u32], samples: usize, faces: &[[u32; 3]]) -> Graph {
-        let mut islands = Islands::new(sample_of.len(), samples, &std::env::temp_dir()).expect("a file");
+        let mut islands = Islands::new(no_twins(sample_of.len()), sample_of, samples);
         for face in faces {
             islands.take(*face, face.map(|v| sample_of[v as usize]));
         }
@@ -448,7 +484,7 @@ mod tests {
     #[test]
     fn a_tangle_is_noticed() {
         let sample_of: Vec<u32> = (0..400).collect();
-        let mut islands = Islands::new(400, 400, &std::env::temp_dir()).expect("a file");
+        let mut islands = Islands::new(no_twins(400), &sample_of, 400);
         for u in 0..400 {
             (0..u).for_each(|v| islands.join((u, u), (v, v)));
         }

@@ -2,8 +2,9 @@
 //! the surface is told by how these connect it, however near two sheets come in space.
 //!
 //! While sampling reads the faces, `islands` finds what hangs together in each cluster, and which of these
-//! islands faces join. Where a cluster turns out to hold two sheets, equal positions are welded first
-//! (`sorter`): a place belongs to all faces there. Clusters that hold two sheets then are parted, one sample
+//! islands faces join. A place belongs to all faces there: most equal positions are found while the vertices
+//! stream (`twins`), and where a cluster turns out to hold two sheets, the others are welded first
+//! (`sorter`). Clusters that hold two sheets then are parted, one sample
 //! for each (`parting`). [`Contacts`] keeps who is on whose sheet near such places, and of which sheet the
 //! vertices are that their position alone would put on another one.
 //!
@@ -14,11 +15,13 @@ mod islands;
 mod parting;
 mod places;
 mod sorter;
+mod twins;
 
 pub use contacts::Contacts;
 pub(crate) use contacts::{Guides, Noted};
 pub(crate) use islands::Islands;
 pub(crate) use parting::{Parted, Parting};
+pub(crate) use twins::{Found as FoundTwins, Twins};
 
 /// What the user can do where a temporary file has no room.
 const ADVICE: &str = "do without them, by --skip sheets";

@@ -2,7 +2,7 @@
 //! its own sheet nearby.
 
 use std::cmp::Ordering;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 use std::path::Path;
 
@@ -68,10 +68,15 @@ pub struct Parted {
     graph: Graph,
     /// The sample that each island belongs to.
     sample: Vec<u32>,
+    /// A cluster of each sample, and the sample of each cluster, if these are not the same.
+    cluster_of: Vec<u32>,
+    becomes: Option<Vec<u32>>,
+    /// Whether a sample has more or fewer islands than its cluster; which, is in the next.
+    has_own: Vec<bool>,
     /// The islands of samples that have more or fewer than their cluster.
     islands_of: HashMap<u32, Vec<u32>>,
-    /// Clusters of several sheets.
-    mixed: BTreeSet<u32>,
+    /// Whether a cluster is one of several sheets.
+    mixed: Vec<bool>,
     /// Of each sample that stands for another part than it did: position and normal.
     pub moved: Vec<(u32, Vec3, Vec3)>,
     /// The same of the new samples, and the one that each was parted from.
@@ -248,22 +253,31 @@ impl Parts {
         part.islands.iter().flat_map(|island| self.graph.joined(*island)).copied()
     }
 
-    /// Parts the clusters of samples at these places, with at most so many new samples.
-    pub fn part(self, samples: &[Vec3], most: usize) -> Parted {
+    /// Whether a cluster is one of several sheets.
+    pub fn is_mixed(&self, cluster: u32) -> bool {
+        self.mixed.binary_search_by_key(&cluster, |(mixed, _)| *mixed).is_ok()
+    }
+
+    /// Parts the clusters, with at most so many new samples. Where the cut has become coarser meanwhile,
+    /// `becomes` says of which sample each cluster is now, which none of several sheets shares; `samples` is
+    /// where these are.
+    pub fn part(self, samples: &[Vec3], becomes: Option<&[u32]>, most: usize) -> Parted {
         const OPEN: u32 = u32::MAX;
         let first = samples.len() as u32;
+        let of = |cluster: u32| becomes.map_or(cluster, |becomes| becomes[cluster as usize]);
         let (gets, _) = self.decide(most);
         let (mut moved, mut added) = (Vec::new(), Vec::new());
-        let mut sample: Vec<u32> = (0..self.graph.len()).map(|island| self.graph.cluster(island)).collect();
+        let mut sample: Vec<u32> =
+            (0..self.graph.len()).map(|island| of(self.graph.cluster(island))).collect();
         let mut open: Vec<(usize, usize)> = Vec::new();
         for (i, (cluster, parts)) in self.mixed.iter().enumerate() {
             for (j, part) in parts.iter().enumerate() {
                 let (position, normal, _) = part.moments.representative();
                 let of_part = if j == 0 {
-                    moved.push((*cluster, position, normal));
-                    *cluster
+                    moved.push((of(*cluster), position, normal));
+                    of(*cluster)
                 } else if gets[i][j] {
-                    added.push((*cluster, position, normal));
+                    added.push((of(*cluster), position, normal));
                     first + added.len() as u32 - 1
                 } else {
                     open.push((i, j));
@@ -299,7 +313,7 @@ impl Parts {
                 // Nothing of its sheet has a sample: it stays with its cluster.
                 for (i, j) in open.drain(..) {
                     let (cluster, parts) = &self.mixed[i];
-                    parts[j].islands.iter().for_each(|island| sample[*island as usize] = *cluster);
+                    parts[j].islands.iter().for_each(|island| sample[*island as usize] = of(*cluster));
                 }
             }
         }
@@ -307,16 +321,49 @@ impl Parts {
         let mut seeds: Vec<u32> = of_mixed().map(|island| sample[*island as usize]).collect();
         seeds.sort_unstable();
         seeds.dedup();
-        let mut islands_of: HashMap<u32, Vec<u32>> = HashMap::new();
-        let mixed: BTreeSet<u32> = self.mixed.iter().map(|(cluster, _)| *cluster).collect();
+        // The clusters of each sample: mostly one.
+        let mut cluster_of = vec![OPEN; first as usize];
+        let mut merged: HashMap<u32, Vec<u32>> = HashMap::new();
+        for cluster in 0..self.graph.clusters() as u32 {
+            let known = &mut cluster_of[of(cluster) as usize];
+            if *known == OPEN {
+                *known = cluster;
+            } else {
+                merged.entry(of(cluster)).or_insert_with(|| vec![*known]).push(cluster);
+            }
+        }
+        let whole = |sample: u32| {
+            let one = [cluster_of[sample as usize]];
+            let clusters = merged.get(&sample).map_or(&one[..], |clusters| clusters);
+            clusters.iter().flat_map(|cluster| self.graph.islands(*cluster)).collect::<Vec<_>>()
+        };
+        let mut islands_of: HashMap<u32, Vec<u32>> =
+            merged.keys().map(|sample| (*sample, whole(*sample))).collect();
+        let mut mixed = vec![false; self.graph.clusters()];
+        self.mixed.iter().for_each(|(cluster, _)| mixed[*cluster as usize] = true);
         for island in of_mixed() {
             let of_sample = sample[*island as usize];
-            let own = || {
-                if mixed.contains(&of_sample) { Vec::new() } else { self.graph.islands(of_sample).collect() }
+            let own = || match cluster_of.get(of_sample as usize) {
+                Some(cluster) if !mixed[*cluster as usize] => whole(of_sample),
+                _ => Vec::new(),
             };
             islands_of.entry(of_sample).or_insert_with(own).push(*island);
         }
-        Parted { sample, islands_of, mixed, moved, added, seeds, graph: self.graph }
+        let mut has_own = vec![false; samples.len() + added.len()];
+        islands_of.keys().for_each(|sample| has_own[*sample as usize] = true);
+        let becomes = becomes.map(<[u32]>::to_vec);
+        Parted {
+            sample,
+            cluster_of,
+            becomes,
+            has_own,
+            islands_of,
+            mixed,
+            moved,
+            added,
+            seeds,
+            graph: self.graph,
+        }
     }
 }
 
@@ -324,22 +371,26 @@ impl Parted {
     /// Notes in `sample_of` which sample each vertex belongs to now.
     pub fn renumber(&self, islands: &Islands, sample_of: &mut [u32]) {
         sample_of.par_iter_mut().enumerate().for_each(|(vertex, sample)| {
-            if self.mixed.contains(sample)
-                && let Some(island) = self.graph.number(*sample, islands.first_of(vertex as u32))
-            {
+            let Some(mixed) = self.mixed.get(*sample as usize) else { return };
+            if *mixed && let Some(island) = self.graph.number(*sample, islands.first_of(vertex as u32)) {
                 *sample = self.sample[island as usize];
+            } else if let Some(becomes) = &self.becomes {
+                *sample = becomes[*sample as usize];
             }
         });
     }
 
-    /// The samples that faces join with one; some of them several times.
-    pub fn joined(&self, sample: u32) -> impl Iterator<Item = u32> + '_ {
-        let parts = self.islands_of.get(&sample);
-        let whole = parts.is_none().then(|| self.graph.islands(sample));
-        let islands = parts.into_iter().flatten().copied().chain(whole.into_iter().flatten());
-        islands
-            .flat_map(|island| self.graph.joined(island))
-            .map(|island| self.sample[*island as usize])
-            .filter(move |other| *other != sample)
+    /// Visits the samples that faces join with one; some of them several times.
+    #[inline]
+    pub fn each_joined(&self, sample: u32, mut visit: impl FnMut(u32)) {
+        let mut of_island = |island: u32| {
+            let others = self.graph.joined(island).iter().map(|island| self.sample[*island as usize]);
+            others.filter(|other| *other != sample).for_each(&mut visit);
+        };
+        if self.has_own[sample as usize] {
+            self.islands_of.get(&sample).into_iter().flatten().for_each(|island| of_island(*island));
+        } else {
+            self.graph.each_island(self.cluster_of[sample as usize], of_island);
+        }
     }
 }

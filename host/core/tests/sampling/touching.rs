@@ -174,6 +174,27 @@ fn nobody_stays_and_nobody_follows() {
     }
 }
 
+/// Faces of parted clusters are found by their places in the file, or all are read: the samples that they place
+/// are the same.
+#[test]
+fn faces_place_the_samples_of_parts_wherever_they_are_read() {
+    for (body, _) in [rings(1e-3), soup(rings(1e-3))] {
+        let body = Body { normals: Vec::new(), ..body };
+        for target in [Target::Samples(4000), Target::Error(2e-3)] {
+            let [some, all] = [false, true].map(|cells| {
+                body.sampled(Sampling {
+                    target,
+                    skip: Skip { cells, ..sampling(true).skip },
+                    ..sampling(true)
+                })
+            });
+            assert!(some.samples.contacts().is_some());
+            assert_eq!(some.samples.positions, all.samples.positions);
+            assert_eq!(some.triangles, all.triangles);
+        }
+    }
+}
+
 /// Number of triangles with samples of both parts.
 fn joining(sampled: &SampledModel, of: &dyn Fn(DVec3) -> f64) -> usize {
     let is_second = |i: &u32| of(sampled.frame.to_model(sampled.samples.positions[*i as usize])) > 0.5;

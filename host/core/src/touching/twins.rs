@@ -1,0 +1,180 @@
+//! Vertices at the same position as an earlier one that is not far before them in the file: what hangs
+//! together along the seams of a mesh whose faces share no vertices there, as far as little memory tells.
+
+use std::path::Path;
+
+use bytemuck::cast_slice;
+use glam::DVec3;
+use memmap2::MmapMut;
+
+use super::ADVICE;
+use super::sorter::{Entry, entry, hash_of};
+use crate::Result;
+use crate::scratch::Scratch;
+
+/// Positions that are remembered: a few rows or patches of a scan.
+const REMEMBERED: usize = 1 << 18;
+
+/// Those of them that are looked at first, as most twins are near each other in the file: as many as a
+/// processor's first cache holds.
+const LATEST: usize = 1 << 11;
+
+/// Vertices that are looked at together.
+const BLOCK: usize = 64;
+
+/// Numbers written at a time.
+const BUFFER: usize = 1 << 16;
+
+/// Finds twins while the vertices stream.
+///
+/// Memory: 3.3 MiB, and a file of 4 bytes per vertex.
+pub struct Twins {
+    file: Scratch,
+    buffer: Vec<u32>,
+    written: u64,
+    /// The hash of a position and a vertex there, at a place that the hash tells; and the same of the latest
+    /// ones.
+    remembered: Vec<Entry>,
+    latest: Vec<Entry>,
+    /// Whether positions are looked at.
+    looks: bool,
+    found: u64,
+}
+
+/// What was found.
+pub struct Found {
+    /// For each vertex, how far before it one at the same position is; 0 where none is known.
+    pub back: MmapMut,
+    /// How many vertices have one.
+    pub count: u64,
+}
+
+impl Twins {
+    /// Of no vertex yet, of a model with so many vertices and faces. Where faces share their vertices, there
+    /// are hardly any twins, and they are not looked for. The file goes to `folder`.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    pub fn new(vertices: u64, faces: u64, folder: &Path) -> Result<Self> {
+        // A closed mesh of triangles has half as many vertices as faces.
+        let looks = 20 * vertices > 11 * faces;
+        Ok(Self {
+            file: Scratch::new(folder, ADVICE)?,
+            buffer: Vec::with_capacity(BUFFER + BLOCK),
+            written: 0,
+            remembered: vec![[0, 0, u32::MAX]; if looks { REMEMBERED } else { 0 }],
+            latest: vec![[0, 0, u32::MAX]; LATEST],
+            looks,
+            found: 0,
+        })
+    }
+
+    /// Takes the next vertices; one without a finite position has no twin.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn take(&mut self, positions: &[DVec3]) -> Result<()> {
+        for block in positions.chunks(BLOCK) {
+            if self.looks {
+                self.look_at(block);
+            } else {
+                self.buffer.resize(self.buffer.len() + block.len(), 0);
+            }
+            if self.buffer.len() >= BUFFER {
+                self.flush()?;
+            }
+        }
+        Ok(())
+    }
+
+    fn look_at(&mut self, block: &[DVec3]) {
+        let mut hashes = [0; BLOCK];
+        hashes.iter_mut().zip(block).for_each(|(hash, p)| *hash = hash_of(*p));
+        // What is remembered comes from memory for all of them at once, rather than for one after the other.
+        let touched = hashes.iter().map(|hash| self.remembered[*hash as usize % REMEMBERED][0]);
+        std::hint::black_box(touched.fold(0, u32::wrapping_add));
+        let first = (self.written + self.buffer.len() as u64) as u32;
+        for ((vertex, p), hash) in (first..).zip(block).zip(hashes) {
+            let new = entry(hash, vertex);
+            let is_twin = |known: Entry| known[..2] == new[..2] && known[2] < vertex;
+            let mut back = 0;
+            if p.is_finite() {
+                let latest = std::mem::replace(&mut self.latest[hash as usize % LATEST], new);
+                if is_twin(latest) {
+                    back = vertex - latest[2];
+                } else {
+                    let known = std::mem::replace(&mut self.remembered[hash as usize % REMEMBERED], new);
+                    if is_twin(known) {
+                        back = vertex - known[2];
+                    }
+                }
+            }
+            self.found += u64::from(back != 0);
+            self.buffer.push(back);
+        }
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        self.file.write_at(cast_slice(&self.buffer), self.written * size_of::<u32>() as u64)?;
+        self.written += self.buffer.len() as u64;
+        self.buffer.clear();
+        Ok(())
+    }
+
+    /// What was found.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn finish(mut self) -> Result<Found> {
+        self.flush()?;
+        Ok(Found { back: self.file.map_mut()?, count: self.found })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use bytemuck::cast_slice;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn found(positions: &[DVec3]) -> (Vec<u32>, u64) {
+        let folder = std::env::temp_dir();
+        let mut twins = Twins::new(positions.len() as u64, 0, &folder).expect("a file");
+        positions.chunks(100).for_each(|some| twins.take(some).expect("room"));
+        let found = twins.finish().expect("a file");
+        (cast_slice(&found.back).to_vec(), found.count)
+    }
+
+    proptest! {
+        #[test]
+        fn twins_are_at_the_same_position_and_near_ones_are_found(
+            places in proptest::collection::vec(0..400u32, 1..1000),
+        ) {
+            let place = |i: &u32| if *i == 0 { DVec3::NAN } else { DVec3::new(f64::from(*i), 1.0, -0.0) };
+            let positions: Vec<DVec3> = places.iter().map(place).collect();
+            let (back, count) = found(&positions);
+            prop_assert_eq!(back.iter().filter(|back| **back != 0).count() as u64, count);
+            for (i, back) in back.iter().enumerate() {
+                let before = places[..i].iter().rposition(|place| *place == places[i] && *place != 0);
+                // Two that fall on the same place of what is remembered are rare among so few.
+                match before {
+                    Some(_) if *back != 0 => prop_assert_eq!(places[i - *back as usize], places[i]),
+                    Some(_) => (),
+                    None => prop_assert_eq!(*back, 0),
+                }
+            }
+            let known = (1..400).filter(|place| places.contains(place)).count();
+            let twins = places.iter().filter(|place| **place != 0).count() - known;
+            prop_assert!(count as usize <= twins && count as usize * 10 >= twins * 9);
+        }
+    }
+
+    #[test]
+    fn far_ones_are_found_as_well() {
+        let row = || (0..20_000).map(|i| DVec3::new(f64::from(i), 2.0, 3.0));
+        let (back, count) = found(&row().chain(row()).collect::<Vec<_>>());
+        assert!(back.iter().all(|back| *back == 0 || *back == 20_000));
+        assert!((18_000..=20_000).contains(&count), "{count}");
+    }
+}
