@@ -42,7 +42,7 @@ const PATIENCE: usize = 7;
 const NEARER: f64 = 2.0;
 
 /// Of what is expected, rounding makes so much more at single places than in the mean.
-const ROUNDING: f64 = 4.0;
+const ROUNDING: f64 = 8.0;
 
 /// Vertices at which the exact map is asked.
 const MEASURED: u64 = 1_000_000;

@@ -274,11 +274,7 @@ pub fn unit(n: Vec3) -> Vec3 {
 
 /// A thread that clusters panicked.
 fn panicked() -> Error {
-    Error::new(
-        ErrorKind::Degenerate,
-        "clustering a cell failed",
-        "this is a bug: please report it, with the model",
-    )
+    Error::internal("clustering a cell failed", "this is a bug: please report it, with the model")
 }
 
 /// The model holds other vertices in pass 2 than in pass 1.

@@ -108,7 +108,10 @@ impl KeptCells {
     /// # Errors
     /// Never, for what sampling makes: only what cannot be held in a file would be refused.
     pub fn encode(&self, samples_fingerprint: &str) -> Result<Vec<u8>> {
-        seal(MAGIC, VERSION, &(samples_fingerprint, self)).map_err(|e| damaged(&e.to_string()))
+        seal(MAGIC, VERSION, &(samples_fingerprint, self)).map_err(|e| {
+            Error::internal("the cells cannot be held in a file", "this is a bug: please report it")
+                .because(e)
+        })
     }
 
     /// Reads the content of a file: the hash of the `samples.ply` that it belongs to, and the cells.
