@@ -25,7 +25,7 @@ pub const BLENDED: usize = 6;
 const FIT_NEIGHBOURS: usize = 28;
 
 /// The largest ridge, relative to terms of the size of the neighbourhood ...
-const RIDGE: f64 = 1e-6;
+const RIDGE: f64 = 1e-7;
 
 /// ... and the least one, which keeps rounding from being followed.
 const LEAST_RIDGE: f64 = 1e-11;
@@ -49,10 +49,6 @@ const TERMS: usize = 9;
 const DOUBTFUL: f64 = 0.1;
 /// … and one that leaves over more than this is not to be believed.
 const USELESS: f64 = 0.3;
-
-/// Neighbours that tell less of a direction than this part of what a neighbourhood of full extent would tell
-/// leave it open.
-const TELLING: f64 = 1e-7;
 
 /// The part of the strain by which the gradient across a surface is expected to differ from its prior.
 const STRAINED: f64 = 0.5;
@@ -254,7 +250,8 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
     let prior = gradient.as_dmat3();
     let mut matrix = [[0.0; TERMS]; TERMS];
     let mut right = [DVec3::ZERO; TERMS];
-    let (mut weights, mut largest, mut squares, mut variation) = (0.0, 0.0f64, 0.0, 0.0);
+    let (mut weights, mut squared_weights) = (0.0, 0.0);
+    let (mut largest, mut squares, mut variation) = (0.0f64, 0.0, 0.0);
     for j in near {
         let j = *j as usize;
         let d = (samples.positions[j] - q).as_dvec3();
@@ -270,6 +267,7 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
             right[a] += left_over * weighted;
         }
         weights += w;
+        squared_weights += w * w;
         variation += w * (deformed[j].as_dvec3() - q_star.as_dvec3() - d).length_squared();
         squares += w * left_over.length_squared();
         largest = largest.max(left_over.length());
@@ -289,8 +287,10 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
         Some((c, (1.0 - explained / squares).max(0.0)))
     };
     let Some((_, left)) = ridged(LEAST_RIDGE) else { return affine };
-    let (noise, signal) = (left * squares, squares + weights * (strain(prior) / scale).powi(2));
-    let ridge = (LEAST_RIDGE + noise / (EXPECTED * signal)).min(RIDGE);
+    // What nine terms leave over of few neighbours is less than they are off by.
+    let free = (1.0 - TERMS as f64 * squared_weights / (weights * weights)).max(0.0);
+    let signal = squares + weights * (strain(prior) / scale).powi(2);
+    let ridge = (LEAST_RIDGE + left * squares / (EXPECTED * free * signal)).min(RIDGE);
     let Some((c, left)) = ridged(ridge) else { return affine };
     // What terms explain that noise of this size leaves undetermined is not relied on.
     let relied_on = if left > SMOOTH { ridged(ridge + NOISE * (left - SMOOTH)) } else { Some((c, left)) };
@@ -309,7 +309,7 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
     let bent: f64 = c[3..].iter().map(|c| c.length_squared()).sum();
     let off = (STRAINED * strain(prior)).hypot(bent.sqrt() * scale);
     let across = samples.normals()[i].as_dvec3() * off;
-    let unresolved = Unresolved::of(with_ridge(TELLING), TELLING * weights, across, scale);
+    let unresolved = Unresolved::of(with_ridge(RIDGE), RIDGE * weights, across, scale);
     Jet { slope, second, doubt, unresolved }
 }
 
