@@ -9,30 +9,21 @@
 //! towards nothing: where the neighbours do not tell, as across a flat neighbourhood, those maps stand. They
 //! reproduce similarities exactly, and so does this.
 
-use glam::{DMat3, DVec3, Mat3, Vec3};
+use glam::{DMat3, Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::expansion::Expansion;
 use super::gradients::{Gradients, ROUNDING};
+use super::least_squares::{LeastSquares, Unresolved};
 use super::sheets::Sheets;
-use crate::geometry::{hermite, solve_positive_definite};
+use crate::geometry::hermite;
 use crate::sampling::SampleSet;
 
 /// Samples that are blended at a vertex which no support reaches.
 pub const BLENDED: usize = 6;
 
 /// Neighbours in a fit: three times its terms.
-const FIT_NEIGHBOURS: usize = 28;
-
-/// The largest ridge, relative to terms of the size of the neighbourhood ...
-const RIDGE: f64 = 1e-7;
-
-/// ... and the least one, which keeps rounding from being followed.
-const LEAST_RIDGE: f64 = 1e-11;
-
-/// How large the terms of a fit are expected to be, as squares: so many times those of the strain and of what
-/// the affine map leaves over.
-const EXPECTED: f64 = 4.0;
+pub(super) const FIT_NEIGHBOURS: usize = 28;
 
 /// What a fit leaves over counts as noise of its data: a ridge of so much of it, as a part of the data's
 /// square, shows what the fit explains by terms that the noise leaves undetermined (as Wiener's filter
@@ -41,14 +32,6 @@ const NOISE: f64 = 0.3;
 
 /// What a fit to a smooth map may leave over, as a part of the data's square.
 const SMOOTH: f64 = 0.01;
-
-/// Terms of a second-order expansion without its constant.
-const TERMS: usize = 9;
-
-/// A fit that leaves over more than this part of the displacement's variation is in doubt …
-const DOUBTFUL: f64 = 0.1;
-/// … and one that leaves over more than this is not to be believed.
-const USELESS: f64 = 0.3;
 
 /// The part of the strain by which the gradient across a surface is expected to differ from its prior.
 const STRAINED: f64 = 0.5;
@@ -74,34 +57,6 @@ struct Jet {
     doubt: f64,
     /// What the prior across the surface may leave off.
     unresolved: Unresolved,
-}
-
-/// How far an expansion is off around its sample, if the gradient across the surface is another one than the
-/// prior says: local units, for a gradient that differs by [`STRAINED`] of what the deformation strains, and by
-/// all that it varies among the neighbours.
-///
-/// The fit takes such a difference for what it can explain along the samples' surface, and leaves
-/// (A + λ W)⁻¹ λ W e of it, e across, A of the fit's squares: next to nothing where neighbours tell about
-/// the direction across, and nothing at the neighbours themselves.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Unresolved([f32; TERMS]);
-
-impl Unresolved {
-    /// Of a fit with this `matrix` of squares, to which `ridge` was added, for a gradient that is off by so much
-    /// `across`; the fit's unit of length is 1 / `scale`.
-    fn of(matrix: [[f64; TERMS]; TERMS], ridge: f64, across: DVec3, scale: f64) -> Self {
-        let mut right = [DVec3::ZERO; TERMS];
-        right.iter_mut().zip(across.to_array()).for_each(|(right, n)| right.x = ridge * n);
-        let left = solve_positive_definite(matrix, right).unwrap_or_default();
-        Self(std::array::from_fn(|a| (if a < 3 { left[a].x } else { left[a].x * scale }) as f32))
-    }
-
-    /// The length of what is left at `d` from the sample.
-    pub fn at(&self, d: Vec3) -> f32 {
-        let Vec3 { x, y, z } = d;
-        let [a, b, c, xx, xy, xz, yy, yz, zz] = self.0;
-        ((a + xx * x + xy * y + xz * z) * x + (b + yy * y + yz * z) * y + (c + zz * z) * z).abs()
-    }
 }
 
 impl Jet {
@@ -238,79 +193,29 @@ impl Jet {
 }
 
 fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, i: usize) -> Jet {
-    let (near, radius) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
-    let (q, q_star) = (samples.positions[i], deformed[i]);
     let affine =
         Jet { slope: gradient, second: [Vec3::ZERO; 6], doubt: 0.0, unresolved: Unresolved::default() };
-    let scale = 1.0 / f64::from(radius);
-    if !scale.is_finite() {
-        return affine;
-    }
-
     let prior = gradient.as_dmat3();
-    let mut matrix = [[0.0; TERMS]; TERMS];
-    let mut right = [DVec3::ZERO; TERMS];
-    let (mut weights, mut squared_weights) = (0.0, 0.0);
-    let (mut largest, mut squares, mut variation) = (0.0f64, 0.0, 0.0);
-    for j in near {
-        let j = *j as usize;
-        let d = (samples.positions[j] - q).as_dvec3();
-        let left_over = deformed[j].as_dvec3() - q_star.as_dvec3() - prior * d;
-        let w = f64::from(hermite((d.length() * scale) as f32));
-        let DVec3 { x, y, z } = d * scale;
-        let terms = [x, y, z, x * x, x * y, x * z, y * y, y * z, z * z];
-        for (a, term) in terms.iter().enumerate() {
-            let weighted = w * term;
-            for (b, other) in terms[..=a].iter().enumerate() {
-                matrix[a][b] += weighted * other;
-            }
-            right[a] += left_over * weighted;
-        }
-        weights += w;
-        squared_weights += w * w;
-        variation += w * (deformed[j].as_dvec3() - q_star.as_dvec3() - d).length_squared();
-        squares += w * left_over.length_squared();
-        largest = largest.max(left_over.length());
-    }
-    if largest < ROUNDING {
+    let Some(squares) = LeastSquares::gather(samples, sheets, deformed, prior, i) else { return affine };
+    if squares.largest < ROUNDING {
         return affine;
     }
-    let with_ridge = |ridge: f64| {
-        let mut matrix = matrix;
-        matrix.iter_mut().enumerate().for_each(|(a, row)| row[a] += ridge * weights);
-        matrix
-    };
-    let ridged = |ridge: f64| {
-        let c = solve_positive_definite(with_ridge(ridge), right)?;
-        // For the least squares c, what is left over is Σ w|r|² − c·b, up to the ridge.
-        let explained: f64 = c.iter().zip(&right).map(|(c, b)| c.dot(*b)).sum();
-        Some((c, (1.0 - explained / squares).max(0.0)))
-    };
-    let Some((_, left)) = ridged(LEAST_RIDGE) else { return affine };
-    // What nine terms leave over of few neighbours is less than they are off by.
-    let free = (1.0 - TERMS as f64 * squared_weights / (weights * weights)).max(0.0);
-    let signal = squares + weights * (strain(prior) / scale).powi(2);
-    let ridge = (LEAST_RIDGE + left * squares / (EXPECTED * free * signal)).min(RIDGE);
-    let Some((c, left)) = ridged(ridge) else { return affine };
+    let Some((terms, left, ridge)) = squares.solve(strain(prior)) else { return affine };
     // What terms explain that noise of this size leaves undetermined is not relied on.
-    let relied_on = if left > SMOOTH { ridged(ridge + NOISE * (left - SMOOTH)) } else { Some((c, left)) };
-    let Some((_, part)) = relied_on else { return affine };
-    let first = |a: usize| (c[a] * scale).as_vec3();
-    let second = [3, 4, 5, 6, 7, 8].map(|a: usize| (c[a] * scale * scale).as_vec3());
+    let relied_on =
+        if left > SMOOTH { squares.ridged(ridge + NOISE * (left - SMOOTH)) } else { Some((terms, left)) };
+    let Some((_, left)) = relied_on else { return affine };
+    let scale = squares.scale;
+    let first = |a: usize| (terms[a] * scale).as_vec3();
+    let second = [3, 4, 5, 6, 7, 8].map(|a: usize| (terms[a] * scale * scale).as_vec3());
     let slope = gradient + Mat3::from_cols(first(0), first(1), first(2));
     if !(slope.is_finite() && second.iter().all(|h| h.is_finite())) {
         return affine;
     }
-    // Beside how much the displacement varies, little matters that is left over of little.
-    let left = part * squares;
-    let part = (left / squares.max(variation)).sqrt();
-    let t = ((part - DOUBTFUL) / (USELESS - DOUBTFUL)).clamp(0.0, 1.0);
-    let doubt = if (left / weights).sqrt() < ROUNDING { 0.0 } else { t * t * (3.0 - 2.0 * t) };
-    let bent: f64 = c[3..].iter().map(|c| c.length_squared()).sum();
+    let bent: f64 = terms[3..].iter().map(|term| term.length_squared()).sum();
     let off = (STRAINED * strain(prior)).hypot(bent.sqrt() * scale);
-    let across = samples.normals()[i].as_dvec3() * off;
-    let unresolved = Unresolved::of(with_ridge(RIDGE), RIDGE * weights, across, scale);
-    Jet { slope, second, doubt, unresolved }
+    let unresolved = squares.unresolved(samples.normals()[i].as_dvec3() * off);
+    Jet { slope, second, doubt: squares.doubt(left), unresolved }
 }
 
 /// How far a gradient is from a rotation: the size of Green's strain.

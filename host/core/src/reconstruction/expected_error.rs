@@ -9,7 +9,7 @@
 //! about that very place. What they leave out together they do not tell; what the samples disagree by halfway
 //! stands for that, and for more of it where a vertex lies beyond the samples, as off the surface or outside
 //! a border. How the map varies across a sheet of gentle relief all of them guess alike: what that leaves open
-//! counts, too ([`Unresolved`](super::blended_jets::Unresolved)). Rounding comes on top: of the samples' positions, of the displacement, and of the file that is
+//! counts, too ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the samples' positions, of the displacement, and of the file that is
 //! written.
 
 use std::sync::atomic::{AtomicU32, Ordering};
