@@ -55,7 +55,7 @@ struct Jet {
     second: [Vec3; 6],
     /// How little the fit is to be believed, from 0 to 1.
     doubt: f64,
-    /// What the prior across the surface may leave off.
+    /// How far it is off, if the prior across the surface is.
     unresolved: Unresolved,
 }
 
@@ -200,7 +200,8 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
     if squares.largest < ROUNDING {
         return affine;
     }
-    let Some((terms, left, ridge)) = squares.solve(strain(prior)) else { return affine };
+    let strain = strain(prior);
+    let Some((terms, left, ridge)) = squares.solve(strain) else { return affine };
     // What terms explain that noise of this size leaves undetermined is not relied on.
     let relied_on =
         if left > SMOOTH { squares.ridged(ridge + NOISE * (left - SMOOTH)) } else { Some((terms, left)) };
@@ -213,7 +214,7 @@ fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, 
         return affine;
     }
     let bent: f64 = terms[3..].iter().map(|term| term.length_squared()).sum();
-    let off = (STRAINED * strain(prior)).hypot(bent.sqrt() * scale);
+    let off = (STRAINED * strain).hypot(bent.sqrt() * scale);
     let unresolved = squares.unresolved(samples.normals()[i].as_dvec3() * off);
     Jet { slope, second, doubt: squares.doubt(left), unresolved }
 }

@@ -33,6 +33,12 @@ impl Expansion {
         Self { center: center.to_array(), inverse_square: Self::NO_SUPPORT, rows: [row(0), row(1), row(2)] }
     }
 
+    /// How far within its support a place is: from 1 at the sample down to 0, and below.
+    #[inline]
+    pub fn within(&self, p: Vec3) -> f32 {
+        1.0 - p.distance_squared(Vec3::from_array(self.center)) * self.inverse_square
+    }
+
     /// The displacement of the sample itself.
     pub fn displacement(&self) -> Vec3 {
         Vec3::from_array(self.rows.map(|row| row[0]))

@@ -9,8 +9,8 @@
 //! about that very place. What they leave out together they do not tell; what the samples disagree by halfway
 //! stands for that, and for more of it where a vertex lies beyond the samples, as off the surface or outside
 //! a border. How the map varies across a sheet of gentle relief all of them guess alike: what that leaves open
-//! counts, too ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the samples' positions, of the displacement, and of the file that is
-//! written.
+//! counts, too ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the samples'
+//! positions, of the displacement, and of the file that is written.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -204,7 +204,7 @@ impl DeformationField<'_> {
         for ((place, off), home) in found.iter().zip(homes) {
             let reaching = self.around.supports.of_home(home as usize).iter().map(|r| r.sample as usize);
             let (expansions, expected) = (&self.expansions, &mut self.expected);
-            let has_say = |i: &usize| within(&expansions[*i], *place) > 0.0;
+            let has_say = |i: &usize| expansions[*i].within(*place) > 0.0;
             for i in [home as usize].into_iter().chain(reaching.filter(has_say)) {
                 expected[i].largest = expected[i].largest.max(*off);
             }
@@ -297,7 +297,7 @@ impl DeformationField<'_> {
         let mut heard = Heard::default();
         for i in self.around.supports.of_home(home).iter().map(|r| r.sample as usize) {
             let e = &self.expansions[i];
-            let s = within(e, p);
+            let s = e.within(p);
             if s > 0.0 {
                 heard.add(self, i, s * s * s, p, u);
             }
@@ -413,12 +413,6 @@ impl Heard {
         let beyond = middle.dot(spread.inverse() * middle);
         if beyond.is_finite() { beyond } else { FURTHEST }
     }
-}
-
-/// How far within its support a place is: from 1 at the sample down to 0, and below.
-#[inline]
-fn within(e: &Expansion, p: Vec3) -> f32 {
-    1.0 - p.distance_squared(Vec3::from_array(e.center)) * e.inverse_square
 }
 
 /// The displacement at `p` by an expansion: as [`Expansion::at`], without the gradient.

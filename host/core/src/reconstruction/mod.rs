@@ -310,8 +310,7 @@ impl<'a> DeformationField<'a> {
     /// Whether the support of its home reaches a vertex.
     #[inline]
     fn reaches(&self, home: usize, p: Vec3) -> bool {
-        let e = &self.expansions[home];
-        (p - Vec3::from_array(e.center)).length_squared() * e.inverse_square < 1.0
+        self.expansions[home].within(p) > 0.0
     }
 
     /// The blend of the expansions of these samples at a place, and the sum of their weights: as
