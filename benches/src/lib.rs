@@ -9,8 +9,8 @@ pub mod scan;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use glam::{DQuat, DVec3, EulerRot, Vec3};
-use simod_core::geometry::Bounds;
 use simod_core::sampled_model::SampledModel;
+use simod_model::bounds::Bounds;
 
 /// A unit vector along no axis: hardly ever along a surface, or perpendicular to it.
 pub const TILTED: DVec3 = DVec3::new(0.6, 0.48, 0.64);

@@ -7,9 +7,9 @@ use std::path::Path;
 use glam::DVec3;
 use noise::{Fbm, MultiFractal, NoiseFn, Perlin};
 use rayon::prelude::*;
-use simod_core::generate::{MIN_VERTICES, Shape, Surface};
-use simod_core::geometry::Bounds;
-use simod_core::output::OutputFile;
+use simod_generate::{MIN_VERTICES, Shape, Surface};
+use simod_model::bounds::Bounds;
+use simod_model::output::OutputFile;
 
 use crate::process::Result;
 
@@ -263,8 +263,6 @@ fn edges_of([a, b, c]: [u32; 3]) -> [(u32, u32); 3] {
 mod tests {
     use std::collections::HashMap;
 
-    use simod_core::model;
-
     use super::*;
 
     /// A sphere of radius 1, coarsely.
@@ -348,12 +346,12 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("scan.ply");
         mesh.write(&path).expect("a file");
-        let model = model::open(&path).expect("a model");
+        let model = simod_model::open(&path).expect("a model");
         let info = model.info();
         assert_eq!((info.vertices, info.faces), (20_000, mesh.triangles.len() as u64));
         assert_eq!(info.vertex_bytes, (20_000 * VERTEX_BYTES) as u64);
-        model.check_complete(&simod_core::progress::Silent).expect("a whole file");
-        let mut chunk = model::VertexChunk::default();
+        model.check_complete(&simod_model::progress::Silent).expect("a whole file");
+        let mut chunk = simod_model::VertexChunk::default();
         model.vertices(0..20_000).expect("a reader").read(&mut chunk).expect("vertices");
         assert_eq!(chunk.positions, mesh.positions);
         assert!(chunk.normals.iter().all(|n| n.is_normalized()));
@@ -364,7 +362,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("square.obj");
         let text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\no square\nf 1//1 2//1 3//1 4//1\nvn 0 0 1\no corner\nf 1 2 4\n";
-        simod_core::output::write_file(&path, text.as_bytes()).expect("a file");
+        simod_model::output::write_file(&path, text.as_bytes()).expect("a file");
         let mesh = Mesh::read_obj(&path).expect("a mesh");
         assert_eq!(mesh.triangles.len(), 3);
         let normals = mesh.normals();

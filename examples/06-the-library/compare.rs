@@ -2,7 +2,7 @@
 //! PLUGIN`.
 #![allow(clippy::print_stdout, reason = "a program that tells what it did")]
 
-use simod_core::progress::Silent;
+use simod_model::progress::Silent;
 use simod_session::compare::{CameraPlace, CompareFile, Method, Work, compare};
 use simod_session::plugins::standard_folders;
 use simod_session::session_file::Sampling;

@@ -2,9 +2,9 @@
 //! DEFORMED.ply`.
 #![allow(clippy::print_stdout, reason = "a program that tells what it did")]
 
-use simod_core::progress::Silent;
 use simod_core::reconstruction::deformed_normals;
 use simod_core::sampled_model::SampledModel;
+use simod_model::progress::Silent;
 use simod_session::edit::Refinements;
 use simod_session::plugins::standard_folders;
 use simod_session::{PluginOptions, PluginRegistry, SessionFile, deform};

@@ -2,8 +2,8 @@
 //! done anew as far as it has to be: `library-edit MODEL OUT SESSION.toml`.
 #![allow(clippy::print_stdout, reason = "a program that tells what it did")]
 
-use simod_core::progress::Silent;
 use simod_core::reconstruction::Reconstruction;
+use simod_model::progress::Silent;
 use simod_plugin_api::Effort;
 use simod_session::edit::{Change, Command, Editor, Evaluated, Evaluation};
 use simod_session::plugins::standard_folders;
@@ -63,7 +63,7 @@ struct Work {
 }
 
 impl Work {
-    fn update(&mut self, editor: &Editor, effort: Effort) -> simod_core::Result<Evaluated> {
+    fn update(&mut self, editor: &Editor, effort: Effort) -> simod_model::Result<Evaluated> {
         self.evaluation.update(editor.document().steps(), &self.plugins, effort, &Silent)
     }
 

@@ -1,9 +1,9 @@
 //! Carries a deformation of the samples over to the whole model: `library-reconstruct DIR DEFORMED.ply OUT`.
 #![allow(clippy::print_stdout, reason = "a program that tells what it did")]
 
-use simod_core::progress::Silent;
 use simod_core::reconstruction::{Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
+use simod_model::progress::Silent;
 use std::error::Error;
 use std::path::PathBuf;
 

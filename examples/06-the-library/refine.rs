@@ -2,9 +2,9 @@
 #![allow(clippy::print_stdout, reason = "a program that tells what it did")]
 
 use glam::DVec3;
-use simod_core::progress::Silent;
 use simod_core::refinement::{Finer, Refining, Selection, refine};
 use simod_core::sampled_model::SampledModel;
+use simod_model::progress::Silent;
 use std::error::Error;
 use std::path::PathBuf;
 

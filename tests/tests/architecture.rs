@@ -1,5 +1,6 @@
-//! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `plugin-api, core <-
-//! session <- viewer, cli`; `core <- scene`; `viewer, scene <- window`.
+//! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `model <- core, generate,
+//! measure`; `core <- picture`; `plugin-api, core, measure, picture <- session <- viewer, cli`; `picture <-
+//! scene`; `viewer, scene <- window`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -117,16 +118,23 @@ fn arrows_go_one_way() {
     crates.expect_members("plugins", &["simod-plugin-api"]);
     crates.expect_members("tests/bad-plugins", &["simod-plugin-api"]);
     crates.expect_members("host/features", &[]);
-    crates.expect_members("host/core", &["simod-features"]);
-    crates.expect_members("host/session", &["simod-core", "simod-plugin-api"]);
-    crates.expect_members("host/viewer", &["simod-core", "simod-session", "simod-plugin-api"]);
-    crates.expect_members("host/cli", &["simod-core", "simod-session"]);
-    crates.expect_members("host/scene", &["simod-core"]);
-    let window = ["simod-core", "simod-scene", "simod-session", "simod-viewer", "simod-plugin-api"];
-    crates.expect_members("host/window", &window);
+    crates.expect_members("host/model", &["simod-features"]);
+    crates.expect_members("host/core", &["simod-model"]);
+    crates.expect_members("host/generate", &["simod-model"]);
+    crates.expect_members("host/measure", &["simod-model"]);
+    crates.expect_members("host/picture", &["simod-core", "simod-model"]);
+    let engine = ["simod-core", "simod-model"];
+    let session = [&engine[..], &["simod-measure", "simod-picture", "simod-plugin-api"]].concat();
+    crates.expect_members("host/session", &session);
+    crates.expect_members("host/viewer", &[&engine[..], &["simod-plugin-api", "simod-session"]].concat());
+    let cli = [&engine[..], &["simod-generate", "simod-picture", "simod-session"]].concat();
+    crates.expect_members("host/cli", &cli);
+    crates.expect_members("host/scene", &["simod-model", "simod-picture"]);
+    let window = ["simod-generate", "simod-picture", "simod-plugin-api", "simod-scene", "simod-session"];
+    crates.expect_members("host/window", &[&engine[..], &window, &["simod-viewer"]].concat());
 
     crates.expect_none("host/core", &["abi_stable", "libloading", "clap", "simod-plugin-api"]);
-    for folder in ["plugin-api", "plugins", "host/core", "host/session", "host/viewer", "host/cli"] {
+    for folder in ["plugin-api", "plugins", "host/session", "host/viewer", "host/cli"] {
         crates.expect_none(folder, &WINDOWS);
     }
     // It draws into textures, for whichever window.

@@ -12,13 +12,12 @@ use std::process::ExitCode;
 use clap::Parser;
 use glam::DVec3;
 use simod_benches::{Map, error_figure, head, row};
-use simod_core::generate::{ModelOptions, Shape, write_file};
-use simod_core::model::{self, in_step};
-use simod_core::progress::Silent;
 use simod_core::reconstruction::{ExpectedError, Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
-use simod_core::{Error, Result};
+use simod_generate::{ModelOptions, Shape, write_file};
+use simod_model::progress::Silent;
+use simod_model::{Error, Result, in_step};
 
 /// Thresholds t, as fractions of the diagonal: of the vertices that are off by more than three times t, how
 /// many are expected to be off by more than t?
@@ -91,7 +90,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
     );
     for (name, path) in &models {
         for samples in &arguments.samples {
-            let model = model::open(path)?;
+            let model = simod_model::open(path)?;
             let sampling = Sampling { target: Target::Samples(*samples), ..Sampling::default() };
             let sampled = sample(model.as_ref(), &sampling, folder.path(), &Silent)?;
             for map in maps(&sampled) {
@@ -126,7 +125,7 @@ struct Compared {
 fn compare(sampled: &SampledModel, path: &Path, map: Map, folder: &Path) -> Result<Compared> {
     let [output, figures] = ["deformed.ply", "figures.ply"].map(|name| folder.join(name));
     let deformed = map.deform(sampled);
-    let model = model::open(path)?;
+    let model = simod_model::open(path)?;
     let version = |diagnostics| Version { deformed: &deformed, output: &output, diagnostics };
     let how = Reconstruction::default();
     let plain = reconstruct(sampled, model.as_ref(), &[version(None)], &how, &Silent)?;
@@ -140,7 +139,7 @@ fn compare(sampled: &SampledModel, path: &Path, map: Map, folder: &Path) -> Resu
         beyond: [(0, 0); THRESHOLDS.len()],
         by_samples: plain.expected[0].ok_or_else(|| unreadable(&figures))?,
     };
-    let result = model::open(&output)?;
+    let result = simod_model::open(&output)?;
     let mut all = expected.iter();
     in_step(&[model.as_ref(), result.as_ref()], &Silent, |versions| {
         for (rest, moved) in versions[0].positions.iter().zip(versions[1].positions) {
@@ -226,7 +225,7 @@ fn column(path: &Path, name: &str) -> Result<Vec<f32>> {
 
 fn unreadable(path: &Path) -> Error {
     Error::new(
-        simod_core::ErrorKind::Format,
+        simod_model::ErrorKind::Format,
         format!("{} is no file of diagnostics", path.display()),
         "report this",
     )

@@ -17,9 +17,9 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use simod_benches::process::{self, MemoryPoint, Result, exit};
 use simod_benches::{head, row};
-use simod_core::generate::{ModelOptions, write_file};
-use simod_core::output;
-use simod_core::progress::Silent;
+use simod_generate::{ModelOptions, write_file};
+use simod_model::output;
+use simod_model::progress::Silent;
 
 /// Draw the memory that sampling takes over time, and print its peaks as a Markdown table
 #[derive(Parser)]

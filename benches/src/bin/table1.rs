@@ -14,9 +14,9 @@ use std::process::{Command, ExitCode};
 use clap::Parser;
 use simod_benches::process::{self, Result, copy, exit, number, phase, report};
 use simod_benches::{Map, head, median, row};
-use simod_core::generate::{ModelOptions, write_file};
-use simod_core::progress::Silent;
 use simod_core::sampled_model::SampledModel;
+use simod_generate::{ModelOptions, write_file};
+use simod_model::progress::Silent;
 
 /// Measure time and memory on models of growing size, as a Markdown table
 #[derive(Parser)]

@@ -12,11 +12,11 @@ use std::time::Instant;
 
 use clap::Parser;
 use simod_benches::{Map, error_figure, head, row};
-use simod_core::generate::{ModelOptions, write_file};
-use simod_core::progress::Silent;
 use simod_core::reconstruction::{Method, Reconstruction, Version, reconstruct, transfer_error};
 use simod_core::sampling::{Sampling, Target, sample};
-use simod_core::{Error, Result, model};
+use simod_generate::{ModelOptions, write_file};
+use simod_model::progress::Silent;
+use simod_model::{Error, Result};
 
 /// Measure the transfer error of exact deformations, as a Markdown table
 #[derive(Parser)]
@@ -54,7 +54,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
         let options = ModelOptions { vertices: arguments.vertices, ..ModelOptions::default() };
         write_file(&options, &generated, &Silent)?;
     }
-    let model = model::open(arguments.model.as_deref().unwrap_or(&generated))?;
+    let model = simod_model::open(arguments.model.as_deref().unwrap_or(&generated))?;
 
     let start = Instant::now();
     let sampling = Sampling { target: Target::Samples(arguments.samples), ..Sampling::default() };
@@ -77,7 +77,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
         reconstruct(&sampled, model.as_ref(), &[version], &how, &Silent)?;
         let seconds = start.elapsed().as_secs_f64();
 
-        let result = model::open(&deformed)?;
+        let result = simod_model::open(&deformed)?;
         let truth = |points: &mut [glam::DVec3]| {
             points.iter_mut().for_each(|p| *p = map.apply(&bounds, *p));
             Ok(())

@@ -11,8 +11,8 @@ use std::num::NonZeroUsize;
 use glam::{DVec3, Vec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
-use simod_core::frame::Frame;
 use simod_core::sampled_model::SampledModel;
+use simod_model::frame::Frame;
 
 use affine_least_squares::AffineLeastSquares;
 use closest_triangle::{ClosestTriangle, Offset};

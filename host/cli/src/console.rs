@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use simod_core::memory::MemoryWatch;
-use simod_core::{Error, Progress};
+use simod_model::memory::MemoryWatch;
+use simod_model::{Error, Progress};
 
 /// The exit code of a program that was stopped.
 pub const CANCELLED: i32 = 130;
@@ -136,7 +136,7 @@ fn start(name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<st
 
 /// Ends the process, without what it is writing.
 fn leave() -> ! {
-    simod_core::claim::abandon_all();
+    simod_model::claim::abandon_all();
     // At once: to end in order, the C library waits for libraries that are being loaded.
     #[cfg(unix)]
     signal_hook::low_level::exit(CANCELLED);

@@ -8,7 +8,7 @@ mod versions;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use simod_core::ErrorKind;
+use simod_model::ErrorKind;
 
 use commands::{
     bind, compare, deform, demo, generate, info, plugin, reconstruct, refine, render, run, sample, view,
@@ -67,7 +67,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn execute(arguments: Arguments, console: &Console) -> simod_core::Result<()> {
+fn execute(arguments: Arguments, console: &Console) -> simod_model::Result<()> {
     if let Some(n) = arguments.threads {
         commands::set_threads(usize::from(n))?;
     }

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use serde_json::{Map, Value, json};
-use simod_core::{Error, Progress, Result};
+use simod_model::{Error, Progress, Result};
 
 use crate::console::{Console, line};
 use simod_session::is_raw;

@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 use std::path::{Component, Path, PathBuf};
 
 use glob::MatchOptions;
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
 
 /// Stands in an output's name for what tells the versions apart.
 const PLACE: &str = "{}";

@@ -12,14 +12,13 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use simod_model::{Attribute, Error, ErrorKind, Model, Progress, Result};
 use xxhash_rust::xxh3::Xxh3Default;
 
-use crate::model::{self, Attribute, Model};
 use crate::reconstruction::{Surroundings, homes};
 use crate::sampled_model::{SampledModel, fingerprint};
 use crate::sampling::KdTree;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
-use crate::{Error, ErrorKind, Progress, Result};
 
 /// Most attributes that samples have: the first ones of the file.
 pub const MOST: usize = 32;
@@ -108,7 +107,7 @@ impl Attributes {
         // Of a chunk.
         let mut values = vec![Vec::new(); attributes.len()];
         let (mut home_of, mut hash) = (Vec::new(), Xxh3Default::new());
-        model::for_vertices(model, |chunk| {
+        simod_model::for_vertices(model, |chunk| {
             progress.check()?;
             hash.update(chunk.raw());
             model.attributes(chunk, &mut values)?;

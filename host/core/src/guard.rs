@@ -6,10 +6,11 @@ use std::ffi::OsStr;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use crate::input::{self, Identity};
-use crate::output::{canonical_target, folder_of};
+use simod_model::input::{self, Identity};
+use simod_model::target::{canonical_target, folder_of};
+use simod_model::{Error, ErrorKind, Result};
+
 use crate::sampled_model::{OWN_FILES, SampledModel};
-use crate::{Error, ErrorKind, Result};
 
 /// What is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -164,7 +165,7 @@ fn is_own(name: &OsStr) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::output::write_file;
+    use simod_model::output::write_file;
 
     #[test]
     fn inputs_are_known_by_any_name_and_kinds_by_their_content() {

@@ -5,36 +5,17 @@
 //! needs them ([`refinement`]). Follows T. Boubekeur, O. Sorkine, C. Schlick, *SIMOD: Making Freeform
 //! Deformation Size-Insensitive*, Eurographics Symposium on Point-Based Graphics 2007.
 //!
-//! Nothing here holds memory proportional to `P_L` (but [`measure`], which is for meshes in memory), prints,
-//! opens a window, or knows of plugins.
+//! Nothing here holds memory proportional to `P_L`, prints, opens a window, or knows of plugins or of the formats
+//! of models.
 
 pub mod attributes;
-pub mod claim;
 pub mod detail;
-pub mod error;
-pub mod frame;
-pub mod generate;
 pub mod geometry;
 pub mod guard;
-pub mod input;
-pub mod measure;
-pub mod memory;
-pub mod model;
-pub mod output;
-pub mod output_folder;
-mod positioned;
-pub mod progress;
 pub mod reconstruction;
 pub mod refinement;
-pub mod render;
-mod resumable;
 pub mod sampled_model;
 pub mod sampling;
-mod scratch;
 mod sealed;
 pub mod touching;
-mod uncached;
 mod varint;
-
-pub use error::{Error, ErrorKind, Result};
-pub use progress::Progress;

@@ -7,15 +7,16 @@ use std::sync::{Arc, OnceLock};
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
+use simod_model::bounds::Bounds;
+use simod_model::claim::Claim;
+use simod_model::frame::Frame;
+use simod_model::input::{self, Identity};
+use simod_model::output_folder::OutputFolder;
+use simod_model::target::folder_of;
+use simod_model::{Error, ErrorKind, FaceChunk, Model, Progress, Result, Scalar, VertexChunk, output};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use crate::attributes::Attributes;
-use crate::claim::Claim;
-use crate::frame::Frame;
-use crate::geometry::Bounds;
-use crate::input::{self, Identity};
-use crate::model::{self, FaceChunk, Model, Scalar, VertexChunk};
-use crate::output_folder::OutputFolder;
 use crate::refinement::Refinement;
 use crate::sampling::density::Rule;
 use crate::sampling::grid::Grid;
@@ -23,7 +24,6 @@ use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::triangles::Triangles;
 use crate::sampling::{By, Grouping, Placement, SampleSet, Sampling, Skip, Splitting, Target};
 use crate::touching::Contacts;
-use crate::{Error, ErrorKind, Progress, Result, output};
 
 /// What is written on the first line of `simod.toml`.
 const FORMAT: &str = "simod-sampled-model/1";
@@ -109,6 +109,7 @@ impl Source {
 const TIMES: u32 = 10;
 
 /// Paths in files: text where they are, and bytes where not, as systems allow.
+
 mod any_path {
     use std::path::{Path, PathBuf};
 
@@ -406,7 +407,7 @@ impl SampledModel {
         };
         if folder.symlink_metadata().is_err() {
             let failed = |e: std::io::Error| Error::io("write", folder, &e);
-            let parent = std::fs::metadata(output::folder_of(folder)).map_err(failed)?;
+            let parent = std::fs::metadata(folder_of(folder)).map_err(failed)?;
             return if parent.is_dir() {
                 Ok(())
             } else {
@@ -702,7 +703,7 @@ impl SampledModel {
                 "put it back, or say where it is with --model",
             ));
         }
-        let model = model::open(path)?;
+        let model = simod_model::open(path)?;
         let info = model.info();
         if (info.bytes, info.vertices) != (self.source.bytes, self.source.vertices) {
             return Err(self.source_changed(path));
@@ -728,7 +729,7 @@ impl SampledModel {
     }
 
     fn write_points(&self, path: &Path, positions: &[Vec3], normals: &[Vec3]) -> Result<()> {
-        model::ply::write_points(
+        simod_model::write_points(
             path,
             positions.iter().map(|p| self.frame.to_model(*p)),
             normals,
@@ -757,11 +758,11 @@ impl SampledModel {
         more: &[DVec3],
         normals: &[Vec3],
     ) -> Result<()> {
-        let scalar = model::open(before)?.info().position_type;
+        let scalar = simod_model::open(before)?.info().position_type;
         let (mut positions, _) = read_points(before)?;
         positions.extend_from_slice(more);
         let comments = ["SIMOD samples".to_owned()];
-        model::ply::write_points(path, positions.into_iter(), normals, &self.triangles, scalar, &comments)
+        simod_model::write_points(path, positions.into_iter(), normals, &self.triangles, scalar, &comments)
     }
 
     /// Reads deformed samples: local positions, in the order of the samples. Normals in the file are not
@@ -839,7 +840,7 @@ pub(crate) fn same_file(a: &Path, b: &Path) -> bool {
 #[expect(clippy::type_complexity, reason = "what a file of samples holds")]
 fn read_samples(path: &Path) -> Result<(Vec<DVec3>, Vec<Vec3>, Vec<[u32; 3]>)> {
     let (positions, normals) = read_points(path)?;
-    let model = model::open(path)?;
+    let model = simod_model::open(path)?;
     let (mut faces, mut chunk, mut triangles) = (model.faces()?, FaceChunk::default(), Vec::new());
     while faces.read(&mut chunk)? {
         triangles.extend_from_slice(&chunk.triangles);
@@ -850,7 +851,7 @@ fn read_samples(path: &Path) -> Result<(Vec<DVec3>, Vec<Vec3>, Vec<[u32; 3]>)> {
 
 /// Reads a point set whole. For P_S and P_S* only, which fit in memory.
 fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<Vec3>)> {
-    let model = model::open(path)?;
+    let model = simod_model::open(path)?;
     if model.info().vertices > MOST_SAMPLES {
         return Err(Error::new(
             ErrorKind::Format,

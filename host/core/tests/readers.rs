@@ -6,15 +6,13 @@ use std::path::Path;
 use std::sync::Mutex;
 
 use proptest::prelude::*;
-use simod_core::Progress;
-use simod_core::generate::{Encoding, ModelOptions, write_file};
-use simod_core::model::{self, FaceChunk, VertexChunk};
-use simod_core::output;
-use simod_core::progress::Silent;
 use simod_core::reconstruction::{Reconstruction, Version, bind, reconstruct};
 use simod_core::refinement::{Finer, Refining, Selection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
+use simod_generate::{Encoding, ModelOptions, write_file};
+use simod_model::progress::Silent;
+use simod_model::{FaceChunk, Progress, VertexChunk, output};
 use simod_tests::damage::{damage, damaged, runner};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
@@ -34,7 +32,7 @@ impl Good {
         let at = |name: &str| folder.path().join(name);
         let options = ModelOptions { vertices: 1000, encoding, ..ModelOptions::default() };
         write_file(&options, &at("m.ply"), &Silent).expect("a model");
-        let model = model::open(&at("m.ply")).expect("a model");
+        let model = simod_model::open(&at("m.ply")).expect("a model");
         let skip = Skip { sheets: false, ..Skip::default() };
         let how = Sampling { target: Target::Samples(100), skip, ..Sampling::default() };
         let sampled = sample(&*model, &how, folder.path(), &Silent).expect("samples");
@@ -78,7 +76,7 @@ impl Good {
 }
 
 fn read_all(path: &Path) {
-    let Ok(model) = model::open(path) else { return };
+    let Ok(model) = simod_model::open(path) else { return };
     let (mut vertices, mut faces) = (VertexChunk::default(), FaceChunk::default());
     if let Ok(mut reader) = model.vertices(0..model.info().vertices) {
         while reader.read(&mut vertices).unwrap_or(false) {}
@@ -102,7 +100,7 @@ fn damaged_models_do_no_harm() {
         let tested = runner.run(&all, |(all, in_header)| {
             put(&path, &damaged(&bytes, if in_header { header } else { bytes.len() }, &all));
             read_all(&path);
-            if let Ok(model) = model::open(&path)
+            if let Ok(model) = simod_model::open(&path)
                 && let Ok(sampled) = sample(&*model, &Sampling::default(), good.folder.path(), &Silent)
             {
                 let _ = sampled.attributes(None, &Silent);
@@ -161,7 +159,7 @@ fn damaged_folders_do_no_harm() {
 fn damaged_journals_do_no_harm() {
     let good = Good::new(Encoding::BinaryLittleEndian);
     let at = |name: &str| good.folder.path().join(name);
-    let model = model::open(&at("m.ply")).expect("a model");
+    let model = simod_model::open(&at("m.ply")).expect("a model");
     let deformed = good.sampled.samples.positions.clone();
     let write = |resume: bool, progress: &dyn Progress| {
         let version = Version { deformed: &deformed, output: &at("out.ply"), diagnostics: None };

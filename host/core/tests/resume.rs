@@ -8,13 +8,12 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3;
-use simod_core::generate::{Encoding, ModelOptions, write_file as generate};
-use simod_core::model::{self, Model};
-use simod_core::progress::Silent;
 use simod_core::reconstruction::{Normals, Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
-use simod_core::{ErrorKind, Progress, Result};
+use simod_generate::{Encoding, ModelOptions, write_file as generate};
+use simod_model::progress::Silent;
+use simod_model::{ErrorKind, Model, Progress, Result};
 use tempfile::TempDir;
 
 /// A sampled model and deformations of it, in a folder of its own.
@@ -34,7 +33,7 @@ impl Work {
         let path = folder.path().join("model.ply");
         let options = ModelOptions { vertices: 200_000, encoding, ..ModelOptions::default() };
         generate(&options, &path, &Silent).unwrap();
-        let model = model::open(&path).unwrap();
+        let model = simod_model::open(&path).unwrap();
         let sampling = Sampling { target: Target::Samples(500), ..Sampling::default() };
         let sampled = sample(model.as_ref(), &sampling, folder.path(), &Silent).unwrap();
         let bent = |version: usize| {

@@ -11,11 +11,10 @@ use std::time::{Duration, Instant};
 use glam::Vec3;
 use glam::camera::rh::proj::directx::perspective;
 use glam::camera::rh::view::look_at_mat4;
-use simod_core::generate::{self, ModelOptions, Shape};
-use simod_core::model;
-use simod_core::progress::Silent;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
+use simod_generate::{ModelOptions, Shape};
+use simod_model::progress::Silent;
 use simod_scene::{Background, Budget, Dot, Gpu, Light, Line, Mode, Scale, Scene, Style, Surface, View};
 
 const SIZE: [u32; 2] = [1600, 1000];
@@ -52,8 +51,8 @@ fn sampled(shape: Shape, samples: usize) -> Result<SampledModel, Box<dyn Error>>
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("model.ply");
     let options = ModelOptions { shape, vertices: 8 * samples as u64, ..ModelOptions::default() };
-    generate::write_file(&options, &path, &Silent)?;
-    let model = model::open(&path)?;
+    simod_generate::write_file(&options, &path, &Silent)?;
+    let model = simod_model::open(&path)?;
     let sampling = Sampling { target: Target::Samples(samples as u64), ..Sampling::default() };
     Ok(sample(model.as_ref(), &sampling, folder.path(), &Silent)?)
 }
@@ -146,7 +145,7 @@ fn pictures(gpu: &Gpu, sampled: &SampledModel, folder: &Path) -> Result<(), Box<
         println!("{:>10}  {name}: {:.0} ms", set.len(), 1e3 * started.elapsed().as_secs_f64());
         let picture = scene.read().ok_or("the device is lost")?;
         let file = folder.join(format!("{name}.png"));
-        simod_core::output::write_file(&file, &picture.to_png()?)?;
+        simod_model::output::write_file(&file, &picture.to_png()?)?;
         Ok::<(), Box<dyn Error>>(())
     };
     let view = around(&set.positions, 0.6);

@@ -24,7 +24,7 @@ pub(crate) struct Frame {
     flags: u32,
 }
 
-/// Directions to the lights as the eye sees them, as in `simod_core::render`.
+/// Directions to the lights as the eye sees them, as in `simod_picture`.
 const KEY_LIGHT: Vec3 = Vec3::new(-0.50, 0.66, 0.56);
 const FILL_LIGHT: Vec3 = Vec3::new(0.80, 0.10, 0.59);
 const HEAD_LIGHT: Vec3 = Vec3::new(0.0, 0.12, 1.0);

@@ -1,6 +1,6 @@
 //! Draws sampled surfaces with the graphics card: what the viewer's window shows, and pictures without one.
 //!
-//! Geometry is in local coordinates (single precision, about unit size; see `simod_core::frame::Frame`). A
+//! Geometry is in local coordinates (single precision, about unit size; see `simod_model::frame::Frame`). A
 //! [`Scene`] holds a surface, maybe a ghost of another one, lines and dots, and draws them into a texture of
 //! its own:
 //!
@@ -28,7 +28,7 @@
 //! 1. `splats`: discs, in two passes, to weighted sums; `resolve` makes the visible surface of them. Or
 //!    `triangles`, which give it at once. The ghost likewise.
 //! 2. `occlusion`: how much light of the surroundings arrives.
-//! 3. `shade`: light and colour, as in `simod_core::render`.
+//! 3. `shade`: light and colour, as in `simod_picture`.
 //! 4. `finish`: smooth edges, in the size asked for; `marks` (lines and dots) over it.
 
 mod budget;

@@ -2,7 +2,7 @@
 //!
 //! Occlusion follows M. McGuire, B. Osman, M. Bukowski, P. Hennessy, *The Alchemy Screen-Space Ambient
 //! Obscurance Algorithm*, HPG 2011, on a spiral that is turned from pixel to pixel; the light is that of
-//! `simod_core::render`.
+//! `simod_picture`.
 
 use std::cmp::Ordering;
 

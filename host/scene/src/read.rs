@@ -1,6 +1,6 @@
 //! Pictures back from the device.
 
-use simod_core::render::Image;
+use simod_picture::Image;
 use wgpu::{BufferUsages, Texture};
 
 use crate::gpu::Gpu;

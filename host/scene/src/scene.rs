@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use glam::Vec3;
-use simod_core::render::Image;
+use simod_picture::Image;
 use wgpu::{BindGroupLayout, Texture, TextureView};
 
 use crate::budget::Budget;

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use common::{difference, gpu, sphere, view};
 use glam::{Mat4, Vec3};
-use simod_core::render::Image;
+use simod_picture::Image;
 use simod_scene::{Background, Dot, Line, Mode, Scale, Scene, Style, View};
 
 /// Cards round differently: so much a channel, but for a share of the pixels, at edges.
@@ -18,7 +18,7 @@ const EDGES: f32 = 0.01;
 fn check(name: &str, image: &Image) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/goldens").join(format!("{name}.png"));
     if std::env::var_os("SIMOD_WRITE_GOLDENS").is_some() {
-        return simod_core::output::write_file(&path, &image.to_png().unwrap()).unwrap();
+        return simod_model::output::write_file(&path, &image.to_png().unwrap()).unwrap();
     }
     let file = std::io::BufReader::new(std::fs::File::open(&path).unwrap());
     let mut reader = png::Decoder::new(file).read_info().unwrap();

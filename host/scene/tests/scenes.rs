@@ -9,7 +9,7 @@ use common::{
     Model, RED, apart, at, difference, draw, draw_from, gpu, is_red, plain, project, same, sphere, view,
 };
 use glam::Vec3;
-use simod_core::render::Image;
+use simod_picture::Image;
 use simod_scene::{
     Background, BadSurface, Budget, Dot, Gpu, Line, Mode, NoGpu, Scale, Scene, Style, Surface, View,
 };

@@ -8,7 +8,7 @@ use common::{
 };
 use glam::camera::rh::proj::directx::orthographic;
 use glam::{Vec2, Vec3};
-use simod_core::render::Image;
+use simod_picture::Image;
 use simod_scene::{Mode, Scale, Style};
 
 /// Places of a picture, in the middle of each pixel, with their distances from the picture's middle.

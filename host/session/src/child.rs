@@ -9,7 +9,7 @@ use std::process::{Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use simod_core::{Error, ErrorKind, Progress, Result};
+use simod_model::{Error, ErrorKind, Progress, Result};
 
 /// Time between two looks whether the process is still there.
 const INTERVAL: Duration = Duration::from_millis(5);
@@ -205,7 +205,7 @@ pub fn limit_memory(_bytes: u64) -> Result<()> {
 #[cfg(all(test, unix))]
 mod tests {
     use super::*;
-    use simod_core::progress::Silent;
+    use simod_model::progress::Silent;
 
     fn shell(script: &str) -> Outcome {
         shell_for(Duration::from_secs(60), script)

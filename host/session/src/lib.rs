@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Model coordinates are double precision and in the model's unit; plugins see *local* ones (see
-//! [`Frame`](simod_core::frame::Frame)). The translation between both happens in [`stack`] alone; foreign
+//! [`Frame`](simod_model::frame::Frame)). The translation between both happens in [`stack`] alone; foreign
 //! code is called in [`deformer`] alone.
 
 pub mod check;

@@ -5,7 +5,7 @@ use crate::deformer::{Plugin, limits};
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Step, Stroke};
 use crate::stack::at;
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
 use simod_plugin_api::{ParamDesc, ParamKind, Setting};
 use std::sync::Arc;
 

@@ -2,7 +2,7 @@
 
 use glam::{DAffine3, DMat3, DVec3};
 use serde::{Deserialize, Serialize};
-use simod_core::frame::Frame;
+use simod_model::frame::Frame;
 
 /// A similarity of space: scaled and turned about a pivot, then translated. Model coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

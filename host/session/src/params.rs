@@ -3,9 +3,9 @@
 use crate::deformer::{Migration, Plugin, limits};
 use crate::key::{Key, Keyed};
 use glam::DVec3;
-use simod_core::frame::Frame;
-use simod_core::geometry::Bounds;
-use simod_core::{Error, ErrorKind, Result, input};
+use simod_model::bounds::Bounds;
+use simod_model::frame::Frame;
+use simod_model::{Error, ErrorKind, Result, input};
 use simod_plugin_api::{ChoiceDesc, Curve, Descriptor, Param, ParamDesc, ParamKind, Unit};
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};

@@ -6,7 +6,7 @@ use crate::side_file::{Kind, MOST_IN_SESSION, Reference, write as write_file};
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use simod_core::Result;
+use simod_model::Result;
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 use xxhash_rust::xxh3::xxh3_128;

@@ -5,8 +5,6 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::{DVec3, Vec3};
-use simod_core::model::{self, Model};
-use simod_core::output::folder_of;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{
     DeformationField, EVALUATIONS_WITH_GRADIENT, Method, Reconstructed, Reconstruction, Surroundings,
@@ -14,7 +12,8 @@ use simod_core::reconstruction::{
 };
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
-use simod_core::{Error, ErrorKind, Progress, Result};
+use simod_model::target::folder_of;
+use simod_model::{Error, ErrorKind, Model, Progress, Result};
 use simod_plugin_api::Effort;
 
 use crate::deformer::Message;
@@ -48,7 +47,7 @@ pub fn sampled(
             "put it back, correct [model] path in the session, or say where it is with --model",
         ));
     }
-    let model = model::open(path)?;
+    let model = simod_model::open(path)?;
     let mut sampling = Sampling::from(session.sampling);
     sampling.skip = Skip { sheets: sampling.skip.sheets, ..skip };
     let sampled = sample(model.as_ref(), &sampling, folder, progress)?;
@@ -217,7 +216,7 @@ impl Run {
     /// A plugin of the stack does not know its map between the samples; a file cannot be read; cancelled.
     pub fn transfer_error(&self, progress: &dyn Progress) -> Result<TransferError> {
         let model = self.deformed.sampled.open_source(None)?;
-        let output = model::open(&self.output)?;
+        let output = simod_model::open(&self.output)?;
         let diagonal = self.deformed.sampled.bounds.diagonal();
         let map = |points: &mut [DVec3]| self.deformed.stack.evaluate_with(points, progress);
         transfer_error::measure(model.as_ref(), output.as_ref(), diagonal, &map, progress)

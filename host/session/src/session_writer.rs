@@ -13,7 +13,8 @@ use glam::DVec3;
 use serde::Serialize;
 use simod_core::refinement::Finer;
 use simod_core::sampled_model::relative;
-use simod_core::{Error, ErrorKind, Result, output};
+use simod_model::target::folder_of;
+use simod_model::{Error, ErrorKind, Result, output};
 use std::path::{Path, PathBuf};
 use toml_edit::ser::ValueSerializer;
 use toml_edit::{Array, ArrayOfTables, DocumentMut, InlineTable, Item, Table, Value, value};
@@ -35,7 +36,7 @@ impl SessionFile {
     fn to_toml(&self, path: &Path) -> Result<(String, Vec<PathBuf>)> {
         let mut document = DocumentMut::new();
         document["version"] = value(VERSION);
-        let folder = output::folder_of(path);
+        let folder = folder_of(path);
         let mut files = Vec::new();
         if let Some(model) = &self.model {
             let mut model = path_table(model, folder)?;
@@ -166,7 +167,7 @@ fn deformation(
     let long = strokes_file::is_needed(&from.strokes);
     if long {
         let reference = strokes_file::write(session, &from.strokes)?;
-        files.push(output::folder_of(session).join(&reference.file));
+        files.push(folder_of(session).join(&reference.file));
         let mut file = InlineTable::new();
         file.insert("file", text(&reference.file)?.into());
         file.insert("fingerprint", reference.fingerprint.into());
@@ -212,7 +213,7 @@ fn shapes(from: &[Shape], session: &Path, files: &mut Vec<PathBuf>) -> Result<Ar
             _ => None,
         };
         let in_file = stored.map(|file| {
-            files.push(output::folder_of(session).join(&file.file));
+            files.push(folder_of(session).join(&file.file));
             Shape::Selection(PickedPoints::in_file(file))
         });
         in_file.as_ref().unwrap_or(shape).serialize(ValueSerializer::new()).map_err(|e| lost("a shape", &e))

@@ -3,7 +3,7 @@
 use crate::picked::PickedPoints;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
-use simod_core::geometry::Bounds;
+use simod_model::bounds::Bounds;
 
 /// A part of space, in model coordinates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

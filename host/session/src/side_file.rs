@@ -6,7 +6,8 @@
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use simod_core::{Error, ErrorKind, Result, input, output};
+use simod_model::target::folder_of;
+use simod_model::{Error, ErrorKind, Result, input, output};
 use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
@@ -63,7 +64,7 @@ pub fn write(session: &Path, kind: Kind, content: &impl Serialize) -> Result<Ref
     let stem = stem(session);
     let short = fingerprint.rsplit(':').next().and_then(|hex| hex.get(..HASH)).unwrap_or_default();
     let file = PathBuf::from(format!("{stem}-{short}.{extension}"));
-    let path = output::folder_of(session).join(&file);
+    let path = folder_of(session).join(&file);
     if input::read(&path, LONGEST).ok().as_deref() != Some(&bytes) {
         output::write_file(&path, &bytes)?;
     }
@@ -84,7 +85,7 @@ fn stem(session: &Path) -> String {
 /// # Errors
 /// The folder cannot be read.
 pub fn beside(session: &Path) -> Result<Vec<PathBuf>> {
-    let folder = output::folder_of(session);
+    let folder = folder_of(session);
     let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
     let stem = stem(session);
     let is_ours = |path: &Path| {

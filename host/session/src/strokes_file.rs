@@ -4,7 +4,7 @@ use crate::session_file::Stroke;
 use crate::side_file::{Kind, MOST_IN_SESSION, Reference, write as write_file};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
-use simod_core::Result;
+use simod_model::Result;
 use std::path::Path;
 use std::sync::Arc;
 

@@ -6,13 +6,12 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use glam::DVec3;
-use simod_core::model::{Model, Scalar};
 use simod_core::reconstruction::transfer_error::{Places, TransferError, measure_some};
 use simod_core::reconstruction::{Beyond, DeformationField, Method, Surroundings};
 use simod_core::refinement::{Finer, Refining, Selection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::SampleSet;
-use simod_core::{Error, ErrorKind, Progress, Result};
+use simod_model::{Error, ErrorKind, Model, Progress, Result, Scalar};
 
 use crate::edit::Refinements;
 use crate::pipeline::{DeformedSamples, deform};

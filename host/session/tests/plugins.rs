@@ -4,7 +4,7 @@
 mod common;
 
 use common::{copy, load};
-use simod_core::ErrorKind;
+use simod_model::ErrorKind;
 use simod_tests::library;
 
 #[test]

@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use proptest::prelude::*;
-use simod_core::output;
+use simod_model::output;
 use simod_session::compare::CompareFile;
 use simod_session::plugins::PluginFolder;
 use simod_session::session_file::{Action, SessionFile, inputs};

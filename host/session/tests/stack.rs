@@ -4,10 +4,10 @@
 mod common;
 
 use glam::{DVec3, Vec3};
-use simod_core::frame::Frame;
-use simod_core::geometry::Bounds;
-use simod_core::progress::Silent;
-use simod_core::{Error, ErrorKind, Progress};
+use simod_model::bounds::Bounds;
+use simod_model::frame::Frame;
+use simod_model::progress::Silent;
+use simod_model::{Error, ErrorKind, Progress};
 use simod_plugin_api::LogLevel;
 use simod_session::{Deformed, RestShape, SessionFile, Stack};
 use std::path::Path;

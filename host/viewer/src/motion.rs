@@ -2,7 +2,7 @@
 //! handle's pivot.
 
 use glam::{DAffine3, DMat3, DQuat, DVec3};
-use simod_core::frame::Frame;
+use simod_model::frame::Frame;
 use simod_plugin_api::HandleDesc;
 use simod_session::Motion;
 use simod_session::session_file::HandleMove;

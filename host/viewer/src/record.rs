@@ -2,7 +2,7 @@
 
 use crate::command::Command;
 use crate::state::State;
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
 use simod_session::PluginRegistry;
 use std::io::Write;
 use std::sync::Arc;

@@ -2,9 +2,9 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
-use simod_core::frame::Frame;
 use simod_core::reconstruction::{DeformationField, Method, Surroundings};
 use simod_core::sampled_model::SampledModel;
+use simod_model::frame::Frame;
 use simod_plugin_api::{Effort, HandleDesc};
 use simod_session::edit::{Evaluated, Evaluation, Status, StepId};
 use std::collections::HashMap;

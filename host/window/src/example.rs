@@ -1,8 +1,8 @@
 //! A model for those who have none at hand.
 
-use simod_core::generate::{self, ModelOptions, Shape};
-use simod_core::progress::Silent;
-use simod_core::{Error, Result};
+use simod_generate::{ModelOptions, Shape};
+use simod_model::progress::Silent;
+use simod_model::{Error, Result};
 use std::path::PathBuf;
 
 /// Enough that it is no toy, and few enough that it is there at once.
@@ -19,7 +19,7 @@ pub fn file() -> Result<PathBuf> {
     if !file.exists() {
         std::fs::create_dir_all(&folder).map_err(|e| Error::io("make the folder", &folder, &e))?;
         let options = ModelOptions { shape: Shape::Amphora, vertices: VERTICES, ..ModelOptions::default() };
-        generate::write_file(&options, &file, &Silent)?;
+        simod_generate::write_file(&options, &file, &Silent)?;
     }
     Ok(file)
 }

@@ -3,8 +3,8 @@
 use crate::viewport::detail::{Splats, sample_colors, sample_radii, splats};
 use crate::window::Window;
 use glam::DVec3;
-use simod_core::render::Image;
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
+use simod_picture::Image;
 use simod_scene::{Background, Gpu, Mode, NoGpu, Scale, Scene, Style, Surface, View};
 use simod_viewer::State;
 use simod_viewer::camera::Camera;
@@ -36,7 +36,7 @@ pub fn disc_radii(spacing: &[f32]) -> Vec<f32> {
 /// Nothing is open, there is nothing to draw with, or the file cannot be written.
 pub fn write(state: &mut State, file: &Path) -> Result<()> {
     let picture = Shot::of(state)?.studio()?.picture(0.0)?;
-    simod_core::output::write_file(file, &picture.to_png()?)
+    simod_model::output::write_file(file, &picture.to_png()?)
 }
 
 /// What is drawn, and how: it does not change with what it was taken of.

@@ -62,12 +62,12 @@ impl Settings {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn save(&self) -> simod_core::Result<()> {
+    pub fn save(&self) -> simod_model::Result<()> {
         let Some(file) = &self.file else { return Ok(()) };
         let Ok(text) = toml::to_string(self) else { return Ok(()) };
         let folder = file.parent().unwrap_or(Path::new(""));
-        std::fs::create_dir_all(folder).map_err(|e| simod_core::Error::io("make the folder", folder, &e))?;
-        simod_core::output::write_file(file, text.as_bytes())
+        std::fs::create_dir_all(folder).map_err(|e| simod_model::Error::io("make the folder", folder, &e))?;
+        simod_model::output::write_file(file, text.as_bytes())
     }
 
     /// Which button moves the camera how.

@@ -5,7 +5,7 @@ use crate::arguments::{Arguments, sampling};
 use crate::settings::Settings;
 use crate::window::Window;
 use eframe::{NativeOptions, Renderer, egui};
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
 use simod_scene::NoGpu;
 use simod_session::PluginRegistry;
 use simod_viewer::Command;

@@ -3,9 +3,9 @@
 use crate::panels;
 use crate::screenshot::Shot;
 use crate::window::Window;
-use simod_core::progress::Progress;
-use simod_core::render::FrameFolder;
-use simod_core::{Error, Result, memory};
+use simod_model::progress::Progress;
+use simod_model::{Error, Result, memory};
+use simod_picture::FrameFolder;
 use simod_viewer::engine::Activity;
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};

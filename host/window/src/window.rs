@@ -7,7 +7,7 @@ use crate::tools::Tools;
 use crate::turntable::Turning;
 use crate::{example, theme};
 use eframe::egui;
-use simod_core::{Error, ErrorKind};
+use simod_model::{Error, ErrorKind};
 use simod_session::edit::{self, Change, Entry, StepId};
 use simod_session::session_file::{Deformation, Sampling};
 use simod_session::{Plugin, PluginRegistry};

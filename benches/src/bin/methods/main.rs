@@ -21,11 +21,10 @@ use scene::Scene;
 use serde_json::json;
 use simod_benches::process::{self, Result, exit};
 use simod_benches::{head, row};
-use simod_core::generate::{ModelOptions, write_file};
-use simod_core::model;
-use simod_core::progress::Silent;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
+use simod_generate::{ModelOptions, write_file};
+use simod_model::progress::Silent;
 use simod_session::plugins::PluginFolder;
 use simod_session::{PluginOptions, PluginRegistry};
 
@@ -121,7 +120,7 @@ fn sampled(folder: &Path, samples: u64) -> Result<usize> {
     let path = folder.join("model.ply");
     write_file(&ModelOptions { vertices: 5 * samples, ..ModelOptions::default() }, &path, &Silent)?;
     let sampling = Sampling { target: Target::Samples(samples), ..Sampling::default() };
-    let sampled = sample(model::open(&path)?.as_ref(), &sampling, folder, &Silent)?;
+    let sampled = sample(simod_model::open(&path)?.as_ref(), &sampling, folder, &Silent)?;
     sampled.save(&folder.join("samples"))?;
     Ok(sampled.samples.len())
 }

@@ -3,8 +3,8 @@
 use glam::DVec3;
 use simod_benches::process::Result;
 use simod_benches::{Map, error_figure, head, row};
-use simod_core::progress::Silent;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
+use simod_model::progress::Silent;
 
 use crate::Arguments;
 use crate::scene::Scene;

@@ -6,8 +6,8 @@ use rayon::prelude::*;
 use simod_benches::peers::Peer;
 use simod_benches::process::Result;
 use simod_benches::{Map, error_figure, head, row};
-use simod_core::generate::Shape;
-use simod_core::model::{self, Model, Scalar};
+use simod_generate::Shape;
+use simod_model::{Model, Scalar};
 
 use crate::method::Method;
 use crate::scene::Scene;
@@ -83,7 +83,7 @@ fn edges(model: &dyn Model) -> Result<Vec<Edge>> {
     // Each triangle's edges: the ends in order of their numbers, whether that is the triangle's order, its
     // third corner.
     let mut sides: Vec<([u32; 2], bool, u32)> = Vec::new();
-    model::for_faces(model, |chunk| {
+    simod_model::for_faces(model, |chunk| {
         for [a, b, c] in &chunk.triangles {
             for [from, to, corner] in [[a, b, c], [b, c, a], [c, a, b]] {
                 sides.push(([*from.min(to), *from.max(to)], from > to, *corner));

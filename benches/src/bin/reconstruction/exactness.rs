@@ -2,7 +2,7 @@
 
 use simod_benches::process::Result;
 use simod_benches::{Map, error_figure, head, row};
-use simod_core::model::{Model, VertexChunk};
+use simod_model::{Model, VertexChunk};
 
 use crate::Arguments;
 use crate::accuracy::transfer_error;

@@ -5,11 +5,11 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 use simod_benches::Map;
 use simod_benches::process::Result;
-use simod_core::geometry::Bounds;
-use simod_core::model::{self, Model};
-use simod_core::output::write_file;
 use simod_core::reconstruction::deformed_normals;
-use simod_core::render::{Camera, Image, Renderer, Spacing, Style, SurfacePoint};
+use simod_model::Model;
+use simod_model::bounds::Bounds;
+use simod_model::output::write_file;
+use simod_picture::{Camera, Image, Renderer, Spacing, Style, SurfacePoint};
 
 use crate::method::Method;
 use crate::scene::Scene;
@@ -58,7 +58,7 @@ fn picture(points: &[SurfacePoint], bounds: &Bounds) -> Image {
 
 fn points_of_model(model: &dyn Model, bounds: &Bounds) -> Result<Vec<SurfacePoint>> {
     let mut surface: Vec<(DVec3, Vec3)> = Vec::new();
-    model::for_vertices(model, |chunk| {
+    simod_model::for_vertices(model, |chunk| {
         let normals = chunk.normals.iter().copied().chain(std::iter::repeat(Vec3::ZERO));
         surface.extend(chunk.positions.iter().copied().zip(normals));
         Ok(())

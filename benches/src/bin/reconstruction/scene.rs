@@ -7,14 +7,13 @@ use glam::{DVec3, Vec3};
 use simod_benches::Map;
 use simod_benches::peers::{self, Peer};
 use simod_benches::process::{Result, own_cpu};
-use simod_core::Progress;
-use simod_core::generate::{ModelOptions, Shape, write_file};
-use simod_core::model::{self, Edited, Model, Rewriting, VertexChunk};
-use simod_core::output::OutputFile;
-use simod_core::progress::Silent;
 use simod_core::reconstruction::{self, Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
+use simod_generate::{ModelOptions, Shape, write_file};
+use simod_model::output::OutputFile;
+use simod_model::progress::Silent;
+use simod_model::{Edited, Model, Progress, Rewriting, VertexChunk};
 use tempfile::TempDir;
 
 use crate::method::Method;
@@ -73,7 +72,7 @@ impl Scene {
     }
 
     fn sampled(name: String, path: &Path, samples: u64, folder: TempDir) -> Result<Self> {
-        let model = model::open(path)?;
+        let model = simod_model::open(path)?;
         let sampling = Sampling { target: Target::Samples(samples), ..Sampling::default() };
         let sampled = sample(model.as_ref(), &sampling, folder.path(), &Silent)?;
         let start = own_cpu();
@@ -131,7 +130,7 @@ impl Scene {
 
     /// What was written last.
     pub fn result(&self) -> Result<Box<dyn Model>> {
-        Ok(model::open(&self.output())?)
+        Ok(simod_model::open(&self.output())?)
     }
 
     fn output(&self) -> PathBuf {
@@ -174,7 +173,7 @@ impl Scene {
 /// All vertices of a model.
 pub fn positions_of(model: &dyn Model) -> Result<Vec<DVec3>> {
     let mut positions = Vec::with_capacity(model.info().vertices as usize);
-    model::for_vertices(model, |chunk| {
+    simod_model::for_vertices(model, |chunk| {
         positions.extend_from_slice(&chunk.positions);
         Ok(())
     })?;

@@ -9,10 +9,10 @@ use glam::DVec3;
 use simod_benches::peers::{Peer, carry};
 use simod_benches::process::{self, Result, copy, number, own_cpu};
 use simod_benches::{Map, head, median, row};
-use simod_core::generate::{ModelOptions, write_file};
-use simod_core::model::{self, CHUNK_VERTICES, Model, VertexChunk};
-use simod_core::progress::Silent;
 use simod_core::sampled_model::SampledModel;
+use simod_generate::{ModelOptions, write_file};
+use simod_model::progress::Silent;
+use simod_model::{CHUNK_VERTICES, Model, VertexChunk};
 
 use crate::Arguments;
 
@@ -127,7 +127,7 @@ impl Subject {
 
     /// Processor seconds per vertex by inverse distances, in memory; preparation is not counted.
     fn inverse_distance(&self) -> Result<f64> {
-        let positions = some_positions(model::open(&self.model)?.as_ref())?;
+        let positions = some_positions(simod_model::open(&self.model)?.as_ref())?;
         let field = Peer::InverseDistance.prepare(&self.sampled, &Map::Twist.deform(&self.sampled));
         let start = own_cpu();
         carry(field.as_ref(), &self.sampled.frame, &positions);

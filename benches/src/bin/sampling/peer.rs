@@ -11,7 +11,7 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use simod_benches::process::Result;
 use simod_benches::scan::VERTEX_BYTES;
-use simod_core::output::write_file;
+use simod_model::output::write_file;
 
 /// Which one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

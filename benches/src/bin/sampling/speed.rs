@@ -7,8 +7,8 @@ use std::process::Command;
 
 use simod_benches::process::{self, Result, copy, number};
 use simod_benches::{head, median, row};
-use simod_core::generate::{ModelOptions, write_file};
-use simod_core::progress::Silent;
+use simod_generate::{ModelOptions, write_file};
+use simod_model::progress::Silent;
 
 use crate::{Arguments, figure};
 

@@ -2,7 +2,7 @@
 //! handles of its own.
 
 use glam::DVec3;
-use simod_core::generate::Shape;
+use simod_generate::Shape;
 
 /// A shape and what is to become of it. Its regions are in the session `NAME.toml`.
 pub struct Case {

@@ -6,9 +6,8 @@ use std::process::Command;
 use glam::DVec3;
 use simod_benches::median;
 use simod_benches::process::{Result, number, phase, report};
-use simod_core::generate::Surface;
-use simod_core::measure::{Details, Rotation, Spread, area_distortion, edge_distortion, volume};
-use simod_core::model;
+use simod_generate::Surface;
+use simod_measure::{Details, Rotation, Spread, area_distortion, edge_distortion, volume};
 
 use crate::cases::Case;
 
@@ -22,7 +21,7 @@ pub struct Subject<'a> {
     triangles: Vec<[u32; 3]>,
 }
 
-/// What a deformation does to a shape; see [`simod_core::measure`].
+/// What a deformation does to a shape; see [`simod_measure`].
 pub struct Figures {
     /// Relative change, where the shape is closed.
     volume: Option<f64>,
@@ -57,7 +56,7 @@ pub fn of(subject: &Subject<'_>, simod: &Path, session: &Path, output: &Path, ru
         samples = number(&report, "samples")?;
     }
     let mut deformed = Vec::with_capacity(subject.vertices());
-    model::for_vertices(model::open(output)?.as_ref(), |chunk| {
+    simod_model::for_vertices(simod_model::open(output)?.as_ref(), |chunk| {
         deformed.extend_from_slice(&chunk.positions);
         Ok(())
     })?;

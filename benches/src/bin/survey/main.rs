@@ -21,8 +21,8 @@ use figures::Subject;
 use pictures::Gallery;
 use simod_benches::process::{self, Result, exit};
 use simod_benches::{head, row};
-use simod_core::generate::{ModelOptions, write_file};
-use simod_core::progress::Silent;
+use simod_generate::{ModelOptions, write_file};
+use simod_model::progress::Silent;
 
 /// Deform the shapes of the deformation survey by each tool: figures as Markdown tables, and pictures
 #[derive(Parser)]

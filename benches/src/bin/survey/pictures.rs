@@ -5,10 +5,9 @@ use std::path::Path;
 use color_quant::NeuQuant;
 use glam::{DVec3, Vec3};
 use simod_benches::process::Result;
-use simod_core::geometry::Bounds;
-use simod_core::model;
-use simod_core::output::write_file;
-use simod_core::render::{Camera, Image, Renderer, Spacing, Style, SurfacePoint};
+use simod_model::bounds::Bounds;
+use simod_model::output::write_file;
+use simod_picture::{Camera, Image, Renderer, Spacing, Style, SurfacePoint};
 use simod_session::SessionFile;
 use simod_session::session_file::Role;
 
@@ -38,7 +37,7 @@ impl<'a> Gallery<'a> {
     /// Draws a model: first the one at rest, which tells the colours.
     pub fn add(&mut self, caption: &str, path: &Path) -> Result<()> {
         let mut surface: Vec<(DVec3, Vec3)> = Vec::new();
-        model::for_vertices(model::open(path)?.as_ref(), |chunk| {
+        simod_model::for_vertices(simod_model::open(path)?.as_ref(), |chunk| {
             surface.extend(chunk.positions.iter().copied().zip(chunk.normals.iter().copied()));
             Ok(())
         })?;

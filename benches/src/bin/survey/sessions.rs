@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use simod_benches::process::Result;
-use simod_core::output::write_file;
+use simod_model::output::write_file;
 use toml::{Table, Value};
 
 use crate::cases::{Case, Method};

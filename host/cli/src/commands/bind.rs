@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use simod_core::claim::Claim;
 use simod_core::guard::Kind;
 use simod_core::reconstruction::bind;
 use simod_core::sampled_model::{BINDING, SampledModel};
-use simod_core::{ErrorKind, Result};
+use simod_model::claim::Claim;
+use simod_model::{ErrorKind, Result};
 
 use super::overwrite::Overwrite;
 use crate::report::{Report, count};

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use simod_core::Result;
 use simod_core::guard::Guard;
+use simod_model::Result;
 use simod_session::compare::{self, CompareFile};
 use simod_session::session_file::inputs;
 

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use simod_core::guard::Kind;
-use simod_core::output::folder_of;
 use simod_core::sampled_model::SampledModel;
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::target::folder_of;
+use simod_model::{Error, ErrorKind, Result};
 use simod_session::edit::Refinements;
 use simod_session::session_file::inputs;
 use simod_session::{SessionFile, Stack, deform};

@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use simod_core::generate::{ModelOptions, write_file};
 use simod_core::guard::Kind;
 use simod_core::reconstruction::Reconstruction;
-use simod_core::render::Image;
-use simod_core::render::picture::{self, Up, View};
-use simod_core::{Error, Result, model, output};
+use simod_generate::{ModelOptions, write_file};
+use simod_model::{Error, Result, output};
+use simod_picture::Image;
+use simod_picture::picture::{self, Up, View};
 use simod_session::{Run, SessionFile};
 
 use super::overwrite::Overwrite;
@@ -63,7 +63,7 @@ impl Demo {
         describe(&run, report);
         describe_error(&run.transfer_error(progress)?, report);
 
-        let (before, after) = (model::open(&file("amphora.ply"))?, model::open(&edited)?);
+        let (before, after) = (simod_model::open(&file("amphora.ply"))?, simod_model::open(&edited)?);
         let after_bounds = picture::bounds(after.as_ref(), progress)?;
         let mut all = run.deformed.sampled.bounds;
         all.include(after_bounds.min);

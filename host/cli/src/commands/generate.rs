@@ -4,10 +4,9 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use glam::DVec3;
-use simod_core::Result;
-use simod_core::generate::{Encoding, ModelOptions, Shape, write_file};
 use simod_core::guard::Kind;
-use simod_core::model::Scalar;
+use simod_generate::{Encoding, ModelOptions, Shape, write_file};
+use simod_model::{Result, Scalar};
 
 use super::overwrite::Overwrite;
 use crate::report::{Report, count, rate};

@@ -4,13 +4,12 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde_json::json;
-use simod_core::geometry::Bounds;
-use simod_core::model::Scalar;
 use simod_core::refinement::Refinement;
-use simod_core::render::picture;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{By, Placement, Target};
-use simod_core::{Result, model};
+use simod_model::bounds::Bounds;
+use simod_model::{Result, Scalar};
+use simod_picture::picture;
 
 use crate::report::{Report, count};
 
@@ -28,7 +27,7 @@ impl Info {
     }
 
     fn model(&self, report: &mut Report) -> Result<()> {
-        let model = model::open(&self.path)?;
+        let model = simod_model::open(&self.path)?;
         model.check_complete(report.progress())?;
         let bounds = picture::bounds(model.as_ref(), report.progress())?;
         let info = model.info();

@@ -21,7 +21,7 @@ mod time_options;
 pub mod view;
 
 use simod_core::sampled_model::SampledModel;
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
 
 use simod_session::session_file::Step;
 use simod_session::{Message, PluginRegistry};

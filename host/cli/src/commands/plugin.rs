@@ -2,7 +2,7 @@
 
 use clap::Subcommand;
 use serde_json::json;
-use simod_core::Result;
+use simod_model::Result;
 use simod_session::{Plugin as Loaded, PluginRegistry, param_data};
 
 use super::plugin_check::{Check, CheckRule};

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use serde_json::{Value, json};
-use simod_core::{Error, ErrorKind, Progress, Result, input};
+use simod_model::{Error, ErrorKind, Progress, Result, input};
 use simod_session::check::{self, Finding, RULES, Rule, Verdict};
 
 use super::plugin_options::PluginOptions;

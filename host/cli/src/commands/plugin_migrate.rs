@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use simod_core::Result;
 use simod_core::guard::Kind;
-use simod_core::output::canonical_target;
+use simod_model::Result;
+use simod_model::target::canonical_target;
 use simod_session::SessionFile;
 use simod_session::edit::saved_at;
 use simod_session::session_file::inputs;

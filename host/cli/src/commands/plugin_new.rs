@@ -10,9 +10,10 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use serde_json::json;
-use simod_core::output::{folder_of, write_file};
-use simod_core::output_folder::OutputFolder;
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::output::write_file;
+use simod_model::output_folder::OutputFolder;
+use simod_model::target::folder_of;
+use simod_model::{Error, ErrorKind, Result};
 
 use super::plugin_options::PluginOptions;
 use crate::report::Report;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use simod_core::{Error, Result};
+use simod_model::{Error, Result};
 use simod_session::worker::{self, WorkerOptions};
 use simod_session::{Isolation, PluginOptions as Options, PluginRegistry};
 

@@ -6,13 +6,12 @@ use clap::{Args, ValueEnum};
 use glam::Vec3;
 use serde_json::json;
 use simod_core::guard::Kind;
-use simod_core::model::Model;
 use simod_core::reconstruction::{
     Beyond, DeformationField, ExpectedError, Folding, Method, Normals, PART_BYTES, Reconstruction,
     Surroundings, Version, reconstruct,
 };
 use simod_core::sampled_model::{BINDING, SampledModel};
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Model, Result};
 use simod_session::Tolerance;
 use simod_session::tolerance::check_precision;
 

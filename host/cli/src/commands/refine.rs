@@ -6,11 +6,11 @@ use clap::{ArgGroup, Args};
 use glam::{DVec3, Vec3};
 use serde_json::json;
 use simod_core::guard::Kind;
-use simod_core::output::folder_of;
 use simod_core::reconstruction::{DeformationField, Method, Surroundings, deformed_normals};
 use simod_core::refinement::{Finer, Refining, Selection, appended_deformed, refine};
 use simod_core::sampled_model::{BINDING, SampledModel};
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::target::folder_of;
+use simod_model::{Error, ErrorKind, Result};
 use simod_session::{Shape, Shapes};
 
 use super::overwrite::Overwrite;

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use simod_core::guard::Kind;
-use simod_core::render::picture::{self, Up, View};
-use simod_core::render::{FrameFolder, Image};
 use simod_core::sampled_model::SampledModel;
-use simod_core::{Error, ErrorKind, Result, model, output};
+use simod_model::{Error, ErrorKind, Result, output};
+use simod_picture::picture::{self, Up, View};
+use simod_picture::{FrameFolder, Image};
 
 use super::overwrite::Overwrite;
 use crate::report::Report;
@@ -93,7 +93,7 @@ impl Render {
                 None => take(&picture::of_samples(&sampled, &samples.positions, samples.normals(), &view))?,
             }
         } else {
-            let model = model::open(&self.path)?;
+            let model = simod_model::open(&self.path)?;
             let progress = report.progress();
             let bounds = picture::bounds(model.as_ref(), progress)?;
             if bounds.is_empty() {

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde_json::json;
-use simod_core::Result;
 use simod_core::guard::Kind;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::reconstruction::transfer_error::TransferError;
+use simod_model::Result;
 use simod_session::session_file::inputs;
 use simod_session::{Certificate, ExactCost, Run as Pipeline, Running, SessionFile, Tolerance};
 

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use simod_core::guard::Guard;
-use simod_core::output::folder_of;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{By, Grouping, Placement, Sampling, Skip, Splitting, Target, sample};
-use simod_core::{Result, model};
+use simod_model::Result;
+use simod_model::target::folder_of;
 
 use super::warn_non_finite;
 use crate::report::{Report, count, rate};
@@ -164,7 +164,7 @@ impl Sample {
         guard.reads(&self.model);
         guard.replaces_folder(&self.output)?;
         let begun = SampledModel::begin(&self.output)?;
-        let model = model::open(&self.model)?;
+        let model = simod_model::open(&self.model)?;
         let folder = folder_of(&self.output);
         let sampled = sample(model.as_ref(), &self.sampling.sampling(), folder, report.progress())?;
         sampled.save_in(begun)?;

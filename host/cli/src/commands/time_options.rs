@@ -1,7 +1,7 @@
 //! When in a sequence the steps of a session are done.
 
 use clap::Args;
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
 use simod_session::session_file::SessionTime;
 
 /// `--frame` and `--time`.

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use clap::Args;
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
 
 /// Edit a model, the folder of a sampled one, or a session in a window
 #[derive(Args)]

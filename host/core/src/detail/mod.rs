@@ -14,14 +14,13 @@ use std::ops::Range;
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use simod_model::{Error, ErrorKind, Model, Progress, Result};
 
-use crate::model::Model;
 use crate::reconstruction::{DeformationField, Figures, Moved, carry, homes};
 use crate::refinement::gathering::{Gathering, Visited};
 use crate::sampled_model::SampledModel;
 use crate::sampling::kd_tree::KdTree;
 use crate::sampling::normals;
-use crate::{Error, ErrorKind, Progress, Result};
 use thinning::Thinning;
 
 /// So many vertices are enough for most screens: there are hardly more pixels.
@@ -57,7 +56,7 @@ pub struct Streamed {
 }
 
 /// Vertices of some cells, carried over. All lists but the last one have an entry for each vertex;
-/// coordinates are local (see [`Frame`](crate::frame::Frame)).
+/// coordinates are local (see [`Frame`](simod_model::frame::Frame)).
 ///
 /// Memory: 32 bytes per vertex, 12 per cell.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -1,10 +1,10 @@
 //! What is streamed is what a reconstruction writes.
 
 use glam::{DVec3, Vec3};
+use simod_model::for_vertices;
+use simod_model::progress::Silent;
 
 use super::*;
-use crate::model::for_vertices;
-use crate::progress::Silent;
 use crate::reconstruction::{Method, Reconstruction, Surroundings, Version, reconstruct};
 use crate::refinement::tests::{Body, samples};
 use crate::sampling::grid::{CellMap, key_at};
@@ -84,7 +84,7 @@ fn vertices_are_where_a_reconstruction_writes_them() {
         let output = body.folder.path().join("deformed.ply");
         let version = Version { deformed: &deformed, output: &output, diagnostics: None };
         reconstruct(&sampled, model.as_ref(), &[version], &Reconstruction::default(), &Silent).unwrap();
-        let (written, turned) = read(crate::model::open(&output).unwrap().as_ref());
+        let (written, turned) = read(simod_model::open(&output).unwrap().as_ref());
 
         let all = Chosen::of(&sampled, &vec![true; sampled.samples.len()], ENOUGH).unwrap();
         assert_eq!((all.stride, all.vertices(&sampled)), (1, [60_000; 2]));

@@ -11,19 +11,17 @@ use std::path::Path;
 
 use glam::Vec3;
 use serde::Deserialize;
+use simod_model::output::OutputFile;
+use simod_model::{Error, ErrorKind, Model, Progress, Result, VertexChunk, input};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
 use super::Surroundings;
 use super::blend::Supports;
 use super::block::homes;
 use super::sheets::Sheets;
-use crate::input;
-use crate::model::{Model, VertexChunk};
-use crate::output::OutputFile;
 use crate::sampled_model::{SampledModel, fingerprint};
 use crate::touching::Contacts;
 use crate::varint::{self, Numbers};
-use crate::{Error, ErrorKind, Progress, Result};
 
 /// What a binding begins with.
 pub(crate) const MAGIC: &[u8; 8] = b"SIMODBND";
@@ -32,7 +30,7 @@ pub(crate) const MAGIC: &[u8; 8] = b"SIMODBND";
 const VERSION: u32 = 5;
 
 /// Most bytes of a part: a chunk's vertices, each with another home.
-const MOST_BYTES: usize = 10 * crate::model::CHUNK_VERTICES;
+const MOST_BYTES: usize = 10 * simod_model::CHUNK_VERTICES;
 
 /// What is known of the samples.
 #[derive(Deserialize)]

@@ -5,11 +5,11 @@ use std::sync::{Mutex, PoisonError};
 
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
+use simod_model::frame::Frame;
 
 use super::blend::{Grouped, LEAST_WEIGHT, PACKET, blend};
 use super::homes::Homes;
 use super::{DeformationField, Figures, Method, Surroundings, Transport, projected_barycentric};
-use crate::frame::Frame;
 
 /// Vertices of a block: many, so that there are several of each home.
 pub const BLOCK: usize = 1 << 13;

@@ -5,12 +5,11 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Mat3, Vec3};
+use simod_model::output::OutputFile;
+use simod_model::{Error, ModelInfo, Result, Scalar};
 
 use super::expansion::Expansion;
 use super::expected_error::Tally;
-use crate::model::{ModelInfo, Scalar};
-use crate::output::OutputFile;
-use crate::{Error, Result};
 
 /// Vertices that are encoded at a time.
 const BLOCK: usize = 1 << 12;

@@ -5,15 +5,14 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
+use simod_model::output::OutputFile;
+use simod_model::{Edited, Model, Normals, Output, Progress, Result, Rewriting, VertexChunk};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::diagnostics::DiagnosticsFile;
 use super::stream::{Folding, check_targets};
 use super::{DeformationField, Figures, Reconstructed, Reconstruction, Transport, Version};
-use crate::model::{Edited, Model, Normals, Output, Rewriting, VertexChunk};
-use crate::output::OutputFile;
 use crate::sampled_model::{SampledModel, fingerprint};
-use crate::{Progress, Result};
 
 /// Step of the central differences that give the gradient, in local units: a power of two near the third root
 /// of the rounding of doubles.

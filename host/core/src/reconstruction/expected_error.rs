@@ -17,16 +17,15 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use serde::Serialize;
+use simod_model::frame::Frame;
+use simod_model::histogram::Histogram;
+use simod_model::{Result, Scalar};
 
 use super::blend::LEAST_WEIGHT;
 use super::expansion::Expansion;
 use super::gradients::ROUNDING;
 use super::homes::Homes;
-use super::transfer_error::Histogram;
 use super::{DeformationField, Method, Moved, Neighbourhood, blended_jets, carry};
-use crate::Result;
-use crate::frame::Frame;
-use crate::model::Scalar;
 use crate::sampled_model::SampledModel;
 
 /// Neighbours of a sample that its word is compared with: its ring.

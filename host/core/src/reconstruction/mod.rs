@@ -41,7 +41,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
-pub use crate::model::Normals;
 use crate::sampling::SampleSet;
 pub(crate) use binding::MAGIC as BINDING_MAGIC;
 pub use binding::bind;
@@ -64,6 +63,7 @@ use limiter::{Limiter, outer};
 use neighbourhood::Neighbourhood;
 use sheets::Sheets;
 pub(crate) use sheets::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, sheet_distance};
+pub use simod_model::Normals;
 pub use stream::{Folding, PART_BYTES, Reconstructed, Reconstruction, Version, reconstruct};
 
 /// A home that does not reach a vertex is not its own if other samples are so many times nearer.

@@ -7,16 +7,18 @@ use std::path::Path;
 use std::time::UNIX_EPOCH;
 
 use glam::{DVec3, Vec3};
+use simod_model::output::check_space;
+use simod_model::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
+use simod_model::target::{canonical_target, folder_of};
+use simod_model::{
+    Edited, Error, ErrorKind, MAX_VERSIONS, Model, Normals, Output, Progress, Result, Rewriting, VertexChunk,
+};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
 use super::{DeformationField, ExpectedError, Figures, Method, Moved, Surroundings, carry};
-use crate::model::{Edited, MAX_VERSIONS, Model, Normals, Output, Rewriting, VertexChunk};
-use crate::output::{canonical_target, check_space, folder_of};
-use crate::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
 use crate::sampled_model::{SampledModel, fingerprint, same_file};
-use crate::{Error, ErrorKind, Progress, Result};
 
 /// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on
 /// with then.

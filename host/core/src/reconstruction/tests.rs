@@ -1,9 +1,9 @@
 //! The field as a whole: what it reproduces, how it behaves at steps, and that sheets do not bleed.
 
 use glam::{Affine3A, DVec3, EulerRot, Mat3, Quat, Vec3};
+use simod_model::frame::Frame;
 
 use super::{DeformationField, Figures, Method, Moved, Surroundings, carry};
-use crate::frame::Frame;
 use crate::sampling::SampleSet;
 
 const LOCAL: Frame = Frame { origin: DVec3::ZERO, scale: 1.0 };

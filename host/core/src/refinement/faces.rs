@@ -7,16 +7,15 @@ use std::path::Path;
 use bytemuck::cast_slice;
 use glam::Vec3;
 use memmap2::Mmap;
+use simod_model::scratch::Scratch;
+use simod_model::{FaceChunk, Model, Progress, Result, for_faces, for_faces_at};
 
 use super::appending::Appended;
 use super::gathering::{Gathered, joined};
 use super::regrowing::Regrown;
-use crate::model::{FaceChunk, Model, for_faces, for_faces_at};
 use crate::sampling::kept_cells::{KeptCell, KeptCells};
 use crate::sampling::placement::Planes;
 use crate::sampling::triangles::{first_least, once_each};
-use crate::scratch::Scratch;
-use crate::{Progress, Result};
 
 const ADVICE: &str = "sample the model with --skip triangles, which need it";
 

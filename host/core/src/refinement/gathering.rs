@@ -3,16 +3,15 @@
 use std::ops::Range;
 
 use glam::{DVec3, Vec3};
+use simod_model::bounds::Bounds;
+use simod_model::frame::Frame;
+use simod_model::{Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 
-use crate::frame::Frame;
-use crate::geometry::Bounds;
-use crate::model::{Model, SMALL_CHUNK, VertexChunk};
 use crate::sampling::cluster::{Group, Vertex};
 use crate::sampling::finalization::{PART, unit};
 use crate::sampling::gather::{Gather, Groups};
 use crate::sampling::grid::{CellMap, cell_box, key_at};
 use crate::sampling::kept_cells::KeptCells;
-use crate::{Progress, Result};
 
 /// Vertices of which a cell's tree was built at once, where they were not in groups.
 pub(super) const VERTICES_OF_A_PART: usize = PART / size_of::<Vertex>();

@@ -21,12 +21,12 @@ use std::sync::OnceLock;
 use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use simod_model::frame::Frame;
+use simod_model::size::human_size;
+use simod_model::{Error, ErrorKind, Model, Progress, Result};
 
 pub use selection::Selection;
 
-use crate::frame::Frame;
-use crate::model::Model;
-use crate::output::human_size;
 use crate::reconstruction::{DeformationField, Moved, carry};
 use crate::sampled_model::SampledModel;
 use crate::sampling::cut::{self, threshold_for};
@@ -34,7 +34,6 @@ use crate::sampling::grid::CellMap;
 use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::{LEAST_MEMORY, Placement, total_memory};
 use crate::touching::{Guides, Noted};
-use crate::{Error, ErrorKind, Progress, Result};
 use appending::{Appended, append};
 use faces::Members;
 use gathering::{Gathered, Gathering};

@@ -7,10 +7,10 @@
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use simod_model::frame::Frame;
 
 use super::carried;
 use super::needs::Needs;
-use crate::frame::Frame;
 use crate::reconstruction::DeformationField;
 use crate::sampled_model::SampledModel;
 use crate::sampling::cluster::REACH_WEIGHT;

@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 
 use glam::{DVec3, Vec3};
+use simod_generate::{Shape, Surface};
+use simod_model::Scalar;
+use simod_model::progress::Silent;
+use simod_model::write_points;
 use tempfile::TempDir;
 
 use super::*;
-use crate::generate::{Shape, Surface};
-use crate::model::ply::write_points;
-use crate::model::{self, Scalar};
-use crate::progress::Silent;
 use crate::sampling::triangles::{self, Wanted};
 use crate::sampling::{Grouping, Sampling, Splitting, Target, sample};
 
@@ -55,7 +55,7 @@ impl Body {
     pub fn write(&self) -> Box<dyn Model> {
         let positions = self.positions.iter().copied();
         write_points(&self.path(), positions, &self.normals, &self.faces, Scalar::F64, &[]).unwrap();
-        model::open(&self.path()).unwrap()
+        simod_model::open(&self.path()).unwrap()
     }
 
     pub fn sampled(&self, sampling: Sampling) -> (SampledModel, Box<dyn Model>) {
@@ -340,7 +340,7 @@ impl Body {
             }
         }
         std::io::Write::write_all(&mut std::fs::File::create(self.path()).unwrap(), &bytes).unwrap();
-        model::open(&self.path()).unwrap()
+        simod_model::open(&self.path()).unwrap()
     }
 }
 

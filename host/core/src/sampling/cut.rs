@@ -18,13 +18,13 @@ use std::borrow::Cow;
 use std::ops::Range;
 
 use glam::Vec3;
+use simod_model::{Error, ErrorKind, Result};
 
 use super::cluster::{Moments, REACH_WEIGHT};
 use super::finalization::ClusteredCell;
 use super::grid::{CellKey, CellMap, Grid};
 use super::kept_cells::CutTree;
 use super::vs_tree::{Node, VsTree};
-use crate::{Error, ErrorKind, Result};
 
 /// Clusters are pruned when there are more than this many times the target …
 const KEEP_AT_MOST: f64 = 1.6;

@@ -10,6 +10,10 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError, mpsc};
 
 use glam::Vec3;
+use simod_model::bounds::Bounds;
+use simod_model::frame::Frame;
+use simod_model::progress::{Emerging, Visitor};
+use simod_model::{Error, ErrorKind, Model, Progress, Result, for_vertices};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::cluster::{Element, Moments};
@@ -21,11 +25,6 @@ use super::membership::{Leaves, Membership, Noted};
 use super::open_cells::CellItems;
 use super::ranges::Ranges;
 use super::vs_tree::{VsTree, Workspace, mix};
-use crate::frame::Frame;
-use crate::geometry::Bounds;
-use crate::model::{Model, for_vertices};
-use crate::progress::{Emerging, Visitor};
-use crate::{Error, ErrorKind, Progress, Result};
 
 /// Bytes of items that wait for, or are in, clustering, beyond which the stream stands still. The last cell
 /// may be larger.
@@ -129,7 +128,7 @@ impl Pass<'_> {
             let visit = |visit: Visitor<'_>| {
                 cell.tree.cut(threshold, |node| visit(node.position, node.normal));
             };
-            self.progress.emerge(&Emerging { first, bounds: &grid.bounds, frame, visit: &visit });
+            self.progress.emerge(&Emerging::new(first, &grid.bounds, frame, &visit));
             first = false;
             stop.store(forest.add(cell)?.to_bits(), Ordering::Relaxed);
             Ok(())

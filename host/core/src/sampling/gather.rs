@@ -9,13 +9,13 @@ use std::hash::BuildHasherDefault;
 use std::path::Path;
 
 use glam::{IVec3, Vec3};
+use simod_model::Result;
+use simod_model::frame::Frame;
 
 use super::Target;
 use super::cluster::{Element, Group, Vertex};
 use super::grid::{CellHasher, CellRecord, Grid};
 use super::open_cells::{CellItems, OpenCells};
-use crate::Result;
-use crate::frame::Frame;
 
 /// Memory for the vertices of open cells beyond which they are summed up in groups, if that helps.
 const VERTICES_AT_EASE: u64 = 12 << 20;

@@ -9,8 +9,7 @@ use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
 use glam::DVec3;
-
-use crate::geometry::Bounds;
+use simod_model::bounds::Bounds;
 
 /// Integer coordinates of a cell: ⌊p / cell size⌋.
 pub type CellKey = [i64; 3];

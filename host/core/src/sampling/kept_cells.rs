@@ -7,10 +7,10 @@
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
+use simod_model::{Error, ErrorKind, Result};
 
 use super::grid::CellKey;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
-use crate::{Error, ErrorKind, Result};
 
 const MAGIC: &[u8; 8] = b"SIMODCEL";
 /// Former files, which know nothing of the faces, are of the version before.
@@ -38,7 +38,7 @@ pub struct KeptCell {
     /// Indices of the vertices among which all of them are; ascending.
     pub ranges: Vec<Range<u64>>,
     /// Bytes of the file among which all faces with one of its vertices are; ascending, and from one mark of
-    /// their reader ([`FaceMark`](crate::model::FaceMark)) to another.
+    /// their reader ([`FaceMark`](simod_model::FaceMark)) to another.
     pub faces: Vec<Range<u64>>,
     /// Its VS-Tree.
     pub tree: CutTree,

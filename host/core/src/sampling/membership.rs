@@ -13,13 +13,12 @@ use bytemuck::{cast_slice, cast_slice_mut};
 use glam::{DVec3, Vec3};
 use memmap2::{Mmap, MmapMut};
 use rayon::prelude::*;
+use simod_model::output::check_space;
+use simod_model::scratch::Scratch;
+use simod_model::{Error, ModelInfo, Progress, Result};
 
 use super::grid::Grid;
-use crate::model::ModelInfo;
-use crate::output::check_space;
-use crate::scratch::Scratch;
 use crate::touching::{FoundTwins, Twins};
-use crate::{Error, Progress, Result};
 
 /// Numbers written at a time, by the stream and by each thread.
 const BUFFER: usize = 1 << 16;

@@ -29,6 +29,11 @@ use std::path::Path;
 use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use simod_model::frame::Frame;
+use simod_model::size::human_size;
+use simod_model::{
+    Error, ErrorKind, FaceChunk, Model, Progress, Result, SMALL_CHUNK, VertexChunk, for_faces, for_faces_at,
+};
 
 pub use density::By;
 pub use gather::Grouping;
@@ -37,13 +42,9 @@ pub use placement::Placement;
 pub use sample_set::{NEIGHBOURS, NeighbourGraph, SampleSet};
 pub use vs_tree::Splitting;
 
-use crate::frame::Frame;
-use crate::model::{FaceChunk, Model, SMALL_CHUNK, VertexChunk, for_faces, for_faces_at};
-use crate::output::human_size;
 use crate::refinement::gathering::joined;
 use crate::sampled_model::{SampledModel, Source, fingerprint};
 use crate::touching::{Contacts, Islands, Parted, Parting};
-use crate::{Error, ErrorKind, Progress, Result};
 use density::Rule;
 use face_ranges::FaceRanges;
 use finalization::{Clustered, Pass};

@@ -8,9 +8,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use bytemuck::Pod;
-
-use crate::Result;
-use crate::scratch::Scratch;
+use simod_model::Result;
+use simod_model::scratch::Scratch;
 
 /// Items (vertices, or groups of them) in a block of memory: a cell's last block is half empty in the mean.
 const BLOCK: usize = 32;

@@ -9,10 +9,9 @@
 use glam::{DMat3, DVec3, Vec3, Vec3A, Vec3Swizzles, Vec4};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use simod_model::{FaceChunk, Model, Result, SMALL_CHUNK, VertexChunk};
 
 use super::cluster::symmetric;
-use crate::Result;
-use crate::model::{FaceChunk, Model, SMALL_CHUNK, VertexChunk};
 
 /// Strength of the ridge, relative to the trace of the quadric.
 const RIDGE: f64 = 3e-4;

@@ -4,11 +4,11 @@ use std::sync::OnceLock;
 
 use glam::Vec3;
 use rayon::prelude::*;
+use simod_model::{Error, ErrorKind, Result};
 
 use super::kd_tree::KdTree;
 use super::normals;
 use crate::touching::Contacts;
-use crate::{Error, ErrorKind, Result};
 
 /// Neighbours that are known of each sample: enough for a second-order fit, and for the neighbourhoods of all
 /// points around the sample.
@@ -42,7 +42,7 @@ impl NeighbourGraph {
     }
 }
 
-/// The small point set P_S, in local coordinates (see [`Frame`](crate::frame::Frame)).
+/// The small point set P_S, in local coordinates (see [`Frame`](simod_model::frame::Frame)).
 ///
 /// Memory: 24 bytes per sample; 12 more where normals were estimated (about 150 meanwhile), and 160 once the
 /// neighbours are asked for. The index of a sample never changes.

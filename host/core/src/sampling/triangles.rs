@@ -2,12 +2,11 @@
 //! (J. Rossignac, P. Borrel, *Multi-resolution 3D approximations for rendering complex scenes*, 1993).
 
 use rayon::prelude::*;
+use simod_model::{Model, Progress, Result, for_faces};
 
 use super::face_ranges::FaceRanges;
 use super::placement::Planes;
-use crate::model::{Model, for_faces};
 use crate::touching::Islands;
-use crate::{Progress, Result};
 
 /// Most triangles for each sample. A closed surface has two, and any that is worth the name not many more;
 /// beyond it the faces are a tangle that tells nothing of P_S, as large as P_L's own.

@@ -14,23 +14,22 @@ use bytemuck::cast_slice;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use simod_model::frame::Frame;
+use simod_model::output::OutputFile;
+use simod_model::scratch::Scratch;
+use simod_model::{Error, ErrorKind, Result, input};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::ADVICE;
 use super::parting::{Parted, Parting};
 use super::places::Places;
 use super::sorter::Sorter;
-use crate::frame::Frame;
-use crate::input;
-use crate::output::OutputFile;
 use crate::reconstruction::{
     CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, Surroundings, TANGENT_RING, homes, sheet_distance,
 };
 use crate::sampled_model::SampledModel;
 use crate::sampling::kept_cells::CutTree;
 use crate::sampling::{NEIGHBOURS, SampleSet};
-use crate::scratch::Scratch;
-use crate::{Error, ErrorKind, Result};
 
 const MAGIC: &[u8; 8] = b"SIMODSHT";
 const VERSION: u32 = 1;

@@ -6,11 +6,11 @@ use std::path::Path;
 use bytemuck::{cast_slice, cast_slice_mut};
 use glam::Vec3;
 use memmap2::Mmap;
+use simod_model::Result;
+use simod_model::scratch::Scratch;
 
 use super::ADVICE;
 use super::sorter::{Entry, Sorter, entry, hash_of};
-use crate::Result;
-use crate::scratch::Scratch;
 
 /// Places for each sample that are held in memory; more of them are in a temporary file, which is mapped.
 const HELD_PER_SAMPLE: u64 = 8;

@@ -9,11 +9,11 @@ use std::path::Path;
 use bytemuck::{cast_slice, cast_slice_mut};
 use glam::DVec3;
 use rayon::prelude::*;
+use simod_model::Result;
+use simod_model::scratch::Scratch;
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::ADVICE;
-use crate::Result;
-use crate::scratch::Scratch;
 
 /// A hash, its upper half first, and a number: ordered by the one and then the other.
 pub type Entry = [u32; 3];

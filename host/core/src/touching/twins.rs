@@ -6,11 +6,11 @@ use std::path::Path;
 use bytemuck::cast_slice;
 use glam::DVec3;
 use memmap2::MmapMut;
+use simod_model::Result;
+use simod_model::scratch::Scratch;
 
 use super::ADVICE;
 use super::sorter::{Entry, entry, hash_of};
-use crate::Result;
-use crate::scratch::Scratch;
 
 /// Positions that are remembered: a few rows or patches of a scan.
 const REMEMBERED: usize = 1 << 18;

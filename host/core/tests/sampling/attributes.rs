@@ -5,11 +5,11 @@ use std::path::Path;
 
 use glam::DVec3;
 use simod_core::attributes::Attributes;
-use simod_core::model::{self, Type};
-use simod_core::output::write_file;
-use simod_core::progress::Silent;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
+use simod_model::Type;
+use simod_model::output::write_file;
+use simod_model::progress::Silent;
 
 /// Vertices with numbers of several types, as files hold them.
 struct Painted {
@@ -101,7 +101,7 @@ impl Painted {
 
     fn sampled(&self, path: &Path, coding: Coding, list: bool, samples: u64) -> (SampledModel, Attributes) {
         write_file(path, &self.bytes(coding, list)).unwrap();
-        let model = model::open(path).unwrap();
+        let model = simod_model::open(path).unwrap();
         let how = Sampling { target: Target::Samples(samples), ..Sampling::default() };
         let sampled = sample(model.as_ref(), &how, path.parent().unwrap(), &Silent).unwrap();
         let attributes = Attributes::of(&sampled, model.as_ref(), &Silent).unwrap();
@@ -208,7 +208,7 @@ fn a_word_that_is_no_number_is_named() {
     let (before, after) = data.split_at(nth);
     let after = format!("x{}", &after[1..]);
     write_file(&path, format!("{header}{before}{after}").as_bytes()).unwrap();
-    let model = model::open(&path).unwrap();
+    let model = simod_model::open(&path).unwrap();
     let error = Attributes::of(&sampled, model.as_ref(), &Silent).unwrap_err().to_string();
     assert!(error.contains("vertex 5: \"red\" \"x"), "{error}");
 }

@@ -4,12 +4,12 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
-use simod_core::generate::{Shape, Surface};
-use simod_core::model::ply::write_points;
-use simod_core::model::{self, Scalar};
-use simod_core::progress::Silent;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, sample};
+use simod_generate::{Shape, Surface};
+use simod_model::Scalar;
+use simod_model::progress::Silent;
+use simod_model::write_points;
 
 /// A model in memory.
 #[derive(Debug, Clone, Default)]
@@ -78,7 +78,7 @@ impl Body {
 
 /// Samples a file.
 pub fn sample_file(path: &Path, sampling: Sampling) -> SampledModel {
-    let model = model::open(path).unwrap();
+    let model = simod_model::open(path).unwrap();
     sample(model.as_ref(), &sampling, path.parent().unwrap(), &Silent).unwrap()
 }
 

@@ -5,13 +5,13 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
-use simod_core::ErrorKind;
-use simod_core::generate::Shape;
-use simod_core::progress::Silent;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::cluster::REACH_WEIGHT;
 use simod_core::sampling::kept_cells::{KeptCell, KeptCells};
 use simod_core::sampling::{Grouping, Sampling, Skip, Splitting, Target};
+use simod_generate::Shape;
+use simod_model::ErrorKind;
+use simod_model::progress::Silent;
 use tempfile::TempDir;
 
 use crate::body::{Body, sample_file};

@@ -2,8 +2,8 @@
 
 use super::*;
 use glam::Vec3;
-use simod_core::progress::Emerging;
 use simod_core::sampled_model::SampledModel;
+use simod_model::progress::Emerging;
 use std::sync::Mutex;
 
 /// Keeps what emerges.
@@ -31,7 +31,7 @@ fn watched(body: &Body, target: Target) -> (SampledModel, Vec<(Vec3, Vec3)>) {
     body.write(&path);
     let watch = Watch::default();
     let sampling = Sampling { target, grid: Some(16), ..Sampling::default() };
-    let sampled = sample(&*model::open(&path).unwrap(), &sampling, folder.path(), &watch).unwrap();
+    let sampled = sample(&*simod_model::open(&path).unwrap(), &sampling, folder.path(), &watch).unwrap();
     (sampled, watch.0.into_inner().unwrap())
 }
 

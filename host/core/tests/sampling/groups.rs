@@ -1,8 +1,8 @@
 //! Groups of samples in open cells.
 
 use glam::{DVec3, Vec3};
-use simod_core::generate::Shape;
 use simod_core::sampling::{Grouping, Sampling, Target};
+use simod_generate::Shape;
 
 use crate::body::{Body, rms_distance};
 

@@ -76,6 +76,6 @@ fn a_folder_tells_how_its_clusters_were_split() {
     let path = saved.folder().join("simod.toml");
     let text = std::fs::read_to_string(&path).unwrap();
     // As folders were written before there were layers.
-    simod_core::output::write_file(&path, text.replace("splitting = \"layered\"\n", "").as_bytes()).unwrap();
+    simod_model::output::write_file(&path, text.replace("splitting = \"layered\"\n", "").as_bytes()).unwrap();
     assert_eq!(saved.load().sampling.splitting, Splitting::VolumeSurface);
 }

@@ -17,9 +17,9 @@ mod triangles;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::DVec3;
-use simod_core::generate::Shape;
 use simod_core::sampling::{Sampling, Target, sample};
-use simod_core::{Progress, model};
+use simod_generate::Shape;
+use simod_model::Progress;
 
 use body::{Body, worst_distance};
 
@@ -108,7 +108,7 @@ fn a_plain_rest_after_a_rough_beginning_gets_its_samples() {
         body.write(&path);
         let passes = Passes::default();
         let sampling = Sampling { target: Target::Samples(10_000), ..Sampling::default() };
-        let sampled = sample(&*model::open(&path).unwrap(), &sampling, folder.path(), &passes).unwrap();
+        let sampled = sample(&*simod_model::open(&path).unwrap(), &sampling, folder.path(), &passes).unwrap();
         assert_eq!(passes.0.into_inner(), expected);
         assert!(sampled.triangles.len() > sampled.samples.len());
         sampled.samples.len()

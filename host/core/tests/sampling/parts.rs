@@ -2,9 +2,9 @@
 
 use std::fs;
 
-use simod_core::generate::Shape;
 use simod_core::sampling::kept_cells::KeptCells;
 use simod_core::sampling::{Sampling, Skip, Target};
+use simod_generate::Shape;
 
 use crate::body::Body;
 use crate::cells::Saved;

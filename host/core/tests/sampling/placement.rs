@@ -1,12 +1,11 @@
 //! Where in their clusters samples are placed.
 
 use glam::{DVec3, Vec3};
-use simod_core::generate::Shape;
-use simod_core::model;
-use simod_core::progress::Silent;
 use simod_core::refinement::{Finer, Refining, Selection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Grouping, Placement, Sampling, Skip, Target};
+use simod_generate::Shape;
+use simod_model::progress::Silent;
 
 use crate::body::{Body, sample_file, worst_distance};
 use crate::cells::Saved;
@@ -134,7 +133,7 @@ fn groups_parts_and_refinements_place_alike() {
     body.write(&path);
     let refined = |placement, finer| {
         let sampled = sample_file(&path, by(placement, target));
-        let model = model::open(&path).unwrap();
+        let model = simod_model::open(&path).unwrap();
         let how = Refining { finer, memory_limit: None, shapes: Vec::new() };
         let everywhere = |_: DVec3| -1.0;
         let selection = Selection { distance: &everywhere, so_far: None, at_rest: true };

@@ -5,13 +5,12 @@ use std::fs;
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
-use simod_core::model;
-use simod_core::output::write_file;
-use simod_core::progress::Silent;
 use simod_core::reconstruction::{DeformationField, Method, Moved, Surroundings, carry};
 use simod_core::refinement::{Finer, Refining, Selection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target};
+use simod_model::output::write_file;
+use simod_model::progress::Silent;
 
 use crate::body::{Body, sample_file};
 use crate::cells::Saved;
@@ -203,7 +202,7 @@ fn joining(sampled: &SampledModel, of: &dyn Fn(DVec3) -> f64) -> usize {
 
 /// Refined around a place.
 fn refined(sampled: &SampledModel, path: &Path, place: DVec3, radius: f64, finer: Finer) -> SampledModel {
-    let model = model::open(path).unwrap();
+    let model = simod_model::open(path).unwrap();
     let distance = |p: DVec3| p.distance(place) - radius;
     let selection = Selection { distance: &distance, so_far: None, at_rest: true };
     let how = Refining { finer, memory_limit: None, shapes: Vec::new() };

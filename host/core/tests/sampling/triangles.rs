@@ -5,9 +5,9 @@ use std::fs::File;
 use std::io::Write;
 
 use glam::{DVec3, Vec3};
-use simod_core::generate::Shape;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Grouping, Sampling, Skip, Splitting, Target};
+use simod_generate::Shape;
 
 use crate::body::{Body, sample_file, triangle_set};
 

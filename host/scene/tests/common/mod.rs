@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 
 use glam::camera::rh::{proj::directx::perspective, view::look_at_mat4};
 use glam::{Vec3, Vec4};
-use simod_core::render::Image;
+use simod_picture::Image;
 use simod_scene::{Gpu, Scene, Style, Surface, View};
 
 /// The device, or none where there is no adapter; then the test says that it is skipped. Where `CI` is set,
@@ -153,7 +153,7 @@ pub fn plain() -> Style {
     Style { own_colors: true, occlusion: false, ..Style::default() }
 }
 
-/// What `shade.wgsl` makes of a colour (sRGB), by the formula of `simod_core::render`: key light from the
+/// What `shade.wgsl` makes of a colour (sRGB), by the formula of `simod_picture`: key light from the
 /// upper left, fill light, sky, highlight and rim, without occlusion.
 pub fn lit(color: [u8; 3], normal: Vec3, eye: Vec3) -> [i32; 3] {
     let key_way = Vec3::new(-0.50, 0.66, 0.56).normalize_or_zero();

@@ -7,9 +7,9 @@ use crate::key::Key;
 use crate::params::{LocalParams, Params};
 use crate::stack::{neighbour_lists, rows};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use simod_core::frame::Frame;
-use simod_core::geometry::Bounds;
 use simod_core::sampling::SampleSet;
+use simod_model::bounds::Bounds;
+use simod_model::frame::Frame;
 use simod_plugin_api::{
     Affine, Attribute, AttributeKind, Attributes, DeformInput, Graph, HandleDesc, HandleMotions, Joint,
     Joints, ModelFrame, Param, Part, PrepareInput, Region, RestPositions, Role, Samples, Stroke, Strokes,

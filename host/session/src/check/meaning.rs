@@ -6,7 +6,7 @@ use super::subject::{Refusal, Subject, answer};
 use super::{Checked, Finding};
 use crate::stack::rows;
 use glam::DVec3;
-use simod_core::geometry::Bounds;
+use simod_model::bounds::Bounds;
 use simod_plugin_api::Time;
 
 /// How far a rigid motion may be missed, in units of the diagonal.

@@ -16,7 +16,7 @@ mod subject;
 
 use crate::plugins::load_unchecked;
 use serde::{Deserialize, Serialize};
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
 use std::path::Path;
 use subject::Subject;
 

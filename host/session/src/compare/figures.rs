@@ -3,19 +3,18 @@
 use super::method::Deformed;
 use glam::{DVec3, Vec3};
 use serde::Serialize;
-use simod_core::geometry::Bounds;
-use simod_core::measure::{
-    self, Details, Difference, Distances, Rotation, Spread, Surface, area_distortion, edge_distortion,
-    is_closed, volume,
-};
-use simod_core::model::Model;
 use simod_core::sampled_model::SampledModel;
-use simod_core::{Progress, Result};
+use simod_measure::{
+    Details, Difference, Distances, Rotation, Spread, Surface, area_distortion, edge_distortion, is_closed,
+    volume,
+};
+use simod_model::bounds::Bounds;
+use simod_model::{Model, Progress, Result};
 
 /// What is smaller is a detail, as a fraction of the diagonal.
 pub(super) const DETAIL: f64 = 0.015;
 
-/// What a method does to the samples and the triangles between them; see [`simod_core::measure`].
+/// What a method does to the samples and the triangles between them; see [`simod_measure`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct OnSamples {
     /// Relative change of the volume; nothing where the triangles are not closed.
@@ -54,7 +53,7 @@ pub(super) struct Beside {
 
 /// Compares all models in one reading.
 pub(super) fn beside(models: &[&dyn Model], diagonal: f64, progress: &dyn Progress) -> Result<Beside> {
-    let measure::Beside { bounds, differences } = measure::beside(models, diagonal, progress)?;
+    let simod_measure::Beside { bounds, differences } = simod_measure::beside(models, diagonal, progress)?;
     let (rest, pairs): (Vec<_>, Vec<_>) = differences.into_iter().partition(|((a, _), _)| *a == 0);
     Ok(Beside {
         displacements: rest.into_iter().map(|(_, difference)| difference).collect(),

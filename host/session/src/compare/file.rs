@@ -3,8 +3,8 @@
 use crate::session_file::{RawModel, RawRegion, Region, Sampling, Source, read_text};
 use serde::Deserialize;
 use simod_core::reconstruction::Method as Reconstruction;
-use simod_core::render::picture::Up;
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
+use simod_picture::picture::Up;
 use std::path::{Path, PathBuf};
 use toml::Spanned;
 

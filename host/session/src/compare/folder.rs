@@ -2,8 +2,8 @@
 
 use super::file::Method;
 use serde::Deserialize;
-use simod_core::output::folder_of;
-use simod_core::{Error, ErrorKind, Result, input};
+use simod_model::target::folder_of;
+use simod_model::{Error, ErrorKind, Result, input};
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
@@ -135,7 +135,7 @@ mod tests {
         let check = |name: &str| Target::check(&at(name), &at("out/a.ply")).map(|_| ());
         let write = |name: &str, text: &str| {
             std::fs::create_dir_all(at(name).parent().unwrap()).unwrap();
-            simod_core::output::write_file(&at(name), text.as_bytes()).unwrap();
+            simod_model::output::write_file(&at(name), text.as_bytes()).unwrap();
         };
         check("new").unwrap();
         assert!(check("missing/new").is_err());

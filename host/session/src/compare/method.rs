@@ -9,12 +9,11 @@ use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Role, Sampling, SessionFile, Step, read_text};
 use crate::stack::Stack;
 use glam::Vec3;
-use simod_core::memory::MemoryWatch;
-use simod_core::model;
 use simod_core::reconstruction::{Reconstruction, Version, reconstruct, transfer_error};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::Skip;
-use simod_core::{Progress, Result};
+use simod_model::memory::MemoryWatch;
+use simod_model::{Progress, Result};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -96,7 +95,7 @@ impl<'a> Bench<'a> {
         let diagonal = deformed.sampled.bounds.diagonal();
         let transfer_error = if deformed.stack.can_evaluate() {
             let map = |points: &mut [glam::DVec3]| deformed.stack.evaluate_with(points, progress);
-            let output = model::open(&output)?;
+            let output = simod_model::open(&output)?;
             Some(transfer_error::measure(source.as_ref(), output.as_ref(), diagonal, &map, progress)?)
         } else {
             None

@@ -32,10 +32,9 @@ pub use record::{Comparison, Failure, Figures, MethodRecord, ModelRecord, Second
 use crate::plugins::PluginRegistry;
 use folder::{INDEX, RECORD, Target};
 use method::{Bench, Deformed};
-use simod_core::model::{self, Model};
-use simod_core::output::write_file;
-use simod_core::output_folder::OutputFolder;
-use simod_core::{Error, ErrorKind, Progress, Result};
+use simod_model::output::write_file;
+use simod_model::output_folder::OutputFolder;
+use simod_model::{Error, ErrorKind, Model, Progress, Result};
 use std::path::Path;
 
 /// Does all methods of a file and writes the folder `output`, whole or not at all: `index.html`,
@@ -53,7 +52,7 @@ pub fn compare(
     progress: &dyn Progress,
 ) -> Result<Comparison> {
     let target = Target::check(output, &file.model)?;
-    let rest = model::open(&file.model)?;
+    let rest = simod_model::open(&file.model)?;
     let folder = OutputFolder::create(output)?;
     let made = in_folder(file, plugins, keep_models, &folder, rest.as_ref(), &target, progress);
     let comparison = made.map_err(|e| folder.named(e))?;
@@ -86,7 +85,7 @@ fn in_folder(
     let Some((_, first)) = done.first() else { return Err(none_done(&records)) };
     let mut comparison = Comparison::new(file, &first.sampled, records);
     let deformed: Vec<&Deformed> = done.iter().map(|(_, deformed)| deformed).collect();
-    let models = deformed.iter().map(|d| model::open(&d.output)).collect::<Result<Vec<_>>>()?;
+    let models = deformed.iter().map(|d| simod_model::open(&d.output)).collect::<Result<Vec<_>>>()?;
     let models: Vec<&dyn Model> = [rest].into_iter().chain(models.iter().map(|m| &**m)).collect();
 
     let beside = figures::beside(&models, comparison.model.diagonal, progress)?;

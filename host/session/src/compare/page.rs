@@ -177,7 +177,7 @@ fn rest(c: &Comparison) -> Markup {
     ];
     let mut table = Table::new("Displacements of all vertices; the rest on the samples.", &titles);
     for (method, f) in c.done() {
-        let moved = |of: fn(&simod_core::measure::Difference) -> f64| {
+        let moved = |of: fn(&simod_measure::Difference) -> f64| {
             or_dash(f.displacement.as_ref().map(|d| 100.0 * of(d)))
         };
         let shape = f.on_samples;
@@ -219,7 +219,7 @@ fn pairs(c: &Comparison) -> Markup {
         &titles,
     );
     for Pair { first, second, vertices, surfaces } in &c.pairs {
-        let ways = |of: fn(&simod_core::measure::Distances) -> f64, i: usize| {
+        let ways = |of: fn(&simod_measure::Distances) -> f64, i: usize| {
             or_dash(surfaces.map(|ways| 100.0 * of(&ways[i])))
         };
         let cells = [

@@ -7,10 +7,9 @@ use super::html::round_percent;
 use super::record::Comparison;
 use crate::session_file::{Region, Role};
 use glam::DVec3;
-use simod_core::geometry::Bounds;
-use simod_core::model::{Model, Vertices};
-use simod_core::render::picture::{View, of_painted};
-use simod_core::{Progress, Result};
+use simod_model::bounds::Bounds;
+use simod_model::{Model, Progress, Result, Vertices};
+use simod_picture::picture::{View, of_painted};
 
 const CLAY: [u8; 3] = [205, 198, 190];
 const FIXED: [u8; 3] = [120, 140, 175];

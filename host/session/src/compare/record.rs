@@ -9,11 +9,11 @@ use crate::deformer::{Message, Plugin};
 use crate::params::{ParamValue, Params};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
-use simod_core::Error;
-use simod_core::measure::Difference;
 use simod_core::reconstruction::Method as Reconstruction;
 use simod_core::reconstruction::transfer_error::TransferError;
 use simod_core::sampled_model::SampledModel;
+use simod_measure::Difference;
+use simod_model::Error;
 
 /// A finished comparison.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -7,8 +7,8 @@
 
 use super::{Capabilities, Code, Migration};
 use glam::{DVec3, Vec3};
-use simod_core::measure::{OnSurface, Surface};
 use simod_core::sampling::KdTree;
+use simod_measure::{OnSurface, Surface};
 use simod_plugin_api::{
     DeformInput, Descriptor, Extension, HandleDesc, HostCalls, LogLevel, Lookups, PluginError, PluginResult,
     Pose, PrepareInput, Scratch, Setting, State, SurfacePoint, Triangles,

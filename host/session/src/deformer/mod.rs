@@ -16,7 +16,7 @@ mod registers;
 
 use crate::params::{check_description, check_migration};
 use rayon::prelude::*;
-use simod_core::{Error, ErrorKind, Progress, Result};
+use simod_model::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::{
     Consumes, DeformInput, Descriptor, ErrorCode, HandleDesc, HostCalls, LogLevel, ParamDesc, PluginError,
     PrepareInput, Samples, Scratch, Setting, State,

@@ -2,11 +2,11 @@
 //! of those around them alone, which is nearly that of all samples, and found many times as fast.
 
 use glam::Vec3;
-use simod_core::Result;
 use simod_core::reconstruction::{DeformationField, Method, Surroundings};
 use simod_core::refinement::appended_deformed;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::SampleSet;
+use simod_model::Result;
 
 /// So many rings of neighbours around the samples that are nearest to those appended: as far as their words
 /// reach, and theirs who tell how the outermost of them turn.

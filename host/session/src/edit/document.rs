@@ -3,7 +3,7 @@
 use crate::motion::Motion;
 use crate::session_file::{Action, HandleMove, Joint, Refine, Region, Role, Step, Stroke};
 use serde::{Deserialize, Serialize};
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
 use std::collections::VecDeque;
 use std::sync::Arc;
 

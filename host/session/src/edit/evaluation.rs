@@ -14,7 +14,7 @@ use simod_core::reconstruction::{
 };
 use simod_core::refinement::{Refining, Selection, appended_deformed, refine};
 use simod_core::sampled_model::SampledModel;
-use simod_core::{Error, ErrorKind, Progress, Result};
+use simod_model::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::{Effort, HandleDesc, Time};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};

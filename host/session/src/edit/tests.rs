@@ -9,14 +9,14 @@ use crate::session_file::{Action, Refine, Region, Role, SessionFile, Step, Strok
 use crate::shapes::{Shape, Shapes};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
-use simod_core::generate::{ModelOptions, write_file};
-use simod_core::model::Scalar;
-use simod_core::model::ply::write_points;
-use simod_core::progress::Silent;
 use simod_core::reconstruction::{DeformationField, Method, Surroundings};
 use simod_core::refinement::{Finer, Refining, Selection, appended_deformed, refine as refine_model};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
+use simod_generate::{ModelOptions, write_file};
+use simod_model::Scalar;
+use simod_model::progress::Silent;
+use simod_model::write_points;
 use simod_plugin_api as api;
 use simod_plugin_api::__private::{abi_stable, capability, find_extension, root_module};
 use std::cell::Cell;
@@ -119,7 +119,7 @@ fn sampled() -> Arc<SampledModel> {
         let points = (0..1600).map(point).map(|(x, y)| DVec3::new(x, y, (x + 2.0 * y).sin()));
         write_points(&path, points, &[], &[], Scalar::F64, &[]).unwrap();
         let sampling = Sampling { target: Target::Samples(100), ..Sampling::default() };
-        let model = simod_core::model::open(&path).unwrap();
+        let model = simod_model::open(&path).unwrap();
         let sampled = sample(model.as_ref(), &sampling, folder.path(), &Silent).unwrap();
         (folder, Arc::new(sampled))
     });
@@ -399,7 +399,7 @@ fn what_makes_no_sense_changes_nothing() {
 #[test]
 fn a_cancelled_update_can_be_done_again() {
     struct After(std::sync::atomic::AtomicUsize);
-    impl simod_core::Progress for After {
+    impl simod_model::Progress for After {
         fn begin(&self, _: &'static str, _: u64) {}
         fn advance(&self, _: u64) {}
         fn is_cancelled(&self) -> bool {
@@ -419,7 +419,7 @@ fn a_cancelled_update_can_be_done_again() {
                 assert!(cancelled > 3, "{cancelled}");
                 return;
             }
-            Err(e) => assert_eq!(e.kind(), simod_core::ErrorKind::Cancelled),
+            Err(e) => assert_eq!(e.kind(), simod_model::ErrorKind::Cancelled),
         }
     }
     panic!("it never ended");
@@ -647,7 +647,7 @@ fn drafts_below_a_refinement_are_near_the_result() {
     let path = folder.path().join("model.ply");
     let options = ModelOptions { vertices: 60_000, ..ModelOptions::default() };
     write_file(&options, &path, &Silent).unwrap();
-    let model = simod_core::model::open(&path).unwrap();
+    let model = simod_model::open(&path).unwrap();
     let sampling = Sampling { target: Target::Samples(6000), ..Sampling::default() };
     let before = sample(model.as_ref(), &sampling, folder.path(), &Silent).unwrap();
     let distance = |p: DVec3| p.distance(DVec3::new(0.5, 1.0, 0.0)) - 0.3;

@@ -6,7 +6,7 @@
 
 use crate::deformer::About;
 use serde::{Deserialize, Serialize};
-use simod_core::{input, output};
+use simod_model::{input, output};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;

@@ -6,7 +6,7 @@ use object::read::macho::{FatArch, MachOFatFile32, MachOFatFile64};
 use object::{
     Architecture, BinaryFormat, File, FileKind, Object, ObjectSegment, ObjectSymbol, ReadCache, ReadRef,
 };
-use simod_core::{Error, ErrorKind, Result, input};
+use simod_model::{Error, ErrorKind, Result, input};
 use std::path::Path;
 
 /// How a plugin is to be called.

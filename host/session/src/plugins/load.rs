@@ -6,7 +6,7 @@ use crate::deformer::{
     cannot_load, load_whole,
 };
 use abi_stable::library::{LibraryError, RootModule, lib_header_from_path};
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
 use simod_plugin_api::{
     DeformInput, Descriptor, HandleDesc, HostCalls, PluginError, PluginModRef, PluginResult, PrepareInput,
     Scratch, Setting, State,

@@ -13,11 +13,11 @@ use glam::{DAffine3, DVec3, Vec3};
 pub(crate) use layer::{Done, Kept, Layer};
 use rayon::prelude::*;
 use simod_core::attributes::Attributes;
-use simod_core::frame::Frame;
-use simod_core::geometry::Bounds;
-use simod_core::progress::Silent;
 use simod_core::sampling::NeighbourGraph;
-use simod_core::{Error, ErrorKind, Progress, Result};
+use simod_model::bounds::Bounds;
+use simod_model::frame::Frame;
+use simod_model::progress::Silent;
+use simod_model::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api as api;
 use std::sync::Arc;
 

@@ -13,7 +13,7 @@ use crate::child::{Ended, Tail, describe, ran_out_of_memory};
 use crate::deformer::{About, Capabilities, Code, Migration};
 use arena::{Arena, ControlMap, Range};
 use protocol::{InputRecord, MotionRecord, Refusal, Reply, Request, SettingRecord, Slice};
-use simod_core::{Error, ErrorKind, Progress, Result};
+use simod_model::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::{
     DeformInput, Descriptor, ErrorCode, HandleDesc, HostCalls, LogLevel, PluginError, PluginResult,
     PrepareInput, Scratch, Setting, State,

@@ -9,7 +9,7 @@ use crate::deformer::{Care, Code, Plugin};
 use crate::plugins::load_code;
 use memmap2::Mmap;
 use rayon::prelude::*;
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
 use simod_plugin_api::{
     HostCalls, LogLevel, PluginError, PluginResult, PrepareInput, Scratch, Setting, State,
 };

@@ -6,7 +6,7 @@ use glam::Vec3;
 use simod_core::reconstruction::{DeformationField, Method, Surroundings};
 use simod_core::refinement::appended_deformed;
 use simod_core::sampled_model::SampledModel;
-use simod_core::{Error, Progress, Result};
+use simod_model::{Error, Progress, Result};
 use simod_plugin_api::Effort;
 use simod_session::PluginRegistry;
 use simod_session::edit::{Entry, Evaluation};

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3, Vec3};
 use simod_core::geometry::symmetric_eigen;
-use simod_core::progress::Emerging;
+use simod_model::progress::Emerging;
 
 /// Most samples that are kept, of 28 bytes each; of more, each second one is.
 const MOST: usize = 1 << 20;

@@ -23,7 +23,7 @@ use preview::Streaming;
 use serde::{Deserialize, Serialize};
 use simod_core::detail::{Batch, Chosen, Streamed};
 use simod_core::reconstruction::{Method, Normals, Reconstructed};
-use simod_core::{Error, Result};
+use simod_model::{Error, Result};
 use simod_plugin_api::Effort;
 use simod_session::PluginRegistry;
 use simod_session::edit::{Editor, Entry};
@@ -131,7 +131,7 @@ pub enum Event {
     /// Something that the user should know.
     Note(String),
     /// A job came to nothing; what was there before still holds. Of kind
-    /// [`Cancelled`](simod_core::ErrorKind::Cancelled) if the user stopped it.
+    /// [`Cancelled`](simod_model::ErrorKind::Cancelled) if the user stopped it.
     Failed {
         /// Which.
         job: Job,

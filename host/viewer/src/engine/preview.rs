@@ -7,7 +7,7 @@ use glam::Vec3;
 use simod_core::detail::{self, Chosen};
 use simod_core::reconstruction::{DeformationField, Method, Surroundings};
 use simod_core::sampled_model::SampledModel;
-use simod_core::{Progress, Result};
+use simod_model::{Progress, Result};
 use std::cell::OnceCell;
 use std::path::PathBuf;
 use std::sync::{Arc, PoisonError};

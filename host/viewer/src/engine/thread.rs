@@ -5,7 +5,8 @@ use super::{Comparing, Event, Job, Opening, Request, Running, Shared, Wake, Writ
 use crate::scene::Scene;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::sampled_model::SampledModel;
-use simod_core::{Error, ErrorKind, Progress, Result, output};
+use simod_model::target::folder_of;
+use simod_model::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::Effort;
 use simod_session::edit::{Editor, Entry, Evaluated, Evaluation, recover};
 use simod_session::session_file::Sampling;
@@ -249,7 +250,7 @@ fn opened(
             None => progress.note("the cells of the sampled model are missing: it cannot be refined"),
         }
         let session = kept.unwrap_or_else(|| session_of(&sampled));
-        let folder = output::folder_of(path).to_owned();
+        let folder = folder_of(path).to_owned();
         return Ok(Editor::of(sampled, session, None, plugins.clone(), folder));
     }
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml")) {

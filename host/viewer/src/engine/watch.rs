@@ -2,9 +2,9 @@
 
 use super::Wake;
 use super::emerged::Emerged;
-use simod_core::Progress;
-use simod_core::memory::anonymous;
-use simod_core::progress::Emerging;
+use simod_model::Progress;
+use simod_model::memory::anonymous;
+use simod_model::progress::Emerging;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;

@@ -3,7 +3,7 @@
 use super::{State, refused};
 use crate::command::{Area, Command};
 use crate::selection::{Combine, Selection};
-use simod_core::Result;
+use simod_model::Result;
 use simod_plugin_api::Effort;
 use std::collections::VecDeque;
 

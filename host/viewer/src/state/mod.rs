@@ -21,7 +21,7 @@ use crate::selection::{Adjacency, Selection};
 use pinned::Pinned;
 pub use pinned::Version;
 use simod_core::reconstruction::Reconstructed;
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
 use simod_plugin_api::Effort;
 use simod_session::edit::{Document, Editor, Entry, StepId};
 use simod_session::{PluginRegistry, SessionFile};

@@ -5,8 +5,8 @@ use super::{State, nothing_open};
 use crate::detail::{Detail, Previewed};
 use crate::engine::{Job, Pose};
 use rayon::prelude::*;
-use simod_core::Result;
 use simod_core::detail::{Batch, Chosen, ENOUGH, Streamed};
+use simod_model::Result;
 
 /// Samples around those that are seen, whose vertices may be.
 const RING: usize = 8;

@@ -7,7 +7,7 @@ use crate::pick::{DepthBuffer, Hit, in_lasso, near_path, within};
 use crate::scene::Scene;
 use crate::selection::{Combine, Selection};
 use glam::{DVec2, DVec3};
-use simod_core::Result;
+use simod_model::Result;
 use std::sync::Arc;
 
 impl State {

@@ -2,7 +2,7 @@
 
 use super::{State, refused};
 use glam::DVec3;
-use simod_core::Result;
+use simod_model::Result;
 use simod_plugin_api::Effort;
 use simod_session::edit::{Change, Entry, StepId};
 use simod_session::session_file::{Action, Stroke};
@@ -28,7 +28,7 @@ impl OpenStroke {
     }
 }
 
-fn none() -> simod_core::Error {
+fn none() -> simod_model::Error {
     refused("no stroke was begun", "put the brush on the surface first")
 }
 

@@ -5,7 +5,7 @@ use crate::camera::Camera;
 use crate::command::CameraMove;
 use crate::overlay::Overlay;
 use glam::{DVec2, DVec3};
-use simod_core::Result;
+use simod_model::Result;
 use simod_plugin_api::Effort;
 
 impl State {

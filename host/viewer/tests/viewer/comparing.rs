@@ -2,8 +2,8 @@
 
 use super::edits::Tape;
 use super::{LONG, done, model, open, plugins, state};
-use simod_core::generate::Shape;
 use simod_core::refinement::Finer;
+use simod_generate::Shape;
 use simod_session::edit::{self, Change};
 use simod_session::session_file::{Action, Refine};
 use simod_session::{Shapes, session_file::Step};

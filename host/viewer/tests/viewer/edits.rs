@@ -2,10 +2,10 @@
 
 use super::{done, model, open, pixel, plugins, state};
 use glam::{DVec3, Vec3};
-use simod_core::generate::Shape;
-use simod_core::progress::Silent;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::refinement::Finer;
+use simod_generate::Shape;
+use simod_model::progress::Silent;
 use simod_plugin_api::Effort;
 use simod_session::edit::{self, Change};
 use simod_session::session_file::Role;

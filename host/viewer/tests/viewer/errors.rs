@@ -2,8 +2,8 @@
 
 use super::helpers::common::{copy, load_isolated};
 use super::{LONG, done, model, open, plugins, state};
-use simod_core::ErrorKind;
-use simod_core::generate::Shape;
+use simod_generate::Shape;
+use simod_model::ErrorKind;
 use simod_session::edit::{self, Change, Status};
 use simod_viewer::engine::Job;
 use simod_viewer::state::{Notice, recoverable};
@@ -11,7 +11,7 @@ use simod_viewer::{Command, State};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-fn failure(state: &mut State) -> (Job, simod_core::Error) {
+fn failure(state: &mut State) -> (Job, simod_model::Error) {
     let failed = state.take_notices().into_iter().find_map(|notice| match notice {
         Notice::Failed(job, error) => Some((job, error)),
         _ => None,

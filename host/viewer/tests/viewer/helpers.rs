@@ -4,8 +4,8 @@
 pub mod common;
 
 use common::{copy, load};
-use simod_core::generate::{ModelOptions, Shape, write_file};
-use simod_core::progress::Silent;
+use simod_generate::{ModelOptions, Shape, write_file};
+use simod_model::progress::Silent;
 use simod_session::PluginRegistry;
 use simod_session::session_file::Sampling;
 use simod_viewer::{Command, State};

@@ -2,11 +2,10 @@
 
 use super::{LONG, done, model, open, pixel, plugins, state};
 use glam::{DVec3, Vec3};
-use simod_core::ErrorKind;
 use simod_core::detail::Batch;
-use simod_core::generate::Shape;
-use simod_core::model::{self, for_vertices};
 use simod_core::sampling::grid::{CellMap, key_at};
+use simod_generate::Shape;
+use simod_model::{ErrorKind, for_vertices};
 use simod_plugin_api::Effort;
 use simod_session::Motion;
 use simod_session::edit::{self, Change};
@@ -50,7 +49,7 @@ fn bent(degrees: f64) -> edit::Command {
 
 fn read(path: &Path) -> Vec<DVec3> {
     let mut positions = Vec::new();
-    for_vertices(model::open(path).unwrap().as_ref(), |chunk| {
+    for_vertices(simod_model::open(path).unwrap().as_ref(), |chunk| {
         positions.extend_from_slice(&chunk.positions);
         Ok(())
     })
@@ -225,7 +224,7 @@ fn only_what_is_seen_is_read() {
     done(&mut state, Command::Camera(CameraMove::FrameAll));
     done(&mut state, Command::Preview { what: Previewed::Seen });
     let read = state.streamed().unwrap().0.bytes as f64;
-    let all = model::open(&folder.path().join("model.ply")).unwrap().info().vertex_bytes as f64;
+    let all = simod_model::open(&folder.path().join("model.ply")).unwrap().info().vertex_bytes as f64;
     assert!(read < 0.95 * all, "{read} of {all} bytes");
     is_covered_once(&state);
 }

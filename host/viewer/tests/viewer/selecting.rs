@@ -2,10 +2,10 @@
 
 use super::{done, model, open, pixel, plugins, state};
 use glam::{DVec2, DVec3};
-use simod_core::generate::Shape;
-use simod_core::model::Scalar;
-use simod_core::model::ply::write_points;
 use simod_core::sampling::SampleSet;
+use simod_generate::Shape;
+use simod_model::Scalar;
+use simod_model::write_points;
 use simod_session::session_file::Role;
 use simod_session::{PluginRegistry, SessionFile};
 use simod_viewer::camera::{Projection, Standard, Up};

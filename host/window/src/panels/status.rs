@@ -3,7 +3,7 @@
 use super::{bytes, count};
 use crate::window::Window;
 use eframe::egui::{Align, Frame, Layout, Margin, Panel, RichText, Spinner, Ui};
-use simod_core::memory::MemoryWatch;
+use simod_model::memory::MemoryWatch;
 use simod_viewer::engine::Job;
 use std::sync::OnceLock;
 

@@ -2,7 +2,7 @@
 
 use crate::window::Window;
 use eframe::egui::{self, Align2, Area, Color32, Frame, Id, Margin, Order, RichText, Stroke, vec2};
-use simod_core::Error;
+use simod_model::Error;
 use std::time::{Duration, Instant};
 
 /// How long a note stays, and an error.

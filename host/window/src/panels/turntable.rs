@@ -5,7 +5,7 @@ use crate::theme;
 use crate::turntable::begin;
 use crate::window::Window;
 use eframe::egui::{self, Button, Color32, DragValue, Id, Modal, RichText, TextEdit};
-use simod_core::render::FrameFolder;
+use simod_picture::FrameFolder;
 use std::path::Path;
 
 /// Frames of a second, for the time that is shown.

@@ -163,7 +163,7 @@ impl Drawing {
         if let Err(error) = self.upload(&scene, window) {
             let hint = "save the session, and report this";
             let what = error.to_string();
-            window.toasts.error(&simod_core::Error::internal(what, hint));
+            window.toasts.error(&simod_model::Error::internal(what, hint));
             return background(rect, window.settings.theme);
         }
         let size = window.state().size();

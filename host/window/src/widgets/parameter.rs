@@ -4,7 +4,7 @@ use super::{curve, icons};
 use eframe::egui::{
     self, Button, ComboBox, DragValue, Response, RichText, Role, Slider, Ui, WidgetInfo, color_picker,
 };
-use simod_core::geometry::Bounds;
+use simod_model::bounds::Bounds;
 use simod_plugin_api::{ParamDesc, ParamKind, Unit};
 use toml::Value;
 

@@ -3,8 +3,8 @@
 use super::picture::{can_draw, drawn_window};
 use super::*;
 use egui_kittest::kittest::Queryable;
-use simod_core::Error;
-use simod_core::progress::Progress;
+use simod_model::Error;
+use simod_model::progress::Progress;
 use simod_session::edit::Change;
 use simod_viewer::command::{Area, CameraMove};
 use simod_viewer::{Overlay, Version};

@@ -3,7 +3,7 @@
 use super::picture::can_draw;
 use super::*;
 use egui_kittest::kittest::Queryable;
-use simod_core::render::Image;
+use simod_picture::Image;
 use simod_viewer::Previewed;
 
 fn press(harness: &mut Harness<'_, App>, modifiers: egui::Modifiers) {

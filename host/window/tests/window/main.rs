@@ -9,8 +9,8 @@ mod parameters;
 mod picture;
 
 use egui_kittest::Harness;
-use simod_core::generate::{ModelOptions, Shape, write_file};
-use simod_core::progress::Silent;
+use simod_generate::{ModelOptions, Shape, write_file};
+use simod_model::progress::Silent;
 use simod_session::plugins::PluginFolder;
 use simod_session::session_file::Sampling;
 use simod_session::{PluginOptions, PluginRegistry};

@@ -2,7 +2,7 @@
 
 use super::*;
 use egui_kittest::kittest::Queryable;
-use simod_core::render::Image;
+use simod_picture::Image;
 use simod_scene::Gpu;
 
 /// Whether to go on: there is something to draw with, or there has to be.

@@ -12,7 +12,7 @@ mod read;
 use super::{Capabilities, Code, Migration, cannot_load, limits, line};
 use give::{with_deform_input, with_prepare_input, with_settings};
 use libloading::Library;
-use simod_core::{Error, ErrorKind, Result};
+use simod_model::{Error, ErrorKind, Result};
 use simod_plugin_api::c::{
     SIMOD_INTERFACE_MAJOR, SIMOD_INTERFACE_MINOR, SIMOD_OK, SimodDeformInput, SimodEvaluate, SimodHandleDesc,
     SimodHandleList, SimodHandles, SimodHost, SimodIsIdentity, SimodMigration, SimodParam, SimodPlugin,

@@ -1,0 +1,331 @@
+//! The right to write a target, which one process has at a time, and the hidden files beside it.
+//!
+//! While a file or folder `name` is written, `.simod-name.part` is there and locked. A file is written into
+//! it; for a folder it stays empty, and `.simod-name.new` is the folder in the making (`.simod-name.old` the
+//! former one, where the system cannot exchange both at once). `.simod-name.journal`, and `.journal.new` by
+//! which it is replaced, are those of large files (`resumable`). What a process that was killed left is
+//! removed by the next one that has the lock; what is locked is somebody's, on this machine or another.
+//!
+//! These names are known, so that somebody else may have put something there: links are never followed or
+//! written through, and a file that has other names, or another owner, is replaced by a new one.
+
+use std::ffi::OsString;
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use xxhash_rust::xxh3::xxh3_128;
+
+use crate::input::Identity;
+use crate::target::{regular_target, target_of};
+use crate::{Error, ErrorKind, Result};
+
+/// Longest name of a target that the hidden names contain; names of files have at most 255 bytes.
+const LONGEST_NAME: usize = 200;
+
+/// The files that belong to an output.
+#[derive(Debug, Clone)]
+pub(crate) struct Places {
+    /// What the caller calls the output.
+    pub path: PathBuf,
+    /// The file or folder that is created or replaced: `path` itself, unless that is a link to a file.
+    pub target: PathBuf,
+    pub part: PathBuf,
+    pub journal: PathBuf,
+    pub new_journal: PathBuf,
+    pub new_folder: PathBuf,
+    pub old_folder: PathBuf,
+}
+
+impl Places {
+    /// Those of a file.
+    pub fn of_file(path: &Path) -> Result<Self> {
+        Ok(Self::beside(path, regular_target(path)?))
+    }
+
+    /// Those of a folder.
+    fn of_folder(path: &Path) -> Result<Self> {
+        // A link to a folder is followed as one to a file is.
+        Ok(Self::beside(path, target_of(path)?))
+    }
+
+    fn beside(path: &Path, target: PathBuf) -> Self {
+        let name = target.file_name().unwrap_or_default();
+        let beside = |suffix: &str| {
+            let mut hidden = OsString::from(".simod-");
+            if name.len() > LONGEST_NAME {
+                hidden.push(format!("{:032x}", xxh3_128(name.as_encoded_bytes())));
+            } else {
+                hidden.push(name);
+            }
+            hidden.push(suffix);
+            target.with_file_name(hidden)
+        };
+        Self {
+            path: path.to_owned(),
+            part: beside(".part"),
+            journal: beside(".journal"),
+            new_journal: beside(".journal.new"),
+            new_folder: beside(".new"),
+            old_folder: beside(".old"),
+            target,
+        }
+    }
+
+    pub fn remove_journal(&self) {
+        // If it cannot be removed, the next call takes it for what it is: a journal without its part.
+        let _ = remove(&self.journal);
+        let _ = remove(&self.new_journal);
+    }
+}
+
+/// The right to write a target. Dropped, nothing hidden is left beside it, unless it is to be gone on with.
+#[derive(Debug)]
+pub struct Claim {
+    places: Places,
+    /// The part file, locked.
+    file: File,
+    keeps: bool,
+}
+
+impl Claim {
+    /// Of a file; what was left of an earlier attempt is removed, unless it `resumes` that.
+    ///
+    /// # Errors
+    /// Another process has it, its folder is missing or cannot be written to, or `path` is a folder or a
+    /// device.
+    pub(crate) fn file(path: &Path, resumes: bool) -> Result<Self> {
+        Self::of(Places::of_file(path)?, resumes)
+    }
+
+    /// Of a folder, or of the files in it that go with it; what was left of an earlier attempt is removed.
+    ///
+    /// # Errors
+    /// Another process has it, or the folder that it lies in is missing or cannot be written to.
+    pub fn folder(path: &Path) -> Result<Self> {
+        Self::of(Places::of_folder(path)?, false)
+    }
+
+    fn of(places: Places, resumes: bool) -> Result<Self> {
+        let file = lock(&places, resumes)?;
+        let this = Self { places, file, keeps: false };
+        let Places { target, journal, new_journal, new_folder, old_folder, .. } = &this.places;
+        let clean = || -> io::Result<()> {
+            if target.symlink_metadata().is_err() && old_folder.symlink_metadata().is_ok_and(|is| is.is_dir())
+            {
+                // Killed between two renames.
+                fs::rename(old_folder, target)?;
+            }
+            remove(old_folder)?;
+            remove(new_folder)?;
+            remove(new_journal)?;
+            if !resumes {
+                // In this order: a journal never speaks of bytes that are gone.
+                remove(journal)?;
+                this.file.set_len(0)?;
+            }
+            Ok(())
+        };
+        clean().map_err(|e| this.failed(&e))?;
+        if !resumes {
+            claimed().push(this.places.clone());
+        }
+        Ok(this)
+    }
+
+    pub(crate) fn places(&self) -> &Places {
+        &self.places
+    }
+
+    /// Where the files of a folder are written for now.
+    pub(crate) fn new_folder(&self) -> &Path {
+        &self.places.new_folder
+    }
+
+    /// The part file.
+    pub(crate) fn part(&self) -> &File {
+        &self.file
+    }
+
+    /// Leaves what is there to a later call.
+    pub(crate) fn keep(&mut self) {
+        self.keeps = true;
+    }
+
+    /// Puts the part file in the target's place, with the permissions and the owner of what it replaces.
+    ///
+    /// # Errors
+    /// The operating system refuses; the target is then what it was.
+    pub(crate) fn put_in_place(&mut self) -> io::Result<()> {
+        let _busy = claimed();
+        take_permissions(&self.file, &self.places.target)?;
+        fs::rename(&self.places.part, &self.places.target)?;
+        self.keeps = true;
+        Ok(())
+    }
+
+    /// A refusal of the operating system, with the target's name.
+    pub(crate) fn failed(&self, error: &io::Error) -> Error {
+        Error::io("write", &self.places.path, error)
+    }
+}
+
+impl Drop for Claim {
+    fn drop(&mut self) {
+        claimed().retain(|places| places.part != self.places.part);
+        // While it is locked.
+        if !self.keeps {
+            let _ = remove(&self.places.new_folder);
+            self.places.remove_journal();
+            let _ = fs::remove_file(&self.places.part);
+        }
+    }
+}
+
+/// What is claimed by this process and of no use to a later one.
+static CLAIMED: Mutex<Vec<Places>> = Mutex::new(Vec::new());
+
+fn claimed() -> MutexGuard<'static, Vec<Places>> {
+    CLAIMED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Removes what this process is writing, as it ends at once. What is to be gone on with stays.
+pub fn abandon_all() {
+    for places in claimed().drain(..) {
+        let _ = remove(&places.new_folder);
+        places.remove_journal();
+        let _ = fs::remove_file(&places.part);
+    }
+}
+
+/// Opens the part file for this process alone.
+fn lock(places: &Places, resumes: bool) -> Result<File> {
+    const ATTEMPTS: usize = 100;
+    let Places { path, target, part, .. } = places;
+    let failed = |e: io::Error| Error::io("write", path, &e);
+    let in_the_way = || {
+        let what = format!("cannot write {}: {} is in the way", path.display(), part.display());
+        Error::new(ErrorKind::Argument, what, "remove it")
+    };
+    for _ in 0..ATTEMPTS {
+        let (file, is_new) = match create_new(part, target) {
+            Ok(file) => (file, true),
+            Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {
+                match fs::symlink_metadata(part) {
+                    Err(_) => continue,
+                    Ok(is) if is.is_dir() => return Err(in_the_way()),
+                    Ok(is) if !is.is_file() => {
+                        // A link, a pipe or a device is nobody's part.
+                        remove(part).map_err(|_| in_the_way())?;
+                        continue;
+                    }
+                    Ok(_) => {}
+                }
+                match open_again(part) {
+                    Ok(file) => (file, false),
+                    Err(e) if e.kind() == io::ErrorKind::PermissionDenied => return Err(in_the_way()),
+                    Err(_) => continue,
+                }
+            }
+            Err(e) => return Err(failed(e)),
+        };
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => break,
+            // Where the file system knows no locks, being there is one; whoever resumes says that nobody has
+            // it.
+            Err(TryLockError::Error(_)) if !is_new && !resumes => break,
+            _ => {}
+        }
+        // Whoever had it before may have renamed or removed it meanwhile.
+        if !Identity::is_at(&file, part) {
+            continue;
+        }
+        if is_new || is_ours_alone(&file).map_err(failed)? {
+            return Ok(file);
+        }
+        fs::remove_file(part).map_err(|_| in_the_way())?;
+    }
+    Err(Error::new(
+        ErrorKind::Argument,
+        format!("{} is being written by another process", path.display()),
+        "wait until it is done, or write to another file",
+    ))
+}
+
+/// Makes a file that is not there yet, which nobody sees who does not see its target.
+fn create_new(part: &Path, target: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    options.read(true).write(true).create_new(true);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::OpenOptionsExt;
+        // As any other new file: the system takes away what the user's umask says.
+        options.mode(if target.exists() { 0o600 } else { 0o666 });
+    }
+    let _ = target;
+    options.open(part)
+}
+
+/// Opens a file that is there, not through a link.
+fn open_again(part: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    options.read(true).write(true);
+    #[cfg(unix)]
+    {
+        use rustix::fs::OFlags;
+        use std::os::unix::fs::OpenOptionsExt;
+        options.custom_flags((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32);
+    }
+    options.open(part)
+}
+
+/// Whether a file has one name, and is this user's.
+fn is_ours_alone(file: &File) -> io::Result<bool> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let is = file.metadata()?;
+        Ok(is.nlink() <= 1 && is.uid() == rustix::process::geteuid().as_raw())
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = file;
+        Ok(true)
+    }
+}
+
+/// Gives an open file or folder the permissions and the owner of the one at a path, if there is any.
+pub(crate) fn take_permissions(file: &File, from: &Path) -> io::Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::{MetadataExt, PermissionsExt, fchown};
+        let Ok(former) = fs::metadata(from) else { return Ok(()) };
+        let new = file.metadata()?;
+        let mut mode = former.mode() & 0o777;
+        if (new.uid(), new.gid()) != (former.uid(), former.gid())
+            && fchown(file, Some(former.uid()), Some(former.gid())).is_err()
+            && fchown(file, None, Some(former.gid())).is_err()
+        {
+            // Only the superuser gives files away. The group is another one now, and gets no more than
+            // anybody.
+            mode = (mode & !0o070) | (((mode & 0o007) << 3) & mode);
+        }
+        file.set_permissions(fs::Permissions::from_mode(mode))?;
+    }
+    let _ = (file, from);
+    Ok(())
+}
+
+/// Removes a file, a link or a folder, which need not be there.
+pub(crate) fn remove(path: &Path) -> io::Result<()> {
+    let removed = match fs::symlink_metadata(path) {
+        Ok(is) if is.is_dir() => fs::remove_dir_all(path),
+        Ok(_) => fs::remove_file(path),
+        Err(e) => Err(e),
+    };
+    match removed {
+        Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,48 @@
+//! simod-model: models of any size as streams, and files as reliable as they have to be.
+//!
+//! A [`Model`] is a mesh, a soup or a cloud in a file that may be larger than memory: vertices come in chunks,
+//! and go out as patched chunks; faces come as triangles. A model is never held: readers keep one chunk of at
+//! most [`CHUNK_VERTICES`] vertices or [`CHUNK_TRIANGLES`] triangles, and [`Model::rewrite`] at most four of
+//! them at a time, each with up to [`MAX_VERSIONS`] new versions.
+//!
+//! What is written appears whole or not at all ([`output`], [`output_folder`]), and is gone on with after the
+//! program was killed ([`resumable`]). What all crates above speak of is here as well: errors, progress,
+//! [local coordinates](frame).
+//!
+//! Nothing here prints, opens a window, or knows of samples.
+
+pub mod bounds;
+pub mod claim;
+mod error;
+mod formats;
+pub mod frame;
+pub mod histogram;
+mod in_step;
+pub mod input;
+pub mod memory;
+mod model;
+mod number;
+pub mod output;
+pub mod output_folder;
+mod pipeline;
+mod ply;
+mod positioned;
+pub mod progress;
+pub mod resumable;
+pub mod scratch;
+pub mod size;
+mod source;
+pub mod target;
+mod uncached;
+
+pub use error::{Error, ErrorKind, Result};
+pub use formats::open;
+pub use in_step::{Vertices, in_step};
+pub use model::{
+    Attribute, CHUNK_TRIANGLES, CHUNK_VERTICES, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader,
+    MAX_VERSIONS, Model, ModelInfo, Normals, Output, Rewriting, SMALL_CHUNK, Scalar, VertexChunk,
+    VertexReader, for_faces, for_faces_at, for_vertices,
+};
+pub use number::Type;
+pub use ply::write_points;
+pub use progress::Progress;

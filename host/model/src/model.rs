@@ -1,0 +1,386 @@
+//! Models behind one streaming interface: vertices come in chunks, and go out as patched chunks; faces come
+//! as triangles.
+//!
+//! A model is never held: readers keep one chunk of at most [`CHUNK_VERTICES`] vertices or
+//! [`CHUNK_TRIANGLES`] triangles, and [`Model::rewrite`] at most four of them at a time, each with up to
+//! [`MAX_VERSIONS`] new versions.
+
+use std::io::{self, Write};
+use std::ops::Range;
+use std::path::Path;
+use std::sync::mpsc::sync_channel;
+use std::thread;
+
+use glam::{DVec3, Vec3};
+use serde::{Deserialize, Serialize};
+
+use crate::{Progress, Result, Type};
+
+/// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
+pub const CHUNK_VERTICES: usize = 1 << 16;
+
+/// Most vertices in a chunk where they are only looked at: several chunks are held then, and large ones gain
+/// nothing.
+pub const SMALL_CHUNK: usize = 1 << 14;
+
+/// Most triangles in a chunk.
+pub const CHUNK_TRIANGLES: usize = 1 << 16;
+
+/// Most versions that one reading of a model writes: the bound of what is held beside each chunk.
+pub const MAX_VERSIONS: usize = 4;
+
+/// How positions are stored in the file. They are written back in the same type.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scalar {
+    /// 32-bit IEEE float.
+    F32,
+    /// 64-bit IEEE float.
+    F64,
+}
+
+impl Scalar {
+    /// Bytes of a number in binary files.
+    pub fn size(self) -> usize {
+        match self {
+            Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+}
+
+/// A number that each vertex has, beside its position and its normal.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Attribute {
+    /// What the file calls it, as `red`.
+    pub name: String,
+    /// The type of its numbers.
+    pub kind: Type,
+}
+
+impl Attribute {
+    /// Longest name, in bytes.
+    const LONGEST_NAME: usize = 255;
+
+    /// Whether something can be asked for by this name: it is short, and nothing in it needs care when it is
+    /// shown.
+    pub fn is_name(name: &str) -> bool {
+        (1..=Self::LONGEST_NAME).contains(&name.len()) && !name.chars().any(char::is_control)
+    }
+}
+
+/// What is known of a model once it is open, before any vertex is read.
+#[derive(Debug, Clone)]
+pub struct ModelInfo {
+    /// The file format for people, as "PLY 1.0, binary little endian".
+    pub format: String,
+    /// Number of vertices that the file holds.
+    pub vertices: u64,
+    /// Number of faces (polygons, or strips), where the file has any.
+    pub faces: u64,
+    /// Whether each vertex has a normal.
+    pub has_normals: bool,
+    /// The type of the positions.
+    pub position_type: Scalar,
+    /// Vertex properties other than position and normal, in the file's order, as "uchar red".
+    pub other_properties: Vec<String>,
+    /// Those of them that are numbers, as colours, in the file's order: no two have one name.
+    pub attributes: Vec<Attribute>,
+    /// Size of the file in bytes.
+    pub bytes: u64,
+    /// Whether reading can begin at any vertex without going over those before it.
+    pub random_access: bool,
+    /// Bytes of the file that hold vertices (what one streaming pass reads). In a text file where other
+    /// things follow the vertices, an estimate.
+    pub vertex_bytes: u64,
+    /// Bytes of the file that hold faces which have triangles. In a text file, an estimate.
+    pub face_bytes: u64,
+}
+
+/// A run of consecutive vertices, in the file's order.
+#[derive(Debug, Default)]
+pub struct VertexChunk {
+    /// Index in the model of the first vertex here.
+    pub first: u64,
+    /// Positions in the model's coordinates. May be non-finite, where the file says so.
+    pub positions: Vec<DVec3>,
+    /// Normals as stored, so not always of unit length or finite; empty where the model has none.
+    pub normals: Vec<Vec3>,
+    /// The bytes of the file that these vertices were read from.
+    pub(crate) raw: Vec<u8>,
+    /// Where in `raw` each vertex' numbers lie; what it means is the format's business.
+    pub(crate) spans: Vec<[u32; 2]>,
+}
+
+impl VertexChunk {
+    /// Number of vertices in the chunk.
+    #[inline]
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there is no vertex in the chunk.
+    #[inline]
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// The bytes of the file that these vertices were read from.
+    #[inline]
+    pub fn raw(&self) -> &[u8] {
+        &self.raw
+    }
+}
+
+/// What the vertices of a chunk become in one version of the model.
+///
+/// Memory: 36 bytes per vertex, so at most 2.3 MiB; [`Model::rewrite`] holds one for each version and each of
+/// its four chunks.
+#[derive(Debug, Default)]
+pub struct Edited {
+    /// Positions, as many as the chunk has.
+    pub positions: Vec<DVec3>,
+    /// Normals, as many as the chunk has; empty where the model has none, or they are not to be transformed.
+    pub normals: Vec<Vec3>,
+}
+
+/// What becomes of a model's normals when it is rewritten. Of no effect where it has none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Normals {
+    /// They keep their bytes.
+    Keep,
+    /// They change with the positions.
+    #[default]
+    Transform,
+    /// They are left out of the new file, header and vertices.
+    Drop,
+}
+
+/// How a model is rewritten.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Rewriting {
+    /// What becomes of the normals.
+    pub normals: Normals,
+    /// So many pieces at the beginning are read, but neither edited nor written: the outputs have them
+    /// already.
+    pub pieces_done: u64,
+}
+
+/// Where a new version of a model goes. Anything that can be written to is one.
+pub trait Output: Send {
+    /// Takes the next piece of the new file, which stands for `source_bytes` of the model. The same model,
+    /// rewritten in the same way, comes in the same pieces each time.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64) -> io::Result<()>;
+
+    /// Is called after the last piece.
+    ///
+    /// # Errors
+    /// What is still held cannot be written.
+    fn finish(&mut self) -> io::Result<()>;
+}
+
+impl<W: Write + Send> Output for W {
+    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64) -> io::Result<()> {
+        self.write_all(bytes)
+    }
+
+    fn finish(&mut self) -> io::Result<()> {
+        self.flush()
+    }
+}
+
+/// Faces between two [`FaceMark`]s, but for the last ones: what can be read alone.
+pub const FACES_OF_A_BLOCK: u64 = 16;
+
+/// A place in the file from which faces can be read: see [`Model::faces_at`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FaceMark {
+    /// How many of the chunk's triangles come before it.
+    pub triangle: usize,
+    /// The byte of the file at which a face begins, or the last one ends.
+    pub offset: u64,
+}
+
+/// Triangles of consecutive faces, in the file's order.
+#[derive(Debug, Default)]
+pub struct FaceChunk {
+    /// Indices of each triangle's corners, at most [`CHUNK_TRIANGLES`] triangles. Nothing is checked: there
+    /// may be no vertex of an index, and corners may be equal. An index that no vertex can have, as it is
+    /// negative or 2³² - 1 or more, is given as [`u32::MAX`].
+    pub triangles: Vec<[u32; 3]>,
+    /// Where blocks of [`FACES_OF_A_BLOCK`] faces begin, ascending; at the very end, where the last one ends.
+    /// None where faces cannot be read but all at once.
+    pub marks: Vec<FaceMark>,
+    /// Bytes of the file that this chunk took.
+    pub bytes: u64,
+}
+
+/// Reads consecutive vertices of a model, a chunk at a time.
+pub trait VertexReader: Send {
+    /// From now on chunks have at most so many vertices: [`CHUNK_VERTICES`] until then, and at most.
+    fn set_chunk(&mut self, vertices: usize);
+
+    /// Reads the next vertices into `chunk`, whose buffers are reused; `false` (and an empty chunk) at the
+    /// end.
+    ///
+    /// # Errors
+    /// The file cannot be read, ends early or, in a text format, holds something that is no number.
+    fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool>;
+}
+
+/// Reads triangles of consecutive faces, a chunk at a time.
+pub trait FaceReader: Send {
+    /// Reads the next triangles into `chunk`, whose buffer is reused; `false` (and an empty chunk) at the
+    /// end.
+    ///
+    /// Before the end a chunk may be empty, too: for other things in the file that have to be passed over.
+    /// The triangles of a polygon or a strip may lie in two chunks or more.
+    ///
+    /// # Errors
+    /// The file cannot be read, ends early, or holds a list of negative length or, in a text format,
+    /// something that is no whole number. Nothing more can be read then.
+    fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool>;
+}
+
+/// Chunks that are read ahead: one that is worked on, one that is ready, one that is filled.
+const CHUNKS_AHEAD: usize = 3;
+
+/// Streams all vertices of a model through `visit`, on this thread, while another one reads on.
+///
+/// Memory: three chunks.
+///
+/// # Errors
+/// The model cannot be read, or `visit` failed.
+pub fn for_vertices(model: &dyn Model, visit: impl FnMut(&VertexChunk) -> Result<()>) -> Result<()> {
+    let mut reader = model.vertices(0..model.info().vertices)?;
+    reader.set_chunk(SMALL_CHUNK);
+    read_ahead(move |chunk| reader.read(chunk), visit)
+}
+
+/// Streams all faces of a model through `visit`, likewise.
+///
+/// # Errors
+/// The model cannot be read, or `visit` failed.
+pub fn for_faces(model: &dyn Model, visit: impl FnMut(&FaceChunk) -> Result<()>) -> Result<()> {
+    let mut reader = model.faces()?;
+    read_ahead(move |chunk| reader.read(chunk), visit)
+}
+
+/// Streams the faces between marks through `visit`, likewise.
+///
+/// # Errors
+/// As of [`Model::faces_at`], or `visit` failed.
+pub fn for_faces_at(
+    model: &dyn Model,
+    ranges: Vec<Range<u64>>,
+    visit: impl FnMut(&FaceChunk) -> Result<()>,
+) -> Result<()> {
+    let mut reader = model.faces_at(ranges)?;
+    read_ahead(move |chunk| reader.read(chunk), visit)
+}
+
+fn read_ahead<C: Default + Send>(
+    mut read: impl FnMut(&mut C) -> Result<bool> + Send,
+    mut visit: impl FnMut(&C) -> Result<()>,
+) -> Result<()> {
+    let (recycle, empty) = sync_channel(CHUNKS_AHEAD);
+    let (full, ready) = sync_channel(CHUNKS_AHEAD);
+    for _ in 0..CHUNKS_AHEAD {
+        // The channel holds them all.
+        let _ = recycle.send(C::default());
+    }
+    thread::scope(|scope| {
+        // Its ends of the channels are dropped with the thread, so that no end waits for another in vain.
+        let reading = scope.spawn(move || -> Result<()> {
+            while let Ok(mut chunk) = empty.recv() {
+                if !read(&mut chunk)? || full.send(chunk).is_err() {
+                    break;
+                }
+            }
+            Ok(())
+        });
+        let visited = ready.into_iter().try_for_each(|chunk| {
+            visit(&chunk)?;
+            // The reader may be at its end.
+            let _ = recycle.send(chunk);
+            Ok(())
+        });
+        drop(recycle);
+        let read = reading.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        visited.and(read)
+    })
+}
+
+/// A model on disk that can be streamed any number of times, from several threads.
+pub trait Model: Send + Sync {
+    /// What is known without reading the vertices.
+    fn info(&self) -> &ModelInfo;
+
+    /// The file.
+    fn path(&self) -> &Path;
+
+    /// A reader of the vertices whose indices lie in `range` (clipped to the model).
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
+
+    /// The numbers of the [first attributes](ModelInfo::attributes), as many as there are lists, one for each
+    /// vertex of a chunk that was read from this model. What the lists held is gone.
+    ///
+    /// # Errors
+    /// In a text format, something is no number.
+    fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()>;
+
+    /// A reader of all faces, in the file's order, as triangles: a polygon of more than three corners becomes
+    /// a fan about its first corner, one of fewer gives none, and a strip's triangles are turned to the same
+    /// side.
+    ///
+    /// In a text file the end of the vertices has to be found, where it is not known from reading them.
+    ///
+    /// # Errors
+    /// The file cannot be read, or ends within the vertices.
+    fn faces(&self) -> Result<Box<dyn FaceReader + '_>>;
+
+    /// A reader of the faces that lie in some ranges of the file's bytes, each from one [`FaceMark`] to
+    /// another, and of nothing else.
+    ///
+    /// # Errors
+    /// The model's faces have no marks. When it is read: the file cannot be, or no face ends where a range
+    /// does, as the file has changed; records are counted from the beginning of the range then.
+    fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>>;
+
+    /// Checks that the file holds all that its header speaks of. Most formats know once the file is open, and
+    /// this takes no time; text has to be read to its end, as a stage of its own, which
+    /// [`rewrite`](Self::rewrite) does as well.
+    ///
+    /// # Errors
+    /// The file cannot be read, or ends early; the user cancelled.
+    fn check_complete(&self, progress: &dyn Progress) -> Result<()>;
+
+    /// Streams the whole file to all `outputs` in one reading: each gets a version of its own, with the
+    /// positions and normals that `edit` gives its vertices. Every other byte is copied as it is.
+    ///
+    /// `edit` sees each chunk as it is in the file, and for each output an [`Edited`], which is as the chunk
+    /// until it is changed. For the pieces that `how` says are done there are none of these. A vertex whose
+    /// position is not finite keeps its bytes, whatever `edit` writes, and so does a component that `edit`
+    /// left as it was.
+    ///
+    /// Reading, `edit` and writing overlap, with at most four chunks in flight; `edit` is called on one
+    /// thread, in the file's order. Advances `progress` by those bytes of this file whose new versions are
+    /// written; the caller begins the stage.
+    ///
+    /// # Errors
+    /// The file cannot be read, is not what its header says, or changed length; an output cannot be written;
+    /// `edit` failed, gave a finite vertex a non-finite position, or changed the number of vertices; there
+    /// are more than [`MAX_VERSIONS`] outputs; the user cancelled.
+    fn rewrite(
+        &self,
+        outputs: &mut [&mut dyn Output],
+        how: Rewriting,
+        edit: &mut (dyn FnMut(&VertexChunk, &mut [Edited]) -> Result<()> + Send),
+        progress: &dyn Progress,
+    ) -> Result<()>;
+}

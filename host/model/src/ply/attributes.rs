@@ -1,0 +1,97 @@
+//! Numbers of vertices that are neither position nor normal: found in the bytes of a chunk, by those who ask
+//! for them.
+
+use super::ascii::{self, next_word};
+use super::binary::{bytes_at, integer};
+use super::header::{Encoding, quoted};
+use super::layout::{Layout, Slot};
+use crate::Type;
+use crate::VertexChunk;
+
+/// Which vertex of a chunk has what for a number, and of which attribute.
+#[derive(Debug, PartialEq)]
+pub(super) struct NotANumber {
+    pub(super) vertex: usize,
+    pub(super) attribute: usize,
+    pub(super) word: String,
+}
+
+/// Fills each list with the numbers of one attribute, those of the first ones.
+pub(super) fn decode(layout: &Layout, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<(), NotANumber> {
+    to.iter_mut().for_each(Vec::clear);
+    match (layout.stride, layout.encoding) {
+        (Some(stride), encoding) => {
+            for ((values, (_, offset)), attribute) in
+                to.iter_mut().zip(&layout.places).zip(&layout.attributes)
+            {
+                let records = chunk.raw.chunks_exact(stride);
+                values.extend(
+                    records.map(|r| number(attribute.kind, encoding == Encoding::Big, &r[*offset..])),
+                );
+            }
+        }
+        (None, Encoding::Ascii) => return decode_words(layout, chunk, to),
+        (None, encoding) => decode_records(layout, chunk, encoding == Encoding::Big, to),
+    }
+    Ok(())
+}
+
+/// The number of type `kind` that `raw` begins with.
+#[inline]
+fn number(kind: Type, big: bool, raw: &[u8]) -> f64 {
+    match kind {
+        Type::F32 if big => f64::from(f32::from_be_bytes(bytes_at(raw, 0))),
+        Type::F32 => f64::from(f32::from_le_bytes(bytes_at(raw, 0))),
+        Type::F64 if big => f64::from_be_bytes(bytes_at(raw, 0)),
+        Type::F64 => f64::from_le_bytes(bytes_at(raw, 0)),
+        whole => integer(whole, big, raw) as f64,
+    }
+}
+
+/// Of binary records with lists, which the reader has gone over before.
+fn decode_records(layout: &Layout, chunk: &VertexChunk, big: bool, to: &mut [Vec<f64>]) {
+    let (raw, mut at) = (&chunk.raw, 0);
+    for _ in 0..chunk.len() {
+        let mut wanted = to.iter_mut().zip(&layout.places).zip(&layout.attributes).peekable();
+        for (i, slot) in layout.slots.iter().enumerate() {
+            if let Some(((values, _), attribute)) = wanted.next_if(|((_, (slot, _)), _)| *slot == i) {
+                values.push(number(attribute.kind, big, &raw[at..]));
+            }
+            at += match *slot {
+                Slot::Other { size } | Slot::Component { size, .. } => size,
+                Slot::List { count, item } => {
+                    let length = integer(count, big, &raw[at..]);
+                    count.size() + usize::try_from(length).unwrap_or(0) * item.size()
+                }
+            };
+        }
+    }
+}
+
+/// Of text, which the reader has gone over before.
+fn decode_words(layout: &Layout, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<(), NotANumber> {
+    let (raw, mut at) = (chunk.raw.as_slice(), 0);
+    // The last word of a chunk ends with it.
+    let mut next = || {
+        let (start, end) = next_word(raw, at, true).unwrap_or((at, at));
+        at = end;
+        &raw[start..end]
+    };
+    for vertex in 0..chunk.len() {
+        let mut wanted = to.iter_mut().zip(&layout.places).enumerate().peekable();
+        for (i, slot) in layout.slots.iter().enumerate() {
+            let word = next();
+            if let Slot::List { .. } = slot {
+                for _ in 0..ascii::integer(word).unwrap_or(0) {
+                    next();
+                }
+            }
+            if let Some((attribute, (values, _))) = wanted.next_if(|(_, (_, (slot, _)))| *slot == i) {
+                let value = ascii::number(layout.attributes[attribute].kind, word);
+                let word = || quoted(&String::from_utf8_lossy(word));
+                values.push(value.ok_or_else(|| NotANumber { vertex, attribute, word: word() })?);
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,312 @@
+//! Vertices of binary files: decoding a chunk, and patching edited numbers into its bytes.
+//!
+//! Each loop is written once, for any [`Codec`]; which one is looked up once per chunk.
+
+use glam::{DVec3, Vec3};
+
+use super::header::Encoding;
+use super::layout::{Layout, Slot};
+use super::patch::{Rest, Unfit, same_normal};
+use crate::Type;
+use crate::{Edited, Scalar, VertexChunk};
+
+/// How a floating-point number lies in the file.
+trait Codec: Copy {
+    fn get(self, raw: &[u8], at: usize) -> f64;
+    fn put(self, raw: &mut [u8], at: usize, value: f64);
+}
+
+#[derive(Clone, Copy)]
+struct F32<const BIG: bool>;
+
+impl<const BIG: bool> Codec for F32<BIG> {
+    #[inline(always)]
+    fn get(self, raw: &[u8], at: usize) -> f64 {
+        let bytes = bytes_at(raw, at);
+        f64::from(if BIG { f32::from_be_bytes(bytes) } else { f32::from_le_bytes(bytes) })
+    }
+
+    #[inline(always)]
+    fn put(self, raw: &mut [u8], at: usize, value: f64) {
+        let value = value as f32;
+        let bytes = if BIG { value.to_be_bytes() } else { value.to_le_bytes() };
+        raw[at..at + bytes.len()].copy_from_slice(&bytes);
+    }
+}
+
+#[derive(Clone, Copy)]
+struct F64<const BIG: bool>;
+
+impl<const BIG: bool> Codec for F64<BIG> {
+    #[inline(always)]
+    fn get(self, raw: &[u8], at: usize) -> f64 {
+        let bytes = bytes_at(raw, at);
+        if BIG { f64::from_be_bytes(bytes) } else { f64::from_le_bytes(bytes) }
+    }
+
+    #[inline(always)]
+    fn put(self, raw: &mut [u8], at: usize, value: f64) {
+        let bytes = if BIG { value.to_be_bytes() } else { value.to_le_bytes() };
+        raw[at..at + bytes.len()].copy_from_slice(&bytes);
+    }
+}
+
+/// Either of them, known at run time alone: for vertices that mix float and double.
+#[derive(Clone, Copy)]
+struct Any<const BIG: bool>(Scalar);
+
+impl<const BIG: bool> Codec for Any<BIG> {
+    fn get(self, raw: &[u8], at: usize) -> f64 {
+        match self.0 {
+            Scalar::F32 => F32::<BIG>.get(raw, at),
+            Scalar::F64 => F64::<BIG>.get(raw, at),
+        }
+    }
+
+    fn put(self, raw: &mut [u8], at: usize, value: f64) {
+        match self.0 {
+            Scalar::F32 => F32::<BIG>.put(raw, at, value),
+            Scalar::F64 => F64::<BIG>.put(raw, at, value),
+        }
+    }
+}
+
+#[inline(always)]
+pub(super) fn bytes_at<const N: usize>(raw: &[u8], at: usize) -> [u8; N] {
+    let mut bytes = [0; N];
+    bytes.copy_from_slice(&raw[at..at + N]);
+    bytes
+}
+
+/// The integer of type `kind` that `raw` begins with.
+#[inline]
+pub(super) fn integer(kind: Type, big: bool, raw: &[u8]) -> i64 {
+    macro_rules! read {
+        ($t:ty) => {{
+            let bytes = bytes_at(raw, 0);
+            i64::from(if big { <$t>::from_be_bytes(bytes) } else { <$t>::from_le_bytes(bytes) })
+        }};
+    }
+    match kind {
+        Type::I8 => read!(i8),
+        Type::U8 => read!(u8),
+        Type::I16 => read!(i16),
+        Type::U16 => read!(u16),
+        Type::I32 => read!(i32),
+        // The header lets no list be counted in floating-point numbers, and no such list is read as corners.
+        Type::U32 | Type::F32 | Type::F64 => read!(u32),
+    }
+}
+
+/// Runs `$body` with `$codecs` for the three `$components`: one loop for each common case.
+macro_rules! with_codecs {
+    ($encoding:expr, $components:expr, $codecs:ident => $body:expr) => {{
+        use Scalar::{F32 as S, F64 as D};
+        match ($encoding == Encoding::Big, $components.map(|c| c.scalar)) {
+            (false, [S, S, S]) => {
+                let $codecs = [F32::<false>; 3];
+                $body
+            }
+            (true, [S, S, S]) => {
+                let $codecs = [F32::<true>; 3];
+                $body
+            }
+            (false, [D, D, D]) => {
+                let $codecs = [F64::<false>; 3];
+                $body
+            }
+            (true, [D, D, D]) => {
+                let $codecs = [F64::<true>; 3];
+                $body
+            }
+            (false, mixed) => {
+                let $codecs = mixed.map(Any::<false>);
+                $body
+            }
+            (true, mixed) => {
+                let $codecs = mixed.map(Any::<true>);
+                $body
+            }
+        }
+    }};
+}
+
+/// Runs `$body` with `$places`, which gives for each vertex of a chunk where in `raw` its three `$components`
+/// lie, the first of which has index `$first`.
+macro_rules! with_places {
+    ($layout:expr, $raw:expr, $spans:expr, $first:expr, $components:expr, $places:ident => $body:expr) => {
+        match $layout.stride {
+            Some(stride) => {
+                let [a, b, c] = $components.map(|c| c.offset);
+                let $places = (0..$raw.len() / stride).map(move |i| {
+                    let record = i * stride;
+                    [record + a, record + b, record + c]
+                });
+                $body
+            }
+            None => {
+                let of_vertex = $spans.chunks_exact($layout.components.len());
+                let $places = of_vertex.map(|s| [0, 1, 2].map(|i| s[$first + i][0] as usize));
+                $body
+            }
+        }
+    };
+}
+
+/// Fills the chunk's positions and normals from its bytes.
+pub(super) fn decode(layout: &Layout, chunk: &mut VertexChunk) {
+    let VertexChunk { positions, normals, raw, spans, .. } = chunk;
+    let raw = raw.as_slice();
+    positions.clear();
+    normals.clear();
+    let components = layout.triple(0);
+    with_codecs!(layout.encoding, components, codecs => {
+        with_places!(layout, raw, spans, 0, components, places => {
+            positions.extend(places.map(|at| DVec3::from_array(get(codecs, raw, at))));
+        });
+    });
+    if layout.has_normals() {
+        let components = layout.triple(3);
+        with_codecs!(layout.encoding, components, codecs => {
+            with_places!(layout, raw, spans, 3, components, places => {
+                normals.extend(places.map(|at| Vec3::from_array(get(codecs, raw, at).map(|v| v as f32))));
+            });
+        });
+    }
+}
+
+#[inline(always)]
+fn get<C: Codec>(codecs: [C; 3], raw: &[u8], at: [usize; 3]) -> [f64; 3] {
+    [codecs[0].get(raw, at[0]), codecs[1].get(raw, at[1]), codecs[2].get(raw, at[2])]
+}
+
+/// Writes those edited positions and normals into `raw`, the chunk's bytes, that differ from those at rest.
+pub(super) fn patch(layout: &Layout, rest: Rest<'_>, edited: &Edited, raw: &mut [u8]) -> Result<(), Unfit> {
+    let spans = rest.spans;
+    let components = layout.triple(0);
+    with_codecs!(layout.encoding, components, codecs => {
+        with_places!(layout, raw, spans, 0, components, places => {
+            patch_positions(codecs, raw, places, rest.positions, &edited.positions)?;
+        });
+    });
+    // Empty where there are none or they keep their bytes.
+    if !edited.normals.is_empty() {
+        let components = layout.triple(3);
+        with_codecs!(layout.encoding, components, codecs => {
+            with_places!(layout, raw, spans, 3, components, places => {
+                patch_normals(codecs, raw, places, rest, &edited.normals);
+            });
+        });
+    }
+    Ok(())
+}
+
+fn patch_positions<C: Codec>(
+    codecs: [C; 3],
+    raw: &mut [u8],
+    places: impl Iterator<Item = [usize; 3]>,
+    rest: &[DVec3],
+    edited: &[DVec3],
+) -> Result<(), Unfit> {
+    for ((vertex, (old, new)), at) in rest.iter().zip(edited).enumerate().zip(places) {
+        if !old.is_finite() {
+            continue;
+        }
+        for (c, (old, new)) in old.to_array().into_iter().zip(new.to_array()).enumerate() {
+            if old.to_bits() != new.to_bits() {
+                codecs[c].put(raw, at[c], new);
+                // Also where a finite number is too large for the type that the file keeps it in.
+                if !codecs[c].get(raw, at[c]).is_finite() {
+                    return Err(Unfit { vertex, value: new });
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+fn patch_normals<C: Codec>(
+    codecs: [C; 3],
+    raw: &mut [u8],
+    places: impl Iterator<Item = [usize; 3]>,
+    rest: Rest<'_>,
+    edited: &[Vec3],
+) {
+    let of_vertex = rest.positions.iter().zip(rest.normals).zip(edited).zip(places);
+    for (((position, old), new), at) in of_vertex {
+        if !position.is_finite() {
+            continue;
+        }
+        for (c, (old, new)) in old.to_array().into_iter().zip(new.to_array()).enumerate() {
+            if !same_normal(old, new) {
+                codecs[c].put(raw, at[c], f64::from(new));
+            }
+        }
+    }
+}
+
+/// Takes the normals out of `raw`, the bytes of whole vertices.
+pub(super) fn cut_normals(layout: &Layout, spans: &[[u32; 2]], raw: &mut Vec<u8>) {
+    let normals = || layout.file_order.iter().copied().filter(|c| *c >= 3);
+    match layout.stride {
+        Some(stride) => {
+            let in_record: Vec<[usize; 2]> = normals()
+                .map(|c| &layout.components[c])
+                .map(|c| [c.offset, c.offset + c.scalar.size()])
+                .collect();
+            let records = (0..raw.len()).step_by(stride);
+            cut(raw, records.flat_map(|record| in_record.iter().map(move |span| span.map(|at| record + at))));
+        }
+        None => {
+            let of_vertex = spans.chunks_exact(layout.components.len());
+            cut(raw, of_vertex.flat_map(|spans| normals().map(|c| spans[c].map(|at| at as usize))));
+        }
+    }
+}
+
+/// Takes spans out of `raw`, which come in ascending order and do not overlap.
+fn cut(raw: &mut Vec<u8>, spans: impl Iterator<Item = [usize; 2]>) {
+    let (mut kept, mut at) = (0, 0);
+    for [start, end] in spans {
+        raw.copy_within(at..start, kept);
+        kept += start - at;
+        at = end;
+    }
+    raw.copy_within(at.., kept);
+    kept += raw.len() - at;
+    raw.truncate(kept);
+}
+
+/// Goes over the record that `bytes` begin with: notes where its components lie (in the chunk's bytes, where
+/// the record begins at `base`) and returns its length, or `None` if it is longer than `bytes`.
+///
+/// The error is the length of a list that cannot be.
+pub(super) fn scan(
+    layout: &Layout,
+    bytes: &[u8],
+    base: usize,
+    spans: &mut [[u32; 2]],
+) -> Result<Option<usize>, String> {
+    let mut at = 0usize;
+    for slot in &layout.slots {
+        match *slot {
+            Slot::Other { size } => at += size,
+            Slot::Component { index, size } => {
+                spans[index] = [base + at, base + at + size].map(|v| v as u32);
+                at += size;
+            }
+            Slot::List { count, item } => {
+                if bytes.len() < at.saturating_add(count.size()) {
+                    return Ok(None);
+                }
+                let length = integer(count, layout.encoding == Encoding::Big, &bytes[at..]);
+                let length = usize::try_from(length).map_err(|_| length.to_string())?;
+                at = at.saturating_add(count.size()).saturating_add(length.saturating_mul(item.size()));
+            }
+        }
+        if at > bytes.len() {
+            return Ok(None);
+        }
+    }
+    Ok(Some(at))
+}

@@ -1,0 +1,24 @@
+//! What is known of a PLY file once it is open.
+
+use super::header::Header;
+use super::layout::Layout;
+use super::offsets::Offsets;
+use crate::ModelInfo;
+use crate::source::Source;
+
+/// A PLY file.
+#[derive(Debug)]
+pub struct PlyModel {
+    pub(super) source: Source,
+    pub(super) header: Header,
+    /// Index of the element that holds the vertices.
+    pub(super) vertex: usize,
+    pub(super) layout: Layout,
+    /// Where in the file the vertices begin.
+    pub(super) vertices_start: u64,
+    /// In a binary file, where each element begins, and after them the end of the last one. Empty in a text
+    /// file.
+    pub(super) starts: Vec<u64>,
+    pub(super) offsets: Offsets,
+    pub(super) info: ModelInfo,
+}

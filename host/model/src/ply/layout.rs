@@ -1,0 +1,132 @@
+//! Where a vertex record keeps its position and normal.
+
+use super::header::{DAMAGED, Element, Encoding, NORMAL, Shape, quoted};
+use crate::source::Source;
+use crate::{Attribute, Result, Scalar, Type};
+
+/// One coordinate of the position or of the normal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Component {
+    pub(super) name: &'static str,
+    pub(super) scalar: Scalar,
+    /// Bytes from the start of the record, in binary records of fixed size.
+    pub(super) offset: usize,
+}
+
+/// What to do with a property of a vertex record while going over it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Slot {
+    /// Nothing: so many bytes of something else.
+    Other { size: usize },
+    /// It is the component of this index, of so many bytes.
+    Component { index: usize, size: usize },
+    /// A list, which makes records differ in length.
+    List { count: Type, item: Type },
+}
+
+/// The layout of the vertex records.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Layout {
+    pub(super) encoding: Encoding,
+    /// x, y, z, and if the vertices have normals nx, ny, nz.
+    pub(super) components: Vec<Component>,
+    /// Indices into `components`, in the file's order.
+    pub(super) file_order: Vec<usize>,
+    /// The properties in the file's order.
+    pub(super) slots: Vec<Slot>,
+    /// Bytes of a record, if that is the same for all of them: in binary files without lists.
+    pub(super) stride: Option<usize>,
+    /// The properties that are neither position nor normal, for people.
+    pub(super) other: Vec<String>,
+    /// Those of them that are numbers with a name of their own, in the file's order.
+    pub(super) attributes: Vec<Attribute>,
+    /// Where each of these stands: its index among the slots, and bytes from the start of the record where
+    /// records are of fixed size.
+    pub(super) places: Vec<(usize, usize)>,
+}
+
+const POSITION: [&str; 3] = ["x", "y", "z"];
+
+impl Layout {
+    pub(super) fn new(source: &Source, encoding: Encoding, vertex: &Element) -> Result<Self> {
+        for name in POSITION.iter().chain(&NORMAL) {
+            if vertex.properties.iter().filter(|p| p.name == *name).count() > 1 {
+                return Err(source.malformed(format!("the vertices have two properties {name}"), DAMAGED));
+            }
+        }
+        for name in POSITION {
+            let hint = "positions have to be of type float or double: export the model so";
+            match vertex.properties.iter().find(|p| p.name == name) {
+                None => return Err(source.malformed(format!("the vertices have no property {name}"), hint)),
+                Some(p) if floating(p.shape).is_none() => {
+                    let what = format!("property {name} of the vertices is {}", quoted(&p.describe()));
+                    return Err(source.malformed(what, hint));
+                }
+                Some(_) => {}
+            }
+        }
+        let scalar_of =
+            |name: &str| vertex.properties.iter().find(|p| p.name == name).and_then(|p| floating(p.shape));
+        // Normals of another type, or not all three, are properties like any other.
+        let has_normals = NORMAL.iter().all(|name| scalar_of(name).is_some());
+        let names = if has_normals { [POSITION, NORMAL].concat() } else { POSITION.to_vec() };
+        let mut components: Vec<Component> = names
+            .iter()
+            .filter_map(|&name| Some(Component { name, scalar: scalar_of(name)?, offset: 0 }))
+            .collect();
+        let (mut slots, mut other, mut file_order) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut attributes, mut places) = (Vec::<Attribute>::new(), Vec::new());
+        let mut stride = (encoding != Encoding::Ascii).then_some(0);
+        for property in &vertex.properties {
+            let index = names.iter().position(|n| *n == property.name);
+            slots.push(match (property.shape, index) {
+                (Shape::List { count, item }, _) => Slot::List { count, item },
+                (Shape::Scalar(t), None) => Slot::Other { size: t.size() },
+                (Shape::Scalar(t), Some(index)) => {
+                    components[index].offset = stride.unwrap_or(0);
+                    file_order.push(index);
+                    Slot::Component { index, size: t.size() }
+                }
+            });
+            if index.is_none() {
+                other.push(property.describe());
+                let known = attributes.iter().any(|known| known.name == property.name);
+                if let Shape::Scalar(kind) = property.shape
+                    && !known
+                    && Attribute::is_name(&property.name)
+                {
+                    attributes.push(Attribute { name: property.name.clone(), kind });
+                    places.push((slots.len() - 1, stride.unwrap_or(0)));
+                }
+            }
+            stride = match property.shape {
+                Shape::Scalar(t) => stride.map(|bytes| bytes + t.size()),
+                Shape::List { .. } => None,
+            };
+        }
+        Ok(Self { encoding, components, file_order, slots, stride, other, attributes, places })
+    }
+
+    pub(super) fn has_normals(&self) -> bool {
+        self.components.len() == 6
+    }
+
+    /// Double if any coordinate is.
+    pub(super) fn position_type(&self) -> Scalar {
+        let double = self.components[..3].iter().any(|c| c.scalar == Scalar::F64);
+        if double { Scalar::F64 } else { Scalar::F32 }
+    }
+
+    /// The three components from `first` on: 0 for the position, 3 for the normal.
+    pub(super) fn triple(&self, first: usize) -> [Component; 3] {
+        std::array::from_fn(|i| self.components[first + i])
+    }
+}
+
+fn floating(shape: Shape) -> Option<Scalar> {
+    match shape {
+        Shape::Scalar(Type::F32) => Some(Scalar::F32),
+        Shape::Scalar(Type::F64) => Some(Scalar::F64),
+        _ => None,
+    }
+}

@@ -1,0 +1,191 @@
+//! PLY 1.0: text, and binary of either byte order, with any elements and properties in any order.
+//!
+//! Vertices are the records of element `vertex`; their x, y, z (and nx, ny, nz, if all three are there) are
+//! of type float or double. Everything else is passed over when reading, and copied byte by byte when
+//! rewriting.
+//!
+//! Files are read by positioned reads and never mapped into memory: a mapped file that another program
+//! shortens kills the process (SIGBUS), whereas a read returns an error.
+//!
+//! | module | |
+//! |---|---|
+//! | `header` | the header's text |
+//! | `layout` | where a vertex record keeps its numbers |
+//! | `file` | what is known of a file once it is open; `offsets` where its vertices begin |
+//! | `walk` | going over elements of no interest; noticing that a file is cut off |
+//! | `reader` | chunks of vertices from anywhere in the file |
+//! | `faces` | triangles of all faces |
+//! | `binary`, `ascii` | numbers in and out of a chunk's bytes; `patch` what both share |
+//! | `attributes` | the other numbers of a chunk's bytes, where they are asked for |
+//! | `rewrite` | the whole file anew |
+//! | `writer` | files of our own |
+
+mod ascii;
+mod attributes;
+mod binary;
+mod faces;
+mod file;
+mod header;
+mod layout;
+mod offsets;
+mod patch;
+mod reader;
+mod rewrite;
+mod walk;
+mod writer;
+
+use std::ops::Range;
+use std::path::Path;
+
+pub use file::PlyModel;
+pub(super) use header::is_ply;
+pub use writer::write_points;
+
+use super::source::Source;
+use super::{Edited, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, VertexReader, pipeline};
+use crate::progress::Silent;
+use crate::{Progress, Result};
+use faces::{Faces, SomeFaces};
+use header::{Element, Encoding, Header};
+use layout::Layout;
+use offsets::Offsets;
+use reader::Reader;
+
+impl PlyModel {
+    /// What the file `source` is.
+    ///
+    /// A binary file that is cut off is noticed here; a text file when what is missing is read, or by
+    /// [`Model::check_complete`].
+    ///
+    /// # Errors
+    /// The file cannot be read, is not PLY, is cut off, or has no vertices with positions.
+    pub(super) fn new(source: Source) -> Result<Self> {
+        let header = Header::read(&source)?;
+        let (vertex, element) = header.vertex(&source)?;
+        let layout = Layout::new(&source, header.encoding, element)?;
+        let faces = header.elements.iter().filter(|e| e.name == "face" || e.name == "tristrips");
+        let mut info = ModelInfo {
+            format: format!("PLY 1.0, {}", header.encoding.name()),
+            vertices: element.count,
+            faces: faces.map(|e| e.count).fold(0, u64::saturating_add),
+            has_normals: layout.has_normals(),
+            position_type: layout.position_type(),
+            other_properties: layout.other.clone(),
+            attributes: layout.attributes.clone(),
+            bytes: source.len(),
+            random_access: layout.stride.is_some(),
+            vertex_bytes: 0,
+            face_bytes: 0,
+        };
+        let mut starts = Vec::new();
+        let vertices_start = if header.encoding == Encoding::Ascii {
+            check_room_for_words(&source, &header)?;
+            walk::walk(&source, header.encoding, &header.elements[..vertex], header.len, &Silent)?
+        } else {
+            starts = walk::extents(&source, header.encoding, &header.elements, header.len)?;
+            info.vertex_bytes = starts[vertex + 1] - starts[vertex];
+            starts[vertex]
+        };
+        let mut model =
+            Self { source, header, vertex, layout, vertices_start, starts, offsets: Offsets::new(), info };
+        if model.header.encoding == Encoding::Ascii {
+            model.info.vertex_bytes = model.estimate_vertex_bytes();
+        }
+        model.info.face_bytes = faces::bytes(&model);
+        Ok(model)
+    }
+
+    /// In a text file: all that follows, if nothing but vertices does, and otherwise as if all vertices were
+    /// like the first ones.
+    fn estimate_vertex_bytes(&self) -> u64 {
+        const FIRST: u64 = 1000;
+        if self.info.vertices == 0 {
+            return 0;
+        }
+        let rest = self.source.len() - self.vertices_start;
+        let after = &self.header.elements[self.vertex + 1..];
+        if after.iter().all(|e| e.count == 0) {
+            return rest;
+        }
+        let count = FIRST.min(self.info.vertices);
+        let mut chunk = VertexChunk::default();
+        // What may be wrong with them is told when they are read.
+        match Reader::new(self, 0..count).and_then(|mut reader| reader.read(&mut chunk)) {
+            Ok(true) => {
+                let bytes = chunk.raw.len() as f64 / chunk.len() as f64 * self.info.vertices as f64;
+                rest.min(bytes as u64)
+            }
+            Ok(false) => 0,
+            Err(_) => rest,
+        }
+    }
+}
+
+impl Model for PlyModel {
+    fn info(&self) -> &ModelInfo {
+        &self.info
+    }
+
+    fn path(&self) -> &Path {
+        self.source.path()
+    }
+
+    fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
+        Ok(Box::new(Reader::new(self, range)?))
+    }
+
+    fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
+        attributes::decode(&self.layout, chunk, to).map_err(|e| {
+            let (vertex, name) = (chunk.first + e.vertex as u64, &self.layout.attributes[e.attribute].name);
+            let what = format!("vertex {vertex}: {} {} is no number", header::quoted(name), e.word);
+            self.source.malformed(what, header::DAMAGED)
+        })
+    }
+
+    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
+        Ok(Box::new(Faces::new(self)?))
+    }
+
+    fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
+        Ok(Box::new(SomeFaces::new(self, ranges)?))
+    }
+
+    fn check_complete(&self, progress: &dyn Progress) -> Result<()> {
+        if self.header.encoding == Encoding::Ascii {
+            progress.begin("checking the text", self.source.len());
+            let Header { encoding, elements, len, .. } = &self.header;
+            walk::walk(&self.source, *encoding, elements, *len, progress)?;
+        }
+        self.source.check_unchanged()
+    }
+
+    fn rewrite(
+        &self,
+        outputs: &mut [&mut dyn Output],
+        how: Rewriting,
+        edit: &mut (dyn FnMut(&VertexChunk, &mut [Edited]) -> Result<()> + Send),
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        pipeline::rewrite(self, outputs, how, edit, progress)
+    }
+}
+
+/// An error where a text file is too short to hold a word for each number that its header speaks of.
+fn check_room_for_words(source: &Source, header: &Header) -> Result<()> {
+    let mut left = source.len() - header.len;
+    for Element { name, count, properties } in &header.elements {
+        // A word takes a byte and another one to end it, if only the last one of the file may do without.
+        let words = count.saturating_mul(properties.len() as u64);
+        let bytes = words.saturating_mul(2);
+        if bytes > left.saturating_add(1) {
+            let what = format!(
+                "says {count} records of element {} of {} numbers each, but only {left} bytes are left for them",
+                header::quoted(name),
+                properties.len()
+            );
+            return Err(source.malformed(what, walk::CUT_OFF));
+        }
+        left = left.saturating_sub(bytes);
+    }
+    Ok(())
+}

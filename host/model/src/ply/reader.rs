@@ -1,0 +1,159 @@
+//! Reads consecutive vertices, a chunk at a time, from any vertex on.
+
+use std::ops::Range;
+
+use super::file::PlyModel;
+use super::header::{DAMAGED, Encoding};
+use super::walk::CUT_OFF;
+use super::{ascii, binary};
+use crate::{CHUNK_VERTICES, Error, Result, VertexChunk, VertexReader};
+
+/// A chunk ends with the vertex that reaches this many bytes, however few vertices that are.
+pub(super) const CHUNK_BYTES: usize = 4 << 20;
+
+/// Longest vertex record. Only a list, or a word without end, makes a longer one.
+const MAX_RECORD: usize = 16 << 20;
+
+/// Bytes that are read at a time where the length of records is not known.
+const BLOCK: usize = 1 << 18;
+
+/// Reads the vertices of a range.
+pub(super) struct Reader<'a> {
+    model: &'a PlyModel,
+    /// The vertices that are still to be read.
+    range: Range<u64>,
+    /// Most vertices of a chunk.
+    chunk: usize,
+    /// Where in the file the next vertex begins.
+    offset: u64,
+    /// What has been read of the file from `offset` on, where records differ in length: at most `BLOCK`
+    /// bytes, or about a record if that is more.
+    ahead: Vec<u8>,
+}
+
+impl<'a> Reader<'a> {
+    pub(super) fn new(model: &'a PlyModel, range: Range<u64>) -> Result<Self> {
+        let end = range.end.min(model.info.vertices);
+        let range = range.start.min(end)..end;
+        if let Some(stride) = model.layout.stride {
+            let offset = model.vertices_start + range.start * stride as u64;
+            return Ok(Self { model, range, chunk: CHUNK_VERTICES, offset, ahead: Vec::new() });
+        }
+        let (vertex, offset) = model.offsets.before(range.start).unwrap_or((0, model.vertices_start));
+        let chunk = CHUNK_VERTICES;
+        let mut reader = Self { model, range: vertex..end, chunk, offset, ahead: Vec::new() };
+        let mut skipped = VertexChunk::default();
+        while reader.range.start < range.start {
+            reader.scan(&mut skipped, range.start - reader.range.start)?;
+        }
+        Ok(reader)
+    }
+
+    /// Where in the file the next vertex begins; after the last vertex, where the vertices end.
+    pub(super) fn offset(&self) -> u64 {
+        self.offset
+    }
+
+    /// Reads the bytes of the next vertices, at most `limit`, which all have a length of `stride`.
+    fn read_fixed(&mut self, chunk: &mut VertexChunk, stride: usize, limit: u64) -> Result<()> {
+        let count = limit.min((CHUNK_BYTES / stride).max(1) as u64);
+        let bytes = count as usize * stride;
+        // Not cleared first: filling a buffer with zeros, only to overwrite it, takes time.
+        chunk.raw.resize(bytes, 0);
+        if self.model.source.read_at(&mut chunk.raw, self.offset)? < bytes {
+            return Err(self.ends_early(self.range.start));
+        }
+        self.range.start += count;
+        self.offset += bytes as u64;
+        Ok(())
+    }
+
+    /// Reads the bytes of the next vertices, at most `limit`, and finds the numbers in them.
+    fn scan(&mut self, chunk: &mut VertexChunk, limit: u64) -> Result<()> {
+        let model = self.model;
+        let components = model.layout.components.len();
+        let limit = limit.min(CHUNK_VERTICES as u64) as usize;
+        let VertexChunk { raw, spans, .. } = chunk;
+        raw.clear();
+        raw.append(&mut self.ahead);
+        spans.resize(limit * components, [0; 2]);
+        let (mut count, mut parsed) = (0, 0);
+        let mut whole_file = self.offset + raw.len() as u64 == model.source.len();
+        while count < limit && parsed < CHUNK_BYTES {
+            let (bytes, spans) = (&raw[parsed..], &mut spans[count * components..]);
+            let length = match model.layout.encoding {
+                Encoding::Ascii => ascii::scan(&model.layout, bytes, parsed, whole_file, spans),
+                Encoding::Little | Encoding::Big => binary::scan(&model.layout, bytes, parsed, spans),
+            };
+            let vertex = self.range.start + count as u64;
+            match length {
+                Ok(Some(length)) => {
+                    parsed += length;
+                    count += 1;
+                }
+                Ok(None) if whole_file => return Err(self.ends_early(vertex)),
+                Ok(None) if bytes.len() >= MAX_RECORD => {
+                    let what = format!("vertex {vertex} takes more than {} MiB", MAX_RECORD >> 20);
+                    return Err(model.source.malformed(what, DAMAGED));
+                }
+                Ok(None) => {
+                    // Twice as much each time, so that a long record is not gone over too often.
+                    let more = bytes.len().max(BLOCK);
+                    model.source.append_at(raw, self.offset + raw.len() as u64, more)?;
+                    whole_file = self.offset + raw.len() as u64 == model.source.len();
+                }
+                Err(length) => {
+                    let what = format!("vertex {vertex}: a list of length {length}");
+                    return Err(model.source.malformed(what, DAMAGED));
+                }
+            }
+        }
+        self.ahead.extend_from_slice(&raw[parsed..]);
+        raw.truncate(parsed);
+        spans.truncate(count * components);
+        self.range.start += count as u64;
+        self.offset += parsed as u64;
+        model.offsets.note(self.range.start, self.offset);
+        Ok(())
+    }
+
+    fn ends_early(&self, vertex: u64) -> Error {
+        let what = format!("the file ends within vertex {vertex} of {}", self.model.info.vertices);
+        self.model.source.malformed(what, CUT_OFF)
+    }
+}
+
+impl VertexReader for Reader<'_> {
+    fn set_chunk(&mut self, vertices: usize) {
+        self.chunk = vertices.clamp(1, CHUNK_VERTICES);
+    }
+
+    fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
+        let model = self.model;
+        chunk.first = self.range.start;
+        chunk.positions.clear();
+        chunk.normals.clear();
+        let limit = (self.range.end - self.range.start).min(self.chunk as u64);
+        if limit == 0 {
+            chunk.raw.clear();
+            chunk.spans.clear();
+            return Ok(false);
+        }
+        match model.layout.stride {
+            Some(stride) => {
+                chunk.spans.clear();
+                self.read_fixed(chunk, stride, limit)?;
+            }
+            None => self.scan(chunk, limit)?,
+        }
+        match model.layout.encoding {
+            Encoding::Little | Encoding::Big => binary::decode(&model.layout, chunk),
+            Encoding::Ascii => ascii::decode(&model.layout, chunk).map_err(|e| {
+                let vertex = chunk.first + e.vertex as u64;
+                let what = format!("vertex {vertex}: {} {} is no number", e.property, e.word);
+                model.source.malformed(what, DAMAGED)
+            })?,
+        }
+        Ok(true)
+    }
+}

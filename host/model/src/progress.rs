@@ -1,0 +1,76 @@
+//! How long work tells where it is, and learns that it shall stop.
+
+use glam::Vec3;
+
+use crate::bounds::Bounds;
+use crate::frame::Frame;
+use crate::{Error, Result};
+
+/// Samples of one cell of a model that is being sampled: see [`Progress::emerge`].
+pub struct Emerging<'a> {
+    /// Whether it is the first one: what came before, if anything, is found anew.
+    pub first: bool,
+    /// All of the model.
+    pub bounds: &'a Bounds,
+    /// The model's local coordinates.
+    pub frame: &'a Frame,
+    visit: &'a dyn Fn(Visitor<'_>),
+}
+
+/// Takes a position and a normal.
+pub type Visitor<'a> = &'a mut dyn FnMut(Vec3, Vec3);
+
+impl<'a> Emerging<'a> {
+    /// Samples that `visit` goes over, of a model of these bounds and local coordinates.
+    pub fn new(first: bool, bounds: &'a Bounds, frame: &'a Frame, visit: &'a dyn Fn(Visitor<'_>)) -> Self {
+        Self { first, bounds, frame, visit }
+    }
+
+    /// Each sample's position, local, and its unit normal, zero where it is unknown.
+    pub fn for_each(&self, mut visit: impl FnMut(Vec3, Vec3)) {
+        (self.visit)(&mut visit);
+    }
+}
+
+/// The other end of a long operation: a progress bar, a window, or nobody.
+///
+/// Called from any thread, and often: implementations keep it cheap.
+pub trait Progress: Sync {
+    /// A new stage begins: a few words for the user, and its size in bytes (0 where it is not known).
+    fn begin(&self, stage: &'static str, total_bytes: u64);
+
+    /// The same, of a stage that prepares a deformation: what does not depend on how things move.
+    fn begin_preparation(&self, stage: &'static str, total_bytes: u64) {
+        self.begin(stage, total_bytes);
+    }
+
+    /// So many more bytes of the stage are done.
+    fn advance(&self, bytes: u64);
+
+    /// Whether the user asked to stop. Work looks at it at least every 100 ms.
+    fn is_cancelled(&self) -> bool;
+
+    /// Something that the user should know, though the work goes on: one line.
+    fn note(&self, _text: &str) {}
+
+    /// Samples that sampling found in a cell that is complete: for those who like to see them come. They are
+    /// not the last word: where their number is aimed at, fewer may be left in the end.
+    fn emerge(&self, _samples: &Emerging<'_>) {}
+
+    /// An error of kind [`Cancelled`](crate::ErrorKind::Cancelled) once the user asked to stop.
+    fn check(&self) -> Result<()> {
+        if self.is_cancelled() { Err(Error::cancelled()) } else { Ok(()) }
+    }
+}
+
+/// Progress that nobody watches.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Silent;
+
+impl Progress for Silent {
+    fn begin(&self, _stage: &'static str, _total_bytes: u64) {}
+    fn advance(&self, _bytes: u64) {}
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+}

@@ -1,0 +1,611 @@
+//! Large outputs, written in parts, that can be gone on with after the program was killed.
+//!
+//! While `name` is written there are two hidden files beside it. `.simod-name.part` holds its beginning, and
+//! is locked ([claim](crate::claim)), so that no other process writes the same file. `.simod-name.journal`
+//! lists the parts of it that are known to be on the disk, each with a checksum, and a key of all that
+//! determines the bytes; it is replaced at once, by way of `.simod-name.journal.new`. What is not in the
+//! journal is not relied on, and what is there is checked before it is.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread::{self, JoinHandle};
+
+use xxhash_rust::xxh3::{Xxh3Default, xxh3_128};
+
+use crate::claim::{Claim, Places, remove};
+use crate::input::open_at_once;
+use crate::output::sync_folder;
+use crate::target::folder_of;
+use crate::uncached::UncachedFile;
+use crate::{Error, Output, Progress, Result};
+
+/// What a journal begins with.
+const FORMAT: &str = "simod-journal/1";
+
+/// Bytes that are checked at a time.
+const BLOCK: usize = 1 << 20;
+
+/// No journal is longer: it has at most 1024 parts and a few, of some 60 bytes each.
+const LONGEST: u64 = 1 << 20;
+
+/// A file in the making, a piece at a time. Dropped before [`commit`](Self::commit), it leaves no trace,
+/// unless it is to be [kept](Self::keep).
+///
+/// Memory: 2 MiB, and the journal, of some 60 bytes for each part.
+pub struct ResumableFile {
+    claim: Claim,
+    /// The part file.
+    file: UncachedFile,
+    journal: Journal,
+    recorder: Recorder,
+    /// What is written: pieces, and bytes.
+    pieces: u64,
+    end: u64,
+    /// Hash of what is written since the last part, and how many bytes of the model that stands for.
+    hash: Xxh3Default,
+    since: u64,
+    /// A part is over once it stands for so many bytes of the model.
+    part_bytes: u64,
+}
+
+/// What [`ResumableFile::open`] finds.
+pub enum Opened {
+    /// There is something to write.
+    Unfinished(Box<ResumableFile>),
+    /// An earlier call wrote all of it, and it stands in its place.
+    Finished(Finished),
+}
+
+impl ResumableFile {
+    /// Begins the file `path`, whose bytes `key` determines. With `resume`, what an earlier call left is
+    /// checked and kept as far as it is good; why it is not, if so, is told to `progress`.
+    ///
+    /// # Errors
+    /// The folder is missing or cannot be written to, `path` is a folder or a device, another process writes
+    /// it, or the user cancelled.
+    pub fn open(
+        path: &Path,
+        key: String,
+        resume: bool,
+        part_bytes: u64,
+        progress: &dyn Progress,
+    ) -> Result<Opened> {
+        let claim = Claim::file(path, resume)?;
+        let handle = || claim.part().try_clone().map_err(|e| claim.failed(&e));
+        let mut this = Self {
+            recorder: Recorder::new(handle()?, claim.places().clone()),
+            file: UncachedFile::new(handle()?),
+            claim,
+            journal: Journal { key, parts: Vec::new(), is_complete: false },
+            pieces: 0,
+            end: 0,
+            hash: Xxh3Default::new(),
+            since: 0,
+            part_bytes,
+        };
+        let found = if resume { this.find(progress)? } else { Found::default() };
+        if found.in_target {
+            // The empty part file goes, the journal stays until the end.
+            this.claim.keep();
+            let places = this.claim.places().clone();
+            let _ = fs::remove_file(&places.part);
+            return Ok(Opened::Finished(Finished { places, leave: false }));
+        }
+        if found.parts.is_empty() {
+            // In this order: a journal never speaks of bytes that are gone.
+            let begun = remove(&this.claim.places().journal).and_then(|()| this.file.file().set_len(0));
+            begun
+                .and_then(|()| this.journal.replace(this.claim.places(), false))
+                .map_err(|e| this.failed(&e))?;
+        }
+        this.journal.parts = found.parts;
+        if found.is_complete {
+            return Ok(Opened::Finished(this.commit()?));
+        }
+        Ok(Opened::Unfinished(Box::new(this)))
+    }
+
+    /// What an earlier call left that can be relied on.
+    fn find(&mut self, progress: &dyn Progress) -> Result<Found> {
+        let places = self.claim.places().clone();
+        let name = places.path.display();
+        let Some(journal) = Journal::read(&places) else { return Ok(Found::default()) };
+        let Some(Journal { key, mut parts, is_complete }) = journal else {
+            progress.note(&format!("{name}: the journal is damaged; starting anew"));
+            return Ok(Found::default());
+        };
+        if key != self.journal.key {
+            progress.note(&format!(
+                "{name}: the model, the samples or an option changed since it was interrupted; starting anew"
+            ));
+            return Ok(Found::default());
+        }
+        let bytes = parts.last().map_or(0, |p| p.end);
+        let in_target = is_complete && self.file.file().metadata().is_ok_and(|m| m.len() == 0);
+        let target = in_target.then(|| crate::input::open(&places.target).ok()).flatten();
+        progress.begin("checking what is there", bytes);
+        let good = good_parts(target.as_ref().unwrap_or(self.file.file()), &parts, progress);
+        // Whoever cancels now has lost nothing.
+        let good = good.inspect_err(|_| self.claim.keep())?;
+        let all = good == parts.len();
+        let length = |file: &File| file.metadata().is_ok_and(|m| m.len() == bytes);
+        if in_target {
+            let in_target = all && target.as_ref().is_some_and(length);
+            if !in_target {
+                progress.note(&format!("{name}: it is not there as it was written; starting anew"));
+            }
+            return Ok(Found { in_target, ..Found::default() });
+        }
+        if !all {
+            progress.note(&format!("{name}: what was left of it is damaged; going on from before that"));
+        }
+        parts.truncate(good);
+        Ok(Found { is_complete: all && is_complete && length(self.file.file()), parts, in_target: false })
+    }
+
+    /// After how many pieces each of the parts ends.
+    pub fn boundaries(&self) -> impl Iterator<Item = u64> {
+        self.journal.parts.iter().map(|p| p.pieces)
+    }
+
+    /// Goes on after so many pieces: at one of the [boundaries](Self::boundaries), or at the beginning. Has
+    /// to be called before anything is written to what an earlier call left. Returns how many bytes are
+    /// there.
+    ///
+    /// # Errors
+    /// The journal cannot be written, or the part file cannot be cut.
+    pub fn go_on_after(&mut self, pieces: u64) -> Result<u64> {
+        if !self.journal.parts.is_empty() {
+            // First, so that it never speaks of bytes that are gone.
+            self.journal.parts.retain(|p| p.pieces <= pieces);
+            self.journal.replace(self.claim.places(), true).map_err(|e| self.failed(&e))?;
+        }
+        self.pieces = pieces;
+        self.end = self.journal.parts.last().map_or(0, |p| p.end);
+        (self.hash, self.since) = (Xxh3Default::new(), 0);
+        self.file.go_on_at(self.end).map_err(|e| self.failed(&e))?;
+        Ok(self.end)
+    }
+
+    /// What is written since the last part.
+    fn open_part(&self) -> Part {
+        Part { pieces: self.pieces, end: self.end, hash: self.hash.digest128() }
+    }
+
+    /// Ends the current part, which is recorded once it is on the disk.
+    fn end_part(&mut self) -> io::Result<()> {
+        self.file.flush()?;
+        self.journal.parts.push(self.open_part());
+        (self.hash, self.since) = (Xxh3Default::new(), 0);
+        self.recorder.record(self.journal.clone())
+    }
+
+    /// Says that nothing more comes, and waits until all is on the disk. A later call takes the file for
+    /// finished if it was of more than one part, or is `one_of_several`.
+    ///
+    /// # Errors
+    /// The disk is full, or the operating system refuses.
+    pub fn complete(&mut self, one_of_several: bool) -> Result<()> {
+        let mut complete = || {
+            self.recorder.finish()?;
+            self.file.flush()?;
+            self.file.file().sync_all()?;
+            if one_of_several || !self.journal.parts.is_empty() {
+                if self.journal.parts.last().is_none_or(|p| p.pieces < self.pieces) {
+                    self.journal.parts.push(self.open_part());
+                }
+                self.journal.is_complete = true;
+                self.journal.replace(self.claim.places(), true)?;
+            }
+            Ok(())
+        };
+        complete().map_err(|e: io::Error| self.failed(&e))
+    }
+
+    /// Puts the [completed](Self::complete) file in its place.
+    ///
+    /// # Errors
+    /// The operating system refuses; the target is then what it was.
+    pub fn commit(&mut self) -> Result<Finished> {
+        self.claim.put_in_place().map_err(|e| self.failed(&e))?;
+        let finished = Finished { places: self.claim.places().clone(), leave: false };
+        sync_folder(folder_of(&finished.places.target)).map_err(|e| self.failed(&e))?;
+        Ok(finished)
+    }
+
+    /// Leaves the recorded parts to a later call, if there are any.
+    pub fn keep(mut self) {
+        // What could not be recorded is not kept.
+        let _ = self.recorder.finish();
+        let Some(Some(journal)) = Journal::read(self.claim.places()) else { return };
+        if let Some(last) = journal.parts.last() {
+            // The rest may be what fills the disk. If it cannot be cut off, it is when the file is gone on
+            // with.
+            let _ = self.file.file().set_len(last.end);
+            let _ = remove(&self.claim.places().new_journal);
+            self.claim.keep();
+        }
+    }
+
+    fn failed(&self, error: &io::Error) -> Error {
+        self.claim.failed(error)
+    }
+}
+
+impl Output for ResumableFile {
+    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64) -> io::Result<()> {
+        let mut write = || {
+            self.file.write(bytes)?;
+            self.hash.update(bytes);
+            self.pieces += 1;
+            self.end += bytes.len() as u64;
+            self.since += source_bytes;
+            if self.since >= self.part_bytes { self.end_part() } else { Ok(()) }
+        };
+        // With the file's name, packed so that it passes through.
+        write().map_err(|e| io::Error::new(e.kind(), self.failed(&e)))
+    }
+
+    fn finish(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Drop for ResumableFile {
+    fn drop(&mut self) {
+        // First, as it writes the journal; what is left goes with the claim.
+        let _ = self.recorder.finish();
+    }
+}
+
+/// A file that stands in its place; its journal is removed with this.
+pub struct Finished {
+    places: Places,
+    leave: bool,
+}
+
+impl Finished {
+    /// Size of the file.
+    pub fn bytes(&self) -> u64 {
+        fs::metadata(&self.places.target).map_or(0, |m| m.len())
+    }
+
+    /// Leaves the journal, for a later call that does the rest.
+    pub fn keep(mut self) {
+        self.leave = true;
+    }
+}
+
+impl Drop for Finished {
+    fn drop(&mut self) {
+        if !self.leave {
+            self.places.remove_journal();
+        }
+    }
+}
+
+#[derive(Default)]
+struct Found {
+    /// The good ones.
+    parts: Vec<Part>,
+    /// They are the whole file.
+    is_complete: bool,
+    /// The whole file, good, stands in its place.
+    in_target: bool,
+}
+
+/// How many of the parts, from the first on, are in the file as they were written. What cannot be read is
+/// not.
+fn good_parts(mut file: &File, parts: &[Part], progress: &dyn Progress) -> Result<usize> {
+    let (mut start, mut block) = (0, vec![0; BLOCK]);
+    for (number, part) in parts.iter().enumerate() {
+        let mut hash = Xxh3Default::new();
+        if number == 0 && file.seek(SeekFrom::Start(0)).is_err() {
+            return Ok(0);
+        }
+        while start < part.end {
+            progress.check()?;
+            let count = (part.end - start).min(BLOCK as u64);
+            let block = &mut block[..count as usize];
+            if file.read_exact(block).is_err() {
+                return Ok(number);
+            }
+            hash.update(block);
+            start += count;
+            progress.advance(count);
+        }
+        if hash.digest128() != part.hash {
+            return Ok(number);
+        }
+    }
+    Ok(parts.len())
+}
+
+/// Bytes of the file `path` that the disk holds already: what is there of its part file, and with `resume`
+/// the file itself, if an earlier call finished it.
+pub fn bytes_there(path: &Path, resume: bool) -> u64 {
+    let Ok(places) = Places::of_file(path) else { return 0 };
+    let len = |path: &Path| fs::metadata(path).map_or(0, |m| m.len());
+    match fs::metadata(&places.part) {
+        Ok(part) => part.len(),
+        Err(_) if resume && matches!(Journal::read(&places), Some(Some(j)) if j.is_complete) => {
+            len(&places.target)
+        }
+        Err(_) => 0,
+    }
+}
+
+/// Whether an earlier call left something of the file `path`.
+pub fn is_left(path: &Path) -> bool {
+    Places::of_file(path).is_ok_and(|places| places.journal.exists())
+}
+
+/// What is known to be on the disk.
+#[derive(Debug, Clone, PartialEq)]
+struct Journal {
+    /// Hash of all that determines the bytes.
+    key: String,
+    /// Ascending.
+    parts: Vec<Part>,
+    /// The parts are the whole file.
+    is_complete: bool,
+}
+
+/// A run of bytes, which begins where the part before it ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Part {
+    /// Number of pieces up to its end.
+    pieces: u64,
+    /// Where it ends in the file.
+    end: u64,
+    /// Of its bytes.
+    hash: u128,
+}
+
+impl Journal {
+    /// Lines of words, the last of which is a checksum of those before it.
+    fn encode(&self) -> String {
+        let mut text = format!("{FORMAT}\nkey {}\n", self.key);
+        for Part { pieces, end, hash } in &self.parts {
+            text.push_str(&format!("part {pieces} {end} {hash:032x}\n"));
+        }
+        if self.is_complete {
+            text.push_str("complete\n");
+        }
+        let check = xxh3_128(text.as_bytes());
+        text + &format!("check {check:032x}\n")
+    }
+
+    /// `None` if this is no journal of ours, or damaged.
+    fn decode(text: &str) -> Option<Self> {
+        let (lines, check) = text.split_at(text.rfind("check ")?);
+        if check != format!("check {:032x}\n", xxh3_128(lines.as_bytes())) {
+            return None;
+        }
+        let mut lines = lines.lines();
+        if lines.next()? != FORMAT {
+            return None;
+        }
+        let key = lines.next()?.strip_prefix("key ")?.to_owned();
+        let mut journal = Self { key, parts: Vec::new(), is_complete: false };
+        for line in lines {
+            match *line.split(' ').collect::<Vec<_>>() {
+                ["part", pieces, end, hash] => journal.parts.push(Part {
+                    pieces: pieces.parse().ok()?,
+                    end: end.parse().ok()?,
+                    hash: u128::from_str_radix(hash, 16).ok()?,
+                }),
+                ["complete"] => journal.is_complete = true,
+                _ => return None,
+            }
+        }
+        journal.parts.is_sorted_by(|a, b| a.pieces < b.pieces && a.end <= b.end).then_some(journal)
+    }
+
+    /// The journal in its place, if there is one; `Some(None)` if it is damaged.
+    fn read(places: &Places) -> Option<Option<Self>> {
+        // Not through a link that somebody else put there.
+        let file = open_at_once(&places.journal, false).ok()?;
+        let mut bytes = Vec::new();
+        if !file.metadata().is_ok_and(|is| is.is_file())
+            || file.take(LONGEST).read_to_end(&mut bytes).is_err()
+        {
+            return Some(None);
+        }
+        Some(std::str::from_utf8(&bytes).ok().and_then(Self::decode))
+    }
+
+    /// Puts the journal in its place, at once; if it is to last through a power failure, by way of the disk.
+    fn replace(&self, places: &Places, sync: bool) -> io::Result<()> {
+        remove(&places.new_journal)?;
+        let mut file = OpenOptions::new().write(true).create_new(true).open(&places.new_journal)?;
+        file.write_all(self.encode().as_bytes())?;
+        if sync {
+            file.sync_data()?;
+        }
+        fs::rename(&places.new_journal, &places.journal)
+    }
+}
+
+/// Brings parts to the disk and then into the journal, on a thread of its own, so that writing goes on. One
+/// journal is worked on, and one may wait.
+struct Recorder {
+    /// A second handle of the part file, until the thread begins.
+    idle: Option<(File, Places)>,
+    busy: Option<(SyncSender<Journal>, JoinHandle<io::Result<()>>)>,
+}
+
+impl Recorder {
+    fn new(file: File, places: Places) -> Self {
+        Self { idle: Some((file, places)), busy: None }
+    }
+
+    /// Records what is written up to now. An earlier failure is told here, or in [`finish`](Self::finish).
+    fn record(&mut self, journal: Journal) -> io::Result<()> {
+        if let Some((file, places)) = self.idle.take() {
+            let (send, receive) = sync_channel::<Journal>(1);
+            let work = move || {
+                receive.into_iter().try_for_each(|journal| {
+                    file.sync_data()?;
+                    journal.replace(&places, true)
+                })
+            };
+            self.busy = Some((send, thread::Builder::new().spawn(work)?));
+        }
+        match &self.busy {
+            Some((send, _)) if send.send(journal).is_ok() => Ok(()),
+            _ => self.finish(),
+        }
+    }
+
+    /// Waits until all is recorded. Nothing can be recorded after that.
+    fn finish(&mut self) -> io::Result<()> {
+        self.idle = None;
+        let Some((send, thread)) = self.busy.take() else { return Ok(()) };
+        drop(send);
+        thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::output::tests::names;
+    use crate::progress::Silent;
+
+    fn open(path: &Path, key: &str, resume: bool) -> Result<ResumableFile> {
+        match ResumableFile::open(path, key.into(), resume, 10, &Silent)? {
+            Opened::Unfinished(file) => Ok(*file),
+            Opened::Finished(_) => panic!("it is finished"),
+        }
+    }
+
+    /// Pieces of five bytes, so that a part is of two.
+    fn write(file: &mut ResumableFile, pieces: std::ops::Range<u8>) {
+        for piece in pieces {
+            file.write_piece(&[piece; 5], 5).unwrap();
+        }
+    }
+
+    fn expected(pieces: u8) -> Vec<u8> {
+        (0..pieces).flat_map(|piece| [piece; 5]).collect()
+    }
+
+    #[test]
+    fn a_journal_comes_back_and_no_other_text_passes() {
+        let part = |n: u64| Part { pieces: n, end: 100 * n, hash: u128::MAX / u128::from(n) };
+        let journal = Journal { key: "k".into(), parts: vec![part(1), part(2)], is_complete: true };
+        let text = journal.encode();
+        assert_eq!(Journal::decode(&text), Some(journal));
+        for end in 0..text.len() {
+            assert_eq!(Journal::decode(&text[..end]), None);
+        }
+        for at in 0..text.len() {
+            let mut spoilt = text.clone().into_bytes();
+            spoilt[at] ^= 1;
+            assert_eq!(Journal::decode(&String::from_utf8_lossy(&spoilt)), None);
+        }
+        let descending = Journal { key: "k".into(), parts: vec![part(2), part(1)], is_complete: false };
+        assert_eq!(Journal::decode(&descending.encode()), None);
+    }
+
+    #[test]
+    fn nothing_but_the_file_is_left() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        let mut file = open(&path, "k", false).unwrap();
+        assert_eq!(names(folder.path()), [".simod-a.journal", ".simod-a.part"]);
+        write(&mut file, 0..7);
+        drop(file);
+        assert!(names(folder.path()).is_empty());
+        let mut file = open(&path, "k", false).unwrap();
+        write(&mut file, 0..7);
+        file.complete(false).unwrap();
+        file.commit().unwrap();
+        assert_eq!(names(folder.path()), ["a"]);
+        assert_eq!(fs::read(&path).unwrap(), expected(7));
+    }
+
+    #[test]
+    fn one_process_at_a_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        let first = open(&path, "k", false).unwrap();
+        for resume in [false, true] {
+            let error = open(&path, "k", resume).err().unwrap();
+            assert!(error.to_string().ends_with("/a is being written by another process"), "{error}");
+        }
+        drop(first);
+        open(&path, "k", false).unwrap();
+    }
+
+    #[test]
+    fn kept_parts_are_gone_on_with() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        for written in 0..9 {
+            let mut file = open(&path, "k", false).unwrap();
+            write(&mut file, 0..written);
+            file.keep();
+            assert_eq!(names(folder.path()).is_empty(), written < 2);
+            let mut file = open(&path, "k", true).unwrap();
+            let boundaries: Vec<u64> = file.boundaries().collect();
+            let whole = written / 2 * 2;
+            assert_eq!(boundaries, (2..=u64::from(whole)).step_by(2).collect::<Vec<_>>());
+            assert_eq!(file.go_on_after(u64::from(whole)).unwrap(), 5 * u64::from(whole));
+            write(&mut file, whole..9);
+            file.complete(false).unwrap();
+            file.commit().unwrap();
+            assert_eq!(fs::read(&path).unwrap(), expected(9));
+            assert_eq!(names(folder.path()), ["a"]);
+            fs::remove_file(&path).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_finished_file_is_known_by_its_journal() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        let finish = || {
+            let mut file = open(&path, "k", false).unwrap();
+            write(&mut file, 0..5);
+            file.complete(true).unwrap();
+            file
+        };
+        let is_finished = || {
+            let opened = ResumableFile::open(&path, "k".into(), true, 10, &Silent).unwrap();
+            matches!(opened, Opened::Finished(_))
+        };
+        finish().commit().unwrap().keep();
+        assert_eq!(names(folder.path()), [".simod-a.journal", "a"]);
+        assert!(is_finished());
+        assert_eq!(names(folder.path()), ["a"]);
+        // Killed before it was renamed.
+        finish().keep();
+        fs::remove_file(&path).unwrap();
+        assert!(is_finished());
+        assert_eq!(fs::read(&path).unwrap(), expected(5));
+        // Changed since.
+        finish().commit().unwrap().keep();
+        fs::File::create(&path).unwrap().write_all(b"precious").unwrap();
+        assert!(!is_finished());
+        assert_eq!(fs::read(&path).unwrap(), b"precious");
+        assert_eq!(names(folder.path()), ["a"]);
+    }
+
+    #[test]
+    fn long_names_and_what_is_in_the_way() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a".repeat(255));
+        let mut file = open(&path, "k", false).unwrap();
+        write(&mut file, 0..3);
+        file.complete(false).unwrap();
+        file.commit().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), expected(3));
+        fs::create_dir(folder.path().join(".simod-b.part")).unwrap();
+        let error = open(&folder.path().join("b"), "k", false).err().unwrap();
+        assert!(error.to_string().contains(".simod-b.part is in the way"), "{error}");
+    }
+}

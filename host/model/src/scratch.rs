@@ -1,0 +1,90 @@
+//! Temporary files without a name: nothing is left of them, however the process ends.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use memmap2::{Mmap, MmapMut};
+
+use crate::positioned::Positioned;
+use crate::{Error, Result};
+
+/// A temporary file that several threads write and read at once, each where it likes.
+#[derive(Debug)]
+pub struct Scratch {
+    file: Positioned,
+    /// The same file, to be mapped.
+    handle: File,
+    folder: PathBuf,
+    /// What the user can do about it, beside making room.
+    advice: &'static str,
+}
+
+impl Scratch {
+    /// A new file in `folder`. If that fails, or what is done with it later, the error's hint ends with
+    /// `advice`.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    pub fn new(folder: &Path, advice: &'static str) -> Result<Self> {
+        let files = tempfile::tempfile_in(folder).and_then(|file| Ok((file.try_clone()?, file)));
+        let (handle, file) = files.map_err(|e| refused("write", folder, advice, &e))?;
+        Ok(Self { file: Positioned::new(file), handle, folder: folder.to_owned(), advice })
+    }
+
+    /// Writes all of `bytes` at a place.
+    ///
+    /// # Errors
+    /// The disk is full, or the operating system refuses.
+    pub fn write_at(&self, bytes: &[u8], offset: u64) -> Result<()> {
+        self.file.write_all_at(bytes, offset).map_err(|e| refused("write", &self.folder, self.advice, &e))
+    }
+
+    /// Fills `bytes` with what stands at a place.
+    ///
+    /// # Errors
+    /// The file is shorter, or the operating system refuses.
+    pub fn read_at(&self, bytes: &mut [u8], offset: u64) -> Result<()> {
+        self.file.read_exact_at(bytes, offset).map_err(|e| refused("read", &self.folder, self.advice, &e))
+    }
+
+    /// Makes it `bytes` long, with zeros where nothing is written.
+    ///
+    /// # Errors
+    /// The operating system refuses.
+    pub fn set_len(&self, bytes: u64) -> Result<()> {
+        self.handle.set_len(bytes).map_err(|e| refused("write", &self.folder, self.advice, &e))
+    }
+
+    /// The whole file as memory, which is not anonymous. It must not be empty, and nothing can be written any
+    /// more.
+    ///
+    /// # Errors
+    /// The operating system refuses.
+    pub fn map(self) -> Result<Mmap> {
+        #[expect(unsafe_code, reason = "the map of a file")]
+        // SAFETY: the file has no name and both its handles are in `self`, which ends here: no one else can
+        // shorten or change it as long as it is mapped.
+        let map = unsafe { Mmap::map(&self.handle) };
+        map.map_err(|e| refused("read", &self.folder, self.advice, &e))
+    }
+
+    /// Likewise as memory that can be written. All of it must have been written before, so that the disk has
+    /// room for it.
+    ///
+    /// # Errors
+    /// The operating system refuses.
+    pub fn map_mut(self) -> Result<MmapMut> {
+        #[expect(unsafe_code, reason = "the map of a file")]
+        // SAFETY: as of `map`: no one else has the file.
+        let map = unsafe { MmapMut::map_mut(&self.handle) };
+        map.map_err(|e| refused("read", &self.folder, self.advice, &e))
+    }
+}
+
+fn refused(action: &str, folder: &Path, advice: &str, e: &std::io::Error) -> Error {
+    // Where it is, also where it was called `.`.
+    let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    let what = Error::io(&format!("{action} a temporary file in"), &folder, e);
+    let hint = format!("{}; or {advice}", what.hint());
+    what.hinting(hint)
+}

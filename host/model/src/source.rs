@@ -1,0 +1,86 @@
+//! A model's file, read at given positions.
+//!
+//! Files are read, never mapped into memory: a mapped file that another program shortens kills the process
+//! (SIGBUS), whereas a read returns an error; and mapped pages count as memory of the process.
+
+use std::path::{Path, PathBuf};
+
+use crate::positioned::Positioned;
+use crate::{Error, ErrorKind, Result, input};
+
+/// An open file of known length that several threads read at once, each where it likes.
+#[derive(Debug)]
+pub(crate) struct Source {
+    file: Positioned,
+    path: PathBuf,
+    len: u64,
+}
+
+impl Source {
+    /// Opens a regular file that is not empty.
+    pub(crate) fn open(path: &Path) -> Result<Self> {
+        let refused = |e| Error::io("open", path, &e);
+        let file = input::open(path)?;
+        let len = file.metadata().map_err(refused)?.len();
+        if len == 0 {
+            return Err(Error::new(
+                ErrorKind::Format,
+                format!("{} is empty", path.display()),
+                "copy or export the model again",
+            ));
+        }
+        Ok(Self { file: Positioned::new(file), path: path.to_owned(), len })
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Length of the file when it was opened; nothing beyond is ever read.
+    pub(crate) fn len(&self) -> u64 {
+        self.len
+    }
+
+    /// Fills `buffer` from `offset` on; returns how much of it, which is less only at the end of the file.
+    pub(crate) fn read_at(&self, buffer: &mut [u8], offset: u64) -> Result<usize> {
+        let wanted = self.len.saturating_sub(offset).min(buffer.len() as u64) as usize;
+        let mut done = 0;
+        while done < wanted {
+            match self.file.read_at(&mut buffer[done..wanted], offset + done as u64) {
+                Ok(0) => break,
+                Ok(n) => done += n,
+                Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(e) => return Err(Error::io("read", &self.path, &e)),
+            }
+        }
+        if done < wanted { Err(self.changed()) } else { Ok(done) }
+    }
+
+    /// Appends to `buffer` up to `count` bytes from `offset` on; returns how many, fewer only at the file's
+    /// end.
+    pub(crate) fn append_at(&self, buffer: &mut Vec<u8>, offset: u64, count: usize) -> Result<usize> {
+        let old = buffer.len();
+        let count = self.len.saturating_sub(offset).min(count as u64) as usize;
+        buffer.resize(old + count, 0);
+        self.read_at(&mut buffer[old..], offset)
+    }
+
+    /// An error where the file is not as long any more as when it was opened.
+    pub(crate) fn check_unchanged(&self) -> Result<()> {
+        let len = self.file.len().map_err(|e| Error::io("read", &self.path, &e))?;
+        if len == self.len { Ok(()) } else { Err(self.changed()) }
+    }
+
+    /// An error about the content: `what` follows the file's name.
+    pub(crate) fn malformed(&self, what: impl std::fmt::Display, hint: &str) -> Error {
+        Error::new(ErrorKind::Format, format!("{}: {what}", self.path.display()), hint)
+    }
+
+    fn changed(&self) -> Error {
+        Error::new(
+            ErrorKind::Mismatch,
+            format!("{} changed its length while it was read", self.path.display()),
+            "wait until the program that writes it is done, then try again",
+        )
+    }
+}

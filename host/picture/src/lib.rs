@@ -1,0 +1,119 @@
+//! simod-picture: pictures of models of any size, by a deterministic splat rasteriser on the processor.
+//!
+//! Points are streamed twice, as oriented discs (M. Zwicker, H. Pfister, J. van Baar, M. Gross, *Surface
+//! Splatting*, SIGGRAPH 2001; the two passes as in M. Botsch, A. Hornung, M. Zwicker, L. Kobbelt,
+//! *High-Quality Surface Splatting on Today's GPUs*, PBG 2005): first for the depth of the nearest surface,
+//! then to blend what lies on it. Memory grows with the picture alone. The same points in the same order give
+//! the same picture, bit by bit, for any number of threads: each band of the picture takes them in order.
+//!
+//! ```
+//! use glam::{DVec3, Vec3};
+//! use crate::{Camera, Renderer, Style, SurfacePoint};
+//!
+//! let bounds = [DVec3::splat(-1.0), DVec3::splat(1.0)];
+//! let mut renderer = Renderer::new(64, 48, Camera::frame(bounds, 0.5, 0.3, 64.0 / 48.0), Style::default());
+//! let points = [SurfacePoint { position: DVec3::ZERO, normal: Vec3::Z, color: [200, 90, 40], radius: 0.5 }];
+//! renderer.depth(&points);
+//! renderer.blend(&points);
+//! let image = renderer.finish();
+//! assert_eq!((image.width(), image.height()), (64, 48));
+//! ```
+
+mod camera;
+mod font;
+mod frames;
+mod ground;
+mod image;
+pub mod picture;
+mod shade;
+mod spacing;
+mod splat;
+
+pub use camera::Camera;
+pub use frames::FrameFolder;
+pub use image::Image;
+pub use spacing::Spacing;
+
+use glam::{DVec3, Vec3};
+use ground::Ground;
+use splat::Canvas;
+
+/// A point of a surface, drawn as a disc.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfacePoint {
+    /// Position; points that are not finite are skipped.
+    pub position: DVec3,
+    /// Normal of any length and sign; zero (or not finite) where it is not known: then the picture's depth
+    /// tells the orientation.
+    pub normal: Vec3,
+    /// Red, green and blue; see [`Style::own_colors`].
+    pub color: [u8; 3],
+    /// Radius of the disc, in the units of the position; see [`Spacing`].
+    pub radius: f32,
+}
+
+/// How a picture looks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Style {
+    /// Whether points show their own colours, or all the same clay.
+    pub own_colors: bool,
+    /// Height (y) of the ground that receives a soft shadow, where there is one.
+    pub ground: Option<f64>,
+}
+
+impl Default for Style {
+    /// Own colours, no ground.
+    fn default() -> Self {
+        Self { own_colors: true, ground: None }
+    }
+}
+
+/// Draws one picture: [`depth`](Self::depth) for all points, then [`blend`](Self::blend) for all points
+/// again, then [`finish`](Self::finish).
+pub struct Renderer {
+    width: u32,
+    height: u32,
+    camera: Camera,
+    style: Style,
+    canvas: Canvas,
+    ground: Option<Ground>,
+}
+
+/// Samples per pixel in each direction.
+const SUPERSAMPLING: u32 = 2;
+
+impl Renderer {
+    /// An empty picture. A width or height of 0 is taken as 1.
+    pub fn new(width: u32, height: u32, camera: Camera, style: Style) -> Self {
+        let (width, height) = (width.max(1), height.max(1));
+        Self {
+            width,
+            height,
+            camera,
+            style,
+            canvas: Canvas::new(width * SUPERSAMPLING, height * SUPERSAMPLING),
+            ground: style.ground.map(|height| Ground::new(height, &camera)),
+        }
+    }
+
+    /// First pass: finds the nearest surface.
+    pub fn depth(&mut self, points: &[SurfacePoint]) {
+        self.canvas.depth(&self.camera, points);
+        if let Some(ground) = &mut self.ground {
+            ground.add(points);
+        }
+    }
+
+    /// Second pass: blends normals and colours of the points on the nearest surface. What was not in the
+    /// first pass does not show.
+    pub fn blend(&mut self, points: &[SurfacePoint]) {
+        self.canvas.blend(&self.camera, points);
+    }
+
+    /// Lights the picture.
+    pub fn finish(self) -> Image {
+        let lit =
+            shade::shade(&self.canvas, &self.camera, &self.style, self.ground.map(Ground::finish).as_ref());
+        Image::downsampled(self.width, self.height, SUPERSAMPLING, &lit)
+    }
+}

@@ -1,0 +1,236 @@
+//! Pictures of models and samples: shaded splats, drawn on the processor.
+
+use glam::{DVec3, Vec3, swizzles::Vec3Swizzles};
+use serde::Deserialize;
+use simod_core::sampled_model::SampledModel;
+use simod_model::bounds::Bounds;
+use simod_model::{Model, Progress, Result, VertexChunk, Vertices, in_step};
+
+use super::{Camera, Image, Renderer, Spacing, Style, SurfacePoint};
+
+/// Of points that need none.
+const NO_COLOR: [u8; 3] = [0; 3];
+
+/// The colour of a vertex: of its number in these parts of models that are read in step.
+pub type Paint<'a> = dyn Fn(&[Vertices<'_>], usize) -> [u8; 3] + 'a;
+
+/// Radius of a sample's disc over its spacing: wide enough to leave no holes where the density changes.
+const SAMPLE_RADIUS: f64 = 1.35;
+
+/// From where, and how large.
+#[derive(Debug, Clone, Copy)]
+pub struct View {
+    /// What fills the picture.
+    pub bounds: Bounds,
+    /// Turned to the right about +y from +z, in degrees.
+    pub yaw: f64,
+    /// Looking down, in degrees.
+    pub pitch: f64,
+    /// Picture size in pixels.
+    pub size: [u32; 2],
+    /// Which of the model's axes points up.
+    pub up: Up,
+}
+
+/// The model's axis that points up in the picture.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Up {
+    /// The first.
+    X,
+    /// The second.
+    #[default]
+    Y,
+    /// The third.
+    Z,
+}
+
+impl Up {
+    /// Turns the model's axes, in their order, so that the one that is up becomes y.
+    fn turned(self, p: DVec3) -> DVec3 {
+        match self {
+            Self::X => p.zxy(),
+            Self::Y => p,
+            Self::Z => p.yzx(),
+        }
+    }
+}
+
+impl View {
+    fn camera(&self) -> Camera {
+        let [w, h] = self.size;
+        let bounds = [self.up.turned(self.bounds.min), self.up.turned(self.bounds.max)];
+        let aspect = f64::from(w) / f64::from(h.max(1));
+        Camera::frame(bounds, self.yaw.to_radians(), self.pitch.to_radians(), aspect)
+    }
+
+    /// The cameras of a full turn, evenly spaced. All are as far away as the farthest of those that just show
+    /// everything: nothing is cut, and the model does not seem to grow and shrink.
+    fn turn(&self, frames: u32) -> Vec<Camera> {
+        let yaw = |k| self.yaw + 360.0 * f64::from(k) / f64::from(frames);
+        let cameras: Vec<Camera> = (0..frames).map(|k| Self { yaw: yaw(k), ..*self }.camera()).collect();
+        let farthest = cameras.iter().map(Camera::distance).fold(0.0, f64::max);
+        cameras.into_iter().map(|camera| camera.at_least(farthest)).collect()
+    }
+
+    fn renderer(&self, camera: Camera, own_colors: bool) -> Renderer {
+        let [w, h] = self.size;
+        let ground = Some(self.up.turned(self.bounds.min).y);
+        Renderer::new(w, h, camera, Style { own_colors, ground })
+    }
+}
+
+/// Takes the pictures of a turn, one after the other.
+pub type Frames<'a> = dyn FnMut(&Image) -> Result<()> + 'a;
+
+/// Bounding box of a model's finite positions.
+///
+/// # Errors
+/// The model cannot be read; the user cancelled.
+pub fn bounds(model: &dyn Model, progress: &dyn Progress) -> Result<Bounds> {
+    let mut bounds = Bounds::default();
+    stream(model, "measuring", progress, |chunk| {
+        chunk.positions.iter().filter(|p| p.is_finite()).for_each(|p| bounds.include(*p));
+    })?;
+    Ok(bounds)
+}
+
+/// Draws a model in three streams: the spacing of its vertices, the visible surface, its shading.
+///
+/// # Errors
+/// The model cannot be read; the user cancelled.
+pub fn of_model(model: &dyn Model, bounds: &Bounds, view: &View, progress: &dyn Progress) -> Result<Image> {
+    let spacing = spacing(model, bounds, progress)?;
+    draw(&[model], &spacing, view, view.camera(), None, progress)
+}
+
+/// As [`of_model`], so many times while the camera goes once round the vertical axis, in one stream more than
+/// two for each picture. It stands as far back for all as some of them need; the first is that of
+/// [`of_model`] if it is one of these.
+///
+/// # Errors
+/// The model cannot be read; `frame` refuses a picture; the user cancelled.
+pub fn turn_of_model(
+    model: &dyn Model,
+    bounds: &Bounds,
+    view: &View,
+    frames: u32,
+    frame: &mut Frames<'_>,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let spacing = spacing(model, bounds, progress)?;
+    let draw = |camera| draw(&[model], &spacing, view, camera, None, progress);
+    view.turn(frames).into_iter().try_for_each(|camera| frame(&draw(camera)?))
+}
+
+/// As [`of_model`], for the first of several models that are read [in step](in_step): `paint` gives its
+/// vertices' colours.
+///
+/// # Errors
+/// A model cannot be read, or they differ in their number of vertices; the user cancelled.
+pub fn of_painted(
+    models: &[&dyn Model],
+    bounds: &Bounds,
+    view: &View,
+    paint: &Paint<'_>,
+    progress: &dyn Progress,
+) -> Result<Image> {
+    let spacing = spacing(models[0], bounds, progress)?;
+    draw(models, &spacing, view, view.camera(), Some(paint), progress)
+}
+
+fn spacing(model: &dyn Model, bounds: &Bounds, progress: &dyn Progress) -> Result<Spacing> {
+    let mut spacing = Spacing::new([bounds.min, bounds.max]);
+    stream(model, "drawing", progress, |chunk| spacing.add(chunk.positions.iter().copied()))?;
+    Ok(spacing)
+}
+
+fn draw(
+    models: &[&dyn Model],
+    spacing: &Spacing,
+    view: &View,
+    camera: Camera,
+    paint: Option<&Paint<'_>>,
+    progress: &dyn Progress,
+) -> Result<Image> {
+    let points_of = |parts: &[Vertices<'_>]| -> Vec<SurfacePoint> {
+        let Vertices { positions, normals } = parts[0];
+        let point = |(i, p): (usize, &DVec3)| SurfacePoint {
+            position: view.up.turned(*p),
+            normal: view.up.turned(normals.get(i).map_or(DVec3::ZERO, |n| n.as_dvec3())).as_vec3(),
+            color: paint.map_or(NO_COLOR, |paint| paint(parts, i)),
+            radius: spacing.radius_at(*p),
+        };
+        positions.iter().enumerate().map(point).collect()
+    };
+    let mut renderer = view.renderer(camera, paint.is_some());
+    let pass = |draw: &mut dyn FnMut(&[SurfacePoint])| {
+        progress.begin("drawing", models[0].info().vertex_bytes);
+        in_step(models, progress, |parts| {
+            draw(&points_of(parts));
+            Ok(())
+        })
+    };
+    pass(&mut |points| renderer.depth(points))?;
+    pass(&mut |points| renderer.blend(points))?;
+    Ok(renderer.finish())
+}
+
+/// Draws samples at local `positions`, each as a disc that its neighbours overlap a little.
+pub fn of_samples(sampled: &SampledModel, positions: &[Vec3], normals: &[Vec3], view: &View) -> Image {
+    drawn(&discs(sampled, positions, normals, view), view, view.camera())
+}
+
+/// As [`of_samples`], so many times while the camera goes once round the vertical axis; see
+/// [`turn_of_model`].
+///
+/// # Errors
+/// `frame` refuses a picture; the user cancelled.
+pub fn turn_of_samples(
+    sampled: &SampledModel,
+    view: &View,
+    frames: u32,
+    frame: &mut Frames<'_>,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let samples = &sampled.samples;
+    let points = discs(sampled, &samples.positions, samples.normals(), view);
+    view.turn(frames).into_iter().try_for_each(|camera| {
+        progress.check()?;
+        frame(&drawn(&points, view, camera))
+    })
+}
+
+fn discs(sampled: &SampledModel, positions: &[Vec3], normals: &[Vec3], view: &View) -> Vec<SurfacePoint> {
+    let disc = |((p, n), spacing): ((&Vec3, &Vec3), &f32)| SurfacePoint {
+        position: view.up.turned(sampled.frame.to_model(*p)),
+        normal: view.up.turned(n.as_dvec3()).as_vec3(),
+        color: NO_COLOR,
+        radius: (SAMPLE_RADIUS * f64::from(*spacing) * sampled.frame.scale) as f32,
+    };
+    positions.iter().zip(normals).zip(sampled.samples.spacing()).map(disc).collect()
+}
+
+fn drawn(points: &[SurfacePoint], view: &View, camera: Camera) -> Image {
+    let mut renderer = view.renderer(camera, false);
+    renderer.depth(points);
+    renderer.blend(points);
+    renderer.finish()
+}
+
+fn stream(
+    model: &dyn Model,
+    stage: &'static str,
+    progress: &dyn Progress,
+    mut visit: impl FnMut(&VertexChunk),
+) -> Result<()> {
+    progress.begin(stage, model.info().vertex_bytes);
+    let mut reader = model.vertices(0..model.info().vertices)?;
+    let mut chunk = VertexChunk::default();
+    while reader.read(&mut chunk)? {
+        progress.check()?;
+        visit(&chunk);
+        progress.advance(chunk.raw().len() as u64);
+    }
+    Ok(())
+}
