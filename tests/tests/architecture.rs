@@ -134,7 +134,7 @@ fn arrows_go_one_way() {
     crates.expect_members("host/window", &[&engine[..], &window, &["simod-viewer"]].concat());
 
     crates.expect_none("host/core", &["abi_stable", "libloading", "clap", "simod-plugin-api"]);
-    for folder in ["plugin-api", "plugins", "host/session", "host/viewer", "host/cli"] {
+    for folder in ["plugin-api", "plugins", "host/picture", "host/session", "host/viewer", "host/cli"] {
         crates.expect_none(folder, &WINDOWS);
     }
     // It draws into textures, for whichever window.
@@ -220,4 +220,180 @@ fn rust_files(folder: &Path) -> Vec<PathBuf> {
         }
     }
     files
+}
+
+/// Files of a crate that still import each other in a circle: these numbers may only fall, and a crate that
+/// is not named has none.
+const IN_CIRCLES: [(&str, usize); 6] =
+    [("cli", 19), ("core", 34), ("scene", 2), ("session", 31), ("viewer", 13), ("window", 42)];
+
+#[test]
+fn modules_have_no_circles() {
+    for folder in std::fs::read_dir(workspace().join("host")).expect("a folder") {
+        let folder = folder.expect("an entry").path();
+        let name = folder.file_name().and_then(|name| name.to_str()).expect("a name").to_owned();
+        let found = Modules::read(&folder.join("src")).in_circles();
+        let known = IN_CIRCLES.iter().find(|(crate_name, _)| *crate_name == name).map_or(0, |(_, n)| *n);
+        assert_eq!(found.len(), known, "files of host/{name} in circles: {found:?}");
+    }
+}
+
+/// The place of a module in its crate, or of something in a module.
+type Place = Vec<String>;
+
+/// The modules of a crate, a file each, without their tests; and what each uses of the others. A name that a
+/// module merely passes on is of the module that has it.
+struct Modules {
+    /// The code of each, without comments.
+    code: BTreeMap<Place, String>,
+    /// What the names that each imports stand for.
+    imports: BTreeMap<Place, BTreeMap<String, Place>>,
+}
+
+impl Modules {
+    fn read(source: &Path) -> Self {
+        let mut code = BTreeMap::new();
+        for file in rust_files(source) {
+            let place = file.strip_prefix(source).expect("a file there").with_extension("");
+            let mut place: Place =
+                place.iter().map(|part| part.to_str().expect("UTF-8").to_owned()).collect();
+            place.pop_if(|last| ["lib", "main", "mod"].contains(&last.as_str()));
+            if !place.last().is_some_and(|last| last == "tests" || last.ends_with("_tests")) {
+                let text = std::fs::read_to_string(&file).expect("source code");
+                code.insert(place, without_tests(&text));
+            }
+        }
+        let mut all = Self { code, imports: BTreeMap::new() };
+        for (module, text) in &all.code {
+            let named = parts(text).0.into_iter().flat_map(|import| leaves(import.1));
+            let known = named.filter_map(|(name, path)| Some((name, all.absolute(module, &path)?)));
+            let known = known.collect();
+            all.imports.insert(module.clone(), known);
+        }
+        all
+    }
+
+    /// A path as from the crate's root; nothing for what is of other crates.
+    fn absolute(&self, module: &[String], path: &[String]) -> Option<Place> {
+        let below = |n: usize, rest: &[String]| Some([&module[..n], rest].concat());
+        match path.first()?.as_str() {
+            "crate" => Some(path[1..].to_vec()),
+            "self" => below(module.len(), &path[1..]),
+            "super" => {
+                let up = path.iter().take_while(|part| *part == "super").count();
+                below(module.len().checked_sub(up)?, &path[up..])
+            }
+            first => {
+                let child = [module, &[first.to_owned()]].concat();
+                if self.code.contains_key(&child) { below(module.len(), path) } else { None }
+            }
+        }
+    }
+
+    /// The module that has what stands at a place.
+    fn owner(&self, place: &[String], depth: usize) -> Option<Place> {
+        let length = (0..=place.len()).rev().find(|n| self.code.contains_key(&place[..*n]))?;
+        let (module, rest) = place.split_at(length);
+        let known = rest.first().and_then(|name| self.imports.get(module)?.get(name));
+        match known {
+            Some(to) if depth < 10 => self.owner(&[to, &rest[1..]].concat(), depth + 1),
+            _ => Some(module.to_vec()),
+        }
+    }
+
+    /// The modules that a module uses.
+    fn used(&self, module: &Place) -> BTreeSet<Place> {
+        let (imports, body) = parts(&self.code[module]);
+        let words: BTreeSet<&str> = body.split(|c: char| !c.is_alphanumeric() && c != '_').collect();
+        let mut paths: Vec<Place> = Vec::new();
+        for (passes_on, tree) in imports {
+            let uses = leaves(tree).into_iter();
+            paths.extend(uses.filter(|(name, _)| !passes_on || words.contains(name.as_str())).map(|x| x.1));
+        }
+        let inline = body.split(|c: char| !c.is_alphanumeric() && c != '_' && c != ':');
+        paths.extend(inline.filter(|path| path.contains("::")).map(|path| place(path.trim_matches(':'))));
+        let places = paths.iter().filter_map(|path| self.absolute(module, path));
+        places.filter_map(|place| self.owner(&place, 0)).filter(|owner| owner != module).collect()
+    }
+
+    /// The modules that use themselves by way of others.
+    fn in_circles(&self) -> Vec<String> {
+        let used: BTreeMap<&Place, BTreeSet<Place>> = self.code.keys().map(|m| (m, self.used(m))).collect();
+        let reaches_itself = |module: &&&Place| {
+            let (mut seen, mut open) = (BTreeSet::new(), vec![**module]);
+            while let Some(next) = open.pop() {
+                open.extend(used[next].iter().filter(|m| seen.insert(*m)));
+            }
+            seen.contains(**module)
+        };
+        used.keys().filter(reaches_itself).map(|module| format!("crate::{}", module.join("::"))).collect()
+    }
+}
+
+/// A path's names.
+fn place(path: &str) -> Place {
+    path.split("::").map(|part| part.trim().to_owned()).collect()
+}
+
+/// A file's code without comments, and without the modules of its tests, which come last.
+fn without_tests(text: &str) -> String {
+    let lines: Vec<&str> = text.lines().map(|line| line.split("//").next().unwrap_or("")).collect();
+    let is_tests =
+        |pair: &[&str]| pair[0] == "#[cfg(test)]" && pair[1].contains("mod ") && pair[1].ends_with('{');
+    let end = lines.windows(2).position(is_tests).unwrap_or(lines.len());
+    lines[..end].join("\n")
+}
+
+/// The imports of a file, each with whether it passes names on to others; and the rest of it.
+fn parts(code: &str) -> (Vec<(bool, &str)>, String) {
+    let (mut imports, mut body) = (Vec::new(), String::new());
+    let mut rest = code;
+    while let Some(at) = rest.find("use ") {
+        let (before, after) = rest.split_at(at);
+        let line = &before[before.rfind('\n').map_or(0, |end| end + 1)..];
+        let is_import = line.trim().is_empty() || line.trim_start().starts_with("pub");
+        let end = after.find(';').unwrap_or(after.len());
+        if is_import {
+            imports.push((!line.trim().is_empty(), &after[4..end]));
+            body.push_str(&before[..before.len() - line.len()]);
+            rest = &after[end..];
+        } else {
+            body.push_str(before);
+            body.push_str("use ");
+            rest = &after[4..];
+        }
+    }
+    body.push_str(rest);
+    (imports, body)
+}
+
+/// The names that an import brings in, and their paths.
+fn leaves(tree: &str) -> Vec<(String, Place)> {
+    let tree = tree.trim();
+    let Some((prefix, inner)) = tree.split_once('{') else {
+        let (path, name) = tree.split_once(" as ").map_or((tree, None), |(path, name)| (path, Some(name)));
+        let mut path = place(path);
+        if path.len() > 1 {
+            path.pop_if(|last| last == "self");
+        }
+        let name = name.map_or_else(|| path.last().cloned().unwrap_or_default(), |n| n.trim().to_owned());
+        return vec![(name, path)];
+    };
+    let inner = &inner[..inner.rfind('}').unwrap_or(inner.len())];
+    let (mut all, mut depth, mut start) = (Vec::new(), 0, 0);
+    for (at, c) in inner.char_indices().chain([(inner.len(), ',')]) {
+        match c {
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            ',' if depth == 0 => {
+                let part = inner[start..at].trim();
+                start = at + 1;
+                if !part.is_empty() {
+                    all.extend(leaves(&format!("{}{part}", prefix.trim())));
+                }
+            }
+            _ => {}
+        }
+    }
+    all
 }

@@ -13,19 +13,21 @@ mod noise;
 mod ornament;
 mod ply;
 mod prism;
+mod rows;
 mod shapes;
 mod sweep;
 mod tile;
 
 use std::ops::Range;
 
-use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::{Error, ErrorKind, Result};
 
 use layout::{Patch, lay_out};
+use rows::Rows;
 
 pub use ply::{Encoding, GeneratedInfo, ModelOptions, expected_bytes, write_file, write_ply};
+pub use rows::SurfaceVertex;
 
 /// Fewest vertices of a generated model; with fewer, the shapes fall apart.
 pub const MIN_VERTICES: u64 = 1000;
@@ -60,21 +62,10 @@ pub enum Shape {
     Cactus,
 }
 
-/// A vertex of a generated surface.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SurfaceVertex {
-    /// Position.
-    pub position: DVec3,
-    /// Unit normal, to the outside.
-    pub normal: Vec3,
-    /// Red, green and blue.
-    pub color: [u8; 3],
-}
-
 /// A generated model: vertices by formula, and triangles.
 ///
 /// ```
-/// use crate::{Shape, Surface};
+/// use simod_generate::{Shape, Surface};
 /// # fn main() -> simod_model::Result<()> {
 /// let surface = Surface::new(Shape::BumpySphere, 5_000)?;
 /// let mut highest = f64::MIN;
@@ -89,23 +80,6 @@ pub struct SurfaceVertex {
 pub struct Surface {
     bodies: Vec<Box<dyn Rows>>,
     vertices: u64,
-}
-
-/// A body of a model, row by row.
-trait Rows: Send + Sync {
-    fn rows(&self) -> usize;
-
-    /// Number of vertices in a row.
-    fn row_len(&self, row: usize) -> u64;
-
-    /// Appends the vertices of a row.
-    fn row(&self, row: usize, vertices: &mut Vec<SurfaceVertex>);
-
-    /// Number of triangles between a row and the next one; 0 for the last.
-    fn strip_len(&self, row: usize) -> u64;
-
-    /// Appends the triangles between a row and the next one, counter-clockwise seen from outside.
-    fn strip(&self, row: usize, triangles: &mut Vec<[u64; 3]>);
 }
 
 impl Surface {

@@ -12,7 +12,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{corners, cross};
+use super::triangle::{corners, cross};
 
 /// A mesh at rest with its smooth surface, to compare deformed ones with.
 pub struct Details<'a> {

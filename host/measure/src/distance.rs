@@ -11,7 +11,7 @@ use rstar::{AABB, PointDistance, RTree, RTreeObject, SelectionFunction};
 use serde::Serialize;
 use simod_model::{Progress, Result};
 
-use super::{corners, cross};
+use super::triangle::{corners, cross};
 
 /// Points that are looked up before the user is asked whether to go on.
 const BLOCK: usize = 1 << 14;

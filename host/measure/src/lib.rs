@@ -7,7 +7,7 @@
 //!
 //! ```
 //! use glam::DVec3;
-//! use crate::{edge_distortion, volume};
+//! use simod_measure::{edge_distortion, volume};
 //!
 //! let corners = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
 //! let triangles = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
@@ -19,51 +19,12 @@
 mod details;
 mod distance;
 mod size;
+mod spread;
+mod triangle;
 mod vertexwise;
 
 pub use details::{Details, Rotation};
 pub use distance::{Distances, OnSurface, Surface};
 pub use size::{area, area_distortion, edge_distortion, is_closed, volume};
+pub use spread::Spread;
 pub use vertexwise::{Angles, Beside, Difference, beside};
-
-use glam::DVec3;
-use serde::Serialize;
-
-/// A corner of a triangle.
-type Corners = [DVec3; 3];
-
-/// How some amount is spread over a mesh; all 0 for a mesh without any.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
-pub struct Spread {
-    /// Root of the mean square.
-    pub rms: f64,
-    /// 99 of 100 are at most this.
-    pub p99: f64,
-    /// The greatest.
-    pub max: f64,
-}
-
-impl Spread {
-    /// Of amounts that are not negative.
-    pub fn of(mut amounts: Vec<f64>) -> Self {
-        let Some(last) = amounts.len().checked_sub(1) else { return Self::default() };
-        amounts.sort_by(f64::total_cmp);
-        let squares: f64 = amounts.iter().map(|x| x * x).sum();
-        Self {
-            rms: (squares / amounts.len() as f64).sqrt(),
-            p99: amounts[last * 99 / 100],
-            max: amounts[last],
-        }
-    }
-}
-
-/// The corners of a triangle in one shape; nothing where it has none.
-fn corners(positions: &[DVec3], triangle: [u32; 3]) -> Option<Corners> {
-    let [a, b, c] = triangle.map(|i| positions.get(i as usize).copied().filter(|p| p.is_finite()));
-    Some([a?, b?, c?])
-}
-
-/// Twice the area of a triangle, along its normal.
-fn cross([a, b, c]: Corners) -> DVec3 {
-    (b - a).cross(c - a)
-}

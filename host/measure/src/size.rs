@@ -2,7 +2,8 @@
 
 use glam::DVec3;
 
-use super::{Spread, corners, cross};
+use super::spread::Spread;
+use super::triangle::{corners, cross};
 
 /// The volume that a closed mesh holds, by signed tetrahedra: negative for one that is inside out.
 pub fn volume(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {

@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::SurfacePoint;
 use super::camera::Camera;
-use super::shade::KEY_LIGHT;
+use super::style::KEY_LIGHT;
 
 /// Cells of the shadow's map in each direction.
 const CELLS: usize = 384;

@@ -7,8 +7,7 @@
 //! the same picture, bit by bit, for any number of threads: each band of the picture takes them in order.
 //!
 //! ```
-//! use glam::{DVec3, Vec3};
-//! use crate::{Camera, Renderer, Style, SurfacePoint};
+//! //! use simod_picture::{Camera, Renderer, Style, SurfacePoint};
 //!
 //! let bounds = [DVec3::splat(-1.0), DVec3::splat(1.0)];
 //! let mut renderer = Renderer::new(64, 48, Camera::frame(bounds, 0.5, 0.3, 64.0 / 48.0), Style::default());
@@ -25,48 +24,21 @@ mod frames;
 mod ground;
 mod image;
 pub mod picture;
+mod point;
 mod shade;
 mod spacing;
 mod splat;
+mod style;
 
 pub use camera::Camera;
 pub use frames::FrameFolder;
 pub use image::Image;
+pub use point::SurfacePoint;
 pub use spacing::Spacing;
+pub use style::Style;
 
-use glam::{DVec3, Vec3};
 use ground::Ground;
 use splat::Canvas;
-
-/// A point of a surface, drawn as a disc.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SurfacePoint {
-    /// Position; points that are not finite are skipped.
-    pub position: DVec3,
-    /// Normal of any length and sign; zero (or not finite) where it is not known: then the picture's depth
-    /// tells the orientation.
-    pub normal: Vec3,
-    /// Red, green and blue; see [`Style::own_colors`].
-    pub color: [u8; 3],
-    /// Radius of the disc, in the units of the position; see [`Spacing`].
-    pub radius: f32,
-}
-
-/// How a picture looks.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Style {
-    /// Whether points show their own colours, or all the same clay.
-    pub own_colors: bool,
-    /// Height (y) of the ground that receives a soft shadow, where there is one.
-    pub ground: Option<f64>,
-}
-
-impl Default for Style {
-    /// Own colours, no ground.
-    fn default() -> Self {
-        Self { own_colors: true, ground: None }
-    }
-}
 
 /// Draws one picture: [`depth`](Self::depth) for all points, then [`blend`](Self::blend) for all points
 /// again, then [`finish`](Self::finish).

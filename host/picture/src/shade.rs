@@ -3,14 +3,11 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::Style;
 use super::camera::{Camera, Lens};
 use super::ground::Ground;
 use super::splat::Canvas;
+use super::style::{KEY_LIGHT, Style};
 
-/// Direction to the key light in view coordinates (right, up, forward): from the upper left, before the
-/// model.
-pub(super) const KEY_LIGHT: Vec3 = Vec3::new(-0.50, 0.66, -0.56);
 /// Direction to the fill light.
 const FILL_LIGHT: Vec3 = Vec3::new(0.80, 0.10, -0.59);
 /// Linear colour of the model where its own are not shown.

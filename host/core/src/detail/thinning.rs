@@ -5,7 +5,7 @@
 //! meets one of the choice's (jittered sampling: R. L. Cook, *Stochastic Sampling in Computer Graphics*,
 //! 1986).
 
-use crate::sampling::vs_tree::mix;
+use crate::sampling::random::mix;
 
 /// The least stride at which these numbers of vertices give at most `most` in all; or one each, where these
 /// are more.

@@ -11,10 +11,11 @@ use simod_model::scratch::Scratch;
 use simod_model::{FaceChunk, Model, Progress, Result, for_faces, for_faces_at};
 
 use super::appending::Appended;
-use super::gathering::{Gathered, joined};
+use super::gathering::Gathered;
 use super::regrowing::Regrown;
 use crate::sampling::kept_cells::{KeptCell, KeptCells};
 use crate::sampling::placement::Planes;
+use crate::sampling::ranges::joined;
 use crate::sampling::triangles::{first_least, once_each};
 
 const ADVICE: &str = "sample the model with --skip triangles, which need it";

@@ -12,6 +12,7 @@ use crate::sampling::finalization::{PART, unit};
 use crate::sampling::gather::{Gather, Groups};
 use crate::sampling::grid::{CellMap, cell_box, key_at};
 use crate::sampling::kept_cells::KeptCells;
+use crate::sampling::ranges::joined;
 
 /// Vertices of which a cell's tree was built at once, where they were not in groups.
 pub(super) const VERTICES_OF_A_PART: usize = PART / size_of::<Vertex>();
@@ -176,20 +177,6 @@ impl Gathering<'_> {
         let near = if self.model.info().random_access { 0 } else { u64::MAX };
         joined(cells.iter().flat_map(|cell| self.kept.cells[*cell as usize].ranges.iter().cloned()), near)
     }
-}
-
-/// All of these ranges, ascending; those that overlap, or have no more than `near` between them, are one.
-pub(crate) fn joined(ranges: impl Iterator<Item = Range<u64>>, near: u64) -> Vec<Range<u64>> {
-    let mut all: Vec<_> = ranges.collect();
-    all.sort_unstable_by_key(|range| range.start);
-    let mut joined: Vec<Range<u64>> = Vec::new();
-    for range in all {
-        match joined.last_mut() {
-            Some(last) if range.start.saturating_sub(last.end) <= near => last.end = last.end.max(range.end),
-            _ => joined.push(range),
-        }
-    }
-    joined
 }
 
 impl Gathered {

@@ -10,6 +10,7 @@ mod appending;
 mod faces;
 pub(crate) mod gathering;
 mod needs;
+mod record;
 mod regrowing;
 mod selection;
 #[cfg(test)]
@@ -25,6 +26,7 @@ use simod_model::frame::Frame;
 use simod_model::size::human_size;
 use simod_model::{Error, ErrorKind, Model, Progress, Result};
 
+pub use record::Refinement;
 pub use selection::Selection;
 
 use crate::reconstruction::{DeformationField, Moved, carry};
@@ -91,33 +93,6 @@ pub struct Refining {
     pub memory_limit: Option<u64>,
     /// What is selected, as it will stand among the sampled model's refinements.
     pub shapes: Vec<toml::Table>,
-}
-
-/// A refinement that a sampled model has gone through.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub struct Refinement {
-    /// What was selected.
-    pub shapes: Vec<toml::Table>,
-    /// The bound that it came to inside, as a fraction of the diagonal.
-    pub error: f64,
-    /// Number of samples that it appended.
-    pub added: u64,
-    /// The transfer error that it allowed, as a fraction of the diagonal, if it was where a deformation
-    /// needed it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub transfer_error: Option<f64>,
-}
-
-impl Refinement {
-    /// What was selected, on one line.
-    pub fn places(&self) -> String {
-        let shape = |table: &toml::Table| toml::Value::from(table.clone()).to_string();
-        if self.shapes.is_empty() {
-            return "wherever it was needed".to_owned();
-        }
-        self.shapes.iter().map(shape).collect::<Vec<_>>().join(", ")
-    }
 }
 
 /// What was done.

@@ -408,7 +408,8 @@ mod tests {
     use super::*;
     use crate::sampling::cluster::Vertex;
     use crate::sampling::grid::GridCounter;
-    use crate::sampling::vs_tree::{Splitting, Workspace};
+    use crate::sampling::splitting::Splitting;
+    use crate::sampling::vs_tree::Workspace;
 
     /// A wavy sheet of 100 × 100 vertices, clustered as it streams, for a target.
     fn sampled(target: Option<usize>, bound: f32, resolution: u32) -> Cut {

@@ -5,7 +5,7 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 use super::cluster::{Moments, REACH_WEIGHT};
-use super::vs_tree::Splitting;
+use super::splitting::Splitting;
 
 /// What samples are spread by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]

@@ -23,8 +23,9 @@ use super::gather::Gather;
 use super::grid::{CellKey, Grid, cell_box};
 use super::membership::{Leaves, Membership, Noted};
 use super::open_cells::CellItems;
+use super::random::mix;
 use super::ranges::Ranges;
-use super::vs_tree::{VsTree, Workspace, mix};
+use super::vs_tree::{VsTree, Workspace};
 
 /// Bytes of items that wait for, or are in, clustering, beyond which the stream stands still. The last cell
 /// may be larger.

@@ -9,7 +9,7 @@
 use glam::{DMat3, DVec3, Vec3, Vec3Swizzles};
 
 use super::cluster::{Element, Moments};
-use super::vs_tree::mix;
+use super::random::mix;
 use crate::geometry::{least_eigenvalue, solve_positive_definite, symmetric_eigen};
 
 /// Fewer elements than this do not make two layers.

@@ -18,8 +18,10 @@ mod membership;
 pub(crate) mod normals;
 mod open_cells;
 pub(crate) mod placement;
-mod ranges;
+pub(crate) mod random;
+pub(crate) mod ranges;
 mod sample_set;
+mod splitting;
 pub(crate) mod triangles;
 pub mod vs_tree;
 
@@ -40,10 +42,10 @@ pub use gather::Grouping;
 pub use kd_tree::KdTree;
 pub use placement::Placement;
 pub use sample_set::{NEIGHBOURS, NeighbourGraph, SampleSet};
-pub use vs_tree::Splitting;
+pub use splitting::Splitting;
 
-use crate::refinement::gathering::joined;
 use crate::sampled_model::{SampledModel, Source, fingerprint};
+use crate::sampling::ranges::joined;
 use crate::touching::{Contacts, Islands, Parted, Parting};
 use density::Rule;
 use face_ranges::FaceRanges;

@@ -144,6 +144,20 @@ fn halve(ranges: &mut Vec<Range<u64>>, keep: usize) {
     *ranges = kept;
 }
 
+/// All of these ranges, ascending; those that overlap, or have no more than `near` between them, are one.
+pub(crate) fn joined(ranges: impl Iterator<Item = Range<u64>>, near: u64) -> Vec<Range<u64>> {
+    let mut all: Vec<_> = ranges.collect();
+    all.sort_unstable_by_key(|range| range.start);
+    let mut joined: Vec<Range<u64>> = Vec::new();
+    for range in all {
+        match joined.last_mut() {
+            Some(last) if range.start.saturating_sub(last.end) <= near => last.end = last.end.max(range.end),
+            _ => joined.push(range),
+        }
+    }
+    joined
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

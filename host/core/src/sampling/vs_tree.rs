@@ -13,11 +13,12 @@
 //! below, and their number falls as ε grows.
 
 use glam::{DMat3, DVec3, Vec3};
-use serde::{Deserialize, Serialize};
 
 use super::cluster::{Element, Moments};
 use super::density::{By, Rule};
 use super::layers::Layers;
+use super::random::mix;
+use super::splitting::Splitting;
 use crate::geometry::symmetric_eigen;
 
 /// A cluster projects on its mean plane without folding if its normals lie within this cosine of the plane's.
@@ -42,21 +43,6 @@ const DITHER: f64 = 0.02;
 
 /// Splits below this depth are coincident points in all but name.
 const MAX_DEPTH: u32 = 96;
-
-/// How clusters are split.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Splitting {
-    /// In space first, and in the plane of the cluster once it is flat enough; sheets that lie one above the
-    /// other are parted first of all. Where a model has faces, these part the sheets, and clusters are split
-    /// as without layers.
-    #[default]
-    Layered,
-    /// The same, whatever lies one above the other.
-    VolumeSurface,
-    /// In space alone: what the paper compares the VS-Tree with.
-    Octree,
-}
 
 /// A cluster in a [`VsTree`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -473,14 +459,6 @@ fn quadrant<E: Element>(m: &Moments, tangents: [Vec3; 2]) -> impl Fn(&E) -> usiz
         let p = e.position() - mean;
         (usize::from(p.dot(t1) > 0.0) | usize::from(p.dot(t2) > 0.0) << 1) & split
     }
-}
-
-/// A new pseudo-random number from a node's and its child's place: SplitMix64's finaliser.
-pub(crate) fn mix(seed: u64, x: u64) -> u64 {
-    let mut z = seed.wrapping_add(x.wrapping_mul(0x9E37_79B9_7F4A_7C15));
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
 }
 
 #[cfg(test)]

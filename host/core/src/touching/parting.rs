@@ -13,10 +13,10 @@ use simod_model::{Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 
 use super::islands::{Graph, Islands, Mixed};
 use super::sorter::{Sorter, entry, hash_of};
-use crate::refinement::gathering::joined;
 use crate::sampling::cluster::{Moments, Vertex};
 use crate::sampling::finalization::unit;
 use crate::sampling::kept_cells::CutTree;
+use crate::sampling::ranges::joined;
 
 /// A sheet with fewer than this part of its cluster's vertices joins a cluster nearby, if it can.
 const LEAST_PART: f64 = 0.125;

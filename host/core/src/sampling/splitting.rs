@@ -1,0 +1,18 @@
+//! How clusters are split.
+
+use serde::{Deserialize, Serialize};
+
+/// How clusters are split.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Splitting {
+    /// In space first, and in the plane of the cluster once it is flat enough; sheets that lie one above the
+    /// other are parted first of all. Where a model has faces, these part the sheets, and clusters are split
+    /// as without layers.
+    #[default]
+    Layered,
+    /// The same, whatever lies one above the other.
+    VolumeSurface,
+    /// In space alone: what the paper compares the VS-Tree with.
+    Octree,
+}

@@ -1,0 +1,28 @@
+//! How amounts are spread.
+
+use serde::Serialize;
+
+/// How some amount is spread over a mesh; all 0 for a mesh without any.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct Spread {
+    /// Root of the mean square.
+    pub rms: f64,
+    /// 99 of 100 are at most this.
+    pub p99: f64,
+    /// The greatest.
+    pub max: f64,
+}
+
+impl Spread {
+    /// Of amounts that are not negative.
+    pub fn of(mut amounts: Vec<f64>) -> Self {
+        let Some(last) = amounts.len().checked_sub(1) else { return Self::default() };
+        amounts.sort_by(f64::total_cmp);
+        let squares: f64 = amounts.iter().map(|x| x * x).sum();
+        Self {
+            rms: (squares / amounts.len() as f64).sqrt(),
+            p99: amounts[last * 99 / 100],
+            max: amounts[last],
+        }
+    }
+}
