@@ -222,20 +222,41 @@ fn rust_files(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Files of a crate that still import each other in a circle: these numbers may only fall, and a crate that
-/// is not named has none.
+/// How many files of a crate still import each other in a circle: these numbers may only fall, and a crate
+/// that is not named has none.
 const IN_CIRCLES: [(&str, usize); 6] =
-    [("cli", 19), ("core", 34), ("scene", 2), ("session", 31), ("viewer", 13), ("window", 42)];
+    [("cli", 19), ("core", 30), ("scene", 2), ("session", 31), ("viewer", 13), ("window", 42)];
 
 #[test]
 fn modules_have_no_circles() {
+    let mut found = BTreeMap::new();
     for folder in std::fs::read_dir(workspace().join("host")).expect("a folder") {
         let folder = folder.expect("an entry").path();
         let name = folder.file_name().and_then(|name| name.to_str()).expect("a name").to_owned();
-        let found = Modules::read(&folder.join("src")).in_circles();
-        let known = IN_CIRCLES.iter().find(|(crate_name, _)| *crate_name == name).map_or(0, |(_, n)| *n);
-        assert_eq!(found.len(), known, "files of host/{name} in circles: {found:?}");
+        let files = Modules::read(&folder.join("src")).in_circles();
+        if !files.is_empty() {
+            println!("files of host/{name} in circles: {files:?}");
+            found.insert(name, files.len());
+        }
     }
+    let known = IN_CIRCLES.map(|(name, files)| (name.to_owned(), files));
+    assert_eq!(found, BTreeMap::from(known), "files in circles");
+}
+
+/// The reader itself is right, on a crate with a circle, a facade, an alias and tests.
+#[test]
+fn circles_are_found() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (name, text) in [
+        ("lib.rs", "mod a;\nmod b;\nmod c;\npub use a::{A, One as Two};\n"),
+        ("a.rs", "pub struct A;\npub struct One;\nfn f() { crate::b::g() }\n"),
+        ("b.rs", "use super::{\n    Two,\n};\npub fn g() {}\n"),
+        ("c.rs", "// use crate::d;\nuse crate::A;\n#[cfg(test)]\nmod tests {\n    use crate::d::D;\n}\n"),
+        ("d.rs", "use crate::c;\n"),
+    ] {
+        std::fs::write(folder.path().join(name), text).expect("a file");
+    }
+    assert_eq!(Modules::read(folder.path()).in_circles(), ["crate::a", "crate::b"]);
 }
 
 /// The place of a module in its crate, or of something in a module.
