@@ -7,7 +7,8 @@
 //! the same picture, bit by bit, for any number of threads: each band of the picture takes them in order.
 //!
 //! ```
-//! //! use simod_picture::{Camera, Renderer, Style, SurfacePoint};
+//! use glam::{DVec3, Vec3};
+//! use simod_picture::{Camera, Renderer, Style, SurfacePoint};
 //!
 //! let bounds = [DVec3::splat(-1.0), DVec3::splat(1.0)];
 //! let mut renderer = Renderer::new(64, 48, Camera::frame(bounds, 0.5, 0.3, 64.0 / 48.0), Style::default());
