@@ -109,7 +109,6 @@ impl Source {
 const TIMES: u32 = 10;
 
 /// Paths in files: text where they are, and bytes where not, as systems allow.
-
 mod any_path {
     use std::path::{Path, PathBuf};
 
