@@ -245,6 +245,7 @@ fn modules_have_no_circles() {
 
 /// The reader itself is right, on a crate with a circle, a facade, an alias and tests.
 #[test]
+#[allow(clippy::disallowed_methods, reason = "files of a test")]
 fn circles_are_found() {
     let folder = tempfile::tempdir().expect("a folder");
     for (name, text) in [
