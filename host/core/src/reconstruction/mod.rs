@@ -32,6 +32,7 @@ mod sheets;
 mod stream;
 #[cfg(test)]
 mod tests;
+mod transfer;
 pub mod transfer_error;
 
 use std::ops::Range;
