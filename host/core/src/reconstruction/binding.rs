@@ -29,7 +29,7 @@ use crate::{Error, ErrorKind, Progress, Result};
 pub(crate) const MAGIC: &[u8; 8] = b"SIMODBND";
 
 /// To be counted up whenever the format changes, or the homes or surroundings of the same samples.
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 
 /// Most bytes of a part: a chunk's vertices, each with another home.
 const MOST_BYTES: usize = 10 * crate::model::CHUNK_VERTICES;

@@ -188,15 +188,22 @@ impl Workspace {
             let supports = &field.around.supports;
             let gradient = !figures.is_empty() || !normals.is_empty() && field.limiter.is_needed();
             blend(supports, &field.expansions, mirrored, gradient, &mut self.grouped);
+            field.find_within_range(&mut self.grouped);
+        } else {
+            self.grouped.is_within_range.clear();
         }
         for (i, (p, image)) in positions.iter().zip(images).enumerate() {
-            let home = self.homes[i] as usize;
             let figures = figures.get_mut(i);
             if !p.is_finite() {
                 figures.into_iter().for_each(|f| *f = Figures::UNKNOWN);
                 continue;
             }
-            let one_by_one = if field.active[home] {
+            let home = self.homes[i] as usize;
+            let is_within_range = self.grouped.is_within_range.get(self.place[i] as usize);
+            let one_by_one = if is_within_range.is_some_and(|is| *is > 0.0) {
+                // Nothing but the blend.
+                None
+            } else if field.active[home] {
                 self.bounded(field, i, self.one_by_one(field, i))
             } else {
                 let dragged_along = field.still_drawn_back(home, self.local[i]);

@@ -34,6 +34,7 @@ mod stream;
 mod tests;
 mod transfer;
 pub mod transfer_error;
+mod within_range;
 
 use std::ops::Range;
 use std::sync::OnceLock;
@@ -234,7 +235,7 @@ impl<'a> DeformationField<'a> {
         let reached = |home| supports.of_home(home).iter().any(|r| moves[r.sample as usize]);
         let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || reached(home)).collect();
         let limiter = Limiter::new(supports, &expansions, &doubtful);
-        let bound = Bound::of(samples, sheets, supports, &expansions);
+        let bound = Bound::of(samples, sheets, &expansions);
         let neighbours = |i| sheets.of_sample(i);
         let folds = Folds::of(&expansions, &gradients.tells_side, samples.normals(), neighbours);
         Self {

@@ -22,7 +22,7 @@ use crate::{Error, ErrorKind, Progress, Result};
 
 /// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on
 /// with then.
-const REVISION: u32 = 7;
+const REVISION: u32 = 8;
 
 /// What is lost at most, in bytes of the model, when the program is killed: see
 /// [`Reconstruction::part_bytes`].
