@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use object::{Object, ObjectSymbol};
 use serde_json::Value;
 use simod_tests::workspace;
 
@@ -139,6 +140,23 @@ fn arrows_go_one_way() {
     }
     // It draws into textures, for whichever window.
     crates.expect_none("host/scene", &["egui", "eframe", "winit", "abi_stable", "simod-plugin-api"]);
+}
+
+/// Code over vectors is compiled for the processor only where it is inlined: what is left of the compiler's
+/// vector instructions as functions of their own passes vectors through memory.
+#[test]
+fn no_vector_instruction_is_a_function() {
+    if cfg!(debug_assertions) {
+        println!("skipped: little is inlined without optimisation");
+        return;
+    }
+    let program = std::fs::read(simod_tests::program()).expect("the program");
+    let program = object::File::parse(&*program).expect("a program");
+    let names: Vec<&str> = program.symbols().filter_map(|symbol| symbol.name().ok()).collect();
+    assert!(names.iter().any(|name| name.contains("simod_core")), "the program has no names of functions");
+    let left: Vec<&&str> =
+        names.iter().filter(|name| name.contains("core_arch") && name.contains("_mm")).collect();
+    assert!(left.is_empty(), "{left:#?}");
 }
 
 /// What the program depends on has the same features whatever is built, so that nothing of it is built a

@@ -2,8 +2,8 @@
 //!
 //! A [`Model`] is a mesh, a soup or a cloud in a file that may be larger than memory: vertices come in chunks,
 //! and go out as patched chunks; faces come as triangles. A model is never held: readers keep one chunk of at
-//! most [`CHUNK_VERTICES`] vertices or [`CHUNK_TRIANGLES`] triangles, and [`Model::rewrite`] at most four of
-//! them at a time, each with up to [`MAX_VERSIONS`] new versions.
+//! most [`CHUNK_VERTICES`] vertices or [`CHUNK_TRIANGLES`] triangles, and [`Model::rewrite`] one for each
+//! thread, with up to [`MAX_VERSIONS`] new versions, and the bytes of a few more.
 //!
 //! What is written appears whole or not at all ([`output`], [`output_folder`]), and is gone on with after the
 //! program was killed ([`resumable`]). What all crates above speak of is here as well: errors, progress,
@@ -39,9 +39,9 @@ pub use error::{Error, ErrorKind, Result};
 pub use formats::open;
 pub use in_step::{Vertices, in_step};
 pub use model::{
-    Attribute, CHUNK_TRIANGLES, CHUNK_VERTICES, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader,
-    MAX_VERSIONS, Model, ModelInfo, Normals, Output, Rewriting, SMALL_CHUNK, Scalar, VertexChunk,
-    VertexReader, for_faces, for_faces_at, for_vertices,
+    Attribute, CHUNK_TRIANGLES, CHUNK_VERTICES, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark,
+    FaceReader, MAX_VERSIONS, Model, ModelInfo, Normals, Output, RawChunk, Rewriting, SMALL_CHUNK, Scalar,
+    VertexChunk, VertexReader, for_faces, for_faces_at, for_vertices,
 };
 pub use number::Type;
 pub use ply::write_points;

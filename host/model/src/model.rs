@@ -2,8 +2,8 @@
 //! as triangles.
 //!
 //! A model is never held: readers keep one chunk of at most [`CHUNK_VERTICES`] vertices or
-//! [`CHUNK_TRIANGLES`] triangles, and [`Model::rewrite`] at most four of them at a time, each with up to
-//! [`MAX_VERSIONS`] new versions.
+//! [`CHUNK_TRIANGLES`] triangles, and [`Model::rewrite`] one for each thread, with up to [`MAX_VERSIONS`] new
+//! versions, and the bytes of a few more.
 
 use std::io::{self, Write};
 use std::ops::Range;
@@ -133,8 +133,7 @@ impl VertexChunk {
 
 /// What the vertices of a chunk become in one version of the model.
 ///
-/// Memory: 36 bytes per vertex, so at most 2.3 MiB; [`Model::rewrite`] holds one for each version and each of
-/// its four chunks.
+/// Memory: 36 bytes per vertex, so at most 2.3 MiB; [`Model::rewrite`] holds one for each version and thread.
 #[derive(Debug, Default)]
 pub struct Edited {
     /// Positions, as many as the chunk has.
@@ -153,6 +152,53 @@ pub enum Normals {
     Transform,
     /// They are left out of the new file, header and vertices.
     Drop,
+}
+
+/// Gives the vertices of a model their new positions and normals: see [`Model::rewrite`]. A function of a
+/// chunk and its versions is one.
+pub trait Edit: Sync {
+    /// Is told of each chunk before it is decoded: one at a time, in the file's order.
+    ///
+    /// # Errors
+    /// What has been read so far shows that the work is in vain.
+    fn begin(&self, _chunk: &RawChunk<'_>) -> Result<()> {
+        Ok(())
+    }
+
+    /// Edits a chunk's versions, which are as the chunk until then: on any thread, in any order, several at a
+    /// time.
+    ///
+    /// # Errors
+    /// The vertices cannot be edited.
+    fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()>;
+
+    /// Is told of each edited chunk, by its first vertex, before it is written: one at a time, in the file's
+    /// order.
+    ///
+    /// # Errors
+    /// What goes with the chunk cannot be written.
+    fn end(&self, _first: u64) -> Result<()> {
+        Ok(())
+    }
+}
+
+impl<F: Fn(&VertexChunk, &mut [Edited]) -> Result<()> + Sync> Edit for F {
+    fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
+        self(chunk, versions)
+    }
+}
+
+/// A run of consecutive vertices as they are in the file.
+#[derive(Debug, Clone, Copy)]
+pub struct RawChunk<'a> {
+    /// Index in the model of the first of them.
+    pub first: u64,
+    /// Their number.
+    pub vertices: usize,
+    /// The bytes of the file that hold them.
+    pub bytes: &'a [u8],
+    /// Whether they are edited: the outputs may have them already.
+    pub is_edited: bool,
 }
 
 /// How a model is rewritten.
@@ -364,13 +410,13 @@ pub trait Model: Send + Sync {
     /// positions and normals that `edit` gives its vertices. Every other byte is copied as it is.
     ///
     /// `edit` sees each chunk as it is in the file, and for each output an [`Edited`], which is as the chunk
-    /// until it is changed. For the pieces that `how` says are done there are none of these. A vertex whose
-    /// position is not finite keeps its bytes, whatever `edit` writes, and so does a component that `edit`
-    /// left as it was.
+    /// until it is changed. Of the pieces that `how` says are done it is told, but does not get them. A vertex
+    /// whose position is not finite keeps its bytes, whatever `edit` writes, and so does a component that
+    /// `edit` left as it was.
     ///
-    /// Reading, `edit` and writing overlap, with at most four chunks in flight; `edit` is called on one
-    /// thread, in the file's order. Advances `progress` by those bytes of this file whose new versions are
-    /// written; the caller begins the stage.
+    /// As many pieces are worked on as there are threads in the pool, each from reading to writing by one
+    /// thread. Where something fails, all that comes before it in the file is written. Advances `progress` by
+    /// those bytes of this file whose new versions are written; the caller begins the stage.
     ///
     /// # Errors
     /// The file cannot be read, is not what its header says, or changed length; an output cannot be written;
@@ -380,7 +426,7 @@ pub trait Model: Send + Sync {
         &self,
         outputs: &mut [&mut dyn Output],
         how: Rewriting,
-        edit: &mut (dyn FnMut(&VertexChunk, &mut [Edited]) -> Result<()> + Send),
+        edit: &dyn Edit,
         progress: &dyn Progress,
     ) -> Result<()>;
 }

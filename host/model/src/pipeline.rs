@@ -1,70 +1,61 @@
-//! Rewriting a file in three threads: one reads, the caller's edits, one writes.
+//! Rewriting a file on as many threads as the pool has: each takes the next piece of the file, decodes, edits
+//! and encodes it, and whoever has the piece that comes next in the file writes it and those that wait behind
+//! it. Only taking a piece and writing one are serial.
 //!
-//! Four pieces of the file go round from thread to thread, each with a place for every version: no more are
-//! ever held, and none is allocated anew. A thread that fails or is told to stop drops its ends of the
-//! channels, which stops the others at their next piece; since a channel holds all the pieces there are, none
-//! of them ever waits to send.
+//! A thread does not take another piece while too many are between reading and writing, so that what waits
+//! has a bound. Where something fails, no further piece is taken, and those before it are still written: which
+//! error is returned does not depend on the threads.
 
+use std::collections::BTreeMap;
 use std::io;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
-use super::{Edited, MAX_VERSIONS, Normals, Output, Rewriting, VertexChunk};
+use super::{Edit, Edited, MAX_VERSIONS, Normals, Output, RawChunk, Rewriting, VertexChunk};
 use crate::{Error, ErrorKind, Progress, Result};
 
-/// Pieces in flight.
-const PIECES: usize = 4;
+/// Pieces that are between reading and writing, beside one for each thread: so that a thread whose piece has
+/// to wait need not.
+const WAITING: usize = 2;
 
 /// What a file format has to know about its files for them to be rewritten.
 pub(crate) trait Rewritable: Sync {
-    /// Reads the whole file, once, in pieces: takes an empty one, fills its chunk and gives it on, in the
-    /// file's order. A chunk without vertices is bytes to be copied. When there is none to be taken, the work
-    /// is over.
-    fn read_pieces(&self, belt: &Belt, normals: Normals) -> Result<()>;
+    /// Goes over the whole file, once, from its beginning.
+    fn pieces(&self, normals: Normals) -> Result<Box<dyn Pieces + '_>>;
 
-    /// The bytes of the file for a version of a chunk; `buffer` is an empty one, to be used if needed. The
-    /// chunk's own bytes may be spoilt if `last` says that no further version is made of them.
-    fn encode<'b>(
+    /// Fills the positions and normals of a chunk whose bytes were read.
+    fn decode(&self, chunk: &mut VertexChunk) -> Result<()>;
+
+    /// Makes the bytes of the file for a version of a chunk: in `buffer`, whatever that held, or in the
+    /// chunk's own bytes, if `last` says that no further version is made of them. Returns whether they are in
+    /// `buffer`.
+    fn encode(
         &self,
-        chunk: &'b mut VertexChunk,
+        chunk: &mut VertexChunk,
         edited: &Edited,
         normals: Normals,
         last: bool,
-        buffer: &'b mut Vec<u8>,
-    ) -> Result<&'b [u8]>;
+        buffer: &mut Vec<u8>,
+    ) -> Result<bool>;
 
     /// What to say if the output cannot be written.
     fn write_error(&self, error: &io::Error) -> Error;
 }
 
-/// A part of the file on its way.
-#[derive(Default)]
-pub(crate) struct Piece {
-    /// As it is in the file.
-    pub(crate) chunk: VertexChunk,
-    /// What becomes of it, version by version: at most [`MAX_VERSIONS`].
-    versions: Vec<Edited>,
-    /// The outputs have it already.
-    is_done: bool,
+/// The pieces of a file that is read.
+pub(crate) trait Pieces: Send {
+    /// Reads the bytes of the next piece into `chunk`, in the file's order.
+    fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece>;
 }
 
-/// The reading thread's end of the conveyor.
-pub(crate) struct Belt {
-    empty: Receiver<Piece>,
-    full: SyncSender<Piece>,
-}
-
-impl Belt {
-    /// A piece to be filled, with the buffers of an earlier one; `None` once the other threads have stopped.
-    pub(crate) fn take(&self) -> Option<Piece> {
-        self.empty.recv().ok()
-    }
-
-    /// Hands a filled piece on.
-    pub(crate) fn give(&self, piece: Piece) {
-        // If nobody takes it any more, the next `take` tells.
-        let _ = self.full.send(piece);
-    }
+/// What a piece of a file is.
+pub(crate) enum Piece {
+    /// So many vertices, which are not decoded.
+    Vertices(usize),
+    /// Bytes to be copied.
+    Bytes,
+    /// Nothing: the file was read whole.
+    End,
 }
 
 /// Streams `file` to `outputs` through `edit`: see [`Model::rewrite`](super::Model::rewrite).
@@ -72,7 +63,7 @@ pub(crate) fn rewrite(
     file: &impl Rewritable,
     outputs: &mut [&mut dyn Output],
     how: Rewriting,
-    edit: &mut (dyn FnMut(&VertexChunk, &mut [Edited]) -> Result<()> + Send),
+    edit: &dyn Edit,
     progress: &dyn Progress,
 ) -> Result<()> {
     let versions = outputs.len();
@@ -83,58 +74,255 @@ pub(crate) fn rewrite(
             format!("write at most {MAX_VERSIONS} in one reading"),
         ));
     }
-    let (recycle, empty) = sync_channel(PIECES);
-    let (full, to_edit) = sync_channel(PIECES);
-    let (edited, to_write) = sync_channel(PIECES);
-    for _ in 0..PIECES {
-        // The channel holds them all.
-        let _ = recycle.send(Piece::default());
-    }
+    let threads = rayon::current_num_threads();
+    let pieces = file.pieces(how.normals)?;
+    let work = Work {
+        file,
+        versions,
+        how,
+        edit,
+        progress,
+        most: (threads + WAITING) as u64,
+        reading: Mutex::new(Reading { pieces, next: 0, is_over: false }),
+        queue: Mutex::new(Queue { outputs: Some(outputs), ..Queue::default() }),
+        moved: Condvar::new(),
+    };
+    // Threads of their own: one of the pool's that waits for a piece could be needed to finish that piece.
     thread::scope(|scope| {
-        // Everything is moved to the thread that uses it, so that it is dropped when the thread ends, also by
-        // a panic.
-        let belt = Belt { empty, full };
-        let reading = scope.spawn(move || file.read_pieces(&belt, how.normals));
-        let writing =
-            scope.spawn(move || write_pieces(file, outputs, how.normals, progress, &to_write, &recycle));
-        let editing = edit_pieces(versions, how, edit, progress, to_edit, edited);
-        let written = writing.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-        let read = reading.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-        // Whoever stops because another did so returns no error of its own.
-        editing.and(read).and(written)
-    })
+        let others: Vec<_> = (1..threads).map(|_| scope.spawn(|| work.go_on())).collect();
+        work.go_on();
+        for other in others {
+            other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        }
+    });
+    let Queue { outputs, failed, .. } = work.queue.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if let Some((_, error)) = failed {
+        return Err(error);
+    }
+    let finish = |output: &mut &mut dyn Output| output.finish();
+    outputs.unwrap_or_default().iter_mut().try_for_each(finish).map_err(|e| failed_write(file, e))
 }
 
-fn edit_pieces(
+/// A call of [`rewrite`].
+struct Work<'a, 'o, F> {
+    file: &'a F,
     versions: usize,
     how: Rewriting,
-    edit: &mut (dyn FnMut(&VertexChunk, &mut [Edited]) -> Result<()> + Send),
-    progress: &dyn Progress,
-    to_edit: Receiver<Piece>,
-    edited: SyncSender<Piece>,
-) -> Result<()> {
-    for (number, mut piece) in (0..).zip(to_edit) {
-        progress.check()?;
-        piece.is_done = number < how.pieces_done;
-        if piece.is_done {
-            piece.versions.clear();
-        } else {
-            piece.versions.resize_with(versions, Edited::default);
-        }
-        if !piece.chunk.is_empty() {
-            for version in &mut piece.versions {
-                version.reset(&piece.chunk, how.normals);
+    edit: &'a dyn Edit,
+    progress: &'a dyn Progress,
+    /// Most pieces between reading and writing.
+    most: u64,
+    reading: Mutex<Reading<'a>>,
+    queue: Mutex<Queue<'a, 'o>>,
+    /// A piece was written, or the work is over.
+    moved: Condvar,
+}
+
+struct Reading<'a> {
+    pieces: Box<dyn Pieces + 'a>,
+    /// Number of the piece that is read next.
+    next: u64,
+    /// Nothing more can be read: the file is at its end, or something failed.
+    is_over: bool,
+}
+
+/// What waits to be written.
+#[derive(Default)]
+struct Queue<'a, 'o> {
+    /// Where it goes: not there while a thread writes.
+    outputs: Option<&'a mut [&'o mut dyn Output]>,
+    /// By their numbers.
+    ready: BTreeMap<u64, Ready>,
+    /// Number of pieces that were taken, and of those that are written.
+    taken: u64,
+    written: u64,
+    /// Nothing more is to be read.
+    is_over: bool,
+    /// The first piece that failed.
+    failed: Option<(u64, Error)>,
+    /// Buffers of pieces that are written.
+    spare: Vec<Vec<u8>>,
+}
+
+/// A piece as it goes to the outputs.
+struct Ready {
+    /// The first of its vertices, if they were edited.
+    edited: Option<u64>,
+    /// Bytes that it took in the file.
+    source_bytes: u64,
+    /// The bytes for each output; one for all of them if there are no vertices, and none if they have it.
+    versions: Vec<Vec<u8>>,
+}
+
+/// What a thread works with.
+#[derive(Default)]
+struct Bench {
+    chunk: VertexChunk,
+    edited: Vec<Edited>,
+}
+
+impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
+    /// Takes pieces as long as there are any.
+    fn go_on(&self) {
+        let _guard = Guard(self);
+        let mut bench = Bench::default();
+        bench.edited.resize_with(self.versions, Edited::default);
+        while self.may_take() {
+            let (number, piece) = self.read(&mut bench.chunk);
+            let done = piece.and_then(|piece| self.process(number, &piece, &mut bench));
+            match done {
+                Ok(Some(ready)) => self.hand_in(number, ready),
+                Ok(None) => self.end(None),
+                Err(error) => self.end(Some((number, error))),
             }
-            edit(&piece.chunk, &mut piece.versions)?;
-            for version in &piece.versions {
-                version.check(&piece.chunk, how.normals)?;
-            }
-        }
-        if edited.send(piece).is_err() {
-            break;
         }
     }
-    Ok(())
+
+    /// Waits until another piece may be read; `false` if there is none.
+    fn may_take(&self) -> bool {
+        let mut queue = self.queue();
+        loop {
+            if queue.is_over {
+                return false;
+            }
+            if queue.taken - queue.written < self.most {
+                queue.taken += 1;
+                return true;
+            }
+            queue = self.moved.wait(queue).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Reads the next piece, and its number.
+    fn read(&self, chunk: &mut VertexChunk) -> (u64, Result<Piece>) {
+        if chunk.raw.is_empty() {
+            chunk.raw = self.queue().spare.pop().unwrap_or_default();
+        }
+        let mut reading = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
+        let number = reading.next;
+        if reading.is_over {
+            return (number, Ok(Piece::End));
+        }
+        let piece = self.progress.check().and_then(|()| reading.pieces.read(chunk)).and_then(|piece| {
+            if let Piece::Vertices(vertices) = piece {
+                let is_edited = number >= self.how.pieces_done;
+                self.edit.begin(&RawChunk { first: chunk.first, vertices, bytes: &chunk.raw, is_edited })?;
+            }
+            Ok(piece)
+        });
+        reading.next += 1;
+        reading.is_over = !matches!(piece, Ok(Piece::Vertices(_) | Piece::Bytes));
+        (number, piece)
+    }
+
+    /// What a piece becomes; nothing at the end of the file.
+    fn process(&self, number: u64, piece: &Piece, bench: &mut Bench) -> Result<Option<Ready>> {
+        let Bench { chunk, edited } = bench;
+        let mut ready = Ready { edited: None, source_bytes: chunk.raw.len() as u64, versions: Vec::new() };
+        match piece {
+            Piece::End => return Ok(None),
+            _ if number < self.how.pieces_done => {}
+            Piece::Bytes => ready.versions.push(std::mem::take(&mut chunk.raw)),
+            Piece::Vertices(_) => {
+                self.file.decode(chunk)?;
+                edited.iter_mut().for_each(|version| version.reset(chunk, self.how.normals));
+                self.edit.edit(chunk, edited)?;
+                ready.edited = Some(chunk.first);
+                for (version, edited) in edited.iter().enumerate() {
+                    edited.check(chunk, self.how.normals)?;
+                    let mut buffer = self.queue().spare.pop().unwrap_or_default();
+                    let last = version + 1 == self.versions;
+                    if !self.file.encode(chunk, edited, self.how.normals, last, &mut buffer)? {
+                        std::mem::swap(&mut buffer, &mut chunk.raw);
+                    }
+                    ready.versions.push(buffer);
+                }
+            }
+        }
+        Ok(Some(ready))
+    }
+
+    /// Hands a piece in, and writes as many as are next, unless another thread does.
+    fn hand_in(&self, number: u64, ready: Ready) {
+        let mut queue = self.queue();
+        queue.ready.insert(number, ready);
+        let Some(outputs) = queue.outputs.take() else { return };
+        loop {
+            let next = queue.written;
+            let Some(ready) = queue.ready.remove(&next).filter(|_| queue.is_wanted(next)) else { break };
+            drop(queue);
+            let written = self.write(outputs, &ready);
+            if let Err(error) = written {
+                self.end(Some((next, error)));
+            }
+            queue = self.queue();
+            queue.written += 1;
+            // No more than are in use at a time.
+            if queue.spare.len() < self.most as usize * self.versions {
+                queue.spare.extend(ready.versions);
+            }
+            self.moved.notify_all();
+        }
+        queue.outputs = Some(outputs);
+    }
+
+    fn write(&self, outputs: &mut [&mut dyn Output], ready: &Ready) -> Result<()> {
+        // Here too: what is in flight need not be written any more.
+        self.progress.check()?;
+        if let Some(first) = ready.edited {
+            self.edit.end(first)?;
+        }
+        for (version, output) in outputs.iter_mut().enumerate() {
+            // Of bytes that are copied, there is one version.
+            let Some(bytes) = ready.versions.get(version).or(ready.versions.first()) else { break };
+            let written = output.write_piece(bytes, ready.source_bytes);
+            written.map_err(|e| failed_write(self.file, e))?;
+        }
+        self.progress.advance(ready.source_bytes);
+        Ok(())
+    }
+
+    /// Lets no thread take another piece: the file is at its end, or a piece failed.
+    fn end(&self, failed: Option<(u64, Error)>) {
+        let mut queue = self.queue();
+        queue.is_over = true;
+        if let Some((number, error)) = failed
+            && queue.is_wanted(number)
+        {
+            queue.failed = Some((number, error));
+        }
+        self.moved.notify_all();
+    }
+
+    fn queue(&self) -> MutexGuard<'_, Queue<'a, 'o>> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Queue<'_, '_> {
+    /// Whether a piece comes before all that failed.
+    fn is_wanted(&self, number: u64) -> bool {
+        self.failed.as_ref().is_none_or(|(first, _)| number < *first)
+    }
+}
+
+/// Stops the others when its thread panics.
+struct Guard<'w, 'a, 'o, F: Rewritable>(&'w Work<'a, 'o, F>);
+
+impl<F: Rewritable> Drop for Guard<'_, '_, '_, F> {
+    fn drop(&mut self) {
+        if thread::panicking() {
+            self.0.end(None);
+        }
+    }
+}
+
+fn failed_write(file: &impl Rewritable, error: io::Error) -> Error {
+    match error.downcast::<Error>() {
+        // Our own writers know best what went wrong.
+        Ok(error) => error,
+        Err(error) => file.write_error(&error),
+    }
 }
 
 impl Edited {
@@ -161,41 +349,4 @@ impl Edited {
             "this is a bug in the deformation: it has to keep the number of vertices",
         ))
     }
-}
-
-fn write_pieces(
-    file: &impl Rewritable,
-    outputs: &mut [&mut dyn Output],
-    normals: Normals,
-    progress: &dyn Progress,
-    to_write: &Receiver<Piece>,
-    recycle: &SyncSender<Piece>,
-) -> Result<()> {
-    let failed = |error: io::Error| match error.downcast::<Error>() {
-        // Our own writers know best what went wrong.
-        Ok(error) => error,
-        Err(error) => file.write_error(&error),
-    };
-    // A version of one chunk.
-    let mut buffer = Vec::new();
-    for mut piece in to_write {
-        // Here too: what is in flight need not be written any more.
-        progress.check()?;
-        let source_bytes = piece.chunk.raw.len() as u64;
-        let count = if piece.is_done { 0 } else { outputs.len() };
-        for (version, output) in outputs.iter_mut().enumerate().take(count) {
-            let bytes = if piece.chunk.is_empty() {
-                &piece.chunk.raw
-            } else {
-                buffer.clear();
-                let last = version + 1 == count;
-                file.encode(&mut piece.chunk, &piece.versions[version], normals, last, &mut buffer)?
-            };
-            output.write_piece(bytes, source_bytes).map_err(failed)?;
-        }
-        progress.advance(source_bytes);
-        // The reader may have had all it needs.
-        let _ = recycle.send(piece);
-    }
-    outputs.iter_mut().try_for_each(|output| output.finish()).map_err(failed)
 }

@@ -6,15 +6,16 @@ use std::fs;
 use std::io::{self, Write};
 use std::ops::Range;
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use simod_model::output::{OutputFile, write_file};
 use simod_model::progress::Silent;
 use simod_model::{
-    CHUNK_VERTICES, Edited, Error, ErrorKind, MAX_VERSIONS, Model, Normals, Output, Progress, Result,
-    Rewriting, Scalar, VertexChunk, write_points,
+    CHUNK_VERTICES, Edit, Edited, Error, ErrorKind, MAX_VERSIONS, Model, Normals, Output, Progress, RawChunk,
+    Result, Rewriting, Scalar, VertexChunk, write_points,
 };
 use tempfile::NamedTempFile;
 
@@ -275,21 +276,13 @@ fn rewrite(model: &dyn Model, edit: impl FnMut(&mut Edited) + Send) -> Result<Ve
     rewrite_as(model, Normals::Transform, edit)
 }
 
-fn rewrite_as(
-    model: &dyn Model,
-    normals: Normals,
-    mut edit: impl FnMut(&mut Edited) + Send,
-) -> Result<Vec<u8>> {
-    let mut out = Vec::new();
-    model.rewrite(
-        &mut [&mut out],
-        Rewriting { normals, ..Rewriting::default() },
-        &mut |_, versions| {
-            versions.iter_mut().for_each(&mut edit);
-            Ok(())
-        },
-        &Silent,
-    )?;
+fn rewrite_as(model: &dyn Model, normals: Normals, edit: impl FnMut(&mut Edited) + Send) -> Result<Vec<u8>> {
+    let (mut out, edit) = (Vec::new(), Mutex::new(edit));
+    let edit = |_: &VertexChunk, versions: &mut [Edited]| {
+        versions.iter_mut().for_each(&mut *edit.lock().unwrap());
+        Ok(())
+    };
+    model.rewrite(&mut [&mut out], Rewriting { normals, ..Rewriting::default() }, &edit, &Silent)?;
     Ok(out)
 }
 
@@ -443,7 +436,7 @@ proptest! {
         model.rewrite(
             &mut outputs,
             how,
-            &mut |chunk, versions| {
+            &|chunk: &VertexChunk, versions: &mut [Edited]| {
                 assert_eq!(versions.len(), 4);
                 for (version, edited) in versions.iter_mut().enumerate() {
                     assert_eq!(bits(&(edited.positions.clone(), vec![])), bits(&(chunk.positions.clone(), vec![])));
@@ -617,10 +610,10 @@ fn a_model_can_be_rewritten_in_place() {
     };
     let begin = || OutputFile::create(&path, model.info().bytes).unwrap();
     let cancel = CancelAfter(1_000_000, AtomicU64::new(0));
-    model.rewrite(&mut [&mut begin()], Rewriting::default(), &mut { double }, &cancel).unwrap_err();
+    model.rewrite(&mut [&mut begin()], Rewriting::default(), &double, &cancel).unwrap_err();
     assert!(fs::read(&path).unwrap() == spec.build(&vertices));
     let mut out = begin();
-    model.rewrite(&mut [&mut out], Rewriting::default(), &mut { double }, &Silent).unwrap();
+    model.rewrite(&mut [&mut out], Rewriting::default(), &double, &Silent).unwrap();
     out.commit().unwrap();
     vertices.iter_mut().for_each(|v| v[..3].iter_mut().for_each(|x| *x *= 2.0));
     assert!(fs::read(&path).unwrap() == spec.build(&vertices));
@@ -700,16 +693,15 @@ fn pieces_that_are_done_are_read_alone() {
         let spec = Spec { faces: Faces::Mixed, element_before: true, ..Spec::new(encoding) };
         let model = open(&spec.build(&grid(3 * CHUNK_VERTICES))).unwrap();
         let rewrite = |pieces_done| {
-            let (mut out, mut raw, mut edited) = (Pieces::default(), 0, 0);
+            let (mut out, counting) = (Pieces::default(), Counting::default());
             let how = Rewriting { normals, pieces_done };
-            let mut edit = |chunk: &VertexChunk, versions: &mut [Edited]| {
-                raw += chunk.raw().len();
-                edited += versions.len();
-                versions.iter_mut().for_each(|v| v.positions.iter_mut().for_each(|p| p.x += 1.0));
-                Ok(())
-            };
-            model.rewrite(&mut [&mut out], how, &mut edit, &Silent).unwrap();
-            (out.0, raw, edited)
+            model.rewrite(&mut [&mut out], how, &counting, &Silent).unwrap();
+            let Counting { begun, raw, edited, ended } = counting;
+            let [begun, ended] = [begun, ended].map(|firsts| firsts.into_inner().unwrap());
+            assert!(
+                begun.is_sorted() && begun.ends_with(&ended) && ended.len() == edited.load(Ordering::Relaxed)
+            );
+            (out.0, raw.into_inner(), edited.into_inner())
         };
         let (pieces, raw, edited) = rewrite(0);
         assert!(pieces.len() > 4 && edited >= 3);
@@ -719,6 +711,34 @@ fn pieces_that_are_done_are_read_alone() {
             assert_eq!(raw_again, raw);
             assert!(edited_again <= edited && edited_again + done >= edited);
         }
+    }
+}
+
+/// Moves all vertices, and counts what it is told of.
+#[derive(Default)]
+struct Counting {
+    begun: Mutex<Vec<u64>>,
+    raw: AtomicUsize,
+    edited: AtomicUsize,
+    ended: Mutex<Vec<u64>>,
+}
+
+impl Edit for Counting {
+    fn begin(&self, chunk: &RawChunk<'_>) -> Result<()> {
+        self.begun.lock().unwrap().push(chunk.first);
+        self.raw.fetch_add(chunk.bytes.len(), Ordering::Relaxed);
+        Ok(())
+    }
+
+    fn edit(&self, _chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
+        self.edited.fetch_add(versions.len(), Ordering::Relaxed);
+        versions.iter_mut().for_each(|v| v.positions.iter_mut().for_each(|p| p.x += 1.0));
+        Ok(())
+    }
+
+    fn end(&self, first: u64) -> Result<()> {
+        self.ended.lock().unwrap().push(first);
+        Ok(())
     }
 }
 
@@ -742,7 +762,12 @@ fn more_versions_than_memory_is_held_for_are_refused() {
     let model = open(&Spec::new(Little).build(&grid(3))).unwrap();
     let mut outputs: Vec<Vec<u8>> = vec![Vec::new(); MAX_VERSIONS + 1];
     let mut outputs: Vec<&mut dyn Output> = outputs.iter_mut().map(|o| o as &mut dyn Output).collect();
-    let result = model.rewrite(&mut outputs, Rewriting::default(), &mut |_, _| Ok(()), &Silent);
+    let result = model.rewrite(
+        &mut outputs,
+        Rewriting::default(),
+        &|_: &VertexChunk, _: &mut [Edited]| Ok(()),
+        &Silent,
+    );
     assert_eq!(result.unwrap_err().kind(), ErrorKind::Argument);
 }
 
@@ -766,22 +791,27 @@ fn three_chunks(encoding: Encoding) -> Box<dyn Model> {
     open(&spec.build(&grid(3 * CHUNK_VERTICES))).unwrap()
 }
 
+/// Of several chunks that fail, perhaps at the same time, the first one tells, and all before it is written.
 #[test]
 fn an_error_of_the_edit_stops_everything() {
     for encoding in [Little, Ascii] {
-        let model = three_chunks(encoding);
-        let mut calls = 0;
-        let result = model.rewrite(
-            &mut [&mut io::sink()],
-            Rewriting::default(),
-            &mut |_, _| {
-                calls += 1;
-                if calls == 2 { Err(Error::new(ErrorKind::Plugin, "no", "never")) } else { Ok(()) }
-            },
-            &Silent,
-        );
-        assert_eq!(result.unwrap_err().kind(), ErrorKind::Plugin);
-        assert_eq!(calls, 2);
+        let bytes = Spec { faces: Faces::Mixed, ..Spec::new(encoding) }.build(&grid(5 * CHUNK_VERTICES));
+        let model = open(&bytes).unwrap();
+        let of_chunks = Counting::default();
+        model.rewrite(&mut [&mut io::sink()], Rewriting::default(), &of_chunks, &Silent).unwrap();
+        let begun = of_chunks.begun.into_inner().unwrap();
+        assert!(begun.len() >= 5);
+        let fail = |chunk: &VertexChunk, _: &mut [Edited]| match chunk.first {
+            0 => Ok(()),
+            first => Err(Error::new(ErrorKind::Plugin, format!("no to {first}"), "never")),
+        };
+        for _ in 0..20 {
+            let mut out = Vec::new();
+            let error = model.rewrite(&mut [&mut out], Rewriting::default(), &fail, &Silent).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Plugin);
+            assert_eq!(error.to_string(), format!("no to {}", begun[1]));
+            assert!(bytes.starts_with(&out) && out.len() > bytes.len() / 20, "{}", out.len());
+        }
     }
 }
 
@@ -805,12 +835,24 @@ fn an_error_of_the_output_stops_everything() {
     let model = three_chunks(Little);
     let bytes = model.info().bytes as usize;
     for room in [0, 10, 1000, bytes / 2, bytes - 1, bytes] {
-        let result = model.rewrite(&mut [&mut Full(room)], Rewriting::default(), &mut |_, _| Ok(()), &Silent);
+        let result = model.rewrite(
+            &mut [&mut Full(room)],
+            Rewriting::default(),
+            &|_: &VertexChunk, _: &mut [Edited]| Ok(()),
+            &Silent,
+        );
         let error = result.unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Io);
         assert!(error.to_string().starts_with("cannot write the new version of"), "{error}");
     }
-    model.rewrite(&mut [&mut Full(bytes + 1)], Rewriting::default(), &mut |_, _| Ok(()), &Silent).unwrap();
+    model
+        .rewrite(
+            &mut [&mut Full(bytes + 1)],
+            Rewriting::default(),
+            &|_: &VertexChunk, _: &mut [Edited]| Ok(()),
+            &Silent,
+        )
+        .unwrap();
 }
 
 /// Cancels after so many bytes; counts them.
@@ -833,12 +875,23 @@ fn cancelling_stops_everything() {
         let bytes = model.info().bytes;
         for after in [0, 1, bytes / 2] {
             let progress = CancelAfter(after, AtomicU64::new(0));
-            let result =
-                model.rewrite(&mut [&mut io::sink()], Rewriting::default(), &mut |_, _| Ok(()), &progress);
+            let result = model.rewrite(
+                &mut [&mut io::sink()],
+                Rewriting::default(),
+                &|_: &VertexChunk, _: &mut [Edited]| Ok(()),
+                &progress,
+            );
             assert_eq!(result.unwrap_err().kind(), ErrorKind::Cancelled);
         }
         let progress = CancelAfter(u64::MAX, AtomicU64::new(0));
-        model.rewrite(&mut [&mut io::sink()], Rewriting::default(), &mut |_, _| Ok(()), &progress).unwrap();
+        model
+            .rewrite(
+                &mut [&mut io::sink()],
+                Rewriting::default(),
+                &|_: &VertexChunk, _: &mut [Edited]| Ok(()),
+                &progress,
+            )
+            .unwrap();
         assert_eq!(progress.1.into_inner(), bytes);
     }
 }

@@ -156,15 +156,13 @@ impl Scene {
         let moved = peers::carry(field.as_ref(), &self.sampled.frame, &self.positions);
         let cost = Cost { preparation: began - start, transfer: own_cpu() - began };
 
-        let mut rest = moved.as_slice();
-        let mut replace = |chunk: &VertexChunk, versions: &mut [Edited]| {
-            let (positions, after) = rest.split_at(chunk.len());
+        let replace = |chunk: &VertexChunk, versions: &mut [Edited]| {
+            let positions = &moved[chunk.first as usize..][..chunk.len()];
             versions.iter_mut().for_each(|edited| edited.positions.copy_from_slice(positions));
-            rest = after;
             Ok(())
         };
         let mut file = OutputFile::create(&self.output(), self.model.info().bytes)?;
-        self.model.rewrite(&mut [&mut file], Rewriting::default(), &mut replace, &Silent)?;
+        self.model.rewrite(&mut [&mut file], Rewriting::default(), &replace, &Silent)?;
         file.commit()?;
         Ok(cost)
     }

@@ -27,7 +27,7 @@ use crate::varint::{self, Numbers};
 pub(crate) const MAGIC: &[u8; 8] = b"SIMODBND";
 
 /// To be counted up whenever the format changes, or the homes or surroundings of the same samples.
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 
 /// Most bytes of a part: a chunk's vertices, each with another home.
 const MOST_BYTES: usize = 10 * simod_model::CHUNK_VERTICES;
@@ -138,7 +138,6 @@ pub(super) struct Binding {
     file: BufReader<File>,
     samples: usize,
     bytes: Vec<u8>,
-    homes: Vec<u32>,
 }
 
 impl Binding {
@@ -182,16 +181,11 @@ impl Binding {
             return Err("its numbers make no sense".to_owned());
         }
         let around = Surroundings::known(samples, head.sheets, head.supports);
-        Ok(Some((Self { file, samples: n, bytes: Vec::new(), homes: Vec::new() }, around)))
-    }
-
-    /// The homes of the vertices that were read last.
-    pub(super) fn homes(&self) -> &[u32] {
-        &self.homes
+        Ok(Some((Self { file, samples: n, bytes: Vec::new() }, around)))
     }
 
     /// The homes of the next vertices, which are a chunk.
-    pub(super) fn next(&mut self, vertices: usize) -> Result<&[u32]> {
+    pub(super) fn next(&mut self, vertices: usize) -> Result<Vec<u32>> {
         let io = |_| damaged("it is cut off");
         let mut start = [0; 16];
         self.file.read_exact(&mut start).map_err(io)?;
@@ -205,9 +199,10 @@ impl Binding {
         if xxh3_64(&self.bytes).to_le_bytes() != start[8..] {
             return Err(damaged("a checksum is wrong"));
         }
-        decode(&self.bytes, count, self.samples, &mut self.homes)
+        let mut homes = Vec::with_capacity(count);
+        decode(&self.bytes, count, self.samples, &mut homes)
             .ok_or_else(|| damaged("its numbers make no sense"))?;
-        Ok(&self.homes)
+        Ok(homes)
     }
 }
 

@@ -8,7 +8,8 @@
 //!
 //! Vertices of a block are grouped by their homes and processed as many at once as the processor's vector
 //! registers take, which is found out at run time. Every vertex' numbers are computed by the same operations
-//! in the same order on any processor, and none of them is fused: the result has the same bytes everywhere.
+//! in the same order on any processor, multiplications and additions fused where they are here, if need be by
+//! software: the result has the same bytes everywhere.
 
 use std::ops::Range;
 
@@ -16,9 +17,11 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+#[cfg(doc)]
+use super::DeformationField;
 use super::bound::AROUND;
 use super::expansion::Expansion;
-use super::lanes::Lanes;
+use super::lanes::{Lanes, from, length_squared, triple};
 use super::sheets::{Sheets, are_lists, blocks};
 use crate::sampling::SampleSet;
 
@@ -125,7 +128,7 @@ impl Supports {
 
 /// Vertices of a block, grouped by their homes, in separate arrays by coordinate.
 ///
-/// Memory: 40 bytes per vertex with a normal, 28 without, 36 more for the gradient; and as much for up to
+/// Memory: 44 bytes per vertex with a normal, 32 without, 36 more for the gradient; and as much for up to
 /// [`PACKET`] more vertices of each group.
 #[derive(Debug, Default)]
 pub struct Grouped {
@@ -138,6 +141,9 @@ pub struct Grouped {
     pub displacement: [Vec<f32>; 3],
     /// The sum of weights: at less than [`LEAST_WEIGHT`] the displacement means nothing.
     pub sum: Vec<f32>,
+    /// 1 where the displacement is [seen](DeformationField::find_within_range) to keep to the range of the
+    /// samples around, 0 elsewhere.
+    pub is_within_range: Vec<f32>,
     /// Normals, which are turned; empty if there are none.
     pub normals: [Vec<f32>; 3],
     /// The gradient of the deformation, column by column; empty unless it is asked for.
@@ -188,28 +194,35 @@ impl<const GRADIENT: bool> WithSimd for Kernel<'_, GRADIENT> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { supports, expansions, mirrored, grouped } = self;
         let side = Lanes::splat(simd, if mirrored { -1.0 } else { 1.0 });
-        let Grouped { groups, positions, displacement, sum, normals, gradient } = grouped;
+        let Grouped { groups, positions, displacement, sum, normals, gradient, .. } = grouped;
         // All lengths are multiples of the packet: nothing is left over.
         let positions = positions.each_ref().map(|v| S::as_simd_f32s(v).0);
-        let displacement = displacement.each_mut().map(|v| S::as_mut_simd_f32s(v).0);
+        let mut displacement = displacement.each_mut().map(|v| S::as_mut_simd_f32s(v).0);
         let normals = normals.each_mut().map(|v| S::as_mut_simd_f32s(v).0);
-        let gradient = gradient.each_mut().map(|v| S::as_mut_simd_f32s(v).0);
+        let mut gradient = gradient.each_mut().map(|v| S::as_mut_simd_f32s(v).0);
         let sum = S::as_mut_simd_f32s(sum).0;
         for (home, range) in groups {
             let list = supports.of_home(*home as usize);
             let home = &expansions[*home as usize];
             for at in range.start / S::F32_LANES..range.end.div_ceil(S::F32_LANES) {
-                let p = [0, 1, 2].map(|i| Lanes(simd, positions[i][at]));
+                let p = triple(simd, &positions, at);
                 let blended = packet::<S, GRADIENT>(simd, p, home, list, expansions);
-                (0..3).for_each(|i| displacement[i][at] = blended.displacement[i].1);
+                for (to, u) in displacement.iter_mut().zip(&blended.displacement) {
+                    to[at] = u.1;
+                }
                 sum[at] = blended.sum.1;
                 if GRADIENT && !normals[0].is_empty() {
-                    let n = [0, 1, 2].map(|i| Lanes(simd, normals[i][at]));
+                    let [x, y, z] = &normals;
+                    let n = [Lanes(simd, x[at]), Lanes(simd, y[at]), Lanes(simd, z[at])];
                     let turned = turn(n, &blended.gradient, side);
-                    (0..3).for_each(|i| normals[i][at] = turned[i].1);
+                    for i in 0..3 {
+                        normals[i][at] = turned[i].1;
+                    }
                 }
                 if GRADIENT && !gradient[0].is_empty() {
-                    (0..9).for_each(|i| gradient[i][at] = blended.gradient[i].1);
+                    for (to, g) in gradient.iter_mut().zip(&blended.gradient) {
+                        to[at] = g.1;
+                    }
                 }
             }
         }
@@ -225,11 +238,19 @@ fn turn<S: Simd>(n: [Lanes<S>; 3], gradient: &[Lanes<S>; 9], side: Lanes<S>) -> 
     let (ux, uy, uz) = (by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx);
     let (vx, vy, vz) = (cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax);
     let (wx, wy, wz) = (ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx);
-    let turned = [ux * x + vx * y + wx * z, uy * x + vy * y + wy * z, uz * x + vz * y + wz * z];
+    let turned = [
+        ux.mul_add(x, vx.mul_add(y, wx * z)),
+        uy.mul_add(x, vy.mul_add(y, wy * z)),
+        uz.mul_add(x, vz.mul_add(y, wz * z)),
+    ];
     let square = length_squared(turned);
     let factor = side * length_squared(n).sqrt() * square.sqrt().inverse_or_one();
     // Where nothing is left of it, it stays; and so it does where it was no number.
-    [0, 1, 2].map(|i| square.where_positive(turned[i] * factor, n[i]))
+    [
+        square.where_positive(turned[0] * factor, n[0]),
+        square.where_positive(turned[1] * factor, n[1]),
+        square.where_positive(turned[2] * factor, n[2]),
+    ]
 }
 
 /// What a packet of vertices gets.
@@ -260,7 +281,7 @@ fn packet<S: Simd, const GRADIENT: bool>(
         let e = &expansions[support.sample as usize];
         let d = from(simd, p, e.center);
         // The kernel (1 - t²)³ and, but for d, its gradient -6 (1 - t²)² d / r²
-        let s = one - length_squared(d) * Lanes::splat(simd, e.inverse_square);
+        let s = length_squared(d).mul_add(Lanes::splat(simd, -e.inverse_square), one);
         if s.largest() <= 0.0 {
             continue;
         }
@@ -269,27 +290,38 @@ fn packet<S: Simd, const GRADIENT: bool>(
         let w_slope = s * s * Lanes::splat(simd, -6.0 * e.inverse_square);
         blended.sum += w;
         if GRADIENT {
-            sum_slope.iter_mut().zip(d).for_each(|(total, d)| *total += w_slope * d);
+            for i in 0..3 {
+                sum_slope[i] = w_slope.mul_add(d[i], sum_slope[i]);
+            }
         }
         let [dx, dy, dz] = d;
         for o in 0..3 {
             // As in `Expansion::at`.
             let row = &e.rows[o];
-            let [xx, xy, xz] =
-                [Lanes::splat(simd, row[4]), Lanes::splat(simd, row[5]), Lanes::splat(simd, row[6])];
-            let [yy, yz, zz] =
-                [Lanes::splat(simd, row[7]), Lanes::splat(simd, row[8]), Lanes::splat(simd, row[9])];
-            let a = Lanes::splat(simd, row[1]) + xx * dx + (xy * dy + xz * dz);
-            let b = Lanes::splat(simd, row[2]) + yy * dy + yz * dz;
-            let c = Lanes::splat(simd, row[3]) + zz * dz;
             // Beyond the home's, for precision: weights that vanish have steep logarithms.
-            let u = Lanes::splat(simd, row[0] - home.rows[o][0]) + a * dx + (b * dy + c * dz);
-            blended.displacement[o] += w * u;
+            let u = Lanes::splat(simd, row[0] - home.rows[o][0]);
+            let (sx, sy, sz) =
+                (Lanes::splat(simd, row[1]), Lanes::splat(simd, row[2]), Lanes::splat(simd, row[3]));
+            let (xx, xy, xz) =
+                (Lanes::splat(simd, row[4]), Lanes::splat(simd, row[5]), Lanes::splat(simd, row[6]));
+            let (yy, yz, zz) =
+                (Lanes::splat(simd, row[7]), Lanes::splat(simd, row[8]), Lanes::splat(simd, row[9]));
+            let a = xx.mul_add(dx, xy.mul_add(dy, xz.mul_add(dz, sx)));
+            let b = yy.mul_add(dy, yz.mul_add(dz, sy));
+            let c = zz.mul_add(dz, sz);
+            let u = a.mul_add(dx, b.mul_add(dy, c.mul_add(dz, u)));
+            blended.displacement[o] = w.mul_add(u, blended.displacement[o]);
             if GRADIENT {
                 let pull = w_slope * u;
-                blended.gradient[o] += w * (a + xx * dx) + pull * dx;
-                blended.gradient[3 + o] += w * (b + (xy * dx + yy * dy)) + pull * dy;
-                blended.gradient[6 + o] += w * (c + (xz * dx + (yz * dy + zz * dz))) + pull * dz;
+                let slopes = [
+                    xx.mul_add(dx, a),
+                    xy.mul_add(dx, yy.mul_add(dy, b)),
+                    xz.mul_add(dx, yz.mul_add(dy, zz.mul_add(dz, c))),
+                ];
+                for column in 0..3 {
+                    let g = &mut blended.gradient[3 * column + o];
+                    *g = w.mul_add(slopes[column], pull.mul_add(d[column], *g));
+                }
             }
         }
     }
@@ -299,23 +331,13 @@ fn packet<S: Simd, const GRADIENT: bool>(
         let u = blended.displacement[o] * inverse;
         blended.displacement[o] = u + Lanes::splat(simd, home.rows[o][0]);
         if GRADIENT {
-            for (column, slope) in sum_slope.into_iter().enumerate() {
+            for (column, slope) in sum_slope.iter().enumerate() {
                 // Of the deformation, not of the displacement.
                 let g = &mut blended.gradient[3 * column + o];
                 let itself = if column == o { one } else { zero };
-                *g = itself + (*g - u * slope) * inverse;
+                *g = itself + (*g - u * *slope) * inverse;
             }
         }
     }
     blended
-}
-
-#[inline(always)]
-fn from<S: Simd>(simd: S, p: [Lanes<S>; 3], q: [f32; 3]) -> [Lanes<S>; 3] {
-    [p[0] - Lanes::splat(simd, q[0]), p[1] - Lanes::splat(simd, q[1]), p[2] - Lanes::splat(simd, q[2])]
-}
-
-#[inline(always)]
-fn length_squared<S: Simd>(d: [Lanes<S>; 3]) -> Lanes<S> {
-    d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
 }

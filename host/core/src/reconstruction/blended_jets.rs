@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use super::expansion::Expansion;
 use super::gradients::{Gradients, ROUNDING};
 use super::least_squares::{LeastSquares, Unresolved};
-use super::sheets::Sheets;
+use super::stencils::Stencils;
 use crate::geometry::hermite;
 use crate::sampling::SampleSet;
 
@@ -89,18 +89,23 @@ pub struct Doubt {
 }
 
 /// Expands the deformation at all samples.
-pub fn expand(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradients: &Gradients) -> Expanded {
+pub fn expand(
+    samples: &SampleSet,
+    stencils: &Stencils<'_>,
+    deformed: &[Vec3],
+    gradients: &Gradients,
+) -> Expanded {
     let all = || (0..samples.len()).into_par_iter();
-    let jets: Vec<Jet> = all().map(|i| fit(samples, sheets, deformed, gradients.gradient[i], i)).collect();
+    let jets: Vec<Jet> = all().map(|i| fit(samples, stencils, deformed, gradients.gradient[i], i)).collect();
     let in_doubt: Vec<u32> = (0..).zip(&jets).filter(|(_, jet)| jet.doubt > 0.0).map(|(i, _)| i).collect();
-    let prevailing = prevailing(samples, sheets, &jets, &in_doubt);
+    let prevailing = prevailing(samples, stencils, &jets, &in_doubt);
     let mended: Vec<(u32, Jet, Doubt)> = in_doubt
         .par_iter()
         .zip(prevailing)
         .map(|(i, slope)| {
             let jet = &jets[*i as usize];
             let amount = jet.doubt as f32;
-            let one_sided = one_sided(samples, sheets, deformed, &jets, *i as usize);
+            let one_sided = one_sided(samples, stencils, deformed, &jets, *i as usize);
             (*i, jet.mixed(&one_sided, amount), Doubt { amount, prevailing: slope - Mat3::IDENTITY })
         })
         .collect();
@@ -117,7 +122,7 @@ pub fn expand(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradients
 
 /// The gradient around each sample in doubt: that of its neighbours which are in none, or in their turn of
 /// theirs.
-fn prevailing(samples: &SampleSet, sheets: &Sheets, jets: &[Jet], in_doubt: &[u32]) -> Vec<Mat3> {
+fn prevailing(samples: &SampleSet, stencils: &Stencils<'_>, jets: &[Jet], in_doubt: &[u32]) -> Vec<Mat3> {
     // The gradient at each sample, as far as it is known, and how well: from 0 to 1.
     let mut known: Vec<(Mat3, f32)> =
         jets.iter().map(|jet| (jet.slope, (1.0 - jet.doubt as f32).powi(2))).collect();
@@ -127,7 +132,7 @@ fn prevailing(samples: &SampleSet, sheets: &Sheets, jets: &[Jet], in_doubt: &[u3
             .par_iter()
             .map(|i| {
                 let i = *i as usize;
-                let (near, _) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
+                let (near, _) = stencils.around(&samples.positions, i, FIT_NEIGHBOURS);
                 let (mut slope, mut sum) = (known[i].0 * known[i].1, known[i].1);
                 for j in near.iter().map(|j| *j as usize) {
                     let w = known[j].1;
@@ -148,8 +153,8 @@ fn prevailing(samples: &SampleSet, sheets: &Sheets, jets: &[Jet], in_doubt: &[u3
 /// This is the choice of the smoothest stencil in essentially non-oscillatory schemes (ENO; with weights as
 /// in X.-D. Liu, S. Osher, T. Chan, *Weighted Essentially Non-oscillatory Schemes*, 1994). Best is the least
 /// sum of square roots of distances: a few neighbours that are far off matter little.
-fn one_sided(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], jets: &[Jet], i: usize) -> Jet {
-    let (near, radius) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
+fn one_sided(samples: &SampleSet, stencils: &Stencils<'_>, deformed: &[Vec3], jets: &[Jet], i: usize) -> Jet {
+    let (near, radius) = stencils.around(&samples.positions, i, FIT_NEIGHBOURS);
     let positions = &samples.positions;
     let neighbours: Vec<(Vec3, Vec3, f32)> = near
         .iter()
@@ -192,11 +197,11 @@ impl Jet {
     }
 }
 
-fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], gradient: Mat3, i: usize) -> Jet {
+fn fit(samples: &SampleSet, stencils: &Stencils<'_>, deformed: &[Vec3], gradient: Mat3, i: usize) -> Jet {
     let affine =
         Jet { slope: gradient, second: [Vec3::ZERO; 6], doubt: 0.0, unresolved: Unresolved::default() };
     let prior = gradient.as_dmat3();
-    let Some(squares) = LeastSquares::gather(samples, sheets, deformed, prior, i) else { return affine };
+    let Some(squares) = LeastSquares::gather(samples, stencils, deformed, prior, i) else { return affine };
     if squares.largest < ROUNDING {
         return affine;
     }

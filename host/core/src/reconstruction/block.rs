@@ -59,9 +59,9 @@ pub struct Moved<'a> {
     pub figures: &'a mut [Figures],
 }
 
-/// Carries consecutive vertices of the model over, by each of the fields for one of `moved`, on all cores.
-/// `positions` are theirs at rest, in the model's coordinates. Vertices without a finite position stay as
-/// they are. `homes` are as [`bind`](super::bind) kept them, if it did.
+/// Carries consecutive vertices of the model over, by each of the fields for one of `moved`, on all threads
+/// of the pool. `positions` are theirs at rest, in the model's coordinates. Vertices without a finite
+/// position stay as they are. `homes` are as [`bind`](super::bind) kept them, if it did.
 ///
 /// All fields are of the same samples. What becomes of a vertex depends on its position alone, and that of
 /// its normal on both: not on what other vertices there are, on their order, on the division into calls, or
@@ -73,37 +73,71 @@ pub fn carry(
     homes: Option<&[u32]>,
     moved: &mut [Moved<'_>],
 ) {
-    let Some(first) = fields.first() else { return };
-    let mut blocks: Vec<Vec<Moved<'_>>> = Vec::new();
-    blocks.resize_with(positions.len().div_ceil(BLOCK), Vec::new);
+    if let Some(first) = fields.first().filter(|_| homes.is_none()) {
+        // Before jobs ask for them.
+        first.around.cells();
+    }
+    blocks(positions, homes, moved).into_par_iter().for_each(|block| block.carry(fields, frame));
+}
+
+/// The same, by the thread that calls it.
+pub fn carry_on_this_thread(
+    fields: &[DeformationField<'_>],
+    frame: &Frame,
+    positions: &[DVec3],
+    homes: Option<&[u32]>,
+    moved: &mut [Moved<'_>],
+) {
+    blocks(positions, homes, moved).into_iter().for_each(|block| block.carry(fields, frame));
+}
+
+/// Consecutive vertices, and what they become in each version.
+struct Block<'a> {
+    positions: &'a [DVec3],
+    homes: Option<&'a [u32]>,
+    moved: Vec<Moved<'a>>,
+}
+
+/// The blocks that vertices are divided into.
+fn blocks<'a>(
+    positions: &'a [DVec3],
+    homes: Option<&'a [u32]>,
+    moved: &'a mut [Moved<'_>],
+) -> Vec<Block<'a>> {
+    let ranges = (0..positions.len()).step_by(BLOCK).map(|at| at..positions.len().min(at + BLOCK));
+    let mut blocks: Vec<Block<'a>> = ranges
+        .map(|range| Block {
+            positions: &positions[range.clone()],
+            homes: homes.map(|homes| &homes[range]),
+            moved: Vec::with_capacity(moved.len()),
+        })
+        .collect();
     for Moved { positions, normals, figures } in moved {
         let (mut of_normals, mut of_figures) = (normals.chunks_mut(BLOCK), figures.chunks_mut(BLOCK));
         for (block, positions) in blocks.iter_mut().zip(positions.chunks_mut(BLOCK)) {
             let normals = of_normals.next().unwrap_or_default();
-            block.push(Moved { positions, normals, figures: of_figures.next().unwrap_or_default() });
+            block.moved.push(Moved { positions, normals, figures: of_figures.next().unwrap_or_default() });
         }
     }
-    if homes.is_none() {
-        // Before jobs ask for them.
-        first.around.cells();
+    blocks
+}
+
+impl Block<'_> {
+    fn carry(self, fields: &[DeformationField<'_>], frame: &Frame) {
+        let Self { positions, homes, moved } = self;
+        let Some(around) = fields.first().map(|field| field.around) else { return };
+        around.workspaces.with(|workspace| {
+            workspace.place(frame, positions);
+            match homes {
+                Some(homes) => workspace.take_homes(homes),
+                None => workspace.find_homes(around),
+            }
+            workspace.group(fields);
+            around.count(&workspace.grouped.groups);
+            let versions = fields.iter().zip(moved);
+            versions.for_each(|(field, moved)| workspace.carry(field, frame, positions, moved));
+        });
     }
-    blocks.into_par_iter().zip(positions.par_chunks(BLOCK)).enumerate().for_each(
-        |(i, (moved, positions))| {
-            first.around.workspaces.with(|workspace| {
-                workspace.place(frame, positions);
-                match homes {
-                    Some(homes) => workspace.take_homes(homes.chunks(BLOCK).nth(i).unwrap_or_default()),
-                    None => workspace.find_homes(first.around),
-                }
-                workspace.group(fields);
-                first.around.count(&workspace.grouped.groups);
-                fields
-                    .iter()
-                    .zip(moved)
-                    .for_each(|(field, moved)| workspace.carry(field, frame, positions, moved));
-            });
-        },
-    );
 }
 
 /// The homes of consecutive vertices of the model, which `carry` finds itself unless it is told them.
@@ -154,15 +188,22 @@ impl Workspace {
             let supports = &field.around.supports;
             let gradient = !figures.is_empty() || !normals.is_empty() && field.limiter.is_needed();
             blend(supports, &field.expansions, mirrored, gradient, &mut self.grouped);
+            field.find_within_range(&mut self.grouped);
+        } else {
+            self.grouped.is_within_range.clear();
         }
         for (i, (p, image)) in positions.iter().zip(images).enumerate() {
-            let home = self.homes[i] as usize;
             let figures = figures.get_mut(i);
             if !p.is_finite() {
                 figures.into_iter().for_each(|f| *f = Figures::UNKNOWN);
                 continue;
             }
-            let one_by_one = if field.active[home] {
+            let home = self.homes[i] as usize;
+            let is_within_range = self.grouped.is_within_range.get(self.place[i] as usize);
+            let one_by_one = if is_within_range.is_some_and(|is| *is > 0.0) {
+                // Nothing but the blend.
+                None
+            } else if field.active[home] {
                 self.bounded(field, i, self.one_by_one(field, i))
             } else {
                 let dragged_along = field.still_drawn_back(home, self.local[i]);

@@ -13,7 +13,6 @@
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
-use super::blend::Supports;
 use super::expansion::Expansion;
 use super::gradients::ROUNDING;
 use super::hull::way_from_hull;
@@ -26,7 +25,7 @@ pub const AROUND: usize = 28;
 
 /// How far beyond the range a vertex may go, as a part of the local step: a little less than a tenth, for
 /// rounding.
-const BEYOND: f32 = 0.095;
+pub const BEYOND: f32 = 0.095;
 
 /// Neighbours of a sample to which its edges lead: a ring.
 const EDGES: usize = 6;
@@ -43,8 +42,8 @@ const EXPLAINED: f32 = 0.4;
 /// … and less and less of it up to this part: a linear map leaves about half of a step.
 const UNEXPLAINED: f32 = 0.55;
 
-/// The range of the samples beside a home is looked at for vertices within this part of its support.
-const BESIDE: f32 = 0.5;
+/// What a displacement may be off by rounding.
+pub const MARGIN: f32 = ROUNDING as f32;
 
 /// Displacements between the least and the greatest, coordinate by coordinate.
 #[derive(Debug, Clone, Copy)]
@@ -59,11 +58,11 @@ impl Extent {
 
     /// Of one displacement, but for rounding.
     fn about(u: Vec3) -> Self {
-        Self { low: u - ROUNDING as f32, high: u + ROUNDING as f32 }
+        Self { low: u - MARGIN, high: u + MARGIN }
     }
 
     fn include(&mut self, u: Vec3) {
-        (self.low, self.high) = (self.low.min(u - ROUNDING as f32), self.high.max(u + ROUNDING as f32));
+        (self.low, self.high) = (self.low.min(u - MARGIN), self.high.max(u + MARGIN));
     }
 
     fn widened(&self, by: f32) -> Self {
@@ -114,54 +113,30 @@ impl Edges {
     }
 }
 
-/// What is known of the samples, so that hardly any vertex needs a search.
+/// What the edges of all samples show.
 ///
-/// Memory: 32 bytes per sample.
+/// Memory: 8 bytes per sample.
 pub struct Bound {
     edges: Vec<Edges>,
-    /// Where vertices within [`BESIDE`] of a home's support may go as far as is known from samples that are
-    /// surely among those nearest to any of them.
-    beside: Vec<Extent>,
 }
 
 impl Bound {
     /// Of the expansions of all samples.
-    pub fn of(samples: &SampleSet, sheets: &Sheets, supports: &Supports, expansions: &[Expansion]) -> Self {
-        let all = || (0..expansions.len()).into_par_iter();
-        let positions = &samples.positions;
-        let edges: Vec<Edges> = all().map(|i| Edges::of(samples, sheets, expansions, i)).collect();
-        let beside = |home: usize| {
-            let within = BESIDE * supports.radius[home];
-            let reach = supports.ranging[home] - 2.0 * within;
-            if reach <= 0.0 {
-                return Extent::NOTHING;
-            }
-            let near = sheets.of_sample(home).iter().map(|j| *j as usize);
-            let near = near.take_while(|j| positions[*j].distance(positions[home]) < reach);
-            let (mut extent, mut step) = (Extent::about(expansions[home].displacement()), edges[home].step);
-            for j in near {
-                extent.include(expansions[j].displacement());
-                step = step.max(edges[j].step);
-            }
-            extent.widened(BEYOND * step)
-        };
-        let beside = all().map(beside).collect();
-        Self { edges, beside }
+    pub fn of(samples: &SampleSet, sheets: &Sheets, expansions: &[Expansion]) -> Self {
+        let all = (0..expansions.len()).into_par_iter();
+        Self { edges: all.map(|i| Edges::of(samples, sheets, expansions, i)).collect() }
+    }
+
+    /// The largest difference of displacements along an edge of a sample.
+    #[inline]
+    pub fn step(&self, sample: usize) -> f32 {
+        self.edges[sample].step
     }
 }
 
 impl DeformationField<'_> {
-    /// Whether a displacement of a vertex of this home is seen to keep to the range of the samples around
-    /// without a search.
-    #[inline]
-    pub(super) fn is_bounded(&self, home: usize, p: Vec3, u: Vec3) -> bool {
-        let e = &self.expansions[home];
-        let part = (p - Vec3::from_array(e.center)).length_squared() * e.inverse_square;
-        part <= BESIDE * BESIDE && self.bound.beside[home].holds(u) || self.is_among_nearest(home, p, u)
-    }
-
-    /// Likewise, [`drawn_back`](Self::drawn_back) of a vertex whose home does not move, nor any support that
-    /// reaches there.
+    /// As [`drawn_back`](Self::drawn_back), of a vertex whose home does not move, nor any support that reaches
+    /// there.
     #[inline]
     pub(super) fn still_drawn_back(&self, home: usize, p: Vec3) -> Option<Transport> {
         // Then the home is among the nearest.
@@ -171,16 +146,16 @@ impl DeformationField<'_> {
         self.drawn_back(p, Vec3::ZERO, || Mat3::IDENTITY)
     }
 
-    /// Whether a displacement is within the range of those of the home's sheet that are surely among the
-    /// nearest samples.
-    fn is_among_nearest(&self, home: usize, p: Vec3, u: Vec3) -> bool {
+    /// Whether a displacement of a vertex of this home is within the range of those samples of the home's sheet
+    /// that are surely among the nearest ones: then it keeps to the range without a search.
+    pub(super) fn is_bounded(&self, home: usize, p: Vec3, u: Vec3) -> bool {
         let positions = &self.around.samples.positions;
         let distance = p.distance(positions[home]);
         let reach = self.around.supports.ranging[home] - distance;
         if reach <= distance {
             return false;
         }
-        let step = |j: usize| self.bound.edges[j].step;
+        let step = |j: usize| self.bound.step(j);
         let (mut extent, mut largest) = (Extent::about(self.expansions[home].displacement()), step(home));
         self.around.sheets.of_sample(home).iter().map(|j| *j as usize).any(|j| {
             if positions[j].distance_squared(p) < reach * reach {
@@ -195,7 +170,7 @@ impl DeformationField<'_> {
     /// `gradient` is that of the deformation there.
     pub(super) fn drawn_back(&self, p: Vec3, u: Vec3, gradient: impl FnOnce() -> Mat3) -> Option<Transport> {
         let range = Range::around(self, p);
-        let slack = BEYOND * range.edges.step + ROUNDING as f32;
+        let slack = BEYOND * range.edges.step + MARGIN;
         // What continues it takes longer to find.
         if range.extent.widened(slack).holds(u) {
             return None;

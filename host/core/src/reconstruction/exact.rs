@@ -2,15 +2,17 @@
 //! and the result itself where its cost does not matter.
 
 use std::path::Path;
+use std::sync::Mutex;
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 use simod_model::output::OutputFile;
-use simod_model::{Edited, Model, Normals, Output, Progress, Result, Rewriting, VertexChunk};
+use simod_model::{Edit, Edited, Model, Normals, Output, Progress, RawChunk, Result, Rewriting, VertexChunk};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::diagnostics::DiagnosticsFile;
 use super::stream::{Folding, check_targets};
+use super::transfer::{Surveys, locked};
 use super::{DeformationField, Figures, Reconstructed, Reconstruction, Transport, Version};
 use crate::sampled_model::{SampledModel, fingerprint};
 
@@ -37,8 +39,8 @@ pub fn needs_gradient(model: &dyn Model, normals: Normals, diagnostics: Option<&
 /// the map's gradient, from differences in double precision. `field` is the deformation of the samples: it
 /// tells whether the whole is mirrored, and where it folds.
 ///
-/// Memory: the chunks of [`Model::rewrite`], and 170 bytes for each vertex of a chunk with its gradient, 24
-/// without.
+/// Memory: the chunks of [`Model::rewrite`], and 170 bytes for each vertex that is worked on with its
+/// gradient, 24 without; 48 for each vertex of the chunks in flight with diagnostics.
 ///
 /// # Errors
 /// As of [`reconstruct`](super::reconstruct), or `map` fails.
@@ -57,30 +59,13 @@ pub fn write_exact(
     let create = |path| DiagnosticsFile::create(path, info, sampled.bounds.diagonal());
     let mut diagnostics = version.diagnostics.map(create).transpose()?;
     let gradients = needs_gradient(model, how.normals, version.diagnostics);
-    let mut hash = Xxh3Default::new();
-    let exact = Exact { sampled, field, map };
-    let mut edit = |chunk: &VertexChunk, versions: &mut [Edited]| {
-        hash.update(chunk.raw());
-        for edited in versions {
-            let moved = exact.carry(&chunk.positions, gradients)?;
-            for (position, moved) in edited.positions.iter_mut().zip(&moved) {
-                *position += moved.way;
-            }
-            for (normal, moved) in edited.normals.iter_mut().zip(&moved) {
-                let transport = moved.transport(sampled.frame.scale);
-                *normal = transport.normal(*normal, field.gradients.mirrored);
-            }
-            if let Some(file) = &mut diagnostics {
-                file.write(&edited.positions, &exact.figures(&chunk.positions, &moved))?;
-            }
-        }
-        Ok(())
-    };
+    let surveys = Surveys::new([diagnostics.as_mut()]);
+    let exact = Exact { sampled, field, map, gradients, hash: Mutex::default(), surveys };
     progress.begin("evaluating every vertex", info.bytes);
     let outputs: &mut [&mut dyn Output] = &mut [&mut file];
     let rewriting = Rewriting { normals: how.normals, pieces_done: 0 };
-    model.rewrite(outputs, rewriting, &mut edit, progress)?;
-    if sampled.source.fingerprint != fingerprint(hash.digest128()) {
+    model.rewrite(outputs, rewriting, &exact, progress)?;
+    if sampled.source.fingerprint != fingerprint(locked(&exact.hash).digest128()) {
         return Err(sampled.source_changed(model.path()));
     }
     let folds = field.folds();
@@ -106,6 +91,41 @@ struct Exact<'a> {
     sampled: &'a SampledModel,
     field: &'a DeformationField<'a>,
     map: &'a ExactMap<'a>,
+    /// Whether the gradient is asked for.
+    gradients: bool,
+    /// Of all vertices' bytes.
+    hash: Mutex<Xxh3Default>,
+    surveys: Surveys<'a>,
+}
+
+impl Edit for Exact<'_> {
+    fn begin(&self, chunk: &RawChunk<'_>) -> Result<()> {
+        locked(&self.hash).update(chunk.bytes);
+        Ok(())
+    }
+
+    fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
+        let moved = self.carry(&chunk.positions, self.gradients)?;
+        for edited in &mut *versions {
+            for (position, moved) in edited.positions.iter_mut().zip(&moved) {
+                *position += moved.way;
+            }
+            for (normal, moved) in edited.normals.iter_mut().zip(&moved) {
+                let transport = moved.transport(self.sampled.frame.scale);
+                *normal = transport.normal(*normal, self.field.gradients.mirrored);
+            }
+        }
+        let mut figures = self.surveys.figures(chunk.len());
+        for figures in figures.iter_mut().filter(|figures| !figures.is_empty()) {
+            *figures = self.figures(&chunk.positions, &moved);
+        }
+        self.surveys.keep(chunk.first, versions, figures);
+        Ok(())
+    }
+
+    fn end(&self, first: u64) -> Result<()> {
+        self.surveys.write(first)
+    }
 }
 
 /// What the map does to a vertex.

@@ -279,7 +279,7 @@ impl DeformationField<'_> {
 
     /// The neighbours that a sample's word is compared with.
     fn ring(&self, i: usize) -> &[u32] {
-        let near = self.around.sheets.of_sample(i);
+        let near = self.stencils.of_sample(i);
         &near[..near.len().min(RING)]
     }
 

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::Transport;
 use super::sheets::Sheets;
+use super::stencils::Stencils;
 use crate::geometry::{hermite, symmetric_eigen};
 use crate::sampling::SampleSet;
 
@@ -47,15 +48,20 @@ pub struct Gradients {
 }
 
 impl Gradients {
-    /// Fits all samples.
-    pub fn fit(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3]) -> Self {
-        let fits: Vec<(Mat3, Option<f32>)> = (0..samples.len())
-            .into_par_iter()
-            .map(|i| {
-                let (gradient, side) = fit_one(samples, sheets, deformed, i);
-                (gradient.as_mat3(), side.map(|side| side as f32))
-            })
-            .collect();
+    /// Fits all samples, to those of their own sheets first, which tell whom each may borrow besides.
+    pub fn fit<'a>(samples: &SampleSet, sheets: &'a Sheets, deformed: &[Vec3]) -> (Self, Stencils<'a>) {
+        let own = Stencils::own(sheets);
+        let fit = |stencils: &Stencils<'_>, i: usize| {
+            let (gradient, side) = fit_one(samples, stencils, deformed, i);
+            (gradient.as_mat3(), side.map(|side| side as f32))
+        };
+        let mut fits: Vec<(Mat3, Option<f32>)> =
+            (0..samples.len()).into_par_iter().map(|i| fit(&own, i)).collect();
+        let stencils = Stencils::borrowing(samples, sheets, deformed, |i| fits[i].0);
+        let again = stencils.borrowers().into_par_iter().map(|i| (i, fit(&stencils, i as usize)));
+        for (i, fit) in again.collect::<Vec<_>>() {
+            fits[i as usize] = fit;
+        }
         let (gradient, sides): (Vec<Mat3>, Vec<Option<f32>>) = fits.into_iter().unzip();
         let mirrored = sides.iter().flatten().sum::<f32>() < 0.0;
         let tells_side = sides.iter().map(Option::is_some).collect();
@@ -64,13 +70,18 @@ impl Gradients {
             moved.normal(*n, mirrored).normalize_or(*n)
         };
         let normal = gradient.iter().zip(samples.normals()).map(turned).collect();
-        Self { gradient, normal, tells_side, mirrored }
+        (Self { gradient, normal, tells_side, mirrored }, stencils)
     }
 }
 
 /// The gradient at a sample, and, where its neighbours tell it, the sign of its determinant.
-fn fit_one(samples: &SampleSet, sheets: &Sheets, deformed: &[Vec3], i: usize) -> (DMat3, Option<f64>) {
-    let (near, radius) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
+fn fit_one(
+    samples: &SampleSet,
+    stencils: &Stencils<'_>,
+    deformed: &[Vec3],
+    i: usize,
+) -> (DMat3, Option<f64>) {
+    let (near, radius) = stencils.around(&samples.positions, i, FIT_NEIGHBOURS);
     let (q, q_star) = (samples.positions[i], deformed[i]);
     if near.iter().all(|j| samples.positions[*j as usize] == deformed[*j as usize]) && q == q_star {
         return (DMat3::IDENTITY, Some(1.0));
@@ -163,7 +174,7 @@ mod tests {
         let map =
             Affine3A::from_scale_rotation_translation(Vec3::splat(1.7), rotation, Vec3::new(1.0, 2.0, 3.0));
         let deformed: Vec<Vec3> = set.positions.iter().map(|p| map.transform_point3(*p)).collect();
-        let gradients = Gradients::fit(&set, &sheets, &deformed);
+        let (gradients, _) = Gradients::fit(&set, &sheets, &deformed);
         let expected = Mat3::from_quat(rotation) * 1.7;
         for (i, f) in gradients.gradient.iter().enumerate() {
             // The images are rounded to about 2e-7, and neighbours may lie as little as 1e-3 off the plane.
@@ -181,12 +192,12 @@ mod tests {
         let turned: Vec<Vec3> = set.positions.iter().map(|p| Vec3::new(0.0, 2.0 * p.x, 0.0)).collect();
         let collapsed = vec![Vec3::ONE; 50];
         for deformed in [turned, collapsed] {
-            for f in Gradients::fit(&set, &sheets, &deformed).gradient {
+            for f in Gradients::fit(&set, &sheets, &deformed).0.gradient {
                 assert!(f.is_finite() && f.to_cols_array().iter().all(|x| x.abs() < 4.0), "{f}");
             }
         }
         let one = SampleSet::new(vec![Vec3::ONE], Vec::new()).expect("a sample");
         one.prepare();
-        assert_eq!(Gradients::fit(&one, &Sheets::of(&one), &[Vec3::ZERO]).gradient[0], Mat3::IDENTITY);
+        assert_eq!(Gradients::fit(&one, &Sheets::of(&one), &[Vec3::ZERO]).0.gradient[0], Mat3::IDENTITY);
     }
 }

@@ -18,7 +18,7 @@ use crate::sampling::SampleSet;
 const NEAR: f32 = 0.25;
 
 /// Supports of so many samples may meet a cell that is not parted: fewer than each sample has neighbours.
-const MOST: usize = 12;
+const MOST: usize = 5;
 
 /// For that, a support ends at this part of its radius: half a spacing.
 const REACH: f32 = 0.35;

@@ -1,4 +1,8 @@
 //! As many numbers as the processor takes at once, with the operators of numbers.
+//!
+//! Code that uses them is compiled for the processor only where it is inlined: no iterator and no `map` of an
+//! array may stand between (a closure that these call is not), and a test looks that the program holds no
+//! function of a single instruction.
 
 use std::ops::{Add, AddAssign, Mul, Sub};
 
@@ -21,10 +25,40 @@ impl<S: Simd> Lanes<S> {
         Self(self.0, self.0.max_f32s(self.1, other.1))
     }
 
+    /// The smaller of each pair.
+    #[inline(always)]
+    pub fn min(self, other: Self) -> Self {
+        Self(self.0, self.0.min_f32s(self.1, other.1))
+    }
+
+    /// Where it is less than another.
+    #[inline(always)]
+    pub fn less(self, than: Self) -> Mask<S> {
+        Mask(self.0, self.0.less_than_f32s(self.1, than.1))
+    }
+
+    /// Where it is no more than another.
+    #[inline(always)]
+    pub fn less_or_equal(self, than: Self) -> Mask<S> {
+        Mask(self.0, self.0.less_than_or_equal_f32s(self.1, than.1))
+    }
+
+    /// The least of all.
+    #[inline(always)]
+    pub fn least(self) -> f32 {
+        self.0.reduce_min_f32s(self.1)
+    }
+
     /// The largest of all.
     #[inline(always)]
     pub fn largest(self) -> f32 {
         self.0.reduce_max_f32s(self.1)
+    }
+
+    /// self · by + to, rounded once.
+    #[inline(always)]
+    pub fn mul_add(self, by: Self, to: Self) -> Self {
+        Self(self.0, self.0.mul_add_f32s(self.1, by.1, to.1))
     }
 
     /// Its square root.
@@ -36,9 +70,7 @@ impl<S: Simd> Lanes<S> {
     /// `positive` where it is more than zero, and `other` elsewhere.
     #[inline(always)]
     pub fn where_positive(self, positive: Self, other: Self) -> Self {
-        let simd = self.0;
-        let mask = simd.greater_than_f32s(self.1, simd.splat_f32s(0.0));
-        Self(simd, simd.select_f32s(mask, positive.1, other.1))
+        Self::splat(self.0, 0.0).less(self).select(positive, other)
     }
 
     /// 1 / x, but 1 where x is not positive.
@@ -47,6 +79,42 @@ impl<S: Simd> Lanes<S> {
         let one = Self::splat(self.0, 1.0);
         Self(self.0, self.0.div_f32s(one.1, self.where_positive(self, one).1))
     }
+}
+
+/// Whether something holds, for each vertex of a packet.
+#[derive(Clone, Copy)]
+pub struct Mask<S: Simd>(S, S::m32s);
+
+impl<S: Simd> Mask<S> {
+    /// Where both hold.
+    #[inline(always)]
+    pub fn and(self, other: Self) -> Self {
+        Self(self.0, self.0.and_m32s(self.1, other.1))
+    }
+
+    /// `then` where it holds, and `or` elsewhere.
+    #[inline(always)]
+    pub fn select(self, then: Lanes<S>, or: Lanes<S>) -> Lanes<S> {
+        Lanes(self.0, self.0.select_f32s(self.1, then.1, or.1))
+    }
+}
+
+/// What stands at a place of three lists.
+#[inline(always)]
+pub fn triple<S: Simd>(simd: S, of: &[&[S::f32s]; 3], at: usize) -> [Lanes<S>; 3] {
+    [Lanes(simd, of[0][at]), Lanes(simd, of[1][at]), Lanes(simd, of[2][at])]
+}
+
+/// The ways from one place to many.
+#[inline(always)]
+pub fn from<S: Simd>(simd: S, p: [Lanes<S>; 3], q: [f32; 3]) -> [Lanes<S>; 3] {
+    [p[0] - Lanes::splat(simd, q[0]), p[1] - Lanes::splat(simd, q[1]), p[2] - Lanes::splat(simd, q[2])]
+}
+
+/// The squares of lengths.
+#[inline(always)]
+pub fn length_squared<S: Simd>(d: [Lanes<S>; 3]) -> Lanes<S> {
+    d[0].mul_add(d[0], d[1].mul_add(d[1], d[2] * d[2]))
 }
 
 impl<S: Simd> Add for Lanes<S> {

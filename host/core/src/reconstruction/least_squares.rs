@@ -9,7 +9,7 @@ use glam::{DMat3, DVec3, Vec3};
 
 use super::blended_jets::FIT_NEIGHBOURS;
 use super::gradients::ROUNDING;
-use super::sheets::Sheets;
+use super::stencils::Stencils;
 use crate::geometry::{hermite, solve_positive_definite};
 use crate::sampling::SampleSet;
 
@@ -73,12 +73,12 @@ impl LeastSquares {
     /// Gathers the neighbours of sample `i`; `None` where they all lie at one place.
     pub fn gather(
         samples: &SampleSet,
-        sheets: &Sheets,
+        stencils: &Stencils<'_>,
         deformed: &[Vec3],
         prior: DMat3,
         i: usize,
     ) -> Option<Self> {
-        let (near, radius) = sheets.around(&samples.positions, i, FIT_NEIGHBOURS);
+        let (near, radius) = stencils.around(&samples.positions, i, FIT_NEIGHBOURS);
         let (q, q_star) = (samples.positions[i], deformed[i]);
         let scale = 1.0 / f64::from(radius);
         let mut sums = Self {

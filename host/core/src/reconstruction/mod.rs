@@ -29,10 +29,13 @@ mod limiter;
 mod neighbourhood;
 mod projected_barycentric;
 mod sheets;
+mod stencils;
 mod stream;
 #[cfg(test)]
 mod tests;
+mod transfer;
 pub mod transfer_error;
+mod within_range;
 
 use std::ops::Range;
 use std::sync::OnceLock;
@@ -64,6 +67,7 @@ use neighbourhood::Neighbourhood;
 use sheets::Sheets;
 pub(crate) use sheets::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, sheet_distance};
 pub use simod_model::Normals;
+use stencils::Stencils;
 pub use stream::{Folding, PART_BYTES, Reconstructed, Reconstruction, Version, reconstruct};
 
 /// A home that does not reach a vertex is not its own if other samples are so many times nearer.
@@ -100,7 +104,7 @@ impl Transport {
 /// The unit normals of the deformed samples: those at rest, turned as their neighbourhoods are.
 pub fn deformed_normals(samples: &SampleSet, deformed: &[Vec3]) -> Vec<Vec3> {
     samples.prepare();
-    Gradients::fit(samples, &Sheets::of(samples), deformed).normal
+    Gradients::fit(samples, &Sheets::of(samples), deformed).0.normal
 }
 
 /// How a vertex is carried over.
@@ -203,6 +207,7 @@ pub struct DeformationField<'a> {
     deformed: &'a [Vec3],
     method: Method,
     gradients: Gradients,
+    stencils: Stencils<'a>,
     expansions: Vec<Expansion>,
     unresolved: Vec<Unresolved>,
     limiter: Limiter,
@@ -223,9 +228,9 @@ impl<'a> DeformationField<'a> {
     pub fn new(around: &'a Surroundings<'a>, deformed: &'a [Vec3], method: Method) -> Self {
         let Surroundings { samples, sheets, supports, .. } = around;
         assert_eq!(samples.len(), deformed.len(), "P_S* corresponds to P_S one to one");
-        let gradients = Gradients::fit(samples, sheets, deformed);
+        let (gradients, stencils) = Gradients::fit(samples, sheets, deformed);
         let Expanded { mut expansions, unresolved, doubtful } =
-            blended_jets::expand(samples, sheets, deformed, &gradients);
+            blended_jets::expand(samples, &stencils, deformed, &gradients);
         for (e, radius) in expansions.iter_mut().zip(&supports.radius) {
             e.inverse_square = (1.0 / (radius * radius)).min(Expansion::NO_SUPPORT);
         }
@@ -233,7 +238,7 @@ impl<'a> DeformationField<'a> {
         let reached = |home| supports.of_home(home).iter().any(|r| moves[r.sample as usize]);
         let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || reached(home)).collect();
         let limiter = Limiter::new(supports, &expansions, &doubtful);
-        let bound = Bound::of(samples, sheets, supports, &expansions);
+        let bound = Bound::of(samples, sheets, &expansions);
         let neighbours = |i| sheets.of_sample(i);
         let folds = Folds::of(&expansions, &gradients.tells_side, samples.normals(), neighbours);
         Self {
@@ -241,6 +246,7 @@ impl<'a> DeformationField<'a> {
             deformed,
             method,
             gradients,
+            stencils,
             expansions,
             unresolved,
             limiter,

@@ -47,12 +47,16 @@ const NOWHERE: u8 = u8::MAX;
 
 /// The neighbours of each sample on its own sheet.
 ///
-/// Memory: at most 133 bytes per sample.
+/// Memory: at most 133 bytes per sample; where faces have told sheets apart, 4 more, and 128 for each sample near
+/// which they meet.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Sheets {
     starts: Vec<u32>,
     neighbours: Vec<u32>,
     crowded: Vec<bool>,
+    /// Where the strangers of each sample begin; empty where there are none at all.
+    stranger_starts: Vec<u32>,
+    strangers: Vec<u32>,
 }
 
 impl Sheets {
@@ -90,9 +94,27 @@ impl Sheets {
                 crowded.push(same.is_some());
             }
         }
-        let mut sheets = Self { starts, neighbours, crowded };
+        let (stranger_starts, strangers) = Default::default();
+        let mut sheets = Self { starts, neighbours, crowded, stranger_starts, strangers };
         sheets.leave_out_denied(positions);
+        sheets.note_strangers(samples);
         sheets
+    }
+
+    /// Notes who of the nearest in space is on another sheet, where the faces have told.
+    fn note_strangers(&mut self, samples: &SampleSet) {
+        let Some(contacts) = samples.contacts() else { return };
+        let of_sample = |i: usize| -> Vec<u32> {
+            let is_stranger = |j: &&u32| !self.of_sample(i).contains(j);
+            let told = contacts.same_sheet(i).map(|_| samples.neighbours().of(i));
+            told.unwrap_or_default().iter().filter(is_stranger).copied().collect()
+        };
+        let lists: Vec<Vec<u32>> = (0..samples.len()).into_par_iter().map(of_sample).collect();
+        self.stranger_starts.push(0);
+        for list in lists {
+            self.strangers.extend(list);
+            self.stranger_starts.push(self.strangers.len() as u32);
+        }
     }
 
     /// Leaves out neighbours on whose sheets the sample is not: those of a roof, which the walls below link
@@ -144,7 +166,9 @@ impl Sheets {
         self.crowded.len() == samples
             && are_lists(&self.starts, samples, self.neighbours.len())
             && self.starts.windows(2).all(|s| s[1] - s[0] <= SHEET_NEIGHBOURS as u32)
-            && self.neighbours.iter().all(|j| (*j as usize) < samples)
+            && self.neighbours.iter().chain(&self.strangers).all(|j| (*j as usize) < samples)
+            && (self.stranger_starts.is_empty() && self.strangers.is_empty()
+                || are_lists(&self.stranger_starts, samples, self.strangers.len()))
     }
 
     /// The neighbours of sample `i` on its sheet, nearest first, without itself.
@@ -163,15 +187,30 @@ impl Sheets {
     /// them vanishes: the distance of the first neighbour that is left out, or half as much again as the last
     /// where there is none; 0 without any neighbours.
     pub fn around(&self, positions: &[Vec3], i: usize, count: usize) -> (&[u32], f32) {
-        let all = self.of_sample(i);
-        let near = &all[..all.len().min(count)];
-        let distance = |j: &u32| positions[*j as usize].distance(positions[i]);
-        let radius = match all.get(near.len()) {
-            Some(beyond) => distance(beyond),
-            None => 1.5 * near.last().map_or(0.0, distance),
-        };
-        (near, radius)
+        nearest_of(self.of_sample(i), positions, i, count)
     }
+
+    /// Those of the nearest samples in space that are not on the sheet of sample `i`, nearest first, where faces
+    /// have told sheets apart; none elsewhere.
+    #[inline]
+    pub fn strangers(&self, i: usize) -> &[u32] {
+        match self.stranger_starts.get(i..i + 2) {
+            Some([start, end]) => &self.strangers[*start as usize..*end as usize],
+            _ => &[],
+        }
+    }
+}
+
+/// At most `count` of these samples, which are the nearest of sample `i` in their order, and the radius at which
+/// a kernel over them vanishes: see [`Sheets::around`].
+pub fn nearest_of<'a>(all: &'a [u32], positions: &[Vec3], i: usize, count: usize) -> (&'a [u32], f32) {
+    let near = &all[..all.len().min(count)];
+    let distance = |j: &u32| positions[*j as usize].distance(positions[i]);
+    let radius = match all.get(near.len()) {
+        Some(beyond) => distance(beyond),
+        None => 1.5 * near.last().map_or(0.0, distance),
+    };
+    (near, radius)
 }
 
 /// All samples, a sixteenth at a time: lists that are found side by side need more room than one behind the

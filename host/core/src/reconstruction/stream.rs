@@ -4,25 +4,25 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Mutex;
 use std::time::UNIX_EPOCH;
 
 use glam::{DVec3, Vec3};
 use simod_model::output::check_space;
 use simod_model::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
 use simod_model::target::{canonical_target, folder_of};
-use simod_model::{
-    Edited, Error, ErrorKind, MAX_VERSIONS, Model, Normals, Output, Progress, Result, Rewriting, VertexChunk,
-};
+use simod_model::{Error, ErrorKind, MAX_VERSIONS, Model, Normals, Output, Progress, Result, Rewriting};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
-use super::{DeformationField, ExpectedError, Figures, Method, Moved, Surroundings, carry};
+use super::transfer::{Surveys, Transfer, locked};
+use super::{DeformationField, ExpectedError, Method, Surroundings};
 use crate::sampled_model::{SampledModel, fingerprint, same_file};
 
 /// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on
 /// with then.
-const REVISION: u32 = 7;
+const REVISION: u32 = 8;
 
 /// What is lost at most, in bytes of the model, when the program is killed: see
 /// [`Reconstruction::part_bytes`].
@@ -113,7 +113,7 @@ pub struct Reconstructed {
 /// are kept if the user cancelled or the disk is full.
 ///
 /// Memory: a field for each version of a reading (see [`DeformationField`]), the chunks of
-/// [`Model::rewrite`], and with diagnostics 20 bytes for each vertex of a chunk and version.
+/// [`Model::rewrite`], and with diagnostics 48 bytes for each vertex of a chunk in flight and version.
 ///
 /// # Errors
 /// The model cannot be read or is not what was sampled; an output cannot be written, is written by another
@@ -219,8 +219,6 @@ struct Begun<'a> {
     version: Version<'a>,
     file: Box<ResumableFile>,
     diagnostics: Option<DiagnosticsFile>,
-    /// Of the vertices of a chunk, if there are diagnostics.
-    figures: Vec<Figures>,
 }
 
 impl<'a> Work<'a> {
@@ -232,13 +230,7 @@ impl<'a> Work<'a> {
                     let diagonal = self.sampled.bounds.diagonal();
                     let create = |path| DiagnosticsFile::create(path, self.model.info(), diagonal);
                     let diagnostics = version.diagnostics.map(create).transpose()?;
-                    self.pass.push(Begun {
-                        number,
-                        version: *version,
-                        file,
-                        diagnostics,
-                        figures: Vec::new(),
-                    });
+                    self.pass.push(Begun { number, version: *version, file, diagnostics });
                 }
                 Opened::Finished(file) => {
                     self.taken_over += file.bytes();
@@ -263,7 +255,7 @@ impl<'a> Work<'a> {
         }
 
         self.progress.begin("preparing", 0);
-        let (mut binding, surroundings) = self.surroundings()?;
+        let (binding, surroundings) = self.surroundings()?;
         let info = self.model.info();
         let field = |begun: &Begun<'a>| {
             let field = DeformationField::new(&surroundings, begun.version.deformed, self.how.method);
@@ -276,44 +268,28 @@ impl<'a> Work<'a> {
             self.folding[begun.number] = Some(Folding { samples: folds.samples, first, vertices: None });
         }
         let mut outputs: Vec<&mut dyn Output> = Vec::new();
-        let mut surveys: Vec<(&mut Option<DiagnosticsFile>, &mut Vec<Figures>)> = Vec::new();
-        for Begun { file, diagnostics, figures, .. } in &mut self.pass {
+        let mut surveys = Vec::new();
+        for Begun { file, diagnostics, .. } in &mut self.pass {
             outputs.push(&mut **file);
-            surveys.push((diagnostics, figures));
+            surveys.push(diagnostics.as_mut());
         }
-        let mut hash = Xxh3Default::new();
-        let mut edit = |chunk: &VertexChunk, versions: &mut [Edited]| {
-            hash.update(chunk.raw());
-            for (_, figures) in surveys.iter_mut().filter(|(file, _)| file.is_some()) {
-                figures.resize(chunk.len(), Figures::UNKNOWN);
-            }
-            // No versions for what is written already.
-            let mut moved: Vec<Moved<'_>> = versions
-                .iter_mut()
-                .zip(&mut surveys)
-                .map(|(Edited { positions, normals }, (_, figures))| Moved { positions, normals, figures })
-                .collect();
-            let known = binding.as_mut().map(|binding| binding.next(chunk.len()).map(drop));
-            if let (Some(Err(why)), Some(path)) = (known, self.how.binding) {
-                // What was found by it so far is what would have been found without.
-                self.progress.note(&format!("{} is not used from here on: {why}", path.display()));
-                binding = None;
-            }
-            let homes = binding.as_ref().map(Binding::homes);
-            let (fields, frame) = (&fields[..moved.len()], &self.sampled.frame);
-            carry(fields, frame, &chunk.positions, homes, &mut moved);
-            for (Edited { positions, .. }, (file, figures)) in versions.iter().zip(&mut surveys) {
-                if let Some(file) = file {
-                    file.write(positions, figures)?;
-                }
-            }
-            Ok(())
+        if binding.is_none() {
+            // Here, on all threads of the pool.
+            surroundings.cells();
+        }
+        let transfer = Transfer {
+            fields: &fields,
+            frame: &self.sampled.frame,
+            hash: Mutex::default(),
+            binding: Mutex::new(binding.zip(self.how.binding)),
+            homes: Mutex::default(),
+            surveys: Surveys::new(surveys),
+            progress: self.progress,
         };
-
         self.progress.begin("reconstructing", self.model.info().bytes);
         let how = Rewriting { normals: self.how.normals, pieces_done };
-        self.model.rewrite(&mut outputs, how, &mut edit, self.progress)?;
-        if self.sampled.source.fingerprint != fingerprint(hash.digest128()) {
+        self.model.rewrite(&mut outputs, how, &transfer, self.progress)?;
+        if self.sampled.source.fingerprint != fingerprint(locked(&transfer.hash).digest128()) {
             return Err(self.sampled.source_changed(self.model.path()));
         }
         self.pass.iter_mut().try_for_each(|begun| begun.file.complete(several))?;

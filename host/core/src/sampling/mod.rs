@@ -368,7 +368,7 @@ impl Reindexed {
         let (mut most, mut becomes) = (usize::MAX, None);
         if let Target::Samples(n) = sampling.target {
             let n = usize::try_from(n).unwrap_or(usize::MAX);
-            let needed = parts.needed();
+            let needed = parts.needed(n);
             if self.cut.samples() + needed > n {
                 let target = n.saturating_sub(needed).max(n.div_ceil(2));
                 let (cut, coarser) = self.cut.coarser(target, |cluster| parts.is_mixed(cluster));

@@ -21,6 +21,10 @@ use crate::sampling::ranges::joined;
 /// A sheet with fewer than this part of its cluster's vertices joins a cluster nearby, if it can.
 const LEAST_PART: f64 = 0.125;
 
+/// One of so many samples at most goes to parts that could join clusters nearby: the others are taken from all of
+/// the model.
+const MOST_OF_ALL: usize = 32;
+
 /// What parts are looked for in.
 pub struct Parting<'a> {
     /// The model.
@@ -220,31 +224,34 @@ impl Parts {
         self.mixed.is_empty()
     }
 
-    /// How many samples more all parts would have, if as many may be added as they need.
-    pub fn needed(&self) -> usize {
-        self.decide(usize::MAX).1
+    /// How many samples more parts shall have, of so many samples in all: as many as they need, but no more than
+    /// [a part of them](MOST_OF_ALL), unless nothing of their own sheets is beside them.
+    pub fn needed(&self, samples: usize) -> usize {
+        let (_, needed, alone) = self.decide(usize::MAX);
+        needed.min(alone.max(samples / MOST_OF_ALL))
     }
 
-    /// For each mixed cluster, which of its parts get a sample: at most so many more in all, for the largest
-    /// parts. And how many that are.
-    fn decide(&self, most: usize) -> (Vec<Vec<bool>>, usize) {
-        let mut wanted: Vec<(usize, usize)> = Vec::new();
+    /// For each mixed cluster, which of its parts get a sample: at most so many more in all, for those with nothing
+    /// of their own sheet beside them, and then for the largest. And how many that are, and those of the former.
+    fn decide(&self, most: usize) -> (Vec<Vec<bool>>, usize, usize) {
+        let mut wanted: Vec<(bool, usize, usize)> = Vec::new();
         for (i, (_, parts)) in self.mixed.iter().enumerate() {
             let all: f64 = parts.iter().map(|part| part.moments.count()).sum();
             for (j, part) in parts.iter().enumerate().skip(1) {
                 let own = self.neighbours(part).next().is_none();
                 let count = part.moments.count();
                 if count > 0.0 && (own || (count > 1.0 && count >= LEAST_PART * all)) {
-                    wanted.push((i, j));
+                    wanted.push((!own, i, j));
                 }
             }
         }
-        let part = |(i, j): (usize, usize)| &self.mixed[i].1[j];
-        wanted.sort_by(|a, b| part(*a).by_size(part(*b)));
+        let part = |(_, i, j): (bool, usize, usize)| &self.mixed[i].1[j];
+        wanted.sort_by(|a, b| a.0.cmp(&b.0).then_with(|| part(*a).by_size(part(*b))));
         wanted.truncate(most);
+        let alone = wanted.iter().filter(|(joins, ..)| !joins).count();
         let mut gets: Vec<Vec<bool>> = self.mixed.iter().map(|(_, parts)| vec![false; parts.len()]).collect();
-        wanted.iter().for_each(|(i, j)| gets[*i][*j] = true);
-        (gets, wanted.len())
+        wanted.iter().for_each(|(_, i, j)| gets[*i][*j] = true);
+        (gets, wanted.len(), alone)
     }
 
     /// Islands of other clusters that a part is joined with.
@@ -264,7 +271,7 @@ impl Parts {
         const OPEN: u32 = u32::MAX;
         let first = samples.len() as u32;
         let of = |cluster: u32| becomes.map_or(cluster, |becomes| becomes[cluster as usize]);
-        let (gets, _) = self.decide(most);
+        let (gets, ..) = self.decide(most);
         let (mut moved, mut added) = (Vec::new(), Vec::new());
         let mut sample: Vec<u32> =
             (0..self.graph.len()).map(|island| of(self.graph.cluster(island))).collect();

@@ -4,7 +4,7 @@ use std::f64::consts::{PI, TAU};
 use std::fs;
 use std::path::Path;
 
-use glam::{DVec3, Vec3};
+use glam::{DQuat, DVec3, Vec3};
 use simod_core::reconstruction::{DeformationField, Method, Moved, Surroundings, carry};
 use simod_core::refinement::{Finer, Refining, Selection, refine};
 use simod_core::sampled_model::SampledModel;
@@ -113,9 +113,20 @@ const AWAY: DVec3 = DVec3::new(0.6, 0.64, 0.48);
 /// Moves the samples of the second part away, and gives for each vertex how far it is off, as a fraction of
 /// the way.
 pub fn pulled(sampled: &SampledModel, body: &Body, part: &[f64], of: &dyn Fn(DVec3) -> f64) -> Vec<f64> {
+    off_by(sampled, body, part, of, &|p, part| p + AWAY * part)
+}
+
+/// How far each vertex is off where a map takes places of parts.
+fn off_by(
+    sampled: &SampledModel,
+    body: &Body,
+    part: &[f64],
+    of: &dyn Fn(DVec3) -> f64,
+    map: &dyn Fn(DVec3, f64) -> DVec3,
+) -> Vec<f64> {
     let place = |p: &Vec3| {
         let p = sampled.frame.to_model(*p);
-        sampled.frame.to_local(p + AWAY * of(p))
+        sampled.frame.to_local(map(p, of(p)))
     };
     let deformed: Vec<Vec3> = sampled.samples.positions.iter().map(place).collect();
     let around = Surroundings::of(&sampled.samples);
@@ -123,7 +134,7 @@ pub fn pulled(sampled: &SampledModel, body: &Body, part: &[f64], of: &dyn Fn(DVe
     let mut moved = body.positions.clone();
     let to = &mut [Moved { positions: &mut moved, normals: &mut [], figures: &mut [] }];
     carry(&[field], &sampled.frame, &body.positions, None, to);
-    let off = |((p, q), part): ((&DVec3, &DVec3), &f64)| (*q - *p - AWAY * *part).length();
+    let off = |((p, q), part): ((&DVec3, &DVec3), &f64)| q.distance(map(*p, *part));
     body.positions.iter().zip(&moved).zip(part).map(off).collect()
 }
 
@@ -170,6 +181,32 @@ fn nobody_stays_and_nobody_follows() {
         let (least, times) = if name == "rings that cross" { (1e-3, 2.0) } else { (1e-4, 10.0) };
         assert!(share(&with, 0.5) < least && share(&with, 0.5) * times < share(&without, 0.5), "{name}");
         assert!(share(&with, 0.1) * times.min(5.0) < share(&without, 0.1), "{name}");
+    }
+}
+
+/// Parts that go one way lend each other samples, and those that a hinge joins where they touch do not.
+#[test]
+fn parts_lend_samples_where_they_go_one_way() {
+    let (body, part) = rings(1e-3);
+    let of = of_rings(1e-3);
+    let touch = DVec3::X * (1.0 - RADIUS);
+    let near = |off: Vec<f64>| -> Vec<f64> {
+        let all = off.into_iter().zip(&body.positions);
+        all.filter(|(_, p)| p.distance(touch) < 0.15).map(|(off, _)| off).collect()
+    };
+    let rms = |off: &[f64]| (off.iter().map(|e| e * e).sum::<f64>() / off.len() as f64).sqrt();
+    let twist = |p: DVec3, _: f64| DQuat::from_rotation_x(2.0 * (p.x - touch.x)) * p;
+    let [with, without] = [true, false].map(|sheets| body.sampled(sampling(sheets)));
+    let [twisted, as_one] =
+        [&with, &without].map(|sampled| rms(&near(off_by(sampled, &body, &part, &of, &twist))));
+    println!("near the contact a twist is off by {twisted:.2e}, and as of one surface by {as_one:.2e}");
+    assert!(twisted < 1.1 * as_one);
+    for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
+        let hinge = |p: DVec3, part: f64| touch + DQuat::from_axis_angle(axis, 0.1 * part) * (p - touch);
+        let off = near(off_by(&with, &body, &part, &of, &hinge));
+        let worst = off.iter().copied().fold(0.0, f64::max);
+        println!("a hinge about {axis}: {worst:.2e} at worst");
+        assert!(worst < 1e-6, "a hinge about {axis}: {worst}");
     }
 }
 

@@ -42,7 +42,7 @@ pub(super) use header::is_ply;
 pub use writer::write_points;
 
 use super::source::Source;
-use super::{Edited, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, VertexReader, pipeline};
+use super::{Edit, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, VertexReader, pipeline};
 use crate::progress::Silent;
 use crate::{Progress, Result};
 use faces::{Faces, SomeFaces};
@@ -163,7 +163,7 @@ impl Model for PlyModel {
         &self,
         outputs: &mut [&mut dyn Output],
         how: Rewriting,
-        edit: &mut (dyn FnMut(&VertexChunk, &mut [Edited]) -> Result<()> + Send),
+        edit: &dyn Edit,
         progress: &dyn Progress,
     ) -> Result<()> {
         pipeline::rewrite(self, outputs, how, edit, progress)

@@ -117,9 +117,44 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
+    /// Reads the bytes of the next vertices into `chunk`, and where their numbers lie; returns how many
+    /// vertices these are, none at the end. What it holds else means nothing until it is
+    /// [decoded](PlyModel::decode).
+    pub(super) fn read_bytes(&mut self, chunk: &mut VertexChunk) -> Result<usize> {
+        chunk.first = self.range.start;
+        let limit = (self.range.end - self.range.start).min(self.chunk as u64);
+        match self.model.layout.stride {
+            _ if limit == 0 => {
+                chunk.raw.clear();
+                chunk.spans.clear();
+            }
+            Some(stride) => {
+                chunk.spans.clear();
+                self.read_fixed(chunk, stride, limit)?;
+            }
+            None => self.scan(chunk, limit)?,
+        }
+        Ok((self.range.start - chunk.first) as usize)
+    }
+
     fn ends_early(&self, vertex: u64) -> Error {
         let what = format!("the file ends within vertex {vertex} of {}", self.model.info.vertices);
         self.model.source.malformed(what, CUT_OFF)
+    }
+}
+
+impl PlyModel {
+    /// Fills a chunk's positions and normals from its bytes.
+    pub(super) fn decode(&self, chunk: &mut VertexChunk) -> Result<()> {
+        match self.layout.encoding {
+            Encoding::Little | Encoding::Big => binary::decode(&self.layout, chunk),
+            Encoding::Ascii => ascii::decode(&self.layout, chunk).map_err(|e| {
+                let vertex = chunk.first + e.vertex as u64;
+                let what = format!("vertex {vertex}: {} {} is no number", e.property, e.word);
+                self.source.malformed(what, DAMAGED)
+            })?,
+        }
+        Ok(())
     }
 }
 
@@ -129,31 +164,8 @@ impl VertexReader for Reader<'_> {
     }
 
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
-        let model = self.model;
-        chunk.first = self.range.start;
-        chunk.positions.clear();
-        chunk.normals.clear();
-        let limit = (self.range.end - self.range.start).min(self.chunk as u64);
-        if limit == 0 {
-            chunk.raw.clear();
-            chunk.spans.clear();
-            return Ok(false);
-        }
-        match model.layout.stride {
-            Some(stride) => {
-                chunk.spans.clear();
-                self.read_fixed(chunk, stride, limit)?;
-            }
-            None => self.scan(chunk, limit)?,
-        }
-        match model.layout.encoding {
-            Encoding::Little | Encoding::Big => binary::decode(&model.layout, chunk),
-            Encoding::Ascii => ascii::decode(&model.layout, chunk).map_err(|e| {
-                let vertex = chunk.first + e.vertex as u64;
-                let what = format!("vertex {vertex}: {} {} is no number", e.property, e.word);
-                model.source.malformed(what, DAMAGED)
-            })?,
-        }
-        Ok(true)
+        let is_more = self.read_bytes(chunk)? > 0;
+        self.model.decode(chunk)?;
+        Ok(is_more)
     }
 }

@@ -8,79 +8,107 @@ use super::patch::{Rest, Unfit};
 use super::reader::{CHUNK_BYTES, Reader};
 use super::walk::{CUT_OFF, Walker};
 use super::{ascii, binary};
-use crate::pipeline::{Belt, Rewritable};
-use crate::{Edited, Error, ErrorKind, Normals, Result, VertexChunk, VertexReader};
+use crate::pipeline::{Piece, Pieces, Rewritable};
+use crate::{Edited, Error, ErrorKind, Normals, Result, VertexChunk};
 
 impl Rewritable for PlyModel {
-    fn read_pieces(&self, belt: &Belt, normals: Normals) -> Result<()> {
-        let mut at = 0;
-        if normals == Normals::Drop && self.layout.has_normals() {
-            let Some(mut piece) = belt.take() else { return Ok(()) };
-            at = self.read_bytes(&mut piece.chunk, 0, self.header.len as usize)?;
-            piece.chunk.raw = header::without_normals(&piece.chunk.raw);
-            belt.give(piece);
-        }
-        while at < self.vertices_start {
-            let Some(mut piece) = belt.take() else { return Ok(()) };
-            let wanted = (self.vertices_start - at).min(CHUNK_BYTES as u64) as usize;
-            at += self.read_bytes(&mut piece.chunk, at, wanted)?;
-            belt.give(piece);
-        }
-
-        let mut vertices = Reader::new(self, 0..self.info.vertices)?;
-        loop {
-            let Some(mut piece) = belt.take() else { return Ok(()) };
-            if !vertices.read(&mut piece.chunk)? {
-                break;
-            }
-            belt.give(piece);
-        }
-
-        at = vertices.offset();
-        let mut walker = Walker::new(&self.header.elements[self.vertex + 1..], self.header.encoding);
-        while at < self.source.len() {
-            let Some(mut piece) = belt.take() else { return Ok(()) };
-            at += self.read_bytes(&mut piece.chunk, at, CHUNK_BYTES)?;
-            // Once it is done, it takes nothing: what follows is copied without being looked at.
-            walker.feed(&piece.chunk.raw).map_err(|what| self.source.malformed(what, DAMAGED))?;
-            belt.give(piece);
-        }
-        walker.finish().map_err(|what| self.source.malformed(what, CUT_OFF))?;
-        self.source.check_unchanged()
+    fn pieces(&self, normals: Normals) -> Result<Box<dyn Pieces + '_>> {
+        Ok(Box::new(PlyPieces {
+            model: self,
+            drop_normals: normals == Normals::Drop && self.layout.has_normals(),
+            at: 0,
+            vertices: Reader::new(self, 0..self.info.vertices)?,
+            walker: None,
+        }))
     }
 
-    fn encode<'b>(
+    fn decode(&self, chunk: &mut VertexChunk) -> Result<()> {
+        PlyModel::decode(self, chunk)
+    }
+
+    fn encode(
         &self,
-        chunk: &'b mut VertexChunk,
+        chunk: &mut VertexChunk,
         edited: &Edited,
         normals: Normals,
         last: bool,
-        buffer: &'b mut Vec<u8>,
-    ) -> Result<&'b [u8]> {
+        buffer: &mut Vec<u8>,
+    ) -> Result<bool> {
         let first = chunk.first;
         let drop_normals = normals == Normals::Drop && self.layout.has_normals();
         if self.header.encoding == Encoding::Ascii {
+            buffer.clear();
             ascii::splice(&self.layout, chunk, edited, drop_normals, buffer)
                 .map_err(|e| self.unfit(first, e))?;
-            return Ok(buffer);
+            return Ok(true);
         }
         let VertexChunk { positions, normals, raw, spans, .. } = chunk;
         let rest = Rest { positions, normals, spans };
         let bytes = if last {
             raw
         } else {
-            buffer.extend_from_slice(raw);
+            buffer.clone_from(raw);
             buffer
         };
         binary::patch(&self.layout, rest, edited, bytes).map_err(|e| self.unfit(first, e))?;
         if drop_normals {
             binary::cut_normals(&self.layout, spans, bytes);
         }
-        Ok(bytes)
+        Ok(!last)
     }
 
     fn write_error(&self, error: &io::Error) -> Error {
         Error::io("write the new version of", self.source.path(), error)
+    }
+}
+
+/// The pieces of a PLY file: the header, if it is another one without normals, what comes before the
+/// vertices, the vertices, and what comes after them.
+struct PlyPieces<'a> {
+    model: &'a PlyModel,
+    /// The header is to be read, and goes out without normals.
+    drop_normals: bool,
+    /// Where the next bytes without vertices are.
+    at: u64,
+    vertices: Reader<'a>,
+    /// What looks whether all is there that the header speaks of after the vertices, once these are read.
+    walker: Option<Walker>,
+}
+
+impl Pieces for PlyPieces<'_> {
+    fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece> {
+        let PlyModel { header, vertices_start, source, .. } = self.model;
+        if std::mem::take(&mut self.drop_normals) {
+            self.at = self.model.read_bytes(chunk, 0, header.len as usize)?;
+            chunk.raw = header::without_normals(&chunk.raw);
+            return Ok(Piece::Bytes);
+        }
+        if self.at < *vertices_start {
+            let wanted = (vertices_start - self.at).min(CHUNK_BYTES as u64) as usize;
+            self.at += self.model.read_bytes(chunk, self.at, wanted)?;
+            return Ok(Piece::Bytes);
+        }
+        let walker = match &mut self.walker {
+            Some(walker) => walker,
+            None => {
+                let vertices = self.vertices.read_bytes(chunk)?;
+                if vertices > 0 {
+                    return Ok(Piece::Vertices(vertices));
+                }
+                self.at = self.vertices.offset();
+                let after = &header.elements[self.model.vertex + 1..];
+                self.walker.insert(Walker::new(after, header.encoding))
+            }
+        };
+        if self.at < source.len() {
+            self.at += self.model.read_bytes(chunk, self.at, CHUNK_BYTES)?;
+            // Once it is done, it takes nothing: what follows is copied without being looked at.
+            walker.feed(&chunk.raw).map_err(|what| source.malformed(what, DAMAGED))?;
+            return Ok(Piece::Bytes);
+        }
+        walker.finish().map_err(|what| source.malformed(what, CUT_OFF))?;
+        source.check_unchanged()?;
+        Ok(Piece::End)
     }
 }
 

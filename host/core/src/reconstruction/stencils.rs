@@ -1,0 +1,100 @@
+//! The samples that the fits at a sample are of: those of its own sheet, and where parts of the model touch, those
+//! of other parts that go one way with it.
+//!
+//! Faces tell that two parts are not connected, but not that they move apart; mostly they do not. A small part has
+//! few samples of its own, and beside a contact they lie on one side. So samples of other sheets are borrowed where
+//! the deformation is smooth across: on a smooth map the displacements at both ends of d differ by
+//! ½ (∇uᵢ + ∇uⱼ) d up to third derivatives (the trapezoidal rule), and what the gradients leave open is of the size
+//! of the strain and of how far they differ from each other. Where parts move apart, whatever little way, as rigid
+//! bodies, both are nothing, and nobody is borrowed.
+
+use std::collections::HashMap;
+
+use glam::{Mat3, Vec3};
+use rayon::prelude::*;
+
+use super::gradients::ROUNDING;
+use super::sheets::{SHEET_NEIGHBOURS, Sheets, nearest_of};
+use crate::sampling::SampleSet;
+
+/// How far a displacement may be off what the gradients at both ends foretell: so much of the distance, times the
+/// strain, or how far the gradients differ.
+const OFF: f32 = 0.2;
+
+/// Where no more than one of so many strangers goes one way with a sample, some do so by chance, as beside a hinge,
+/// and none is borrowed.
+const ONE_OF: usize = 2;
+
+/// The samples that fits are of.
+pub struct Stencils<'a> {
+    sheets: &'a Sheets,
+    /// Of the samples that borrow, nearest first: at most [`SHEET_NEIGHBOURS`] each.
+    mixed: HashMap<u32, Vec<u32>>,
+}
+
+impl<'a> Stencils<'a> {
+    /// Of each sample's own sheet.
+    pub fn own(sheets: &'a Sheets) -> Self {
+        Self { sheets, mixed: HashMap::new() }
+    }
+
+    /// With what goes one way with each sample, by the `gradients` that their own sheets tell.
+    ///
+    /// Memory: at most 170 bytes for each sample near which parts touch.
+    pub fn borrowing(
+        samples: &SampleSet,
+        sheets: &'a Sheets,
+        deformed: &[Vec3],
+        gradient: impl Fn(usize) -> Mat3 + Sync,
+    ) -> Self {
+        let goes_along = |i: usize, j: usize| {
+            let [at_i, at_j] = [i, j].map(|k| samples.positions[k]);
+            let (f, g) = (gradient(i), gradient(j));
+            let apart = (deformed[j] - at_j) - (deformed[i] - at_i);
+            let foretold = (0.5 * (f + g) - Mat3::IDENTITY) * (at_j - at_i);
+            let open = 0.5 * (strain(f) + strain(g)) + norm(f - g);
+            apart.distance(foretold) <= OFF * open * at_i.distance(at_j) + ROUNDING as f32
+        };
+        let mixed = |i: usize| -> Option<(u32, Vec<u32>)> {
+            let strangers = sheets.strangers(i);
+            let along = strangers.iter().copied().filter(|j| goes_along(i, *j as usize));
+            let mut all: Vec<u32> = along.collect();
+            if ONE_OF * all.len() <= strangers.len() {
+                return None;
+            }
+            all.extend(sheets.of_sample(i));
+            let distance = |j: u32| samples.positions[j as usize].distance_squared(samples.positions[i]);
+            all.sort_unstable_by(|a, b| distance(*a).total_cmp(&distance(*b)).then(a.cmp(b)));
+            all.truncate(SHEET_NEIGHBOURS);
+            Some((i as u32, all))
+        };
+        let mixed = (0..samples.len()).into_par_iter().filter_map(mixed).collect();
+        Self { sheets, mixed }
+    }
+
+    /// The samples that borrow.
+    pub fn borrowers(&self) -> Vec<u32> {
+        self.mixed.keys().copied().collect()
+    }
+
+    /// The samples that may be in fits at sample `i`, nearest first, without itself.
+    #[inline]
+    pub fn of_sample(&self, i: usize) -> &[u32] {
+        let mixed = if self.mixed.is_empty() { None } else { self.mixed.get(&(i as u32)) };
+        mixed.map_or_else(|| self.sheets.of_sample(i), |mixed| mixed)
+    }
+
+    /// At most `count` of them, and the radius of a kernel over these: see [`Sheets::around`].
+    pub fn around(&self, positions: &[Vec3], i: usize, count: usize) -> (&[u32], f32) {
+        nearest_of(self.of_sample(i), positions, i, count)
+    }
+}
+
+/// The size of Green's strain of a gradient.
+fn strain(f: Mat3) -> f32 {
+    0.5 * norm(f.transpose() * f - Mat3::IDENTITY)
+}
+
+fn norm(f: Mat3) -> f32 {
+    f.to_cols_array().iter().map(|e| e * e).sum::<f32>().sqrt()
+}

@@ -1,0 +1,119 @@
+//! What becomes of a model's chunks while it is streamed (paper §5, "Streaming Deformation Reconstruction"):
+//! several of them at a time, on as many threads.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use glam::DVec3;
+use simod_model::frame::Frame;
+use simod_model::{Edit, Edited, Progress, RawChunk, Result, VertexChunk};
+use xxhash_rust::xxh3::Xxh3Default;
+
+use super::binding::Binding;
+use super::block::carry_on_this_thread;
+use super::diagnostics::DiagnosticsFile;
+use super::{DeformationField, Figures, Moved};
+
+/// Transfers deformations of the same samples to chunks of their model, one for each version.
+pub(super) struct Transfer<'a> {
+    pub(super) fields: &'a [DeformationField<'a>],
+    pub(super) frame: &'a Frame,
+    /// Of all vertices' bytes.
+    pub(super) hash: Mutex<Xxh3Default>,
+    /// What homes are read from, if they were kept, and its file.
+    pub(super) binding: Mutex<Option<(Binding, &'a Path)>>,
+    /// The homes that were read of chunks in flight, by their first vertices: 4 bytes for each vertex.
+    pub(super) homes: Mutex<BTreeMap<u64, Vec<u32>>>,
+    pub(super) surveys: Surveys<'a>,
+    pub(super) progress: &'a dyn Progress,
+}
+
+impl Edit for Transfer<'_> {
+    fn begin(&self, chunk: &RawChunk<'_>) -> Result<()> {
+        locked(&self.hash).update(chunk.bytes);
+        let mut binding = locked(&self.binding);
+        let Some((known, path)) = binding.as_mut() else { return Ok(()) };
+        match known.next(chunk.vertices) {
+            Ok(homes) if chunk.is_edited => drop(locked(&self.homes).insert(chunk.first, homes)),
+            Ok(_) => {}
+            Err(why) => {
+                // What was found by it so far is what would have been found without.
+                self.progress.note(&format!("{} is not used from here on: {why}", path.display()));
+                *binding = None;
+            }
+        }
+        Ok(())
+    }
+
+    fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
+        let homes = locked(&self.homes).remove(&chunk.first);
+        let mut figures = self.surveys.figures(chunk.len());
+        let mut moved: Vec<Moved<'_>> = versions
+            .iter_mut()
+            .zip(&mut figures)
+            .map(|(Edited { positions, normals }, figures)| Moved { positions, normals, figures })
+            .collect();
+        carry_on_this_thread(self.fields, self.frame, &chunk.positions, homes.as_deref(), &mut moved);
+        self.surveys.keep(chunk.first, versions, figures);
+        Ok(())
+    }
+
+    fn end(&self, first: u64) -> Result<()> {
+        self.surveys.write(first)
+    }
+}
+
+/// The diagnostics of those versions that have any. Chunks are surveyed in any order, and written in the
+/// model's.
+///
+/// Memory: 48 bytes for each vertex of the chunks in flight and each version with diagnostics.
+pub(super) struct Surveys<'a> {
+    files: Vec<Option<Mutex<&'a mut DiagnosticsFile>>>,
+    /// The deformed positions of chunks that are not written yet, by their first vertices, and what becomes
+    /// of the surface there.
+    waiting: Mutex<BTreeMap<u64, Vec<Surveyed>>>,
+}
+
+type Surveyed = (Vec<DVec3>, Vec<Figures>);
+
+impl<'a> Surveys<'a> {
+    /// Of as many versions.
+    pub(super) fn new(files: impl IntoIterator<Item = Option<&'a mut DiagnosticsFile>>) -> Self {
+        let files = files.into_iter().map(|file| file.map(Mutex::new)).collect();
+        Self { files, waiting: Mutex::default() }
+    }
+
+    /// For each version, what is to be filled in for so many vertices.
+    pub(super) fn figures(&self, vertices: usize) -> Vec<Vec<Figures>> {
+        let count = |file: &Option<_>| if file.is_some() { vertices } else { 0 };
+        self.files.iter().map(|file| vec![Figures::UNKNOWN; count(file)]).collect()
+    }
+
+    /// Takes what was found out of a chunk.
+    pub(super) fn keep(&self, first: u64, versions: &[Edited], figures: Vec<Vec<Figures>>) {
+        if self.files.iter().all(Option::is_none) {
+            return;
+        }
+        let surveyed = versions.iter().zip(figures).map(|(version, figures)| {
+            (if figures.is_empty() { Vec::new() } else { version.positions.clone() }, figures)
+        });
+        locked(&self.waiting).insert(first, surveyed.collect());
+    }
+
+    /// Writes it.
+    pub(super) fn write(&self, first: u64) -> Result<()> {
+        let surveyed = locked(&self.waiting).remove(&first).unwrap_or_default();
+        for (file, (positions, figures)) in self.files.iter().zip(&surveyed) {
+            if let Some(file) = file {
+                locked(file).write(positions, figures)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What a mutex holds, whatever became of the thread that held it last.
+pub(super) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

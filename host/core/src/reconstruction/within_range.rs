@@ -1,0 +1,130 @@
+//! Which vertices of a block are seen to keep to the range of the samples around them without a search, as
+//! many at once as the processor's vector registers take: nearly all. See [`bound`](super::bound).
+
+use pulp::{Arch, Simd, WithSimd};
+
+use super::DeformationField;
+use super::blend::{Grouped, LEAST_WEIGHT};
+use super::bound::{BEYOND, MARGIN};
+use super::expansion::Expansion;
+use super::lanes::{Lanes, Mask, from, length_squared, triple};
+
+/// Samples that are looked at before it is asked whether they are enough: a ring.
+const RING: usize = 6;
+
+impl DeformationField<'_> {
+    /// Finds those grouped vertices that the supports reach, that need no limiter, and whose displacement is
+    /// within the range of those samples of their home's sheet that are surely among the nearest ones. Nothing
+    /// is wrong with the others, but that takes a closer look.
+    pub(super) fn find_within_range(&self, grouped: &mut Grouped) {
+        grouped.is_within_range.resize(grouped.sum.len(), 0.0);
+        Arch::new().dispatch(Kernel { field: self, grouped });
+    }
+}
+
+struct Kernel<'a> {
+    field: &'a DeformationField<'a>,
+    grouped: &'a mut Grouped,
+}
+
+impl WithSimd for Kernel<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { field, grouped } = self;
+        let Grouped { groups, positions, displacement, sum, is_within_range, .. } = grouped;
+        let positions = positions.each_ref().map(|v| S::as_simd_f32s(v).0);
+        let displacement = displacement.each_ref().map(|v| S::as_simd_f32s(v).0);
+        let sum = S::as_simd_f32s(sum).0;
+        let is_within_range = S::as_mut_simd_f32s(is_within_range).0;
+        for (home, range) in groups {
+            let home = *home as usize;
+            let looked_at = field.active[home] && !field.limiter.concerns(home);
+            for at in range.start / S::F32_LANES..range.end.div_ceil(S::F32_LANES) {
+                is_within_range[at] = if looked_at {
+                    let (p, u) = (triple(simd, &positions, at), triple(simd, &displacement, at));
+                    packet(simd, field, home, p, u, Lanes(simd, sum[at])).1
+                } else {
+                    simd.splat_f32s(0.0)
+                };
+            }
+        }
+    }
+}
+
+/// 1 for each vertex of a home that is seen to keep to the range, by its position and displacement and the
+/// sum of the weights there, and 0 for the others.
+#[inline(always)]
+fn packet<S: Simd>(
+    simd: S,
+    field: &DeformationField<'_>,
+    home: usize,
+    p: [Lanes<S>; 3],
+    u: [Lanes<S>; 3],
+    sum: Lanes<S>,
+) -> Lanes<S> {
+    let e = &field.expansions[home];
+    let d = length_squared(from(simd, p, e.center));
+    let distance = d.sqrt();
+    // Samples nearer than this to the vertex are among those of its range, and the home is one of them.
+    let reach = Lanes::splat(simd, field.around.supports.ranging[home]) - distance;
+    let one = Lanes::splat(simd, 1.0);
+    let is_reached = (Lanes::splat(simd, e.inverse_square) * d).less(one);
+    let has_weight = Lanes::splat(simd, LEAST_WEIGHT).less_or_equal(sum);
+    let is_possible = distance.less(reach).and(is_reached).and(has_weight);
+    let reach = reach * reach;
+
+    let mut range = Extent::about(simd, e, field.bound.step(home));
+    for ring in field.around.sheets.of_sample(home).chunks(RING) {
+        for j in ring {
+            let j = *j as usize;
+            let is_near = length_squared(from(simd, p, field.expansions[j].center)).less(reach);
+            range.include(is_near, Extent::about(simd, &field.expansions[j], field.bound.step(j)));
+        }
+        if is_possible.and(range.holds(u)).select(one, Lanes::splat(simd, 0.0)).least() > 0.0 {
+            break;
+        }
+    }
+    is_possible.and(range.holds(u)).select(one, Lanes::splat(simd, 0.0))
+}
+
+/// Displacements between the least and the greatest, coordinate by coordinate, and the largest step.
+struct Extent<S: Simd> {
+    low: [Lanes<S>; 3],
+    high: [Lanes<S>; 3],
+    step: Lanes<S>,
+}
+
+impl<S: Simd> Extent<S> {
+    /// Of one sample, but for rounding.
+    #[inline(always)]
+    fn about(simd: S, e: &Expansion, step: f32) -> Self {
+        let (u, step) = (e.displacement(), Lanes::splat(simd, step));
+        let (low, high) = (u - MARGIN, u + MARGIN);
+        let splat = |x: f32| Lanes::splat(simd, x);
+        Self {
+            low: [splat(low.x), splat(low.y), splat(low.z)],
+            high: [splat(high.x), splat(high.y), splat(high.z)],
+            step,
+        }
+    }
+
+    #[inline(always)]
+    fn include(&mut self, whether: Mask<S>, other: Self) {
+        for i in 0..3 {
+            self.low[i] = whether.select(self.low[i].min(other.low[i]), self.low[i]);
+            self.high[i] = whether.select(self.high[i].max(other.high[i]), self.high[i]);
+        }
+        self.step = whether.select(self.step.max(other.step), self.step);
+    }
+
+    #[inline(always)]
+    fn holds(&self, u: [Lanes<S>; 3]) -> Mask<S> {
+        let slack = Lanes::splat(self.step.0, BEYOND) * self.step;
+        let x = (self.low[0] - slack).less_or_equal(u[0]).and(u[0].less_or_equal(self.high[0] + slack));
+        let y = (self.low[1] - slack).less_or_equal(u[1]).and(u[1].less_or_equal(self.high[1] + slack));
+        let z = (self.low[2] - slack).less_or_equal(u[2]).and(u[2].less_or_equal(self.high[2] + slack));
+        x.and(y).and(z)
+    }
+}
