@@ -81,7 +81,10 @@ impl<'a> Stencils<'a> {
     #[inline]
     pub fn of_sample(&self, i: usize) -> &[u32] {
         let mixed = if self.mixed.is_empty() { None } else { self.mixed.get(&(i as u32)) };
-        mixed.map_or_else(|| self.sheets.of_sample(i), |mixed| mixed)
+        match mixed {
+            Some(mixed) => mixed,
+            None => self.sheets.of_sample(i),
+        }
     }
 
     /// At most `count` of them, and the radius of a kernel over these: see [`Sheets::around`].
