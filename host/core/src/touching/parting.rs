@@ -25,6 +25,9 @@ const LEAST_PART: f64 = 0.125;
 /// the model.
 const MOST_OF_ALL: usize = 32;
 
+/// So many may go to them in any case.
+const FEW: usize = 128;
+
 /// What parts are looked for in.
 pub struct Parting<'a> {
     /// The model.
@@ -228,7 +231,7 @@ impl Parts {
     /// [a part of them](MOST_OF_ALL), unless nothing of their own sheets is beside them.
     pub fn needed(&self, samples: usize) -> usize {
         let (_, needed, alone) = self.decide(usize::MAX);
-        needed.min(alone.max(samples / MOST_OF_ALL))
+        needed.min(alone.max(samples / MOST_OF_ALL).max(FEW))
     }
 
     /// For each mixed cluster, which of its parts get a sample: at most so many more in all, for those with nothing
