@@ -17,8 +17,6 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-#[cfg(doc)]
-use super::DeformationField;
 use super::bound::AROUND;
 use super::expansion::Expansion;
 use super::lanes::{Lanes, from, length_squared, triple};
@@ -141,7 +139,7 @@ pub struct Grouped {
     pub displacement: [Vec<f32>; 3],
     /// The sum of weights: at less than [`LEAST_WEIGHT`] the displacement means nothing.
     pub sum: Vec<f32>,
-    /// 1 where the displacement is [seen](DeformationField::find_within_range) to keep to the range of the
+    /// 1 where the displacement is seen (by `within_range`) to keep to the range of the
     /// samples around, 0 elsewhere.
     pub is_within_range: Vec<f32>,
     /// Normals, which are turned; empty if there are none.
