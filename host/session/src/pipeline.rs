@@ -281,7 +281,7 @@ impl From<session_file::Sampling> for Sampling {
             grid: from.grid,
             by: from.by.unwrap_or_default(),
             placement: from.place.unwrap_or_default(),
-            skip: Skip { sheets: from.sheets != Some(true), ..Skip::default() },
+            skip: Skip { sheets: from.sheets == Some(false), ..Skip::default() },
             ..Self::default()
         }
     }

@@ -57,7 +57,7 @@ pub struct Sampling {
     pub place: Option<Placement>,
     /// What samples are spread by; the error of their clusters, where not given.
     pub by: Option<By>,
-    /// Whether the model's faces tell sheets apart that touch; they do not, where not given.
+    /// Whether the model's faces tell sheets apart that touch; they do, where not given.
     pub sheets: Option<bool>,
 }
 

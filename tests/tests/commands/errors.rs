@@ -360,7 +360,11 @@ fn a_folder_without_permission() {
 fn a_target_that_is_full() {
     let work = sampled();
     work.write("deformed.ply", work.read("model.simod/samples.ply"));
-    work.write_session("model.ply", 1000, "[[step]]\ndeform = \"warp\"\n");
+    let warp = "[[step]]\ndeform = \"warp\"\n";
+    work.write_session("model.ply", 1000, warp);
+    work.refuses_beyond(0, "run edit.toml", &["a temporary file"]);
+    // Without temporary files, it is the output that has no room.
+    work.write_session("model.ply", 1000, &format!("sheets = false\n{warp}"));
     let whole = work.read("model.ply").len() as u64;
     for limit in [0, 4096, whole / 2, whole - 512] {
         work.refuses_beyond(limit, RECONSTRUCT, &["out.ply"]);
@@ -371,12 +375,12 @@ fn a_target_that_is_full() {
     for limit in [0, 4096] {
         work.refuses_beyond(
             limit,
-            "sample model.ply -o new.simod --samples 1000 --skip triangles --place vertices",
+            "sample model.ply -o new.simod --samples 1000 --skip triangles,sheets --place vertices",
             &["new.simod"],
         );
         work.refuses_beyond(
             limit,
-            "sample model.ply -o model.simod --samples 1000 --skip triangles --place vertices",
+            "sample model.ply -o model.simod --samples 1000 --skip triangles,sheets --place vertices",
             &["model.simod"],
         );
         work.refuses_beyond(limit, "deform model.simod --session edit.toml -o new.ply", &["new.ply"]);

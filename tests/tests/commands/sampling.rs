@@ -7,8 +7,11 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 use simod_tests::{OPTIMISED, Outcome, Ply, Workplace, skip};
 
-/// The parts of a sampled model.
+/// The parts of a sampled model, where no parts of the model touch.
 const FILES: [&str; 3] = ["cells.bin", "samples.ply", "simod.toml"];
+
+/// Those of the amphora, whose handles stand in its body.
+const WITH_SHEETS: [&str; 4] = ["cells.bin", "samples.ply", "sheets.bin", "simod.toml"];
 
 fn contents(work: &Workplace, folder: &str) -> Vec<Vec<u8>> {
     FILES.map(|name| work.read(&format!("{folder}/{name}"))).to_vec()
@@ -89,7 +92,12 @@ fn parts_that_are_left_out_are_not_there() {
     }
     // As several options, too.
     work.simod("sample model.ply -o part.simod --samples 1000 --skip triangles --skip cells");
-    assert_eq!(files(&work, "part.simod"), FILES[1..]);
+    assert_eq!(files(&work, "part.simod"), WITH_SHEETS[1..]);
+    work.simod("sample model.ply -o part.simod --samples 1000 --skip sheets");
+    assert_eq!(files(&work, "part.simod"), FILES);
+    // Former versions had to be asked for it.
+    work.simod("sample model.ply -o part.simod --samples 1000 --sheets");
+    assert!(work.read("part.simod/sheets.bin") == work.read("whole.simod/sheets.bin"));
 }
 
 #[test]
@@ -181,7 +189,7 @@ fn a_former_sampled_model_is_replaced_whole() {
     assert!(first.iter().zip(&second).all(|(a, b)| a != b), "something is left of the former one");
     // Without cells, none are left of those before.
     work.simod("sample model.ply -o model.simod --samples 1000 --skip cells");
-    assert_eq!(files(&work, "model.simod"), FILES[1..]);
+    assert_eq!(files(&work, "model.simod"), WITH_SHEETS[1..]);
     work.simod("sample model.ply -o model.simod --samples 1000");
     assert!(contents(&work, "model.simod") == first, "the same command writes something else");
     assert_eq!(work.names(), ["model.ply", "model.simod", "other.ply"]);

@@ -64,7 +64,8 @@ fn neither_threads_nor_the_order_of_vertices_matter() {
 fn broken_samples_make_no_spikes() {
     let work = Workplace::new();
     work.simod("generate -o model.ply --vertices 200000");
-    work.simod("sample model.ply -o model.simod --samples 5000");
+    // A spike is told by the samples that are nearest in space.
+    work.simod("sample model.ply -o model.simod --samples 5000 --skip sheets");
     let rest = work.ply("model.simod/samples.ply").positions();
     let mut deformed: Vec<DVec3> = rest.iter().map(|p| broken(*p)).collect();
     for i in (0..rest.len()).filter(|i| rest[*i].y < 1.0 && rest[*i].x > 0.0 && i % 7 == 0) {

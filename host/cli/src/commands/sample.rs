@@ -54,12 +54,12 @@ pub struct SamplingArguments {
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
     place: Place,
     /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be
-    /// estimated, `sheets`, as it is unless asked for
+    /// estimated, `sheets`, so that the model's faces do not tell parts apart that touch
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
     skip: Vec<Part>,
-    /// Tell parts that touch apart by the model's faces, as the fingers of a fist
-    #[arg(long)]
-    sheets: bool,
+    /// The default; once it had to be asked for
+    #[arg(long = "sheets", hide = true)]
+    _sheets: bool,
 }
 
 /// How clusters are split.
@@ -152,7 +152,7 @@ impl SamplingArguments {
                 triangles: skips(Part::Triangles),
                 cells: skips(Part::Cells),
                 normals: skips(Part::Normals),
-                sheets: !self.sheets || skips(Part::Sheets),
+                sheets: skips(Part::Sheets),
             },
         }
     }

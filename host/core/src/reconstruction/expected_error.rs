@@ -62,6 +62,9 @@ const FOR_ALL: f32 = 5.0;
 /// rounded.
 const SINGLE: f32 = 2.5e-8;
 
+/// A cluster may reach this many times the distance between samples from its sample.
+const CLUSTER: f32 = 2.0;
+
 /// What is expected around a sample, in local units.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Expectation {
@@ -204,7 +207,12 @@ impl DeformationField<'_> {
             let reaching = self.around.supports.of_home(home as usize).iter().map(|r| r.sample as usize);
             let (expansions, expected) = (&self.expansions, &mut self.expected);
             let has_say = |i: &usize| expansions[*i].within(*place) > 0.0;
-            for i in [home as usize].into_iter().chain(reaching.filter(has_say)) {
+            // Beside dense samples, those whose clusters may hold the vertex have none.
+            let samples = self.around.samples;
+            let may_hold =
+                |i: &usize| samples.positions[*i].distance(*place) < CLUSTER * samples.spacing()[*i];
+            let near = samples.neighbours().of(home as usize).iter().map(|i| *i as usize).filter(may_hold);
+            for i in [home as usize].into_iter().chain(reaching.filter(has_say)).chain(near) {
                 expected[i].largest = expected[i].largest.max(*off);
             }
         }

@@ -82,17 +82,21 @@ impl<'a> Needs<'a> {
         for (i, expected) in expected.iter().enumerate().filter(|(_, expected)| **expected > allowed) {
             let smaller = (allowed / expected).powf(1.0 / ORDER);
             // Where the cluster is a single place, what the expansion leaves out is due to those around.
-            let around = graph.of(i).iter().take(RING).map(|j| *j as usize).filter(|_| errors[i] == 0.0);
-            let mut helps = false;
-            for k in [i].into_iter().chain(around).filter(|k| errors[*k] > 0.0) {
+            let is_several = |k: &usize| errors[*k] > 0.0;
+            let near = graph.of(i).iter().map(|j| *j as usize);
+            let mut helping: Vec<usize> =
+                if is_several(&i) { vec![i] } else { near.clone().take(RING).filter(is_several).collect() };
+            if helping.is_empty() {
+                helping.extend(near.filter(is_several));
+            }
+            needy += usize::from(!helping.is_empty());
+            for k in helping {
                 let bound = smaller * errors[k];
-                helps = true;
                 if bound < wanted[k] {
                     wanted[k] = bound;
                     open.push(Reverse((bound.to_bits(), k as u32)));
                 }
             }
-            needy += usize::from(helps);
         }
         // A tree has one of the samples of several sheets for all.
         for [sample, of] in samples.contacts().map_or(&[][..], Contacts::parted) {

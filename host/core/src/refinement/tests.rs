@@ -11,7 +11,7 @@ use tempfile::TempDir;
 
 use super::*;
 use crate::sampling::triangles::{self, Wanted};
-use crate::sampling::{Grouping, Sampling, Splitting, Target, sample};
+use crate::sampling::{Grouping, Sampling, Skip, Splitting, Target, sample};
 
 /// A generated model on the disk.
 pub(crate) struct Body {
@@ -64,8 +64,10 @@ impl Body {
     }
 }
 
+/// Of clusters as the trees have them: those of several sheets are not parted.
 pub(crate) fn samples(n: u64) -> Sampling {
-    Sampling { target: Target::Samples(n), ..Sampling::default() }
+    let skip = Skip { sheets: true, ..Skip::default() };
+    Sampling { target: Target::Samples(n), skip, ..Sampling::default() }
 }
 
 /// Signed distance to a ball.

@@ -97,7 +97,7 @@ pub struct Sampling {
 }
 
 /// Parts of a sampled model that can be left out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Skip {
     /// The triangles of P_S, which take a pass over the faces, and temporary files of at most 8 bytes per
     /// vertex.
@@ -107,14 +107,8 @@ pub struct Skip {
     /// Estimating normals where the model has none: whoever needs them estimates them again.
     pub normals: bool,
     /// Telling sheets apart that touch, by the faces: it takes a pass over them, the same as for the triangles,
-    /// and temporary files of at most 12 bytes per vertex. Skipped, unless it is asked for.
+    /// and temporary files of at most 12 bytes per vertex.
     pub sheets: bool,
-}
-
-impl Default for Skip {
-    fn default() -> Self {
-        Self { triangles: false, cells: false, normals: false, sheets: true }
-    }
 }
 
 /// Least memory limit, for a few samples: chunks of the model, the queue of cells, the program itself. Each
