@@ -19,6 +19,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 use crate::attributes::Attributes;
 use crate::refinement::Refinement;
 use crate::sampling::density::Rule;
+use crate::sampling::gather::{Cubes, PIECE};
 use crate::sampling::grid::Grid;
 use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::triangles::Triangles;
@@ -172,6 +173,8 @@ pub struct SampledModel {
     pub faces_without_vertex: u64,
     /// The model's faces are such a tangle that no triangles were made of them. Not kept in the folder.
     pub tangled_faces: bool,
+    /// Number of vertices that were gathered in groups at a time, if they were.
+    group_piece: u64,
     /// The cells, after sampling; see [`cells`](Self::cells).
     kept: Option<KeptCells>,
     /// The folder that it was read from, and the hash of the `samples.ply` there.
@@ -217,6 +220,9 @@ struct SamplingRecord {
     /// Level of the groups that open cells held, if they held groups.
     #[serde(skip_serializing_if = "Option::is_none")]
     group_level: Option<u32>,
+    /// Number of vertices that were gathered in groups at a time; all of them where not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    group_piece: Option<u64>,
     /// What placed the samples, if not their vertices alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     placement: Option<Placement>,
@@ -266,6 +272,7 @@ impl SampledModel {
             triangles: triangles.triangles,
             faces_without_vertex: triangles.without_vertex,
             tangled_faces: triangles.tangled,
+            group_piece: PIECE,
             kept: None,
             folder: None,
             attributes: OnceLock::new(),
@@ -307,6 +314,12 @@ impl SampledModel {
         let Source { vertices, non_finite, .. } = self.source;
         let (finite, edge) = (vertices.saturating_sub(non_finite), self.cell_size / self.frame.scale);
         Rule::new(self.sampling.splitting, self.sampling.by, finite, self.cells, edge)
+    }
+
+    /// How vertices were gathered in groups, if they were.
+    pub(crate) fn cubes(&self) -> Option<Cubes> {
+        let edge = self.sampling.grouping.edge(self.cell_size, &self.frame)?;
+        Some(Cubes { edge, piece: self.group_piece })
     }
 
     /// The model's diagonal, in local units.
@@ -364,6 +377,8 @@ impl SampledModel {
                     Grouping::Level(level) => Some(level),
                     _ => None,
                 },
+                group_piece: Some(self.group_piece)
+                    .filter(|piece| self.sampling.grouping.is_level() && *piece != u64::MAX),
                 placement: Some(self.sampling.placement)
                     .filter(|placement| *placement != Placement::Vertices),
             },
@@ -525,6 +540,7 @@ impl SampledModel {
             triangles,
             faces_without_vertex: 0,
             tangled_faces: false,
+            group_piece: description.sampling.group_piece.unwrap_or(u64::MAX),
             kept: None,
             folder: Some((folder.to_owned(), description.samples_fingerprint)),
             attributes: OnceLock::new(),

@@ -133,7 +133,7 @@ pub fn stream(
     }
     let changed = || sampled.source_changed(model.path());
     let frame = sampled.frame;
-    let gathering = Gathering { model, kept, frame, edge: None, with_ids: false };
+    let gathering = Gathering { model, kept, frame, cubes: None, with_ids: false };
     let thinning = Thinning::new(chosen.stride);
     let carrying = Carrying { sampled, field, stride: chosen.stride, progress };
     let mut open: Vec<Part> = chosen.cells.iter().map(|cell| Part::of(*cell)).collect();

@@ -1,5 +1,7 @@
 //! The vertices of some cells, read again: their ranges of the stream alone (paper §6).
 
+use std::collections::HashMap;
+use std::hash::BuildHasherDefault;
 use std::ops::Range;
 
 use glam::{DVec3, Vec3};
@@ -9,8 +11,8 @@ use simod_model::{Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 
 use crate::sampling::cluster::{Group, Vertex};
 use crate::sampling::finalization::{PART, unit};
-use crate::sampling::gather::{Gather, Groups};
-use crate::sampling::grid::{CellMap, cell_box, key_at};
+use crate::sampling::gather::{Cubes, Gather, GatherPiece, Groups, PieceGroups};
+use crate::sampling::grid::{CellHasher, CellMap, cell_box, key_at};
 use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::ranges::joined;
 
@@ -48,8 +50,8 @@ pub(crate) struct Gathering<'a> {
     pub model: &'a dyn Model,
     pub kept: &'a KeptCells,
     pub frame: Frame,
-    /// Edge of the cubes in which groups were gathered, if there were groups.
-    pub edge: Option<f32>,
+    /// How groups were gathered, if there were groups.
+    pub cubes: Option<Cubes>,
     /// Whether it shall be known which vertex is which.
     pub with_ids: bool,
 }
@@ -65,7 +67,7 @@ impl Gathering<'_> {
     /// Memory: [`BYTES_PER_VERTEX`](Self::BYTES_PER_VERTEX) for each vertex of these cells, and a chunk.
     pub fn read(&self, cells: &[u32], progress: &dyn Progress) -> Result<Option<(Vec<Gathered>, u64)>> {
         let kept = |cell: &u32| &self.kept.cells[*cell as usize];
-        let mut groups = self.edge.map(|edge| Groups::new(cells.len(), edge, u64::MAX));
+        let mut groups = self.cubes.map(|cubes| GroupsAgain::new(cells.len(), cubes));
         let mut found: Vec<Gathered> = cells
             .iter()
             .map(|cell| {
@@ -74,14 +76,14 @@ impl Gathering<'_> {
                     cell: *cell,
                     vertices: Vec::with_capacity(n),
                     ids: Vec::with_capacity(if self.with_ids { n } else { 0 }),
-                    groups: groups.as_ref().map(|_| (Vec::new(), Vec::with_capacity(n))),
+                    groups: groups.as_ref().map(|_| (Vec::new(), Vec::new())),
                     guides: Vec::new(),
                 }
             })
             .collect();
         let bytes = self.visit(cells, progress, |visited| {
             let Some(Visited { at, position, normal, index }) = visited else {
-                groups.iter_mut().for_each(Groups::leave);
+                groups.iter_mut().for_each(|groups| groups.piece.leave());
                 return Ok(true);
             };
             let position = self.frame.to_local(position);
@@ -89,9 +91,8 @@ impl Gathering<'_> {
             if found.vertices.len() as u64 == kept(&found.cell).vertices {
                 return Ok(false);
             }
-            if let (Some(groups), Some((_, group_of))) = (&mut groups, &mut found.groups) {
-                let Some(group) = groups.add(at, position, normal)? else { return Ok(false) };
-                group_of.push(group);
+            if let Some(groups) = &mut groups {
+                groups.add(at, (index, position, normal))?;
             }
             found.vertices.push(Vertex { position, normal, index: found.vertices.len() as u32 });
             if self.with_ids {
@@ -100,12 +101,14 @@ impl Gathering<'_> {
             Ok(true)
         })?;
         let Some(bytes) = bytes else { return Ok(None) };
+        groups.iter_mut().try_for_each(GroupsAgain::end_piece)?;
         for (at, found) in (0..).zip(&mut found) {
             if found.vertices.len() as u64 != kept(&found.cell).vertices {
                 return Ok(None);
             }
-            if let (Some(groups), Some((parts, _))) = (&mut groups, &mut found.groups) {
-                groups.take(at).in_parts(PART / size_of::<Group>(), |part| {
+            if let (Some(groups), Some((parts, group_of))) = (&mut groups, &mut found.groups) {
+                *group_of = std::mem::take(&mut groups.group_of[at as usize]);
+                groups.all.take(at).in_parts(PART / size_of::<Group>(), |part| {
                     parts.push(part.to_vec());
                     Ok(())
                 })?;
@@ -178,6 +181,63 @@ impl Gathering<'_> {
         joined(cells.iter().flat_map(|cell| self.kept.cells[*cell as usize].ranges.iter().cloned()), near)
     }
 }
+
+/// Gathers groups as sampling did.
+struct GroupsAgain {
+    cubes: Cubes,
+    /// Of the piece that is gathered, by its number.
+    piece: PieceGroups,
+    number: u64,
+    all: Groups,
+    /// The group of each vertex of each cell; in the piece at first.
+    group_of: Vec<Vec<u32>>,
+    /// The cell of each vertex of the piece.
+    cells: Vec<u32>,
+}
+
+impl GroupsAgain {
+    fn new(cells: usize, cubes: Cubes) -> Self {
+        Self {
+            cubes,
+            piece: PieceGroups::new(cubes.edge),
+            number: 0,
+            all: Groups::new(cells, cubes.edge, u64::MAX),
+            group_of: vec![Vec::new(); cells],
+            cells: Vec::new(),
+        }
+    }
+
+    fn add(&mut self, cell: u32, (vertex, position, normal): (u64, Vec3, Vec3)) -> Result<()> {
+        if vertex / self.cubes.piece != self.number {
+            self.end_piece()?;
+            self.number = vertex / self.cubes.piece;
+        }
+        self.group_of[cell as usize].push(self.piece.add(cell, position, normal));
+        self.cells.push(cell);
+        Ok(())
+    }
+
+    /// Merges the piece with those before.
+    fn end_piece(&mut self) -> Result<()> {
+        let mut merged = Vec::with_capacity(self.piece.items().len());
+        for (cell, group) in self.piece.items() {
+            // There is no bound to their memory.
+            merged.push(self.all.merge(*cell, group)?.unwrap_or(0));
+        }
+        let mut counts: CellCounts = CellCounts::default();
+        self.cells.drain(..).for_each(|cell| *counts.entry(cell).or_default() += 1);
+        for (cell, count) in counts {
+            let all = &mut self.group_of[cell as usize];
+            let first = all.len() - count;
+            all[first..].iter_mut().for_each(|group| *group = merged[*group as usize]);
+        }
+        self.piece.clear();
+        Ok(())
+    }
+}
+
+/// Numbers of vertices of cells.
+type CellCounts = HashMap<u32, usize, BuildHasherDefault<CellHasher>>;
 
 impl Gathered {
     /// In how many parts the cell's tree was built.

@@ -412,7 +412,7 @@ impl Work<'_, '_> {
             model: *model,
             kept,
             frame: sampled.frame,
-            edge: sampled.sampling.grouping.edge(sampled.cell_size, &sampled.frame),
+            cubes: sampled.cubes(),
             with_ids: has_triangles,
         };
         self.tell_scattered(&gathering, &cells);

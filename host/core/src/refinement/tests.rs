@@ -89,8 +89,7 @@ fn refined(
 /// The sample of each vertex, by the kept trees; `None` where its position is not finite.
 fn members(sampled: &SampledModel, model: &dyn Model) -> Vec<Option<u32>> {
     let kept = sampled.held_cells().unwrap();
-    let edge = sampled.sampling.grouping.edge(sampled.cell_size, &sampled.frame);
-    let gathering = Gathering { model, kept, frame: sampled.frame, edge, with_ids: true };
+    let gathering = Gathering { model, kept, frame: sampled.frame, cubes: sampled.cubes(), with_ids: true };
     let all: Vec<u32> = (0..kept.cells.len() as u32).collect();
     let (gathered, _) = gathering.read(&all, &Silent).unwrap().expect("the model is as it was");
     let nowhere = |_: DVec3| f64::INFINITY;

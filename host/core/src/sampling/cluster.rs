@@ -17,6 +17,8 @@ pub trait Element: bytemuck::Pod + Send + Sync {
     fn normal(&self) -> Vec3;
     /// Its place in its cell, in the order of the stream.
     fn index(&self) -> u32;
+    /// Number of its vertices.
+    fn vertices(&self) -> u32;
     /// Adds the vertices of some elements to the moments of a cluster.
     fn add_to(elements: &[Self], moments: &mut Moments);
 }
@@ -47,6 +49,11 @@ impl Element for Vertex {
     #[inline]
     fn index(&self) -> u32 {
         self.index
+    }
+
+    #[inline]
+    fn vertices(&self) -> u32 {
+        1
     }
 
     fn add_to(vertices: &[Self], moments: &mut Moments) {
@@ -134,18 +141,16 @@ impl Group {
         self.center
     }
 
-    /// Whether a vertex with this normal belongs here, if its position does: it is not of an opposite sheet.
-    #[inline]
-    pub fn takes(&self, normal: Vec3) -> bool {
-        self.count < Self::MAX && self.normal.dot(normal) >= 0.0
+    /// What it has come to, to take in vertices.
+    #[inline(always)]
+    pub fn sums(&self) -> GroupSums {
+        GroupSums { count: self.count, sums: self.about_center() }
     }
 
-    /// Takes in a vertex.
-    #[inline]
-    pub fn add(&mut self, position: Vec3, normal: Vec3) {
-        let mut sums = self.sums();
-        sums.add(position.into(), normal.into());
-        self.count += 1;
+    /// Puts its sums back, with more vertices.
+    #[inline(always)]
+    pub fn set(&mut self, GroupSums { count, sums }: &GroupSums) {
+        self.count = *count;
         self.position = sums.position.into();
         self.outer = sums.outer.map(Vec3::from);
         self.normal = sums.normal.into();
@@ -153,8 +158,31 @@ impl Group {
         self.quadric_b = sums.quadric_b.into();
     }
 
+    /// Whether the vertices of another group of the same cube belong here: they are not of an opposite sheet.
+    #[inline]
+    pub fn takes(&self, other: &Self) -> bool {
+        self.count + other.count <= Self::MAX && self.normal.dot(other.normal) >= 0.0
+    }
+
+    /// Takes in the vertices of another group of the same cube.
+    pub fn add(&mut self, other: &Self) {
+        self.count += other.count;
+        self.position += other.position;
+        self.normal += other.normal;
+        self.quadric_b += other.quadric_b;
+        for i in 0..2 {
+            self.outer[i] += other.outer[i];
+            self.quadric[i] += other.quadric[i];
+        }
+    }
+
+    /// The same vertices, at this place in their cell.
+    pub fn at(&self, index: u32) -> Self {
+        Self { index, ..*self }
+    }
+
     #[inline(always)]
-    fn sums(&self) -> Sums {
+    fn about_center(&self) -> Sums {
         Sums {
             center: self.center.into(),
             position: self.position.into(),
@@ -163,6 +191,28 @@ impl Group {
             quadric: self.quadric.map(Vec3A::from),
             quadric_b: self.quadric_b.into(),
         }
+    }
+}
+
+/// A group that is taking in vertices.
+#[derive(Debug, Clone, Copy)]
+pub struct GroupSums {
+    count: u32,
+    sums: Sums,
+}
+
+impl GroupSums {
+    /// Whether a vertex with this normal belongs here, if its position does: it is not of an opposite sheet.
+    #[inline(always)]
+    pub fn takes(&self, normal: Vec3) -> bool {
+        self.count < Group::MAX && self.sums.normal.dot(normal.into()) >= 0.0
+    }
+
+    /// Takes in a vertex.
+    #[inline(always)]
+    pub fn add(&mut self, position: Vec3, normal: Vec3) {
+        self.count += 1;
+        self.sums.add(position.into(), normal.into());
     }
 }
 
@@ -182,11 +232,16 @@ impl Element for Group {
         self.index
     }
 
+    #[inline]
+    fn vertices(&self) -> u32 {
+        self.count
+    }
+
     fn add_to(groups: &[Self], moments: &mut Moments) {
         for group in groups {
             moments.min = moments.min.min(group.center - group.half);
             moments.max = moments.max.max(group.center + group.half);
-            moments.add_sums(&group.sums(), f64::from(group.count));
+            moments.add_sums(&group.about_center(), f64::from(group.count));
         }
     }
 }
@@ -445,7 +500,9 @@ mod tests {
             .chunks(21)
             .map(|row| {
                 let mut group = Group::new(row[10].position, 0.8, 0);
-                row.iter().for_each(|s| group.add(s.position, s.normal));
+                let mut sums = group.sums();
+                row.iter().for_each(|s| sums.add(s.position, s.normal));
+                group.set(&sums);
                 group
             })
             .collect();
@@ -455,7 +512,7 @@ mod tests {
         assert!((of_vertices.covariance() - of_groups.covariance()).x_axis.length() < 1e-6);
         assert!(of_groups.min.cmple(of_vertices.min).all() && of_groups.max.cmpge(of_vertices.max).all());
         // A group of one sheet leaves the other to another.
-        assert!(groups[0].takes(Vec3::Y) && !groups[0].takes(-Vec3::Y));
+        assert!(groups[0].sums().takes(Vec3::Y) && !groups[0].sums().takes(-Vec3::Y));
     }
 
     #[test]

@@ -1,35 +1,32 @@
 //! Pass 2: spatial finalization (M. Isenburg, Y. Liu, J. Shewchuk, J. Snoeyink, *Streaming Computation of
 //! Delaunay Triangulations*, 2006; paper §4).
 //!
-//! Each sample goes to its cell; when the cell's counter reaches zero no sample of the rest of the stream
+//! Each vertex goes to its cell; when the cell's counter reaches zero no vertex of the rest of the stream
 //! belongs to it: it is clustered, on any core, while the stream goes on.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Mutex, PoisonError, mpsc};
 
 use glam::Vec3;
-use simod_model::bounds::Bounds;
 use simod_model::frame::Frame;
-use simod_model::progress::{Emerging, Visitor};
-use simod_model::{Error, ErrorKind, Model, Progress, Result, for_vertices};
+use simod_model::{Error, ErrorKind, Model, Progress, Result};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::cluster::{Element, Moments};
 use super::cut::{Forest, most_kept, running_bound};
 use super::density::Rule;
 use super::gather::Gather;
-use super::grid::{CellKey, Grid, cell_box};
+use super::grid::{CellKey, Grid};
 use super::membership::{Leaves, Membership, Noted};
 use super::open_cells::CellItems;
 use super::random::mix;
 use super::ranges::Ranges;
+use super::stream::stream;
 use super::vs_tree::{VsTree, Workspace};
 
 /// Bytes of items that wait for, or are in, clustering, beyond which the stream stands still. The last cell
 /// may be larger.
-const MAX_QUEUED: usize = 4 << 20;
+pub(super) const MAX_QUEUED: usize = 4 << 20;
 
 /// Most bytes of a cell's items that are clustered at once, and as much to sort them, on each thread. A
 /// constant, so that the result depends neither on the machine's memory nor on the number of threads.
@@ -97,8 +94,7 @@ impl Pass<'_> {
     /// target has come to meanwhile. `None` if `gather` finds no room.
     ///
     /// Memory: that of `gather`, [`Forest`], [`Ranges`] and [`Membership`]; [`MAX_QUEUED`], and two parts of
-    /// a cell on each thread; the chunks of [`for_vertices`]. Not to be called on a thread of the pool that
-    /// clusters, which it waits for.
+    /// a cell on each thread; the pieces of [`stream`].
     ///
     /// # Errors
     /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be
@@ -113,113 +109,13 @@ impl Pass<'_> {
             ranges: Ranges::new(self.grid.keys.len()),
             membership: self.with_members.then(members).transpose()?,
         };
-        let has_room = self.stream(gather, &mut clustered)?;
+        let has_room = stream(self, gather, &mut clustered)?;
         Ok(has_room.then_some(clustered))
-    }
-
-    /// Whether there was room.
-    fn stream<G: Gather>(&self, mut gather: G, found: &mut Clustered) -> Result<bool> {
-        let Self { model, grid, frame, .. } = *self;
-        let Clustered { forest, hash, ranges, membership } = found;
-        let leaves = membership.as_ref().map(Membership::leaves);
-        let stop = &AtomicU32::new(self.bound.to_bits());
-        let mut first = true;
-        let mut collect = |cell: ClusteredCell| -> Result<()> {
-            let threshold = f32::from_bits(stop.load(Ordering::Relaxed));
-            let visit = |visit: Visitor<'_>| {
-                cell.tree.cut(threshold, |node| visit(node.position, node.normal));
-            };
-            self.progress.emerge(&Emerging::new(first, &grid.bounds, frame, &visit));
-            first = false;
-            stop.store(forest.add(cell)?.to_bits(), Ordering::Relaxed);
-            Ok(())
-        };
-        let workspaces = &Mutex::new(Vec::<Workspace<G::Item>>::new());
-        let (send, receive) = mpsc::channel::<(usize, Result<ClusteredCell>)>();
-        let mut has_room = true;
-        let streamed = rayon::in_place_scope(|scope| {
-            let mut left: Vec<u64> = grid.records.iter().map(|r| r.count).collect();
-            let mut queued = 0usize;
-            let mut current: Option<(Bounds, u32)> = None;
-
-            for_vertices(model, |chunk| {
-                self.progress.check()?;
-                membership.as_mut().map_or(Ok(()), |members| members.look_for_twins(&chunk.positions))?;
-                for (i, p) in chunk.positions.iter().enumerate() {
-                    let cell = match &current {
-                        Some((inside, cell)) if inside.contains(*p) => *cell,
-                        _ if !p.is_finite() => {
-                            membership.as_mut().map_or(Ok(()), |members| members.push(None, Vec3::NAN))?;
-                            continue;
-                        }
-                        _ => {
-                            let key = grid.key_of(*p);
-                            let cell = grid.find(&key).ok_or_else(|| changed(model))?;
-                            current = Some((cell_box(key, grid.level), cell));
-                            ranges.enter(cell, chunk.first + i as u64);
-                            cell
-                        }
-                    };
-                    let c = cell as usize;
-                    left[c] = left[c].checked_sub(1).ok_or_else(|| changed(model))?;
-                    let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
-                    let local = frame.to_local(*p);
-                    let Some(index) = gather.add(cell, local, normal)? else {
-                        has_room = false;
-                        return Err(Error::cancelled());
-                    };
-                    if let Some(members) = membership.as_mut() {
-                        members.push(Some((cell, index)), local)?;
-                    }
-                    if left[c] == 0 {
-                        let items = gather.take(cell);
-                        // Those in the file as well: they will be read, and their trees held.
-                        let bytes = items.bytes();
-                        queued += bytes;
-                        let (send, leaves) = (send.clone(), leaves.clone());
-                        scope.spawn(move |_| {
-                            let free = || workspaces.lock().unwrap_or_else(PoisonError::into_inner);
-                            let job = || {
-                                let mut workspace = free().pop().unwrap_or_default();
-                                let clustered =
-                                    self.cluster(cell, items, stop, leaves.as_deref(), &mut workspace);
-                                free().push(workspace);
-                                clustered
-                            };
-                            let clustered =
-                                catch_unwind(AssertUnwindSafe(job)).unwrap_or_else(|_| Err(panicked()));
-                            // The receiver is gone only when the stream has failed already.
-                            let _ = send.send((bytes, clustered));
-                        });
-                        while queued > MAX_QUEUED {
-                            let Ok((bytes, cell)) = receive.recv() else { break };
-                            queued -= bytes;
-                            collect(cell?)?;
-                        }
-                    }
-                }
-                while let Ok((bytes, cell)) = receive.try_recv() {
-                    queued -= bytes;
-                    collect(cell?)?;
-                }
-                hash.update(chunk.raw());
-                self.progress.advance(chunk.raw().len() as u64);
-                Ok(())
-            })?;
-            if left.iter().any(|n| *n > 0) {
-                return Err(changed(model));
-            }
-            ranges.finish(model.info().vertices);
-            // Taken in as they come: the bound that they raise shortens the work on the rest.
-            drop(send);
-            receive.iter().try_for_each(|(_, cell)| collect(cell?))
-        });
-        if has_room { streamed.map(|()| true) } else { Ok(false) }
     }
 
     /// Clusters a complete cell; one that is larger than a part in parts, whose trees are joined, and kept to
     /// what a cut of the target number of samples can reach.
-    fn cluster<E: Element>(
+    pub(super) fn cluster<E: Element>(
         &self,
         cell: u32,
         items: CellItems<E>,
@@ -272,13 +168,8 @@ pub fn unit(n: Vec3) -> Vec3 {
     (n / n.abs().max_element()).normalize_or_zero()
 }
 
-/// A thread that clusters panicked.
-fn panicked() -> Error {
-    Error::internal("clustering a cell failed", "this is a bug: please report it, with the model")
-}
-
 /// The model holds other vertices in pass 2 than in pass 1.
-fn changed(model: &dyn Model) -> Error {
+pub(super) fn changed(model: &dyn Model) -> Error {
     Error::new(
         ErrorKind::Mismatch,
         format!("{} changed while it was read", model.path().display()),

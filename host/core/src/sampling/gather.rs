@@ -13,9 +13,9 @@ use simod_model::Result;
 use simod_model::frame::Frame;
 
 use super::Target;
-use super::cluster::{Element, Group, Vertex};
+use super::cluster::{Element, Group, GroupSums, Vertex};
 use super::grid::{CellHasher, CellRecord, Grid};
-use super::open_cells::{CellItems, OpenCells};
+use super::open_cells::{BLOCK, CellItems, OpenCells};
 
 /// Memory for the vertices of open cells beyond which they are summed up in groups, if that helps.
 const VERTICES_AT_EASE: u64 = 12 << 20;
@@ -29,19 +29,46 @@ const MAX_LEVEL: u32 = 6;
 /// Bytes of a group, with its place in the table of its cell.
 const GROUP_BYTES: u64 = size_of::<Group>() as u64 + 18;
 
+/// Vertices that are gathered as one piece of the stream, from each multiple of this number on. A constant, so
+/// that sums depend neither on the number of threads nor on how the model is read.
+pub const PIECE: u64 = 1 << 14;
+
 /// Holds what the stream has brought of each open cell.
-pub trait Gather {
+pub trait Gather: Send {
     /// What a cell's VS-Tree is built of.
     type Item: Element;
+    /// What gathers a piece of the stream, apart from all others.
+    type Piece: GatherPiece<Item = Self::Item>;
 
-    /// Adds a vertex to a cell; the index of the item that it is, or is part of. `None` if there is no room.
+    /// One that has gathered nothing yet.
+    fn piece(&self) -> Self::Piece;
+
+    /// Adds an item of a piece to a cell; the index of the item of the cell that it is, or is part of. Pieces
+    /// come in the order of the stream, and their items in theirs. `None` if there is no room.
     ///
     /// # Errors
     /// The temporary file cannot be written.
-    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<Option<u32>>;
+    fn merge(&mut self, cell: u32, item: &Self::Item) -> Result<Option<u32>>;
 
     /// Removes all items of a cell.
     fn take(&mut self, cell: u32) -> CellItems<Self::Item>;
+}
+
+/// Gathers the vertices of one piece of the stream.
+///
+/// Memory: an item for each of its vertices at most, with 20 bytes to find it by.
+pub trait GatherPiece: Send {
+    /// What it gathers.
+    type Item: Element;
+
+    /// Adds a vertex to a cell; which item of the piece it is, or is part of.
+    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> u32;
+
+    /// What was gathered, with the cell of each item, in the order in which items were begun.
+    fn items(&mut self) -> &[(u32, Self::Item)];
+
+    /// Forgets everything, for the next piece.
+    fn clear(&mut self);
 }
 
 /// Vertices as they are.
@@ -56,12 +83,17 @@ impl Vertices {
 
 impl Gather for Vertices {
     type Item = Vertex;
+    type Piece = PieceVertices;
+
+    fn piece(&self) -> PieceVertices {
+        PieceVertices::default()
+    }
 
     #[inline]
-    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<Option<u32>> {
+    fn merge(&mut self, cell: u32, vertex: &Vertex) -> Result<Option<u32>> {
         // Who asks for the index has fewer than 2^32 vertices.
         let index = self.0.count(cell) as u32;
-        self.0.push(cell, Vertex { position, normal, index })?;
+        self.0.push(cell, Vertex { index, ..*vertex })?;
         Ok(Some(index))
     }
 
@@ -70,8 +102,27 @@ impl Gather for Vertices {
     }
 }
 
-/// Where the latest group of each cube of a cell is, by [`key`].
-type Table = HashMap<u32, u32, BuildHasherDefault<CellHasher>>;
+/// The vertices of a piece as they are.
+#[derive(Default)]
+pub struct PieceVertices(Vec<(u32, Vertex)>);
+
+impl GatherPiece for PieceVertices {
+    type Item = Vertex;
+
+    #[inline]
+    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> u32 {
+        self.0.push((cell, Vertex { position, normal, index: 0 }));
+        self.0.len() as u32 - 1
+    }
+
+    fn items(&mut self) -> &[(u32, Vertex)] {
+        &self.0
+    }
+
+    fn clear(&mut self) {
+        self.0.clear();
+    }
+}
 
 /// Vertices summed up in little cubes. They stay in memory: sums that were parted by a file would be other
 /// sums.
@@ -81,23 +132,10 @@ pub struct Groups {
     tables: Vec<Option<Table>>,
     /// Tables of closed cells, to be filled again.
     spare: Vec<Table>,
-    last: Option<Last>,
 }
 
-impl Groups {
-    /// The stream was in a cell that is not gathered: the next vertex is looked up as if it were so here.
-    pub fn leave(&mut self) {
-        self.last = None;
-    }
-}
-
-/// Where the last vertex went: the next one is probably near.
-struct Last {
-    cell: u32,
-    cube: IVec3,
-    place: u32,
-    index: u32,
-}
+/// Where the groups of each cube of a cell are, by [`key`].
+type Table = HashMap<u32, u32, BuildHasherDefault<CellHasher>>;
 
 impl Groups {
     /// For so many cells, with cubes of this edge, in `memory` bytes.
@@ -106,44 +144,40 @@ impl Groups {
         tables.resize_with(cells, || None);
         // The tables take their part of the memory.
         let memory = memory / GROUP_BYTES * size_of::<Group>() as u64;
-        Self {
-            open: OpenCells::new(cells, memory, Path::new("")),
-            edge,
-            tables,
-            spare: Vec::new(),
-            last: None,
-        }
+        Self { open: OpenCells::new(cells, memory, Path::new("")), edge, tables, spare: Vec::new() }
     }
 }
 
 impl Gather for Groups {
     type Item = Group;
+    type Piece = PieceGroups;
 
-    #[inline]
-    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> Result<Option<u32>> {
-        let cube = floor(position * (1.0 / self.edge));
-        let middle = middle(cube, self.edge);
-        if let Some(last) = &mut self.last
-            && last.cell == cell
-        {
-            // A stream that went from this cube to another does so again: that one's group was begun next.
-            if last.cube != cube
-                && let Some(next) = self.open.after(cell, last.place, last.index)
-                && self.open.at_mut(next).center() == middle
-            {
-                (last.cube, last.place, last.index) = (cube, next, last.index + 1);
+    fn piece(&self) -> PieceGroups {
+        PieceGroups::new(self.edge)
+    }
+
+    fn merge(&mut self, cell: u32, group: &Group) -> Result<Option<u32>> {
+        let spare = &mut self.spare;
+        let table = self.tables[cell as usize].get_or_insert_with(|| spare.pop().unwrap_or_default());
+        let mut key = key(floor(group.center() * (1.0 / self.edge)));
+        for _ in 0..SHEETS {
+            let Some(place) = table.get(&key) else { break };
+            let known = self.open.at_mut(*place);
+            if known.takes(group) {
+                known.add(group);
+                return Ok(Some(known.index()));
             }
-            let group = self.open.at_mut(last.place);
-            if last.cube == cube && group.takes(normal) {
-                group.add(position, normal);
-                return Ok(Some(last.index));
-            }
+            key += NEXT_SHEET;
         }
-        self.find_and_add(cell, cube, position, normal)
+        if !self.open.has_room(cell) {
+            return Ok(None);
+        }
+        let index = self.open.count(cell) as u32;
+        table.insert(key, self.open.push(cell, group.at(index))?);
+        Ok(Some(index))
     }
 
     fn take(&mut self, cell: u32) -> CellItems<Group> {
-        self.last = None;
         if let Some(mut table) = self.tables[cell as usize].take() {
             table.clear();
             self.spare.push(table);
@@ -152,33 +186,140 @@ impl Gather for Groups {
     }
 }
 
-impl Groups {
-    fn find_and_add(&mut self, cell: u32, cube: IVec3, position: Vec3, normal: Vec3) -> Result<Option<u32>> {
-        let spare = &mut self.spare;
-        let table = self.tables[cell as usize].get_or_insert_with(|| spare.pop().unwrap_or_default());
-        let mut key = key(cube);
-        for _ in 0..SHEETS {
-            let Some(place) = table.get(&key).copied() else { break };
-            let group = self.open.at_mut(place);
-            if group.takes(normal) {
-                group.add(position, normal);
-                let index = group.index();
-                self.last = Some(Last { cell, cube, place, index });
-                return Ok(Some(index));
-            }
-            key += NEXT_SHEET;
+/// The vertices of a piece, summed up in little cubes.
+pub struct PieceGroups {
+    edge: f32,
+    /// Its inverse: a division for each vertex would take as long as all else.
+    per_edge: f32,
+    items: Vec<(u32, Group)>,
+    /// The group of the same cell that was begun next after each of them.
+    next: Vec<u32>,
+    /// Of each cell, how many groups it has, and which one was begun last.
+    cells: HashMap<u32, (u32, u32), BuildHasherDefault<CellHasher>>,
+    /// Where the groups of each cube are, by its cell and [`key`].
+    table: HashMap<u64, u32, BuildHasherDefault<CellHasher>>,
+    last: Option<Last>,
+}
+
+/// No group.
+const NONE: u32 = u32::MAX;
+
+/// Where the last vertex went: the next one is probably near.
+struct Last {
+    cell: u32,
+    cube: IVec3,
+    place: u32,
+    /// What the group has come to, which is written back when another one follows.
+    sums: GroupSums,
+}
+
+impl PieceGroups {
+    /// With cubes of this edge.
+    pub fn new(edge: f32) -> Self {
+        Self {
+            edge,
+            per_edge: 1.0 / edge,
+            items: Vec::new(),
+            next: Vec::new(),
+            cells: HashMap::default(),
+            table: HashMap::default(),
+            last: None,
         }
-        if !self.open.has_room(cell) {
-            return Ok(None);
-        }
-        let index = self.open.count(cell) as u32;
-        let mut group = Group::new(middle(cube, self.edge), 0.5 * self.edge, index);
-        group.add(position, normal);
-        let place = self.open.push(cell, group)?;
-        table.insert(key, place);
-        self.last = Some(Last { cell, cube, place, index });
-        Ok(Some(index))
     }
+
+    /// The stream was in a cell that is not gathered: the next vertex is looked up as if it were so here.
+    pub fn leave(&mut self) {
+        if let Some(Last { place, sums, .. }) = self.last.take() {
+            self.items[place as usize].1.set(&sums);
+        }
+    }
+
+    /// Adds a vertex to a group of its cube other than the last one.
+    fn find_and_add(&mut self, cell: u32, cube: IVec3, position: Vec3, normal: Vec3) -> u32 {
+        self.leave();
+        let mut key = u64::from(cell) << 32 | u64::from(key(cube));
+        let mut found = None;
+        for _ in 0..SHEETS {
+            let Some(place) = self.table.get(&key) else { break };
+            if self.items[*place as usize].1.sums().takes(normal) {
+                found = Some(*place);
+                break;
+            }
+            key += u64::from(NEXT_SHEET);
+        }
+        let place = found.unwrap_or_else(|| self.begin(cell, cube, key));
+        let mut sums = self.items[place as usize].1.sums();
+        sums.add(position, normal);
+        self.last = Some(Last { cell, cube, place, sums });
+        place
+    }
+
+    fn begin(&mut self, cell: u32, cube: IVec3, key: u64) -> u32 {
+        let place = self.items.len() as u32;
+        let (count, last) = self.cells.entry(cell).or_insert((0, NONE));
+        let group = Group::new(middle(cube, self.edge), 0.5 * self.edge, *count);
+        if let Some(next) = self.next.get_mut(*last as usize) {
+            *next = place;
+        }
+        (*count, *last) = (*count + 1, place);
+        self.items.push((cell, group));
+        self.next.push(NONE);
+        self.table.insert(key, place);
+        place
+    }
+}
+
+impl GatherPiece for PieceGroups {
+    type Item = Group;
+
+    #[inline]
+    fn add(&mut self, cell: u32, position: Vec3, normal: Vec3) -> u32 {
+        let cube = floor(position * self.per_edge);
+        if let Some(last) = &mut self.last
+            && last.cell == cell
+        {
+            if last.cube != cube {
+                // A stream that went from this cube to another does so again: that one's group was begun next.
+                let index = self.items[last.place as usize].1.index();
+                let next = self.next[last.place as usize];
+                if !(index as usize + 1).is_multiple_of(BLOCK)
+                    && let Some((_, group)) = self.items.get(next as usize)
+                    && group.center() == middle(cube, self.edge)
+                {
+                    let (sums, place) = (group.sums(), last.place);
+                    self.items[place as usize].1.set(&last.sums);
+                    (last.cube, last.place, last.sums) = (cube, next, sums);
+                }
+            }
+            if last.cube == cube && last.sums.takes(normal) {
+                last.sums.add(position, normal);
+                return last.place;
+            }
+        }
+        self.find_and_add(cell, cube, position, normal)
+    }
+
+    fn items(&mut self) -> &[(u32, Group)] {
+        self.leave();
+        &self.items
+    }
+
+    fn clear(&mut self) {
+        self.items.clear();
+        self.next.clear();
+        self.cells.clear();
+        self.table.clear();
+        self.last = None;
+    }
+}
+
+/// How the groups of a model were gathered.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cubes {
+    /// Edge of the cubes, local units.
+    pub edge: f32,
+    /// Number of vertices that were gathered at a time: [`PIECE`], or all of them at once by former versions.
+    pub piece: u64,
 }
 
 /// Groups of one cube that are looked at before another is begun.
@@ -240,6 +381,11 @@ impl Grouping {
         resolved.edge(grid.cell_size(), frame).map_or(Self::Never, |_| resolved)
     }
 
+    /// Whether vertices are in groups.
+    pub fn is_level(self) -> bool {
+        matches!(self, Self::Level(_))
+    }
+
     /// Edge of the cubes in local units; `None` without groups, or if it is too small to count cubes.
     pub fn edge(self, cell_size: f64, frame: &Frame) -> Option<f32> {
         let Self::Level(level) = self else { return None };
@@ -291,11 +437,23 @@ mod tests {
     use super::*;
     use crate::sampling::cluster::Moments;
 
-    fn gathered<G: Gather>(gather: &mut G, vertices: &[(u32, Vec3, Vec3)]) -> Vec<(Vec<u32>, Vec<G::Item>)> {
+    /// The indices of the vertices of three cells, and the items, of a stream in pieces.
+    fn gathered<G: Gather>(
+        gather: &mut G,
+        vertices: &[(u32, Vec3, Vec3)],
+        size: usize,
+    ) -> Vec<(Vec<u32>, Vec<G::Item>)> {
         let mut indices = vec![Vec::new(); 3];
-        for (cell, p, n) in vertices {
-            let index = gather.add(*cell, *p, *n).expect("no file is written").expect("room");
-            indices[*cell as usize].push(index);
+        let mut piece = gather.piece();
+        for vertices in vertices.chunks(size) {
+            let of: Vec<u32> = vertices.iter().map(|(cell, p, n)| piece.add(*cell, *p, *n)).collect();
+            let merge = |(cell, item): &(u32, G::Item)| {
+                gather.merge(*cell, item).expect("no file is written").expect("room")
+            };
+            let merged: Vec<u32> = piece.items().iter().map(merge).collect();
+            let places = vertices.iter().zip(&of).map(|((cell, ..), item)| (cell, merged[*item as usize]));
+            places.for_each(|(cell, index)| indices[*cell as usize].push(index));
+            piece.clear();
         }
         let items = |cell| {
             let mut items = Vec::new();
@@ -325,7 +483,12 @@ mod tests {
     fn groups_add_up_to_the_vertices_of_their_cell() {
         let vertices = vertices();
         let edge = 1.0 / 32.0;
-        let groups = gathered(&mut Groups::new(3, edge, 1 << 30), &vertices);
+        let whole = gathered(&mut Groups::new(3, edge, 1 << 30), &vertices, vertices.len());
+        let groups = gathered(&mut Groups::new(3, edge, 1 << 30), &vertices, 7000);
+        for ((_, whole), (_, groups)) in whole.iter().zip(&groups) {
+            let count = |groups: &[Group]| groups.iter().map(|g| g.vertices()).sum::<u32>();
+            assert_eq!(count(whole), count(groups));
+        }
         for (cell, (indices, groups)) in groups.iter().enumerate() {
             let own: Vec<_> = vertices.iter().filter(|(c, ..)| *c as usize == cell).collect();
             assert!(groups.len() <= 2 * 33 * 33, "{} groups", groups.len());
@@ -347,8 +510,12 @@ mod tests {
     #[test]
     fn groups_that_find_no_room_say_so() {
         let mut groups = Groups::new(3, 1.0 / 512.0, 0);
-        let added = vertices().into_iter().map(|(cell, p, n)| groups.add(cell, p, n).expect("no file"));
-        assert!(added.collect::<Vec<_>>().contains(&None));
+        let mut piece = groups.piece();
+        vertices().into_iter().for_each(|(cell, p, n)| {
+            piece.add(cell, p, n);
+        });
+        let merged = piece.items().iter().map(|(cell, group)| groups.merge(*cell, group).expect("no file"));
+        assert!(merged.collect::<Vec<_>>().contains(&None));
     }
 
     #[test]

@@ -22,6 +22,7 @@ pub(crate) mod random;
 pub(crate) mod ranges;
 mod sample_set;
 mod splitting;
+mod stream;
 pub(crate) mod triangles;
 pub mod vs_tree;
 
@@ -160,8 +161,6 @@ pub(crate) fn total_memory() -> u64 {
 /// Samples a model. Temporary files without a name are made in `folder`: of at most 40 bytes per vertex if
 /// the memory limit is reached, and of 8 bytes per vertex for the triangles, of 20 where faces place the
 /// samples.
-///
-/// Not to be called on a thread of the pool of threads that it uses, and waits for.
 ///
 /// # Errors
 /// The model cannot be read, changes meanwhile, or has no vertex with a finite position; the target is zero

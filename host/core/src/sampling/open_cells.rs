@@ -12,7 +12,7 @@ use simod_model::Result;
 use simod_model::scratch::Scratch;
 
 /// Items (vertices, or groups of them) in a block of memory: a cell's last block is half empty in the mean.
-const BLOCK: usize = 32;
+pub const BLOCK: usize = 32;
 
 /// Blocks that memory is taken in.
 const SLAB: usize = 256;
@@ -104,14 +104,6 @@ impl<T: Pod> OpenCells<T> {
     #[inline]
     pub fn at_mut(&mut self, place: u32) -> &mut T {
         &mut self.pool.block_mut(place / BLOCK as u32)[place as usize % BLOCK]
-    }
-
-    /// Where the item of a cell is that was added after the one of this index at this place, if none of them
-    /// were moved to the file; `None` if it is in another block.
-    #[inline]
-    pub fn after(&self, cell: u32, place: u32, index: u32) -> Option<u32> {
-        let next = place + 1;
-        (!(next as usize).is_multiple_of(BLOCK) && index + 1 < self.cells[cell as usize].held).then_some(next)
     }
 
     /// Whether one more item of a cell finds room in memory.

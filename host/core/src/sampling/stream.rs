@@ -1,0 +1,448 @@
+//! Pass 2 on all cores: the stream is gathered in pieces, several at a time, which are merged in its order.
+//!
+//! Each thread takes what there is to do: a cell that is complete is clustered, the piece that comes next in
+//! the stream is merged into the open cells, or another piece is read and gathered on its own. Only merging,
+//! and taking a cell's tree in, are done by one thread at a time.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::ops::Range;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread;
+
+use glam::Vec3;
+use simod_model::bounds::Bounds;
+use simod_model::progress::{Emerging, Visitor};
+use simod_model::{Error, Result, VertexChunk, VertexReader};
+use xxhash_rust::xxh3::Xxh3Default;
+
+use super::cluster::Element;
+use super::cut::Forest;
+use super::finalization::{Clustered, ClusteredCell, MAX_QUEUED, Pass, changed, unit};
+use super::gather::{Gather, GatherPiece, PIECE};
+use super::grid::cell_box;
+use super::membership::{Leaves, Membership};
+use super::open_cells::CellItems;
+use super::ranges::Ranges;
+use super::vs_tree::Workspace;
+
+/// Pieces that are read and not yet merged, beside one for each thread: so that a thread whose piece has to
+/// wait need not.
+const WAITING: u64 = 1;
+
+/// Gathers and clusters all of the model; whether there was room.
+///
+/// Memory: so many pieces as there are threads, and one more, of [`PIECE`] vertices: their bytes in the file,
+/// and at most 240 for each.
+///
+/// # Errors
+/// As of [`Pass::run`].
+pub(super) fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Result<bool> {
+    let Clustered { forest, hash, ranges, membership } = found;
+    let vertices = pass.model.info().vertices;
+    let threads = rayon::current_num_threads();
+    let reader = match pass.model.info().random_access {
+        true => None,
+        false => Some(pass.model.vertices(0..vertices)?),
+    };
+    let stream = Stream {
+        pass,
+        leaves: membership.as_ref().map(Membership::leaves),
+        stop: AtomicU32::new(pass.bound.to_bits()),
+        pieces: vertices.div_ceil(PIECE),
+        most: threads as u64 + WAITING,
+        reading: Mutex::new(Reading { next: 0, reader }),
+        merging: Mutex::new(Merging {
+            gather,
+            left: pass.grid.records.iter().map(|r| r.count).collect(),
+            places: Vec::new(),
+            hash,
+            ranges,
+            membership: membership.as_mut(),
+        }),
+        forest: Mutex::new((forest, true)),
+        workspaces: Mutex::new(Vec::new()),
+        work: Mutex::new(Work::default()),
+        moved: Condvar::new(),
+    };
+    thread::scope(|scope| {
+        (1..threads).for_each(|_| {
+            scope.spawn(|| stream.go_on());
+        });
+        stream.go_on();
+    });
+    let Stream { merging, work, .. } = stream;
+    let Work { failed, has_no_room, .. } = work.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if has_no_room {
+        return Ok(false);
+    }
+    if let Some(error) = failed {
+        return Err(error);
+    }
+    let Merging { left, ranges, .. } = merging.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if left.iter().any(|n| *n > 0) {
+        return Err(changed(pass.model));
+    }
+    ranges.finish(vertices);
+    Ok(true)
+}
+
+/// A call of [`stream`].
+struct Stream<'a, G: Gather> {
+    pass: &'a Pass<'a>,
+    leaves: Option<Arc<Leaves>>,
+    /// Error down to which cells are clustered by now, as bits.
+    stop: AtomicU32,
+    /// Number of pieces of the model.
+    pieces: u64,
+    /// Most of them between reading and merging.
+    most: u64,
+    reading: Mutex<Reading<'a>>,
+    merging: Mutex<Merging<'a, G>>,
+    /// What all trees are taken into, and whether none is yet.
+    forest: Mutex<(&'a mut Forest, bool)>,
+    workspaces: Mutex<Vec<Workspace<G::Item>>>,
+    work: Mutex<Work<G>>,
+    /// Something was merged or clustered, or the work is over.
+    moved: Condvar,
+}
+
+struct Reading<'a> {
+    /// Number of the piece that is read next.
+    next: u64,
+    /// Where vertices can be read in their order alone.
+    reader: Option<Box<dyn VertexReader + 'a>>,
+}
+
+/// What pieces are merged into.
+struct Merging<'a, G> {
+    gather: G,
+    /// Vertices of each cell that are still to come.
+    left: Vec<u64>,
+    /// Of the items of the piece that is merged, where each is now: cell and index.
+    places: Vec<(u32, u32)>,
+    hash: &'a mut Xxh3Default,
+    ranges: &'a mut Ranges,
+    membership: Option<&'a mut Membership>,
+}
+
+/// What there is to do.
+struct Work<G: Gather> {
+    /// Pieces that were taken, and of these that were merged.
+    taken: u64,
+    merged: u64,
+    is_merging: bool,
+    /// Pieces that wait to be merged, by their numbers.
+    gathered: BTreeMap<u64, Piece<G::Piece>>,
+    /// Cells that wait to be clustered.
+    complete: VecDeque<(u32, CellItems<G::Item>)>,
+    /// Bytes of the items of these cells and of those that are clustered.
+    queued: usize,
+    has_no_room: bool,
+    failed: Option<Error>,
+    /// Pieces that are merged, to be filled again.
+    spare: Vec<Piece<G::Piece>>,
+}
+
+impl<G: Gather> Default for Work<G> {
+    fn default() -> Self {
+        Self {
+            taken: 0,
+            merged: 0,
+            is_merging: false,
+            gathered: BTreeMap::new(),
+            complete: VecDeque::new(),
+            queued: 0,
+            has_no_room: false,
+            failed: None,
+            spare: Vec::new(),
+        }
+    }
+}
+
+/// Consecutive vertices of the model.
+struct Piece<P> {
+    /// As they were read.
+    chunks: Vec<VertexChunk>,
+    gathered: P,
+    /// Which item each vertex is part of, if it shall be known; [`NONE`] where it is not finite.
+    items: Vec<u32>,
+    /// Where they are, local units, if it shall be known.
+    positions: Vec<Vec3>,
+    /// Each cell that the stream enters, and the vertex at which it does.
+    visits: Vec<(u32, u64)>,
+    /// Number of items that are merged.
+    merged: usize,
+}
+
+/// No item.
+const NONE: u32 = u32::MAX;
+
+enum Task<G: Gather> {
+    Gather(Option<Piece<G::Piece>>),
+    Merge(Piece<G::Piece>),
+    Cluster(u32, CellItems<G::Item>),
+}
+
+impl<'a, G: Gather> Stream<'a, G> {
+    /// Does what there is to do, as long as there is anything.
+    fn go_on(&self) {
+        while let Some(task) = self.take() {
+            let done = catch_unwind(AssertUnwindSafe(|| match task {
+                Task::Gather(spare) => self.gather(spare),
+                Task::Merge(piece) => self.merge(piece),
+                Task::Cluster(cell, items) => self.cluster(cell, items),
+            }));
+            if let Err(error) = done.unwrap_or_else(|_| Err(panicked())) {
+                self.work().failed.get_or_insert(error);
+            }
+            self.moved.notify_all();
+        }
+    }
+
+    /// The next task, once there is one; `None` if nothing is left.
+    fn take(&self) -> Option<Task<G>> {
+        let mut work = self.work();
+        loop {
+            if work.failed.is_some() || work.has_no_room {
+                return None;
+            }
+            if !work.is_merging && work.queued <= MAX_QUEUED {
+                let next = work.merged;
+                if let Some(piece) = work.gathered.remove(&next) {
+                    work.is_merging = true;
+                    return Some(Task::Merge(piece));
+                }
+            }
+            if let Some((cell, items)) = work.complete.pop_front() {
+                return Some(Task::Cluster(cell, items));
+            }
+            if work.taken < self.pieces && work.taken - work.merged < self.most {
+                work.taken += 1;
+                return Some(Task::Gather(work.spare.pop()));
+            }
+            if work.merged == self.pieces {
+                return None;
+            }
+            work = self.moved.wait(work).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    fn work(&self) -> MutexGuard<'_, Work<G>> {
+        self.work.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reads a piece and gathers it.
+    fn gather(&self, spare: Option<Piece<G::Piece>>) -> Result<()> {
+        self.pass.progress.check()?;
+        let mut piece = spare.unwrap_or_else(|| self.piece());
+        piece.clear();
+        let number = self.read(&mut piece.chunks)?;
+        self.put_in_cells(&mut piece)?;
+        self.work().gathered.insert(number, piece);
+        Ok(())
+    }
+
+    fn piece(&self) -> Piece<G::Piece> {
+        Piece {
+            chunks: Vec::new(),
+            gathered: lock(&self.merging).gather.piece(),
+            items: Vec::new(),
+            positions: Vec::new(),
+            visits: Vec::new(),
+            merged: 0,
+        }
+    }
+
+    /// Reads the vertices of the next piece; its number.
+    fn read(&self, chunks: &mut Vec<VertexChunk>) -> Result<u64> {
+        let mut reading = lock(&self.reading);
+        let number = reading.next;
+        reading.next += 1;
+        let range = number * PIECE..((number + 1) * PIECE).min(self.pass.model.info().vertices);
+        match &mut reading.reader {
+            Some(reader) => read_all(&mut **reader, range, chunks, self.pass)?,
+            None => {
+                drop(reading);
+                let mut reader = self.pass.model.vertices(range.clone())?;
+                read_all(&mut *reader, range, chunks, self.pass)?;
+            }
+        }
+        Ok(number)
+    }
+
+    /// Puts each vertex of a piece into its cell.
+    fn put_in_cells(&self, piece: &mut Piece<G::Piece>) -> Result<()> {
+        let Pass { model, grid, frame, noted, .. } = *self.pass;
+        let with_items = self.leaves.is_some();
+        let Piece { chunks, gathered, items, positions, visits, .. } = piece;
+        let mut current: Option<(Bounds, u32)> = None;
+        for chunk in chunks {
+            for (i, p) in chunk.positions.iter().enumerate() {
+                let cell = match &current {
+                    Some((inside, cell)) if inside.contains(*p) => *cell,
+                    _ if !p.is_finite() => {
+                        if with_items {
+                            items.push(NONE);
+                        }
+                        if noted.positions {
+                            positions.push(Vec3::NAN);
+                        }
+                        continue;
+                    }
+                    _ => {
+                        let key = grid.key_of(*p);
+                        let cell = grid.find(&key).ok_or_else(|| changed(model))?;
+                        current = Some((cell_box(key, grid.level), cell));
+                        visits.push((cell, chunk.first + i as u64));
+                        cell
+                    }
+                };
+                let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
+                let local = frame.to_local(*p);
+                let item = gathered.add(cell, local, normal);
+                if with_items {
+                    items.push(item);
+                }
+                if noted.positions {
+                    positions.push(local);
+                }
+            }
+            // Nothing but the bytes is needed any more, unless positions are compared.
+            chunk.normals = Vec::new();
+            if !noted.twins {
+                chunk.positions = Vec::new();
+            }
+        }
+        Ok(())
+    }
+
+    /// Merges the piece that comes next in the stream into the open cells, until too many of them wait to be
+    /// clustered.
+    fn merge(&self, mut piece: Piece<G::Piece>) -> Result<()> {
+        let mut merging = lock(&self.merging);
+        let Merging { gather, left, places, hash, ranges, membership } = &mut *merging;
+        if piece.merged == 0 {
+            places.clear();
+            piece.visits.iter().for_each(|(cell, vertex)| ranges.enter(*cell, *vertex));
+        }
+        let items = piece.gathered.items();
+        for (cell, item) in &items[piece.merged..] {
+            piece.merged += 1;
+            let Some(index) = gather.merge(*cell, item)? else {
+                self.work().has_no_room = true;
+                return Ok(());
+            };
+            places.push((*cell, index));
+            let left = &mut left[*cell as usize];
+            *left = left.checked_sub(item.vertices().into()).ok_or_else(|| changed(self.pass.model))?;
+            if *left == 0 && self.hand_over(*cell, gather.take(*cell)) {
+                break;
+            }
+        }
+        if piece.merged < items.len() {
+            let mut work = self.work();
+            let number = work.merged;
+            work.gathered.insert(number, piece);
+            work.is_merging = false;
+            return Ok(());
+        }
+        if let Some(members) = membership {
+            piece.chunks.iter().try_for_each(|chunk| members.look_for_twins(&chunk.positions))?;
+            let mut positions = piece.positions.iter();
+            for item in &piece.items {
+                let position = positions.next().copied().unwrap_or(Vec3::NAN);
+                members.push(places.get(*item as usize).copied(), position)?;
+            }
+        }
+        for chunk in &piece.chunks {
+            hash.update(chunk.raw());
+            self.pass.progress.advance(chunk.raw().len() as u64);
+        }
+        let mut work = self.work();
+        work.merged += 1;
+        work.is_merging = false;
+        work.spare.push(piece);
+        Ok(())
+    }
+
+    /// Lets a complete cell be clustered; whether too many wait for it now.
+    fn hand_over(&self, cell: u32, items: CellItems<G::Item>) -> bool {
+        let mut work = self.work();
+        // Those in the file as well: they will be read, and their trees held.
+        work.queued += items.bytes();
+        work.complete.push_back((cell, items));
+        self.moved.notify_one();
+        work.queued > MAX_QUEUED
+    }
+
+    /// Clusters a cell, and takes its tree in: as they come, for the bound that they raise shortens the work
+    /// on the rest.
+    fn cluster(&self, cell: u32, items: CellItems<G::Item>) -> Result<()> {
+        let bytes = items.bytes();
+        let mut workspace = lock(&self.workspaces).pop().unwrap_or_default();
+        let clustered = self.pass.cluster(cell, items, &self.stop, self.leaves.as_deref(), &mut workspace);
+        lock(&self.workspaces).push(workspace);
+        let taken = clustered.and_then(|cell| self.collect(cell));
+        self.work().queued -= bytes;
+        taken
+    }
+
+    fn collect(&self, cell: ClusteredCell) -> Result<()> {
+        let mut forest = lock(&self.forest);
+        let (forest, first) = &mut *forest;
+        let Pass { grid, frame, progress, .. } = *self.pass;
+        let threshold = f32::from_bits(self.stop.load(Ordering::Relaxed));
+        let visit = |visit: Visitor<'_>| {
+            cell.tree.cut(threshold, |node| visit(node.position, node.normal));
+        };
+        progress.emerge(&Emerging::new(*first, &grid.bounds, frame, &visit));
+        *first = false;
+        self.stop.store(forest.add(cell)?.to_bits(), Ordering::Relaxed);
+        Ok(())
+    }
+}
+
+impl<P: GatherPiece> Piece<P> {
+    fn clear(&mut self) {
+        self.gathered.clear();
+        self.items.clear();
+        self.positions.clear();
+        self.visits.clear();
+        self.merged = 0;
+    }
+}
+
+/// Reads all vertices of a range, from where the reader is.
+fn read_all(
+    reader: &mut dyn VertexReader,
+    range: Range<u64>,
+    chunks: &mut Vec<VertexChunk>,
+    pass: &Pass<'_>,
+) -> Result<()> {
+    let (mut used, mut at) = (0, range.start);
+    while at < range.end {
+        if used == chunks.len() {
+            chunks.push(VertexChunk::default());
+        }
+        reader.set_chunk((range.end - at) as usize);
+        if !reader.read(&mut chunks[used])? {
+            return Err(changed(pass.model));
+        }
+        at += chunks[used].len() as u64;
+        used += 1;
+    }
+    chunks.truncate(used);
+    Ok(())
+}
+
+/// Whatever became of the thread that had it: what failed ends the work.
+fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
+    of.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A thread panicked.
+fn panicked() -> Error {
+    Error::internal("clustering a cell failed", "this is a bug: please report it, with the model")
+}
