@@ -381,8 +381,8 @@ pub struct SimodAttribute {
     pub name: *const c_char,
     /// What its numbers are in the file: SIMOD_ATTRIBUTE_...
     pub kind: u32,
-    /// One for each sample, in the property's own unit (a colour of SIMOD_ATTRIBUTE_U8 goes from 0 to 255), all
-    /// finite: the mean over the vertices that the sample stands for.
+    /// One for each sample, in the property's own unit (a colour of SIMOD_ATTRIBUTE_U8 goes from 0 to 255),
+    /// all finite: the mean over the vertices that the sample stands for.
     pub values: *const f32,
 }
 
@@ -650,10 +650,10 @@ pub struct SimodMigration {
     pub aliases: *const SimodAlias,
     /// How many of them there are.
     pub alias_count: usize,
-    /// Gives `to` what a session of version `from`, which is less than that of now, has to give now, of what it
-    /// gave: in model coordinates and the user's units, checked by nobody, under the ids of now (aliases have
-    /// been applied). What is not given to `to` has its default. Takes microseconds; any thread. The host has
-    /// no samples in this call. NULL where all stays as it is.
+    /// Gives `to` what a session of version `from`, which is less than that of now, has to give now, of what
+    /// it gave: in model coordinates and the user's units, checked by nobody, under the ids of now (aliases
+    /// have been applied). What is not given to `to` has its default. Takes microseconds; any thread. The
+    /// host has no samples in this call. NULL where all stays as it is.
     pub migrate: Option<
         unsafe extern "C" fn(
             from: u32,

@@ -5,8 +5,8 @@
 //! needs them ([`refinement`]). Follows T. Boubekeur, O. Sorkine, C. Schlick, *SIMOD: Making Freeform
 //! Deformation Size-Insensitive*, Eurographics Symposium on Point-Based Graphics 2007.
 //!
-//! Nothing here holds memory proportional to `P_L`, prints, opens a window, or knows of plugins or of the formats
-//! of models.
+//! Nothing here holds memory proportional to `P_L`, prints, opens a window, or knows of plugins or of the
+//! formats of models.
 
 pub mod attributes;
 pub mod detail;

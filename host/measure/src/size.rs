@@ -34,8 +34,8 @@ pub fn area(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     0.5 * triangles.iter().filter_map(|t| corners(positions, *t)).map(|c| cross(c).length()).sum::<f64>()
 }
 
-/// The change |l′ / l − 1| of all edges, of length l at rest and l′ deformed. Edges without a length at rest do not
-/// count.
+/// The change |l′ / l − 1| of all edges, of length l at rest and l′ deformed. Edges without a length at rest
+/// do not count.
 pub fn edge_distortion(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> Spread {
     let valid = triangles.iter().filter(|t| corners(rest, **t).is_some() && corners(deformed, **t).is_some());
     let mut edges: Vec<[u32; 2]> =
@@ -48,8 +48,8 @@ pub fn edge_distortion(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]
     Spread::of(changes(lengths))
 }
 
-/// The change |A′ / A − 1| of all triangles, of area A at rest and A′ deformed. Those without an area at rest do not
-/// count.
+/// The change |A′ / A − 1| of all triangles, of area A at rest and A′ deformed. Those without an area at rest
+/// do not count.
 pub fn area_distortion(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> Spread {
     let areas = triangles
         .iter()

@@ -1,9 +1,9 @@
 //! simod-model: models of any size as streams, and files as reliable as they have to be.
 //!
-//! A [`Model`] is a mesh, a soup or a cloud in a file that may be larger than memory: vertices come in chunks,
-//! and go out as patched chunks; faces come as triangles. A model is never held: readers keep one chunk of at
-//! most [`CHUNK_VERTICES`] vertices or [`CHUNK_TRIANGLES`] triangles, and [`Model::rewrite`] one for each
-//! thread, with up to [`MAX_VERSIONS`] new versions, and the bytes of a few more.
+//! A [`Model`] is a mesh, a soup or a cloud in a file that may be larger than memory: vertices come in
+//! chunks, and go out as patched chunks; faces come as triangles. A model is never held: readers keep one
+//! chunk of at most [`CHUNK_VERTICES`] vertices or [`CHUNK_TRIANGLES`] triangles, and [`Model::rewrite`] one
+//! for each thread, with up to [`MAX_VERSIONS`] new versions, and the bytes of a few more.
 //!
 //! What is written appears whole or not at all ([`output`], [`output_folder`]), and is gone on with after the
 //! program was killed ([`resumable`]). What all crates above speak of is here as well: errors, progress,

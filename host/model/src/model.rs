@@ -410,9 +410,9 @@ pub trait Model: Send + Sync {
     /// positions and normals that `edit` gives its vertices. Every other byte is copied as it is.
     ///
     /// `edit` sees each chunk as it is in the file, and for each output an [`Edited`], which is as the chunk
-    /// until it is changed. Of the pieces that `how` says are done it is told, but does not get them. A vertex
-    /// whose position is not finite keeps its bytes, whatever `edit` writes, and so does a component that
-    /// `edit` left as it was.
+    /// until it is changed. Of the pieces that `how` says are done it is told, but does not get them. A
+    /// vertex whose position is not finite keeps its bytes, whatever `edit` writes, and so does a component
+    /// that `edit` left as it was.
     ///
     /// As many pieces are worked on as there are threads in the pool, each from reading to writing by one
     /// thread. Where something fails, all that comes before it in the file is written. Advances `progress` by

@@ -3,8 +3,8 @@
 //! it. Only taking a piece and writing one are serial.
 //!
 //! A thread does not take another piece while too many are between reading and writing, so that what waits
-//! has a bound. Where something fails, no further piece is taken, and those before it are still written: which
-//! error is returned does not depend on the threads.
+//! has a bound. Where something fails, no further piece is taken, and those before it are still written:
+//! which error is returned does not depend on the threads.
 
 use std::collections::BTreeMap;
 use std::io;

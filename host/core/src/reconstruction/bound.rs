@@ -135,8 +135,8 @@ impl Bound {
 }
 
 impl DeformationField<'_> {
-    /// As [`drawn_back`](Self::drawn_back), of a vertex whose home does not move, nor any support that reaches
-    /// there.
+    /// As [`drawn_back`](Self::drawn_back), of a vertex whose home does not move, nor any support that
+    /// reaches there.
     #[inline]
     pub(super) fn still_drawn_back(&self, home: usize, p: Vec3) -> Option<Transport> {
         // Then the home is among the nearest.
@@ -146,8 +146,8 @@ impl DeformationField<'_> {
         self.drawn_back(p, Vec3::ZERO, || Mat3::IDENTITY)
     }
 
-    /// Whether a displacement of a vertex of this home is within the range of those samples of the home's sheet
-    /// that are surely among the nearest ones: then it keeps to the range without a search.
+    /// Whether a displacement of a vertex of this home is within the range of those samples of the home's
+    /// sheet that are surely among the nearest ones: then it keeps to the range without a search.
     pub(super) fn is_bounded(&self, home: usize, p: Vec3, u: Vec3) -> bool {
         let positions = &self.around.samples.positions;
         let distance = p.distance(positions[home]);

@@ -8,9 +8,9 @@
 //! At a vertex all supports that reach it have a say, and how far these are from what is made of them tells
 //! about that very place. What they leave out together they do not tell; what the samples disagree by halfway
 //! stands for that, and for more of it where a vertex lies beyond the samples, as off the surface or outside
-//! a border. How the map varies across a sheet of gentle relief all of them guess alike: what that leaves open
-//! counts, too ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the samples'
-//! positions, of the displacement, and of the file that is written.
+//! a border. How the map varies across a sheet of gentle relief all of them guess alike: what that leaves
+//! open counts, too ([`Unresolved`](super::least_squares::Unresolved)). Rounding comes on top: of the
+//! samples' positions, of the displacement, and of the file that is written.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -233,10 +233,10 @@ impl DeformationField<'_> {
         self.ring(i).iter().map(|j| self.halfway(i, *j as usize)).fold(0.0, f32::max)
     }
 
-    /// Expects nothing between two samples whose clusters are single places, as there are no vertices. How far
-    /// the transfer is off at these samples themselves counts there. One that has stayed from a larger cluster
-    /// stands beside its vertex, of which this tells less: so it is for deformations that are compared with
-    /// the exact map besides. The field has to be [expecting](Self::expecting).
+    /// Expects nothing between two samples whose clusters are single places, as there are no vertices. How
+    /// far the transfer is off at these samples themselves counts there. One that has stayed from a larger
+    /// cluster stands beside its vertex, of which this tells less: so it is for deformations that are
+    /// compared with the exact map besides. The field has to be [expecting](Self::expecting).
     ///
     /// # Errors
     /// The cells are not in memory, or of another model.

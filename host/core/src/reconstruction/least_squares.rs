@@ -1,8 +1,8 @@
-//! The least squares of second-order expansions: how a sample's neighbours tell its terms, and what they leave
-//! open.
+//! The least squares of second-order expansions: how a sample's neighbours tell its terms, and what they
+//! leave open.
 //!
-//! What the affine map of [`gradients`](super::gradients) leaves over at the neighbours is explained by nine terms
-//! for each coordinate, with a ridge that follows from what they leave over in their turn (N. Wiener,
+//! What the affine map of [`gradients`](super::gradients) leaves over at the neighbours is explained by nine
+//! terms for each coordinate, with a ridge that follows from what they leave over in their turn (N. Wiener,
 //! *Extrapolation, Interpolation, and Smoothing of Stationary Time Series*, 1949).
 
 use glam::{DMat3, DVec3, Vec3};
@@ -129,8 +129,8 @@ impl LeastSquares {
         Some((c, (1.0 - explained / self.squares).max(0.0)))
     }
 
-    /// The same with the ridge of a Wiener filter, which is given as well, where the map strains so much: what
-    /// is left over almost without a ridge is noise, beside what terms may amount to.
+    /// The same with the ridge of a Wiener filter, which is given as well, where the map strains so much:
+    /// what is left over almost without a ridge is noise, beside what terms may amount to.
     pub fn solve(&self, strain: f64) -> Option<([DVec3; TERMS], f64, f64)> {
         let (_, left) = self.ridged(LEAST_RIDGE)?;
         // What nine terms leave over of few neighbours is less than they are off by.

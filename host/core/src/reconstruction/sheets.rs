@@ -47,8 +47,8 @@ const NOWHERE: u8 = u8::MAX;
 
 /// The neighbours of each sample on its own sheet.
 ///
-/// Memory: at most 133 bytes per sample; where faces have told sheets apart, 4 more, and 128 for each sample near
-/// which they meet.
+/// Memory: at most 133 bytes per sample; where faces have told sheets apart, 4 more, and 128 for each sample
+/// near which they meet.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Sheets {
     starts: Vec<u32>,
@@ -190,8 +190,8 @@ impl Sheets {
         nearest_of(self.of_sample(i), positions, i, count)
     }
 
-    /// Those of the nearest samples in space that are not on the sheet of sample `i`, nearest first, where faces
-    /// have told sheets apart; none elsewhere.
+    /// Those of the nearest samples in space that are not on the sheet of sample `i`, nearest first, where
+    /// faces have told sheets apart; none elsewhere.
     #[inline]
     pub fn strangers(&self, i: usize) -> &[u32] {
         match self.stranger_starts.get(i..i + 2) {
@@ -201,8 +201,8 @@ impl Sheets {
     }
 }
 
-/// At most `count` of these samples, which are the nearest of sample `i` in their order, and the radius at which
-/// a kernel over them vanishes: see [`Sheets::around`].
+/// At most `count` of these samples, which are the nearest of sample `i` in their order, and the radius at
+/// which a kernel over them vanishes: see [`Sheets::around`].
 pub fn nearest_of<'a>(all: &'a [u32], positions: &[Vec3], i: usize, count: usize) -> (&'a [u32], f32) {
     let near = &all[..all.len().min(count)];
     let distance = |j: &u32| positions[*j as usize].distance(positions[i]);

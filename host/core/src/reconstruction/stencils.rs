@@ -1,12 +1,12 @@
-//! The samples that the fits at a sample are of: those of its own sheet, and where parts of the model touch, those
-//! of other parts that go one way with it.
+//! The samples that the fits at a sample are of: those of its own sheet, and where parts of the model touch,
+//! those of other parts that go one way with it.
 //!
-//! Faces tell that two parts are not connected, but not that they move apart; mostly they do not. A small part has
-//! few samples of its own, and beside a contact they lie on one side. So samples of other sheets are borrowed where
-//! the deformation is smooth across: on a smooth map the displacements at both ends of d differ by
-//! ½ (∇uᵢ + ∇uⱼ) d up to third derivatives (the trapezoidal rule), and what the gradients leave open is of the size
-//! of the strain and of how far they differ from each other. Where parts move apart, whatever little way, as rigid
-//! bodies, both are nothing, and nobody is borrowed.
+//! Faces tell that two parts are not connected, but not that they move apart; mostly they do not. A small
+//! part has few samples of its own, and beside a contact they lie on one side. So samples of other sheets are
+//! borrowed where the deformation is smooth across: on a smooth map the displacements at both ends of d
+//! differ by ½ (∇uᵢ + ∇uⱼ) d up to third derivatives (the trapezoidal rule), and what the gradients leave
+//! open is of the size of the strain and of how far they differ from each other. Where parts move apart,
+//! whatever little way, as rigid bodies, both are nothing, and nobody is borrowed.
 
 use std::collections::HashMap;
 
@@ -17,12 +17,12 @@ use super::gradients::ROUNDING;
 use super::sheets::{SHEET_NEIGHBOURS, Sheets, nearest_of};
 use crate::sampling::SampleSet;
 
-/// How far a displacement may be off what the gradients at both ends foretell: so much of the distance, times the
-/// strain, or how far the gradients differ.
+/// How far a displacement may be off what the gradients at both ends foretell: so much of the distance, times
+/// the strain, or how far the gradients differ.
 const OFF: f32 = 0.2;
 
-/// Where no more than one of so many strangers goes one way with a sample, some do so by chance, as beside a hinge,
-/// and none is borrowed.
+/// Where no more than one of so many strangers goes one way with a sample, some do so by chance, as beside a
+/// hinge, and none is borrowed.
 const ONE_OF: usize = 2;
 
 /// The samples that fits are of.

@@ -395,8 +395,8 @@ fn samples_between_two_sheets_do_not_join_them() {
 
 #[test]
 fn a_map_that_bends_across_gentle_relief_is_not_taken_for_shear() {
-    // A rolling sheet whose samples tell little about the direction across it, and places that lie off it by a
-    // fiftieth of the spacing, as detail does.
+    // A rolling sheet whose samples tell little about the direction across it, and places that lie off it by
+    // a fiftieth of the spacing, as detail does.
     let height = |p: Vec3| 0.05 * (6.0 * p.x).sin() * (5.0 * p.z).cos();
     let rolling = |n: usize| patch(n).map(move |p| Vec3::new(p.x, height(p), p.z));
     let map = |p: Vec3| {

@@ -14,8 +14,8 @@ const RING: usize = 6;
 
 impl DeformationField<'_> {
     /// Finds those grouped vertices that the supports reach, that need no limiter, and whose displacement is
-    /// within the range of those samples of their home's sheet that are surely among the nearest ones. Nothing
-    /// is wrong with the others, but that takes a closer look.
+    /// within the range of those samples of their home's sheet that are surely among the nearest ones.
+    /// Nothing is wrong with the others, but that takes a closer look.
     pub(super) fn find_within_range(&self, grouped: &mut Grouped) {
         grouped.is_within_range.resize(grouped.sum.len(), 0.0);
         Arch::new().dispatch(Kernel { field: self, grouped });
@@ -69,24 +69,25 @@ fn packet<S: Simd>(
     let distance = d.sqrt();
     // Samples nearer than this to the vertex are among those of its range, and the home is one of them.
     let reach = Lanes::splat(simd, field.around.supports.ranging[home]) - distance;
-    let one = Lanes::splat(simd, 1.0);
+    let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
     let is_reached = (Lanes::splat(simd, e.inverse_square) * d).less(one);
     let has_weight = Lanes::splat(simd, LEAST_WEIGHT).less_or_equal(sum);
     let is_possible = distance.less(reach).and(is_reached).and(has_weight);
     let reach = reach * reach;
 
-    let mut range = Extent::about(simd, e, field.bound.step(home));
+    let (mut range, mut is_within) = (Extent::about(simd, e, field.bound.step(home)), zero);
     for ring in field.around.sheets.of_sample(home).chunks(RING) {
         for j in ring {
             let j = *j as usize;
             let is_near = length_squared(from(simd, p, field.expansions[j].center)).less(reach);
             range.include(is_near, Extent::about(simd, &field.expansions[j], field.bound.step(j)));
         }
-        if is_possible.and(range.holds(u)).select(one, Lanes::splat(simd, 0.0)).least() > 0.0 {
+        is_within = is_possible.and(range.holds(u)).select(one, zero);
+        if is_within.least() > 0.0 {
             break;
         }
     }
-    is_possible.and(range.holds(u)).select(one, Lanes::splat(simd, 0.0))
+    is_within
 }
 
 /// Displacements between the least and the greatest, coordinate by coordinate, and the largest step.

@@ -107,9 +107,9 @@ impl Sums {
     }
 }
 
-/// A few vertices that lie close together, as the sums over them: what an open cell keeps of a model with very
-/// many vertices for each sample of P_S. A VS-Tree over these differs from one over the vertices in that no group
-/// is parted.
+/// A few vertices that lie close together, as the sums over them: what an open cell keeps of a model with
+/// very many vertices for each sample of P_S. A VS-Tree over these differs from one over the vertices in that
+/// no group is parted.
 #[derive(Debug, Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct Group {

@@ -1,8 +1,8 @@
 //! What is gathered of a cell while it is open: its vertices as they are, or small groups of them.
 //!
-//! Vertices as they are take memory by the number of vertices in open cells, which grows with the model. Where
-//! that is too much, vertices in the same little cube are summed up as they come ([`Group`]): a cell then
-//! holds as many groups as the surface in it meets cubes, however many vertices the model has.
+//! Vertices as they are take memory by the number of vertices in open cells, which grows with the model.
+//! Where that is too much, vertices in the same little cube are summed up as they come ([`Group`]): a cell
+//! then holds as many groups as the surface in it meets cubes, however many vertices the model has.
 
 use std::collections::HashMap;
 use std::hash::BuildHasherDefault;
@@ -29,8 +29,8 @@ const MAX_LEVEL: u32 = 6;
 /// Bytes of a group, with its place in the table of its cell.
 const GROUP_BYTES: u64 = size_of::<Group>() as u64 + 18;
 
-/// Vertices that are gathered as one piece of the stream, from each multiple of this number on. A constant, so
-/// that sums depend neither on the number of threads nor on how the model is read.
+/// Vertices that are gathered as one piece of the stream, from each multiple of this number on. A constant,
+/// so that sums depend neither on the number of threads nor on how the model is read.
 pub const PIECE: u64 = 1 << 14;
 
 /// Holds what the stream has brought of each open cell.
@@ -279,7 +279,8 @@ impl GatherPiece for PieceGroups {
             && last.cell == cell
         {
             if last.cube != cube {
-                // A stream that went from this cube to another does so again: that one's group was begun next.
+                // A stream that went from this cube to another does so again: that one's group was begun
+                // next.
                 let index = self.items[last.place as usize].1.index();
                 let next = self.next[last.place as usize];
                 if !(index as usize + 1).is_multiple_of(BLOCK)

@@ -107,8 +107,8 @@ pub struct Skip {
     pub cells: bool,
     /// Estimating normals where the model has none: whoever needs them estimates them again.
     pub normals: bool,
-    /// Telling sheets apart that touch, by the faces: it takes a pass over them, the same as for the triangles,
-    /// and temporary files of at most 12 bytes per vertex.
+    /// Telling sheets apart that touch, by the faces: it takes a pass over them, the same as for the
+    /// triangles, and temporary files of at most 12 bytes per vertex.
     pub sheets: bool,
 }
 

@@ -577,8 +577,8 @@ impl<'a> Tangents<'a> {
         Self { samples, normals, reach, place }
     }
 
-    /// Whether the home of a place of sample `own` may be one of the others: where one of their planes suits it
-    /// about as well, or where it is so far from its own sample that others have their say before it.
+    /// Whether the home of a place of sample `own` may be one of the others: where one of their planes suits
+    /// it about as well, or where it is so far from its own sample that others have their say before it.
     fn doubt(&self, own: u32, others: &[u32], p: Vec3) -> bool {
         let away = |i: u32| p - self.samples.positions[i as usize];
         let normal = |i: u32| self.normals[self.place[i as usize] as usize];

@@ -21,8 +21,8 @@ use crate::sampling::ranges::joined;
 /// A sheet with fewer than this part of its cluster's vertices joins a cluster nearby, if it can.
 const LEAST_PART: f64 = 0.125;
 
-/// One of so many samples at most goes to parts that could join clusters nearby: the others are taken from all of
-/// the model.
+/// One of so many samples at most goes to parts that could join clusters nearby: the others are taken from
+/// all of the model.
 const MOST_OF_ALL: usize = 32;
 
 /// So many may go to them in any case.
@@ -227,15 +227,16 @@ impl Parts {
         self.mixed.is_empty()
     }
 
-    /// How many samples more parts shall have, of so many samples in all: as many as they need, but no more than
-    /// [a part of them](MOST_OF_ALL), unless nothing of their own sheets is beside them.
+    /// How many samples more parts shall have, of so many samples in all: as many as they need, but no more
+    /// than [a part of them](MOST_OF_ALL), unless nothing of their own sheets is beside them.
     pub fn needed(&self, samples: usize) -> usize {
         let (_, needed, alone) = self.decide(usize::MAX);
         needed.min(alone.max(samples / MOST_OF_ALL).max(FEW))
     }
 
-    /// For each mixed cluster, which of its parts get a sample: at most so many more in all, for those with nothing
-    /// of their own sheet beside them, and then for the largest. And how many that are, and those of the former.
+    /// For each mixed cluster, which of its parts get a sample: at most so many more in all, for those with
+    /// nothing of their own sheet beside them, and then for the largest. And how many that are, and those of
+    /// the former.
     fn decide(&self, most: usize) -> (Vec<Vec<bool>>, usize, usize) {
         let mut wanted: Vec<(bool, usize, usize)> = Vec::new();
         for (i, (_, parts)) in self.mixed.iter().enumerate() {

@@ -210,8 +210,8 @@ fn parts_lend_samples_where_they_go_one_way() {
     }
 }
 
-/// Faces of parted clusters are found by their places in the file, or all are read: the samples that they place
-/// are the same.
+/// Faces of parted clusters are found by their places in the file, or all are read: the samples that they
+/// place are the same.
 #[test]
 fn faces_place_the_samples_of_parts_wherever_they_are_read() {
     for (body, _) in [rings(1e-3), soup(rings(1e-3))] {
