@@ -129,3 +129,26 @@ fn one_place_is_one_sample() {
         assert_eq!(body.sampled(samples(100, Grouping::Automatic)).samples.len(), 1, "{place}");
     }
 }
+
+/// Pieces of the stream are gathered on any thread, and so are cells clustered, whatever waits in a file.
+#[test]
+fn samples_do_not_depend_on_threads() {
+    let body = Body::generated(Shape::Amphora, 200_000);
+    let tight = Sampling { memory_limit: Some(33 << 20), ..samples(3000, Grouping::Never) };
+    for (body, sampling) in [
+        (&body, samples(3000, Grouping::Level(3))),
+        (&body, samples(3000, Grouping::Never)),
+        (&body.shuffled(), samples(3000, Grouping::Level(3))),
+        (&body.shuffled(), tight),
+    ] {
+        let with_threads = |n: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("a pool");
+            let sampled = pool.install(|| body.sampled(sampling));
+            (sampled.samples.positions.clone(), sampled.samples.normals().to_vec(), sampled.triangles.clone())
+        };
+        let one = with_threads(1);
+        for threads in [2, 7] {
+            assert!(with_threads(threads) == one, "{sampling:?}: {threads} threads");
+        }
+    }
+}
