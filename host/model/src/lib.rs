@@ -19,6 +19,7 @@ pub mod frame;
 pub mod histogram;
 mod in_step;
 pub mod input;
+mod las;
 pub mod memory;
 mod model;
 mod number;
@@ -29,9 +30,11 @@ mod ply;
 mod positioned;
 pub mod progress;
 pub mod resumable;
+mod scaled;
 pub mod scratch;
 pub mod size;
 mod source;
+mod summary;
 pub mod target;
 mod uncached;
 
@@ -46,3 +49,5 @@ pub use model::{
 pub use number::Type;
 pub use ply::write_points;
 pub use progress::Progress;
+pub use scaled::ScaledIntegers;
+pub use summary::Summary;

@@ -14,7 +14,7 @@ use std::thread;
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-use crate::{Progress, Result, Type};
+use crate::{Progress, Result, ScaledIntegers, Summary, Type};
 
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
 pub const CHUNK_VERTICES: usize = 1 << 16;
@@ -94,6 +94,21 @@ pub struct ModelInfo {
     pub vertex_bytes: u64,
     /// Bytes of the file that hold faces which have triangles. In a text file, an estimate.
     pub face_bytes: u64,
+    /// The whole numbers that positions are stored as, where they are.
+    pub integers: Option<ScaledIntegers>,
+    /// What the file says of its coordinate reference system, as "EPSG:25832" or the name in its WKT.
+    pub crs: Option<String>,
+}
+
+impl ModelInfo {
+    /// What becomes of a position when it is written to such a file; one that does not fit stays as it is.
+    pub fn written(&self, p: DVec3) -> DVec3 {
+        match (&self.integers, self.position_type) {
+            (Some(integers), _) => integers.nearest(p).map_or(p, |i| integers.position(i)),
+            (None, Scalar::F32) => p.as_vec3().as_dvec3(),
+            (None, Scalar::F64) => p,
+        }
+    }
 }
 
 /// A run of consecutive vertices, in the file's order.
@@ -105,8 +120,13 @@ pub struct VertexChunk {
     pub positions: Vec<DVec3>,
     /// Normals as stored, so not always of unit length or finite; empty where the model has none.
     pub normals: Vec<Vec3>,
-    /// The bytes of the file that these vertices were read from.
+    /// The bytes of the file that these vertices were read from; in a compressed file those of whole blocks,
+    /// each with the first chunk that was read of it.
     pub(crate) raw: Vec<u8>,
+    /// Their records, where `raw` is compressed.
+    pub(crate) records: Vec<u8>,
+    /// How many vertices each of the compressed blocks in `raw` has, and how many bytes.
+    pub(crate) blocks: Vec<Block>,
     /// Where in `raw` each vertex' numbers lie; what it means is the format's business.
     pub(crate) spans: Vec<[u32; 2]>,
 }
@@ -124,11 +144,20 @@ impl VertexChunk {
         self.positions.is_empty()
     }
 
-    /// The bytes of the file that these vertices were read from.
+    /// The bytes of the file that these vertices were read from. Those of a compressed block, which hold more
+    /// vertices than a chunk does, come with the first of its chunks alone: all chunks of a model together
+    /// have all bytes, once.
     #[inline]
     pub fn raw(&self) -> &[u8] {
         &self.raw
     }
+}
+
+/// A compressed block of a file, which can be read without the others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Block {
+    pub(crate) vertices: u64,
+    pub(crate) bytes: u64,
 }
 
 /// What the vertices of a chunk become in one version of the model.
@@ -211,14 +240,28 @@ pub struct Rewriting {
     pub pieces_done: u64,
 }
 
-/// Where a new version of a model goes. Anything that can be written to is one.
+/// Where a new version of a model goes. Anything that can be written to is one, for formats that replace nothing
+/// in the end.
 pub trait Output: Send {
-    /// Takes the next piece of the new file, which stands for `source_bytes` of the model. The same model,
-    /// rewritten in the same way, comes in the same pieces each time.
+    /// Takes the next piece of the new file, which stands for `source_bytes` of the model, and what other
+    /// places of the file have to know of it. The same model, rewritten in the same way, comes in the same
+    /// pieces each time.
     ///
     /// # Errors
     /// It cannot be written.
-    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64) -> io::Result<()>;
+    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()>;
+
+    /// The summaries of the pieces that are there already, as one.
+    fn summary(&self) -> Summary {
+        Summary::default()
+    }
+
+    /// Replaces bytes of pieces that were written: what the file says at its beginning of what comes later.
+    /// Is called after the last piece, and before [`finish`](Self::finish).
+    ///
+    /// # Errors
+    /// They cannot be replaced.
+    fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()>;
 
     /// Is called after the last piece.
     ///
@@ -228,8 +271,12 @@ pub trait Output: Send {
 }
 
 impl<W: Write + Send> Output for W {
-    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64) -> io::Result<()> {
+    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> io::Result<()> {
         self.write_all(bytes)
+    }
+
+    fn patch(&mut self, _at: u64, _bytes: &[u8]) -> io::Result<()> {
+        Err(io::Error::new(io::ErrorKind::Unsupported, "what was written cannot be replaced in a stream"))
     }
 
     fn finish(&mut self) -> io::Result<()> {

@@ -76,6 +76,8 @@ impl PlyModel {
             random_access: layout.stride.is_some(),
             vertex_bytes: 0,
             face_bytes: 0,
+            integers: None,
+            crs: None,
         };
         let mut starts = Vec::new();
         let vertices_start = if header.encoding == Encoding::Ascii {
