@@ -14,7 +14,7 @@ use std::thread;
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-use crate::{Progress, Result, ScaledIntegers, Summary, Type};
+use crate::{Error, ErrorKind, Progress, Result, ScaledIntegers, Summary, Type};
 
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
 pub const CHUNK_VERTICES: usize = 1 << 16;
@@ -96,14 +96,16 @@ pub struct ModelInfo {
     pub face_bytes: u64,
     /// The whole numbers that positions are stored as, where they are.
     pub integers: Option<ScaledIntegers>,
+    /// Those of what is written: with another offset, where one was [chosen](Model::move_offset).
+    pub written: Option<ScaledIntegers>,
     /// What the file says of its coordinate reference system, as "EPSG:25832" or the name in its WKT.
     pub crs: Option<String>,
 }
 
 impl ModelInfo {
     /// What becomes of a position when it is written to such a file; one that does not fit stays as it is.
-    pub fn written(&self, p: DVec3) -> DVec3 {
-        match (&self.integers, self.position_type) {
+    pub fn rounded(&self, p: DVec3) -> DVec3 {
+        match (&self.written, self.position_type) {
             (Some(integers), _) => integers.nearest(p).map_or(p, |i| integers.position(i)),
             (None, Scalar::F32) => p.as_vec3().as_dvec3(),
             (None, Scalar::F64) => p,
@@ -452,6 +454,19 @@ pub trait Model: Send + Sync {
     /// # Errors
     /// The file cannot be read, or ends early; the user cancelled.
     fn check_complete(&self, progress: &dyn Progress) -> Result<()>;
+
+    /// Lets what is rewritten from now on store its positions with another offset, by so many steps from one
+    /// integer to the next, axis by axis: all integers are written anew.
+    ///
+    /// # Errors
+    /// The format has no integers for positions.
+    fn move_offset(&mut self, _steps: [i64; 3]) -> Result<()> {
+        Err(Error::new(
+            ErrorKind::Argument,
+            format!("{} has no offset that could be another one", self.path().display()),
+            "leave the offset as it is",
+        ))
+    }
 
     /// Streams the whole file to all `outputs` in one reading: each gets a version of its own, with the
     /// positions and normals that `edit` gives its vertices. Every other byte is copied as it is.

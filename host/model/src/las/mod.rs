@@ -27,6 +27,7 @@ use std::path::Path;
 
 use attributes::Places;
 use blocks::Blocks;
+use glam::DVec3;
 use header::Header;
 use laszip::Laszip;
 use reader::Reader;
@@ -34,8 +35,8 @@ use vlrs::{Kind, Records};
 
 use crate::source::Source;
 use crate::{
-    Edit, FaceChunk, FaceReader, Model, ModelInfo, Output, Progress, Result, Rewriting, Scalar, VertexChunk,
-    VertexReader, pipeline,
+    Edit, FaceChunk, FaceReader, Model, ModelInfo, Output, Progress, Result, Rewriting, Scalar,
+    ScaledIntegers, VertexChunk, VertexReader, pipeline,
 };
 
 /// Hint for everything that no correct program writes.
@@ -62,6 +63,8 @@ pub struct LasModel {
     /// Where the points are compressed.
     compressed: Option<(Laszip, Blocks)>,
     info: ModelInfo,
+    /// By how many steps the offset of what is written is another one.
+    shift: [i64; 3],
 }
 
 impl LasModel {
@@ -96,9 +99,15 @@ impl LasModel {
             vertex_bytes,
             face_bytes: 0,
             integers: Some(header.integers),
+            written: Some(header.integers),
             crs: records.crs(&source)?,
         };
-        Ok(Self { source, header, records, places, compressed, info })
+        Ok(Self { source, header, records, places, compressed, info, shift: [0; 3] })
+    }
+
+    /// How positions are stored in what is written.
+    fn written(&self) -> &ScaledIntegers {
+        self.info.written.as_ref().unwrap_or(&self.header.integers)
     }
 
     /// The records of a chunk's vertices.
@@ -164,6 +173,14 @@ impl Model for LasModel {
 
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
         self.source.check_unchanged()
+    }
+
+    fn move_offset(&mut self, steps: [i64; 3]) -> Result<()> {
+        let ScaledIntegers { scale, offset } = self.header.integers;
+        let moved = DVec3::from(steps.map(|n| n as f64)) * scale + offset;
+        self.info.written = Some(ScaledIntegers { scale, offset: moved });
+        self.shift = steps;
+        Ok(())
     }
 
     fn rewrite(

@@ -11,7 +11,7 @@ use super::points::{self, Unfit};
 use super::reader::Reader;
 use crate::bounds::Bounds;
 use crate::pipeline::{Piece, Pieces, Rewritable};
-use crate::{Edited, Error, ErrorKind, Normals, Result, Summary, VertexChunk};
+use crate::{Edited, Error, ErrorKind, Normals, Result, ScaledIntegers, Summary, VertexChunk};
 
 /// Bytes that are copied at a time.
 const CHUNK_BYTES: usize = 4 << 20;
@@ -68,7 +68,7 @@ impl Rewritable for LasModel {
         let unfit = |unfit| self.unfit(first, unfit);
         let VertexChunk { positions, raw, records, blocks, .. } = chunk;
         let record = self.header.record;
-        let grid = (&self.header.integers, [0; 3]);
+        let grid = (self.written(), self.shift);
         let Some((laszip, _)) = &self.compressed else {
             let bytes = if last {
                 raw
@@ -257,6 +257,10 @@ impl LasModel {
     /// Corrects in the header what is known beforehand.
     fn correct_header(&self, bytes: &mut [u8]) {
         let mut put = |at: u64, new: &[u8]| bytes[at as usize..at as usize + new.len()].copy_from_slice(new);
+        for (axis, steps) in self.shift.iter().enumerate().filter(|(_, steps)| **steps != 0) {
+            debug_assert!(*steps != 0);
+            put(at::OFFSETS + 8 * axis as u64, &self.written().offset[axis].to_le_bytes());
+        }
         let [vlrs, evlrs] = [false, true].map(|extended| self.dropped(extended) as u32);
         if vlrs > 0 {
             put(at::VLRS, &(self.header.vlrs - vlrs).to_le_bytes());
@@ -273,13 +277,12 @@ impl LasModel {
         if after.is_empty() {
             return Vec::new();
         }
-        let integers = &self.header.integers;
         // The scale may be negative.
-        let of = |bounds: &Bounds| {
+        let of = |bounds: &Bounds, integers: &ScaledIntegers| {
             let corners = [bounds.min, bounds.max];
             Bounds::of(corners.map(|numbers| numbers * integers.scale + integers.offset))
         };
-        let (before, after) = (of(before), of(after));
+        let (before, after) = (of(before, &self.header.integers), of(after, self.written()));
         let mut patches = Vec::new();
         for axis in 0..3 {
             let sides = [(before.max, after.max), (before.min, after.min)];
@@ -302,7 +305,7 @@ impl LasModel {
             return Error::new(ErrorKind::Degenerate, what, hint);
         }
         let axis = unfit.axis;
-        let range = self.header.integers.range();
+        let range = self.written().range();
         let what = format!(
             "{path}: vertex {vertex} moves to {} = {value}, but with its scale and offset the file holds {} to {} alone",
             ["x", "y", "z"][axis],

@@ -77,6 +77,7 @@ impl PlyModel {
             vertex_bytes: 0,
             face_bytes: 0,
             integers: None,
+            written: None,
             crs: None,
         };
         let mut starts = Vec::new();
