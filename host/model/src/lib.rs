@@ -44,7 +44,7 @@ pub use in_step::{Vertices, in_step};
 pub use model::{
     Attribute, CHUNK_TRIANGLES, CHUNK_VERTICES, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark,
     FaceReader, MAX_VERSIONS, Model, ModelInfo, Normals, Output, RawChunk, Rewriting, SMALL_CHUNK, Scalar,
-    VertexChunk, VertexReader, for_faces, for_faces_at, for_vertices,
+    VertexChunk, VertexReader, for_faces, for_faces_at, for_positions, for_vertices,
 };
 pub use number::Type;
 pub use ply::write_points;

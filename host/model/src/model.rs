@@ -317,6 +317,10 @@ pub trait VertexReader: Send {
     /// From now on chunks have at most so many vertices: [`CHUNK_VERTICES`] until then, and at most.
     fn set_chunk(&mut self, vertices: usize);
 
+    /// From now on nothing is asked of chunks but positions, normals and [raw bytes](VertexChunk::raw): what
+    /// takes time to read besides is left out.
+    fn skip_attributes(&mut self) {}
+
     /// Reads the next vertices into `chunk`, whose buffers are reused; `false` (and an empty chunk) at the
     /// end.
     ///
@@ -351,6 +355,17 @@ const CHUNKS_AHEAD: usize = 3;
 pub fn for_vertices(model: &dyn Model, visit: impl FnMut(&VertexChunk) -> Result<()>) -> Result<()> {
     let mut reader = model.vertices(0..model.info().vertices)?;
     reader.set_chunk(SMALL_CHUNK);
+    read_ahead(move |chunk| reader.read(chunk), visit)
+}
+
+/// The same without the vertices' [attributes](Model::attributes).
+///
+/// # Errors
+/// As of [`for_vertices`].
+pub fn for_positions(model: &dyn Model, visit: impl FnMut(&VertexChunk) -> Result<()>) -> Result<()> {
+    let mut reader = model.vertices(0..model.info().vertices)?;
+    reader.set_chunk(SMALL_CHUNK);
+    reader.skip_attributes();
     read_ahead(move |chunk| reader.read(chunk), visit)
 }
 

@@ -134,6 +134,7 @@ impl Gathering<'_> {
             visit(None)?;
             let mut reader = self.model.vertices(range)?;
             reader.set_chunk(SMALL_CHUNK);
+            reader.skip_attributes();
             while reader.read(&mut chunk)? {
                 progress.check()?;
                 for (i, p) in chunk.positions.iter().enumerate() {

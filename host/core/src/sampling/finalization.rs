@@ -13,7 +13,7 @@ use glam::Vec3;
 use simod_model::bounds::Bounds;
 use simod_model::frame::Frame;
 use simod_model::progress::{Emerging, Visitor};
-use simod_model::{Error, ErrorKind, Model, Progress, Result, for_vertices};
+use simod_model::{Error, ErrorKind, Model, Progress, Result, for_positions};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::cluster::{Element, Moments};
@@ -97,7 +97,7 @@ impl Pass<'_> {
     /// target has come to meanwhile. `None` if `gather` finds no room.
     ///
     /// Memory: that of `gather`, [`Forest`], [`Ranges`] and [`Membership`]; [`MAX_QUEUED`], and two parts of
-    /// a cell on each thread; the chunks of [`for_vertices`]. Not to be called on a thread of the pool that
+    /// a cell on each thread; the chunks of [`for_positions`]. Not to be called on a thread of the pool that
     /// clusters, which it waits for.
     ///
     /// # Errors
@@ -142,7 +142,7 @@ impl Pass<'_> {
             let mut queued = 0usize;
             let mut current: Option<(Bounds, u32)> = None;
 
-            for_vertices(model, |chunk| {
+            for_positions(model, |chunk| {
                 self.progress.check()?;
                 membership.as_mut().map_or(Ok(()), |members| members.look_for_twins(&chunk.positions))?;
                 for (i, p) in chunk.positions.iter().enumerate() {

@@ -209,6 +209,7 @@ impl Parting<'_> {
         for range in ranges {
             let mut reader = self.model.vertices(range)?;
             reader.set_chunk(SMALL_CHUNK);
+            reader.skip_attributes();
             while reader.read(&mut chunk)? {
                 self.progress.check()?;
                 for (i, p) in chunk.positions.iter().enumerate() {

@@ -7,7 +7,7 @@ use laz::record::{
     LayeredPointRecordCompressor, LayeredPointRecordDecompressor, RecordCompressor, RecordDecompressor,
     SequentialPointRecordCompressor, SequentialPointRecordDecompressor,
 };
-use laz::{LazItem, LazItemRecordBuilder, LazItemType, LazVlr};
+use laz::{DecompressionSelection, LazItem, LazItemRecordBuilder, LazItemType, LazVlr};
 
 use super::header::{Header, bytes_at};
 
@@ -23,6 +23,14 @@ pub(super) struct Laszip {
     layers: usize,
     /// How the points lie in blocks.
     pub blocks: Kind,
+}
+
+/// What of compressed points is read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum What {
+    All,
+    /// What takes no time without the rest: in layers, whatever is not asked for is passed over.
+    Positions,
 }
 
 /// How the points of a file lie in blocks.
@@ -94,7 +102,7 @@ impl Laszip {
     }
 
     /// Fills `records` from the bytes of a block; an error is what is wrong with it.
-    pub fn decompress(&self, block: &[u8], records: &mut [u8]) -> Result<(), String> {
+    pub fn decompress(&self, block: &[u8], records: &mut [u8], what: What) -> Result<(), String> {
         if records.is_empty() {
             return Ok(());
         }
@@ -102,10 +110,11 @@ impl Laszip {
             self.check_layers(block, records.len() / self.record)?;
         }
         let work = || {
-            self.decompressor(Cursor::new(block))
-                .map_err(|e| e.to_string())?
-                .decompress_many(records)
-                .map_err(|e| e.to_string())
+            let mut decompressor = self.decompressor(Cursor::new(block)).map_err(|e| e.to_string())?;
+            if what == What::Positions {
+                decompressor.set_selection(DecompressionSelection::xy_returns_channel().decompress_z());
+            }
+            decompressor.decompress_many(records).map_err(|e| e.to_string())
         };
         // Of what is no compressed point, the library's tables may have no entry.
         catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| Err("its bytes mean nothing".to_owned()))

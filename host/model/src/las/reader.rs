@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::thread;
 
 use super::blocks::Blocks;
-use super::laszip::Laszip;
+use super::laszip::{Laszip, What};
 use super::{CUT_OFF, DAMAGED, LasModel, points};
 use crate::model::Block;
 use crate::{CHUNK_VERTICES, Result, VertexChunk, VertexReader};
@@ -20,6 +20,8 @@ pub(super) struct Reader<'a> {
     range: Range<u64>,
     /// Most vertices of a chunk.
     chunk: usize,
+    /// What of compressed vertices is read.
+    what: What,
     /// Blocks that were read ahead, from the one with the next vertex on.
     ahead: VecDeque<Group>,
 }
@@ -40,7 +42,7 @@ impl<'a> Reader<'a> {
     pub fn new(model: &'a LasModel, range: Range<u64>) -> Self {
         let end = range.end.min(model.info.vertices);
         let range = range.start.min(end)..end;
-        Self { model, range, chunk: CHUNK_VERTICES, ahead: VecDeque::new() }
+        Self { model, range, chunk: CHUNK_VERTICES, what: What::All, ahead: VecDeque::new() }
     }
 
     /// Reads the bytes of the next vertices of a file that is not compressed; returns how many, none at the
@@ -102,12 +104,13 @@ impl<'a> Reader<'a> {
             next = group.end;
             groups.push(group);
         }
-        let model = self.model;
+        let (model, what) = (self.model, self.what);
         let read = |group: Range<usize>| {
             let mut read = Group::default();
             model.read_group(blocks, group.clone(), &mut read.raw, &mut read.blocks)?;
             read.first = blocks.start(group.start).0;
-            model.decompress(laszip, (group.start, &read.blocks), &read.raw, &mut read.records)?;
+            let of = (group.start, &read.blocks[..]);
+            model.decompress(laszip, of, &read.raw, &mut read.records, what)?;
             Ok(read)
         };
         let read = thread::scope(|scope| {
@@ -151,6 +154,7 @@ impl LasModel {
         (first, of): (usize, &[Block]),
         raw: &[u8],
         records: &mut Vec<u8>,
+        what: What,
     ) -> Result<()> {
         let record = self.header.record;
         let vertices: u64 = of.iter().map(|block| block.vertices).sum();
@@ -160,7 +164,7 @@ impl LasModel {
         for (number, block) in (first..).zip(of) {
             let (bytes, others) = raw.split_at(block.bytes as usize);
             let (now, later) = records.split_at_mut(block.vertices as usize * record);
-            laszip.decompress(bytes, now).map_err(|what| {
+            laszip.decompress(bytes, now, what).map_err(|what| {
                 self.source.malformed(format!("compressed block {number} cannot be read: {what}"), DAMAGED)
             })?;
             (raw, records) = (others, later);
@@ -181,6 +185,10 @@ impl LasModel {
 impl VertexReader for Reader<'_> {
     fn set_chunk(&mut self, vertices: usize) {
         self.chunk = vertices.clamp(1, CHUNK_VERTICES);
+    }
+
+    fn skip_attributes(&mut self) {
+        self.what = What::Positions;
     }
 
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {

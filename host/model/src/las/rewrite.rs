@@ -7,6 +7,7 @@ use std::ops::Range;
 use super::LasModel;
 use super::blocks::PLACE;
 use super::header::at;
+use super::laszip::What;
 use super::points::{self, Unfit};
 use super::reader::Reader;
 use crate::bounds::Bounds;
@@ -49,7 +50,7 @@ impl Rewritable for LasModel {
         if let Some((laszip, blocks)) = &self.compressed {
             let first = blocks.of_vertex(chunk.first);
             let VertexChunk { raw, records, blocks, .. } = chunk;
-            self.decompress(laszip, (first, blocks), raw, records)?;
+            self.decompress(laszip, (first, blocks), raw, records, What::All)?;
         }
         self.decode_positions(chunk);
         Ok(())
