@@ -10,7 +10,7 @@ and a deformation the same of everything but positions, which have to be where P
 """
 
 import argparse
-import json
+import os
 import pathlib
 import shutil
 import subprocess
@@ -141,44 +141,46 @@ def judge(program, count=60_000):
                 print(f"{what}: off by {off:.4f} at most")
 
 
-def peak_of(done):
-    return json.loads(done.stdout).get("peak_memory_bytes", 0) / 2**20
-
-
 def measure(program, counts):
+    """The best of three runs in turns: seconds, and seconds of processor time."""
     for count in counts:
-        for ending in ("las", "laz"):
+        for format, version, ending in ((6, "1.4", "las"), (6, "1.4", "laz"), (3, "1.2", "laz")):
             with tempfile.TemporaryDirectory() as name:
                 folder = pathlib.Path(name)
                 model = folder / f"m.{ending}"
-                cloud(count, 6, "1.4").write(model)
-
-                def by_laspy():
-                    start = time.perf_counter()
-                    laspy.read(model).write(folder / f"other.{ending}")
-                    return time.perf_counter() - start
-
-                times = {"laspy": [], "sample": [], "reconstruct": []}
+                cloud(count, format, version).write(model)
+                other = f"import laspy; laspy.read('m.{ending}').write('other.{ending}')"
+                sample = ("sample", model.name, "-o", "m.simod", "--samples", 100_000, "--json")
+                line = ("reconstruct", "m.simod", "--deformed", "moved.ply", "-o", f"out.{ending}", "--json")
+                runs = {"laspy": [], "sample": [], "reconstruct": []}
                 for _ in range(3):
                     for old in folder.glob("o*"):
                         old.unlink()
                     shutil.rmtree(folder / "m.simod", ignore_errors=True)
-                    times["laspy"].append(by_laspy())
-                    line = ("sample", model.name, "-o", "m.simod", "--samples", 100_000, "--json")
-                    seconds, sampled = simod(program, *line, folder=folder)
-                    times["sample"].append(seconds)
+                    runs["laspy"].append(timed(sys.executable, "-c", other, folder=folder))
+                    runs["sample"].append(timed(program, *sample, folder=folder))
                     move_samples(folder)
-                    line = ("reconstruct", "m.simod", "--deformed", "moved.ply", "-o", f"out.{ending}", "--json")
-                    seconds, done = simod(program, *line, folder=folder)
-                    times["reconstruct"].append(seconds)
-                best = {name: min(all) for name, all in times.items()}
-                print(
-                    f"{count} points, {ending} of {model.stat().st_size / 2**20:.0f} MiB: laspy {best['laspy']:.2f} s; "
-                    f"sample {best['sample']:.2f} s ({best['sample'] / best['laspy']:.2f}), {peak_of(sampled):.0f} MiB; "
-                    f"reconstruct {best['reconstruct']:.2f} s ({best['reconstruct'] / best['laspy']:.2f}), "
-                    f"{peak_of(done):.0f} MiB",
-                    flush=True,
-                )
+                    runs["reconstruct"].append(timed(program, *line, folder=folder))
+                size = model.stat().st_size / 2**20
+                print(f"{count} points of format {format}, {ending} of {size:.0f} MiB")
+                best = {name: [min(all) for all in zip(*runs)] for name, runs in runs.items()}
+                for name, (wall, cpu, peak) in best.items():
+                    ratios = wall / best["laspy"][0], cpu / best["laspy"][1]
+                    print(
+                        f"  {name}: {wall:.2f} s ({ratios[0]:.2f} times laspy), {cpu:.2f} s of processor time "
+                        f"({ratios[1]:.2f}), {peak:.0f} MiB",
+                        flush=True,
+                    )
+
+
+def timed(*words, folder):
+    """Seconds, seconds of processor time, and the peak of memory in MiB, of a command."""
+    start = time.perf_counter()
+    process = subprocess.Popen([*map(str, words)], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0, words
+    return time.perf_counter() - start, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
 
 
 if __name__ == "__main__":

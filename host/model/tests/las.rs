@@ -739,8 +739,14 @@ fn spec() -> impl Strategy<Value = (Spec, Vec<[i32; 3]>)> {
     )
 }
 
+/// So many, unless the environment says how many.
+fn cases(count: u32) -> ProptestConfig {
+    let usual = ProptestConfig::default();
+    if std::env::var_os("PROPTEST_CASES").is_some() { usual } else { ProptestConfig { cases: count, ..usual } }
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
+    #![proptest_config(cases(64))]
 
     #[test]
     fn any_file_comes_through((spec, positions) in spec(), part in 0.0..1.0f64) {
@@ -765,6 +771,49 @@ proptest! {
         if let Err(error) = rewritten(&bytes, |p| p + 1.0) {
             prop_assert!(!error.hint().is_empty());
         }
+    }
+}
+
+#[test]
+fn positions_alone_are_the_same_and_so_are_the_bytes() {
+    for (minor, format) in formats() {
+        for packing in [Packing::Plain, Packing::Fixed(300), Packing::Variable(50)] {
+            let bytes = Spec { extra: 2, ..Spec::new(minor, format) }.packed(packing).build(&hills(1000));
+            let file = file(&bytes);
+            let model = open(file.path()).unwrap();
+            let (expected, _, raw) = read(model.as_ref(), 0, 77);
+            let mut reader = model.vertices(0..1000).unwrap();
+            reader.skip_attributes();
+            reader.set_chunk(77);
+            let (mut chunk, mut positions, mut bytes) = (VertexChunk::default(), Vec::new(), Vec::new());
+            while reader.read(&mut chunk).unwrap() {
+                positions.extend_from_slice(&chunk.positions);
+                bytes.extend_from_slice(chunk.raw());
+            }
+            assert!(positions == expected && bytes == raw);
+        }
+    }
+}
+
+#[test]
+fn another_offset_leaves_positions_where_they_are() {
+    for packing in [Packing::Plain, Packing::Fixed(300)] {
+        let bytes = Spec::new(4, 7).packed(packing).build(&hills(1000));
+        let file = file(&bytes);
+        let mut model = open(file.path()).unwrap();
+        model.move_offset([3_000_000_000, 0, -70]).unwrap();
+        let mut out = Memory::default();
+        let edit = |_: &VertexChunk, versions: &mut [Edited]| {
+            versions.iter_mut().for_each(|v| v.positions.iter_mut().for_each(|p| p.x += 3e7));
+            Ok(())
+        };
+        model.rewrite(&mut [&mut out], Rewriting::default(), &edit, &Silent).unwrap();
+        let (before, after) = (parse(&bytes), parse(&out.0));
+        for (old, new) in before.positions.iter().zip(&after.positions) {
+            assert!((*new - *old - DVec3::X * 3e7).abs().max_element() < 1e-6);
+        }
+        assert_eq!(after.bounds[5], after.positions.iter().map(|p| p.z).fold(f64::INFINITY, f64::min));
+        assert_eq!(after.records[8..12], (-900i32 + 70).to_le_bytes());
     }
 }
 
