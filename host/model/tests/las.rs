@@ -135,6 +135,7 @@ impl Spec {
         let mut vlrs = Vec::new();
         if self.copc {
             vlrs.push(Self::vlr(b"copc", 1, &[3; 160]));
+            vlrs.push(Self::vlr(b"copc", 10_000, &[5; 20]));
         }
         vlrs.push(Self::vlr(b"LASF_Projection", 2112, b"PROJCS[\"ETRS89 / UTM zone 32N\",GEOGCS[]]\0"));
         if self.packing != Packing::Plain {
@@ -742,7 +743,11 @@ fn spec() -> impl Strategy<Value = (Spec, Vec<[i32; 3]>)> {
 /// So many, unless the environment says how many.
 fn cases(count: u32) -> ProptestConfig {
     let usual = ProptestConfig::default();
-    if std::env::var_os("PROPTEST_CASES").is_some() { usual } else { ProptestConfig { cases: count, ..usual } }
+    if std::env::var_os("PROPTEST_CASES").is_some() {
+        usual
+    } else {
+        ProptestConfig { cases: count, ..usual }
+    }
 }
 
 proptest! {

@@ -6,9 +6,8 @@ use std::ops::Range;
 use laz::LazVlrBuilder;
 use laz::laszip::{ChunkTable, ChunkTableEntry};
 
-use super::header::Header;
+use super::header::{CUT_OFF, DAMAGED, Header};
 use super::laszip::{Kind, Laszip};
-use super::{CUT_OFF, DAMAGED};
 use crate::model::Block;
 use crate::source::Source;
 use crate::{CHUNK_VERTICES, Result};

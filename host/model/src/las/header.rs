@@ -2,9 +2,14 @@
 
 use glam::DVec3;
 
-use super::{CUT_OFF, DAMAGED};
 use crate::source::Source;
 use crate::{Result, ScaledIntegers};
+
+/// Hint for everything that no correct program writes.
+pub(super) const DAMAGED: &str = "the file is damaged: copy or export it again";
+
+/// Hint where something is missing.
+pub(super) const CUT_OFF: &str = "the file is cut off, or its header lies: copy or export it again";
 
 /// What a file begins with.
 pub(super) const MAGIC: &[u8] = b"LASF";

@@ -5,8 +5,10 @@ use std::ops::Range;
 use std::thread;
 
 use super::blocks::Blocks;
+use super::file::LasModel;
+use super::header::{CUT_OFF, DAMAGED};
 use super::laszip::{Laszip, What};
-use super::{CUT_OFF, DAMAGED, LasModel, points};
+use super::points;
 use crate::model::Block;
 use crate::{CHUNK_VERTICES, Result, VertexChunk, VertexReader};
 

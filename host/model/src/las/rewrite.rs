@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 use std::io;
 use std::ops::Range;
 
-use super::LasModel;
 use super::blocks::PLACE;
+use super::file::LasModel;
 use super::header::at;
 use super::laszip::What;
 use super::points::{self, Unfit};

@@ -3,8 +3,7 @@
 
 use std::ops::Range;
 
-use super::header::{Header, bytes_at};
-use super::{CUT_OFF, DAMAGED};
+use super::header::{CUT_OFF, DAMAGED, Header, bytes_at};
 use crate::Result;
 use crate::source::Source;
 
@@ -16,10 +15,8 @@ const MOST_OF_CRS: u64 = 1 << 20;
 pub(super) enum Kind {
     /// How the points are compressed.
     Laszip,
-    /// What COPC says of its octree.
-    CopcInfo,
-    /// That octree.
-    CopcHierarchy,
+    /// The octree of COPC, and what COPC says of it.
+    Copc,
     /// What extra bytes are.
     ExtraBytes,
     /// The coordinate reference system as text.
@@ -94,15 +91,14 @@ impl Records {
         let user = bytes[2..18].split(|byte| *byte == 0).next().unwrap_or_default();
         let kind = match (user, u16::from_le_bytes(bytes_at(bytes, 18))) {
             (b"laszip encoded", 22204) => Kind::Laszip,
-            (b"copc", 1) => Kind::CopcInfo,
-            (b"copc", 1000) => Kind::CopcHierarchy,
+            (b"copc", _) => Kind::Copc,
             (b"LASF_Spec", 4) => Kind::ExtraBytes,
             (b"LASF_Projection", 2112) => Kind::Wkt,
             (b"LASF_Projection", 34735) => Kind::GeoKeys,
             _ => return Ok(Some(behind)),
         };
         // One of each, and those of COPC, all of which go: a file of many such records is no reason to hold them.
-        if matches!(kind, Kind::CopcInfo | Kind::CopcHierarchy) || self.find(kind).is_none() {
+        if kind == Kind::Copc || self.find(kind).is_none() {
             self.records.push(Record { kind, all: at..behind, content: content..behind, is_extended });
         }
         Ok(Some(behind))
@@ -114,7 +110,7 @@ impl Records {
 
     /// What belongs to the octree of COPC.
     pub fn of_copc(&self) -> impl Iterator<Item = &Record> {
-        self.records.iter().filter(|record| matches!(record.kind, Kind::CopcInfo | Kind::CopcHierarchy))
+        self.records.iter().filter(|record| record.kind == Kind::Copc)
     }
 
     /// The content of a record, but no more than so many bytes.
