@@ -8,8 +8,8 @@ use std::io::{self, Cursor, Write};
 use std::path::Path;
 
 use glam::DVec3;
-use laz::laszip::{LazItemRecordBuilder, LazVlrBuilder};
-use laz::{LasZipCompressor, LasZipDecompressor, LazVlr};
+use laz::las::{Point1, Point3, Point6, Point7};
+use laz::{LasZipCompressor, LasZipDecompressor, LazItem, LazItemRecordBuilder, LazVlr, LazVlrBuilder};
 use proptest::prelude::*;
 use simod_model::progress::Silent;
 use simod_model::{
@@ -51,6 +51,8 @@ struct Spec {
     /// Contents of EVLRs, and what follows behind them.
     evlrs: Vec<Vec<u8>>,
     copc: bool,
+    /// How points are compressed, if not as usual.
+    items: Option<Vec<LazItem>>,
     behind: Vec<u8>,
 }
 
@@ -66,6 +68,7 @@ impl Spec {
             table: Table::AtFront,
             evlrs: Vec::new(),
             copc: false,
+            items: None,
             behind: Vec::new(),
         }
     }
@@ -105,7 +108,8 @@ impl Spec {
     }
 
     fn laz_vlr(&self) -> LazVlr {
-        let builder = LazVlrBuilder::default().with_point_format(self.format, self.extra as u16).unwrap();
+        let usual = LazItemRecordBuilder::default_for_point_format_id(self.format, self.extra as u16);
+        let builder = LazVlrBuilder::new(self.items.clone().unwrap_or_else(|| usual.unwrap()));
         match self.packing {
             Packing::Fixed(size) => builder.with_fixed_chunk_size(size),
             _ => builder.with_variable_chunk_size(),
@@ -515,6 +519,27 @@ fn positions_move_and_the_rest_stays() {
 }
 
 #[test]
+fn all_versions_of_the_compression() {
+    let items = [
+        (1, LazItemRecordBuilder::version_1_of::<Point1>(2)),
+        (3, LazItemRecordBuilder::version_2_of::<Point3>(2)),
+        (6, LazItemRecordBuilder::version_3_of::<Point6>(2)),
+        (6, LazItemRecordBuilder::version_4_of::<Point6>(2)),
+        (7, LazItemRecordBuilder::version_4_of::<Point7>(2)),
+    ];
+    for (format, items) in items {
+        let spec = Spec { extra: 2, items: Some(items), ..Spec::new(4, format) }.packed(Packing::Fixed(90));
+        let bytes = spec.build(&hills(500));
+        assert!(rewritten(&bytes, |p| p).unwrap() == bytes);
+        check_moved(&spec, &hills(500), wave);
+    }
+    let items = Some(LazItemRecordBuilder::version_1_of::<Point3>(0));
+    let spec = Spec { items, ..Spec::new(2, 3) }.packed(Packing::Fixed(90));
+    let error = refused(&spec.build(&hills(500)));
+    assert!(error.to_string().contains("colours of the first version"), "{error}");
+}
+
+#[test]
 fn the_octree_of_copc_is_left_out() {
     for format in 6..=8 {
         for evlrs in [vec![], vec![b"one".to_vec(), b"two".to_vec(), b"three".to_vec()]] {
@@ -751,7 +776,7 @@ fn cases(count: u32) -> ProptestConfig {
 }
 
 proptest! {
-    #![proptest_config(cases(64))]
+    #![proptest_config(cases(32))]
 
     #[test]
     fn any_file_comes_through((spec, positions) in spec(), part in 0.0..1.0f64) {

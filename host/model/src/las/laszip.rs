@@ -57,6 +57,10 @@ impl Laszip {
         if kinds(&items) != expected {
             return Err(format!("it lists {:?}, where the points are {expected:?}", kinds(&items)));
         }
+        // The library forgets to clear what a colour's upper byte was.
+        if items.iter().any(|item| (item.item_type(), item.version()) == (LazItemType::RGB12, 1)) {
+            return Err("colours of the first version of LASzip are not read as they are".to_owned());
+        }
         let is_layered = match compressor {
             1 | 2 => false,
             3 => true,
