@@ -89,6 +89,8 @@ pub struct ModelInfo {
     pub bytes: u64,
     /// Whether reading can begin at any vertex without going over those before it.
     pub random_access: bool,
+    /// Vertices that are read at least, wherever reading begins: those of a compressed block, or else one.
+    pub block_vertices: u64,
     /// Bytes of the file that hold vertices (what one streaming pass reads). In a text file where other
     /// things follow the vertices, an estimate.
     pub vertex_bytes: u64,
@@ -103,6 +105,11 @@ pub struct ModelInfo {
 }
 
 impl ModelInfo {
+    /// Vertices of no interest between two others that are better read as well than passed over.
+    pub fn near(&self) -> u64 {
+        if self.random_access { self.block_vertices - 1 } else { u64::MAX }
+    }
+
     /// What becomes of a position when it is written to such a file; one that does not fit stays as it is.
     pub fn rounded(&self, p: DVec3) -> DVec3 {
         match (&self.written, self.position_type) {

@@ -215,6 +215,12 @@ impl Blocks {
         Block { vertices: end - first, bytes: behind - start }
     }
 
+    /// Vertices of the largest group of blocks that are read at a time, about.
+    pub fn most_vertices(&self) -> u64 {
+        let largest = (0..self.len()).map(|number| self.block(number).vertices).max().unwrap_or(1);
+        largest.max((CHUNK_VERTICES as u64).min(self.starts[self.len()].0)).max(1)
+    }
+
     /// The first vertex of a block, and where it begins.
     pub fn start(&self, number: usize) -> (u64, u64) {
         self.starts[number]

@@ -54,6 +54,7 @@ impl LasModel {
             attributes: places.attributes.clone(),
             bytes: source.len(),
             random_access: true,
+            block_vertices: compressed.as_ref().map_or(1, |(_, blocks)| blocks.most_vertices()),
             vertex_bytes,
             face_bytes: 0,
             integers: Some(header.integers),
