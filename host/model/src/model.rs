@@ -79,7 +79,7 @@ pub struct ModelInfo {
     pub faces: u64,
     /// Whether each vertex has a normal.
     pub has_normals: bool,
-    /// The type of the positions.
+    /// The type of the positions: what holds them exactly, where they are [integers](Self::integers).
     pub position_type: Scalar,
     /// Vertex properties other than position and normal, in the file's order, as "uchar red".
     pub other_properties: Vec<String>,
