@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::source::Source;
-use crate::{Model, Result, ply};
+use crate::{Model, Result, las, ply};
 
 /// Opens a model, of whatever format its content is (its name does not matter).
 ///
@@ -16,6 +16,11 @@ pub fn open(path: &Path) -> Result<Box<dyn Model>> {
     if ply::is_ply(&start[..read]) {
         return Ok(Box::new(ply::PlyModel::new(source)?));
     }
+    if las::is_las(&start[..read]) {
+        return Ok(Box::new(las::LasModel::new(source)?));
+    }
     let what = format!("no model of a known format: it begins with \"{}\"", start[..read].escape_ascii());
-    Err(source.malformed(what, "PLY files can be read, which begin with \"ply\": export the model as PLY"))
+    let hint = "PLY files can be read, which begin with \"ply\", and LAS and LAZ, which begin with \"LASF\": export \
+                the model as one of these";
+    Err(source.malformed(what, hint))
 }

@@ -70,6 +70,7 @@ pub fn in_step(
     for model in models {
         let mut reader = model.vertices(0..vertices)?;
         reader.set_chunk(SMALL_CHUNK);
+        reader.skip_attributes();
         cursors.push(Cursor { reader, chunk: VertexChunk::default(), used: 0 });
     }
     let per_vertex = first.info().vertex_bytes / vertices.max(1);

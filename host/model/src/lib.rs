@@ -19,6 +19,7 @@ pub mod frame;
 pub mod histogram;
 mod in_step;
 pub mod input;
+mod las;
 pub mod memory;
 mod model;
 mod number;
@@ -29,9 +30,11 @@ mod ply;
 mod positioned;
 pub mod progress;
 pub mod resumable;
+mod scaled;
 pub mod scratch;
 pub mod size;
 mod source;
+mod summary;
 pub mod target;
 mod uncached;
 
@@ -41,8 +44,10 @@ pub use in_step::{Vertices, in_step};
 pub use model::{
     Attribute, CHUNK_TRIANGLES, CHUNK_VERTICES, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark,
     FaceReader, MAX_VERSIONS, Model, ModelInfo, Normals, Output, RawChunk, Rewriting, SMALL_CHUNK, Scalar,
-    VertexChunk, VertexReader, for_faces, for_faces_at, for_vertices,
+    VertexChunk, VertexReader, for_faces, for_faces_at, for_positions, for_vertices,
 };
 pub use number::Type;
 pub use ply::write_points;
 pub use progress::Progress;
+pub use scaled::ScaledIntegers;
+pub use summary::Summary;

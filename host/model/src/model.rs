@@ -14,7 +14,7 @@ use std::thread;
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-use crate::{Progress, Result, Type};
+use crate::{Error, ErrorKind, Progress, Result, ScaledIntegers, Summary, Type};
 
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
 pub const CHUNK_VERTICES: usize = 1 << 16;
@@ -79,7 +79,7 @@ pub struct ModelInfo {
     pub faces: u64,
     /// Whether each vertex has a normal.
     pub has_normals: bool,
-    /// The type of the positions.
+    /// The type of the positions: what holds them exactly, where they are [integers](Self::integers).
     pub position_type: Scalar,
     /// Vertex properties other than position and normal, in the file's order, as "uchar red".
     pub other_properties: Vec<String>,
@@ -89,11 +89,35 @@ pub struct ModelInfo {
     pub bytes: u64,
     /// Whether reading can begin at any vertex without going over those before it.
     pub random_access: bool,
+    /// Vertices that are read at least, wherever reading begins: those of a compressed block, or else one.
+    pub block_vertices: u64,
     /// Bytes of the file that hold vertices (what one streaming pass reads). In a text file where other
     /// things follow the vertices, an estimate.
     pub vertex_bytes: u64,
     /// Bytes of the file that hold faces which have triangles. In a text file, an estimate.
     pub face_bytes: u64,
+    /// The whole numbers that positions are stored as, where they are.
+    pub integers: Option<ScaledIntegers>,
+    /// Those of what is written: with another offset, where one was [chosen](Model::move_offset).
+    pub written: Option<ScaledIntegers>,
+    /// What the file says of its coordinate reference system, as "EPSG:25832" or the name in its WKT.
+    pub crs: Option<String>,
+}
+
+impl ModelInfo {
+    /// Vertices of no interest between two others that are better read as well than passed over.
+    pub fn near(&self) -> u64 {
+        if self.random_access { self.block_vertices - 1 } else { u64::MAX }
+    }
+
+    /// What becomes of a position when it is written to such a file; one that does not fit stays as it is.
+    pub fn rounded(&self, p: DVec3) -> DVec3 {
+        match (&self.written, self.position_type) {
+            (Some(integers), _) => integers.nearest(p).map_or(p, |i| integers.position(i)),
+            (None, Scalar::F32) => p.as_vec3().as_dvec3(),
+            (None, Scalar::F64) => p,
+        }
+    }
 }
 
 /// A run of consecutive vertices, in the file's order.
@@ -105,8 +129,13 @@ pub struct VertexChunk {
     pub positions: Vec<DVec3>,
     /// Normals as stored, so not always of unit length or finite; empty where the model has none.
     pub normals: Vec<Vec3>,
-    /// The bytes of the file that these vertices were read from.
+    /// The bytes of the file that these vertices were read from; in a compressed file those of whole blocks,
+    /// each with the first chunk that was read of it.
     pub(crate) raw: Vec<u8>,
+    /// Their records, where `raw` is compressed.
+    pub(crate) records: Vec<u8>,
+    /// How many vertices each of the compressed blocks in `raw` has, and how many bytes.
+    pub(crate) blocks: Vec<Block>,
     /// Where in `raw` each vertex' numbers lie; what it means is the format's business.
     pub(crate) spans: Vec<[u32; 2]>,
 }
@@ -124,11 +153,20 @@ impl VertexChunk {
         self.positions.is_empty()
     }
 
-    /// The bytes of the file that these vertices were read from.
+    /// The bytes of the file that these vertices were read from. Those of a compressed block, which hold more
+    /// vertices than a chunk does, come with the first of its chunks alone: all chunks of a model together
+    /// have all bytes, once.
     #[inline]
     pub fn raw(&self) -> &[u8] {
         &self.raw
     }
+}
+
+/// A compressed block of a file, which can be read without the others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Block {
+    pub(crate) vertices: u64,
+    pub(crate) bytes: u64,
 }
 
 /// What the vertices of a chunk become in one version of the model.
@@ -211,14 +249,28 @@ pub struct Rewriting {
     pub pieces_done: u64,
 }
 
-/// Where a new version of a model goes. Anything that can be written to is one.
+/// Where a new version of a model goes. Anything that can be written to is one, for formats that replace nothing
+/// in the end.
 pub trait Output: Send {
-    /// Takes the next piece of the new file, which stands for `source_bytes` of the model. The same model,
-    /// rewritten in the same way, comes in the same pieces each time.
+    /// Takes the next piece of the new file, which stands for `source_bytes` of the model, and what other
+    /// places of the file have to know of it. The same model, rewritten in the same way, comes in the same
+    /// pieces each time.
     ///
     /// # Errors
     /// It cannot be written.
-    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64) -> io::Result<()>;
+    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()>;
+
+    /// The summaries of the pieces that are there already, as one.
+    fn summary(&self) -> Summary {
+        Summary::default()
+    }
+
+    /// Replaces bytes of pieces that were written: what the file says at its beginning of what comes later.
+    /// Is called after the last piece, and before [`finish`](Self::finish).
+    ///
+    /// # Errors
+    /// They cannot be replaced.
+    fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()>;
 
     /// Is called after the last piece.
     ///
@@ -228,8 +280,12 @@ pub trait Output: Send {
 }
 
 impl<W: Write + Send> Output for W {
-    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64) -> io::Result<()> {
+    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> io::Result<()> {
         self.write_all(bytes)
+    }
+
+    fn patch(&mut self, _at: u64, _bytes: &[u8]) -> io::Result<()> {
+        Err(io::Error::new(io::ErrorKind::Unsupported, "what was written cannot be replaced in a stream"))
     }
 
     fn finish(&mut self) -> io::Result<()> {
@@ -268,6 +324,10 @@ pub trait VertexReader: Send {
     /// From now on chunks have at most so many vertices: [`CHUNK_VERTICES`] until then, and at most.
     fn set_chunk(&mut self, vertices: usize);
 
+    /// From now on nothing is asked of chunks but positions, normals and [raw bytes](VertexChunk::raw): what
+    /// takes time to read besides is left out.
+    fn skip_attributes(&mut self) {}
+
     /// Reads the next vertices into `chunk`, whose buffers are reused; `false` (and an empty chunk) at the
     /// end.
     ///
@@ -302,6 +362,17 @@ const CHUNKS_AHEAD: usize = 3;
 pub fn for_vertices(model: &dyn Model, visit: impl FnMut(&VertexChunk) -> Result<()>) -> Result<()> {
     let mut reader = model.vertices(0..model.info().vertices)?;
     reader.set_chunk(SMALL_CHUNK);
+    read_ahead(move |chunk| reader.read(chunk), visit)
+}
+
+/// The same without the vertices' [attributes](Model::attributes).
+///
+/// # Errors
+/// As of [`for_vertices`].
+pub fn for_positions(model: &dyn Model, visit: impl FnMut(&VertexChunk) -> Result<()>) -> Result<()> {
+    let mut reader = model.vertices(0..model.info().vertices)?;
+    reader.set_chunk(SMALL_CHUNK);
+    reader.skip_attributes();
     read_ahead(move |chunk| reader.read(chunk), visit)
 }
 
@@ -373,6 +444,12 @@ pub trait Model: Send + Sync {
     /// The file cannot be read.
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
 
+    /// Whether [`vertices`](Self::vertices) reads those of the range alone: neither all before them, as in text,
+    /// nor others of the same compressed block.
+    fn reads_exactly(&self) -> bool {
+        self.info().random_access
+    }
+
     /// The numbers of the [first attributes](ModelInfo::attributes), as many as there are lists, one for each
     /// vertex of a chunk that was read from this model. What the lists held is gone.
     ///
@@ -405,6 +482,19 @@ pub trait Model: Send + Sync {
     /// # Errors
     /// The file cannot be read, or ends early; the user cancelled.
     fn check_complete(&self, progress: &dyn Progress) -> Result<()>;
+
+    /// Lets what is rewritten from now on store its positions with another offset, by so many steps from one
+    /// integer to the next, axis by axis: all integers are written anew.
+    ///
+    /// # Errors
+    /// The format has no integers for positions.
+    fn move_offset(&mut self, _steps: [i64; 3]) -> Result<()> {
+        Err(Error::new(
+            ErrorKind::Argument,
+            format!("{} has no offset that could be another one", self.path().display()),
+            "leave the offset as it is",
+        ))
+    }
 
     /// Streams the whole file to all `outputs` in one reading: each gets a version of its own, with the
     /// positions and normals that `edit` gives its vertices. Every other byte is copied as it is.

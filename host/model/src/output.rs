@@ -6,13 +6,13 @@
 //! `claim`). Models, which take long, are written in parts (`resumable`).
 
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
 
 use crate::claim::Claim;
 use crate::size::human_size;
 use crate::target::{folder_of, regular_target};
-use crate::{Error, ErrorKind, Result};
+use crate::{Error, ErrorKind, Output, Result, Summary};
 
 /// Bytes collected before they are written; longer writes go straight through.
 const BUFFER: usize = 1 << 18;
@@ -53,6 +53,11 @@ impl OutputFile {
         commit().map_err(|e| claim.failed(&e))
     }
 
+    /// As what a model can be written to, whose bytes may be replaced in the end.
+    pub fn replaceable(&mut self) -> Replaceable<'_> {
+        Replaceable(self)
+    }
+
     /// A refusal with the file's name, packed so that it passes through [`Write`].
     fn named(&self, error: &io::Error) -> io::Error {
         io::Error::new(error.kind(), self.claim.failed(error))
@@ -70,6 +75,26 @@ impl Write for OutputFile {
 
     fn flush(&mut self) -> io::Result<()> {
         self.writer.flush().map_err(|e| self.named(&e))
+    }
+}
+
+/// A file in the making as an output of a model: see [`OutputFile::replaceable`].
+#[derive(Debug)]
+pub struct Replaceable<'a>(&'a mut OutputFile);
+
+impl Output for Replaceable<'_> {
+    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> io::Result<()> {
+        self.0.write_all(bytes)
+    }
+
+    fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        let writer = &mut self.0.writer;
+        let patched = writer.seek(SeekFrom::Start(at)).and_then(|_| writer.write_all(bytes));
+        patched.map_err(|e| self.0.named(&e))
+    }
+
+    fn finish(&mut self) -> io::Result<()> {
+        self.0.flush()
     }
 }
 

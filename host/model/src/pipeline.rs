@@ -11,7 +11,7 @@ use std::io;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
-use super::{Edit, Edited, MAX_VERSIONS, Normals, Output, RawChunk, Rewriting, VertexChunk};
+use super::{Edit, Edited, MAX_VERSIONS, Normals, Output, RawChunk, Rewriting, Summary, VertexChunk};
 use crate::{Error, ErrorKind, Progress, Result};
 
 /// Pieces that are between reading and writing, beside one for each thread: so that a thread whose piece has
@@ -28,7 +28,7 @@ pub(crate) trait Rewritable: Sync {
 
     /// Makes the bytes of the file for a version of a chunk: in `buffer`, whatever that held, or in the
     /// chunk's own bytes, if `last` says that no further version is made of them. Returns whether they are in
-    /// `buffer`.
+    /// `buffer`. What other places of the file have to know of it goes to `summary`, which is empty before.
     fn encode(
         &self,
         chunk: &mut VertexChunk,
@@ -36,7 +36,18 @@ pub(crate) trait Rewritable: Sync {
         normals: Normals,
         last: bool,
         buffer: &mut Vec<u8>,
+        summary: &mut Summary,
     ) -> Result<bool>;
+
+    /// The bytes of a [piece](Piece::Made) that follows from what became of all pieces before it.
+    fn make(&self, _before: &Summary) -> Result<Vec<u8>> {
+        Ok(Vec::new())
+    }
+
+    /// What has to be replaced in the new file once all pieces are there: places, and their bytes.
+    fn patches(&self, _all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
+        Ok(Vec::new())
+    }
 
     /// What to say if the output cannot be written.
     fn write_error(&self, error: &io::Error) -> Error;
@@ -54,6 +65,8 @@ pub(crate) enum Piece {
     Vertices(usize),
     /// Bytes to be copied.
     Bytes,
+    /// Bytes in whose place others are [made](Rewritable::make).
+    Made,
     /// Nothing: the file was read whole.
     End,
 }
@@ -84,7 +97,13 @@ pub(crate) fn rewrite(
         progress,
         most: (threads + WAITING) as u64,
         reading: Mutex::new(Reading { pieces, next: 0, is_over: false }),
-        queue: Mutex::new(Queue { outputs: Some(outputs), ..Queue::default() }),
+        queue: Mutex::new(Queue {
+            writing: Some(Writing {
+                summaries: outputs.iter().map(|output| output.summary()).collect(),
+                outputs,
+            }),
+            ..Queue::default()
+        }),
         moved: Condvar::new(),
     };
     // Threads of their own: one of the pool's that waits for a piece could be needed to finish that piece.
@@ -95,12 +114,17 @@ pub(crate) fn rewrite(
             other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         }
     });
-    let Queue { outputs, failed, .. } = work.queue.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let Queue { writing, failed, .. } = work.queue.into_inner().unwrap_or_else(PoisonError::into_inner);
     if let Some((_, error)) = failed {
         return Err(error);
     }
-    let finish = |output: &mut &mut dyn Output| output.finish();
-    outputs.unwrap_or_default().iter_mut().try_for_each(finish).map_err(|e| failed_write(file, e))
+    let Some(Writing { outputs, summaries }) = writing else { return Ok(()) };
+    for (output, summary) in outputs.iter_mut().zip(&summaries) {
+        let patches = file.patches(summary)?;
+        let patched = patches.iter().try_for_each(|(at, bytes)| output.patch(*at, bytes));
+        patched.and_then(|()| output.finish()).map_err(|e| failed_write(file, e))?;
+    }
+    Ok(())
 }
 
 /// A call of [`rewrite`].
@@ -130,7 +154,7 @@ struct Reading<'a> {
 #[derive(Default)]
 struct Queue<'a, 'o> {
     /// Where it goes: not there while a thread writes.
-    outputs: Option<&'a mut [&'o mut dyn Output]>,
+    writing: Option<Writing<'a, 'o>>,
     /// By their numbers.
     ready: BTreeMap<u64, Ready>,
     /// Number of pieces that were taken, and of those that are written.
@@ -144,7 +168,14 @@ struct Queue<'a, 'o> {
     spare: Vec<Vec<u8>>,
 }
 
+/// The outputs, and what is known of the pieces that each has.
+struct Writing<'a, 'o> {
+    outputs: &'a mut [&'o mut dyn Output],
+    summaries: Vec<Summary>,
+}
+
 /// A piece as it goes to the outputs.
+#[derive(Default)]
 struct Ready {
     /// The first of its vertices, if they were edited.
     edited: Option<u64>,
@@ -152,6 +183,10 @@ struct Ready {
     source_bytes: u64,
     /// The bytes for each output; one for all of them if there are no vertices, and none if they have it.
     versions: Vec<Vec<u8>>,
+    /// Of each version of vertices.
+    summaries: Vec<Summary>,
+    /// The bytes are made when it is written.
+    is_made: bool,
 }
 
 /// What a thread works with.
@@ -211,18 +246,19 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
             Ok(piece)
         });
         reading.next += 1;
-        reading.is_over = !matches!(piece, Ok(Piece::Vertices(_) | Piece::Bytes));
+        reading.is_over = !matches!(piece, Ok(Piece::Vertices(_) | Piece::Bytes | Piece::Made));
         (number, piece)
     }
 
     /// What a piece becomes; nothing at the end of the file.
     fn process(&self, number: u64, piece: &Piece, bench: &mut Bench) -> Result<Option<Ready>> {
         let Bench { chunk, edited } = bench;
-        let mut ready = Ready { edited: None, source_bytes: chunk.raw.len() as u64, versions: Vec::new() };
+        let mut ready = Ready { source_bytes: chunk.raw.len() as u64, ..Ready::default() };
         match piece {
             Piece::End => return Ok(None),
             _ if number < self.how.pieces_done => {}
             Piece::Bytes => ready.versions.push(std::mem::take(&mut chunk.raw)),
+            Piece::Made => ready.is_made = true,
             Piece::Vertices(_) => {
                 self.file.decode(chunk)?;
                 edited.iter_mut().for_each(|version| version.reset(chunk, self.how.normals));
@@ -232,10 +268,12 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
                     edited.check(chunk, self.how.normals)?;
                     let mut buffer = self.queue().spare.pop().unwrap_or_default();
                     let last = version + 1 == self.versions;
-                    if !self.file.encode(chunk, edited, self.how.normals, last, &mut buffer)? {
+                    let (normals, mut summary) = (self.how.normals, Summary::default());
+                    if !self.file.encode(chunk, edited, normals, last, &mut buffer, &mut summary)? {
                         std::mem::swap(&mut buffer, &mut chunk.raw);
                     }
                     ready.versions.push(buffer);
+                    ready.summaries.push(summary);
                 }
             }
         }
@@ -246,12 +284,12 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
     fn hand_in(&self, number: u64, ready: Ready) {
         let mut queue = self.queue();
         queue.ready.insert(number, ready);
-        let Some(outputs) = queue.outputs.take() else { return };
+        let Some(mut writing) = queue.writing.take() else { return };
         loop {
             let next = queue.written;
             let Some(ready) = queue.ready.remove(&next).filter(|_| queue.is_wanted(next)) else { break };
             drop(queue);
-            let written = self.write(outputs, &ready);
+            let written = self.write(&mut writing, &ready);
             if let Err(error) = written {
                 self.end(Some((next, error)));
             }
@@ -263,20 +301,26 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
             }
             self.moved.notify_all();
         }
-        queue.outputs = Some(outputs);
+        queue.writing = Some(writing);
     }
 
-    fn write(&self, outputs: &mut [&mut dyn Output], ready: &Ready) -> Result<()> {
+    fn write(&self, writing: &mut Writing<'_, '_>, ready: &Ready) -> Result<()> {
         // Here too: what is in flight need not be written any more.
         self.progress.check()?;
         if let Some(first) = ready.edited {
             self.edit.end(first)?;
         }
-        for (version, output) in outputs.iter_mut().enumerate() {
+        let Writing { outputs, summaries } = writing;
+        for (version, (output, before)) in outputs.iter_mut().zip(summaries).enumerate() {
+            let made = if ready.is_made { Some(self.file.make(before)?) } else { None };
             // Of bytes that are copied, there is one version.
-            let Some(bytes) = ready.versions.get(version).or(ready.versions.first()) else { break };
-            let written = output.write_piece(bytes, ready.source_bytes);
+            let copied = ready.versions.get(version).or(ready.versions.first());
+            let Some(bytes) = made.as_ref().or(copied) else { break };
+            let none = Summary::default();
+            let summary = ready.summaries.get(version).unwrap_or(&none);
+            let written = output.write_piece(bytes, ready.source_bytes, summary);
             written.map_err(|e| failed_write(self.file, e))?;
+            before.absorb(summary);
         }
         self.progress.advance(ready.source_bytes);
         Ok(())

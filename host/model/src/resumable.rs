@@ -5,6 +5,9 @@
 //! lists the parts of it that are known to be on the disk, each with a checksum, and a key of all that
 //! determines the bytes; it is replaced at once, by way of `.simod-name.journal.new`. What is not in the
 //! journal is not relied on, and what is there is checked before it is.
+//!
+//! Where the file says at its beginning what comes later, that is replaced in the end, once the journal lists
+//! what was there and what will be: the checksums are of what was there.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -19,7 +22,7 @@ use crate::input::open_at_once;
 use crate::output::sync_folder;
 use crate::target::folder_of;
 use crate::uncached::UncachedFile;
-use crate::{Error, Output, Progress, Result};
+use crate::{Error, Output, Progress, Result, Summary};
 
 /// What a journal begins with.
 const FORMAT: &str = "simod-journal/1";
@@ -27,13 +30,14 @@ const FORMAT: &str = "simod-journal/1";
 /// Bytes that are checked at a time.
 const BLOCK: usize = 1 << 20;
 
-/// No journal is longer: it has at most 1024 parts and a few, of some 60 bytes each.
-const LONGEST: u64 = 1 << 20;
+/// No journal is longer: it has at most 1024 parts and a few, of some 60 bytes each, and with the lengths of a
+/// file's compressed blocks some 6 bytes for each of these.
+const LONGEST: u64 = 64 << 20;
 
 /// A file in the making, a piece at a time. Dropped before [`commit`](Self::commit), it leaves no trace,
 /// unless it is to be [kept](Self::keep).
 ///
-/// Memory: 2 MiB, and the journal, of some 60 bytes for each part.
+/// Memory: 2 MiB, and the journal, of some 60 bytes for each part and 8 for each compressed block.
 pub struct ResumableFile {
     claim: Claim,
     /// The part file.
@@ -46,6 +50,8 @@ pub struct ResumableFile {
     /// Hash of what is written since the last part, and how many bytes of the model that stands for.
     hash: Xxh3Default,
     since: u64,
+    /// Of what is written since.
+    summary: Summary,
     /// A part is over once it stands for so many bytes of the model.
     part_bytes: u64,
 }
@@ -78,11 +84,12 @@ impl ResumableFile {
             recorder: Recorder::new(handle()?, claim.places().clone()),
             file: UncachedFile::new(handle()?),
             claim,
-            journal: Journal { key, parts: Vec::new(), is_complete: false },
+            journal: Journal { key, parts: Vec::new(), patches: Vec::new(), is_complete: false },
             pieces: 0,
             end: 0,
             hash: Xxh3Default::new(),
             since: 0,
+            summary: Summary::default(),
             part_bytes,
         };
         let found = if resume { this.find(progress)? } else { Found::default() };
@@ -100,7 +107,7 @@ impl ResumableFile {
                 .and_then(|()| this.journal.replace(this.claim.places(), false))
                 .map_err(|e| this.failed(&e))?;
         }
-        this.journal.parts = found.parts;
+        (this.journal.parts, this.journal.patches) = (found.parts, found.patches);
         if found.is_complete {
             return Ok(Opened::Finished(this.commit()?));
         }
@@ -112,7 +119,7 @@ impl ResumableFile {
         let places = self.claim.places().clone();
         let name = places.path.display();
         let Some(journal) = Journal::read(&places) else { return Ok(Found::default()) };
-        let Some(Journal { key, mut parts, is_complete }) = journal else {
+        let Some(Journal { key, mut parts, patches, is_complete }) = journal else {
             progress.note(&format!("{name}: the journal is damaged; starting anew"));
             return Ok(Found::default());
         };
@@ -126,7 +133,8 @@ impl ResumableFile {
         let in_target = is_complete && self.file.file().metadata().is_ok_and(|m| m.len() == 0);
         let target = in_target.then(|| crate::input::open(&places.target).ok()).flatten();
         progress.begin("checking what is there", bytes);
-        let good = good_parts(target.as_ref().unwrap_or(self.file.file()), &parts, progress);
+        let file = target.as_ref().unwrap_or(self.file.file());
+        let good = good_parts(file, &parts, &patches, progress);
         // Whoever cancels now has lost nothing.
         let good = good.inspect_err(|_| self.claim.keep())?;
         let all = good == parts.len();
@@ -142,7 +150,8 @@ impl ResumableFile {
             progress.note(&format!("{name}: what was left of it is damaged; going on from before that"));
         }
         parts.truncate(good);
-        Ok(Found { is_complete: all && is_complete && length(self.file.file()), parts, in_target: false })
+        let is_complete = all && is_complete && length(self.file.file());
+        Ok(Found { is_complete, parts, patches, in_target: false })
     }
 
     /// After how many pieces each of the parts ends.
@@ -157,6 +166,10 @@ impl ResumableFile {
     /// # Errors
     /// The journal cannot be written, or the part file cannot be cut.
     pub fn go_on_after(&mut self, pieces: u64) -> Result<u64> {
+        for Patch { at, old, .. } in &std::mem::take(&mut self.journal.patches) {
+            // Before the journal forgets them.
+            write_at(self.file.file(), *at, old).map_err(|e| self.failed(&e))?;
+        }
         if !self.journal.parts.is_empty() {
             // First, so that it never speaks of bytes that are gone.
             self.journal.parts.retain(|p| p.pieces <= pieces);
@@ -164,21 +177,22 @@ impl ResumableFile {
         }
         self.pieces = pieces;
         self.end = self.journal.parts.last().map_or(0, |p| p.end);
-        (self.hash, self.since) = (Xxh3Default::new(), 0);
+        (self.hash, self.since, self.summary) = (Xxh3Default::new(), 0, Summary::default());
         self.file.go_on_at(self.end).map_err(|e| self.failed(&e))?;
         Ok(self.end)
     }
 
     /// What is written since the last part.
     fn open_part(&self) -> Part {
-        Part { pieces: self.pieces, end: self.end, hash: self.hash.digest128() }
+        let summary = self.summary.clone();
+        Part { pieces: self.pieces, end: self.end, hash: self.hash.digest128(), summary }
     }
 
     /// Ends the current part, which is recorded once it is on the disk.
     fn end_part(&mut self) -> io::Result<()> {
         self.file.flush()?;
         self.journal.parts.push(self.open_part());
-        (self.hash, self.since) = (Xxh3Default::new(), 0);
+        (self.hash, self.since, self.summary) = (Xxh3Default::new(), 0, Summary::default());
         self.recorder.record(self.journal.clone())
     }
 
@@ -192,7 +206,17 @@ impl ResumableFile {
             self.recorder.finish()?;
             self.file.flush()?;
             self.file.file().sync_all()?;
-            if one_of_several || !self.journal.parts.is_empty() {
+            let is_recorded = one_of_several || !self.journal.parts.is_empty();
+            if !self.journal.patches.is_empty() {
+                if is_recorded {
+                    self.journal.replace(self.claim.places(), true)?;
+                }
+                for Patch { at, new, .. } in &self.journal.patches {
+                    write_at(self.file.file(), *at, new)?;
+                }
+                self.file.file().sync_all()?;
+            }
+            if is_recorded {
                 if self.journal.parts.last().is_none_or(|p| p.pieces < self.pieces) {
                     self.journal.parts.push(self.open_part());
                 }
@@ -235,19 +259,42 @@ impl ResumableFile {
 }
 
 impl Output for ResumableFile {
-    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64) -> io::Result<()> {
+    fn write_piece(&mut self, bytes: &[u8], source_bytes: u64, summary: &Summary) -> io::Result<()> {
         let mut write = || {
             self.file.write(bytes)?;
             self.hash.update(bytes);
             self.pieces += 1;
             self.end += bytes.len() as u64;
             self.since += source_bytes;
+            self.summary.absorb(summary);
             if self.since >= self.part_bytes { self.end_part() } else { Ok(()) }
         };
         // With the file's name, packed so that it passes through.
         write().map_err(|e| io::Error::new(e.kind(), self.failed(&e)))
     }
 
+    fn summary(&self) -> Summary {
+        let mut all = Summary::default();
+        self.journal.parts.iter().for_each(|part| all.absorb(&part.summary));
+        all
+    }
+
+    fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        let mut note = || {
+            self.file.flush()?;
+            let mut old = vec![0; bytes.len()];
+            let mut file = self.file.file();
+            file.seek(SeekFrom::Start(at))?;
+            file.read_exact(&mut old)?;
+            if old != bytes {
+                self.journal.patches.push(Patch { at, old, new: bytes.to_vec() });
+            }
+            Ok(())
+        };
+        note().map_err(|e: io::Error| io::Error::new(e.kind(), self.failed(&e)))
+    }
+
+    /// Bytes are replaced when the file is [completed](Self::complete).
     fn finish(&mut self) -> io::Result<()> {
         Ok(())
     }
@@ -290,6 +337,8 @@ impl Drop for Finished {
 struct Found {
     /// The good ones.
     parts: Vec<Part>,
+    /// What may be replaced in them.
+    patches: Vec<Patch>,
     /// They are the whole file.
     is_complete: bool,
     /// The whole file, good, stands in its place.
@@ -297,8 +346,8 @@ struct Found {
 }
 
 /// How many of the parts, from the first on, are in the file as they were written. What cannot be read is
-/// not.
-fn good_parts(mut file: &File, parts: &[Part], progress: &dyn Progress) -> Result<usize> {
+/// not. Where bytes were to be replaced, either will do.
+fn good_parts(mut file: &File, parts: &[Part], patches: &[Patch], progress: &dyn Progress) -> Result<usize> {
     let (mut start, mut block) = (0, vec![0; BLOCK]);
     for (number, part) in parts.iter().enumerate() {
         let mut hash = Xxh3Default::new();
@@ -312,6 +361,7 @@ fn good_parts(mut file: &File, parts: &[Part], progress: &dyn Progress) -> Resul
             if file.read_exact(block).is_err() {
                 return Ok(number);
             }
+            patches.iter().for_each(|patch| patch.undo(start, block));
             hash.update(block);
             start += count;
             progress.advance(count);
@@ -349,27 +399,74 @@ struct Journal {
     key: String,
     /// Ascending.
     parts: Vec<Part>,
+    /// What is replaced in them in the end.
+    patches: Vec<Patch>,
     /// The parts are the whole file.
     is_complete: bool,
 }
 
 /// A run of bytes, which begins where the part before it ends.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 struct Part {
     /// Number of pieces up to its end.
     pieces: u64,
     /// Where it ends in the file.
     end: u64,
-    /// Of its bytes.
+    /// Of its bytes, before anything is replaced in them.
     hash: u128,
+    /// Of its pieces.
+    summary: Summary,
+}
+
+/// Bytes that are replaced once all others are there, by as many.
+#[derive(Debug, Clone, PartialEq)]
+struct Patch {
+    at: u64,
+    old: Vec<u8>,
+    new: Vec<u8>,
+}
+
+impl Patch {
+    /// Puts what was there back into a block of the file, as far as it lies there, if all of that was replaced.
+    fn undo(&self, start: u64, block: &mut [u8]) {
+        let from = self.at.max(start);
+        let to = (self.at + self.old.len() as u64).min(start + block.len() as u64);
+        if from >= to {
+            return;
+        }
+        let of_block = (from - start) as usize..(to - start) as usize;
+        let of_patch = (from - self.at) as usize..(to - self.at) as usize;
+        if block[of_block.clone()] == self.new[of_patch.clone()] {
+            block[of_block].copy_from_slice(&self.old[of_patch]);
+        }
+    }
+}
+
+fn write_at(mut file: &File, at: u64, bytes: &[u8]) -> io::Result<()> {
+    file.seek(SeekFrom::Start(at))?;
+    file.write_all(bytes)
+}
+
+/// Two hexadecimal digits for each byte.
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn from_hex(text: &str) -> Option<Vec<u8>> {
+    let digits = |at| text.get(at..at + 2).and_then(|digits| u8::from_str_radix(digits, 16).ok());
+    (0..text.len()).step_by(2).map(digits).collect()
 }
 
 impl Journal {
     /// Lines of words, the last of which is a checksum of those before it.
     fn encode(&self) -> String {
         let mut text = format!("{FORMAT}\nkey {}\n", self.key);
-        for Part { pieces, end, hash } in &self.parts {
-            text.push_str(&format!("part {pieces} {end} {hash:032x}\n"));
+        for Part { pieces, end, hash, summary } in &self.parts {
+            let summary = summary.encode().map(|word| format!(" {word}")).unwrap_or_default();
+            text.push_str(&format!("part {pieces} {end} {hash:032x}{summary}\n"));
+        }
+        for Patch { at, old, new } in &self.patches {
+            text.push_str(&format!("patch {at} {} {}\n", hex(old), hex(new)));
         }
         if self.is_complete {
             text.push_str("complete\n");
@@ -389,13 +486,24 @@ impl Journal {
             return None;
         }
         let key = lines.next()?.strip_prefix("key ")?.to_owned();
-        let mut journal = Self { key, parts: Vec::new(), is_complete: false };
+        let mut journal = Self { key, parts: Vec::new(), patches: Vec::new(), is_complete: false };
         for line in lines {
             match *line.split(' ').collect::<Vec<_>>() {
-                ["part", pieces, end, hash] => journal.parts.push(Part {
-                    pieces: pieces.parse().ok()?,
-                    end: end.parse().ok()?,
-                    hash: u128::from_str_radix(hash, 16).ok()?,
+                ["part", pieces, end, hash, ref summary @ ..] if summary.len() < 2 => {
+                    journal.parts.push(Part {
+                        pieces: pieces.parse().ok()?,
+                        end: end.parse().ok()?,
+                        hash: u128::from_str_radix(hash, 16).ok()?,
+                        summary: match summary.first() {
+                            Some(word) => Summary::decode(word)?,
+                            None => Summary::default(),
+                        },
+                    });
+                }
+                ["patch", at, old, new] if old.len() == new.len() => journal.patches.push(Patch {
+                    at: at.parse().ok()?,
+                    old: from_hex(old)?,
+                    new: from_hex(new)?,
                 }),
                 ["complete"] => journal.is_complete = true,
                 _ => return None,
@@ -485,7 +593,7 @@ mod tests {
     /// Pieces of five bytes, so that a part is of two.
     fn write(file: &mut ResumableFile, pieces: std::ops::Range<u8>) {
         for piece in pieces {
-            file.write_piece(&[piece; 5], 5).unwrap();
+            file.write_piece(&[piece; 5], 5, &Summary::default()).unwrap();
         }
     }
 
@@ -495,8 +603,14 @@ mod tests {
 
     #[test]
     fn a_journal_comes_back_and_no_other_text_passes() {
-        let part = |n: u64| Part { pieces: n, end: 100 * n, hash: u128::MAX / u128::from(n) };
-        let journal = Journal { key: "k".into(), parts: vec![part(1), part(2)], is_complete: true };
+        let part = |n: u64| Part {
+            pieces: n,
+            end: 100 * n,
+            hash: u128::MAX / u128::from(n),
+            summary: Summary { lengths: vec![5; n as usize - 1], ..Summary::default() },
+        };
+        let patches = vec![Patch { at: 7, old: vec![0, 255], new: vec![16, 1] }];
+        let journal = Journal { key: "k".into(), parts: vec![part(1), part(2)], patches, is_complete: true };
         let text = journal.encode();
         assert_eq!(Journal::decode(&text), Some(journal));
         for end in 0..text.len() {
@@ -507,7 +621,12 @@ mod tests {
             spoilt[at] ^= 1;
             assert_eq!(Journal::decode(&String::from_utf8_lossy(&spoilt)), None);
         }
-        let descending = Journal { key: "k".into(), parts: vec![part(2), part(1)], is_complete: false };
+        let descending = Journal {
+            key: "k".into(),
+            parts: vec![part(2), part(1)],
+            patches: Vec::new(),
+            is_complete: false,
+        };
         assert_eq!(Journal::decode(&descending.encode()), None);
     }
 
@@ -560,6 +679,56 @@ mod tests {
             file.commit().unwrap();
             assert_eq!(fs::read(&path).unwrap(), expected(9));
             assert_eq!(names(folder.path()), ["a"]);
+            fs::remove_file(&path).unwrap();
+        }
+    }
+
+    /// Whenever it was killed, the file becomes what it would have become.
+    #[test]
+    fn what_is_replaced_in_the_end_is_replaced_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        let mut whole = expected(7);
+        whole[3..5].copy_from_slice(b"AB");
+        whole[9..12].copy_from_slice(b"CDE");
+        let patch = |file: &mut ResumableFile| {
+            file.patch(3, b"AB").unwrap();
+            file.patch(9, b"CDE").unwrap();
+        };
+        let summary = |n: u32| Summary { lengths: vec![n], ..Summary::default() };
+        for stage in 0..4 {
+            let mut file = open(&path, "k", false).unwrap();
+            for piece in 0..7 {
+                file.write_piece(&[piece; 5], 5, &summary(u32::from(piece))).unwrap();
+            }
+            patch(&mut file);
+            match stage {
+                // Before anything was replaced, in the midst of it, when all was, and when it was said so.
+                0 => {}
+                1 | 2 => {
+                    file.recorder.finish().unwrap();
+                    file.journal.replace(file.claim.places(), true).unwrap();
+                    for Patch { at, new, .. } in file.journal.patches.iter().take(stage) {
+                        write_at(file.file.file(), *at, new).unwrap();
+                    }
+                }
+                _ => file.complete(false).unwrap(),
+            }
+            file.keep();
+            match ResumableFile::open(&path, "k".into(), true, 10, &Silent).unwrap() {
+                Opened::Finished(_) => assert_eq!(stage, 3),
+                Opened::Unfinished(mut file) => {
+                    let there = file.boundaries().last().unwrap();
+                    assert_eq!(there, 6, "stage {stage}");
+                    file.go_on_after(there).unwrap();
+                    assert_eq!(file.summary().lengths, [0, 1, 2, 3, 4, 5]);
+                    file.write_piece(&[6; 5], 5, &summary(6)).unwrap();
+                    patch(&mut file);
+                    file.complete(false).unwrap();
+                    file.commit().unwrap();
+                }
+            }
+            assert_eq!(fs::read(&path).unwrap(), whole, "stage {stage}");
             fs::remove_file(&path).unwrap();
         }
     }

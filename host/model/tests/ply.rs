@@ -15,7 +15,7 @@ use simod_model::output::{OutputFile, write_file};
 use simod_model::progress::Silent;
 use simod_model::{
     CHUNK_VERTICES, Edit, Edited, Error, ErrorKind, MAX_VERSIONS, Model, Normals, Output, Progress, RawChunk,
-    Result, Rewriting, Scalar, VertexChunk, write_points,
+    Result, Rewriting, Scalar, Summary, VertexChunk, write_points,
 };
 use tempfile::NamedTempFile;
 
@@ -747,9 +747,13 @@ impl Edit for Counting {
 struct Pieces(Vec<Vec<u8>>);
 
 impl Output for Pieces {
-    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64) -> io::Result<()> {
+    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> io::Result<()> {
         self.0.push(bytes.to_vec());
         Ok(())
+    }
+
+    fn patch(&mut self, _at: u64, _bytes: &[u8]) -> io::Result<()> {
+        unreachable!("PLY says nothing of what comes later")
     }
 
     fn finish(&mut self) -> io::Result<()> {

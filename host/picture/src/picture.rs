@@ -226,6 +226,7 @@ fn stream(
 ) -> Result<()> {
     progress.begin(stage, model.info().vertex_bytes);
     let mut reader = model.vertices(0..model.info().vertices)?;
+    reader.skip_attributes();
     let mut chunk = VertexChunk::default();
     while reader.read(&mut chunk)? {
         progress.check()?;

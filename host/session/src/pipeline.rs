@@ -8,7 +8,7 @@ use glam::{DVec3, Vec3};
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{
     DeformationField, EVALUATIONS_WITH_GRADIENT, Method, Reconstructed, Reconstruction, Surroundings,
-    Version, deformed_normals, needs_gradient, reconstruct, write_exact,
+    Version, choose_offset, deformed_normals, needs_gradient, reconstruct, write_exact,
 };
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
@@ -105,6 +105,9 @@ pub struct Running<'a> {
     pub exact: bool,
     /// Samples are added until nothing is expected to be off by more.
     pub tolerance: Option<Tolerance>,
+    /// The offset of positions that are stored as integers may be [another one](choose_offset), where they do
+    /// not reach.
+    pub choose_offset: bool,
 }
 
 /// What the evaluation of every vertex was expected to take.
@@ -166,7 +169,7 @@ impl Run {
         output: &Path,
         progress: &dyn Progress,
     ) -> Result<Self> {
-        let Running { how, diagnostics, measure, exact, tolerance } = running;
+        let Running { how, diagnostics, measure, exact, tolerance, choose_offset: may_move } = running;
         let start = Instant::now();
         let stack = Stack::build(&session.steps, plugins)?;
         if *measure || *exact {
@@ -185,7 +188,7 @@ impl Run {
         // With triangles, a refinement knows the faces, and places its samples as it does those of a folder.
         let triangles = cells || stack.plugins().any(|p| p.consumes().triangles);
         let skip = Skip { triangles: !triangles, cells: !cells, ..Skip::default() };
-        let (sampled, model) = sampled(session, skip, folder, progress)?;
+        let (sampled, mut model) = sampled(session, skip, folder, progress)?;
         let (deformed, certificate) = match tolerance {
             Some(tolerance) => {
                 let tolerance = tolerance.fraction(sampled.bounds.diagonal());
@@ -199,6 +202,10 @@ impl Run {
                 (deform(sampled, &session.steps, plugins, refinements, progress)?, None)
             }
         };
+        if *may_move {
+            let chosen = choose_offset(&deformed.sampled, model.as_mut(), [&deformed.positions[..]])?;
+            chosen.into_iter().for_each(|offset| progress.note(&offset_note(offset)));
+        }
         let version = Version { deformed: &deformed.positions, output, diagnostics: *diagnostics };
         let (written, exact) = if *exact {
             let cost = told_cost(&deformed, model.as_ref(), running, progress)?;
@@ -221,6 +228,14 @@ impl Run {
         let map = |points: &mut [DVec3]| self.deformed.stack.evaluate_with(points, progress);
         transfer_error::measure(model.as_ref(), output.as_ref(), diagonal, &map, progress)
     }
+}
+
+/// What to tell of another offset.
+pub fn offset_note(offset: DVec3) -> String {
+    format!(
+        "the offset of the positions becomes ({}, {}, {}); all their integers are written anew",
+        offset.x, offset.y, offset.z
+    )
 }
 
 /// Tells what the evaluation of all vertices will take, by that of some samples.
@@ -263,8 +278,8 @@ fn evaluated(
     let DeformedSamples { sampled, positions, stack, .. } = deformed;
     progress.begin("preparing", 0);
     let around = Surroundings::of(&sampled.samples);
-    let field = DeformationField::new(&around, positions, Method::default())
-        .expecting(&sampled.frame, model.info().position_type);
+    let field =
+        DeformationField::new(&around, positions, Method::default()).expecting(&sampled.frame, model.info());
     let map = |points: &mut [DVec3]| stack.evaluate_with(points, progress);
     write_exact(sampled, model, &field, &map, version, how, progress)
 }

@@ -125,6 +125,13 @@ pub fn check_precision(sampled: &SampledModel, model: &dyn Model, tolerance: f64
             return refused(why, 2.0 * rounding);
         }
     }
+    if let Some(integers) = model.info().written {
+        let rounding = 0.5 * integers.scale.length() / diagonal;
+        if 2.0 * rounding > tolerance {
+            let why = format!("the file's positions are integers, which alone makes up to {rounding:.1e}");
+            return refused(why, 2.0 * rounding);
+        }
+    }
     let least = LEAST_LOCAL / sampled.local_diagonal().max(f64::MIN_POSITIVE);
     if least > tolerance {
         return refused(
@@ -172,7 +179,7 @@ pub(crate) fn meet(
             progress.begin("estimating the error", 0);
             let around = Surroundings::of(&of.samples);
             let mut field = DeformationField::new(&around, &deformed.positions, Method::default())
-                .expecting(&of.frame, model.info().position_type);
+                .expecting(&of.frame, model.info());
             let beginning = beginning.get_or_insert_with(|| Beginning::of(&of, &field));
             if deformed.stack.can_evaluate() {
                 field = field.expecting_at_vertices(&of)?;

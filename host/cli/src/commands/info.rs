@@ -8,7 +8,7 @@ use simod_core::refinement::Refinement;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{By, Placement, Target};
 use simod_model::bounds::Bounds;
-use simod_model::{Result, Scalar};
+use simod_model::{Result, Scalar, ScaledIntegers};
 use simod_picture::picture;
 
 use crate::report::{Report, count};
@@ -36,6 +36,15 @@ impl Info {
         let normals = if info.has_normals { "with" } else { "without" };
         report.line(format!("{} vertices, positions in {scalar}, {normals} normals", count(info.vertices)));
         report.line(format!("{} faces", count(info.faces)));
+        if let Some(ScaledIntegers { scale, offset }) = info.integers {
+            report.line(format!("positions are integers, with scale {scale} and offset {offset}"));
+            report.figure("scale", scale.to_array());
+            report.figure("offset", offset.to_array());
+        }
+        if let Some(crs) = &info.crs {
+            report.line(format!("coordinate reference system: {crs}"));
+            report.figure("crs", crs.as_str());
+        }
         if !info.other_properties.is_empty() {
             report.line(format!("further properties: {}", info.other_properties.join(", ")));
         }

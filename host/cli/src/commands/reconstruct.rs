@@ -8,11 +8,12 @@ use serde_json::json;
 use simod_core::guard::Kind;
 use simod_core::reconstruction::{
     Beyond, DeformationField, ExpectedError, Folding, Method, Normals, PART_BYTES, Reconstruction,
-    Surroundings, Version, reconstruct,
+    Surroundings, Version, choose_offset, reconstruct,
 };
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::{Error, ErrorKind, Model, Result};
 use simod_session::Tolerance;
+use simod_session::pipeline::offset_note;
 use simod_session::tolerance::check_precision;
 
 use super::overwrite::Overwrite;
@@ -54,6 +55,9 @@ pub struct Reconstruct {
     /// What becomes of the model's normals
     #[arg(long, value_enum, default_value_t)]
     normals: NormalsName,
+    /// What becomes of the offset of positions that are stored as integers, as in LAS
+    #[arg(long, value_enum, default_value_t)]
+    offset: OffsetName,
     /// Go on with what an interrupted run of this command left; with it, Ctrl-C and a full disk keep what is
     /// done
     #[arg(long)]
@@ -85,6 +89,17 @@ impl From<NormalsName> for Normals {
             NormalsName::Drop => Self::Drop,
         }
     }
+}
+
+/// What becomes of the offset of positions.
+#[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
+pub enum OffsetName {
+    /// It stays; what moves beyond the integers is an error
+    #[default]
+    Keep,
+    /// Another one is chosen, by whole steps, where the samples move beyond the integers: all of them are
+    /// written anew then
+    Auto,
 }
 
 /// The methods of the reconstruction.
@@ -120,7 +135,11 @@ impl Reconstruct {
         for path in paths.iter().flat_map(|v| [&v.output].into_iter().chain(&v.diagnostics)) {
             guard.writes(path, Kind::Model)?;
         }
-        let model = sampled.open_source(self.model.as_deref())?;
+        let mut model = sampled.open_source(self.model.as_deref())?;
+        if self.offset == OffsetName::Auto {
+            let chosen = choose_offset(&sampled, model.as_mut(), deformed.iter().map(Vec::as_slice))?;
+            chosen.into_iter().for_each(|offset| report.progress().note(&offset_note(offset)));
+        }
         let versions: Vec<Version<'_>> = paths
             .iter()
             .zip(&deformed)
@@ -196,7 +215,7 @@ impl Reconstruct {
         for (paths, deformed) in paths.iter().zip(deformed) {
             report.progress().check()?;
             let field = DeformationField::new(&around, deformed, self.method.into())
-                .expecting(&sampled.frame, model.info().position_type);
+                .expecting(&sampled.frame, model.info());
             if let Some(beyond) = field.expected_beyond(sampled, tolerance) {
                 let Beyond { worst, place, samples, needed, .. } = beyond;
                 return Err(Error::new(

@@ -13,7 +13,7 @@ use simod_session::{Certificate, ExactCost, Run as Pipeline, Running, SessionFil
 
 use super::overwrite::Overwrite;
 use super::plugin_options::PluginOptions;
-use super::reconstruct::{MethodName, NormalsName, describe_expected, warn_beyond};
+use super::reconstruct::{MethodName, NormalsName, OffsetName, describe_expected, warn_beyond};
 use super::time_options::TimeOptions;
 use super::{notices, tell, warn_non_finite};
 use crate::report::{Report, count, rate};
@@ -48,6 +48,9 @@ pub struct Run {
     /// cannot be met, nothing is written, and the reason is told
     #[arg(long, value_name = "L", allow_hyphen_values = true)]
     tolerance: Option<Tolerance>,
+    /// What becomes of the offset of positions that are stored as integers, as in LAS
+    #[arg(long, value_enum, default_value_t)]
+    offset: OffsetName,
     /// A PLY file to write beside the result, as that of `simod reconstruct --diagnostics`
     #[arg(long, value_name = "FILE")]
     diagnostics: Option<PathBuf>,
@@ -91,6 +94,7 @@ impl Run {
             measure: self.measure,
             exact: self.exact,
             tolerance: self.tolerance,
+            choose_offset: self.offset == OffsetName::Auto,
         };
         let run = Pipeline::execute_with(&session, &plugins, &running, &output, progress)?;
         describe(&run, report);

@@ -11,6 +11,7 @@ use simod_model::{Edit, Edited, Model, Normals, Output, Progress, RawChunk, Resu
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::diagnostics::DiagnosticsFile;
+use super::reach::check_reach;
 use super::stream::{Folding, check_targets};
 use super::transfer::{Surveys, locked};
 use super::{DeformationField, Figures, Reconstructed, Reconstruction, Transport, Version};
@@ -54,6 +55,7 @@ pub fn write_exact(
     progress: &dyn Progress,
 ) -> Result<Reconstructed> {
     check_targets(model, &[*version], how)?;
+    check_reach(sampled, model, [version.deformed])?;
     let info = model.info();
     let mut file = OutputFile::create(version.output, info.bytes)?;
     let create = |path| DiagnosticsFile::create(path, info, sampled.bounds.diagonal());
@@ -62,7 +64,7 @@ pub fn write_exact(
     let surveys = Surveys::new([diagnostics.as_mut()]);
     let exact = Exact { sampled, field, map, gradients, hash: Mutex::default(), surveys };
     progress.begin("evaluating every vertex", info.bytes);
-    let outputs: &mut [&mut dyn Output] = &mut [&mut file];
+    let outputs: &mut [&mut dyn Output] = &mut [&mut file.replaceable()];
     let rewriting = Rewriting { normals: how.normals, pieces_done: 0 };
     model.rewrite(outputs, rewriting, &exact, progress)?;
     if sampled.source.fingerprint != fingerprint(locked(&exact.hash).digest128()) {

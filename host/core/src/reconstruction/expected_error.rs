@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use simod_model::frame::Frame;
 use simod_model::histogram::Histogram;
-use simod_model::{Result, Scalar};
+use simod_model::{ModelInfo, Result, Scalar};
 
 use super::blend::LEAST_WEIGHT;
 use super::expansion::Expansion;
@@ -77,21 +77,30 @@ pub(super) struct Expectation {
 /// What the file that is written rounds.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Rounding {
-    /// The model's origin, from the local one, in local units; `None` where positions are doubles.
+    /// The model's origin, from the local one, in local units; `None` where positions are not of single
+    /// precision.
     from: Option<Vec3>,
+    /// What is rounded to an integer is off by so much, local units: the root of the mean square.
+    step: f32,
 }
 
 impl Rounding {
-    /// Of a model with positions of this type.
-    pub fn of(frame: &Frame, positions: Scalar) -> Self {
-        Self { from: (positions == Scalar::F32).then(|| (frame.origin / frame.scale).as_vec3()) }
+    /// Of a model with positions as these.
+    pub fn of(frame: &Frame, info: &ModelInfo) -> Self {
+        let is_single = info.position_type == Scalar::F32;
+        Self {
+            from: is_single.then(|| (frame.origin / frame.scale).as_vec3()),
+            step: info.written.map_or(0.0, |integers| integers.rounding() / frame.scale) as f32,
+        }
     }
 
     /// What writing it makes of a vertex that goes from `p` by `u`, local units; one that does not move is
     /// not rounded again.
     fn written(self, p: Vec3, u: Vec3) -> f32 {
-        let moves = u != Vec3::ZERO;
-        self.from.filter(|_| moves).map_or(0.0, |origin| SINGLE * (p + u + origin).length())
+        if u == Vec3::ZERO {
+            return 0.0;
+        }
+        self.from.map_or(self.step, |origin| SINGLE * (p + u + origin).length())
     }
 
     /// What rounding makes at a vertex or a sample that goes from `p` by `u`, local units.
@@ -218,11 +227,11 @@ impl DeformationField<'_> {
         }
     }
 
-    /// Finds out what is expected around the samples, which all further estimates rest on. `positions` is the
-    /// type of those in the file that is written.
-    pub fn expecting(mut self, frame: &Frame, positions: Scalar) -> Self {
+    /// Finds out what is expected around the samples, which all further estimates rest on, of a file as `info`
+    /// says.
+    pub fn expecting(mut self, frame: &Frame, info: &ModelInfo) -> Self {
         self.expected = self.around_samples(&[]);
-        self.rounding = Rounding::of(frame, positions);
+        self.rounding = Rounding::of(frame, info);
         self
     }
 

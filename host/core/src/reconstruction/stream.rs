@@ -16,6 +16,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 
 use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
+use super::reach::check_reach;
 use super::transfer::{Surveys, Transfer, locked};
 use super::{DeformationField, ExpectedError, Method, Surroundings};
 use crate::sampled_model::{SampledModel, fingerprint, same_file};
@@ -128,6 +129,7 @@ pub fn reconstruct(
 ) -> Result<Reconstructed> {
     // Before the work begins: targets that cannot be written, or must not be.
     check_targets(model, versions, how)?;
+    check_reach(sampled, model, versions.iter().map(|version| version.deformed))?;
     if let Some(cost) = sampled.source.cost_of_order() {
         progress.note(&cost);
     }
@@ -259,7 +261,7 @@ impl<'a> Work<'a> {
         let info = self.model.info();
         let field = |begun: &Begun<'a>| {
             let field = DeformationField::new(&surroundings, begun.version.deformed, self.how.method);
-            field.expecting(&self.sampled.frame, info.position_type)
+            field.expecting(&self.sampled.frame, info)
         };
         let fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
         for (field, begun) in fields.iter().zip(&self.pass) {
@@ -357,7 +359,8 @@ impl<'a> Work<'a> {
             Normals::Drop => 2,
         };
         let frame = (sampled.frame.origin.to_array(), sampled.frame.scale);
-        let numbers = (REVISION, method, normals, model.info().bytes, changed, frame);
+        let offset = model.info().written.map(|integers| integers.offset.to_array());
+        let numbers = (REVISION, method, normals, model.info().bytes, changed, frame, offset);
         let small = (env!("CARGO_PKG_VERSION"), &source.fingerprint, numbers);
         let small = postcard::to_allocvec(&small)
             .map_err(|e| Error::internal(format!("a key cannot be made: {e}"), "report this").because(e))?;

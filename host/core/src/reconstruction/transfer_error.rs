@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use serde::Serialize;
 use simod_model::histogram::Histogram;
-use simod_model::{Model, Progress, Result, Scalar, for_vertices, in_step};
+use simod_model::{Model, Progress, Result, for_positions, in_step};
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::expected_error::Tally;
@@ -110,7 +110,7 @@ pub fn measure_some(
     let scale = 1.0 / of.bounds.diagonal().max(f64::MIN_POSITIVE);
     let mut errors = Tally::default();
     let mut count = 0;
-    for_vertices(model, |chunk| {
+    for_positions(model, |chunk| {
         progress.check()?;
         let chosen: Vec<usize> = (0..chunk.len())
             .filter(|i| is_chosen(chunk.first + *i as u64) && chunk.positions[*i].is_finite())
@@ -121,7 +121,8 @@ pub fn measure_some(
         carry(std::slice::from_ref(field), &of.frame, &rest, None, &mut [moved]);
         exact(&mut truth)?;
         for ((rest, found), truth) in rest.iter().zip(&found).zip(&truth) {
-            let written = if info.position_type == Scalar::F32 { found.as_vec3().as_dvec3() } else { *found };
+            // What does not move is not rounded again.
+            let written = if found == rest { *found } else { info.rounded(*found) };
             let off = written.distance(*truth);
             errors.add(off * scale, 1);
             count += 1;

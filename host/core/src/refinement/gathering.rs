@@ -137,6 +137,7 @@ impl Gathering<'_> {
             visit(None)?;
             let mut reader = self.model.vertices(range)?;
             reader.set_chunk(SMALL_CHUNK);
+            reader.skip_attributes();
             while reader.read(&mut chunk)? {
                 progress.check()?;
                 for (i, p) in chunk.positions.iter().enumerate() {
@@ -177,7 +178,7 @@ impl Gathering<'_> {
     /// What of the stream holds these cells, ascending.
     pub fn ranges(&self, cells: &[u32]) -> Vec<Range<u64>> {
         // Where reading cannot begin anywhere, going on costs less than beginning again.
-        let near = if self.model.info().random_access { 0 } else { u64::MAX };
+        let near = self.model.info().near();
         joined(cells.iter().flat_map(|cell| self.kept.cells[*cell as usize].ranges.iter().cloned()), near)
     }
 }

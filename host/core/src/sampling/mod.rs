@@ -625,6 +625,7 @@ fn count_range(
     let mut non_finite = NonFinite::default();
     let mut reader = model.vertices(range)?;
     reader.set_chunk(SMALL_CHUNK);
+    reader.skip_attributes();
     let mut chunk = VertexChunk::default();
     while reader.read(&mut chunk)? {
         progress.check()?;

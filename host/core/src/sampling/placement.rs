@@ -117,6 +117,7 @@ impl Corners {
             let (Some(first), Some(last)) = (run.first(), run.last()) else { continue };
             let mut reader = model.vertices(u64::from(*first)..u64::from(*last) + 1)?;
             reader.set_chunk(SMALL_CHUNK);
+            reader.skip_attributes();
             let mut run = run.iter().peekable();
             while reader.read(&mut chunk)? {
                 let end = chunk.first + chunk.len() as u64;

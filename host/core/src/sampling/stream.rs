@@ -42,9 +42,9 @@ pub(super) fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustere
     let Clustered { forest, hash, ranges, membership } = found;
     let vertices = pass.model.info().vertices;
     let threads = rayon::current_num_threads();
-    let reader = match pass.model.info().random_access {
+    let reader = match pass.model.reads_exactly() {
         true => None,
-        false => Some(pass.model.vertices(0..vertices)?),
+        false => Some(positions_of(pass, 0..vertices)?),
     };
     let stream = Stream {
         pass,
@@ -111,7 +111,7 @@ struct Stream<'a, G: Gather> {
 struct Reading<'a> {
     /// Number of the piece that is read next.
     next: u64,
-    /// Where vertices can be read in their order alone.
+    /// Where vertices are read best in their order, and all by one reader.
     reader: Option<Box<dyn VertexReader + 'a>>,
 }
 
@@ -265,7 +265,7 @@ impl<'a, G: Gather> Stream<'a, G> {
             Some(reader) => read_all(&mut **reader, range, chunks, self.pass)?,
             None => {
                 drop(reading);
-                let mut reader = self.pass.model.vertices(range.clone())?;
+                let mut reader = positions_of(self.pass, range.clone())?;
                 read_all(&mut *reader, range, chunks, self.pass)?;
             }
         }
@@ -412,6 +412,12 @@ impl<P: GatherPiece> Piece<P> {
         self.visits.clear();
         self.merged = 0;
     }
+}
+
+fn positions_of<'a>(pass: &Pass<'a>, range: Range<u64>) -> Result<Box<dyn VertexReader + 'a>> {
+    let mut reader = pass.model.vertices(range)?;
+    reader.skip_attributes();
+    Ok(reader)
 }
 
 /// Reads all vertices of a range, from where the reader is.

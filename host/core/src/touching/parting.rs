@@ -192,7 +192,7 @@ impl Parting<'_> {
         let of_chosen = |tree: &CutTree| tree.samples.iter().any(|sample| chosen(*sample));
         let cells = trees.iter().zip(self.ranges).filter(|(tree, _)| of_chosen(tree));
         // Where reading cannot begin anywhere, going on costs less than beginning again.
-        let near = if self.model.info().random_access { 0 } else { u64::MAX };
+        let near = self.model.info().near();
         joined(cells.flat_map(|(_, ranges)| ranges.iter().cloned()), near)
     }
 
@@ -209,6 +209,7 @@ impl Parting<'_> {
         for range in ranges {
             let mut reader = self.model.vertices(range)?;
             reader.set_chunk(SMALL_CHUNK);
+            reader.skip_attributes();
             while reader.read(&mut chunk)? {
                 self.progress.check()?;
                 for (i, p) in chunk.positions.iter().enumerate() {

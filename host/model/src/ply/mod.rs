@@ -74,8 +74,12 @@ impl PlyModel {
             attributes: layout.attributes.clone(),
             bytes: source.len(),
             random_access: layout.stride.is_some(),
+            block_vertices: 1,
             vertex_bytes: 0,
             face_bytes: 0,
+            integers: None,
+            written: None,
+            crs: None,
         };
         let mut starts = Vec::new();
         let vertices_start = if header.encoding == Encoding::Ascii {

@@ -9,7 +9,7 @@ use super::reader::{CHUNK_BYTES, Reader};
 use super::walk::{CUT_OFF, Walker};
 use super::{ascii, binary};
 use crate::pipeline::{Piece, Pieces, Rewritable};
-use crate::{Edited, Error, ErrorKind, Normals, Result, VertexChunk};
+use crate::{Edited, Error, ErrorKind, Normals, Result, Summary, VertexChunk};
 
 impl Rewritable for PlyModel {
     fn pieces(&self, normals: Normals) -> Result<Box<dyn Pieces + '_>> {
@@ -33,6 +33,7 @@ impl Rewritable for PlyModel {
         normals: Normals,
         last: bool,
         buffer: &mut Vec<u8>,
+        _summary: &mut Summary,
     ) -> Result<bool> {
         let first = chunk.first;
         let drop_normals = normals == Normals::Drop && self.layout.has_normals();

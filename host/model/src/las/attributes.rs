@@ -1,0 +1,210 @@
+//! Numbers of a point's record beside its position.
+
+use super::header::{Header, RECORD_BYTES, bytes_at};
+use crate::{Attribute, Type};
+
+/// Where a number stands in a record, and how.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Place {
+    at: usize,
+    how: How,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum How {
+    /// These bits of a byte.
+    Bits {
+        shift: u8,
+        mask: u8,
+    },
+    Number(Type),
+    U64,
+    I64,
+    /// A number of extra bytes that is to be scaled.
+    Scaled {
+        number: Whole,
+        scale: f64,
+        offset: f64,
+    },
+}
+
+/// A type of extra bytes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Whole {
+    Of(Type),
+    U64,
+    I64,
+}
+
+impl Whole {
+    fn size(self) -> usize {
+        match self {
+            Self::Of(kind) => kind.size(),
+            Self::U64 | Self::I64 => 8,
+        }
+    }
+
+    /// Its code in the file, from 1 on.
+    fn of_code(code: u8) -> Option<Self> {
+        use Type::{F32, F64, I8, I16, I32, U8, U16, U32};
+        let kinds = [
+            Self::Of(U8),
+            Self::Of(I8),
+            Self::Of(U16),
+            Self::Of(I16),
+            Self::Of(U32),
+            Self::Of(I32),
+            Self::U64,
+            Self::I64,
+            Self::Of(F32),
+            Self::Of(F64),
+        ];
+        kinds.get(usize::from(code).checked_sub(1)?).copied()
+    }
+}
+
+/// The attributes of a file, and where they are.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Places {
+    pub attributes: Vec<Attribute>,
+    places: Vec<Place>,
+}
+
+impl Places {
+    /// Those of a point format, and the extra bytes that a record of the file describes.
+    pub fn new(header: &Header, extra: &[u8]) -> Self {
+        use Type::{F64, I8, I16, U8, U16};
+        let mut this = Self::default();
+        let mut number = |name: &str, kind: Type, at: usize| this.add(name, kind, at, How::Number(kind));
+        number("intensity", U16, 12);
+        let format = header.format;
+        let bits = |shift, mask| How::Bits { shift, mask };
+        if format < 6 {
+            this.add("return_number", U8, 14, bits(0, 7));
+            this.add("number_of_returns", U8, 14, bits(3, 7));
+            this.add("classification", U8, 15, bits(0, 31));
+            this.add("scan_angle", I8, 16, How::Number(I8));
+            this.add("user_data", U8, 17, How::Number(U8));
+            this.add("point_source_id", U16, 18, How::Number(U16));
+        } else {
+            this.add("return_number", U8, 14, bits(0, 15));
+            this.add("number_of_returns", U8, 14, bits(4, 15));
+            this.add("classification", U8, 16, How::Number(U8));
+            this.add("scan_angle", I16, 18, How::Number(I16));
+            this.add("user_data", U8, 17, How::Number(U8));
+            this.add("point_source_id", U16, 20, How::Number(U16));
+        }
+        let time = match format {
+            1 | 3 | 4 | 5 => Some(20),
+            6.. => Some(22),
+            _ => None,
+        };
+        if let Some(at) = time {
+            this.add("gps_time", F64, at, How::Number(F64));
+        }
+        let colour = match format {
+            2 => Some(20),
+            3 | 5 => Some(28),
+            7 | 8 | 10 => Some(30),
+            _ => None,
+        };
+        if let Some(at) = colour {
+            for (i, name) in ["red", "green", "blue"].into_iter().enumerate() {
+                this.add(name, U16, at + 2 * i, How::Number(U16));
+            }
+        }
+        if matches!(format, 8 | 10) {
+            this.add("nir", U16, 36, How::Number(U16));
+        }
+        this.add_extra(header, extra);
+        this
+    }
+
+    fn add(&mut self, name: &str, kind: Type, at: usize, how: How) {
+        if Attribute::is_name(name) && !self.attributes.iter().any(|known| known.name == name) {
+            self.attributes.push(Attribute { name: name.to_owned(), kind });
+            self.places.push(Place { at, how });
+        }
+    }
+
+    /// The extra bytes that are described, as far as the records have them.
+    fn add_extra(&mut self, header: &Header, descriptions: &[u8]) {
+        let mut at = RECORD_BYTES[usize::from(header.format)];
+        for one in descriptions.chunks_exact(192) {
+            let (code, options) = (one[2], one[3]);
+            let bytes = match code {
+                // Bytes without a meaning, as many as the options say.
+                0 => usize::from(options),
+                // Old ones: two or three of a type.
+                11..=30 => {
+                    let several = usize::from((code - 1) / 10) + 1;
+                    several * Whole::of_code((code - 1) % 10 + 1).map_or(0, Whole::size)
+                }
+                code => Whole::of_code(code).map_or(usize::MAX, Whole::size),
+            };
+            let Some(behind) = at.checked_add(bytes).filter(|behind| *behind <= header.record) else {
+                return;
+            };
+            if let Some(number) = Whole::of_code(code) {
+                let name = one[4..36].split(|byte| *byte == 0).next().unwrap_or_default();
+                let name = String::from_utf8_lossy(name);
+                let [scale, offset] = [112, 136].map(|at| f64::from_le_bytes(bytes_at(one, at)));
+                let scale = if options & 8 != 0 { scale } else { 1.0 };
+                let offset = if options & 16 != 0 { offset } else { 0.0 };
+                let (kind, how) = match number {
+                    _ if (scale, offset) != (1.0, 0.0) => (Type::F64, How::Scaled { number, scale, offset }),
+                    Whole::Of(kind) => (kind, How::Number(kind)),
+                    Whole::U64 => (Type::F64, How::U64),
+                    Whole::I64 => (Type::F64, How::I64),
+                };
+                self.add(name.trim(), kind, at, how);
+            }
+            at = behind;
+        }
+    }
+
+    /// Fills each list with the numbers of one attribute, those of the first ones.
+    pub fn decode(&self, records: &[u8], record: usize, to: &mut [Vec<f64>]) {
+        for (values, place) in to.iter_mut().zip(&self.places) {
+            values.clear();
+            values.extend(records.chunks_exact(record).map(|bytes| place.number(bytes)));
+        }
+        to.iter_mut().skip(self.places.len()).for_each(Vec::clear);
+    }
+}
+
+impl Place {
+    #[inline]
+    fn number(self, record: &[u8]) -> f64 {
+        let bytes = &record[self.at..];
+        match self.how {
+            How::Bits { shift, mask } => f64::from((bytes[0] >> shift) & mask),
+            How::Number(kind) => plain(kind, bytes),
+            How::U64 => whole(Whole::U64, bytes),
+            How::I64 => whole(Whole::I64, bytes),
+            How::Scaled { number, scale, offset } => whole(number, bytes) * scale + offset,
+        }
+    }
+}
+
+fn whole(number: Whole, bytes: &[u8]) -> f64 {
+    match number {
+        Whole::Of(kind) => plain(kind, bytes),
+        Whole::U64 => u64::from_le_bytes(bytes_at(bytes, 0)) as f64,
+        Whole::I64 => i64::from_le_bytes(bytes_at(bytes, 0)) as f64,
+    }
+}
+
+#[inline]
+fn plain(kind: Type, bytes: &[u8]) -> f64 {
+    match kind {
+        Type::I8 => f64::from(bytes[0] as i8),
+        Type::U8 => f64::from(bytes[0]),
+        Type::I16 => f64::from(i16::from_le_bytes(bytes_at(bytes, 0))),
+        Type::U16 => f64::from(u16::from_le_bytes(bytes_at(bytes, 0))),
+        Type::I32 => f64::from(i32::from_le_bytes(bytes_at(bytes, 0))),
+        Type::U32 => f64::from(u32::from_le_bytes(bytes_at(bytes, 0))),
+        Type::F32 => f64::from(f32::from_le_bytes(bytes_at(bytes, 0))),
+        Type::F64 => f64::from_le_bytes(bytes_at(bytes, 0)),
+    }
+}

@@ -1,0 +1,105 @@
+//! What is known of a LAS file once it is open.
+
+use super::attributes::Places;
+use super::blocks::Blocks;
+use super::header::{CUT_OFF, DAMAGED, Header};
+use super::laszip::Laszip;
+use super::vlrs::{Kind, Records};
+use crate::source::Source;
+use crate::{Attribute, ModelInfo, Result, Scalar, ScaledIntegers, VertexChunk};
+
+/// Most bytes of the record that describes extra bytes: as many as can be in a record of a point.
+const MOST_DESCRIPTIONS: u64 = 192 << 16;
+
+/// A LAS or LAZ file.
+#[derive(Debug)]
+pub struct LasModel {
+    pub(super) source: Source,
+    pub(super) header: Header,
+    pub(super) records: Records,
+    pub(super) places: Places,
+    /// Where the points are compressed.
+    pub(super) compressed: Option<(Laszip, Blocks)>,
+    pub(super) info: ModelInfo,
+    /// By how many steps the offset of what is written is another one.
+    pub(super) shift: [i64; 3],
+}
+
+impl LasModel {
+    /// What the file `source` is. One that is cut off is noticed here.
+    ///
+    /// # Errors
+    /// The file cannot be read, is not LAS of a known version, is cut off, or has blocks of compressed points
+    /// that are too large to be held.
+    pub fn new(source: Source) -> Result<Self> {
+        let header = Header::read(&source)?;
+        let records = Records::read(&source, &header)?;
+        let extra = records.content(&source, Kind::ExtraBytes, MOST_DESCRIPTIONS)?.unwrap_or_default();
+        let places = Places::new(&header, &extra);
+        let compressed = compression(&source, &header, &records)?;
+        let vertex_bytes = match &compressed {
+            Some((_, blocks)) => blocks.bytes(),
+            None => check_room(&source, &header)?,
+        };
+        let of_copc = if records.of_copc().next().is_some() { ", COPC" } else { "" };
+        let how = if header.is_compressed { format!(", LAZ{of_copc}") } else { String::new() };
+        let described = |a: &Attribute| format!("{} {}", a.kind.name(), a.name);
+        let info = ModelInfo {
+            format: format!("LAS 1.{}, point format {}{how}", header.minor, header.format),
+            vertices: header.count,
+            faces: 0,
+            has_normals: false,
+            position_type: Scalar::F64,
+            other_properties: places.attributes.iter().map(described).collect(),
+            attributes: places.attributes.clone(),
+            bytes: source.len(),
+            random_access: true,
+            block_vertices: compressed.as_ref().map_or(1, |(_, blocks)| blocks.most_vertices()),
+            vertex_bytes,
+            face_bytes: 0,
+            integers: Some(header.integers),
+            written: Some(header.integers),
+            crs: records.crs(&source)?,
+        };
+        Ok(Self { source, header, records, places, compressed, info, shift: [0; 3] })
+    }
+
+    /// How positions are stored in what is written.
+    pub(super) fn written(&self) -> &ScaledIntegers {
+        self.info.written.as_ref().unwrap_or(&self.header.integers)
+    }
+
+    /// The records of a chunk's vertices.
+    pub(super) fn records_of<'a>(&self, chunk: &'a VertexChunk) -> &'a [u8] {
+        if self.compressed.is_some() { &chunk.records } else { &chunk.raw }
+    }
+}
+
+/// How the points are compressed, and where.
+fn compression(source: &Source, header: &Header, records: &Records) -> Result<Option<(Laszip, Blocks)>> {
+    if !header.is_compressed {
+        return Ok(None);
+    }
+    let Some(vlr) = records.content(source, Kind::Laszip, u64::from(u16::MAX))? else {
+        let what = "the points are compressed, but nothing says how (the VLR \"laszip encoded\" is missing)";
+        return Err(source.malformed(what, DAMAGED));
+    };
+    let laszip = Laszip::new(&vlr, header).map_err(|what| {
+        let hint = "write the model with another program first, as `pdal translate IN.laz OUT.las`";
+        source.malformed(format!("the VLR \"laszip encoded\" cannot be used: {what}"), hint)
+    })?;
+    let blocks = Blocks::read(source, header, &laszip)?;
+    Ok(Some((laszip, blocks)))
+}
+
+/// Bytes of points that are not compressed, all of which are there.
+fn check_room(source: &Source, header: &Header) -> Result<u64> {
+    let needed = header.count.checked_mul(header.record as u64);
+    let left = source.len() - header.points;
+    needed.filter(|needed| *needed <= left).ok_or_else(|| {
+        let Header { count, record, .. } = header;
+        let what =
+            format!("says {count} points of {record} bytes each, but only {left} bytes are left for them");
+        source.malformed(what, CUT_OFF)
+    })
+}

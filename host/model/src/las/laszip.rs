@@ -1,0 +1,194 @@
+//! Blocks of compressed points (LASzip calls them chunks): each begins anew, so that any can be read alone.
+
+use std::io::{Cursor, Read, Seek};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use laz::record::{
+    LayeredPointRecordCompressor, LayeredPointRecordDecompressor, RecordCompressor, RecordDecompressor,
+    SequentialPointRecordCompressor, SequentialPointRecordDecompressor,
+};
+use laz::{DecompressionSelection, LazItem, LazItemRecordBuilder, LazItemType, LazVlr};
+
+use super::header::{Header, bytes_at};
+
+/// How the points of a file are compressed, as its VLR says.
+#[derive(Debug)]
+pub(super) struct Laszip {
+    items: Vec<LazItem>,
+    /// Bytes of a point's record.
+    record: usize,
+    /// Whether each number of the record is compressed apart from the others (LASzip 3 and later).
+    pub is_layered: bool,
+    /// How many lengths of such layers stand behind the first point of a block.
+    layers: usize,
+    /// How the points lie in blocks.
+    pub blocks: Kind,
+}
+
+/// What of compressed points is read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum What {
+    All,
+    /// What takes no time without the rest: in layers, whatever is not asked for is passed over.
+    Positions,
+}
+
+/// How the points of a file lie in blocks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// All in one.
+    One,
+    /// So many in each but the last.
+    Fixed(u32),
+    /// As many as a table says.
+    Variable,
+}
+
+impl Laszip {
+    /// By the content of the VLR; an error is what is wrong with it.
+    pub fn new(vlr: &[u8], header: &Header) -> Result<Self, String> {
+        let parsed = LazVlr::from_buffer(vlr).map_err(|e| e.to_string())?;
+        let [compressor, coder] = [0, 2].map(|at| u16::from_le_bytes(bytes_at(vlr, at)));
+        let kinds = |items: &[LazItem]| items.iter().map(LazItem::item_type).collect::<Vec<_>>();
+        let expected =
+            LazItemRecordBuilder::default_for_point_format_id(header.format, header.extra_bytes() as u16);
+        let expected = expected.map(|items| kinds(&items)).map_err(|e| e.to_string())?;
+        let items = parsed.items().clone();
+        if kinds(&items) != expected {
+            return Err(format!("it lists {:?}, where the points are {expected:?}", kinds(&items)));
+        }
+        // The library forgets to clear what a colour's upper byte was.
+        if items.iter().any(|item| (item.item_type(), item.version()) == (LazItemType::RGB12, 1)) {
+            return Err("colours of the first version of LASzip are not read as they are".to_owned());
+        }
+        let is_layered = match compressor {
+            1 | 2 => false,
+            3 => true,
+            other => return Err(format!("it has the unknown compressor {other}")),
+        };
+        if coder != 0 {
+            return Err(format!("it has the unknown coder {coder}"));
+        }
+        let blocks = match parsed.chunk_size() {
+            _ if compressor == 1 => Kind::One,
+            u32::MAX => Kind::Variable,
+            size => Kind::Fixed(size),
+        };
+        let layers = items.iter().map(|item| match item.item_type() {
+            LazItemType::Point14 => 9,
+            LazItemType::RGBNIR14 => 2,
+            LazItemType::Byte14(count) => usize::from(count),
+            _ => 1,
+        });
+        let this = Self { layers: layers.sum(), items, record: header.record, is_layered, blocks };
+        let known = this.decompressor(Cursor::new(&[][..])).map_err(|e| e.to_string())?;
+        let record = known.record_size();
+        if record != header.record {
+            return Err(format!("it describes points of {record} bytes, but they have {}", header.record));
+        }
+        this.compress(&[]).map_err(|e| e.to_string())?;
+        Ok(this)
+    }
+
+    fn decompressor<'a, R: Read + Seek + 'a>(
+        &self,
+        from: R,
+    ) -> laz::Result<Box<dyn RecordDecompressor<R> + 'a>> {
+        Ok(if self.is_layered {
+            let mut all = LayeredPointRecordDecompressor::new(from);
+            all.set_fields_from(&self.items)?;
+            Box::new(all)
+        } else {
+            let mut all = SequentialPointRecordDecompressor::new(from);
+            all.set_fields_from(&self.items)?;
+            Box::new(all)
+        })
+    }
+
+    /// Fills `records` from the bytes of a block; an error is what is wrong with it.
+    pub fn decompress(&self, block: &[u8], records: &mut [u8], what: What) -> Result<(), String> {
+        if records.is_empty() {
+            return Ok(());
+        }
+        if self.is_layered {
+            self.check_layers(block, records.len() / self.record)?;
+        }
+        let work = || {
+            let mut decompressor = self.decompressor(Cursor::new(block)).map_err(|e| e.to_string())?;
+            if what == What::Positions {
+                decompressor.set_selection(DecompressionSelection::xy_returns_channel().decompress_z());
+            }
+            decompressor.decompress_many(records).map_err(|e| e.to_string())
+        };
+        // Of what is no compressed point, the library's tables may have no entry.
+        catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| Err("its bytes mean nothing".to_owned()))
+    }
+
+    /// An error where layers are longer than the block: so much would be allocated for them.
+    fn check_layers(&self, block: &[u8], points: usize) -> Result<(), String> {
+        let (count, length) = self.layers_of(block).ok_or("it is too short")?;
+        if length > block.len() as u64 {
+            return Err(format!("it says that it has {length} bytes, but has {}", block.len()));
+        }
+        if count as usize != points {
+            return Err(format!("it says that it has {count} points, but the table of blocks says {points}"));
+        }
+        Ok(())
+    }
+
+    /// How many points a layered block says it has, and how long it says it is, by its first bytes.
+    fn layers_of(&self, start: &[u8]) -> Option<(u32, u64)> {
+        let lengths = start.get(self.record + 4..self.head_bytes())?;
+        let count = u32::from_le_bytes(bytes_at(start, self.record));
+        let length = |bytes: &[u8]| u64::from(u32::from_le_bytes(bytes_at(bytes, 0)));
+        Some((count, self.head_bytes() as u64 + lengths.chunks_exact(4).map(length).sum::<u64>()))
+    }
+
+    /// Bytes of a layered block before its layers.
+    fn head_bytes(&self) -> usize {
+        self.record + 4 + 4 * self.layers
+    }
+
+    /// The points and bytes of the block that `from` is at the beginning of, which is read no further than
+    /// needed, where it has at most so many points.
+    ///
+    /// An error is what is wrong with it.
+    pub fn measure<R: Read + Seek>(&self, mut from: R, most: u64) -> Result<(u64, u64), String> {
+        if self.is_layered {
+            let mut head = vec![0; self.head_bytes()];
+            from.read_exact(&mut head).map_err(|e| e.to_string())?;
+            let (count, length) = self.layers_of(&head).ok_or("it is too short")?;
+            return Ok((u64::from(count), length));
+        }
+        let start = from.stream_position().map_err(|e| e.to_string())?;
+        let work = || {
+            let mut decompressor = self.decompressor(&mut from).map_err(|e| e.to_string())?;
+            let mut point = vec![0; self.record];
+            for _ in 0..most {
+                decompressor.decompress_next(&mut point).map_err(|e| e.to_string())?;
+            }
+            Ok(())
+        };
+        catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| Err("its bytes mean nothing".to_owned()))?;
+        let end = from.stream_position().map_err(|e| e.to_string())?;
+        Ok((most, end - start))
+    }
+
+    /// The bytes of a block of these records.
+    pub fn compress(&self, records: &[u8]) -> laz::Result<Vec<u8>> {
+        let to = Vec::with_capacity(records.len() / 2);
+        if self.is_layered {
+            let mut all = LayeredPointRecordCompressor::new(to);
+            all.set_fields_from(&self.items)?;
+            all.compress_many(records)?;
+            all.done()?;
+            Ok(all.into_inner())
+        } else {
+            let mut all = SequentialPointRecordCompressor::new(to);
+            all.set_fields_from(&self.items)?;
+            all.compress_many(records)?;
+            all.done()?;
+            Ok(all.into_inner())
+        }
+    }
+}

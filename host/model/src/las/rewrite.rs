@@ -1,0 +1,322 @@
+//! Writing a LAS file anew, with other positions.
+
+use std::collections::VecDeque;
+use std::io;
+use std::ops::Range;
+
+use super::blocks::PLACE;
+use super::file::LasModel;
+use super::header::at;
+use super::laszip::What;
+use super::points::{self, Unfit};
+use super::reader::Reader;
+use crate::bounds::Bounds;
+use crate::pipeline::{Piece, Pieces, Rewritable};
+use crate::{Edited, Error, ErrorKind, Normals, Result, ScaledIntegers, Summary, VertexChunk};
+
+/// Bytes that are copied at a time.
+const CHUNK_BYTES: usize = 4 << 20;
+
+impl Rewritable for LasModel {
+    fn pieces(&self, _normals: Normals) -> Result<Box<dyn Pieces + '_>> {
+        let mut next = VecDeque::from([Part::Header]);
+        let copy = |range: Range<u64>, next: &mut VecDeque<Part>| {
+            next.extend(self.without_copc(range).into_iter().map(Part::Copy));
+        };
+        match &self.compressed {
+            None => {
+                copy(self.header.len..self.header.points, &mut next);
+                next.push_back(Part::Points);
+                copy(self.header.points + self.info.vertex_bytes..self.source.len(), &mut next);
+            }
+            Some((_, blocks)) => {
+                copy(self.header.len..blocks.start(0).1, &mut next);
+                next.push_back(Part::Points);
+                match &blocks.table {
+                    Some(table) => {
+                        copy(blocks.end()..table.start, &mut next);
+                        next.push_back(Part::Table(table.clone()));
+                        copy(table.end..self.source.len(), &mut next);
+                    }
+                    None => copy(blocks.end()..self.source.len(), &mut next),
+                }
+            }
+        }
+        let plain = Reader::new(self, 0..self.info.vertices);
+        Ok(Box::new(LasPieces { model: self, next, plain, block: 0 }))
+    }
+
+    fn decode(&self, chunk: &mut VertexChunk) -> Result<()> {
+        if let Some((laszip, blocks)) = &self.compressed {
+            let first = blocks.of_vertex(chunk.first);
+            let VertexChunk { raw, records, blocks, .. } = chunk;
+            self.decompress(laszip, (first, blocks), raw, records, What::All)?;
+        }
+        self.decode_positions(chunk);
+        Ok(())
+    }
+
+    fn encode(
+        &self,
+        chunk: &mut VertexChunk,
+        edited: &Edited,
+        _normals: Normals,
+        last: bool,
+        buffer: &mut Vec<u8>,
+        summary: &mut Summary,
+    ) -> Result<bool> {
+        let first = chunk.first;
+        let unfit = |unfit| self.unfit(first, unfit);
+        let VertexChunk { positions, raw, records, blocks, .. } = chunk;
+        let record = self.header.record;
+        let grid = (self.written(), self.shift);
+        let Some((laszip, _)) = &self.compressed else {
+            let bytes = if last {
+                raw
+            } else {
+                buffer.clone_from(raw);
+                buffer
+            };
+            points::patch(grid, bytes, record, (positions, &edited.positions), summary).map_err(unfit)?;
+            return Ok(!last);
+        };
+        let mut copy;
+        let records = if last {
+            records
+        } else {
+            copy = records.clone();
+            &mut copy
+        };
+        buffer.clear();
+        let (mut vertex, mut byte) = (0, 0);
+        for block in &*blocks {
+            let vertices = vertex..vertex + block.vertices as usize;
+            let bytes = byte..byte + block.bytes as usize;
+            (vertex, byte) = (vertices.end, bytes.end);
+            let records = &mut records[vertices.start * record..vertices.end * record];
+            let moved = (&positions[vertices.clone()], &edited.positions[vertices.clone()]);
+            let changed = points::patch(grid, records, record, moved, summary)
+                .map_err(|e| unfit(Unfit { vertex: vertices.start + e.vertex, ..e }))?;
+            let before = buffer.len();
+            if changed {
+                let block = laszip.compress(records).map_err(|e| {
+                    Error::internal(format!("points cannot be compressed: {e}"), "report this")
+                })?;
+                buffer.extend_from_slice(&block);
+            } else {
+                buffer.extend_from_slice(&raw[bytes]);
+            }
+            summary.lengths.push((buffer.len() - before) as u32);
+        }
+        Ok(true)
+    }
+
+    fn make(&self, before: &Summary) -> Result<Vec<u8>> {
+        let Some((_, blocks)) = &self.compressed else { return Ok(Vec::new()) };
+        blocks.table(&before.lengths).map_err(|e| self.write_error(&e))
+    }
+
+    fn patches(&self, all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
+        let mut patches = self.bounds(all);
+        let Some((_, blocks)) = &self.compressed else { return Ok(patches) };
+        let points = self.moved(blocks.start(0).1);
+        let mut end = points + all.lengths.iter().map(|length| u64::from(*length)).sum::<u64>();
+        let mut old_end = blocks.end();
+        if let Some(table) = &blocks.table {
+            end += table.start - blocks.end();
+            let place = end.to_le_bytes().to_vec();
+            let (told_at, told) = if blocks.is_told_at_end {
+                let last = self.source.len() - PLACE;
+                (None, Some(last))
+            } else {
+                (Some(points - PLACE), None)
+            };
+            end += self.make(all)?.len() as u64;
+            old_end = table.end;
+            patches.extend(told_at.map(|at| (at, place.clone())));
+            patches.extend(told.map(|at| (self.moved(at) - self.moved(old_end) + end, place)));
+        }
+        // Where things behind the points have gone.
+        let gone = |at: u64| (self.moved(at) - self.moved(old_end) + end).to_le_bytes().to_vec();
+        if let Some(start) = self.header.waveforms.filter(|start| *start >= old_end) {
+            patches.push((at::WAVEFORMS, gone(start)));
+        }
+        if let Some((start, count)) = self.header.evlrs.filter(|(start, _)| *start >= old_end) {
+            let left = u64::from(count) - self.dropped(true);
+            patches.push((at::EVLRS_START, if left > 0 { gone(start) } else { vec![0; 8] }));
+        }
+        Ok(patches)
+    }
+
+    fn write_error(&self, error: &io::Error) -> Error {
+        Error::io("write the new version of", self.source.path(), error)
+    }
+}
+
+/// What of the file comes next.
+enum Part {
+    Header,
+    Copy(Range<u64>),
+    Points,
+    /// The table of compressed blocks.
+    Table(Range<u64>),
+}
+
+/// The pieces of a LAS file, in its order.
+struct LasPieces<'a> {
+    model: &'a LasModel,
+    next: VecDeque<Part>,
+    /// What reads points that are not compressed.
+    plain: Reader<'a>,
+    /// The first compressed block that was not read.
+    block: usize,
+}
+
+impl Pieces for LasPieces<'_> {
+    fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece> {
+        let model = self.model;
+        loop {
+            let Some(part) = self.next.front_mut() else {
+                model.source.check_unchanged()?;
+                return Ok(Piece::End);
+            };
+            match part {
+                Part::Header => {
+                    chunk.raw.clear();
+                    model.source.append_at(&mut chunk.raw, 0, model.header.len as usize)?;
+                    model.correct_header(&mut chunk.raw);
+                    self.next.pop_front();
+                    return Ok(Piece::Bytes);
+                }
+                Part::Copy(range) if !range.is_empty() => {
+                    chunk.raw.clear();
+                    let wanted = (range.end - range.start).min(CHUNK_BYTES as u64) as usize;
+                    range.start += model.source.append_at(&mut chunk.raw, range.start, wanted)? as u64;
+                    return Ok(Piece::Bytes);
+                }
+                Part::Points => {
+                    if let Some(vertices) = self.read_points(chunk)? {
+                        return Ok(Piece::Vertices(vertices));
+                    }
+                }
+                Part::Table(range) => {
+                    chunk.raw.clear();
+                    let length = (range.end - range.start) as usize;
+                    model.source.append_at(&mut chunk.raw, range.start, length)?;
+                    self.next.pop_front();
+                    return Ok(Piece::Made);
+                }
+                Part::Copy(_) => {}
+            }
+            self.next.pop_front();
+        }
+    }
+}
+
+impl LasPieces<'_> {
+    /// The bytes of the next points; their number, unless there are no more.
+    fn read_points(&mut self, chunk: &mut VertexChunk) -> Result<Option<usize>> {
+        let Some((_, blocks)) = &self.model.compressed else {
+            let vertices = self.plain.read_plain(chunk)?;
+            return Ok((vertices > 0).then_some(vertices));
+        };
+        if self.block == blocks.len() {
+            return Ok(None);
+        }
+        let group = blocks.group(self.block);
+        self.block = group.end;
+        chunk.first = blocks.start(group.start).0;
+        self.model.read_group(blocks, group, &mut chunk.raw, &mut chunk.blocks)?;
+        Ok(Some(chunk.blocks.iter().map(|block| block.vertices).sum::<u64>() as usize))
+    }
+}
+
+impl LasModel {
+    /// What of a range of the file goes into the new one: all but the octree of COPC.
+    fn without_copc(&self, range: Range<u64>) -> Vec<Range<u64>> {
+        let (mut ranges, mut start) = (Vec::new(), range.start);
+        let within = |at: u64| at.clamp(range.start, range.end);
+        for record in self.records.of_copc() {
+            ranges.push(start..within(record.all.start).max(start));
+            start = within(record.all.end).max(start);
+        }
+        ranges.push(start..range.end);
+        ranges
+    }
+
+    /// Where a byte of the file is in the new one, if nothing but the octree of COPC made a difference.
+    fn moved(&self, at: u64) -> u64 {
+        let before = self.records.of_copc().filter(|record| record.all.end <= at);
+        at - before.map(|record| record.all.end - record.all.start).sum::<u64>()
+    }
+
+    /// Number of EVLRs that are left out, or of VLRs.
+    fn dropped(&self, extended: bool) -> u64 {
+        self.records.of_copc().filter(|record| record.is_extended == extended).count() as u64
+    }
+
+    /// Corrects in the header what is known beforehand.
+    fn correct_header(&self, bytes: &mut [u8]) {
+        let mut put = |at: u64, new: &[u8]| bytes[at as usize..at as usize + new.len()].copy_from_slice(new);
+        for (axis, steps) in self.shift.iter().enumerate().filter(|(_, steps)| **steps != 0) {
+            debug_assert!(*steps != 0);
+            put(at::OFFSETS + 8 * axis as u64, &self.written().offset[axis].to_le_bytes());
+        }
+        let [vlrs, evlrs] = [false, true].map(|extended| self.dropped(extended) as u32);
+        if vlrs > 0 {
+            put(at::VLRS, &(self.header.vlrs - vlrs).to_le_bytes());
+            put(at::POINTS, &(self.moved(self.header.points) as u32).to_le_bytes());
+        }
+        if let Some((_, count)) = self.header.evlrs.filter(|_| evlrs > 0) {
+            put(at::EVLRS, &(count - evlrs).to_le_bytes());
+        }
+    }
+
+    /// The bounds in the header, as far as they change.
+    fn bounds(&self, all: &Summary) -> Vec<(u64, Vec<u8>)> {
+        let Summary { before, after, .. } = all;
+        if after.is_empty() {
+            return Vec::new();
+        }
+        // The scale may be negative.
+        let of = |bounds: &Bounds, integers: &ScaledIntegers| {
+            let corners = [bounds.min, bounds.max];
+            Bounds::of(corners.map(|numbers| numbers * integers.scale + integers.offset))
+        };
+        let (before, after) = (of(before, &self.header.integers), of(after, self.written()));
+        let mut patches = Vec::new();
+        for axis in 0..3 {
+            let sides = [(before.max, after.max), (before.min, after.min)];
+            for (side, (before, after)) in (0..).zip(sides) {
+                if before[axis] != after[axis] {
+                    let place = at::BOUNDS + 16 * axis as u64 + 8 * side;
+                    patches.push((place, after[axis].to_le_bytes().to_vec()));
+                }
+            }
+        }
+        patches
+    }
+
+    fn unfit(&self, first: u64, unfit: Unfit) -> Error {
+        let (vertex, value) = (first + unfit.vertex as u64, unfit.value);
+        let path = self.source.path().display();
+        if !value.is_finite() {
+            let what = format!("{path}: the deformation moves vertex {vertex} to {value}");
+            let hint = "check the deformation: its steps have to give finite positions";
+            return Error::new(ErrorKind::Degenerate, what, hint);
+        }
+        let axis = unfit.axis;
+        let range = self.written().range();
+        let what = format!(
+            "{path}: vertex {vertex} moves to {} = {value}, but with its scale and offset the file holds {} to {} alone",
+            ["x", "y", "z"][axis],
+            range.min[axis],
+            range.max[axis]
+        );
+        Error::new(
+            ErrorKind::Degenerate,
+            what,
+            "move it less, or give --offset auto, which chooses another offset",
+        )
+    }
+}

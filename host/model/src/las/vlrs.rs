@@ -1,0 +1,143 @@
+//! The variable length records of a LAS file, before the points (VLRs) and after them (EVLRs): found, and
+//! those that matter here looked at.
+
+use std::ops::Range;
+
+use super::header::{CUT_OFF, DAMAGED, Header, bytes_at};
+use crate::Result;
+use crate::source::Source;
+
+/// Most bytes that are looked at of a record that names a coordinate reference system.
+const MOST_OF_CRS: u64 = 1 << 20;
+
+/// What a record belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// How the points are compressed.
+    Laszip,
+    /// The octree of COPC, and what COPC says of it.
+    Copc,
+    /// What extra bytes are.
+    ExtraBytes,
+    /// The coordinate reference system as text.
+    Wkt,
+    /// The same as numbers.
+    GeoKeys,
+}
+
+/// A record that matters here.
+#[derive(Debug, Clone)]
+pub(super) struct Record {
+    pub kind: Kind,
+    /// All of its bytes in the file, with its own header.
+    pub all: Range<u64>,
+    /// Those of its content.
+    pub content: Range<u64>,
+    /// Whether it is an EVLR.
+    pub is_extended: bool,
+}
+
+/// The records of a file that matter here, in its order.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Records {
+    records: Vec<Record>,
+}
+
+impl Records {
+    pub fn read(source: &Source, header: &Header) -> Result<Self> {
+        let mut this = Self::default();
+        let mut at = header.len;
+        for number in 0..header.vlrs {
+            at = this.read_one(source, at, header.points, false)?.ok_or_else(|| {
+                let what = format!(
+                    "VLR {number} of {} at byte {at} goes on where the points begin, at byte {}",
+                    header.vlrs, header.points
+                );
+                source.malformed(what, DAMAGED)
+            })?;
+        }
+        if let Some((start, count)) = header.evlrs {
+            at = start;
+            for number in 0..count {
+                at = this.read_one(source, at, source.len(), true)?.ok_or_else(|| {
+                    let what = format!(
+                        "EVLR {number} of {count} at byte {at} goes on beyond the {} bytes of the file",
+                        source.len()
+                    );
+                    source.malformed(what, CUT_OFF)
+                })?;
+            }
+        }
+        Ok(this)
+    }
+
+    /// Reads the header of the record at a place; where it ends, if that is not beyond `end`.
+    fn read_one(&mut self, source: &Source, at: u64, end: u64, is_extended: bool) -> Result<Option<u64>> {
+        let mut bytes = [0; 60];
+        let bytes = &mut bytes[..if is_extended { 60 } else { 54 }];
+        if at.checked_add(bytes.len() as u64).is_none_or(|behind| behind > end) {
+            return Ok(None);
+        }
+        source.read_at(bytes, at)?;
+        let length = if is_extended {
+            u64::from_le_bytes(bytes_at(bytes, 20))
+        } else {
+            u64::from(u16::from_le_bytes(bytes_at(bytes, 20)))
+        };
+        let content = at + bytes.len() as u64;
+        let Some(behind) = content.checked_add(length).filter(|behind| *behind <= end) else {
+            return Ok(None);
+        };
+        let user = bytes[2..18].split(|byte| *byte == 0).next().unwrap_or_default();
+        let kind = match (user, u16::from_le_bytes(bytes_at(bytes, 18))) {
+            (b"laszip encoded", 22204) => Kind::Laszip,
+            (b"copc", _) => Kind::Copc,
+            (b"LASF_Spec", 4) => Kind::ExtraBytes,
+            (b"LASF_Projection", 2112) => Kind::Wkt,
+            (b"LASF_Projection", 34735) => Kind::GeoKeys,
+            _ => return Ok(Some(behind)),
+        };
+        // One of each, and those of COPC, all of which go: a file of many such records is no reason to hold them.
+        if kind == Kind::Copc || self.find(kind).is_none() {
+            self.records.push(Record { kind, all: at..behind, content: content..behind, is_extended });
+        }
+        Ok(Some(behind))
+    }
+
+    pub fn find(&self, kind: Kind) -> Option<&Record> {
+        self.records.iter().find(|record| record.kind == kind)
+    }
+
+    /// What belongs to the octree of COPC.
+    pub fn of_copc(&self) -> impl Iterator<Item = &Record> {
+        self.records.iter().filter(|record| record.kind == Kind::Copc)
+    }
+
+    /// The content of a record, but no more than so many bytes.
+    pub fn content(&self, source: &Source, kind: Kind, most: u64) -> Result<Option<Vec<u8>>> {
+        let Some(Record { content, .. }) = self.find(kind) else { return Ok(None) };
+        let mut bytes = Vec::new();
+        source.append_at(&mut bytes, content.start, (content.end - content.start).min(most) as usize)?;
+        Ok(Some(bytes))
+    }
+
+    /// The name of the coordinate reference system, as far as the file has one.
+    pub fn crs(&self, source: &Source) -> Result<Option<String>> {
+        if let Some(wkt) = self.content(source, Kind::Wkt, MOST_OF_CRS)? {
+            let wkt = String::from_utf8_lossy(&wkt);
+            let name = wkt.split('"').nth(1).map(str::trim);
+            if let Some(name) = name.filter(|name| !name.is_empty()) {
+                return Ok(Some(name.chars().filter(|c| !c.is_control()).take(200).collect()));
+            }
+        }
+        let keys = self.content(source, Kind::GeoKeys, MOST_OF_CRS)?.unwrap_or_default();
+        // Four numbers first, then key, place, count and value for each key.
+        let keys = keys.chunks_exact(8).skip(1);
+        let keys: Vec<[u16; 4]> =
+            keys.map(|key| [0, 2, 4, 6].map(|at| u16::from_le_bytes(bytes_at(key, at)))).collect();
+        // The projected system, or else the geographic one; 32767 says that it has no code.
+        let code = |wanted: u16| keys.iter().find(|[key, place, ..]| (*key, *place) == (wanted, 0));
+        let found = code(3072).or(code(2048)).map(|[.., value]| *value);
+        Ok(found.filter(|code| *code != 0 && *code != 32767).map(|code| format!("EPSG:{code}")))
+    }
+}

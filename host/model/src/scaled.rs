@@ -1,0 +1,85 @@
+//! Positions that are stored as whole numbers.
+
+use glam::{DVec3, IVec3};
+
+use crate::bounds::Bounds;
+
+/// How a file stores its positions as integers of 32 bits: a position is number · scale + offset, axis by
+/// axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScaledIntegers {
+    /// From one number to the next, in the model's unit; finite, and not zero.
+    pub scale: DVec3,
+    /// The position of number zero.
+    pub offset: DVec3,
+}
+
+impl ScaledIntegers {
+    /// The position that a number stands for.
+    #[inline]
+    pub fn position(&self, numbers: IVec3) -> DVec3 {
+        numbers.as_dvec3() * self.scale + self.offset
+    }
+
+    /// The number of an axis that is nearest to a coordinate, if there is one so far out.
+    #[inline]
+    pub fn nearest_of_axis(&self, axis: usize, coordinate: f64) -> Option<i32> {
+        let number = ((coordinate - self.offset[axis]) / self.scale[axis]).round();
+        let fits = number >= f64::from(i32::MIN) && number <= f64::from(i32::MAX);
+        fits.then_some(number as i32)
+    }
+
+    /// The numbers that are nearest to a position, if there are any so far out.
+    pub fn nearest(&self, p: DVec3) -> Option<IVec3> {
+        let [x, y, z] = [0, 1, 2].map(|axis| self.nearest_of_axis(axis, p[axis]));
+        Some(IVec3::new(x?, y?, z?))
+    }
+
+    /// The box of all positions that have numbers.
+    pub fn range(&self) -> Bounds {
+        Bounds::of([IVec3::MIN, IVec3::MAX].map(|numbers| self.position(numbers)))
+    }
+
+    /// How far a position is from the nearest that has numbers: the root of the mean square.
+    pub fn rounding(&self) -> f64 {
+        (self.scale.length_squared() / 12.0).sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn numbers_come_back(
+            numbers in prop::array::uniform3(any::<i32>()),
+            digits in prop::array::uniform3(0..9),
+            offset in prop::array::uniform3(-1e7..1e7),
+        ) {
+            let scale = DVec3::from(digits.map(|n: i32| 10f64.powi(-n)));
+            let integers = ScaledIntegers { scale, offset: DVec3::from(offset) };
+            let numbers = IVec3::from(numbers);
+            let there = integers.position(numbers);
+            // Within what a double tells apart.
+            let far = (integers.offset.abs() + there.abs()) * f64::EPSILON / scale;
+            let back = integers.nearest(there);
+            if far.max_element() < 0.4 && numbers.abs().max_element() < i32::MAX {
+                prop_assert_eq!(back, Some(numbers));
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_beyond_the_range_has_no_number() {
+        let integers = ScaledIntegers { scale: DVec3::splat(0.5), offset: DVec3::splat(10.0) };
+        let range = integers.range();
+        assert_eq!(integers.nearest(range.max), Some(IVec3::MAX));
+        assert_eq!(integers.nearest(range.min), Some(IVec3::MIN));
+        assert_eq!(integers.nearest(range.max + DVec3::X), None);
+        assert_eq!(integers.nearest(range.min - DVec3::Z), None);
+        assert_eq!(integers.nearest(DVec3::NAN), None);
+        assert!(range.contains(DVec3::splat(10.0)));
+    }
+}
