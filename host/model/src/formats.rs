@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use crate::source::Source;
-use crate::{Model, Result, ply};
+use crate::{Error, Model, Result, ply, stl};
 
-/// Opens a model, of whatever format its content is (its name does not matter).
+/// Opens a model, of whatever format its content is; where that cannot tell, as of plain text, the extension
+/// of its name does.
 ///
 /// # Errors
 /// The file cannot be read, its format is not known, or its content is not what the format says.
@@ -16,6 +17,20 @@ pub fn open(path: &Path) -> Result<Box<dyn Model>> {
     if ply::is_ply(&start[..read]) {
         return Ok(Box::new(ply::PlyModel::new(source)?));
     }
-    let what = format!("no model of a known format: it begins with \"{}\"", start[..read].escape_ascii());
-    Err(source.malformed(what, "PLY files can be read, which begin with \"ply\": export the model as PLY"))
+    open_text(source)?.map_err(|source| unknown(&source, &start[..read]))
+}
+
+/// Opens a file whose first bytes do not tell what it is; gives it back where nothing else does.
+fn open_text(source: Source) -> Result<Result<Box<dyn Model>, Source>> {
+    let extension = source.path().extension().and_then(|e| e.to_str()).unwrap_or_default();
+    let extension = extension.to_ascii_lowercase();
+    if extension == "stl" || stl::is_stl(&source)? {
+        return stl::open(source).map(Ok);
+    }
+    Ok(Err(source))
+}
+
+fn unknown(source: &Source, start: &[u8]) -> Error {
+    let what = format!("no model of a known format: it begins with \"{}\"", start.escape_ascii());
+    source.malformed(what, "PLY and STL files can be read: export the model as one of them")
 }

@@ -14,6 +14,7 @@
 pub mod bounds;
 pub mod claim;
 mod error;
+mod fan;
 mod formats;
 pub mod frame;
 pub mod histogram;
@@ -32,7 +33,9 @@ pub mod resumable;
 pub mod scratch;
 pub mod size;
 mod source;
+mod stl;
 pub mod target;
+mod text;
 mod uncached;
 
 pub use error::{Error, ErrorKind, Result};

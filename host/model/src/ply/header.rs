@@ -11,8 +11,7 @@ pub(super) const MAX_HEADER: usize = 1 << 20;
 /// The properties that are a vertex' normal.
 pub(super) const NORMAL: [&str; 3] = ["nx", "ny", "nz"];
 
-/// Hint for everything that no correct program writes.
-pub(super) const DAMAGED: &str = "the file is damaged: copy or export it again";
+pub(super) use crate::text::{DAMAGED, quoted};
 
 /// How the data after the header is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -301,15 +300,6 @@ fn bad_count(element: &str, count: &str) -> String {
     }
 }
 
-/// Text of a file for a message: in quotes, escaped, and not too long.
-pub(super) fn quoted(text: &str) -> String {
-    const LONGEST: usize = 40;
-    let mut chars = text.trim_ascii_end().chars();
-    let short: String = chars.by_ref().take(LONGEST).collect();
-    let dots = if chars.next().is_some() { "..." } else { "" };
-    format!("\"{}{dots}\"", short.escape_debug())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -406,11 +396,5 @@ mod tests {
         }
         assert_eq!(types.iter().map(|t| t.size()).sum::<usize>(), 2 * (1 + 1 + 2 + 2 + 4 + 4 + 4 + 8));
         assert!("Float".parse::<Type>().is_err());
-    }
-
-    #[test]
-    fn quotes_are_short_and_printable() {
-        assert_eq!(quoted("a\u{7}b"), "\"a\\u{7}b\"");
-        assert_eq!(quoted(&"x".repeat(100)).len(), 45);
     }
 }
