@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::source::Source;
-use crate::{Error, Model, Result, ply, stl};
+use crate::{Error, Model, Result, obj, ply, stl};
 
 /// Opens a model, of whatever format its content is; where that cannot tell, as of plain text, the extension
 /// of its name does.
@@ -27,10 +27,13 @@ fn open_text(source: Source) -> Result<Result<Box<dyn Model>, Source>> {
     if extension == "stl" || stl::is_stl(&source)? {
         return stl::open(source).map(Ok);
     }
+    if extension == "obj" || obj::is_obj(&source)? {
+        return obj::open(source).map(Ok);
+    }
     Ok(Err(source))
 }
 
 fn unknown(source: &Source, start: &[u8]) -> Error {
     let what = format!("no model of a known format: it begins with \"{}\"", start.escape_ascii());
-    source.malformed(what, "PLY and STL files can be read: export the model as one of them")
+    source.malformed(what, "PLY, OBJ and STL files can be read: export the model as one of them")
 }

@@ -23,6 +23,7 @@ pub mod input;
 pub mod memory;
 mod model;
 mod number;
+mod obj;
 pub mod output;
 pub mod output_folder;
 mod pipeline;

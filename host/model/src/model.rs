@@ -109,6 +109,8 @@ pub struct VertexChunk {
     pub(crate) raw: Vec<u8>,
     /// Where in `raw` each vertex' numbers lie; what it means is the format's business.
     pub(crate) spans: Vec<[u32; 2]>,
+    /// The bytes are those of the vertices' normals, which stand elsewhere in the file than their positions.
+    pub(crate) of_normals: bool,
 }
 
 impl VertexChunk {
@@ -171,6 +173,15 @@ pub trait Edit: Sync {
     /// # Errors
     /// The vertices cannot be edited.
     fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()>;
+
+    /// Edits vertices once more for their normals alone, where these stand elsewhere in the file than the
+    /// positions: neither begun nor ended.
+    ///
+    /// # Errors
+    /// As of [`edit`](Self::edit).
+    fn edit_normals(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
+        self.edit(chunk, versions)
+    }
 
     /// Is told of each edited chunk, by its first vertex, before it is written: one at a time, in the file's
     /// order.

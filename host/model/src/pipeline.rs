@@ -52,6 +52,8 @@ pub(crate) trait Pieces: Send {
 pub(crate) enum Piece {
     /// So many vertices, which are not decoded.
     Vertices(usize),
+    /// Normals of vertices whose positions stand elsewhere, which are not decoded.
+    Normals,
     /// Bytes to be copied.
     Bytes,
     /// Nothing: the file was read whole.
@@ -211,7 +213,7 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
             Ok(piece)
         });
         reading.next += 1;
-        reading.is_over = !matches!(piece, Ok(Piece::Vertices(_) | Piece::Bytes));
+        reading.is_over = !matches!(piece, Ok(Piece::Vertices(_) | Piece::Normals | Piece::Bytes));
         (number, piece)
     }
 
@@ -223,11 +225,15 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
             Piece::End => return Ok(None),
             _ if number < self.how.pieces_done => {}
             Piece::Bytes => ready.versions.push(std::mem::take(&mut chunk.raw)),
-            Piece::Vertices(_) => {
+            Piece::Vertices(_) | Piece::Normals => {
                 self.file.decode(chunk)?;
                 edited.iter_mut().for_each(|version| version.reset(chunk, self.how.normals));
-                self.edit.edit(chunk, edited)?;
-                ready.edited = Some(chunk.first);
+                if let Piece::Normals = piece {
+                    self.edit.edit_normals(chunk, edited)?;
+                } else {
+                    self.edit.edit(chunk, edited)?;
+                    ready.edited = Some(chunk.first);
+                }
                 for (version, edited) in edited.iter().enumerate() {
                     edited.check(chunk, self.how.normals)?;
                     let mut buffer = self.queue().spare.pop().unwrap_or_default();

@@ -76,6 +76,8 @@ pub(crate) struct Builder {
     spacing: u64,
     /// A block ends where so many vertices are complete.
     unit: u64,
+    /// What comes before the next vertex is a gap, however short.
+    is_separate: bool,
 }
 
 impl Builder {
@@ -86,7 +88,7 @@ impl Builder {
     /// Of vertices from `start` on, `unit` of which stay together.
     pub(crate) fn new(start: u64, unit: u64) -> Self {
         let spacing = Self::SPACING.next_multiple_of(unit);
-        Self { entries: vec![(0, start)], vertices: 0, end: start, spacing, unit }
+        Self { entries: vec![(0, start)], vertices: 0, end: start, spacing, unit, is_separate: false }
     }
 
     pub(crate) fn vertices(&self) -> u64 {
@@ -98,11 +100,16 @@ impl Builder {
         self.end
     }
 
+    /// What comes between the last vertex and the next one is a gap, however short.
+    pub(crate) fn separate(&mut self) {
+        self.is_separate = true;
+    }
+
     /// The next vertex takes the bytes from `start` to `end`.
     #[inline]
     pub(crate) fn vertex(&mut self, start: u64, end: u64) {
         let (first, begin) = self.entries[self.entries.len() - 1];
-        if start - self.end > GAP {
+        if std::mem::take(&mut self.is_separate) || start - self.end > GAP {
             self.close();
             self.entries.push((self.vertices, start));
         } else if (self.vertices - first >= self.spacing || self.end - begin >= BLOCK_BYTES)
@@ -180,6 +187,12 @@ impl<'a> BlockReader<'a> {
     /// Index of the next vertex.
     pub(crate) fn next_vertex(&self) -> u64 {
         self.range.start
+    }
+
+    /// Where in the file the block begins that holds the next vertex, if there is one.
+    pub(crate) fn next_start(&self) -> Option<u64> {
+        let block = self.blocks.of_vertex(self.range.start);
+        (!self.range.is_empty()).then(|| self.blocks.entries[block].1)
     }
 
     /// Makes `raw` the bytes of the next vertices; returns how many, none at the end.
@@ -273,10 +286,9 @@ impl<'a> BlockPieces<'a> {
         raw: &mut Vec<u8>,
         cut: impl Fn(&[u8], u64) -> Option<usize>,
     ) -> Result<BlockPiece> {
-        let BlockReader { source, blocks, .. } = self.reader;
+        let BlockReader { source, .. } = self.reader;
         let next = self.reader.next_vertex();
-        let vertices_at =
-            if next < blocks.vertices() { blocks.entries[blocks.of_vertex(next)].1 } else { source.len() };
+        let vertices_at = self.reader.next_start().unwrap_or(source.len());
         if self.at < vertices_at {
             raw.clear();
             let wanted = (vertices_at - self.at).min(CHUNK_BYTES) as usize;
