@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::source::Source;
-use crate::{Error, Model, Result, obj, ply, stl};
+use crate::{Error, ErrorKind, Model, Result, columns, obj, off, ply, stl};
 
 /// Opens a model, of whatever format its content is; where that cannot tell, as of plain text, the extension
 /// of its name does.
@@ -11,29 +11,54 @@ use crate::{Error, Model, Result, obj, ply, stl};
 /// # Errors
 /// The file cannot be read, its format is not known, or its content is not what the format says.
 pub fn open(path: &Path) -> Result<Box<dyn Model>> {
+    open_with_columns(path, None)
+}
+
+/// The same; of text in columns, these are what `columns` says, as "x,y,z,_,nx,ny,nz": a name for each from
+/// the first one on, those of position and normal among them.
+///
+/// # Errors
+/// As of [`open`], or columns are given of another format.
+pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn Model>> {
     let source = Source::open(path)?;
     let mut start = [0; 16];
     let read = source.read_at(&mut start, 0)?;
+    if columns.is_some() && (ply::is_ply(&start[..read]) || off::is_off(&start[..read])) {
+        let what = format!("{} is no text in columns, but columns are given", path.display());
+        return Err(Error::new(ErrorKind::Argument, what, "leave out the columns"));
+    }
     if ply::is_ply(&start[..read]) {
         return Ok(Box::new(ply::PlyModel::new(source)?));
     }
-    open_text(source)?.map_err(|source| unknown(&source, &start[..read]))
+    open_text(source, columns)?.map_err(|source| unknown(&source, &start[..read]))
 }
 
 /// Opens a file whose first bytes do not tell what it is; gives it back where nothing else does.
-fn open_text(source: Source) -> Result<Result<Box<dyn Model>, Source>> {
+fn open_text(source: Source, columns: Option<&str>) -> Result<Result<Box<dyn Model>, Source>> {
     let extension = source.path().extension().and_then(|e| e.to_str()).unwrap_or_default();
     let extension = extension.to_ascii_lowercase();
+    if columns.is_some() {
+        return columns::open(source, &extension, columns).map(Ok);
+    }
+    let mut start = [0; 64];
+    let read = source.read_at(&mut start, 0)?;
+    if off::is_off(&start[..read]) || extension == "off" {
+        return off::open(source).map(Ok);
+    }
     if extension == "stl" || stl::is_stl(&source)? {
         return stl::open(source).map(Ok);
     }
     if extension == "obj" || obj::is_obj(&source)? {
         return obj::open(source).map(Ok);
     }
+    if columns::EXTENSIONS.contains(&extension.as_str()) {
+        return columns::open(source, &extension, None).map(Ok);
+    }
     Ok(Err(source))
 }
 
 fn unknown(source: &Source, start: &[u8]) -> Error {
     let what = format!("no model of a known format: it begins with \"{}\"", start.escape_ascii());
-    source.malformed(what, "PLY, OBJ and STL files can be read: export the model as one of them")
+    let hint = "PLY, OBJ, STL, OFF and text in columns can be read: export the model as one of them";
+    source.malformed(what, hint)
 }

@@ -13,6 +13,7 @@
 
 pub mod bounds;
 pub mod claim;
+mod columns;
 mod error;
 mod fan;
 mod formats;
@@ -24,6 +25,7 @@ pub mod memory;
 mod model;
 mod number;
 mod obj;
+mod off;
 pub mod output;
 pub mod output_folder;
 mod pipeline;
@@ -40,7 +42,7 @@ mod text;
 mod uncached;
 
 pub use error::{Error, ErrorKind, Result};
-pub use formats::open;
+pub use formats::{open, open_with_columns};
 pub use in_step::{Vertices, in_step};
 pub use model::{
     Attribute, CHUNK_TRIANGLES, CHUNK_VERTICES, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark,

@@ -85,6 +85,8 @@ pub struct ModelInfo {
     pub other_properties: Vec<String>,
     /// Those of them that are numbers, as colours, in the file's order: no two have one name.
     pub attributes: Vec<Attribute>,
+    /// What the user said that the columns of a text are, as "x,y,z": the model has to be opened so again.
+    pub columns: Option<String>,
     /// Size of the file in bytes.
     pub bytes: u64,
     /// Whether reading can begin at any vertex without going over those before it.

@@ -141,7 +141,7 @@ impl FaceLines for Corners<'_> {
     }
 
     #[inline]
-    fn corner(&self, line: &[u8], at: &mut usize) -> Result<Option<i64>, String> {
+    fn corner(&mut self, line: &[u8], at: &mut usize) -> Result<Option<i64>, String> {
         loop {
             let Some((start, end)) = next_word(line, *at, true) else { return Ok(None) };
             *at = end;

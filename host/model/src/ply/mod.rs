@@ -72,6 +72,7 @@ impl PlyModel {
             position_type: layout.position_type(),
             other_properties: layout.other.clone(),
             attributes: layout.attributes.clone(),
+            columns: None,
             bytes: source.len(),
             random_access: layout.stride.is_some(),
             vertex_bytes: 0,

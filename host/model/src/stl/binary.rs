@@ -75,6 +75,7 @@ impl BinaryStl {
             position_type: Scalar::F32,
             other_properties: Vec::new(),
             attributes: Vec::new(),
+            columns: None,
             bytes: source.len(),
             random_access: true,
             vertex_bytes: FACET * facets,

@@ -25,7 +25,7 @@ pub(crate) trait FaceLines: Send {
     fn face(&mut self, line: &[u8]) -> Result<Option<usize>, String>;
 
     /// The next corner of a face from `at` on, which goes behind it; `None` if there is no more.
-    fn corner(&self, line: &[u8], at: &mut usize) -> Result<Option<i64>, String>;
+    fn corner(&mut self, line: &[u8], at: &mut usize) -> Result<Option<i64>, String>;
 }
 
 /// Reads the faces of a part of a file, or of some ranges of it.

@@ -129,6 +129,7 @@ pub(crate) fn info(source: &Source, format: String) -> ModelInfo {
         position_type: Scalar::F64,
         other_properties: Vec::new(),
         attributes: Vec::new(),
+        columns: None,
         bytes: source.len(),
         random_access: true,
         vertex_bytes: 0,

@@ -2,7 +2,9 @@
 
 #![allow(clippy::unwrap_used)] // helpers of tests are tests, too
 
+mod columns;
 mod obj;
+mod off;
 mod stl;
 
 use std::io::Write;
