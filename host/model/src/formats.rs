@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::source::Source;
-use crate::{Error, ErrorKind, Model, Result, columns, obj, off, ply, stl};
+use crate::{Error, ErrorKind, Model, Result, columns, obj, off, pcd, ply, stl};
 
 /// Opens a model, of whatever format its content is; where that cannot tell, as of plain text, the extension
 /// of its name does.
@@ -23,12 +23,16 @@ pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn M
     let source = Source::open(path)?;
     let mut start = [0; 16];
     let read = source.read_at(&mut start, 0)?;
-    if columns.is_some() && (ply::is_ply(&start[..read]) || off::is_off(&start[..read])) {
+    let is_pcd = pcd::is_pcd(&start[..read]);
+    if columns.is_some() && (is_pcd || ply::is_ply(&start[..read]) || off::is_off(&start[..read])) {
         let what = format!("{} is no text in columns, but columns are given", path.display());
         return Err(Error::new(ErrorKind::Argument, what, "leave out the columns"));
     }
     if ply::is_ply(&start[..read]) {
         return Ok(Box::new(ply::PlyModel::new(source)?));
+    }
+    if is_pcd {
+        return pcd::open(source);
     }
     open_text(source, columns)?.map_err(|source| unknown(&source, &start[..read]))
 }
@@ -59,6 +63,6 @@ fn open_text(source: Source, columns: Option<&str>) -> Result<Result<Box<dyn Mod
 
 fn unknown(source: &Source, start: &[u8]) -> Error {
     let what = format!("no model of a known format: it begins with \"{}\"", start.escape_ascii());
-    let hint = "PLY, OBJ, STL, OFF and text in columns can be read: export the model as one of them";
+    let hint = "PLY, OBJ, STL, OFF, PCD and text in columns can be read: export the model as one of them";
     source.malformed(what, hint)
 }

@@ -28,6 +28,7 @@ mod obj;
 mod off;
 pub mod output;
 pub mod output_folder;
+mod pcd;
 mod pipeline;
 mod ply;
 mod positioned;

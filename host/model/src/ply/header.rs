@@ -15,7 +15,7 @@ pub(super) use crate::text::{DAMAGED, quoted};
 
 /// How the data after the header is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Encoding {
+pub(crate) enum Encoding {
     Ascii,
     Little,
     Big,
@@ -52,16 +52,16 @@ impl FromStr for Type {
 
 /// One number, or a count and that many numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Shape {
+pub(crate) enum Shape {
     Scalar(Type),
     List { count: Type, item: Type },
 }
 
 /// A property of an element.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Property {
-    pub(super) name: String,
-    pub(super) shape: Shape,
+pub(crate) struct Property {
+    pub(crate) name: String,
+    pub(crate) shape: Shape,
 }
 
 impl Property {
@@ -76,10 +76,10 @@ impl Property {
 
 /// A table of records, each with the same properties.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Element {
-    pub(super) name: String,
-    pub(super) count: u64,
-    pub(super) properties: Vec<Property>,
+pub(crate) struct Element {
+    pub(crate) name: String,
+    pub(crate) count: u64,
+    pub(crate) properties: Vec<Property>,
 }
 
 impl Element {
@@ -101,12 +101,12 @@ impl Element {
 
 /// A parsed header.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Header {
-    pub(super) encoding: Encoding,
+pub(crate) struct Header {
+    pub(crate) encoding: Encoding,
     /// In the file's order, which is that of the data.
-    pub(super) elements: Vec<Element>,
+    pub(crate) elements: Vec<Element>,
     /// Where the data begins.
-    pub(super) len: u64,
+    pub(crate) len: u64,
 }
 
 /// Whether a file that begins so says that it is PLY.

@@ -5,6 +5,7 @@
 mod columns;
 mod obj;
 mod off;
+mod pcd;
 mod stl;
 
 use std::io::Write;
