@@ -15,7 +15,7 @@ use crate::sampled_model::{OWN_FILES, SampledModel};
 /// What is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// A model, or samples, as PLY.
+    /// A model, or samples.
     Model,
     /// A picture, as PNG.
     Picture,
@@ -29,7 +29,7 @@ impl Kind {
     /// What it is called.
     fn name(self) -> &'static str {
         match self {
-            Self::Model => "PLY file",
+            Self::Model => "model",
             Self::Picture => "PNG file",
             Self::Session => "session",
             Self::Binding => "binding",
@@ -45,7 +45,7 @@ impl Kind {
         input::open(path)?.take(8).read_to_end(&mut start).map_err(failed)?;
         Ok(start.is_empty()
             || match self {
-                Self::Model => start.starts_with(b"ply\n") || start.starts_with(b"ply\r"),
+                Self::Model => simod_model::is_model(path)?,
                 Self::Picture => start == b"\x89PNG\r\n\x1a\n",
                 Self::Binding => start == crate::reconstruction::BINDING_MAGIC,
                 Self::Session => {

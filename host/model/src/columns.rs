@@ -40,6 +40,8 @@ pub(crate) struct Columns {
     attributes: Vec<usize>,
     /// Lines with a single word are numbers of points.
     is_counted: bool,
+    /// What the user said that they are.
+    wanted: Option<String>,
 }
 
 impl Columns {
@@ -51,6 +53,7 @@ impl Columns {
             components,
             attributes: (components..components + attributes).collect(),
             is_counted: false,
+            wanted: None,
         }
     }
 
@@ -75,7 +78,14 @@ impl Columns {
         }
         let mut roles = vec![None; columns.iter().max().map_or(0, |last| last + 1)];
         columns.iter().enumerate().for_each(|(component, column)| roles[*column] = Some(component));
-        Ok(Self { separator, roles, components: columns.len(), attributes: Vec::new(), is_counted })
+        Ok(Self {
+            separator,
+            roles,
+            components: columns.len(),
+            attributes: Vec::new(),
+            is_counted,
+            wanted: None,
+        })
     }
 
     /// The columns of a line: where each begins and ends.
@@ -138,6 +148,12 @@ fn is_blank(line: &[u8]) -> bool {
 }
 
 impl Grammar for Columns {
+    const EXTENSIONS: &[&str] = &EXTENSIONS;
+
+    fn wanted(&self) -> Option<&str> {
+        self.wanted.as_deref()
+    }
+
     fn components(&self) -> usize {
         self.components
     }
@@ -162,6 +178,11 @@ impl Grammar for Columns {
     }
 }
 
+/// Whether a file's first lines are such a text.
+pub(crate) fn is_columns(source: &Source, extension: &str) -> bool {
+    EXTENSIONS.contains(&extension) && head(source, extension, None).is_ok()
+}
+
 /// What the lines before the first point tell.
 struct Head {
     columns: Columns,
@@ -175,8 +196,9 @@ struct Head {
 
 /// Opens a file, which is gone over once; `wanted` says what its columns are, as "x,y,z".
 pub(crate) fn open(source: Source, extension: &str, wanted: Option<&str>) -> Result<Box<dyn Model>> {
-    let Head { columns, names, attributes, begin, start } = head(&source, extension, wanted)?;
+    let Head { mut columns, names, attributes, begin, start } = head(&source, extension, wanted)?;
     let blocks = scan(&source, &columns, begin, start)?;
+    columns.wanted = wanted.map(str::to_owned);
     let separated = match columns.separator {
         None => "blanks",
         Some(b',') => "commas",
@@ -186,7 +208,6 @@ pub(crate) fn open(source: Source, extension: &str, wanted: Option<&str>) -> Res
     let info = ModelInfo {
         other_properties: others.map(|(_, name)| name.clone()).collect(),
         attributes,
-        columns: wanted.map(str::to_owned),
         ..info(&source, format!("text in {} columns between {separated}", names.len()))
     };
     Ok(Box::new(TextModel::new(source, columns, blocks, info)?))

@@ -5,6 +5,39 @@ use std::path::Path;
 use crate::source::Source;
 use crate::{Error, ErrorKind, Model, Result, columns, obj, off, pcd, ply, stl};
 
+/// Extensions of all formats, by which names say what a file is.
+const EXTENSIONS: [&str; 5] = ["ply", "obj", "stl", "off", "pcd"];
+
+/// Whether a path's extension says that a file is of a format, and of another one than a model.
+pub fn is_named_otherwise(model: &dyn Model, path: &Path) -> bool {
+    let extension = extension(path);
+    let is_known =
+        EXTENSIONS.contains(&extension.as_str()) || columns::EXTENSIONS.contains(&extension.as_str());
+    let own = model.extensions();
+    is_known && !own.is_empty() && !own.contains(&extension.as_str())
+}
+
+/// Whether a file is a model, as far as its first bytes tell.
+///
+/// # Errors
+/// It cannot be read.
+pub fn is_model(path: &Path) -> Result<bool> {
+    let source = Source::open(path)?;
+    let mut start = [0; 64];
+    let read = source.read_at(&mut start, 0)?;
+    let start = &start[..read];
+    Ok(ply::is_ply(start)
+        || pcd::is_pcd(start)
+        || off::is_off(start)
+        || stl::is_stl(&source)?
+        || obj::is_obj(&source)?
+        || columns::is_columns(&source, &extension(path)))
+}
+
+fn extension(path: &Path) -> String {
+    path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase()
+}
+
 /// Opens a model, of whatever format its content is; where that cannot tell, as of plain text, the extension
 /// of its name does.
 ///
@@ -39,8 +72,7 @@ pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn M
 
 /// Opens a file whose first bytes do not tell what it is; gives it back where nothing else does.
 fn open_text(source: Source, columns: Option<&str>) -> Result<Result<Box<dyn Model>, Source>> {
-    let extension = source.path().extension().and_then(|e| e.to_str()).unwrap_or_default();
-    let extension = extension.to_ascii_lowercase();
+    let extension = extension(source.path());
     if columns.is_some() {
         return columns::open(source, &extension, columns).map(Ok);
     }

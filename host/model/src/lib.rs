@@ -43,7 +43,7 @@ mod text;
 mod uncached;
 
 pub use error::{Error, ErrorKind, Result};
-pub use formats::{open, open_with_columns};
+pub use formats::{is_model, is_named_otherwise, open, open_with_columns};
 pub use in_step::{Vertices, in_step};
 pub use model::{
     Attribute, CHUNK_TRIANGLES, CHUNK_VERTICES, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark,

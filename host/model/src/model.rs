@@ -85,8 +85,6 @@ pub struct ModelInfo {
     pub other_properties: Vec<String>,
     /// Those of them that are numbers, as colours, in the file's order: no two have one name.
     pub attributes: Vec<Attribute>,
-    /// What the user said that the columns of a text are, as "x,y,z": the model has to be opened so again.
-    pub columns: Option<String>,
     /// Size of the file in bytes.
     pub bytes: u64,
     /// Whether reading can begin at any vertex without going over those before it.
@@ -379,6 +377,16 @@ pub trait Model: Send + Sync {
 
     /// The file.
     fn path(&self) -> &Path;
+
+    /// Extensions that names of such files have, in lower case, the usual one first; none if any will do.
+    fn extensions(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// What the user said that the columns of a text are, as "x,y,z": it has to be opened so again.
+    fn columns(&self) -> Option<&str> {
+        None
+    }
 
     /// A reader of the vertices whose indices lie in `range` (clipped to the model).
     ///

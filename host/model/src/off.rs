@@ -188,6 +188,8 @@ struct Off {
 }
 
 impl Grammar for Off {
+    const EXTENSIONS: &[&str] = &["off"];
+
     fn components(&self) -> usize {
         self.columns.components()
     }

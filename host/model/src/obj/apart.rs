@@ -161,6 +161,10 @@ impl Model for ApartModel {
         self.model.path()
     }
 
+    fn extensions(&self) -> &'static [&'static str] {
+        Obj::EXTENSIONS
+    }
+
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         let vertices = self.model.vertices(range.clone())?;
         let Some(blocks) = &self.normals else { return Ok(vertices) };

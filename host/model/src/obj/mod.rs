@@ -79,6 +79,7 @@ pub(crate) struct Obj {
 }
 
 impl Grammar for Obj {
+    const EXTENSIONS: &[&str] = &["obj"];
     const CONTINUES: bool = true;
 
     fn components(&self) -> usize {

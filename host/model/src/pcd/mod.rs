@@ -36,6 +36,7 @@ fn open_in(source: Source, temporary: &Path) -> Result<Box<dyn Model>> {
     let records = header.records();
     let other = header.fields.iter().filter(|f| !f.is_component()).map(Field::describe).collect();
     let mut model = PlyModel::of(source, records, header::without_normals)?;
+    model.extensions = &["pcd"];
     model.info.format = format!("PCD {}, {name}", header.version);
     model.info.other_properties = other;
     model.note = compressed.then_some("what is written is not compressed again: DATA is binary in it");

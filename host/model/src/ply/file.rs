@@ -24,5 +24,7 @@ pub struct PlyModel {
     pub(super) without_normals: fn(&[u8]) -> Vec<u8>,
     /// What the user should know of the file that is written.
     pub(crate) note: Option<&'static str>,
+    /// Extensions that names of such files have.
+    pub(crate) extensions: &'static [&'static str],
     pub(crate) info: ModelInfo,
 }

@@ -80,7 +80,6 @@ impl PlyModel {
             position_type: layout.position_type(),
             other_properties: layout.other.clone(),
             attributes: layout.attributes.clone(),
-            columns: None,
             bytes: source.len(),
             random_access: layout.stride.is_some(),
             vertex_bytes: 0,
@@ -105,6 +104,7 @@ impl PlyModel {
             offsets: Offsets::new(),
             without_normals,
             note: None,
+            extensions: &["ply"],
             info,
         };
         if model.header.encoding == Encoding::Ascii {
@@ -147,6 +147,10 @@ impl Model for PlyModel {
 
     fn path(&self) -> &Path {
         self.source.path()
+    }
+
+    fn extensions(&self) -> &'static [&'static str] {
+        self.extensions
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {

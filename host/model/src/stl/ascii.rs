@@ -119,6 +119,7 @@ fn scan(source: &Source) -> Result<(Blocks, u64)> {
 struct Stl;
 
 impl Grammar for Stl {
+    const EXTENSIONS: &[&str] = &["stl"];
     const UNIT: u64 = 3;
 
     fn is_vertex(&self, line: &[u8]) -> bool {

@@ -75,7 +75,6 @@ impl BinaryStl {
             position_type: Scalar::F32,
             other_properties: Vec::new(),
             attributes: Vec::new(),
-            columns: None,
             bytes: source.len(),
             random_access: true,
             vertex_bytes: FACET * facets,
@@ -153,6 +152,10 @@ impl Model for BinaryStl {
 
     fn path(&self) -> &Path {
         self.source.path()
+    }
+
+    fn extensions(&self) -> &'static [&'static str] {
+        &["stl"]
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {

@@ -23,6 +23,13 @@ pub(crate) trait Grammar: Send + Sync + Sized + 'static {
     const CONTINUES: bool = false;
     /// Vertices that stay in one chunk together when the model is rewritten.
     const UNIT: u64 = 1;
+    /// Extensions that names of such files have.
+    const EXTENSIONS: &'static [&'static str];
+
+    /// What the user said that the columns are.
+    fn wanted(&self) -> Option<&str> {
+        None
+    }
 
     /// Numbers of a vertex that are its position, and its normal if it has one: 3 or 6.
     fn components(&self) -> usize {
@@ -129,7 +136,6 @@ pub(crate) fn info(source: &Source, format: String) -> ModelInfo {
         position_type: Scalar::F64,
         other_properties: Vec::new(),
         attributes: Vec::new(),
-        columns: None,
         bytes: source.len(),
         random_access: true,
         vertex_bytes: 0,
@@ -390,6 +396,14 @@ impl<G: Grammar> Model for TextModel<G> {
 
     fn path(&self) -> &Path {
         self.source.path()
+    }
+
+    fn extensions(&self) -> &'static [&'static str] {
+        G::EXTENSIONS
+    }
+
+    fn columns(&self) -> Option<&str> {
+        self.grammar.wanted()
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {

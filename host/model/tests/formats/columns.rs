@@ -72,7 +72,7 @@ fn the_user_may_say_what_columns_are() {
     let (positions, normals) = read(model.as_ref()).unwrap();
     assert_eq!(positions, [DVec3::new(1.0, 2.0, 3.0), DVec3::new(4.0, 5.0, 6.0)]);
     assert_eq!((normals[1], names(model.as_ref())), (Vec3::Y, vec!["time".to_string()]));
-    assert_eq!(model.info().columns.as_deref(), Some("_,z,y,x,nx,ny,nz,time"));
+    assert_eq!(model.columns(), Some("_,z,y,x,nx,ny,nz,time"));
     // Numbers go to their columns, in whatever order these are.
     let out = rewrite(model.as_ref(), |e| e.positions[0] = DVec3::new(-1.0, -2.0, -3.0)).unwrap();
     assert_eq!(
