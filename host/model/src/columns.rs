@@ -68,8 +68,8 @@ impl Columns {
             }
         };
         let mut columns = Vec::new();
-        for component in 0..3 {
-            let missing = || format!("no column is {}", NAMES[component][0]);
+        for (component, names) in NAMES.iter().enumerate().take(3) {
+            let missing = || format!("no column is {}", names[0]);
             columns.push(place(component)?.ok_or_else(missing)?);
         }
         let normal = [place(3)?, place(4)?, place(5)?];
@@ -160,7 +160,7 @@ impl Grammar for Columns {
 
     #[inline]
     fn is_vertex(&self, line: &[u8]) -> bool {
-        !is_blank(line) && !(self.is_counted && self.fields(line).nth(1).is_none())
+        !is_blank(line) && (!self.is_counted || self.fields(line).nth(1).is_some())
     }
 
     #[inline]

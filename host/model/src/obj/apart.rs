@@ -12,6 +12,7 @@ use glam::{DVec3, Vec3};
 
 use super::Obj;
 use super::lines::{Statement, values};
+use super::shared::SharedNormals;
 use crate::pipeline::{self, Piece, Pieces, Rewritable};
 use crate::text::blocks::{BlockReader, Blocks, changed};
 use crate::text::digits::{Digits, Survey};
@@ -19,8 +20,8 @@ use crate::text::lines::{lines, wrong_line};
 use crate::text::model::{Grammar, TextModel, splice_normal};
 use crate::text::{DAMAGED, parse, quoted};
 use crate::{
-    Edit, Edited, Error, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, Scalar,
-    VertexChunk, VertexReader,
+    CHUNK_VERTICES, Edit, Edited, Error, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
+    Rewriting, Scalar, VertexChunk, VertexReader,
 };
 
 /// Bytes that are copied at once.
@@ -28,9 +29,11 @@ const COPIED: u64 = 4 << 20;
 
 /// A model, with its normals if they stand apart.
 pub(super) struct ApartModel {
-    model: TextModel<Obj>,
+    pub(super) model: TextModel<Obj>,
     normals: Option<Blocks>,
-    digits: Digits,
+    pub(super) digits: Digits,
+    /// The normals are of corners, which share them.
+    are_shared: bool,
     /// Normals of corners, which are not read.
     of_corners: u64,
 }
@@ -47,10 +50,10 @@ fn cut(bytes: &[u8], count: u64) -> Option<usize> {
 impl ApartModel {
     /// One that has none apart, but so many of corners.
     pub(super) fn without(model: TextModel<Obj>, of_corners: u64) -> Self {
-        Self { model, normals: None, digits: Digits::default(), of_corners }
+        Self { model, normals: None, digits: Digits::default(), are_shared: false, of_corners }
     }
 
-    pub(super) fn new(mut model: TextModel<Obj>, normals: Blocks) -> Result<Self> {
+    pub(super) fn new(mut model: TextModel<Obj>, normals: Blocks, are_shared: bool) -> Result<Self> {
         const OF_A_BLOCK: u64 = 64;
         let (mut survey, mut raw) = (Survey::default(), Vec::new());
         for (_, bytes) in normals.spread(32) {
@@ -62,12 +65,18 @@ impl ApartModel {
                 values(line).take(3).enumerate().for_each(|(c, (a, b))| survey.take(c, &line[a..b]));
             }
         }
-        model.info.has_normals = true;
-        Ok(Self { model, normals: Some(normals), digits: survey.digits(Some(1.0)), of_corners: 0 })
+        model.info.has_normals = !are_shared;
+        Ok(Self {
+            model,
+            normals: Some(normals),
+            digits: survey.digits(Some(1.0)),
+            are_shared,
+            of_corners: 0,
+        })
     }
 
     /// Reads the normals in some bytes, which hold so many, and where they stand.
-    fn decode_normals(
+    pub(super) fn decode_normals(
         &self,
         raw: &[u8],
         first: u64,
@@ -167,7 +176,7 @@ impl Model for ApartModel {
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         let vertices = self.model.vertices(range.clone())?;
-        let Some(blocks) = &self.normals else { return Ok(vertices) };
+        let Some(blocks) = self.normals.as_ref().filter(|_| !self.are_shared) else { return Ok(vertices) };
         let normals = BlockReader::new(&self.model.source, blocks, range);
         let (raw, spans, ahead, some) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         Ok(Box::new(Reader { model: self, vertices, normals, raw, spans, ahead, some }))
@@ -207,20 +216,19 @@ impl Model for ApartModel {
             return self.model.rewrite(outputs, how, edit, progress);
         }
         self.model.check_normals(how.normals)?;
+        if self.are_shared && how.normals == Normals::Transform {
+            let shared = SharedNormals::new(self, progress)?;
+            pipeline::rewrite(&shared, outputs, how, edit, progress)?;
+            shared.tell(progress);
+            return Ok(());
+        }
         pipeline::rewrite(self, outputs, how, edit, progress)
     }
 }
 
 impl Rewritable for ApartModel {
     fn pieces(&self, normals: Normals) -> Result<Box<dyn Pieces + '_>> {
-        let source = &self.model.source;
-        let of = |blocks| BlockReader::new(source, blocks, 0..u64::MAX);
-        Ok(Box::new(ApartPieces {
-            model: self,
-            at: 0,
-            vertices: of(&self.model.blocks),
-            normals: self.normals.as_ref().filter(|_| normals == Normals::Transform).map(of),
-        }))
+        Ok(Box::new(ApartPieces::new(self, normals, CHUNK_VERTICES)))
     }
 
     fn decode(&self, chunk: &mut VertexChunk) -> Result<()> {
@@ -269,12 +277,22 @@ impl Rewritable for ApartModel {
 }
 
 /// The file in its order: vertices, normals, and what is between them.
-struct ApartPieces<'a> {
+pub(super) struct ApartPieces<'a> {
     model: &'a ApartModel,
     at: u64,
     vertices: BlockReader<'a>,
     /// Not there if they are copied.
     normals: Option<BlockReader<'a>>,
+}
+
+impl<'a> ApartPieces<'a> {
+    /// With at most so many normals in a chunk.
+    pub(super) fn new(model: &'a ApartModel, normals: Normals, chunk: usize) -> Self {
+        let of = |blocks| BlockReader::new(&model.model.source, blocks, 0..u64::MAX);
+        let mut of_normals = model.normals.as_ref().filter(|_| normals == Normals::Transform).map(of);
+        of_normals.iter_mut().for_each(|reader| reader.set_chunk(chunk));
+        Self { model, at: 0, vertices: of(&model.model.blocks), normals: of_normals }
+    }
 }
 
 impl Pieces for ApartPieces<'_> {

@@ -3,7 +3,8 @@
 //!
 //! Normals are of corners here. Where a file has as many as vertices, and every corner uses the normal that
 //! has the number of its vertex, they are those of the vertices: either each beside its vertex, or apart from
-//! them. Other normals are not read; when the model is written, they keep their bytes, which is said.
+//! them. Other normals are not read; when the model is written, each becomes the mean of what it becomes where
+//! it is used, if that agrees, and keeps its bytes otherwise, which is said.
 //!
 //! | module | |
 //! |---|---|
@@ -11,10 +12,12 @@
 //! | `scan` | the one pass over the file when it is opened |
 //! | `lines` | statements, their words, and corners |
 //! | `apart` | normals that do not stand beside their vertices |
+//! | `shared` | normals of corners |
 
 mod apart;
 mod lines;
 mod scan;
+mod shared;
 
 use std::ops::Range;
 
@@ -51,8 +54,9 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
     let model = TextModel::new(source, grammar, vertices, info)?;
     Ok(match normals {
         NormalsAre::None | NormalsAre::Beside => Box::new(ApartModel::without(model, 0)),
-        NormalsAre::Shared(count) => Box::new(ApartModel::without(model, count)),
-        NormalsAre::Apart(blocks) => Box::new(ApartModel::new(model, blocks)?),
+        NormalsAre::Scattered(count) => Box::new(ApartModel::without(model, count)),
+        NormalsAre::Shared(blocks) => Box::new(ApartModel::new(model, blocks, true)?),
+        NormalsAre::Apart(blocks) => Box::new(ApartModel::new(model, blocks, false)?),
     })
 }
 

@@ -22,8 +22,10 @@ pub(super) enum NormalsAre {
     Beside,
     /// The vertices', in the same order, but elsewhere in the file.
     Apart(Blocks),
-    /// So many, of corners.
-    Shared(u64),
+    /// Of corners, which share them.
+    Shared(Blocks),
+    /// So many, in too many places.
+    Scattered(u64),
 }
 
 /// What is found.
@@ -112,13 +114,13 @@ impl Scan {
         let (mut vertices, normals) = (vertices.finish(), normals.finish());
         let normals = match builder {
             _ if of_normals == 0 => NormalsAre::None,
-            _ if of_normals != count || !are_of_vertices => NormalsAre::Shared(of_normals),
-            Some(builder) => {
+            Some(builder) if of_normals == count && are_of_vertices => {
                 vertices = builder.finish();
                 NormalsAre::Beside
             }
-            None if runs > MOST_RUNS => NormalsAre::Shared(of_normals),
-            None => NormalsAre::Apart(normals),
+            _ if runs > MOST_RUNS => NormalsAre::Scattered(of_normals),
+            _ if of_normals != count || !are_of_vertices => NormalsAre::Shared(normals),
+            _ => NormalsAre::Apart(normals),
         };
         Ok(Self { vertices, normals, faces, face_lines, is_relative, first_vertex })
     }
