@@ -82,7 +82,7 @@ pub fn check_marks(model: &dyn Model) {
     for pair in marks.windows(2).step_by(3).chain(marks.windows(marks.len().max(1))) {
         let (first, last) = (pair[0], pair[pair.len() - 1]);
         let mut some = Vec::new();
-        let ranges = vec![first.1..last.1];
+        let ranges = std::iter::once(first.1..last.1).collect();
         for_faces_at(model, ranges, |chunk| {
             some.extend_from_slice(&chunk.triangles);
             Ok(())
