@@ -29,7 +29,7 @@ impl Kind {
     /// What it is called.
     fn name(self) -> &'static str {
         match self {
-            Self::Model => "PLY file",
+            Self::Model => "model",
             Self::Picture => "PNG file",
             Self::Session => "session",
             Self::Binding => "binding",
@@ -45,9 +45,7 @@ impl Kind {
         input::open(path)?.take(8).read_to_end(&mut start).map_err(failed)?;
         Ok(start.is_empty()
             || match self {
-                Self::Model => {
-                    [&b"ply\n"[..], b"ply\r", b"LASF"].iter().any(|magic| start.starts_with(magic))
-                }
+                Self::Model => simod_model::is_model(path)?,
                 Self::Picture => start == b"\x89PNG\r\n\x1a\n",
                 Self::Binding => start == crate::reconstruction::BINDING_MAGIC,
                 Self::Session => {

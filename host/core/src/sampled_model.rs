@@ -72,6 +72,9 @@ pub struct Source {
     /// The file; in `simod.toml` relative to the folder.
     #[serde(with = "any_path")]
     pub path: PathBuf,
+    /// What the user said that its columns are, if it is a text in columns.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub columns: Option<String>,
     /// Its size.
     pub bytes: u64,
     /// Its number of vertices.
@@ -718,7 +721,7 @@ impl SampledModel {
                 "put it back, or say where it is with --model",
             ));
         }
-        let model = simod_model::open(path)?;
+        let model = simod_model::open_with_columns(path, self.source.columns.as_deref())?;
         let info = model.info();
         if (info.bytes, info.vertices) != (self.source.bytes, self.source.vertices) {
             return Err(self.source_changed(path));

@@ -13,7 +13,9 @@
 
 pub mod bounds;
 pub mod claim;
+mod columns;
 mod error;
+mod fan;
 mod formats;
 pub mod frame;
 pub mod histogram;
@@ -23,8 +25,11 @@ mod las;
 pub mod memory;
 mod model;
 mod number;
+mod obj;
+mod off;
 pub mod output;
 pub mod output_folder;
+mod pcd;
 mod pipeline;
 mod ply;
 mod positioned;
@@ -34,12 +39,14 @@ mod scaled;
 pub mod scratch;
 pub mod size;
 mod source;
+mod stl;
 mod summary;
 pub mod target;
+mod text;
 mod uncached;
 
 pub use error::{Error, ErrorKind, Result};
-pub use formats::open;
+pub use formats::{is_model, is_named_otherwise, open, open_with_columns};
 pub use in_step::{Vertices, in_step};
 pub use model::{
     Attribute, CHUNK_TRIANGLES, CHUNK_VERTICES, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark,

@@ -105,6 +105,12 @@ pub struct ModelInfo {
 }
 
 impl ModelInfo {
+    /// Whether a range of vertices is read without others: neither all before them, nor those of the same
+    /// compressed block.
+    pub fn reads_exactly(&self) -> bool {
+        self.random_access && self.block_vertices == 1
+    }
+
     /// Vertices of no interest between two others that are better read as well than passed over.
     pub fn near(&self) -> u64 {
         if self.random_access { self.block_vertices - 1 } else { u64::MAX }
@@ -138,6 +144,8 @@ pub struct VertexChunk {
     pub(crate) blocks: Vec<Block>,
     /// Where in `raw` each vertex' numbers lie; what it means is the format's business.
     pub(crate) spans: Vec<[u32; 2]>,
+    /// The bytes are those of the vertices' normals, which stand elsewhere in the file than their positions.
+    pub(crate) of_normals: bool,
 }
 
 impl VertexChunk {
@@ -209,6 +217,15 @@ pub trait Edit: Sync {
     /// # Errors
     /// The vertices cannot be edited.
     fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()>;
+
+    /// Edits vertices once more for their normals alone, where these stand elsewhere in the file than the
+    /// positions: neither begun nor ended.
+    ///
+    /// # Errors
+    /// As of [`edit`](Self::edit).
+    fn edit_normals(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
+        self.edit(chunk, versions)
+    }
 
     /// Is told of each edited chunk, by its first vertex, before it is written: one at a time, in the file's
     /// order.
@@ -438,17 +455,21 @@ pub trait Model: Send + Sync {
     /// The file.
     fn path(&self) -> &Path;
 
+    /// Extensions that names of such files have, in lower case, the usual one first; none if any will do.
+    fn extensions(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// What the user said that the columns of a text are, as "x,y,z": it has to be opened so again.
+    fn columns(&self) -> Option<&str> {
+        None
+    }
+
     /// A reader of the vertices whose indices lie in `range` (clipped to the model).
     ///
     /// # Errors
     /// The file cannot be read.
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
-
-    /// Whether [`vertices`](Self::vertices) reads those of the range alone: neither all before them, as in text,
-    /// nor others of the same compressed block.
-    fn reads_exactly(&self) -> bool {
-        self.info().random_access
-    }
 
     /// The numbers of the [first attributes](ModelInfo::attributes), as many as there are lists, one for each
     /// vertex of a chunk that was read from this model. What the lists held is gone.

@@ -63,6 +63,8 @@ pub(crate) trait Pieces: Send {
 pub(crate) enum Piece {
     /// So many vertices, which are not decoded.
     Vertices(usize),
+    /// Normals of vertices whose positions stand elsewhere, which are not decoded.
+    Normals,
     /// Bytes to be copied.
     Bytes,
     /// Bytes in whose place others are [made](Rewritable::make).
@@ -246,7 +248,8 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
             Ok(piece)
         });
         reading.next += 1;
-        reading.is_over = !matches!(piece, Ok(Piece::Vertices(_) | Piece::Bytes | Piece::Made));
+        let goes_on = |piece: &Piece| !matches!(piece, Piece::End);
+        reading.is_over = !piece.as_ref().is_ok_and(goes_on);
         (number, piece)
     }
 
@@ -259,11 +262,15 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
             _ if number < self.how.pieces_done => {}
             Piece::Bytes => ready.versions.push(std::mem::take(&mut chunk.raw)),
             Piece::Made => ready.is_made = true,
-            Piece::Vertices(_) => {
+            Piece::Vertices(_) | Piece::Normals => {
                 self.file.decode(chunk)?;
                 edited.iter_mut().for_each(|version| version.reset(chunk, self.how.normals));
-                self.edit.edit(chunk, edited)?;
-                ready.edited = Some(chunk.first);
+                if let Piece::Normals = piece {
+                    self.edit.edit_normals(chunk, edited)?;
+                } else {
+                    self.edit.edit(chunk, edited)?;
+                    ready.edited = Some(chunk.first);
+                }
                 for (version, edited) in edited.iter().enumerate() {
                     edited.check(chunk, self.how.normals)?;
                     let mut buffer = self.queue().spare.pop().unwrap_or_default();

@@ -55,6 +55,11 @@ impl Scratch {
         self.handle.set_len(bytes).map_err(|e| refused("write", &self.folder, self.advice, &e))
     }
 
+    /// The file, to be read by others.
+    pub(crate) fn into_file(self) -> Positioned {
+        self.file
+    }
+
     /// The whole file as memory, which is not anonymous. It must not be empty, and nothing can be written any
     /// more.
     ///

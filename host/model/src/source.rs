@@ -6,6 +6,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::positioned::Positioned;
+use crate::scratch::Scratch;
 use crate::{Error, ErrorKind, Result, input};
 
 /// An open file of known length that several threads read at once, each where it likes.
@@ -30,6 +31,11 @@ impl Source {
             ));
         }
         Ok(Self { file: Positioned::new(file), path: path.to_owned(), len })
+    }
+
+    /// What was written to a temporary file, in the name of another one.
+    pub(crate) fn of_scratch(scratch: Scratch, path: &Path, len: u64) -> Self {
+        Self { file: scratch.into_file(), path: path.to_owned(), len }
     }
 
     pub(crate) fn path(&self) -> &Path {

@@ -975,7 +975,7 @@ fn lying_headers_are_named() {
 
 #[test]
 fn files_that_are_no_models_are_named() {
-    assert_eq!(message(open(b"solid cube")), "no model of a known format: it begins with \"solid cube\"");
+    assert_eq!(message(open(b"a solid cube")), "no model of a known format: it begins with \"a solid cube\"");
     assert!(message(open(b"")).ends_with("is empty"));
     assert!(message(open(b"ply\nformat ascii")).ends_with("the file ends within its header"));
     let endless = b"ply\nformat ascii 1.0\n".iter().copied().chain(b"comment\n".iter().copied().cycle());

@@ -97,7 +97,7 @@ fn files_of_another_kind_need_force() {
         "run edit.toml -o",
     ] {
         work.write("letter", letter);
-        let refused = work.refuses(&format!("{line} letter"), &["letter", "is no P"]);
+        let refused = work.refuses(&format!("{line} letter"), &["letter", "is there, and is no "]);
         assert!(refused.hint().contains("--force"), "{}", refused.hint());
         work.simod(&format!("{line} letter --force"));
         assert_ne!(work.read("letter"), letter.as_bytes());

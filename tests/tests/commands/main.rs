@@ -7,6 +7,7 @@ mod diagnostics;
 mod errors;
 mod examples;
 mod files;
+mod formats;
 mod las;
 mod main_job;
 mod place;

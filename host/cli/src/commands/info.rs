@@ -16,9 +16,12 @@ use crate::report::{Report, count};
 /// Show what a model, or a sampled model, holds
 #[derive(Args)]
 pub struct Info {
-    /// A model, or the folder of a sampled one
+    /// A model (PLY, OBJ, STL, OFF, PCD, or text in columns), or the folder of a sampled one
     #[arg(value_name = "MODEL|DIR")]
     path: PathBuf,
+    /// What the columns of a text are, as x,y,z,_,nx,ny,nz [default: by names in its first line, or x,y,z]
+    #[arg(long, value_name = "NAMES")]
+    columns: Option<String>,
 }
 
 impl Info {
@@ -27,7 +30,7 @@ impl Info {
     }
 
     fn model(&self, report: &mut Report) -> Result<()> {
-        let model = simod_model::open(&self.path)?;
+        let model = simod_model::open_with_columns(&self.path, self.columns.as_deref())?;
         model.check_complete(report.progress())?;
         let bounds = picture::bounds(model.as_ref(), report.progress())?;
         let info = model.info();

@@ -32,7 +32,7 @@ pub struct Reconstruct {
     /// Several files, or a pattern as 'frame-*.ply', give a model each
     #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
     deformed: Vec<PathBuf>,
-    /// The deformed model to write. {} in it stands for what the * of --deformed matched, or for a file's
+    /// The deformed model to write, in the format of the model. {} in it stands for what the * of --deformed matched, or for a file's
     /// name without its ending
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,

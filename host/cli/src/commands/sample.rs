@@ -15,8 +15,11 @@ use crate::report::{Report, count, rate};
 /// Stream a model to a small point set that any tool can deform
 #[derive(Args)]
 pub struct Sample {
-    /// The model to sample
+    /// The model to sample: PLY, OBJ, STL, OFF, PCD, or text in columns
     model: PathBuf,
+    /// What the columns of a text are, as x,y,z,_,nx,ny,nz [default: by names in its first line, or x,y,z]
+    #[arg(long, value_name = "NAMES")]
+    columns: Option<String>,
     /// The folder to write
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
@@ -164,7 +167,7 @@ impl Sample {
         guard.reads(&self.model);
         guard.replaces_folder(&self.output)?;
         let begun = SampledModel::begin(&self.output)?;
-        let model = simod_model::open(&self.model)?;
+        let model = simod_model::open_with_columns(&self.model, self.columns.as_deref())?;
         let folder = folder_of(&self.output);
         let sampled = sample(model.as_ref(), &self.sampling.sampling(), folder, report.progress())?;
         sampled.save_in(begun)?;

@@ -107,16 +107,7 @@ impl Edit for Exact<'_> {
     }
 
     fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
-        let moved = self.carry(&chunk.positions, self.gradients)?;
-        for edited in &mut *versions {
-            for (position, moved) in edited.positions.iter_mut().zip(&moved) {
-                *position += moved.way;
-            }
-            for (normal, moved) in edited.normals.iter_mut().zip(&moved) {
-                let transport = moved.transport(self.sampled.frame.scale);
-                *normal = transport.normal(*normal, self.field.gradients.mirrored);
-            }
-        }
+        let moved = self.moved(chunk, versions)?;
         let mut figures = self.surveys.figures(chunk.len());
         for figures in figures.iter_mut().filter(|figures| !figures.is_empty()) {
             *figures = self.figures(&chunk.positions, &moved);
@@ -125,8 +116,29 @@ impl Edit for Exact<'_> {
         Ok(())
     }
 
+    fn edit_normals(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
+        self.moved(chunk, versions).map(|_| ())
+    }
+
     fn end(&self, first: u64) -> Result<()> {
         self.surveys.write(first)
+    }
+}
+
+impl Exact<'_> {
+    /// Moves the vertices of each version; what the map does to them.
+    fn moved(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<Vec<Carried>> {
+        let moved = self.carry(&chunk.positions, self.gradients)?;
+        for edited in versions {
+            for (position, moved) in edited.positions.iter_mut().zip(&moved) {
+                *position += moved.way;
+            }
+            for (normal, moved) in edited.normals.iter_mut().zip(&moved) {
+                let transport = moved.transport(self.sampled.frame.scale);
+                *normal = transport.normal(*normal, self.field.gradients.mirrored);
+            }
+        }
+        Ok(moved)
     }
 }
 

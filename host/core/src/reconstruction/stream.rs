@@ -11,7 +11,9 @@ use glam::{DVec3, Vec3};
 use simod_model::output::check_space;
 use simod_model::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
 use simod_model::target::{canonical_target, folder_of};
-use simod_model::{Error, ErrorKind, MAX_VERSIONS, Model, Normals, Output, Progress, Result, Rewriting};
+use simod_model::{
+    Error, ErrorKind, MAX_VERSIONS, Model, Normals, Output, Progress, Result, Rewriting, is_named_otherwise,
+};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::binding::Binding;
@@ -182,6 +184,21 @@ pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &R
                 ErrorKind::Argument,
                 format!("{} is the model itself", output.display()),
                 "write the deformed model to another file; the samples belong to the original",
+            ));
+        }
+        let is_model = versions.iter().any(|v| v.output == output);
+        if is_model && is_named_otherwise(model, output) {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!(
+                    "{} is named as if of another format than the model: {}",
+                    output.display(),
+                    info.format
+                ),
+                format!(
+                    "the deformed model is written in the format of its model: give it the extension .{}",
+                    model.extensions().first().unwrap_or(&"ply")
+                ),
             ));
         }
         if targets.insert(canonical_target(output)?, (output, needed)).is_some() {

@@ -59,6 +59,17 @@ impl Edit for Transfer<'_> {
         Ok(())
     }
 
+    fn edit_normals(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
+        let figures = &mut vec![Vec::new(); versions.len()];
+        let mut moved: Vec<Moved<'_>> = versions
+            .iter_mut()
+            .zip(figures)
+            .map(|(Edited { positions, normals }, figures)| Moved { positions, normals, figures })
+            .collect();
+        carry_on_this_thread(self.fields, self.frame, &chunk.positions, None, &mut moved);
+        Ok(())
+    }
+
     fn end(&self, first: u64) -> Result<()> {
         self.surveys.write(first)
     }

@@ -29,9 +29,9 @@ const MAX_LEVEL: u32 = 6;
 /// Bytes of a group, with its place in the table of its cell.
 const GROUP_BYTES: u64 = size_of::<Group>() as u64 + 18;
 
-/// Vertices that are gathered as one piece of the stream, from each multiple of this number on. A constant,
-/// so that sums depend neither on the number of threads nor on how the model is read.
-pub const PIECE: u64 = 1 << 14;
+/// Vertices that are gathered as one piece of the stream, from each multiple of this number on: of soups, whole
+/// facets. A constant, so that sums depend neither on the number of threads nor on how the model is read.
+pub const PIECE: u64 = 3 << 12;
 
 /// Holds what the stream has brought of each open cell.
 pub trait Gather: Send {

@@ -287,6 +287,7 @@ pub fn sample(
     let mut sampled = SampledModel::new(
         Source {
             path: model.path().to_owned(),
+            columns: model.columns().map(str::to_owned),
             bytes: info.bytes,
             vertices: info.vertices,
             non_finite: non_finite.count,

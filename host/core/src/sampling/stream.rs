@@ -42,7 +42,7 @@ pub(super) fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustere
     let Clustered { forest, hash, ranges, membership } = found;
     let vertices = pass.model.info().vertices;
     let threads = rayon::current_num_threads();
-    let reader = match pass.model.reads_exactly() {
+    let reader = match pass.model.info().reads_exactly() {
         true => None,
         false => Some(positions_of(pass, 0..vertices)?),
     };

@@ -54,7 +54,7 @@ impl LasModel {
             attributes: places.attributes.clone(),
             bytes: source.len(),
             random_access: true,
-            block_vertices: compressed.as_ref().map_or(1, |(_, blocks)| blocks.most_vertices()),
+            block_vertices: compressed.as_ref().map_or(1, |(_, blocks)| blocks.most_vertices().max(2)),
             vertex_bytes,
             face_bytes: 0,
             integers: Some(header.integers),

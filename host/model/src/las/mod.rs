@@ -54,10 +54,6 @@ impl Model for LasModel {
         Ok(Box::new(Reader::new(self, range)))
     }
 
-    fn reads_exactly(&self) -> bool {
-        self.compressed.is_none()
-    }
-
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
         self.places.decode(self.records_of(chunk), self.header.record, to);
         Ok(())

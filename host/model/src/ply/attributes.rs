@@ -1,12 +1,12 @@
 //! Numbers of vertices that are neither position nor normal: found in the bytes of a chunk, by those who ask
 //! for them.
 
-use super::ascii::{self, next_word};
 use super::binary::{bytes_at, integer};
 use super::header::{Encoding, quoted};
 use super::layout::{Layout, Slot};
 use crate::Type;
 use crate::VertexChunk;
+use crate::text::{self, next_word};
 
 /// Which vertex of a chunk has what for a number, and of which attribute.
 #[derive(Debug, PartialEq)]
@@ -82,12 +82,12 @@ fn decode_words(layout: &Layout, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Re
         for (i, slot) in layout.slots.iter().enumerate() {
             let word = next();
             if let Slot::List { .. } = slot {
-                for _ in 0..ascii::integer(word).unwrap_or(0) {
+                for _ in 0..text::integer(word).unwrap_or(0) {
                     next();
                 }
             }
             if let Some((attribute, (values, _))) = wanted.next_if(|(_, (_, (slot, _)))| *slot == i) {
-                let value = ascii::number(layout.attributes[attribute].kind, word);
+                let value = text::number(layout.attributes[attribute].kind, word);
                 let word = || quoted(&String::from_utf8_lossy(word));
                 values.push(value.ok_or_else(|| NotANumber { vertex, attribute, word: word() })?);
             }

@@ -8,13 +8,15 @@
 
 use std::ops::Range;
 
+use super::binary;
 use super::file::PlyModel;
 use super::header::{DAMAGED, Element, Encoding, Header, Shape, quoted};
 use super::reader::{CHUNK_BYTES, Reader};
 use super::walk::{CUT_OFF, Plan, Step};
-use super::{ascii, binary};
 use crate::Type;
+use crate::fan::Fan;
 use crate::source::Source;
+use crate::text;
 use crate::{CHUNK_TRIANGLES, Error, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader, Result};
 
 /// Bytes read at a time; no word of a text file is longer.
@@ -419,7 +421,7 @@ impl<'a> Cursor<'a> {
         if self.encoding == Encoding::Ascii {
             let span = self.word(plan)?;
             let word = &self.window.block[span];
-            return ascii::integer(word).ok_or_else(|| {
+            return text::integer(word).ok_or_else(|| {
                 let word = quoted(&String::from_utf8_lossy(word));
                 self.wrong(plan, format_args!("{word} is no whole number"))
             });
@@ -437,8 +439,7 @@ impl<'a> Cursor<'a> {
         loop {
             let window = &mut self.window;
             let whole_file = window.is_last();
-            if let Some((start, end)) =
-                ascii::next_word(&window.block[..window.filled], window.at, whole_file)
+            if let Some((start, end)) = text::next_word(&window.block[..window.filled], window.at, whole_file)
             {
                 window.at = end;
                 return Ok(start..end);
@@ -447,7 +448,7 @@ impl<'a> Cursor<'a> {
                 return Err(self.ends_early(plan));
             }
             let rest = window.rest();
-            window.at += rest.iter().position(|&b| !ascii::is_space(b)).unwrap_or(rest.len());
+            window.at += rest.iter().position(|&b| !text::is_space(b)).unwrap_or(rest.len());
             if !window.refill()? {
                 let what = format!("a word of more than {} bytes", window.block.len());
                 return Err(self.wrong(plan, what));
@@ -461,54 +462,6 @@ impl<'a> Cursor<'a> {
 
     fn wrong(&self, plan: &Plan, what: impl std::fmt::Display) -> Error {
         self.window.source.malformed(plan.wrong(self.record, what), DAMAGED)
-    }
-}
-
-/// The corners so far of a polygon or of a strip.
-#[derive(Default)]
-struct Fan {
-    /// How many, if fewer than two.
-    corners: u8,
-    /// The two corners that the next one makes a triangle with, in this order.
-    pair: [u32; 2],
-    /// Whether that triangle would be turned to the other side.
-    turned: bool,
-}
-
-impl Fan {
-    /// The next corner of a polygon, and the triangle that it ends.
-    #[inline]
-    fn polygon(&mut self, index: i64) -> Option<[u32; 3]> {
-        let [first, last] = self.pair;
-        let corner = self.add(index)?;
-        self.pair = [first, corner];
-        Some([first, last, corner])
-    }
-
-    /// The next corner of a strip, or -1 to begin a new one; and the triangle that it ends.
-    fn strip(&mut self, index: i64) -> Option<[u32; 3]> {
-        // In a list of type uint, -1 looks so.
-        if index == -1 || index == i64::from(u32::MAX) {
-            *self = Self::default();
-            return None;
-        }
-        let [a, b] = self.pair;
-        let corner = self.add(index)?;
-        self.pair = [b, corner];
-        self.turned = !self.turned;
-        Some(if self.turned { [a, b, corner] } else { [b, a, corner] })
-    }
-
-    /// The corner of this index, if two came before it.
-    #[inline]
-    fn add(&mut self, index: i64) -> Option<u32> {
-        let corner = u32::try_from(index).unwrap_or(u32::MAX);
-        if self.corners == 2 {
-            return Some(corner);
-        }
-        self.pair[usize::from(self.corners)] = corner;
-        self.corners += 1;
-        None
     }
 }
 

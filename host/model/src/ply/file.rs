@@ -20,5 +20,11 @@ pub struct PlyModel {
     /// file.
     pub(super) starts: Vec<u64>,
     pub(super) offsets: Offsets,
-    pub(super) info: ModelInfo,
+    /// Makes the header anew without those of the normals.
+    pub(super) without_normals: fn(&[u8]) -> Vec<u8>,
+    /// What the user should know of the file that is written.
+    pub(crate) note: Option<&'static str>,
+    /// Extensions that names of such files have.
+    pub(crate) extensions: &'static [&'static str],
+    pub(crate) info: ModelInfo,
 }

@@ -11,12 +11,11 @@ pub(super) const MAX_HEADER: usize = 1 << 20;
 /// The properties that are a vertex' normal.
 pub(super) const NORMAL: [&str; 3] = ["nx", "ny", "nz"];
 
-/// Hint for everything that no correct program writes.
-pub(super) const DAMAGED: &str = "the file is damaged: copy or export it again";
+pub(super) use crate::text::{DAMAGED, quoted};
 
 /// How the data after the header is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Encoding {
+pub(crate) enum Encoding {
     Ascii,
     Little,
     Big,
@@ -53,16 +52,16 @@ impl FromStr for Type {
 
 /// One number, or a count and that many numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Shape {
+pub(crate) enum Shape {
     Scalar(Type),
     List { count: Type, item: Type },
 }
 
 /// A property of an element.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Property {
-    pub(super) name: String,
-    pub(super) shape: Shape,
+pub(crate) struct Property {
+    pub(crate) name: String,
+    pub(crate) shape: Shape,
 }
 
 impl Property {
@@ -77,10 +76,10 @@ impl Property {
 
 /// A table of records, each with the same properties.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Element {
-    pub(super) name: String,
-    pub(super) count: u64,
-    pub(super) properties: Vec<Property>,
+pub(crate) struct Element {
+    pub(crate) name: String,
+    pub(crate) count: u64,
+    pub(crate) properties: Vec<Property>,
 }
 
 impl Element {
@@ -102,12 +101,12 @@ impl Element {
 
 /// A parsed header.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Header {
-    pub(super) encoding: Encoding,
+pub(crate) struct Header {
+    pub(crate) encoding: Encoding,
     /// In the file's order, which is that of the data.
-    pub(super) elements: Vec<Element>,
+    pub(crate) elements: Vec<Element>,
     /// Where the data begins.
-    pub(super) len: u64,
+    pub(crate) len: u64,
 }
 
 /// Whether a file that begins so says that it is PLY.
@@ -301,15 +300,6 @@ fn bad_count(element: &str, count: &str) -> String {
     }
 }
 
-/// Text of a file for a message: in quotes, escaped, and not too long.
-pub(super) fn quoted(text: &str) -> String {
-    const LONGEST: usize = 40;
-    let mut chars = text.trim_ascii_end().chars();
-    let short: String = chars.by_ref().take(LONGEST).collect();
-    let dots = if chars.next().is_some() { "..." } else { "" };
-    format!("\"{}{dots}\"", short.escape_debug())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -406,11 +396,5 @@ mod tests {
         }
         assert_eq!(types.iter().map(|t| t.size()).sum::<usize>(), 2 * (1 + 1 + 2 + 2 + 4 + 4 + 4 + 8));
         assert!("Float".parse::<Type>().is_err());
-    }
-
-    #[test]
-    fn quotes_are_short_and_printable() {
-        assert_eq!(quoted("a\u{7}b"), "\"a\\u{7}b\"");
-        assert_eq!(quoted(&"x".repeat(100)).len(), 45);
     }
 }

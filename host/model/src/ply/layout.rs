@@ -88,7 +88,8 @@ impl Layout {
                     Slot::Component { index, size: t.size() }
                 }
             });
-            if index.is_none() {
+            // Other formats have what nobody can ask for.
+            if index.is_none() && !property.name.is_empty() {
                 other.push(property.describe());
                 let known = attributes.iter().any(|known| known.name == property.name);
                 if let Shape::Scalar(kind) = property.shape

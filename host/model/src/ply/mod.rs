@@ -38,7 +38,7 @@ use std::ops::Range;
 use std::path::Path;
 
 pub use file::PlyModel;
-pub(super) use header::is_ply;
+pub(super) use header::{Element, Encoding, Header, Property, Shape, is_ply};
 pub use writer::write_points;
 
 use super::source::Source;
@@ -46,7 +46,6 @@ use super::{Edit, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, 
 use crate::progress::Silent;
 use crate::{Progress, Result};
 use faces::{Faces, SomeFaces};
-use header::{Element, Encoding, Header};
 use layout::Layout;
 use offsets::Offsets;
 use reader::Reader;
@@ -61,6 +60,15 @@ impl PlyModel {
     /// The file cannot be read, is not PLY, is cut off, or has no vertices with positions.
     pub(super) fn new(source: Source) -> Result<Self> {
         let header = Header::read(&source)?;
+        Self::of(source, header, header::without_normals)
+    }
+
+    /// What a file of such records is, which need not be called PLY. `without_normals` makes its header anew
+    /// without those of the vertices' normals.
+    ///
+    /// # Errors
+    /// As of [`new`](Self::new).
+    pub(super) fn of(source: Source, header: Header, without_normals: fn(&[u8]) -> Vec<u8>) -> Result<Self> {
         let (vertex, element) = header.vertex(&source)?;
         let layout = Layout::new(&source, header.encoding, element)?;
         let faces = header.elements.iter().filter(|e| e.name == "face" || e.name == "tristrips");
@@ -90,8 +98,19 @@ impl PlyModel {
             info.vertex_bytes = starts[vertex + 1] - starts[vertex];
             starts[vertex]
         };
-        let mut model =
-            Self { source, header, vertex, layout, vertices_start, starts, offsets: Offsets::new(), info };
+        let mut model = Self {
+            source,
+            header,
+            vertex,
+            layout,
+            vertices_start,
+            starts,
+            offsets: Offsets::new(),
+            without_normals,
+            note: None,
+            extensions: &["ply"],
+            info,
+        };
         if model.header.encoding == Encoding::Ascii {
             model.info.vertex_bytes = model.estimate_vertex_bytes();
         }
@@ -134,6 +153,10 @@ impl Model for PlyModel {
         self.source.path()
     }
 
+    fn extensions(&self) -> &'static [&'static str] {
+        self.extensions
+    }
+
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         Ok(Box::new(Reader::new(self, range)?))
     }
@@ -170,6 +193,9 @@ impl Model for PlyModel {
         edit: &dyn Edit,
         progress: &dyn Progress,
     ) -> Result<()> {
+        if let Some(note) = self.note {
+            progress.note(&format!("{}: {note}", self.source.path().display()));
+        }
         pipeline::rewrite(self, outputs, how, edit, progress)
     }
 }

@@ -3,7 +3,7 @@
 use std::io;
 
 use super::file::PlyModel;
-use super::header::{self, DAMAGED, Encoding};
+use super::header::{DAMAGED, Encoding};
 use super::patch::{Rest, Unfit};
 use super::reader::{CHUNK_BYTES, Reader};
 use super::walk::{CUT_OFF, Walker};
@@ -81,7 +81,7 @@ impl Pieces for PlyPieces<'_> {
         let PlyModel { header, vertices_start, source, .. } = self.model;
         if std::mem::take(&mut self.drop_normals) {
             self.at = self.model.read_bytes(chunk, 0, header.len as usize)?;
-            chunk.raw = header::without_normals(&chunk.raw);
+            chunk.raw = (self.model.without_normals)(&chunk.raw);
             return Ok(Piece::Bytes);
         }
         if self.at < *vertices_start {

@@ -6,16 +6,15 @@
 
 use std::fmt::Display;
 
-use super::ascii::is_space;
 use super::binary;
 use super::header::{DAMAGED, Element, Encoding, Property, Shape, quoted};
 use crate::Type;
 use crate::progress::Silent;
 use crate::source::Source;
+use crate::text::is_space;
 use crate::{Progress, Result};
 
-/// Hint for files that end too early.
-pub(super) const CUT_OFF: &str = "the file is cut off, or its header lies: copy or export it again";
+pub(super) use crate::text::CUT_OFF;
 
 /// Longest word that can be the length of a list.
 const LONGEST_COUNT: usize = 32;

@@ -1,0 +1,344 @@
+//! Points in columns of text: XYZ, PTS, CSV, TXT, ASC and the like.
+//!
+//! Columns are separated by blanks and tabs, by commas, or by semicolons. Which ones are the position and the
+//! normal is told by the user, by names in a line before the points (a comment, too), or by the file's
+//! extension; without any, the first three are the position. The others are attributes. A PTS file says
+//! first how many points follow, and so does each further scan in it.
+
+use crate::source::Source;
+use crate::text::blocks::{Blocks, Builder};
+use crate::text::lines::{Lines, wrong_line};
+use crate::text::model::{Grammar, TextModel, info};
+use crate::text::{CUT_OFF, integer, is_space, next_word, parse, quoted};
+use crate::{Attribute, Error, ErrorKind, Model, ModelInfo, Result, Scalar, Type};
+
+/// Extensions of such files.
+pub(crate) const EXTENSIONS: [&str; 8] = ["xyz", "xyzn", "xyzrgb", "pts", "csv", "tsv", "txt", "asc"];
+
+const HINT: &str = "say what the columns are, as by --columns x,y,z,_,nx,ny,nz; decimals have points";
+
+/// What components are called: position, then normal; in lower case.
+const NAMES: [&[&str]; 6] = [
+    &["x", "px", "pos_x", "position_x", "points_x", "points:0", "coord_x", "easting", "east"],
+    &["y", "py", "pos_y", "position_y", "points_y", "points:1", "coord_y", "northing", "north"],
+    &["z", "pz", "pos_z", "position_z", "points_z", "points:2", "coord_z", "height", "elevation", "altitude"],
+    &["nx", "normal_x", "normals_x", "normals:0", "normalx"],
+    &["ny", "normal_y", "normals_y", "normals:1", "normaly"],
+    &["nz", "normal_z", "normals_z", "normals:2", "normalz"],
+];
+
+/// Which column is what.
+#[derive(Debug)]
+pub(crate) struct Columns {
+    /// What separates them; blanks and tabs if nothing else.
+    separator: Option<u8>,
+    /// For each column up to the last one of a component, which component it is.
+    roles: Vec<Option<usize>>,
+    /// 3, or 6 with a normal.
+    components: usize,
+    /// Columns of the attributes.
+    attributes: Vec<usize>,
+    /// Lines with a single word are numbers of points.
+    is_counted: bool,
+    /// What the user said that they are.
+    wanted: Option<String>,
+}
+
+impl Columns {
+    /// Columns between blanks that are these components in this order, as many attributes behind them.
+    pub(crate) fn in_order(components: usize, attributes: usize) -> Self {
+        Self {
+            separator: None,
+            roles: (0..components).map(Some).collect(),
+            components,
+            attributes: (components..components + attributes).collect(),
+            is_counted: false,
+            wanted: None,
+        }
+    }
+
+    /// By the columns' names, of which some components are.
+    fn named(separator: Option<u8>, names: &[String], is_counted: bool) -> Result<Self, String> {
+        let place = |component: usize| {
+            let mut found = names.iter().enumerate().filter(|(_, name)| is_called(name, component));
+            match (found.next(), found.next()) {
+                (Some((column, _)), None) => Ok(Some(column)),
+                (None, _) => Ok(None),
+                _ => Err(format!("two columns are {}", NAMES[component][0])),
+            }
+        };
+        let mut columns = Vec::new();
+        for (component, names) in NAMES.iter().enumerate().take(3) {
+            let missing = || format!("no column is {}", names[0]);
+            columns.push(place(component)?.ok_or_else(missing)?);
+        }
+        let normal = [place(3)?, place(4)?, place(5)?];
+        if let [Some(x), Some(y), Some(z)] = normal {
+            columns.extend([x, y, z]);
+        }
+        let mut roles = vec![None; columns.iter().max().map_or(0, |last| last + 1)];
+        columns.iter().enumerate().for_each(|(component, column)| roles[*column] = Some(component));
+        Ok(Self {
+            separator,
+            roles,
+            components: columns.len(),
+            attributes: Vec::new(),
+            is_counted,
+            wanted: None,
+        })
+    }
+
+    /// The columns of a line: where each begins and ends.
+    pub(crate) fn fields<'l>(&self, line: &'l [u8]) -> impl Iterator<Item = (usize, usize)> + 'l {
+        fields(line, self.separator)
+    }
+}
+
+/// Whether a column's name is that of a component.
+fn is_called(name: &str, component: usize) -> bool {
+    // Without a unit, as in "X (m)" or "x[m]".
+    let end = name.find(['(', '[']).unwrap_or(name.len());
+    let name = name[..end].trim().to_ascii_lowercase();
+    NAMES[component].contains(&name.as_str())
+}
+
+/// The columns of a line, without blanks and quotes around them.
+#[inline]
+fn fields(line: &[u8], separator: Option<u8>) -> impl Iterator<Item = (usize, usize)> + '_ {
+    let (mut at, mut is_over) = (0, false);
+    std::iter::from_fn(move || {
+        let Some(separator) = separator else {
+            let (start, end) = next_word(line, at, true)?;
+            at = end;
+            return Some((start, end));
+        };
+        if is_over {
+            return None;
+        }
+        let mut start = at;
+        while line.get(start).is_some_and(|b| is_space(*b)) {
+            start += 1;
+        }
+        let quote = line.get(start) == Some(&b'"');
+        // A separator within quotes separates nothing.
+        let closing =
+            if quote { memchr::memchr(b'"', &line[start + 1..]).map(|at| start + 1 + at) } else { None };
+        let from = closing.unwrap_or(at);
+        let mut end = memchr::memchr(separator, &line[from..]).map_or(line.len(), |found| from + found);
+        is_over = end == line.len();
+        at = end + 1;
+        let mut start = start.min(end);
+        while end > start && is_space(line[end - 1]) {
+            end -= 1;
+        }
+        if end - start >= 2 && line[start] == b'"' && line[end - 1] == b'"' {
+            (start, end) = (start + 1, end - 1);
+        }
+        Some((start, end))
+    })
+}
+
+/// Whether there is nothing in a line, or a comment.
+#[inline]
+fn is_blank(line: &[u8]) -> bool {
+    match line.iter().position(|b| !is_space(*b)) {
+        None => true,
+        Some(at) => matches!(line[at], b'#' | b'%') || line[at..].starts_with(b"//"),
+    }
+}
+
+impl Grammar for Columns {
+    const EXTENSIONS: &[&str] = &EXTENSIONS;
+
+    fn wanted(&self) -> Option<&str> {
+        self.wanted.as_deref()
+    }
+
+    fn components(&self) -> usize {
+        self.components
+    }
+
+    #[inline]
+    fn is_vertex(&self, line: &[u8]) -> bool {
+        !is_blank(line) && (!self.is_counted || self.fields(line).nth(1).is_some())
+    }
+
+    #[inline]
+    fn words(&self, line: &[u8], spans: &mut [[usize; 2]]) {
+        for (role, (start, end)) in self.roles.iter().zip(self.fields(line)) {
+            if let Some(component) = role {
+                spans[*component] = [start, end];
+            }
+        }
+    }
+
+    fn attribute<'l>(&self, line: &'l [u8], attribute: usize) -> Option<&'l [u8]> {
+        let (start, end) = self.fields(line).nth(self.attributes[attribute])?;
+        Some(&line[start..end])
+    }
+}
+
+/// Whether a file's first lines are such a text.
+pub(crate) fn is_columns(source: &Source, extension: &str) -> bool {
+    EXTENSIONS.contains(&extension) && head(source, extension, None).is_ok()
+}
+
+/// What the lines before the first point tell.
+struct Head {
+    columns: Columns,
+    /// What the columns are called.
+    names: Vec<String>,
+    attributes: Vec<Attribute>,
+    /// Where the first line begins, and the first one that may be a point.
+    begin: u64,
+    start: u64,
+}
+
+/// Opens a file, which is gone over once; `wanted` says what its columns are, as "x,y,z".
+pub(crate) fn open(source: Source, extension: &str, wanted: Option<&str>) -> Result<Box<dyn Model>> {
+    let Head { mut columns, names, attributes, begin, start } = head(&source, extension, wanted)?;
+    let blocks = scan(&source, &columns, begin, start)?;
+    columns.wanted = wanted.map(str::to_owned);
+    let separated = match columns.separator {
+        None => "blanks",
+        Some(b',') => "commas",
+        _ => "semicolons",
+    };
+    let others = names.iter().enumerate().filter(|(i, _)| columns.roles.get(*i).copied().flatten().is_none());
+    let info = ModelInfo {
+        other_properties: others.map(|(_, name)| name.clone()).collect(),
+        attributes,
+        ..info(&source, format!("text in {} columns between {separated}", names.len()))
+    };
+    Ok(Box::new(TextModel::new(source, columns, blocks, info)?))
+}
+
+/// Where the points are. Lines with a single word say how many, if any do.
+fn scan(source: &Source, columns: &Columns, begin: u64, start: u64) -> Result<Blocks> {
+    let mut lines = Lines::new(source, begin, u64::MAX, false);
+    let mut builder = Builder::new(start, 1);
+    let mut said = 0u64;
+    while let Some((at, line)) = lines.next()? {
+        if at >= start && columns.is_vertex(line) {
+            builder.vertex(at, at + line.len() as u64);
+        } else if columns.is_counted && !is_blank(line) {
+            let word = next_word(line, 0, true).map_or(&[][..], |(a, b)| &line[a..b]);
+            let count = integer(word).and_then(|count| u64::try_from(count).ok());
+            let wrong = || {
+                wrong_line(
+                    source,
+                    at,
+                    format!("{} is no number of points", quoted(&String::from_utf8_lossy(word))),
+                    HINT,
+                )
+            };
+            said = said.saturating_add(count.ok_or_else(wrong)?);
+        }
+    }
+    if columns.is_counted && said != builder.vertices() {
+        let what = format!("says that it has {said} points, but it has {}", builder.vertices());
+        return Err(source.malformed(what, CUT_OFF));
+    }
+    Ok(builder.finish())
+}
+
+fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Head> {
+    // A mark of UTF-8 is no part of the first number.
+    let mut mark = [0; 3];
+    let begin = if source.read_at(&mut mark, 0)? == 3 && mark == *b"\xef\xbb\xbf" { 3 } else { 0 };
+    let mut lines = Lines::new(source, begin, u64::MAX, false);
+    let (mut comment, mut is_counted, mut header) = (Vec::new(), false, None::<(Option<u8>, Vec<String>)>);
+    loop {
+        let Some((at, line)) = lines.next()? else {
+            return Err(source.malformed("there is no line of numbers in it", HINT));
+        };
+        if is_blank(line) {
+            comment.clear();
+            comment.extend_from_slice(&line[..line.len().min(LONGEST_HEADER)]);
+            continue;
+        }
+        let separator = [b';', b','].into_iter().find(|b| line.contains(b));
+        let words: Vec<&[u8]> =
+            fields(line, separator).map(|(a, b)| &line[a..b]).take(MOST_COLUMNS).collect();
+        let numbers: Vec<bool> = words.iter().map(|word| parse(Scalar::F64, word).is_some()).collect();
+        if words.len() == 1 && integer(words[0]).is_some() && !is_counted && header.is_none() {
+            is_counted = true;
+            continue;
+        }
+        let text = |words: &[&[u8]]| -> Vec<String> {
+            words.iter().map(|word| String::from_utf8_lossy(word).into_owned()).collect()
+        };
+        let wrong = |what: String| wrong_line(source, at, what, HINT);
+        // Names, unless the position is numbers.
+        if header.is_none()
+            && numbers.iter().take(3).filter(|n| **n).count() < 3
+            && wanted.is_none_or(|_| !numbers.contains(&true))
+        {
+            if words.len() < 3 {
+                return Err(wrong(format!(
+                    "{} is neither a point nor names of columns",
+                    quoted(&String::from_utf8_lossy(line))
+                )));
+            }
+            header = Some((separator, text(&words)));
+            continue;
+        }
+        let separator = header.as_ref().map_or(separator, |h| h.0.or(separator));
+        let mut names = match wanted {
+            Some(wanted) => wanted.split(',').map(|name| name.trim().to_owned()).collect(),
+            None => match header.take() {
+                Some((_, names)) => names,
+                None => in_comment(&comment, separator, words.len())
+                    .unwrap_or_else(|| usual(extension, is_counted, words.len())),
+            },
+        };
+        let mut columns = Columns::named(separator, &names, is_counted).map_err(|what| match wanted {
+            Some(wanted) => {
+                Error::new(ErrorKind::Argument, format!("the columns {}: {what}", quoted(wanted)), HINT)
+            }
+            None => wrong(what),
+        })?;
+        for column in names.len()..words.len() {
+            names.push(format!("column {}", column + 1));
+        }
+        let mut attributes: Vec<Attribute> = Vec::new();
+        for (column, name) in names.iter().enumerate() {
+            let is_number = numbers.get(column).copied().unwrap_or(false);
+            let is_free = columns.roles.get(column).copied().flatten().is_none();
+            let is_known = attributes.iter().any(|known| known.name == *name);
+            if is_free && is_number && !is_known && name != "_" && Attribute::is_name(name) {
+                attributes.push(Attribute { name: name.clone(), kind: Type::F64 });
+                columns.attributes.push(column);
+            }
+        }
+        return Ok(Head { columns, names, attributes, begin, start: at });
+    }
+}
+
+/// Most columns that have names, and the longest line of them in a comment.
+const MOST_COLUMNS: usize = 4096;
+const LONGEST_HEADER: usize = 1 << 16;
+
+/// Names in a comment, where they are as many as the columns.
+fn in_comment(comment: &[u8], separator: Option<u8>, count: usize) -> Option<Vec<String>> {
+    let start = comment.iter().position(|b| !is_space(*b) && !matches!(b, b'#' | b'%' | b'/'))?;
+    let text = &comment[start..];
+    let names: Vec<String> =
+        fields(text, separator).map(|(a, b)| String::from_utf8_lossy(&text[a..b]).into_owned()).collect();
+    let has_position = (0..3).all(|component| names.iter().any(|name| is_called(name, component)));
+    (names.len() == count && has_position).then_some(names)
+}
+
+/// What columns are without names.
+fn usual(extension: &str, is_counted: bool, count: usize) -> Vec<String> {
+    let names: &[&str] = match (extension, count) {
+        ("xyzn", 6..) => &["x", "y", "z", "nx", "ny", "nz"],
+        ("xyzrgb", 6..) => &["x", "y", "z", "red", "green", "blue"],
+        (_, 4) if is_counted => &["x", "y", "z", "intensity"],
+        (_, 6) if is_counted => &["x", "y", "z", "red", "green", "blue"],
+        (_, 7) if is_counted => &["x", "y", "z", "intensity", "red", "green", "blue"],
+        _ => &["x", "y", "z"],
+    };
+    let more = (names.len()..count).map(|column| format!("column {}", column + 1));
+    names.iter().map(|name| (*name).to_owned()).chain(more).collect()
+}

@@ -1,0 +1,49 @@
+//! Polygons and strips as triangles, corner by corner: neither is ever held.
+
+/// The corners so far of a polygon or of a strip.
+#[derive(Debug, Default)]
+pub(crate) struct Fan {
+    /// How many, if fewer than two.
+    corners: u8,
+    /// The two corners that the next one makes a triangle with, in this order.
+    pair: [u32; 2],
+    /// Whether that triangle would be turned to the other side.
+    turned: bool,
+}
+
+impl Fan {
+    /// The next corner of a polygon, and the triangle that it ends.
+    #[inline]
+    pub(crate) fn polygon(&mut self, index: i64) -> Option<[u32; 3]> {
+        let [first, last] = self.pair;
+        let corner = self.add(index)?;
+        self.pair = [first, corner];
+        Some([first, last, corner])
+    }
+
+    /// The next corner of a strip, or -1 to begin a new one; and the triangle that it ends.
+    pub(crate) fn strip(&mut self, index: i64) -> Option<[u32; 3]> {
+        // In a list of type uint, -1 looks so.
+        if index == -1 || index == i64::from(u32::MAX) {
+            *self = Self::default();
+            return None;
+        }
+        let [a, b] = self.pair;
+        let corner = self.add(index)?;
+        self.pair = [b, corner];
+        self.turned = !self.turned;
+        Some(if self.turned { [a, b, corner] } else { [b, a, corner] })
+    }
+
+    /// The corner of this index, if two came before it.
+    #[inline]
+    fn add(&mut self, index: i64) -> Option<u32> {
+        let corner = u32::try_from(index).unwrap_or(u32::MAX);
+        if self.corners == 2 {
+            return Some(corner);
+        }
+        self.pair[usize::from(self.corners)] = corner;
+        self.corners += 1;
+        None
+    }
+}

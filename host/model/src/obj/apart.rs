@@ -1,0 +1,332 @@
+//! Models whose normals do not stand beside their vertices: the same number of them in the same order, but
+//! elsewhere in the file.
+//!
+//! A chunk's bytes are those of its vertices. Where normals are written, the positions that go with them are
+//! read once more.
+
+use std::io;
+use std::ops::Range;
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+
+use super::Obj;
+use super::lines::{Statement, values};
+use super::shared::SharedNormals;
+use crate::pipeline::{self, Piece, Pieces, Rewritable};
+use crate::text::blocks::{BlockReader, Blocks, changed};
+use crate::text::digits::{Digits, Survey};
+use crate::text::lines::{lines, wrong_line};
+use crate::text::model::{Grammar, TextModel, splice_normal};
+use crate::text::{DAMAGED, parse, quoted};
+use crate::{
+    CHUNK_VERTICES, Edit, Edited, Error, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
+    Rewriting, Scalar, Summary, VertexChunk, VertexReader,
+};
+
+/// Bytes that are copied at once.
+const COPIED: u64 = 4 << 20;
+
+/// A model, with its normals if they stand apart.
+pub(super) struct ApartModel {
+    pub(super) model: TextModel<Obj>,
+    normals: Option<Blocks>,
+    pub(super) digits: Digits,
+    /// The normals are of corners, which share them.
+    are_shared: bool,
+    /// Normals of corners, which are not read.
+    of_corners: u64,
+}
+
+/// Where so many normals end.
+fn cut(bytes: &[u8], count: u64) -> Option<usize> {
+    if count == 0 {
+        return Some(0);
+    }
+    let is_normal = |line: &(usize, usize)| Statement::of(&bytes[line.0..line.1]) == Statement::Normal;
+    lines(bytes, true).filter(is_normal).nth(count as usize - 1).map(|(_, end)| end)
+}
+
+impl ApartModel {
+    /// One that has none apart, but so many of corners.
+    pub(super) fn without(model: TextModel<Obj>, of_corners: u64) -> Self {
+        Self { model, normals: None, digits: Digits::default(), are_shared: false, of_corners }
+    }
+
+    pub(super) fn new(mut model: TextModel<Obj>, normals: Blocks, are_shared: bool) -> Result<Self> {
+        const OF_A_BLOCK: u64 = 64;
+        let (mut survey, mut raw) = (Survey::default(), Vec::new());
+        for (_, bytes) in normals.spread(32) {
+            raw.clear();
+            model.source.append_at(&mut raw, bytes.start, (bytes.end - bytes.start) as usize)?;
+            let end = cut(&raw, OF_A_BLOCK).unwrap_or(raw.len());
+            let of_normals = lines(&raw[..end], true).map(|(a, b)| &raw[a..b]);
+            for line in of_normals.filter(|line| Statement::of(line) == Statement::Normal) {
+                values(line).take(3).enumerate().for_each(|(c, (a, b))| survey.take(c, &line[a..b]));
+            }
+        }
+        model.info.has_normals = !are_shared;
+        Ok(Self {
+            model,
+            normals: Some(normals),
+            digits: survey.digits(Some(1.0)),
+            are_shared,
+            of_corners: 0,
+        })
+    }
+
+    /// Reads the normals in some bytes, which hold so many, and where they stand.
+    pub(super) fn decode_normals(
+        &self,
+        raw: &[u8],
+        first: u64,
+        wanted: usize,
+        normals: &mut Vec<Vec3>,
+        spans: &mut Vec<[u32; 2]>,
+    ) -> Result<()> {
+        normals.clear();
+        spans.clear();
+        for (start, end) in lines(raw, true) {
+            let line = &raw[start..end];
+            if Statement::of(line) != Statement::Normal {
+                continue;
+            }
+            let (mut normal, mut words) = (DVec3::ZERO, values(line));
+            for c in 0..3 {
+                let (a, b) = words.next().unwrap_or_default();
+                let Some(value) = parse(Scalar::F64, &line[a..b]) else {
+                    return Err(self.wrong_normal(first + normals.len() as u64, &line[a..b]));
+                };
+                normal[c] = value;
+                spans.push([start + a, start + b].map(|at| at as u32));
+            }
+            normals.push(normal.as_vec3());
+        }
+        if normals.len() == wanted { Ok(()) } else { Err(changed(&self.model.source)) }
+    }
+
+    fn wrong_normal(&self, normal: u64, word: &[u8]) -> Error {
+        let what = if word.is_empty() {
+            format!("normal {normal} has fewer than 3 numbers")
+        } else {
+            format!("normal {normal}: {} is no number", quoted(&String::from_utf8_lossy(word)))
+        };
+        let source = &self.model.source;
+        let Some(blocks) = &self.normals else { return source.malformed(what, DAMAGED) };
+        let Some((of_block, bytes)) = blocks.spread(usize::MAX).find(|(of, _)| of.contains(&normal)) else {
+            return source.malformed(what, DAMAGED);
+        };
+        let mut raw = Vec::new();
+        if let Err(error) = source.append_at(&mut raw, bytes.start, (bytes.end - bytes.start) as usize) {
+            return error;
+        }
+        let end = cut(&raw, normal - of_block.start + 1).unwrap_or(raw.len());
+        let in_line = raw[..end].trim_ascii_end().len().saturating_sub(1) as u64;
+        wrong_line(source, bytes.start + in_line, what, DAMAGED)
+    }
+}
+
+/// Reads vertices, and beside them their normals.
+struct Reader<'a> {
+    model: &'a ApartModel,
+    vertices: Box<dyn VertexReader + 'a>,
+    normals: BlockReader<'a>,
+    raw: Vec<u8>,
+    spans: Vec<[u32; 2]>,
+    /// Those that were read and are not given yet, and some of a chunk.
+    ahead: Vec<Vec3>,
+    some: Vec<Vec3>,
+}
+
+impl VertexReader for Reader<'_> {
+    fn set_chunk(&mut self, vertices: usize) {
+        self.vertices.set_chunk(vertices);
+        self.normals.set_chunk(vertices);
+    }
+
+    fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
+        let is_more = self.vertices.read(chunk)?;
+        while self.ahead.len() < chunk.len() {
+            let first = self.normals.next_vertex();
+            let read = self.normals.read(&mut self.raw, cut)?;
+            if read == 0 {
+                return Err(changed(&self.model.model.source));
+            }
+            self.model.decode_normals(&self.raw, first, read as usize, &mut self.some, &mut self.spans)?;
+            self.ahead.append(&mut self.some);
+        }
+        chunk.normals.clear();
+        chunk.normals.extend(self.ahead.drain(..chunk.positions.len()));
+        Ok(is_more)
+    }
+}
+
+impl Model for ApartModel {
+    fn info(&self) -> &ModelInfo {
+        &self.model.info
+    }
+
+    fn path(&self) -> &Path {
+        self.model.path()
+    }
+
+    fn extensions(&self) -> &'static [&'static str] {
+        Obj::EXTENSIONS
+    }
+
+    fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
+        let vertices = self.model.vertices(range.clone())?;
+        let Some(blocks) = self.normals.as_ref().filter(|_| !self.are_shared) else { return Ok(vertices) };
+        let normals = BlockReader::new(&self.model.source, blocks, range);
+        let (raw, spans, ahead, some) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Ok(Box::new(Reader { model: self, vertices, normals, raw, spans, ahead, some }))
+    }
+
+    fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
+        self.model.read_attributes(chunk, to)
+    }
+
+    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
+        Obj::faces(&self.model, None)
+    }
+
+    fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
+        Obj::faces(&self.model, Some(ranges))
+    }
+
+    fn check_complete(&self, progress: &dyn Progress) -> Result<()> {
+        self.model.check_complete(progress)
+    }
+
+    fn rewrite(
+        &self,
+        outputs: &mut [&mut dyn Output],
+        how: Rewriting,
+        edit: &dyn Edit,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        if how.normals == Normals::Transform && self.of_corners > 0 {
+            progress.note(&format!(
+                "{}: its {} normals (vn) belong to corners, not to vertices, and are kept as they are",
+                self.path().display(),
+                self.of_corners
+            ));
+        }
+        if self.normals.is_none() {
+            return self.model.rewrite(outputs, how, edit, progress);
+        }
+        self.model.check_normals(how.normals)?;
+        if self.are_shared && how.normals == Normals::Transform {
+            let shared = SharedNormals::new(self, progress)?;
+            pipeline::rewrite(&shared, outputs, how, edit, progress)?;
+            shared.tell(progress);
+            return Ok(());
+        }
+        pipeline::rewrite(self, outputs, how, edit, progress)
+    }
+}
+
+impl Rewritable for ApartModel {
+    fn pieces(&self, normals: Normals) -> Result<Box<dyn Pieces + '_>> {
+        Ok(Box::new(ApartPieces::new(self, normals, CHUNK_VERTICES)))
+    }
+
+    fn decode(&self, chunk: &mut VertexChunk) -> Result<()> {
+        let count = chunk.spans.len();
+        if !chunk.of_normals {
+            return self.model.decode(chunk, count);
+        }
+        let first = chunk.first;
+        let mut reader = self.model.vertices(first..first + count as u64)?;
+        let mut of_vertices = VertexChunk::default();
+        chunk.positions.clear();
+        while reader.read(&mut of_vertices)? {
+            chunk.positions.extend_from_slice(&of_vertices.positions);
+        }
+        let VertexChunk { raw, normals, spans, .. } = chunk;
+        self.decode_normals(raw, first, count, normals, spans)
+    }
+
+    fn encode(
+        &self,
+        chunk: &mut VertexChunk,
+        edited: &Edited,
+        normals: Normals,
+        last: bool,
+        buffer: &mut Vec<u8>,
+        summary: &mut Summary,
+    ) -> Result<bool> {
+        if !chunk.of_normals {
+            return self.model.encode(chunk, edited, normals, last, buffer, summary);
+        }
+        let VertexChunk { positions, normals, raw, spans, .. } = chunk;
+        let mut copied = 0;
+        buffer.clear();
+        let vertices = positions.iter().zip(normals).zip(&edited.normals).zip(spans.chunks_exact(3));
+        for (((position, old), new), spans) in vertices {
+            if position.is_finite() {
+                splice_normal(raw, spans, (*old, *new), &self.digits, &mut copied, buffer);
+            }
+        }
+        buffer.extend_from_slice(&raw[copied..]);
+        Ok(true)
+    }
+
+    fn write_error(&self, error: &io::Error) -> Error {
+        self.model.write_error(error)
+    }
+}
+
+/// The file in its order: vertices, normals, and what is between them.
+pub(super) struct ApartPieces<'a> {
+    model: &'a ApartModel,
+    at: u64,
+    vertices: BlockReader<'a>,
+    /// Not there if they are copied.
+    normals: Option<BlockReader<'a>>,
+}
+
+impl<'a> ApartPieces<'a> {
+    /// With at most so many normals in a chunk.
+    pub(super) fn new(model: &'a ApartModel, normals: Normals, chunk: usize) -> Self {
+        let of = |blocks| BlockReader::new(&model.model.source, blocks, 0..u64::MAX);
+        let mut of_normals = model.normals.as_ref().filter(|_| normals == Normals::Transform).map(of);
+        of_normals.iter_mut().for_each(|reader| reader.set_chunk(chunk));
+        Self { model, at: 0, vertices: of(&model.model.blocks), normals: of_normals }
+    }
+}
+
+impl Pieces for ApartPieces<'_> {
+    fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece> {
+        let TextModel { source, grammar, .. } = &self.model.model;
+        let vertices_at = self.vertices.next_start().unwrap_or(source.len());
+        let normals_at = self.normals.as_ref().and_then(BlockReader::next_start).unwrap_or(source.len());
+        let next = vertices_at.min(normals_at);
+        chunk.spans.clear();
+        if self.at < next {
+            chunk.raw.clear();
+            let wanted = (next - self.at).min(COPIED) as usize;
+            self.at += source.append_at(&mut chunk.raw, self.at, wanted)? as u64;
+            return Ok(Piece::Bytes);
+        }
+        if next == source.len() {
+            source.check_unchanged()?;
+            return Ok(Piece::End);
+        }
+        chunk.of_normals = normals_at == next;
+        let reader = if chunk.of_normals { self.normals.as_mut() } else { None };
+        let count = match reader {
+            Some(reader) => {
+                chunk.first = reader.next_vertex();
+                reader.read(&mut chunk.raw, cut)?
+            }
+            None => {
+                chunk.first = self.vertices.next_vertex();
+                self.vertices.read(&mut chunk.raw, |bytes, n| grammar.cut(bytes, n))?
+            }
+        };
+        self.at += chunk.raw.len() as u64;
+        chunk.spans.resize(count as usize, [0; 2]);
+        Ok(if chunk.of_normals { Piece::Normals } else { Piece::Vertices(count as usize) })
+    }
+}

@@ -1,0 +1,180 @@
+//! Statements of OBJ, their words, and corners.
+
+use super::{Obj, keyword};
+use crate::source::Source;
+use crate::text::faces::FaceLines;
+use crate::text::lines::{Lines, lines};
+use crate::text::model::TextModel;
+use crate::text::{is_space, next_word, parse, quoted};
+use crate::{Result, Scalar};
+
+/// What a line is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Statement {
+    Vertex,
+    Normal,
+    Face,
+    Other,
+}
+
+impl Statement {
+    #[inline]
+    pub(super) fn of(line: &[u8]) -> Self {
+        // Most lines begin with their word.
+        let start = if line.first().is_some_and(|b| is_space(*b)) {
+            line.iter().position(|b| !is_space(*b)).unwrap_or(line.len())
+        } else {
+            0
+        };
+        match line[start..] {
+            [b'v', next, ..] if is_space(next) => Self::Vertex,
+            [b'v', b'n', next, ..] if is_space(next) => Self::Normal,
+            [b'f', next, ..] if is_space(next) => Self::Face,
+            _ => Self::Other,
+        }
+    }
+}
+
+/// The words behind a line's first one, up to a comment. Backslashes, with which lines go on, are blanks.
+pub(super) fn values(line: &[u8]) -> impl Iterator<Item = (usize, usize)> + '_ {
+    let mut at = next_word(line, 0, true).map_or(line.len(), |(_, end)| end);
+    std::iter::from_fn(move || {
+        loop {
+            let (start, mut end) = next_word(line, at, true)?;
+            at = end;
+            while end > start && line[end - 1] == b'\\' {
+                end -= 1;
+            }
+            match line.get(start) {
+                Some(b'#') => return None,
+                _ if end > start => return Some((start, end)),
+                _ => {}
+            }
+        }
+    })
+}
+
+/// Whether a file looks like OBJ: its first statement is one that files begin with.
+pub(crate) fn is_obj(source: &Source) -> Result<bool> {
+    const START: usize = 1 << 14;
+    let mut start = Vec::new();
+    source.append_at(&mut start, 0, START)?;
+    let mut words = lines(&start, true)
+        .map(|(a, b)| &start[a..b])
+        .filter(|line| keyword(line).is_some_and(|w| w[0] != b'#'));
+    Ok(words.next().is_some_and(|line| match keyword(line) {
+        Some(b"v" | b"vn") => {
+            let mut numbers = values(line).map(|(a, b)| parse(Scalar::F64, &line[a..b]));
+            (0..3).all(|_| numbers.next().flatten().is_some())
+        }
+        Some(b"mtllib" | b"o" | b"g" | b"usemtl") => !start.contains(&0),
+        _ => false,
+    }))
+}
+
+/// A whole number that a word begins with, and where it ends; `None` if it begins with none. One that is too
+/// large becomes the largest.
+#[inline]
+pub(super) fn leading_integer(word: &[u8]) -> Option<(i64, usize)> {
+    let negative = word.first() == Some(&b'-');
+    let start = usize::from(negative || word.first() == Some(&b'+'));
+    let (mut value, mut at) = (0i64, start);
+    while let Some(digit) = word.get(at).map(|b| b.wrapping_sub(b'0')).filter(|d| *d < 10) {
+        value = value.saturating_mul(10).saturating_add(i64::from(digit));
+        at += 1;
+    }
+    (at > start).then_some((if negative { -value } else { value }, at))
+}
+
+/// Which thing a number means, from 0 on, where so many came before; -1 for none.
+#[inline]
+pub(super) fn absolute(index: i64, before: u64) -> i64 {
+    match index {
+        1.. => index - 1,
+        0 => -1,
+        _ => (before as i64).saturating_add(index).max(-1),
+    }
+}
+
+/// The corners of faces.
+pub(super) struct Corners<'a> {
+    model: &'a TextModel<Obj>,
+    /// Vertices before the line that is read.
+    vertices: u64,
+}
+
+impl<'a> Corners<'a> {
+    pub(super) fn new(model: &'a TextModel<Obj>) -> Self {
+        Self { model, vertices: 0 }
+    }
+}
+
+impl FaceLines for Corners<'_> {
+    const CONTINUES: bool = true;
+
+    fn seek(&mut self, offset: u64) -> Result<()> {
+        if !self.model.grammar.is_relative {
+            return Ok(());
+        }
+        let TextModel { blocks, source, .. } = self.model;
+        let (vertices, start) = blocks.of_byte(offset).unwrap_or_default();
+        self.vertices = vertices;
+        // From the end of the last vertex on, there is none.
+        if start < blocks.end() {
+            let mut lines = Lines::new(source, start, offset, Self::CONTINUES);
+            while let Some((_, line)) = lines.next()? {
+                self.vertices += u64::from(Statement::of(line) == Statement::Vertex);
+            }
+        }
+        Ok(())
+    }
+
+    fn face(&mut self, line: &[u8]) -> Result<Option<usize>, String> {
+        match Statement::of(line) {
+            Statement::Face => Ok(next_word(line, 0, true).map(|(_, end)| end)),
+            Statement::Vertex => {
+                self.vertices += 1;
+                Ok(None)
+            }
+            _ => Ok(None),
+        }
+    }
+
+    #[inline]
+    fn corner(&mut self, line: &[u8], at: &mut usize) -> Result<Option<i64>, String> {
+        loop {
+            let Some((start, end)) = next_word(line, *at, true) else { return Ok(None) };
+            *at = end;
+            match line[start] {
+                b'#' => {
+                    *at = line.len();
+                    return Ok(None);
+                }
+                b'\\' => continue,
+                _ => {}
+            }
+            let word = &line[start..end];
+            return match leading_integer(word) {
+                Some((index, end)) if matches!(word.get(end), None | Some(b'/' | b'\\')) => {
+                    Ok(Some(absolute(index, self.vertices)))
+                }
+                _ => Err(format!("{} is no corner of a face", quoted(&String::from_utf8_lossy(word)))),
+            };
+        }
+    }
+}
+
+/// Whether every corner of a face that has a normal has the one with its vertex' number.
+pub(super) fn normals_are_of_vertices(line: &[u8], vertices: u64, normals: u64) -> bool {
+    values(line).all(|(start, end)| {
+        let word = &line[start..end];
+        let Some((vertex, at)) = leading_integer(word) else { return true };
+        // Between the slashes is the texture's coordinate, if there is one.
+        let mut slashes = word[at..].iter().enumerate().filter(|(_, b)| **b == b'/').skip(1);
+        let Some(behind) = slashes.next().map(|(i, _)| at + i + 1) else { return true };
+        match leading_integer(&word[behind..]) {
+            Some((normal, _)) => absolute(vertex, vertices) == absolute(normal, normals),
+            None => true,
+        }
+    })
+}

@@ -1,0 +1,127 @@
+//! The one pass over a file when it is opened: where vertices, normals and faces are, and whose the normals
+//! are.
+
+use std::ops::Range;
+
+use super::lines::{Statement, normals_are_of_vertices};
+use crate::Result;
+use crate::source::Source;
+use crate::text::blocks::{Blocks, Builder, GAP};
+use crate::text::lines::Lines;
+
+/// Most runs of vertices or of normals, one after the other, of a file whose normals are read: the bound of
+/// what is held of them.
+const MOST_RUNS: u64 = 1 << 18;
+
+/// Whose the normals are.
+#[derive(Debug)]
+pub(super) enum NormalsAre {
+    /// There are none.
+    None,
+    /// The vertices': each stands in a line before or behind its vertex, and no other vertex between.
+    Beside,
+    /// The vertices', in the same order, but elsewhere in the file.
+    Apart(Blocks),
+    /// Of corners, which share them.
+    Shared(Blocks),
+    /// So many, in too many places.
+    Scattered(u64),
+}
+
+/// What is found.
+#[derive(Debug)]
+pub(super) struct Scan {
+    pub(super) vertices: Blocks,
+    pub(super) normals: NormalsAre,
+    pub(super) faces: u64,
+    /// Where the first face begins and the last one ends.
+    pub(super) face_lines: Range<u64>,
+    /// Some numbers of corners are negative.
+    pub(super) is_relative: bool,
+    pub(super) first_vertex: Vec<u8>,
+}
+
+/// Vertices that have their normals beside them, as long as all have.
+struct Beside {
+    builder: Option<Builder>,
+    vertices: u64,
+    normals: u64,
+    /// Where the first line of a vertex begins whose second one is to come.
+    start: u64,
+}
+
+impl Beside {
+    fn line(&mut self, statement: Statement, start: u64, end: u64) {
+        match statement {
+            Statement::Vertex => self.vertices += 1,
+            _ => self.normals += 1,
+        }
+        let Some(builder) = &mut self.builder else { return };
+        match self.vertices.abs_diff(self.normals) {
+            0 if start - self.start <= GAP => builder.vertex(self.start, end),
+            1 => self.start = start,
+            _ => self.builder = None,
+        }
+    }
+}
+
+impl Scan {
+    pub(super) fn of(source: &Source) -> Result<Self> {
+        let mut lines = Lines::new(source, 0, u64::MAX, true);
+        let (mut vertices, mut normals) = (Builder::new(0, 1), Builder::new(0, 1));
+        let mut beside = Beside { builder: Some(Builder::new(0, 1)), vertices: 0, normals: 0, start: 0 };
+        let (mut faces, mut face_lines) = (0, 0..0);
+        let (mut is_relative, mut are_of_vertices, mut first_vertex) = (false, true, Vec::new());
+        let (mut runs, mut last) = (0u64, Statement::Other);
+        while let Some((start, line)) = lines.next()? {
+            let statement = Statement::of(line);
+            let end = start + line.len() as u64;
+            match statement {
+                Statement::Vertex | Statement::Normal => {
+                    if statement != last && last != Statement::Other {
+                        // A run of the other sort lies between.
+                        runs += 1;
+                        if runs <= MOST_RUNS {
+                            vertices.separate();
+                            normals.separate();
+                        }
+                    }
+                    last = statement;
+                    beside.line(statement, start, end);
+                    if statement == Statement::Normal {
+                        normals.vertex(start, end);
+                    } else {
+                        vertices.vertex(start, end);
+                        if vertices.vertices() == 1 {
+                            first_vertex = line.to_vec();
+                        }
+                    }
+                }
+                Statement::Face => {
+                    if faces == 0 {
+                        face_lines.start = start;
+                    }
+                    face_lines.end = end;
+                    faces += 1;
+                    is_relative = is_relative || memchr::memchr(b'-', line).is_some();
+                    are_of_vertices = are_of_vertices
+                        && normals_are_of_vertices(line, vertices.vertices(), normals.vertices());
+                }
+                Statement::Other => {}
+            }
+        }
+        let Beside { builder, vertices: count, normals: of_normals, .. } = beside;
+        let (mut vertices, normals) = (vertices.finish(), normals.finish());
+        let normals = match builder {
+            _ if of_normals == 0 => NormalsAre::None,
+            Some(builder) if of_normals == count && are_of_vertices => {
+                vertices = builder.finish();
+                NormalsAre::Beside
+            }
+            _ if runs > MOST_RUNS => NormalsAre::Scattered(of_normals),
+            _ if of_normals != count || !are_of_vertices => NormalsAre::Shared(normals),
+            _ => NormalsAre::Apart(normals),
+        };
+        Ok(Self { vertices, normals, faces, face_lines, is_relative, first_vertex })
+    }
+}

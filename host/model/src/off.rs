@@ -1,0 +1,257 @@
+//! OFF: a line of counts, a line for each vertex, and one for each face.
+//!
+//! Letters before `OFF` say what vertices have beside their position: `N` a normal, `C` a colour, `ST`
+//! texture coordinates, in this order in their lines.
+
+use std::ops::Range;
+
+use crate::columns::Columns;
+use crate::source::Source;
+use crate::text::blocks::Builder;
+use crate::text::faces::{FaceLines, LineFaces};
+use crate::text::lines::{Lines, wrong_line};
+use crate::text::model::{Grammar, NoFaces, TextModel, info};
+use crate::text::{CUT_OFF, DAMAGED, integer, is_space, next_word, quoted};
+use crate::{Attribute, FaceReader, Model, ModelInfo, Result, Type};
+
+/// Most numbers of a vertex: position, normal, colour and texture coordinates.
+const MOST_NUMBERS: usize = 12;
+
+/// What the letters before `OFF` say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Letters {
+    normals: bool,
+    colours: bool,
+    texture: bool,
+    /// Four coordinates, or as many as are said.
+    other_dimension: bool,
+}
+
+impl Letters {
+    /// Those of a word that ends in `OFF`.
+    fn of(word: &[u8]) -> Option<Self> {
+        let mut rest = word.strip_suffix(b"OFF")?;
+        let mut takes = |letters: &[u8]| match rest.strip_prefix(letters) {
+            Some(after) => {
+                rest = after;
+                true
+            }
+            None => false,
+        };
+        let (texture, colours, normals) = (takes(b"ST"), takes(b"C"), takes(b"N"));
+        let other_dimension = takes(b"4") | takes(b"n");
+        rest.is_empty().then_some(Self { normals, colours, texture, other_dimension })
+    }
+}
+
+fn first_word(text: &[u8]) -> &[u8] {
+    next_word(text, 0, true).map_or(&[], |(start, end)| &text[start..end])
+}
+
+/// The part of a line before a comment.
+fn before_comment(line: &[u8]) -> &[u8] {
+    &line[..memchr::memchr(b'#', line).unwrap_or(line.len())]
+}
+
+/// Whether a file says that it is OFF.
+pub(crate) fn is_off(start: &[u8]) -> bool {
+    Letters::of(first_word(start)).is_some()
+}
+
+fn has_content(line: &[u8]) -> bool {
+    line.iter().find(|b| !is_space(**b)).is_some_and(|b| *b != b'#')
+}
+
+/// The counts of vertices and faces, and where the first line behind them begins.
+struct Head {
+    letters: Letters,
+    vertices: u64,
+    faces: u64,
+    start: u64,
+}
+
+impl Head {
+    fn read(source: &Source) -> Result<Self> {
+        let mut lines = Lines::new(source, 0, u64::MAX, false);
+        let (mut letters, mut counts) = (None, Vec::new());
+        while let Some((at, line)) = lines.next()? {
+            let end = at + line.len() as u64;
+            let mut words = before_comment(line).split(|b| is_space(*b)).filter(|word| !word.is_empty());
+            if letters.is_none() {
+                let Some(word) = words.next() else { continue };
+                let Some(found) = Letters::of(word) else { break };
+                letters = Some(found);
+                if found.other_dimension {
+                    let what = format!(
+                        "{} has vertices of another dimension than three",
+                        quoted(&String::from_utf8_lossy(word))
+                    );
+                    return Err(wrong_line(source, at, what, "export the model as OFF, with x, y and z"));
+                }
+            }
+            for word in words {
+                if word.eq_ignore_ascii_case(b"BINARY") {
+                    return Err(wrong_line(
+                        source,
+                        at,
+                        "binary OFF cannot be read",
+                        "export the model as OFF in ascii",
+                    ));
+                }
+                let count = integer(word).and_then(|count| u64::try_from(count).ok());
+                let Some(count) = count else {
+                    let what = format!("{} is no count", quoted(&String::from_utf8_lossy(word)));
+                    return Err(wrong_line(source, at, what, DAMAGED));
+                };
+                counts.push(count);
+            }
+            // The number of edges, which says nothing, may be left out.
+            if counts.len() >= 2 {
+                let [vertices, faces] = [counts[0], counts[1]];
+                return Ok(Self { letters: letters.unwrap_or_default(), vertices, faces, start: end });
+            }
+        }
+        Err(source.malformed("the file ends before the counts of vertices and faces", CUT_OFF))
+    }
+}
+
+/// Opens a file, which is gone over once.
+pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
+    let head = Head::read(&source)?;
+    let mut lines = Lines::new(&source, head.start, u64::MAX, false);
+    let mut builder = Builder::new(head.start, 1);
+    let (mut faces, mut face_lines, mut numbers) = (0, 0..0, 0);
+    while builder.vertices() < head.vertices || faces < head.faces {
+        let Some((at, line)) = lines.next()? else {
+            let what = format!(
+                "says {} vertices and {} faces, but it has {} and {faces} lines of them",
+                head.vertices,
+                head.faces,
+                builder.vertices()
+            );
+            return Err(source.malformed(what, CUT_OFF));
+        };
+        let end = at + line.len() as u64;
+        if !has_content(line) {
+            continue;
+        }
+        if builder.vertices() < head.vertices {
+            if builder.vertices() == 0 {
+                numbers =
+                    before_comment(line).split(|b| is_space(*b)).filter(|word| !word.is_empty()).count();
+                if numbers > MOST_NUMBERS {
+                    let what = format!("{numbers} numbers in the line of a vertex");
+                    return Err(wrong_line(&source, at, what, "each vertex has to have a line of its own"));
+                }
+            }
+            builder.vertex(at, end);
+        } else {
+            if faces == 0 {
+                face_lines.start = at;
+            }
+            faces += 1;
+            face_lines.end = end;
+        }
+    }
+    let Letters { normals, colours, texture, .. } = head.letters;
+    let components = if normals { 6 } else { 3 };
+    let names = attributes(numbers.saturating_sub(components), texture);
+    let letters = [(texture, "ST"), (colours, "C"), (normals, "N")];
+    let letters: String = letters.into_iter().filter(|(is, _)| *is).map(|(_, letter)| letter).collect();
+    let info = ModelInfo {
+        faces,
+        face_bytes: face_lines.end - face_lines.start,
+        other_properties: names.iter().map(|name| format!("double {name}")).collect(),
+        attributes: names.iter().map(|name| Attribute { name: (*name).into(), kind: Type::F64 }).collect(),
+        ..info(&source, format!("{letters}OFF"))
+    };
+    let off = Off { columns: Columns::in_order(components, names.len()), face_lines };
+    Ok(Box::new(TextModel::new(source, off, builder.finish(), info)?))
+}
+
+/// What so many numbers behind a vertex' position and normal are. Programs add colours without saying so.
+fn attributes(count: usize, texture: bool) -> Vec<&'static str> {
+    let coordinates: &[&str] = if texture && count >= 2 { &["s", "t"] } else { &[] };
+    let colours: &[&str] = match count - coordinates.len() {
+        3 => &["red", "green", "blue"],
+        4 => &["red", "green", "blue", "alpha"],
+        _ => &[],
+    };
+    if colours.len() + coordinates.len() == count { [colours, coordinates].concat() } else { Vec::new() }
+}
+
+/// The lines of OFF.
+#[derive(Debug)]
+struct Off {
+    columns: Columns,
+    face_lines: Range<u64>,
+}
+
+impl Grammar for Off {
+    const EXTENSIONS: &[&str] = &["off"];
+
+    fn components(&self) -> usize {
+        self.columns.components()
+    }
+
+    #[inline]
+    fn is_vertex(&self, line: &[u8]) -> bool {
+        has_content(line)
+    }
+
+    #[inline]
+    fn words(&self, line: &[u8], spans: &mut [[usize; 2]]) {
+        self.columns.words(before_comment(line), spans);
+    }
+
+    fn attribute<'l>(&self, line: &'l [u8], attribute: usize) -> Option<&'l [u8]> {
+        self.columns.attribute(before_comment(line), attribute)
+    }
+
+    fn faces<'a>(
+        model: &'a TextModel<Self>,
+        ranges: Option<Vec<Range<u64>>>,
+    ) -> Result<Box<dyn FaceReader + 'a>> {
+        let all = model.grammar.face_lines.clone();
+        if all.is_empty() {
+            return Ok(Box::new(NoFaces));
+        }
+        Ok(Box::new(LineFaces::new(&model.source, Corners { left: 0 }, all, ranges)))
+    }
+}
+
+/// The corners of faces: their number, then as many.
+struct Corners {
+    left: i64,
+}
+
+impl Corners {
+    /// The next number of a line.
+    #[inline]
+    fn number(line: &[u8], at: &mut usize) -> Result<i64, String> {
+        let (start, end) = next_word(line, *at, true).ok_or("a face has fewer corners than it says")?;
+        *at = end;
+        let word = &line[start..end];
+        integer(word).ok_or_else(|| format!("{} is no whole number", quoted(&String::from_utf8_lossy(word))))
+    }
+}
+
+impl FaceLines for Corners {
+    fn face(&mut self, line: &[u8]) -> Result<Option<usize>, String> {
+        if !has_content(line) {
+            return Ok(None);
+        }
+        let mut at = 0;
+        self.left = Self::number(line, &mut at)?;
+        if self.left < 0 { Err(format!("a face of {} corners", self.left)) } else { Ok(Some(at)) }
+    }
+
+    #[inline]
+    fn corner(&mut self, line: &[u8], at: &mut usize) -> Result<Option<i64>, String> {
+        if self.left == 0 {
+            return Ok(None);
+        }
+        self.left -= 1;
+        Self::number(line, at).map(Some)
+    }
+}

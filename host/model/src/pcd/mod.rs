@@ -1,0 +1,76 @@
+//! PCD 0.7: a header of text, and points as text, as binary records, or compressed.
+//!
+//! But for the header these are records as PLY has them, and are read and written by the same code: see
+//! [`ply`](crate::ply). A compressed file holds one block of at most 4 GiB, in which each field of all points
+//! comes before the next field: it is unpacked into a nameless temporary file when it is opened, and what is
+//! written is not compressed, which its header says.
+
+mod header;
+mod unpack;
+
+use std::path::Path;
+
+use crate::ply::{Element, Encoding, Header as Records, PlyModel, Property, Shape};
+use crate::source::Source;
+use crate::{Model, Result, Type};
+pub(crate) use header::is_pcd;
+use header::{Data, Field, Header};
+
+/// Opens a file; a compressed one is unpacked into the folder of temporary files.
+pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
+    open_in(source, &std::env::temp_dir())
+}
+
+fn open_in(source: Source, temporary: &Path) -> Result<Box<dyn Model>> {
+    let header = Header::read(&source)?;
+    let name = header.data.name();
+    let compressed = header.data == Data::Compressed;
+    let (source, header) = match header.data {
+        Data::Compressed => {
+            let source = unpack::unpack(&source, &header, temporary)?;
+            let header = Header::read(&source)?;
+            (source, header)
+        }
+        _ => (source, header),
+    };
+    let records = header.records();
+    let other = header.fields.iter().filter(|f| !f.is_component()).map(Field::describe).collect();
+    let mut model = PlyModel::of(source, records, header::without_normals)?;
+    model.extensions = &["pcd"];
+    model.info.format = format!("PCD {}, {name}", header.version);
+    model.info.other_properties = other;
+    model.note = compressed.then_some("what is written is not compressed again: DATA is binary in it");
+    Ok(Box::new(model))
+}
+
+impl Header {
+    /// The points as an element of PLY.
+    fn records(&self) -> Records {
+        let binary = self.data != Data::Ascii;
+        let mut properties = Vec::new();
+        for field in &self.fields {
+            let mut put = |name: &str, kind| {
+                properties.push(Property { name: name.into(), shape: Shape::Scalar(kind) });
+            };
+            match (field.kind, field.count) {
+                // Colours are the bytes of one number.
+                (Some(kind), 1)
+                    if binary && kind.size() == 4 && matches!(field.name.as_str(), "rgb" | "rgba") =>
+                {
+                    let alpha = if field.name == "rgba" { "alpha" } else { "" };
+                    ["blue", "green", "red", alpha].into_iter().for_each(|name| put(name, Type::U8));
+                }
+                (Some(kind), 1) => put(field.component().unwrap_or(&field.name), kind),
+                // Nothing that has a name.
+                (Some(kind), count) => (0..count).for_each(|_| put("", kind)),
+                (None, count) => (0..count).for_each(|_| {
+                    // Whole numbers of 64 bits: so many bytes, or a word.
+                    put("", Type::F64);
+                }),
+            }
+        }
+        let encoding = if binary { Encoding::Little } else { Encoding::Ascii };
+        let vertices = Element { name: "vertex".into(), count: self.points, properties };
+        Records { encoding, elements: vec![vertices], len: self.len }
+    }
+}

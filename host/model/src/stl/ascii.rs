@@ -1,0 +1,232 @@
+//! STL as text: `solid`, and for each facet its normal and three lines that begin with `vertex`.
+
+use std::ops::Range;
+
+use glam::DVec3;
+
+use super::{Facets, binary};
+use crate::source::Source;
+use crate::text::blocks::{Blocks, Builder, GAP, too_far};
+use crate::text::digits::Digits;
+use crate::text::lines::{Lines, lines, wrong_line};
+use crate::text::model::{Grammar, TextModel, Unfit, info};
+use crate::text::{CUT_OFF, DAMAGED, is_space, next_word, parse, quoted};
+use crate::{Edited, FaceReader, Model, ModelInfo, Result, Scalar, VertexChunk};
+
+/// Whether a file begins as text: with `solid`, and without anything that is none.
+pub(super) fn is_text(source: &Source) -> Result<bool> {
+    const START: usize = 1024;
+    let mut start = Vec::new();
+    source.append_at(&mut start, 0, START)?;
+    let text = start.trim_ascii_start();
+    let (mut head, is_binary) = (text.iter(), |b: &u8| *b < b' ' && !b.is_ascii_whitespace());
+    let solid = first_word(text).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
+    Ok(solid && !head.any(is_binary))
+}
+
+/// Opens a file, which is gone over once.
+pub(super) fn open(source: Source) -> Result<Box<dyn Model>> {
+    let (blocks, facets) = scan(&source)?;
+    let face_bytes = binary::FACET * facets;
+    let of_file = info(&source, "STL, ascii".into());
+    let info = ModelInfo { faces: facets, face_bytes, ..of_file };
+    Ok(Box::new(TextModel::new(source, Stl, blocks, info)?))
+}
+
+fn first_word(line: &[u8]) -> Option<&[u8]> {
+    next_word(line, 0, true).map(|(start, end)| &line[start..end])
+}
+
+/// What a line of STL is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Line {
+    Solid,
+    EndSolid,
+    Facet,
+    Vertex,
+    EndFacet,
+    Other,
+    Unknown,
+}
+
+impl Line {
+    fn of(line: &[u8]) -> Self {
+        let Some(word) = first_word(line) else { return Self::Other };
+        let is = |name: &str| word.eq_ignore_ascii_case(name.as_bytes());
+        match word.len() {
+            6 if is("vertex") => Self::Vertex,
+            5 if is("facet") => Self::Facet,
+            5 if is("outer") => Self::Other,
+            7 if is("endloop") => Self::Other,
+            8 if is("endfacet") => Self::EndFacet,
+            5 if is("solid") => Self::Solid,
+            8 if is("endsolid") => Self::EndSolid,
+            _ => Self::Unknown,
+        }
+    }
+}
+
+/// Where the vertices are, and how many facets there are. All of the file's structure is checked here.
+fn scan(source: &Source) -> Result<(Blocks, u64)> {
+    let mut lines = Lines::new(source, 0, u64::MAX, false);
+    let mut builder = Builder::new(0, Stl::UNIT);
+    let (mut facets, mut in_solid, mut in_facet, mut at) = (0u64, false, false, 0);
+    while let Some((start, line)) = lines.next()? {
+        let kind = Line::of(line);
+        let end = start + line.len() as u64;
+        let is_right = match kind {
+            Line::Vertex => {
+                if builder.vertices() > 0 && start - builder.end() > GAP {
+                    return Err(too_far(source, start));
+                }
+                builder.vertex(start, end);
+                in_facet && builder.vertices() <= 3 * facets
+            }
+            Line::Facet => {
+                facets += 1;
+                in_solid && !std::mem::replace(&mut in_facet, true)
+            }
+            Line::EndFacet => std::mem::take(&mut in_facet) && builder.vertices() == 3 * facets,
+            // Some programs leave out `endsolid` between two solids.
+            Line::Solid => {
+                !in_facet && {
+                    in_solid = true;
+                    true
+                }
+            }
+            Line::EndSolid => !in_facet && std::mem::take(&mut in_solid),
+            Line::Other => true,
+            Line::Unknown => false,
+        };
+        if !is_right {
+            let text = quoted(&String::from_utf8_lossy(line.trim_ascii_start()));
+            let what = match kind {
+                Line::Unknown => format!("{text} is nothing of STL"),
+                _ => format!("{text} after {} facets and {} corners", facets, builder.vertices()),
+            };
+            return Err(wrong_line(source, start, what, DAMAGED));
+        }
+        at = start;
+    }
+    if in_solid || in_facet {
+        return Err(wrong_line(source, at, "the file ends before endsolid", CUT_OFF));
+    }
+    Ok((builder.finish(), facets))
+}
+
+/// The lines of STL.
+#[derive(Debug)]
+struct Stl;
+
+impl Grammar for Stl {
+    const EXTENSIONS: &[&str] = &["stl"];
+    const UNIT: u64 = 3;
+
+    fn is_vertex(&self, line: &[u8]) -> bool {
+        let start = line.iter().position(|b| !is_space(*b)).unwrap_or(line.len());
+        let word = &line[start..];
+        word.len() > 6 && word[..6].eq_ignore_ascii_case(b"vertex") && is_space(word[6])
+    }
+
+    fn words(&self, line: &[u8], spans: &mut [[usize; 2]]) {
+        words_after(line, 1, spans);
+    }
+
+    fn encode(
+        &self,
+        chunk: &VertexChunk,
+        edited: &Edited,
+        digits: &[Digits; 2],
+        text: &mut Vec<u8>,
+    ) -> Result<(), Unfit> {
+        let VertexChunk { positions, raw, spans, .. } = chunk;
+        let (mut copied, mut facet_at) = (0, 0);
+        for vertex in (0..positions.len()).step_by(3) {
+            let (Some(rest), Some(moved), Some(places)) = (
+                positions.get(vertex..vertex + 3),
+                edited.positions.get(vertex..vertex + 3),
+                spans.get(3 * vertex..3 * vertex + 9),
+            ) else {
+                break;
+            };
+            let before = facet_at..places[0][0] as usize;
+            facet_at = places[8][1] as usize;
+            let mut corners = [rest[0], rest[1], rest[2]];
+            for i in 0..3 {
+                if rest[i].is_finite() {
+                    corners[i] = moved[i];
+                    if let Some(value) = moved[i].to_array().into_iter().find(|v| !v.is_finite()) {
+                        return Err(Unfit { vertex: vertex + i, value });
+                    }
+                }
+            }
+            let bits = |p: DVec3| p.to_array().map(f64::to_bits);
+            if corners.map(bits) == [rest[0], rest[1], rest[2]].map(bits) {
+                continue;
+            }
+            if let Some((words, old)) = facet_normal(raw, before)
+                && let Some(new) = super::normal(old, [rest[0], rest[1], rest[2]], corners)
+            {
+                let of_normal = normal_digits(&words.map(|[start, end]| &raw[start..end]));
+                for ([start, end], value) in words.into_iter().zip(new.to_array()) {
+                    text.extend_from_slice(&raw[copied..start]);
+                    of_normal.write(text, &raw[start..end], value);
+                    copied = end;
+                }
+            }
+            for (i, place) in places.iter().enumerate() {
+                let [start, end] = place.map(|at| at as usize);
+                let (old, new) = (rest[i / 3][i % 3], corners[i / 3][i % 3]);
+                if old.to_bits() != new.to_bits() {
+                    text.extend_from_slice(&raw[copied..start]);
+                    digits[0].write(text, &raw[start..end], new);
+                    copied = end;
+                }
+            }
+        }
+        text.extend_from_slice(&raw[copied..]);
+        Ok(())
+    }
+
+    fn faces<'a>(
+        model: &'a TextModel<Self>,
+        ranges: Option<Vec<Range<u64>>>,
+    ) -> Result<Box<dyn FaceReader + 'a>> {
+        let facets = model.info.faces;
+        Ok(Box::new(match ranges {
+            None => Facets::new(facets),
+            Some(ranges) => Facets::at(facets, ranges),
+        }))
+    }
+}
+
+/// Where up to as many words stand in a line as there are places, after so many others.
+fn words_after(line: &[u8], others: usize, spans: &mut [[usize; 2]]) {
+    let mut at = 0;
+    for i in 0..others + 3 {
+        let Some((start, end)) = next_word(line, at, true) else { return };
+        if i >= others {
+            spans[i - others] = [start, end];
+        }
+        at = end;
+    }
+}
+
+/// Where the numbers of the last facet's normal stand in a part of a chunk, and what it is.
+fn facet_normal(raw: &[u8], part: Range<usize>) -> Option<([[usize; 2]; 3], DVec3)> {
+    let bytes = &raw[part.clone()];
+    let (start, end) = lines(bytes, false).filter(|l| Line::of(&bytes[l.0..l.1]) == Line::Facet).last()?;
+    let mut words = [[0; 2]; 3];
+    words_after(&bytes[start..end], 2, &mut words);
+    let words = words.map(|word| word.map(|at| part.start + start + at));
+    let [x, y, z] = words.map(|[start, end]| parse(Scalar::F64, &raw[start..end]));
+    Some((words, DVec3::new(x?, y?, z?)))
+}
+
+/// As many digits as the normal has; six if it was along an axis, and had none.
+fn normal_digits(words: &[&[u8]; 3]) -> Digits {
+    const FEW: usize = 4;
+    const ENOUGH: usize = 6;
+    let digits = Digits::of(words.iter().copied());
+    if digits.decimals < FEW { Digits { decimals: ENOUGH, ..digits } } else { digits }
+}

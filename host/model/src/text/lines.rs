@@ -1,0 +1,216 @@
+//! Lines of bounded length. A line ends with a line feed, a carriage return, or both; files may mix them.
+
+use crate::source::Source;
+use crate::{Error, Result};
+
+/// Longest line: what goes on longer is no text that can be worked on.
+pub(crate) const MAX_LINE: usize = 16 << 20;
+
+/// Bytes read at a time.
+const BLOCK: usize = 1 << 18;
+
+/// Where the first line of `bytes` ends, and what ends it with it; `None` if it may go on after them.
+///
+/// With `continues`, a line that ends in a backslash goes on with the next one.
+#[inline]
+pub(crate) fn line_end(bytes: &[u8], continues: bool, whole_file: bool) -> Option<usize> {
+    let mut from = 0;
+    loop {
+        let Some(found) = memchr::memchr2(b'\n', b'\r', &bytes[from..]) else {
+            return (whole_file && !bytes.is_empty()).then_some(bytes.len());
+        };
+        let at = from + found;
+        let mut end = at + 1;
+        if bytes[at] == b'\r' {
+            match bytes.get(end) {
+                Some(b'\n') => end += 1,
+                None if !whole_file => return None,
+                _ => {}
+            }
+        }
+        if !(continues && at > 0 && bytes[at - 1] == b'\\') {
+            return Some(end);
+        }
+        if end == bytes.len() {
+            return whole_file.then_some(end);
+        }
+        from = end;
+    }
+}
+
+/// The lines of bytes that hold whole lines: where each begins and ends.
+pub(crate) fn lines(bytes: &[u8], continues: bool) -> impl Iterator<Item = (usize, usize)> + '_ {
+    let mut at = 0;
+    std::iter::from_fn(move || {
+        let start = at;
+        at += line_end(&bytes[start..], continues, true)?;
+        Some((start, at))
+    })
+}
+
+/// Number of lines that end in `bytes`.
+fn count_lines(bytes: &[u8]) -> u64 {
+    let ends = memchr::memchr2_iter(b'\n', b'\r', bytes);
+    ends.filter(|&at| bytes[at] == b'\n' || bytes.get(at + 1) != Some(&b'\n')).count() as u64
+}
+
+/// Goes over the lines of a part of a file.
+///
+/// Memory: a block, or a line and what is read with it: 32 MiB at most.
+pub(crate) struct Lines<'a> {
+    source: &'a Source,
+    continues: bool,
+    block: Vec<u8>,
+    /// Where in the block the next line begins.
+    at: usize,
+    /// Where in the file the block begins.
+    offset: u64,
+    /// Nothing is read beyond.
+    end: u64,
+}
+
+impl<'a> Lines<'a> {
+    pub(crate) fn new(source: &'a Source, start: u64, end: u64, continues: bool) -> Self {
+        Self { source, continues, block: Vec::new(), at: 0, offset: start, end: end.min(source.len()) }
+    }
+
+    /// Where in the file the next line begins.
+    pub(crate) fn position(&self) -> u64 {
+        self.offset + self.at as u64
+    }
+
+    /// The next line, with what ends it, and where in the file it begins; `None` at the end.
+    #[inline]
+    pub(crate) fn next(&mut self) -> Result<Option<(u64, &[u8])>> {
+        loop {
+            let whole = self.offset + self.block.len() as u64 >= self.end;
+            if let Some(length) = line_end(&self.block[self.at..], self.continues, whole)
+                && length <= MAX_LINE
+            {
+                let (start, position) = (self.at, self.position());
+                self.at += length;
+                return Ok(Some((position, &self.block[start..self.at])));
+            }
+            if whole && self.at == self.block.len() {
+                return Ok(None);
+            }
+            self.fill()?;
+        }
+    }
+
+    #[cold]
+    fn fill(&mut self) -> Result<()> {
+        self.block.drain(..self.at);
+        self.offset += self.at as u64;
+        self.at = 0;
+        let held = self.block.len();
+        if held > MAX_LINE {
+            let what = format!("line {} is longer than {} MiB", self.number()?, MAX_LINE >> 20);
+            return Err(self.source.malformed(what, "this is no text of its format: export the model again"));
+        }
+        // Twice as much each time, so that a long line is not gone over too often.
+        let left = self.end - self.offset - held as u64;
+        let more = (held.max(BLOCK) as u64).min(left) as usize;
+        self.source.append_at(&mut self.block, self.offset + held as u64, more)?;
+        Ok(())
+    }
+
+    /// The number of the next line, from 1 on.
+    fn number(&self) -> Result<u64> {
+        line_number(self.source, self.position())
+    }
+}
+
+/// The number of the line that a byte of the file stands in, from 1 on: found by counting, for messages.
+pub(crate) fn line_number(source: &Source, offset: u64) -> Result<u64> {
+    let (mut at, mut number, mut block) = (0, 1, Vec::new());
+    while at < offset {
+        block.clear();
+        let wanted = (offset - at).min(BLOCK as u64) as usize;
+        let read = source.append_at(&mut block, at, wanted)?;
+        if read == 0 {
+            break;
+        }
+        at += read as u64;
+        number += count_lines(&block);
+        // A carriage return at the block's end, and the line feed of it in the next one, are one end.
+        let mut next = [0];
+        if block.last() == Some(&b'\r') && source.read_at(&mut next, at)? == 1 && next == *b"\n" {
+            number -= 1;
+        }
+    }
+    Ok(number)
+}
+
+/// An error about the line that a byte of the file stands in.
+pub(crate) fn wrong_line(source: &Source, offset: u64, what: impl std::fmt::Display, hint: &str) -> Error {
+    match line_number(source, offset) {
+        Ok(number) => source.malformed(format_args!("line {number}: {what}"), hint),
+        Err(error) => error,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+
+    fn source(bytes: &[u8]) -> Source {
+        let mut file = tempfile::NamedTempFile::new().unwrap();
+        file.write_all(bytes).unwrap();
+        Source::open(file.path()).unwrap()
+    }
+
+    #[test]
+    fn lines_end_in_any_way() {
+        let text = b"a\nb\r\nc\rd\\\ne\\\r\nf\n\r\ng";
+        let of = |continues| -> Vec<&[u8]> { lines(text, continues).map(|(a, b)| &text[a..b]).collect() };
+        let plain: [&[u8]; 8] = [b"a\n", b"b\r\n", b"c\r", b"d\\\n", b"e\\\r\n", b"f\n", b"\r\n", b"g"];
+        assert_eq!(of(false), plain);
+        let joined: [&[u8]; 6] = [b"a\n", b"b\r\n", b"c\r", b"d\\\ne\\\r\nf\n", b"\r\n", b"g"];
+        assert_eq!(of(true), joined);
+        for end in 0..text.len() {
+            // What may go on is not given before it is known.
+            let mut at = 0;
+            for line in plain {
+                let found = line_end(&text[at..end], false, false);
+                let known = at + line.len() <= end && (line != b"c\r" || end > at + 2) && at + 1 < text.len();
+                assert_eq!(found.is_some(), known, "{end} {at}");
+                let Some(found) = found else { break };
+                assert_eq!(found, line.len());
+                at += found;
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_of_lines_are_counted_across_blocks() {
+        let mut text = Vec::new();
+        let mut starts = Vec::new();
+        for i in 0..3000 {
+            starts.push(text.len() as u64);
+            text.extend(vec![b'x'; i % 200]);
+            text.extend_from_slice([&b"\n"[..], b"\r\n", b"\r"][i % 3]);
+        }
+        // An empty line after a lone carriage return would be one with it.
+        text.extend_from_slice(b"end");
+        let source = source(&text);
+        for (i, start) in starts.iter().enumerate().step_by(101) {
+            let joined = (0..i).filter(|i| i % 3 == 2 && (i + 1) % 200 == 0 && (i + 1) % 3 == 0).count();
+            assert_eq!(line_number(&source, *start).unwrap(), (i - joined) as u64 + 1);
+        }
+    }
+
+    #[test]
+    fn a_line_without_end_is_an_error_that_names_it() {
+        let mut text = b"1\n2\n".to_vec();
+        text.resize(text.len() + MAX_LINE + 3 * BLOCK, b'7');
+        let source = source(&text);
+        let mut lines = Lines::new(&source, 0, u64::MAX, false);
+        assert_eq!(lines.next().unwrap(), Some((0, &b"1\n"[..])));
+        assert_eq!(lines.next().unwrap(), Some((2, &b"2\n"[..])));
+        let error = lines.next().err().unwrap().to_string();
+        assert!(error.ends_with("line 3 is longer than 16 MiB"), "{error}");
+    }
+}

@@ -1,0 +1,500 @@
+//! Models whose vertices are lines of text: decoding a chunk, and putting edited numbers in their places.
+
+use std::io;
+use std::ops::Range;
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+
+use super::blocks::{BlockPiece, BlockPieces, BlockReader, Blocks, changed};
+use super::digits::{Digits, Survey};
+use super::lines::{line_end, lines, wrong_line};
+use super::{DAMAGED, parse, quoted};
+use crate::pipeline::{self, Piece, Pieces, Rewritable};
+use crate::source::Source;
+use crate::{
+    CHUNK_VERTICES, Edit, Edited, Error, ErrorKind, FaceChunk, FaceReader, Model, ModelInfo, Normals, Output,
+    Progress, Result, Rewriting, Scalar, Summary, VertexChunk, VertexReader,
+};
+
+/// What a text format knows of its lines, among those between the first and the last vertex.
+pub(crate) trait Grammar: Send + Sync + Sized + 'static {
+    /// A line that ends in a backslash goes on with the next one.
+    const CONTINUES: bool = false;
+    /// Vertices that stay in one chunk together when the model is rewritten.
+    const UNIT: u64 = 1;
+    /// Extensions that names of such files have.
+    const EXTENSIONS: &'static [&'static str];
+
+    /// What the user said that the columns are.
+    fn wanted(&self) -> Option<&str> {
+        None
+    }
+
+    /// Numbers of a vertex that are its position, and its normal if it has one: 3 or 6.
+    fn components(&self) -> usize {
+        3
+    }
+
+    /// Whether a line is a vertex.
+    fn is_vertex(&self, line: &[u8]) -> bool;
+
+    /// Notes where a vertex' components stand in its line. Those that are missing are left as they are.
+    fn words(&self, line: &[u8], spans: &mut [[usize; 2]]);
+
+    /// Notes where the components of all vertices stand in whole lines; returns how many vertices there are.
+    fn find(&self, raw: &[u8], spans: &mut Vec<[u32; 2]>) -> usize {
+        let (mut count, components) = (0, self.components());
+        for (start, end) in lines(raw, Self::CONTINUES) {
+            let line = &raw[start..end];
+            if self.is_vertex(line) {
+                let mut words = [[0; 2]; 6];
+                self.words(line, &mut words);
+                spans.extend(words[..components].iter().map(|word| word.map(|at| (start + at) as u32)));
+                count += 1;
+            }
+        }
+        count
+    }
+
+    /// Where so many vertices end in bytes that begin with them.
+    fn cut(&self, bytes: &[u8], count: u64) -> Option<usize> {
+        let (mut at, mut left) = (0, count);
+        while left > 0 {
+            let length = line_end(&bytes[at..], Self::CONTINUES, true)?;
+            left -= u64::from(self.is_vertex(&bytes[at..at + length]));
+            at += length;
+        }
+        Some(at)
+    }
+
+    /// The word of an attribute in the line of a vertex.
+    fn attribute<'l>(&self, _line: &'l [u8], _attribute: usize) -> Option<&'l [u8]> {
+        None
+    }
+
+    /// Appends a chunk with other numbers to `text`.
+    fn encode(
+        &self,
+        chunk: &VertexChunk,
+        edited: &Edited,
+        digits: &[Digits; 2],
+        text: &mut Vec<u8>,
+    ) -> Result<(), Unfit> {
+        splice(self.components(), chunk, edited, digits, text)
+    }
+
+    /// A reader of the faces between some bytes, or of all.
+    fn faces<'a>(
+        _model: &'a TextModel<Self>,
+        _ranges: Option<Vec<Range<u64>>>,
+    ) -> Result<Box<dyn FaceReader + 'a>> {
+        Ok(Box::new(NoFaces))
+    }
+
+    /// What to do about normals that shall be left out, which no such file can.
+    fn without_normals(&self) -> &'static str {
+        "keep the normals, or have them transformed; or export the model without them"
+    }
+}
+
+/// A file whose vertices are lines.
+#[derive(Debug)]
+pub(crate) struct TextModel<G> {
+    pub(crate) source: Source,
+    pub(crate) grammar: G,
+    pub(crate) blocks: Blocks,
+    /// Of positions and of normals.
+    pub(crate) digits: [Digits; 2],
+    pub(crate) info: ModelInfo,
+}
+
+/// A vertex that is moved to where no number can say.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Unfit {
+    pub(crate) vertex: usize,
+    pub(crate) value: f64,
+}
+
+/// A model without faces.
+pub(crate) struct NoFaces;
+
+impl FaceReader for NoFaces {
+    fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
+        *chunk = FaceChunk::default();
+        Ok(false)
+    }
+}
+
+/// What is known of a text file, but for its vertices.
+pub(crate) fn info(source: &Source, format: String) -> ModelInfo {
+    ModelInfo {
+        format,
+        vertices: 0,
+        faces: 0,
+        has_normals: false,
+        position_type: Scalar::F64,
+        other_properties: Vec::new(),
+        attributes: Vec::new(),
+        bytes: source.len(),
+        random_access: true,
+        block_vertices: 1,
+        vertex_bytes: 0,
+        face_bytes: 0,
+        integers: None,
+        written: None,
+        crs: None,
+    }
+}
+
+impl<G: Grammar> TextModel<G> {
+    /// A file whose vertices lie in these blocks.
+    pub(crate) fn new(source: Source, grammar: G, blocks: Blocks, info: ModelInfo) -> Result<Self> {
+        let info = ModelInfo {
+            vertices: blocks.vertices(),
+            vertex_bytes: blocks.vertex_bytes(),
+            has_normals: grammar.components() == 6,
+            ..info
+        };
+        let mut model = Self { source, grammar, blocks, digits: [Digits::default(); 2], info };
+        model.digits = model.survey()?;
+        Ok(model)
+    }
+
+    /// The digits of numbers all over the file.
+    fn survey(&self) -> Result<[Digits; 2]> {
+        const BLOCKS: usize = 32;
+        const OF_A_BLOCK: u64 = 64;
+        let (mut positions, mut normals) = (Survey::default(), Survey::default());
+        let (mut raw, mut spans) = (Vec::new(), Vec::new());
+        for (vertices, bytes) in self.blocks.spread(BLOCKS) {
+            raw.clear();
+            spans.clear();
+            self.source.append_at(&mut raw, bytes.start, (bytes.end - bytes.start) as usize)?;
+            let wanted = OF_A_BLOCK.min(vertices.end - vertices.start).next_multiple_of(G::UNIT);
+            let end = self.grammar.cut(&raw, wanted).unwrap_or(raw.len());
+            self.grammar.find(&raw[..end], &mut spans);
+            for (i, [start, end]) in spans.iter().enumerate() {
+                let word = &raw[*start as usize..*end as usize];
+                let component = i % self.grammar.components();
+                if component < 3 { &mut positions } else { &mut normals }.take(component, word);
+            }
+        }
+        Ok([positions.digits(None), normals.digits(Some(1.0))])
+    }
+
+    /// Fills a chunk's positions and normals from its bytes, which hold as many vertices as it has places
+    /// for.
+    pub(crate) fn decode(&self, chunk: &mut VertexChunk, vertices: usize) -> Result<()> {
+        let VertexChunk { positions, normals, raw, spans, .. } = chunk;
+        positions.clear();
+        normals.clear();
+        spans.clear();
+        if self.grammar.find(raw, spans) != vertices {
+            return Err(changed(&self.source));
+        }
+        let components = self.grammar.components();
+        for (vertex, spans) in spans.chunks_exact(components).enumerate() {
+            let mut values = [0.0; 6];
+            for (value, [start, end]) in values.iter_mut().zip(spans) {
+                let word = &raw[*start as usize..*end as usize];
+                let Some(number) = parse(Scalar::F64, word) else {
+                    return Err(self.not_a_number(chunk.first + vertex as u64, word));
+                };
+                *value = number;
+            }
+            let [x, y, z, nx, ny, nz] = values;
+            positions.push(DVec3::new(x, y, z));
+            if components == 6 {
+                normals.push(DVec3::new(nx, ny, nz).as_vec3());
+            }
+        }
+        Ok(())
+    }
+
+    fn not_a_number(&self, vertex: u64, word: &[u8]) -> Error {
+        let what = if word.is_empty() {
+            format!("vertex {vertex} has fewer than {} numbers", self.grammar.components())
+        } else {
+            format!("vertex {vertex}: {} is no number", quoted(&String::from_utf8_lossy(word)))
+        };
+        self.wrong_vertex(vertex, what, DAMAGED)
+    }
+
+    /// An error about a vertex, which names its line.
+    fn wrong_vertex(&self, vertex: u64, what: String, hint: &str) -> Error {
+        match self.place_of(vertex) {
+            Ok(Some(offset)) => wrong_line(&self.source, offset, what, hint),
+            Ok(None) => self.source.malformed(what, hint),
+            Err(error) => error,
+        }
+    }
+
+    /// Where in the file the last byte of a vertex is.
+    fn place_of(&self, vertex: u64) -> Result<Option<u64>> {
+        let mut raw = Vec::new();
+        let Some((first, begin)) = self.blocks.spread(usize::MAX).find(|b| b.0.contains(&vertex)).map(|b| {
+            raw.resize((b.1.end - b.1.start) as usize, 0);
+            (b.0.start, b.1.start)
+        }) else {
+            return Ok(None);
+        };
+        self.source.read_at(&mut raw, begin)?;
+        let end = self.grammar.cut(&raw, vertex - first + 1);
+        Ok(end.map(|end| {
+            let line = raw[..end].trim_ascii_end().len();
+            begin + line.saturating_sub(1) as u64
+        }))
+    }
+
+    /// What is wrong where a vertex cannot be moved.
+    pub(crate) fn unfit(&self, first: u64, unfit: Unfit) -> Error {
+        let (vertex, value) = (first + unfit.vertex as u64, unfit.value);
+        Error::new(
+            ErrorKind::Degenerate,
+            format!("{}: the deformation moves vertex {vertex} to {value}", self.source.path().display()),
+            "check the deformation: its steps have to give finite positions",
+        )
+    }
+
+    /// An error where normals cannot be left out.
+    pub(crate) fn check_normals(&self, normals: Normals) -> Result<()> {
+        if normals == Normals::Drop && self.info.has_normals {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!(
+                    "{}: normals cannot be left out of a file of this format",
+                    self.source.path().display()
+                ),
+                self.grammar.without_normals(),
+            ));
+        }
+        Ok(())
+    }
+
+    /// The numbers of the first attributes.
+    pub(crate) fn read_attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
+        to.iter_mut().for_each(Vec::clear);
+        let mut vertex = chunk.first;
+        for (start, end) in lines(&chunk.raw, G::CONTINUES) {
+            let line = &chunk.raw[start..end];
+            if !self.grammar.is_vertex(line) {
+                continue;
+            }
+            for (i, values) in to.iter_mut().enumerate() {
+                let word = self.grammar.attribute(line, i).unwrap_or_default();
+                let Some(value) = parse(Scalar::F64, word) else {
+                    let (name, word) = (&self.info.attributes[i].name, String::from_utf8_lossy(word));
+                    let what = format!("vertex {vertex}: {} {} is no number", quoted(name), quoted(&word));
+                    return Err(self.wrong_vertex(vertex, what, DAMAGED));
+                };
+                values.push(value);
+            }
+            vertex += 1;
+        }
+        Ok(())
+    }
+}
+
+/// Appends a chunk's bytes to `text`, with those numbers replaced that were edited.
+pub(crate) fn splice(
+    components: usize,
+    chunk: &VertexChunk,
+    edited: &Edited,
+    digits: &[Digits; 2],
+    text: &mut Vec<u8>,
+) -> Result<(), Unfit> {
+    let VertexChunk { positions, normals, raw, spans, .. } = chunk;
+    let mut copied = 0;
+    // Words come in the file's order, but for columns that do not.
+    let mut order: Vec<usize> = (0..components).collect();
+    if let Some(first) = spans.first_chunk::<3>() {
+        let of_vertex = spans.get(..components).unwrap_or(first);
+        order.sort_by_key(|c| of_vertex[*c][0]);
+    }
+    let mut words: Vec<(usize, usize, usize, f64)> = Vec::with_capacity(components);
+    for (vertex, spans) in spans.chunks_exact(components).enumerate() {
+        if !positions[vertex].is_finite() {
+            continue;
+        }
+        words.clear();
+        for &c in &order {
+            let [start, end] = spans[c].map(|at| at as usize);
+            if c < 3 {
+                let (old, new) = (positions[vertex][c], edited.positions[vertex][c]);
+                if !new.is_finite() {
+                    return Err(Unfit { vertex, value: new });
+                }
+                if new.to_bits() != old.to_bits() {
+                    words.push((start, end, 0, new));
+                }
+            } else {
+                let old = normals[vertex][c - 3];
+                let new = edited.normals.get(vertex).map_or(old, |n| n[c - 3]);
+                if !same_normal(old, new) {
+                    words.push((start, end, 1, f64::from(new)));
+                }
+            }
+        }
+        if words.windows(2).any(|pair| pair[0].0 > pair[1].0) {
+            words.sort_by_key(|word| word.0);
+        }
+        for &(start, end, sort, value) in &words {
+            text.extend_from_slice(&raw[copied..start]);
+            digits[sort].write(text, &raw[start..end], value);
+            copied = end;
+        }
+    }
+    text.extend_from_slice(&raw[copied..]);
+    Ok(())
+}
+
+/// Whether a coordinate of a normal was left as it was. Any NaN is as good as another: keep the file's.
+#[inline(always)]
+pub(crate) fn same_normal(old: f32, new: f32) -> bool {
+    old.to_bits() == new.to_bits() || (old.is_nan() && new.is_nan())
+}
+
+/// Writes one normal in the place of another.
+pub(crate) fn splice_normal(
+    raw: &[u8],
+    spans: &[[u32; 2]],
+    (old, new): (Vec3, Vec3),
+    digits: &Digits,
+    copied: &mut usize,
+    text: &mut Vec<u8>,
+) {
+    for c in 0..3 {
+        if !same_normal(old[c], new[c]) {
+            let [start, end] = spans[c].map(|at| at as usize);
+            text.extend_from_slice(&raw[*copied..start]);
+            digits.write(text, &raw[start..end], f64::from(new[c]));
+            *copied = end;
+        }
+    }
+}
+
+/// Reads the vertices of a range.
+struct Reader<'a, G> {
+    model: &'a TextModel<G>,
+    blocks: BlockReader<'a>,
+}
+
+impl<G: Grammar> VertexReader for Reader<'_, G> {
+    fn set_chunk(&mut self, vertices: usize) {
+        self.blocks.set_chunk(vertices);
+    }
+
+    fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
+        chunk.first = self.blocks.next_vertex();
+        let vertices = self.blocks.read(&mut chunk.raw, |bytes, n| self.model.grammar.cut(bytes, n))?;
+        self.model.decode(chunk, vertices as usize)?;
+        Ok(vertices > 0)
+    }
+}
+
+impl<G: Grammar> Model for TextModel<G> {
+    fn info(&self) -> &ModelInfo {
+        &self.info
+    }
+
+    fn path(&self) -> &Path {
+        self.source.path()
+    }
+
+    fn extensions(&self) -> &'static [&'static str] {
+        G::EXTENSIONS
+    }
+
+    fn columns(&self) -> Option<&str> {
+        self.grammar.wanted()
+    }
+
+    fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
+        Ok(Box::new(Reader { model: self, blocks: BlockReader::new(&self.source, &self.blocks, range) }))
+    }
+
+    fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
+        self.read_attributes(chunk, to)
+    }
+
+    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
+        G::faces(self, None)
+    }
+
+    fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
+        G::faces(self, Some(ranges))
+    }
+
+    fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
+        // All of it was looked at when it was opened.
+        self.source.check_unchanged()
+    }
+
+    fn rewrite(
+        &self,
+        outputs: &mut [&mut dyn Output],
+        how: Rewriting,
+        edit: &dyn Edit,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        self.check_normals(how.normals)?;
+        pipeline::rewrite(self, outputs, how, edit, progress)
+    }
+}
+
+impl<G: Grammar> Rewritable for TextModel<G> {
+    fn pieces(&self, _normals: Normals) -> Result<Box<dyn Pieces + '_>> {
+        let chunk = CHUNK_VERTICES - CHUNK_VERTICES % G::UNIT as usize;
+        Ok(Box::new(TextPieces { model: self, pieces: BlockPieces::new(&self.source, &self.blocks, chunk) }))
+    }
+
+    fn decode(&self, chunk: &mut VertexChunk) -> Result<()> {
+        // The piece has a place for each vertex.
+        let vertices = chunk.spans.len();
+        TextModel::decode(self, chunk, vertices)
+    }
+
+    fn encode(
+        &self,
+        chunk: &mut VertexChunk,
+        edited: &Edited,
+        _normals: Normals,
+        _last: bool,
+        buffer: &mut Vec<u8>,
+        _summary: &mut Summary,
+    ) -> Result<bool> {
+        buffer.clear();
+        self.grammar
+            .encode(chunk, edited, &self.digits, buffer)
+            .map_err(|unfit| self.unfit(chunk.first, unfit))?;
+        Ok(true)
+    }
+
+    fn write_error(&self, error: &io::Error) -> Error {
+        Error::io("write the new version of", self.source.path(), error)
+    }
+}
+
+struct TextPieces<'a, G> {
+    model: &'a TextModel<G>,
+    pieces: BlockPieces<'a>,
+}
+
+impl<G: Grammar> Pieces for TextPieces<'_, G> {
+    fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece> {
+        let grammar = &self.model.grammar;
+        chunk.positions.clear();
+        chunk.normals.clear();
+        chunk.spans.clear();
+        Ok(match self.pieces.read(&mut chunk.raw, |bytes, n| grammar.cut(bytes, n))? {
+            BlockPiece::Vertices(first, vertices) => {
+                chunk.first = first;
+                chunk.spans.resize(vertices as usize, [0; 2]);
+                Piece::Vertices(vertices as usize)
+            }
+            BlockPiece::Bytes => Piece::Bytes,
+            BlockPiece::End => Piece::End,
+        })
+    }
+}

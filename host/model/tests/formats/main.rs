@@ -1,0 +1,174 @@
+//! Files of formats other than PLY, written here by hand, then read, rewritten, cut off and spoilt.
+
+#![allow(clippy::unwrap_used)] // helpers of tests are tests, too
+
+mod columns;
+mod obj;
+mod off;
+mod pcd;
+mod stl;
+
+use std::io::Write;
+use std::ops::Range;
+use std::sync::Mutex;
+
+use glam::{DVec3, Vec3};
+use simod_model::progress::Silent;
+use simod_model::{
+    Edited, FaceChunk, Model, Normals, Result, Rewriting, VertexChunk, for_faces, for_faces_at,
+};
+
+/// Opens a file of these bytes, whose name ends so.
+pub fn open(bytes: &[u8], extension: &str) -> Result<Box<dyn Model>> {
+    let mut file = tempfile::Builder::new().suffix(extension).tempfile().unwrap();
+    file.write_all(bytes).unwrap();
+    // The open file outlives its name.
+    simod_model::open(file.path())
+}
+
+/// All positions and normals of a range, in chunks of at most so many.
+pub fn read_by(model: &dyn Model, range: Range<u64>, chunk_size: usize) -> Result<(Vec<DVec3>, Vec<Vec3>)> {
+    let mut reader = model.vertices(range.clone())?;
+    reader.set_chunk(chunk_size);
+    let mut chunk = VertexChunk::default();
+    let (mut positions, mut normals) = (Vec::new(), Vec::new());
+    while reader.read(&mut chunk)? {
+        assert!(!chunk.is_empty() && chunk.len() <= chunk_size.max(3));
+        assert_eq!(chunk.first, range.start + positions.len() as u64);
+        positions.extend_from_slice(&chunk.positions);
+        normals.extend_from_slice(&chunk.normals);
+    }
+    assert!(chunk.is_empty() && !reader.read(&mut chunk)?);
+    Ok((positions, normals))
+}
+
+/// Those of the whole model.
+pub fn read(model: &dyn Model) -> Result<(Vec<DVec3>, Vec<Vec3>)> {
+    read_by(model, 0..u64::MAX, 1 << 16)
+}
+
+/// The bytes of all vertices, in chunks of at most so many: what tells whether a model is the one that was
+/// sampled.
+pub fn vertex_bytes(model: &dyn Model, chunk_size: usize) -> Vec<u8> {
+    let mut reader = model.vertices(0..u64::MAX).unwrap();
+    reader.set_chunk(chunk_size);
+    let (mut chunk, mut bytes) = (VertexChunk::default(), Vec::new());
+    while reader.read(&mut chunk).unwrap() {
+        bytes.extend_from_slice(chunk.raw());
+    }
+    bytes
+}
+
+/// The triangles of all faces.
+pub fn triangles(model: &dyn Model) -> Result<Vec<[u32; 3]>> {
+    let mut triangles = Vec::new();
+    for_faces(model, |chunk| {
+        triangles.extend_from_slice(&chunk.triangles);
+        Ok(())
+    })?;
+    Ok(triangles)
+}
+
+/// Reads the faces between marks, and checks that they are those that all of them have there.
+pub fn check_marks(model: &dyn Model) {
+    let (mut all, mut marks) = (Vec::new(), Vec::new());
+    let mut reader = model.faces().unwrap();
+    let mut chunk = FaceChunk::default();
+    while reader.read(&mut chunk).unwrap() {
+        marks.extend(chunk.marks.iter().map(|m| (all.len() + m.triangle, m.offset)));
+        all.extend_from_slice(&chunk.triangles);
+    }
+    assert!(marks.is_sorted());
+    for pair in marks.windows(2).step_by(3).chain(marks.windows(marks.len().max(1))) {
+        let (first, last) = (pair[0], pair[pair.len() - 1]);
+        let mut some = Vec::new();
+        let ranges = std::iter::once(first.1..last.1).collect();
+        for_faces_at(model, ranges, |chunk| {
+            some.extend_from_slice(&chunk.triangles);
+            Ok(())
+        })
+        .unwrap();
+        assert_eq!(some, all[first.0..last.0]);
+    }
+}
+
+/// Writes the model with other positions and normals; also checks that versions are the same by each other.
+pub fn rewrite(model: &dyn Model, edit: impl FnMut(&mut Edited) + Send) -> Result<Vec<u8>> {
+    let (mut first, mut second, edit) = (Vec::new(), Vec::new(), Mutex::new(edit));
+    let edit = |_: &VertexChunk, versions: &mut [Edited]| {
+        let (one, others) = versions.split_first_mut().unwrap();
+        edit.lock().unwrap()(one);
+        for other in others {
+            other.positions.clone_from(&one.positions);
+            other.normals.clone_from(&one.normals);
+        }
+        Ok(())
+    };
+    let how = Rewriting { normals: Normals::Transform, ..Rewriting::default() };
+    model.rewrite(&mut [&mut first, &mut second], how, &edit, &Silent)?;
+    assert!(first == second);
+    Ok(first)
+}
+
+/// An error's message without the file's name; it has a hint.
+pub fn message(result: Result<impl Sized>) -> String {
+    match result {
+        Ok(_) => panic!("no error"),
+        Err(e) => {
+            assert!(!e.hint().is_empty());
+            let text = e.to_string();
+            text.split_once(": ").map_or(text.clone(), |(_, rest)| rest.into())
+        }
+    }
+}
+
+/// Goes over all of a file, as a command would.
+pub fn go_over(bytes: &[u8], extension: &str) -> Result<()> {
+    let model = open(bytes, extension)?;
+    model.check_complete(&Silent)?;
+    let read = read(model.as_ref())?;
+    assert_eq!(read.0.len() as u64, model.info().vertices);
+    triangles(model.as_ref())?;
+    let out = rewrite(model.as_ref(), |_| {})?;
+    assert!(out == bytes, "an identity changes bytes");
+    Ok(())
+}
+
+/// What holds of every good file: it comes back as it is, by any chunks.
+pub fn check_whole(bytes: &[u8], extension: &str) -> Box<dyn Model> {
+    go_over(bytes, extension).unwrap();
+    let model = open(bytes, extension).unwrap();
+    let all = read(model.as_ref()).unwrap();
+    let of_all = vertex_bytes(model.as_ref(), 1 << 16);
+    let count = all.0.len();
+    for chunk in [1, 3, 1000] {
+        let by = read_by(model.as_ref(), 0..u64::MAX, chunk).unwrap();
+        assert!(by.0.len() == count && format!("{by:?}") == format!("{all:?}"), "{chunk}");
+        assert!(vertex_bytes(model.as_ref(), chunk) == of_all, "{chunk}");
+    }
+    for range in [0..1, 1..2, count / 3..2 * count / 3, count.saturating_sub(1)..count + 7] {
+        let some = read_by(model.as_ref(), range.start as u64..range.end as u64, 7).unwrap();
+        let end = range.end.min(count);
+        let expected = &all.0[range.start.min(end)..end];
+        assert!(format!("{:?}", some.0) == format!("{expected:?}"), "{range:?}");
+    }
+    if !triangles(model.as_ref()).unwrap().is_empty() {
+        check_marks(model.as_ref());
+    }
+    model
+}
+
+/// What is left of a file at every byte is an error or something sane, and so is the file with any byte
+/// replaced by some others.
+pub fn check_bad(bytes: &[u8], extension: &str) {
+    for end in 1..bytes.len() {
+        let _ = go_over(&bytes[..end], extension);
+    }
+    for at in 0..bytes.len() {
+        for other in [0, b'\n', b'-', b'9', b'/', 0xff] {
+            let mut bad = bytes.to_vec();
+            bad[at] = other;
+            let _ = go_over(&bad, extension);
+        }
+    }
+}

@@ -1,0 +1,101 @@
+use proptest::prelude::*;
+
+use super::*;
+
+const CUBE: &str = "OFF # a comment\n8 6 12\n# vertices\n0.000 0.000 0.000\n1.000 0.000 0.000\n1.000 1.000 0.000\n\
+    0.000 1.000 0.000\n\n0.000 0.000 1.000 # one\n1.000 0.000 1.000\n1.000 1.000 1.000\n0.000 1.000 1.000\n4 0 3 2 1\n\
+    4  4 5 6 7 255 0 0\n# a face\n4 0 1 5 4\n4 1 2 6 5\r\n3 2 3 7\n2 7 6\nand more\n";
+
+#[test]
+fn faces_are_fans_and_all_else_is_kept() {
+    let model = check_whole(CUBE.as_bytes(), ".off");
+    let info = model.info();
+    assert_eq!((info.format.as_str(), info.vertices, info.faces), ("OFF", 8, 6));
+    let all = triangles(model.as_ref()).unwrap();
+    assert_eq!(all[..4], [[0, 3, 2], [0, 2, 1], [4, 5, 6], [4, 6, 7]]);
+    assert_eq!(all.len(), 9);
+    let out = rewrite(model.as_ref(), |e| e.positions[4].z = 1.25).unwrap();
+    assert_eq!(String::from_utf8(out).unwrap(), CUBE.replace("1.000 # one", "1.250 # one"));
+}
+
+#[test]
+fn letters_say_what_vertices_have() {
+    let of = |letters: &str, numbers: &str| {
+        let text = format!("{letters}\n2 0 0\n{numbers}\n{numbers}\n");
+        let model = check_whole(text.as_bytes(), ".data");
+        let names: Vec<String> = model.info().attributes.iter().map(|a| a.name.clone()).collect();
+        (model.info().format.clone(), read(model.as_ref()).unwrap().1.len(), names.join(" "))
+    };
+    let is = |format: &str, normals, names: &str| (format.to_string(), normals, names.to_string());
+    assert_eq!(of("OFF", "1 2 3"), is("OFF", 0, ""));
+    assert_eq!(of("OFF", "1 2 3 4 5 6"), is("OFF", 0, "red green blue"));
+    assert_eq!(of("NOFF", "1 2 3 0 0 1"), is("NOFF", 2, ""));
+    assert_eq!(of("COFF", "1 2 3 255 0 0 255"), is("COFF", 0, "red green blue alpha"));
+    assert_eq!(of("CNOFF", "1 2 3 0 0 1 0.5 0.5 0.5"), is("CNOFF", 2, "red green blue"));
+    assert_eq!(of("STOFF", "1 2 3 0.5 0.25"), is("STOFF", 0, "s t"));
+    assert_eq!(of("STCNOFF", "1 2 3 0 0 1 9 8 7 6 0.5 0.25"), is("STCNOFF", 2, "red green blue alpha s t"));
+}
+
+#[test]
+fn what_is_wrong_is_named() {
+    let bad = |text: &str| message(go_over(text.as_bytes(), ".off"));
+    assert_eq!(
+        bad("4OFF\n1 0 0\n0 0 0 1\n"),
+        "line 1: \"4OFF\" has vertices of another dimension than three"
+    );
+    assert_eq!(bad("nOFF\n3 1 0 0\n"), "line 1: \"nOFF\" has vertices of another dimension than three");
+    assert_eq!(bad("OFF BINARY\n\0\0\0\x01"), "line 1: binary OFF cannot be read");
+    assert_eq!(
+        bad("OFF\n2 1 0\n0 0 0\n1 1 1\n"),
+        "says 2 vertices and 1 faces, but it has 2 and 0 lines of them"
+    );
+    assert_eq!(
+        bad("OFF\n99999999999999999999 1 0\n0 0 0\n").split(" but").next(),
+        Some("says 9223372036854775807 vertices and 1 faces,")
+    );
+    assert_eq!(bad("OFF\n2 -1 0\n0 0 0\n"), "line 2: \"-1\" is no count");
+    assert_eq!(bad("OFF\n2"), "the file ends before the counts of vertices and faces");
+    assert_eq!(bad("OFF\n1 1 0\n0 0 0\n3 0 0\n"), "line 4: a face has fewer corners than it says");
+    assert_eq!(bad("OFF\n1 1 0\n0 0 0\n-3 0 0\n"), "line 4: a face of -3 corners");
+    assert_eq!(bad("OFF\n1 1 0\n0 0 0\n3 0 0.5 0\n"), "line 4: \"0.5\" is no whole number");
+    assert_eq!(bad("OFF\n2 0 0\n0 0\n1 1 1\n"), "line 3: vertex 0 has fewer than 3 numbers");
+    let one = "0 ".repeat(30);
+    assert_eq!(bad(&format!("OFF\n10 0 0\n{one}\n")), "line 3: 30 numbers in the line of a vertex");
+    // Corners are not checked here.
+    go_over(b"OFF 1 1 0\n0 0 0\n3 0 7 -9\n", ".off").unwrap();
+}
+
+#[test]
+fn bad_files_are_errors_or_sane() {
+    check_bad(CUBE.as_bytes(), ".off");
+    let end = CUBE.find("and more").unwrap();
+    for end in 1..end - 3 {
+        assert!(go_over(&CUBE.as_bytes()[..end], ".off").is_err(), "{end}");
+    }
+    check_bad(b"CNOFF\n1 1 0\n1 2 3 0 0 1 9 9 9\n3 0 0 0\n", ".off");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn any_mesh_comes_back_as_it_is(
+        points in prop::collection::vec(prop::array::uniform3(any::<f64>()), 0..50),
+        faces in prop::collection::vec(prop::collection::vec(0u32..60, 0..7), 0..50),
+        end in "\n|\r\n|\r",
+    ) {
+        let mut text = format!("OFF{end}{} {} 0{end}", points.len(), faces.len());
+        points.iter().for_each(|p| text += &(p.map(|v| format!("{v:?}")).join(" ") + &end));
+        for face in &faces {
+            let corners: String = face.iter().map(|c| format!(" {c}")).collect();
+            text += &format!("{}{corners}{end}", face.len());
+        }
+        let model = check_whole(text.as_bytes(), ".off");
+        for (read, written) in read(model.as_ref()).unwrap().0.iter().zip(&points) {
+            prop_assert_eq!(read.to_array().map(f64::to_bits), written.map(f64::to_bits));
+        }
+        let fans: Vec<[u32; 3]> =
+            faces.iter().flat_map(|f| (2..f.len()).map(|i| [f[0], f[i - 1], f[i]])).collect();
+        prop_assert_eq!(triangles(model.as_ref()).unwrap(), fans);
+    }
+}
