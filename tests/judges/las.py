@@ -1,6 +1,6 @@
 """LAS and LAZ through the program, judged by laspy with lazrs.
 
-    python -m venv judges && judges/bin/pip install -r tests/judges/requirements.txt
+    python -m venv judges && judges/bin/pip install -r tests/judges/las-requirements.txt
     judges/bin/python tests/judges/las.py target/release/simod
     judges/bin/python tests/judges/las.py target/release/simod --measure 8000000
 

@@ -50,6 +50,10 @@ impl Model for LasModel {
         self.source.path()
     }
 
+    fn extensions(&self) -> &'static [&'static str] {
+        if self.compressed.is_some() { &["laz"] } else { &["las"] }
+    }
+
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         Ok(Box::new(Reader::new(self, range)))
     }

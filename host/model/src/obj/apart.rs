@@ -6,22 +6,19 @@
 
 use std::io;
 use std::ops::Range;
-use std::path::Path;
 
 use glam::{DVec3, Vec3};
 
-use super::Obj;
+use super::grammar::Obj;
 use super::lines::{Statement, values};
-use super::shared::SharedNormals;
-use crate::pipeline::{self, Piece, Pieces, Rewritable};
+use crate::pipeline::{Piece, Pieces, Rewritable};
 use crate::text::blocks::{BlockReader, Blocks, changed};
 use crate::text::digits::{Digits, Survey};
 use crate::text::lines::{lines, wrong_line};
 use crate::text::model::{Grammar, TextModel, splice_normal};
 use crate::text::{DAMAGED, parse, quoted};
 use crate::{
-    CHUNK_VERTICES, Edit, Edited, Error, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
-    Rewriting, Scalar, Summary, VertexChunk, VertexReader,
+    CHUNK_VERTICES, Edited, Error, Model, Normals, Result, Scalar, Summary, VertexChunk, VertexReader,
 };
 
 /// Bytes that are copied at once.
@@ -30,12 +27,12 @@ const COPIED: u64 = 4 << 20;
 /// A model, with its normals if they stand apart.
 pub(super) struct ApartModel {
     pub(super) model: TextModel<Obj>,
-    normals: Option<Blocks>,
+    pub(super) normals: Option<Blocks>,
     pub(super) digits: Digits,
     /// The normals are of corners, which share them.
-    are_shared: bool,
+    pub(super) are_shared: bool,
     /// Normals of corners, which are not read.
-    of_corners: u64,
+    pub(super) of_corners: u64,
 }
 
 /// Where so many normals end.
@@ -73,6 +70,15 @@ impl ApartModel {
             are_shared,
             of_corners: 0,
         })
+    }
+
+    /// A reader of some vertices, with their normals.
+    pub(super) fn reader(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
+        let vertices = self.model.vertices(range.clone())?;
+        let Some(blocks) = self.normals.as_ref().filter(|_| !self.are_shared) else { return Ok(vertices) };
+        let normals = BlockReader::new(&self.model.source, blocks, range);
+        let (raw, spans, ahead, some) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Ok(Box::new(Reader { model: self, vertices, normals, raw, spans, ahead, some }))
     }
 
     /// Reads the normals in some bytes, which hold so many, and where they stand.
@@ -158,71 +164,6 @@ impl VertexReader for Reader<'_> {
         chunk.normals.clear();
         chunk.normals.extend(self.ahead.drain(..chunk.positions.len()));
         Ok(is_more)
-    }
-}
-
-impl Model for ApartModel {
-    fn info(&self) -> &ModelInfo {
-        &self.model.info
-    }
-
-    fn path(&self) -> &Path {
-        self.model.path()
-    }
-
-    fn extensions(&self) -> &'static [&'static str] {
-        Obj::EXTENSIONS
-    }
-
-    fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
-        let vertices = self.model.vertices(range.clone())?;
-        let Some(blocks) = self.normals.as_ref().filter(|_| !self.are_shared) else { return Ok(vertices) };
-        let normals = BlockReader::new(&self.model.source, blocks, range);
-        let (raw, spans, ahead, some) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        Ok(Box::new(Reader { model: self, vertices, normals, raw, spans, ahead, some }))
-    }
-
-    fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
-        self.model.read_attributes(chunk, to)
-    }
-
-    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
-        Obj::faces(&self.model, None)
-    }
-
-    fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
-        Obj::faces(&self.model, Some(ranges))
-    }
-
-    fn check_complete(&self, progress: &dyn Progress) -> Result<()> {
-        self.model.check_complete(progress)
-    }
-
-    fn rewrite(
-        &self,
-        outputs: &mut [&mut dyn Output],
-        how: Rewriting,
-        edit: &dyn Edit,
-        progress: &dyn Progress,
-    ) -> Result<()> {
-        if how.normals == Normals::Transform && self.of_corners > 0 {
-            progress.note(&format!(
-                "{}: its {} normals (vn) belong to corners, not to vertices, and are kept as they are",
-                self.path().display(),
-                self.of_corners
-            ));
-        }
-        if self.normals.is_none() {
-            return self.model.rewrite(outputs, how, edit, progress);
-        }
-        self.model.check_normals(how.normals)?;
-        if self.are_shared && how.normals == Normals::Transform {
-            let shared = SharedNormals::new(self, progress)?;
-            pipeline::rewrite(&shared, outputs, how, edit, progress)?;
-            shared.tell(progress);
-            return Ok(());
-        }
-        pipeline::rewrite(self, outputs, how, edit, progress)
     }
 }
 

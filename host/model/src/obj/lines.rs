@@ -1,11 +1,8 @@
-//! Statements of OBJ, their words, and corners.
+//! Statements of OBJ, and their words.
 
-use super::{Obj, keyword};
 use crate::source::Source;
-use crate::text::faces::FaceLines;
-use crate::text::lines::{Lines, lines};
-use crate::text::model::TextModel;
-use crate::text::{is_space, next_word, parse, quoted};
+use crate::text::lines::lines;
+use crate::text::{is_space, next_word, parse};
 use crate::{Result, Scalar};
 
 /// What a line is.
@@ -54,6 +51,11 @@ pub(super) fn values(line: &[u8]) -> impl Iterator<Item = (usize, usize)> + '_ {
     })
 }
 
+/// The first word of a line.
+fn keyword(line: &[u8]) -> Option<&[u8]> {
+    next_word(line, 0, true).map(|(start, end)| &line[start..end])
+}
+
 /// Whether a file looks like OBJ: its first statement is one that files begin with.
 pub(crate) fn is_obj(source: &Source) -> Result<bool> {
     const START: usize = 1 << 14;
@@ -93,74 +95,6 @@ pub(super) fn absolute(index: i64, before: u64) -> i64 {
         1.. => index - 1,
         0 => -1,
         _ => (before as i64).saturating_add(index).max(-1),
-    }
-}
-
-/// The corners of faces.
-pub(super) struct Corners<'a> {
-    model: &'a TextModel<Obj>,
-    /// Vertices before the line that is read.
-    vertices: u64,
-}
-
-impl<'a> Corners<'a> {
-    pub(super) fn new(model: &'a TextModel<Obj>) -> Self {
-        Self { model, vertices: 0 }
-    }
-}
-
-impl FaceLines for Corners<'_> {
-    const CONTINUES: bool = true;
-
-    fn seek(&mut self, offset: u64) -> Result<()> {
-        if !self.model.grammar.is_relative {
-            return Ok(());
-        }
-        let TextModel { blocks, source, .. } = self.model;
-        let (vertices, start) = blocks.of_byte(offset).unwrap_or_default();
-        self.vertices = vertices;
-        // From the end of the last vertex on, there is none.
-        if start < blocks.end() {
-            let mut lines = Lines::new(source, start, offset, Self::CONTINUES);
-            while let Some((_, line)) = lines.next()? {
-                self.vertices += u64::from(Statement::of(line) == Statement::Vertex);
-            }
-        }
-        Ok(())
-    }
-
-    fn face(&mut self, line: &[u8]) -> Result<Option<usize>, String> {
-        match Statement::of(line) {
-            Statement::Face => Ok(next_word(line, 0, true).map(|(_, end)| end)),
-            Statement::Vertex => {
-                self.vertices += 1;
-                Ok(None)
-            }
-            _ => Ok(None),
-        }
-    }
-
-    #[inline]
-    fn corner(&mut self, line: &[u8], at: &mut usize) -> Result<Option<i64>, String> {
-        loop {
-            let Some((start, end)) = next_word(line, *at, true) else { return Ok(None) };
-            *at = end;
-            match line[start] {
-                b'#' => {
-                    *at = line.len();
-                    return Ok(None);
-                }
-                b'\\' => continue,
-                _ => {}
-            }
-            let word = &line[start..end];
-            return match leading_integer(word) {
-                Some((index, end)) if matches!(word.get(end), None | Some(b'/' | b'\\')) => {
-                    Ok(Some(absolute(index, self.vertices)))
-                }
-                _ => Err(format!("{} is no corner of a face", quoted(&String::from_utf8_lossy(word)))),
-            };
-        }
     }
 }
 

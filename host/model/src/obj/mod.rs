@@ -8,28 +8,27 @@
 //!
 //! | module | |
 //! |---|---|
-//! | here | the model |
+//! | `grammar` | what vertices and faces are in its lines |
+//! | `model` | the model |
 //! | `scan` | the one pass over the file when it is opened |
 //! | `lines` | statements, their words, and corners |
 //! | `apart` | normals that do not stand beside their vertices |
 //! | `shared` | normals of corners |
 
 mod apart;
+mod grammar;
 mod lines;
+mod model;
 mod scan;
 mod shared;
 
-use std::ops::Range;
-
 use crate::source::Source;
-use crate::text::faces::LineFaces;
-use crate::text::lines::lines as lines_of;
-use crate::text::model::{Grammar, NoFaces, TextModel, info};
-use crate::text::next_word;
-use crate::{Attribute, FaceReader, Model, ModelInfo, Result, Type};
+use crate::text::model::{TextModel, info};
+use crate::{Attribute, Model, ModelInfo, Result, Type};
 use apart::ApartModel;
+use grammar::Obj;
 pub(crate) use lines::is_obj;
-use lines::{Corners, Statement, values};
+use lines::values;
 use scan::{NormalsAre, Scan};
 
 /// Opens a file, which is gone over once.
@@ -67,108 +66,4 @@ fn colours(first_vertex: &[u8]) -> &'static [&'static str] {
         6 | 7 => &["red", "green", "blue"],
         _ => &[],
     }
-}
-
-/// The statements of OBJ.
-#[derive(Debug)]
-pub(crate) struct Obj {
-    /// Each vertex has its normal in a line of its own, before the next vertex.
-    beside: bool,
-    /// Numbers of a vertex before its attributes.
-    skipped: usize,
-    /// Where the first face begins and the last one ends.
-    face_lines: Range<u64>,
-    /// Some corners are counted backwards from where they stand.
-    is_relative: bool,
-}
-
-impl Grammar for Obj {
-    const EXTENSIONS: &[&str] = &["obj"];
-    const CONTINUES: bool = true;
-
-    fn components(&self) -> usize {
-        if self.beside { 6 } else { 3 }
-    }
-
-    fn is_vertex(&self, line: &[u8]) -> bool {
-        Statement::of(line) == Statement::Vertex
-    }
-
-    fn words(&self, line: &[u8], spans: &mut [[usize; 2]]) {
-        for (span, (start, end)) in spans.iter_mut().take(3).zip(values(line)) {
-            *span = [start, end];
-        }
-    }
-
-    fn find(&self, raw: &[u8], spans: &mut Vec<[u32; 2]>) -> usize {
-        let components = self.components();
-        let (mut vertices, mut normals) = (0, 0);
-        for (start, end) in lines_of(raw, Self::CONTINUES) {
-            let line = &raw[start..end];
-            let at = match Statement::of(line) {
-                Statement::Vertex => {
-                    vertices += 1;
-                    components * (vertices - 1)
-                }
-                Statement::Normal if self.beside => {
-                    normals += 1;
-                    components * (normals - 1) + 3
-                }
-                _ => continue,
-            };
-            let mut words = [[0; 2]; 3];
-            self.words(line, &mut words);
-            if spans.len() < components * vertices.max(normals) {
-                spans.resize(components * vertices.max(normals), [0; 2]);
-            }
-            for (span, word) in spans[at..].iter_mut().zip(words) {
-                *span = word.map(|at| (start + at) as u32);
-            }
-        }
-        // As many as there should be, unless the file has changed.
-        if self.beside && normals != vertices { usize::MAX } else { vertices }
-    }
-
-    fn cut(&self, bytes: &[u8], count: u64) -> Option<usize> {
-        let (mut vertices, mut normals) = (0, if self.beside { 0 } else { count });
-        if count == 0 {
-            return Some(0);
-        }
-        for (start, end) in lines_of(bytes, Self::CONTINUES) {
-            match Statement::of(&bytes[start..end]) {
-                Statement::Vertex => vertices += 1,
-                Statement::Normal if self.beside => normals += 1,
-                _ => continue,
-            }
-            if vertices == count && normals == count {
-                return Some(end);
-            }
-        }
-        None
-    }
-
-    fn attribute<'l>(&self, line: &'l [u8], attribute: usize) -> Option<&'l [u8]> {
-        let (start, end) = values(line).nth(self.skipped + attribute)?;
-        Some(&line[start..end])
-    }
-
-    fn faces<'a>(
-        model: &'a TextModel<Self>,
-        ranges: Option<Vec<Range<u64>>>,
-    ) -> Result<Box<dyn FaceReader + 'a>> {
-        let all = model.grammar.face_lines.clone();
-        if all.is_empty() {
-            return Ok(Box::new(NoFaces));
-        }
-        Ok(Box::new(LineFaces::new(&model.source, Corners::new(model), all, ranges)))
-    }
-
-    fn without_normals(&self) -> &'static str {
-        "corners of OBJ refer to normals: keep them, or have them transformed"
-    }
-}
-
-/// The first word of a line.
-fn keyword(line: &[u8]) -> Option<&[u8]> {
-    next_word(line, 0, true).map(|(start, end)| &line[start..end])
 }

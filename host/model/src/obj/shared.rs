@@ -13,6 +13,7 @@ use glam::{DVec3, Vec3};
 use memmap2::Mmap;
 
 use super::apart::{ApartModel, ApartPieces};
+use super::grammar::Obj;
 use super::lines::{Statement, absolute, leading_integer, values};
 use crate::pipeline::{Pieces, Rewritable};
 use crate::scratch::Scratch;
@@ -215,7 +216,7 @@ fn positions(model: &ApartModel, progress: &dyn Progress) -> Result<Option<Mmap>
 }
 
 /// Pairs of normals and vertices, sorted; `None` if there are none.
-fn pairs(model: &TextModel<super::Obj>, progress: &dyn Progress) -> Result<Option<Mmap>> {
+fn pairs(model: &TextModel<Obj>, progress: &dyn Progress) -> Result<Option<Mmap>> {
     let mut runs = Runs::new()?;
     let mut lines = Lines::new(&model.source, 0, u64::MAX, true);
     let (mut vertices, mut normals, mut faces) = (0, 0, 0u64);

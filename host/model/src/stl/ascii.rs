@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use super::{Facets, binary};
+use super::facets::{FACET, Facets, normal};
 use crate::source::Source;
 use crate::text::blocks::{Blocks, Builder, GAP, too_far};
 use crate::text::digits::Digits;
@@ -27,7 +27,7 @@ pub(super) fn is_text(source: &Source) -> Result<bool> {
 /// Opens a file, which is gone over once.
 pub(super) fn open(source: Source) -> Result<Box<dyn Model>> {
     let (blocks, facets) = scan(&source)?;
-    let face_bytes = binary::FACET * facets;
+    let face_bytes = FACET * facets;
     let of_file = info(&source, "STL, ascii".into());
     let info = ModelInfo { faces: facets, face_bytes, ..of_file };
     Ok(Box::new(TextModel::new(source, Stl, blocks, info)?))
@@ -165,7 +165,7 @@ impl Grammar for Stl {
                 continue;
             }
             if let Some((words, old)) = facet_normal(raw, before)
-                && let Some(new) = super::normal(old, [rest[0], rest[1], rest[2]], corners)
+                && let Some(new) = normal(old, [rest[0], rest[1], rest[2]], corners)
             {
                 let of_normal = normal_digits(&words.map(|[start, end]| &raw[start..end]));
                 for ([start, end], value) in words.into_iter().zip(new.to_array()) {

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 
-use super::Facets;
+use super::facets::{FACET, Facets, START, normal};
 use crate::pipeline::{self, Piece, Pieces, Rewritable};
 use crate::source::Source;
 use crate::text::CUT_OFF;
@@ -15,12 +15,6 @@ use crate::{
     CHUNK_VERTICES, Edit, Edited, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress,
     Result, Rewriting, Scalar, Summary, VertexChunk, VertexReader,
 };
-
-/// Where the first facet begins.
-pub(super) const START: u64 = 84;
-
-/// Bytes of a facet.
-pub(super) const FACET: u64 = 50;
 
 /// Most facets of a chunk.
 const CHUNK_FACETS: u64 = (CHUNK_VERTICES / 3) as u64;
@@ -241,7 +235,7 @@ impl Rewritable for BinaryStl {
             }
             if moved {
                 let now = [0, 1, 2].map(|i| vector(&bytes[corner(i)]));
-                if let Some(normal) = super::normal(vector(bytes), [old[0], old[1], old[2]], now) {
+                if let Some(normal) = normal(vector(bytes), [old[0], old[1], old[2]], now) {
                     put(&mut bytes[..12], normal.as_vec3());
                 }
             }

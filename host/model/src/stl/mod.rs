@@ -7,13 +7,10 @@
 
 mod ascii;
 mod binary;
-
-use std::ops::Range;
-
-use glam::DVec3;
+mod facets;
 
 use crate::source::Source;
-use crate::{CHUNK_TRIANGLES, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader, Model, Result};
+use crate::{Model, Result};
 
 /// Opens a file that is STL by its content, or if its name says so.
 pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
@@ -26,72 +23,4 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
 /// Whether the content says that a file is STL.
 pub(crate) fn is_stl(source: &Source) -> Result<bool> {
     Ok(binary::has_its_length(source)? || ascii::is_text(source)?)
-}
-
-/// The normal of a facet with these corners, on the side of the corners where the file's normal is on that of
-/// the corners at rest. `None` where the file's one is to be kept: it is zero or no number, or the corners
-/// span no plane.
-fn normal(old: DVec3, rest: [DVec3; 3], moved: [DVec3; 3]) -> Option<DVec3> {
-    let of = |[a, b, c]: [DVec3; 3]| {
-        let (u, v) = (b - a, c - a);
-        // Scaled, so that neither large nor small triangles leave the numbers' range.
-        u.try_normalize().zip(v.try_normalize()).and_then(|(u, v)| u.cross(v).try_normalize())
-    };
-    if !old.is_finite() || old == DVec3::ZERO {
-        return None;
-    }
-    let side = of(rest).map_or(1.0, |rest| if rest.dot(old) < 0.0 { -1.0 } else { 1.0 });
-    of(moved).map(|moved| moved * side)
-}
-
-/// The triangles of facets: nothing has to be read. A facet's place is where it is in a binary file; in a
-/// text, where it would be.
-struct Facets {
-    /// Those that are still to come.
-    ranges: std::vec::IntoIter<Range<u64>>,
-    range: Range<u64>,
-    with_marks: bool,
-}
-
-impl Facets {
-    /// All of them.
-    fn new(facets: u64) -> Self {
-        Self { ranges: Vec::new().into_iter(), range: 0..facets, with_marks: true }
-    }
-
-    /// Those between some marks.
-    fn at(facets: u64, ranges: Vec<Range<u64>>) -> Self {
-        let facet = |offset: u64| (offset.saturating_sub(binary::START) / binary::FACET).min(facets);
-        let of_marks: Vec<_> = ranges.into_iter().map(|r| facet(r.start)..facet(r.end)).collect();
-        Self { ranges: of_marks.into_iter(), range: 0..0, with_marks: false }
-    }
-
-    fn mark(&self, triangle: usize) -> FaceMark {
-        FaceMark { triangle, offset: binary::START + binary::FACET * self.range.start }
-    }
-}
-
-impl FaceReader for Facets {
-    fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
-        chunk.triangles.clear();
-        chunk.marks.clear();
-        while chunk.triangles.len() < CHUNK_TRIANGLES {
-            if self.range.is_empty() {
-                let Some(next) = self.ranges.next() else { break };
-                self.range = next;
-                continue;
-            }
-            if self.with_marks && self.range.start.is_multiple_of(FACES_OF_A_BLOCK) {
-                chunk.marks.push(self.mark(chunk.triangles.len()));
-            }
-            let corner = |i| u32::try_from(3 * self.range.start + i).unwrap_or(u32::MAX);
-            chunk.triangles.push([0, 1, 2].map(corner));
-            self.range.start += 1;
-        }
-        if self.with_marks && self.range.is_empty() && !chunk.triangles.is_empty() {
-            chunk.marks.push(self.mark(chunk.triangles.len()));
-        }
-        chunk.bytes = binary::FACET * chunk.triangles.len() as u64;
-        Ok(!chunk.triangles.is_empty())
-    }
 }
