@@ -21,7 +21,6 @@ use glam::Vec3;
 use simod_model::{Error, ErrorKind, Result};
 
 use super::cluster::{Moments, REACH_WEIGHT};
-use super::finalization::ClusteredCell;
 use super::grid::{CellKey, CellMap, Grid};
 use super::kept_cells::CutTree;
 use super::vs_tree::{Node, VsTree};
@@ -34,6 +33,16 @@ const PRUNE_TO: f64 = 1.2;
 /// Bytes for each sample of the target: [`KEEP_AT_MOST`] clusters in trees of about 1.4 nodes per cluster,
 /// once more while they are pruned, and the sample itself.
 pub const BYTES_PER_SAMPLE: u64 = 150;
+
+/// The clusters of one finalized cell.
+pub struct ClusteredCell {
+    /// The cell's place in the grid's list.
+    pub cell: u32,
+    /// Its VS-Tree.
+    pub tree: VsTree,
+    /// The moments of all its samples.
+    pub moments: Moments,
+}
 
 /// The trees of all cells seen so far.
 ///

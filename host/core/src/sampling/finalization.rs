@@ -13,15 +13,13 @@ use simod_model::{Error, ErrorKind, Model, Progress, Result};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::cluster::{Element, Moments};
-use super::cut::{Forest, most_kept, running_bound};
+use super::cut::{ClusteredCell, Forest, most_kept, running_bound};
 use super::density::Rule;
-use super::gather::Gather;
 use super::grid::{CellKey, Grid};
 use super::membership::{Leaves, Membership, Noted};
 use super::open_cells::CellItems;
 use super::random::mix;
 use super::ranges::Ranges;
-use super::stream::stream;
 use super::vs_tree::{VsTree, Workspace};
 
 /// Bytes of items that wait for, or are in, clustering, beyond which the stream stands still. The last cell
@@ -37,16 +35,6 @@ pub const PART: usize = 3 << 20;
 pub fn work_memory(largest: u64) -> u64 {
     // Whatever the number of threads: no more is in work than may be queued, and the last cell.
     6 * (largest.min(PART as u64) + MAX_QUEUED as u64)
-}
-
-/// The clusters of one finalized cell.
-pub struct ClusteredCell {
-    /// The cell's place in the grid's list.
-    pub cell: u32,
-    /// Its VS-Tree.
-    pub tree: VsTree,
-    /// The moments of all its samples.
-    pub moments: Moments,
 }
 
 /// What pass 2 works on.
@@ -90,29 +78,6 @@ pub struct Clustered {
 }
 
 impl Pass<'_> {
-    /// Streams the model through the grid and clusters each cell, down to the bound or to that which the
-    /// target has come to meanwhile. `None` if `gather` finds no room.
-    ///
-    /// Memory: that of `gather`, [`Forest`], [`Ranges`] and [`Membership`]; [`MAX_QUEUED`], and two parts of
-    /// a cell on each thread; the pieces of [`stream`].
-    ///
-    /// # Errors
-    /// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be
-    /// written; the user cancelled.
-    pub fn run<G: Gather>(&self, gather: G) -> Result<Option<Clustered>> {
-        let info = self.model.info();
-        self.progress.begin("clustering", info.vertex_bytes);
-        let members = || Membership::new(self.grid, info, self.noted, self.folder);
-        let mut clustered = Clustered {
-            forest: Forest::new(self.grid, self.target, self.bound, self.most, self.foresight),
-            hash: Xxh3Default::new(),
-            ranges: Ranges::new(self.grid.keys.len()),
-            membership: self.with_members.then(members).transpose()?,
-        };
-        let has_room = stream(self, gather, &mut clustered)?;
-        Ok(has_room.then_some(clustered))
-    }
-
     /// Clusters a complete cell; one that is larger than a part in parts, whose trees are joined, and kept to
     /// what a cut of the target number of samples can reach.
     pub(super) fn cluster<E: Element>(

@@ -244,13 +244,13 @@ pub fn sample(
             progress,
         };
         let in_groups = match grouping.edge(grid.cell_size(), &frame) {
-            Some(edge) => pass.run(Groups::new(cells, edge, for_groups))?,
+            Some(edge) => stream::cluster(&pass, Groups::new(cells, edge, for_groups))?,
             None => None,
         };
         let (Clustered { forest, hash, ranges, membership }, grouping) = match in_groups {
             Some(clustered) => (clustered, grouping),
             // Those that find no room in memory do so in a file.
-            None => match pass.run(Vertices::new(cells, memory, folder))? {
+            None => match stream::cluster(&pass, Vertices::new(cells, memory, folder))? {
                 Some(clustered) => (clustered, Grouping::Never),
                 None => unreachable!("samples always find room, or an error says why not"),
             },

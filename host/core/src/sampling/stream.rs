@@ -18,8 +18,8 @@ use simod_model::{Error, Result, VertexChunk, VertexReader};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use super::cluster::Element;
-use super::cut::Forest;
-use super::finalization::{Clustered, ClusteredCell, MAX_QUEUED, Pass, changed, unit};
+use super::cut::{ClusteredCell, Forest};
+use super::finalization::{Clustered, MAX_QUEUED, Pass, changed, unit};
 use super::gather::{Gather, GatherPiece, PIECE};
 use super::grid::cell_box;
 use super::membership::{Leaves, Membership};
@@ -31,14 +31,32 @@ use super::vs_tree::Workspace;
 /// wait need not.
 const WAITING: u64 = 1;
 
-/// Gathers and clusters all of the model; whether there was room.
+/// Streams the model through the grid and clusters each cell, down to the bound or to that which the target has
+/// come to meanwhile. `None` if `gather` finds no room.
 ///
-/// Memory: so many pieces as there are threads, and one more, of [`PIECE`] vertices: their bytes in the file,
-/// and at most 240 for each.
+/// Memory: that of `gather`, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of cells as may be queued,
+/// and two parts of a cell on each thread; as many pieces as there are threads, and one more, of [`PIECE`]
+/// vertices: their bytes in the file, and at most 200 for each.
 ///
 /// # Errors
-/// As of [`Pass::run`].
-pub(super) fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Result<bool> {
+/// The model cannot be read, or is not the one that the grid was made from; a temporary file cannot be
+/// written; the user cancelled.
+pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: G) -> Result<Option<Clustered>> {
+    let info = pass.model.info();
+    pass.progress.begin("clustering", info.vertex_bytes);
+    let members = || Membership::new(pass.grid, info, pass.noted, pass.folder);
+    let mut clustered = Clustered {
+        forest: Forest::new(pass.grid, pass.target, pass.bound, pass.most, pass.foresight),
+        hash: Xxh3Default::new(),
+        ranges: Ranges::new(pass.grid.keys.len()),
+        membership: pass.with_members.then(members).transpose()?,
+    };
+    let has_room = stream(pass, gather, &mut clustered)?;
+    Ok(has_room.then_some(clustered))
+}
+
+/// Whether there was room.
+fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Result<bool> {
     let Clustered { forest, hash, ranges, membership } = found;
     let vertices = pass.model.info().vertices;
     let threads = rayon::current_num_threads();
