@@ -15,12 +15,17 @@ const SCALE: f64 = 0.001;
 const CORNER: DVec3 = DVec3::new(412_345.678, 5_318_765.432, 512.3);
 
 /// A file of hills, 100 m wide, of a version and a point format; `name` says whether it is compressed.
-fn write(work: &Workplace, name: &str, (minor, format): (u8, u8), count: u64) {
+fn write(work: &Workplace, name: &str, format: (u8, u8), count: u64) {
+    write_in_steps(SCALE, work, name, format, count);
+}
+
+/// The same, with positions in steps of so many metres.
+fn write_in_steps(scale: f64, work: &Workplace, name: &str, (minor, format): (u8, u8), count: u64) {
     let mut builder = Builder::from((1, minor));
     builder.point_format = Format::new(format).expect("a format");
     builder.point_format.is_compressed = name.ends_with(".laz");
     let offsets = DVec3::new(412_000.0, 5_318_000.0, 0.0);
-    let [x, y, z] = offsets.to_array().map(|offset| Transform { scale: SCALE, offset });
+    let [x, y, z] = offsets.to_array().map(|offset| Transform { scale, offset });
     builder.transforms = Vector { x, y, z };
     builder.vlrs.push(Vlr {
         user_id: "LASF_Projection".to_owned(),
@@ -112,6 +117,21 @@ fn clouds_bend_and_keep_all_else() {
         assert!(work.read(&format!("samples.{name}")) == work.read(name), "an identity is another file");
         assert!(work.read(&format!("deformed.{name}")) == once);
     }
+}
+
+/// What writing coarse steps makes is told, but that it takes more samples is not: these would not help.
+#[test]
+fn coarse_steps_do_not_ask_for_samples() {
+    let work = Workplace::new();
+    write_in_steps(0.1, &work, "a.las", (4, 6), 40_000);
+    work.simod("sample a.las -o model.simod --samples 4000");
+    work.move_samples("model.simod", |p| p + DVec3::new(0.0, 0.0, 1e-4 * (p.x - CORNER.x).powi(2)));
+    let line = "reconstruct model.simod --deformed deformed.ply -o out.las";
+    let report = work.report(line);
+    let expected = report["expected_error"]["worst"].as_f64().expect("a number");
+    assert!((1e-4..1e-3).contains(&expected), "{expected:e}");
+    let said = work.simod(line).stderr;
+    assert!(!said.contains("warning"), "{said}");
 }
 
 #[test]

@@ -351,7 +351,8 @@ impl DeformationField<'_> {
             counted += n;
         }
         tally.add(0.0, vertices.saturating_sub(counted));
-        let beyond = self.expected_beyond(of, ExpectedError::ACCEPTED);
+        // More samples do not mend what rounding makes.
+        let beyond = self.where_beyond(of, ExpectedError::ACCEPTED, |_, e| e.largest);
         Some(ExpectedError { beyond, ..tally.sum(false) })
     }
 
@@ -368,10 +369,18 @@ impl DeformationField<'_> {
     /// Where more is expected than `accepted`, a fraction of the diagonal of the model of which the samples
     /// are. The field has to be [expecting](Self::expecting).
     pub fn expected_beyond(&self, of: &SampledModel, accepted: f64) -> Option<Beyond> {
+        self.where_beyond(of, accepted, |i, e| hypot([e.largest, self.rounding_at(i)]))
+    }
+
+    /// The same of what `expected` makes of each sample; local units.
+    fn where_beyond(
+        &self,
+        of: &SampledModel,
+        accepted: f64,
+        expected: impl Fn(usize, &Expectation) -> f32,
+    ) -> Option<Beyond> {
         let diagonal = of.local_diagonal();
-        let part = |(i, e): (usize, &Expectation)| {
-            (i, f64::from(hypot([e.largest, self.rounding_at(i)])) / diagonal)
-        };
+        let part = |(i, e): (usize, &Expectation)| (i, f64::from(expected(i, e)) / diagonal);
         let beyond = || self.expected.iter().enumerate().map(part).filter(|(_, e)| *e > accepted);
         let (at, worst) = beyond().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))?;
         let more = |(_, e): (usize, f64)| (e / accepted).powf(2.0 / ExpectedError::ORDER) - 1.0;
