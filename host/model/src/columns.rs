@@ -294,7 +294,9 @@ fn head(source: &Source, extension: &str, wanted: Option<&str>) -> Result<Head> 
         };
         let mut columns = Columns::named(separator, &names, is_counted).map_err(|what| match wanted {
             Some(wanted) => {
-                Error::new(ErrorKind::Argument, format!("the columns {}: {what}", quoted(wanted)), HINT)
+                let path = source.path().display();
+                let what = format!("{path}, of the columns {}: {what}", quoted(wanted));
+                Error::new(ErrorKind::Argument, what, HINT)
             }
             None => wrong(what),
         })?;

@@ -47,7 +47,7 @@ pub fn sampled(
             "put it back, correct [model] path in the session, or say where it is with --model",
         ));
     }
-    let model = simod_model::open(path)?;
+    let model = simod_model::open_with_columns(path, session.columns.as_deref())?;
     let mut sampling = Sampling::from(session.sampling);
     sampling.skip = Skip { sheets: sampling.skip.sheets, ..skip };
     let sampled = sample(model.as_ref(), &sampling, folder, progress)?;
@@ -223,7 +223,7 @@ impl Run {
     /// A plugin of the stack does not know its map between the samples; a file cannot be read; cancelled.
     pub fn transfer_error(&self, progress: &dyn Progress) -> Result<TransferError> {
         let model = self.deformed.sampled.open_source(None)?;
-        let output = simod_model::open(&self.output)?;
+        let output = simod_model::open_with_columns(&self.output, model.columns())?;
         let diagonal = self.deformed.sampled.bounds.diagonal();
         let map = |points: &mut [DVec3]| self.deformed.stack.evaluate_with(points, progress);
         transfer_error::measure(model.as_ref(), output.as_ref(), diagonal, &map, progress)

@@ -29,6 +29,8 @@ pub(crate) const VERSION: i64 = 1;
 pub struct SessionFile {
     /// The huge model; may be missing where a sampled model is given otherwise.
     pub model: Option<PathBuf>,
+    /// What its columns are, if it is a text in columns that does not say so, as "x,y,z,_,nx,ny,nz".
+    pub columns: Option<String>,
     /// The model's [fingerprint](simod_core::sampled_model::Source) when the session was saved.
     pub fingerprint: Option<String>,
     /// How finely to sample it.
@@ -444,6 +446,7 @@ struct RawSession {
 #[serde(deny_unknown_fields)]
 pub(crate) struct RawModel {
     pub path: PathBuf,
+    pub columns: Option<String>,
     pub fingerprint: Option<String>,
 }
 
@@ -551,6 +554,7 @@ impl SessionFile {
             None => Sampling::default(),
         };
         Ok(Self {
+            columns: raw.model.as_ref().and_then(|m| m.columns.clone()),
             fingerprint: raw.model.as_ref().and_then(|m| m.fingerprint.clone()),
             model: raw.model.map(|m| folder.join(m.path)),
             sampling,

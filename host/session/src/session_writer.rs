@@ -40,6 +40,9 @@ impl SessionFile {
         let mut files = Vec::new();
         if let Some(model) = &self.model {
             let mut model = path_table(model, folder)?;
+            if let Some(columns) = &self.columns {
+                model["columns"] = value(columns);
+            }
             if let Some(fingerprint) = &self.fingerprint {
                 model["fingerprint"] = value(fingerprint);
             }
@@ -351,6 +354,7 @@ mod tests {
         let step = |action, enabled| Step { action, enabled, place: String::new() };
         SessionFile {
             model: Some(folder.join("models/nefertiti.ply")),
+            columns: Some("x,y,z,_,nx,ny,nz".into()),
             fingerprint: Some("xxh3-128:0".to_owned()),
             sampling: Sampling {
                 samples: Some(50_000),
@@ -415,6 +419,7 @@ mod tests {
 
 [model]
 path = "models/nefertiti.ply"
+columns = "x,y,z,_,nx,ny,nz"
 fingerprint = "xxh3-128:0"
 
 [sampling]

@@ -281,3 +281,45 @@ fn normals_that_corners_share_are_said_to_be_kept() {
     let out = String::from_utf8(work.read("out.obj")).expect("text");
     assert!(out.contains("\nvn 0 0 1\n"));
 }
+
+/// A text whose columns only the user knows, through a session, and back.
+#[test]
+fn sessions_say_what_columns_are() {
+    let work = Workplace::new();
+    let text: String = (0..N * N).map(|k| format!("{} {}\n", 1000 + k, row(vertex(k), " "))).collect();
+    work.write("cloud.txt", &text);
+    let model = "[model]\npath = \"cloud.txt\"\ncolumns = \"_,x,y,z\"\n";
+    let rest = "[sampling]\nsamples = 1500\n[[step]]\ndeform = \"warp\"\n[output]\npath = \"out.txt\"\n";
+    work.write("edit.toml", format!("{model}{rest}"));
+    let report = work.report("run edit.toml --measure");
+    let worst = report["transfer_error"]["max"].as_f64().expect("a number");
+    assert!(worst < 1e-3, "{worst:e}");
+    let out = String::from_utf8(work.read("out.txt")).expect("text");
+    let ids = |text: &str| -> Vec<String> {
+        text.lines().map(|line| line.split(' ').next().expect("a word").to_owned()).collect()
+    };
+    assert!(ids(&out) == ids(&text) && out != text);
+    work.write("edit.toml", format!("[model]\npath = \"cloud.txt\"\ncolumns = \"_,x\"\n{rest}"));
+    let line = "run edit.toml -o none.txt";
+    work.run(line).refused(line, &["cloud.txt"]);
+}
+
+#[test]
+fn methods_are_compared_on_models_of_any_format() {
+    let work = Workplace::new();
+    let vertices: String = (0..N * N).map(|k| format!("v {}\n", row(vertex(k), " "))).collect();
+    let faces: String =
+        faces().iter().map(|f| format!("f {}\n", f.map(|i| (i + 1).to_string()).join(" "))).collect();
+    work.write("model.obj", vertices + &faces);
+    let methods = "[[method]]\nname = \"a\"\ndeform = \"warp\"\n[[method]]\nname = \"b\"\ndeform = \"warp\"\n\
+        reconstruction = \"projected-barycentric\"\n";
+    let text = format!("[model]\npath = \"model.obj\"\n[sampling]\nsamples = 1500\n{methods}");
+    work.write("compare.toml", text);
+    work.simod("compare compare.toml -o done --keep-models");
+    for method in ["a", "b"] {
+        let out = String::from_utf8(work.read(&format!("done/{method}.obj"))).expect("text");
+        assert_eq!(numbers(&out, "v ").len(), N * N);
+    }
+    let page = String::from_utf8(work.read("done/index.html")).expect("text");
+    assert!(page.contains("2 methods on model.obj"));
+}

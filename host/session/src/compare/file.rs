@@ -23,6 +23,8 @@ pub struct CompareFile {
     pub text: String,
     /// The huge model.
     pub model: PathBuf,
+    /// What its columns are, if it is a text in columns that does not say so.
+    pub columns: Option<String>,
     /// The model's fingerprint, if the file says it.
     pub fingerprint: Option<String>,
     /// Regions for all methods that are one plugin, as far as it takes them.
@@ -170,6 +172,7 @@ impl CompareFile {
         Ok(Self {
             text: text.to_owned(),
             model: folder.join(model.path),
+            columns: model.columns,
             fingerprint: model.fingerprint,
             regions: raw.region.into_iter().map(|r| source.region(r)).collect::<Result<_>>()?,
             camera: raw.camera.map_or(Ok(CameraPlace::default()), |c| camera(&source, c))?,

@@ -13,7 +13,7 @@ use simod_core::reconstruction::{Reconstruction, Version, reconstruct, transfer_
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::Skip;
 use simod_model::memory::MemoryWatch;
-use simod_model::{Progress, Result};
+use simod_model::{Model, Progress, Result};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -85,7 +85,7 @@ impl<'a> Bench<'a> {
 
         let start = Instant::now();
         let source = deformed.sampled.open_source(Some(&self.file.model))?;
-        let output = self.folder.join(format!("{name}.ply"));
+        let output = self.folder.join(file_name(name, source.as_ref()));
         let version = Version { deformed: &deformed.positions, output: &output, diagnostics: None };
         let how = Reconstruction { method: method.reconstruction, ..Reconstruction::default() };
         let done = reconstruct(&deformed.sampled, source.as_ref(), &[version], &how, progress)?;
@@ -95,7 +95,7 @@ impl<'a> Bench<'a> {
         let diagonal = deformed.sampled.bounds.diagonal();
         let transfer_error = if deformed.stack.can_evaluate() {
             let map = |points: &mut [glam::DVec3]| deformed.stack.evaluate_with(points, progress);
-            let output = simod_model::open(&output)?;
+            let output = simod_model::open_with_columns(&output, source.columns())?;
             Some(transfer_error::measure(source.as_ref(), output.as_ref(), diagonal, &map, progress)?)
         } else {
             None
@@ -155,6 +155,7 @@ impl<'a> Bench<'a> {
         let start = Instant::now();
         let session = SessionFile {
             model: Some(self.file.model.clone()),
+            columns: self.file.columns.clone(),
             fingerprint: self.file.fingerprint.clone(),
             sampling: of,
             ..SessionFile::default()
@@ -165,4 +166,12 @@ impl<'a> Bench<'a> {
         self.samplings.push(Known { of, sampled: sampled.clone(), seconds });
         Ok((sampled, seconds))
     }
+}
+
+/// What a method's model is called: with an extension of the model's format, its own if it is one.
+fn file_name(method: &str, model: &dyn Model) -> String {
+    let all = model.extensions();
+    let own = model.path().extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let extension = if all.contains(&own.as_str()) { &own } else { all.first().copied().unwrap_or("ply") };
+    format!("{method}.{extension}")
 }

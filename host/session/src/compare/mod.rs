@@ -52,7 +52,7 @@ pub fn compare(
     progress: &dyn Progress,
 ) -> Result<Comparison> {
     let target = Target::check(output, &file.model)?;
-    let rest = simod_model::open(&file.model)?;
+    let rest = simod_model::open_with_columns(&file.model, file.columns.as_deref())?;
     let folder = OutputFolder::create(output)?;
     let made = in_folder(file, plugins, keep_models, &folder, rest.as_ref(), &target, progress);
     let comparison = made.map_err(|e| folder.named(e))?;
@@ -85,7 +85,8 @@ fn in_folder(
     let Some((_, first)) = done.first() else { return Err(none_done(&records)) };
     let mut comparison = Comparison::new(file, &first.sampled, records);
     let deformed: Vec<&Deformed> = done.iter().map(|(_, deformed)| deformed).collect();
-    let models = deformed.iter().map(|d| simod_model::open(&d.output)).collect::<Result<Vec<_>>>()?;
+    let open = |d: &&Deformed| simod_model::open_with_columns(&d.output, rest.columns());
+    let models = deformed.iter().map(open).collect::<Result<Vec<_>>>()?;
     let models: Vec<&dyn Model> = [rest].into_iter().chain(models.iter().map(|m| &**m)).collect();
 
     let beside = figures::beside(&models, comparison.model.diagonal, progress)?;
@@ -104,7 +105,8 @@ fn in_folder(
     }
     for deformed in &deformed {
         if keep_models {
-            comparison.files.push(format!("{}.ply", deformed.name));
+            let name = deformed.output.file_name().unwrap_or_default();
+            comparison.files.push(name.to_string_lossy().into_owned());
         } else {
             std::fs::remove_file(&deformed.output).map_err(|e| Error::io("remove", &deformed.output, &e))?;
         }

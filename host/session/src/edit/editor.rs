@@ -68,6 +68,7 @@ impl Editor {
         let document = Document::new(session.steps.iter().map(up_to_date));
         let session = SessionFile {
             model: session.model.or_else(|| Some(sampled.source.path.clone())),
+            columns: session.columns.or_else(|| sampled.source.columns.clone()),
             fingerprint: Some(sampled.source.fingerprint.clone()),
             steps: Vec::new(),
             ..session

@@ -271,5 +271,6 @@ fn session_of(sampled: &SampledModel) -> SessionFile {
     let by = Some(sampled.sampling.by).filter(|by| *by != By::Error);
     let place = Some(sampled.sampling.placement).filter(|by| *by == Placement::Faces);
     let sampling = Sampling { samples, error, grid: sampled.sampling.grid, place, by, sheets: None };
-    SessionFile { model: Some(sampled.source.path.clone()), sampling, ..SessionFile::default() }
+    let model = Some(sampled.source.path.clone());
+    SessionFile { model, columns: sampled.source.columns.clone(), sampling, ..SessionFile::default() }
 }
