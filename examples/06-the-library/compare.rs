@@ -31,6 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let file = CompareFile {
         text: String::new(),
         model: model.into(),
+        columns: None,
         fingerprint: None,
         regions: Vec::new(),
         camera: CameraPlace::default(),
