@@ -63,8 +63,12 @@ fn of_sampling_does_not_depend_on_the_number_of_vertices() {
         let work = Workplace::new();
         let line = format!("generate -o model.ply --vertices {vertices} --no-faces --no-colors --no-normals");
         work.simod(&line);
-        let report = work.report("sample model.ply -o model.simod --samples 200000 --grid 64 --threads 2");
-        report["peak_memory_bytes"].as_u64().expect("a peak")
+        // The least of three: threads take turns as they come, and leave more or less to the allocator.
+        let once = || {
+            let report = work.report("sample model.ply -o model.simod --samples 200000 --grid 64 --threads 2");
+            report["peak_memory_bytes"].as_u64().expect("a peak")
+        };
+        (0..3).map(|_| once()).min().expect("three runs")
     };
     let (four, thirty_two) = (peak(4_000_000), peak(32_000_000));
     // About 60 MB; what the allocator keeps in reserve varies.

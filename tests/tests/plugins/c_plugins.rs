@@ -117,7 +117,8 @@ fn failing_calls_are_errors() {
         ("NO_SCRATCH", "there is no memory to work in"),
     ];
     let work = Workplace::new().with_plugins("plugins");
-    work.simod("generate -o model.ply --vertices 5000");
+    // Nothing touches there, so that there are as many samples as asked for.
+    work.simod("generate -o model.ply --vertices 5000 --shape bumpy-sphere");
     work.write_session("model.ply", 500, "[[step]]\ndeform = \"misbehaving-c\"\n");
     for (wrong, reason) in wrongs {
         work.build_c("tests/c/misbehaving.c", "misbehaving_c", &[&format!("-DWRONG={wrong}")]);

@@ -15,7 +15,8 @@ const DEFORM: &str = "deform model.simod --session edit.toml -o out.ply";
 /// A model and its samples, a session with the plugin, and an empty folder of plugins.
 fn sampled() -> Workplace {
     let work = Workplace::new().with_plugins("plugins");
-    work.simod("generate -o model.ply --vertices 5000");
+    // Nothing touches there, so that there are as many samples as asked for.
+    work.simod("generate -o model.ply --vertices 5000 --shape bumpy-sphere");
     work.simod("sample model.ply -o model.simod --samples 500");
     work.write_session("model.ply", 500, "[[step]]\ndeform = \"hostile\"\n");
     work

@@ -31,7 +31,7 @@ const GROUP_BYTES: u64 = size_of::<Group>() as u64 + 18;
 
 /// Vertices that are gathered as one piece of the stream, from each multiple of this number on: of soups, whole
 /// facets. A constant, so that sums depend neither on the number of threads nor on how the model is read.
-pub const PIECE: u64 = 3 << 12;
+pub const PIECE: u64 = 3 << 11;
 
 /// Holds what the stream has brought of each open cell.
 pub trait Gather: Send {
