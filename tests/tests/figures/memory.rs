@@ -65,7 +65,8 @@ fn of_sampling_does_not_depend_on_the_number_of_vertices() {
         work.simod(&line);
         // The least of three: threads take turns as they come, and leave more or less to the allocator.
         let once = || {
-            let report = work.report("sample model.ply -o model.simod --samples 200000 --grid 64 --threads 2");
+            let report =
+                work.report("sample model.ply -o model.simod --samples 200000 --grid 64 --threads 2");
             report["peak_memory_bytes"].as_u64().expect("a peak")
         };
         (0..3).map(|_| once()).min().expect("three runs")
