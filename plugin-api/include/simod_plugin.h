@@ -550,10 +550,10 @@ typedef struct SimodMigration {
     const struct SimodAlias *aliases;
     // How many of them there are.
     size_t alias_count;
-    // Gives `to` what a session of version `from`, which is less than that of now, has to give now, of what it
-    // gave: in model coordinates and the user's units, checked by nobody, under the ids of now (aliases have
-    // been applied). What is not given to `to` has its default. Takes microseconds; any thread. The host has
-    // no samples in this call. NULL where all stays as it is.
+    // Gives `to` what a session of version `from`, which is less than that of now, has to give now, of what
+    // it gave: in model coordinates and the user's units, checked by nobody, under the ids of now (aliases
+    // have been applied). What is not given to `to` has its default. Takes microseconds; any thread. The
+    // host has no samples in this call. NULL where all stays as it is.
     uint32_t (*migrate)(uint32_t from,
                         const struct SimodParam *settings,
                         size_t count,
@@ -681,8 +681,8 @@ typedef struct SimodAttribute {
     const char *name;
     // What its numbers are in the file: SIMOD_ATTRIBUTE_...
     uint32_t kind;
-    // One for each sample, in the property's own unit (a colour of SIMOD_ATTRIBUTE_U8 goes from 0 to 255), all
-    // finite: the mean over the vertices that the sample stands for.
+    // One for each sample, in the property's own unit (a colour of SIMOD_ATTRIBUTE_U8 goes from 0 to 255),
+    // all finite: the mean over the vertices that the sample stands for.
     const float *values;
 } SimodAttribute;
 

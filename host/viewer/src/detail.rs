@@ -9,6 +9,7 @@ use crate::engine::Pose;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use simod_core::detail::{Batch, Chosen};
+use simod_core::touching::Contacts;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -247,6 +248,10 @@ impl Detail {
             let is_so = |held: &Option<Held>| held.as_ref().is_some_and(|held| held.fresh) == fresh;
             let cells = kept.cells.iter().zip(&self.held).filter(|(_, held)| is_so(held));
             cells.flat_map(|(cell, _)| &cell.tree.samples).for_each(|s| covered[*s as usize] = fresh);
+        }
+        // The samples of several sheets stand for one cluster.
+        for [sample, of] in self.pose.sampled.samples.contacts().map_or(&[][..], Contacts::parted) {
+            covered[*sample as usize] = covered[*of as usize];
         }
         self.covered = covered.into();
     }

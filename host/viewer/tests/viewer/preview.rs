@@ -80,6 +80,10 @@ fn is_covered_once(state: &State) {
         assert!(!shown.contains_key(&place));
         cell.tree.samples.iter().for_each(|s| covered[*s as usize] = false);
     }
+    let contacts = scene.sampled.samples.contacts();
+    for [sample, of] in contacts.map_or(&[][..], |contacts| contacts.parted()) {
+        covered[*sample as usize] = covered[*of as usize];
+    }
     assert!(**detail.covered() == *covered);
 }
 
