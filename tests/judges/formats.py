@@ -1,8 +1,8 @@
 """Other libraries as judges of the formats: each writes a model, SIMOD turns it, and the library reads both files and
 compares every attribute.
 
-    python3 -m venv /tmp/judges && /tmp/judges/bin/pip install -r tests/judges/formats-requirements.txt
-    /tmp/judges/bin/python tests/judges/formats.py target/release/simod
+    python -m venv judges && judges/bin/pip install -r tests/judges/formats-requirements.txt
+    judges/bin/python tests/judges/formats.py target/release/simod
 
 A rigid motion of the samples is one of the model, exactly but for rounding; what the samples do not move keeps its bytes.
 """

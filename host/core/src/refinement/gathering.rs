@@ -1,7 +1,5 @@
 //! The vertices of some cells, read again: their ranges of the stream alone (paper §6).
 
-use std::collections::HashMap;
-use std::hash::BuildHasherDefault;
 use std::ops::Range;
 
 use glam::{DVec3, Vec3};
@@ -12,7 +10,7 @@ use simod_model::{Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 use crate::sampling::cluster::{Group, Vertex};
 use crate::sampling::finalization::{PART, unit};
 use crate::sampling::gather::{Cubes, Gather, GatherPiece, Groups, PieceGroups};
-use crate::sampling::grid::{CellHasher, CellMap, cell_box, key_at};
+use crate::sampling::grid::{CellMap, cell_box, key_at};
 use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::ranges::joined;
 
@@ -190,10 +188,10 @@ struct GroupsAgain {
     piece: PieceGroups,
     number: u64,
     all: Groups,
-    /// The group of each vertex of each cell; in the piece at first.
+    /// The group of each vertex of each cell.
     group_of: Vec<Vec<u32>>,
-    /// The cell of each vertex of the piece.
-    cells: Vec<u32>,
+    /// The cell of each vertex of the piece, and its group there.
+    in_piece: Vec<(u32, u32)>,
 }
 
 impl GroupsAgain {
@@ -204,7 +202,7 @@ impl GroupsAgain {
             number: 0,
             all: Groups::new(cells, cubes.edge, u64::MAX),
             group_of: vec![Vec::new(); cells],
-            cells: Vec::new(),
+            in_piece: Vec::new(),
         }
     }
 
@@ -213,8 +211,7 @@ impl GroupsAgain {
             self.end_piece()?;
             self.number = vertex / self.cubes.piece;
         }
-        self.group_of[cell as usize].push(self.piece.add(cell, position, normal));
-        self.cells.push(cell);
+        self.in_piece.push((cell, self.piece.add(cell, position, normal)));
         Ok(())
     }
 
@@ -225,20 +222,13 @@ impl GroupsAgain {
             // There is no bound to their memory.
             merged.push(self.all.merge(*cell, group)?.unwrap_or(0));
         }
-        let mut counts: CellCounts = CellCounts::default();
-        self.cells.drain(..).for_each(|cell| *counts.entry(cell).or_default() += 1);
-        for (cell, count) in counts {
-            let all = &mut self.group_of[cell as usize];
-            let first = all.len() - count;
-            all[first..].iter_mut().for_each(|group| *group = merged[*group as usize]);
+        for (cell, group) in self.in_piece.drain(..) {
+            self.group_of[cell as usize].push(merged[group as usize]);
         }
         self.piece.clear();
         Ok(())
     }
 }
-
-/// Numbers of vertices of cells.
-type CellCounts = HashMap<u32, usize, BuildHasherDefault<CellHasher>>;
 
 impl Gathered {
     /// In how many parts the cell's tree was built.

@@ -60,10 +60,8 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Resul
     let Clustered { forest, hash, ranges, membership } = found;
     let vertices = pass.model.info().vertices;
     let threads = rayon::current_num_threads();
-    let reader = match pass.model.info().reads_exactly() {
-        true => None,
-        false => Some(positions_of(pass, 0..vertices)?),
-    };
+    let in_order = !pass.model.info().reads_exactly();
+    let reader = in_order.then(|| positions_of(pass, 0..vertices)).transpose()?;
     let stream = Stream {
         pass,
         leaves: membership.as_ref().map(Membership::leaves),

@@ -258,8 +258,7 @@ impl LasModel {
     /// Corrects in the header what is known beforehand.
     fn correct_header(&self, bytes: &mut [u8]) {
         let mut put = |at: u64, new: &[u8]| bytes[at as usize..at as usize + new.len()].copy_from_slice(new);
-        for (axis, steps) in self.shift.iter().enumerate().filter(|(_, steps)| **steps != 0) {
-            debug_assert!(*steps != 0);
+        for (axis, _) in self.shift.iter().enumerate().filter(|(_, steps)| **steps != 0) {
             put(at::OFFSETS + 8 * axis as u64, &self.written().offset[axis].to_le_bytes());
         }
         let [vlrs, evlrs] = [false, true].map(|extended| self.dropped(extended) as u32);
