@@ -44,6 +44,7 @@ mod summary;
 pub mod target;
 mod text;
 mod uncached;
+mod unfit;
 
 pub use error::{Error, ErrorKind, Result};
 pub use formats::{is_model, is_named_otherwise, open, open_with_columns};
