@@ -13,6 +13,7 @@
 
 pub mod bounds;
 pub mod claim;
+mod colors;
 mod columns;
 mod error;
 mod fan;
@@ -46,6 +47,7 @@ mod text;
 mod uncached;
 mod unfit;
 
+pub use colors::{ColorScale, Colors};
 pub use error::{Error, ErrorKind, Result};
 pub use formats::{is_model, is_named_otherwise, open, open_with_columns};
 pub use in_step::{Vertices, in_step};
