@@ -12,7 +12,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use simod_model::frame::Frame;
 use simod_model::scratch::Scratch;
-use simod_model::{Colors, Model, Progress, Result, SMALL_CHUNK, VertexChunk};
+use simod_model::{ColorScale, Colors, Model, Progress, Result, SMALL_CHUNK, Type, VertexChunk};
 
 use crate::sampled_model::SampledModel;
 use crate::sampling::{KdTree, SampleSet, Target};
@@ -26,6 +26,54 @@ const MOST: u64 = 4 << 20;
 /// Vertices that are written or looked up at a time.
 const BLOCK: usize = 1 << 14;
 
+/// Places of the model that are looked at for how large its colours are, and vertices at each.
+const PLACES: u64 = 16;
+const AT_A_PLACE: u64 = 2048;
+
+/// The colours of a model's vertices as bytes.
+pub struct Bytes {
+    colors: Colors,
+    scale: ColorScale,
+}
+
+impl Bytes {
+    /// Those of a model that has some. How large they are is told by vertices all over the file.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn of(model: &dyn Model) -> Result<Option<Self>> {
+        let info = model.info();
+        let Some(colors) = Colors::of(info) else { return Ok(None) };
+        let mut most = 0.0f64;
+        // Where reading begins at the first vertex always, those there have to do.
+        let places = if info.random_access { PLACES } else { 1 };
+        let (mut chunk, mut lists) = (VertexChunk::default(), vec![Vec::new(); colors.count()]);
+        for i in 0..places {
+            let first = info.vertices / places * i;
+            let mut reader = model.vertices(first..(first + AT_A_PLACE).min(info.vertices))?;
+            while colors.kind != Type::U8 && reader.read(&mut chunk)? {
+                model.attributes(&chunk, &mut lists)?;
+                let all = colors.places.iter().flat_map(|place| &lists[*place]);
+                most = all.filter(|c| c.is_finite()).fold(most, |most, c| most.max(*c));
+            }
+        }
+        Ok(Some(Self { colors, scale: ColorScale::of(colors.kind, most) }))
+    }
+
+    /// The colours of a chunk that was read of the model; what `to` held is gone.
+    ///
+    /// # Errors
+    /// In a text format, something is no number.
+    pub fn decode(&self, model: &dyn Model, chunk: &VertexChunk, to: &mut Vec<[u8; 3]>) -> Result<()> {
+        let mut lists = vec![Vec::new(); self.colors.count()];
+        model.attributes(chunk, &mut lists)?;
+        to.clear();
+        let color = |i: usize| self.colors.places.map(|place| self.scale.byte(lists[place][i]));
+        to.extend((0..chunk.len()).map(color));
+        Ok(())
+    }
+}
+
 /// A vertex that was picked.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
@@ -37,7 +85,7 @@ pub struct Pick {
 
 /// Which vertices are picked, and what their colours are.
 pub struct Picking {
-    colors: Colors,
+    colors: Bytes,
     /// Every so manieth, from the first on.
     every: u64,
 }
@@ -53,7 +101,7 @@ impl Picking {
             Target::Error(_) => MOST,
         };
         let every = (model.info().vertices / most.max(1)).max(1);
-        Ok(Colors::of(model)?.map(|colors| Self { colors, every }))
+        Ok(Bytes::of(model)?.map(|colors| Self { colors, every }))
     }
 
     /// Picks of a chunk that was read of the model.
@@ -213,7 +261,7 @@ pub fn of_ranges(
     progress: &dyn Progress,
 ) -> Result<Vec<[u8; 3]>> {
     let mut means = Means::new(&sampled.samples, first);
-    if let Some(colors) = Colors::of(model)? {
+    if let Some(colors) = Bytes::of(model)? {
         let picking = Picking { colors, every: 1 };
         let (mut chunk, mut picks) = (VertexChunk::default(), Vec::new());
         for range in ranges {

@@ -14,11 +14,12 @@ use simod_model::input::{self, Identity};
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::folder_of;
 use simod_model::{
-    Besides, Colors, Error, ErrorKind, FaceChunk, Model, Progress, Result, Scalar, VertexChunk, output,
+    Besides, Error, ErrorKind, FaceChunk, Model, Progress, Result, Scalar, VertexChunk, output,
 };
 use xxhash_rust::xxh3::Xxh3Default;
 
 use crate::attributes::Attributes;
+use crate::colors;
 use crate::deformed_file::{self, DeformedFile};
 use crate::refinement::Refinement;
 use crate::sampling::density::Rule;
@@ -868,7 +869,7 @@ impl Samples {
     fn read(path: &Path) -> Result<Self> {
         let model = deformed_file::open(path)?;
         let (mut positions, mut normals, mut colors) = (Vec::new(), Vec::new(), Vec::new());
-        let of_colors = Colors::of(&*model)?;
+        let of_colors = colors::Bytes::of(&*model)?;
         let mut reader = model.vertices(0..model.info().vertices)?;
         let (mut chunk, mut some) = (VertexChunk::default(), Vec::new());
         while reader.read(&mut chunk)? {

@@ -1,75 +1,109 @@
-//! The colours of a model's vertices, in whatever type the file has them, as bytes.
+//! The colours of vertices: which of their numbers these are, and what the numbers stand for. All that shows,
+//! compares or writes colours asks here.
 
-use crate::{Model, Result, Type, VertexChunk};
+use crate::{Attribute, ModelInfo, Type};
 
-/// Places of the model that are looked at for how its colours are meant, and vertices at each.
-const PLACES: u64 = 16;
-const AT_A_PLACE: u64 = 2048;
+/// What red, green and blue are called, in lower case.
+const NAMES: [[&str; 3]; 3] =
+    [["red", "green", "blue"], ["r", "g", "b"], ["diffuse_red", "diffuse_green", "diffuse_blue"]];
 
-/// Where a model's colours are among its attributes, and how large they are.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Where among the attributes of vertices their colour is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Colors {
-    places: [usize; 3],
-    /// What makes bytes of them.
-    scale: f64,
+    /// Of red, green and blue.
+    pub places: [usize; 3],
+    /// The type of these numbers.
+    pub kind: Type,
 }
 
+/// What numbers stand for: from 0 to the one of full light.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ColorScale(f64);
+
 impl Colors {
-    /// Those of a model with the attributes `red`, `green` and `blue`; nothing of one without.
-    ///
-    /// Colours of 16 bits are scaled, unless nothing in the file is above 255, as many programs write bytes
-    /// there; floating-point ones are from 0 to 1, unless something is above. This is told by vertices all over
-    /// the file.
-    ///
-    /// # Errors
-    /// The file cannot be read.
-    pub fn of(model: &dyn Model) -> Result<Option<Self>> {
-        let attributes = &model.info().attributes;
-        let place = |name: &str| attributes.iter().position(|a| a.name == name);
-        let (Some(r), Some(g), Some(b)) = (place("red"), place("green"), place("blue")) else {
-            return Ok(None);
-        };
-        let mut colors = Self { places: [r, g, b], scale: 1.0 };
-        if colors.places.iter().all(|place| attributes[*place].kind == Type::U8) {
-            return Ok(Some(colors));
-        }
-        let is_float = colors.places.iter().any(|place| attributes[*place].kind.is_float());
-        let (vertices, mut most) = (model.info().vertices, 0.0f64);
-        // Where reading begins at the first vertex always, those there have to do.
-        let places = if model.info().random_access { PLACES } else { 1 };
-        let (mut chunk, mut lists) = (VertexChunk::default(), colors.lists());
-        for i in 0..places {
-            let first = vertices / places * i;
-            let mut reader = model.vertices(first..(first + AT_A_PLACE).min(vertices))?;
-            while reader.read(&mut chunk)? {
-                model.attributes(&chunk, &mut lists)?;
-                let all = colors.places.iter().flat_map(|place| &lists[*place]);
-                most = all.filter(|c| c.is_finite()).fold(most, |most, c| most.max(*c));
+    /// The colour of vertices with such attributes, if they have one: three numbers of one type.
+    pub fn among<'a>(attributes: impl IntoIterator<Item = &'a Attribute>) -> Option<Self> {
+        let mut places = [[None; 3]; NAMES.len()];
+        for (place, attribute) in attributes.into_iter().enumerate() {
+            for (names, places) in NAMES.iter().zip(&mut places) {
+                for (name, found) in names.iter().zip(places) {
+                    if found.is_none() && attribute.name.eq_ignore_ascii_case(name) {
+                        *found = Some((place, attribute.kind));
+                    }
+                }
             }
         }
-        colors.scale = match most {
-            _ if is_float && most <= 1.0 => 255.0,
-            _ if most <= 255.0 => 1.0,
-            _ => 255.0 / 65535.0,
-        };
-        Ok(Some(colors))
+        places.into_iter().find_map(|found| {
+            let [(red, kind), (green, other), (blue, another)] = [found[0]?, found[1]?, found[2]?];
+            (kind == other && kind == another).then_some(Self { places: [red, green, blue], kind })
+        })
     }
 
-    fn lists(&self) -> Vec<Vec<f64>> {
-        vec![Vec::new(); self.places.iter().max().map_or(0, |last| last + 1)]
+    /// That of a model's vertices.
+    pub fn of(info: &ModelInfo) -> Option<Self> {
+        Self::among(&info.attributes)
     }
 
-    /// The colours of a chunk that was read from the model, red, green and blue; what `to` held is gone.
-    ///
-    /// # Errors
-    /// In a text format, something is no number.
-    pub fn decode(&self, model: &dyn Model, chunk: &VertexChunk, to: &mut Vec<[u8; 3]>) -> Result<()> {
-        let mut lists = self.lists();
-        model.attributes(chunk, &mut lists)?;
-        // What is no number becomes 0.
-        let byte = |place: usize, i: usize| (lists[place][i] * self.scale).round() as u8;
-        to.clear();
-        to.extend((0..chunk.len()).map(|i| self.places.map(|place| byte(place, i))));
-        Ok(())
+    /// How many of the first attributes have to be asked for.
+    pub fn count(&self) -> usize {
+        self.places.into_iter().max().map_or(0, |last| last + 1)
+    }
+}
+
+impl ColorScale {
+    /// That of numbers of a type of which `most` is the largest: bytes are full at 255. Wider types are by
+    /// themselves full at 1 (fractions), 255 or 65 535, which programs do not agree upon, so that the largest
+    /// number tells.
+    pub fn of(kind: Type, most: f64) -> Self {
+        match kind {
+            Type::U8 | Type::I8 => Self(255.0),
+            _ if kind.is_float() && most <= 1.0 => Self(1.0),
+            _ if most <= 255.0 => Self(255.0),
+            _ => Self(65535.0),
+        }
+    }
+
+    /// A number as a byte, in the transfer curve that it has (sRGB as a rule); nothing where it is none.
+    #[inline]
+    pub fn byte(self, number: f64) -> u8 {
+        // A conversion saturates, and gives 0 for NaN.
+        (number / self.0 * 255.0).round() as u8
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn attributes(names: &[(&str, Type)]) -> Vec<Attribute> {
+        names.iter().map(|(name, kind)| Attribute { name: (*name).to_owned(), kind: *kind }).collect()
+    }
+
+    #[test]
+    fn colours_are_found_by_their_names() {
+        let of = |names: &[(&str, Type)]| Colors::among(&attributes(names));
+        let byte = |name| (name, Type::U8);
+        let usual = of(&[("intensity", Type::F32), byte("red"), byte("green"), byte("blue"), byte("alpha")]);
+        assert_eq!(usual, Some(Colors { places: [1, 2, 3], kind: Type::U8 }));
+        assert_eq!(usual.unwrap().count(), 4);
+        assert_eq!(of(&[byte("B"), byte("G"), byte("R")]).unwrap().places, [2, 1, 0]);
+        let two = [byte("r"), byte("g"), byte("b"), byte("red"), byte("green"), byte("blue")];
+        assert_eq!(of(&two).unwrap().places, [3, 4, 5]);
+        assert_eq!(of(&[byte("red"), byte("green")]), None);
+        assert_eq!(of(&[byte("red"), byte("green"), ("blue", Type::F32)]), None);
+        assert_eq!(of(&[]), None);
+    }
+
+    #[test]
+    fn numbers_become_bytes() {
+        let byte = |kind, most, number| ColorScale::of(kind, most).byte(number);
+        assert_eq!(byte(Type::U8, 1.0, 1.0), 1);
+        assert_eq!(byte(Type::U16, 65000.0, 65535.0), 255);
+        assert_eq!(byte(Type::U16, 255.0, 128.0), 128);
+        assert_eq!(byte(Type::F32, 1.0, 0.5), 128);
+        assert_eq!(byte(Type::F64, 200.0, 200.0), 200);
+        assert_eq!(byte(Type::F64, 1.0, f64::NAN), 0);
+        assert_eq!(byte(Type::F64, 1.0, -3.0), 0);
+        assert_eq!(byte(Type::F64, 1.0, 3.0), 255);
     }
 }

@@ -8,6 +8,17 @@ use crate::{Error, ErrorKind, Model, Result, columns, las, obj, off, pcd, ply, s
 /// Extensions of all formats, by which names say what a file is.
 const EXTENSIONS: [&str; 7] = ["ply", "obj", "stl", "off", "pcd", "las", "laz"];
 
+/// Whether a file that begins so is of a format, and what opens it.
+type Known = (fn(&[u8]) -> bool, fn(Source) -> Result<Box<dyn Model>>);
+
+/// The formats that a file's first bytes tell.
+const BY_BEGINNING: [Known; 4] = [
+    (ply::is_ply, |source| Ok(Box::new(ply::PlyModel::new(source)?))),
+    (las::is_las, |source| Ok(Box::new(las::LasModel::new(source)?))),
+    (pcd::is_pcd, pcd::open),
+    (off::is_off, off::open),
+];
+
 /// Whether a path's extension says that a file is of a format, and of another one than a model.
 pub fn is_named_otherwise(model: &dyn Model, path: &Path) -> bool {
     let extension = extension(path);
@@ -23,16 +34,18 @@ pub fn is_named_otherwise(model: &dyn Model, path: &Path) -> bool {
 /// It cannot be read.
 pub fn is_model(path: &Path) -> Result<bool> {
     let source = Source::open(path)?;
-    let mut start = [0; 64];
-    let read = source.read_at(&mut start, 0)?;
-    let start = &start[..read];
-    Ok(ply::is_ply(start)
-        || las::is_las(start)
-        || pcd::is_pcd(start)
-        || off::is_off(start)
+    let start = beginning(&source)?;
+    Ok(BY_BEGINNING.iter().any(|(is, _)| is(&start))
         || stl::is_stl(&source)?
         || obj::is_obj(&source)?
         || columns::is_columns(&source, &extension(path)))
+}
+
+/// The bytes by which formats are recognised that can be by such.
+fn beginning(source: &Source) -> Result<Vec<u8>> {
+    let mut start = Vec::new();
+    source.append_at(&mut start, 0, 64)?;
+    Ok(start)
 }
 
 fn extension(path: &Path) -> String {
@@ -55,50 +68,28 @@ pub fn open(path: &Path) -> Result<Box<dyn Model>> {
 /// As of [`open`], or columns are given of another format.
 pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn Model>> {
     let source = Source::open(path)?;
-    let mut start = [0; 16];
-    let read = source.read_at(&mut start, 0)?;
-    let is_pcd = pcd::is_pcd(&start[..read]);
-    let is_other = [ply::is_ply, las::is_las, pcd::is_pcd, off::is_off].iter().any(|is| is(&start[..read]));
-    if columns.is_some() && is_other {
-        let what = format!("{} is no text in columns, but columns are given", path.display());
-        return Err(Error::new(ErrorKind::Argument, what, "leave out the columns"));
+    let start = beginning(&source)?;
+    let found = BY_BEGINNING.iter().find(|(is, _)| is(&start));
+    let extension = extension(path);
+    match (found, columns) {
+        (Some(_), Some(_)) => {
+            let what = format!("{} is no text in columns, but columns are given", path.display());
+            Err(Error::new(ErrorKind::Argument, what, "leave out the columns"))
+        }
+        (Some((_, open)), None) => open(source),
+        (None, Some(_)) => columns::open(source, &extension, columns),
+        (None, None) if extension == "off" => off::open(source),
+        (None, None) if extension == "stl" || stl::is_stl(&source)? => stl::open(source),
+        (None, None) if extension == "obj" || obj::is_obj(&source)? => obj::open(source),
+        (None, None) if columns::EXTENSIONS.contains(&extension.as_str()) => {
+            columns::open(source, &extension, None)
+        }
+        (None, None) => Err(unknown(&source, &start)),
     }
-    if ply::is_ply(&start[..read]) {
-        return Ok(Box::new(ply::PlyModel::new(source)?));
-    }
-    if las::is_las(&start[..read]) {
-        return Ok(Box::new(las::LasModel::new(source)?));
-    }
-    if is_pcd {
-        return pcd::open(source);
-    }
-    open_text(source, columns)?.map_err(|source| unknown(&source, &start[..read]))
-}
-
-/// Opens a file whose first bytes do not tell what it is; gives it back where nothing else does.
-fn open_text(source: Source, columns: Option<&str>) -> Result<Result<Box<dyn Model>, Source>> {
-    let extension = extension(source.path());
-    if columns.is_some() {
-        return columns::open(source, &extension, columns).map(Ok);
-    }
-    let mut start = [0; 64];
-    let read = source.read_at(&mut start, 0)?;
-    if off::is_off(&start[..read]) || extension == "off" {
-        return off::open(source).map(Ok);
-    }
-    if extension == "stl" || stl::is_stl(&source)? {
-        return stl::open(source).map(Ok);
-    }
-    if extension == "obj" || obj::is_obj(&source)? {
-        return obj::open(source).map(Ok);
-    }
-    if columns::EXTENSIONS.contains(&extension.as_str()) {
-        return columns::open(source, &extension, None).map(Ok);
-    }
-    Ok(Err(source))
 }
 
 fn unknown(source: &Source, start: &[u8]) -> Error {
+    let start = &start[..start.len().min(16)];
     let what = format!("no model of a known format: it begins with \"{}\"", start.escape_ascii());
     let hint =
         "PLY, OBJ, STL, OFF, PCD, LAS, LAZ and text in columns can be read: export the model as one of them";

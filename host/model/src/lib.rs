@@ -45,8 +45,9 @@ mod summary;
 pub mod target;
 mod text;
 mod uncached;
+mod unfit;
 
-pub use colors::Colors;
+pub use colors::{ColorScale, Colors};
 pub use error::{Error, ErrorKind, Result};
 pub use formats::{is_model, is_named_otherwise, open, open_with_columns};
 pub use in_step::{Vertices, in_step};

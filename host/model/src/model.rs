@@ -367,6 +367,16 @@ pub trait FaceReader: Send {
     fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool>;
 }
 
+/// Reads the faces of a model that has none.
+pub(crate) struct NoFaces;
+
+impl FaceReader for NoFaces {
+    fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
+        *chunk = FaceChunk::default();
+        Ok(false)
+    }
+}
+
 /// Chunks that are read ahead: one that is worked on, one that is ready, one that is filled.
 const CHUNKS_AHEAD: usize = 3;
 

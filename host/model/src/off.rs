@@ -6,11 +6,12 @@
 use std::ops::Range;
 
 use crate::columns::Columns;
+use crate::model::NoFaces;
 use crate::source::Source;
 use crate::text::blocks::Builder;
 use crate::text::faces::{FaceLines, LineFaces};
 use crate::text::lines::{Lines, wrong_line};
-use crate::text::model::{Grammar, NoFaces, TextModel, info};
+use crate::text::model::{Grammar, TextModel, info};
 use crate::text::{CUT_OFF, DAMAGED, integer, is_space, next_word, quoted};
 use crate::{Attribute, FaceReader, Model, ModelInfo, Result, Type};
 

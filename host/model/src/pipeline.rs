@@ -12,6 +12,7 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
 use super::{Edit, Edited, MAX_VERSIONS, Normals, Output, RawChunk, Rewriting, Summary, VertexChunk};
+use crate::source::Source;
 use crate::{Error, ErrorKind, Progress, Result};
 
 /// Pieces that are between reading and writing, beside one for each thread: so that a thread whose piece has
@@ -26,18 +27,8 @@ pub(crate) trait Rewritable: Sync {
     /// Fills the positions and normals of a chunk whose bytes were read.
     fn decode(&self, chunk: &mut VertexChunk) -> Result<()>;
 
-    /// Makes the bytes of the file for a version of a chunk: in `buffer`, whatever that held, or in the
-    /// chunk's own bytes, if `last` says that no further version is made of them. Returns whether they are in
-    /// `buffer`. What other places of the file have to know of it goes to `summary`, which is empty before.
-    fn encode(
-        &self,
-        chunk: &mut VertexChunk,
-        edited: &Edited,
-        normals: Normals,
-        last: bool,
-        buffer: &mut Vec<u8>,
-        summary: &mut Summary,
-    ) -> Result<bool>;
+    /// Makes the bytes of the file for a version of a chunk.
+    fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()>;
 
     /// The bytes of a [piece](Piece::Made) that follows from what became of all pieces before it.
     fn make(&self, _before: &Summary) -> Result<Vec<u8>> {
@@ -49,8 +40,32 @@ pub(crate) trait Rewritable: Sync {
         Ok(Vec::new())
     }
 
-    /// What to say if the output cannot be written.
-    fn write_error(&self, error: &io::Error) -> Error;
+    /// The file.
+    fn source(&self) -> &Source;
+}
+
+/// A version of a chunk on its way into bytes.
+pub(crate) struct Version<'a> {
+    pub(crate) edited: &'a Edited,
+    pub(crate) normals: Normals,
+    /// No further version is made of the chunk.
+    pub(crate) is_last: bool,
+    /// The bytes, once they are made; whatever they were before.
+    pub(crate) bytes: &'a mut Vec<u8>,
+    /// What other places of the file have to know of it; empty before.
+    pub(crate) summary: &'a mut Summary,
+}
+
+impl<'a> Version<'a> {
+    /// Begins with the bytes `raw` of the chunk, to be patched. They are gone if this is the last version.
+    pub(crate) fn begin_with(&mut self, raw: &mut Vec<u8>) -> &mut Vec<u8> {
+        if self.is_last {
+            std::mem::swap(raw, self.bytes);
+        } else {
+            self.bytes.clone_from(raw);
+        }
+        self.bytes
+    }
 }
 
 /// The pieces of a file that is read.
@@ -274,11 +289,15 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
                 for (version, edited) in edited.iter().enumerate() {
                     edited.check(chunk, self.how.normals)?;
                     let mut buffer = self.queue().spare.pop().unwrap_or_default();
-                    let last = version + 1 == self.versions;
-                    let (normals, mut summary) = (self.how.normals, Summary::default());
-                    if !self.file.encode(chunk, edited, normals, last, &mut buffer, &mut summary)? {
-                        std::mem::swap(&mut buffer, &mut chunk.raw);
-                    }
+                    let mut summary = Summary::default();
+                    let version = Version {
+                        edited,
+                        normals: self.how.normals,
+                        is_last: version + 1 == self.versions,
+                        bytes: &mut buffer,
+                        summary: &mut summary,
+                    };
+                    self.file.encode(chunk, version)?;
                     ready.versions.push(buffer);
                     ready.summaries.push(summary);
                 }
@@ -372,7 +391,7 @@ fn failed_write(file: &impl Rewritable, error: io::Error) -> Error {
     match error.downcast::<Error>() {
         // Our own writers know best what went wrong.
         Ok(error) => error,
-        Err(error) => file.write_error(&error),
+        Err(error) => file.source().write_error(&error),
     }
 }
 

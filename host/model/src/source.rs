@@ -82,6 +82,11 @@ impl Source {
         Error::new(ErrorKind::Format, format!("{}: {what}", self.path.display()), hint)
     }
 
+    /// An error of writing a new version.
+    pub(crate) fn write_error(&self, error: &std::io::Error) -> Error {
+        Error::io("write the new version of", &self.path, error)
+    }
+
     fn changed(&self) -> Error {
         Error::new(
             ErrorKind::Mismatch,

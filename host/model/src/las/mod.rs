@@ -31,9 +31,10 @@ pub(super) use file::LasModel;
 use glam::DVec3;
 use reader::Reader;
 
+use crate::model::NoFaces;
 use crate::{
-    Edit, FaceChunk, FaceReader, Model, ModelInfo, Output, Progress, Result, Rewriting, ScaledIntegers,
-    VertexChunk, VertexReader, pipeline,
+    Edit, FaceReader, Model, ModelInfo, Output, Progress, Result, Rewriting, ScaledIntegers, VertexChunk,
+    VertexReader, pipeline,
 };
 
 /// Whether a file that begins so is LAS.
@@ -98,17 +99,5 @@ impl Model for LasModel {
             ));
         }
         pipeline::rewrite(self, outputs, how, edit, progress)
-    }
-}
-
-/// A cloud's.
-struct NoFaces;
-
-impl FaceReader for NoFaces {
-    fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
-        chunk.triangles.clear();
-        chunk.marks.clear();
-        chunk.bytes = 0;
-        Ok(false)
     }
 }

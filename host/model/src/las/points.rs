@@ -4,18 +4,11 @@ use glam::{DVec3, IVec3};
 
 use super::header::bytes_at;
 use crate::bounds::Bounds;
+use crate::unfit::Unfit;
 use crate::{ScaledIntegers, Summary};
 
 /// Bytes of the integers of a position.
 const BYTES: usize = 12;
-
-/// A vertex whose edited position the file cannot hold.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Unfit {
-    pub vertex: usize,
-    pub axis: usize,
-    pub value: f64,
-}
 
 #[inline(always)]
 fn numbers(record: &[u8]) -> IVec3 {

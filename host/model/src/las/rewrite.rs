@@ -1,18 +1,19 @@
 //! Writing a LAS file anew, with other positions.
 
 use std::collections::VecDeque;
-use std::io;
 use std::ops::Range;
 
 use super::blocks::PLACE;
 use super::file::LasModel;
 use super::header::at;
 use super::laszip::What;
-use super::points::{self, Unfit};
+use super::points;
 use super::reader::Reader;
 use crate::bounds::Bounds;
-use crate::pipeline::{Piece, Pieces, Rewritable};
-use crate::{Edited, Error, ErrorKind, Normals, Result, ScaledIntegers, Summary, VertexChunk};
+use crate::pipeline::{Piece, Pieces, Rewritable, Version};
+use crate::source::Source;
+use crate::unfit::Unfit;
+use crate::{Error, ErrorKind, Normals, Result, ScaledIntegers, Summary, VertexChunk};
 
 /// Bytes that are copied at a time.
 const CHUNK_BYTES: usize = 4 << 20;
@@ -56,32 +57,21 @@ impl Rewritable for LasModel {
         Ok(())
     }
 
-    fn encode(
-        &self,
-        chunk: &mut VertexChunk,
-        edited: &Edited,
-        _normals: Normals,
-        last: bool,
-        buffer: &mut Vec<u8>,
-        summary: &mut Summary,
-    ) -> Result<bool> {
-        let first = chunk.first;
+    fn encode(&self, chunk: &mut VertexChunk, mut version: Version<'_>) -> Result<()> {
+        let (first, edited) = (chunk.first, version.edited);
         let unfit = |unfit| self.unfit(first, unfit);
         let VertexChunk { positions, raw, records, blocks, .. } = chunk;
         let record = self.header.record;
         let grid = (self.written(), self.shift);
         let Some((laszip, _)) = &self.compressed else {
-            let bytes = if last {
-                raw
-            } else {
-                buffer.clone_from(raw);
-                buffer
-            };
-            points::patch(grid, bytes, record, (positions, &edited.positions), summary).map_err(unfit)?;
-            return Ok(!last);
+            version.begin_with(raw);
+            let moved = (&positions[..], &edited.positions[..]);
+            points::patch(grid, version.bytes, record, moved, version.summary).map_err(unfit)?;
+            return Ok(());
         };
+        let Version { is_last, bytes: buffer, summary, .. } = version;
         let mut copy;
-        let records = if last {
+        let records = if is_last {
             records
         } else {
             copy = records.clone();
@@ -108,12 +98,12 @@ impl Rewritable for LasModel {
             }
             summary.lengths.push((buffer.len() - before) as u32);
         }
-        Ok(true)
+        Ok(())
     }
 
     fn make(&self, before: &Summary) -> Result<Vec<u8>> {
         let Some((_, blocks)) = &self.compressed else { return Ok(Vec::new()) };
-        blocks.table(&before.lengths).map_err(|e| self.write_error(&e))
+        blocks.table(&before.lengths).map_err(|e| self.source.write_error(&e))
     }
 
     fn patches(&self, all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
@@ -148,8 +138,8 @@ impl Rewritable for LasModel {
         Ok(patches)
     }
 
-    fn write_error(&self, error: &io::Error) -> Error {
-        Error::io("write the new version of", self.source.path(), error)
+    fn source(&self) -> &Source {
+        &self.source
     }
 }
 
@@ -297,14 +287,11 @@ impl LasModel {
     }
 
     fn unfit(&self, first: u64, unfit: Unfit) -> Error {
-        let (vertex, value) = (first + unfit.vertex as u64, unfit.value);
-        let path = self.source.path().display();
+        let Unfit { vertex, axis, value } = unfit;
         if !value.is_finite() {
-            let what = format!("{path}: the deformation moves vertex {vertex} to {value}");
-            let hint = "check the deformation: its steps have to give finite positions";
-            return Error::new(ErrorKind::Degenerate, what, hint);
+            return unfit.error(&self.source, first);
         }
-        let axis = unfit.axis;
+        let (vertex, path) = (first + vertex as u64, self.source.path().display());
         let range = self.written().range();
         let what = format!(
             "{path}: vertex {vertex} moves to {} = {value}, but with its scale and offset the file holds {} to {} alone",

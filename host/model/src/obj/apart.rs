@@ -4,22 +4,20 @@
 //! A chunk's bytes are those of its vertices. Where normals are written, the positions that go with them are
 //! read once more.
 
-use std::io;
 use std::ops::Range;
 
 use glam::{DVec3, Vec3};
 
 use super::grammar::Obj;
 use super::lines::{Statement, values};
-use crate::pipeline::{Piece, Pieces, Rewritable};
+use crate::pipeline::{Piece, Pieces, Rewritable, Version};
+use crate::source::Source;
 use crate::text::blocks::{BlockReader, Blocks, changed};
 use crate::text::digits::{Digits, Survey};
 use crate::text::lines::{lines, wrong_line};
 use crate::text::model::{Grammar, TextModel, splice_normal};
 use crate::text::{DAMAGED, parse, quoted};
-use crate::{
-    CHUNK_VERTICES, Edited, Error, Model, Normals, Result, Scalar, Summary, VertexChunk, VertexReader,
-};
+use crate::{CHUNK_VERTICES, Error, Model, Normals, Result, Scalar, VertexChunk, VertexReader};
 
 /// Bytes that are copied at once.
 const COPIED: u64 = 4 << 20;
@@ -188,33 +186,26 @@ impl Rewritable for ApartModel {
         self.decode_normals(raw, first, count, normals, spans)
     }
 
-    fn encode(
-        &self,
-        chunk: &mut VertexChunk,
-        edited: &Edited,
-        normals: Normals,
-        last: bool,
-        buffer: &mut Vec<u8>,
-        summary: &mut Summary,
-    ) -> Result<bool> {
+    fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
         if !chunk.of_normals {
-            return self.model.encode(chunk, edited, normals, last, buffer, summary);
+            return self.model.encode(chunk, version);
         }
+        let Version { edited, bytes, .. } = version;
         let VertexChunk { positions, normals, raw, spans, .. } = chunk;
         let mut copied = 0;
-        buffer.clear();
+        bytes.clear();
         let vertices = positions.iter().zip(normals).zip(&edited.normals).zip(spans.chunks_exact(3));
         for (((position, old), new), spans) in vertices {
             if position.is_finite() {
-                splice_normal(raw, spans, (*old, *new), &self.digits, &mut copied, buffer);
+                splice_normal(raw, spans, (*old, *new), &self.digits, &mut copied, bytes);
             }
         }
-        buffer.extend_from_slice(&raw[copied..]);
-        Ok(true)
+        bytes.extend_from_slice(&raw[copied..]);
+        Ok(())
     }
 
-    fn write_error(&self, error: &io::Error) -> Error {
-        self.model.write_error(error)
+    fn source(&self) -> &Source {
+        self.model.source()
     }
 }
 

@@ -3,9 +3,10 @@
 use std::ops::Range;
 
 use super::lines::{Statement, absolute, leading_integer, values};
+use crate::model::NoFaces;
 use crate::text::faces::{FaceLines, LineFaces};
 use crate::text::lines::{Lines, lines};
-use crate::text::model::{Grammar, NoFaces, TextModel};
+use crate::text::model::{Grammar, TextModel};
 use crate::text::{next_word, quoted};
 use crate::{FaceReader, Result};
 

@@ -6,7 +6,6 @@
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
-use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::{DVec3, Vec3};
@@ -15,13 +14,12 @@ use memmap2::Mmap;
 use super::apart::{ApartModel, ApartPieces};
 use super::grammar::Obj;
 use super::lines::{Statement, absolute, leading_integer, values};
-use crate::pipeline::{Pieces, Rewritable};
+use crate::pipeline::{Pieces, Rewritable, Version};
 use crate::scratch::Scratch;
+use crate::source::Source;
 use crate::text::lines::Lines;
 use crate::text::model::{TextModel, splice_normal};
-use crate::{
-    CHUNK_VERTICES, Edited, Error, Model, Normals, Progress, Result, SMALL_CHUNK, Summary, VertexChunk,
-};
+use crate::{CHUNK_VERTICES, Model, Normals, Progress, Result, SMALL_CHUNK, VertexChunk};
 
 /// Least cosine of the angle between a normal at a place and the mean.
 const AGREE: f32 = 0.996_194_7;
@@ -136,38 +134,31 @@ impl Rewritable for SharedNormals<'_> {
         Ok(())
     }
 
-    fn encode(
-        &self,
-        chunk: &mut VertexChunk,
-        edited: &Edited,
-        normals: Normals,
-        last: bool,
-        buffer: &mut Vec<u8>,
-        summary: &mut Summary,
-    ) -> Result<bool> {
+    fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
         if !chunk.of_normals {
-            return Rewritable::encode(self.model, chunk, edited, normals, last, buffer, summary);
+            return Rewritable::encode(self.model, chunk, version);
         }
+        let Version { edited, bytes, .. } = version;
         let VertexChunk { normals, raw, spans, .. } = chunk;
         // Three words for each normal, and then its places.
         let (words, places) = spans.split_at(spans.len() / 4 * 3);
         let (mut copied, mut kept) = (0, 0);
-        buffer.clear();
+        bytes.clear();
         for (words, [start, end]) in words.chunks_exact(3).zip(places) {
             let places = *start as usize..*end as usize;
             let Some(old) = normals.get(places.start).filter(|_| !places.is_empty()) else { continue };
             match mean(*old, &edited.normals[places]) {
-                Some(new) => splice_normal(raw, words, (*old, new), &self.model.digits, &mut copied, buffer),
+                Some(new) => splice_normal(raw, words, (*old, new), &self.model.digits, &mut copied, bytes),
                 None => kept += 1,
             }
         }
-        buffer.extend_from_slice(&raw[copied..]);
+        bytes.extend_from_slice(&raw[copied..]);
         self.kept.fetch_add(kept, Ordering::Relaxed);
-        Ok(true)
+        Ok(())
     }
 
-    fn write_error(&self, error: &io::Error) -> Error {
-        Rewritable::write_error(self.model, error)
+    fn source(&self) -> &Source {
+        Rewritable::source(self.model)
     }
 }
 

@@ -5,8 +5,9 @@
 use glam::{DVec3, Vec3};
 
 use super::layout::{Component, Layout, Slot};
-use super::patch::{Unfit, same_normal};
+use super::patch::same_normal;
 use crate::text::{drop_word, next_word, parse, quoted, round, write_number};
+use crate::unfit::Unfit;
 use crate::{Edited, VertexChunk};
 
 /// Goes over the record that `bytes` begin with (after whitespace, which is part of it): notes where its
@@ -103,7 +104,7 @@ pub(super) fn splice(
                 let (old, new) = (positions[vertex][c], edited.positions[vertex][c]);
                 let value = round(scalar, new);
                 if !value.is_finite() {
-                    return Err(Unfit { vertex, value: new });
+                    return Err(Unfit { vertex, axis: c, value: new });
                 }
                 (value.to_bits() != old.to_bits()).then_some(value)
             } else {

@@ -6,8 +6,9 @@ use glam::{DVec3, Vec3};
 
 use super::header::Encoding;
 use super::layout::{Layout, Slot};
-use super::patch::{Rest, Unfit, same_normal};
+use super::patch::{Rest, same_normal};
 use crate::Type;
+use crate::unfit::Unfit;
 use crate::{Edited, Scalar, VertexChunk};
 
 /// How a floating-point number lies in the file.
@@ -217,7 +218,7 @@ fn patch_positions<C: Codec>(
                 codecs[c].put(raw, at[c], new);
                 // Also where a finite number is too large for the type that the file keeps it in.
                 if !codecs[c].get(raw, at[c]).is_finite() {
-                    return Err(Unfit { vertex, value: new });
+                    return Err(Unfit { vertex, axis: c, value: new });
                 }
             }
         }

@@ -2,13 +2,6 @@
 
 use glam::{DVec3, Vec3};
 
-/// A vertex of a chunk whose edited position the file cannot hold.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Unfit {
-    pub(super) vertex: usize,
-    pub(super) value: f64,
-}
-
 /// A chunk of a binary file but for its bytes, as they were read.
 #[derive(Clone, Copy)]
 pub(super) struct Rest<'a> {

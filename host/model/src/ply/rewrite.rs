@@ -1,15 +1,14 @@
 //! Writing a model's file anew, with other positions and normals, or without normals.
 
-use std::io;
-
 use super::file::PlyModel;
 use super::header::{DAMAGED, Encoding};
-use super::patch::{Rest, Unfit};
+use super::patch::Rest;
 use super::reader::{CHUNK_BYTES, Reader};
 use super::walk::{CUT_OFF, Walker};
 use super::{ascii, binary};
-use crate::pipeline::{Piece, Pieces, Rewritable};
-use crate::{Edited, Error, ErrorKind, Normals, Result, Summary, VertexChunk};
+use crate::pipeline::{Piece, Pieces, Rewritable, Version};
+use crate::source::Source;
+use crate::{Normals, Result, VertexChunk};
 
 impl Rewritable for PlyModel {
     fn pieces(&self, normals: Normals) -> Result<Box<dyn Pieces + '_>> {
@@ -26,40 +25,27 @@ impl Rewritable for PlyModel {
         PlyModel::decode(self, chunk)
     }
 
-    fn encode(
-        &self,
-        chunk: &mut VertexChunk,
-        edited: &Edited,
-        normals: Normals,
-        last: bool,
-        buffer: &mut Vec<u8>,
-        _summary: &mut Summary,
-    ) -> Result<bool> {
-        let first = chunk.first;
-        let drop_normals = normals == Normals::Drop && self.layout.has_normals();
+    fn encode(&self, chunk: &mut VertexChunk, mut version: Version<'_>) -> Result<()> {
+        let (first, edited) = (chunk.first, version.edited);
+        let drop_normals = version.normals == Normals::Drop && self.layout.has_normals();
         if self.header.encoding == Encoding::Ascii {
-            buffer.clear();
-            ascii::splice(&self.layout, chunk, edited, drop_normals, buffer)
-                .map_err(|e| self.unfit(first, e))?;
-            return Ok(true);
+            version.bytes.clear();
+            return ascii::splice(&self.layout, chunk, edited, drop_normals, version.bytes)
+                .map_err(|unfit| unfit.in_floats(&self.source, first));
         }
         let VertexChunk { positions, normals, raw, spans, .. } = chunk;
         let rest = Rest { positions, normals, spans };
-        let bytes = if last {
-            raw
-        } else {
-            buffer.clone_from(raw);
-            buffer
-        };
-        binary::patch(&self.layout, rest, edited, bytes).map_err(|e| self.unfit(first, e))?;
+        let bytes = version.begin_with(raw);
+        binary::patch(&self.layout, rest, edited, bytes)
+            .map_err(|unfit| unfit.in_floats(&self.source, first))?;
         if drop_normals {
             binary::cut_normals(&self.layout, spans, bytes);
         }
-        Ok(!last)
+        Ok(())
     }
 
-    fn write_error(&self, error: &io::Error) -> Error {
-        Error::io("write the new version of", self.source.path(), error)
+    fn source(&self) -> &Source {
+        &self.source
     }
 }
 
@@ -122,26 +108,5 @@ impl PlyModel {
         spans.clear();
         raw.clear();
         Ok(self.source.append_at(raw, at, count)? as u64)
-    }
-
-    fn unfit(&self, first: u64, unfit: Unfit) -> Error {
-        let (vertex, value) = (first + unfit.vertex as u64, unfit.value);
-        let path = self.source.path().display();
-        if value.is_finite() {
-            let what =
-                format!("{path}: vertex {vertex} moves to {value:e}, too far for the type float of the file");
-            Error::new(
-                ErrorKind::Degenerate,
-                what,
-                "move it less, or export the model with positions of type double",
-            )
-        } else {
-            let what = format!("{path}: the deformation moves vertex {vertex} to {value}");
-            Error::new(
-                ErrorKind::Degenerate,
-                what,
-                "check the deformation: its steps have to give finite positions",
-            )
-        }
     }
 }

@@ -9,8 +9,9 @@ use crate::source::Source;
 use crate::text::blocks::{Blocks, Builder, GAP, too_far};
 use crate::text::digits::Digits;
 use crate::text::lines::{Lines, lines, wrong_line};
-use crate::text::model::{Grammar, TextModel, Unfit, info};
+use crate::text::model::{Grammar, TextModel, info};
 use crate::text::{CUT_OFF, DAMAGED, is_space, next_word, parse, quoted};
+use crate::unfit::Unfit;
 use crate::{Edited, FaceReader, Model, ModelInfo, Result, Scalar, VertexChunk};
 
 /// Whether a file begins as text: with `solid`, and without anything that is none.
@@ -155,8 +156,8 @@ impl Grammar for Stl {
             for i in 0..3 {
                 if rest[i].is_finite() {
                     corners[i] = moved[i];
-                    if let Some(value) = moved[i].to_array().into_iter().find(|v| !v.is_finite()) {
-                        return Err(Unfit { vertex: vertex + i, value });
+                    if let Some(axis) = (0..3).find(|axis| !moved[i][*axis].is_finite()) {
+                        return Err(Unfit { vertex: vertex + i, axis, value: moved[i][axis] });
                     }
                 }
             }

@@ -1,19 +1,19 @@
 //! Binary STL: 80 bytes of anything, the number of facets, and 50 bytes for each: normal, three corners, all
 //! of 32-bit floats, and two bytes of anything.
 
-use std::io;
 use std::ops::Range;
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
 
 use super::facets::{FACET, Facets, START, normal};
-use crate::pipeline::{self, Piece, Pieces, Rewritable};
+use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
 use crate::source::Source;
 use crate::text::CUT_OFF;
+use crate::unfit::Unfit;
 use crate::{
-    CHUNK_VERTICES, Edit, Edited, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress,
-    Result, Rewriting, Scalar, Summary, VertexChunk, VertexReader,
+    CHUNK_VERTICES, Edit, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, Scalar,
+    VertexChunk, VertexReader,
 };
 
 /// Most facets of a chunk.
@@ -200,22 +200,10 @@ impl Rewritable for BinaryStl {
         Ok(())
     }
 
-    fn encode(
-        &self,
-        chunk: &mut VertexChunk,
-        edited: &Edited,
-        _normals: Normals,
-        last: bool,
-        buffer: &mut Vec<u8>,
-        _summary: &mut Summary,
-    ) -> Result<bool> {
+    fn encode(&self, chunk: &mut VertexChunk, mut version: Version<'_>) -> Result<()> {
+        let edited = version.edited;
         let VertexChunk { positions, raw, first, .. } = chunk;
-        let bytes = if last {
-            raw
-        } else {
-            buffer.clone_from(raw);
-            buffer
-        };
+        let bytes = version.begin_with(raw);
         let rest = positions.chunks_exact(3);
         let facets = bytes.chunks_exact_mut(FACET as usize);
         for (facet, ((bytes, old), new)) in facets.zip(rest).zip(edited.positions.chunks_exact(3)).enumerate()
@@ -227,8 +215,9 @@ impl Rewritable for BinaryStl {
                 if same || !old.is_finite() {
                     continue;
                 }
-                if !rounded.is_finite() {
-                    return Err(self.unfit(*first + (3 * facet + i) as u64, new));
+                if let Some(axis) = (0..3).find(|axis| !rounded[*axis].is_finite()) {
+                    let unfit = Unfit { vertex: 3 * facet + i, axis, value: new[axis] };
+                    return Err(unfit.in_floats(&self.source, *first));
                 }
                 put(&mut bytes[corner(i)], rounded);
                 moved = true;
@@ -240,25 +229,11 @@ impl Rewritable for BinaryStl {
                 }
             }
         }
-        Ok(!last)
+        Ok(())
     }
 
-    fn write_error(&self, error: &io::Error) -> Error {
-        Error::io("write the new version of", self.source.path(), error)
-    }
-}
-
-impl BinaryStl {
-    fn unfit(&self, vertex: u64, to: DVec3) -> Error {
-        let path = self.source.path().display();
-        let (what, hint) = if to.is_finite() {
-            let what = format!("{path}: vertex {vertex} moves to {to}, too far for the floats of STL");
-            (what, "move it less, or export the model in another format with positions of type double")
-        } else {
-            let what = format!("{path}: the deformation moves vertex {vertex} to {to}");
-            (what, "check the deformation: its steps have to give finite positions")
-        };
-        Error::new(ErrorKind::Degenerate, what, hint)
+    fn source(&self) -> &Source {
+        &self.source
     }
 }
 

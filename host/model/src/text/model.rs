@@ -1,6 +1,5 @@
 //! Models whose vertices are lines of text: decoding a chunk, and putting edited numbers in their places.
 
-use std::io;
 use std::ops::Range;
 use std::path::Path;
 
@@ -10,11 +9,13 @@ use super::blocks::{BlockPiece, BlockPieces, BlockReader, Blocks, changed};
 use super::digits::{Digits, Survey};
 use super::lines::{line_end, lines, wrong_line};
 use super::{DAMAGED, parse, quoted};
-use crate::pipeline::{self, Piece, Pieces, Rewritable};
+use crate::model::NoFaces;
+use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
 use crate::source::Source;
+use crate::unfit::Unfit;
 use crate::{
-    CHUNK_VERTICES, Edit, Edited, Error, ErrorKind, FaceChunk, FaceReader, Model, ModelInfo, Normals, Output,
-    Progress, Result, Rewriting, Scalar, Summary, VertexChunk, VertexReader,
+    CHUNK_VERTICES, Edit, Edited, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress,
+    Result, Rewriting, Scalar, VertexChunk, VertexReader,
 };
 
 /// What a text format knows of its lines, among those between the first and the last vertex.
@@ -107,23 +108,6 @@ pub(crate) struct TextModel<G> {
     /// Of positions and of normals.
     pub(crate) digits: [Digits; 2],
     pub(crate) info: ModelInfo,
-}
-
-/// A vertex that is moved to where no number can say.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Unfit {
-    pub(crate) vertex: usize,
-    pub(crate) value: f64,
-}
-
-/// A model without faces.
-pub(crate) struct NoFaces;
-
-impl FaceReader for NoFaces {
-    fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
-        *chunk = FaceChunk::default();
-        Ok(false)
-    }
 }
 
 /// What is known of a text file, but for its vertices.
@@ -247,16 +231,6 @@ impl<G: Grammar> TextModel<G> {
         }))
     }
 
-    /// What is wrong where a vertex cannot be moved.
-    pub(crate) fn unfit(&self, first: u64, unfit: Unfit) -> Error {
-        let (vertex, value) = (first + unfit.vertex as u64, unfit.value);
-        Error::new(
-            ErrorKind::Degenerate,
-            format!("{}: the deformation moves vertex {vertex} to {value}", self.source.path().display()),
-            "check the deformation: its steps have to give finite positions",
-        )
-    }
-
     /// An error where normals cannot be left out.
     pub(crate) fn check_normals(&self, normals: Normals) -> Result<()> {
         if normals == Normals::Drop && self.info.has_normals {
@@ -323,7 +297,7 @@ pub(crate) fn splice(
             if c < 3 {
                 let (old, new) = (positions[vertex][c], edited.positions[vertex][c]);
                 if !new.is_finite() {
-                    return Err(Unfit { vertex, value: new });
+                    return Err(Unfit { vertex, axis: c, value: new });
                 }
                 if new.to_bits() != old.to_bits() {
                     words.push((start, end, 0, new));
@@ -455,24 +429,14 @@ impl<G: Grammar> Rewritable for TextModel<G> {
         TextModel::decode(self, chunk, vertices)
     }
 
-    fn encode(
-        &self,
-        chunk: &mut VertexChunk,
-        edited: &Edited,
-        _normals: Normals,
-        _last: bool,
-        buffer: &mut Vec<u8>,
-        _summary: &mut Summary,
-    ) -> Result<bool> {
-        buffer.clear();
-        self.grammar
-            .encode(chunk, edited, &self.digits, buffer)
-            .map_err(|unfit| self.unfit(chunk.first, unfit))?;
-        Ok(true)
+    fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
+        version.bytes.clear();
+        let unfit = |unfit: Unfit| unfit.error(&self.source, chunk.first);
+        self.grammar.encode(chunk, version.edited, &self.digits, version.bytes).map_err(unfit)
     }
 
-    fn write_error(&self, error: &io::Error) -> Error {
-        Error::io("write the new version of", self.source.path(), error)
+    fn source(&self) -> &Source {
+        &self.source
     }
 }
 

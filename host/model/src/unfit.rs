@@ -1,0 +1,38 @@
+//! Vertices whose edited position a file cannot hold.
+
+use crate::source::Source;
+use crate::{Error, ErrorKind};
+
+/// A coordinate that the file cannot hold.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Unfit {
+    /// Whose it is, counted from the first of the chunk.
+    pub(crate) vertex: usize,
+    pub(crate) axis: usize,
+    pub(crate) value: f64,
+}
+
+impl Unfit {
+    /// What is wrong where each finite number could be held; `first` is the first vertex of the chunk.
+    pub(crate) fn error(&self, source: &Source, first: u64) -> Error {
+        let (vertex, value, path) = (first + self.vertex as u64, self.value, source.path().display());
+        Error::new(
+            ErrorKind::Degenerate,
+            format!("{path}: the deformation moves vertex {vertex} to {value}"),
+            "check the deformation: its steps have to give finite positions",
+        )
+    }
+
+    /// What is wrong where the file keeps floats.
+    pub(crate) fn in_floats(&self, source: &Source, first: u64) -> Error {
+        let (vertex, value, path) = (first + self.vertex as u64, self.value, source.path().display());
+        if !value.is_finite() {
+            return self.error(source, first);
+        }
+        Error::new(
+            ErrorKind::Degenerate,
+            format!("{path}: vertex {vertex} moves to {value:e}, too far for the type float of the file"),
+            "move it less, or export the model with positions of type double",
+        )
+    }
+}
