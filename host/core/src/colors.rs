@@ -65,10 +65,10 @@ impl Bytes {
     /// # Errors
     /// In a text format, something is no number.
     pub fn decode(&self, model: &dyn Model, chunk: &VertexChunk, to: &mut Vec<[u8; 3]>) -> Result<()> {
-        let mut lists = vec![Vec::new(); self.colors.count()];
-        model.attributes(chunk, &mut lists)?;
+        let mut lists = [const { Vec::new() }; 3];
+        model.some_attributes(chunk, &self.colors.places, &mut lists)?;
         to.clear();
-        let color = |i: usize| self.colors.places.map(|place| self.scale.byte(lists[place][i]));
+        let color = |i: usize| [0, 1, 2].map(|part: usize| self.scale.byte(lists[part][i]));
         to.extend((0..chunk.len()).map(color));
         Ok(())
     }

@@ -63,6 +63,11 @@ impl ColorScale {
         }
     }
 
+    /// The number of full light.
+    pub fn full(self) -> f64 {
+        self.0
+    }
+
     /// A number as a byte, in the transfer curve that it has (sRGB as a rule); nothing where it is none.
     #[inline]
     pub fn byte(self, number: f64) -> u8 {

@@ -15,6 +15,7 @@ pub mod bounds;
 pub mod claim;
 mod colors;
 mod columns;
+mod convert;
 mod error;
 mod fan;
 mod formats;
@@ -48,6 +49,7 @@ mod uncached;
 mod unfit;
 
 pub use colors::{ColorScale, Colors};
+pub use convert::{Conversion, Converted};
 pub use error::{Error, ErrorKind, Result};
 pub use formats::{is_model, is_named_otherwise, open, open_with_columns};
 pub use in_step::{Vertices, in_step};
