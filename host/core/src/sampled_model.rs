@@ -689,6 +689,12 @@ impl SampledModel {
         Ok(self.attributes.get_or_init(|| Arc::new(found)))
     }
 
+    /// Those attributes that are known without reading the model: those that were asked for, or that the folder
+    /// keeps.
+    pub fn known_attributes(&self) -> Option<Arc<Attributes>> {
+        self.attributes.get().cloned().or_else(|| self.kept_attributes().map(Arc::new))
+    }
+
     /// The attributes in the folder, if their file is there, whole, and of these samples.
     fn kept_attributes(&self) -> Option<Attributes> {
         let (folder, samples) = self.folder.as_ref()?;

@@ -56,11 +56,16 @@ impl ColorScale {
     /// number tells.
     pub fn of(kind: Type, most: f64) -> Self {
         match kind {
-            Type::U8 | Type::I8 => Self(255.0),
+            kind if Self::is_fixed(kind) => Self(255.0),
             _ if kind.is_float() && most <= 1.0 => Self(1.0),
             _ if most <= 255.0 => Self(255.0),
             _ => Self(65535.0),
         }
+    }
+
+    /// Whether numbers of a type mean the same everywhere.
+    pub fn is_fixed(kind: Type) -> bool {
+        matches!(kind, Type::U8 | Type::I8)
     }
 
     /// A number as a byte, in the transfer curve that it has (sRGB as a rule); nothing where it is none.
