@@ -425,6 +425,7 @@ impl Work<'_, '_> {
             frame: sampled.frame,
             cubes: sampled.cubes(),
             with_ids: has_triangles,
+            attributes: 0,
         };
         self.tell_scattered(&gathering, &cells);
         let mut noted = self.guides.map(|_| Noted::new(self.folder)).transpose()?;

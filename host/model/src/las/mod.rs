@@ -69,9 +69,6 @@ impl Model for LasModel {
                 .map_or(String::new(), |crs| format!(", the coordinate reference system {crs} among them"));
             besides.push(format!("{others} variable length records{crs}"));
         }
-        if self.records.of_copc().next().is_some() {
-            besides.push("the octree of COPC".to_owned());
-        }
         if matches!(self.header.format, 4 | 5 | 9 | 10) {
             besides.push("waveforms".to_owned());
         }
