@@ -65,7 +65,7 @@ impl ColorScale {
 
     /// The number of full light.
     pub fn full(self) -> f64 {
-        self.0
+        f64::from(self.0)
     }
 
     /// Whether numbers of a type mean the same everywhere.

@@ -14,6 +14,7 @@ use std::thread;
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
+use crate::las::LasModel;
 use crate::{Error, ErrorKind, Progress, Result, ScaledIntegers, Summary, Type};
 
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
@@ -495,6 +496,12 @@ pub trait Model: Send + Sync {
     /// The file cannot be read.
     fn besides(&self) -> Result<Vec<String>> {
         Ok(Vec::new())
+    }
+
+    /// The model, if its points are records of LAS.
+    #[doc(hidden)]
+    fn as_las(&self) -> Option<&LasModel> {
+        None
     }
 
     /// Bytes of what is [written](Self::rewrite), about.

@@ -3,6 +3,7 @@
 mod bind;
 mod cancel;
 mod compare;
+mod convert;
 mod diagnostics;
 mod errors;
 mod examples;
@@ -11,6 +12,7 @@ mod formats;
 mod las;
 mod main_job;
 mod place;
+mod programs;
 mod refine;
 mod reliability;
 mod resume;

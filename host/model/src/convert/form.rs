@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use glam::{DVec3, Vec3};
 
-use crate::{Error, ErrorKind, Model, ModelInfo, Result, ScaledIntegers, Summary, Type};
+use crate::{Error, ErrorKind, Model, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk};
 
 /// What is asked of a conversion.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -67,6 +67,8 @@ pub(crate) struct Rows<'a> {
     pub(crate) normals: &'a [Vec3],
     /// The first attributes of the model, as many as the form [asks for](Form::attributes).
     pub(crate) attributes: &'a [Vec<f64>],
+    /// As they were read.
+    pub(crate) chunk: &'a VertexChunk,
 }
 
 impl Rows<'_> {

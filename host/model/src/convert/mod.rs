@@ -23,6 +23,7 @@ pub(crate) use form::{Content, Form, Rows, attribute_loss, put_numbers};
 
 use crate::formats::extension;
 use crate::las::form::LasForm;
+use crate::las::same_records::SameRecords;
 use crate::output::OutputFile;
 use crate::source::Source;
 use crate::target::folder_of;
@@ -46,6 +47,8 @@ pub struct Converted {
     how: Conversion,
     triangles: u64,
     folder: std::path::PathBuf,
+    /// The records of points stay what they are, as from LAS to LAZ.
+    keeps_records: bool,
     losses: Vec<String>,
     bytes: u64,
 }
@@ -83,6 +86,8 @@ impl Converted {
         let faces = count_faces(&*model, progress)?;
         let polygons = model.info().faces;
         let info = model.info().clone();
+        let is_las = matches!(extension, "las" | "laz") && model.as_las().is_some();
+        let keeps_records = is_las && how.step.is_none() && how.offset.is_none();
         let mut converted = Self {
             source: Source::open(model.path())?,
             model,
@@ -91,10 +96,11 @@ impl Converted {
             how,
             triangles: faces.triangles,
             folder: folder_of(target).to_owned(),
+            keeps_records,
             losses: Vec::new(),
             bytes: 0,
         };
-        let mut losses = converted.model.besides()?;
+        let mut losses = if keeps_records { Vec::new() } else { converted.model.besides()? };
         if faces.without_vertex > 0 {
             losses.push(format!("{} triangles that refer to no vertex", faces.without_vertex));
         }
@@ -102,9 +108,12 @@ impl Converted {
         if form.has_faces() && polygons != faces.triangles + faces.without_vertex {
             losses.push(format!("which of the {} triangles are one of {polygons} faces", faces.triangles));
         }
-        converted.bytes = form.bytes();
-        converted.info.integers = None;
-        converted.info.written = form.integers();
+        let (bytes, written) = (form.bytes(), form.integers());
+        drop(form);
+        (converted.bytes, converted.info.written) = (bytes, written);
+        if !keeps_records {
+            converted.info.integers = None;
+        }
         if extension == "stl" {
             converted.info.position_type = Scalar::F32;
         }
@@ -147,7 +156,7 @@ impl Converted {
         file.commit()
     }
 
-    fn form(&self, drops_normals: bool, losses: &mut Vec<String>) -> Result<Box<dyn Form>> {
+    fn form(&self, drops_normals: bool, losses: &mut Vec<String>) -> Result<Box<dyn Form + '_>> {
         use records::Kind::{Pcd, Ply};
         use text::Kind::{Named, Obj, Off, Plain};
         let content = Content {
@@ -160,6 +169,9 @@ impl Converted {
         let records = |kind, losses: &mut _| records::Records::new(kind, &content, losses);
         let lines = |kind, losses: &mut _| text::Lines::new(kind, &content, losses);
         let plain = |with_normals, with_colors| Plain { with_normals, with_colors };
+        if let Some(las) = self.model.as_las().filter(|_| self.keeps_records) {
+            return Ok(Box::new(SameRecords::new(las, self.extension == "laz")?));
+        }
         Ok(match self.extension {
             "pcd" => Box::new(records(Pcd, losses)?),
             "las" | "laz" => Box::new(LasForm::new(self.extension == "laz", &content, losses)?),
@@ -237,6 +249,19 @@ impl Model for Converted {
 
     fn check_complete(&self, progress: &dyn Progress) -> Result<()> {
         self.model.check_complete(progress)
+    }
+
+    fn move_offset(&mut self, steps: [i64; 3]) -> Result<()> {
+        if !self.keeps_records {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("{} is not written with the offset of the model", self.path().display()),
+                "leave out --offset auto",
+            ));
+        }
+        self.model.move_offset(steps)?;
+        self.info.written = self.model.info().written;
+        Ok(())
     }
 
     fn written_bytes(&self) -> u64 {

@@ -168,6 +168,7 @@ impl Rewritable for Work<'_> {
                 positions: if positions.is_empty() { &edited.positions } else { &positions },
                 normals: if normals == Normals::Transform { &edited.normals } else { &chunk.normals },
                 attributes: &attributes,
+                chunk,
             };
             let moved = |i: usize| {
                 let (was, is) = (chunk.positions[i], rows.positions[i]);

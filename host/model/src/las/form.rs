@@ -15,13 +15,16 @@ use crate::{
 };
 
 /// Points of a compressed block: as LASzip has it.
-const BLOCK: u32 = 50_000;
+pub(super) const BLOCK: u32 = 50_000;
 
 /// Numbers of a summary for each piece: points, bytes, and points by their return, up to the fifteenth.
-const TALLIES: usize = 17;
+pub(super) const TALLIES: usize = 17;
 
 /// Most bytes of a VLR's content.
 const LONGEST: usize = u16::MAX as usize;
+
+/// Whose VLR says how points are compressed, and its number.
+pub(super) const LASZIP: (&[u8], u16) = (b"laszip encoded", 22204);
 
 /// Where a number goes.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -241,21 +244,11 @@ impl LasForm {
     }
 
     fn vlrs(&self) -> Vec<u8> {
-        let mut all = Vec::new();
-        let mut add = |user: &[u8], id: u16, content: &[u8]| {
-            let start = all.len();
-            all.resize(start + 54, 0);
-            all[start + 2..start + 2 + user.len()].copy_from_slice(user);
-            all[start + 18..start + 20].copy_from_slice(&id.to_le_bytes());
-            all[start + 20..start + 22].copy_from_slice(&(content.len() as u16).to_le_bytes());
-            all.extend_from_slice(content);
-        };
         // First, so that it is known where.
-        if let Some((_, vlr)) = &self.laszip {
-            add(b"laszip encoded", 22204, vlr);
-        }
+        let mut all =
+            self.laszip.as_ref().map_or(Vec::new(), |(_, content)| vlr(LASZIP.0, LASZIP.1, content));
         if !self.extra.is_empty() {
-            add(b"LASF_Spec", 4, &self.extra);
+            all.extend(vlr(b"LASF_Spec", 4, &self.extra));
         }
         all
     }
@@ -340,17 +333,62 @@ impl LasForm {
         );
         rows.unfit(i, &why).hinting("give a larger --step, or another --origin, or write PLY")
     }
+}
 
-    /// What is known of each piece.
-    fn pieces(all: &Summary) -> impl Iterator<Item = &[u32; TALLIES]> {
-        all.lengths.as_chunks().0.iter()
-    }
+/// What is known of each piece.
+fn pieces(all: &Summary) -> impl Iterator<Item = &[u32; TALLIES]> {
+    all.lengths.as_chunks().0.iter()
+}
 
-    /// Whether all compressed blocks but the last have as many points as usual.
-    fn is_fixed(all: &Summary) -> bool {
-        let count = Self::pieces(all).count();
-        Self::pieces(all).take(count.saturating_sub(1)).all(|piece| piece[0] == BLOCK)
+/// Bytes of all pieces.
+pub(super) fn bytes_of(all: &Summary) -> u64 {
+    pieces(all).map(|piece| u64::from(piece[1])).sum()
+}
+
+/// Whether all compressed blocks but the last have as many points as usual.
+pub(super) fn is_fixed(all: &Summary) -> bool {
+    let count = pieces(all).count();
+    pieces(all).take(count.saturating_sub(1)).all(|piece| piece[0] == BLOCK)
+}
+
+/// The table of compressed blocks.
+pub(super) fn table(all: &Summary) -> Result<Vec<u8>> {
+    let entry = |piece: &[u32; TALLIES]| ChunkTableEntry {
+        point_count: piece[0].into(),
+        byte_count: piece[1].into(),
+    };
+    let entries: Vec<_> = pieces(all).map(entry).collect();
+    table_of(&entries, !is_fixed(all))
+        .map_err(|e| Error::internal(format!("the table of blocks cannot be made: {e}"), "report this"))
+}
+
+/// Compresses records in their place.
+pub(super) fn compress(laszip: &Laszip, records: &mut Vec<u8>) -> Result<()> {
+    let block = laszip.compress(records);
+    *records =
+        block.map_err(|e| Error::internal(format!("points cannot be compressed: {e}"), "report this"))?;
+    Ok(())
+}
+
+/// What is replaced in the end of a file whose first VLR, at this byte, says how points are compressed: where the
+/// table is, which `start` says that the points begin with; and that blocks differ in size, if they do.
+pub(super) fn laszip_patches(vlr: u64, start: u64, all: &Summary) -> Vec<(u64, Vec<u8>)> {
+    let mut patches = vec![(start, (start + 8 + bytes_of(all)).to_le_bytes().to_vec())];
+    if !is_fixed(all) {
+        // Behind compressor, coder, version and options.
+        patches.push((vlr + 54 + 12, u32::MAX.to_le_bytes().to_vec()));
     }
+    patches
+}
+
+/// A VLR.
+pub(super) fn vlr(user: &[u8], id: u16, content: &[u8]) -> Vec<u8> {
+    let mut all = vec![0; 54];
+    all[2..2 + user.len()].copy_from_slice(user);
+    all[18..20].copy_from_slice(&id.to_le_bytes());
+    all[20..22].copy_from_slice(&(content.len() as u16).to_le_bytes());
+    all.extend_from_slice(content);
+    all
 }
 
 impl Form for LasForm {
@@ -412,9 +450,7 @@ impl Form for LasForm {
             }
         }
         if let Some((laszip, _)) = &self.laszip {
-            let block = laszip.compress(to);
-            *to = block
-                .map_err(|e| Error::internal(format!("points cannot be compressed: {e}"), "report this"))?;
+            compress(laszip, to)?;
         }
         tallies[1] = to.len() as u32;
         summary.lengths.extend_from_slice(&tallies);
@@ -422,23 +458,13 @@ impl Form for LasForm {
     }
 
     fn tail(&self, all: &Summary) -> Result<Vec<u8>> {
-        if !self.is_compressed {
-            return Ok(Vec::new());
-        }
-        let entry = |piece: &[u32; TALLIES]| ChunkTableEntry {
-            point_count: piece[0].into(),
-            byte_count: piece[1].into(),
-        };
-        let entries: Vec<_> = Self::pieces(all).map(entry).collect();
-        table_of(&entries, !Self::is_fixed(all))
-            .map_err(|e| Error::internal(format!("the table of blocks cannot be made: {e}"), "report this"))
+        if self.is_compressed { table(all) } else { Ok(Vec::new()) }
     }
 
     fn patches(&self, all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
         let mut patches = Vec::new();
-        let (mut bytes, mut returns) = (0u64, [0u64; TALLIES - 2]);
-        for piece in Self::pieces(all) {
-            bytes += u64::from(piece[1]);
+        let mut returns = [0u64; TALLIES - 2];
+        for piece in pieces(all) {
             returns.iter_mut().zip(&piece[2..]).for_each(|(sum, n)| *sum += u64::from(*n));
         }
         if !all.after.is_empty() {
@@ -455,12 +481,7 @@ impl Form for LasForm {
             patches.push((255, returns.iter().flat_map(|n| n.to_le_bytes()).collect()));
         }
         if self.is_compressed {
-            let start = self.start();
-            patches.push((start, (start + 8 + bytes).to_le_bytes().to_vec()));
-            if !Self::is_fixed(all) {
-                // Behind compressor, coder, version and options of the first VLR.
-                patches.push((self.header_len() as u64 + 54 + 12, u32::MAX.to_le_bytes().to_vec()));
-            }
+            patches.extend(laszip_patches(self.header_len() as u64, self.start(), all));
         }
         Ok(patches)
     }

@@ -12,7 +12,8 @@
 //! | `points` | positions in and out of records; `attributes` the other numbers |
 //! | `laszip` | a block of compressed points, in and out; `blocks` where they are |
 //! | `reader` | chunks of vertices from anywhere in the file |
-//! | `rewrite` | the whole file anew; `form` one made of another format |
+//! | `rewrite` | the whole file anew; `form` one made of another format, and
+//! | | `same_records` the same points compressed, or not |
 
 mod attributes;
 mod blocks;
@@ -23,6 +24,7 @@ mod laszip;
 mod points;
 mod reader;
 mod rewrite;
+pub(crate) mod same_records;
 mod vlrs;
 
 use std::ops::Range;
@@ -55,6 +57,10 @@ impl Model for LasModel {
 
     fn extensions(&self) -> &'static [&'static str] {
         if self.compressed.is_some() { &["laz"] } else { &["las"] }
+    }
+
+    fn as_las(&self) -> Option<&Self> {
+        Some(self)
     }
 
     fn besides(&self) -> Result<Vec<String>> {
