@@ -18,6 +18,7 @@ mod columns;
 mod convert;
 mod error;
 mod fan;
+mod form;
 mod formats;
 pub mod frame;
 pub mod histogram;
@@ -49,8 +50,9 @@ mod uncached;
 mod unfit;
 
 pub use colors::{ColorScale, Colors};
-pub use convert::{Conversion, Converted};
+pub use convert::Converted;
 pub use error::{Error, ErrorKind, Result};
+pub use form::Conversion;
 pub use formats::{is_model, is_named_otherwise, open, open_with_columns};
 pub use in_step::{Vertices, in_step};
 pub use model::{

@@ -5,6 +5,7 @@
 //! [`CHUNK_TRIANGLES`] triangles, and [`Model::rewrite`] one for each thread, with up to [`MAX_VERSIONS`] new
 //! versions, and the bytes of a few more.
 
+use std::any::Any;
 use std::io::{self, Write};
 use std::ops::Range;
 use std::path::Path;
@@ -14,7 +15,6 @@ use std::thread;
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-use crate::las::LasModel;
 use crate::{Error, ErrorKind, Progress, Result, ScaledIntegers, Summary, Type};
 
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
@@ -498,9 +498,8 @@ pub trait Model: Send + Sync {
         Ok(Vec::new())
     }
 
-    /// The model, if its points are records of LAS.
-    #[doc(hidden)]
-    fn as_las(&self) -> Option<&LasModel> {
+    /// The model as whatever it is, for conversions that keep more than is given here.
+    fn as_any(&self) -> Option<&dyn Any> {
         None
     }
 

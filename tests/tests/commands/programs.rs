@@ -172,7 +172,9 @@ fn ids_tell_which_sample_is_which() {
     work.simod(&format!("{RECONSTRUCT} expected.ply"));
     let expected = work.read("expected.ply");
     records.shuffle();
-    for (kind, name) in [("uint", "id"), ("int", "id"), ("float", "id"), ("double", "id"), ("float", "scalar_id")] {
+    for (kind, name) in
+        [("uint", "id"), ("int", "id"), ("float", "id"), ("double", "id"), ("float", "scalar_id")]
+    {
         work.write("deformed.ply", records.bytes(kind, name));
         work.simod(&format!("{RECONSTRUCT} out.ply"));
         assert!(work.read("out.ply") == expected, "{kind} {name}");

@@ -5,11 +5,9 @@
 //!
 //! | module | |
 //! |---|---|
-//! | `form` | what writes a format |
-//! | `records` | PLY and PCD; `text` OBJ, OFF and columns; `stl`; LAS is in its [folder](crate::las) |
+//! | `records` | PLY and PCD; `text` OBJ, OFF and columns; `stl`; LAS is in its [folder](crate::las); each is a [form](crate::form) |
 //! | `work` | the stream from one to the other, for the [pipeline](crate::pipeline) |
 
-mod form;
 mod records;
 mod stl;
 mod text;
@@ -18,10 +16,9 @@ mod work;
 use std::ops::Range;
 use std::path::Path;
 
-pub use form::Conversion;
-pub(crate) use form::{Content, Form, Rows, attribute_loss, put_numbers};
-
+use crate::form::{Content, Conversion, Form, is_of_vertices};
 use crate::formats::extension;
+use crate::las::LasModel;
 use crate::las::form::LasForm;
 use crate::las::same_records::SameRecords;
 use crate::output::OutputFile;
@@ -86,7 +83,7 @@ impl Converted {
         let faces = count_faces(&*model, progress)?;
         let polygons = model.info().faces;
         let info = model.info().clone();
-        let is_las = matches!(extension, "las" | "laz") && model.as_las().is_some();
+        let is_las = matches!(extension, "las" | "laz") && as_las(&*model).is_some();
         let keeps_records = is_las && how.step.is_none() && how.offset.is_none();
         let mut converted = Self {
             source: Source::open(model.path())?,
@@ -169,7 +166,7 @@ impl Converted {
         let records = |kind, losses: &mut _| records::Records::new(kind, &content, losses);
         let lines = |kind, losses: &mut _| text::Lines::new(kind, &content, losses);
         let plain = |with_normals, with_colors| Plain { with_normals, with_colors };
-        if let Some(las) = self.model.as_las().filter(|_| self.keeps_records) {
+        if let Some(las) = as_las(&*self.model).filter(|_| self.keeps_records) {
             return Ok(Box::new(SameRecords::new(las, self.extension == "laz")?));
         }
         Ok(match self.extension {
@@ -189,6 +186,10 @@ impl Converted {
     }
 }
 
+fn as_las(model: &dyn Model) -> Option<&LasModel> {
+    model.as_any()?.downcast_ref()
+}
+
 /// Counts the triangles of the faces, which takes a reading of them.
 fn count_faces(model: &dyn Model, progress: &dyn Progress) -> Result<Faces> {
     let (mut faces, info) = (Faces::default(), model.info());
@@ -205,11 +206,6 @@ fn count_faces(model: &dyn Model, progress: &dyn Progress) -> Result<Faces> {
         Ok(())
     })?;
     Ok(faces)
-}
-
-/// Whether there are vertices for all corners.
-fn is_of_vertices(triangle: &[u32; 3], vertices: u64) -> bool {
-    triangle.iter().all(|corner| u64::from(*corner) < vertices && *corner != u32::MAX)
 }
 
 impl Model for Converted {

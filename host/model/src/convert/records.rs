@@ -3,7 +3,7 @@
 
 use std::collections::HashSet;
 
-use super::form::{Content, Form, Rows, attribute_loss, put_numbers};
+use crate::form::{Content, Form, Rows, attribute_loss, put_numbers};
 use crate::{Result, Scalar, Summary, Type};
 
 /// Which of the two.

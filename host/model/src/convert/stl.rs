@@ -6,7 +6,7 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 use glam::Vec3;
 use memmap2::Mmap;
 
-use super::form::{Content, Form, Rows, attribute_loss};
+use crate::form::{Content, Form, Rows, attribute_loss};
 use crate::scratch::Scratch;
 use crate::{Error, ErrorKind, Result, Scalar, Summary};
 

@@ -4,7 +4,7 @@ use std::io::Write;
 
 use glam::DVec3;
 
-use super::form::{Content, Form, Rows, attribute_loss};
+use crate::form::{Content, Form, Rows, attribute_loss};
 use crate::{Result, Scalar, Summary, Type};
 
 /// How positions become text: so that they come back.

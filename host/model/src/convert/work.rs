@@ -5,8 +5,7 @@
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-use super::form::{Form, Rows};
-use super::is_of_vertices;
+use crate::form::{Form, Rows, is_of_vertices};
 use crate::pipeline::{Piece, Pieces, Rewritable, Version};
 use crate::progress::Emerging;
 use crate::source::Source;
@@ -313,6 +312,7 @@ impl Reading<'_> {
             work.progress.advance(self.faces.bytes);
             self.faces.triangles.retain(|triangle| is_of_vertices(triangle, vertices));
             if !self.faces.triangles.is_empty() {
+                chunk.raw.clear();
                 work.form.faces(&self.faces.triangles, &mut chunk.raw)?;
                 return Ok(true);
             }

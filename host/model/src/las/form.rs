@@ -8,7 +8,7 @@ use super::blocks::table_of;
 use super::header::{RECORD_BYTES, at};
 use super::laszip::Laszip;
 use crate::bounds::Bounds;
-use crate::convert::{Content, Form, Rows, attribute_loss, put_numbers};
+use crate::form::{Content, Form, Rows, attribute_loss, put_numbers};
 use crate::{
     ColorScale, Colors, Error, ErrorKind, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk,
     for_positions,

@@ -27,6 +27,7 @@ mod rewrite;
 pub(crate) mod same_records;
 mod vlrs;
 
+use std::any::Any;
 use std::ops::Range;
 use std::path::Path;
 
@@ -59,7 +60,7 @@ impl Model for LasModel {
         if self.compressed.is_some() { &["laz"] } else { &["las"] }
     }
 
-    fn as_las(&self) -> Option<&Self> {
+    fn as_any(&self) -> Option<&dyn Any> {
         Some(self)
     }
 

@@ -10,7 +10,7 @@ use super::header::at;
 use super::laszip::Laszip;
 use super::points;
 use super::vlrs::Kind;
-use crate::convert::{Form, Rows};
+use crate::form::{Form, Rows};
 use crate::{Error, ErrorKind, Result, ScaledIntegers, Summary};
 
 /// Most bytes before or behind the points, which are held.
