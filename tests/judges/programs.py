@@ -154,7 +154,7 @@ with tempfile.TemporaryDirectory() as name:
     # Vertices that a program merges are missed.
     meshes = pymeshlab.MeshSet()
     meshes.load_new_mesh(str(samples))
-    meshes.apply_filter("meshing_merge_close_vertices", threshold=pymeshlab.PercentageValue(2))
+    meshes.apply_filter("meshing_merge_close_vertices", threshold=pymeshlab.PureValue(0.1))
     meshes.save_current_mesh(str(folder / "merged.ply"))
     done = simod("reconstruct", folder / "m.simod", "--deformed", folder / "merged.ply", "-o", folder / "x.ply", ok=False)
     assert "are gone" in done.stderr and "merge" in done.stderr, done.stderr

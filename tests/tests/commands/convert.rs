@@ -295,7 +295,7 @@ fn conversions_on_the_way_are_resumed() {
     work.simod("sample a.laz -o m.simod --samples 3000");
     work.move_samples("m.simod", |p| p + DVec3::new(0.0, 0.0, 0.01 * (p.x - 412_345.678)));
     for out in ["out.ply", "out.las"] {
-        let line = format!("reconstruct m.simod --deformed deformed.ply -o {out} --resume --part-size 1M");
+        let line = format!("reconstruct m.simod --deformed deformed.ply -o {out} --resume --part-size 64K");
         work.simod(&line);
         let whole = work.read(out);
         std::fs::remove_file(work.path(out)).expect("a file");
