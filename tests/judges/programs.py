@@ -12,14 +12,15 @@ import subprocess
 import sys
 import tempfile
 
-import numpy as np
-import open3d
-import pymeshlab
-
+# First, as it has its own versions of what Open3D brings along.
 try:
     import bpy
 except ImportError:
     bpy = None
+
+import numpy as np
+import open3d
+import pymeshlab
 
 SIMOD = str(pathlib.Path(sys.argv[1]).resolve())
 SIDE = 120
