@@ -140,7 +140,11 @@ impl Render {
     }
 
     /// What samples are coloured by, and their colours, unless all are alike.
-    fn of_samples(&self, sampled: &SampledModel, report: &mut Report) -> Result<(Paint, Option<Vec<[u8; 3]>>)> {
+    fn of_samples(
+        &self,
+        sampled: &SampledModel,
+        report: &mut Report,
+    ) -> Result<(Paint, Option<Vec<[u8; 3]>>)> {
         let word = self.color.as_deref();
         let own = matches!(word, None | Some("own")) && !sampled.colors.is_empty();
         if own {
