@@ -60,6 +60,8 @@ pub struct Detail {
 pub struct Piece {
     /// The vertices.
     pub batch: Arc<Batch>,
+    /// What they have values of.
+    pub tint: Tint,
     /// Whether those of each of its cells are shown.
     pub shown: Vec<bool>,
     /// Counts up when what is shown changes.
@@ -173,7 +175,7 @@ impl Detail {
             }
         }
         let shown = vec![fresh; batch.cells.len()];
-        self.pieces.insert(piece, Piece { batch: Arc::new(batch), shown, revision: 0, dead: 0 });
+        self.pieces.insert(piece, Piece { batch: Arc::new(batch), tint, shown, revision: 0, dead: 0 });
         self.tidy();
         if !fresh {
             self.compare();
@@ -235,7 +237,7 @@ impl Detail {
             }
             let shown = kept.iter().map(|run| former.shown[*run]).collect();
             let batch = Arc::new(part(&former.batch, &kept));
-            self.pieces.insert(piece, Piece { batch, shown, revision: 0, dead: 0 });
+            self.pieces.insert(piece, Piece { batch, tint: former.tint, shown, revision: 0, dead: 0 });
         }
     }
 

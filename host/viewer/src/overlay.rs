@@ -6,8 +6,7 @@ use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use simod_core::reconstruction::principal_stretches;
-use simod_picture::class_color;
-pub use simod_picture::{class_name, scale_color};
+pub use simod_picture::{class_color, class_name, scale_color};
 use simod_session::Shapes;
 
 /// Neighbours that tell how the surface is stretched around a sample.
@@ -53,6 +52,24 @@ pub struct Field {
     pub are_classes: bool,
 }
 
+/// What numbers look like.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scale {
+    range: [f32; 2],
+    are_classes: bool,
+}
+
+impl Scale {
+    /// The colour of a number, 8-bit sRGB.
+    pub fn color(&self, number: f32) -> [u8; 3] {
+        if self.are_classes {
+            return class_color(number.round() as u8);
+        }
+        let [from, to] = self.range;
+        scale_color((number - from) / (to - from))
+    }
+}
+
 impl Field {
     /// Numbers with a range that most of them are in: a few of the largest are beyond it.
     fn of(values: Vec<f32>, from: f32) -> Self {
@@ -73,16 +90,12 @@ impl Field {
 
     /// The colour of a sample, 8-bit sRGB.
     pub fn color(&self, sample: usize) -> [u8; 3] {
-        self.color_of(self.values[sample])
+        self.scale().color(self.values[sample])
     }
 
-    /// The colour of a number.
-    pub fn color_of(&self, number: f32) -> [u8; 3] {
-        if self.are_classes {
-            return class_color(number.round() as u8);
-        }
-        let [from, to] = self.range;
-        scale_color((number - from) / (to - from))
+    /// What its numbers look like.
+    pub fn scale(&self) -> Scale {
+        Scale { range: self.range, are_classes: self.are_classes }
     }
 }
 

@@ -57,7 +57,7 @@ impl State {
     }
 
     /// What vertices that are shown in full are coloured by themselves.
-    pub(super) fn tint(&self) -> Tint {
+    pub fn tint(&self) -> Tint {
         match self.overlay {
             Overlay::Attribute(place) if place < self.attributes().len() => Tint::Attribute(place),
             Overlay::None if self.own_colors && Colors::among(self.attributes()).is_some() => Tint::Own,
