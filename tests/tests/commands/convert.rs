@@ -307,6 +307,27 @@ fn conversions_on_the_way_are_resumed() {
     }
 }
 
+/// What is wrong is the first thing that is, whatever the threads were at.
+#[test]
+fn errors_do_not_depend_on_the_threads() {
+    let work = Workplace::new();
+    let row = |i: usize| format!("v {} {} 0\n", i % 500, i / 500);
+    let mut text: String = (0..400_000).map(row).collect();
+    (1..300_000).step_by(7).for_each(|i| text += &format!("f {i} {} {}\n", i + 1, i + 501));
+    let [first, second] = [30, 330_000].map(|i| row(i));
+    let broken = text.replacen(&second, "v 1 abc 3\n", 1);
+    assert!(broken != text);
+    work.write("m.obj", &broken);
+    for out in ["o.ply", "o.stl", "o.laz --step 1", "o.csv"] {
+        for threads in [1, 2, 8] {
+            let line = format!("convert m.obj {out} --lossy --threads {threads}");
+            work.refuses(&line, &["line 330001", "vertex 330000", "abc"]);
+        }
+    }
+    work.write("m.obj", broken.replacen(&first, "v 1 xyz 3\n", 1));
+    work.refuses("convert m.obj o.stl --lossy --threads 8", &["vertex 30", "xyz"]);
+}
+
 #[test]
 fn damaged_models_give_no_other_ones() {
     let work = Workplace::new();

@@ -32,15 +32,17 @@ pub(super) struct Work<'a> {
 }
 
 /// Whose turn it is.
-#[derive(Default)]
 struct Turns {
     /// The first vertex that the edit was not told of.
     next: u64,
     /// Number of vertices that the form has.
     done: u64,
-    /// Some piece will never have its turn.
-    failed: bool,
+    /// The piece that begins with this vertex failed, or none did: those behind it will never have their turn.
+    failed: u64,
 }
+
+/// What has come once all vertices have.
+const BEHIND_ALL: u64 = u64::MAX;
 
 impl<'a> Work<'a> {
     pub(super) fn new(
@@ -52,7 +54,8 @@ impl<'a> Work<'a> {
         progress: &'a dyn Progress,
     ) -> Self {
         let in_order = !model.info().reads_exactly();
-        let (turns, turned) = (Mutex::default(), Condvar::new());
+        let turns = Mutex::new(Turns { next: 0, done: 0, failed: BEHIND_ALL });
+        let turned = Condvar::new();
         Self { model, source, form, how, edit, progress, in_order, turns, turned }
     }
 
@@ -75,12 +78,12 @@ impl<'a> Work<'a> {
         self.turned.notify_all();
     }
 
-    /// Waits until something is so; an error if it never will be, as something else has failed, which is told
-    /// then.
-    fn wait(&self, until: impl Fn(&Turns) -> bool) -> Result<()> {
+    /// Waits, for the piece that begins with a vertex, until something is so; an error if it never will be, as a
+    /// piece before it has failed, whose error is the one that is told.
+    fn wait(&self, piece: u64, until: impl Fn(&Turns) -> bool) -> Result<()> {
         let mut turns = self.turns();
         while !until(&turns) {
-            if turns.failed {
+            if turns.failed < piece {
                 return Err(Error::cancelled());
             }
             turns = self.turned.wait(turns).unwrap_or_else(PoisonError::into_inner);
@@ -88,19 +91,24 @@ impl<'a> Work<'a> {
         Ok(())
     }
 
-    /// Does something; whoever waits for what follows from it learns if it fails.
-    fn guarded<T>(&self, work: impl FnOnce() -> Result<T>) -> Result<T> {
-        struct Guard<'w, 'a>(&'w Work<'a>, bool);
+    /// Does something for the piece that begins with a vertex; whoever waits for what follows from it learns if
+    /// it fails.
+    fn guarded<T>(&self, piece: u64, work: impl FnOnce() -> Result<T>) -> Result<T> {
+        struct Guard<'w, 'a> {
+            of: &'w Work<'a>,
+            piece: u64,
+            is_done: bool,
+        }
         impl Drop for Guard<'_, '_> {
             fn drop(&mut self) {
-                if !self.1 {
-                    self.0.change(|turns| turns.failed = true);
+                if !self.is_done {
+                    self.of.change(|turns| turns.failed = turns.failed.min(self.piece));
                 }
             }
         }
-        let mut guard = Guard(self, false);
+        let mut guard = Guard { of: self, piece, is_done: false };
         let done = work();
-        guard.1 = done.is_ok();
+        guard.is_done = done.is_ok();
         done
     }
 
@@ -146,11 +154,11 @@ impl Rewritable for Work<'_> {
         if self.in_order {
             return Ok(());
         }
-        self.guarded(|| self.read_piece(chunk))
+        self.guarded(chunk.first, || self.read_piece(chunk))
     }
 
     fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
-        self.guarded(|| {
+        self.guarded(chunk.first, || {
             let Version { edited, normals, bytes, summary, .. } = version;
             let mut attributes = vec![Vec::new(); self.form.attributes()];
             if !attributes.is_empty() {
@@ -220,7 +228,7 @@ struct Reading<'a> {
 
 impl Pieces for Reading<'_> {
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece> {
-        let piece = self.work.guarded(|| self.read_next(chunk));
+        let piece = self.work.guarded(self.vertex, || self.read_next(chunk));
         self.number += 1;
         piece
     }
@@ -302,7 +310,7 @@ impl Reading<'_> {
             Some(reader) => reader,
             None => {
                 if work.form.needs_vertices() {
-                    work.wait(|turns| turns.done == vertices)?;
+                    work.wait(BEHIND_ALL, |turns| turns.done == vertices)?;
                 }
                 self.triangles.insert(work.model.faces()?)
             }
@@ -331,9 +339,9 @@ impl Edit for InTurn<'_, '_> {
 
     fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
         let Self(work) = self;
-        work.guarded(|| {
+        work.guarded(chunk.first, || {
             if !work.in_order {
-                work.wait(|turns| turns.next == chunk.first)?;
+                work.wait(chunk.first, |turns| turns.next == chunk.first)?;
                 let (first, vertices, bytes) = (chunk.first, chunk.len(), chunk.raw());
                 work.edit.begin(&RawChunk { first, vertices, bytes, is_edited: true })?;
                 work.progress.advance(bytes.len() as u64);
