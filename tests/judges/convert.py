@@ -154,6 +154,8 @@ def judge_meshes(folder):
         else:
             opened = open3d.io.read_point_cloud(str(out))
             assert np.array_equal(np.asarray(opened.points).astype("f4"), vertices["p"]), extension
+            if extension == "pcd":
+                assert np.allclose(np.asarray(opened.colors) * 255, vertices["c"])
             if extension in ("pcd", "xyzn"):
                 assert np.allclose(np.asarray(opened.normals), vertices["n"], atol=1e-6), extension
         print(f"cloud to {extension}: as it should be")

@@ -150,6 +150,13 @@ fn a_mesh_goes_through_formats() {
     work.simod("convert c.ply c.pcd");
     work.simod("convert c.pcd pcd.csv");
     assert!(work.read("pcd.csv") == work.read("back.csv"));
+    // Colours of bytes are one number there.
+    work.simod("generate -o g.ply --vertices 2000");
+    work.simod("convert g.ply g.pcd --lossy");
+    work.simod("convert g.pcd g2.ply");
+    work.simod("convert g2.ply g2.pcd");
+    assert!(work.read("g.pcd") == work.read("g2.pcd"));
+    assert!(String::from_utf8_lossy(&work.read("g.pcd")).contains("normal_z rgb\n"));
     work.refuses("convert c.csv c.xyz", &["the normals", "the attribute red (double)", "the attribute heat"]);
 }
 

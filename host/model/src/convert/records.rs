@@ -4,7 +4,7 @@
 use std::collections::HashSet;
 
 use crate::form::{Content, Form, Rows, attribute_loss, put_numbers};
-use crate::{Result, Scalar, Summary, Type};
+use crate::{Attribute, Colors, Result, Scalar, Summary, Type};
 
 /// Which of the two.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,6 +29,8 @@ pub(super) struct Records {
     has_normals: bool,
     /// Name and type of each attribute that is written, and its place among the model's.
     attributes: Vec<(String, Type, usize)>,
+    /// Where blue, green and red are among the model's attributes, which are the bytes of one number in PCD.
+    packed: Option<[usize; 3]>,
     comments: Vec<String>,
     stride: usize,
 }
@@ -46,7 +48,17 @@ impl Records {
         }
         let mut taken: HashSet<String> = own.iter().map(|name| (*name).to_owned()).collect();
         let mut attributes = Vec::new();
+        let names = |c: &Colors| {
+            c.places.map(|place| info.attributes[place].name.as_str()) == ["red", "green", "blue"]
+        };
+        let is_alpha = |a: &Attribute| a.name == "alpha";
+        let packs = kind == Kind::Pcd && !info.attributes.iter().any(is_alpha);
+        let colors = Colors::of(info).filter(|colors| packs && colors.kind == Type::U8 && names(colors));
+        let packed = colors.map(|Colors { places: [r, g, b], .. }| [b, g, r]);
         for (place, attribute) in info.attributes.iter().enumerate() {
+            if packed.is_some_and(|packed| packed.contains(&place)) {
+                continue;
+            }
             let name: String =
                 attribute.name.chars().map(|c| if c.is_whitespace() { '_' } else { c }).collect();
             let is_packed = kind == Kind::Pcd && PACKED.contains(&name.as_str());
@@ -71,9 +83,10 @@ impl Records {
         // Where integers stand for positions, these are as many digits.
         let scalar = if info.integers.is_some() { Scalar::F64 } else { info.position_type };
         let numbers: usize = attributes.iter().map(|(_, kind, _)| kind.size()).sum();
-        let stride = 3 * scalar.size() + if content.has_normals { 12 } else { 0 } + numbers;
+        let colors = if packed.is_some() { 4 } else { 0 };
+        let stride = 3 * scalar.size() + if content.has_normals { 12 } else { 0 } + colors + numbers;
         let (vertices, has_normals) = (info.vertices, content.has_normals);
-        Ok(Self { kind, vertices, triangles, scalar, has_normals, attributes, comments, stride })
+        Ok(Self { kind, vertices, triangles, scalar, has_normals, attributes, packed, comments, stride })
     }
 
     /// Name and type of all numbers of a record.
@@ -82,7 +95,8 @@ impl Records {
         let names = if self.kind == Kind::Ply { PLY } else { PCD };
         let components = names.into_iter().zip([position; 3].into_iter().chain([Type::F32; 3]));
         let components = components.take(if self.has_normals { 6 } else { 3 });
-        components.chain(self.attributes.iter().map(|(name, kind, _)| (name.as_str(), *kind)))
+        let packed = self.packed.map(|_| ("rgb", Type::F32));
+        components.chain(packed).chain(self.attributes.iter().map(|(name, kind, _)| (name.as_str(), *kind)))
     }
 
     fn ply_header(&self) -> String {
@@ -128,7 +142,8 @@ impl Records {
 
 impl Form for Records {
     fn attributes(&self) -> usize {
-        self.attributes.iter().map(|(.., place)| place + 1).max().unwrap_or(0)
+        let places = self.attributes.iter().map(|(.., place)| *place);
+        places.chain(self.packed.into_iter().flatten()).max().map_or(0, |last| last + 1)
     }
 
     fn head(&self) -> Result<Vec<u8>> {
@@ -162,6 +177,12 @@ impl Form for Records {
                 record[at..at + 12].copy_from_slice(n.to_array().map(f32::to_le_bytes).as_flattened());
             }
             at += 12;
+        }
+        if let Some(packed) = self.packed {
+            for (byte, place) in packed.into_iter().enumerate() {
+                put_numbers(Type::U8, &rows.attributes[place], to, at + byte, self.stride);
+            }
+            at += 4;
         }
         for (_, kind, place) in &self.attributes {
             put_numbers(*kind, &rows.attributes[*place], to, at, self.stride);
