@@ -38,7 +38,8 @@ fn carried_with_normals(
 ) -> (Vec<Vec3>, Vec<Vec3>) {
     let rest: Vec<DVec3> = points.iter().map(|p| p.as_dvec3()).collect();
     let (mut positions, mut turned) = (rest.clone(), normals.to_vec());
-    let moved = Moved { positions: &mut positions, normals: &mut turned, figures: &mut [] };
+    let moved =
+        Moved { positions: &mut positions, normals: &mut turned, tangents: &mut [], figures: &mut [] };
     carry(std::slice::from_ref(field), &LOCAL, &rest, None, &mut [moved]);
     (positions.iter().map(|p| p.as_vec3()).collect(), turned)
 }
@@ -200,7 +201,8 @@ fn bits(field: &DeformationField, points: &[(Vec3, Vec3)]) -> Vec<Bits> {
     let mut positions = rest.clone();
     let mut normals: Vec<Vec3> = points.iter().map(|(_, n)| *n).collect();
     let mut figures = vec![Figures::UNKNOWN; rest.len()];
-    let moved = Moved { positions: &mut positions, normals: &mut normals, figures: &mut figures };
+    let moved =
+        Moved { positions: &mut positions, normals: &mut normals, tangents: &mut [], figures: &mut figures };
     carry(std::slice::from_ref(field), &LOCAL, &rest, None, &mut [moved]);
     let figures = figures.iter().map(|f| [f.displacement, f.stretch[0], f.stretch[1]].map(f32::to_bits));
     let normals = normals.iter().map(|n| n.to_array().map(f32::to_bits));
