@@ -9,6 +9,8 @@
 //! formats of models.
 
 pub mod attributes;
+mod colors;
+mod deformed_file;
 pub mod detail;
 pub mod geometry;
 pub mod guard;

@@ -13,6 +13,7 @@
 
 pub mod bounds;
 pub mod claim;
+mod colors;
 mod columns;
 mod error;
 mod fan;
@@ -48,6 +49,7 @@ mod text;
 mod uncached;
 mod unfit;
 
+pub use colors::{ColorScale, Colors};
 pub use error::{Error, ErrorKind, Result};
 pub use formats::{is_model, is_named_otherwise, open, open_with_columns};
 pub use in_step::{Vertices, in_step};
@@ -57,7 +59,7 @@ pub use model::{
     VertexChunk, VertexReader, for_faces, for_faces_at, for_positions, for_vertices,
 };
 pub use number::Type;
-pub use ply::write_points;
+pub use ply::{Besides, write_points, write_vertices};
 pub use progress::Progress;
 pub use scaled::ScaledIntegers;
 pub use summary::Summary;

@@ -128,7 +128,8 @@ impl Detail {
         let there = |held: &Held| held.fresh && held.stride == stride;
         let missing =
             |cell: &&u32| !self.held.get(**cell as usize).is_some_and(|h| h.as_ref().is_some_and(there));
-        Chosen { cells: self.chosen.cells.iter().filter(missing).copied().collect(), stride }
+        let cells = self.chosen.cells.iter().filter(missing).copied().collect();
+        Chosen { cells, ..self.chosen }
     }
 
     /// Takes vertices that were carried by a pose.
@@ -289,7 +290,8 @@ fn part(batch: &Batch, runs: &[usize]) -> Batch {
         part.positions.extend_from_slice(&batch.positions[range.clone()]);
         part.normals.extend_from_slice(&batch.normals[range.clone()]);
         part.spacing.extend_from_slice(&batch.spacing[range.clone()]);
-        part.homes.extend_from_slice(&batch.homes[range]);
+        part.homes.extend_from_slice(&batch.homes[range.clone()]);
+        part.values.extend(&batch.values, range);
         part.cells.push((*cell, first..part.positions.len() as u32));
     }
     part

@@ -6,8 +6,8 @@ use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use simod_core::reconstruction::principal_stretches;
+pub use simod_picture::scale_color;
 use simod_session::Shapes;
-pub use simod_session::compare::scale_color;
 
 /// Neighbours that tell how the surface is stretched around a sample.
 const RING: usize = 12;

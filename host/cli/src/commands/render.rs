@@ -7,7 +7,7 @@ use simod_core::guard::Kind;
 use simod_core::sampled_model::SampledModel;
 use simod_model::{Error, ErrorKind, Result, output};
 use simod_picture::picture::{self, Up, View};
-use simod_picture::{FrameFolder, Image};
+use simod_picture::{Coloring, FrameFolder, Image, Paint};
 
 use super::overwrite::Overwrite;
 use crate::report::Report;
@@ -33,6 +33,10 @@ pub struct Render {
     /// The model's axis that points up
     #[arg(long, value_enum, default_value_t)]
     up: UpName,
+    /// What it is coloured by: own (the vertices' colours), clay, or an attribute, as intensity [default: own, where
+    /// there are colours]
+    #[arg(long, value_name = "WHAT")]
+    color: Option<String>,
     /// Size of the picture in pixels
     #[arg(long, default_value = "1000x1000", value_name = "WxH", value_parser = parse_size)]
     size: [u32; 2],
@@ -88,13 +92,27 @@ impl Render {
             let sampled = SampledModel::load(&self.path)?;
             let (samples, view) = (&sampled.samples, view(sampled.bounds));
             report.figure("samples", samples.len());
+            let known = match self.color.as_deref() {
+                // What the folder does not hold takes a reading of the model: not unless it is asked for.
+                None | Some("clay") => sampled.known_attributes(),
+                Some(_) => Some(sampled.attributes(None, report.progress())?.clone()),
+            };
+            let all = known.as_ref().map_or(&[][..], |known| known.all());
+            let coloring = Coloring::choose(self.color.as_deref(), all.iter().map(|of| &of.attribute))?;
+            let values: Vec<&[f32]> = all.iter().map(|of| &*of.values).collect();
+            let paint = Paint::of_values(coloring, &values);
+            let colors = (&paint, &values[..]);
             match self.turntable {
-                Some(n) => picture::turn_of_samples(&sampled, &view, n, &mut take, report.untimed())?,
-                None => take(&picture::of_samples(&sampled, &samples.positions, samples.normals(), &view))?,
+                Some(n) => picture::turn_of_samples(&sampled, &view, colors, n, &mut take, report.untimed())?,
+                None => {
+                    let (positions, normals) = (&samples.positions, samples.normals());
+                    take(&picture::of_samples(&sampled, positions, normals, &view, colors))?;
+                }
             }
         } else {
             let model = simod_model::open(&self.path)?;
             let progress = report.progress();
+            let coloring = Coloring::choose(self.color.as_deref(), &model.info().attributes)?;
             let bounds = picture::bounds(model.as_ref(), progress)?;
             if bounds.is_empty() {
                 return Err(Error::new(
@@ -105,11 +123,12 @@ impl Render {
             }
             report.figure("vertices", model.info().vertices);
             let view = view(bounds);
+            let paint = Paint::of_model(model.as_ref(), coloring, progress)?;
             match self.turntable {
                 Some(n) => {
-                    picture::turn_of_model(model.as_ref(), &bounds, &view, n, &mut take, progress)?;
+                    picture::turn_of_model(model.as_ref(), &bounds, &view, &paint, n, &mut take, progress)?;
                 }
-                None => take(&picture::of_model(model.as_ref(), &bounds, &view, progress)?)?,
+                None => take(&picture::of_model(model.as_ref(), &bounds, &view, &paint, progress)?)?,
             }
         }
         if let (Some(frames), Some(folder)) = (self.turntable, folder) {

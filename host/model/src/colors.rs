@@ -1,0 +1,114 @@
+//! The colours of vertices: which of their numbers these are, and what the numbers stand for. All that shows,
+//! compares or writes colours asks here.
+
+use crate::{Attribute, ModelInfo, Type};
+
+/// What red, green and blue are called, in lower case.
+const NAMES: [[&str; 3]; 3] =
+    [["red", "green", "blue"], ["r", "g", "b"], ["diffuse_red", "diffuse_green", "diffuse_blue"]];
+
+/// Where among the attributes of vertices their colour is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Colors {
+    /// Of red, green and blue.
+    pub places: [usize; 3],
+    /// The type of these numbers.
+    pub kind: Type,
+}
+
+/// What numbers stand for: from 0 to the one of full light.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ColorScale(u16);
+
+impl Colors {
+    /// The colour of vertices with such attributes, if they have one: three numbers of one type.
+    pub fn among<'a>(attributes: impl IntoIterator<Item = &'a Attribute>) -> Option<Self> {
+        let mut places = [[None; 3]; NAMES.len()];
+        for (place, attribute) in attributes.into_iter().enumerate() {
+            for (names, places) in NAMES.iter().zip(&mut places) {
+                for (name, found) in names.iter().zip(places) {
+                    if found.is_none() && attribute.name.eq_ignore_ascii_case(name) {
+                        *found = Some((place, attribute.kind));
+                    }
+                }
+            }
+        }
+        places.into_iter().find_map(|found| {
+            let [(red, kind), (green, other), (blue, another)] = [found[0]?, found[1]?, found[2]?];
+            (kind == other && kind == another).then_some(Self { places: [red, green, blue], kind })
+        })
+    }
+
+    /// That of a model's vertices.
+    pub fn of(info: &ModelInfo) -> Option<Self> {
+        Self::among(&info.attributes)
+    }
+
+    /// How many of the first attributes have to be asked for.
+    pub fn count(&self) -> usize {
+        self.places.into_iter().max().map_or(0, |last| last + 1)
+    }
+}
+
+impl ColorScale {
+    /// That of numbers of a type of which `most` is the largest: bytes are full at 255. Wider types are by
+    /// themselves full at 1 (fractions), 255 or 65 535, which programs do not agree upon, so that the largest
+    /// number tells.
+    pub fn of(kind: Type, most: f64) -> Self {
+        match kind {
+            kind if Self::is_fixed(kind) => Self(255),
+            _ if kind.is_float() && most <= 1.0 => Self(1),
+            _ if most <= 255.0 => Self(255),
+            _ => Self(65535),
+        }
+    }
+
+    /// Whether numbers of a type mean the same everywhere.
+    pub fn is_fixed(kind: Type) -> bool {
+        matches!(kind, Type::U8 | Type::I8)
+    }
+
+    /// A number as a byte, in the transfer curve that it has (sRGB as a rule); nothing where it is none.
+    #[inline]
+    pub fn byte(self, number: f64) -> u8 {
+        // A conversion saturates, and gives 0 for NaN.
+        (number / f64::from(self.0) * 255.0).round() as u8
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn attributes(names: &[(&str, Type)]) -> Vec<Attribute> {
+        names.iter().map(|(name, kind)| Attribute { name: (*name).to_owned(), kind: *kind }).collect()
+    }
+
+    #[test]
+    fn colours_are_found_by_their_names() {
+        let of = |names: &[(&str, Type)]| Colors::among(&attributes(names));
+        let byte = |name| (name, Type::U8);
+        let usual = of(&[("intensity", Type::F32), byte("red"), byte("green"), byte("blue"), byte("alpha")]);
+        assert_eq!(usual, Some(Colors { places: [1, 2, 3], kind: Type::U8 }));
+        assert_eq!(usual.unwrap().count(), 4);
+        assert_eq!(of(&[byte("B"), byte("G"), byte("R")]).unwrap().places, [2, 1, 0]);
+        let two = [byte("r"), byte("g"), byte("b"), byte("red"), byte("green"), byte("blue")];
+        assert_eq!(of(&two).unwrap().places, [3, 4, 5]);
+        assert_eq!(of(&[byte("red"), byte("green")]), None);
+        assert_eq!(of(&[byte("red"), byte("green"), ("blue", Type::F32)]), None);
+        assert_eq!(of(&[]), None);
+    }
+
+    #[test]
+    fn numbers_become_bytes() {
+        let byte = |kind, most, number| ColorScale::of(kind, most).byte(number);
+        assert_eq!(byte(Type::U8, 1.0, 1.0), 1);
+        assert_eq!(byte(Type::U16, 65000.0, 65535.0), 255);
+        assert_eq!(byte(Type::U16, 255.0, 128.0), 128);
+        assert_eq!(byte(Type::F32, 1.0, 0.5), 128);
+        assert_eq!(byte(Type::F64, 200.0, 200.0), 200);
+        assert_eq!(byte(Type::F64, 1.0, f64::NAN), 0);
+        assert_eq!(byte(Type::F64, 1.0, -3.0), 0);
+        assert_eq!(byte(Type::F64, 1.0, 3.0), 255);
+    }
+}
