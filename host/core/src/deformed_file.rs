@@ -94,7 +94,9 @@ fn in_order(positions: Vec<DVec3>, ids: &[f64], samples: usize) -> Result<Vec<DV
             return Err(format!("an id that is no whole number: {id}, of vertex {vertex}"));
         }
         if place >= samples {
-            return Err(format!("the id {id}, of vertex {vertex}, but there are {samples} samples, from 0 on"));
+            return Err(format!(
+                "the id {id}, of vertex {vertex}, but there are {samples} samples, from 0 on"
+            ));
         }
         if std::mem::replace(&mut is_there[place], true) {
             if doubled == 0 {

@@ -8,6 +8,7 @@ mod errors;
 mod examples;
 mod files;
 mod formats;
+mod gltf;
 mod las;
 mod main_job;
 mod place;

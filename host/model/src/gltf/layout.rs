@@ -10,11 +10,14 @@ use std::ops::Range;
 
 use super::json::{Names, Node, Primitive};
 use super::nodes::Placement;
-use super::places::{PLAIN, Place, Places};
+use super::places::{PLAIN, Place, Places, UNCOMPRESSED};
 use crate::Result;
 
-const APART: &str = "have gltf-transform write it anew, which gives each mesh its own data: gltf-transform unweld IN.glb OUT.glb";
-const SINGLE: &str = "make each of them a mesh of its own, as by \"Make Single User\" in Blender, or: gltfpack -noq -i IN.glb -o OUT.glb";
+const APART: &str =
+    "have gltfpack write it anew, which gives everything its own data: gltfpack -noq -i IN.glb -o OUT.glb";
+const SINGLE: &str = "make each of them a mesh of its own, as by \"Make Single User\" in Blender, or: gltf-transform join IN.glb OUT.glb";
+const SEPARATE: &str =
+    "export it with a mesh of its own for each copy, as Blender does after \"Make Single User\"";
 
 /// Extensions by which a mesh' bytes are compressed, of primitives and of views.
 const COMPRESSED: [&str; 3] =
@@ -194,8 +197,7 @@ impl Places<'_> {
             None => Ok(()),
             Some(extension) => {
                 let what = format!("{} is compressed ({extension})", name());
-                let hint = "have gltf-transform write it plainly: gltf-transform copy IN.glb OUT.glb";
-                Err(self.container.source.malformed(what, hint))
+                Err(self.container.source.malformed(what, UNCOMPRESSED))
             }
         }
     }
@@ -207,7 +209,7 @@ impl Places<'_> {
         }
         if node.extensions.contains_key(INSTANCED) {
             let what = format!("node {index} shows its mesh at many places ({INSTANCED})");
-            return Err(self.container.source.malformed(what, SINGLE));
+            return Err(self.container.source.malformed(what, SEPARATE));
         }
         Ok(())
     }

@@ -8,8 +8,11 @@ use crate::text::DAMAGED;
 use crate::{Error, Result, Type};
 
 /// What makes a plain file of one with other things in it.
-pub(super) const PLAIN: &str =
-    "have gltfpack (of meshoptimizer) write it plainly: gltfpack -noq -i IN.glb -o OUT.glb";
+pub(super) const PLAIN: &str = "have gltfpack write it plainly: gltfpack -noq -i IN.glb -o OUT.glb";
+
+/// Likewise, of one whose numbers are compressed.
+pub(super) const UNCOMPRESSED: &str =
+    "have gltf-transform write it plainly: gltf-transform dequantize IN.glb OUT.glb";
 
 /// Longest distance from one element to the next, by the format.
 const LONGEST_STRIDE: u64 = 252;
@@ -181,7 +184,7 @@ impl Places<'_> {
             Err(self.container.source.malformed(what, hint))
         };
         if accessor.component_type != 5126 {
-            return refused("is quantised (KHR_mesh_quantization)", PLAIN);
+            return refused("is quantised (KHR_mesh_quantization)", UNCOMPRESSED);
         }
         if accessor.shape != shape {
             return refused(&format!("is of type {}, not {shape}", accessor.shape.escape_debug()), DAMAGED);
