@@ -1,6 +1,6 @@
 //! The field as a whole: what it reproduces, how it behaves at steps, and that sheets do not bleed.
 
-use glam::{Affine3A, DVec3, EulerRot, Mat3, Quat, Vec3};
+use glam::{Affine3A, DVec3, EulerRot, Mat3, Quat, Vec3, Vec4};
 use simod_model::frame::Frame;
 
 use super::{DeformationField, Figures, Method, Moved, Surroundings, carry};
@@ -190,6 +190,56 @@ fn the_gradient_is_that_of_what_the_vertices_do() {
     for (p, n) in points.iter().zip(normals) {
         let ends = tangents(p).map(|(x, z)| (carried(&field, &[x])[0], carried(&field, &[z])[0]));
         assert!(n.distance(3.0 * normal(ends)) < 0.02, "{p}: {n} is not {}", normal(ends));
+    }
+}
+
+#[test]
+fn tangents_turn_as_lines_on_the_surface_do() {
+    let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
+    let around = Surroundings::of(&set);
+    let points: Vec<Vec3> = patch(61).filter(inner).collect();
+    let rest: Vec<DVec3> = points.iter().map(|p| p.as_dvec3()).collect();
+    let along =
+        |p: &Vec3| 2.0 * (on_patch(p.x + 1e-3, p.z) - on_patch(p.x - 1e-3, p.z)).normalize_or(Vec3::X);
+    let shear = Mat3::from_cols(Vec3::X, Vec3::new(0.5, 1.0, 0.0), Vec3::new(0.0, -0.3, 1.2));
+    let mirror = Mat3::from_diagonal(Vec3::new(1.0, -1.0, 1.0));
+    let bend = |p: Vec3| Quat::from_rotation_x(0.7 * p.x) * p;
+    for method in [Method::BlendedJets, Method::ProjectedBarycentric] {
+        for (matrix, side) in
+            [(Some(Mat3::from_rotation_z(2.0)), 1.0), (Some(shear), 1.0), (Some(mirror), -1.0), (None, 1.0)]
+        {
+            let map = |p: Vec3| matrix.map_or_else(|| bend(p), |matrix| matrix * p);
+            let deformed: Vec<Vec3> = set.positions.iter().map(|p| map(*p)).collect();
+            let field = DeformationField::new(&around, &deformed, method);
+            let mut positions = rest.clone();
+            let mut tangents: Vec<Vec4> = points.iter().map(|p| along(p).extend(1.0)).collect();
+            let moved = Moved {
+                positions: &mut positions,
+                normals: &mut [],
+                tangents: &mut tangents,
+                figures: &mut [],
+            };
+            carry(std::slice::from_ref(&field), &LOCAL, &rest, None, &mut [moved]);
+            for (p, t) in points.iter().zip(&tangents) {
+                let step = 1e-3 * along(p);
+                let expected = 2.0 * (map(*p + step) - map(*p - step)).normalize_or(Vec3::X);
+                let found = t.truncate();
+                assert!(
+                    found.distance(expected) < 0.03 && t.w == side,
+                    "{method:?} {p}: {t} is not {expected}"
+                );
+            }
+        }
+        // Nothing moves, and nothing turns.
+        let field = DeformationField::new(&around, &set.positions, method);
+        assert!(field.is_still());
+        let mut tangents: Vec<Vec4> = points.iter().map(|p| along(p).extend(-1.0)).collect();
+        let before = tangents.clone();
+        let mut positions = rest.clone();
+        let moved =
+            Moved { positions: &mut positions, normals: &mut [], tangents: &mut tangents, figures: &mut [] };
+        carry(std::slice::from_ref(&field), &LOCAL, &rest, None, &mut [moved]);
+        assert_eq!(tangents, before);
     }
 }
 
