@@ -25,18 +25,15 @@ pub(super) struct Faces<'a> {
 impl<'a> Faces<'a> {
     /// All of them.
     pub(super) fn new(model: &'a GltfModel) -> Self {
-        Self::of(model, vec![0..model.layout.triangles], true)
+        let (ranges, range) = (Vec::new().into_iter(), 0..model.layout.triangles);
+        Self { model, ranges, range, with_marks: true, raw: Vec::new(), corners: Vec::new() }
     }
 
     /// Those between some marks.
     pub(super) fn at(model: &'a GltfModel, ranges: Vec<Range<u64>>) -> Self {
         let face = |offset: u64| (offset / FACE).min(model.layout.triangles);
-        Self::of(model, ranges.into_iter().map(|r| face(r.start)..face(r.end)).collect(), false)
-    }
-
-    fn of(model: &'a GltfModel, ranges: Vec<Range<u64>>, with_marks: bool) -> Self {
-        let (raw, corners) = (Vec::new(), Vec::new());
-        Self { model, ranges: ranges.into_iter(), range: 0..0, with_marks, raw, corners }
+        let of_marks: Vec<_> = ranges.into_iter().map(|r| face(r.start)..face(r.end)).collect();
+        Self { ranges: of_marks.into_iter(), range: 0..0, with_marks: false, ..Self::new(model) }
     }
 
     /// Adds the next triangles of one primitive.

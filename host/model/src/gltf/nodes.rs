@@ -184,7 +184,7 @@ mod tests {
             let matrix = DMat3::from_cols_array(&columns);
             prop_assume!(matrix.determinant().abs() > 0.1);
             let (p, by) = (Vec3::from(p), DVec3::from(by));
-            let world = DMat4::from_mat3(matrix).with_translation(shift);
+            let world = DMat4::from_translation(DVec3::from(shift)) * DMat4::from_mat3(matrix);
             let placement = Placement::of(world).unwrap().unwrap();
             let moved = placement.moved(p, by);
             let there = matrix * moved + DVec3::from(shift);

@@ -10,7 +10,7 @@ use super::places::Place;
 use crate::{CHUNK_VERTICES, Result, Type, VertexChunk, VertexReader};
 
 /// Most bytes that are read for a chunk at once, unless a vertex takes more.
-pub(super) const CHUNK_BYTES: u64 = 4 << 20;
+pub(super) const CHUNK_BYTES: u64 = 2 << 20;
 
 /// So many floats at some place.
 #[inline(always)]

@@ -1,5 +1,3 @@
-use std::fmt::Write as _;
-
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use glam::{DAffine3, DMat3, DQuat, Vec4, Vec4Swizzles};
@@ -222,7 +220,7 @@ fn rich() -> Glb {
             &p.to_array(),
             &[7.5, i as f32],
             &t.to_array(),
-            &[if i % 2 == 0 { 1.0 } else { -1.0 }],
+            &[if i.is_multiple_of(2) { 1.0 } else { -1.0 }],
         ]
         .concat()
     };
@@ -306,16 +304,15 @@ fn a_motion_changes_what_it_should_and_nothing_else() {
         DAffine3::from_rotation_translation(DQuat::from_rotation_y(0.8), DVec3::new(1.0, -200.0, 3e5)),
         // A shear.
         DAffine3 {
-            matrix3: glam::DMat3::from_cols(DVec3::X, DVec3::new(0.7, 1.0, 0.0), DVec3::new(0.0, 0.3, 2.0))
-                .into(),
-            translation: DVec3::ZERO.into(),
+            matrix3: DMat3::from_cols(DVec3::X, DVec3::new(0.7, 1.0, 0.0), DVec3::new(0.0, 0.3, 2.0)),
+            translation: DVec3::ZERO,
         },
         // A mirror.
         DAffine3::from_scale(DVec3::new(1.0, 1.0, -1.0)),
     ];
     for map in maps {
         let out = rewrite(model.as_ref(), |edited| carry(edited, map)).unwrap();
-        let linear: DMat3 = map.matrix3.into();
+        let linear = map.matrix3;
         let mirrors = linear.determinant() < 0.0;
         for accessor in [0, 7] {
             let expected: Vec<DVec3> =
@@ -416,8 +413,8 @@ fn placed() -> (Glb, DAffine3) {
         DVec3::ZERO,
     );
     let parent = DAffine3 {
-        matrix3: DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y).into(),
-        translation: DVec3::new(1000.0, 2000.0, -3.0).into(),
+        matrix3: DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y),
+        translation: DVec3::new(1000.0, 2000.0, -3.0),
     };
     (glb, parent * own)
 }
@@ -429,7 +426,7 @@ fn vertices_are_where_nodes_take_them() {
     let model = check_whole(&bytes, ".glb");
     assert_eq!(model.info().position_type, Scalar::F64);
     let (positions, normals) = read(model.as_ref()).unwrap();
-    let linear: DMat3 = world.matrix3.into();
+    let linear = world.matrix3;
     for (i, p) in vectors(&bytes, 0).iter().enumerate() {
         assert!((positions[i] - world.transform_point3(p.as_dvec3())).length() < 1e-9);
         let normal = (linear.inverse().transpose() * vectors(&bytes, 1)[i].as_dvec3()).normalize_or_zero();
@@ -445,7 +442,7 @@ fn vertices_are_where_nodes_take_them() {
     ] {
         let out = rewrite(model.as_ref(), |edited| carry(edited, map)).unwrap();
         let local = world.inverse() * map * world;
-        let of_local: DMat3 = local.matrix3.into();
+        let of_local = local.matrix3;
         let expected: Vec<DVec3> =
             vectors(&bytes, 0).iter().map(|p| local.transform_point3(p.as_dvec3())).collect();
         check_near(&vectors(&out, 0), &expected, 1e-3);
@@ -592,7 +589,6 @@ fn text_is_as_precise_as_it_has_to_be_and_has_room() {
 fn a_gltf_with_its_buffers_becomes_a_glb() {
     let folder = tempfile::tempdir().unwrap();
     let glb = rich();
-    let half = glb.bin.len() / 8 * 4;
     let whole = open(&glb.bytes(), ".glb").unwrap();
     let expected =
         rewrite(whole.as_ref(), |edited| edited.positions.iter_mut().for_each(|p| *p *= 2.0)).unwrap();
@@ -620,7 +616,6 @@ fn a_gltf_with_its_buffers_becomes_a_glb() {
     );
     let both = both
         .replace("one.bin\"}]", &format!("one.bin\"}},{{\"uri\":\"second.bin\",\"byteLength\":{rest}}}]"));
-    let _ = half;
     for (name, json) in [
         ("beside.gltf", glb.json(",\"uri\":\"whole.bin\"")),
         ("within.gltf", glb.json(&data)),
@@ -864,8 +859,7 @@ fn vertices_that_do_not_fit_are_refused() {
 #[test]
 fn what_is_left_of_a_file_is_an_error_or_sane() {
     check_bad(&placed().0.bytes(), ".glb");
-    let mut text = String::new();
-    write!(text, "{}", placed().0.json(",\"uri\":\"data:application/octet-stream;base64,AAAA\"")).unwrap();
+    let text = placed().0.json(",\"uri\":\"data:application/octet-stream;base64,AAAA\"");
     for end in 1..text.len() {
         let _ = open(&text.as_bytes()[..end], ".gltf");
     }
@@ -924,7 +918,7 @@ proptest! {
         let bytes = glb.bytes();
         let model = check_whole(&bytes, ".glb");
         let map = DAffine3::from_rotation_translation(DQuat::from_rotation_x(0.3), DVec3::new(0.0, 1.0, -2.0));
-        let linear: DMat3 = map.matrix3.into();
+        let linear = map.matrix3;
         let out = rewrite(model.as_ref(), |edited| carry(edited, map)).unwrap();
         for (name, accessor) in meshes.concat() {
             let pairs = values(&bytes, accessor).into_iter().zip(values(&out, accessor));
