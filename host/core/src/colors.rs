@@ -60,6 +60,11 @@ impl Bytes {
         Ok(Some(Self { colors, scale: ColorScale::of(colors.kind, most) }))
     }
 
+    /// Which numbers the colours are, and what these stand for.
+    pub fn meaning(&self) -> (Colors, ColorScale) {
+        (self.colors, self.scale)
+    }
+
     /// The colours of a chunk that was read of the model; what `to` held is gone.
     ///
     /// # Errors

@@ -9,7 +9,7 @@
 //! formats of models.
 
 pub mod attributes;
-mod colors;
+pub mod colors;
 mod deformed_file;
 pub mod detail;
 pub mod geometry;

@@ -14,7 +14,7 @@ use simod_model::input::{self, Identity};
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::folder_of;
 use simod_model::{
-    Besides, Error, ErrorKind, FaceChunk, Model, Progress, Result, Scalar, VertexChunk, output,
+    Attribute, Besides, Error, ErrorKind, FaceChunk, Model, Progress, Result, Scalar, VertexChunk, output,
 };
 use xxhash_rust::xxh3::Xxh3Default;
 
@@ -80,6 +80,9 @@ pub struct Source {
     pub bytes: u64,
     /// Its number of vertices.
     pub vertices: u64,
+    /// The numbers that each of them has besides; not known of folders that former versions wrote.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub attributes: Vec<Attribute>,
     /// How many of them have no finite position.
     pub non_finite: u64,
     /// The first of these.
@@ -697,10 +700,9 @@ impl SampledModel {
         Ok(self.attributes.get_or_init(|| Arc::new(found)))
     }
 
-    /// Those attributes that are known without reading the model: those that were asked for, or that the folder
-    /// keeps.
-    pub fn known_attributes(&self) -> Option<Arc<Attributes>> {
-        self.attributes.get().cloned().or_else(|| self.kept_attributes().map(Arc::new))
+    /// The attributes, if they were [asked for](Self::attributes) since this was sampled or loaded.
+    pub fn held_attributes(&self) -> Option<&Arc<Attributes>> {
+        self.attributes.get()
     }
 
     /// The attributes in the folder, if their file is there, whole, and of these samples.

@@ -36,7 +36,7 @@ mod style;
 pub use camera::Camera;
 pub use frames::FrameFolder;
 pub use image::Image;
-pub use paint::{CLASSIFICATION, Coloring, Paint};
+pub use paint::{Coloring, Paint};
 pub use palette::{class_color, class_name, scale_color};
 pub use point::SurfacePoint;
 pub use spacing::Spacing;

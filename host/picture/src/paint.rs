@@ -5,9 +5,6 @@ use simod_model::{Attribute, ColorScale, Colors, Error, ErrorKind, Model, Progre
 use super::Image;
 use super::palette::{class_color, scale_color};
 
-/// The attribute whose numbers are classes, as they are in LAS: each has a colour of its own.
-pub const CLASSIFICATION: &str = "classification";
-
 /// What points are coloured by.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Coloring {
@@ -15,8 +12,8 @@ pub enum Coloring {
     Clay,
     /// Their own colours.
     Own(Colors),
-    /// The attribute at a place, which is called so.
-    Attribute(usize, String),
+    /// The attribute at a place.
+    Attribute(usize, Attribute),
 }
 
 /// Colours of points, by their numbers.
@@ -62,8 +59,9 @@ impl Coloring {
         match (word, own) {
             (Some("clay"), _) | (None, None) => Ok(Self::Clay),
             (Some("own") | None, Some(own)) => Ok(Self::Own(own)),
-            (Some(name), _) => {
-                by_name(name).map(|place| Self::Attribute(place, name.to_owned())).ok_or_else(|| {
+            (Some(name), _) => by_name(name)
+                .map(|place| Self::Attribute(place, attributes[place].clone()))
+                .ok_or_else(|| {
                     let what = match name {
                         "own" => "its vertices have no colours of their own".to_owned(),
                         _ => format!("its vertices have nothing that is called \"{name}\""),
@@ -75,8 +73,7 @@ impl Coloring {
                         names => format!("they have {}", names.join(", ")),
                     };
                     Error::new(ErrorKind::Argument, what, hint)
-                })
-            }
+                }),
         }
     }
 
@@ -132,10 +129,12 @@ impl Paint {
         match coloring {
             Coloring::Clay => Self::Clay,
             Coloring::Own(colors) => Self::Own(colors, ColorScale::of(colors.kind, numbers.most)),
-            Coloring::Attribute(place, name) if name == CLASSIFICATION => {
-                Self::Classes { place, name, range: numbers.extremes() }
+            Coloring::Attribute(place, of) if of.is_of_classes() => {
+                Self::Classes { place, name: of.name, range: numbers.extremes() }
             }
-            Coloring::Attribute(place, name) => Self::Scale { place, name, range: numbers.most_of_them() },
+            Coloring::Attribute(place, of) => {
+                Self::Scale { place, name: of.name, range: numbers.most_of_them() }
+            }
         }
     }
 
@@ -165,9 +164,9 @@ impl Paint {
     }
 
     /// A picture with what its colours mean below it.
-    pub fn with_legend(&self, image: Image) -> Image {
+    pub fn with_legend(&self, image: &Image) -> Image {
         let (name, [from, to]) = match self {
-            Self::Clay | Self::Own(..) => return image,
+            Self::Clay | Self::Own(..) => return image.clone(),
             Self::Classes { name, range, .. } | Self::Scale { name, range, .. } => (name, *range),
         };
         let color = |t: f32| match self {
@@ -283,7 +282,7 @@ mod tests {
         assert_eq!(Coloring::choose(None, &all).unwrap(), Coloring::Own(own));
         assert_eq!(Coloring::choose(Some("own"), &all).unwrap(), Coloring::Own(own));
         assert_eq!(Coloring::choose(Some("clay"), &all).unwrap(), Coloring::Clay);
-        let intensity = Coloring::Attribute(0, "intensity".to_owned());
+        let intensity = Coloring::Attribute(0, all[0].clone());
         assert_eq!(Coloring::choose(Some("intensity"), &all).unwrap(), intensity);
         assert_eq!(Coloring::choose(None, &all[..1]).unwrap(), Coloring::Clay);
         let error = |word, attributes: &[Attribute]| Coloring::choose(Some(word), attributes).unwrap_err();
@@ -298,18 +297,19 @@ mod tests {
         assert_eq!(wide.color(|_| 65535.0), [255; 3]);
         let narrow = Paint::of_values(own, &[&[0.0, 255.0], &[0.0, 1.0], &[1.0, 2.0]]);
         assert_eq!(narrow.color(|place| 10.0 * place as f64), [0, 10, 20]);
-        let scale = Paint::of_values(Coloring::Attribute(0, "x".to_owned()), &[&[2.0, 4.0]]);
+        let of = |name: &str| Coloring::Attribute(0, Attribute { name: name.to_owned(), kind: Type::U8 });
+        let scale = Paint::of_values(of("x"), &[&[2.0, 4.0]]);
         assert_eq!([scale.color(|_| 2.0), scale.color(|_| 4.0)], [scale_color(0.0), scale_color(1.0)]);
-        let classes = Paint::of_values(Coloring::Attribute(0, CLASSIFICATION.to_owned()), &[&[2.0, 6.0]]);
+        let classes = Paint::of_values(of("classification"), &[&[2.0, 6.0]]);
         assert_eq!(classes.color(|_| 6.0), class_color(6));
         let image = Image::new(200, 10, [255; 3]);
-        let legend = classes.with_legend(image.clone());
+        let legend = classes.with_legend(&image);
         for class in 2..=6 {
             assert!(legend.pixels().contains(&class_color(class)), "{class}");
         }
-        assert_eq!(Paint::Clay.with_legend(image.clone()).pixels(), image.pixels());
+        assert_eq!(Paint::Clay.with_legend(&image).pixels(), image.pixels());
         // All numbers alike.
-        let flat = Paint::of_values(Coloring::Attribute(0, "x".to_owned()), &[&[2.0]]);
+        let flat = Paint::of_values(of("x"), &[&[2.0]]);
         assert_eq!(flat.color(|_| 2.0), scale_color(0.0));
     }
 }

@@ -153,8 +153,7 @@ fn draw_painted(
 ) -> Result<Image> {
     let by_attributes = |parts: &[Vertices<'_>], i: usize| paint.color(|place| parts[0].attribute(place, i));
     let by = paint.is_colored().then_some((paint.count(), &by_attributes as &PaintBy<'_>));
-    let image = draw(&[model], spacing, view, camera, by, progress)?;
-    Ok(paint.with_legend(image))
+    draw(&[model], spacing, view, camera, by, progress)
 }
 
 fn spacing(model: &dyn Model, bounds: &Bounds, progress: &dyn Progress) -> Result<Spacing> {
@@ -194,18 +193,16 @@ fn draw(
     Ok(renderer.finish())
 }
 
-/// Colours of samples, for [`of_samples`]: by their attributes, of each as many as there are samples.
-pub type SampleColors<'a> = (&'a Paint, &'a [&'a [f32]]);
-
-/// Draws samples at local `positions`, each as a disc that its neighbours overlap a little.
+/// Draws samples at local `positions`, each as a disc that its neighbours overlap a little, in colours of which there
+/// is one for each, if there are any.
 pub fn of_samples(
     sampled: &SampledModel,
     positions: &[Vec3],
     normals: &[Vec3],
     view: &View,
-    colors: SampleColors<'_>,
+    colors: Option<&[[u8; 3]]>,
 ) -> Image {
-    drawn(&discs(sampled, positions, normals, view, colors), view, view.camera(), colors.0)
+    drawn(&discs(sampled, positions, normals, view, colors), view, view.camera(), colors.is_some())
 }
 
 /// As [`of_samples`], so many times while the camera goes once round the vertical axis; see
@@ -216,7 +213,7 @@ pub fn of_samples(
 pub fn turn_of_samples(
     sampled: &SampledModel,
     view: &View,
-    colors: SampleColors<'_>,
+    colors: Option<&[[u8; 3]]>,
     frames: u32,
     frame: &mut Frames<'_>,
     progress: &dyn Progress,
@@ -225,7 +222,7 @@ pub fn turn_of_samples(
     let points = discs(sampled, &samples.positions, samples.normals(), view, colors);
     view.turn(frames).into_iter().try_for_each(|camera| {
         progress.check()?;
-        frame(&drawn(&points, view, camera, colors.0))
+        frame(&drawn(&points, view, camera, colors.is_some()))
     })
 }
 
@@ -234,22 +231,22 @@ fn discs(
     positions: &[Vec3],
     normals: &[Vec3],
     view: &View,
-    (paint, values): SampleColors<'_>,
+    colors: Option<&[[u8; 3]]>,
 ) -> Vec<SurfacePoint> {
     let disc = |(i, ((p, n), spacing)): (usize, ((&Vec3, &Vec3), &f32))| SurfacePoint {
         position: view.up.turned(sampled.frame.to_model(*p)),
         normal: view.up.turned(n.as_dvec3()).as_vec3(),
-        color: paint.color(|place| f64::from(values[place][i])),
+        color: colors.map_or([0; 3], |colors| colors[i]),
         radius: (SAMPLE_RADIUS * f64::from(*spacing) * sampled.frame.scale) as f32,
     };
     positions.iter().zip(normals).zip(sampled.samples.spacing()).enumerate().map(disc).collect()
 }
 
-fn drawn(points: &[SurfacePoint], view: &View, camera: Camera, paint: &Paint) -> Image {
-    let mut renderer = view.renderer(camera, paint.is_colored());
+fn drawn(points: &[SurfacePoint], view: &View, camera: Camera, own_colors: bool) -> Image {
+    let mut renderer = view.renderer(camera, own_colors);
     renderer.depth(points);
     renderer.blend(points);
-    paint.with_legend(renderer.finish())
+    renderer.finish()
 }
 
 fn stream(

@@ -72,19 +72,13 @@ impl Demo {
         let samples = &run.deformed.sampled.samples;
         let pictures = [
             picture::of_model(before.as_ref(), &run.deformed.sampled.bounds, &view, &Paint::Clay, progress)?,
-            picture::of_samples(
-                &run.deformed.sampled,
-                &samples.positions,
-                samples.normals(),
-                &view,
-                (&Paint::Clay, &[]),
-            ),
+            picture::of_samples(&run.deformed.sampled, &samples.positions, samples.normals(), &view, None),
             picture::of_samples(
                 &run.deformed.sampled,
                 &run.deformed.positions,
                 &run.deformed.normals,
                 &view,
-                (&Paint::Clay, &[]),
+                None,
             ),
             picture::of_model(after.as_ref(), &after_bounds, &view, &Paint::Clay, progress)?,
         ];

@@ -92,16 +92,9 @@ impl Render {
             let sampled = SampledModel::load(&self.path)?;
             let (samples, view) = (&sampled.samples, view(sampled.bounds));
             report.figure("samples", samples.len());
-            let known = match self.color.as_deref() {
-                // What the folder does not hold takes a reading of the model: not unless it is asked for.
-                None | Some("clay") => sampled.known_attributes(),
-                Some(_) => Some(sampled.attributes(None, report.progress())?.clone()),
-            };
-            let all = known.as_ref().map_or(&[][..], |known| known.all());
-            let coloring = Coloring::choose(self.color.as_deref(), all.iter().map(|of| &of.attribute))?;
-            let values: Vec<&[f32]> = all.iter().map(|of| &*of.values).collect();
-            let paint = Paint::of_values(coloring, &values);
-            let colors = (&paint, &values[..]);
+            let (paint, colors) = self.of_samples(&sampled, report)?;
+            let colors = colors.as_deref();
+            let mut take = |image: &Image| take(&paint.with_legend(image));
             match self.turntable {
                 Some(n) => picture::turn_of_samples(&sampled, &view, colors, n, &mut take, report.untimed())?,
                 None => {
@@ -124,6 +117,7 @@ impl Render {
             report.figure("vertices", model.info().vertices);
             let view = view(bounds);
             let paint = Paint::of_model(model.as_ref(), coloring, progress)?;
+            let mut take = |image: &Image| take(&paint.with_legend(image));
             match self.turntable {
                 Some(n) => {
                     picture::turn_of_model(model.as_ref(), &bounds, &view, &paint, n, &mut take, progress)?;
@@ -143,5 +137,28 @@ impl Render {
             report.line(format!("drew {} as {}", self.path.display(), self.output.display()));
         }
         Ok(())
+    }
+
+    /// What samples are coloured by, and their colours, unless all are alike.
+    fn of_samples(
+        &self,
+        sampled: &SampledModel,
+        report: &mut Report,
+    ) -> Result<(Paint, Option<Vec<[u8; 3]>>)> {
+        let word = self.color.as_deref();
+        let own = matches!(word, None | Some("own")) && !sampled.colors.is_empty();
+        if own {
+            return Ok((Paint::Clay, Some(sampled.colors.clone())));
+        }
+        if let None | Some("clay") = word {
+            return Ok((Paint::Clay, None));
+        }
+        let all = sampled.attributes(None, report.progress())?.all();
+        let coloring = Coloring::choose(word, all.iter().map(|of| &of.attribute))?;
+        let values: Vec<&[f32]> = all.iter().map(|of| &*of.values).collect();
+        let paint = Paint::of_values(coloring, &values);
+        let color = |i| paint.color(|place| f64::from(values[place][i]));
+        let colors = (0..sampled.samples.len()).map(color).collect();
+        Ok((paint, Some(colors)))
     }
 }

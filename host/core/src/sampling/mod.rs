@@ -295,6 +295,7 @@ pub fn sample(
             columns: model.columns().map(str::to_owned),
             bytes: info.bytes,
             vertices: info.vertices,
+            attributes: info.attributes.clone(),
             non_finite: non_finite.count,
             first_non_finite: non_finite.first,
             jumps: Some(jumps),
