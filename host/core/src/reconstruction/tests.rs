@@ -204,7 +204,8 @@ fn tangents_turn_as_lines_on_the_surface_do() {
     let shear = Mat3::from_cols(Vec3::X, Vec3::new(0.5, 1.0, 0.0), Vec3::new(0.0, -0.3, 1.2));
     let mirror = Mat3::from_diagonal(Vec3::new(1.0, -1.0, 1.0));
     let bend = |p: Vec3| Quat::from_rotation_x(0.7 * p.x) * p;
-    for method in [Method::BlendedJets, Method::ProjectedBarycentric] {
+    // The gradient of the second is that of a fit.
+    for (method, bound) in [(Method::BlendedJets, 0.03), (Method::ProjectedBarycentric, 0.1)] {
         for (matrix, side) in
             [(Some(Mat3::from_rotation_z(2.0)), 1.0), (Some(shear), 1.0), (Some(mirror), -1.0), (None, 1.0)]
         {
@@ -225,7 +226,7 @@ fn tangents_turn_as_lines_on_the_surface_do() {
                 let expected = 2.0 * (map(*p + step) - map(*p - step)).normalize_or(Vec3::X);
                 let found = t.truncate();
                 assert!(
-                    found.distance(expected) < 0.03 && t.w == side,
+                    found.distance(expected) < bound && t.w == side,
                     "{method:?} {p}: {t} is not {expected}"
                 );
             }
