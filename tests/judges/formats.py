@@ -254,12 +254,22 @@ def accessor(gltf, blob, index):
     return np.ndarray((a.count, numbers), kind, blob, start, (stride, np.dtype(kind).itemsize))
 
 
-def of_gltf(path):
-    """All vertices where nodes take them, and all other numbers as they are."""
+def opened(path):
+    """A file, and its binary data, once it is checked that limits are those of the numbers."""
     gltf = pygltflib.GLTF2().load(path)
     if path.suffix == ".gltf":
         gltf.convert_buffers(pygltflib.BufferFormat.BINARYBLOB)
     blob = gltf.binary_blob()
+    for index, a in enumerate(gltf.accessors):
+        values = accessor(gltf, blob, index)
+        for told, found in [(a.min, values.min(0)), (a.max, values.max(0))]:
+            assert not told or np.array_equal(np.float32(told), np.float32(found)), f"{path.name}: accessor {index}"
+    return gltf, blob
+
+
+def of_gltf(path):
+    """All vertices where nodes take them, and all other numbers as they are."""
+    gltf, blob = opened(path)
     found = {"positions": [], "normals": [], "tangents": []}
     for node in gltf.nodes:
         world = np.eye(4)
@@ -278,8 +288,6 @@ def of_gltf(path):
             turned = values[:, :3] @ by.T
             if kind == "POSITION":
                 turned += world[:3, 3]
-                limits = [values.min(0), values.max(0)]
-                assert np.array_equal(np.float32([gltf.accessors[index].min, gltf.accessors[index].max]), np.float32(limits))
             else:
                 turned /= np.linalg.norm(turned, axis=1)[:, None]
             if kind == "TANGENT":
@@ -299,6 +307,7 @@ def of_gltf(path):
 
 
 def of_trimesh_glb(path):
+    opened(path)
     (mesh,) = trimesh.load(path, process=False).geometry.values()
     return {"positions": mesh.vertices, "normals": mesh.vertex_normals, "faces": mesh.faces}
 

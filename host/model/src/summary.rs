@@ -1,7 +1,7 @@
 //! What places elsewhere in a file have to know of its vertices: their box, which its header has, and the
 //! lengths of its compressed blocks, which a table lists. Where parts of a file have boxes of their own, theirs.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec4};
 
 use crate::bounds::Bounds;
 
@@ -14,28 +14,28 @@ pub struct Summary {
     pub(crate) after: Bounds,
     /// Bytes of each compressed block of the new version, in the file's order.
     pub(crate) lengths: Vec<u32>,
-    /// Of parts of the file that have boxes of their own, in the file's order: no part twice.
+    /// Of parts of the file that have boxes of their own: ascending, no part twice.
     pub(crate) parts: Vec<PartBox>,
 }
 
-/// The box of a part of the new version.
+/// The box of a part of the new version, of up to four numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PartBox {
     /// Which part.
     pub(crate) part: u32,
     /// Whether anything in it is elsewhere than it was.
     pub(crate) has_moved: bool,
-    pub(crate) min: Vec3,
-    pub(crate) max: Vec3,
+    pub(crate) min: Vec4,
+    pub(crate) max: Vec4,
 }
 
 impl PartBox {
     /// Numbers of its word.
-    const NUMBERS: usize = 8;
+    const NUMBERS: usize = 10;
 
     /// With nothing in it.
     pub(crate) fn empty(part: u32) -> Self {
-        Self { part, has_moved: false, min: Vec3::INFINITY, max: Vec3::NEG_INFINITY }
+        Self { part, has_moved: false, min: Vec4::INFINITY, max: Vec4::NEG_INFINITY }
     }
 
     fn absorb(&mut self, behind: &Self) {
@@ -46,17 +46,19 @@ impl PartBox {
 
     fn to_numbers(self) -> [u32; Self::NUMBERS] {
         let [min, max] = [self.min, self.max].map(|p| p.to_array().map(f32::to_bits));
-        [self.part, u32::from(self.has_moved), min[0], min[1], min[2], max[0], max[1], max[2]]
+        let [a, b, c, d] = min;
+        let [e, f, g, h] = max;
+        [self.part, u32::from(self.has_moved), a, b, c, d, e, f, g, h]
     }
 
     fn of_numbers(numbers: [u32; Self::NUMBERS]) -> Option<Self> {
-        let [part, has_moved, min @ .., x, y, z] = numbers;
-        let corner = |bits: [u32; 3]| Vec3::from_array(bits.map(f32::from_bits));
+        let [part, has_moved, min @ .., e, f, g, h] = numbers;
+        let corner = |bits: [u32; 4]| Vec4::from_array(bits.map(f32::from_bits));
         (has_moved <= 1).then(|| Self {
             part,
             has_moved: has_moved == 1,
             min: corner(min),
-            max: corner([x, y, z]),
+            max: corner([e, f, g, h]),
         })
     }
 }
@@ -70,9 +72,9 @@ impl Summary {
         }
         self.lengths.extend_from_slice(&behind.lengths);
         for part in &behind.parts {
-            match self.parts.last_mut().filter(|last| last.part == part.part) {
-                Some(last) => last.absorb(part),
-                None => self.parts.push(*part),
+            match self.parts.binary_search_by_key(&part.part, |known| known.part) {
+                Ok(known) => self.parts[known].absorb(part),
+                Err(at) => self.parts.insert(at, *part),
             }
         }
     }
@@ -122,13 +124,13 @@ mod tests {
     fn a_summary_comes_back_and_adds_up() {
         let first = Summary { lengths: vec![7, u32::MAX], ..Summary::default() };
         let after = Bounds::of([DVec3::new(-1.0, 0.1, 3.0), DVec3::ONE]);
-        let part = PartBox { part: 3, has_moved: true, min: Vec3::NEG_ONE, max: Vec3::splat(0.1) };
+        let part = PartBox { part: 3, has_moved: true, min: Vec4::NEG_ONE, max: Vec4::splat(0.1) };
         let parts = vec![part, PartBox::empty(7)];
         let second = Summary { after, before: Bounds::of([DVec3::X]), lengths: vec![0], parts };
         let mut both = first.clone();
         both.absorb(&second);
         assert_eq!(both, Summary { lengths: vec![7, u32::MAX, 0], ..second.clone() });
-        let more = PartBox { min: Vec3::splat(-2.0), has_moved: false, ..PartBox::empty(7) };
+        let more = PartBox { min: Vec4::splat(-2.0), has_moved: false, ..PartBox::empty(7) };
         let mut all = both.clone();
         all.absorb(&Summary { parts: vec![more], ..Summary::default() });
         assert_eq!(all.parts, [part, more]);
@@ -144,7 +146,7 @@ mod tests {
             "x",
             "0,0,0,0,0,0,0,0,0,0,0,0,-1",
             "0,0,0,0,0,0,0,0,0,0,0,0;1,2,3",
-            "0,0,0,0,0,0,0,0,0,0,0,0;1,2,3,4,5,6,7,8",
+            "0,0,0,0,0,0,0,0,0,0,0,0;1,2,3,4,5,6,7,8,9,a",
         ] {
             assert_eq!(Summary::decode(wrong), None);
         }

@@ -75,6 +75,12 @@ impl Region {
         self.elements.iter().find(|(of, _)| *of == kind).map(|(_, offset)| *offset)
     }
 
+    /// The number of an element of a region as a part of the file.
+    pub(super) fn part(region: usize, element: usize) -> u32 {
+        // There are three kinds.
+        (4 * region + element) as u32
+    }
+
     pub(super) fn has_positions(&self) -> bool {
         self.offset(Kind::Position).is_some()
     }
@@ -113,8 +119,8 @@ pub(super) struct Layout {
     pub(super) drawn: Vec<Drawn>,
     pub(super) vertices: u64,
     pub(super) triangles: u64,
-    /// Accessors that are positions, and their sets.
-    pub(super) accessors: Vec<(usize, usize)>,
+    /// Accessors that are patched, and which part of the file each is.
+    pub(super) accessors: Vec<(usize, u32)>,
     /// What else vertices have, as "float TEXCOORD_0".
     pub(super) others: BTreeSet<String>,
     pub(super) has_targets: bool,
@@ -133,8 +139,8 @@ struct Builder {
     layout: Layout,
     /// Mode, positions, indices.
     drawn: Vec<(Mode, Place, Option<Place>)>,
-    /// Accessors that are positions.
-    accessors: BTreeMap<usize, Place>,
+    /// Accessors that are patched.
+    accessors: BTreeMap<usize, (Place, Kind)>,
     /// What keeps its bytes: an accessor, and what it is.
     kept: BTreeMap<usize, String>,
 }
@@ -238,7 +244,7 @@ impl Places<'_> {
         if positions.count == 0 {
             return Ok(());
         }
-        builder.accessors.insert(*index, positions);
+        builder.accessors.insert(*index, (positions, Kind::Position));
         let found = match builder.sets.entry(positions) {
             Entry::Vacant(entry) => entry.insert(Found { placement, node, normals: None, colours: None }),
             Entry::Occupied(entry) => {
@@ -288,6 +294,7 @@ impl Places<'_> {
             if kind == Kind::Normal {
                 found.normals.get_or_insert(place);
             }
+            builder.accessors.insert(*index, (place, kind));
             builder.streams.entry((place, kind)).or_default().insert(positions);
         }
         let mode = match primitive.mode {
@@ -380,7 +387,12 @@ impl Places<'_> {
             let is_mirrored = layout.sets[set].placement.is_some_and(|placement| placement.is_mirrored());
             layout.drawn.push(Drawn { first, triangles, mode, set, indices, is_mirrored });
         }
-        layout.accessors = accessors.iter().map(|(index, place)| (*index, number(place))).collect();
+        let part = |(place, kind): &(Place, Kind)| {
+            let region = layout.regions.partition_point(|region| region.bytes.end <= place.start);
+            let element = layout.regions.get(region)?.elements.iter().position(|(of, _)| of == kind)?;
+            Some(Region::part(region, element))
+        };
+        layout.accessors = accessors.iter().filter_map(|(index, of)| Some((*index, part(of)?))).collect();
         Ok(layout)
     }
 

@@ -107,24 +107,28 @@ impl Rewritable for Rewriting<'_> {
         version.begin_with(&mut chunk.raw);
         let mut patch = Patch { region, bytes: version.bytes, chunk, edited: version.edited };
         let placements: Vec<Option<Placement>> = self.owners(region).map(|set| set.placement).collect();
-        if let (Some(offset), [set]) = (region.offset(Kind::Position), &region.owners[..]) {
-            let (found, unfit) = patch.positions(offset, placements[0].as_ref(), *set as u32);
-            if let Some(unfit) = unfit {
-                return Err(unfit.in_floats(&self.model.container.source, chunk.first));
+        let index = chunk.spans.first().map_or(0, |[region, _]| *region as usize);
+        for (element, (kind, offset)) in region.elements.iter().enumerate() {
+            let is_turned = version.normals == Normals::Transform;
+            let has_moved = match kind {
+                Kind::Position => patch
+                    .positions(*offset, placements.first().and_then(Option::as_ref))
+                    .map_err(|unfit| unfit.in_floats(&self.model.container.source, chunk.first))?,
+                _ if !is_turned => continue,
+                kind => {
+                    let turned = match kind {
+                        Kind::Normal => patch.normals(*offset, &placements),
+                        _ => patch.tangents(*offset, &placements),
+                    };
+                    self.kept.fetch_add(turned.kept, Ordering::Relaxed);
+                    turned.has_moved
+                }
+            };
+            let part = Region::part(index, element);
+            if self.model.limits.has(part) {
+                version.summary.parts.push(PartBox { has_moved, ..patch.reach(part, *kind, *offset) });
             }
-            version.summary.parts.push(found);
         }
-        if version.normals != Normals::Transform {
-            return Ok(());
-        }
-        let mut kept = 0;
-        if let Some(offset) = region.offset(Kind::Normal) {
-            kept += patch.normals(offset, &placements);
-        }
-        if let Some(offset) = region.offset(Kind::Tangent) {
-            kept += patch.tangents(offset, &placements);
-        }
-        self.kept.fetch_add(kept, Ordering::Relaxed);
         Ok(())
     }
 
@@ -181,54 +185,74 @@ struct Patch<'a> {
     edited: &'a Edited,
 }
 
+/// What became of normals or tangents.
+#[derive(Default)]
+struct Turned {
+    has_moved: bool,
+    /// How many are kept as those who share them disagree.
+    kept: u64,
+}
+
 impl Patch<'_> {
     fn rows(&self, offset: usize, size: usize) -> impl Iterator<Item = usize> + use<> {
         rows(self.region.stride as usize, self.bytes.len(), offset, size)
     }
 
-    /// Moves the positions of a set; the box of all that are here, and the first one that does not fit.
-    fn positions(
-        &mut self,
-        offset: usize,
-        placement: Option<&Placement>,
-        set: u32,
-    ) -> (PartBox, Option<Unfit>) {
-        let mut found = PartBox::empty(set);
+    /// Moves the positions of a set; whether any of them is elsewhere, or the first one that does not fit.
+    fn positions(&mut self, offset: usize, placement: Option<&Placement>) -> Result<bool, Unfit> {
+        let mut has_moved = false;
         let bits = |p: DVec3| p.to_array().map(f64::to_bits);
         let moved = self.chunk.positions.iter().zip(&self.edited.positions);
         for (vertex, ((old, new), at)) in moved.zip(self.rows(offset, 12)).enumerate() {
-            let mut local = Vec3::from_array(floats(self.bytes, at));
-            if !old.is_finite() {
+            if !old.is_finite() || bits(*old) == bits(*new) {
                 continue;
             }
-            if bits(*old) != bits(*new) {
-                let there = placement.map_or(*new, |placement| placement.moved(local, *new - *old));
-                let rounded = there.as_vec3();
-                if let Some(axis) = (0..3).find(|axis| !rounded[*axis].is_finite()) {
-                    return (found, Some(Unfit { vertex, axis, value: there[axis] }));
-                }
-                found.has_moved |= rounded != local;
-                // A component that stays where it is keeps its bytes, those of -0 among them.
-                for axis in 0..3 {
-                    if placement.is_some() && rounded[axis] == local[axis]
-                        || placement.is_none() && old[axis].to_bits() == new[axis].to_bits()
-                    {
-                        continue;
-                    }
+            let mut local = Vec3::from_array(floats(self.bytes, at));
+            let there = placement.map_or(*new, |placement| placement.moved(local, *new - *old));
+            let rounded = there.as_vec3();
+            if let Some(axis) = (0..3).find(|axis| !rounded[*axis].is_finite()) {
+                return Err(Unfit { vertex, axis, value: there[axis] });
+            }
+            has_moved |= rounded != local;
+            // A component that stays where it is keeps its bytes, those of -0 among them.
+            for axis in 0..3 {
+                let is_still = match placement {
+                    Some(_) => rounded[axis] == local[axis],
+                    None => old[axis].to_bits() == new[axis].to_bits(),
+                };
+                if !is_still {
                     local[axis] = rounded[axis];
                 }
-                put(self.bytes, at, &local.to_array());
             }
-            found.min = found.min.min(local);
-            found.max = found.max.max(local);
+            put(self.bytes, at, &local.to_array());
         }
-        (found, None)
+        Ok(has_moved)
     }
 
-    /// Turns normals, at all places that share them; how many are kept as these disagree.
-    fn normals(&mut self, offset: usize, placements: &[Option<Placement>]) -> u64 {
+    /// The box of all that is here of a part, as it is now.
+    fn reach(&self, part: u32, kind: Kind, offset: usize) -> PartBox {
+        let mut found = PartBox::empty(part);
+        let mut include = |element: Vec4| {
+            if element.is_finite() {
+                found.min = found.min.min(element);
+                found.max = found.max.max(element);
+            }
+        };
+        match kind {
+            Kind::Tangent => {
+                self.rows(offset, 16).for_each(|at| include(Vec4::from_array(floats(self.bytes, at))));
+            }
+            _ => self
+                .rows(offset, 12)
+                .for_each(|at| include(Vec3::from_array(floats(self.bytes, at)).extend(0.0))),
+        }
+        found
+    }
+
+    /// Turns normals, at all places that share them.
+    fn normals(&mut self, offset: usize, placements: &[Option<Placement>]) -> Turned {
         let (old, new) = (&self.chunk.normals, &self.edited.normals);
-        let (mut kept, mut turned) = (0, Vec::new());
+        let (mut found, mut turned) = (Turned::default(), Vec::new());
         let count = self.rows(offset, 12).count();
         for (row, at) in self.rows(offset, 12).enumerate() {
             let local = Vec3::from_array(floats(self.bytes, at));
@@ -241,17 +265,20 @@ impl Patch<'_> {
                 Some(placement) => placement.normal_back(new[i], local),
             }));
             match mean(local, &turned) {
-                Some(new) => put(self.bytes, at, &new.to_array()),
-                None => kept += 1,
+                Some(new) => {
+                    found.has_moved |= new != local;
+                    put(self.bytes, at, &new.to_array());
+                }
+                None => found.kept += 1,
             }
         }
-        kept
+        found
     }
 
     /// Turns tangents, likewise.
-    fn tangents(&mut self, offset: usize, placements: &[Option<Placement>]) -> u64 {
+    fn tangents(&mut self, offset: usize, placements: &[Option<Placement>]) -> Turned {
         let (old, new) = (&self.chunk.tangents, &self.edited.tangents);
-        let (mut kept, mut turned) = (0, Vec::new());
+        let (mut found, mut turned) = (Turned::default(), Vec::new());
         let count = self.rows(offset, 16).count();
         for (row, at) in self.rows(offset, 16).enumerate() {
             let local = Vec4::from_array(floats(self.bytes, at));
@@ -269,12 +296,14 @@ impl Patch<'_> {
             match mean(local.truncate(), &turned).filter(|_| sides != [true; 2]) {
                 Some(new) => {
                     let side = if sides[1] { -local.w } else { local.w };
-                    put(self.bytes, at, &new.extend(side).to_array());
+                    let new = new.extend(side);
+                    found.has_moved |= new != local;
+                    put(self.bytes, at, &new.to_array());
                 }
-                None => kept += 1,
+                None => found.kept += 1,
             }
         }
-        kept
+        found
     }
 }
 

@@ -169,15 +169,15 @@ fn vectors(bytes: &[u8], accessor: usize) -> Vec<Vec3> {
     values(bytes, accessor).iter().map(|row| Vec3::from_slice(row)).collect()
 }
 
-/// Checks that `min` and `max` of positions are just theirs.
+/// Checks that `min` and `max` are just those of an accessor's numbers.
 fn check_limits(bytes: &[u8], accessor: usize) {
     let (json, _) = parts(bytes);
-    let all = vectors(bytes, accessor);
-    let (min, max) = all.iter().fold((all[0], all[0]), |(min, max), p| (min.min(*p), max.max(*p)));
-    for (name, expected) in [("min", min), ("max", max)] {
+    let all = values(bytes, accessor);
+    for (name, of) in [("min", f32::min as fn(f32, f32) -> f32), ("max", f32::max)] {
         let numbers: Vec<f64> = serde_json::from_value(json["accessors"][accessor][name].clone()).unwrap();
         let told: Vec<f32> = numbers.iter().map(|v| *v as f32).collect();
-        assert_eq!(told, expected.to_array());
+        let column = |c: usize| all.iter().map(|row| row[c]).reduce(of).unwrap();
+        assert_eq!(told, (0..all[0].len()).map(column).collect::<Vec<_>>());
     }
 }
 
@@ -236,11 +236,13 @@ fn rich() -> Glb {
     glb.accessor(colours, 0, 5121, count, "VEC4", ",\"normalized\":true");
     glb.indices(&[0, 1, 2, 2, 1, 11, 5, 6, 7], 5121);
     // The second: normals before positions.
-    glb.floats(&rows(&all[5..25]), "");
+    // With how far they reach, as some programs have it.
+    glb.floats(&rows(&all[5..25]), &limits(&all[5..25]));
     glb.positions(&all[10..30]);
     let tangents: Vec<Vec<f32>> =
         all[..20].iter().map(|p| p.normalize_or(Vec3::Y).extend(-1.0).to_array().to_vec()).collect();
-    glb.floats(&tangents, "");
+    // Wrong, as it happens.
+    glb.floats(&tangents, ",\"max\":[1,1,1,9]");
     let colours: Vec<u8> = (0..20).flat_map(|i| [3 * i as u8, 20, 30, 0]).collect();
     let colours = glb.view(&colours, Some(4));
     glb.accessor(colours, 0, 5121, 20, "VEC3", ",\"normalized\":true");
@@ -320,6 +322,9 @@ fn a_motion_changes_what_it_should_and_nothing_else() {
             check_near(&vectors(&out, accessor), &expected, 0.02);
             check_limits(&out, accessor);
         }
+        check_limits(&out, 6);
+        let side = parts(&out).0["accessors"][8]["max"][3].as_f64();
+        assert_eq!(side, Some(if mirrors { 1.0 } else { -1.0 }));
         for accessor in [1, 6] {
             let turned = |n: &Vec3| {
                 (linear.inverse().transpose() * n.as_dvec3()).normalize_or_zero() * n.as_dvec3().length()
@@ -715,7 +720,7 @@ fn what_cannot_be_deformed_is_refused() {
         (simple(&accessor("").replace("\"count\":6", "\"count\":-6"), "", ""), "its JSON makes no sense"),
         (simple(&accessor(",\"byteOffset\":18446744073709551615"), "", ""), "accessor 0 says"),
         (simple(&accessor("").replace("View\":0", "View\":9"), "", ""), "bufferView 9 of 2"),
-        (simple(&accessor(",\"min\":[1,2]"), "", ""), "min of accessor 0 is not three numbers"),
+        (simple(&accessor(",\"min\":[1,2]"), "", ""), "min of accessor 0 is not 3 numbers"),
         (simple("", "", ",\"images\":[{\"bufferView\":0}]"), "image 0 and the vertices from byte"),
         (
             simple("", "", ",\"skins\":[{\"inverseBindMatrices\":0}]"),
