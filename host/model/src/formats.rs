@@ -3,18 +3,19 @@
 use std::path::Path;
 
 use crate::source::Source;
-use crate::{Error, ErrorKind, Model, Result, columns, las, obj, off, pcd, ply, stl};
+use crate::{Error, ErrorKind, Model, Result, columns, e57, las, obj, off, pcd, ply, stl};
 
 /// Extensions of all formats, by which names say what a file is.
-const EXTENSIONS: [&str; 7] = ["ply", "obj", "stl", "off", "pcd", "las", "laz"];
+const EXTENSIONS: [&str; 8] = ["ply", "obj", "stl", "off", "pcd", "las", "laz", "e57"];
 
 /// Whether a file that begins so is of a format, and what opens it.
 type Known = (fn(&[u8]) -> bool, fn(Source) -> Result<Box<dyn Model>>);
 
 /// The formats that a file's first bytes tell.
-const BY_BEGINNING: [Known; 4] = [
+const BY_BEGINNING: [Known; 5] = [
     (ply::is_ply, |source| Ok(Box::new(ply::PlyModel::new(source)?))),
     (las::is_las, |source| Ok(Box::new(las::LasModel::new(source)?))),
+    (e57::is_e57, e57::open),
     (pcd::is_pcd, pcd::open),
     (off::is_off, off::open),
 ];
@@ -92,6 +93,6 @@ fn unknown(source: &Source, start: &[u8]) -> Error {
     let start = &start[..start.len().min(16)];
     let what = format!("no model of a known format: it begins with \"{}\"", start.escape_ascii());
     let hint =
-        "PLY, OBJ, STL, OFF, PCD, LAS, LAZ and text in columns can be read: export the model as one of them";
+        "PLY, OBJ, STL, OFF, PCD, LAS, LAZ, E57 and text in columns can be read: export the model as one of them";
     source.malformed(what, hint)
 }

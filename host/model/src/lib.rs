@@ -15,6 +15,7 @@ pub mod bounds;
 pub mod claim;
 mod colors;
 mod columns;
+mod e57;
 mod error;
 mod fan;
 mod formats;

@@ -5,6 +5,7 @@
 //! [`CHUNK_TRIANGLES`] triangles, and [`Model::rewrite`] one for each thread, with up to [`MAX_VERSIONS`] new
 //! versions, and the bytes of a few more.
 
+use std::any::Any;
 use std::io::{self, Write};
 use std::ops::Range;
 use std::path::Path;
@@ -144,6 +145,12 @@ pub struct VertexChunk {
     pub(crate) blocks: Vec<Block>,
     /// Where in `raw` each vertex' numbers lie; what it means is the format's business.
     pub(crate) spans: Vec<[u32; 2]>,
+    /// The pages that are patched, where `raw` is what the vertices have of them.
+    pub(crate) pages: Vec<u8>,
+    /// Vertices of other chunks of which these bytes have some numbers.
+    pub(crate) beside: Beside,
+    /// What the format has to know of the bytes besides.
+    pub(crate) of_format: Option<Box<dyn Any + Send + Sync>>,
     /// The bytes are those of the vertices' normals, which stand elsewhere in the file than their positions.
     pub(crate) of_normals: bool,
 }
@@ -168,6 +175,27 @@ impl VertexChunk {
     pub fn raw(&self) -> &[u8] {
         &self.raw
     }
+
+    /// Bytes of the file that the chunk stands for.
+    pub(crate) fn source_bytes(&self) -> u64 {
+        (if self.pages.is_empty() { &self.raw } else { &self.pages }).len() as u64
+    }
+
+    /// What the format had to know of former bytes, to be filled anew.
+    pub(crate) fn take_of_format<T: Any + Default>(&mut self) -> Box<T> {
+        self.of_format.take().and_then(|of| of.downcast::<T>().ok()).unwrap_or_default()
+    }
+}
+
+/// Vertices that are edited once more, as a part of their numbers lies among the bytes of another chunk than the
+/// rest: in groups, each by itself, and neither begun nor ended.
+#[derive(Debug, Default)]
+pub(crate) struct Beside {
+    pub(crate) positions: Vec<DVec3>,
+    /// As many, where the model has any.
+    pub(crate) normals: Vec<Vec3>,
+    /// How many vertices each group has.
+    pub(crate) groups: Vec<usize>,
 }
 
 /// A compressed block of a file, which can be read without the others.
@@ -468,6 +496,11 @@ pub trait Model: Send + Sync {
     /// Extensions that names of such files have, in lower case, the usual one first; none if any will do.
     fn extensions(&self) -> &'static [&'static str] {
         &[]
+    }
+
+    /// What else the file says of itself, for people: a line for each scan, where it has several.
+    fn details(&self) -> Vec<String> {
+        Vec::new()
     }
 
     /// What the user said that the columns of a text are, as "x,y,z": it has to be opened so again.

@@ -60,7 +60,7 @@ pub(super) fn patch(
     }
     if !old.is_empty() {
         let bounds = |(min, max): (IVec3, IVec3)| Bounds { min: min.as_dvec3(), max: max.as_dvec3() };
-        summary.absorb(&Summary { before: bounds(before), after: bounds(after), lengths: Vec::new() });
+        summary.absorb(&Summary { before: bounds(before), after: bounds(after), ..Summary::default() });
     }
     debug_assert!(record >= BYTES);
     Ok(changed)
