@@ -92,7 +92,6 @@ pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn M
 fn unknown(source: &Source, start: &[u8]) -> Error {
     let start = &start[..start.len().min(16)];
     let what = format!("no model of a known format: it begins with \"{}\"", start.escape_ascii());
-    let hint =
-        "PLY, OBJ, STL, OFF, PCD, LAS, LAZ, E57 and text in columns can be read: export the model as one of them";
+    let hint = "PLY, OBJ, STL, OFF, PCD, LAS, LAZ, E57 and text in columns can be read: export the model as one of them";
     source.malformed(what, hint)
 }

@@ -44,7 +44,9 @@ impl Summary {
         let mut words = corners(&[self.before, self.after]);
         words.extend(self.lengths.iter().map(|length| format!("{length:x}")));
         let mut parts = vec![words.join(",")];
-        parts.extend(self.boxes.iter().map(|(number, boxes)| format!("b{number:x},{}", corners(boxes).join(","))));
+        parts.extend(
+            self.boxes.iter().map(|(number, boxes)| format!("b{number:x},{}", corners(boxes).join(","))),
+        );
         parts.extend(self.checksums.iter().map(|(page, checksum)| format!("c{page:x},{checksum:x}")));
         Some(parts.join(";"))
     }
@@ -102,8 +104,7 @@ mod tests {
         let after = Bounds::of([DVec3::new(-1.0, 0.1, 3.0), DVec3::ONE]);
         let boxes = BTreeMap::from([(0, [after, Bounds::default()]), (20, [after, after])]);
         let checksums = BTreeMap::from([(0, u32::MAX), (1 << 40, 7)]);
-        let second =
-            Summary { after, before: Bounds::of([DVec3::X]), lengths: vec![0], boxes, checksums };
+        let second = Summary { after, before: Bounds::of([DVec3::X]), lengths: vec![0], boxes, checksums };
         let mut both = first.clone();
         both.absorb(&second);
         assert_eq!(both, Summary { lengths: vec![7, u32::MAX, 0], ..second.clone() });
@@ -119,7 +120,14 @@ mod tests {
             assert!(!word.contains(' '));
         }
         assert_eq!(Summary::default().encode(), None);
-        for wrong in ["", "1,2", "x", "0,0,0,0,0,0,0,0,0,0,0,0,-1", "0,0,0,0,0,0,0,0,0,0,0,0;b1", "0,0,0,0,0,0,0,0,0,0,0,0;d1,1"] {
+        for wrong in [
+            "",
+            "1,2",
+            "x",
+            "0,0,0,0,0,0,0,0,0,0,0,0,-1",
+            "0,0,0,0,0,0,0,0,0,0,0,0;b1",
+            "0,0,0,0,0,0,0,0,0,0,0,0;d1,1",
+        ] {
             assert_eq!(Summary::decode(wrong), None);
         }
     }

@@ -138,10 +138,9 @@ impl<'a, 'i> Reading<'a, 'i> {
                     .hinting("export the model without, as usual programs write E57"));
             }
         }
-        for (element, names, is_spherical) in [
-            ("cartesianBounds", CARTESIAN_BOUNDS, false),
-            ("sphericalBounds", SPHERICAL_BOUNDS, true),
-        ] {
+        for (element, names, is_spherical) in
+            [("cartesianBounds", CARTESIAN_BOUNDS, false), ("sphericalBounds", SPHERICAL_BOUNDS, true)]
+        {
             let Some(bounds) = child(node, element) else { continue };
             for (i, name) in names.into_iter().enumerate() {
                 let corner = Corner { is_spherical, axis: i / 2, is_max: i % 2 == 1 };
@@ -229,7 +228,8 @@ impl<'a, 'i> Reading<'a, 'i> {
         let [x, y, z, _] = numbers("translation", ["x", "y", "z", ""], [0.0; 4])?;
         let found = Pose::new(rotation, DVec3::new(x, y, z));
         found.ok_or_else(|| {
-            let what = format!("the rotation {rotation:?} (w, x, y, z) and translation {:?} are no pose", [x, y, z]);
+            let what =
+                format!("the rotation {rotation:?} (w, x, y, z) and translation {:?} are no pose", [x, y, z]);
             self.wrong(pose, what)
         })
     }
@@ -248,8 +248,9 @@ impl<'a, 'i> Reading<'a, 'i> {
     fn number(&self, node: Node<'a, 'i>) -> Result<f64> {
         let text = node.text().unwrap_or_default().trim();
         let parsed = if text.is_empty() { Ok(0.0) } else { text.parse() };
-        let number: f64 = parsed
-            .map_err(|_| self.wrong(node, format!("{:?} in {} is no number", text, node.tag_name().name())))?;
+        let number: f64 = parsed.map_err(|_| {
+            self.wrong(node, format!("{:?} in {} is no number", text, node.tag_name().name()))
+        })?;
         match self.kind(node) {
             Ok(Kind::Integer { scale, offset, .. }) => Ok(number * scale + offset),
             _ => Ok(number),
@@ -269,7 +270,8 @@ impl<'a, 'i> Reading<'a, 'i> {
                 let ends = |c: char| c.is_whitespace() || c == '/' || c == '>';
                 let name = element.get(1..).unwrap_or_default().split(ends).next().unwrap_or_default();
                 around = (">".to_owned(), format!("</{name}>"));
-                let end = if element.ends_with("/>") { element.len() - 2 } else { element.find('>').unwrap_or(0) };
+                let end =
+                    if element.ends_with("/>") { element.len() - 2 } else { element.find('>').unwrap_or(0) };
                 all.start + end..all.end
             }
         };

@@ -23,7 +23,8 @@ impl E57Model {
     /// Whether nothing comes behind the XML.
     fn xml_is_last(&self) -> bool {
         let end = self.source.len() / PAGE;
-        pages_of(&self.header.xml).end == end && self.scans.iter().all(|s| s.packets.section.start < self.header.xml.start)
+        pages_of(&self.header.xml).end == end
+            && self.scans.iter().all(|s| s.packets.section.start < self.header.xml.start)
     }
 
     /// The bytes of the file in whose place others are made: the pages of the XML, but the first one; or else none,
@@ -50,7 +51,11 @@ impl E57Model {
                 let behind = physical(self.header.xml.end);
                 let mut rest = Vec::new();
                 if self.header.xml.end % PAYLOAD != 0 {
-                    self.source.append_at(&mut rest, behind, (PAYLOAD - self.header.xml.end % PAYLOAD) as usize)?;
+                    self.source.append_at(
+                        &mut rest,
+                        behind,
+                        (PAYLOAD - self.header.xml.end % PAYLOAD) as usize,
+                    )?;
                 }
                 payload.extend_from_slice(&rest);
             }
@@ -150,9 +155,14 @@ fn new_number(scan: &Scan, slot: &Slot, before: &Reach, after: &Reach) -> Option
         return None;
     }
     // From one azimuth up to a smaller one, by way of a half turn: all around is right in any case.
-    let other = |other: &&Slot| !other.is_limit && other.corner == super::description::Corner { is_max: !corner.is_max, ..corner };
-    let wraps = |other: &Slot| if corner.is_max { slot.value < other.value } else { slot.value > other.value };
-    let is_around = corner.is_spherical && corner.axis == 1 && !slot.is_limit
+    let other = |other: &&Slot| {
+        !other.is_limit && other.corner == super::description::Corner { is_max: !corner.is_max, ..corner }
+    };
+    let wraps =
+        |other: &Slot| if corner.is_max { slot.value < other.value } else { slot.value > other.value };
+    let is_around = corner.is_spherical
+        && corner.axis == 1
+        && !slot.is_limit
         && scan.described.slots.iter().find(other).is_some_and(wraps);
     let new = match (is_around, corner.is_max) {
         (false, _) => is,

@@ -29,7 +29,9 @@ impl Field {
         match self.kind {
             Kind::Single => 32,
             Kind::Double => 64,
-            Kind::Integer { min, max, .. } => u64::BITS - max.wrapping_sub(min).cast_unsigned().leading_zeros(),
+            Kind::Integer { min, max, .. } => {
+                u64::BITS - max.wrapping_sub(min).cast_unsigned().leading_zeros()
+            }
             Kind::Other => 0,
         }
     }
@@ -191,9 +193,15 @@ mod tests {
 
     #[test]
     fn integers_take_the_bits_that_they_need() {
-        for (min, max, bits) in
-            [(0, 0, 0), (5, 5, 0), (0, 1, 1), (0, 255, 8), (0, 256, 9), (-128, 127, 8), (i64::MIN, i64::MAX, 64)]
-        {
+        for (min, max, bits) in [
+            (0, 0, 0),
+            (5, 5, 0),
+            (0, 1, 1),
+            (0, 255, 8),
+            (0, 256, 9),
+            (-128, 127, 8),
+            (i64::MIN, i64::MAX, 64),
+        ] {
             assert_eq!(integer(min, max, 1.0, 0.0).bits(), bits);
         }
     }

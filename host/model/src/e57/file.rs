@@ -54,7 +54,8 @@ impl E57Model {
         for (one, packets) in found {
             let (name, count) = (one.name.clone(), one.count);
             let Some(scan) = Scan::new(one, packets, vertices) else {
-                let what = format!("the points of {name} have no cartesianX, Y and Z, and no spherical coordinates");
+                let what =
+                    format!("the points of {name} have no cartesianX, Y and Z, and no spherical coordinates");
                 return Err(source.malformed(what, "export the scan with its positions"));
             };
             if scan.lead.is_none() && count > MOST_OF_NOTHING {
@@ -114,7 +115,9 @@ fn describe(scan: &Scan) -> String {
     let stands = match (pose.is_identity(), pose.rotation()) {
         (true, _) => "without a pose".to_owned(),
         (false, None) => format!("at {}", pose.translation),
-        (false, Some((axis, angle))) => format!("at {}, turned by {angle:.4}° about {axis:.6}", pose.translation),
+        (false, Some((axis, angle))) => {
+            format!("at {}, turned by {angle:.4}° about {axis:.6}", pose.translation)
+        }
     };
     let mut text = format!("{}: {} points, {stands}", described.name, described.count);
     for field in scan.row.iter().map(|field| &described.fields[*field]) {

@@ -57,7 +57,8 @@ impl Header {
         }
         let end = length / PAGE * super::pages::PAYLOAD;
         let start = logical(place).filter(|start| *start >= LENGTH && place < length);
-        let xml = start.and_then(|start| Some(start..start.checked_add(xml).filter(|behind| *behind <= end)?));
+        let xml =
+            start.and_then(|start| Some(start..start.checked_add(xml).filter(|behind| *behind <= end)?));
         let Some(xml) = xml else {
             let what = format!(
                 "the XML is said to be at byte {place}, of {} bytes, but the file has {length}",

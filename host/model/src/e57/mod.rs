@@ -39,7 +39,8 @@ use reader::Reader;
 use crate::model::NoFaces;
 use crate::source::Source;
 use crate::{
-    Edit, FaceReader, Model, ModelInfo, Output, Progress, Result, Rewriting, VertexChunk, VertexReader, pipeline,
+    Edit, FaceReader, Model, ModelInfo, Output, Progress, Result, Rewriting, VertexChunk, VertexReader,
+    pipeline,
 };
 
 /// Whether a file that begins so is E57.

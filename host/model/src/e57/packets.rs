@@ -12,9 +12,6 @@ use crate::source::Source;
 /// Bytes of the head of a section.
 const HEAD: u64 = 32;
 
-/// Longest packet.
-pub(super) const MOST_BYTES: u64 = 1 << 16;
-
 /// Most numbers by which one stream of a scan may be ahead of another where a packet ends: what has to be read to
 /// have all numbers of some points is bounded by it.
 const MOST_APART: u64 = 1 << 18;
@@ -222,7 +219,8 @@ impl<'a> Walk<'a, '_> {
                 let lengths = head.get(6..).unwrap_or_default();
                 let (told, wanted) = (usize::from(u16::from_le_bytes(bytes_at(head, 4))), 2 * streams);
                 if told != streams || lengths.len() < wanted {
-                    let what = format_args!("a packet with {told} streams, where points have {streams} fields");
+                    let what =
+                        format_args!("a packet with {told} streams, where points have {streams} fields");
                     return Err(wrong(at, what));
                 }
                 let mut begin = 6 + wanted as u64;

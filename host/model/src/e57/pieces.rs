@@ -34,7 +34,10 @@ const CHUNK_BYTES: u64 = 4 << 20;
 enum Part {
     Copy(Range<u64>),
     /// Pages with the points of some scans.
-    Points { pages: Range<u64>, scans: Range<usize> },
+    Points {
+        pages: Range<u64>,
+        scans: Range<usize>,
+    },
     /// The end of the file, or where it ends now.
     Ending(Range<u64>),
 }
@@ -183,7 +186,9 @@ impl<'a> E57Pieces<'a> {
             let here = (first / width).min(count)..behind.div_ceil(width).min(count);
             points = points.start.min(here.start)..points.end.max(here.end);
             let divided = [(first, here.start), (behind, here.end.saturating_sub(1))];
-            alone.extend(divided.iter().filter(|(bit, at)| bit % width != 0 && *at < count).map(|(_, at)| *at));
+            alone.extend(
+                divided.iter().filter(|(bit, at)| bit % width != 0 && *at < count).map(|(_, at)| *at),
+            );
         }
         alone.sort_unstable();
         alone.dedup();
@@ -233,8 +238,8 @@ impl<'a> E57Pieces<'a> {
         let (mut first, mut vertices, mut is_touched) = (None, 0, false);
         for number in scans.clone() {
             let scan = &self.model.scans[number];
-            let is_here = scan.packets.section.start < piece.end * PAYLOAD
-                && scan.packets.end > piece.start * PAYLOAD;
+            let is_here =
+                scan.packets.section.start < piece.end * PAYLOAD && scan.packets.end > piece.start * PAYLOAD;
             if scan.described.count == 0 || !is_here {
                 continue;
             }
@@ -252,7 +257,11 @@ impl<'a> E57Pieces<'a> {
         if !is_touched {
             chunk.pages.clear();
             chunk.raw.clear();
-            self.model.source.append_at(&mut chunk.raw, piece.start * PAGE, ((end - piece.start) * PAGE) as usize)?;
+            self.model.source.append_at(
+                &mut chunk.raw,
+                piece.start * PAGE,
+                ((end - piece.start) * PAGE) as usize,
+            )?;
             return Ok((end, Piece::Bytes));
         }
         chunk.first = first.unwrap_or(0);
@@ -320,7 +329,9 @@ impl E57Model {
         for segment in &layout.segments {
             let scan = &self.scans[segment.scan];
             rows.clear();
-            rows.extend(numbers.by_ref().take((segment.own.end - segment.own.start) as usize * scan.row.len()));
+            rows.extend(
+                numbers.by_ref().take((segment.own.end - segment.own.start) as usize * scan.row.len()),
+            );
             let (of_own, normals_of_own) = decoded(scan, &rows, normals);
             positions.extend(of_own);
             of_normals.extend(normals_of_own);

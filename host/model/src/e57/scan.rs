@@ -80,9 +80,8 @@ impl Scan {
         let takes_bits = |field: &usize| fields[*field].bits() > 0;
         let lead = row.iter().copied().find(takes_bits).or_else(|| (0..fields.len()).find(takes_bits));
         let has_normals = roles.normal.is_some();
-        let wants = [false, true].map(|is_spherical| {
-            described.slots.iter().any(|slot| slot.corner.is_spherical == is_spherical)
-        });
+        let wants = [false, true]
+            .map(|is_spherical| described.slots.iter().any(|slot| slot.corner.is_spherical == is_spherical));
         Some(Self { described, packets, first, row, roles, lead, has_normals, wants })
     }
 
@@ -93,7 +92,8 @@ impl Scan {
 
     /// Fields that are neither positions nor normals, but numbers.
     pub fn attributes(&self, with_normals: bool) -> impl Iterator<Item = usize> {
-        let of = |three: &Option<[usize; 3]>| three.iter().flatten().map(|i| self.row[*i]).collect::<Vec<_>>();
+        let of =
+            |three: &Option<[usize; 3]>| three.iter().flatten().map(|i| self.row[*i]).collect::<Vec<_>>();
         let Roles { cartesian, spherical, normal, .. } = &self.roles;
         let mut others = [of(cartesian), of(spherical)].concat();
         if !with_normals {
@@ -162,7 +162,8 @@ impl Scan {
         let after = before + self.described.pose.turned_back(to - from);
         if !after.is_finite() {
             let axis = (0..3).find(|axis| !to[*axis].is_finite()).unwrap_or(0);
-            let field = self.roles.cartesian.or(self.roles.spherical).map_or(0, |three| self.row[three[axis]]);
+            let field =
+                self.roles.cartesian.or(self.roles.spherical).map_or(0, |three| self.row[three[axis]]);
             return Err(Beyond { field, value: to[axis] });
         }
         let (flat, polar) = (self.valid_cartesian(row), self.valid_spherical(row));

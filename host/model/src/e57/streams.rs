@@ -20,7 +20,13 @@ pub(super) struct Streams {
 
 impl Streams {
     /// Reads what the points have of some fields.
-    pub fn read(&mut self, mut walk: Walk<'_, '_>, scan: &Scan, points: Range<u64>, fields: &[usize]) -> Result<()> {
+    pub fn read(
+        &mut self,
+        mut walk: Walk<'_, '_>,
+        scan: &Scan,
+        points: Range<u64>,
+        fields: &[usize],
+    ) -> Result<()> {
         let Scan { described, packets, .. } = scan;
         let of = &described.fields;
         let count = points.end - points.start;
