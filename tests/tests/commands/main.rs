@@ -4,6 +4,7 @@ mod bind;
 mod cancel;
 mod compare;
 mod diagnostics;
+mod e57;
 mod errors;
 mod examples;
 mod files;

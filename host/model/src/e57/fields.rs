@@ -15,6 +15,22 @@ pub(super) enum Kind {
     Other,
 }
 
+impl Kind {
+    /// The number that bits stand for.
+    #[inline]
+    pub fn value(&self, bits: u64) -> f64 {
+        match *self {
+            Self::Single => f64::from(f32::from_bits(bits as u32)),
+            Self::Double => f64::from_bits(bits),
+            Self::Integer { min, scale, offset, .. } => {
+                let number = min.wrapping_add(bits.cast_signed());
+                number as f64 * scale + offset
+            }
+            Self::Other => f64::NAN,
+        }
+    }
+}
+
 /// A field of the points of a scan, which has a stream of bits of its own.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Field {
@@ -43,15 +59,7 @@ impl Field {
     /// The number that bits stand for.
     #[inline]
     pub fn value(&self, bits: u64) -> f64 {
-        match self.kind {
-            Kind::Single => f64::from(f32::from_bits(bits as u32)),
-            Kind::Double => f64::from_bits(bits),
-            Kind::Integer { min, scale, offset, .. } => {
-                let number = min.wrapping_add(bits.cast_signed());
-                number as f64 * scale + offset
-            }
-            Kind::Other => f64::NAN,
-        }
+        self.kind.value(bits)
     }
 
     /// The bits of the nearest number; none if there is none so far out.

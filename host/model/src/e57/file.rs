@@ -1,5 +1,7 @@
 //! What is known of an E57 file once it is open.
 
+use std::collections::BTreeMap;
+
 use super::description::Description;
 use super::fields::Kind;
 use super::header::{Header, LENGTH};
@@ -7,7 +9,7 @@ use super::packets::{Packets, Walk};
 use super::pages::{DAMAGED, Window, physical};
 use super::scan::{NUMBER, Scan};
 use crate::source::Source;
-use crate::{Attribute, ModelInfo, Result, Scalar};
+use crate::{Attribute, ModelInfo, Result, Scalar, Type};
 
 /// Most points of which no field takes any bits: how many there are is held against nothing.
 const MOST_OF_NOTHING: u64 = 1 << 12;
@@ -21,8 +23,8 @@ pub struct E57Model {
     pub(super) xml: String,
     /// In the order of their points in the file, which is that of the vertices.
     pub(super) scans: Vec<Scan>,
-    /// For each scan, which of its fields each attribute is.
-    pub(super) attributes: Vec<Vec<Option<usize>>>,
+    /// For each scan, those attributes that it has, and which of its fields they are; ascending.
+    pub(super) attributes: Vec<Vec<(usize, usize)>>,
     pub(super) info: ModelInfo,
 }
 
@@ -137,7 +139,7 @@ fn info(
     header: &Header,
     scans: &[Scan],
     (vertices, crs): (u64, Option<String>),
-) -> (ModelInfo, Vec<Vec<Option<usize>>>) {
+) -> (ModelInfo, Vec<Vec<(usize, usize)>>) {
     let with_points = || scans.iter().filter(|scan| scan.described.count > 0);
     let has_normals = vertices > 0 && with_points().all(|scan| scan.has_normals);
     let is_single = |scan: &Scan| {
@@ -145,9 +147,10 @@ fn info(
         fields.into_iter().all(|field| field.kind == Kind::Single) && scan.described.pose.is_identity()
     };
     let mut attributes: Vec<Attribute> = Vec::new();
+    let mut known = BTreeMap::new();
     let mut places = Vec::new();
     for scan in scans {
-        let mut of_scan = vec![None; attributes.len()];
+        let mut of_scan = BTreeMap::new();
         for index in scan.attributes(has_normals) {
             let field = &scan.described.fields[index];
             let name = match &*field.name {
@@ -160,25 +163,16 @@ fn info(
                 continue;
             }
             let kind = field.number_type();
-            match attributes.iter().position(|known| known.name == name) {
-                Some(known) => {
-                    if of_scan[known].is_none() {
-                        of_scan[known] = Some(index);
-                        let attribute = &mut attributes[known];
-                        if attribute.kind != kind {
-                            attribute.kind = crate::Type::F64;
-                        }
-                    }
-                }
-                None => {
-                    attributes.push(Attribute { name: name.to_owned(), kind });
-                    of_scan.push(Some(index));
-                }
+            let attribute = *known.entry(name).or_insert(attributes.len());
+            match attributes.get_mut(attribute) {
+                Some(Attribute { kind: of_others, .. }) if *of_others != kind => *of_others = Type::F64,
+                Some(_) => {}
+                None => attributes.push(Attribute { name: name.to_owned(), kind }),
             }
+            of_scan.entry(attribute).or_insert(index);
         }
-        places.push(of_scan);
+        places.push(of_scan.into_iter().collect());
     }
-    places.iter_mut().for_each(|of_scan: &mut Vec<_>| of_scan.resize(attributes.len(), None));
     let number = match scans.len() {
         1 => "1 scan".to_owned(),
         scans => format!("{scans} scans"),

@@ -118,14 +118,15 @@ impl E57Model {
         else {
             return;
         };
-        for (values, place) in to.iter_mut().zip(places) {
-            match place {
-                Some(place) => {
-                    let field = &scan.described.fields[*place];
-                    values.extend((0..chunk.len()).map(|index| field.value(streams.get(*place, index))));
+        for (number, values) in to.iter_mut().enumerate() {
+            match places.binary_search_by_key(&number, |(attribute, _)| *attribute) {
+                Ok(place) => {
+                    let place = places[place].1;
+                    let field = &scan.described.fields[place];
+                    values.extend((0..chunk.len()).map(|index| field.value(streams.get(place, index))));
                 }
                 // The scan does not have it.
-                None => values.resize(chunk.len(), f64::NAN),
+                Err(_) => values.resize(chunk.len(), f64::NAN),
             }
         }
     }

@@ -107,14 +107,14 @@ impl Moving<'_, '_> {
         let (mut before, mut after) = (Reach::default(), Reach::default());
         for ((point, row), vertex) in points.clone().zip(rows.chunks_exact_mut(width)).zip(vertices) {
             let is_own = scan.wants_reach() && segment.own.contains(&point);
-            if is_own {
-                scan.reach(row, &mut before);
-            }
-            if self.move_vertex(segment, point, row, vertex)? {
+            let was = is_own.then(|| scan.reach(row));
+            let moves = self.move_vertex(segment, point, row, vertex)?;
+            if moves {
                 changed.push((point - points.start) as usize);
             }
-            if is_own {
-                scan.reach(row, &mut after);
+            if let Some(was) = was {
+                include(&mut before, was);
+                include(&mut after, if moves { scan.reach(row) } else { was });
             }
         }
         if scan.wants_reach() && !segment.own.is_empty() {
@@ -178,6 +178,11 @@ impl Moving<'_, '_> {
             "move it less, or export the model with coordinates as floats (of type Float) first",
         )
     }
+}
+
+fn include(all: &mut Reach, one: [Option<glam::DVec3>; 2]) {
+    let both = all.iter_mut().zip(one);
+    both.for_each(|(bounds, place)| place.into_iter().for_each(|place| bounds.include(place)));
 }
 
 /// An entry of two lists, one behind the other.

@@ -8,7 +8,7 @@ use std::ops::Range;
 use glam::{DVec3, Vec3};
 
 use super::description::{CARTESIAN, Corner, Described, SPHERICAL};
-use super::fields::Field;
+use super::fields::{Field, Kind};
 use super::packets::Packets;
 use super::pose::{cartesian, spherical};
 use crate::bounds::Bounds;
@@ -28,6 +28,8 @@ pub(super) struct Scan {
     pub first: u64,
     /// The fields of a row.
     pub row: Vec<usize>,
+    /// How they are stored.
+    kinds: Vec<Kind>,
     roles: Roles,
     /// The field by whose numbers points are told to be in a part of the file; none where no field takes any
     /// bits.
@@ -82,7 +84,8 @@ impl Scan {
         let has_normals = roles.normal.is_some();
         let wants = [false, true]
             .map(|is_spherical| described.slots.iter().any(|slot| slot.corner.is_spherical == is_spherical));
-        Some(Self { described, packets, first, row, roles, lead, has_normals, wants })
+        let kinds = row.iter().map(|field| fields[*field].kind).collect();
+        Some(Self { described, packets, first, row, kinds, roles, lead, has_normals, wants })
     }
 
     /// The model's numbers of its points.
@@ -109,7 +112,7 @@ impl Scan {
 
     #[inline]
     fn value(&self, row: &[u64], of_row: usize) -> f64 {
-        self.field(of_row).value(row[of_row])
+        self.kinds[of_row].value(row[of_row])
     }
 
     #[inline]
@@ -216,20 +219,15 @@ impl Scan {
         Ok(changed)
     }
 
-    /// Includes a point in how far points reach, as far as the text says it.
+    /// How far a point reaches, as far as the text says it of all: nowhere, if it has no position.
     #[inline]
-    pub fn reach(&self, row: &[u64], reach: &mut Reach) {
-        let local = self.local(row);
-        if !local.is_finite() {
-            return;
-        }
-        if self.wants[0] {
-            reach[0].include(local);
-        }
-        if self.wants[1] {
-            let polar = self.valid_spherical(row).map(|three| self.three(row, three));
-            reach[1].include(DVec3::from(polar.unwrap_or_else(|| spherical(local))));
-        }
+    pub fn reach(&self, row: &[u64]) -> [Option<DVec3>; 2] {
+        let local = Some(self.local(row)).filter(|local| local.is_finite());
+        let polar = local.filter(|_| self.wants[1]).map(|local| {
+            let told = self.valid_spherical(row).map(|three| self.three(row, three));
+            DVec3::from(told.unwrap_or_else(|| spherical(local)))
+        });
+        [local.filter(|_| self.wants[0]), polar]
     }
 
     pub fn wants_reach(&self) -> bool {

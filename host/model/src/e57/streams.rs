@@ -32,9 +32,11 @@ impl Streams {
         let count = points.end - points.start;
         self.packed.resize_with(of.len(), Option::default);
         self.packed.truncate(of.len());
-        for (field, packed) in self.packed.iter_mut().enumerate() {
-            if fields.contains(&field) {
-                packed.get_or_insert_default().begin(of[field].bits(), points.start, count);
+        let mut is_wanted = vec![false; of.len()];
+        fields.iter().for_each(|field| is_wanted[*field] = true);
+        for ((field, packed), is_wanted) in of.iter().zip(&mut self.packed).zip(is_wanted) {
+            if is_wanted {
+                packed.get_or_insert_default().begin(field.bits(), points.start, count);
             } else {
                 *packed = None;
             }
