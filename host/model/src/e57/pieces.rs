@@ -175,6 +175,8 @@ impl<'a> E57Pieces<'a> {
             (false, true) => scan.lead_numbers(&start)..count,
             (false, false) => scan.lead_numbers(&start)..scan.lead_numbers(&end),
         };
+        // Never backwards, whatever became of the file meanwhile.
+        let own = own.start..own.end.max(own.start);
         let (mut points, mut alone) = (own.clone(), Vec::new());
         for field in &scan.row {
             let width = u64::from(scan.described.fields[*field].bits());
