@@ -141,7 +141,7 @@ fn compare(sampled: &SampledModel, path: &Path, map: Map, folder: &Path) -> Resu
     };
     let result = simod_model::open(&output)?;
     let mut all = expected.iter();
-    in_step(&[model.as_ref(), result.as_ref()], &Silent, |versions| {
+    in_step(&[model.as_ref(), result.as_ref()], 0, &Silent, |versions| {
         for (rest, moved) in versions[0].positions.iter().zip(versions[1].positions) {
             let expected = f64::from(*all.next().ok_or_else(|| unreadable(&figures))?);
             if !rest.is_finite() {

@@ -3,7 +3,7 @@
 //!
 //! A sample stands for the vertices that are nearest to it, among the samples of the sheet of the surface
 //! that they lie on: of a thin wall that is painted on both sides, no sample gets the other side's colour.
-//! Its value is the mean of theirs, in the attribute's own unit. They are found by one more stream of the
+//! Its value is the mean of theirs, in the attribute's own unit; of classes, that of the vertex nearest to it. They are found by one more stream of the
 //! model, and kept in the folder of the samples.
 //!
 //! The file begins with eight letters and a version; the hash of the `samples.ply` and of the model that it
@@ -24,7 +24,7 @@ use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
 pub const MOST: usize = 32;
 
 const MAGIC: &[u8; 8] = b"SIMODATR";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// An attribute of the samples.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -61,6 +61,48 @@ impl Mean {
 
     fn value(self) -> Option<f32> {
         (self.count > 0).then(|| (self.sum / self.count as f64) as f32)
+    }
+}
+
+/// What becomes an attribute of the samples.
+enum Gathered {
+    Means(Vec<Mean>),
+    /// Of classes: the distance of the nearest vertex so far, local, and its class.
+    ///
+    /// Memory: 8 bytes per sample.
+    Classes(Vec<(f32, f32)>),
+}
+
+impl Gathered {
+    fn new(attribute: &Attribute, samples: usize) -> Self {
+        if attribute.is_of_classes() {
+            Self::Classes(vec![(f32::INFINITY, 0.0); samples])
+        } else {
+            Self::Means(vec![Mean::default(); samples])
+        }
+    }
+
+    /// Adds a vertex' number to a sample at some distance.
+    fn add(&mut self, sample: usize, value: f64, distance: impl FnOnce() -> f32) {
+        match self {
+            Self::Means(means) => means[sample].add(value),
+            Self::Classes(nearest) => {
+                let distance = distance();
+                if value.is_finite() && distance < nearest[sample].0 {
+                    nearest[sample] = (distance, value as f32);
+                }
+            }
+        }
+    }
+
+    /// The values of all samples that have one.
+    fn values(&self) -> Vec<Option<f32>> {
+        match self {
+            Self::Means(means) => means.iter().map(|mean| mean.value()).collect(),
+            Self::Classes(nearest) => {
+                nearest.iter().map(|(distance, class)| distance.is_finite().then_some(*class)).collect()
+            }
+        }
     }
 }
 
@@ -103,7 +145,8 @@ impl Attributes {
         let samples = &sampled.samples;
         progress.begin("reading the attributes", info.vertex_bytes);
         let around = Surroundings::of(samples);
-        let mut means = vec![vec![Mean::default(); samples.len()]; attributes.len()];
+        let mut gathered: Vec<Gathered> =
+            attributes.iter().map(|attribute| Gathered::new(attribute, samples.len())).collect();
         // Of a chunk.
         let mut values = vec![Vec::new(); attributes.len()];
         let (mut home_of, mut hash) = (Vec::new(), Xxh3Default::new());
@@ -117,10 +160,12 @@ impl Attributes {
             };
             home_of.par_iter_mut().zip(&chunk.positions).with_min_len(1024).for_each(nearest);
             // In the file's order, so that sums are the same on any machine.
-            for (means, values) in means.iter_mut().zip(&values) {
+            for (gathered, values) in gathered.iter_mut().zip(&values) {
                 let vertices = chunk.positions.iter().zip(&home_of).zip(values);
-                for ((_, sample), value) in vertices.filter(|((p, _), _)| p.is_finite()) {
-                    means[*sample as usize].add(*value);
+                for ((p, sample), value) in vertices.filter(|((p, _), _)| p.is_finite()) {
+                    let sample = *sample as usize;
+                    let distance = || sampled.frame.to_local(*p).distance(samples.positions[sample]);
+                    gathered.add(sample, *value, distance);
                 }
             }
             progress.advance(chunk.raw().len() as u64);
@@ -129,8 +174,9 @@ impl Attributes {
         if fingerprint(hash.digest128()) != sampled.source.fingerprint {
             return Err(sampled.source_changed(model.path()));
         }
-        let all = attributes.iter().zip(&means).filter_map(|(attribute, means)| {
-            Some(OfSamples { attribute: attribute.clone(), values: completed(means, &samples.positions)? })
+        let all = attributes.iter().zip(&gathered).filter_map(|(attribute, gathered)| {
+            let values = completed(&gathered.values(), &samples.positions)?;
+            Some(OfSamples { attribute: attribute.clone(), values })
         });
         Ok(Self(all.collect()))
     }
@@ -170,19 +216,19 @@ impl Attributes {
     }
 }
 
-/// The values of all samples; nothing if none has one.
-fn completed(means: &[Mean], positions: &[Vec3]) -> Option<Vec<f32>> {
-    let known: Vec<usize> = (0..means.len()).filter(|i| means[*i].count > 0).collect();
+/// The values of all samples, by those that are known; nothing if none is.
+fn completed(values: &[Option<f32>], positions: &[Vec3]) -> Option<Vec<f32>> {
+    let known: Vec<usize> = (0..values.len()).filter(|i| values[*i].is_some()).collect();
     if known.is_empty() {
         return None;
     }
-    if known.len() == means.len() {
-        return means.iter().map(|mean| mean.value()).collect();
+    if known.len() == values.len() {
+        return values.iter().copied().collect();
     }
     let tree = KdTree::new(&known.iter().map(|i| positions[*i]).collect::<Vec<_>>());
     let value =
-        |(mean, p): (&Mean, &Vec3)| mean.value().or_else(|| means[known[tree.nearest(*p) as usize]].value());
-    means.iter().zip(positions).map(value).collect()
+        |(value, p): (&Option<f32>, &Vec3)| value.or_else(|| values[known[tree.nearest(*p) as usize]]);
+    values.iter().zip(positions).map(value).collect()
 }
 
 fn damaged(what: &str) -> Error {

@@ -9,6 +9,8 @@
 //! formats of models.
 
 pub mod attributes;
+pub mod colors;
+mod deformed_file;
 pub mod detail;
 pub mod geometry;
 pub mod guard;

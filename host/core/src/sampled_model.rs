@@ -13,10 +13,14 @@ use simod_model::frame::Frame;
 use simod_model::input::{self, Identity};
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::folder_of;
-use simod_model::{Error, ErrorKind, FaceChunk, Model, Progress, Result, Scalar, VertexChunk, output};
+use simod_model::{
+    Attribute, Besides, Error, ErrorKind, FaceChunk, Model, Progress, Result, Scalar, VertexChunk, output,
+};
 use xxhash_rust::xxh3::Xxh3Default;
 
 use crate::attributes::Attributes;
+use crate::colors;
+use crate::deformed_file::{self, DeformedFile};
 use crate::refinement::Refinement;
 use crate::sampling::density::Rule;
 use crate::sampling::gather::{Cubes, PIECE};
@@ -56,9 +60,6 @@ const LONGEST_ATTRIBUTES: u64 = 16 << 30;
 /// How far from the middle of the model a deformed sample may be, in local units: the model's size, about.
 const FARTHEST: f32 = 1e12;
 
-/// Most samples that are read: they are held, with some hundred bytes each.
-const MOST_SAMPLES: u64 = 1 << 29;
-
 /// The file of who is on whose sheet where parts touch: see [`Contacts`].
 const SHEETS: &str = "sheets.bin";
 
@@ -79,6 +80,9 @@ pub struct Source {
     pub bytes: u64,
     /// Its number of vertices.
     pub vertices: u64,
+    /// The numbers that each of them has besides; not known of folders that former versions wrote.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub attributes: Vec<Attribute>,
     /// How many of them have no finite position.
     pub non_finite: u64,
     /// The first of these.
@@ -168,6 +172,9 @@ pub struct SampledModel {
     pub position_type: Scalar,
     /// The samples.
     pub samples: SampleSet,
+    /// Red, green and blue of each sample: the model's own, averaged over its vertices. None where the model has
+    /// none, or they were not wanted.
+    pub colors: Vec<[u8; 3]>,
     /// How it was refined since it was sampled, first to last.
     pub refinements: Vec<Refinement>,
     /// Triangles between samples, from the model's faces; none where it has none, or they were not wanted.
@@ -271,6 +278,7 @@ impl SampledModel {
             frame,
             position_type,
             samples: SampleSet::new(positions, normals)?,
+            colors: Vec::new(),
             refinements: Vec::new(),
             triangles: triangles.triangles,
             faces_without_vertex: triangles.without_vertex,
@@ -303,6 +311,7 @@ impl SampledModel {
         Ok(Self {
             source: self.source.clone(),
             samples: SampleSet::new(positions, known)?,
+            colors: Vec::new(),
             refinements: self.refinements.iter().cloned().chain([refinement]).collect(),
             triangles,
             kept: Some(kept),
@@ -495,7 +504,7 @@ impl SampledModel {
                 "deformed samples go to another file: sample the model again",
             ));
         }
-        let (positions, normals, triangles) = read_samples(&samples)?;
+        let Samples { positions, normals, colors, triangles } = Samples::read(&samples)?;
         if positions.len() as u64 != description.samples {
             return Err(Error::new(
                 ErrorKind::Mismatch,
@@ -530,6 +539,7 @@ impl SampledModel {
                 skip: Skip {
                     normals: set.known_normals().is_empty(),
                     sheets: set.contacts().is_none(),
+                    colors: colors.is_empty(),
                     ..Skip::default()
                 },
             },
@@ -539,6 +549,7 @@ impl SampledModel {
             frame,
             position_type,
             samples: set,
+            colors,
             refinements: description.refinement,
             triangles,
             faces_without_vertex: 0,
@@ -632,7 +643,7 @@ impl SampledModel {
         let triangles = self.triangles.is_empty();
         // Former versions looked for no sheets unless asked to.
         let sheets = self.samples.contacts().is_none();
-        let skip = Skip { triangles, cells: false, normals: true, sheets };
+        let skip = Skip { triangles, cells: false, normals: true, sheets, colors: true };
         let again = crate::sampling::sample(&*source, &Sampling { skip, ..self.sampling }, folder, progress)?;
         if again.source.fingerprint != self.source.fingerprint {
             return Err(self.source_changed(source.path()));
@@ -687,6 +698,11 @@ impl SampledModel {
             }
         };
         Ok(self.attributes.get_or_init(|| Arc::new(found)))
+    }
+
+    /// The attributes, if they were [asked for](Self::attributes) since this was sampled or loaded.
+    pub fn held_attributes(&self) -> Option<&Arc<Attributes>> {
+        self.attributes.get()
     }
 
     /// The attributes in the folder, if their file is there, whole, and of these samples.
@@ -747,14 +763,20 @@ impl SampledModel {
     }
 
     fn write_points(&self, path: &Path, positions: &[Vec3], normals: &[Vec3]) -> Result<()> {
-        simod_model::write_points(
-            path,
-            positions.iter().map(|p| self.frame.to_model(*p)),
-            normals,
-            &self.triangles,
-            self.position_type,
-            &["SIMOD samples".to_owned()],
-        )
+        let positions = positions.iter().map(|p| self.frame.to_model(*p));
+        self.write_as(path, positions, normals, self.position_type)
+    }
+
+    /// Writes positions of all samples (the model's coordinates), with what other programs show and keep.
+    fn write_as(
+        &self,
+        path: &Path,
+        positions: impl ExactSizeIterator<Item = DVec3>,
+        normals: &[Vec3],
+        scalar: Scalar,
+    ) -> Result<()> {
+        let besides = Besides { normals, colors: &self.colors, ids: true, triangles: &self.triangles };
+        simod_model::write_vertices(path, positions, besides, scalar, &["SIMOD samples".to_owned()])
     }
 
     /// Deformed positions as they are after having been written and read again.
@@ -776,32 +798,20 @@ impl SampledModel {
         more: &[DVec3],
         normals: &[Vec3],
     ) -> Result<()> {
-        let scalar = simod_model::open(before)?.info().position_type;
-        let (mut positions, _) = read_points(before)?;
+        let there = self.samples.len().saturating_sub(more.len());
+        let DeformedFile { mut positions, scalar } = deformed_file::read(before, there)?;
         positions.extend_from_slice(more);
-        let comments = ["SIMOD samples".to_owned()];
-        simod_model::write_points(path, positions.into_iter(), normals, &self.triangles, scalar, &comments)
+        self.write_as(path, positions.into_iter(), normals, scalar)
     }
 
-    /// Reads deformed samples: local positions, in the order of the samples. Normals in the file are not
-    /// looked at, as a tool may leave stale ones.
+    /// Reads deformed samples: local positions, in the order of the samples. Where the file's vertices have
+    /// ids, these tell which is which; otherwise their order does. Normals in the file are not looked at, as a
+    /// tool may leave stale ones.
     ///
     /// # Errors
-    /// The file cannot be read, has another number of vertices than P_S, or positions that are not finite.
+    /// The file cannot be read, has other vertices than P_S, or positions that are not finite.
     pub fn read_deformed(&self, path: &Path) -> Result<Vec<Vec3>> {
-        let (positions, _) = read_points(path)?;
-        if positions.len() != self.samples.len() {
-            return Err(Error::new(
-                ErrorKind::Mismatch,
-                format!(
-                    "{} has {} vertices, but there are {} samples",
-                    path.display(),
-                    positions.len(),
-                    self.samples.len()
-                ),
-                "a deformer keeps the vertices of samples.ply, all of them and in their order",
-            ));
-        }
+        let DeformedFile { positions, .. } = deformed_file::read(path, self.samples.len())?;
         let local: Vec<Vec3> = positions.iter().map(|p| self.frame.to_local(*p)).collect();
         let mut bad = (0..local.len()).filter(|i| !local[*i].is_finite());
         if let Some(first) = bad.next() {
@@ -854,41 +864,37 @@ pub(crate) fn same_file(a: &Path, b: &Path) -> bool {
     Identity::of(a).is_some_and(|a| Some(a) == Identity::of(b))
 }
 
-/// Reads P_S whole.
-#[expect(clippy::type_complexity, reason = "what a file of samples holds")]
-fn read_samples(path: &Path) -> Result<(Vec<DVec3>, Vec<Vec3>, Vec<[u32; 3]>)> {
-    let (positions, normals) = read_points(path)?;
-    let model = simod_model::open(path)?;
-    let (mut faces, mut chunk, mut triangles) = (model.faces()?, FaceChunk::default(), Vec::new());
-    while faces.read(&mut chunk)? {
-        triangles.extend_from_slice(&chunk.triangles);
-    }
-    triangles.retain(|corners| corners.iter().all(|corner| (*corner as usize) < positions.len()));
-    Ok((positions, normals, triangles))
+/// What a file of samples holds. For P_S alone, which fits in memory.
+struct Samples {
+    positions: Vec<DVec3>,
+    normals: Vec<Vec3>,
+    colors: Vec<[u8; 3]>,
+    triangles: Vec<[u32; 3]>,
 }
 
-/// Reads a point set whole. For P_S and P_S* only, which fit in memory.
-fn read_points(path: &Path) -> Result<(Vec<DVec3>, Vec<Vec3>)> {
-    let model = simod_model::open(path)?;
-    if model.info().vertices > MOST_SAMPLES {
-        return Err(Error::new(
-            ErrorKind::Format,
-            format!(
-                "{} has {} vertices, and samples are {MOST_SAMPLES} at most",
-                path.display(),
-                model.info().vertices
-            ),
-            "give a file of samples, not the model",
-        ));
+impl Samples {
+    /// Reads P_S whole. Its ids are the order, and not looked at.
+    fn read(path: &Path) -> Result<Self> {
+        let model = deformed_file::open(path)?;
+        let (mut positions, mut normals, mut colors) = (Vec::new(), Vec::new(), Vec::new());
+        let of_colors = colors::Bytes::of(&*model)?;
+        let mut reader = model.vertices(0..model.info().vertices)?;
+        let (mut chunk, mut some) = (VertexChunk::default(), Vec::new());
+        while reader.read(&mut chunk)? {
+            positions.extend_from_slice(&chunk.positions);
+            normals.extend(chunk.normals.iter().map(|n| if n.is_finite() { *n } else { Vec3::ZERO }));
+            if let Some(of_colors) = &of_colors {
+                of_colors.decode(&*model, &chunk, &mut some)?;
+                colors.extend_from_slice(&some);
+            }
+        }
+        let (mut faces, mut chunk, mut triangles) = (model.faces()?, FaceChunk::default(), Vec::new());
+        while faces.read(&mut chunk)? {
+            triangles.extend_from_slice(&chunk.triangles);
+        }
+        triangles.retain(|corners| corners.iter().all(|corner| (*corner as usize) < positions.len()));
+        Ok(Self { positions, normals, colors, triangles })
     }
-    let (mut positions, mut normals) = (Vec::new(), Vec::new());
-    let mut reader = model.vertices(0..model.info().vertices)?;
-    let mut chunk = VertexChunk::default();
-    while reader.read(&mut chunk)? {
-        positions.extend_from_slice(&chunk.positions);
-        normals.extend(chunk.normals.iter().map(|n| if n.is_finite() { *n } else { Vec3::ZERO }));
-    }
-    Ok((positions, normals))
 }
 
 fn rounded(p: DVec3, to: Scalar) -> DVec3 {

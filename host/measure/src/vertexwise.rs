@@ -117,7 +117,7 @@ pub fn beside(models: &[&dyn Model], diagonal: f64, progress: &dyn Progress) -> 
     let mut bounds = vec![Bounds::default(); models.len()];
     let scale = 1.0 / diagonal.max(f64::MIN_POSITIVE);
     progress.begin("measuring", models.first().map_or(0, |m| m.info().vertex_bytes));
-    in_step(models, progress, |parts| {
+    in_step(models, 0, progress, |parts| {
         for (bounds, part) in bounds.iter_mut().zip(parts) {
             part.positions.iter().filter(|p: &&DVec3| p.is_finite()).for_each(|p| bounds.include(*p));
         }

@@ -17,8 +17,8 @@ pub struct Colors {
 }
 
 /// What numbers stand for: from 0 to the one of full light.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ColorScale(f64);
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ColorScale(u16);
 
 impl Colors {
     /// The colour of vertices with such attributes, if they have one: three numbers of one type.
@@ -56,18 +56,23 @@ impl ColorScale {
     /// number tells.
     pub fn of(kind: Type, most: f64) -> Self {
         match kind {
-            Type::U8 | Type::I8 => Self(255.0),
-            _ if kind.is_float() && most <= 1.0 => Self(1.0),
-            _ if most <= 255.0 => Self(255.0),
-            _ => Self(65535.0),
+            kind if Self::is_fixed(kind) => Self(255),
+            _ if kind.is_float() && most <= 1.0 => Self(1),
+            _ if most <= 255.0 => Self(255),
+            _ => Self(65535),
         }
+    }
+
+    /// Whether numbers of a type mean the same everywhere.
+    pub fn is_fixed(kind: Type) -> bool {
+        matches!(kind, Type::U8 | Type::I8)
     }
 
     /// A number as a byte, in the transfer curve that it has (sRGB as a rule); nothing where it is none.
     #[inline]
     pub fn byte(self, number: f64) -> u8 {
         // A conversion saturates, and gives 0 for NaN.
-        (number / self.0 * 255.0).round() as u8
+        (number / f64::from(self.0) * 255.0).round() as u8
     }
 }
 

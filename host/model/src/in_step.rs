@@ -12,12 +12,26 @@ pub struct Vertices<'a> {
     pub positions: &'a [DVec3],
     /// Normals as stored; none where the model has none.
     pub normals: &'a [Vec3],
+    /// The chunk's attributes that were asked for, and which of its vertices is the first here.
+    attributes: &'a [Vec<f64>],
+    first: usize,
+}
+
+impl Vertices<'_> {
+    /// A number of one of these vertices, by the attribute's place, of an attribute that was
+    /// [asked for](in_step).
+    #[inline]
+    pub fn attribute(&self, place: usize, vertex: usize) -> f64 {
+        self.attributes[place][self.first + vertex]
+    }
 }
 
 /// A reader that is ahead of the others by a part of its chunk.
 struct Cursor<'a> {
+    model: &'a dyn Model,
     reader: Box<dyn VertexReader + 'a>,
     chunk: VertexChunk,
+    attributes: Vec<Vec<f64>>,
     used: usize,
 }
 
@@ -27,6 +41,9 @@ impl Cursor<'_> {
         if self.used == self.chunk.len() {
             self.used = 0;
             self.reader.read(&mut self.chunk)?;
+            if !self.attributes.is_empty() {
+                self.model.attributes(&self.chunk, &mut self.attributes)?;
+            }
         }
         Ok(self.chunk.len() - self.used)
     }
@@ -36,12 +53,15 @@ impl Cursor<'_> {
         Vertices {
             positions: &self.chunk.positions[range.clone()],
             normals: self.chunk.normals.get(range).unwrap_or_default(),
+            attributes: &self.attributes,
+            first: self.used,
         }
     }
 }
 
 /// Streams the vertices of versions of a model through `visit`, the same ones of all of them at a time.
-/// Begins no stage of the progress, and advances it by the bytes of the first model.
+/// Begins no stage of the progress, and advances it by the bytes of the first model, of which so many of the first
+/// [attributes](crate::ModelInfo::attributes) come with the vertices.
 ///
 /// Memory: a small chunk for each model.
 ///
@@ -49,6 +69,7 @@ impl Cursor<'_> {
 /// The models differ in their number of vertices; one cannot be read; `visit` failed; the user cancelled.
 pub fn in_step(
     models: &[&dyn Model],
+    attributes: usize,
     progress: &dyn Progress,
     mut visit: impl FnMut(&[Vertices<'_>]) -> Result<()>,
 ) -> Result<()> {
@@ -67,11 +88,14 @@ pub fn in_step(
         ));
     }
     let mut cursors = Vec::with_capacity(models.len());
-    for model in models {
+    for (i, model) in models.iter().enumerate() {
         let mut reader = model.vertices(0..vertices)?;
         reader.set_chunk(SMALL_CHUNK);
-        reader.skip_attributes();
-        cursors.push(Cursor { reader, chunk: VertexChunk::default(), used: 0 });
+        let attributes = vec![Vec::new(); if i == 0 { attributes } else { 0 }];
+        if attributes.is_empty() {
+            reader.skip_attributes();
+        }
+        cursors.push(Cursor { model: *model, reader, chunk: VertexChunk::default(), attributes, used: 0 });
     }
     let per_vertex = first.info().vertex_bytes / vertices.max(1);
     loop {

@@ -58,7 +58,7 @@ pub use model::{
     VertexChunk, VertexReader, for_faces, for_faces_at, for_positions, for_vertices,
 };
 pub use number::Type;
-pub use ply::write_points;
+pub use ply::{Besides, write_points, write_vertices};
 pub use progress::Progress;
 pub use scaled::ScaledIntegers;
 pub use summary::Summary;

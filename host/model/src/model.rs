@@ -62,6 +62,11 @@ impl Attribute {
     /// Longest name, in bytes.
     const LONGEST_NAME: usize = 255;
 
+    /// Whether its numbers are names of classes, as they are in LAS: a mean of them is none.
+    pub fn is_of_classes(&self) -> bool {
+        self.name == "classification" && !self.kind.is_float()
+    }
+
     /// Whether something can be asked for by this name: it is short, and nothing in it needs care when it is
     /// shown.
     pub fn is_name(name: &str) -> bool {

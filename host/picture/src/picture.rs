@@ -6,13 +6,10 @@ use simod_core::sampled_model::SampledModel;
 use simod_model::bounds::Bounds;
 use simod_model::{Model, Progress, Result, VertexChunk, Vertices, in_step};
 
-use super::{Camera, Image, Renderer, Spacing, Style, SurfacePoint};
-
-/// Of points that need none.
-const NO_COLOR: [u8; 3] = [0; 3];
+use super::{Camera, Image, Paint, Renderer, Spacing, Style, SurfacePoint};
 
 /// The colour of a vertex: of its number in these parts of models that are read in step.
-pub type Paint<'a> = dyn Fn(&[Vertices<'_>], usize) -> [u8; 3] + 'a;
+pub type PaintBy<'a> = dyn Fn(&[Vertices<'_>], usize) -> [u8; 3] + 'a;
 
 /// Radius of a sample's disc over its spacing: wide enough to leave no holes where the density changes.
 const SAMPLE_RADIUS: f64 = 1.35;
@@ -99,9 +96,15 @@ pub fn bounds(model: &dyn Model, progress: &dyn Progress) -> Result<Bounds> {
 ///
 /// # Errors
 /// The model cannot be read; the user cancelled.
-pub fn of_model(model: &dyn Model, bounds: &Bounds, view: &View, progress: &dyn Progress) -> Result<Image> {
+pub fn of_model(
+    model: &dyn Model,
+    bounds: &Bounds,
+    view: &View,
+    paint: &Paint,
+    progress: &dyn Progress,
+) -> Result<Image> {
     let spacing = spacing(model, bounds, progress)?;
-    draw(&[model], &spacing, view, view.camera(), None, progress)
+    draw_painted(model, &spacing, view, view.camera(), paint, progress)
 }
 
 /// As [`of_model`], so many times while the camera goes once round the vertical axis, in one stream more than
@@ -114,17 +117,18 @@ pub fn turn_of_model(
     model: &dyn Model,
     bounds: &Bounds,
     view: &View,
+    paint: &Paint,
     frames: u32,
     frame: &mut Frames<'_>,
     progress: &dyn Progress,
 ) -> Result<()> {
     let spacing = spacing(model, bounds, progress)?;
-    let draw = |camera| draw(&[model], &spacing, view, camera, None, progress);
+    let draw = |camera| draw_painted(model, &spacing, view, camera, paint, progress);
     view.turn(frames).into_iter().try_for_each(|camera| frame(&draw(camera)?))
 }
 
 /// As [`of_model`], for the first of several models that are read [in step](in_step): `paint` gives its
-/// vertices' colours.
+/// vertices' colours, and may ask for so many of its first attributes.
 ///
 /// # Errors
 /// A model cannot be read, or they differ in their number of vertices; the user cancelled.
@@ -132,11 +136,24 @@ pub fn of_painted(
     models: &[&dyn Model],
     bounds: &Bounds,
     view: &View,
-    paint: &Paint<'_>,
+    (attributes, paint): (usize, &PaintBy<'_>),
     progress: &dyn Progress,
 ) -> Result<Image> {
     let spacing = spacing(models[0], bounds, progress)?;
-    draw(models, &spacing, view, view.camera(), Some(paint), progress)
+    draw(models, &spacing, view, view.camera(), Some((attributes, paint)), progress)
+}
+
+fn draw_painted(
+    model: &dyn Model,
+    spacing: &Spacing,
+    view: &View,
+    camera: Camera,
+    paint: &Paint,
+    progress: &dyn Progress,
+) -> Result<Image> {
+    let by_attributes = |parts: &[Vertices<'_>], i: usize| paint.color(|place| parts[0].attribute(place, i));
+    let by = paint.is_colored().then_some((paint.count(), &by_attributes as &PaintBy<'_>));
+    draw(&[model], spacing, view, camera, by, progress)
 }
 
 fn spacing(model: &dyn Model, bounds: &Bounds, progress: &dyn Progress) -> Result<Spacing> {
@@ -150,15 +167,15 @@ fn draw(
     spacing: &Spacing,
     view: &View,
     camera: Camera,
-    paint: Option<&Paint<'_>>,
+    paint: Option<(usize, &PaintBy<'_>)>,
     progress: &dyn Progress,
 ) -> Result<Image> {
     let points_of = |parts: &[Vertices<'_>]| -> Vec<SurfacePoint> {
-        let Vertices { positions, normals } = parts[0];
+        let Vertices { positions, normals, .. } = parts[0];
         let point = |(i, p): (usize, &DVec3)| SurfacePoint {
             position: view.up.turned(*p),
             normal: view.up.turned(normals.get(i).map_or(DVec3::ZERO, |n| n.as_dvec3())).as_vec3(),
-            color: paint.map_or(NO_COLOR, |paint| paint(parts, i)),
+            color: paint.map_or([0; 3], |(_, paint)| paint(parts, i)),
             radius: spacing.radius_at(*p),
         };
         positions.iter().enumerate().map(point).collect()
@@ -166,7 +183,7 @@ fn draw(
     let mut renderer = view.renderer(camera, paint.is_some());
     let pass = |draw: &mut dyn FnMut(&[SurfacePoint])| {
         progress.begin("drawing", models[0].info().vertex_bytes);
-        in_step(models, progress, |parts| {
+        in_step(models, paint.map_or(0, |(attributes, _)| attributes), progress, |parts| {
             draw(&points_of(parts));
             Ok(())
         })
@@ -176,9 +193,16 @@ fn draw(
     Ok(renderer.finish())
 }
 
-/// Draws samples at local `positions`, each as a disc that its neighbours overlap a little.
-pub fn of_samples(sampled: &SampledModel, positions: &[Vec3], normals: &[Vec3], view: &View) -> Image {
-    drawn(&discs(sampled, positions, normals, view), view, view.camera())
+/// Draws samples at local `positions`, each as a disc that its neighbours overlap a little, in colours of which there
+/// is one for each, if there are any.
+pub fn of_samples(
+    sampled: &SampledModel,
+    positions: &[Vec3],
+    normals: &[Vec3],
+    view: &View,
+    colors: Option<&[[u8; 3]]>,
+) -> Image {
+    drawn(&discs(sampled, positions, normals, view, colors), view, view.camera(), colors.is_some())
 }
 
 /// As [`of_samples`], so many times while the camera goes once round the vertical axis; see
@@ -189,30 +213,37 @@ pub fn of_samples(sampled: &SampledModel, positions: &[Vec3], normals: &[Vec3], 
 pub fn turn_of_samples(
     sampled: &SampledModel,
     view: &View,
+    colors: Option<&[[u8; 3]]>,
     frames: u32,
     frame: &mut Frames<'_>,
     progress: &dyn Progress,
 ) -> Result<()> {
     let samples = &sampled.samples;
-    let points = discs(sampled, &samples.positions, samples.normals(), view);
+    let points = discs(sampled, &samples.positions, samples.normals(), view, colors);
     view.turn(frames).into_iter().try_for_each(|camera| {
         progress.check()?;
-        frame(&drawn(&points, view, camera))
+        frame(&drawn(&points, view, camera, colors.is_some()))
     })
 }
 
-fn discs(sampled: &SampledModel, positions: &[Vec3], normals: &[Vec3], view: &View) -> Vec<SurfacePoint> {
-    let disc = |((p, n), spacing): ((&Vec3, &Vec3), &f32)| SurfacePoint {
+fn discs(
+    sampled: &SampledModel,
+    positions: &[Vec3],
+    normals: &[Vec3],
+    view: &View,
+    colors: Option<&[[u8; 3]]>,
+) -> Vec<SurfacePoint> {
+    let disc = |(i, ((p, n), spacing)): (usize, ((&Vec3, &Vec3), &f32))| SurfacePoint {
         position: view.up.turned(sampled.frame.to_model(*p)),
         normal: view.up.turned(n.as_dvec3()).as_vec3(),
-        color: NO_COLOR,
+        color: colors.map_or([0; 3], |colors| colors[i]),
         radius: (SAMPLE_RADIUS * f64::from(*spacing) * sampled.frame.scale) as f32,
     };
-    positions.iter().zip(normals).zip(sampled.samples.spacing()).map(disc).collect()
+    positions.iter().zip(normals).zip(sampled.samples.spacing()).enumerate().map(disc).collect()
 }
 
-fn drawn(points: &[SurfacePoint], view: &View, camera: Camera) -> Image {
-    let mut renderer = view.renderer(camera, false);
+fn drawn(points: &[SurfacePoint], view: &View, camera: Camera, own_colors: bool) -> Image {
+    let mut renderer = view.renderer(camera, own_colors);
     renderer.depth(points);
     renderer.blend(points);
     renderer.finish()

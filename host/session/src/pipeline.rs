@@ -187,7 +187,7 @@ impl Run {
         let cells = tolerance.is_some() || session.steps.iter().any(|step| step.enabled && step.refines());
         // With triangles, a refinement knows the faces, and places its samples as it does those of a folder.
         let triangles = cells || stack.plugins().any(|p| p.consumes().triangles);
-        let skip = Skip { triangles: !triangles, cells: !cells, ..Skip::default() };
+        let skip = Skip { triangles: !triangles, cells: !cells, colors: true, ..Skip::default() };
         let (sampled, mut model) = sampled(session, skip, folder, progress)?;
         let (deformed, certificate) = match tolerance {
             Some(tolerance) => {

@@ -146,6 +146,8 @@ pub enum Command {
     Camera(CameraMove),
     /// Shows something else on the surface.
     Show(Overlay),
+    /// Shows the model's own colours where no numbers are shown, or does not: shown at first.
+    ShowOwnColors(bool),
     /// Shows a part of the model in full instead of its samples: its vertices are streamed, again each time
     /// the edit rests after they have moved. It is no part of the edit.
     Preview {

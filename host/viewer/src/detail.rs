@@ -25,6 +25,18 @@ pub enum Previewed {
     Nothing,
 }
 
+/// What vertices that are shown in full are coloured by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Tint {
+    /// The samples that they are at.
+    #[default]
+    Samples,
+    /// Their own colours.
+    Own,
+    /// Their attribute at this place in the model's list.
+    Attribute(usize),
+}
+
 /// Vertices in pieces, as they came.
 ///
 /// Memory: 32 bytes for each vertex. There are at most twice as many as were [chosen](Chosen), as a piece is
@@ -33,6 +45,7 @@ pub enum Previewed {
 pub struct Detail {
     of: Previewed,
     chosen: Chosen,
+    tint: Tint,
     /// What is held of each of the model's cells.
     held: Vec<Option<Held>>,
     pieces: BTreeMap<u64, Piece>,
@@ -47,6 +60,8 @@ pub struct Detail {
 pub struct Piece {
     /// The vertices.
     pub batch: Arc<Batch>,
+    /// What they have values of.
+    pub tint: Tint,
     /// Whether those of each of its cells are shown.
     pub shown: Vec<bool>,
     /// Counts up when what is shown changes.
@@ -61,6 +76,7 @@ struct Held {
     /// Which of its cells it is there.
     run: usize,
     stride: u64,
+    tint: Tint,
     pose: Pose,
     fresh: bool,
 }
@@ -80,16 +96,28 @@ pub struct Figures {
 
 impl Detail {
     /// Nothing is there yet.
-    pub fn new(of: Previewed, chosen: Chosen, pose: Pose) -> Self {
+    pub fn new(of: Previewed, chosen: Chosen, pose: Pose, tint: Tint) -> Self {
         let cells = pose.sampled.held_cells().map_or(0, |kept| kept.cells.len());
         let held = (0..cells).map(|_| None).collect();
         let covered = vec![false; pose.positions.len()].into();
-        Self { of, chosen, held, pieces: BTreeMap::new(), made: 0, pose, covered, revision: 0 }
+        Self { of, chosen, tint, held, pieces: BTreeMap::new(), made: 0, pose, covered, revision: 0 }
     }
 
     /// What it is of.
     pub fn of(&self) -> Previewed {
         self.of
+    }
+
+    /// What vertices are to be coloured by.
+    pub fn tint(&self) -> Tint {
+        self.tint
+    }
+
+    /// Vertices are to be coloured by something else. Whether others have to come for that: those that are
+    /// there stay until then, and where samples have the colour, they are of use as they are.
+    pub fn tint_by(&mut self, tint: Tint) -> bool {
+        let before = std::mem::replace(&mut self.tint, tint);
+        before != tint
     }
 
     /// The pieces, by numbers that are not given twice.
@@ -125,19 +153,21 @@ impl Detail {
     /// The cells that are wanted and not there as they should be.
     pub fn missing(&self) -> Chosen {
         let stride = self.chosen.stride;
-        let there = |held: &Held| held.fresh && held.stride == stride;
+        let is_tinted = |held: &Held| self.tint == Tint::Samples || held.tint == self.tint;
+        let there = |held: &Held| held.fresh && held.stride == stride && is_tinted(held);
         let missing =
             |cell: &&u32| !self.held.get(**cell as usize).is_some_and(|h| h.as_ref().is_some_and(there));
-        Chosen { cells: self.chosen.cells.iter().filter(missing).copied().collect(), stride }
+        let cells = self.chosen.cells.iter().filter(missing).copied().collect();
+        Chosen { cells, ..self.chosen }
     }
 
     /// Takes vertices that were carried by a pose.
-    pub fn take(&mut self, batch: Batch, stride: u64, pose: &Pose) {
+    pub fn take(&mut self, batch: Batch, stride: u64, tint: Tint, pose: &Pose) {
         let piece = self.made;
         self.made += 1;
         let fresh = pose.is(&self.pose);
         for (run, (cell, _)) in batch.cells.iter().enumerate() {
-            let new = Held { piece, run, stride, pose: pose.clone(), fresh };
+            let new = Held { piece, run, stride, tint, pose: pose.clone(), fresh };
             if let Some(held) = self.held.get_mut(*cell as usize)
                 && let Some(former) = held.replace(new)
             {
@@ -145,7 +175,7 @@ impl Detail {
             }
         }
         let shown = vec![fresh; batch.cells.len()];
-        self.pieces.insert(piece, Piece { batch: Arc::new(batch), shown, revision: 0, dead: 0 });
+        self.pieces.insert(piece, Piece { batch: Arc::new(batch), tint, shown, revision: 0, dead: 0 });
         self.tidy();
         if !fresh {
             self.compare();
@@ -207,7 +237,7 @@ impl Detail {
             }
             let shown = kept.iter().map(|run| former.shown[*run]).collect();
             let batch = Arc::new(part(&former.batch, &kept));
-            self.pieces.insert(piece, Piece { batch, shown, revision: 0, dead: 0 });
+            self.pieces.insert(piece, Piece { batch, tint: former.tint, shown, revision: 0, dead: 0 });
         }
     }
 
@@ -289,7 +319,8 @@ fn part(batch: &Batch, runs: &[usize]) -> Batch {
         part.positions.extend_from_slice(&batch.positions[range.clone()]);
         part.normals.extend_from_slice(&batch.normals[range.clone()]);
         part.spacing.extend_from_slice(&batch.spacing[range.clone()]);
-        part.homes.extend_from_slice(&batch.homes[range]);
+        part.homes.extend_from_slice(&batch.homes[range.clone()]);
+        part.values.extend(&batch.values, range);
         part.cells.push((*cell, first..part.positions.len() as u32));
     }
     part

@@ -23,7 +23,7 @@ pub mod state;
 
 pub use camera::Camera;
 pub use command::Command;
-pub use detail::{Detail, Previewed};
+pub use detail::{Detail, Previewed, Tint};
 pub use engine::{Engine, Event};
 pub use navigation::Navigation;
 pub use overlay::Overlay;

@@ -6,8 +6,8 @@ use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use simod_core::reconstruction::principal_stretches;
+pub use simod_picture::{class_color, class_name, scale_color};
 use simod_session::Shapes;
-pub use simod_session::compare::scale_color;
 
 /// Neighbours that tell how the surface is stretched around a sample.
 const RING: usize = 12;
@@ -36,6 +36,9 @@ pub enum Overlay {
     /// one of both has, as refinements appended them, are compared with where the other one's reconstruction
     /// carries them. Until that is known, and in the pinned version, they take the mean of their neighbours.
     Difference,
+    /// The attribute of the vertices at this place in the [model's list](crate::State::attributes), in its own
+    /// unit: of a sample, the mean over its vertices. The model is read for it once.
+    Attribute(usize),
 }
 
 /// Numbers, one for each sample, and what the ends of the scale stand for.
@@ -45,6 +48,26 @@ pub struct Field {
     pub values: Vec<f32>,
     /// From the scale's first colour to its last.
     pub range: [f32; 2],
+    /// They are classes of points, each of a colour of its own.
+    pub are_classes: bool,
+}
+
+/// What numbers look like.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scale {
+    range: [f32; 2],
+    are_classes: bool,
+}
+
+impl Scale {
+    /// The colour of a number, 8-bit sRGB.
+    pub fn color(&self, number: f32) -> [u8; 3] {
+        if self.are_classes {
+            return class_color(number.round() as u8);
+        }
+        let [from, to] = self.range;
+        scale_color((number - from) / (to - from))
+    }
 }
 
 impl Field {
@@ -56,18 +79,23 @@ impl Field {
         let at = last - last / 200;
         let (_, most, _) = sorted.select_nth_unstable_by(at, f32::total_cmp);
         let most = *most;
-        Self { values, range: [from, if most > from { most } else { from + 1.0 }] }
+        let range = [from, if most > from { most } else { from + 1.0 }];
+        Self { values, range, are_classes: false }
     }
 
     /// Weights, 0 to 1.
     fn weights(values: Vec<f32>) -> Self {
-        Self { values, range: [0.0, 1.0] }
+        Self { values, range: [0.0, 1.0], are_classes: false }
     }
 
     /// The colour of a sample, 8-bit sRGB.
     pub fn color(&self, sample: usize) -> [u8; 3] {
-        let [from, to] = self.range;
-        scale_color((self.values[sample] - from) / (to - from))
+        self.scale().color(self.values[sample])
+    }
+
+    /// What its numbers look like.
+    pub fn scale(&self) -> Scale {
+        Scale { range: self.range, are_classes: self.are_classes }
     }
 }
 
@@ -175,4 +203,19 @@ pub fn transfer_error(scene: &Scene) -> Option<Field> {
     let scale = scene.frame().scale as f32;
     let expected = scene.expected_error.as_ref()?;
     Some(Field::of(expected.iter().map(|e| e * scale).collect(), 0.0))
+}
+
+/// An attribute of the vertices, of each sample; nothing where it is not known yet, or none of them has a number.
+/// The range is that of most of them.
+pub fn attribute(scene: &Scene, place: usize) -> Option<Field> {
+    let attribute = scene.sampled.source.attributes.get(place)?;
+    let values = scene.sampled.held_attributes()?.get(&attribute.name)?.to_vec();
+    if attribute.is_of_classes() {
+        return Some(Field { values, range: [0.0, 1.0], are_classes: true });
+    }
+    let mut sorted = values.clone();
+    let few = sorted.len() / 100;
+    let (_, least, _) = sorted.select_nth_unstable_by(few, f32::total_cmp);
+    let least = *least;
+    Some(Field::of(values, least))
 }

@@ -112,6 +112,10 @@ fn set_theme(w: &mut Window, theme: Theme) {
     w.keep_settings();
 }
 
+fn has_colors(w: &Window) -> bool {
+    w.state().scene().is_some_and(|scene| !scene.sampled.colors.is_empty())
+}
+
 fn is_deformation(w: &Window) -> bool {
     w.chosen().is_some()
 }
@@ -230,6 +234,11 @@ pub const ALL: &[Action] = &[
         .begins(),
     action(Menu::View, "Ghost of the Rest Shape", &[(SHIFT, Key::G)], is_open, |w| w.looks.ghost ^= true)
         .on(|w| w.looks.ghost),
+    action(Menu::View, "The Model's Own Colours", &[], has_colors, |w| {
+        let own = !w.state().has_own_colors();
+        w.apply(Command::ShowOwnColors(own));
+    })
+    .on(|w| w.state().has_own_colors()),
     action(Menu::View, "Region Colours", &[], is_open, |w| w.looks.regions ^= true).on(|w| w.looks.regions),
     action(Menu::View, "Handles", &[], is_open, |w| w.looks.handles ^= true).on(|w| w.looks.handles),
     action(Menu::View, "Darker Crevices", &[], always, |w| {

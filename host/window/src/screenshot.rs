@@ -1,13 +1,14 @@
 //! Pictures of the model without a window, or beside it.
 
+use crate::viewport::colors::VertexColors;
 use crate::viewport::detail::{Splats, sample_colors, sample_radii, splats};
 use crate::window::Window;
 use glam::DVec3;
 use simod_model::{Error, ErrorKind, Result};
 use simod_picture::Image;
 use simod_scene::{Background, Gpu, Mode, NoGpu, Scale, Scene, Style, Surface, View};
-use simod_viewer::State;
 use simod_viewer::camera::Camera;
+use simod_viewer::{Overlay, State};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -67,12 +68,18 @@ impl Shot {
     pub fn of(state: &mut State) -> Result<Self> {
         let none = || Error::new(ErrorKind::Argument, "there is no model to be drawn", "name one");
         let shown = state.scene().cloned().ok_or_else(none)?;
-        let colors: Option<Vec<[u8; 3]>> =
-            state.field().map(|field| (0..shown.len()).map(|i| field.color(i)).collect());
+        let own =
+            state.has_own_colors() && state.overlay() == Overlay::None && !shown.sampled.colors.is_empty();
+        let tint = state.tint();
+        let (colors, scale): (Option<Vec<[u8; 3]>>, _) = match state.field() {
+            Some(field) => (Some((0..shown.len()).map(|i| field.color(i)).collect()), Some(field.scale())),
+            None => (own.then(|| shown.sampled.colors.clone()), None),
+        };
         let detail = state.detail();
         let radii = sample_radii(shown.sampled.samples.spacing(), detail);
         let pieces = detail.into_iter().flat_map(|detail| detail.pieces().values());
-        let in_full = pieces.map(|piece| splats(piece, colors.as_deref())).collect();
+        let of_vertices = VertexColors::new(colors.as_deref(), tint, scale);
+        let in_full = pieces.map(|piece| splats(piece, of_vertices)).collect();
         let colors = match detail {
             Some(_) => Some(sample_colors(shown.len(), colors.as_deref())),
             None => colors,

@@ -7,8 +7,8 @@ use simod_core::guard::Kind;
 use simod_core::reconstruction::Reconstruction;
 use simod_generate::{ModelOptions, write_file};
 use simod_model::{Error, Result, output};
-use simod_picture::Image;
 use simod_picture::picture::{self, Up, View};
+use simod_picture::{Image, Paint};
 use simod_session::{Run, SessionFile};
 
 use super::overwrite::Overwrite;
@@ -71,10 +71,16 @@ impl Demo {
         let view = View { bounds: all, yaw: 20.0, pitch: 10.0, size: [560, 700], up: Up::Y };
         let samples = &run.deformed.sampled.samples;
         let pictures = [
-            picture::of_model(before.as_ref(), &run.deformed.sampled.bounds, &view, progress)?,
-            picture::of_samples(&run.deformed.sampled, &samples.positions, samples.normals(), &view),
-            picture::of_samples(&run.deformed.sampled, &run.deformed.positions, &run.deformed.normals, &view),
-            picture::of_model(after.as_ref(), &after_bounds, &view, progress)?,
+            picture::of_model(before.as_ref(), &run.deformed.sampled.bounds, &view, &Paint::Clay, progress)?,
+            picture::of_samples(&run.deformed.sampled, &samples.positions, samples.normals(), &view, None),
+            picture::of_samples(
+                &run.deformed.sampled,
+                &run.deformed.positions,
+                &run.deformed.normals,
+                &view,
+                None,
+            ),
+            picture::of_model(after.as_ref(), &after_bounds, &view, &Paint::Clay, progress)?,
         ];
         let captions = [
             format!("{} vertices", count(run.deformed.sampled.source.vertices)),

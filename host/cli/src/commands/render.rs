@@ -7,7 +7,7 @@ use simod_core::guard::Kind;
 use simod_core::sampled_model::SampledModel;
 use simod_model::{Error, ErrorKind, Result, output};
 use simod_picture::picture::{self, Up, View};
-use simod_picture::{FrameFolder, Image};
+use simod_picture::{Coloring, FrameFolder, Image, Paint};
 
 use super::overwrite::Overwrite;
 use crate::report::Report;
@@ -33,6 +33,10 @@ pub struct Render {
     /// The model's axis that points up
     #[arg(long, value_enum, default_value_t)]
     up: UpName,
+    /// What it is coloured by: own (the vertices' colours), clay, or an attribute, as intensity [default: own, where
+    /// there are colours]
+    #[arg(long, value_name = "WHAT")]
+    color: Option<String>,
     /// Size of the picture in pixels
     #[arg(long, default_value = "1000x1000", value_name = "WxH", value_parser = parse_size)]
     size: [u32; 2],
@@ -88,13 +92,20 @@ impl Render {
             let sampled = SampledModel::load(&self.path)?;
             let (samples, view) = (&sampled.samples, view(sampled.bounds));
             report.figure("samples", samples.len());
+            let (paint, colors) = self.of_samples(&sampled, report)?;
+            let colors = colors.as_deref();
+            let mut take = |image: &Image| take(&paint.with_legend(image));
             match self.turntable {
-                Some(n) => picture::turn_of_samples(&sampled, &view, n, &mut take, report.untimed())?,
-                None => take(&picture::of_samples(&sampled, &samples.positions, samples.normals(), &view))?,
+                Some(n) => picture::turn_of_samples(&sampled, &view, colors, n, &mut take, report.untimed())?,
+                None => {
+                    let (positions, normals) = (&samples.positions, samples.normals());
+                    take(&picture::of_samples(&sampled, positions, normals, &view, colors))?;
+                }
             }
         } else {
             let model = simod_model::open(&self.path)?;
             let progress = report.progress();
+            let coloring = Coloring::choose(self.color.as_deref(), &model.info().attributes)?;
             let bounds = picture::bounds(model.as_ref(), progress)?;
             if bounds.is_empty() {
                 return Err(Error::new(
@@ -105,11 +116,13 @@ impl Render {
             }
             report.figure("vertices", model.info().vertices);
             let view = view(bounds);
+            let paint = Paint::of_model(model.as_ref(), coloring, progress)?;
+            let mut take = |image: &Image| take(&paint.with_legend(image));
             match self.turntable {
                 Some(n) => {
-                    picture::turn_of_model(model.as_ref(), &bounds, &view, n, &mut take, progress)?;
+                    picture::turn_of_model(model.as_ref(), &bounds, &view, &paint, n, &mut take, progress)?;
                 }
-                None => take(&picture::of_model(model.as_ref(), &bounds, &view, progress)?)?,
+                None => take(&picture::of_model(model.as_ref(), &bounds, &view, &paint, progress)?)?,
             }
         }
         if let (Some(frames), Some(folder)) = (self.turntable, folder) {
@@ -124,5 +137,28 @@ impl Render {
             report.line(format!("drew {} as {}", self.path.display(), self.output.display()));
         }
         Ok(())
+    }
+
+    /// What samples are coloured by, and their colours, unless all are alike.
+    fn of_samples(
+        &self,
+        sampled: &SampledModel,
+        report: &mut Report,
+    ) -> Result<(Paint, Option<Vec<[u8; 3]>>)> {
+        let word = self.color.as_deref();
+        let own = matches!(word, None | Some("own")) && !sampled.colors.is_empty();
+        if own {
+            return Ok((Paint::Clay, Some(sampled.colors.clone())));
+        }
+        if let None | Some("clay") = word {
+            return Ok((Paint::Clay, None));
+        }
+        let all = sampled.attributes(None, report.progress())?.all();
+        let coloring = Coloring::choose(word, all.iter().map(|of| &of.attribute))?;
+        let values: Vec<&[f32]> = all.iter().map(|of| &*of.values).collect();
+        let paint = Paint::of_values(coloring, &values);
+        let color = |i| paint.color(|place| f64::from(values[place][i]));
+        let colors = (0..sampled.samples.len()).map(color).collect();
+        Ok((paint, Some(colors)))
     }
 }

@@ -57,7 +57,8 @@ pub struct SamplingArguments {
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
     place: Place,
     /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be
-    /// estimated, `sheets`, so that the model's faces do not tell parts apart that touch
+    /// estimated, `sheets`, so that the model's faces do not tell parts apart that touch,
+    /// `colors` of the samples
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
     skip: Vec<Part>,
     /// The default; once it had to be asked for
@@ -106,6 +107,7 @@ enum Part {
     Cells,
     Normals,
     Sheets,
+    Colors,
 }
 
 /// A size in bytes, with K, M, G or T for powers of 1024.
@@ -156,6 +158,7 @@ impl SamplingArguments {
                 cells: skips(Part::Cells),
                 normals: skips(Part::Normals),
                 sheets: skips(Part::Sheets),
+                colors: skips(Part::Colors),
             },
         }
     }

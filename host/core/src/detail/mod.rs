@@ -14,7 +14,7 @@ use std::ops::Range;
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use simod_model::{Error, ErrorKind, Model, Progress, Result};
+use simod_model::{ColorScale, Colors, Error, ErrorKind, Model, Progress, Result};
 
 use crate::reconstruction::{DeformationField, Figures, Moved, carry, homes};
 use crate::refinement::gathering::{Gathering, Visited};
@@ -35,13 +35,91 @@ const SPACING_NEIGHBOURS: usize = 6;
 /// Nowhere, the surface is taken for stretched more than this when discs are to cover it.
 const MOST_STRETCH: f32 = 8.0;
 
-/// The cells to be streamed, and how finely.
+/// The cells to be streamed, how finely, and with what.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Chosen {
     /// Their places among the kept cells; ascending.
     pub cells: Vec<u32>,
     /// One of so many vertices is taken: 1 for all.
     pub stride: u64,
+    /// What comes with them.
+    pub shown: Shown,
+}
+
+/// What of the vertices' attributes comes with them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Shown {
+    /// Nothing.
+    #[default]
+    Nothing,
+    /// Their colours.
+    Colors(Colors, ColorScale),
+    /// The attribute at this place in the model's list.
+    Attribute(usize),
+}
+
+impl Shown {
+    /// How many of the first attributes have to be read.
+    fn count(&self) -> usize {
+        match self {
+            Self::Nothing => 0,
+            Self::Colors(colors, _) => colors.count(),
+            Self::Attribute(place) => place + 1,
+        }
+    }
+
+    fn none(&self) -> Values {
+        match self {
+            Self::Nothing => Values::Nothing,
+            Self::Colors(..) => Values::Colors(Vec::new()),
+            Self::Attribute(_) => Values::Numbers(Vec::new()),
+        }
+    }
+}
+
+/// What was [asked for](Shown) of each vertex.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub enum Values {
+    /// Nothing.
+    #[default]
+    Nothing,
+    /// Its colour, 8-bit sRGB.
+    Colors(Vec<[u8; 3]>),
+    /// A number; it may not be finite.
+    Numbers(Vec<f32>),
+}
+
+impl Values {
+    fn push(&mut self, shown: &Shown, vertex: &Visited<'_>) {
+        match (self, shown) {
+            (Self::Colors(all), Shown::Colors(colors, scale)) => {
+                all.push(colors.places.map(|place| scale.byte(vertex.attribute(place))));
+            }
+            (Self::Numbers(all), Shown::Attribute(place)) => all.push(vertex.attribute(*place) as f32),
+            _ => {}
+        }
+    }
+
+    /// Takes some of another's behind its own; where it has none yet, they are of the same sort afterwards.
+    pub fn extend(&mut self, other: &Self, range: Range<usize>) {
+        match (&mut *self, other) {
+            (_, Self::Nothing) => {}
+            (Self::Colors(all), Self::Colors(more)) => all.extend_from_slice(&more[range]),
+            (Self::Numbers(all), Self::Numbers(more)) => all.extend_from_slice(&more[range]),
+            (Self::Nothing, Self::Colors(more)) => *self = Self::Colors(more[range].to_vec()),
+            (Self::Nothing, Self::Numbers(more)) => *self = Self::Numbers(more[range].to_vec()),
+            // Vertices are streamed for one sort at a time.
+            (Self::Colors(_), Self::Numbers(_)) | (Self::Numbers(_), Self::Colors(_)) => {}
+        }
+    }
+
+    fn len(&self) -> usize {
+        match self {
+            Self::Nothing => 0,
+            Self::Colors(all) => all.len(),
+            Self::Numbers(all) => all.len(),
+        }
+    }
 }
 
 /// What was streamed.
@@ -58,7 +136,7 @@ pub struct Streamed {
 /// Vertices of some cells, carried over. All lists but the last one have an entry for each vertex;
 /// coordinates are local (see [`Frame`](simod_model::frame::Frame)).
 ///
-/// Memory: 32 bytes per vertex, 12 per cell.
+/// Memory: 32 bytes per vertex, 3 or 4 more for what of its attributes is shown, 12 per cell.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Batch {
     /// Where the deformation takes them.
@@ -69,6 +147,8 @@ pub struct Batch {
     pub spacing: Vec<f32>,
     /// A sample near each at rest, on its sheet of the surface.
     pub homes: Vec<u32>,
+    /// What was asked for of their attributes.
+    pub values: Values,
     /// The cells, as in [`Chosen::cells`], and which vertices are theirs, in the order of the model.
     pub cells: Vec<(u32, Range<u32>)>,
 }
@@ -93,7 +173,12 @@ impl Chosen {
             return Err(Error::new(ErrorKind::Argument, "nothing of the model was chosen", hint));
         }
         let vertices: Vec<u64> = cells.iter().map(|cell| kept.cells[*cell as usize].vertices).collect();
-        Ok(Self { cells, stride: thinning::stride(&vertices, most as u64) })
+        Ok(Self { cells, stride: thinning::stride(&vertices, most as u64), shown: Shown::Nothing })
+    }
+
+    /// The same with something of the vertices' attributes.
+    pub fn showing(self, shown: Shown) -> Self {
+        Self { shown, ..self }
     }
 
     /// So many vertices these cells have, and so many of them are taken.
@@ -132,11 +217,12 @@ pub fn stream(
         return Err(Error::new(ErrorKind::Argument, what, "choose cells of this model"));
     }
     let changed = || sampled.source_changed(model.path());
-    let frame = sampled.frame;
-    let gathering = Gathering { model, kept, frame, cubes: None, with_ids: false };
+    let (frame, shown) = (sampled.frame, chosen.shown);
+    let gathering = Gathering { model, kept, frame, cubes: None, with_ids: false, attributes: shown.count() };
     let thinning = Thinning::new(chosen.stride);
     let carrying = Carrying { sampled, field, stride: chosen.stride, progress };
-    let mut open: Vec<Part> = chosen.cells.iter().map(|cell| Part::of(*cell)).collect();
+    let part_of = |cell: u32| Part::of(cell, &shown);
+    let mut open: Vec<Part> = chosen.cells.iter().map(|cell| part_of(*cell)).collect();
     let mut complete: Vec<Part> = Vec::new();
     let mut streamed = Streamed::default();
     let mut hand_on = |parts: &mut Vec<Part>| -> Result<()> {
@@ -147,7 +233,8 @@ pub fn stream(
     let mut held = 0;
     progress.begin("streaming vertices", gathering.bytes_of(&chosen.cells));
     let bytes = gathering.visit(&chosen.cells, progress, |visited| {
-        let Some(Visited { at, position, normal, .. }) = visited else { return Ok(true) };
+        let Some(vertex) = visited else { return Ok(true) };
+        let Visited { at, position, normal, .. } = vertex;
         let part = &mut open[at as usize];
         let all = kept.cells[part.cell as usize].vertices;
         if part.seen == all {
@@ -156,13 +243,14 @@ pub fn stream(
         if thinning.takes(part.cell, part.seen, all) {
             part.positions.push(position);
             part.normals.push(normal);
+            part.values.push(&shown, &vertex);
         }
         part.seen += 1;
         if part.seen == all {
             held += part.positions.len();
             streamed.vertices += part.positions.len() as u64;
             streamed.of += all;
-            let whole = Part { seen: all, ..Part::of(part.cell) };
+            let whole = Part { seen: all, ..part_of(part.cell) };
             complete.push(std::mem::replace(part, whole));
             if held >= BATCH {
                 hand_on(&mut complete)?;
@@ -187,11 +275,12 @@ struct Part {
     /// Those that were taken: model coordinates, and normals, zero where there are none.
     positions: Vec<DVec3>,
     normals: Vec<Vec3>,
+    values: Values,
 }
 
 impl Part {
-    fn of(cell: u32) -> Self {
-        Self { cell, seen: 0, positions: Vec::new(), normals: Vec::new() }
+    fn of(cell: u32, shown: &Shown) -> Self {
+        Self { cell, seen: 0, positions: Vec::new(), normals: Vec::new(), values: shown.none() }
     }
 }
 
@@ -206,11 +295,12 @@ struct Carrying<'a> {
 impl Carrying<'_> {
     fn batch(&self, parts: &[Part]) -> Result<Batch> {
         let mut cells = Vec::with_capacity(parts.len());
-        let (mut rest, mut known) = (Vec::new(), Vec::new());
+        let (mut rest, mut known, mut values) = (Vec::new(), Vec::new(), Values::Nothing);
         for part in parts {
             let first = rest.len() as u32;
             rest.extend_from_slice(&part.positions);
             known.extend_from_slice(&part.normals);
+            values.extend(&part.values, 0..part.values.len());
             cells.push((part.cell, first..rest.len() as u32));
         }
         if rest.is_empty() {
@@ -228,7 +318,7 @@ impl Carrying<'_> {
         let (mut turned, mut spacing) = self.surface(&local, &known, &at);
         self.progress.check()?;
         let Some(field) = self.field else {
-            return Ok(Batch { positions: local, normals: turned, spacing, homes: at, cells });
+            return Ok(Batch { positions: local, normals: turned, spacing, homes: at, values, cells });
         };
         let mut moved = rest.clone();
         let mut figures = vec![Figures::UNKNOWN; rest.len()];
@@ -239,7 +329,7 @@ impl Carrying<'_> {
             *spacing *= if stretch.is_finite() { stretch.min(MOST_STRETCH) } else { 1.0 };
         });
         let positions = moved.par_iter().map(|p| frame.to_local(*p)).collect();
-        Ok(Batch { positions, normals: turned, spacing, homes: at, cells })
+        Ok(Batch { positions, normals: turned, spacing, homes: at, values, cells })
     }
 
     /// Normals at rest of vertices of which some are known, and their spacing.

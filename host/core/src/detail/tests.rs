@@ -241,7 +241,7 @@ fn what_cannot_be_streamed_is_told() {
     };
     refused(&vec![false; marks.len()], "nothing of the model");
     refused(&marks[1..], "marks for");
-    let nowhere = Chosen { cells: vec![u32::MAX], stride: 1 };
+    let nowhere = Chosen { cells: vec![u32::MAX], stride: 1, shown: Shown::Nothing };
     assert!(streamed(&sampled, model.as_ref(), &nowhere, None).is_err());
 
     // Stopped by the one who takes them, or by the user.

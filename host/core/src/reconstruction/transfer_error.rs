@@ -46,7 +46,7 @@ pub fn measure(
     let (mut count, mut sum, mut max) = (0u64, 0.0, 0.0f64);
     let scale = 1.0 / diagonal.max(f64::MIN_POSITIVE);
     let mut last: Option<(DVec3, DVec3)> = None;
-    in_step(&[model, deformed], progress, |versions| {
+    in_step(&[model, deformed], 0, progress, |versions| {
         let (rest, found) = (versions[0].positions, versions[1].positions);
         let finite: Vec<usize> = (0..rest.len()).filter(|i| rest[*i].is_finite()).collect();
         let mut truth: Vec<DVec3> = finite.iter().map(|i| rest[*i]).collect();

@@ -32,7 +32,7 @@ pub(crate) struct Gathered {
 }
 
 /// A vertex of one of the cells that are read.
-pub(crate) struct Visited {
+pub(crate) struct Visited<'a> {
     /// The place of its cell among these.
     pub at: u32,
     /// In the model's coordinates; finite.
@@ -41,6 +41,16 @@ pub(crate) struct Visited {
     pub normal: Vec3,
     /// Its index in the model.
     pub index: u64,
+    /// The attributes of all vertices of a chunk, and its place among these.
+    attributes: (&'a [Vec<f64>], usize),
+}
+
+impl Visited<'_> {
+    /// One of its attributes, of those that are read.
+    pub fn attribute(&self, place: usize) -> f64 {
+        let (of_chunk, vertex) = self.attributes;
+        of_chunk[place][vertex]
+    }
 }
 
 /// What is read, and how.
@@ -52,6 +62,8 @@ pub(crate) struct Gathering<'a> {
     pub cubes: Option<Cubes>,
     /// Whether it shall be known which vertex is which.
     pub with_ids: bool,
+    /// So many of the first attributes are read.
+    pub attributes: usize,
 }
 
 impl Gathering<'_> {
@@ -80,7 +92,7 @@ impl Gathering<'_> {
             })
             .collect();
         let bytes = self.visit(cells, progress, |visited| {
-            let Some(Visited { at, position, normal, index }) = visited else {
+            let Some(Visited { at, position, normal, index, .. }) = visited else {
                 groups.iter_mut().for_each(|groups| groups.piece.leave());
                 return Ok(true);
             };
@@ -124,20 +136,26 @@ impl Gathering<'_> {
         &self,
         cells: &[u32],
         progress: &dyn Progress,
-        mut visit: impl FnMut(Option<Visited>) -> Result<bool>,
+        mut visit: impl FnMut(Option<Visited<'_>>) -> Result<bool>,
     ) -> Result<Option<u64>> {
         let key = |cell: &u32| self.kept.cells[*cell as usize].key;
         let places: CellMap<u32> = cells.iter().map(key).zip(0..).collect();
         let (mut bytes, mut chunk) = (0, VertexChunk::default());
+        let mut attributes = vec![Vec::new(); self.attributes];
         for range in self.ranges(cells) {
             // What lies between two ranges was in other cells.
             let mut current: Option<(Bounds, Option<u32>)> = None;
             visit(None)?;
             let mut reader = self.model.vertices(range)?;
             reader.set_chunk(SMALL_CHUNK);
-            reader.skip_attributes();
+            if attributes.is_empty() {
+                reader.skip_attributes();
+            }
             while reader.read(&mut chunk)? {
                 progress.check()?;
+                if !attributes.is_empty() {
+                    self.model.attributes(&chunk, &mut attributes)?;
+                }
                 for (i, p) in chunk.positions.iter().enumerate() {
                     let cell = match &current {
                         Some((inside, cell)) if inside.contains(*p) => *cell,
@@ -155,7 +173,13 @@ impl Gathering<'_> {
                     let Some(at) = cell else { continue };
                     let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
                     let index = chunk.first + i as u64;
-                    if !visit(Some(Visited { at, position: *p, normal, index }))? {
+                    if !visit(Some(Visited {
+                        at,
+                        position: *p,
+                        normal,
+                        index,
+                        attributes: (&attributes, i),
+                    }))? {
                         return Ok(None);
                     }
                 }

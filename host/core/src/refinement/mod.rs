@@ -29,11 +29,13 @@ use simod_model::{Error, ErrorKind, Model, Progress, Result};
 pub use record::Refinement;
 pub use selection::Selection;
 
+use crate::colors;
 use crate::reconstruction::{DeformationField, Moved, carry};
 use crate::sampled_model::SampledModel;
 use crate::sampling::cut::{self, threshold_for};
 use crate::sampling::grid::CellMap;
-use crate::sampling::kept_cells::KeptCells;
+use crate::sampling::kept_cells::{KeptCell, KeptCells};
+use crate::sampling::ranges::joined;
 use crate::sampling::{LEAST_MEMORY, Placement, total_memory};
 use crate::touching::{Guides, Noted};
 use appending::{Appended, append};
@@ -240,6 +242,15 @@ pub fn refine(
         }
         with_new.samples.set_contacts(Some(contacts));
     }
+    let before = sampled.samples.len();
+    if sampled.colors.len() == before {
+        let cells = with_new.held_cells().map_or(&[][..], |kept| &kept.cells);
+        let is_new = |cell: &&KeptCell| cell.tree.samples.iter().any(|sample| *sample as usize >= before);
+        let ranges = cells.iter().filter(is_new).flat_map(|cell| cell.ranges.iter().cloned());
+        let ranges = joined(ranges, model.info().near());
+        let more = colors::of_ranges(&with_new, model, before, &ranges, progress)?;
+        with_new.colors = [&sampled.colors[..], &more].concat();
+    }
     refined.sampled = Some(with_new);
     Ok(refined)
 }
@@ -414,6 +425,7 @@ impl Work<'_, '_> {
             frame: sampled.frame,
             cubes: sampled.cubes(),
             with_ids: has_triangles,
+            attributes: 0,
         };
         self.tell_scattered(&gathering, &cells);
         let mut noted = self.guides.map(|_| Noted::new(self.folder)).transpose()?;

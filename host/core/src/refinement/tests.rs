@@ -89,7 +89,8 @@ fn refined(
 /// The sample of each vertex, by the kept trees; `None` where its position is not finite.
 fn members(sampled: &SampledModel, model: &dyn Model) -> Vec<Option<u32>> {
     let kept = sampled.held_cells().unwrap();
-    let gathering = Gathering { model, kept, frame: sampled.frame, cubes: sampled.cubes(), with_ids: true };
+    let (frame, cubes) = (sampled.frame, sampled.cubes());
+    let gathering = Gathering { model, kept, frame, cubes, with_ids: true, attributes: 0 };
     let all: Vec<u32> = (0..kept.cells.len() as u32).collect();
     let (gathered, _) = gathering.read(&all, &Silent).unwrap().expect("the model is as it was");
     let nowhere = |_: DVec3| f64::INFINITY;

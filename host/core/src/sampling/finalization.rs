@@ -12,6 +12,8 @@ use simod_model::frame::Frame;
 use simod_model::{Error, ErrorKind, Model, Progress, Result};
 use xxhash_rust::xxh3::Xxh3Default;
 
+use crate::colors::{Picked, Picking};
+
 use super::cluster::{Element, Moments};
 use super::cut::{ClusteredCell, Forest, most_kept, running_bound};
 use super::density::Rule;
@@ -59,6 +61,8 @@ pub struct Pass<'a> {
     pub with_members: bool,
     /// What else shall be known of the vertices then.
     pub noted: Noted,
+    /// Which vertices' colours are kept, if they are wanted.
+    pub picking: Option<&'a Picking>,
     /// Where temporary files go.
     pub folder: &'a Path,
     /// Watches.
@@ -75,6 +79,8 @@ pub struct Clustered {
     pub ranges: Ranges,
     /// Which cluster each vertex belongs to.
     pub membership: Option<Membership>,
+    /// The colours of some vertices, if they are wanted.
+    pub picked: Option<Picked>,
 }
 
 impl Pass<'_> {

@@ -45,6 +45,7 @@ pub use placement::Placement;
 pub use sample_set::{NEIGHBOURS, NeighbourGraph, SampleSet};
 pub use splitting::Splitting;
 
+use crate::colors::Picking;
 use crate::sampled_model::{SampledModel, Source, fingerprint};
 use crate::sampling::ranges::joined;
 use crate::touching::{Contacts, Islands, Parted, Parting};
@@ -110,6 +111,8 @@ pub struct Skip {
     /// Telling sheets apart that touch, by the faces: it takes a pass over them, the same as for the
     /// triangles, and temporary files of at most 12 bytes per vertex.
     pub sheets: bool,
+    /// The samples' colours, where the model has some.
+    pub colors: bool,
 }
 
 /// Least memory limit, for a few samples: chunks of the model, the queue of cells, the program itself. Each
@@ -227,6 +230,7 @@ pub fn sample(
     let placement = if reads_faces { sampling.placement.resolve(model)? } else { Placement::Vertices };
     let sampling = &Sampling { placement, splitting, ..*sampling };
     let by_faces = placement == Placement::Faces;
+    let picking = if sampling.skip.colors { None } else { Picking::of(model, sampling.target)? };
     let clustered = |foresight| -> Result<_> {
         let pass = Pass {
             model,
@@ -240,6 +244,7 @@ pub fn sample(
             foresight,
             with_members: reads_faces && (by_faces || !sampling.skip.sheets || !sampling.skip.triangles),
             noted: Noted { positions: by_faces, twins: !sampling.skip.sheets },
+            picking: picking.as_ref(),
             folder,
             progress,
         };
@@ -247,7 +252,7 @@ pub fn sample(
             Some(edge) => stream::cluster(&pass, Groups::new(cells, edge, for_groups))?,
             None => None,
         };
-        let (Clustered { forest, hash, ranges, membership }, grouping) = match in_groups {
+        let (Clustered { forest, hash, ranges, membership, picked }, grouping) = match in_groups {
             Some(clustered) => (clustered, grouping),
             // Those that find no room in memory do so in a file.
             None => match stream::cluster(&pass, Vertices::new(cells, memory, folder))? {
@@ -256,9 +261,9 @@ pub fn sample(
             },
         };
         progress.begin("completing the samples", 0);
-        Ok(forest.cut(&grid).map(|cut| (cut, hash, ranges, membership, grouping)))
+        Ok(forest.cut(&grid).map(|cut| (cut, hash, ranges, membership, picked, grouping)))
     };
-    let (cut, hash, ranges, membership, grouping) = match clustered(true)? {
+    let (cut, hash, ranges, membership, picked, grouping) = match clustered(true)? {
         Some(clustered) => clustered,
         None => match clustered(false)? {
             Some(clustered) => clustered,
@@ -290,6 +295,7 @@ pub fn sample(
             columns: model.columns().map(str::to_owned),
             bytes: info.bytes,
             vertices: info.vertices,
+            attributes: info.attributes.clone(),
             non_finite: non_finite.count,
             first_non_finite: non_finite.first,
             jumps: Some(jumps),
@@ -301,6 +307,10 @@ pub fn sample(
         (cut.positions, cut.normals),
         triangles,
     )?;
+    if let (Some(picking), Some(picked)) = (&picking, picked) {
+        let sample_of = sample_of.as_ref().map(SampleOf::all);
+        sampled.colors = picked.colors(picking, &sampled.samples, sample_of, progress)?;
+    }
     if let (Some(parted), Some(sample_of)) = (parted, sample_of) {
         progress.begin("telling the sheets apart", 0);
         Contacts::find(&mut sampled, &parted, sample_of.all(), &trees, &parting)?;

@@ -17,6 +17,8 @@ use simod_model::progress::{Emerging, Visitor};
 use simod_model::{Error, Result, VertexChunk, VertexReader};
 use xxhash_rust::xxh3::Xxh3Default;
 
+use crate::colors::{Pick, Picked};
+
 use super::cluster::Element;
 use super::cut::{ClusteredCell, Forest};
 use super::finalization::{Clustered, MAX_QUEUED, Pass, changed, unit};
@@ -50,6 +52,7 @@ pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: G) -> Result<Option<Clustered
         hash: Xxh3Default::new(),
         ranges: Ranges::new(pass.grid.keys.len()),
         membership: pass.with_members.then(members).transpose()?,
+        picked: pass.picking.map(|_| Picked::new(pass.folder)).transpose()?,
     };
     let has_room = stream(pass, gather, &mut clustered)?;
     Ok(has_room.then_some(clustered))
@@ -57,7 +60,7 @@ pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: G) -> Result<Option<Clustered
 
 /// Whether there was room.
 fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Result<bool> {
-    let Clustered { forest, hash, ranges, membership } = found;
+    let Clustered { forest, hash, ranges, membership, picked } = found;
     let vertices = pass.model.info().vertices;
     let threads = rayon::current_num_threads();
     let in_order = !pass.model.info().reads_exactly();
@@ -76,6 +79,7 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Resul
             hash,
             ranges,
             membership: membership.as_mut(),
+            picked: picked.as_mut(),
         }),
         forest: Mutex::new((forest, true)),
         workspaces: Mutex::new(Vec::new()),
@@ -141,6 +145,7 @@ struct Merging<'a, G> {
     hash: &'a mut Xxh3Default,
     ranges: &'a mut Ranges,
     membership: Option<&'a mut Membership>,
+    picked: Option<&'a mut Picked>,
 }
 
 /// What there is to do.
@@ -186,6 +191,8 @@ struct Piece<P> {
     items: Vec<u32>,
     /// Where they are, local units, if it shall be known.
     positions: Vec<Vec3>,
+    /// Those whose colours are kept.
+    picks: Vec<Pick>,
     /// Each cell that the stream enters, and the vertex at which it does.
     visits: Vec<(u32, u64)>,
     /// Number of items that are merged.
@@ -266,6 +273,7 @@ impl<'a, G: Gather> Stream<'a, G> {
             gathered: lock(&self.merging).gather.piece(),
             items: Vec::new(),
             positions: Vec::new(),
+            picks: Vec::new(),
             visits: Vec::new(),
             merged: 0,
         }
@@ -292,9 +300,12 @@ impl<'a, G: Gather> Stream<'a, G> {
     fn put_in_cells(&self, piece: &mut Piece<G::Piece>) -> Result<()> {
         let Pass { model, grid, frame, noted, .. } = *self.pass;
         let with_items = self.leaves.is_some();
-        let Piece { chunks, gathered, items, positions, visits, .. } = piece;
+        let Piece { chunks, gathered, items, positions, picks, visits, .. } = piece;
         let mut current: Option<(Bounds, u32)> = None;
         for chunk in chunks {
+            if let Some(picking) = self.pass.picking {
+                picking.pick(model, frame, chunk, picks)?;
+            }
             for (i, p) in chunk.positions.iter().enumerate() {
                 let cell = match &current {
                     Some((inside, cell)) if inside.contains(*p) => *cell,
@@ -338,7 +349,7 @@ impl<'a, G: Gather> Stream<'a, G> {
     /// clustered.
     fn merge(&self, mut piece: Piece<G::Piece>) -> Result<()> {
         let mut merging = lock(&self.merging);
-        let Merging { gather, left, places, hash, ranges, membership } = &mut *merging;
+        let Merging { gather, left, places, hash, ranges, membership, picked } = &mut *merging;
         if piece.merged == 0 {
             places.clear();
             piece.visits.iter().for_each(|(cell, vertex)| ranges.enter(*cell, *vertex));
@@ -371,6 +382,9 @@ impl<'a, G: Gather> Stream<'a, G> {
                 let position = positions.next().copied().unwrap_or(Vec3::NAN);
                 members.push(places.get(*item as usize).copied(), position)?;
             }
+        }
+        if let Some(picked) = picked {
+            picked.add(&piece.picks)?;
         }
         for chunk in &piece.chunks {
             hash.update(chunk.raw());
@@ -425,6 +439,7 @@ impl<P: GatherPiece> Piece<P> {
         self.gathered.clear();
         self.items.clear();
         self.positions.clear();
+        self.picks.clear();
         self.visits.clear();
         self.merged = 0;
     }
@@ -432,7 +447,9 @@ impl<P: GatherPiece> Piece<P> {
 
 fn positions_of<'a>(pass: &Pass<'a>, range: Range<u64>) -> Result<Box<dyn VertexReader + 'a>> {
     let mut reader = pass.model.vertices(range)?;
-    reader.skip_attributes();
+    if pass.picking.is_none() {
+        reader.skip_attributes();
+    }
     Ok(reader)
 }
 

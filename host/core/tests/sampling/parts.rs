@@ -103,7 +103,7 @@ fn without_sheets_no_cluster_is_parted() {
 #[test]
 fn all_can_be_left_out_at_once() {
     let body = Body::generated(Shape::Amphora, 20_000).without_normals();
-    let part = saved(&body, Skip { triangles: true, cells: true, normals: true, sheets: true });
+    let part = saved(&body, Skip { triangles: true, cells: true, normals: true, sheets: true, colors: true });
     assert_eq!(part.names(), ["model.ply", "model.simod", "samples.ply", "simod.toml"]);
     assert!(!header(&part).contains("face") && !header(&part).contains("nx"));
     let whole = saved(&body, Skip { sheets: true, ..Skip::default() });

@@ -39,7 +39,7 @@ use std::path::Path;
 
 pub use file::PlyModel;
 pub(super) use header::{Element, Encoding, Header, Property, Shape, is_ply};
-pub use writer::write_points;
+pub use writer::{Besides, write_points, write_vertices};
 
 use super::source::Source;
 use super::{Edit, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, VertexReader, pipeline};

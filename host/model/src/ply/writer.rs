@@ -23,20 +23,48 @@ pub fn write_points(
     scalar: Scalar,
     comments: &[String],
 ) -> Result<()> {
+    let besides = Besides { normals, triangles, ..Besides::default() };
+    write_vertices(path, positions, besides, scalar, comments)
+}
+
+/// What a file has beside positions.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Besides<'a> {
+    /// One for each position, or none at all.
+    pub normals: &'a [Vec3],
+    /// Red, green and blue of each, or none at all.
+    pub colors: &'a [[u8; 3]],
+    /// Whether each has its number as `id`.
+    pub ids: bool,
+    /// What becomes the faces.
+    pub triangles: &'a [[u32; 3]],
+}
+
+/// The same with colours, of type uchar, and ids, of type uint.
+///
+/// # Errors
+/// As of [`write_points`].
+pub fn write_vertices(
+    path: &Path,
+    positions: impl ExactSizeIterator<Item = DVec3>,
+    besides: Besides<'_>,
+    scalar: Scalar,
+    comments: &[String],
+) -> Result<()> {
     let count = positions.len();
-    if !normals.is_empty() && normals.len() != count {
-        return Err(Error::new(
-            ErrorKind::Mismatch,
-            format!("{}: {} normals for {} positions", path.display(), normals.len(), count),
-            "give a normal for each position, or none",
-        ));
+    let Besides { normals, colors, ids, triangles } = besides;
+    for (kind, number) in [("normals", normals.len()), ("colours", colors.len())] {
+        if number != 0 && number != count {
+            return Err(Error::new(
+                ErrorKind::Mismatch,
+                format!("{}: {number} {kind} for {count} positions", path.display()),
+                "give one for each position, or none",
+            ));
+        }
     }
-    let header = header(count, !normals.is_empty(), triangles.len(), scalar, comments);
-    let position_bytes = match scalar {
-        Scalar::F32 => 12,
-        Scalar::F64 => 24,
-    };
-    let bytes = header.len() + count * position_bytes + normals.len() * 12 + triangles.len() * 13;
+    let header = header(count, &besides, scalar, comments);
+    let record = 3 * scalar.size() + if ids { 4 } else { 0 };
+    let bytes = header.len() + count * record + normals.len() * 12 + colors.len() * 3 + triangles.len() * 13;
     let mut out = OutputFile::create(path, bytes as u64)?;
     let failed = |e: std::io::Error| e.downcast().unwrap_or_else(|e| Error::io("write", path, &e));
     out.write_all(header.as_bytes()).map_err(failed)?;
@@ -58,6 +86,12 @@ pub fn write_points(
         if let Some(normal) = normals.get(i) {
             write_all(&mut out, normal.to_array().map(f32::to_le_bytes)).map_err(failed)?;
         }
+        if let Some(color) = colors.get(i) {
+            out.write_all(color).map_err(failed)?;
+        }
+        if ids {
+            out.write_all(&(i as u32).to_le_bytes()).map_err(failed)?;
+        }
     }
     for corners in triangles {
         out.write_all(&[3]).map_err(failed)?;
@@ -66,7 +100,8 @@ pub fn write_points(
     out.commit()
 }
 
-fn header(count: usize, has_normals: bool, triangles: usize, scalar: Scalar, comments: &[String]) -> String {
+fn header(count: usize, besides: &Besides<'_>, scalar: Scalar, comments: &[String]) -> String {
+    let Besides { normals, colors, ids, triangles } = besides;
     let mut header = String::from("ply\nformat binary_little_endian 1.0\n");
     for comment in comments.iter().flat_map(|c| c.split(['\n', '\r'])) {
         header.push_str(&format!("comment {comment}\n"));
@@ -79,10 +114,17 @@ fn header(count: usize, has_normals: bool, triangles: usize, scalar: Scalar, com
     for name in ["x", "y", "z"] {
         header.push_str(&format!("property {kind} {name}\n"));
     }
-    for name in ["nx", "ny", "nz"].iter().filter(|_| has_normals) {
+    for name in ["nx", "ny", "nz"].iter().filter(|_| !normals.is_empty()) {
         header.push_str(&format!("property float {name}\n"));
     }
-    if triangles > 0 {
+    for name in ["red", "green", "blue"].iter().filter(|_| !colors.is_empty()) {
+        header.push_str(&format!("property uchar {name}\n"));
+    }
+    if *ids {
+        header.push_str("property uint id\n");
+    }
+    if !triangles.is_empty() {
+        let triangles = triangles.len();
         header.push_str(&format!("element face {triangles}\nproperty list uchar uint vertex_indices\n"));
     }
     header.push_str("end_header\n");

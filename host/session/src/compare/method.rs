@@ -160,7 +160,7 @@ impl<'a> Bench<'a> {
             sampling: of,
             ..SessionFile::default()
         };
-        let skip = Skip { cells: !self.refines, ..Skip::default() };
+        let skip = Skip { cells: !self.refines, colors: true, ..Skip::default() };
         let sampled = Arc::new(sampled(&session, skip, self.folder, progress)?.0);
         let seconds = start.elapsed().as_secs_f64();
         self.samplings.push(Known { of, sampled: sampled.clone(), seconds });

@@ -26,7 +26,6 @@ mod record;
 
 pub use figures::{OnSamples, Pair};
 pub use file::{CameraPlace, CompareFile, MAX_METHODS, Method, Work};
-pub use pictures::color as scale_color;
 pub use record::{Comparison, Failure, Figures, MethodRecord, ModelRecord, Seconds, StepRecord};
 
 use crate::plugins::PluginRegistry;

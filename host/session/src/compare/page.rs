@@ -3,12 +3,12 @@
 use super::figures::{DETAIL, Pair};
 use super::folder::{REST, difference};
 use super::html::{NONE, Table, number, or_dash, round_percent};
-use super::pictures::color;
 use super::record::{Comparison, MethodRecord};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Map, Value};
+use simod_picture::scale_color as color;
 
 const STYLE: &str = include_str!("page.css");
 

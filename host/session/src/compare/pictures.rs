@@ -9,28 +9,12 @@ use crate::session_file::{Region, Role};
 use glam::DVec3;
 use simod_model::bounds::Bounds;
 use simod_model::{Model, Progress, Result, Vertices};
-use simod_picture::picture::{View, of_painted};
+use simod_picture::picture::{PaintBy, View, of_painted};
+use simod_picture::{Coloring, Paint, scale_color as color};
 
 const CLAY: [u8; 3] = [205, 198, 190];
 const FIXED: [u8; 3] = [120, 140, 175];
 const HANDLE: [u8; 3] = [230, 175, 60];
-
-/// Distances from none to the end of the scale: light to dark, so that they are told apart in print and by
-/// everybody.
-const SCALE: [[u8; 3]; 6] =
-    [[216, 216, 212], [248, 222, 140], [245, 160, 60], [222, 80, 50], [160, 25, 80], [60, 10, 85]];
-
-/// A colour of the scale, 0 to 1.
-pub fn color(t: f32) -> [u8; 3] {
-    let last = SCALE.len() - 1;
-    let x = if t.is_finite() { t.clamp(0.0, 1.0) * last as f32 } else { last as f32 };
-    let i = (x as usize).min(last - 1);
-    let part = x - i as f32;
-    std::array::from_fn(|c| {
-        let (from, to) = (f32::from(SCALE[i][c]), f32::from(SCALE[i + 1][c]));
-        (from + (to - from) * part).round() as u8
-    })
-}
 
 /// Draws `models`, of which the first is at rest; `files` has what the others' files begin with, and whose
 /// they are. Gives the pictures' names and contents, and writes them into the record.
@@ -49,9 +33,18 @@ pub(super) fn draw(
     }
     let camera = file.camera;
     let view = View { bounds: all, yaw: camera.yaw, pitch: camera.pitch, size: camera.size, up: camera.up };
-    let by_region = |parts: &[Vertices<'_>], i: usize| region_color(&file.regions, last(parts, i));
+    let info = models[0].info();
+    let paint = Paint::of_model(models[0], Coloring::choose(None, &info.attributes)?, progress)?;
+    let own = |parts: &[Vertices<'_>], i: usize| match paint.is_colored() {
+        true => paint.color(|place| parts[0].attribute(place, i)),
+        false => CLAY,
+    };
+    let by_region = |parts: &[Vertices<'_>], i: usize| {
+        region_color(&file.regions, last(parts, i)).unwrap_or_else(|| own(parts, i))
+    };
+    let by_region = (paint.count(), &by_region as &PaintBy<'_>);
     let mut pictures = Vec::new();
-    let rest = of_painted(&[models[0], models[0]], &bounds[0], &view, &by_region, progress)?;
+    let rest = of_painted(&[models[0], models[0]], &bounds[0], &view, by_region, progress)?;
     pictures.push((REST.to_owned(), rest.to_png()?));
     let end = comparison.color_scale;
     let diagonal = comparison.model.diagonal;
@@ -63,10 +56,10 @@ pub(super) fn draw(
     let labels = ["0", &format!("{} OF THE DIAGONAL", round_percent(end))];
     for (k, ((_, name), model)) in files.iter().zip(&models[1..]).enumerate() {
         let bounds = &bounds[k + 1];
-        let image = of_painted(&[*model, models[0]], bounds, &view, &by_region, progress)?;
+        let image = of_painted(&[*model, models[0]], bounds, &view, by_region, progress)?;
         pictures.push((format!("{name}.png"), image.to_png()?));
         if k > 0 {
-            let image = of_painted(&[*model, models[1]], bounds, &view, &by_distance, progress)?;
+            let image = of_painted(&[*model, models[1]], bounds, &view, (0, &by_distance), progress)?;
             pictures.push((format!("{}.png", difference(name)), image.with_scale(color, labels).to_png()?));
         }
     }
@@ -80,22 +73,7 @@ fn last(parts: &[Vertices<'_>], i: usize) -> DVec3 {
 }
 
 /// The colour of a vertex by where it is at rest.
-fn region_color(regions: &[Region], p: DVec3) -> [u8; 3] {
+fn region_color(regions: &[Region], p: DVec3) -> Option<[u8; 3]> {
     let mut holding = regions.iter().filter(|r| r.role != Role::Mask && r.shapes.weight(p) > 0.5);
-    holding.next().map_or(CLAY, |region| if region.role == Role::Handle { HANDLE } else { FIXED })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_scale_gets_darker_from_end_to_end() {
-        let light =
-            |t: f32| color(t).iter().zip([0.3, 0.59, 0.11]).map(|(c, w)| f64::from(*c) * w).sum::<f64>();
-        let lights: Vec<f64> = (0..=100).map(|i| light(i as f32 / 100.0)).collect();
-        assert!(lights.windows(2).skip(20).all(|two| two[1] < two[0]), "{lights:?}");
-        assert_eq!((color(0.0), color(1.0)), (SCALE[0], SCALE[5]));
-        assert_eq!((color(7.0), color(f32::NAN), color(-1.0)), (SCALE[5], SCALE[5], SCALE[0]));
-    }
+    holding.next().map(|region| if region.role == Role::Handle { HANDLE } else { FIXED })
 }

@@ -15,6 +15,7 @@ mod thread;
 mod wasted;
 mod watch;
 
+use crate::detail::Tint;
 use crate::scene::Scene;
 pub use comparing::{Carried, Comparing};
 pub use emerged::Emerged;
@@ -145,8 +146,19 @@ struct Request {
     number: u64,
     steps: Arc<[Entry]>,
     effort: Effort,
-    /// Whether the scene's expected error is wanted.
-    measure: bool,
+    extra: Extra,
+}
+
+/// What is wanted with a scene that takes its time.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub enum Extra {
+    /// Nothing.
+    #[default]
+    Nothing,
+    /// The error to be expected between the samples.
+    ExpectedError,
+    /// The [attributes](SampledModel::attributes) of the samples, by the model, if it was moved since it was sampled.
+    Attributes(Option<PathBuf>),
 }
 
 /// What the thread shall do next.
@@ -245,12 +257,12 @@ impl Engine {
 
     /// Has vertices streamed, instead of those that are being streamed; gives the request's number, which
     /// comes back with them. `model` is where it is, if it was moved.
-    pub fn preview(&mut self, pose: Pose, chosen: Chosen, model: Option<PathBuf>) -> u64 {
+    pub fn preview(&mut self, pose: Pose, chosen: Chosen, tint: Tint, model: Option<PathBuf>) -> u64 {
         self.requests += 1;
         let number = self.requests;
         self.want(|wanted, running| {
             running.preview.iter().for_each(|watch| watch.supersede());
-            wanted.preview = Some(Streaming { number, pose, chosen, model });
+            wanted.preview = Some(Streaming { number, pose, chosen, tint, model });
         });
         number
     }
@@ -279,7 +291,7 @@ impl Engine {
 
     /// Has steps done, instead of those that wait for it; if wanted, with the [error to be
     /// expected](Scene::expected_error). Gives the request's number, which comes back with the result.
-    pub fn evaluate(&mut self, steps: Arc<[Entry]>, effort: Effort, measure: bool) -> u64 {
+    pub fn evaluate(&mut self, steps: Arc<[Entry]>, effort: Effort, extra: Extra) -> u64 {
         self.requests += 1;
         let number = self.requests;
         self.want(|wanted, running| {
@@ -289,7 +301,7 @@ impl Engine {
                     watch.supersede();
                 }
             }
-            wanted.evaluate = Some(Request { number, steps, effort, measure });
+            wanted.evaluate = Some(Request { number, steps, effort, extra });
         });
         number
     }

@@ -3,8 +3,10 @@
 use super::thread::{Teller, guarded};
 use super::watch::Watch;
 use super::{Event, Job, Shared};
+use crate::detail::Tint;
 use glam::Vec3;
-use simod_core::detail::{self, Chosen};
+use simod_core::colors;
+use simod_core::detail::{self, Chosen, Shown};
 use simod_core::reconstruction::{DeformationField, Method, Surroundings};
 use simod_core::sampled_model::SampledModel;
 use simod_model::{Progress, Result};
@@ -18,6 +20,8 @@ pub(super) struct Streaming {
     pub number: u64,
     pub pose: Pose,
     pub chosen: Chosen,
+    /// What the vertices are coloured by.
+    pub tint: Tint,
     /// The model, if it was moved since it was sampled.
     pub model: Option<PathBuf>,
 }
@@ -86,11 +90,11 @@ impl Thread {
     /// next.
     fn stream_all(&self, mut streaming: Streaming, mut watch: Arc<Watch>) -> Option<Task> {
         let sampled = streaming.pose.sampled.clone();
-        let around = OnceCell::new();
+        let (around, colors) = (OnceCell::new(), OnceCell::new());
         loop {
             let done = guarded(|| {
                 let around = || around.get_or_init(|| Surroundings::of(&sampled.samples));
-                self.stream(streaming, around, &*watch)
+                self.stream(streaming, around, &colors, &*watch)
             });
             let event = done.unwrap_or_else(|error| Event::Failed { job: Job::Preview, error });
             self.tell.end(Job::Preview, &watch, Some(event));
@@ -105,11 +109,24 @@ impl Thread {
         &self,
         streaming: Streaming,
         around: impl FnOnce() -> &'a Surroundings<'a>,
+        colors: &OnceCell<Shown>,
         progress: &dyn Progress,
     ) -> Result<Event> {
-        let Streaming { number, pose: Pose { sampled, positions }, chosen, model } = streaming;
+        let Streaming { number, pose: Pose { sampled, positions }, chosen, tint, model } = streaming;
         let start = Instant::now();
         let model = sampled.open_source(model.as_deref())?;
+        let chosen = chosen.showing(match tint {
+            Tint::Samples => Shown::Nothing,
+            Tint::Attribute(place) => Shown::Attribute(place),
+            Tint::Own => match colors.get() {
+                Some(known) => *known,
+                None => {
+                    let found = colors::Bytes::of(model.as_ref())?.map(|bytes| bytes.meaning());
+                    let shown = found.map_or(Shown::Nothing, |(colors, scale)| Shown::Colors(colors, scale));
+                    *colors.get_or_init(|| shown)
+                }
+            },
+        });
         let each = |batch| {
             self.tell.send(Event::Detail { request: number, batch: Box::new(batch) });
             progress.check()

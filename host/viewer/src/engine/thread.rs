@@ -1,7 +1,7 @@
 //! The engine's other end: a thread that opens, does steps, and has models written, one after the other.
 
 use super::watch::Watch;
-use super::{Comparing, Event, Job, Opening, Request, Running, Shared, Wake, Writing};
+use super::{Comparing, Event, Extra, Job, Opening, Request, Running, Shared, Wake, Writing};
 use crate::scene::Scene;
 use simod_core::reconstruction::Reconstruction;
 use simod_core::sampled_model::SampledModel;
@@ -112,10 +112,10 @@ impl Thread {
                     let opened = guarded(|| self.open(&opening, &watch));
                     self.tell.end(Job::Open, &watch, Some(event(Job::Open, opened)));
                 }
-                Task::Evaluate(Request { number, steps, effort, measure }) => {
+                Task::Evaluate(Request { number, steps, effort, extra }) => {
                     let scene = guarded(|| {
                         let scene = self.scene(&steps, effort, &*watch)?;
-                        Ok(if measure { scene.measured() } else { scene })
+                        with_extra(scene, &extra, &*watch)
                     });
                     let scene =
                         scene.map(|scene| Event::Evaluated { request: number, scene: Box::new(scene) });
@@ -224,6 +224,22 @@ impl Thread {
             tell.end(Job::Write, &watch, Some(event(Job::Write, written)));
         };
         self.writer = std::thread::Builder::new().name("writer".into()).spawn(work).ok();
+    }
+}
+
+/// A scene with what else was wanted. Where attributes cannot be read, there is the scene nevertheless.
+fn with_extra(scene: Scene, extra: &Extra, progress: &dyn Progress) -> Result<Scene> {
+    match extra {
+        Extra::Nothing => Ok(scene),
+        Extra::ExpectedError => Ok(scene.measured()),
+        Extra::Attributes(model) => {
+            match scene.sampled.attributes(model.as_deref(), progress) {
+                Err(e) if e.kind() == ErrorKind::Cancelled => return Err(e),
+                Err(e) => progress.note(&format!("the attributes cannot be shown: {e}")),
+                Ok(_) => {}
+            }
+            Ok(scene)
+        }
     }
 }
 

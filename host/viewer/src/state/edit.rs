@@ -2,7 +2,7 @@
 
 use super::{Open, State, nothing_open, refused};
 use crate::command::Command;
-use crate::engine::Writing;
+use crate::engine::{Extra, Writing};
 use crate::overlay::Overlay;
 use crate::scene::Scene;
 use crate::selection::Selection;
@@ -49,8 +49,14 @@ impl State {
         let Some(open) = &self.open else { return };
         let steps = self.stroke.as_ref().and_then(|stroke| stroke.preview(open.steps()));
         let steps = steps.unwrap_or_else(|| open.steps().clone());
-        let measure = self.overlay == Overlay::TransferError && effort == Effort::FULL;
-        self.requested = self.engine.evaluate(steps, effort, measure);
+        let extra = match self.overlay {
+            Overlay::TransferError if effort == Effort::FULL => Extra::ExpectedError,
+            Overlay::Attribute(_) if effort == Effort::FULL => {
+                Extra::Attributes(open.editor.model().map(Path::to_owned))
+            }
+            _ => Extra::Nothing,
+        };
+        self.requested = self.engine.evaluate(steps, effort, extra);
     }
 
     pub(super) fn edit(&mut self, command: edit::Command, dragging: bool) -> Result<()> {

@@ -85,6 +85,7 @@ impl State {
             (Overlay::Stretch, _) => overlay::stretch(scene),
             (Overlay::Density, _) => overlay::density(scene),
             (Overlay::TransferError, _) => overlay::transfer_error(scene)?,
+            (Overlay::Attribute(place), _) => overlay::attribute(scene, place)?,
             (Overlay::Difference, other) => overlay::difference(scene, other?, carried.map(|c| &**c)),
         };
         let (revision, steps) = (scene.revision, steps.clone());

@@ -66,6 +66,8 @@ pub struct State {
     chosen: Option<StepId>,
     stroke: Option<OpenStroke>,
     overlay: Overlay,
+    /// The model's own colours are shown where no numbers are.
+    own_colors: bool,
     /// The last request for steps to be done, and the last one whose result is shown.
     requested: u64,
     shown: u64,
@@ -108,6 +110,7 @@ impl State {
             chosen: None,
             stroke: None,
             overlay: Overlay::default(),
+            own_colors: true,
             requested: 0,
             shown: 0,
             floor: 0,
@@ -189,6 +192,7 @@ impl State {
             Command::Resize { size } => self.resize(size),
             Command::Camera(step) => self.move_camera(step),
             Command::Show(overlay) => self.show(overlay),
+            Command::ShowOwnColors(own) => self.show_own_colors(own),
             Command::Preview { what } => self.preview(what),
             Command::Pin => self.pin(),
             Command::PinSession { path } => self.pin_session(&path),

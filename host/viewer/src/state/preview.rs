@@ -2,7 +2,7 @@
 //! samples.
 
 use super::{State, nothing_open};
-use crate::detail::{Detail, Previewed};
+use crate::detail::{Detail, Previewed, Tint};
 use crate::engine::{Job, Pose};
 use rayon::prelude::*;
 use simod_core::detail::{Batch, Chosen, ENOUGH, Streamed};
@@ -15,12 +15,20 @@ const RING: usize = 8;
 #[derive(Default)]
 pub(super) struct Preview {
     detail: Option<Detail>,
-    /// The request for what is being streamed, by what samples, and one of how many vertices.
-    streaming: Option<(u64, Pose, u64)>,
+    streaming: Option<Asked>,
     /// The user stopped it.
     stopped: bool,
     /// The last that was streamed to its end, and how long it took.
     last: Option<(Streamed, f64)>,
+}
+
+/// What is being streamed.
+struct Asked {
+    request: u64,
+    /// By what samples, one of how many vertices, and with what.
+    pose: Pose,
+    stride: u64,
+    tint: Tint,
 }
 
 impl State {
@@ -58,14 +66,25 @@ impl State {
         };
         let chosen = Chosen::of(&scene.sampled, &marks, ENOUGH)?;
         let pose = Pose { sampled: scene.sampled.clone(), positions: scene.positions.clone() };
+        let tint = self.tint();
         let preview = &mut self.preview;
         match &mut preview.detail {
             Some(detail) => detail.choose(what, chosen),
-            None => preview.detail = Some(Detail::new(what, chosen, pose)),
+            None => preview.detail = Some(Detail::new(what, chosen, pose, tint)),
         }
         preview.stopped = false;
         self.stream_missing();
         Ok(())
+    }
+
+    /// What is shown in full may have to be streamed again, with other numbers.
+    pub(super) fn tint_detail(&mut self) {
+        let tint = self.tint();
+        if let Some(detail) = &mut self.preview.detail
+            && detail.tint_by(tint)
+        {
+            self.stream_missing();
+        }
     }
 
     /// Samples everywhere.
@@ -97,25 +116,25 @@ impl State {
             return;
         }
         let pose = Pose { sampled: open.scene.sampled.clone(), positions: open.scene.positions.clone() };
-        let stride = missing.stride;
+        let (stride, tint) = (missing.stride, detail.tint());
         let model = open.editor.model().map(std::path::Path::to_owned);
-        let request = self.engine.preview(pose.clone(), missing, model);
-        self.preview.streaming = Some((request, pose, stride));
+        let request = self.engine.preview(pose.clone(), missing, tint, model);
+        self.preview.streaming = Some(Asked { request, pose, stride, tint });
     }
 
     /// Some vertices have come.
     pub(super) fn take_detail(&mut self, request: u64, batch: Batch) {
         let Preview { detail, streaming, .. } = &mut self.preview;
-        if let (Some(detail), Some((number, pose, stride))) = (detail, streaming)
-            && *number == request
+        if let (Some(detail), Some(streaming)) = (detail, streaming)
+            && streaming.request == request
         {
-            detail.take(batch, *stride, pose);
+            detail.take(batch, streaming.stride, streaming.tint, &streaming.pose);
         }
     }
 
     /// All have come that were asked for.
     pub(super) fn take_streamed(&mut self, request: u64, report: Streamed, seconds: f64) {
-        if self.preview.streaming.take_if(|(number, ..)| *number == request).is_some() {
+        if self.preview.streaming.take_if(|streaming| streaming.request == request).is_some() {
             self.preview.last = Some((report, seconds));
         }
     }

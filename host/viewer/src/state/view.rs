@@ -3,9 +3,10 @@
 use super::{State, refused};
 use crate::camera::Camera;
 use crate::command::CameraMove;
+use crate::detail::Tint;
 use crate::overlay::Overlay;
 use glam::{DVec2, DVec3};
-use simod_model::Result;
+use simod_model::{Attribute, Colors, Result};
 use simod_plugin_api::Effort;
 
 impl State {
@@ -26,12 +27,42 @@ impl State {
 
     pub(super) fn show(&mut self, overlay: Overlay) -> Result<()> {
         self.overlay = overlay;
-        let is_there = self.scene().is_none_or(|scene| scene.expected_error.is_some());
-        if overlay == Overlay::TransferError && !is_there {
+        let is_there = self.scene().is_none_or(|scene| match overlay {
+            Overlay::TransferError => scene.expected_error.is_some(),
+            Overlay::Attribute(_) => scene.sampled.held_attributes().is_some(),
+            _ => true,
+        });
+        if !is_there {
             self.request(Effort::FULL);
         }
         self.compare();
+        self.tint_detail();
         Ok(())
+    }
+
+    /// Whether the surface has the model's own colours, where it has any and no numbers are shown.
+    pub fn has_own_colors(&self) -> bool {
+        self.own_colors
+    }
+
+    pub(super) fn show_own_colors(&mut self, own: bool) -> Result<()> {
+        self.own_colors = own;
+        self.tint_detail();
+        Ok(())
+    }
+
+    /// The numbers that each vertex of the model has besides, which can be [shown](Overlay::Attribute).
+    pub fn attributes(&self) -> &[Attribute] {
+        self.scene().map_or(&[], |scene| &scene.sampled.source.attributes)
+    }
+
+    /// What vertices that are shown in full are coloured by themselves.
+    pub fn tint(&self) -> Tint {
+        match self.overlay {
+            Overlay::Attribute(place) if place < self.attributes().len() => Tint::Attribute(place),
+            Overlay::None if self.own_colors && Colors::among(self.attributes()).is_some() => Tint::Own,
+            _ => Tint::Samples,
+        }
     }
 
     pub(super) fn resize(&mut self, size: [f64; 2]) -> Result<()> {

@@ -95,6 +95,7 @@ fn command() -> impl Strategy<Value = Command> {
         Overlay::Density,
         Overlay::TransferError,
         Overlay::Difference,
+        Overlay::Attribute(0),
     ]);
     let previewed = vec![Previewed::Seen, Previewed::Selection, Previewed::Nothing];
     let point = prop::array::uniform3(-1.0..1.0_f64).prop_map(DVec3::from);

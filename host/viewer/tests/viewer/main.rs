@@ -1,6 +1,7 @@
 //! The viewer without its window, on models that are made here, with the plugins that are built here.
 #![allow(clippy::unwrap_used, clippy::disallowed_methods, reason = "a test that cannot go on shall stop")]
 
+mod colors;
 mod comparing;
 mod edits;
 mod errors;

@@ -6,14 +6,14 @@ use crate::window::Window;
 use eframe::egui::{Align, Color32, Layout, Mesh, Rect, RichText, Sense, Shape, Ui, UiBuilder, pos2, vec2};
 use simod_session::session_file::Role;
 use simod_viewer::Overlay;
-use simod_viewer::overlay::scale_color;
+use simod_viewer::overlay::{Field, class_color, class_name, scale_color};
 
 const HEIGHT: f32 = 150.0;
 const MARGIN: f32 = 12.0;
 
 /// What it is called, and its unit.
-fn title(overlay: Overlay) -> Option<(String, &'static str)> {
-    Some(match overlay {
+fn title(window: &Window) -> Option<(String, &'static str)> {
+    Some(match window.state().overlay() {
         Overlay::None => return None,
         Overlay::Selection => ("Selection".to_owned(), ""),
         Overlay::Region(i) => (format!("Weight of region {}", i + 1), ""),
@@ -21,16 +21,22 @@ fn title(overlay: Overlay) -> Option<(String, &'static str)> {
         Overlay::Stretch => ("Stretch".to_owned(), "times"),
         Overlay::Density => ("Sample distance".to_owned(), "model units"),
         Overlay::Difference => ("Difference".to_owned(), "model units"),
+        Overlay::Attribute(place) => (window.state().attributes().get(place)?.name.clone(), ""),
         Overlay::TransferError => ("Expected transfer error".to_owned(), "model units"),
     })
 }
 
 /// The scale of an overlay, or the colours of regions.
 pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
-    match title(window.state().overlay()) {
+    match title(window) {
         Some((title, unit)) => {
-            let Some(range) = window.state_mut().field().map(|field| field.range) else { return };
-            scale(ui, rect, &title, unit, range);
+            let Some(field) = window.state_mut().field() else { return };
+            if field.are_classes {
+                classes(ui, rect, &title, &classes_of(field));
+            } else {
+                let range = field.range;
+                scale(ui, rect, &title, unit, range);
+            }
         }
         None => roles(ui, rect, window),
     }
@@ -43,6 +49,30 @@ fn at_the_lower_left(ui: &mut Ui, rect: Rect, height: f32, content: impl FnOnce(
     );
     let builder = UiBuilder::new().max_rect(area).layout(Layout::left_to_right(Align::Min));
     ui.scope_builder(builder, |ui| card(ui).show(ui, |ui| ui.vertical(content)));
+}
+
+/// Which classes there are, ascending.
+fn classes_of(field: &Field) -> Vec<u8> {
+    let mut there = [false; 256];
+    field.values.iter().for_each(|class| there[usize::from(class.round() as u8)] = true);
+    (0..=u8::MAX).filter(|class| there[usize::from(*class)]).collect()
+}
+
+/// The first of the classes that there are, with their colours.
+fn classes(ui: &mut Ui, rect: Rect, title: &str, classes: &[u8]) {
+    const MOST: usize = 12;
+    let shown = &classes[..classes.len().min(MOST)];
+    at_the_lower_left(ui, rect, 36.0 + 21.0 * shown.len() as f32, |ui| {
+        ui.label(RichText::new(title).strong());
+        for class in shown {
+            ui.horizontal(|ui| {
+                let (dot, _) = ui.allocate_exact_size(vec2(12.0, 14.0), Sense::hover());
+                ui.painter().circle_filled(dot.center(), 5.0, theme::color(class_color(*class)));
+                let name = class_name(*class).map_or(String::new(), |name| format!(" {name}"));
+                ui.label(RichText::new(format!("{class}{name}")).small());
+            });
+        }
+    });
 }
 
 fn scale(ui: &mut Ui, rect: Rect, title: &str, unit: &str, [from, to]: [f32; 2]) {

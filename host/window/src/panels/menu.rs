@@ -6,7 +6,7 @@ use crate::settings::Settings;
 use crate::window::Window;
 use eframe::egui::{self, Button, Frame, Margin, MenuBar, Panel, RichText, Ui};
 use simod_session::Plugin;
-use simod_viewer::{Command, Navigation};
+use simod_viewer::{Command, Navigation, Overlay};
 
 const MENUS: [(&str, Menu); 8] = [
     ("File", Menu::File),
@@ -64,6 +64,10 @@ fn entries(ui: &mut Ui, window: &mut Window, menu: Menu) {
             recent(ui, window);
         }
     }
+    if menu == Menu::Overlay {
+        ui.separator();
+        ui.menu_button("Attribute", |ui| attributes(ui, window));
+    }
     if menu == Menu::View {
         ui.separator();
         ui.menu_button("Navigation", |ui| navigation(ui, window));
@@ -94,6 +98,22 @@ fn recent(ui: &mut Ui, window: &mut Window) {
             }
         });
     });
+}
+
+/// The numbers that the model's vertices have, to be shown on the surface.
+fn attributes(ui: &mut Ui, window: &mut Window) {
+    let names: Vec<String> = window.state().attributes().iter().map(|a| a.name.clone()).collect();
+    if names.is_empty() {
+        ui.label("Its vertices have no numbers beside positions and normals.");
+    }
+    for (place, name) in names.into_iter().enumerate() {
+        let overlay = Overlay::Attribute(place);
+        let is_on = window.state().overlay() == overlay;
+        if ui.add(Button::selectable(is_on, name)).clicked() {
+            window.apply(Command::Show(if is_on { Overlay::None } else { overlay }));
+            ui.close();
+        }
+    }
 }
 
 fn navigation(ui: &mut Ui, window: &mut Window) {

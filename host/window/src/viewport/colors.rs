@@ -1,24 +1,90 @@
-//! The samples' colours: overlay, regions of the chosen step, selection.
+//! The samples' colours: overlay or the model's own, regions of the chosen step, selection; and those of vertices
+//! that are shown in full, which have numbers of their own.
 
 use super::detail::sample_colors;
-use crate::theme::{self, mixed};
+use crate::theme;
 use crate::window::Window;
+use simod_core::detail::Values;
 use simod_session::Shapes;
 use simod_session::edit::StepId;
 use simod_session::session_file::Role;
-use simod_viewer::overlay::{self, Field};
-use simod_viewer::{Overlay, Scene, Selection, Version};
+use simod_viewer::detail::Piece;
+use simod_viewer::overlay::{self, Field, Scale};
+use simod_viewer::{Overlay, Scene, Selection, Tint, Version};
 use std::sync::Arc;
 
 /// How much of a selected sample's colour is that of the selection.
 const SELECTED: f32 = 0.75;
 const REGION: f32 = 0.62;
 
+/// What is done to a colour: it is mixed with others.
+#[derive(Debug, Clone, Copy)]
+struct Mixing {
+    /// How much of it is left.
+    keep: f32,
+    /// What comes to it.
+    add: [f32; 3],
+}
+
+impl Mixing {
+    const NONE: Self = Self { keep: 1.0, add: [0.0; 3] };
+
+    fn with(self, color: [u8; 3], share: f32) -> Self {
+        let add = |i: usize| self.add[i] * (1.0 - share) + f32::from(color[i]) * share;
+        Self { keep: self.keep * (1.0 - share), add: [0, 1, 2].map(add) }
+    }
+
+    fn of(self, color: [u8; 3]) -> [u8; 3] {
+        std::array::from_fn(|i| (f32::from(color[i]) * self.keep + self.add[i]).round() as u8)
+    }
+}
+
+/// The colours of vertices that are shown in full.
+#[derive(Clone, Copy, Default)]
+pub struct VertexColors<'a> {
+    /// Those that samples have, if they are not all the same.
+    samples: Option<&'a [[u8; 3]]>,
+    /// What is done to the colour of each sample, if anything is.
+    mixing: Option<&'a [Mixing]>,
+    /// What is shown of the vertices themselves, and what numbers look like.
+    tint: Tint,
+    scale: Option<Scale>,
+}
+
+impl<'a> VertexColors<'a> {
+    /// Where samples have these, and nothing is done to them.
+    pub fn new(samples: Option<&'a [[u8; 3]]>, tint: Tint, scale: Option<Scale>) -> Self {
+        Self { samples, mixing: None, tint, scale }
+    }
+
+    /// Of all vertices of a piece: their own, as far as they came with it, or those of their samples.
+    pub fn of(&self, piece: &Piece) -> Vec<[u8; 3]> {
+        let batch = &piece.batch;
+        let mixed = |(i, color): (usize, [u8; 3])| {
+            let mixing = self.mixing.and_then(|all| all.get(batch.homes[i] as usize));
+            mixing.map_or(color, |mixing| mixing.of(color))
+        };
+        let is_theirs = piece.tint == self.tint;
+        match (&batch.values, self.scale) {
+            (Values::Colors(own), _) if is_theirs => own.iter().copied().enumerate().map(mixed).collect(),
+            (Values::Numbers(all), Some(scale)) if is_theirs => {
+                all.iter().map(|number| scale.color(*number)).enumerate().map(mixed).collect()
+            }
+            _ => {
+                let of = |home: &u32| self.samples.and_then(|all| all.get(*home as usize)).copied();
+                batch.homes.iter().map(|home| of(home).unwrap_or(theme::CLAY)).collect()
+            }
+        }
+    }
+}
+
 /// What the colours depend on.
 #[derive(PartialEq, Default)]
 struct Key {
     samples: usize,
     overlay: Overlay,
+    tint: Tint,
+    own: bool,
     /// Of both versions, where an overlay is shown: its scale is that of both.
     revisions: Option<[Option<u64>; 2]>,
     /// Of the overlay's scale.
@@ -43,6 +109,9 @@ struct Regions {
 pub struct Colors {
     key: Key,
     weights: Vec<(Role, Field)>,
+    /// What is done to the colours, and the outcome.
+    mixing: Option<Vec<Mixing>>,
+    scale: Option<Scale>,
     colors: Option<Vec<[u8; 3]>>,
     tinted: Option<Vec<[u8; 3]>>,
 }
@@ -60,16 +129,19 @@ impl Colors {
             if key.regions != self.key.regions || key.samples != self.key.samples {
                 self.weights = weights(window, scene, &key);
             }
-            self.colors = self.made(window, version, scene, &key);
+            self.mixing = self.mixed(scene, &key);
+            self.scale = window.state_mut().field_of(version).map(Field::scale);
+            self.colors = self.made(window, version, scene);
             self.tinted = key.detail.then(|| sample_colors(scene.len(), self.colors.as_deref()));
             self.key = key;
         }
         changed
     }
 
-    /// What is shown where a sample is; nothing if it is the same everywhere.
-    pub fn of_surface(&self) -> Option<&[[u8; 3]]> {
-        self.colors.as_deref()
+    /// Those of vertices.
+    pub fn of_vertices(&self) -> VertexColors<'_> {
+        let Self { colors, mixing, scale, key, .. } = self;
+        VertexColors { samples: colors.as_deref(), mixing: mixing.as_deref(), tint: key.tint, scale: *scale }
     }
 
     /// As samples show it.
@@ -77,28 +149,40 @@ impl Colors {
         self.tinted.as_deref().or(self.colors.as_deref())
     }
 
-    fn made(&self, window: &mut Window, version: Version, scene: &Scene, key: &Key) -> Option<Vec<[u8; 3]>> {
-        let field = window.state_mut().field_of(version);
-        if field.is_none() && self.weights.is_empty() && key.selection.is_empty() {
-            return None;
-        }
-        let mut colors = match field {
+    /// The colours of samples, if they are not all the same.
+    fn made(&self, window: &mut Window, version: Version, scene: &Scene) -> Option<Vec<[u8; 3]>> {
+        let own = window.state().has_own_colors() && window.state().overlay() == Overlay::None;
+        let mut colors = match window.state_mut().field_of(version) {
             Some(field) => (0..scene.len()).map(|i| field.color(i)).collect(),
+            None if own && !scene.sampled.colors.is_empty() => scene.sampled.colors.clone(),
+            None if self.mixing.is_none() => return None,
             None => vec![theme::CLAY; scene.len()],
         };
+        if let Some(mixing) = &self.mixing {
+            colors.iter_mut().zip(mixing).for_each(|(color, mixing)| *color = mixing.of(*color));
+        }
+        Some(colors)
+    }
+
+    /// What regions and the selection do to the colours, if anything.
+    fn mixed(&self, scene: &Scene, key: &Key) -> Option<Vec<Mixing>> {
+        if self.weights.is_empty() && key.selection.is_empty() {
+            return None;
+        }
+        let mut mixing = vec![Mixing::NONE; scene.len()];
         if key.overlay == Overlay::None {
             for (role, field) in &self.weights {
                 let tint = theme::role_color(*role);
-                for (color, weight) in colors.iter_mut().zip(&field.values) {
-                    *color = mixed(*color, tint, REGION * weight);
+                for (mixing, weight) in mixing.iter_mut().zip(&field.values) {
+                    *mixing = mixing.with(tint, REGION * weight);
                 }
             }
         }
         for i in key.selection.samples() {
-            let color = &mut colors[i as usize];
-            *color = mixed(*color, theme::SELECTED, SELECTED);
+            let mixing = &mut mixing[i as usize];
+            *mixing = mixing.with(theme::SELECTED, SELECTED);
         }
-        Some(colors)
+        Some(mixing)
     }
 }
 
@@ -109,7 +193,8 @@ fn plain(window: &mut Window, scene: &Scene) -> Key {
     let revisions = [Version::Now, Version::Pinned].map(revision);
     let range = window.state_mut().field().map(|field| field.range);
     let revisions = (overlay != Overlay::None).then_some(revisions);
-    Key { samples: scene.len(), overlay, revisions, range, ..Key::default() }
+    let (tint, own) = (window.state().tint(), window.state().has_own_colors());
+    Key { samples: scene.len(), overlay, tint, own, revisions, range, ..Key::default() }
 }
 
 fn key(window: &mut Window, scene: &Arc<Scene>) -> Key {

@@ -1,5 +1,6 @@
 //! The vertices that are shown in full, as the graphics card has them.
 
+use super::colors::VertexColors;
 use crate::screenshot::disc_radii;
 use crate::theme;
 use simod_core::detail::Batch;
@@ -17,8 +18,7 @@ const HIDDEN: f32 = -1.0;
 pub struct Pieces(BTreeMap<u64, u64>);
 
 impl Pieces {
-    /// Brings the card up to date. `colors` are those of the samples, if they are not all the same; all
-    /// vertices have that of theirs.
+    /// Brings the card up to date.
     ///
     /// # Errors
     /// Never, for pieces that are whole.
@@ -26,7 +26,7 @@ impl Pieces {
         &mut self,
         scene: &mut Scene,
         detail: Option<&Detail>,
-        colors: Option<&[[u8; 3]]>,
+        colors: VertexColors<'_>,
         recolored: bool,
     ) -> Result<(), BadSurface> {
         let there = detail.map(Detail::pieces);
@@ -71,9 +71,9 @@ impl Splats {
     }
 }
 
-/// A piece in the samples' colours.
-pub fn splats(piece: &Piece, colors: Option<&[[u8; 3]]>) -> Splats {
-    Splats { batch: piece.batch.clone(), radii: radii(piece), colors: of_vertices(piece, colors) }
+/// A piece as it looks in these colours.
+pub fn splats(piece: &Piece, colors: VertexColors<'_>) -> Splats {
+    Splats { batch: piece.batch.clone(), radii: radii(piece), colors: colors.of(piece) }
 }
 
 fn radii(piece: &Piece) -> Vec<f32> {
@@ -82,11 +82,6 @@ fn radii(piece: &Piece) -> Vec<f32> {
         radii[range.start as usize..range.end as usize].fill(HIDDEN);
     }
     radii
-}
-
-fn of_vertices(piece: &Piece, colors: Option<&[[u8; 3]]>) -> Vec<[u8; 3]> {
-    let of = |home: &u32| colors.and_then(|colors| colors.get(*home as usize)).copied();
-    piece.batch.homes.iter().map(|home| of(home).unwrap_or(theme::CLAY)).collect()
 }
 
 /// Radii of the samples' discs; none where vertices are shown instead.

@@ -1,6 +1,6 @@
 //! The picture of the model, and what is drawn over it.
 
-mod colors;
+pub mod colors;
 mod corner;
 pub mod detail;
 mod emerging;

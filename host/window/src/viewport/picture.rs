@@ -251,7 +251,7 @@ impl Drawing {
                 self.scene.set_colors(&radii(), colors)?;
             }
         }
-        self.pieces.update(&mut self.scene, detail, self.colors.of_surface(), recolored)?;
+        self.pieces.update(&mut self.scene, detail, self.colors.of_vertices(), recolored)?;
         if window.looks.ghost != self.ghost || self.ghost && !same_samples {
             self.ghost = window.looks.ghost;
             let radii = disc_radii(samples.spacing());

@@ -1,0 +1,286 @@
+//! The model's own colours as colours of the samples, for programs in which these are deformed.
+//!
+//! A sample has the mean colour of the vertices that it stands for: where faces tell which these are, of those
+//! in its cluster, and otherwise of those that it is the nearest sample to. As a mean needs no more, one of so
+//! many vertices is picked while the model streams, and kept in a temporary file until the samples are known.
+
+use std::ops::Range;
+use std::path::Path;
+
+use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
+use glam::Vec3;
+use rayon::prelude::*;
+use simod_model::frame::Frame;
+use simod_model::scratch::Scratch;
+use simod_model::{ColorScale, Colors, Model, Progress, Result, SMALL_CHUNK, Type, VertexChunk};
+
+use crate::sampled_model::SampledModel;
+use crate::sampling::{KdTree, SampleSet, Target};
+
+/// Vertices for each sample that are enough for a mean.
+const ENOUGH: u64 = 8;
+
+/// Most vertices that are picked where nobody knows how many samples there will be.
+const MOST: u64 = 4 << 20;
+
+/// Vertices that are written or looked up at a time.
+const BLOCK: usize = 1 << 14;
+
+/// Places of the model that are looked at for how large its colours are, and vertices at each.
+const PLACES: u64 = 16;
+const AT_A_PLACE: u64 = 2048;
+
+/// The colours of a model's vertices as bytes.
+pub struct Bytes {
+    colors: Colors,
+    scale: ColorScale,
+}
+
+impl Bytes {
+    /// Those of a model that has some. How large they are is told by vertices all over the file.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn of(model: &dyn Model) -> Result<Option<Self>> {
+        let info = model.info();
+        let Some(colors) = Colors::of(info) else { return Ok(None) };
+        let mut most = 0.0f64;
+        // Where reading begins at the first vertex always, those there have to do.
+        let places = if info.random_access { PLACES } else { 1 };
+        let (mut chunk, mut lists) = (VertexChunk::default(), vec![Vec::new(); colors.count()]);
+        for i in 0..places {
+            let first = info.vertices / places * i;
+            let mut reader = model.vertices(first..(first + AT_A_PLACE).min(info.vertices))?;
+            while colors.kind != Type::U8 && reader.read(&mut chunk)? {
+                model.attributes(&chunk, &mut lists)?;
+                let all = colors.places.iter().flat_map(|place| &lists[*place]);
+                most = all.filter(|c| c.is_finite()).fold(most, |most, c| most.max(*c));
+            }
+        }
+        Ok(Some(Self { colors, scale: ColorScale::of(colors.kind, most) }))
+    }
+
+    /// Which numbers the colours are, and what these stand for.
+    pub fn meaning(&self) -> (Colors, ColorScale) {
+        (self.colors, self.scale)
+    }
+
+    /// The colours of a chunk that was read of the model; what `to` held is gone.
+    ///
+    /// # Errors
+    /// In a text format, something is no number.
+    pub fn decode(&self, model: &dyn Model, chunk: &VertexChunk, to: &mut Vec<[u8; 3]>) -> Result<()> {
+        let mut lists = vec![Vec::new(); self.colors.count()];
+        model.attributes(chunk, &mut lists)?;
+        to.clear();
+        let color = |i: usize| self.colors.places.map(|place| self.scale.byte(lists[place][i]));
+        to.extend((0..chunk.len()).map(color));
+        Ok(())
+    }
+}
+
+/// A vertex that was picked.
+#[derive(Clone, Copy, Pod, Zeroable)]
+#[repr(C)]
+pub struct Pick {
+    /// In local coordinates; not finite where it has no position.
+    position: Vec3,
+    color: [u8; 4],
+}
+
+/// Which vertices are picked, and what their colours are.
+pub struct Picking {
+    colors: Bytes,
+    /// Every so manieth, from the first on.
+    every: u64,
+}
+
+impl Picking {
+    /// Nothing of a model without colours.
+    ///
+    /// # Errors
+    /// The model cannot be read.
+    pub fn of(model: &dyn Model, target: Target) -> Result<Option<Self>> {
+        let most = match target {
+            Target::Samples(n) => n.saturating_mul(ENOUGH),
+            Target::Error(_) => MOST,
+        };
+        let every = (model.info().vertices / most.max(1)).max(1);
+        Ok(Bytes::of(model)?.map(|colors| Self { colors, every }))
+    }
+
+    /// Picks of a chunk that was read of the model.
+    ///
+    /// # Errors
+    /// In a text format, something is no number.
+    pub fn pick(
+        &self,
+        model: &dyn Model,
+        frame: &Frame,
+        chunk: &VertexChunk,
+        to: &mut Vec<Pick>,
+    ) -> Result<()> {
+        let skip = chunk.first.next_multiple_of(self.every) - chunk.first;
+        if skip >= chunk.len() as u64 {
+            return Ok(());
+        }
+        let mut colors = Vec::new();
+        self.colors.decode(model, chunk, &mut colors)?;
+        let some = chunk.positions.iter().zip(&colors).skip(skip as usize).step_by(self.every as usize);
+        to.extend(some.map(|(p, [r, g, b])| Pick { position: frame.to_local(*p), color: [*r, *g, *b, 0] }));
+        Ok(())
+    }
+}
+
+/// All that were picked, in the order of the model.
+///
+/// Memory: a block; 16 bytes for each in a temporary file.
+pub struct Picked {
+    file: Scratch,
+    buffer: Vec<Pick>,
+    written: u64,
+}
+
+impl Picked {
+    /// Nothing yet; the file goes to `folder`.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    pub fn new(folder: &Path) -> Result<Self> {
+        let file = Scratch::new(folder, "do without the samples' colours, by --skip colors")?;
+        Ok(Self { file, buffer: Vec::new(), written: 0 })
+    }
+
+    /// Adds what comes next in the model.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn add(&mut self, picks: &[Pick]) -> Result<()> {
+        self.buffer.extend_from_slice(picks);
+        if self.buffer.len() >= BLOCK { self.flush() } else { Ok(()) }
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        self.file.write_at(cast_slice(&self.buffer), self.written * size_of::<Pick>() as u64)?;
+        self.written += self.buffer.len() as u64;
+        self.buffer.clear();
+        Ok(())
+    }
+
+    /// The colours of all samples. `sample_of` has that of each vertex of the model, where that is known.
+    ///
+    /// # Errors
+    /// The file cannot be written or read; the user cancelled.
+    pub fn colors(
+        mut self,
+        picking: &Picking,
+        samples: &SampleSet,
+        sample_of: Option<&[u32]>,
+        progress: &dyn Progress,
+    ) -> Result<Vec<[u8; 3]>> {
+        self.flush()?;
+        let mut means = Means::new(samples, 0);
+        let mut picks = vec![Pick::zeroed(); BLOCK];
+        for first in (0..self.written).step_by(BLOCK) {
+            progress.check()?;
+            picks.truncate((self.written - first).min(BLOCK as u64) as usize);
+            self.file.read_at(cast_slice_mut(&mut picks), first * size_of::<Pick>() as u64)?;
+            let known = |i: usize| {
+                let vertex = (first + i as u64) * picking.every;
+                sample_of.and_then(|all| all.get(vertex as usize).copied())
+            };
+            means.add(&picks, known);
+        }
+        Ok(means.colors())
+    }
+}
+
+/// Sums over the vertices of each sample.
+///
+/// Memory: 16 bytes per sample.
+struct Means<'a> {
+    samples: &'a SampleSet,
+    first: usize,
+    /// Red, green and blue, and how many they are.
+    sums: Vec<[u32; 4]>,
+}
+
+impl<'a> Means<'a> {
+    /// Of the samples from `first` on.
+    fn new(samples: &'a SampleSet, first: usize) -> Self {
+        Self { samples, first, sums: vec![[0; 4]; samples.len() - first] }
+    }
+
+    /// Adds vertices, whose samples may be known.
+    fn add(&mut self, picks: &[Pick], known: impl Fn(usize) -> Option<u32> + Sync) {
+        let of = |(i, pick): (usize, &Pick)| {
+            let nearest = || pick.position.is_finite().then(|| self.samples.nearest(pick.position));
+            known(i).or_else(nearest).unwrap_or(u32::MAX)
+        };
+        let places: Vec<u32> = picks.par_iter().enumerate().with_min_len(1024).map(of).collect();
+        for (place, pick) in places.iter().zip(picks) {
+            let Some(sum) = (*place as usize).checked_sub(self.first).and_then(|i| self.sums.get_mut(i))
+            else {
+                continue;
+            };
+            // More than fit would say the same.
+            if sum[3] < u32::MAX / 256 {
+                let [r, g, b, _] = pick.color;
+                sum.iter_mut().zip([r, g, b, 1]).for_each(|(sum, value)| *sum += u32::from(value));
+            }
+        }
+    }
+
+    /// The means; of samples without a vertex that of the nearest one that has some. Nothing if none has.
+    fn colors(&self) -> Vec<[u8; 3]> {
+        let sums = &self.sums;
+        let known: Vec<usize> = (0..sums.len()).filter(|i| sums[*i][3] > 0).collect();
+        if known.is_empty() {
+            return Vec::new();
+        }
+        let mean = |[r, g, b, n]: [u32; 4]| [r, g, b].map(|sum| ((sum + n / 2) / n) as u8);
+        if known.len() == sums.len() {
+            return sums.iter().map(|sum| mean(*sum)).collect();
+        }
+        let positions = &self.samples.positions[self.first..];
+        let tree = KdTree::new(&known.iter().map(|i| positions[*i]).collect::<Vec<_>>());
+        let color = |(sum, p): (&[u32; 4], &Vec3)| {
+            mean(if sum[3] > 0 { *sum } else { sums[known[tree.nearest(*p) as usize]] })
+        };
+        sums.iter().zip(positions).map(color).collect()
+    }
+}
+
+/// The colours of the samples from `first` on, by the vertices in some ranges of the model; black if none of
+/// these has a position.
+///
+/// Memory: 16 bytes per sample, and a chunk.
+///
+/// # Errors
+/// The model cannot be read; the user cancelled.
+pub fn of_ranges(
+    sampled: &SampledModel,
+    model: &dyn Model,
+    first: usize,
+    ranges: &[Range<u64>],
+    progress: &dyn Progress,
+) -> Result<Vec<[u8; 3]>> {
+    let mut means = Means::new(&sampled.samples, first);
+    if let Some(colors) = Bytes::of(model)? {
+        let picking = Picking { colors, every: 1 };
+        let (mut chunk, mut picks) = (VertexChunk::default(), Vec::new());
+        for range in ranges {
+            let mut reader = model.vertices(range.clone())?;
+            reader.set_chunk(SMALL_CHUNK);
+            while reader.read(&mut chunk)? {
+                progress.check()?;
+                picks.clear();
+                picking.pick(model, &sampled.frame, &chunk, &mut picks)?;
+                means.add(&picks, |_| None);
+            }
+        }
+    }
+    let mut colors = means.colors();
+    colors.resize(sampled.samples.len() - first, [0; 3]);
+    Ok(colors)
+}

@@ -1,0 +1,181 @@
+//! Deformed samples as other programs give them back.
+//!
+//! Each sample has its number in the property `id` of `samples.ply`. A program that keeps it may bring the
+//! vertices in any order, and turn it into a floating-point number, or call it `scalar_id`, as CloudCompare
+//! does. Without an id the order counts. Whichever it is, all samples have to come back, each once.
+
+use std::path::Path;
+
+use glam::DVec3;
+use simod_model::{Error, ErrorKind, Model, Result, Scalar, VertexChunk};
+
+/// Most samples that are read: they are held, with some hundred bytes each.
+const MOST: u64 = 1 << 29;
+
+/// Names of the ids.
+const NAMES: [&str; 2] = ["id", "scalar_id"];
+
+/// Whole numbers up to here are exact in single precision.
+const EXACT: usize = 1 << 24;
+
+/// What the user can do where samples are lost or doubled.
+const HABITS: &str = "all samples have to come back, each once: switch off what merges close or equal vertices, removes unreferenced \
+                      or isolated ones, or splits them by normals or texture, on import and on export (often called merge, weld, \
+                      clean or process); with the property id kept, their order does not matter";
+
+/// Deformed samples, in the order of the samples.
+pub struct DeformedFile {
+    /// In the model's coordinates.
+    pub positions: Vec<DVec3>,
+    /// How the file stores them.
+    pub scalar: Scalar,
+}
+
+/// Opens a file of samples, which are few enough to be held.
+///
+/// # Errors
+/// It is no model, or has too many vertices.
+pub fn open(path: &Path) -> Result<Box<dyn Model>> {
+    let model = simod_model::open(path)?;
+    let vertices = model.info().vertices;
+    if vertices > MOST {
+        return Err(Error::new(
+            ErrorKind::Format,
+            format!("{} has {vertices} vertices, and samples are {MOST} at most", path.display()),
+            "give a file of samples, not the model",
+        ));
+    }
+    Ok(model)
+}
+
+/// Reads where so many samples went.
+///
+/// # Errors
+/// The file cannot be read; samples are missing, or there more than once; an id is none.
+pub fn read(path: &Path, samples: usize) -> Result<DeformedFile> {
+    let model = open(path)?;
+    let info = model.info();
+    let place = NAMES.iter().find_map(|name| info.attributes.iter().position(|a| a.name == *name));
+    let (mut positions, mut ids) = (Vec::new(), Vec::new());
+    let mut lists = vec![Vec::new(); place.map_or(0, |place| place + 1)];
+    let mut reader = model.vertices(0..info.vertices)?;
+    let mut chunk = VertexChunk::default();
+    while reader.read(&mut chunk)? {
+        positions.extend_from_slice(&chunk.positions);
+        model.attributes(&chunk, &mut lists)?;
+        ids.extend_from_slice(lists.last().map_or(&[][..], Vec::as_slice));
+    }
+    if place.is_some() {
+        positions = in_order(positions, &ids, samples).map_err(|what| refused(path, &what))?;
+    } else if positions.len() != samples {
+        let (there, difference) = (positions.len(), positions.len().abs_diff(samples));
+        let became = if there < samples { "are gone" } else { "are too many" };
+        return Err(refused(
+            path,
+            &format!("{there} vertices, but there are {samples} samples: {difference} {became}"),
+        ));
+    }
+    Ok(DeformedFile { positions, scalar: info.position_type })
+}
+
+fn refused(path: &Path, what: &str) -> Error {
+    Error::new(ErrorKind::Mismatch, format!("{} has {what}", path.display()), HABITS)
+}
+
+/// Puts each position where its id says; or what is wrong, after "the file has".
+fn in_order(positions: Vec<DVec3>, ids: &[f64], samples: usize) -> Result<Vec<DVec3>, String> {
+    let vertices = positions.len();
+    // None of a position could be told from a sample that is there twice.
+    let (mut ordered, mut is_there) = (vec![DVec3::ZERO; samples], vec![false; samples]);
+    let (mut doubled, mut first_doubled) = (0, 0);
+    for (vertex, (id, position)) in ids.iter().zip(positions).enumerate() {
+        let place = *id as usize;
+        if *id != place as f64 {
+            return Err(format!("an id that is no whole number: {id}, of vertex {vertex}"));
+        }
+        if place >= samples {
+            return Err(format!(
+                "the id {id}, of vertex {vertex}, but there are {samples} samples, from 0 on"
+            ));
+        }
+        if std::mem::replace(&mut is_there[place], true) {
+            if doubled == 0 {
+                first_doubled = place;
+            }
+            doubled += 1;
+        }
+        ordered[place] = position;
+    }
+    let missing = is_there.iter().filter(|is_there| !**is_there).count();
+    if (missing, doubled) == (0, 0) {
+        return Ok(ordered);
+    }
+    let mut what = format!("{vertices} vertices, but there are {samples} samples");
+    if let Some(first) = is_there.iter().position(|is_there| !is_there) {
+        what += &format!(": {missing} are gone, the first is that with id {first}");
+    }
+    if doubled > 0 {
+        what += &format!("; {doubled} have an id that another one has, the first id is {first_doubled}");
+    }
+    if doubled > 0 && samples > EXACT {
+        what += "; ids of single precision are the same beyond 16777216";
+    }
+    Err(what)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn positions(count: usize) -> Vec<DVec3> {
+        (0..count).map(|i| DVec3::splat(i as f64)).collect()
+    }
+
+    fn error(ids: &[f64], samples: usize) -> String {
+        in_order(positions(ids.len()), ids, samples).unwrap_err()
+    }
+
+    proptest! {
+        #[test]
+        fn any_order_is_put_right(order in Just((0..200usize).collect::<Vec<_>>()).prop_shuffle()) {
+            let ids: Vec<f64> = order.iter().map(|i| *i as f64).collect();
+            let shuffled = order.iter().map(|i| DVec3::splat(*i as f64)).collect();
+            prop_assert_eq!(in_order(shuffled, &ids, 200).unwrap(), positions(200));
+        }
+
+        #[test]
+        fn ids_that_are_not_each_sample_once_are_refused(
+            ids in proptest::collection::vec(prop_oneof![
+                (0..12u32).prop_map(f64::from),
+                prop::sample::select(vec![-1.0, 0.5, f64::NAN, f64::INFINITY, 1e300, -0.0]),
+            ], 0..14),
+        ) {
+            let mut sorted: Vec<f64> = ids.iter().map(|id| id.abs()).collect();
+            sorted.sort_by(f64::total_cmp);
+            let is_whole = sorted.iter().copied().eq((0..10).map(f64::from)) && ids.iter().all(|id| *id >= 0.0);
+            prop_assert_eq!(in_order(positions(ids.len()), &ids, 10).is_ok(), is_whole);
+        }
+    }
+
+    #[test]
+    fn the_first_that_is_wrong_is_named() {
+        assert_eq!(error(&[0.0, 1.5], 2), "an id that is no whole number: 1.5, of vertex 1");
+        assert_eq!(error(&[0.0, -1.0], 2), "an id that is no whole number: -1, of vertex 1");
+        assert_eq!(error(&[0.0, f64::NAN], 2), "an id that is no whole number: NaN, of vertex 1");
+        assert_eq!(error(&[0.0, 2.0], 2), "the id 2, of vertex 1, but there are 2 samples, from 0 on");
+        assert_eq!(
+            error(&[3.0, 0.0], 4),
+            "2 vertices, but there are 4 samples: 2 are gone, the first is that with id 1"
+        );
+        assert_eq!(
+            error(&[1.0, 0.0, 1.0, 0.0], 2),
+            "4 vertices, but there are 2 samples; 2 have an id that another one has, the first id is 1"
+        );
+        assert_eq!(
+            error(&[1.0, 2.0, 1.0], 3),
+            "3 vertices, but there are 3 samples: 1 are gone, the first is that with id 0; 1 have an id that another \
+             one has, the first id is 1"
+        );
+    }
+}
