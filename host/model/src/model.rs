@@ -192,8 +192,8 @@ impl VertexChunk {
     }
 }
 
-/// Vertices that are edited once more, as a part of their numbers lies among the bytes of another chunk than the
-/// rest: in groups, each by itself, and neither begun nor ended.
+/// Vertices that are edited once more, as a part of their numbers lies among the bytes of another chunk than
+/// the rest: in groups, each by itself, and neither begun nor ended.
 #[derive(Debug, Default)]
 pub(crate) struct Beside {
     pub(crate) positions: Vec<DVec3>,
@@ -299,8 +299,8 @@ pub struct Rewriting {
     pub pieces_done: u64,
 }
 
-/// Where a new version of a model goes. Anything that can be written to is one, for formats that replace nothing
-/// in the end.
+/// Where a new version of a model goes. Anything that can be written to is one, for formats that replace
+/// nothing in the end.
 pub trait Output: Send {
     /// Takes the next piece of the new file, which stands for `source_bytes` of the model, and what other
     /// places of the file have to know of it. The same model, rewritten in the same way, comes in the same

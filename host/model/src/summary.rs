@@ -16,8 +16,8 @@ pub struct Summary {
     pub(crate) after: Bounds,
     /// Bytes of each compressed block of the new version, in the file's order.
     pub(crate) lengths: Vec<u32>,
-    /// For each part of the model that has boxes of its own, by its number: those of the vertices as they were, and
-    /// as they are in the new version.
+    /// For each part of the model that has boxes of its own, by its number: those of the vertices as they
+    /// were, and as they are in the new version.
     pub(crate) boxes: BTreeMap<u32, [Bounds; 2]>,
     /// The checksums of those pages of the new version of which a part is known only in the end.
     pub(crate) checksums: BTreeMap<u64, u32>,

@@ -9,8 +9,10 @@ use e57::{
 use glam::{DQuat, DVec3};
 use simod_tests::Workplace;
 
+use crate::las::kill_after;
+
 /// Points of a scan.
-const COUNT: usize = 20_000;
+const COUNT: usize = 60_000;
 
 /// Where the second scan stands; the first one has no pose.
 fn pose() -> (DQuat, DVec3) {
@@ -19,7 +21,7 @@ fn pose() -> (DQuat, DVec3) {
 
 /// A point of a scan, in the frame that both share.
 fn vertex(scan: usize, i: usize) -> DVec3 {
-    let (u, v) = ((i / 200) as f64 / 100.0, (i % 200) as f64 / 100.0);
+    let (u, v) = ((i / 300) as f64 / 150.0, (i % 300) as f64 / 150.0);
     let shift = if scan == 0 { 0.0 } else { 0.003 };
     let (_, far) = pose();
     far + DVec3::new(u + shift, v + shift, 0.2 * (5.0 * u).sin() * (4.0 * v).cos())
@@ -154,6 +156,26 @@ fn attributes_reach_the_samples_and_refinements_read_parts() {
     assert!(report["added"].as_u64().is_some_and(|added| added > 10), "{report}");
     work.simod("reconstruct scans.simod --deformed scans.simod/samples.ply -o same.e57");
     assert!(work.read("same.e57") == work.read("scans.e57"));
+}
+
+#[test]
+fn killed_and_gone_on_with() {
+    let work = Workplace::new();
+    write(&work, "scans.e57");
+    work.simod("sample scans.e57 -o scans.simod --samples 1000");
+    work.move_samples("scans.simod", bent);
+    let line = "reconstruct scans.simod --deformed deformed.ply -o out.e57 --part-size 100K";
+    work.simod(line);
+    let expected = work.read("out.e57");
+    let mut gone_on = 0;
+    for parts in [1, 2, 4] {
+        std::fs::remove_file(work.path("out.e57")).expect("an output");
+        kill_after(&work, line, ".simod-out.e57.journal", parts);
+        let report = work.report(&format!("{line} --resume"));
+        gone_on += u32::from(report["resumed_bytes"].as_u64().is_some_and(|bytes| bytes > 0));
+        assert!(work.read("out.e57") == expected, "killed after {parts} parts");
+    }
+    assert!(gone_on > 0, "it was never killed in the midst of it");
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! What of an E57 file is known when all points are: how far they reach, in the XML, and where this is.
 //!
-//! Where the XML is the last thing in the file, as it usually is, it is replaced there; else, if it changes, a new
-//! one is put behind all. The page on which it begins may have points as well, and that of the header too: both are
-//! patched, and their checksums follow.
+//! Where the XML is the last thing in the file, as it usually is, it is replaced there; else, if it changes,
+//! a new one is put behind all. The page on which it begins may have points as well, and that of the header
+//! too: both are patched, and their checksums follow.
 
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -27,8 +27,8 @@ impl E57Model {
             && self.scans.iter().all(|s| s.packets.section.start < self.header.xml.start)
     }
 
-    /// The bytes of the file in whose place others are made: the pages of the XML, but the first one; or else none,
-    /// behind all.
+    /// The bytes of the file in whose place others are made: the pages of the XML, but the first one; or else
+    /// none, behind all.
     pub(super) fn ending(&self) -> Range<u64> {
         let len = self.source.len();
         let start = if self.xml_is_last() { (self.header.xml.start / PAYLOAD + 1) * PAGE } else { len };

@@ -29,8 +29,8 @@ pub struct E57Model {
 }
 
 impl E57Model {
-    /// What the file `source` is: its XML is read, and the heads of all packets. One that is cut off is noticed
-    /// here.
+    /// What the file `source` is: its XML is read, and the heads of all packets. One that is cut off is
+    /// noticed here.
     ///
     /// # Errors
     /// The file cannot be read, is not what E57 files are, or has a wrong checksum in what is read of it.

@@ -1,9 +1,9 @@
 //! E57 (ASTM E2807): scans with poses, in compressed vectors of points with any fields.
 //!
-//! The vertices are the points of all scans, in the order of the file and in the frame that they share. The bits of
-//! positions (and normals) are patched in the packets that hold them, page by page, with new checksums; everything
-//! else is copied byte by byte, but for what the XML says of how far points reach, which is corrected where it
-//! changes.
+//! The vertices are the points of all scans, in the order of the file and in the frame that they share. The
+//! bits of positions (and normals) are patched in the packets that hold them, page by page, with new
+//! checksums; everything else is copied byte by byte, but for what the XML says of how far points reach,
+//! which is corrected where it changes.
 //!
 //! | module | |
 //! |---|---|
@@ -14,7 +14,7 @@
 //! | `packets` | where the streams of a scan's fields are; `streams` what some points have of them |
 //! | `scan` | positions and normals in and out of a point's fields |
 //! | `reader` | chunks of vertices from anywhere in the file |
-//! | `rewrite` | the whole file anew, piece by piece; `pieces` cuts it into these, `ending` is what is known last |
+//! | `rewrite` | the whole file anew; `pieces` cuts it into pieces, `ending` is what is known last |
 
 mod description;
 mod ending;

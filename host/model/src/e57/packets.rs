@@ -1,5 +1,5 @@
-//! Where the streams of a scan's fields are in the file: a section of packets, each with the next bytes of every
-//! stream.
+//! Where the streams of a scan's fields are in the file: a section of packets, each with the next bytes of
+//! every stream.
 
 use std::ops::Range;
 
@@ -12,8 +12,8 @@ use crate::source::Source;
 /// Bytes of the head of a section.
 const HEAD: u64 = 32;
 
-/// Most numbers by which one stream of a scan may be ahead of another where a packet ends: what has to be read to
-/// have all numbers of some points is bounded by it.
+/// Most numbers by which one stream of a scan may be ahead of another where a packet ends: what has to be
+/// read to have all numbers of some points is bounded by it.
 const MOST_APART: u64 = 1 << 18;
 
 /// Numbers in the tables of all scans, so 8 MiB; but a scan has a few rows at least.
@@ -200,8 +200,8 @@ impl<'a> Walk<'a, '_> {
         }
     }
 
-    /// Goes over the packet at a place, and on to the next one; `false` if there is none before `end`. Tells `each`
-    /// what of streams it has.
+    /// Goes over the packet at a place, and on to the next one; `false` if there is none before `end`. Tells
+    /// `each` what of streams it has.
     pub fn next(&mut self, place: &mut Place, end: u64, mut each: impl FnMut(Part)) -> Result<bool> {
         let (at, wrong) = (place.at, self.wrong());
         if at.saturating_add(4) > end {

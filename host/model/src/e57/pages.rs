@@ -1,5 +1,5 @@
-//! The pages of an E57 file, each of which ends with a checksum (CRC-32C), and the bytes between the checksums:
-//! everything else in this format counts *logical* bytes, as if there were no checksums.
+//! The pages of an E57 file, each of which ends with a checksum (CRC-32C), and the bytes between the
+//! checksums: everything else in this format counts *logical* bytes, as if there were no checksums.
 
 use std::ops::Range;
 
@@ -34,8 +34,8 @@ pub(super) fn pages_of(bytes: &Range<u64>) -> Range<u64> {
     bytes.start / PAYLOAD..bytes.end.div_ceil(PAYLOAD).max(bytes.start / PAYLOAD)
 }
 
-/// Appends logical bytes of whole pages as they are in a file, with checksums; calls `each` with the checksum of
-/// each page.
+/// Appends logical bytes of whole pages as they are in a file, with checksums; calls `each` with the checksum
+/// of each page.
 pub(super) fn append_pages(bytes: &[u8], to: &mut Vec<u8>, mut each: impl FnMut(usize, u32)) {
     to.reserve(bytes.len().div_ceil(PAYLOAD as usize) * PAGE as usize);
     for (page, payload) in bytes.chunks(PAYLOAD as usize).enumerate() {
@@ -46,8 +46,8 @@ pub(super) fn append_pages(bytes: &[u8], to: &mut Vec<u8>, mut each: impl FnMut(
     }
 }
 
-/// The checksum of a page whose checksum was another one before some bytes were replaced: places within the page,
-/// and the old and the new bytes, which are as many.
+/// The checksum of a page whose checksum was another one before some bytes were replaced: places within the
+/// page, and the old and the new bytes, which are as many.
 pub(super) fn checksum_after<'a>(
     checksum: u32,
     replaced: impl IntoIterator<Item = (usize, &'a [u8], &'a [u8])>,

@@ -1,9 +1,10 @@
-//! Cuts an E57 file into pieces: pages of points, with all that is needed to patch them; and bytes to be copied.
+//! Cuts an E57 file into pieces: pages of points, with all that is needed to patch them; and bytes to be
+//! copied.
 //!
-//! A page may have some numbers of a point and others not, or even a part of a number. So a piece has points of its
-//! own, each of which belongs to one piece, and points *beside* them, of which its pages have some numbers as well.
-//! A point of which a piece has a part of a number is evaluated alone in both pieces, so that both come to the same
-//! bits.
+//! A page may have some numbers of a point and others not, or even a part of a number. So a piece has points
+//! of its own, each of which belongs to one piece, and points *beside* them, of which its pages have some
+//! numbers as well. A point of which a piece has a part of a number is evaluated alone in both pieces, so
+//! that both come to the same bits.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -119,8 +120,8 @@ impl<'a> E57Pieces<'a> {
         Self { model, next, window, rows: Vec::new() }
     }
 
-    /// The page before which the piece ends that begins with the first of some pages: where a packet begins, if
-    /// possible, so that few points are divided.
+    /// The page before which the piece ends that begins with the first of some pages: where a packet begins,
+    /// if possible, so that few points are divided.
     fn end_of_piece(&mut self, pages: &Range<u64>, scans: &Range<usize>) -> Result<u64> {
         let model = self.model;
         let (mut end, mut points) = (None, 0);

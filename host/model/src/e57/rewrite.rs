@@ -172,7 +172,8 @@ impl Moving<'_, '_> {
         Error::new(
             ErrorKind::Degenerate,
             format!(
-                "{}: vertex {vertex} moves to {field} = {value} of {name}, which has room for {least} to {most} alone",
+                "{}: vertex {vertex} moves to {field} = {value} of {name}, \
+                 which has room for {least} to {most} alone",
                 source.path().display()
             ),
             "move it less, or export the model with coordinates as floats (of type Float) first",

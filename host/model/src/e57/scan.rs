@@ -180,7 +180,8 @@ impl Scan {
             let [r, a, e] = spherical(after);
             changed |= self.put(row, range, &[r])?;
             changed |= self.put(row, elevation, &[e])?;
-            // Straight above the scanner any will do, and it stays; some programs count from 0 to a full turn.
+            // Straight above the scanner any will do, and it stays; some programs count from 0 to a full
+            // turn.
             if after.x != 0.0 || after.y != 0.0 {
                 let a = if a < 0.0 && self.value(row, azimuth) > PI { a + TAU } else { a };
                 changed |= self.put(row, azimuth, &[a, a + TAU, a - TAU])?;
@@ -189,8 +190,8 @@ impl Scan {
         Ok(changed)
     }
 
-    /// Turns a normal to another one, in the frame of all scans; whether any bits changed. What a field cannot
-    /// hold stays.
+    /// Turns a normal to another one, in the frame of all scans; whether any bits changed. What a field
+    /// cannot hold stays.
     pub fn turn_normal(&self, row: &mut [u64], from: Vec3, to: Vec3) -> bool {
         let Some(three) = self.roles.normal else { return false };
         if from.to_array().map(f32::to_bits) == to.to_array().map(f32::to_bits) || !to.is_finite() {

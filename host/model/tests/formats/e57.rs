@@ -1,5 +1,5 @@
-//! Files are written here by hand, in packets of any shape, and by the crate `e57`; what becomes of them is read by
-//! that crate.
+//! Files are written here by hand, in packets of any shape, and by the crate `e57`; what becomes of them is
+//! read by that crate.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -288,7 +288,8 @@ fn cartesian_bounds(numbers: [&str; 6]) -> String {
     bounds("cartesianBounds", names.map(|name| (name, numbers.next().unwrap().to_owned())))
 }
 
-/// Three scans: doubles with a pose and normals; scaled integers of odd widths with invalid points; spherical ones.
+/// Three scans: doubles with a pose and normals; scaled integers of odd widths with invalid points; spherical
+/// ones.
 fn three(count: usize) -> Vec<MadeScan> {
     let mut next = random(count as u64);
     let mut list = |scale: f64| -> Vec<f64> { (0..count).map(|_| scale * (next() - 0.5)).collect() };
