@@ -144,8 +144,8 @@ impl<'a, 'i> Reading<'a, 'i> {
             let Some(bounds) = child(node, element) else { continue };
             for (i, name) in names.into_iter().enumerate() {
                 let corner = Corner { is_spherical, axis: i / 2, is_max: i % 2 == 1 };
-                let slot = child(bounds, name).map(|node| self.slot(node, corner)).transpose()?;
-                slots.extend(slot);
+                // What is no number tells nothing, and stays.
+                slots.extend(child(bounds, name).and_then(|node| self.slot(node, corner).ok()));
             }
         }
         Ok(Described { name, count, place, fields, pose: self.pose(node)?, slots })
