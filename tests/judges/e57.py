@@ -29,6 +29,7 @@ from pyquaternion import Quaternion
 CARTESIAN = ["cartesianX", "cartesianY", "cartesianZ"]
 SPHERICAL = ["sphericalRange", "sphericalAzimuth", "sphericalElevation"]
 IMAGE = bytes(range(256)) * 77
+TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uint": "<u4", "short": "<i2", "ushort": "<u2", "uchar": "u1"}
 
 
 def hills(count, seed):
@@ -216,7 +217,7 @@ def ply_points(path):
             is_vertex = words[1] == "vertex"
             count = int(words[2]) if is_vertex else count
         if words[0] == "property" and is_vertex:
-            fields.append((words[2], {"double": "<f8", "float": "<f4"}.get(words[1], "<u4")))
+            fields.append((words[2], TYPES[words[1]]))
     kind = np.dtype(fields)
     return data, end, np.frombuffer(data, kind, count, end).copy()
 
