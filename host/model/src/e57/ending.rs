@@ -48,15 +48,9 @@ impl E57Model {
         if self.xml_is_last() {
             let on_first_page = (PAYLOAD - self.header.xml.start % PAYLOAD) as usize;
             if payload.len() as u64 == self.header.xml.end - self.header.xml.start {
-                let behind = physical(self.header.xml.end);
-                let mut rest = Vec::new();
-                if self.header.xml.end % PAYLOAD != 0 {
-                    self.source.append_at(
-                        &mut rest,
-                        behind,
-                        (PAYLOAD - self.header.xml.end % PAYLOAD) as usize,
-                    )?;
-                }
+                let (end, mut rest) = (self.header.xml.end, Vec::new());
+                let of_page = end.next_multiple_of(PAYLOAD) - end;
+                self.source.append_at(&mut rest, physical(end), of_page as usize)?;
                 payload.extend_from_slice(&rest);
             }
             payload.drain(..on_first_page.min(payload.len()));
