@@ -11,6 +11,7 @@ mod files;
 mod formats;
 mod las;
 mod main_job;
+mod pictures;
 mod place;
 mod refine;
 mod reliability;
