@@ -15,9 +15,11 @@ pub mod bounds;
 pub mod claim;
 mod colors;
 mod columns;
+mod convert;
 mod e57;
 mod error;
 mod fan;
+mod form;
 mod formats;
 pub mod frame;
 pub mod histogram;
@@ -49,7 +51,9 @@ mod uncached;
 mod unfit;
 
 pub use colors::{ColorScale, Colors};
+pub use convert::Converted;
 pub use error::{Error, ErrorKind, Result};
+pub use form::Conversion;
 pub use formats::{is_model, is_named_otherwise, open, open_with_columns};
 pub use in_step::{Vertices, in_step};
 pub use model::{

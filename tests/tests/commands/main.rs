@@ -3,6 +3,7 @@
 mod bind;
 mod cancel;
 mod compare;
+mod convert;
 mod diagnostics;
 mod e57;
 mod errors;
@@ -13,6 +14,7 @@ mod las;
 mod main_job;
 mod pictures;
 mod place;
+mod programs;
 mod refine;
 mod reliability;
 mod resume;

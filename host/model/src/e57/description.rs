@@ -33,6 +33,7 @@ pub(super) struct Described {
 #[derive(Debug)]
 pub(super) struct Description {
     pub scans: Vec<Described>,
+    pub images: usize,
     /// The name of the coordinate reference system, as far as the file has one.
     pub crs: Option<String>,
 }
@@ -76,7 +77,8 @@ impl Description {
         let scans = child(root, "data3D").into_iter().flat_map(elements).enumerate();
         let scans = scans.map(|(i, node)| reading.scan(i, node)).collect::<Result<_>>()?;
         let crs = child(root, "coordinateMetadata").and_then(|node| node.text()).and_then(crs_name);
-        Ok(Self { scans, crs })
+        let images = child(root, "images2D").map_or(0, |images| elements(images).count());
+        Ok(Self { scans, images, crs })
     }
 }
 

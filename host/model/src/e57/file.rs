@@ -23,6 +23,7 @@ pub struct E57Model {
     pub(super) xml: String,
     /// In the order of their points in the file, which is that of the vertices.
     pub(super) scans: Vec<Scan>,
+    pub(super) images: usize,
     /// For each scan, those attributes that it has, and which of its fields they are; ascending.
     pub(super) attributes: Vec<Vec<(usize, usize)>>,
     pub(super) info: ModelInfo,
@@ -37,7 +38,7 @@ impl E57Model {
     pub fn new(source: Source) -> Result<Self> {
         let header = Header::read(&source)?;
         let xml = read_xml(&source, &header)?;
-        let Description { scans: described, crs } = Description::read(&source, &xml)?;
+        let Description { scans: described, images, crs } = Description::read(&source, &xml)?;
         let mut found = Vec::new();
         let number = described.len();
         let mut window = Window::new(&source, 1);
@@ -84,7 +85,7 @@ impl E57Model {
             taken = (section.clone(), &scan.described.name);
         }
         let (info, attributes) = info(&source, &header, &scans, (vertices, crs));
-        Ok(Self { source, header, xml, scans, attributes, info })
+        Ok(Self { source, header, xml, scans, images, attributes, info })
     }
 
     /// The scan that a vertex is of.
@@ -94,6 +95,26 @@ impl E57Model {
 
     pub(super) fn walk<'a, 'w>(&'a self, scan: &'a Scan, window: &'a mut Window<'w>) -> Walk<'a, 'w> {
         Walk { source: &self.source, window, name: &scan.described.name }
+    }
+
+    /// What formats of points alone have no place for.
+    pub(super) fn describe_besides(&self) -> Vec<String> {
+        let number = |count: usize, one: &str| match count {
+            1 => format!("1 {one}"),
+            _ => format!("{count} {one}s"),
+        };
+        let mut besides =
+            vec![format!("what is told of {}, poses among it", number(self.scans.len(), "scan"))];
+        if self.images > 0 {
+            besides.push(number(self.images, "image"));
+        }
+        besides.extend(self.info.crs.iter().map(|crs| format!("the coordinate reference system {crs}")));
+        let fields = self.scans.iter().flat_map(|scan| &scan.described.fields);
+        let others = fields.filter(|field| !field.is_number()).count();
+        if others > 0 {
+            besides.push(format!("{} of points that are no numbers", number(others, "field")));
+        }
+        besides
     }
 
     /// What there is to say of each scan.

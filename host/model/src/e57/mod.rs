@@ -71,6 +71,10 @@ impl Model for E57Model {
         self.describe_scans()
     }
 
+    fn besides(&self) -> Result<Vec<String>> {
+        Ok(self.describe_besides())
+    }
+
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         Ok(Box::new(Reader::new(self, range)))
     }
