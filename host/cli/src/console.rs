@@ -167,13 +167,13 @@ mod signals {
                 before |= signal != SIGXFSZ;
             }
         };
-        super::start("signals", wait).map(drop)
+        crate::console::start("signals", wait).map(drop)
     }
 
     /// The terminal sends Ctrl-C to all processes; this one is not meant.
     pub fn ignore_interrupt() -> std::io::Result<()> {
         let mut signals = Signals::new([SIGINT])?;
-        super::start("signals", move || signals.forever().for_each(drop)).map(drop)
+        crate::console::start("signals", move || signals.forever().for_each(drop)).map(drop)
     }
 
     /// The signals that this process was started to ignore, a bit each; nothing where the system does not

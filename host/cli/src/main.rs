@@ -11,7 +11,8 @@ use clap::{Parser, Subcommand};
 use simod_model::ErrorKind;
 
 use commands::{
-    bind, compare, deform, demo, generate, info, plugin, reconstruct, refine, render, run, sample, view,
+    bind, compare, convert, deform, demo, generate, info, plugin, reconstruct, refine, render, run, sample,
+    view,
 };
 use console::{CANCELLED, Console};
 use report::Report;
@@ -40,6 +41,7 @@ enum Command {
     Reconstruct(reconstruct::Reconstruct),
     Run(run::Run),
     Compare(compare::Compare),
+    Convert(convert::Convert),
     Info(info::Info),
     #[command(subcommand)]
     Plugin(plugin::Plugin),
@@ -80,6 +82,7 @@ fn execute(arguments: Arguments, console: &Console) -> simod_model::Result<()> {
         Command::Reconstruct(c) => c.execute(&mut report),
         Command::Run(c) => c.execute(&mut report),
         Command::Compare(c) => c.execute(&mut report),
+        Command::Convert(c) => c.execute(&mut report),
         Command::Info(c) => c.execute(&mut report),
         Command::Plugin(c) => c.execute(&mut report),
         Command::Demo(c) => c.execute(&mut report),

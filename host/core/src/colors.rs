@@ -6,6 +6,7 @@
 
 use std::ops::Range;
 use std::path::Path;
+use std::sync::OnceLock;
 
 use bytemuck::{Pod, Zeroable, cast_slice, cast_slice_mut};
 use glam::Vec3;
@@ -14,8 +15,7 @@ use simod_model::frame::Frame;
 use simod_model::scratch::Scratch;
 use simod_model::{ColorScale, Colors, Model, Progress, Result, SMALL_CHUNK, Type, VertexChunk};
 
-use crate::sampled_model::SampledModel;
-use crate::sampling::{KdTree, SampleSet, Target};
+use crate::sampling::KdTree;
 
 /// Vertices for each sample that are enough for a mean.
 const ENOUGH: u64 = 8;
@@ -70,10 +70,10 @@ impl Bytes {
     /// # Errors
     /// In a text format, something is no number.
     pub fn decode(&self, model: &dyn Model, chunk: &VertexChunk, to: &mut Vec<[u8; 3]>) -> Result<()> {
-        let mut lists = vec![Vec::new(); self.colors.count()];
-        model.attributes(chunk, &mut lists)?;
+        let mut lists = [const { Vec::new() }; 3];
+        model.some_attributes(chunk, &self.colors.places, &mut lists)?;
         to.clear();
-        let color = |i: usize| self.colors.places.map(|place| self.scale.byte(lists[place][i]));
+        let color = |i: usize| [0, 1, 2].map(|part: usize| self.scale.byte(lists[part][i]));
         to.extend((0..chunk.len()).map(color));
         Ok(())
     }
@@ -96,15 +96,12 @@ pub struct Picking {
 }
 
 impl Picking {
-    /// Nothing of a model without colours.
+    /// Those for so many samples, or for nobody knows how many; nothing of a model without colours.
     ///
     /// # Errors
     /// The model cannot be read.
-    pub fn of(model: &dyn Model, target: Target) -> Result<Option<Self>> {
-        let most = match target {
-            Target::Samples(n) => n.saturating_mul(ENOUGH),
-            Target::Error(_) => MOST,
-        };
+    pub fn of(model: &dyn Model, samples: Option<u64>) -> Result<Option<Self>> {
+        let most = samples.map_or(MOST, |n| n.saturating_mul(ENOUGH));
         let every = (model.info().vertices / most.max(1)).max(1);
         Ok(Bytes::of(model)?.map(|colors| Self { colors, every }))
     }
@@ -167,19 +164,19 @@ impl Picked {
         Ok(())
     }
 
-    /// The colours of all samples. `sample_of` has that of each vertex of the model, where that is known.
+    /// The colours of all samples, which are at these local positions. `sample_of` has that of each vertex of the model, where that is known.
     ///
     /// # Errors
     /// The file cannot be written or read; the user cancelled.
     pub fn colors(
         mut self,
         picking: &Picking,
-        samples: &SampleSet,
+        positions: &[Vec3],
         sample_of: Option<&[u32]>,
         progress: &dyn Progress,
     ) -> Result<Vec<[u8; 3]>> {
         self.flush()?;
-        let mut means = Means::new(samples, 0);
+        let mut means = Means::new(positions, 0);
         let mut picks = vec![Pick::zeroed(); BLOCK];
         for first in (0..self.written).step_by(BLOCK) {
             progress.check()?;
@@ -197,9 +194,10 @@ impl Picked {
 
 /// Sums over the vertices of each sample.
 ///
-/// Memory: 16 bytes per sample.
+/// Memory: 16 bytes per sample, and their tree, of 16 bytes for each.
 struct Means<'a> {
-    samples: &'a SampleSet,
+    positions: &'a [Vec3],
+    tree: OnceLock<KdTree>,
     first: usize,
     /// Red, green and blue, and how many they are.
     sums: Vec<[u32; 4]>,
@@ -207,14 +205,18 @@ struct Means<'a> {
 
 impl<'a> Means<'a> {
     /// Of the samples from `first` on.
-    fn new(samples: &'a SampleSet, first: usize) -> Self {
-        Self { samples, first, sums: vec![[0; 4]; samples.len() - first] }
+    fn new(positions: &'a [Vec3], first: usize) -> Self {
+        Self { positions, tree: OnceLock::new(), first, sums: vec![[0; 4]; positions.len() - first] }
+    }
+
+    fn nearest(&self, p: Vec3) -> u32 {
+        self.tree.get_or_init(|| KdTree::in_one_job(self.positions)).nearest(p)
     }
 
     /// Adds vertices, whose samples may be known.
     fn add(&mut self, picks: &[Pick], known: impl Fn(usize) -> Option<u32> + Sync) {
         let of = |(i, pick): (usize, &Pick)| {
-            let nearest = || pick.position.is_finite().then(|| self.samples.nearest(pick.position));
+            let nearest = || pick.position.is_finite().then(|| self.nearest(pick.position));
             known(i).or_else(nearest).unwrap_or(u32::MAX)
         };
         let places: Vec<u32> = picks.par_iter().enumerate().with_min_len(1024).map(of).collect();
@@ -242,7 +244,7 @@ impl<'a> Means<'a> {
         if known.len() == sums.len() {
             return sums.iter().map(|sum| mean(*sum)).collect();
         }
-        let positions = &self.samples.positions[self.first..];
+        let positions = &self.positions[self.first..];
         let tree = KdTree::new(&known.iter().map(|i| positions[*i]).collect::<Vec<_>>());
         let color = |(sum, p): (&[u32; 4], &Vec3)| {
             mean(if sum[3] > 0 { *sum } else { sums[known[tree.nearest(*p) as usize]] })
@@ -251,36 +253,37 @@ impl<'a> Means<'a> {
     }
 }
 
-/// The colours of the samples from `first` on, by the vertices in some ranges of the model; black if none of
-/// these has a position.
+/// The colours of the samples from `first` on, of those at these positions, by the vertices in some ranges of
+/// the model; black if none of these has a position.
 ///
-/// Memory: 16 bytes per sample, and a chunk.
+/// Memory: 16 bytes per sample, their tree, and a chunk.
 ///
 /// # Errors
 /// The model cannot be read; the user cancelled.
 pub fn of_ranges(
-    sampled: &SampledModel,
+    (positions, first): (&[Vec3], usize),
+    frame: &Frame,
     model: &dyn Model,
-    first: usize,
     ranges: &[Range<u64>],
     progress: &dyn Progress,
 ) -> Result<Vec<[u8; 3]>> {
-    let mut means = Means::new(&sampled.samples, first);
+    let mut means = Means::new(positions, first);
     if let Some(colors) = Bytes::of(model)? {
         let picking = Picking { colors, every: 1 };
         let (mut chunk, mut picks) = (VertexChunk::default(), Vec::new());
         for range in ranges {
             let mut reader = model.vertices(range.clone())?;
             reader.set_chunk(SMALL_CHUNK);
+            reader.skip_all_but_colors();
             while reader.read(&mut chunk)? {
                 progress.check()?;
                 picks.clear();
-                picking.pick(model, &sampled.frame, &chunk, &mut picks)?;
+                picking.pick(model, frame, &chunk, &mut picks)?;
                 means.add(&picks, |_| None);
             }
         }
     }
     let mut colors = means.colors();
-    colors.resize(sampled.samples.len() - first, [0; 3]);
+    colors.resize(positions.len() - first, [0; 3]);
     Ok(colors)
 }

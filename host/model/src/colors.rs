@@ -63,6 +63,11 @@ impl ColorScale {
         }
     }
 
+    /// The number of full light.
+    pub fn full(self) -> f64 {
+        f64::from(self.0)
+    }
+
     /// Whether numbers of a type mean the same everywhere.
     pub fn is_fixed(kind: Type) -> bool {
         matches!(kind, Type::U8 | Type::I8)

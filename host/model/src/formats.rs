@@ -50,7 +50,7 @@ fn beginning(source: &Source) -> Result<Vec<u8>> {
     Ok(start)
 }
 
-fn extension(path: &Path) -> String {
+pub(crate) fn extension(path: &Path) -> String {
     path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase()
 }
 

@@ -15,8 +15,10 @@ pub mod bounds;
 pub mod claim;
 mod colors;
 mod columns;
+mod convert;
 mod error;
 mod fan;
+mod form;
 mod formats;
 pub mod frame;
 mod gltf;
@@ -50,7 +52,9 @@ mod uncached;
 mod unfit;
 
 pub use colors::{ColorScale, Colors};
+pub use convert::Converted;
 pub use error::{Error, ErrorKind, Result};
+pub use form::Conversion;
 pub use formats::{is_model, is_named_otherwise, open, open_with_columns};
 pub use in_step::{Vertices, in_step};
 pub use model::{

@@ -5,6 +5,7 @@
 //! [`CHUNK_TRIANGLES`] triangles, and [`Model::rewrite`] one for each thread, with up to [`MAX_VERSIONS`] new
 //! versions, and the bytes of a few more.
 
+use std::any::Any;
 use std::io::{self, Write};
 use std::ops::Range;
 use std::path::Path;
@@ -157,6 +158,16 @@ pub struct VertexChunk {
 }
 
 impl VertexChunk {
+    /// Appends vertices of a file that is not compressed, which come next.
+    pub(crate) fn append(&mut self, behind: &mut Self) {
+        let shift = self.raw.len() as u32;
+        self.positions.append(&mut behind.positions);
+        self.normals.append(&mut behind.normals);
+        self.spans.extend(behind.spans.drain(..).map(|span| span.map(|at| at + shift)));
+        self.records.append(&mut behind.records);
+        self.raw.append(&mut behind.raw);
+    }
+
     /// Number of vertices in the chunk.
     #[inline]
     pub fn len(&self) -> usize {
@@ -362,6 +373,9 @@ pub trait VertexReader: Send {
     /// takes time to read besides is left out.
     fn skip_attributes(&mut self) {}
 
+    /// The same, but for colours.
+    fn skip_all_but_colors(&mut self) {}
+
     /// Reads the next vertices into `chunk`, whose buffers are reused; `false` (and an empty chunk) at the
     /// end.
     ///
@@ -492,6 +506,25 @@ pub trait Model: Send + Sync {
         &[]
     }
 
+    /// What the file has that is given nowhere here, each in a few words, as "3 comments": what another format
+    /// than its own loses.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    fn besides(&self) -> Result<Vec<String>> {
+        Ok(Vec::new())
+    }
+
+    /// The model as whatever it is, for conversions that keep more than is given here.
+    fn as_any(&self) -> Option<&dyn Any> {
+        None
+    }
+
+    /// Bytes of what is [written](Self::rewrite), about.
+    fn written_bytes(&self) -> u64 {
+        self.info().bytes
+    }
+
     /// What the user said that the columns of a text are, as "x,y,z": it has to be opened so again.
     fn columns(&self) -> Option<&str> {
         None
@@ -509,6 +542,17 @@ pub trait Model: Send + Sync {
     /// # Errors
     /// In a text format, something is no number.
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()>;
+
+    /// The same of the attributes at some places among them, a list each.
+    ///
+    /// # Errors
+    /// As of [`attributes`](Self::attributes).
+    fn some_attributes(&self, chunk: &VertexChunk, places: &[usize], to: &mut [Vec<f64>]) -> Result<()> {
+        let mut lists = vec![Vec::new(); places.iter().max().map_or(0, |last| last + 1)];
+        self.attributes(chunk, &mut lists)?;
+        to.iter_mut().zip(places).for_each(|(to, place)| to.clone_from(&lists[*place]));
+        Ok(())
+    }
 
     /// A reader of all faces, in the file's order, as triangles: a polygon of more than three corners becomes
     /// a fan about its first corner, one of fewer gives none, and a strip's triangles are turned to the same

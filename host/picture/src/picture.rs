@@ -239,7 +239,7 @@ fn discs(
         color: colors.map_or([0; 3], |colors| colors[i]),
         radius: (SAMPLE_RADIUS * f64::from(*spacing) * sampled.frame.scale) as f32,
     };
-    positions.iter().zip(normals).zip(sampled.samples.spacing()).enumerate().map(disc).collect()
+    positions.iter().zip(normals).zip(&sampled.samples.extents()).enumerate().map(disc).collect()
 }
 
 fn drawn(points: &[SurfacePoint], view: &View, camera: Camera, own_colors: bool) -> Image {

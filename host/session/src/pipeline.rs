@@ -13,7 +13,9 @@ use simod_core::reconstruction::{
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
 use simod_model::target::folder_of;
-use simod_model::{Error, ErrorKind, Model, Progress, Result};
+use simod_model::{
+    Conversion, Converted, Error, ErrorKind, Model, Normals, Progress, Result, is_named_otherwise,
+};
 use simod_plugin_api::Effort;
 
 use crate::deformer::Message;
@@ -108,6 +110,8 @@ pub struct Running<'a> {
     /// The offset of positions that are stored as integers may be [another one](choose_offset), where they do
     /// not reach.
     pub choose_offset: bool,
+    /// What is written in another format than the model's may lose what that cannot hold.
+    pub lossy: bool,
 }
 
 /// What the evaluation of every vertex was expected to take.
@@ -169,7 +173,7 @@ impl Run {
         output: &Path,
         progress: &dyn Progress,
     ) -> Result<Self> {
-        let Running { how, diagnostics, measure, exact, tolerance, choose_offset: may_move } = running;
+        let Running { how, diagnostics, measure, exact, tolerance, choose_offset: may_move, lossy } = running;
         let start = Instant::now();
         let stack = Stack::build(&session.steps, plugins)?;
         if *measure || *exact {
@@ -188,7 +192,15 @@ impl Run {
         // With triangles, a refinement knows the faces, and places its samples as it does those of a folder.
         let triangles = cells || stack.plugins().any(|p| p.consumes().triangles);
         let skip = Skip { triangles: !triangles, cells: !cells, colors: true, ..Skip::default() };
+        let converted = converted(session, output, (how.normals, *lossy), progress)?;
         let (sampled, mut model) = sampled(session, skip, folder, progress)?;
+        if let Some(converted) = converted {
+            let losses = converted.losses();
+            if !losses.is_empty() {
+                progress.note(&format!("what is lost: {}", losses.join("; ")));
+            }
+            model = Box::new(converted);
+        }
         let (deformed, certificate) = match tolerance {
             Some(tolerance) => {
                 let tolerance = tolerance.fraction(sampled.bounds.diagonal());
@@ -223,11 +235,29 @@ impl Run {
     /// A plugin of the stack does not know its map between the samples; a file cannot be read; cancelled.
     pub fn transfer_error(&self, progress: &dyn Progress) -> Result<TransferError> {
         let model = self.deformed.sampled.open_source(None)?;
-        let output = simod_model::open_with_columns(&self.output, model.columns())?;
+        let columns = model.columns().filter(|_| !is_named_otherwise(&*model, &self.output));
+        let output = simod_model::open_with_columns(&self.output, columns)?;
         let diagonal = self.deformed.sampled.bounds.diagonal();
         let map = |points: &mut [DVec3]| self.deformed.stack.evaluate_with(points, progress);
         transfer_error::measure(model.as_ref(), output.as_ref(), diagonal, &map, progress)
     }
+}
+
+/// The session's model as what the output is named, if that is another format; before it is sampled, as
+/// something may be lost that shall not.
+fn converted(
+    session: &SessionFile,
+    output: &Path,
+    (normals, lossy): (Normals, bool),
+    progress: &dyn Progress,
+) -> Result<Option<Converted>> {
+    let Some(path) = session.model.as_deref().filter(|path| path.exists()) else { return Ok(None) };
+    let model = simod_model::open_with_columns(path, session.columns.as_deref())?;
+    if !is_named_otherwise(&*model, output) {
+        return Ok(None);
+    }
+    let how = Conversion { lossy, drops_normals: normals == Normals::Drop, ..Conversion::default() };
+    Converted::new(model, output, how, progress).map(Some)
 }
 
 /// What to tell of another offset.

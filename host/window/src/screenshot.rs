@@ -76,7 +76,7 @@ impl Shot {
             None => (own.then(|| shown.sampled.colors.clone()), None),
         };
         let detail = state.detail();
-        let radii = sample_radii(shown.sampled.samples.spacing(), detail);
+        let radii = sample_radii(&shown.sampled.samples.extents(), detail);
         let pieces = detail.into_iter().flat_map(|detail| detail.pieces().values());
         let of_vertices = VertexColors::new(colors.as_deref(), tint, scale);
         let in_full = pieces.map(|piece| splats(piece, of_vertices)).collect();
@@ -123,7 +123,7 @@ impl Shot {
             Error::new(ErrorKind::Io, what, NoGpu::HINT)
         })?;
         let (shown, samples) = (&self.shown, &self.shown.sampled.samples);
-        let radii = disc_radii(samples.spacing());
+        let radii = disc_radii(&samples.extents());
         let mut scene = Scene::new(&gpu);
         let surface = Surface {
             positions: &shown.positions,

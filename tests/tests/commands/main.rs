@@ -3,6 +3,7 @@
 mod bind;
 mod cancel;
 mod compare;
+mod convert;
 mod diagnostics;
 mod errors;
 mod examples;
@@ -11,7 +12,9 @@ mod formats;
 mod gltf;
 mod las;
 mod main_job;
+mod pictures;
 mod place;
+mod programs;
 mod refine;
 mod reliability;
 mod resume;

@@ -2,6 +2,7 @@
 
 pub mod bind;
 pub mod compare;
+pub mod convert;
 pub mod deform;
 pub mod demo;
 pub mod generate;

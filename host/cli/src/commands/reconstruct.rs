@@ -11,11 +11,12 @@ use simod_core::reconstruction::{
     Surroundings, Version, choose_offset, reconstruct,
 };
 use simod_core::sampled_model::{BINDING, SampledModel};
-use simod_model::{Error, ErrorKind, Model, Result};
+use simod_model::{Conversion, Converted, Error, ErrorKind, Model, Result, is_named_otherwise};
 use simod_session::Tolerance;
 use simod_session::pipeline::offset_note;
 use simod_session::tolerance::check_precision;
 
+use super::convert::tell_losses;
 use super::overwrite::Overwrite;
 use super::sample::parse_bytes;
 use super::warn_non_finite;
@@ -32,7 +33,8 @@ pub struct Reconstruct {
     /// Several files, or a pattern as 'frame-*.ply', give a model each
     #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
     deformed: Vec<PathBuf>,
-    /// The deformed model to write, in the format of the model. {} in it stands for what the * of --deformed matched, or for a file's
+    /// The deformed model to write: in the format of the model, or in another one that its extension says (those of
+    /// `simod convert`). {} in it stands for what the * of --deformed matched, or for a file's
     /// name without its ending
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
@@ -65,6 +67,9 @@ pub struct Reconstruct {
     /// How much of the model is lost at most when a run is killed; for tests
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes, default_value_t = PART_BYTES, hide = true)]
     part_size: u64,
+    /// Write another format than the model's even where it cannot hold all
+    #[arg(long)]
+    lossy: bool,
     #[command(flatten)]
     overwrite: Overwrite,
 }
@@ -139,6 +144,13 @@ impl Reconstruct {
         if self.offset == OffsetName::Auto {
             let chosen = choose_offset(&sampled, model.as_mut(), deformed.iter().map(Vec::as_slice))?;
             chosen.into_iter().for_each(|offset| report.progress().note(&offset_note(offset)));
+        }
+        if let Some(output) = paths.iter().map(|v| &v.output).find(|path| is_named_otherwise(&*model, path)) {
+            let drops_normals = self.normals == NormalsName::Drop;
+            let how = Conversion { lossy: self.lossy, drops_normals, ..Conversion::default() };
+            let converted = Converted::new(model, output, how, report.progress())?;
+            tell_losses(&converted, report);
+            model = Box::new(converted);
         }
         let versions: Vec<Version<'_>> = paths
             .iter()

@@ -54,6 +54,9 @@ pub struct Run {
     /// A PLY file to write beside the result, as that of `simod reconstruct --diagnostics`
     #[arg(long, value_name = "FILE")]
     diagnostics: Option<PathBuf>,
+    /// Write another format than the model's, which the output's extension says, even where it cannot hold all
+    #[arg(long)]
+    lossy: bool,
     #[command(flatten)]
     time: TimeOptions,
     #[command(flatten)]
@@ -95,6 +98,7 @@ impl Run {
             exact: self.exact,
             tolerance: self.tolerance,
             choose_offset: self.offset == OffsetName::Auto,
+            lossy: self.lossy,
         };
         let run = Pipeline::execute_with(&session, &plugins, &running, &output, progress)?;
         describe(&run, report);

@@ -171,8 +171,9 @@ pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &R
     let info = model.info();
     // Three numbers take at least six bytes.
     let left_out = if how.normals == Normals::Drop && info.has_normals { 6 * info.vertices } else { 0 };
-    let of_model =
-        |output| info.bytes.saturating_sub(left_out).saturating_sub(bytes_there(output, how.resume));
+    let of_model = |output| {
+        model.written_bytes().saturating_sub(left_out).saturating_sub(bytes_there(output, how.resume))
+    };
     let mut targets = BTreeMap::new();
     let outputs = versions.iter().flat_map(|v| {
         let diagnostics = v.diagnostics.map(|path| (path, DiagnosticsFile::expected_bytes(info)));
@@ -197,7 +198,7 @@ pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &R
                     info.format
                 ),
                 format!(
-                    "the deformed model is written in the format of its model: give it the extension .{}",
+                    "write it with the extension .{}, and then have `simod convert` make another format of it",
                     model.extensions().first().unwrap_or(&"ply")
                 ),
             ));

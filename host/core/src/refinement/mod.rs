@@ -248,7 +248,13 @@ pub fn refine(
         let is_new = |cell: &&KeptCell| cell.tree.samples.iter().any(|sample| *sample as usize >= before);
         let ranges = cells.iter().filter(is_new).flat_map(|cell| cell.ranges.iter().cloned());
         let ranges = joined(ranges, model.info().near());
-        let more = colors::of_ranges(&with_new, model, before, &ranges, progress)?;
+        let more = colors::of_ranges(
+            (&with_new.samples.positions, before),
+            &with_new.frame,
+            model,
+            &ranges,
+            progress,
+        )?;
         with_new.colors = [&sampled.colors[..], &more].concat();
     }
     refined.sampled = Some(with_new);

@@ -230,7 +230,8 @@ pub fn sample(
     let placement = if reads_faces { sampling.placement.resolve(model)? } else { Placement::Vertices };
     let sampling = &Sampling { placement, splitting, ..*sampling };
     let by_faces = placement == Placement::Faces;
-    let picking = if sampling.skip.colors { None } else { Picking::of(model, sampling.target)? };
+    let known = if let Target::Samples(n) = sampling.target { Some(n) } else { None };
+    let picking = if sampling.skip.colors { None } else { Picking::of(model, known)? };
     let clustered = |foresight| -> Result<_> {
         let pass = Pass {
             model,
@@ -309,7 +310,7 @@ pub fn sample(
     )?;
     if let (Some(picking), Some(picked)) = (&picking, picked) {
         let sample_of = sample_of.as_ref().map(SampleOf::all);
-        sampled.colors = picked.colors(picking, &sampled.samples, sample_of, progress)?;
+        sampled.colors = picked.colors(picking, &sampled.samples.positions, sample_of, progress)?;
     }
     if let (Some(parted), Some(sample_of)) = (parted, sample_of) {
         progress.begin("telling the sheets apart", 0);

@@ -176,6 +176,30 @@ impl SampleSet {
         &self.surroundings().spacing
     }
 
+    /// How far the surface around each sample goes that it stands for in pictures: its spacing, but for samples that
+    /// lie apart from all others, as strays of a scan, no more than their nearest neighbour tells.
+    pub fn extents(&self) -> Vec<f32> {
+        let Surroundings { neighbours, spacing } = self.surroundings();
+        let ring = SPACING_NEIGHBOURS.min(neighbours.k());
+        // To how many others each is a neighbour.
+        let mut known = vec![0u8; spacing.len()];
+        for i in 0..spacing.len() {
+            for j in &neighbours.of(i)[..ring] {
+                let known = &mut known[*j as usize];
+                *known = known.saturating_add(1);
+            }
+        }
+        let extent = |i: usize| {
+            let Some(nearest) = neighbours.of(i).first().map(|j| *j as usize).filter(|_| known[i] < 5) else {
+                return spacing[i];
+            };
+            // One of a few that are far from all others, or, where hardly any other knows it, all alone.
+            let of_few = spacing[i].min(2.0 * self.positions[i].distance(self.positions[nearest]));
+            if known[i] < 2 { of_few.min(spacing[nearest]) } else { of_few }
+        };
+        (0..spacing.len()).map(extent).collect()
+    }
+
     /// At most `count` nearest neighbours of sample `i`, nearest first.
     pub(crate) fn nearest_neighbours(&self, i: usize, count: usize) -> Vec<u32> {
         let mut found = vec![0; count.min(self.len() - 1)];
@@ -325,5 +349,17 @@ mod tests {
     fn no_samples_and_non_finite_samples_are_refused() {
         assert!(SampleSet::new(Vec::new(), Vec::new()).is_err());
         assert!(SampleSet::new(vec![Vec3::NAN], Vec::new()).is_err());
+    }
+
+    /// Strays, alone or a few together, do not stand for the space between them and all others; borders and corners
+    /// of a surface are no strays.
+    #[test]
+    fn strays_stand_for_little() {
+        let surface = (0..900).map(|i| Vec3::new((i % 30) as f32, (i / 30) as f32, 0.0));
+        let strays = [Vec3::splat(60.0), Vec3::new(-40.0, 0.0, 30.0), Vec3::new(-41.0, 0.0, 30.0)];
+        let set = SampleSet::new(surface.chain(strays).collect(), Vec::new()).expect("finite points");
+        let (extents, spacing) = (set.extents(), set.spacing());
+        assert!((0..900).all(|i| extents[i] == spacing[i]));
+        assert!((900..903).all(|i| spacing[i] > 20.0 && extents[i] < 3.0), "{:?}", &extents[900..]);
     }
 }

@@ -447,8 +447,9 @@ impl<P: GatherPiece> Piece<P> {
 
 fn positions_of<'a>(pass: &Pass<'a>, range: Range<u64>) -> Result<Box<dyn VertexReader + 'a>> {
     let mut reader = pass.model.vertices(range)?;
-    if pass.picking.is_none() {
-        reader.skip_attributes();
+    match pass.picking {
+        None => reader.skip_attributes(),
+        Some(_) => reader.skip_all_but_colors(),
     }
     Ok(reader)
 }

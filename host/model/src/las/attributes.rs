@@ -68,6 +68,10 @@ impl Whole {
 pub(super) struct Places {
     pub attributes: Vec<Attribute>,
     places: Vec<Place>,
+    /// Extra bytes that are among them.
+    extra_bytes: usize,
+    /// Bytes of a record before extra ones.
+    standard_bytes: usize,
 }
 
 impl Places {
@@ -116,8 +120,29 @@ impl Places {
         if matches!(format, 8 | 10) {
             this.add("nir", U16, 36, How::Number(U16));
         }
+        this.add_flags(format);
         this.add_extra(header, extra);
         this
+    }
+
+    /// Flags, each a bit or two.
+    fn add_flags(&mut self, format: u8) {
+        let mut flag = |name, at, shift, mask| self.add(name, Type::U8, at, How::Bits { shift, mask });
+        if format < 6 {
+            flag("synthetic", 15, 5, 1);
+            flag("key_point", 15, 6, 1);
+            flag("withheld", 15, 7, 1);
+            flag("scan_direction_flag", 14, 6, 1);
+            flag("edge_of_flight_line", 14, 7, 1);
+        } else {
+            flag("synthetic", 15, 0, 1);
+            flag("key_point", 15, 1, 1);
+            flag("withheld", 15, 2, 1);
+            flag("overlap", 15, 3, 1);
+            flag("scanner_channel", 15, 4, 3);
+            flag("scan_direction_flag", 15, 6, 1);
+            flag("edge_of_flight_line", 15, 7, 1);
+        }
     }
 
     fn add(&mut self, name: &str, kind: Type, at: usize, how: How) {
@@ -130,6 +155,7 @@ impl Places {
     /// The extra bytes that are described, as far as the records have them.
     fn add_extra(&mut self, header: &Header, descriptions: &[u8]) {
         let mut at = RECORD_BYTES[usize::from(header.format)];
+        self.standard_bytes = at;
         for one in descriptions.chunks_exact(192) {
             let (code, options) = (one[2], one[3]);
             let bytes = match code {
@@ -157,7 +183,13 @@ impl Places {
                     Whole::U64 => (Type::F64, How::U64),
                     Whole::I64 => (Type::F64, How::I64),
                 };
+                let known = self.attributes.len();
                 self.add(name.trim(), kind, at, how);
+                // Whole numbers of 64 bits lose digits.
+                let is_exact = !matches!(number, Whole::U64 | Whole::I64);
+                if self.attributes.len() > known && is_exact {
+                    self.extra_bytes += bytes;
+                }
             }
             at = behind;
         }
@@ -170,6 +202,21 @@ impl Places {
             values.extend(records.chunks_exact(record).map(|bytes| place.number(bytes)));
         }
         to.iter_mut().skip(self.places.len()).for_each(Vec::clear);
+    }
+
+    /// Extra bytes of a record that are not among the attributes as they are.
+    pub fn undescribed(&self, record: usize) -> usize {
+        record - self.standard_bytes - self.extra_bytes
+    }
+
+    /// The same of the attributes at some places.
+    pub fn decode_some(&self, records: &[u8], record: usize, places: &[usize], to: &mut [Vec<f64>]) {
+        for (values, place) in to.iter_mut().zip(places) {
+            values.clear();
+            if let Some(place) = self.places.get(*place) {
+                values.extend(records.chunks_exact(record).map(|bytes| place.number(bytes)));
+            }
+        }
     }
 }
 

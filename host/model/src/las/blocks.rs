@@ -250,7 +250,8 @@ impl Blocks {
     }
 }
 
-fn table_of(entries: &[ChunkTableEntry], is_variable: bool) -> io::Result<Vec<u8>> {
+/// The bytes of a table.
+pub(super) fn table_of(entries: &[ChunkTableEntry], is_variable: bool) -> io::Result<Vec<u8>> {
     let mut table = ChunkTable::with_capacity(entries.len());
     entries.iter().for_each(|entry| table.push(*entry));
     let builder = LazVlrBuilder::default().with_point_format(0, 0);

@@ -31,7 +31,7 @@ impl LasModel {
     /// # Errors
     /// The file cannot be read, is not LAS of a known version, is cut off, or has blocks of compressed points
     /// that are too large to be held.
-    pub fn new(source: Source) -> Result<Self> {
+    pub(crate) fn new(source: Source) -> Result<Self> {
         let header = Header::read(&source)?;
         let records = Records::read(&source, &header)?;
         let extra = records.content(&source, Kind::ExtraBytes, MOST_DESCRIPTIONS)?.unwrap_or_default();

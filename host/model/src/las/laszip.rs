@@ -7,7 +7,7 @@ use laz::record::{
     LayeredPointRecordCompressor, LayeredPointRecordDecompressor, RecordCompressor, RecordDecompressor,
     SequentialPointRecordCompressor, SequentialPointRecordDecompressor,
 };
-use laz::{DecompressionSelection, LazItem, LazItemRecordBuilder, LazItemType, LazVlr};
+use laz::{DecompressionSelection, LazItem, LazItemRecordBuilder, LazItemType, LazVlr, LazVlrBuilder};
 
 use super::header::{Header, bytes_at};
 
@@ -31,6 +31,8 @@ pub(super) enum What {
     All,
     /// What takes no time without the rest: in layers, whatever is not asked for is passed over.
     Positions,
+    /// The same, and colours.
+    Colors,
 }
 
 /// How the points of a file lie in blocks.
@@ -90,6 +92,18 @@ impl Laszip {
         Ok(this)
     }
 
+    /// How points of a format with so many extra bytes are compressed anew, in blocks of so many, and the
+    /// content of the VLR that says so.
+    pub fn anew(format: u8, extra: u16, block: u32) -> laz::Result<(Self, Vec<u8>)> {
+        let items = LazItemRecordBuilder::default_for_point_format_id(format, extra)?;
+        let vlr = LazVlrBuilder::new(items.clone()).with_fixed_chunk_size(block).build();
+        let mut bytes = Vec::new();
+        vlr.write_to(&mut bytes)?;
+        let record = vlr.items_size() as usize;
+        // What is only written has no need of its layers.
+        Ok((Self { items, record, is_layered: format >= 6, layers: 0, blocks: Kind::Fixed(block) }, bytes))
+    }
+
     fn decompressor<'a, R: Read + Seek + 'a>(
         &self,
         from: R,
@@ -115,8 +129,11 @@ impl Laszip {
         }
         let work = || {
             let mut decompressor = self.decompressor(Cursor::new(block)).map_err(|e| e.to_string())?;
-            if what == What::Positions {
-                decompressor.set_selection(DecompressionSelection::xy_returns_channel().decompress_z());
+            let positions = DecompressionSelection::xy_returns_channel().decompress_z();
+            match what {
+                What::All => {}
+                What::Positions => decompressor.set_selection(positions),
+                What::Colors => decompressor.set_selection(positions.decompress_rgb()),
             }
             decompressor.decompress_many(records).map_err(|e| e.to_string())
         };

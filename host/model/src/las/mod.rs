@@ -12,24 +12,29 @@
 //! | `points` | positions in and out of records; `attributes` the other numbers |
 //! | `laszip` | a block of compressed points, in and out; `blocks` where they are |
 //! | `reader` | chunks of vertices from anywhere in the file |
-//! | `rewrite` | the whole file anew |
+//! | `rewrite` | the whole file anew; `form` one made of another format, and
+//! | | `same_records` the same points compressed, or not |
 
 mod attributes;
 mod blocks;
 mod file;
+pub(crate) mod form;
 mod header;
 mod laszip;
 mod points;
 mod reader;
 mod rewrite;
+pub(crate) mod same_records;
 mod vlrs;
 
+use std::any::Any;
 use std::ops::Range;
 use std::path::Path;
 
 pub(super) use file::LasModel;
 use glam::DVec3;
 use reader::Reader;
+use vlrs::Kind;
 
 use crate::model::NoFaces;
 use crate::{
@@ -55,12 +60,43 @@ impl Model for LasModel {
         if self.compressed.is_some() { &["laz"] } else { &["las"] }
     }
 
+    fn as_any(&self) -> Option<&dyn Any> {
+        Some(self)
+    }
+
+    fn besides(&self) -> Result<Vec<String>> {
+        let mut besides = Vec::new();
+        let records = u64::from(self.header.vlrs) + self.header.evlrs.map_or(0, |(_, n)| u64::from(n));
+        let known =
+            [Kind::Laszip, Kind::ExtraBytes].iter().filter(|kind| self.records.find(**kind).is_some());
+        let others = records - (known.count() + self.records.of_copc().count()) as u64;
+        if others > 0 {
+            let crs = self.info.crs.as_ref();
+            let crs = crs
+                .map_or(String::new(), |crs| format!(", the coordinate reference system {crs} among them"));
+            besides.push(format!("{others} variable length records{crs}"));
+        }
+        if matches!(self.header.format, 4 | 5 | 9 | 10) {
+            besides.push("waveforms".to_owned());
+        }
+        match self.places.undescribed(self.header.record) {
+            0 => {}
+            n => besides.push(format!("{n} extra bytes of each point that are no single numbers")),
+        }
+        Ok(besides)
+    }
+
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         Ok(Box::new(Reader::new(self, range)))
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
         self.places.decode(self.records_of(chunk), self.header.record, to);
+        Ok(())
+    }
+
+    fn some_attributes(&self, chunk: &VertexChunk, places: &[usize], to: &mut [Vec<f64>]) -> Result<()> {
+        self.places.decode_some(self.records_of(chunk), self.header.record, places, to);
         Ok(())
     }
 

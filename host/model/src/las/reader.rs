@@ -193,6 +193,10 @@ impl VertexReader for Reader<'_> {
         self.what = What::Positions;
     }
 
+    fn skip_all_but_colors(&mut self) {
+        self.what = What::Colors;
+    }
+
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
         let model = self.model;
         let count = match &model.compressed {

@@ -235,18 +235,18 @@ impl LasModel {
     }
 
     /// Where a byte of the file is in the new one, if nothing but the octree of COPC made a difference.
-    fn moved(&self, at: u64) -> u64 {
+    pub(super) fn moved(&self, at: u64) -> u64 {
         let before = self.records.of_copc().filter(|record| record.all.end <= at);
         at - before.map(|record| record.all.end - record.all.start).sum::<u64>()
     }
 
     /// Number of EVLRs that are left out, or of VLRs.
-    fn dropped(&self, extended: bool) -> u64 {
+    pub(super) fn dropped(&self, extended: bool) -> u64 {
         self.records.of_copc().filter(|record| record.is_extended == extended).count() as u64
     }
 
     /// Corrects in the header what is known beforehand.
-    fn correct_header(&self, bytes: &mut [u8]) {
+    pub(super) fn correct_header(&self, bytes: &mut [u8]) {
         let mut put = |at: u64, new: &[u8]| bytes[at as usize..at as usize + new.len()].copy_from_slice(new);
         for (axis, _) in self.shift.iter().enumerate().filter(|(_, steps)| **steps != 0) {
             put(at::OFFSETS + 8 * axis as u64, &self.written().offset[axis].to_le_bytes());
@@ -262,7 +262,7 @@ impl LasModel {
     }
 
     /// The bounds in the header, as far as they change.
-    fn bounds(&self, all: &Summary) -> Vec<(u64, Vec<u8>)> {
+    pub(super) fn bounds(&self, all: &Summary) -> Vec<(u64, Vec<u8>)> {
         let Summary { before, after, .. } = all;
         if after.is_empty() {
             return Vec::new();
@@ -286,7 +286,7 @@ impl LasModel {
         patches
     }
 
-    fn unfit(&self, first: u64, unfit: Unfit) -> Error {
+    pub(super) fn unfit(&self, first: u64, unfit: Unfit) -> Error {
         let Unfit { vertex, axis, value } = unfit;
         if !value.is_finite() {
             return unfit.error(&self.source, first);

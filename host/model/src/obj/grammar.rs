@@ -1,5 +1,6 @@
 //! What vertices and faces are in the lines of an OBJ file.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use super::lines::{Statement, absolute, leading_integer, values};
@@ -21,6 +22,27 @@ pub(crate) struct Obj {
     pub(super) face_lines: Range<u64>,
     /// Some corners are counted backwards from where they stand.
     pub(super) is_relative: bool,
+    /// Other lines, by their first words.
+    pub(super) others: BTreeMap<Vec<u8>, u64>,
+}
+
+impl Obj {
+    /// What these lines are, for people.
+    pub(super) fn besides(&self) -> Vec<String> {
+        let name = |(word, count): (&Vec<u8>, &u64)| {
+            let what = match &word[..] {
+                b"#" => "comments",
+                b"vt" => "texture coordinates (vt)",
+                b"mtllib" | b"usemtl" => "materials",
+                b"g" | b"o" => "groups",
+                b"s" => "smoothing groups",
+                b"l" | b"p" => "lines and points",
+                _ => "statements",
+            };
+            format!("{count} {what}: {}", quoted(&String::from_utf8_lossy(word)))
+        };
+        self.others.iter().map(name).collect()
+    }
 }
 
 impl Grammar for Obj {

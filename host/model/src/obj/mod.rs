@@ -33,7 +33,7 @@ use scan::{NormalsAre, Scan};
 
 /// Opens a file, which is gone over once.
 pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
-    let Scan { vertices, normals, faces, face_lines, is_relative, first_vertex } = Scan::of(&source)?;
+    let Scan { vertices, normals, faces, face_lines, is_relative, first_vertex, others } = Scan::of(&source)?;
     let colours = colours(&first_vertex);
     let attributes = |name: &&str| Attribute { name: (*name).into(), kind: Type::F64 };
     let info = ModelInfo {
@@ -49,6 +49,7 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
         skipped: if colours.len() == 1 { 3 } else { values(&first_vertex).count() - colours.len() },
         face_lines,
         is_relative,
+        others,
     };
     let model = TextModel::new(source, grammar, vertices, info)?;
     Ok(match normals {

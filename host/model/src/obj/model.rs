@@ -26,6 +26,14 @@ impl Model for ApartModel {
         Obj::EXTENSIONS
     }
 
+    fn besides(&self) -> Result<Vec<String>> {
+        let mut besides = self.model.grammar.besides();
+        if self.of_corners > 0 || self.are_shared {
+            besides.push("normals (vn) of corners".to_owned());
+        }
+        Ok(besides)
+    }
+
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         self.reader(range)
     }

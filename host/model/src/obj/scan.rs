@@ -1,6 +1,7 @@
 //! The one pass over a file when it is opened: where vertices, normals and faces are, and whose the normals
 //! are.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use super::lines::{Statement, normals_are_of_vertices};
@@ -8,6 +9,7 @@ use crate::Result;
 use crate::source::Source;
 use crate::text::blocks::{Blocks, Builder, GAP};
 use crate::text::lines::Lines;
+use crate::text::next_word;
 
 /// Most runs of vertices or of normals, one after the other, of a file whose normals are read: the bound of
 /// what is held of them.
@@ -39,6 +41,25 @@ pub(super) struct Scan {
     /// Some numbers of corners are negative.
     pub(super) is_relative: bool,
     pub(super) first_vertex: Vec<u8>,
+    /// How many lines begin with other words, of which so many at most are told apart.
+    pub(super) others: BTreeMap<Vec<u8>, u64>,
+}
+
+/// Most words that others are told apart by, and most bytes of each.
+const MOST_WORDS: usize = 64;
+const LONGEST_WORD: usize = 16;
+
+/// Notes a line that is neither vertex nor normal nor face.
+fn note(line: &[u8], others: &mut BTreeMap<Vec<u8>, u64>) {
+    let Some((start, end)) = next_word(line, 0, true) else { return };
+    let word = &line[start..end.min(start + LONGEST_WORD)];
+    let word = if word.starts_with(b"#") { b"#" } else { word };
+    if let Some(count) = others.get_mut(word) {
+        *count += 1;
+    } else {
+        let word: &[u8] = if others.len() < MOST_WORDS { word } else { b"other words" };
+        *others.entry(word.to_vec()).or_default() += 1;
+    }
 }
 
 /// Vertices that have their normals beside them, as long as all have.
@@ -72,6 +93,7 @@ impl Scan {
         let mut beside = Beside { builder: Some(Builder::new(0, 1)), vertices: 0, normals: 0, start: 0 };
         let (mut faces, mut face_lines) = (0, 0..0);
         let (mut is_relative, mut are_of_vertices, mut first_vertex) = (false, true, Vec::new());
+        let mut others = BTreeMap::new();
         let (mut runs, mut last) = (0u64, Statement::Other);
         while let Some((start, line)) = lines.next()? {
             let statement = Statement::of(line);
@@ -107,7 +129,7 @@ impl Scan {
                     are_of_vertices = are_of_vertices
                         && normals_are_of_vertices(line, vertices.vertices(), normals.vertices());
                 }
-                Statement::Other => {}
+                Statement::Other => note(line, &mut others),
             }
         }
         let Beside { builder, vertices: count, normals: of_normals, .. } = beside;
@@ -122,6 +144,6 @@ impl Scan {
             _ if of_normals != count || !are_of_vertices => NormalsAre::Shared(normals),
             _ => NormalsAre::Apart(normals),
         };
-        Ok(Self { vertices, normals, faces, face_lines, is_relative, first_vertex })
+        Ok(Self { vertices, normals, faces, face_lines, is_relative, first_vertex, others })
     }
 }

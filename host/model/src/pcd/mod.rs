@@ -37,10 +37,31 @@ fn open_in(source: Source, temporary: &Path) -> Result<Box<dyn Model>> {
     let other = header.fields.iter().filter(|f| !f.is_component()).map(Field::describe).collect();
     let mut model = PlyModel::of(source, records, header::without_normals)?;
     model.extensions = &["pcd"];
+    model.besides = besides;
     model.info.format = format!("PCD {}, {name}", header.version);
     model.info.other_properties = other;
     model.note = compressed.then_some("what is written is not compressed again: DATA is binary in it");
     Ok(Box::new(model))
+}
+
+/// What of a file is given nowhere else.
+fn besides(model: &PlyModel) -> Result<Vec<String>> {
+    let header = Header::read(model.source())?;
+    let mut besides = Vec::new();
+    for field in header.fields.iter().filter(|f| f.kind.is_none() || f.count != 1) {
+        besides.push(format!("the field {}", field.describe()));
+    }
+    for line in String::from_utf8_lossy(&header.text).lines() {
+        let words: Vec<&str> = line.split_ascii_whitespace().collect();
+        match words[..] {
+            ["HEIGHT", height] if height != "1" => besides.push(format!("that there are {height} rows")),
+            ["VIEWPOINT", ref numbers @ ..] if numbers.join(" ") != "0 0 0 1 0 0 0" => {
+                besides.push("the viewpoint".to_owned());
+            }
+            _ => {}
+        }
+    }
+    Ok(besides)
 }
 
 impl Header {

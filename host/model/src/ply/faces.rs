@@ -10,7 +10,7 @@ use std::ops::Range;
 
 use super::binary;
 use super::file::PlyModel;
-use super::header::{DAMAGED, Element, Encoding, Header, Shape, quoted};
+use super::header::{DAMAGED, Element, Encoding, Header, Property, Shape, quoted};
 use super::reader::{CHUNK_BYTES, Reader};
 use super::walk::{CUT_OFF, Plan, Step};
 use crate::Type;
@@ -147,13 +147,15 @@ fn corner_list(element: &Element) -> Option<List> {
         return None;
     }
     element.properties.iter().enumerate().find_map(|(property, p)| match p.shape {
-        Shape::List { item, .. }
-            if matches!(p.name.as_str(), "vertex_indices" | "vertex_index") && !item.is_float() =>
-        {
-            Some(List { property, item })
-        }
+        Shape::List { item, .. } if are_corners(p) => Some(List { property, item }),
         _ => None,
     })
+}
+
+/// Whether a property lists the corners of faces.
+pub(super) fn are_corners(property: &Property) -> bool {
+    matches!(property.shape, Shape::List { item, .. } if !item.is_float())
+        && matches!(property.name.as_str(), "vertex_indices" | "vertex_index")
 }
 
 /// Indices of the elements that have triangles.

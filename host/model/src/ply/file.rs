@@ -3,8 +3,8 @@
 use super::header::Header;
 use super::layout::Layout;
 use super::offsets::Offsets;
-use crate::ModelInfo;
 use crate::source::Source;
+use crate::{ModelInfo, Result};
 
 /// A PLY file.
 #[derive(Debug)]
@@ -24,6 +24,8 @@ pub struct PlyModel {
     pub(super) without_normals: fn(&[u8]) -> Vec<u8>,
     /// What the user should know of the file that is written.
     pub(crate) note: Option<&'static str>,
+    /// What the file has that is given nowhere else.
+    pub(crate) besides: fn(&PlyModel) -> Result<Vec<String>>,
     /// Extensions that names of such files have.
     pub(crate) extensions: &'static [&'static str],
     pub(crate) info: ModelInfo,

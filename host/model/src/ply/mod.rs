@@ -51,6 +51,11 @@ use offsets::Offsets;
 use reader::Reader;
 
 impl PlyModel {
+    /// The file.
+    pub(crate) fn source(&self) -> &Source {
+        &self.source
+    }
+
     /// What the file `source` is.
     ///
     /// A binary file that is cut off is noticed here; a text file when what is missing is read, or by
@@ -109,6 +114,7 @@ impl PlyModel {
             without_normals,
             note: None,
             extensions: &["ply"],
+            besides: Self::besides_of_ply,
             info,
         };
         if model.header.encoding == Encoding::Ascii {
@@ -116,6 +122,43 @@ impl PlyModel {
         }
         model.info.face_bytes = faces::bytes(&model);
         Ok(model)
+    }
+
+    /// Comments, and what is neither vertex nor face.
+    fn besides_of_ply(&self) -> Result<Vec<String>> {
+        let mut text = Vec::new();
+        self.source.append_at(&mut text, 0, self.header.len as usize)?;
+        let is_comment = |line: &&[u8]| line.starts_with(b"comment") || line.starts_with(b"obj_info");
+        let comments = text.split(|byte| matches!(byte, b'\n' | b'\r')).filter(is_comment).count();
+        let mut besides = Vec::new();
+        if comments > 0 {
+            besides.push(format!("{comments} comments"));
+        }
+        for (place, Element { name, count, properties }) in self.header.elements.iter().enumerate() {
+            let name = header::quoted(name);
+            let is_face = matches!(name.as_str(), "\"face\"" | "\"tristrips\"");
+            if *count == 0 {
+                continue;
+            }
+            if place != self.vertex && !is_face {
+                besides.push(format!("the element {name}"));
+                continue;
+            }
+            let of_corners = |p: &Property| is_face && faces::are_corners(p);
+            let is_known = |p: &Property| {
+                matches!(p.shape, Shape::Scalar(_)) && {
+                    POSITION.contains(&&*p.name)
+                        || header::NORMAL.contains(&&*p.name) && self.layout.has_normals()
+                        || self.info.attributes.iter().any(|a| a.name == p.name)
+                }
+            };
+            let others = properties.iter().filter(|p| if is_face { !of_corners(p) } else { !is_known(p) });
+            besides.extend(others.map(|p| format!("the property {} of {name}", p.describe())));
+            if !is_face && properties.iter().any(|p| is_double_normal(p) && self.layout.has_normals()) {
+                besides.push("digits of the normals: double becomes float".to_owned());
+            }
+        }
+        Ok(besides)
     }
 
     /// In a text file: all that follows, if nothing but vertices does, and otherwise as if all vertices were
@@ -155,6 +198,10 @@ impl Model for PlyModel {
 
     fn extensions(&self) -> &'static [&'static str] {
         self.extensions
+    }
+
+    fn besides(&self) -> Result<Vec<String>> {
+        (self.besides)(self)
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
@@ -198,6 +245,13 @@ impl Model for PlyModel {
         }
         pipeline::rewrite(self, outputs, how, edit, progress)
     }
+}
+
+/// Names of the position.
+const POSITION: [&str; 3] = ["x", "y", "z"];
+
+fn is_double_normal(property: &Property) -> bool {
+    property.name == "nx" && property.shape == Shape::Scalar(crate::Type::F64)
 }
 
 /// An error where a text file is too short to hold a word for each number that its header speaks of.

@@ -40,7 +40,7 @@ pub struct Besides<'a> {
     pub triangles: &'a [[u32; 3]],
 }
 
-/// The same with colours, of type uchar, and ids, of type uint.
+/// The same with colours, of type uchar, and ids, of type int: other programs keep these rather than unsigned ones.
 ///
 /// # Errors
 /// As of [`write_points`].
@@ -121,7 +121,7 @@ fn header(count: usize, besides: &Besides<'_>, scalar: Scalar, comments: &[Strin
         header.push_str(&format!("property uchar {name}\n"));
     }
     if *ids {
-        header.push_str("property uint id\n");
+        header.push_str("property int id\n");
     }
     if !triangles.is_empty() {
         let triangles = triangles.len();

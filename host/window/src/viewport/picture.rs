@@ -233,7 +233,7 @@ impl Drawing {
         let detail = window.state().detail().filter(|_| self.version == Version::Now);
         let revision = detail.map(Detail::revision);
         let covers_others = revision != std::mem::replace(&mut self.detail, revision);
-        let (colors, radii) = (self.colors.of_samples(), || sample_radii(samples.spacing(), detail));
+        let (colors, radii) = (self.colors.of_samples(), || sample_radii(&samples.extents(), detail));
         if !same_samples {
             let radii = radii();
             self.scene.set_surface(&Surface {
@@ -254,7 +254,7 @@ impl Drawing {
         self.pieces.update(&mut self.scene, detail, self.colors.of_vertices(), recolored)?;
         if window.looks.ghost != self.ghost || self.ghost && !same_samples {
             self.ghost = window.looks.ghost;
-            let radii = disc_radii(samples.spacing());
+            let radii = disc_radii(&samples.extents());
             let rest = Surface {
                 positions: &samples.positions,
                 normals: samples.normals(),

@@ -1,0 +1,80 @@
+//! `simod convert`: a model in another format, as it is.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use glam::DVec3;
+use serde_json::json;
+use simod_core::guard::Kind;
+use simod_model::{Conversion, Converted, Model, Result};
+
+use super::overwrite::Overwrite;
+use crate::report::{Report, count, rate};
+
+/// Write a model in another format, streamed, as it is
+#[derive(Args)]
+pub struct Convert {
+    /// The model: of any format that is read
+    model: PathBuf,
+    /// The file to write; its extension says the format: ply, las, laz, obj, stl, off, pcd, csv, tsv, txt, xyz,
+    /// xyzn, xyzrgb
+    output: PathBuf,
+    /// What the columns of a text are, as x,y,z,_,nx,ny,nz
+    #[arg(long, value_name = "NAMES")]
+    columns: Option<String>,
+    /// Write even what the new format cannot hold all of: without it, that is an error which lists what would
+    /// be lost
+    #[arg(long)]
+    lossy: bool,
+    /// For LAS and LAZ: from one integer to the next, in the model's unit [default: the model's own, or as fine as
+    /// its extent allows]
+    #[arg(long, value_name = "L")]
+    step: Option<f64>,
+    /// For LAS and LAZ: the position of number zero, as 500000,5400000,0 [default: the model's own, or near its
+    /// middle]
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
+    origin: Option<DVec3>,
+    #[command(flatten)]
+    overwrite: Overwrite,
+}
+
+fn point(text: &str) -> std::result::Result<DVec3, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|x| x.trim().parse().ok()).collect();
+    let numbers = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
+    numbers.map(DVec3::from).ok_or_else(|| "give three numbers with commas between them".to_owned())
+}
+
+impl Convert {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        let mut guard = self.overwrite.guard();
+        guard.reads(&self.model);
+        guard.writes(&self.output, Kind::Model)?;
+        let progress = report.progress();
+        let model = simod_model::open_with_columns(&self.model, self.columns.as_deref())?;
+        let how =
+            Conversion { lossy: self.lossy, step: self.step, offset: self.origin, drops_normals: false };
+        let converted = Converted::new(model, &self.output, how, progress)?;
+        converted.write(&self.output, progress)?;
+        let vertices = converted.info().vertices;
+        tell_losses(&converted, report);
+        report.figure("vertices", vertices);
+        report.figure("triangles", converted.triangles());
+        report.figure("bytes", std::fs::metadata(&self.output).map_or(0, |meta| meta.len()));
+        report.line(format!(
+            "{} vertices and {} triangles in {}, {}",
+            count(vertices),
+            count(converted.triangles()),
+            self.output.display(),
+            rate(vertices, report.seconds())
+        ));
+        Ok(())
+    }
+}
+
+/// Says what a converted model lacks.
+pub fn tell_losses(converted: &Converted, report: &mut Report) {
+    report.figure("lost", json!(converted.losses()));
+    if !converted.losses().is_empty() {
+        report.warn(format!("what was lost: {}", converted.losses().join("; ")));
+    }
+}

@@ -1,0 +1,285 @@
+//! Models written in other formats than their own: streamed, edited on the way like those that keep theirs.
+//!
+//! A [`Converted`] model is the model, but for what is written of it. What the new format cannot hold is known
+//! before anything is written, and listed; whoever loses it has said so.
+//!
+//! | module | |
+//! |---|---|
+//! | `records` | PLY and PCD; `text` OBJ, OFF and columns; `stl`; LAS is in its [folder](crate::las); each is a [form](crate::form) |
+//! | `work` | the stream from one to the other, for the [pipeline](crate::pipeline) |
+
+mod records;
+mod stl;
+mod text;
+mod work;
+
+use std::ops::Range;
+use std::path::Path;
+
+use crate::form::{Content, Conversion, Form, is_of_vertices};
+use crate::formats::extension;
+use crate::las::LasModel;
+use crate::las::form::LasForm;
+use crate::las::same_records::SameRecords;
+use crate::output::OutputFile;
+use crate::source::Source;
+use crate::target::folder_of;
+use crate::{
+    Edit, Edited, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
+    Rewriting, Scalar, VertexChunk, VertexReader, for_faces, pipeline,
+};
+use work::Work;
+
+/// Extensions of what can be written.
+const WRITTEN: [&str; 13] =
+    ["ply", "las", "laz", "obj", "stl", "off", "pcd", "csv", "tsv", "txt", "xyz", "xyzn", "xyzrgb"];
+
+/// A model that is written in another format than its own.
+pub struct Converted {
+    model: Box<dyn Model>,
+    source: Source,
+    info: ModelInfo,
+    /// One of [`WRITTEN`].
+    extension: &'static str,
+    how: Conversion,
+    triangles: u64,
+    folder: std::path::PathBuf,
+    /// The records of points stay what they are, as from LAS to LAZ.
+    keeps_records: bool,
+    losses: Vec<String>,
+    bytes: u64,
+}
+
+/// What is known of the faces of a model.
+#[derive(Default)]
+struct Faces {
+    /// Triangles of vertices that there are.
+    triangles: u64,
+    /// Others.
+    without_vertex: u64,
+}
+
+impl Converted {
+    /// The model as what the extension of `target` says. Its faces are read once, to be counted.
+    ///
+    /// # Errors
+    /// Nothing of that name can be written; the new format has no room for so much; something would be lost,
+    /// and it was not said that it may be; the model cannot be read; the user cancelled.
+    pub fn new(
+        model: Box<dyn Model>,
+        target: &Path,
+        how: Conversion,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
+        let named = extension(target);
+        let Some(extension) = WRITTEN.into_iter().find(|written| *written == named) else {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("{} is named as a file of a format that cannot be written anew", target.display()),
+                format!("what can be written: {}", WRITTEN.join(", ")),
+            ));
+        };
+        model.check_complete(progress)?;
+        let faces = count_faces(&*model, progress)?;
+        let polygons = model.info().faces;
+        let info = model.info().clone();
+        let is_las = matches!(extension, "las" | "laz") && as_las(&*model).is_some();
+        let keeps_records = is_las && how.step.is_none() && how.offset.is_none();
+        let mut converted = Self {
+            source: Source::open(model.path())?,
+            model,
+            info,
+            extension,
+            how,
+            triangles: faces.triangles,
+            folder: folder_of(target).to_owned(),
+            keeps_records,
+            losses: Vec::new(),
+            bytes: 0,
+        };
+        let mut losses = if keeps_records { Vec::new() } else { converted.model.besides()? };
+        if faces.without_vertex > 0 {
+            losses.push(format!("{} triangles that refer to no vertex", faces.without_vertex));
+        }
+        let form = converted.form(how.drops_normals, &mut losses)?;
+        if form.has_faces() && polygons != faces.triangles + faces.without_vertex {
+            losses.push(format!("which of the {} triangles are one of {polygons} faces", faces.triangles));
+        }
+        let (bytes, written) = (form.bytes(), form.integers());
+        drop(form);
+        (converted.bytes, converted.info.written) = (bytes, written);
+        if !keeps_records {
+            converted.info.integers = None;
+        }
+        if extension == "stl" {
+            converted.info.position_type = Scalar::F32;
+        }
+        if !losses.is_empty() && !how.lossy {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("{} would lose: {}", target.display(), losses.join("; ")),
+                format!(
+                    "give --lossy to write it without, or write the model as {}",
+                    converted.model.extensions().first().unwrap_or(&"ply")
+                ),
+            ));
+        }
+        converted.losses = losses;
+        Ok(converted)
+    }
+
+    /// What the new file lacks, each in a few words.
+    pub fn losses(&self) -> &[String] {
+        &self.losses
+    }
+
+    /// Number of triangles that are written, where the format has any.
+    pub fn triangles(&self) -> u64 {
+        self.triangles
+    }
+
+    /// Writes the model as it is; the file appears whole or not at all.
+    ///
+    /// # Errors
+    /// The model cannot be read; a position does not fit; the file cannot be written; the user cancelled.
+    pub fn write(&self, target: &Path, progress: &dyn Progress) -> Result<()> {
+        let mut file = OutputFile::create(target, self.bytes)?;
+        progress.begin("converting", self.info.vertex_bytes + self.info.face_bytes);
+        let normals = if self.how.drops_normals { Normals::Drop } else { Normals::Keep };
+        let keep = |_: &VertexChunk, _: &mut [Edited]| Ok(());
+        let how = Rewriting { normals, pieces_done: 0 };
+        self.rewrite(&mut [&mut file.replaceable()], how, &keep, progress)?;
+        progress.check()?;
+        file.commit()
+    }
+
+    fn form(&self, drops_normals: bool, losses: &mut Vec<String>) -> Result<Box<dyn Form + '_>> {
+        use records::Kind::{Pcd, Ply};
+        use text::Kind::{Named, Obj, Off, Plain};
+        let content = Content {
+            model: &*self.model,
+            has_normals: self.model.info().has_normals && !drops_normals,
+            triangles: self.triangles,
+            how: self.how,
+            folder: self.folder.clone(),
+        };
+        let records = |kind, losses: &mut _| records::Records::new(kind, &content, losses);
+        let lines = |kind, losses: &mut _| text::Lines::new(kind, &content, losses);
+        let plain = |with_normals, with_colors| Plain { with_normals, with_colors };
+        if let Some(las) = as_las(&*self.model).filter(|_| self.keeps_records) {
+            return Ok(Box::new(SameRecords::new(las, self.extension == "laz")?));
+        }
+        Ok(match self.extension {
+            "pcd" => Box::new(records(Pcd, losses)?),
+            "las" | "laz" => Box::new(LasForm::new(self.extension == "laz", &content, losses)?),
+            "obj" => Box::new(lines(Obj, losses)?),
+            "off" => Box::new(lines(Off, losses)?),
+            "stl" => Box::new(stl::Stl::new(&content, losses)?),
+            "csv" => Box::new(lines(Named(b','), losses)?),
+            "tsv" => Box::new(lines(Named(b'\t'), losses)?),
+            "txt" => Box::new(lines(Named(b' '), losses)?),
+            "xyz" => Box::new(lines(plain(false, false), losses)?),
+            "xyzn" => Box::new(lines(plain(true, false), losses)?),
+            "xyzrgb" => Box::new(lines(plain(false, true), losses)?),
+            _ => Box::new(records(Ply, losses)?),
+        })
+    }
+}
+
+fn as_las(model: &dyn Model) -> Option<&LasModel> {
+    model.as_any()?.downcast_ref()
+}
+
+/// Counts the triangles of the faces, which takes a reading of them.
+fn count_faces(model: &dyn Model, progress: &dyn Progress) -> Result<Faces> {
+    let (mut faces, info) = (Faces::default(), model.info());
+    if info.faces == 0 {
+        return Ok(faces);
+    }
+    progress.begin("counting the faces", info.face_bytes);
+    for_faces(model, |chunk| {
+        progress.check()?;
+        let good = chunk.triangles.iter().filter(|t| is_of_vertices(t, info.vertices)).count();
+        faces.triangles += good as u64;
+        faces.without_vertex += (chunk.triangles.len() - good) as u64;
+        progress.advance(chunk.bytes);
+        Ok(())
+    })?;
+    Ok(faces)
+}
+
+impl Model for Converted {
+    fn info(&self) -> &ModelInfo {
+        &self.info
+    }
+
+    fn path(&self) -> &Path {
+        self.model.path()
+    }
+
+    fn extensions(&self) -> &'static [&'static str] {
+        let at = WRITTEN.iter().position(|written| *written == self.extension).unwrap_or(0);
+        const ALL: &[&str] = &WRITTEN;
+        &ALL[at..=at]
+    }
+
+    fn columns(&self) -> Option<&str> {
+        None
+    }
+
+    fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
+        self.model.vertices(range)
+    }
+
+    fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
+        self.model.attributes(chunk, to)
+    }
+
+    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
+        self.model.faces()
+    }
+
+    fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
+        self.model.faces_at(ranges)
+    }
+
+    fn check_complete(&self, progress: &dyn Progress) -> Result<()> {
+        self.model.check_complete(progress)
+    }
+
+    fn move_offset(&mut self, steps: [i64; 3]) -> Result<()> {
+        if !self.keeps_records {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("{} is not written with the offset of the model", self.path().display()),
+                "leave out --offset auto",
+            ));
+        }
+        self.model.move_offset(steps)?;
+        self.info.written = self.model.info().written;
+        Ok(())
+    }
+
+    fn written_bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    fn rewrite(
+        &self,
+        outputs: &mut [&mut dyn Output],
+        how: Rewriting,
+        edit: &dyn Edit,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        let form = self.form(how.normals == Normals::Drop, &mut Vec::new())?;
+        if form.needs_vertices() && (outputs.len() > 1 || how.pieces_done > 0) {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("files of .{} are written one at a time, from their beginning", self.extension),
+                "leave out --resume, and write one version after the other",
+            ));
+        }
+        let work = Work::new(&*self.model, &self.source, &*form, how, edit, progress);
+        pipeline::rewrite(&work, outputs, how, &work.edit(), &work.quietly())
+    }
+}

@@ -1,0 +1,225 @@
+//! OBJ, OFF and text in columns: numbers in lines.
+
+use std::io::Write;
+
+use glam::DVec3;
+
+use crate::form::{Content, Form, Rows, attribute_loss};
+use crate::{Result, Scalar, Summary, Type};
+
+/// How positions become text: so that they come back.
+#[derive(Debug, Clone, Copy)]
+enum Digits {
+    /// As few digits as tell the number from all others of single precision, or of double.
+    Single,
+    Double,
+    /// So many decimals; three more where a number lies between these.
+    Decimals(usize),
+}
+
+impl Digits {
+    fn of(content: &Content<'_>) -> Self {
+        let info = content.info();
+        match (&info.integers, info.position_type) {
+            (Some(integers), _) => {
+                let decimals = (0..=12).find(|n| {
+                    let power = 10f64.powi(*n);
+                    let on_grid = |x: f64| ((x * power) - (x * power).round()).abs() < 1e-6;
+                    (0..3).all(|axis| on_grid(integers.scale[axis]) && on_grid(integers.offset[axis]))
+                });
+                decimals.map_or(Self::Double, |n| Self::Decimals(n as usize))
+            }
+            (None, Scalar::F32) => Self::Single,
+            (None, Scalar::F64) => Self::Double,
+        }
+    }
+
+    fn write(self, number: f64, to: &mut Vec<u8>) {
+        // Writing to memory does not fail.
+        let _ = match self {
+            Self::Single => number_to(to, f64::from(number as f32), true),
+            Self::Double => number_to(to, number, false),
+            Self::Decimals(n) => {
+                let power = 10f64.powi(n as i32);
+                let is_on_grid = (number * power - (number * power).round()).abs() < 1e-4;
+                write!(to, "{number:.*}", if is_on_grid { n } else { n + 3 })
+            }
+        };
+    }
+
+    fn position(self, p: DVec3, separator: u8, to: &mut Vec<u8>) {
+        for (axis, number) in p.to_array().into_iter().enumerate() {
+            if axis > 0 {
+                to.push(separator);
+            }
+            self.write(number, to);
+        }
+    }
+}
+
+/// With an exponent where zeros would be many.
+fn number_to(to: &mut Vec<u8>, number: f64, is_single: bool) -> std::io::Result<()> {
+    let size = number.abs();
+    let is_plain = number == 0.0 || (1e-5..1e16).contains(&size) || !number.is_finite();
+    match (is_single, is_plain) {
+        (true, true) => write!(to, "{}", number as f32),
+        (true, false) => write!(to, "{:e}", number as f32),
+        (false, true) => write!(to, "{number}"),
+        (false, false) => write!(to, "{number:e}"),
+    }
+}
+
+fn whole_or_not(kind: Type, number: f64, to: &mut Vec<u8>) {
+    let _ = number_to(to, number, kind == Type::F32);
+}
+
+/// What of a text is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    Obj,
+    Off,
+    /// Names first, and this between columns.
+    Named(u8),
+    /// Positions, and normals (`.xyzn`) or colours (`.xyzrgb`) behind them.
+    Plain {
+        with_normals: bool,
+        with_colors: bool,
+    },
+}
+
+/// A file of lines.
+pub(super) struct Lines {
+    kind: Kind,
+    digits: Digits,
+    vertices: u64,
+    triangles: u64,
+    has_normals: bool,
+    attributes: Vec<(String, Type, usize)>,
+}
+
+impl Lines {
+    pub(super) fn new(kind: Kind, content: &Content<'_>, losses: &mut Vec<String>) -> Result<Self> {
+        let info = content.info();
+        let holds_faces = matches!(kind, Kind::Obj | Kind::Off);
+        if !holds_faces && content.triangles > 0 {
+            losses.push(format!("{} triangles", content.triangles));
+        }
+        let holds_normals = !matches!(kind, Kind::Plain { with_normals: false, .. });
+        if content.has_normals && !holds_normals {
+            losses.push("the normals".to_owned());
+        }
+        if let Some(crs) = &info.crs {
+            losses.push(format!("the coordinate reference system {crs}"));
+        }
+        let mut attributes = Vec::new();
+        for (place, attribute) in info.attributes.iter().enumerate() {
+            let is_color = ["red", "green", "blue"].contains(&attribute.name.as_str());
+            let is_written = match kind {
+                Kind::Obj | Kind::Off => false,
+                Kind::Plain { with_colors, .. } => with_colors && is_color,
+                Kind::Named(separator) => {
+                    let needs_care =
+                        |c: char| c == separator as char || "\"'#,;\t\n\r".contains(c) || c == ' ';
+                    !attribute.name.contains(needs_care)
+                        && !["x", "y", "z", "nx", "ny", "nz"]
+                            .contains(&attribute.name.to_ascii_lowercase().as_str())
+                }
+            };
+            if is_written {
+                attributes.push((attribute.name.clone(), attribute.kind, place));
+            } else {
+                losses.push(attribute_loss(&attribute.name, attribute.kind));
+            }
+        }
+        if let Kind::Plain { with_colors: true, .. } = kind
+            && attributes.len() != 3
+        {
+            losses.extend(attributes.drain(..).map(|(name, kind, _)| attribute_loss(&name, kind)));
+        }
+        Ok(Self {
+            kind,
+            digits: Digits::of(content),
+            vertices: info.vertices,
+            triangles: if holds_faces { content.triangles } else { 0 },
+            has_normals: content.has_normals && holds_normals,
+            attributes,
+        })
+    }
+}
+
+impl Form for Lines {
+    fn attributes(&self) -> usize {
+        self.attributes.iter().map(|(.., place)| place + 1).max().unwrap_or(0)
+    }
+
+    fn head(&self) -> Result<Vec<u8>> {
+        Ok(match self.kind {
+            Kind::Off => {
+                let letter = if self.has_normals { "N" } else { "" };
+                format!("{letter}OFF\n{} {} 0\n", self.vertices, self.triangles).into_bytes()
+            }
+            Kind::Named(separator) => {
+                let mut names = vec!["x", "y", "z"];
+                names.extend(["nx", "ny", "nz"].iter().filter(|_| self.has_normals));
+                names.extend(self.attributes.iter().map(|(name, ..)| name.as_str()));
+                (names.join(&(separator as char).to_string()) + "\n").into_bytes()
+            }
+            Kind::Obj | Kind::Plain { .. } => Vec::new(),
+        })
+    }
+
+    fn vertices(&self, rows: &Rows<'_>, to: &mut Vec<u8>, _summary: &mut Summary) -> Result<()> {
+        let separator = if let Kind::Named(separator) = self.kind { separator } else { b' ' };
+        to.clear();
+        for (i, p) in rows.positions.iter().enumerate() {
+            if !p.is_finite() {
+                return Err(rows.unfit(i, "which is no number in text"));
+            }
+            if self.kind == Kind::Obj {
+                to.extend_from_slice(b"v ");
+            }
+            self.digits.position(*p, separator, to);
+            if let Some(n) = rows.normals.get(i).filter(|_| self.has_normals) {
+                to.extend_from_slice(if self.kind == Kind::Obj { b"\nvn" } else { b"" });
+                for component in n.to_array() {
+                    to.push(separator);
+                    whole_or_not(Type::F32, f64::from(component), to);
+                }
+            }
+            for (_, kind, place) in &self.attributes {
+                to.push(separator);
+                whole_or_not(*kind, rows.attributes[*place][i], to);
+            }
+            to.push(b'\n');
+        }
+        Ok(())
+    }
+
+    fn has_faces(&self) -> bool {
+        self.triangles > 0
+    }
+
+    fn faces(&self, triangles: &[[u32; 3]], to: &mut Vec<u8>) -> Result<()> {
+        to.clear();
+        for [a, b, c] in triangles {
+            let _ = match (self.kind, self.has_normals) {
+                (Kind::Off, _) => writeln!(to, "3 {a} {b} {c}"),
+                (_, has_normals) => {
+                    let [a, b, c] = [*a, *b, *c].map(|corner| u64::from(corner) + 1);
+                    if has_normals {
+                        writeln!(to, "f {a}//{a} {b}//{b} {c}//{c}")
+                    } else {
+                        writeln!(to, "f {a} {b} {c}")
+                    }
+                }
+            };
+        }
+        Ok(())
+    }
+
+    fn bytes(&self) -> u64 {
+        // Twelve characters for a number, at a guess.
+        let numbers = 3 + if self.has_normals { 3 } else { 0 } + self.attributes.len() as u64;
+        12 * numbers * self.vertices + 24 * self.triangles
+    }
+}

@@ -1,0 +1,380 @@
+//! The stream from one format to another, as the pipeline of rewriting takes it.
+//!
+//! Where vertices can be read from anywhere, each thread reads those of its own piece, and the edit is told of
+//! the pieces in turn; where not, one thread at a time reads on.
+
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+
+use crate::form::{Form, Rows, is_of_vertices};
+use crate::pipeline::{Piece, Pieces, Rewritable, Version};
+use crate::progress::Emerging;
+use crate::source::Source;
+use crate::{
+    Edit, Edited, Error, FaceChunk, FaceReader, Model, Normals, Progress, RawChunk, Result, Rewriting,
+    Summary, VertexChunk, VertexReader,
+};
+
+/// Vertices of a piece: as many as a compressed block of LAS usually has.
+pub(crate) const PIECE: u64 = 50_000;
+
+/// A call of [`Converted::rewrite`](super::Converted).
+pub(super) struct Work<'a> {
+    model: &'a dyn Model,
+    source: &'a Source,
+    form: &'a dyn Form,
+    how: Rewriting,
+    edit: &'a dyn Edit,
+    progress: &'a dyn Progress,
+    /// Whether vertices are read by one reader.
+    in_order: bool,
+    turns: Mutex<Turns>,
+    turned: Condvar,
+}
+
+/// Whose turn it is.
+struct Turns {
+    /// The first vertex that the edit was not told of.
+    next: u64,
+    /// Number of vertices that the form has.
+    done: u64,
+    /// The piece that begins with this vertex failed, or none did: those behind it will never have their turn.
+    failed: u64,
+}
+
+/// What has come once all vertices have.
+const BEHIND_ALL: u64 = u64::MAX;
+
+impl<'a> Work<'a> {
+    pub(super) fn new(
+        model: &'a dyn Model,
+        source: &'a Source,
+        form: &'a dyn Form,
+        how: Rewriting,
+        edit: &'a dyn Edit,
+        progress: &'a dyn Progress,
+    ) -> Self {
+        let in_order = !model.info().reads_exactly();
+        let turns = Mutex::new(Turns { next: 0, done: 0, failed: BEHIND_ALL });
+        let turned = Condvar::new();
+        Self { model, source, form, how, edit, progress, in_order, turns, turned }
+    }
+
+    /// The edit, which is told of pieces in turn.
+    pub(super) fn edit(&self) -> InTurn<'_, 'a> {
+        InTurn(self)
+    }
+
+    /// The progress, which advances by what is read.
+    pub(super) fn quietly(&self) -> Quietly<'a> {
+        Quietly(self.progress)
+    }
+
+    fn turns(&self) -> MutexGuard<'_, Turns> {
+        self.turns.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn change(&self, change: impl FnOnce(&mut Turns)) {
+        change(&mut self.turns());
+        self.turned.notify_all();
+    }
+
+    /// Waits, for the piece that begins with a vertex, until something is so; an error if it never will be, as a
+    /// piece before it has failed, whose error is the one that is told.
+    fn wait(&self, piece: u64, until: impl Fn(&Turns) -> bool) -> Result<()> {
+        let mut turns = self.turns();
+        while !until(&turns) {
+            if turns.failed < piece {
+                return Err(Error::cancelled());
+            }
+            turns = self.turned.wait(turns).unwrap_or_else(PoisonError::into_inner);
+        }
+        Ok(())
+    }
+
+    /// Does something for the piece that begins with a vertex; whoever waits for what follows from it learns if
+    /// it fails.
+    fn guarded<T>(&self, piece: u64, work: impl FnOnce() -> Result<T>) -> Result<T> {
+        struct Guard<'w, 'a> {
+            of: &'w Work<'a>,
+            piece: u64,
+            is_done: bool,
+        }
+        impl Drop for Guard<'_, '_> {
+            fn drop(&mut self) {
+                if !self.is_done {
+                    self.of.change(|turns| turns.failed = turns.failed.min(self.piece));
+                }
+            }
+        }
+        let mut guard = Guard { of: self, piece, is_done: false };
+        let done = work();
+        guard.is_done = done.is_ok();
+        done
+    }
+
+    /// Reads the vertices of the piece that begins with the chunk's first one.
+    fn read_piece(&self, chunk: &mut VertexChunk) -> Result<()> {
+        let end = (chunk.first + PIECE).min(self.model.info().vertices);
+        let mut reader = self.model.vertices(chunk.first..end)?;
+        reader.set_chunk((end - chunk.first) as usize);
+        let first = chunk.first;
+        let mut is_there = reader.read(chunk)?;
+        let mut more = VertexChunk::default();
+        while is_there && chunk.first + (chunk.len() as u64) < end {
+            is_there = reader.read(&mut more)?;
+            chunk.append(&mut more);
+        }
+        if chunk.first == first && first + chunk.len() as u64 == end {
+            return Ok(());
+        }
+        Err(self.source.malformed(
+            format_args!("it ends before vertex {}", end - 1),
+            "it changed while it was read: wait until nothing writes to it any more, then try again",
+        ))
+    }
+}
+
+impl Rewritable for Work<'_> {
+    fn pieces(&self, _normals: Normals) -> Result<Box<dyn Pieces + '_>> {
+        let vertices = self.model.info().vertices;
+        let reader = self.in_order.then(|| self.model.vertices(0..vertices)).transpose()?;
+        let (faces, number) = (FaceChunk::default(), 0);
+        Ok(Box::new(Reading {
+            work: self,
+            next: Next::Head,
+            number,
+            vertex: 0,
+            reader,
+            triangles: None,
+            faces,
+        }))
+    }
+
+    fn decode(&self, chunk: &mut VertexChunk) -> Result<()> {
+        if self.in_order {
+            return Ok(());
+        }
+        self.guarded(chunk.first, || self.read_piece(chunk))
+    }
+
+    fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
+        self.guarded(chunk.first, || {
+            let Version { edited, normals, bytes, summary, .. } = version;
+            let mut attributes = vec![Vec::new(); self.form.attributes()];
+            if !attributes.is_empty() {
+                self.model.attributes(chunk, &mut attributes)?;
+            }
+            // What has no position stays without.
+            let mut positions = Vec::new();
+            if chunk.positions.iter().any(|p| !p.is_finite()) {
+                let kept = |(old, new): (&_, &_)| if glam::DVec3::is_finite(*old) { *new } else { *old };
+                positions.extend(chunk.positions.iter().zip(&edited.positions).map(kept));
+            }
+            let rows = Rows {
+                first: chunk.first,
+                positions: if positions.is_empty() { &edited.positions } else { &positions },
+                normals: if normals == Normals::Transform { &edited.normals } else { &chunk.normals },
+                attributes: &attributes,
+                chunk,
+            };
+            let moved = |i: usize| {
+                let (was, is) = (chunk.positions[i], rows.positions[i]);
+                was.is_finite() && !is.is_finite()
+            };
+            if let Some(i) = (0..chunk.len()).find(|i| moved(*i)) {
+                return Err(rows.unfit(i, "where the deformation moves it"));
+            }
+            bytes.clear();
+            self.form.vertices(&rows, bytes, summary)?;
+            self.change(|turns| turns.done += chunk.len() as u64);
+            Ok(())
+        })
+    }
+
+    fn make(&self, before: &Summary) -> Result<Vec<u8>> {
+        self.form.tail(before)
+    }
+
+    fn patches(&self, all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
+        self.form.patches(all)
+    }
+
+    fn source(&self) -> &Source {
+        self.source
+    }
+}
+
+/// What comes next.
+enum Next {
+    Head,
+    Vertices,
+    Faces,
+    Tail,
+    End,
+}
+
+/// The pieces of a conversion.
+struct Reading<'a> {
+    work: &'a Work<'a>,
+    next: Next,
+    /// Number of the next piece.
+    number: u64,
+    /// The first vertex that was not read.
+    vertex: u64,
+    reader: Option<Box<dyn VertexReader + 'a>>,
+    triangles: Option<Box<dyn FaceReader + 'a>>,
+    faces: FaceChunk,
+}
+
+impl Pieces for Reading<'_> {
+    fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece> {
+        let piece = self.work.guarded(self.vertex, || self.read_next(chunk));
+        self.number += 1;
+        piece
+    }
+}
+
+impl Reading<'_> {
+    fn read_next(&mut self, chunk: &mut VertexChunk) -> Result<Piece> {
+        let work = self.work;
+        loop {
+            match self.next {
+                Next::Head => {
+                    chunk.raw = work.form.head()?;
+                    self.next = Next::Vertices;
+                    return Ok(Piece::Bytes);
+                }
+                Next::Vertices => {
+                    if let Some(vertices) = self.read_vertices(chunk)? {
+                        return Ok(Piece::Vertices(vertices));
+                    }
+                    self.reader = None;
+                    self.next = if work.form.has_faces() { Next::Faces } else { Next::Tail };
+                }
+                Next::Faces => {
+                    if self.read_faces(chunk)? {
+                        return Ok(Piece::Bytes);
+                    }
+                    self.next = Next::Tail;
+                }
+                Next::Tail => {
+                    self.next = Next::End;
+                    chunk.raw.clear();
+                    return Ok(Piece::Made);
+                }
+                Next::End => {
+                    work.source.check_unchanged()?;
+                    return Ok(Piece::End);
+                }
+            }
+        }
+    }
+
+    /// The next vertices; where they are read by whoever takes the piece, their number alone.
+    fn read_vertices(&mut self, chunk: &mut VertexChunk) -> Result<Option<usize>> {
+        let work = self.work;
+        let left = work.model.info().vertices - self.vertex;
+        if left == 0 {
+            return Ok(None);
+        }
+        if let Some(reader) = &mut self.reader {
+            reader.set_chunk(PIECE as usize);
+            if !reader.read(chunk)? {
+                return Err(work.source.malformed(
+                    format_args!("it ends before vertex {}", self.vertex),
+                    "it changed while it was read: wait until nothing writes to it any more, then try again",
+                ));
+            }
+            work.progress.advance(chunk.raw.len() as u64);
+            self.vertex += chunk.len() as u64;
+            return Ok(Some(chunk.len()));
+        }
+        let count = left.min(PIECE);
+        chunk.first = self.vertex;
+        chunk.raw.clear();
+        self.vertex += count;
+        if self.number < work.how.pieces_done {
+            // The edit wants to see its bytes, and nobody else reads it.
+            work.read_piece(chunk)?;
+            work.progress.advance(chunk.raw.len() as u64);
+            work.change(|turns| turns.next = chunk.first + count);
+        }
+        Ok(Some(count as usize))
+    }
+
+    /// The next triangles as they are written; `false` at their end.
+    fn read_faces(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
+        let work = self.work;
+        let vertices = work.model.info().vertices;
+        let reader = match &mut self.triangles {
+            Some(reader) => reader,
+            None => {
+                if work.form.needs_vertices() {
+                    work.wait(BEHIND_ALL, |turns| turns.done == vertices)?;
+                }
+                self.triangles.insert(work.model.faces()?)
+            }
+        };
+        while reader.read(&mut self.faces)? {
+            work.progress.check()?;
+            work.progress.advance(self.faces.bytes);
+            self.faces.triangles.retain(|triangle| is_of_vertices(triangle, vertices));
+            if !self.faces.triangles.is_empty() {
+                chunk.raw.clear();
+                work.form.faces(&self.faces.triangles, &mut chunk.raw)?;
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+}
+
+/// Tells the edit of pieces in their order, and lets it edit them in any.
+pub(super) struct InTurn<'w, 'a>(&'w Work<'a>);
+
+impl Edit for InTurn<'_, '_> {
+    fn begin(&self, chunk: &RawChunk<'_>) -> Result<()> {
+        if self.0.in_order || !chunk.is_edited { self.0.edit.begin(chunk) } else { Ok(()) }
+    }
+
+    fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
+        let Self(work) = self;
+        work.guarded(chunk.first, || {
+            if !work.in_order {
+                work.wait(chunk.first, |turns| turns.next == chunk.first)?;
+                let (first, vertices, bytes) = (chunk.first, chunk.len(), chunk.raw());
+                work.edit.begin(&RawChunk { first, vertices, bytes, is_edited: true })?;
+                work.progress.advance(bytes.len() as u64);
+                work.change(|turns| turns.next = first + vertices as u64);
+            }
+            work.edit.edit(chunk, versions)
+        })
+    }
+
+    fn end(&self, first: u64) -> Result<()> {
+        self.0.edit.end(first)
+    }
+}
+
+/// Progress that advances elsewhere.
+pub(super) struct Quietly<'a>(&'a dyn Progress);
+
+impl Progress for Quietly<'_> {
+    fn begin(&self, stage: &'static str, total_bytes: u64) {
+        self.0.begin(stage, total_bytes);
+    }
+
+    fn advance(&self, _bytes: u64) {}
+
+    fn is_cancelled(&self) -> bool {
+        self.0.is_cancelled()
+    }
+
+    fn note(&self, text: &str) {
+        self.0.note(text);
+    }
+
+    fn emerge(&self, samples: &Emerging<'_>) {
+        self.0.emerge(samples);
+    }
+}

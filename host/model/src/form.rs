@@ -1,0 +1,173 @@
+//! What writes a format: beginning, vertices, faces, end, each as bytes.
+
+use std::path::PathBuf;
+
+use glam::{DVec3, Vec3};
+
+use crate::{Error, ErrorKind, Model, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk};
+
+/// What is asked of a conversion.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Conversion {
+    /// Whether it may lose what the new format cannot hold.
+    pub lossy: bool,
+    /// From one integer to the next, where the new format stores positions as integers and the model does not; as
+    /// fine as its extent allows, where not given.
+    pub step: Option<f64>,
+    /// The position of number zero then; near the model's middle, where not given.
+    pub offset: Option<DVec3>,
+    /// Whether the normals shall be left out.
+    pub drops_normals: bool,
+}
+
+/// What there is to be written.
+pub(crate) struct Content<'a> {
+    pub(crate) model: &'a dyn Model,
+    /// Whether vertices have normals that are kept.
+    pub(crate) has_normals: bool,
+    /// Triangles of the faces that refer to vertices.
+    pub(crate) triangles: u64,
+    pub(crate) how: Conversion,
+    /// Where temporary files go.
+    pub(crate) folder: PathBuf,
+}
+
+impl Content<'_> {
+    pub(crate) fn info(&self) -> &ModelInfo {
+        self.model.info()
+    }
+
+    /// An error where there is too much of something for a format.
+    pub(crate) fn too_many(&self, what: &str, count: u64, most: u64) -> Result<()> {
+        if count <= most {
+            return Ok(());
+        }
+        Err(Error::new(
+            ErrorKind::Argument,
+            format!(
+                "{} has {count} {what}, and this format counts {most} at most",
+                self.model.path().display()
+            ),
+            "write another format, as PLY",
+        ))
+    }
+}
+
+/// A loss, for people.
+pub(crate) fn attribute_loss(name: &str, kind: Type) -> String {
+    format!("the attribute {name} ({})", kind.name())
+}
+
+/// Whether there are vertices for all corners.
+pub(crate) fn is_of_vertices(triangle: &[u32; 3], vertices: u64) -> bool {
+    triangle.iter().all(|corner| u64::from(*corner) < vertices && *corner != u32::MAX)
+}
+
+/// Consecutive vertices, as they are to be written.
+pub(crate) struct Rows<'a> {
+    /// The first one's index.
+    pub(crate) first: u64,
+    pub(crate) positions: &'a [DVec3],
+    /// None, or one for each.
+    pub(crate) normals: &'a [Vec3],
+    /// The first attributes of the model, as many as the form [asks for](Form::attributes).
+    pub(crate) attributes: &'a [Vec<f64>],
+    /// As they were read.
+    pub(crate) chunk: &'a VertexChunk,
+}
+
+impl Rows<'_> {
+    /// An error where a position does not fit.
+    pub(crate) fn unfit(&self, i: usize, why: &str) -> Error {
+        let (vertex, p) = (self.first + i as u64, self.positions[i]);
+        Error::new(
+            ErrorKind::Degenerate,
+            format!("vertex {vertex} is at ({}, {}, {}), {why}", p.x, p.y, p.z),
+            "write a format that holds it, as PLY",
+        )
+    }
+}
+
+/// Writes a format. What it holds is bounded by a chunk, but for temporary files.
+pub(crate) trait Form: Send + Sync {
+    /// How many of the model's first attributes it needs.
+    fn attributes(&self) -> usize;
+
+    /// What the file begins with.
+    fn head(&self) -> Result<Vec<u8>>;
+
+    /// Appends vertices.
+    ///
+    /// # Errors
+    /// They do not fit.
+    fn vertices(&self, rows: &Rows<'_>, to: &mut Vec<u8>, summary: &mut Summary) -> Result<()>;
+
+    /// Whether faces follow the vertices.
+    fn has_faces(&self) -> bool {
+        false
+    }
+
+    /// Whether faces need all vertices to be there: there can be no more than one version then, and nothing
+    /// to go on with.
+    fn needs_vertices(&self) -> bool {
+        false
+    }
+
+    /// Appends triangles, all of vertices that there are.
+    ///
+    /// # Errors
+    /// A temporary file cannot be read.
+    fn faces(&self, _triangles: &[[u32; 3]], _to: &mut Vec<u8>) -> Result<()> {
+        Ok(())
+    }
+
+    /// What the file ends with, once all before is known.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    fn tail(&self, _all: &Summary) -> Result<Vec<u8>> {
+        Ok(Vec::new())
+    }
+
+    /// What is replaced once all is there.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    fn patches(&self, _all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
+        Ok(Vec::new())
+    }
+
+    /// How positions are stored, where they are integers.
+    fn integers(&self) -> Option<ScaledIntegers> {
+        None
+    }
+
+    /// Bytes that the file will have, about.
+    fn bytes(&self) -> u64;
+}
+
+/// Puts numbers of a type into records of `stride` bytes, at the byte `at` of each, little endian.
+pub(crate) fn put_numbers(kind: Type, numbers: &[f64], records: &mut [u8], at: usize, stride: usize) {
+    fn put<const N: usize>(
+        numbers: &[f64],
+        records: &mut [u8],
+        at: usize,
+        stride: usize,
+        bytes: impl Fn(f64) -> [u8; N],
+    ) {
+        for (record, number) in records.chunks_exact_mut(stride).zip(numbers) {
+            record[at..at + N].copy_from_slice(&bytes(*number));
+        }
+    }
+    let to = (records, at, stride);
+    match kind {
+        Type::I8 => put(numbers, to.0, to.1, to.2, |n| (n as i8).to_le_bytes()),
+        Type::U8 => put(numbers, to.0, to.1, to.2, |n| (n as u8).to_le_bytes()),
+        Type::I16 => put(numbers, to.0, to.1, to.2, |n| (n as i16).to_le_bytes()),
+        Type::U16 => put(numbers, to.0, to.1, to.2, |n| (n as u16).to_le_bytes()),
+        Type::I32 => put(numbers, to.0, to.1, to.2, |n| (n as i32).to_le_bytes()),
+        Type::U32 => put(numbers, to.0, to.1, to.2, |n| (n as u32).to_le_bytes()),
+        Type::F32 => put(numbers, to.0, to.1, to.2, |n| (n as f32).to_le_bytes()),
+        Type::F64 => put(numbers, to.0, to.1, to.2, f64::to_le_bytes),
+    }
+}

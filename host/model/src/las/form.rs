@@ -1,0 +1,562 @@
+//! LAS and LAZ written anew, from models of other formats: point formats 6 to 8 of LAS 1.4, and 0 to 3 of LAS
+//! 1.2 where scan angles are the bytes that they are there.
+
+use glam::{DVec3, IVec3};
+use laz::laszip::ChunkTableEntry;
+
+use super::blocks::table_of;
+use super::header::{RECORD_BYTES, at};
+use super::laszip::Laszip;
+use crate::bounds::Bounds;
+use crate::form::{Content, Form, Rows, attribute_loss, put_numbers};
+use crate::{
+    ColorScale, Colors, Error, ErrorKind, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk,
+    for_positions,
+};
+
+/// Points of a compressed block: as LASzip has it.
+pub(super) const BLOCK: u32 = 50_000;
+
+/// Numbers of a summary for each piece: points, bytes, and points by their return, up to the fifteenth.
+pub(super) const TALLIES: usize = 17;
+
+/// Most bytes of a VLR's content.
+const LONGEST: usize = u16::MAX as usize;
+
+/// Whose VLR says how points are compressed, and its number.
+pub(super) const LASZIP: (&[u8], u16) = (b"laszip encoded", 22204);
+
+/// Where a number goes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Place {
+    /// A number of its own.
+    Number(Type),
+    /// So many bits of a byte.
+    Bits { shift: u8, bits: u8 },
+    /// A colour of 16 bits, of which this one is a part, so much as large.
+    Color(f64),
+}
+
+/// An attribute that is written.
+#[derive(Debug, Clone, PartialEq)]
+struct Field {
+    name: String,
+    /// Its place among those of the model.
+    from: usize,
+    at: usize,
+    place: Place,
+    /// Numbers are rounded, and end at those that there are.
+    rounds: bool,
+}
+
+/// A file of points.
+pub(crate) struct LasForm {
+    is_compressed: bool,
+    format: u8,
+    vertices: u64,
+    record: usize,
+    fields: Vec<Field>,
+    /// Where the number of the return is among the fields.
+    returns: Option<usize>,
+    integers: ScaledIntegers,
+    /// Descriptions of extra bytes.
+    extra: Vec<u8>,
+    /// How points are compressed, and the VLR that says so.
+    laszip: Option<(Laszip, Vec<u8>)>,
+}
+
+/// Where a standard attribute goes in a record, in point formats below 6 and from there on.
+fn standard(name: &str, format: u8) -> Option<(usize, Place)> {
+    let (bits, number) = (|shift, bits| Place::Bits { shift, bits }, Place::Number);
+    let is_old = format < 6;
+    Some(match (name, is_old) {
+        ("intensity", _) => (12, number(Type::U16)),
+        ("return_number", true) => (14, bits(0, 3)),
+        ("number_of_returns", true) => (14, bits(3, 3)),
+        ("return_number", false) => (14, bits(0, 4)),
+        ("number_of_returns", false) => (14, bits(4, 4)),
+        ("scan_direction_flag", true) => (14, bits(6, 1)),
+        ("edge_of_flight_line", true) => (14, bits(7, 1)),
+        ("classification", true) => (15, bits(0, 5)),
+        ("synthetic", true) => (15, bits(5, 1)),
+        ("key_point", true) => (15, bits(6, 1)),
+        ("withheld", true) => (15, bits(7, 1)),
+        ("synthetic", false) => (15, bits(0, 1)),
+        ("key_point", false) => (15, bits(1, 1)),
+        ("withheld", false) => (15, bits(2, 1)),
+        ("overlap", false) => (15, bits(3, 1)),
+        ("scanner_channel", false) => (15, bits(4, 2)),
+        ("scan_direction_flag", false) => (15, bits(6, 1)),
+        ("edge_of_flight_line", false) => (15, bits(7, 1)),
+        ("classification", false) => (16, number(Type::U8)),
+        ("scan_angle", true) => (16, number(Type::I8)),
+        ("scan_angle", false) => (18, number(Type::I16)),
+        ("user_data", _) => (17, number(Type::U8)),
+        ("point_source_id", true) => (18, number(Type::U16)),
+        ("point_source_id", false) => (20, number(Type::U16)),
+        ("gps_time", true) => (20, number(Type::F64)),
+        ("gps_time", false) => (22, number(Type::F64)),
+        ("nir", false) => (36, number(Type::U16)),
+        _ => return None,
+    })
+}
+
+/// Least and largest number that a place holds.
+fn range(place: Place) -> (f64, f64) {
+    match place {
+        Place::Bits { bits, .. } => (0.0, f64::from((1u32 << bits) - 1)),
+        Place::Color(_) => (0.0, 65535.0),
+        Place::Number(kind) => match kind {
+            Type::U8 => (0.0, 255.0),
+            Type::I8 => (-128.0, 127.0),
+            Type::U16 => (0.0, 65535.0),
+            Type::I16 => (-32768.0, 32767.0),
+            Type::U32 => (0.0, f64::from(u32::MAX)),
+            Type::I32 => (f64::from(i32::MIN), f64::from(i32::MAX)),
+            Type::F32 | Type::F64 => (f64::NEG_INFINITY, f64::INFINITY),
+        },
+    }
+}
+
+/// Whether all numbers of a type are told by what they become. Whether flags and the like are as small as they
+/// have to be is seen when they are written.
+fn fits(kind: Type, place: Place) -> bool {
+    match place {
+        Place::Number(Type::F64) => true,
+        Place::Bits { .. } => kind == Type::U8,
+        Place::Number(to) if kind.is_float() => to == kind,
+        Place::Number(to) => {
+            let ((least, most), (from, end)) = (range(place), range(Place::Number(kind)));
+            !to.is_float() && from >= least && end <= most
+        }
+        Place::Color(_) => matches!(kind, Type::U8 | Type::U16),
+    }
+}
+
+impl LasForm {
+    pub(crate) fn new(is_compressed: bool, content: &Content<'_>, losses: &mut Vec<String>) -> Result<Self> {
+        let info = content.info();
+        if content.triangles > 0 {
+            losses.push(format!("{} triangles", content.triangles));
+        }
+        if content.has_normals {
+            losses.push("the normals".to_owned());
+        }
+        if let Some(crs) = &info.crs {
+            losses.push(format!("the coordinate reference system {crs}"));
+        }
+        let has = |name: &str| info.attributes.iter().any(|a| a.name == name);
+        let colors = Colors::of(info).filter(|colors| {
+            let names = colors.places.map(|place| info.attributes[place].name.as_str());
+            names == ["red", "green", "blue"]
+        });
+        let is_old = info.attributes.iter().any(|a| a.name == "scan_angle" && a.kind == Type::I8);
+        let format = match (is_old, colors.is_some()) {
+            (true, colors) => u8::from(has("gps_time")) + if colors { 2 } else { 0 },
+            (false, _) if has("nir") => 8,
+            (false, true) => 7,
+            (false, false) => 6,
+        };
+        if format < 6 {
+            content.too_many("points of LAS 1.2", info.vertices, u64::from(u32::MAX))?;
+        }
+        let integers = integers(content, losses)?;
+        let mut this = Self {
+            is_compressed,
+            format,
+            vertices: info.vertices,
+            record: RECORD_BYTES[usize::from(format)],
+            fields: Vec::new(),
+            returns: None,
+            integers,
+            extra: Vec::new(),
+            laszip: None,
+        };
+        let scale = colors.map(|colors| full_light(content, &colors)).transpose()?;
+        for (from, attribute) in info.attributes.iter().enumerate() {
+            let (name, kind) = (attribute.name.clone(), attribute.kind);
+            let of_color = colors.zip(scale).and_then(|(colors, scale)| {
+                let which = colors.places.iter().position(|place| *place == from)?;
+                let at = match format {
+                    2 => 20,
+                    3 => 28,
+                    _ => 30,
+                };
+                Some((at + 2 * which, Place::Color(scale)))
+            });
+            match of_color.or_else(|| standard(&name, format)) {
+                Some((at, place)) => {
+                    let rounds = !fits(kind, place);
+                    if rounds {
+                        let (least, most) = range(place);
+                        losses.push(format!(
+                            "digits of {}, which become whole numbers from {least} to {most}",
+                            attribute_loss(&name, kind)
+                        ));
+                    }
+                    if name == "return_number" {
+                        this.returns = Some(this.fields.len());
+                    }
+                    this.fields.push(Field { name, from, at, place, rounds });
+                }
+                None if this.add_extra(&name, kind) => {
+                    let (at, place) = (this.record, Place::Number(kind));
+                    this.record += kind.size();
+                    this.fields.push(Field { name, from, at, place, rounds: false });
+                }
+                None => losses.push(attribute_loss(&name, kind)),
+            }
+        }
+        if is_compressed {
+            let extra = this.record - RECORD_BYTES[usize::from(format)];
+            let laszip = Laszip::anew(format, extra as u16, BLOCK);
+            this.laszip = Some(laszip.map_err(|e| Error::internal(e.to_string(), "report this"))?);
+        }
+        Ok(this)
+    }
+
+    /// Describes extra bytes; `false` where they have no room.
+    fn add_extra(&mut self, name: &str, kind: Type) -> bool {
+        let one = 192;
+        let fits_in = name.len() <= 32 && self.extra.len() + one <= LONGEST;
+        if !fits_in || self.record + kind.size() > LONGEST {
+            return false;
+        }
+        let start = self.extra.len();
+        self.extra.resize(start + one, 0);
+        let code = match kind {
+            Type::U8 => 1,
+            Type::I8 => 2,
+            Type::U16 => 3,
+            Type::I16 => 4,
+            Type::U32 => 5,
+            Type::I32 => 6,
+            Type::F32 => 9,
+            Type::F64 => 10,
+        };
+        self.extra[start + 2] = code;
+        self.extra[start + 4..start + 4 + name.len()].copy_from_slice(name.as_bytes());
+        true
+    }
+
+    fn header_len(&self) -> usize {
+        if self.format < 6 { 227 } else { 375 }
+    }
+
+    fn vlrs(&self) -> Vec<u8> {
+        // First, so that it is known where.
+        let mut all =
+            self.laszip.as_ref().map_or(Vec::new(), |(_, content)| vlr(LASZIP.0, LASZIP.1, content));
+        if !self.extra.is_empty() {
+            all.extend(vlr(b"LASF_Spec", 4, &self.extra));
+        }
+        all
+    }
+
+    /// Where the points begin.
+    fn start(&self) -> u64 {
+        (self.header_len() + self.vlrs().len()) as u64
+    }
+
+    /// Fills the records of vertices.
+    fn records(&self, rows: &Rows<'_>, to: &mut Vec<u8>, summary: &mut Summary) -> Result<()> {
+        to.clear();
+        to.resize(rows.positions.len() * self.record, 0);
+        let (mut least, mut most) = (IVec3::MAX, IVec3::MIN);
+        for (i, (record, p)) in to.chunks_exact_mut(self.record).zip(rows.positions).enumerate() {
+            let numbers = self.integers.nearest(*p).ok_or_else(|| self.unfit(rows, i))?;
+            record[..12].copy_from_slice(numbers.to_array().map(i32::to_le_bytes).as_flattened());
+            (least, most) = (least.min(numbers), most.max(numbers));
+        }
+        if !rows.positions.is_empty() {
+            summary.before = Bounds { min: least.as_dvec3(), max: most.as_dvec3() };
+            summary.after = summary.before;
+        }
+        let mut numbers = Vec::new();
+        for field in &self.fields {
+            self.numbers(field, rows, &mut numbers)?;
+            match field.place {
+                Place::Bits { shift, .. } => {
+                    for (record, number) in to.chunks_exact_mut(self.record).zip(&numbers) {
+                        record[field.at] |= (*number as u8) << shift;
+                    }
+                }
+                Place::Number(kind) => put_numbers(kind, &numbers, to, field.at, self.record),
+                Place::Color(_) => put_numbers(Type::U16, &numbers, to, field.at, self.record),
+            }
+        }
+        Ok(())
+    }
+
+    /// The numbers of a field as they are written.
+    fn numbers(&self, field: &Field, rows: &Rows<'_>, to: &mut Vec<f64>) -> Result<()> {
+        let scale = if let Place::Color(scale) = field.place { scale } else { 1.0 };
+        let (least, most) = range(field.place);
+        to.clear();
+        for (i, number) in rows.attributes[field.from].iter().enumerate() {
+            let scaled = number * scale;
+            to.push(match field.rounds {
+                true => scaled.round().clamp(least, most),
+                // What is no number may be one of those that are none.
+                false if (least..=most).contains(&scaled) || least == f64::NEG_INFINITY => scaled,
+                false => {
+                    return Err(Error::new(
+                        ErrorKind::Degenerate,
+                        format!(
+                            "vertex {} has the {} {number}, which LAS counts from {least} to {most} in point format {}",
+                            rows.first + i as u64,
+                            field.name,
+                            self.format
+                        ),
+                        "write a format that holds it, as PLY",
+                    ));
+                }
+            });
+        }
+        Ok(())
+    }
+
+    fn unfit(&self, rows: &Rows<'_>, i: usize) -> Error {
+        if !rows.positions[i].is_finite() {
+            return rows.unfit(i, "which LAS has no integers for");
+        }
+        let range = self.integers.range();
+        let why = format!(
+            "but with the step {} LAS holds ({}, {}, {}) to ({}, {}, {}) alone",
+            self.integers.scale.x,
+            range.min.x,
+            range.min.y,
+            range.min.z,
+            range.max.x,
+            range.max.y,
+            range.max.z
+        );
+        rows.unfit(i, &why).hinting("give a larger --step, or another --origin, or write PLY")
+    }
+}
+
+/// What is known of each piece.
+fn pieces(all: &Summary) -> impl Iterator<Item = &[u32; TALLIES]> {
+    all.lengths.as_chunks().0.iter()
+}
+
+/// Bytes of all pieces.
+pub(super) fn bytes_of(all: &Summary) -> u64 {
+    pieces(all).map(|piece| u64::from(piece[1])).sum()
+}
+
+/// Whether all compressed blocks but the last have as many points as usual.
+pub(super) fn is_fixed(all: &Summary) -> bool {
+    let count = pieces(all).count();
+    pieces(all).take(count.saturating_sub(1)).all(|piece| piece[0] == BLOCK)
+}
+
+/// The table of compressed blocks.
+pub(super) fn table(all: &Summary) -> Result<Vec<u8>> {
+    let entry = |piece: &[u32; TALLIES]| ChunkTableEntry {
+        point_count: piece[0].into(),
+        byte_count: piece[1].into(),
+    };
+    let entries: Vec<_> = pieces(all).map(entry).collect();
+    table_of(&entries, !is_fixed(all))
+        .map_err(|e| Error::internal(format!("the table of blocks cannot be made: {e}"), "report this"))
+}
+
+/// Compresses records in their place.
+pub(super) fn compress(laszip: &Laszip, records: &mut Vec<u8>) -> Result<()> {
+    let block = laszip.compress(records);
+    *records =
+        block.map_err(|e| Error::internal(format!("points cannot be compressed: {e}"), "report this"))?;
+    Ok(())
+}
+
+/// What is replaced in the end of a file whose first VLR, at this byte, says how points are compressed: where the
+/// table is, which `start` says that the points begin with; and that blocks differ in size, if they do.
+pub(super) fn laszip_patches(vlr: u64, start: u64, all: &Summary) -> Vec<(u64, Vec<u8>)> {
+    let mut patches = vec![(start, (start + 8 + bytes_of(all)).to_le_bytes().to_vec())];
+    if !is_fixed(all) {
+        // Behind compressor, coder, version and options.
+        patches.push((vlr + 54 + 12, u32::MAX.to_le_bytes().to_vec()));
+    }
+    patches
+}
+
+/// A VLR.
+pub(super) fn vlr(user: &[u8], id: u16, content: &[u8]) -> Vec<u8> {
+    let mut all = vec![0; 54];
+    all[2..2 + user.len()].copy_from_slice(user);
+    all[18..20].copy_from_slice(&id.to_le_bytes());
+    all[20..22].copy_from_slice(&(content.len() as u16).to_le_bytes());
+    all.extend_from_slice(content);
+    all
+}
+
+impl Form for LasForm {
+    fn attributes(&self) -> usize {
+        self.fields.iter().map(|field| field.from + 1).max().unwrap_or(0)
+    }
+
+    fn head(&self) -> Result<Vec<u8>> {
+        let vlrs = self.vlrs();
+        let count = u8::from(self.laszip.is_some()) + u8::from(!self.extra.is_empty());
+        let mut head = vec![0; self.header_len()];
+        let mut put = |at: usize, bytes: &[u8]| head[at..at + bytes.len()].copy_from_slice(bytes);
+        put(0, b"LASF");
+        if self.format >= 6 {
+            // Coordinate reference systems are WKT, if there are any.
+            put(6, &16u16.to_le_bytes());
+        }
+        put(24, &[1, if self.format < 6 { 2 } else { 4 }]);
+        put(26, b"OTHER");
+        put(58, b"SIMOD");
+        put(94, &(self.header_len() as u16).to_le_bytes());
+        put(at::POINTS as usize, &(self.start() as u32).to_le_bytes());
+        put(at::VLRS as usize, &u32::from(count).to_le_bytes());
+        put(104, &[self.format | if self.is_compressed { 0x80 } else { 0 }]);
+        put(105, &(self.record as u16).to_le_bytes());
+        if self.format < 6 {
+            put(107, &(self.vertices as u32).to_le_bytes());
+        } else {
+            put(247, &self.vertices.to_le_bytes());
+        }
+        let vector = |v: DVec3| v.to_array().map(f64::to_le_bytes);
+        put(131, vector(self.integers.scale).as_flattened());
+        put(at::OFFSETS as usize, vector(self.integers.offset).as_flattened());
+        head.extend_from_slice(&vlrs);
+        if self.is_compressed {
+            // Where the table is, which is not known yet.
+            head.extend_from_slice(&[0; 8]);
+        }
+        Ok(head)
+    }
+
+    fn vertices(&self, rows: &Rows<'_>, to: &mut Vec<u8>, summary: &mut Summary) -> Result<()> {
+        self.records(rows, to, summary)?;
+        let mut tallies = [0; TALLIES];
+        tallies[0] = rows.positions.len() as u32;
+        match self.returns.map(|field| &rows.attributes[self.fields[field].from]) {
+            Some(returns) => returns.iter().for_each(|number| {
+                if let Some(tally) = tallies[2..].get_mut((*number as usize).wrapping_sub(1)) {
+                    *tally += 1;
+                }
+            }),
+            None => {
+                // Of a point that nobody says more of, there is one return.
+                tallies[2] = tallies[0];
+                let first = if self.format < 6 { 1 | 1 << 3 } else { 1 | 1 << 4 };
+                let has_count = self.fields.iter().any(|field| field.name == "number_of_returns");
+                let bits = if has_count { 1 } else { first };
+                to.chunks_exact_mut(self.record).for_each(|record| record[14] |= bits);
+            }
+        }
+        if let Some((laszip, _)) = &self.laszip {
+            compress(laszip, to)?;
+        }
+        tallies[1] = to.len() as u32;
+        summary.lengths.extend_from_slice(&tallies);
+        Ok(())
+    }
+
+    fn tail(&self, all: &Summary) -> Result<Vec<u8>> {
+        if self.is_compressed { table(all) } else { Ok(Vec::new()) }
+    }
+
+    fn patches(&self, all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
+        let mut patches = Vec::new();
+        let mut returns = [0u64; TALLIES - 2];
+        for piece in pieces(all) {
+            returns.iter_mut().zip(&piece[2..]).for_each(|(sum, n)| *sum += u64::from(*n));
+        }
+        if !all.after.is_empty() {
+            let corners = [all.after.min, all.after.max];
+            let Bounds { min, max } =
+                Bounds::of(corners.map(|numbers| numbers * self.integers.scale + self.integers.offset));
+            let sides = (0..3).flat_map(|axis| [max[axis], min[axis]]).flat_map(f64::to_le_bytes);
+            patches.push((at::BOUNDS, sides.collect()));
+        }
+        if self.format < 6 {
+            let five = returns[..5].iter().flat_map(|n| (*n as u32).to_le_bytes());
+            patches.push((111, five.collect()));
+        } else {
+            patches.push((255, returns.iter().flat_map(|n| n.to_le_bytes()).collect()));
+        }
+        if self.is_compressed {
+            patches.extend(laszip_patches(self.header_len() as u64, self.start(), all));
+        }
+        Ok(patches)
+    }
+
+    fn integers(&self) -> Option<ScaledIntegers> {
+        Some(self.integers)
+    }
+
+    fn bytes(&self) -> u64 {
+        let all = self.start() + self.vertices * self.record as u64;
+        if self.is_compressed { all / 3 } else { all }
+    }
+}
+
+/// How positions become integers.
+fn integers(content: &Content<'_>, losses: &mut Vec<String>) -> Result<ScaledIntegers> {
+    let info = content.info();
+    let how = &content.how;
+    if let (Some(integers), None, None) = (info.integers, how.step, how.offset) {
+        return Ok(integers);
+    }
+    let wrong = |what: &str| Err(Error::new(ErrorKind::Argument, what, "give a positive length"));
+    if how.step.is_some_and(|step| !(step.is_finite() && step > 0.0)) {
+        return wrong("the step between positions is none");
+    }
+    if how.offset.is_some_and(|offset| !offset.is_finite()) {
+        return wrong("the origin of positions is none");
+    }
+    let mut bounds = Bounds::default();
+    if how.step.is_none() || how.offset.is_none() {
+        for_positions(content.model, |chunk: &VertexChunk| {
+            for p in chunk.positions.iter().filter(|p| p.is_finite()) {
+                (bounds.min, bounds.max) = (bounds.min.min(*p), bounds.max.max(*p));
+            }
+            Ok(())
+        })?;
+    }
+    if bounds.is_empty() {
+        bounds = Bounds { min: DVec3::ZERO, max: DVec3::ZERO };
+    }
+    let step = how.step.unwrap_or_else(|| {
+        // Room for what moves as far as the model is large.
+        let extent = (bounds.max - bounds.min).max_element().max(f64::MIN_POSITIVE);
+        let step = 10f64.powi((4.0 * extent / f64::from(i32::MAX)).log10().ceil() as i32);
+        losses.push(format!("digits of the positions, which are rounded to {step} (--step)"));
+        step
+    });
+    let offset = how.offset.unwrap_or_else(|| {
+        // Of few digits.
+        let unit = step * 1e6;
+        (0.5 * (bounds.min + bounds.max) / unit).round() * unit
+    });
+    Ok(ScaledIntegers { scale: DVec3::splat(step), offset })
+}
+
+/// What makes colours of 16 bits of those of a model.
+fn full_light(content: &Content<'_>, colors: &Colors) -> Result<f64> {
+    const PLACES: u64 = 16;
+    const AT_A_PLACE: u64 = 2048;
+    let info: &ModelInfo = content.info();
+    match colors.kind {
+        Type::U8 => return Ok(257.0),
+        Type::U16 => return Ok(1.0),
+        _ => {}
+    }
+    let mut most = 0.0f64;
+    let (mut chunk, mut lists) = (VertexChunk::default(), vec![Vec::new(); colors.count()]);
+    for i in 0..if info.random_access { PLACES } else { 1 } {
+        let first = info.vertices / PLACES * i;
+        let mut reader = content.model.vertices(first..(first + AT_A_PLACE).min(info.vertices))?;
+        while reader.read(&mut chunk)? {
+            content.model.attributes(&chunk, &mut lists)?;
+            let all = colors.places.iter().flat_map(|place| &lists[*place]);
+            most = all.filter(|c| c.is_finite()).fold(most, |most, c| most.max(*c));
+        }
+    }
+    Ok(65535.0 / ColorScale::of(colors.kind, most).full())
+}

@@ -1,0 +1,348 @@
+//! Models written in other formats than their own: what both hold comes back, and what one does not is named
+//! before anything is written.
+
+use std::io::Cursor;
+
+use glam::DVec3;
+use las::point::Format;
+use las::{Builder, Color, Point, Reader, Transform, Vector, Vlr, Writer};
+use simod_tests::Workplace;
+
+/// A cloud with all that a point format has, with or without a coordinate reference system.
+fn write_cloud(work: &Workplace, name: &str, (minor, format): (u8, u8), with_crs: bool, count: u64) {
+    let mut builder = Builder::from((1, minor));
+    builder.point_format = Format::new(format).expect("a format");
+    builder.point_format.is_compressed = name.ends_with(".laz");
+    let [x, y, z] = [412_000.0, 5_318_000.0, 0.0].map(|offset| Transform { scale: 0.001, offset });
+    builder.transforms = Vector { x, y, z };
+    if with_crs {
+        let data = b"PROJCS[\"ETRS89 / UTM zone 32N\"]\0".to_vec();
+        let (user_id, description) = ("LASF_Projection".to_owned(), String::new());
+        builder.vlrs.push(Vlr { user_id, record_id: 2112, description, data });
+    }
+    let header = builder.into_header().expect("a header");
+    let file = std::fs::File::create(work.path(name)).expect("a file");
+    let mut writer = Writer::new(std::io::BufWriter::new(file), header).expect("a writer");
+    for i in 0..count {
+        let (u, v) = ((i % 300) as f64 / 3.0, (i / 300) as f64 / 3.0);
+        let color = Color::new(i as u16, (i / 3) as u16, 65535 - (i % 1000) as u16);
+        let point = Point {
+            x: 412_345.678 + u,
+            y: 5_318_765.432 + v,
+            z: 500.0 + (u / 9.0).sin() * 5.0,
+            intensity: (i % 4000) as u16,
+            return_number: 1 + (i % 3) as u8,
+            number_of_returns: 3,
+            is_edge_of_flight_line: i % 7 == 0,
+            is_withheld: i % 11 == 0,
+            scan_angle: (i % 60) as f32 - 30.0,
+            user_data: i as u8,
+            gps_time: builder_has_time(format).then_some(3e8 + i as f64 * 1e-5),
+            color: Some(color).filter(|_| matches!(format, 2 | 3 | 7)),
+            point_source_id: (i / 1000) as u16,
+            ..Point::default()
+        };
+        writer.write_point(point).expect("a point");
+    }
+    writer.close().expect("a file");
+}
+
+fn builder_has_time(format: u8) -> bool {
+    !matches!(format, 0 | 2)
+}
+
+fn points(bytes: Vec<u8>) -> (las::Header, Vec<Point>) {
+    let mut reader = Reader::new(Cursor::new(bytes)).expect("a reader");
+    let header = reader.header().clone();
+    let all = reader.read_all().expect("points");
+    let points = all.points().map(|point| point.expect("a point")).collect();
+    (header, points)
+}
+
+const OBJ: &str = "v 0 0 0\nv 1.25 0 0\nv 0 1 0.125\nv 1 1 0\nf 1 2 3\nf 3 2 4\n";
+
+#[test]
+fn a_cloud_comes_back_from_ply_with_its_integers() {
+    for format in [(2, 0), (2, 1), (2, 2), (2, 3), (4, 6), (4, 7)] {
+        for name in ["a.las", "a.laz"] {
+            let work = Workplace::new();
+            write_cloud(&work, name, format, false, 120_000);
+            let report = work.report(&format!("convert {name} a.ply"));
+            assert_eq!(
+                (&report["vertices"], report["lost"].as_array().map(Vec::len)),
+                (&120_000.into(), Some(0))
+            );
+            let grid = "--step 0.001 --origin 412000,5318000,0";
+            work.simod(&format!("convert a.ply back.laz {grid}"));
+            work.simod(&format!("convert a.ply back.las {grid} --threads 1"));
+            let (before, old) = points(work.read(name));
+            for back in ["back.laz", "back.las"] {
+                let (after, new) = points(work.read(back));
+                assert!(old == new, "{name} {format:?} {back}");
+                assert_eq!(before.point_format().to_u8().ok(), after.point_format().to_u8().ok());
+                assert_eq!(before.number_of_points(), after.number_of_points());
+                for number in 1..4 {
+                    let of = |h: &las::Header| h.number_of_points_by_return(number);
+                    assert_eq!(of(&before), of(&after), "{name} {format:?} {back}, return {number}");
+                }
+                let near = |a: f64, b: f64| (a - b).abs() < 1e-6;
+                let [a, b] = [before.bounds(), after.bounds()];
+                assert!(near(a.min.x, b.min.x) && near(a.max.z, b.max.z), "{a:?} {b:?}");
+            }
+            // Another number of threads gives the same bytes.
+            let once = work.read("back.laz");
+            work.simod(&format!("convert a.ply back.laz {grid} --threads 5"));
+            assert!(work.read("back.laz") == once);
+        }
+    }
+}
+
+#[test]
+fn las_and_laz_keep_everything() {
+    for format in [(2, 1), (2, 3), (4, 6), (4, 7)] {
+        let work = Workplace::new();
+        write_cloud(&work, "a.las", format, true, 120_000);
+        let report = work.report("convert a.las a.laz");
+        assert_eq!(report["lost"].as_array().map(Vec::len), Some(0));
+        let (las, laz) = (points(work.read("a.las")), points(work.read("a.laz")));
+        assert!(las.1 == laz.1);
+        assert_eq!(las.0.vlrs().len(), laz.0.vlrs().iter().filter(|v| v.record_id != 22204).count());
+        assert!(work.simod("info a.laz").stdout.contains("ETRS89 / UTM zone 32N"));
+        work.simod("convert a.laz back.las");
+        assert!(work.read("back.las") == work.read("a.las"), "{format:?}");
+        // What goes to another format loses its reference system.
+        work.refuses("convert a.laz a.ply", &["1 variable length records", "ETRS89 / UTM zone 32N"]);
+        // A deformation on the way: the points that it writes in its own format.
+        work.simod("sample a.las -o m.simod --samples 2000");
+        work.move_samples("m.simod", |p| p + DVec3::new(0.0, 0.0, 0.01 * (p.x - 412_345.678)));
+        for out in ["out.las", "out.laz"] {
+            work.simod(&format!("reconstruct m.simod --deformed deformed.ply -o {out}"));
+        }
+        assert!(points(work.read("out.las")).1 == points(work.read("out.laz")).1);
+    }
+}
+
+#[test]
+fn a_mesh_goes_through_formats() {
+    let work = Workplace::new();
+    work.write("m.obj", OBJ);
+    work.simod("convert m.obj m.ply");
+    work.simod("convert m.ply back.obj");
+    assert_eq!(String::from_utf8(work.read("back.obj")).expect("text"), OBJ);
+    work.simod("convert m.ply m.off");
+    let off = "OFF\n4 2 0\n0 0 0\n1.25 0 0\n0 1 0.125\n1 1 0\n3 0 1 2\n3 2 1 3\n";
+    assert_eq!(String::from_utf8(work.read("m.off")).expect("text"), off);
+    work.refuses("convert m.obj m.stl", &["digits of the positions", "which corners are one vertex"]);
+    let outcome = work.simod("convert m.obj m.stl --lossy");
+    assert!(outcome.stderr.contains("what was lost: digits"), "{}", outcome.stderr);
+    assert_eq!(work.read("m.stl").len(), 84 + 2 * 50);
+    // Soup is soup in STL, and goes there and back.
+    work.simod("convert m.stl soup.ply");
+    work.simod("convert soup.ply back.stl");
+    assert!(work.read("back.stl") == work.read("m.stl"));
+    work.simod("convert m.obj m.obj.ply");
+    assert!(work.read("m.obj.ply") == work.read("m.ply"));
+    work.write("c.csv", "x,y,z,nx,ny,nz,red,heat\n0.5,1,2,0,0,1,255,-3.25\n1,1e-7,3,0,1,0,3,7\n");
+    work.simod("convert c.csv c.ply");
+    work.simod("convert c.ply back.csv");
+    let text = String::from_utf8(work.read("back.csv")).expect("text");
+    assert_eq!(text, "x,y,z,nx,ny,nz,red,heat\n0.5,1,2,0,0,1,255,-3.25\n1,1e-7,3,0,1,0,3,7\n");
+    work.simod("convert c.ply c.pcd");
+    work.simod("convert c.pcd pcd.csv");
+    assert!(work.read("pcd.csv") == work.read("back.csv"));
+    // Colours of bytes are one number there.
+    work.simod("generate -o g.ply --vertices 2000");
+    work.simod("convert g.ply g.pcd --lossy");
+    work.simod("convert g.pcd g2.ply");
+    work.simod("convert g2.ply g2.pcd");
+    assert!(work.read("g.pcd") == work.read("g2.pcd"));
+    assert!(String::from_utf8_lossy(&work.read("g.pcd")).contains("normal_z rgb\n"));
+    work.refuses("convert c.csv c.xyz", &["the normals", "the attribute red (double)", "the attribute heat"]);
+}
+
+#[test]
+fn what_would_be_lost_is_named() {
+    let work = Workplace::new();
+    let head = "mtllib a.mtl\n# one\n# two\n";
+    work.write("rich.obj", format!("{head}{OBJ}vt 0 0\ng left\ns 1\nf 1/1 2/1 4/1 3/1\nf 1 2 9\n"));
+    let losses = [
+        "1 materials: \"mtllib\"",
+        "2 comments",
+        "1 texture coordinates",
+        "1 groups",
+        "1 smoothing groups",
+        "1 triangles that refer to no vertex",
+        "which of the 4 triangles are one of 4 faces",
+    ];
+    work.refuses("convert rich.obj rich.ply", &losses);
+    let report = work.report("convert rich.obj rich.ply --lossy");
+    assert_eq!(
+        (&report["triangles"], report["lost"].as_array().map(Vec::len)),
+        (&4.into(), Some(losses.len()))
+    );
+    assert_eq!(work.ply("rich.ply").len(), 4);
+
+    let ply = "ply\nformat ascii 1.0\ncomment by hand\nelement vertex 3\nproperty double x\nproperty double y\n\
+               property double z\nproperty uchar red\nproperty list uchar int seen_by\nelement face 1\n\
+               property list uchar int vertex_indices\nproperty int material\nelement edge 1\nproperty int a\n\
+               end_header\n0 0 0 1 0\n1 0 0 2 1 7\n0 1 0 3 0\n3 0 1 2 5\n4\n";
+    work.write("rich.ply", ply);
+    let of_ply = [
+        "1 comments",
+        "the property list uchar int seen_by of \"vertex\"",
+        "the property int material of \"face\"",
+        "the element \"edge\"",
+    ];
+    work.refuses("convert rich.ply out.obj", &[&of_ply[..], &["the attribute red (uchar)"]].concat());
+    work.refuses(
+        "convert rich.ply out.laz",
+        &[&of_ply[..], &["1 triangles", "rounded to", "--step"]].concat(),
+    );
+    work.refuses("convert rich.ply out.pcd", &[&of_ply[..], &["1 triangles"]].concat());
+    // To another file of the same format as well.
+    work.refuses("convert rich.ply out.ply", &of_ply);
+    work.simod("convert rich.ply out.ply --lossy");
+    work.simod("convert out.ply again.ply");
+    assert!(work.read("out.ply") == work.read("again.ply"));
+}
+
+#[test]
+fn what_cannot_be_written() {
+    let work = Workplace::new();
+    work.write("m.obj", OBJ);
+    work.write("c.xyz", "0 0 0\n1 2 3\n4 5 6\n");
+    let outcome = work.refuses("convert m.obj m.glb", &["m.glb", "cannot be written"]);
+    assert!(outcome.hint().contains("ply, las, laz"), "{}", outcome.hint());
+    work.refuses("convert m.obj m", &["cannot be written"]);
+    work.refuses("convert m.obj m.obj", &["m.obj is read by this command"]);
+    work.refuses("convert m.obj missing/m.ply", &["missing"]);
+    work.refuses("convert c.xyz c.stl --lossy", &["has no faces"]);
+    work.refuses("convert c.xyz c.las --step 0", &["the step between positions is none"]);
+    work.refuses(
+        "convert c.xyz c.las --step 1e-9 --origin 0,0,0",
+        &["vertex 1", "(1, 2, 3)", "the step 0.000000001"],
+    );
+    work.write("letter.ply", "Dear reader,\n");
+    work.refuses("convert m.obj letter.ply", &["letter.ply is there, and is no model"]);
+    let nan = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+               end_header\n0 0 0\nnan 0 1\n";
+    work.write("nan.ply", nan);
+    work.simod("convert nan.ply out.pcd");
+    for out in ["out.las --step 0.1", "out.obj", "out.csv"] {
+        work.refuses(&format!("convert nan.ply {out}"), &["vertex 1", "NaN"]);
+    }
+    // A return that there is no room for.
+    work.write("r.csv", "x,y,z,return_number\n0,0,0,9\n0,0,1,31\n");
+    work.refuses("convert r.csv r.las --step 1", &["return_number (double)", "whole numbers from 0 to 15"]);
+    work.simod("convert r.csv r.las --step 1 --lossy");
+    let returns: Vec<u8> = points(work.read("r.las")).1.iter().map(|p| p.return_number).collect();
+    assert_eq!(returns, [9, 15]);
+    #[cfg(unix)]
+    {
+        work.simod("generate -o large.ply --vertices 60000");
+        work.refuses_beyond(1 << 20, "convert large.ply large.obj", &["large.obj"]);
+    }
+}
+
+fn bend(p: DVec3) -> DVec3 {
+    p + DVec3::new(0.0, 0.1 * p.x * p.x, 0.3)
+}
+
+/// A deformation comes out the same whatever format it is written in.
+#[test]
+fn deformed_models_are_written_in_other_formats() {
+    let work = Workplace::new();
+    work.simod("generate -o m.ply --vertices 150000");
+    work.simod("sample m.ply -o m.simod --samples 3000");
+    work.move_samples("m.simod", bend);
+    let line = "reconstruct m.simod --deformed deformed.ply -o";
+    work.simod(&format!("{line} own.ply"));
+    work.refuses(&format!("{line} out.obj"), &["out.obj would lose", "the attribute red (uchar)"]);
+    work.simod(&format!("{line} out.obj --lossy"));
+    work.simod("convert out.obj back.ply");
+    let (own, back) = (work.ply("own.ply").positions(), work.ply("back.ply").positions());
+    assert!(own.len() == back.len() && own.iter().zip(&back).all(|(p, q)| p.distance(*q) < 1e-6));
+    let once = work.read("out.obj");
+    for threads in [1, 7] {
+        work.simod(&format!("{line} out.obj --lossy --threads {threads}"));
+        assert!(work.read("out.obj") == once, "{threads} threads");
+    }
+    work.simod("bind m.simod");
+    work.simod(&format!("{line} out.obj --lossy"));
+    assert!(work.read("out.obj") == once, "bound");
+    // Several at a time, with what becomes of each vertex.
+    work.simod("reconstruct m.simod --deformed deformed.ply m.simod/samples.ply -o {}.off --normals drop --lossy --diagnostics d-{}.ply");
+    assert!(work.read("samples.off").starts_with(b"OFF\n") && work.ply("d-deformed.ply").len() == own.len());
+    work.refuses(
+        &format!("{line} out.stl"),
+        &["the normals of the vertices", "which corners are one vertex"],
+    );
+    work.simod(&format!("{line} out.stl --lossy"));
+    work.refuses(
+        "reconstruct m.simod --deformed deformed.ply m.simod/samples.ply -o {}.stl --lossy",
+        &["one at a time"],
+    );
+    work.refuses(&format!("{line} out.laz"), &["triangles", "the normals", "rounded to"]);
+    work.simod(&format!("{line} out.laz --lossy"));
+    let cloud = points(work.read("out.laz")).1;
+    assert!(own.iter().zip(&cloud).all(|(p, q)| p.distance(DVec3::new(q.x, q.y, q.z)) < 1e-6));
+
+    work.write_session("m.ply", 3000, "");
+    work.refuses("run edit.toml -o run.laz", &["run.laz", "triangles"]);
+    work.simod("run edit.toml -o run.obj --measure --lossy");
+    work.simod("convert m.ply same.obj --lossy");
+    assert!(work.read("run.obj") == work.read("same.obj"));
+}
+
+/// What was interrupted is gone on with, as in the model's own format.
+#[test]
+fn conversions_on_the_way_are_resumed() {
+    let work = Workplace::new();
+    write_cloud(&work, "a.laz", (4, 7), false, 400_000);
+    work.simod("sample a.laz -o m.simod --samples 3000");
+    work.move_samples("m.simod", |p| p + DVec3::new(0.0, 0.0, 0.01 * (p.x - 412_345.678)));
+    for out in ["out.ply", "out.las"] {
+        let line = format!("reconstruct m.simod --deformed deformed.ply -o {out} --resume --part-size 64K");
+        work.simod(&line);
+        let whole = work.read(out);
+        std::fs::remove_file(work.path(out)).expect("a file");
+        let outcome = work.run_beyond(11 << 20, &line);
+        assert_eq!(outcome.code, Some(1), "{}", outcome.stderr);
+        let report = work.report(&line);
+        assert!(report["resumed_bytes"].as_u64().is_some_and(|bytes| bytes > 1 << 20), "{out}: {report}");
+        assert!(work.read(out) == whole, "{out}");
+    }
+}
+
+/// What is wrong is the first thing that is, whatever the threads were at.
+#[test]
+fn errors_do_not_depend_on_the_threads() {
+    let work = Workplace::new();
+    let row = |i: usize| format!("v {} {} 0\n", i % 500, i / 500);
+    let mut text: String = (0..400_000).map(row).collect();
+    (1..300_000).step_by(7).for_each(|i| text += &format!("f {i} {} {}\n", i + 1, i + 501));
+    let [first, second] = [30, 330_000].map(|i| row(i));
+    let broken = text.replacen(&second, "v 1 abc 3\n", 1);
+    assert!(broken != text);
+    work.write("m.obj", &broken);
+    for out in ["o.ply", "o.stl", "o.laz --step 1", "o.csv"] {
+        for threads in [1, 2, 8] {
+            let line = format!("convert m.obj {out} --lossy --threads {threads}");
+            work.refuses(&line, &["line 330001", "vertex 330000", "abc"]);
+        }
+    }
+    work.write("m.obj", broken.replacen(&first, "v 1 xyz 3\n", 1));
+    work.refuses("convert m.obj o.stl --lossy --threads 8", &["vertex 30", "xyz"]);
+}
+
+#[test]
+fn damaged_models_give_no_other_ones() {
+    let work = Workplace::new();
+    work.write("m.obj", OBJ);
+    work.simod("convert m.obj m.ply");
+    let whole = work.read("m.ply");
+    for cut in [whole.len() - 1, whole.len() - 20, whole.len() / 2, 3, 1] {
+        work.write("cut.ply", &whole[..cut]);
+        work.refuses("convert cut.ply out.obj", &["cut.ply"]);
+    }
+}

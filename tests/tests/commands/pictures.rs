@@ -1,0 +1,82 @@
+//! `simod render`: what pictures are coloured by.
+
+use simod_tests::Workplace;
+use std::fmt::Write as _;
+use std::fs::File;
+use std::io::BufReader;
+
+/// A flat sheet: its left half is red, its right half is blue; intensity rises upwards, and classes are 2 and 6.
+fn sheet(work: &Workplace) {
+    const SIDE: u32 = 120;
+    let mut text = format!("ply\nformat ascii 1.0\nelement vertex {}\n", SIDE * SIDE);
+    for (kind, names) in [
+        ("float", "x y z nx ny nz"),
+        ("uchar", "red green blue"),
+        ("ushort", "intensity"),
+        ("uchar", "classification"),
+    ] {
+        for name in names.split(' ') {
+            writeln!(text, "property {kind} {name}").expect("a line");
+        }
+    }
+    text.push_str("end_header\n");
+    for i in 0..SIDE * SIDE {
+        let (x, y) = (i % SIDE, i / SIDE);
+        let left = x < SIDE / 2;
+        let color = if left { "230 20 20" } else { "20 20 230" };
+        let class = if left { 2 } else { 6 };
+        writeln!(text, "{x} {y} 0 0 0 1 {color} {} {class}", 100 * y).expect("a line");
+    }
+    std::fs::write(work.path("sheet.ply"), text).expect("a model");
+}
+
+/// The mean colour of the picture's left or right part, and its upper or lower one, around the middle of each.
+fn mean(work: &Workplace, name: &str, [x, y]: [f64; 2]) -> [f64; 3] {
+    let decoder = png::Decoder::new(BufReader::new(File::open(work.path(name)).expect("a picture")));
+    let mut reader = decoder.read_info().expect("a PNG file");
+    let mut pixels = vec![0; reader.output_buffer_size().expect("a size")];
+    let info = reader.next_frame(&mut pixels).expect("pixels");
+    // A legend is below the picture.
+    let side = info.width as usize;
+    let at = |share: f64| (share * side as f64) as usize;
+    let mut sum = [0.0; 3];
+    for (row, column) in (0..9).map(|i| (at(y) + i / 3, at(x) + i % 3)) {
+        let place = 3 * (row * side + column);
+        sum.iter_mut().zip(&pixels[place..place + 3]).for_each(|(sum, c)| *sum += f64::from(*c) / 9.0);
+    }
+    sum
+}
+
+const LEFT: [f64; 2] = [0.35, 0.5];
+const RIGHT: [f64; 2] = [0.65, 0.5];
+
+#[test]
+fn own_colours_attributes_and_clay() {
+    let work = Workplace::new();
+    sheet(&work);
+    work.simod("sample sheet.ply -o sheet.simod --samples 1500");
+    let how = "--size 200x200 --yaw 0 --pitch 0";
+    for of in ["sheet.ply", "sheet.simod"] {
+        for option in ["", "--color own"] {
+            work.simod(&format!("render {of} -o own.png {how} {option}"));
+            let [red, _, little] = mean(&work, "own.png", LEFT);
+            assert!(red > 3.0 * little, "{of} {option}: the left half is red, not {red} and {little}");
+            let [little, _, blue] = mean(&work, "own.png", RIGHT);
+            assert!(blue > 3.0 * little, "{of} {option}: the right half is blue, not {blue} and {little}");
+        }
+        work.simod(&format!("render {of} -o clay.png {how} --color clay"));
+        let [a, b] = [LEFT, RIGHT].map(|at| mean(&work, "clay.png", at));
+        assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 12.0), "{of}: clay is alike, {a:?} and {b:?}");
+
+        work.simod(&format!("render {of} -o intensity.png {how} --color intensity"));
+        let light = |at| mean(&work, "intensity.png", at).iter().sum::<f64>();
+        let (low, high) = (light([0.5, 0.7]), light([0.5, 0.3]));
+        assert!(low > 1.5 * high, "{of}: the scale gets darker upwards, {low} to {high}");
+
+        work.simod(&format!("render {of} -o classes.png {how} --color classification"));
+        // Ground is brown, buildings are red.
+        let [[r, g, _], [s, h, _]] = [LEFT, RIGHT].map(|at| mean(&work, "classes.png", at));
+        assert!(g / r > 0.6 && h / s < 0.6, "{of}: {r} {g}, {s} {h}");
+        work.refuses(&format!("render {of} -o no.png --color temperature"), &["temperature"]);
+    }
+}
