@@ -191,11 +191,11 @@ impl Rewritable for Work<'_> {
         })
     }
 
-    fn make(&self, before: &Summary) -> Result<Vec<u8>> {
+    fn make(&self, before: &Summary, _is_still: bool) -> Result<Vec<u8>> {
         self.form.tail(before)
     }
 
-    fn patches(&self, all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
+    fn patches(&self, all: &Summary, _is_still: bool) -> Result<Vec<(u64, Vec<u8>)>> {
         self.form.patches(all)
     }
 
@@ -353,6 +353,10 @@ impl Edit for InTurn<'_, '_> {
 
     fn end(&self, first: u64) -> Result<()> {
         self.0.edit.end(first)
+    }
+
+    fn is_still(&self, version: usize) -> bool {
+        self.0.edit.is_still(version)
     }
 }
 
