@@ -169,6 +169,7 @@ impl VertexChunk {
         let shift = self.raw.len() as u32;
         self.positions.append(&mut behind.positions);
         self.normals.append(&mut behind.normals);
+        self.tangents.append(&mut behind.tangents);
         self.spans.extend(behind.spans.drain(..).map(|span| span.map(|at| at + shift)));
         self.records.append(&mut behind.records);
         self.raw.append(&mut behind.raw);

@@ -48,9 +48,10 @@ impl Convert {
     pub fn execute(self, report: &mut Report) -> Result<()> {
         let mut guard = self.overwrite.guard();
         guard.reads(&self.model);
-        guard.writes(&self.output, Kind::Model)?;
         let progress = report.progress();
         let model = simod_model::open_with_columns(&self.model, self.columns.as_deref())?;
+        guard.reads_all(model.other_files());
+        guard.writes(&self.output, Kind::Model)?;
         let how =
             Conversion { lossy: self.lossy, step: self.step, offset: self.origin, drops_normals: false };
         let converted = Converted::new(model, &self.output, how, progress)?;

@@ -217,6 +217,10 @@ impl Model for Converted {
         self.model.path()
     }
 
+    fn other_files(&self) -> Vec<&Path> {
+        self.model.other_files()
+    }
+
     fn extensions(&self) -> &'static [&'static str] {
         let at = WRITTEN.iter().position(|written| *written == self.extension).unwrap_or(0);
         const ALL: &[&str] = &WRITTEN;

@@ -354,6 +354,10 @@ impl Edit for InTurn<'_, '_> {
     fn end(&self, first: u64) -> Result<()> {
         self.0.edit.end(first)
     }
+
+    fn is_still(&self, version: usize) -> bool {
+        self.0.edit.is_still(version)
+    }
 }
 
 /// Progress that advances elsewhere.

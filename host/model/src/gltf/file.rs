@@ -1,5 +1,11 @@
 //! What is known of a file once it is open.
 
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+use serde_json::value::RawValue;
+
 use super::container::Container;
 use super::faces::FACE;
 use super::json::Document;
@@ -21,7 +27,60 @@ pub(super) struct GltfModel {
     pub(super) info: ModelInfo,
 }
 
+/// A mesh, as far as its primitives have names for what they are made of.
+#[derive(Deserialize)]
+struct OnlyPrimitives {
+    #[serde(default)]
+    primitives: Vec<Named>,
+}
+
+#[derive(Deserialize)]
+struct Named {
+    #[serde(default)]
+    attributes: BTreeMap<String, IgnoredAny>,
+    targets: Option<IgnoredAny>,
+}
+
+/// Lists of a document that hold what other formats do not.
+const LISTS: [&str; 7] =
+    ["materials", "textures", "images", "animations", "skins", "cameras", "extensionsUsed"];
+
+/// Attributes of primitives that are read.
+const READ: [&str; 3] = ["POSITION", "NORMAL", "COLOR_0"];
+
 impl GltfModel {
+    /// What of the document is not given as vertices and faces.
+    pub(super) fn not_read(&self) -> Result<Vec<String>> {
+        let mut json = Vec::new();
+        self.container.read(&mut json, self.container.json.clone())?;
+        let document: BTreeMap<String, &RawValue> = self.container.parse(&json)?;
+        let list = |name: &str| -> Vec<&RawValue> {
+            document.get(name).and_then(|list| serde_json::from_str(list.get()).ok()).unwrap_or_default()
+        };
+        let mut found = Vec::new();
+        for name in LISTS {
+            match list(name).len() {
+                0 => {}
+                count => found.push(format!("{count} {name}")),
+            }
+        }
+        if list("nodes").len() > 1 {
+            found.push(format!("that there are {} nodes", list("nodes").len()));
+        }
+        let mut others = BTreeSet::new();
+        for mesh in list("meshes") {
+            let mesh: OnlyPrimitives = self.container.parse(mesh.get().as_bytes())?;
+            for primitive in mesh.primitives {
+                others.extend(primitive.attributes.into_keys().filter(|name| !READ.contains(&name.as_str())));
+                if primitive.targets.is_some() {
+                    others.insert("morph targets".to_owned());
+                }
+            }
+        }
+        found.extend(others.into_iter().map(|name| format!("the attribute {name}")));
+        Ok(found)
+    }
+
     pub(super) fn new(source: Source) -> Result<Self> {
         let (container, json) = Container::open(source)?;
         let document: Document<'_> = container.parse(&json)?;

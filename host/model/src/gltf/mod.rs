@@ -71,6 +71,10 @@ impl Model for GltfModel {
         self.container.others().collect()
     }
 
+    fn besides(&self) -> Result<Vec<String>> {
+        self.not_read()
+    }
+
     fn extensions(&self) -> &'static [&'static str] {
         // What is written is GLB.
         &["glb"]
