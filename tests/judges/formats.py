@@ -16,6 +16,7 @@ import meshio
 import numpy as np
 import open3d
 import pandas
+import pygltflib
 import trimesh
 from stl import Mode, mesh
 
@@ -66,11 +67,13 @@ def simod(*arguments):
     subprocess.run([SIMOD, *map(str, arguments)], check=True, capture_output=True)
 
 
-def judge(name, write, read, digits, same=True):
+def judge(name, write, read, digits, same=True, becomes=None):
     """`write` makes a file; `read` gives a dictionary of positions, normals and all that has to stay."""
     with tempfile.TemporaryDirectory() as folder:
         folder = pathlib.Path(folder)
         path, out, again = folder / name, folder / f"out-{name}", folder / f"same-{name}"
+        if becomes:
+            out, again = out.with_suffix(becomes), again.with_suffix(becomes)
         write(path)
         simod("sample", path, "-o", folder / "s", "--samples", "1000")
         simod("reconstruct", folder / "s", "--deformed", folder / "s/samples.ply", "-o", again)
@@ -84,10 +87,11 @@ def judge(name, write, read, digits, same=True):
         assert before.keys() == after.keys(), name
         for key in before:
             old, new = np.asarray(before[key], float), np.asarray(after[key], float)
-            expected = turn(old, middle) if key == "positions" else old @ TURN.T if key == "normals" else old
+            is_direction = key in ("normals", "tangents")
+            expected = turn(old, middle) if key == "positions" else old @ TURN.T if is_direction else old
             assert old.shape == new.shape and old.size > 0, f"{name}: {key} {old.shape} {new.shape}"
             off = np.abs(new - expected).max()
-            bound = {"positions": digits, "normals": max(digits, 1e-4)}.get(key, 0)
+            bound = digits if key == "positions" else max(digits, 1e-4) if is_direction else 0
             assert off <= bound, f"{name}: {key} off by {off}"
         print(f"{name}: {', '.join(f'{k} {len(v)}' for k, v in before.items())}")
 
@@ -172,6 +176,142 @@ def of_mesh(path):
     return found
 
 
+class Gltf:
+    """A file in the making, by pygltflib."""
+
+    def __init__(self):
+        self.gltf, self.data = pygltflib.GLTF2(scene=0, scenes=[pygltflib.Scene(nodes=[])]), b""
+
+    def view(self, data, stride=None):
+        view = pygltflib.BufferView(buffer=0, byteOffset=len(self.data), byteLength=len(data), byteStride=stride)
+        self.gltf.bufferViews.append(view)
+        self.data += data + bytes(-len(data) % 4)
+        return len(self.gltf.bufferViews) - 1
+
+    def accessor(self, view, offset, kind, count, shape, values=None, **rest):
+        limits = {} if values is None else {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
+        self.gltf.accessors.append(
+            pygltflib.Accessor(bufferView=view, byteOffset=offset, componentType=kind, count=count, type=shape, **limits, **rest)
+        )
+        return len(self.gltf.accessors) - 1
+
+    def node(self, attributes, indices=None, mode=4, **node):
+        primitive = pygltflib.Primitive(attributes=pygltflib.Attributes(**attributes), indices=indices, mode=mode)
+        self.gltf.meshes.append(pygltflib.Mesh(primitives=[primitive]))
+        self.gltf.nodes.append(pygltflib.Node(mesh=len(self.gltf.meshes) - 1, **node))
+        self.gltf.scenes[0].nodes.append(len(self.gltf.nodes) - 1)
+
+    def save(self, path):
+        self.gltf.buffers = [pygltflib.Buffer(byteLength=len(self.data))]
+        self.gltf.set_binary_blob(self.data)
+        if path.suffix == ".gltf":
+            # Where the buffer is written.
+            self.gltf._path = path.parent
+            self.gltf.convert_buffers(pygltflib.BufferFormat.BINFILE)
+        self.gltf.save(path)
+
+
+def tangents():
+    t = np.stack([np.ones(len(N)), np.zeros(len(N)), N[:, 0] / -N[:, 2]], 1)
+    t /= np.linalg.norm(t, axis=1)[:, None]
+    return np.concatenate([t, np.where(np.arange(len(N)) % 2, 1, -1)[:, None]], 1)
+
+
+def write_gltf(path):
+    """Attributes between each other, and apart below a node that turns, scales and mirrors; points; what nobody knows."""
+    g, f4, count = Gltf(), "<f4", len(P)
+    p, n, t = P.astype(f4), N.astype(f4), tangents().astype(f4)
+    rows = np.concatenate([n, p, P[:, :2].astype(f4), t], 1)
+    view = g.view(rows.tobytes(), 48)
+    normal = g.accessor(view, 0, pygltflib.FLOAT, count, "VEC3")
+    position = g.accessor(view, 12, pygltflib.FLOAT, count, "VEC3", p)
+    texture = g.accessor(view, 24, pygltflib.FLOAT, count, "VEC2")
+    tangent = g.accessor(view, 32, pygltflib.FLOAT, count, "VEC4")
+    colours = (np.concatenate([C, C[:, :1]], 1) * 255).astype("u1")
+    colour = g.accessor(g.view(colours.tobytes(), 4), 0, pygltflib.UNSIGNED_BYTE, count, "VEC4", normalized=True)
+    indices = g.accessor(g.view(F.astype("<u2").tobytes()), 0, pygltflib.UNSIGNED_SHORT, F.size, "SCALAR")
+    g.node(dict(POSITION=position, NORMAL=normal, TANGENT=tangent, TEXCOORD_0=texture, COLOR_0=colour), indices)
+    apart = dict(
+        NORMAL=g.accessor(g.view(n.tobytes()), 0, pygltflib.FLOAT, count, "VEC3"),
+        TANGENT=g.accessor(g.view(t.tobytes()), 0, pygltflib.FLOAT, count, "VEC4"),
+        POSITION=g.accessor(g.view(p.tobytes()), 0, pygltflib.FLOAT, count, "VEC3", p),
+    )
+    indices = g.accessor(g.view(F.astype("<u4").tobytes()), 0, pygltflib.UNSIGNED_INT, F.size, "SCALAR")
+    half = float(np.sqrt(0.5))
+    g.node(apart, indices, rotation=[half, 0, 0, half], scale=[-0.5, 0.5, 0.5], translation=[2, 0, 0], extras={"a": 1})
+    few = (P[:100] + [0, 0, 1]).astype(f4)
+    g.node(dict(POSITION=g.accessor(g.view(few.tobytes()), 0, pygltflib.FLOAT, 100, "VEC3", few)), mode=0)
+    g.save(path)
+
+
+def accessor(gltf, blob, index):
+    a = gltf.accessors[index]
+    view = gltf.bufferViews[a.bufferView]
+    kind = {5121: "u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}[a.componentType]
+    numbers = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[a.type]
+    stride = view.byteStride or numbers * np.dtype(kind).itemsize
+    start = (view.byteOffset or 0) + (a.byteOffset or 0)
+    return np.ndarray((a.count, numbers), kind, blob, start, (stride, np.dtype(kind).itemsize))
+
+
+def opened(path):
+    """A file, and its binary data, once it is checked that limits are those of the numbers."""
+    gltf = pygltflib.GLTF2().load(path)
+    if path.suffix == ".gltf":
+        gltf.convert_buffers(pygltflib.BufferFormat.BINARYBLOB)
+    blob = gltf.binary_blob()
+    for index, a in enumerate(gltf.accessors):
+        values = accessor(gltf, blob, index)
+        for told, found in [(a.min, values.min(0)), (a.max, values.max(0))]:
+            assert not told or np.array_equal(np.float32(told), np.float32(found)), f"{path.name}: accessor {index}"
+    return gltf, blob
+
+
+def of_gltf(path):
+    """All vertices where nodes take them, and all other numbers as they are."""
+    gltf, blob = opened(path)
+    found = {"positions": [], "normals": [], "tangents": []}
+    for node in gltf.nodes:
+        world = np.eye(4)
+        if node.rotation:
+            world = trimesh.transformations.quaternion_matrix(np.roll(node.rotation, 1))
+        world[:3, :3] *= node.scale or 1
+        world[:3, 3] = node.translation or 0
+        linear = world[:3, :3]
+        for name, kind, by in [
+            ("positions", "POSITION", linear), ("normals", "NORMAL", np.linalg.inv(linear).T), ("tangents", "TANGENT", linear)
+        ]:
+            index = getattr(gltf.meshes[node.mesh].primitives[0].attributes, kind)
+            if index is None:
+                continue
+            values = accessor(gltf, blob, index).astype(float)
+            turned = values[:, :3] @ by.T
+            if kind == "POSITION":
+                turned += world[:3, 3]
+            else:
+                turned /= np.linalg.norm(turned, axis=1)[:, None]
+            if kind == "TANGENT":
+                found[f"w {index}"] = values[:, 3]
+            found[name].append(turned)
+    found = {key: np.concatenate(value) if isinstance(value, list) else value for key, value in found.items()}
+    attributes = [mesh.primitives[0].attributes for mesh in gltf.meshes]
+    changing = {getattr(a, kind) for a in attributes for kind in ("POSITION", "NORMAL", "TANGENT")}
+    for index in range(len(gltf.accessors)):
+        if index not in changing:
+            found[f"accessor {index}"] = accessor(gltf, blob, index)
+    # Another reader finds the same vertices.
+    scene = trimesh.load(path, process=False, maintain_order=True)
+    bounds = [found["positions"].min(0), found["positions"].max(0)]
+    assert np.abs(np.asarray(scene.bounds) - bounds).max() < 1e-6
+    return found
+
+
+def of_trimesh_glb(path):
+    opened(path)
+    (mesh,) = trimesh.load(path, process=False).geometry.values()
+    return {"positions": mesh.vertices, "normals": mesh.vertex_normals, "faces": mesh.faces}
+
+
 def main():
     judge("binary.stl", write_stl(Mode.BINARY), of_stl, 1e-6)
     judge("ascii.stl", write_stl(Mode.ASCII), of_stl, 2e-6)
@@ -184,6 +324,10 @@ def main():
     judge("open3d.off", lambda p: open3d.io.write_triangle_mesh(str(p), mesh_of_open3d()), of_mesh, 2e-5)
     judge("ascii.pcd", write_cloud(cloud(), write_ascii=True), of_cloud, 2e-6)
     judge("binary.pcd", write_cloud(cloud()), of_cloud, 2e-6)
+    judge("trimesh.glb", lambda p: of_library.export(p, include_normals=True), of_trimesh_glb, 1e-6)
+    judge("pygltflib.glb", write_gltf, of_gltf, 2e-6)
+    # What is written is GLB.
+    judge("pygltflib.gltf", write_gltf, of_gltf, 2e-6, same=False, becomes=".glb")
     # What is written is not compressed.
     judge("compressed.pcd", write_cloud(cloud(), compressed=True), of_cloud, 2e-6, same=False)
     judge("cloud.xyz", write_cloud(cloud(False, False)), of_cloud, 1e-6)

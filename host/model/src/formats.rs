@@ -3,21 +3,22 @@
 use std::path::Path;
 
 use crate::source::Source;
-use crate::{Error, ErrorKind, Model, Result, columns, e57, las, obj, off, pcd, ply, stl};
+use crate::{Error, ErrorKind, Model, Result, columns, e57, gltf, las, obj, off, pcd, ply, stl};
 
 /// Extensions of all formats, by which names say what a file is.
-const EXTENSIONS: [&str; 8] = ["ply", "obj", "stl", "off", "pcd", "las", "laz", "e57"];
+const EXTENSIONS: [&str; 10] = ["ply", "obj", "stl", "off", "pcd", "las", "laz", "e57", "glb", "gltf"];
 
 /// Whether a file that begins so is of a format, and what opens it.
 type Known = (fn(&[u8]) -> bool, fn(Source) -> Result<Box<dyn Model>>);
 
 /// The formats that a file's first bytes tell.
-const BY_BEGINNING: [Known; 5] = [
+const BY_BEGINNING: [Known; 6] = [
     (ply::is_ply, |source| Ok(Box::new(ply::PlyModel::new(source)?))),
     (las::is_las, |source| Ok(Box::new(las::LasModel::new(source)?))),
     (e57::is_e57, e57::open),
     (pcd::is_pcd, pcd::open),
     (off::is_off, off::open),
+    (gltf::is_glb, gltf::open),
 ];
 
 /// Whether a path's extension says that a file is of a format, and of another one than a model.
@@ -39,6 +40,7 @@ pub fn is_model(path: &Path) -> Result<bool> {
     Ok(BY_BEGINNING.iter().any(|(is, _)| is(&start))
         || stl::is_stl(&source)?
         || obj::is_obj(&source)?
+        || gltf::is_gltf(&source)?
         || columns::is_columns(&source, &extension(path)))
 }
 
@@ -80,6 +82,7 @@ pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn M
         (Some((_, open)), None) => open(source),
         (None, Some(_)) => columns::open(source, &extension, columns),
         (None, None) if extension == "off" => off::open(source),
+        (None, None) if extension == "gltf" || gltf::is_gltf(&source)? => gltf::open(source),
         (None, None) if extension == "stl" || stl::is_stl(&source)? => stl::open(source),
         (None, None) if extension == "obj" || obj::is_obj(&source)? => obj::open(source),
         (None, None) if columns::EXTENSIONS.contains(&extension.as_str()) => {
@@ -92,6 +95,6 @@ pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn M
 fn unknown(source: &Source, start: &[u8]) -> Error {
     let start = &start[..start.len().min(16)];
     let what = format!("no model of a known format: it begins with \"{}\"", start.escape_ascii());
-    let hint = "PLY, OBJ, STL, OFF, PCD, LAS, LAZ, E57 and text in columns can be read: export the model as one of them";
+    let hint = "PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57 and text in columns can be read: export the model as one of them";
     source.malformed(what, hint)
 }

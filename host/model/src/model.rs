@@ -12,7 +12,7 @@ use std::path::Path;
 use std::sync::mpsc::sync_channel;
 use std::thread;
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
 use crate::{Error, ErrorKind, Progress, Result, ScaledIntegers, Summary, Type};
@@ -141,6 +141,9 @@ pub struct VertexChunk {
     pub positions: Vec<DVec3>,
     /// Normals as stored, so not always of unit length or finite; empty where the model has none.
     pub normals: Vec<Vec3>,
+    /// Tangents as glTF has them, a direction along the surface and the side on which the bitangent is, which is
+    /// normal × direction times the last number (1 or -1): only where a model is rewritten that has any.
+    pub tangents: Vec<Vec4>,
     /// The bytes of the file that these vertices were read from; in a compressed file those of whole blocks,
     /// each with the first chunk that was read of it.
     pub(crate) raw: Vec<u8>,
@@ -222,13 +225,17 @@ pub(crate) struct Block {
 
 /// What the vertices of a chunk become in one version of the model.
 ///
-/// Memory: 36 bytes per vertex, so at most 2.3 MiB; [`Model::rewrite`] holds one for each version and thread.
+/// Memory: 36 bytes per vertex, so at most 2.3 MiB, and 16 more with tangents; [`Model::rewrite`] holds one for
+/// each version and thread.
 #[derive(Debug, Default)]
 pub struct Edited {
     /// Positions, as many as the chunk has.
     pub positions: Vec<DVec3>,
     /// Normals, as many as the chunk has; empty where the model has none, or they are not to be transformed.
     pub normals: Vec<Vec3>,
+    /// Tangents, likewise: the direction turns as a line on the surface does, and the last number changes its
+    /// sign where the deformation as a whole turns left into right.
+    pub tangents: Vec<Vec4>,
 }
 
 /// What becomes of a model's normals when it is rewritten. Of no effect where it has none.
@@ -236,7 +243,7 @@ pub struct Edited {
 pub enum Normals {
     /// They keep their bytes.
     Keep,
-    /// They change with the positions.
+    /// They change with the positions, and so do tangents.
     #[default]
     Transform,
     /// They are left out of the new file, header and vertices.
@@ -277,6 +284,11 @@ pub trait Edit: Sync {
     /// What goes with the chunk cannot be written.
     fn end(&self, _first: u64) -> Result<()> {
         Ok(())
+    }
+
+    /// Whether it is known that nothing at all changes in a version.
+    fn is_still(&self, _version: usize) -> bool {
+        false
     }
 }
 
@@ -510,6 +522,11 @@ pub trait Model: Send + Sync {
 
     /// The file.
     fn path(&self) -> &Path;
+
+    /// Files beside it that are part of the model.
+    fn other_files(&self) -> Vec<&Path> {
+        Vec::new()
+    }
 
     /// Extensions that names of such files have, in lower case, the usual one first; none if any will do.
     fn extensions(&self) -> &'static [&'static str] {

@@ -31,12 +31,13 @@ pub(crate) trait Rewritable: Sync {
     fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()>;
 
     /// The bytes of a [piece](Piece::Made) that follows from what became of all pieces before it.
-    fn make(&self, _before: &Summary) -> Result<Vec<u8>> {
+    /// `is_still` says that nothing changes in this version.
+    fn make(&self, _before: &Summary, _is_still: bool) -> Result<Vec<u8>> {
         Ok(Vec::new())
     }
 
     /// What has to be replaced in the new file once all pieces are there: places, and their bytes.
-    fn patches(&self, _all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
+    fn patches(&self, _all: &Summary, _is_still: bool) -> Result<Vec<(u64, Vec<u8>)>> {
         Ok(Vec::new())
     }
 
@@ -136,8 +137,8 @@ pub(crate) fn rewrite(
         return Err(error);
     }
     let Some(Writing { outputs, summaries }) = writing else { return Ok(()) };
-    for (output, summary) in outputs.iter_mut().zip(&summaries) {
-        let patches = file.patches(summary)?;
+    for (version, (output, summary)) in outputs.iter_mut().zip(&summaries).enumerate() {
+        let patches = file.patches(summary, edit.is_still(version))?;
         let patched = patches.iter().try_for_each(|(at, bytes)| output.patch(*at, bytes));
         patched.and_then(|()| output.finish()).map_err(|e| failed_write(file, e))?;
     }
@@ -364,7 +365,8 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
         }
         let Writing { outputs, summaries } = writing;
         for (version, (output, before)) in outputs.iter_mut().zip(summaries).enumerate() {
-            let made = if ready.is_made { Some(self.file.make(before)?) } else { None };
+            let made = || self.file.make(before, self.edit.is_still(version));
+            let made = if ready.is_made { Some(made()?) } else { None };
             // Of bytes that are copied, there is one version.
             let copied = ready.versions.get(version).or(ready.versions.first());
             let Some(bytes) = made.as_ref().or(copied) else { break };
@@ -427,15 +429,18 @@ impl Edited {
         self.positions.clear();
         self.positions.extend_from_slice(&chunk.positions);
         self.normals.clear();
+        self.tangents.clear();
         if normals == Normals::Transform {
             self.normals.extend_from_slice(&chunk.normals);
+            self.tangents.extend_from_slice(&chunk.tangents);
         }
     }
 
     /// An error where it does not have as many vertices as the chunk.
     fn check(&self, chunk: &VertexChunk, normals: Normals) -> Result<()> {
-        let expected_normals = if normals == Normals::Transform { chunk.normals.len() } else { 0 };
-        if (self.positions.len(), self.normals.len()) == (chunk.len(), expected_normals) {
+        let expected = |count: usize| if normals == Normals::Transform { count } else { 0 };
+        let directions = (expected(chunk.normals.len()), expected(chunk.tangents.len()));
+        if self.positions.len() == chunk.len() && (self.normals.len(), self.tangents.len()) == directions {
             return Ok(());
         }
         let (vertices, first, edited) = (chunk.len(), chunk.first, self.positions.len());

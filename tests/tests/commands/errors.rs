@@ -375,12 +375,12 @@ fn a_target_that_is_full() {
     for limit in [0, 4096] {
         work.refuses_beyond(
             limit,
-            "sample model.ply -o new.simod --samples 1000 --skip triangles,sheets --place vertices",
+            "sample model.ply -o new.simod --samples 1000 --skip triangles,sheets,colors --place vertices",
             &["new.simod"],
         );
         work.refuses_beyond(
             limit,
-            "sample model.ply -o model.simod --samples 1000 --skip triangles,sheets --place vertices",
+            "sample model.ply -o model.simod --samples 1000 --skip triangles,sheets,colors --place vertices",
             &["model.simod"],
         );
         work.refuses_beyond(limit, "deform model.simod --session edit.toml -o new.ply", &["new.ply"]);

@@ -10,6 +10,7 @@ mod errors;
 mod examples;
 mod files;
 mod formats;
+mod gltf;
 mod las;
 mod main_job;
 mod pictures;

@@ -128,7 +128,8 @@ impl Edit for Exact<'_> {
 impl Exact<'_> {
     /// Moves the vertices of each version; what the map does to them.
     fn moved(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<Vec<Carried>> {
-        let moved = self.carry(&chunk.positions, self.gradients)?;
+        let turns = |edited: &Edited| !edited.normals.is_empty() || !edited.tangents.is_empty();
+        let moved = self.carry(&chunk.positions, self.gradients || versions.iter().any(turns))?;
         for edited in versions {
             for (position, moved) in edited.positions.iter_mut().zip(&moved) {
                 *position += moved.way;
@@ -136,6 +137,10 @@ impl Exact<'_> {
             for (normal, moved) in edited.normals.iter_mut().zip(&moved) {
                 let transport = moved.transport(self.sampled.frame.scale);
                 *normal = transport.normal(*normal, self.field.gradients.mirrored);
+            }
+            for (tangent, moved) in edited.tangents.iter_mut().zip(&moved) {
+                let transport = moved.transport(self.sampled.frame.scale);
+                *tangent = transport.tangent(*tangent, self.field.gradients.mirrored);
             }
         }
         Ok(moved)

@@ -42,7 +42,7 @@ use std::ops::Range;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use glam::{Mat3, Vec3};
+use glam::{Mat3, Vec3, Vec4};
 use rayon::prelude::*;
 
 use crate::sampling::SampleSet;
@@ -100,6 +100,18 @@ impl Transport {
         let cofactors = Mat3::from_cols(b.cross(c), c.cross(a), a.cross(b));
         let turned = cofactors * n;
         turned.try_normalize().map_or(n, |t| t * if mirrored { -n.length() } else { n.length() })
+    }
+
+    /// The tangent after the deformation: its direction goes with the gradient, as a line on the surface does,
+    /// and is of the same length as before. Its last number is the side on which normal × direction has the
+    /// bitangent, which is the other one where the deformation as a whole is `mirrored`.
+    pub fn tangent(&self, t: Vec4, mirrored: bool) -> Vec4 {
+        if self.gradient == Mat3::IDENTITY || !t.is_finite() {
+            return t;
+        }
+        let side = if mirrored { -t.w } else { t.w };
+        let turned = (self.gradient * t.truncate()).try_normalize();
+        turned.map_or(t, |turned| (turned * t.truncate().length()).extend(side))
     }
 }
 
@@ -263,6 +275,12 @@ impl<'a> DeformationField<'a> {
     /// Local position of each sample after the deformation.
     pub fn deformed(&self) -> &'a [Vec3] {
         self.deformed
+    }
+
+    /// Whether no sample moves at all, and so no vertex.
+    pub fn is_still(&self) -> bool {
+        let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
+        self.deformed.iter().map(bits).eq(self.around.samples.positions.iter().map(bits))
     }
 
     /// What is known of the samples at rest.

@@ -180,7 +180,8 @@ pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &R
         [(v.output, of_model(v.output))].into_iter().chain(diagnostics)
     });
     for (output, needed) in outputs {
-        if same_file(model.path(), output) {
+        let mut files = [model.path()].into_iter().chain(model.other_files());
+        if files.any(|file| same_file(file, output)) {
             return Err(Error::new(
                 ErrorKind::Argument,
                 format!("{} is the model itself", output.display()),
@@ -365,8 +366,11 @@ impl<'a> Work<'a> {
         let Self { sampled, model, how, .. } = self;
         let source = &sampled.source;
         // The fingerprint is of the vertices alone.
-        let changed = std::fs::metadata(model.path()).and_then(|meta| meta.modified()).ok();
-        let changed = changed.and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+        let changed = |path: &Path| {
+            let time = std::fs::metadata(path).and_then(|meta| meta.modified()).ok()?;
+            time.duration_since(UNIX_EPOCH).ok()
+        };
+        let changed: Vec<_> = [model.path()].into_iter().chain(model.other_files()).map(changed).collect();
         let method = match how.method {
             Method::ProjectedBarycentric => 0u8,
             Method::BlendedJets => 1,

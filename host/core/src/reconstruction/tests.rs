@@ -1,6 +1,6 @@
 //! The field as a whole: what it reproduces, how it behaves at steps, and that sheets do not bleed.
 
-use glam::{Affine3A, DVec3, EulerRot, Mat3, Quat, Vec3};
+use glam::{Affine3A, DVec3, EulerRot, Mat3, Quat, Vec3, Vec4};
 use simod_model::frame::Frame;
 
 use super::{DeformationField, Figures, Method, Moved, Surroundings, carry};
@@ -38,7 +38,8 @@ fn carried_with_normals(
 ) -> (Vec<Vec3>, Vec<Vec3>) {
     let rest: Vec<DVec3> = points.iter().map(|p| p.as_dvec3()).collect();
     let (mut positions, mut turned) = (rest.clone(), normals.to_vec());
-    let moved = Moved { positions: &mut positions, normals: &mut turned, figures: &mut [] };
+    let moved =
+        Moved { positions: &mut positions, normals: &mut turned, tangents: &mut [], figures: &mut [] };
     carry(std::slice::from_ref(field), &LOCAL, &rest, None, &mut [moved]);
     (positions.iter().map(|p| p.as_vec3()).collect(), turned)
 }
@@ -192,6 +193,57 @@ fn the_gradient_is_that_of_what_the_vertices_do() {
     }
 }
 
+#[test]
+fn tangents_turn_as_lines_on_the_surface_do() {
+    let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
+    let around = Surroundings::of(&set);
+    let points: Vec<Vec3> = patch(61).filter(inner).collect();
+    let rest: Vec<DVec3> = points.iter().map(|p| p.as_dvec3()).collect();
+    let along =
+        |p: &Vec3| 2.0 * (on_patch(p.x + 1e-3, p.z) - on_patch(p.x - 1e-3, p.z)).normalize_or(Vec3::X);
+    let shear = Mat3::from_cols(Vec3::X, Vec3::new(0.5, 1.0, 0.0), Vec3::new(0.0, -0.3, 1.2));
+    let mirror = Mat3::from_diagonal(Vec3::new(1.0, -1.0, 1.0));
+    let bend = |p: Vec3| Quat::from_rotation_x(0.7 * p.x) * p;
+    // The gradient of the second is that of a fit.
+    for (method, bound) in [(Method::BlendedJets, 0.03), (Method::ProjectedBarycentric, 0.1)] {
+        for (matrix, side) in
+            [(Some(Mat3::from_rotation_z(2.0)), 1.0), (Some(shear), 1.0), (Some(mirror), -1.0), (None, 1.0)]
+        {
+            let map = |p: Vec3| matrix.map_or_else(|| bend(p), |matrix| matrix * p);
+            let deformed: Vec<Vec3> = set.positions.iter().map(|p| map(*p)).collect();
+            let field = DeformationField::new(&around, &deformed, method);
+            let mut positions = rest.clone();
+            let mut tangents: Vec<Vec4> = points.iter().map(|p| along(p).extend(1.0)).collect();
+            let moved = Moved {
+                positions: &mut positions,
+                normals: &mut [],
+                tangents: &mut tangents,
+                figures: &mut [],
+            };
+            carry(std::slice::from_ref(&field), &LOCAL, &rest, None, &mut [moved]);
+            for (p, t) in points.iter().zip(&tangents) {
+                let step = 1e-3 * along(p);
+                let expected = 2.0 * (map(*p + step) - map(*p - step)).normalize_or(Vec3::X);
+                let found = t.truncate();
+                assert!(
+                    found.distance(expected) < bound && t.w == side,
+                    "{method:?} {p}: {t} is not {expected}"
+                );
+            }
+        }
+        // Nothing moves, and nothing turns.
+        let field = DeformationField::new(&around, &set.positions, method);
+        assert!(field.is_still());
+        let mut tangents: Vec<Vec4> = points.iter().map(|p| along(p).extend(-1.0)).collect();
+        let before = tangents.clone();
+        let mut positions = rest.clone();
+        let moved =
+            Moved { positions: &mut positions, normals: &mut [], tangents: &mut tangents, figures: &mut [] };
+        carry(std::slice::from_ref(&field), &LOCAL, &rest, None, &mut [moved]);
+        assert_eq!(tangents, before);
+    }
+}
+
 /// What a call gives for each vertex: the bits of its position and of its normal, and its figures.
 type Bits = ([u64; 3], [u32; 3], [u32; 3]);
 
@@ -200,7 +252,8 @@ fn bits(field: &DeformationField, points: &[(Vec3, Vec3)]) -> Vec<Bits> {
     let mut positions = rest.clone();
     let mut normals: Vec<Vec3> = points.iter().map(|(_, n)| *n).collect();
     let mut figures = vec![Figures::UNKNOWN; rest.len()];
-    let moved = Moved { positions: &mut positions, normals: &mut normals, figures: &mut figures };
+    let moved =
+        Moved { positions: &mut positions, normals: &mut normals, tangents: &mut [], figures: &mut figures };
     carry(std::slice::from_ref(field), &LOCAL, &rest, None, &mut [moved]);
     let figures = figures.iter().map(|f| [f.displacement, f.stretch[0], f.stretch[1]].map(f32::to_bits));
     let normals = normals.iter().map(|n| n.to_array().map(f32::to_bits));

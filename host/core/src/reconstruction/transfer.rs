@@ -52,7 +52,12 @@ impl Edit for Transfer<'_> {
         let mut moved: Vec<Moved<'_>> = versions
             .iter_mut()
             .zip(&mut figures)
-            .map(|(Edited { positions, normals }, figures)| Moved { positions, normals, figures })
+            .map(|(edited, figures)| Moved {
+                positions: &mut edited.positions,
+                normals: &mut edited.normals,
+                tangents: &mut edited.tangents,
+                figures,
+            })
             .collect();
         carry_on_this_thread(self.fields, self.frame, &chunk.positions, homes.as_deref(), &mut moved);
         self.surveys.keep(chunk.first, versions, figures);
@@ -64,7 +69,12 @@ impl Edit for Transfer<'_> {
         let mut moved: Vec<Moved<'_>> = versions
             .iter_mut()
             .zip(figures)
-            .map(|(Edited { positions, normals }, figures)| Moved { positions, normals, figures })
+            .map(|(edited, figures)| Moved {
+                positions: &mut edited.positions,
+                normals: &mut edited.normals,
+                tangents: &mut edited.tangents,
+                figures,
+            })
             .collect();
         carry_on_this_thread(self.fields, self.frame, &chunk.positions, None, &mut moved);
         Ok(())
@@ -72,6 +82,10 @@ impl Edit for Transfer<'_> {
 
     fn end(&self, first: u64) -> Result<()> {
         self.surveys.write(first)
+    }
+
+    fn is_still(&self, version: usize) -> bool {
+        self.fields.get(version).is_some_and(DeformationField::is_still)
     }
 }
 

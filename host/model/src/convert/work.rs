@@ -191,11 +191,11 @@ impl Rewritable for Work<'_> {
         })
     }
 
-    fn make(&self, before: &Summary) -> Result<Vec<u8>> {
+    fn make(&self, before: &Summary, _is_still: bool) -> Result<Vec<u8>> {
         self.form.tail(before)
     }
 
-    fn patches(&self, all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
+    fn patches(&self, all: &Summary, _is_still: bool) -> Result<Vec<(u64, Vec<u8>)>> {
         self.form.patches(all)
     }
 

@@ -60,11 +60,11 @@ impl Rewritable for E57Model {
         Ok(())
     }
 
-    fn make(&self, before: &Summary) -> Result<Vec<u8>> {
+    fn make(&self, before: &Summary, _is_still: bool) -> Result<Vec<u8>> {
         self.make_ending(before)
     }
 
-    fn patches(&self, all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
+    fn patches(&self, all: &Summary, _is_still: bool) -> Result<Vec<(u64, Vec<u8>)>> {
         self.patches_in_the_end(all)
     }
 

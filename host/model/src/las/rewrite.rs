@@ -101,12 +101,12 @@ impl Rewritable for LasModel {
         Ok(())
     }
 
-    fn make(&self, before: &Summary) -> Result<Vec<u8>> {
+    fn make(&self, before: &Summary, _is_still: bool) -> Result<Vec<u8>> {
         let Some((_, blocks)) = &self.compressed else { return Ok(Vec::new()) };
         blocks.table(&before.lengths).map_err(|e| self.source.write_error(&e))
     }
 
-    fn patches(&self, all: &Summary) -> Result<Vec<(u64, Vec<u8>)>> {
+    fn patches(&self, all: &Summary, is_still: bool) -> Result<Vec<(u64, Vec<u8>)>> {
         let mut patches = self.bounds(all);
         let Some((_, blocks)) = &self.compressed else { return Ok(patches) };
         let points = self.moved(blocks.start(0).1);
@@ -121,7 +121,7 @@ impl Rewritable for LasModel {
             } else {
                 (Some(points - PLACE), None)
             };
-            end += self.make(all)?.len() as u64;
+            end += self.make(all, is_still)?.len() as u64;
             old_end = table.end;
             patches.extend(told_at.map(|at| (at, place.clone())));
             patches.extend(told.map(|at| (self.moved(at) - self.moved(old_end) + end, place)));

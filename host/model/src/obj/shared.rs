@@ -8,7 +8,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use memmap2::Mmap;
 
 use super::apart::{ApartModel, ApartPieces};
@@ -16,13 +16,11 @@ use super::grammar::Obj;
 use super::lines::{Statement, absolute, leading_integer, values};
 use crate::pipeline::{Pieces, Rewritable, Version};
 use crate::scratch::Scratch;
+use crate::shared_normal::mean;
 use crate::source::Source;
 use crate::text::lines::Lines;
 use crate::text::model::{TextModel, splice_normal};
 use crate::{CHUNK_VERTICES, Model, Normals, Progress, Result, SMALL_CHUNK, VertexChunk};
-
-/// Least cosine of the angle between a normal at a place and the mean.
-const AGREE: f32 = 0.996_194_7;
 
 /// Pairs that are sorted at once.
 const RUN: usize = 1 << 22;
@@ -170,23 +168,6 @@ impl SharedNormals<'_> {
         let near = (next..end.min(next + NEAR)).take_while(is_before).count();
         if near < NEAR { next + near } else { self.first_pair(normal) }
     }
-}
-
-/// The mean of what a normal becomes at its places; `None` where they disagree. Of its length is what the
-/// others are on average.
-fn mean(old: Vec3, turned: &[Vec3]) -> Option<Vec3> {
-    let same = |new: &Vec3| new.to_array().map(f32::to_bits) == old.to_array().map(f32::to_bits);
-    if turned.iter().all(same) {
-        return Some(old);
-    }
-    if let [only] = turned {
-        return Some(*only);
-    }
-    let units = || turned.iter().map(|n| n.as_dvec3().normalize_or_zero());
-    let mean = units().sum::<DVec3>().try_normalize()?;
-    let agree = units().all(|unit| unit.dot(mean) >= f64::from(AGREE));
-    let length = turned.iter().map(|n| n.as_dvec3().length()).sum::<f64>() / turned.len() as f64;
-    agree.then(|| (mean * length).as_vec3())
 }
 
 /// The positions of all vertices.
@@ -343,17 +324,6 @@ mod tests {
 
     use super::*;
     use crate::progress::Silent;
-
-    #[test]
-    fn means_are_of_those_that_agree() {
-        let at = |degrees: f32| Vec3::new(degrees.to_radians().sin(), 0.0, degrees.to_radians().cos());
-        let near = mean(Vec3::Z, &[at(10.0), at(14.0)]).unwrap();
-        assert!((near - at(12.0)).length() < 1e-6);
-        assert!(mean(Vec3::Z, &[at(0.0), at(9.9)]).is_some());
-        assert_eq!(mean(Vec3::Z, &[at(0.0), at(10.2)]), None);
-        assert_eq!(mean(Vec3::Z, &[Vec3::X, -Vec3::X]), None);
-        assert_eq!(mean(Vec3::Z, &[Vec3::Z; 3]), Some(Vec3::Z));
-    }
 
     proptest! {
         #[test]

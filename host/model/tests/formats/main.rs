@@ -4,19 +4,21 @@
 
 mod columns;
 mod e57;
+mod gltf;
 mod obj;
 mod off;
 mod pcd;
 mod stl;
 
-use std::io::Write;
+use std::io::{self, Write};
 use std::ops::Range;
 use std::sync::Mutex;
 
 use glam::{DVec3, Vec3};
 use simod_model::progress::Silent;
 use simod_model::{
-    Edited, FaceChunk, Model, Normals, Result, Rewriting, VertexChunk, for_faces, for_faces_at,
+    Edit, Edited, FaceChunk, Model, Normals, Output, Result, Rewriting, Summary, VertexChunk, for_faces,
+    for_faces_at,
 };
 
 /// Opens a file of these bytes, whose name ends so.
@@ -93,22 +95,57 @@ pub fn check_marks(model: &dyn Model) {
     }
 }
 
-/// Writes the model with other positions and normals; also checks that versions are the same by each other.
-pub fn rewrite(model: &dyn Model, edit: impl FnMut(&mut Edited) + Send) -> Result<Vec<u8>> {
-    let (mut first, mut second, edit) = (Vec::new(), Vec::new(), Mutex::new(edit));
-    let edit = |_: &VertexChunk, versions: &mut [Edited]| {
+/// A file in memory.
+#[derive(Default, PartialEq)]
+pub struct Written(pub Vec<u8>);
+
+impl Output for Written {
+    fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, _summary: &Summary) -> io::Result<()> {
+        self.0.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    fn patch(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        self.0[at as usize..at as usize + bytes.len()].copy_from_slice(bytes);
+        Ok(())
+    }
+
+    fn finish(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// An edit that gives all versions the same; whether it says beforehand that nothing changes.
+struct Same<F>(Mutex<F>, bool);
+
+impl<F: FnMut(&mut Edited) + Send> Edit for Same<F> {
+    fn edit(&self, _: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
         let (one, others) = versions.split_first_mut().unwrap();
-        edit.lock().unwrap()(one);
+        self.0.lock().unwrap()(one);
         for other in others {
             other.positions.clone_from(&one.positions);
             other.normals.clone_from(&one.normals);
+            other.tangents.clone_from(&one.tangents);
         }
         Ok(())
-    };
+    }
+
+    fn is_still(&self, _: usize) -> bool {
+        self.1
+    }
+}
+
+fn write(model: &dyn Model, edit: &dyn Edit) -> Result<Vec<u8>> {
+    let (mut first, mut second) = (Written::default(), Written::default());
     let how = Rewriting { normals: Normals::Transform, ..Rewriting::default() };
-    model.rewrite(&mut [&mut first, &mut second], how, &edit, &Silent)?;
+    model.rewrite(&mut [&mut first, &mut second], how, edit, &Silent)?;
     assert!(first == second);
-    Ok(first)
+    Ok(first.0)
+}
+
+/// Writes the model with other positions and normals; also checks that versions are the same by each other.
+pub fn rewrite(model: &dyn Model, edit: impl FnMut(&mut Edited) + Send) -> Result<Vec<u8>> {
+    write(model, &Same(Mutex::new(edit), false))
 }
 
 /// An error's message without the file's name; it has a hint.
@@ -130,7 +167,7 @@ pub fn go_over(bytes: &[u8], extension: &str) -> Result<()> {
     let read = read(model.as_ref())?;
     assert_eq!(read.0.len() as u64, model.info().vertices);
     triangles(model.as_ref())?;
-    let out = rewrite(model.as_ref(), |_| {})?;
+    let out = write(model.as_ref(), &Same(Mutex::new(|_: &mut Edited| {}), true))?;
     assert!(out == bytes, "an identity changes bytes");
     Ok(())
 }

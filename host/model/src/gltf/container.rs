@@ -1,0 +1,400 @@
+//! A file's bytes as GLB has them: a header, a chunk of JSON, and one of binary data.
+//!
+//! A `.gltf`, whose buffers are files beside it or text within it, is made to look like that without being
+//! copied: a header and JSON in memory, with the buffers one behind the other as binary data.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use serde::Deserialize;
+use serde_json::value::RawValue;
+
+use super::json::{Buffer, list, span};
+use crate::scratch::Scratch;
+use crate::size::human_size;
+use crate::source::Source;
+use crate::text::{CUT_OFF, DAMAGED};
+use crate::{Error, Result};
+
+/// What a GLB file begins with.
+pub(super) const MAGIC: &[u8] = b"glTF";
+
+/// Longest JSON: it is held while a file is opened, and when one has been written.
+const LONGEST_JSON: u64 = 64 << 20;
+
+/// Bytes of a file's header, and of a chunk's.
+pub(super) const HEADER: u64 = 12;
+const CHUNK: u64 = 8;
+
+const JSON: u32 = 0x4E4F_534A;
+const BIN: u32 = 0x004E_4942;
+
+const AS_GLB: &str = "export the model as GLB, which has everything in one file";
+
+/// The bytes of a GLB file.
+#[derive(Debug)]
+pub(super) struct Container {
+    /// The file that was opened.
+    pub(super) source: Source,
+    /// What its bytes are made of, if not of the file as it is.
+    parts: Vec<Part>,
+    len: u64,
+    pub(super) json: Range<u64>,
+    /// The binary data; empty if there is none.
+    pub(super) bin: Range<u64>,
+}
+
+#[derive(Debug)]
+struct Part {
+    /// Where it begins in the whole.
+    at: u64,
+    len: u64,
+    bytes: Bytes,
+}
+
+#[derive(Debug)]
+enum Bytes {
+    Memory(Vec<u8>),
+    /// The opened file, from some place on.
+    Opened(u64),
+    File(Source),
+}
+
+/// The part of the JSON that speaks of buffers, as text.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct OfBuffers<'a> {
+    #[serde(borrow)]
+    buffers: Option<&'a RawValue>,
+    #[serde(borrow, default, deserialize_with = "list")]
+    buffer_views: Vec<OfView<'a>>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct OfView<'a> {
+    #[serde(borrow)]
+    buffer: &'a RawValue,
+    #[serde(borrow)]
+    byte_offset: Option<&'a RawValue>,
+}
+
+#[derive(Deserialize)]
+struct Buffers {
+    #[serde(default, deserialize_with = "list")]
+    buffers: Vec<Buffer>,
+}
+
+impl Container {
+    /// Opens a file, and returns its JSON.
+    pub(super) fn open(source: Source) -> Result<(Self, Vec<u8>)> {
+        let mut start = [0; HEADER as usize];
+        let read = source.read_at(&mut start, 0)?;
+        if !start[..read].starts_with(MAGIC) {
+            let len = source.len();
+            if len > LONGEST_JSON {
+                let what =
+                    format!("{} of JSON, where {} can be read", human_size(len), human_size(LONGEST_JSON));
+                return Err(source.malformed(what, AS_GLB));
+            }
+            let mut json = Vec::new();
+            source.append_at(&mut json, 0, len as usize)?;
+            return Self::gather(source, json, None, 0);
+        }
+        let this = Self::of_glb(source)?;
+        let mut json = Vec::new();
+        this.append_at(&mut json, this.json.start, (this.json.end - this.json.start) as usize)?;
+        let Buffers { buffers } = this.parse(&json)?;
+        if buffers.iter().all(|buffer| buffer.uri.is_none()) {
+            return Ok((this, json));
+        }
+        let after = if this.bin.is_empty() { this.json.end } else { this.bin.end };
+        let bin = Some(this.bin.clone()).filter(|bin| !bin.is_empty());
+        Self::gather(this.source, json, bin, after)
+    }
+
+    /// The chunks of a GLB file.
+    fn of_glb(source: Source) -> Result<Self> {
+        let mut header = [0; (HEADER + CHUNK) as usize];
+        if source.read_at(&mut header, 0)? < header.len() {
+            let what = format!("{} bytes are too few for GLB, which begins with 20", source.len());
+            return Err(source.malformed(what, CUT_OFF));
+        }
+        let (version, len) = (number(&header, 4), u64::from(number(&header, 8)));
+        if version != 2 {
+            return Err(source.malformed(
+                format!("GLB of version {version}, where 2 can be read"),
+                "export the model as glTF 2.0",
+            ));
+        }
+        if len > source.len() {
+            let what = format!("says {len} bytes, but it has {}", source.len());
+            return Err(source.malformed(what, CUT_OFF));
+        }
+        let mut this = Self { source, parts: Vec::new(), len: 0, json: 0..0, bin: 0..0 };
+        this.len = this.source.len();
+        let mut at = HEADER;
+        for index in 0.. {
+            // Fewer are padding.
+            if at + CHUNK > len && index > 0 {
+                break;
+            }
+            let mut chunk = [0; CHUNK as usize];
+            this.read_at(&mut chunk, at)?;
+            let (size, kind) = (u64::from(number(&chunk, 0)), number(&chunk, 4));
+            let range = at + CHUNK..at + CHUNK + size;
+            if range.end > len {
+                let what = format!(
+                    "the chunk at byte {at} says {size} bytes, but {} are left",
+                    len.saturating_sub(range.start)
+                );
+                return Err(this.source.malformed(what, CUT_OFF));
+            }
+            at = range.end;
+            match (index, kind) {
+                (0, JSON) => this.json = range,
+                (0, _) => {
+                    let what = format!("its first chunk is not JSON but of type {kind:#010x}");
+                    return Err(this.source.malformed(what, DAMAGED));
+                }
+                (1, BIN) => this.bin = range,
+                _ => {}
+            }
+        }
+        let size = this.json.end - this.json.start;
+        if size > LONGEST_JSON {
+            let what =
+                format!("{} of JSON, where {} can be read", human_size(size), human_size(LONGEST_JSON));
+            return Err(this.source.malformed(what, "export the model with fewer nodes and meshes, joined"));
+        }
+        Ok(this)
+    }
+
+    /// A file whose JSON refers to buffers elsewhere, with all of them as binary data. `bin` is that of the
+    /// file itself, and `after` is where other chunks begin.
+    fn gather(source: Source, json: Vec<u8>, bin: Option<Range<u64>>, after: u64) -> Result<(Self, Vec<u8>)> {
+        let mut this = Self { source, parts: Vec::new(), len: 0, json: 0..0, bin: 0..0 };
+        let Buffers { buffers } = this.parse(&json)?;
+        let (mut parts, mut len, mut starts) = (Vec::new(), 0, Vec::new());
+        for (index, buffer) in buffers.iter().enumerate() {
+            starts.push(len);
+            let bytes = match (&buffer.uri, &bin) {
+                (Some(uri), _) => Bytes::File(this.buffer(index, uri)?),
+                (None, Some(bin)) if index == 0 => Bytes::Opened(bin.start),
+                (None, _) => {
+                    let what = format!("buffer {index} has no data");
+                    return Err(this.source.malformed(what, AS_GLB));
+                }
+            };
+            let there = match (&bytes, &bin) {
+                (Bytes::File(file), _) => file.len(),
+                (_, Some(bin)) => bin.end - bin.start,
+                _ => 0,
+            };
+            if there < buffer.byte_length {
+                let what = format!("buffer {index} says {} bytes, but it has {there}", buffer.byte_length);
+                return Err(this.source.malformed(what, CUT_OFF));
+            }
+            if buffer.byte_length > 0 {
+                parts.push(Part { at: len, len: buffer.byte_length, bytes });
+            }
+            len += buffer.byte_length;
+            let padding = len.next_multiple_of(4) - len;
+            if padding > 0 {
+                parts.push(Part { at: len, len: padding, bytes: Bytes::Memory(vec![0; padding as usize]) });
+                len += padding;
+            }
+        }
+        let mut text = this.gathered(&json, &starts, len)?;
+        text.resize(text.len().next_multiple_of(4), b' ');
+        let behind = this.source.len() - after.min(this.source.len());
+        // A `.gltf` has nothing but its JSON.
+        let behind = if after > 0 { behind } else { 0 };
+        let json_end = HEADER + CHUNK + text.len() as u64;
+        let total = json_end + CHUNK + len + behind;
+        let Ok(whole) = u32::try_from(total) else {
+            let what = format!(
+                "its buffers have {}, but GLB, as which it is written, 4 GiB at most",
+                human_size(len)
+            );
+            return Err(this.source.malformed(what, "divide the model"));
+        };
+        let mut head = MAGIC.to_vec();
+        for word in [2, whole, text.len() as u32, JSON] {
+            head.extend_from_slice(&word.to_le_bytes());
+        }
+        head.extend_from_slice(&text);
+        [len as u32, BIN].iter().for_each(|word| head.extend_from_slice(&word.to_le_bytes()));
+        this.json = HEADER + CHUNK..json_end;
+        this.bin = json_end + CHUNK..json_end + CHUNK + len;
+        this.len = total;
+        parts.iter_mut().for_each(|part| part.at += this.bin.start);
+        this.parts.push(Part { at: 0, len: head.len() as u64, bytes: Bytes::Memory(head) });
+        this.parts.append(&mut parts);
+        if behind > 0 {
+            this.parts.push(Part { at: this.bin.end, len: behind, bytes: Bytes::Opened(after) });
+        }
+        Ok((this, text))
+    }
+
+    /// The JSON with one buffer in place of several, each of which begins at one of `starts` in it.
+    fn gathered(&self, json: &[u8], starts: &[u64], len: u64) -> Result<Vec<u8>> {
+        let OfBuffers { buffers, buffer_views } = self.parse(json)?;
+        let mut changes = Vec::new();
+        if let Some(buffers) = buffers {
+            changes.push((span(json, buffers), format!("[{{\"byteLength\":{len}}}]")));
+        }
+        for (index, view) in buffer_views.iter().enumerate() {
+            let number = |value: &RawValue| value.get().parse::<u64>().ok();
+            let buffer = number(view.buffer).and_then(|b| starts.get(usize::try_from(b).ok()?));
+            let offset = view.byte_offset.map_or(Some(0), number);
+            let Some((start, offset)) = buffer.zip(offset) else {
+                let what = format!("bufferView {index} is of no buffer");
+                return Err(self.source.malformed(what, DAMAGED));
+            };
+            if *start == 0 && view.buffer.get() == "0" {
+                continue;
+            }
+            let place = start.saturating_add(offset);
+            match view.byte_offset {
+                Some(old) => {
+                    changes.push((span(json, view.buffer), "0".into()));
+                    changes.push((span(json, old), place.to_string()));
+                }
+                None => changes.push((span(json, view.buffer), format!("0,\"byteOffset\":{place}"))),
+            }
+        }
+        changes.sort_by_key(|(range, _)| range.start);
+        let (mut text, mut copied) = (Vec::new(), 0);
+        for (range, new) in changes {
+            text.extend_from_slice(&json[copied..range.start]);
+            text.extend_from_slice(new.as_bytes());
+            copied = range.end;
+        }
+        text.extend_from_slice(&json[copied..]);
+        Ok(text)
+    }
+
+    /// What a buffer's URI leads to.
+    fn buffer(&self, index: usize, uri: &str) -> Result<Source> {
+        let refused = |why: &str| {
+            let what = format!("buffer {index} {why}");
+            Err(self.source.malformed(what, AS_GLB))
+        };
+        if let Some(data) = uri.strip_prefix("data:") {
+            let Some((_, text)) = data.split_once(";base64,") else {
+                return refused("is a data URI that is not base64");
+            };
+            let Ok(bytes) = STANDARD.decode(text) else { return refused("is not correct base64") };
+            let scratch =
+                Scratch::new(&std::env::temp_dir(), "set TMPDIR to a folder on a disk with more room")?;
+            scratch.write_at(&bytes, 0)?;
+            return Ok(Source::of_scratch(scratch, self.source.path(), bytes.len() as u64));
+        }
+        let Some(path) = unescaped(uri).filter(|path| !path.is_absolute() && !uri.contains(':')) else {
+            return refused("is not a file beside it");
+        };
+        let folder = crate::target::folder_of(self.source.path());
+        Source::open(&folder.join(path)).map_err(|e| {
+            let what = format!("buffer {index}, \"{}\": {e}", uri.escape_debug());
+            self.source.malformed(what, &format!("{}; or {AS_GLB}", e.hint()))
+        })
+    }
+
+    /// What the JSON says.
+    pub(super) fn parse<'a, T: Deserialize<'a>>(&self, json: &'a [u8]) -> Result<T> {
+        serde_json::from_slice(json).map_err(|e| {
+            let what = format!("its JSON makes no sense: {e}");
+            Error::new(crate::ErrorKind::Format, format!("{}: {what}", self.source.path().display()), DAMAGED)
+        })
+    }
+
+    pub(super) fn len(&self) -> u64 {
+        self.len
+    }
+
+    /// Whether the bytes are not those of a file as it is.
+    pub(super) fn is_made(&self) -> bool {
+        !self.parts.is_empty()
+    }
+
+    /// The files beside the opened one that hold its buffers.
+    pub(super) fn others(&self) -> impl Iterator<Item = &Path> {
+        self.parts.iter().filter_map(|part| match &part.bytes {
+            Bytes::File(file) if file.path() != self.source.path() => Some(file.path()),
+            _ => None,
+        })
+    }
+
+    /// Fills `buffer` from `offset` on; returns how much of it, which is less only at the end.
+    pub(super) fn read_at(&self, buffer: &mut [u8], offset: u64) -> Result<usize> {
+        if self.parts.is_empty() {
+            return self.source.read_at(buffer, offset);
+        }
+        let wanted = self.len.saturating_sub(offset).min(buffer.len() as u64) as usize;
+        let mut done = 0;
+        while done < wanted {
+            let at = offset + done as u64;
+            let index = self.parts.partition_point(|part| part.at + part.len <= at);
+            let Some(part) = self.parts.get(index) else { break };
+            let within = at - part.at;
+            let some = (wanted - done).min((part.len - within) as usize);
+            let to = &mut buffer[done..done + some];
+            match &part.bytes {
+                Bytes::Memory(bytes) => to.copy_from_slice(&bytes[within as usize..within as usize + some]),
+                Bytes::Opened(start) => drop(self.source.read_at(to, start + within)?),
+                Bytes::File(file) => drop(file.read_at(to, within)?),
+            }
+            done += some;
+        }
+        Ok(done)
+    }
+
+    /// Appends to `buffer` up to `count` bytes from `offset` on; returns how many, fewer only at the end.
+    pub(super) fn append_at(&self, buffer: &mut Vec<u8>, offset: u64, count: usize) -> Result<usize> {
+        let old = buffer.len();
+        let count = self.len.saturating_sub(offset).min(count as u64) as usize;
+        buffer.resize(old + count, 0);
+        self.read_at(&mut buffer[old..], offset)
+    }
+
+    /// Makes `buffer` the bytes of a range within the file.
+    pub(super) fn read(&self, buffer: &mut Vec<u8>, range: Range<u64>) -> Result<()> {
+        // Not cleared first: filling a buffer with zeros, only to overwrite it, takes time.
+        buffer.resize((range.end - range.start) as usize, 0);
+        self.read_at(buffer, range.start)?;
+        Ok(())
+    }
+
+    /// An error where a file is not as long any more as when it was opened.
+    pub(super) fn check_unchanged(&self) -> Result<()> {
+        self.source.check_unchanged()?;
+        self.parts.iter().try_for_each(|part| match &part.bytes {
+            Bytes::File(file) => file.check_unchanged(),
+            _ => Ok(()),
+        })
+    }
+}
+
+/// Four bytes as a number.
+fn number(bytes: &[u8], at: usize) -> u32 {
+    let mut four = [0; 4];
+    four.copy_from_slice(&bytes[at..at + 4]);
+    u32::from_le_bytes(four)
+}
+
+/// A relative URI as a path; `None` where an escape is wrong.
+fn unescaped(uri: &str) -> Option<PathBuf> {
+    let (mut bytes, mut rest) = (Vec::new(), uri.bytes());
+    while let Some(byte) = rest.next() {
+        if byte != b'%' {
+            bytes.push(byte);
+            continue;
+        }
+        let mut digit = || char::from(rest.next()?).to_digit(16);
+        bytes.push((digit()? * 16 + digit()?) as u8);
+    }
+    String::from_utf8(bytes).ok().map(PathBuf::from)
+}

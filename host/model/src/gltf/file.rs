@@ -1,0 +1,120 @@
+//! What is known of a file once it is open.
+
+use super::container::Container;
+use super::faces::FACE;
+use super::json::Document;
+use super::layout::Layout;
+use super::limits::Limits;
+use super::places::{Place, Places, number_type};
+use crate::source::Source;
+use crate::{Attribute, Error, ErrorKind, ModelInfo, Result, Scalar};
+
+/// Longest name of the program that made a file, as it is shown.
+const LONGEST_NAME: usize = 80;
+
+/// A file, open.
+#[derive(Debug)]
+pub(super) struct GltfModel {
+    pub(super) container: Container,
+    pub(super) layout: Layout,
+    pub(super) limits: Limits,
+    pub(super) info: ModelInfo,
+}
+
+impl GltfModel {
+    pub(super) fn new(source: Source) -> Result<Self> {
+        let (container, json) = Container::open(source)?;
+        let document: Document<'_> = container.parse(&json)?;
+        check_version(&container, &document)?;
+        let layout = Places { container: &container, document: &document }.layout()?;
+        if layout.sets.is_empty() && !document.meshes.is_empty() {
+            let what = "none of its nodes shows a mesh with positions";
+            return Err(container.source.malformed(what, "export the model with its scene"));
+        }
+        let limits = Limits::of(&json, &document, &layout, &container)?;
+        let info = info(&container, &document, &layout);
+        Ok(Self { container, layout, limits, info })
+    }
+}
+
+fn check_version(container: &Container, document: &Document<'_>) -> Result<()> {
+    let asset = &document.asset;
+    let is_known = asset.version.split('.').next() == Some("2")
+        && asset.min_version.as_ref().is_none_or(|version| version == "2.0");
+    if is_known {
+        return Ok(());
+    }
+    let version = asset.min_version.as_ref().unwrap_or(&asset.version);
+    Err(Error::new(
+        ErrorKind::Format,
+        format!(
+            "{}: glTF of version \"{}\", where 2.0 can be read",
+            container.source.path().display(),
+            version.escape_debug()
+        ),
+        "export the model as glTF 2.0",
+    ))
+}
+
+fn info(container: &Container, document: &Document<'_>, layout: &Layout) -> ModelInfo {
+    let is_placed = layout.sets.iter().any(|set| set.placement.is_some());
+    let has_normals = !layout.sets.is_empty() && layout.sets.iter().all(|set| set.normals.is_some());
+    let attributes = colours(layout);
+    let mut other_properties: Vec<String> = layout.others.iter().cloned().collect();
+    other_properties.extend(layout.has_targets.then(|| "morph targets".into()));
+    other_properties.extend(layout.has_skins.then(|| "skins".into()));
+    let regions = layout.regions.iter().filter(|region| region.has_positions());
+    ModelInfo {
+        format: format(container, document, layout),
+        vertices: layout.vertices,
+        faces: layout.triangles,
+        has_normals,
+        // Elsewhere than in the world's coordinates, single precision is another one.
+        position_type: if is_placed { Scalar::F64 } else { Scalar::F32 },
+        other_properties,
+        attributes,
+        bytes: container.len(),
+        random_access: true,
+        block_vertices: 1,
+        vertex_bytes: regions.map(|region| region.bytes.end - region.bytes.start).sum(),
+        face_bytes: FACE * layout.triangles,
+        integers: None,
+        written: None,
+        crs: None,
+    }
+}
+
+/// The format for people.
+fn format(container: &Container, document: &Document<'_>, layout: &Layout) -> String {
+    let kind = if container.is_made() { "with separate buffers" } else { "binary" };
+    let meshes = layout.meshes;
+    let mut format = format!(
+        "glTF {}, {kind}, {meshes} mesh{}",
+        document.asset.version,
+        if meshes == 1 { "" } else { "es" }
+    );
+    if let Some(generator) = &document.asset.generator {
+        let name: String = generator.chars().filter(|c| !c.is_control()).take(LONGEST_NAME).collect();
+        format += &format!(", by {name}");
+    }
+    format
+}
+
+/// The vertices' colours, if all of them have some of the same type.
+fn colours(layout: &Layout) -> Vec<Attribute> {
+    let of = |colours: Option<(Place, u32)>| {
+        let (place, component) = colours?;
+        let kind = number_type(component)?;
+        Some((kind, place.size / kind.size() as u64))
+    };
+    let mut all = layout.sets.iter().map(|set| of(set.colours));
+    let Some(Some((kind, mut numbers))) = all.next() else { return Vec::new() };
+    for other in all {
+        match other {
+            Some((other, count)) if other == kind => numbers = numbers.min(count),
+            _ => return Vec::new(),
+        }
+    }
+    let names = ["red", "green", "blue", "alpha"];
+    names.iter().take(numbers as usize).map(|name| Attribute { name: (*name).into(), kind }).collect()
+}

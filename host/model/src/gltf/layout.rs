@@ -1,0 +1,493 @@
+//! Which bytes of a file are positions, normals and tangents, and whose.
+//!
+//! The vertices are the elements of all position accessors that a node shows: each run of bytes counts once,
+//! whoever uses it, and vertices are numbered in the order of the file. Bytes that are patched lie in *regions*:
+//! rows of equal length with a position, a normal or a tangent of a vertex in each, or several of them.
+
+use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+
+use super::json::{Names, Node, Primitive};
+use super::nodes::Placement;
+use super::places::{PLAIN, Place, Places, UNCOMPRESSED};
+use crate::Result;
+
+const APART: &str =
+    "have gltfpack write it anew, which gives everything its own data: gltfpack -noq -i IN.glb -o OUT.glb";
+const SINGLE: &str = "make each of them a mesh of its own, as by \"Make Single User\" in Blender, or: gltf-transform join IN.glb OUT.glb";
+const SEPARATE: &str =
+    "export it with a mesh of its own for each copy, as Blender does after \"Make Single User\"";
+
+/// Extensions by which a mesh' bytes are compressed, of primitives and of views.
+const COMPRESSED: [&str; 3] =
+    ["KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"];
+
+const INSTANCED: &str = "EXT_mesh_gpu_instancing";
+
+/// What an element of a row is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Kind {
+    Position,
+    Normal,
+    Tangent,
+}
+
+/// Vertices whose positions one accessor has, or several that are the same.
+#[derive(Debug)]
+pub(super) struct Set {
+    pub(super) place: Place,
+    /// Number of the first vertex.
+    pub(super) first: u64,
+    /// Where the mesh is in the world, if not just there.
+    pub(super) placement: Option<Placement>,
+    /// The region where the positions are.
+    pub(super) region: usize,
+    /// Where the normals are that belong to them: the first ones, if several primitives have others.
+    pub(super) normals: Option<Place>,
+    /// Colours, and the component type of their numbers.
+    pub(super) colours: Option<(Place, u32)>,
+}
+
+/// Rows of equal length, one for each vertex.
+#[derive(Debug)]
+pub(super) struct Region {
+    pub(super) bytes: Range<u64>,
+    pub(super) stride: u64,
+    pub(super) rows: u64,
+    /// What a row has, and where in it: no two of a kind.
+    pub(super) elements: Vec<(Kind, usize)>,
+    /// Whose they are: one set, or several if they share normals or tangents.
+    pub(super) owners: Vec<usize>,
+}
+
+impl Region {
+    /// The bytes of some rows; the rest of the last row is not in it.
+    pub(super) fn window(&self, rows: Range<u64>) -> Range<u64> {
+        let start = self.bytes.start + self.stride * rows.start;
+        let end =
+            if rows.end >= self.rows { self.bytes.end } else { self.bytes.start + self.stride * rows.end };
+        start..end
+    }
+
+    /// Where in a row this is.
+    pub(super) fn offset(&self, kind: Kind) -> Option<usize> {
+        self.elements.iter().find(|(of, _)| *of == kind).map(|(_, offset)| *offset)
+    }
+
+    /// The number of an element of a region as a part of the file.
+    pub(super) fn part(region: usize, element: usize) -> u32 {
+        // There are three kinds.
+        (4 * region + element) as u32
+    }
+
+    pub(super) fn has_positions(&self) -> bool {
+        self.offset(Kind::Position).is_some()
+    }
+}
+
+/// How the vertices of a primitive are joined.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Mode {
+    Triangles,
+    Strip,
+    Fan,
+    /// Points, lines: no triangles.
+    Other,
+}
+
+/// What is drawn of a mesh at once.
+#[derive(Debug)]
+pub(super) struct Drawn {
+    /// Number of its first triangle.
+    pub(super) first: u64,
+    pub(super) triangles: u64,
+    pub(super) mode: Mode,
+    /// Its vertices.
+    pub(super) set: usize,
+    /// Indices of corners, if they are not simply the vertices.
+    pub(super) indices: Option<Place>,
+    pub(super) is_mirrored: bool,
+}
+
+/// All of that.
+#[derive(Debug, Default)]
+pub(super) struct Layout {
+    /// In the order of the file.
+    pub(super) sets: Vec<Set>,
+    pub(super) regions: Vec<Region>,
+    pub(super) drawn: Vec<Drawn>,
+    pub(super) vertices: u64,
+    pub(super) triangles: u64,
+    /// Accessors that are patched, and which part of the file each is.
+    pub(super) accessors: Vec<(usize, u32)>,
+    /// What else vertices have, as "float TEXCOORD_0".
+    pub(super) others: BTreeSet<String>,
+    pub(super) has_targets: bool,
+    pub(super) has_skins: bool,
+    /// Number of meshes that are shown.
+    pub(super) meshes: usize,
+}
+
+/// What is known of a layout while it is found.
+#[derive(Default)]
+struct Builder {
+    /// By where they are.
+    sets: BTreeMap<Place, Found>,
+    /// Normals and tangents, and where the positions are that they belong to.
+    streams: BTreeMap<(Place, Kind), BTreeSet<Place>>,
+    layout: Layout,
+    /// Mode, positions, indices.
+    drawn: Vec<(Mode, Place, Option<Place>)>,
+    /// Accessors that are patched.
+    accessors: BTreeMap<usize, (Place, Kind)>,
+    /// What keeps its bytes: an accessor, and what it is.
+    kept: BTreeMap<usize, String>,
+}
+
+/// Positions that were found.
+struct Found {
+    placement: Option<Placement>,
+    /// The node that shows them.
+    node: usize,
+    normals: Option<Place>,
+    colours: Option<(Place, u32)>,
+}
+
+impl Places<'_> {
+    /// Finds out where everything is.
+    pub(super) fn layout(&self) -> Result<Layout> {
+        let document = self.document;
+        // First, as what is compressed looks damaged otherwise.
+        for (index, view) in document.buffer_views.iter().enumerate() {
+            self.check_plain(&view.extensions, || format!("bufferView {index}"))?;
+        }
+        for (index, mesh) in document.meshes.iter().enumerate() {
+            for primitive in &mesh.primitives {
+                self.check_plain(&primitive.extensions, || format!("mesh {index}"))?;
+            }
+        }
+        for index in 0..document.accessors.len() {
+            self.place(index)?;
+        }
+        let placements = self.placements()?;
+        let mut builder = Builder::default();
+        let mut shown: BTreeMap<usize, (usize, Option<Placement>)> = BTreeMap::new();
+        for (index, (node, placement)) in document.nodes.iter().zip(placements).enumerate() {
+            let Some(mesh) = node.mesh else { continue };
+            self.check_node(index, node)?;
+            builder.layout.has_skins |= node.skin.is_some();
+            match shown.entry(mesh) {
+                Entry::Vacant(entry) => drop(entry.insert((index, placement))),
+                Entry::Occupied(entry) if entry.get().1 == placement => continue,
+                Entry::Occupied(entry) => {
+                    let other = entry.get().0;
+                    let what = format!(
+                        "nodes {other} and {index} show mesh {mesh} at two places, where it would need two shapes"
+                    );
+                    return Err(self.container.source.malformed(what, SINGLE));
+                }
+            }
+            for (number, primitive) in document.meshes[mesh].primitives.iter().enumerate() {
+                let name = || format!("mesh {mesh}, primitive {number}");
+                self.add(&mut builder, primitive, (index, placement), &name)?;
+            }
+        }
+        builder.layout.meshes = shown.len();
+        self.keep_others(&mut builder);
+        self.finish(builder)
+    }
+
+    fn check_plain(&self, extensions: &Names, name: impl Fn() -> String) -> Result<()> {
+        match COMPRESSED.iter().find(|extension| extensions.contains_key(**extension)) {
+            None => Ok(()),
+            Some(extension) => {
+                let what = format!("{} is compressed ({extension})", name());
+                Err(self.container.source.malformed(what, UNCOMPRESSED))
+            }
+        }
+    }
+
+    fn check_node(&self, index: usize, node: &Node) -> Result<()> {
+        let meshes = self.document.meshes.len();
+        if let Some(mesh) = node.mesh.filter(|mesh| *mesh >= meshes) {
+            return Err(self.malformed(format_args!("node {index} shows mesh {mesh}, of {meshes}")));
+        }
+        if node.extensions.contains_key(INSTANCED) {
+            let what = format!("node {index} shows its mesh at many places ({INSTANCED})");
+            return Err(self.container.source.malformed(what, SEPARATE));
+        }
+        Ok(())
+    }
+
+    /// Adds a primitive that a node shows.
+    fn add(
+        &self,
+        builder: &mut Builder,
+        primitive: &Primitive,
+        (node, placement): (usize, Option<Placement>),
+        name: &dyn Fn() -> String,
+    ) -> Result<()> {
+        let Some(index) = primitive.attributes.get("POSITION") else { return Ok(()) };
+        let positions = self.place_of(*index, "POSITION", "VEC3")?;
+        let indices = primitive.indices.map(|index| self.indices(index)).transpose()?;
+        for index in primitive.indices.iter() {
+            builder.kept.entry(*index).or_insert_with(|| format!("indices of {}", name()));
+        }
+        for (attribute, index) in primitive.targets.iter().flatten() {
+            builder.layout.has_targets = true;
+            builder
+                .kept
+                .entry(*index)
+                .or_insert_with(|| format!("{attribute} of a morph target of {}", name()));
+        }
+        if positions.count == 0 {
+            return Ok(());
+        }
+        builder.accessors.insert(*index, (positions, Kind::Position));
+        let found = match builder.sets.entry(positions) {
+            Entry::Vacant(entry) => entry.insert(Found { placement, node, normals: None, colours: None }),
+            Entry::Occupied(entry) => {
+                let found = entry.into_mut();
+                if found.placement != placement {
+                    let what = format!(
+                        "nodes {} and {node} show the positions of accessor {index} at two places, where they would need two shapes",
+                        found.node
+                    );
+                    return Err(self.container.source.malformed(what, SINGLE));
+                }
+                found
+            }
+        };
+        for (attribute, index) in &primitive.attributes {
+            let accessor = self.accessor(*index)?;
+            if accessor.count != positions.count {
+                let what = format!(
+                    "{}: {} {attribute} (accessor {index}) for {} positions",
+                    name(),
+                    accessor.count,
+                    positions.count
+                );
+                return Err(self.malformed(what));
+            }
+            let kind = match attribute.as_str() {
+                "POSITION" => continue,
+                "NORMAL" => Kind::Normal,
+                "TANGENT" => Kind::Tangent,
+                _ => {
+                    let what = || format!("{attribute} of {}", name());
+                    builder.kept.entry(*index).or_insert_with(what);
+                    let kind =
+                        super::places::number_type(accessor.component_type).map_or("", crate::Type::name);
+                    builder.layout.others.insert(format!("{kind} {}", attribute.escape_debug()));
+                    if attribute == "COLOR_0"
+                        && ["VEC3", "VEC4"].contains(&accessor.shape.as_str())
+                        && accessor.sparse.is_none()
+                    {
+                        found.colours = self.place(*index)?.map(|place| (place, accessor.component_type));
+                    }
+                    continue;
+                }
+            };
+            let place =
+                self.place_of(*index, attribute, if kind == Kind::Normal { "VEC3" } else { "VEC4" })?;
+            if kind == Kind::Normal {
+                found.normals.get_or_insert(place);
+            }
+            builder.accessors.insert(*index, (place, kind));
+            builder.streams.entry((place, kind)).or_default().insert(positions);
+        }
+        let mode = match primitive.mode {
+            None | Some(4) => Mode::Triangles,
+            Some(5) => Mode::Strip,
+            Some(6) => Mode::Fan,
+            Some(0..=3) => Mode::Other,
+            Some(mode) => return Err(self.malformed(format_args!("{} is of mode {mode}", name()))),
+        };
+        builder.drawn.push((mode, positions, indices));
+        Ok(())
+    }
+
+    /// Where the indices of a primitive are.
+    fn indices(&self, index: usize) -> Result<Place> {
+        let accessor = self.accessor(index)?;
+        let place = self.place(index)?.filter(|_| accessor.sparse.is_none());
+        let is_index = accessor.shape == "SCALAR" && [5121, 5123, 5125].contains(&accessor.component_type);
+        match place {
+            _ if !is_index => Err(self.malformed(format_args!(
+                "accessor {index} (indices) is of type {}, component type {}",
+                accessor.shape.escape_debug(),
+                accessor.component_type
+            ))),
+            Some(place) => Ok(place),
+            None => Err(self
+                .container
+                .source
+                .malformed(format_args!("accessor {index} (indices) is sparse or has no data"), PLAIN)),
+        }
+    }
+
+    /// Notes what has to keep its bytes beside what vertices have.
+    fn keep_others(&self, builder: &mut Builder) {
+        let document = self.document;
+        for (index, skin) in document.skins.iter().enumerate() {
+            if let Some(accessor) = skin.inverse_bind_matrices {
+                builder.kept.entry(accessor).or_insert_with(|| format!("matrices of skin {index}"));
+            }
+        }
+        for (index, animation) in document.animations.iter().enumerate() {
+            for accessor in animation.samplers.iter().flat_map(|sampler| [sampler.input, sampler.output]) {
+                builder.kept.entry(accessor).or_insert_with(|| format!("numbers of animation {index}"));
+            }
+        }
+    }
+
+    fn finish(&self, builder: Builder) -> Result<Layout> {
+        let Builder { sets, streams, mut layout, drawn, accessors, kept } = builder;
+        // Ordered by where they begin.
+        let numbers: BTreeMap<Place, usize> =
+            sets.keys().enumerate().map(|(number, place)| (*place, number)).collect();
+        let number = |place: &Place| numbers.get(place).copied().unwrap_or_default();
+        for (place, found) in &sets {
+            let Found { placement, normals, colours, .. } = found;
+            let first = layout.vertices;
+            layout.vertices += place.count;
+            let set = Set {
+                place: *place,
+                first,
+                placement: *placement,
+                region: 0,
+                normals: *normals,
+                colours: *colours,
+            };
+            layout.sets.push(set);
+        }
+        let mut all: Vec<Stream> =
+            sets.keys().map(|place| (*place, Kind::Position, vec![number(place)])).collect();
+        all.extend(
+            streams.iter().map(|((place, kind), of)| (*place, *kind, of.iter().map(number).collect())),
+        );
+        all.sort();
+        self.regions(&all, &mut layout)?;
+        for (index, region) in layout.regions.iter().enumerate() {
+            if region.has_positions() {
+                region.owners.iter().for_each(|set| layout.sets[*set].region = index);
+            }
+        }
+        self.check_kept(&kept, &all)?;
+        for (mode, positions, indices) in drawn {
+            let corners = indices.map_or(positions.count, |indices| indices.count);
+            let triangles = match mode {
+                Mode::Triangles => corners / 3,
+                Mode::Strip | Mode::Fan => corners.saturating_sub(2),
+                Mode::Other => 0,
+            };
+            let (first, set) = (layout.triangles, number(&positions));
+            layout.triangles += triangles;
+            let is_mirrored = layout.sets[set].placement.is_some_and(|placement| placement.is_mirrored());
+            layout.drawn.push(Drawn { first, triangles, mode, set, indices, is_mirrored });
+        }
+        let part = |(place, kind): &(Place, Kind)| {
+            let region = layout.regions.partition_point(|region| region.bytes.end <= place.start);
+            let element = layout.regions.get(region)?.elements.iter().position(|(of, _)| of == kind)?;
+            Some(Region::part(region, element))
+        };
+        layout.accessors = accessors.iter().filter_map(|(index, of)| Some((*index, part(of)?))).collect();
+        Ok(layout)
+    }
+
+    /// Gathers what lies between each other in regions; `all` is sorted.
+    fn regions(&self, all: &[Stream], layout: &mut Layout) -> Result<()> {
+        let mut rest = all;
+        while let Some(((first, _, _), _)) = rest.split_first() {
+            let mut end = first.end();
+            let mut count = 1;
+            while let Some((place, _, _)) = rest.get(count).filter(|(place, _, _)| place.start < end) {
+                end = end.max(place.end());
+                count += 1;
+            }
+            let (these, others) = rest.split_at(count);
+            rest = others;
+            let elements = self.row(these)?;
+            let Place { start, stride, count, .. } = *first;
+            // Of positions, there is one owner.
+            let owners = these[0].2.clone();
+            layout.regions.push(Region { bytes: start..end, stride, rows: count, elements, owners });
+        }
+        Ok(())
+    }
+
+    /// What a row has of streams that lie between each other.
+    fn row(&self, these: &[Stream]) -> Result<Vec<(Kind, usize)>> {
+        let (first, _, owners) = &these[0];
+        let mut elements: Vec<(Kind, usize)> = Vec::new();
+        let mut end = 0;
+        for (place, kind, of) in these {
+            let offset = place.start - first.start;
+            let is_beside = offset >= end && offset + place.size <= first.stride;
+            let is_alike = place.stride == first.stride && place.count == first.count;
+            let is_other = elements.iter().all(|(other, _)| other != kind);
+            end = offset + place.size;
+            if !(is_beside && is_alike && is_other && of == owners) {
+                let name = |kind| match kind {
+                    Kind::Position => "positions",
+                    Kind::Normal => "normals",
+                    Kind::Tangent => "tangents",
+                };
+                let what = format!(
+                    "the {} from byte {} on and the {} from byte {} on lie over or between each other, and are not of the same vertices",
+                    name(these[0].1),
+                    first.start,
+                    name(*kind),
+                    place.start
+                );
+                return Err(self.container.source.malformed(what, APART));
+            }
+            elements.push((*kind, offset as usize));
+        }
+        Ok(elements)
+    }
+
+    /// An error where what changes has bytes in common with what does not.
+    fn check_kept(&self, kept: &BTreeMap<usize, String>, all: &[Stream]) -> Result<()> {
+        // Where each stream ends, or one before it.
+        let mut ends = Vec::with_capacity(all.len());
+        let mut furthest = 0;
+        for (place, _, _) in all {
+            furthest = furthest.max(place.end());
+            ends.push(furthest);
+        }
+        let check = |other: &Place, name: &dyn Fn() -> String| -> Result<()> {
+            let first = ends.partition_point(|end| *end <= other.start);
+            let near = all[first..].iter().take_while(|(place, _, _)| place.start < other.end());
+            match near.into_iter().find(|(place, _, _)| place.touches(other)) {
+                None => Ok(()),
+                Some((place, _, _)) => {
+                    let what = format!(
+                        "{} and the vertices from byte {} on have bytes in common, and would change as these do",
+                        name(),
+                        place.start
+                    );
+                    Err(self.container.source.malformed(what, APART))
+                }
+            }
+        };
+        for (index, what) in kept {
+            if let Some(place) = self.place(*index)? {
+                check(&place, &|| format!("accessor {index} ({what})"))?;
+            }
+        }
+        for (index, image) in self.document.images.iter().enumerate() {
+            if let Some(view) = image.buffer_view {
+                let bytes = self.view(view)?;
+                let size = bytes.end - bytes.start;
+                let place = Place { start: bytes.start, count: 1, stride: size, size };
+                check(&place, &|| format!("image {index}"))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A run of elements, what they are, and whose.
+type Stream = (Place, Kind, Vec<usize>);

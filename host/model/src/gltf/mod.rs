@@ -1,0 +1,119 @@
+//! glTF 2.0: GLB, and `.gltf` with its buffers, which is written as GLB.
+//!
+//! The vertices are the positions of all meshes that nodes show, in the world's coordinates: a node's matrix is
+//! done before, and undone after. They are patched in their bytes with their normals and tangents, wherever
+//! accessors say that these are, and so are `min` and `max` of positions, in the JSON. Everything else is copied
+//! byte by byte.
+//!
+//! | module | |
+//! |---|---|
+//! | `container` | the bytes of GLB, or of a `.gltf` as if it were one |
+//! | `json` | what of the JSON is read |
+//! | `places` | where accessors are; `nodes` where nodes are in the world |
+//! | `layout` | which bytes are of vertices; `limits` which text is of `min` and `max` |
+//! | `file` | what is known of a file once it is open |
+//! | `reader` | chunks of vertices from anywhere in the file; `faces` triangles |
+//! | `rewrite` | the whole file anew |
+
+mod container;
+mod faces;
+mod file;
+mod json;
+mod layout;
+mod limits;
+mod nodes;
+mod places;
+mod reader;
+mod rewrite;
+
+use std::ops::Range;
+use std::path::Path;
+
+use faces::Faces;
+use file::GltfModel;
+use reader::Reader;
+
+use crate::source::Source;
+use crate::{
+    Edit, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
+    VertexChunk, VertexReader, pipeline,
+};
+
+/// Whether a file that begins so is GLB.
+pub(super) fn is_glb(start: &[u8]) -> bool {
+    start.starts_with(container::MAGIC)
+}
+
+/// Whether a file is a `.gltf`, as far as its beginning tells: JSON that speaks of the asset.
+pub(super) fn is_gltf(source: &Source) -> Result<bool> {
+    const START: usize = 4096;
+    let mut start = Vec::new();
+    source.append_at(&mut start, 0, START)?;
+    let is_object = start.trim_ascii_start().starts_with(b"{");
+    Ok(is_object && memchr::memmem::find(&start, b"\"asset\"").is_some())
+}
+
+/// Opens a file.
+pub(super) fn open(source: Source) -> Result<Box<dyn Model>> {
+    Ok(Box::new(GltfModel::new(source)?))
+}
+
+impl Model for GltfModel {
+    fn info(&self) -> &ModelInfo {
+        &self.info
+    }
+
+    fn path(&self) -> &Path {
+        self.container.source.path()
+    }
+
+    fn other_files(&self) -> Vec<&Path> {
+        self.container.others().collect()
+    }
+
+    fn extensions(&self) -> &'static [&'static str] {
+        // What is written is GLB.
+        &["glb"]
+    }
+
+    fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
+        Ok(Box::new(Reader::new(self, range)))
+    }
+
+    fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
+        self.read_colours(chunk.first..chunk.first + chunk.len() as u64, to)
+    }
+
+    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
+        Ok(Box::new(Faces::new(self)))
+    }
+
+    fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
+        Ok(Box::new(Faces::at(self, ranges)))
+    }
+
+    fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
+        self.container.check_unchanged()
+    }
+
+    fn rewrite(
+        &self,
+        outputs: &mut [&mut dyn Output],
+        how: Rewriting,
+        edit: &dyn Edit,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        if how.normals == Normals::Drop && self.info.has_normals {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("{}: normals cannot be left out of a file of this format", self.path().display()),
+                "transform or keep them",
+            ));
+        }
+        let rewriting = rewrite::Rewriting::new(self);
+        rewriting.announce(progress);
+        pipeline::rewrite(&rewriting, outputs, how, edit, progress)?;
+        rewriting.tell(progress);
+        Ok(())
+    }
+}
