@@ -157,8 +157,8 @@ pub struct VertexChunk {
     pub(crate) pages: Vec<u8>,
     /// Vertices of other chunks of which these bytes have some numbers.
     pub(crate) beside: Beside,
-    /// What the format has to know of the bytes besides.
-    pub(crate) of_format: Option<Box<dyn Any + Send + Sync>>,
+    /// What the format has to know of the bytes besides, for each part that was read by itself.
+    pub(crate) of_format: Vec<Box<dyn Any + Send + Sync>>,
     /// The bytes are those of the vertices' normals, which stand elsewhere in the file than their positions.
     pub(crate) of_normals: bool,
 }
@@ -173,6 +173,7 @@ impl VertexChunk {
         self.spans.extend(behind.spans.drain(..).map(|span| span.map(|at| at + shift)));
         self.records.append(&mut behind.records);
         self.raw.append(&mut behind.raw);
+        self.of_format.append(&mut behind.of_format);
     }
 
     /// Number of vertices in the chunk.
@@ -202,7 +203,7 @@ impl VertexChunk {
 
     /// What the format had to know of former bytes, to be filled anew.
     pub(crate) fn take_of_format<T: Any + Default>(&mut self) -> Box<T> {
-        self.of_format.take().and_then(|of| of.downcast::<T>().ok()).unwrap_or_default()
+        self.of_format.drain(..).find_map(|of| of.downcast::<T>().ok()).unwrap_or_default()
     }
 }
 

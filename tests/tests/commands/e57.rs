@@ -188,7 +188,13 @@ fn what_does_not_fit_is_refused_and_leaves_nothing() {
     let outcome = work.refuses(line, &["moves to cartesianX = ", "of scan 1, which has room for "]);
     assert!(outcome.hint().contains("as floats"));
     work.refuses(&format!("{line} --offset auto"), &["has no offset"]);
-    work.refuses(&line.replace("out.e57", "out.ply"), &["another format", "E57"]);
+    work.refuses(
+        "reconstruct scans.simod --deformed scans.simod/samples.ply -o out.ply",
+        &["what is told of 2 scans, poses among it"],
+    );
+    work.simod("convert scans.e57 out.ply --lossy");
+    let far = work.ply("out.ply").positions()[COUNT + 10].distance(vertex(1, 10));
+    assert!(far < 1e-8, "{far:e}");
     let mut bytes = work.read("scans.e57");
     bytes[5000] ^= 4;
     work.write("spoilt.e57", &bytes);

@@ -108,7 +108,6 @@ impl E57Model {
         if self.images > 0 {
             besides.push(number(self.images, "image"));
         }
-        besides.extend(self.info.crs.iter().map(|crs| format!("the coordinate reference system {crs}")));
         let fields = self.scans.iter().flat_map(|scan| &scan.described.fields);
         let others = fields.filter(|field| !field.is_number()).count();
         if others > 0 {

@@ -270,7 +270,7 @@ impl<'a> E57Pieces<'a> {
         chunk.first = first.unwrap_or(0);
         chunk.pages.clear();
         chunk.pages.extend_from_slice(self.window.get(piece.start * PAYLOAD..piece.end * PAYLOAD)?);
-        chunk.of_format = Some(layout);
+        chunk.of_format.push(layout);
         Ok((end, if vertices == 0 { Piece::Normals } else { Piece::Vertices(vertices as usize) }))
     }
 }
@@ -317,7 +317,7 @@ impl E57Pieces<'_> {
 impl E57Model {
     /// Fills the positions and normals of a piece.
     pub(super) fn decode_piece(&self, chunk: &mut VertexChunk) {
-        let Some(of_format) = chunk.of_format.take() else { return };
+        let Some(of_format) = chunk.of_format.pop() else { return };
         let Some(layout) = of_format.downcast_ref::<Layout>() else { return };
         let normals = self.info.has_normals;
         let VertexChunk { positions, normals: of_normals, raw, beside, .. } = chunk;
@@ -347,7 +347,7 @@ impl E57Model {
                 normals_beside.extend(normals_of_group);
             }
         }
-        chunk.of_format = Some(of_format);
+        chunk.of_format.push(of_format);
     }
 }
 

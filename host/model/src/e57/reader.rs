@@ -60,6 +60,7 @@ impl VertexReader for Reader<'_> {
         chunk.pages.clear();
         let Some(scan) = model.scans.get(model.scan_of(self.range.start)).filter(|_| !self.range.is_empty())
         else {
+            chunk.of_format.clear();
             return Ok(false);
         };
         let fields: Vec<usize> = if self.skips_attributes {
@@ -76,7 +77,7 @@ impl VertexReader for Reader<'_> {
         streams.read(model.walk(scan, &mut self.window), scan, points.clone(), &fields)?;
         self.rows.clear();
         streams.rows(&scan.row, points, &mut self.rows);
-        chunk.of_format = Some(streams);
+        chunk.of_format.push(streams);
         chunk.raw.extend(self.rows.iter().flat_map(|number| number.to_le_bytes()));
         decode(scan, &self.rows, model.info.has_normals, chunk);
         self.range.start = end;
@@ -108,25 +109,27 @@ pub(super) fn numbers(bytes: &[u8]) -> impl Iterator<Item = u64> + '_ {
 }
 
 impl E57Model {
-    /// The numbers of the first attributes of a chunk that was read.
+    /// The numbers of the first attributes of a chunk that was read, or of several that were joined.
     pub(super) fn attributes_of(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) {
         to.iter_mut().for_each(Vec::clear);
-        let scan = self.scan_of(chunk.first);
-        let streams = chunk.of_format.as_ref().and_then(|of| of.downcast_ref::<Streams>());
-        let (Some(scan), Some(places), Some(streams)) =
-            (self.scans.get(scan), self.attributes.get(scan), streams)
-        else {
-            return;
-        };
-        for (number, values) in to.iter_mut().enumerate() {
-            match places.binary_search_by_key(&number, |(attribute, _)| *attribute) {
-                Ok(place) => {
-                    let place = places[place].1;
-                    let field = &scan.described.fields[place];
-                    values.extend((0..chunk.len()).map(|index| field.value(streams.get(place, index))));
+        let mut vertex = chunk.first;
+        for streams in chunk.of_format.iter().filter_map(|of| of.downcast_ref::<Streams>()) {
+            let number = self.scan_of(vertex);
+            let (Some(scan), Some(places)) = (self.scans.get(number), self.attributes.get(number)) else {
+                return;
+            };
+            let count = (streams.points.end - streams.points.start) as usize;
+            vertex += count as u64;
+            for (number, values) in to.iter_mut().enumerate() {
+                match places.binary_search_by_key(&number, |(attribute, _)| *attribute) {
+                    Ok(place) => {
+                        let place = places[place].1;
+                        let field = &scan.described.fields[place];
+                        values.extend((0..count).map(|index| field.value(streams.get(place, index))));
+                    }
+                    // The scan does not have it.
+                    Err(_) => values.extend(std::iter::repeat_n(f64::NAN, count)),
                 }
-                // The scan does not have it.
-                Err(_) => values.resize(chunk.len(), f64::NAN),
             }
         }
     }

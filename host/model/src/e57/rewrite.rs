@@ -27,7 +27,7 @@ impl Rewritable for E57Model {
     }
 
     fn encode(&self, chunk: &mut VertexChunk, mut version: Version<'_>) -> Result<()> {
-        let Some(layout) = chunk.of_format.as_ref().and_then(|of| of.downcast_ref::<Layout>()) else {
+        let Some(layout) = chunk.of_format.first().and_then(|of| of.downcast_ref::<Layout>()) else {
             return Err(Error::internal("a piece of E57 has no layout", "report this"));
         };
         let mut copy;
