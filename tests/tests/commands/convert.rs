@@ -321,7 +321,7 @@ fn errors_do_not_depend_on_the_threads() {
     let row = |i: usize| format!("v {} {} 0\n", i % 500, i / 500);
     let mut text: String = (0..400_000).map(row).collect();
     (1..300_000).step_by(7).for_each(|i| text += &format!("f {i} {} {}\n", i + 1, i + 501));
-    let [first, second] = [30, 330_000].map(|i| row(i));
+    let [first, second] = [30, 330_000].map(row);
     let broken = text.replacen(&second, "v 1 abc 3\n", 1);
     assert!(broken != text);
     work.write("m.obj", &broken);

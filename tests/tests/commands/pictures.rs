@@ -27,7 +27,7 @@ fn sheet(work: &Workplace) {
         let class = if left { 2 } else { 6 };
         writeln!(text, "{x} {y} 0 0 0 1 {color} {} {class}", 100 * y).expect("a line");
     }
-    std::fs::write(work.path("sheet.ply"), text).expect("a model");
+    work.write("sheet.ply", text);
 }
 
 /// The mean colour of the picture's left or right part, and its upper or lower one, around the middle of each.
