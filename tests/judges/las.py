@@ -79,7 +79,7 @@ def ply_points(path):
             is_vertex = words[1] == "vertex"
             count = int(words[2]) if is_vertex else count
         if words[0] == "property" and is_vertex:
-            fields.append((words[2], {"double": "<f8", "float": "<f4"}[words[1]]))
+            fields.append((words[2], {"double": "<f8", "float": "<f4", "uint": "<u4", "uchar": "u1"}[words[1]]))
     kind = np.dtype(fields)
     return data, end, np.frombuffer(data, kind, count, end).copy(), kind
 

@@ -32,6 +32,13 @@ impl Bounds {
         self.max = self.max.max(p);
     }
 
+    /// Grows the box to hold another one.
+    #[inline]
+    pub fn absorb(&mut self, other: &Self) {
+        self.min = self.min.min(other.min);
+        self.max = self.max.max(other.max);
+    }
+
     /// Whether the point lies in the box or on its faces; no point with a NaN does.
     #[inline]
     pub fn contains(&self, p: DVec3) -> bool {

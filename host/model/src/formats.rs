@@ -3,18 +3,19 @@
 use std::path::Path;
 
 use crate::source::Source;
-use crate::{Error, ErrorKind, Model, Result, columns, gltf, las, obj, off, pcd, ply, stl};
+use crate::{Error, ErrorKind, Model, Result, columns, e57, gltf, las, obj, off, pcd, ply, stl};
 
 /// Extensions of all formats, by which names say what a file is.
-const EXTENSIONS: [&str; 9] = ["ply", "obj", "stl", "off", "pcd", "las", "laz", "glb", "gltf"];
+const EXTENSIONS: [&str; 10] = ["ply", "obj", "stl", "off", "pcd", "las", "laz", "e57", "glb", "gltf"];
 
 /// Whether a file that begins so is of a format, and what opens it.
 type Known = (fn(&[u8]) -> bool, fn(Source) -> Result<Box<dyn Model>>);
 
 /// The formats that a file's first bytes tell.
-const BY_BEGINNING: [Known; 5] = [
+const BY_BEGINNING: [Known; 6] = [
     (ply::is_ply, |source| Ok(Box::new(ply::PlyModel::new(source)?))),
     (las::is_las, |source| Ok(Box::new(las::LasModel::new(source)?))),
+    (e57::is_e57, e57::open),
     (pcd::is_pcd, pcd::open),
     (off::is_off, off::open),
     (gltf::is_glb, gltf::open),
@@ -94,6 +95,6 @@ pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn M
 fn unknown(source: &Source, start: &[u8]) -> Error {
     let start = &start[..start.len().min(16)];
     let what = format!("no model of a known format: it begins with \"{}\"", start.escape_ascii());
-    let hint = "PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ and text in columns can be read: export the model as one of them";
+    let hint = "PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57 and text in columns can be read: export the model as one of them";
     source.malformed(what, hint)
 }

@@ -16,6 +16,7 @@ pub mod claim;
 mod colors;
 mod columns;
 mod convert;
+mod e57;
 mod error;
 mod fan;
 mod form;

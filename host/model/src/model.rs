@@ -153,6 +153,12 @@ pub struct VertexChunk {
     pub(crate) blocks: Vec<Block>,
     /// Where in `raw` each vertex' numbers lie; what it means is the format's business.
     pub(crate) spans: Vec<[u32; 2]>,
+    /// The pages that are patched, where `raw` is what the vertices have of them.
+    pub(crate) pages: Vec<u8>,
+    /// Vertices of other chunks of which these bytes have some numbers.
+    pub(crate) beside: Beside,
+    /// What the format has to know of the bytes besides, for each part that was read by itself.
+    pub(crate) of_format: Vec<Box<dyn Any + Send + Sync>>,
     /// The bytes are those of the vertices' normals, which stand elsewhere in the file than their positions.
     pub(crate) of_normals: bool,
 }
@@ -167,6 +173,7 @@ impl VertexChunk {
         self.spans.extend(behind.spans.drain(..).map(|span| span.map(|at| at + shift)));
         self.records.append(&mut behind.records);
         self.raw.append(&mut behind.raw);
+        self.of_format.append(&mut behind.of_format);
     }
 
     /// Number of vertices in the chunk.
@@ -188,6 +195,27 @@ impl VertexChunk {
     pub fn raw(&self) -> &[u8] {
         &self.raw
     }
+
+    /// Bytes of the file that the chunk stands for.
+    pub(crate) fn source_bytes(&self) -> u64 {
+        (if self.pages.is_empty() { &self.raw } else { &self.pages }).len() as u64
+    }
+
+    /// What the format had to know of former bytes, to be filled anew.
+    pub(crate) fn take_of_format<T: Any + Default>(&mut self) -> Box<T> {
+        self.of_format.drain(..).find_map(|of| of.downcast::<T>().ok()).unwrap_or_default()
+    }
+}
+
+/// Vertices that are edited once more, as a part of their numbers lies among the bytes of another chunk than
+/// the rest: in groups, each by itself, and neither begun nor ended.
+#[derive(Debug, Default)]
+pub(crate) struct Beside {
+    pub(crate) positions: Vec<DVec3>,
+    /// As many, where the model has any.
+    pub(crate) normals: Vec<Vec3>,
+    /// How many vertices each group has.
+    pub(crate) groups: Vec<usize>,
 }
 
 /// A compressed block of a file, which can be read without the others.
@@ -295,8 +323,8 @@ pub struct Rewriting {
     pub pieces_done: u64,
 }
 
-/// Where a new version of a model goes. Anything that can be written to is one, for formats that replace nothing
-/// in the end.
+/// Where a new version of a model goes. Anything that can be written to is one, for formats that replace
+/// nothing in the end.
 pub trait Output: Send {
     /// Takes the next piece of the new file, which stands for `source_bytes` of the model, and what other
     /// places of the file have to know of it. The same model, rewritten in the same way, comes in the same
@@ -505,6 +533,11 @@ pub trait Model: Send + Sync {
     /// Extensions that names of such files have, in lower case, the usual one first; none if any will do.
     fn extensions(&self) -> &'static [&'static str] {
         &[]
+    }
+
+    /// What else the file says of itself, for people: a line for each scan, where it has several.
+    fn details(&self) -> Vec<String> {
+        Vec::new()
     }
 
     /// What the file has that is given nowhere here, each in a few words, as "3 comments": what another format

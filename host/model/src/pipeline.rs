@@ -272,7 +272,7 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
     /// What a piece becomes; nothing at the end of the file.
     fn process(&self, number: u64, piece: &Piece, bench: &mut Bench) -> Result<Option<Ready>> {
         let Bench { chunk, edited } = bench;
-        let mut ready = Ready { source_bytes: chunk.raw.len() as u64, ..Ready::default() };
+        let mut ready = Ready { source_bytes: chunk.source_bytes(), ..Ready::default() };
         match piece {
             Piece::End => return Ok(None),
             _ if number < self.how.pieces_done => {}
@@ -289,8 +289,9 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
                     self.edit.edit(chunk, edited)?;
                     ready.edited = Some(chunk.first);
                 }
+                edited.iter().try_for_each(|version| version.check(chunk, self.how.normals))?;
+                self.edit_beside(chunk, edited)?;
                 for (version, edited) in edited.iter().enumerate() {
-                    edited.check(chunk, self.how.normals)?;
                     let mut buffer = self.queue().spare.pop().unwrap_or_default();
                     let mut summary = Summary::default();
                     let version = Version {
@@ -307,6 +308,29 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
             }
         }
         Ok(Some(ready))
+    }
+
+    /// Appends to the versions of a chunk what becomes of the vertices [beside](VertexChunk::beside) it.
+    fn edit_beside(&self, chunk: &VertexChunk, edited: &mut [Edited]) -> Result<()> {
+        let (beside, mut first) = (&chunk.beside, 0);
+        let (mut group, mut versions) = (VertexChunk::default(), Vec::new());
+        versions.resize_with(edited.len(), Edited::default);
+        for count in &beside.groups {
+            let range = first..first + count;
+            first = range.end;
+            group.positions.clear();
+            group.positions.extend_from_slice(&beside.positions[range.clone()]);
+            group.normals.clear();
+            group.normals.extend_from_slice(beside.normals.get(range).unwrap_or_default());
+            versions.iter_mut().for_each(|version| version.reset(&group, self.how.normals));
+            self.edit.edit_normals(&group, &mut versions)?;
+            for (version, of_group) in edited.iter_mut().zip(&versions) {
+                of_group.check(&group, self.how.normals)?;
+                version.positions.extend_from_slice(&of_group.positions);
+                version.normals.extend_from_slice(&of_group.normals);
+            }
+        }
+        Ok(())
     }
 
     /// Hands a piece in, and writes as many as are next, unless another thread does.

@@ -1,5 +1,7 @@
 //! What places elsewhere in a file have to know of its vertices: their box, which its header has, and the
-//! lengths of its compressed blocks, which a table lists. Where parts of a file have boxes of their own, theirs.
+//! lengths of its compressed blocks, which a table lists.
+
+use std::collections::BTreeMap;
 
 use glam::{DVec3, Vec4};
 
@@ -14,8 +16,13 @@ pub struct Summary {
     pub(crate) after: Bounds,
     /// Bytes of each compressed block of the new version, in the file's order.
     pub(crate) lengths: Vec<u32>,
-    /// Of parts of the file that have boxes of their own: ascending, no part twice.
+    /// Of parts of the file whose boxes are of numbers as it stores them: ascending, no part twice.
     pub(crate) parts: Vec<PartBox>,
+    /// For each part of the model that has boxes of its own, by its number: those of the vertices as they
+    /// were, and as they are in the new version.
+    pub(crate) boxes: BTreeMap<u32, [Bounds; 2]>,
+    /// The checksums of those pages of the new version of which a part is known only in the end.
+    pub(crate) checksums: BTreeMap<u64, u32>,
 }
 
 /// The box of a part of the new version, of up to four numbers.
@@ -66,10 +73,8 @@ impl PartBox {
 impl Summary {
     /// Adds what comes behind it.
     pub(crate) fn absorb(&mut self, behind: &Self) {
-        for (all, more) in [(&mut self.before, behind.before), (&mut self.after, behind.after)] {
-            all.min = all.min.min(more.min);
-            all.max = all.max.max(more.max);
-        }
+        self.before.absorb(&behind.before);
+        self.after.absorb(&behind.after);
         self.lengths.extend_from_slice(&behind.lengths);
         for part in &behind.parts {
             match self.parts.binary_search_by_key(&part.part, |known| known.part) {
@@ -77,6 +82,11 @@ impl Summary {
                 Err(at) => self.parts.insert(at, *part),
             }
         }
+        for (number, boxes) in &behind.boxes {
+            let there = self.boxes.entry(*number).or_default();
+            there.iter_mut().zip(boxes).for_each(|(there, more)| there.absorb(more));
+        }
+        self.checksums.extend(&behind.checksums);
     }
 
     /// A word without spaces; none if there is nothing to be told.
@@ -84,36 +94,65 @@ impl Summary {
         if *self == Self::default() {
             return None;
         }
-        let corners = [self.before.min, self.before.max, self.after.min, self.after.max];
-        let corners = corners.iter().flat_map(|p| p.to_array()).map(|x| format!("{:x}", x.to_bits()));
-        let lengths = self.lengths.iter().map(|length| format!("{length:x}"));
-        let mut word = corners.chain(lengths).collect::<Vec<_>>().join(",");
-        for part in &self.parts {
-            word += ";";
-            word += &part.to_numbers().map(|number| format!("{number:x}")).join(",");
-        }
-        Some(word)
+        let mut words = corners(&[self.before, self.after]);
+        words.extend(self.lengths.iter().map(|length| format!("{length:x}")));
+        let mut parts = vec![words.join(",")];
+        let hex = |part: &PartBox| part.to_numbers().map(|number| format!("{number:x}")).join(",");
+        parts.extend(self.parts.iter().map(|part| format!("p{}", hex(part))));
+        parts.extend(
+            self.boxes.iter().map(|(number, boxes)| format!("b{number:x},{}", corners(boxes).join(","))),
+        );
+        parts.extend(self.checksums.iter().map(|(page, checksum)| format!("c{page:x},{checksum:x}")));
+        Some(parts.join(";"))
     }
 
     /// What such a word says.
     pub(crate) fn decode(word: &str) -> Option<Self> {
-        let mut all = word.split(';');
-        let mut words = all.next()?.split(',');
-        let mut corner = || {
-            let mut next = || u64::from_str_radix(words.next()?, 16).ok().map(f64::from_bits);
-            Some(DVec3::new(next()?, next()?, next()?))
-        };
-        let before = Bounds { min: corner()?, max: corner()? };
-        let after = Bounds { min: corner()?, max: corner()? };
+        let mut parts = word.split(';');
+        let mut words = parts.next()?.split(',');
+        let [before, after] = boxes(&mut words)?;
         let lengths = words.map(|word| u32::from_str_radix(word, 16).ok()).collect::<Option<_>>()?;
-        let part = |word: &str| {
-            let numbers =
-                word.split(',').map(|word| u32::from_str_radix(word, 16).ok()).collect::<Option<Vec<_>>>()?;
-            PartBox::of_numbers(numbers.try_into().ok()?)
-        };
-        let parts = all.map(part).collect::<Option<_>>()?;
-        Some(Self { before, after, lengths, parts })
+        let mut this = Self { before, after, lengths, ..Self::default() };
+        for part in parts {
+            let (kind, rest) = (part.get(..1)?, part.get(1..)?);
+            if kind == "p" {
+                let numbers = rest.split(',').map(|word| u32::from_str_radix(word, 16).ok());
+                let numbers = numbers.collect::<Option<Vec<_>>>()?;
+                this.parts.push(PartBox::of_numbers(numbers.try_into().ok()?)?);
+                continue;
+            }
+            let mut words = rest.split(',');
+            let number = u64::from_str_radix(words.next()?, 16).ok()?;
+            match kind {
+                "b" => drop(this.boxes.insert(u32::try_from(number).ok()?, boxes(&mut words)?)),
+                "c" => {
+                    let checksum = u32::from_str_radix(words.next()?, 16).ok()?;
+                    this.checksums.insert(number, checksum);
+                }
+                _ => return None,
+            }
+            if words.next().is_some() {
+                return None;
+            }
+        }
+        Some(this)
     }
+}
+
+/// The numbers of boxes, to the bit.
+fn corners(boxes: &[Bounds]) -> Vec<String> {
+    let corners = boxes.iter().flat_map(|all| [all.min, all.max]).flat_map(|p| p.to_array());
+    corners.map(|x| format!("{:x}", x.to_bits())).collect()
+}
+
+/// Boxes of such numbers.
+fn boxes<'a>(words: &mut impl Iterator<Item = &'a str>) -> Option<[Bounds; 2]> {
+    let mut corner = || {
+        let mut next = || u64::from_str_radix(words.next()?, 16).ok().map(f64::from_bits);
+        Some(DVec3::new(next()?, next()?, next()?))
+    };
+    let mut next = || Some(Bounds { min: corner()?, max: corner()? });
+    Some([next()?, next()?])
 }
 
 #[cfg(test)]
@@ -124,17 +163,26 @@ mod tests {
     fn a_summary_comes_back_and_adds_up() {
         let first = Summary { lengths: vec![7, u32::MAX], ..Summary::default() };
         let after = Bounds::of([DVec3::new(-1.0, 0.1, 3.0), DVec3::ONE]);
+        let boxes = BTreeMap::from([(0, [after, Bounds::default()]), (20, [after, after])]);
+        let checksums = BTreeMap::from([(0, u32::MAX), (1 << 40, 7)]);
         let part = PartBox { part: 3, has_moved: true, min: Vec4::NEG_ONE, max: Vec4::splat(0.1) };
         let parts = vec![part, PartBox::empty(7)];
-        let second = Summary { after, before: Bounds::of([DVec3::X]), lengths: vec![0], parts };
+        let second =
+            Summary { after, before: Bounds::of([DVec3::X]), lengths: vec![0], boxes, checksums, parts };
         let mut both = first.clone();
         both.absorb(&second);
         assert_eq!(both, Summary { lengths: vec![7, u32::MAX, 0], ..second.clone() });
+        let mut thrice = both.clone();
+        thrice.absorb(&Summary {
+            boxes: BTreeMap::from([(20, [Bounds::of([DVec3::NEG_Y]), Bounds::default()])]),
+            ..Summary::default()
+        });
+        assert_eq!(thrice.boxes[&20], [Bounds::of([DVec3::NEG_Y, after.min, after.max]), after]);
         let more = PartBox { min: Vec4::splat(-2.0), has_moved: false, ..PartBox::empty(7) };
         let mut all = both.clone();
         all.absorb(&Summary { parts: vec![more], ..Summary::default() });
         assert_eq!(all.parts, [part, more]);
-        for summary in [first, second, both, all] {
+        for summary in [first, second, both, thrice, all] {
             let word = summary.encode().unwrap();
             assert_eq!(Summary::decode(&word).unwrap(), summary);
             assert!(!word.contains(' '));
@@ -145,8 +193,10 @@ mod tests {
             "1,2",
             "x",
             "0,0,0,0,0,0,0,0,0,0,0,0,-1",
-            "0,0,0,0,0,0,0,0,0,0,0,0;1,2,3",
-            "0,0,0,0,0,0,0,0,0,0,0,0;1,2,3,4,5,6,7,8,9,a",
+            "0,0,0,0,0,0,0,0,0,0,0,0;b1",
+            "0,0,0,0,0,0,0,0,0,0,0,0;d1,1",
+            "0,0,0,0,0,0,0,0,0,0,0,0;p1,2,3",
+            "0,0,0,0,0,0,0,0,0,0,0,0;p1,2,3,4,5,6,7,8,9,a",
         ] {
             assert_eq!(Summary::decode(wrong), None);
         }

@@ -218,7 +218,7 @@ fn killed_and_gone_on_with() {
 }
 
 /// Starts a reconstruction and kills it once its journal lists so many parts.
-fn kill_after(work: &Workplace, line: &str, journal: &str, parts: usize) {
+pub fn kill_after(work: &Workplace, line: &str, journal: &str, parts: usize) {
     let mut command = work.command(line);
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("a start");
     let listed = || {

@@ -5,6 +5,7 @@ mod cancel;
 mod compare;
 mod convert;
 mod diagnostics;
+mod e57;
 mod errors;
 mod examples;
 mod files;

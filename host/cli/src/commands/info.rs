@@ -16,7 +16,7 @@ use crate::report::{Report, count};
 /// Show what a model, or a sampled model, holds
 #[derive(Args)]
 pub struct Info {
-    /// A model (PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, or text in columns), or the folder of a sampled one
+    /// A model (PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, or text in columns), or the folder of a sampled one
     #[arg(value_name = "MODEL|DIR")]
     path: PathBuf,
     /// What the columns of a text are, as x,y,z,_,nx,ny,nz [default: by names in its first line, or x,y,z]
@@ -43,6 +43,11 @@ impl Info {
             report.line(format!("positions are integers, with scale {scale} and offset {offset}"));
             report.figure("scale", scale.to_array());
             report.figure("offset", offset.to_array());
+        }
+        let details = model.details();
+        if !details.is_empty() {
+            details.iter().for_each(|line| report.line(line.as_str()));
+            report.figure("details", details);
         }
         if let Some(crs) = &info.crs {
             report.line(format!("coordinate reference system: {crs}"));

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)] // helpers of tests are tests, too
 
 mod columns;
+mod e57;
 mod gltf;
 mod obj;
 mod off;

@@ -1,0 +1,291 @@
+//! What the XML of an E57 file says of its scans, and where in the text it says how far they reach.
+
+use std::ops::Range;
+use std::str::FromStr;
+
+use glam::DVec3;
+use roxmltree::{Document, Node, ParsingOptions};
+
+use super::fields::{Field, Kind};
+use super::pages::DAMAGED;
+use super::pose::Pose;
+use crate::Result;
+use crate::source::Source;
+
+/// Most elements, attributes and texts of the XML: what its tree takes while it is looked at.
+const MOST_NODES: u32 = 8 << 20;
+
+/// A scan as it is described.
+#[derive(Debug)]
+pub(super) struct Described {
+    /// "scan 2", with its name if it has one.
+    pub name: String,
+    pub count: u64,
+    /// The place of its points in the file.
+    pub place: u64,
+    /// Each has a stream of its own, in this order.
+    pub fields: Vec<Field>,
+    pub pose: Pose,
+    pub slots: Vec<Slot>,
+}
+
+/// All scans, in the order of the text.
+#[derive(Debug)]
+pub(super) struct Description {
+    pub scans: Vec<Described>,
+    pub images: usize,
+    /// The name of the coordinate reference system, as far as the file has one.
+    pub crs: Option<String>,
+}
+
+/// A number that the points' coordinates do not go beyond.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Corner {
+    /// Of range, azimuth and elevation; else of x, y and z.
+    pub is_spherical: bool,
+    pub axis: usize,
+    pub is_max: bool,
+}
+
+/// A place in the text that has such a number.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Slot {
+    pub corner: Corner,
+    /// It is a limit of the type of the field, which may be wider; else of the box of the points.
+    pub is_limit: bool,
+    /// The number as it is.
+    pub value: f64,
+    /// How the number is written.
+    pub kind: Kind,
+    /// The bytes to be replaced, and what has to stand around the new number.
+    pub text: Range<usize>,
+    pub around: (String, String),
+}
+
+impl Description {
+    pub fn read(source: &Source, xml: &str) -> Result<Self> {
+        let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
+        let document = Document::parse_with_options(xml, options).map_err(|e| {
+            source.malformed(format!("the XML that describes the scans cannot be read: {e}"), DAMAGED)
+        })?;
+        let reading = Reading { source, xml, document: &document };
+        let root = document.root_element();
+        if root.tag_name().name() != "e57Root" {
+            let what = format!("its XML is of a <{}>, not of an <e57Root>", root.tag_name().name());
+            return Err(source.malformed(what, DAMAGED));
+        }
+        let scans = child(root, "data3D").into_iter().flat_map(elements).enumerate();
+        let scans = scans.map(|(i, node)| reading.scan(i, node)).collect::<Result<_>>()?;
+        let crs = child(root, "coordinateMetadata").and_then(|node| node.text()).and_then(crs_name);
+        let images = child(root, "images2D").map_or(0, |images| elements(images).count());
+        Ok(Self { scans, images, crs })
+    }
+}
+
+fn elements<'a, 'i>(node: Node<'a, 'i>) -> impl Iterator<Item = Node<'a, 'i>> {
+    node.children().filter(Node::is_element)
+}
+
+fn child<'a, 'i>(node: Node<'a, 'i>, name: &str) -> Option<Node<'a, 'i>> {
+    elements(node).find(|child| child.tag_name().name() == name && child.tag_name().namespace() == ns(node))
+}
+
+fn ns<'a>(node: Node<'a, '_>) -> Option<&'a str> {
+    node.tag_name().namespace()
+}
+
+/// The name in a text in WKT, or else all of a short text.
+fn crs_name(text: &str) -> Option<String> {
+    let name = text.split('"').nth(1).unwrap_or(text).trim();
+    let name: String = name.chars().filter(|c| !c.is_control()).take(200).collect();
+    (!name.is_empty()).then_some(name)
+}
+
+struct Reading<'a, 'i> {
+    source: &'a Source,
+    xml: &'i str,
+    document: &'a Document<'i>,
+}
+
+impl<'a, 'i> Reading<'a, 'i> {
+    fn wrong(&self, node: Node<'_, '_>, what: impl std::fmt::Display) -> crate::Error {
+        let line = self.document.text_pos_at(node.range().start).row;
+        self.source.malformed(format!("line {line} of its XML: {what}"), DAMAGED)
+    }
+
+    fn scan(&self, number: usize, node: Node<'a, 'i>) -> Result<Described> {
+        let name = child(node, "name").and_then(|node| node.text()).unwrap_or_default().trim();
+        let name: String = name.chars().filter(|c| !c.is_control()).take(100).collect();
+        let number = number + 1;
+        let name = if name.is_empty() { format!("scan {number}") } else { format!("scan {number} ({name})") };
+        let Some(points) = child(node, "points") else {
+            return Err(self.wrong(node, format!("{name} has no points")));
+        };
+        let count = self.attribute(points, "recordCount")?.unwrap_or(0);
+        let place = self.attribute(points, "fileOffset")?.unwrap_or(0);
+        let prototype = child(points, "prototype");
+        let mut slots = Vec::new();
+        let fields = match prototype {
+            Some(prototype) => self.fields(prototype, &mut slots)?,
+            None => return Err(self.wrong(points, format!("the points of {name} have no prototype"))),
+        };
+        if let Some(codecs) = child(points, "codecs") {
+            let other = codecs.descendants().find(|node| {
+                node.is_element() && node.tag_name().name().ends_with("Codec") && !node.has_tag_name(BITPACK)
+            });
+            if let Some(other) = other {
+                let what = format!("{name} is compressed by the codec {:?}", other.tag_name().name());
+                return Err(self
+                    .wrong(other, what)
+                    .hinting("export the model without, as usual programs write E57"));
+            }
+        }
+        for (element, names, is_spherical) in
+            [("cartesianBounds", CARTESIAN_BOUNDS, false), ("sphericalBounds", SPHERICAL_BOUNDS, true)]
+        {
+            let Some(bounds) = child(node, element) else { continue };
+            for (i, name) in names.into_iter().enumerate() {
+                let corner = Corner { is_spherical, axis: i / 2, is_max: i % 2 == 1 };
+                // What is no number tells nothing, and stays.
+                slots.extend(child(bounds, name).and_then(|node| self.slot(node, corner).ok()));
+            }
+        }
+        Ok(Described { name, count, place, fields, pose: self.pose(node)?, slots })
+    }
+
+    fn fields(&self, prototype: Node<'a, 'i>, slots: &mut Vec<Slot>) -> Result<Vec<Field>> {
+        let mut fields = Vec::new();
+        let all = prototype.descendants().skip(1).filter(Node::is_element);
+        for node in all.filter(|node| node.attribute("type") != Some("Structure")) {
+            let kind = self.kind(node)?;
+            let local = node.tag_name().name();
+            let namespace = ns(node).filter(|_| ns(node) != ns(prototype));
+            let prefix = namespace.and_then(|uri| node.lookup_prefix(uri));
+            let name = prefix.map_or_else(|| local.to_owned(), |prefix| format!("{prefix}:{local}"));
+            let axis = |names: [&str; 3]| names.iter().position(|known| *known == name);
+            let place = axis(CARTESIAN).map(|axis| (false, axis));
+            let place = place.or(axis(SPHERICAL).map(|axis| (true, axis)));
+            if let (Some((is_spherical, axis)), Kind::Single | Kind::Double) = (place, kind) {
+                for (limit, is_max) in [("minimum", false), ("maximum", true)] {
+                    let Some(value) = self.attribute::<f64>(node, limit)? else { continue };
+                    let Some(attribute) = node.attribute_node(limit) else { continue };
+                    slots.push(Slot {
+                        corner: Corner { is_spherical, axis, is_max },
+                        is_limit: true,
+                        value,
+                        kind,
+                        text: attribute.range_value(),
+                        around: Default::default(),
+                    });
+                }
+            }
+            fields.push(Field { name, kind });
+        }
+        Ok(fields)
+    }
+
+    fn kind(&self, node: Node<'a, 'i>) -> Result<Kind> {
+        let kind = node.attribute("type").unwrap_or_default();
+        match kind {
+            "Float" => match node.attribute("precision") {
+                None | Some("double") => Ok(Kind::Double),
+                Some("single") => Ok(Kind::Single),
+                Some(other) => Err(self.wrong(node, format!("a Float of precision {other:?}"))),
+            },
+            "Integer" | "ScaledInteger" => {
+                let min = self.attribute(node, "minimum")?.unwrap_or(i64::MIN);
+                let max = self.attribute(node, "maximum")?.unwrap_or(i64::MAX);
+                let is_scaled = kind == "ScaledInteger";
+                let number = |name| if is_scaled { self.attribute(node, name) } else { Ok(None) };
+                let (scale, offset) = (number("scale")?.unwrap_or(1.0), number("offset")?.unwrap_or(0.0));
+                let name = node.tag_name().name();
+                if max < min {
+                    return Err(self.wrong(node, format!("{name} has numbers from {min} to {max}")));
+                }
+                if !f64::is_finite(scale) || scale == 0.0 || !f64::is_finite(offset) {
+                    return Err(self.wrong(node, format!("{name} has the scale {scale} and offset {offset}")));
+                }
+                Ok(Kind::Integer { min, max, scale, offset })
+            }
+            "String" => Ok(Kind::Other),
+            other => {
+                let what = format!("a point has {}, which is of the type {other:?}", node.tag_name().name());
+                Err(self.wrong(node, what))
+            }
+        }
+    }
+
+    fn pose(&self, node: Node<'a, 'i>) -> Result<Pose> {
+        let Some(pose) = child(node, "pose") else { return Ok(Pose::default()) };
+        let numbers = |of: &str, names: [&str; 4], otherwise: [f64; 4]| {
+            let mut numbers = otherwise;
+            if let Some(node) = child(pose, of) {
+                for (number, name) in numbers.iter_mut().zip(names) {
+                    *number = child(node, name).map_or(Ok(0.0), |node| self.number(node))?;
+                }
+            }
+            Ok(numbers)
+        };
+        let rotation = numbers("rotation", ["w", "x", "y", "z"], [1.0, 0.0, 0.0, 0.0])?;
+        let [x, y, z, _] = numbers("translation", ["x", "y", "z", ""], [0.0; 4])?;
+        let found = Pose::new(rotation, DVec3::new(x, y, z));
+        found.ok_or_else(|| {
+            let what =
+                format!("the rotation {rotation:?} (w, x, y, z) and translation {:?} are no pose", [x, y, z]);
+            self.wrong(pose, what)
+        })
+    }
+
+    /// An attribute that is a number.
+    fn attribute<T: FromStr>(&self, node: Node<'a, 'i>, name: &str) -> Result<Option<T>> {
+        let Some(text) = node.attribute(name) else { return Ok(None) };
+        let number = text.trim().parse();
+        number.map(Some).map_err(|_| {
+            let element = node.tag_name().name();
+            self.wrong(node, format!("{name}={text:?} of {element} is no number that it can be"))
+        })
+    }
+
+    /// The number that an element has; zero if it is empty.
+    fn number(&self, node: Node<'a, 'i>) -> Result<f64> {
+        let text = node.text().unwrap_or_default().trim();
+        let parsed = if text.is_empty() { Ok(0.0) } else { text.parse() };
+        let number: f64 = parsed.map_err(|_| {
+            self.wrong(node, format!("{:?} in {} is no number", text, node.tag_name().name()))
+        })?;
+        match self.kind(node) {
+            Ok(Kind::Integer { scale, offset, .. }) => Ok(number * scale + offset),
+            _ => Ok(number),
+        }
+    }
+
+    fn slot(&self, node: Node<'a, 'i>, corner: Corner) -> Result<Slot> {
+        let value = self.number(node)?;
+        let kind = self.kind(node)?;
+        let mut around = Default::default();
+        let text = match (node.first_child(), node.last_child()) {
+            (Some(first), Some(last)) => first.range().start..last.range().end,
+            _ => {
+                // Without content: `<x/>`, or `<x></x>`, which becomes the same in the end.
+                let all = node.range();
+                let element = &self.xml[all.clone()];
+                let ends = |c: char| c.is_whitespace() || c == '/' || c == '>';
+                let name = element.get(1..).unwrap_or_default().split(ends).next().unwrap_or_default();
+                around = (">".to_owned(), format!("</{name}>"));
+                let end =
+                    if element.ends_with("/>") { element.len() - 2 } else { element.find('>').unwrap_or(0) };
+                all.start + end..all.end
+            }
+        };
+        Ok(Slot { corner, is_limit: false, value, kind, text, around })
+    }
+}
+
+/// The codec that leaves numbers as they are, and is meant where there is none.
+const BITPACK: &str = "bitPackCodec";
+
+pub(super) const CARTESIAN: [&str; 3] = ["cartesianX", "cartesianY", "cartesianZ"];
+pub(super) const SPHERICAL: [&str; 3] = ["sphericalRange", "sphericalAzimuth", "sphericalElevation"];
+const CARTESIAN_BOUNDS: [&str; 6] = ["xMinimum", "xMaximum", "yMinimum", "yMaximum", "zMinimum", "zMaximum"];
+const SPHERICAL_BOUNDS: [&str; 6] =
+    ["rangeMinimum", "rangeMaximum", "azimuthStart", "azimuthEnd", "elevationMinimum", "elevationMaximum"];

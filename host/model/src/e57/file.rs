@@ -1,0 +1,220 @@
+//! What is known of an E57 file once it is open.
+
+use std::collections::BTreeMap;
+
+use super::description::Description;
+use super::fields::Kind;
+use super::header::{Header, LENGTH};
+use super::packets::{Packets, Walk};
+use super::pages::{DAMAGED, Window, physical};
+use super::scan::{NUMBER, Scan};
+use crate::source::Source;
+use crate::{Attribute, ModelInfo, Result, Scalar, Type};
+
+/// Most points of which no field takes any bits: how many there are is held against nothing.
+const MOST_OF_NOTHING: u64 = 1 << 12;
+
+/// An E57 file.
+#[derive(Debug)]
+pub struct E57Model {
+    pub(super) source: Source,
+    pub(super) header: Header,
+    /// The text of its XML: at most 64 MiB.
+    pub(super) xml: String,
+    /// In the order of their points in the file, which is that of the vertices.
+    pub(super) scans: Vec<Scan>,
+    pub(super) images: usize,
+    /// For each scan, those attributes that it has, and which of its fields they are; ascending.
+    pub(super) attributes: Vec<Vec<(usize, usize)>>,
+    pub(super) info: ModelInfo,
+}
+
+impl E57Model {
+    /// What the file `source` is: its XML is read, and the heads of all packets. One that is cut off is
+    /// noticed here.
+    ///
+    /// # Errors
+    /// The file cannot be read, is not what E57 files are, or has a wrong checksum in what is read of it.
+    pub fn new(source: Source) -> Result<Self> {
+        let header = Header::read(&source)?;
+        let xml = read_xml(&source, &header)?;
+        let Description { scans: described, images, crs } = Description::read(&source, &xml)?;
+        let mut found = Vec::new();
+        let number = described.len();
+        let mut window = Window::new(&source, 1);
+        for one in described {
+            let packets = if one.count == 0 {
+                Packets::none()
+            } else {
+                let walk = Walk { source: &source, window: &mut window, name: &one.name };
+                Packets::find(walk, (one.place, one.count), &one.fields, number)?
+            };
+            found.push((one, packets));
+        }
+        found.sort_by_key(|(_, packets)| packets.section.start);
+        let (mut scans, mut vertices) = (Vec::new(), 0u64);
+        let mut taken = (0..LENGTH, "the header");
+        for (one, packets) in found {
+            let (name, count) = (one.name.clone(), one.count);
+            let Some(scan) = Scan::new(one, packets, vertices) else {
+                let what =
+                    format!("the points of {name} have no cartesianX, Y and Z, and no spherical coordinates");
+                return Err(source.malformed(what, "export the scan with its positions"));
+            };
+            if scan.lead.is_none() && count > MOST_OF_NOTHING {
+                let what = format!("{name} is said to have {count} points, of which no field takes any bits");
+                return Err(source.malformed(what, DAMAGED));
+            }
+            vertices = vertices.checked_add(count).ok_or_else(|| {
+                source.malformed("the scans are said to have more points than can be counted", DAMAGED)
+            })?;
+            scans.push(scan);
+        }
+        for scan in scans.iter().filter(|scan| scan.described.count > 0) {
+            let section = &scan.packets.section;
+            let is_over_xml = section.start < header.xml.end && header.xml.start < section.end;
+            if section.start < taken.0.end || is_over_xml {
+                let other = if is_over_xml { "the XML" } else { taken.1 };
+                let what = format!(
+                    "the points of {}, from byte {} on, lie over {other}",
+                    scan.described.name,
+                    physical(section.start)
+                );
+                return Err(source.malformed(what, DAMAGED));
+            }
+            taken = (section.clone(), &scan.described.name);
+        }
+        let (info, attributes) = info(&source, &header, &scans, (vertices, crs));
+        Ok(Self { source, header, xml, scans, images, attributes, info })
+    }
+
+    /// The scan that a vertex is of.
+    pub(super) fn scan_of(&self, vertex: u64) -> usize {
+        self.scans.partition_point(|scan| scan.vertices().end <= vertex)
+    }
+
+    pub(super) fn walk<'a, 'w>(&'a self, scan: &'a Scan, window: &'a mut Window<'w>) -> Walk<'a, 'w> {
+        Walk { source: &self.source, window, name: &scan.described.name }
+    }
+
+    /// What formats of points alone have no place for.
+    pub(super) fn describe_besides(&self) -> Vec<String> {
+        let number = |count: usize, one: &str| match count {
+            1 => format!("1 {one}"),
+            _ => format!("{count} {one}s"),
+        };
+        let mut besides =
+            vec![format!("what is told of {}, poses among it", number(self.scans.len(), "scan"))];
+        if self.images > 0 {
+            besides.push(number(self.images, "image"));
+        }
+        let fields = self.scans.iter().flat_map(|scan| &scan.described.fields);
+        let others = fields.filter(|field| !field.is_number()).count();
+        if others > 0 {
+            besides.push(format!("{} of points that are no numbers", number(others, "field")));
+        }
+        besides
+    }
+
+    /// What there is to say of each scan.
+    pub(super) fn describe_scans(&self) -> Vec<String> {
+        self.scans.iter().map(describe).collect()
+    }
+}
+
+fn read_xml(source: &Source, header: &Header) -> Result<String> {
+    let mut window = Window::new(source, 1);
+    let bytes = window.get(header.xml.clone())?.to_vec();
+    String::from_utf8(bytes).map_err(|e| {
+        let at = physical(header.xml.start + e.utf8_error().valid_up_to() as u64);
+        source.malformed(format!("the XML is no text in UTF-8 at byte {at}"), DAMAGED)
+    })
+}
+
+fn describe(scan: &Scan) -> String {
+    let described = &scan.described;
+    let pose = &described.pose;
+    let stands = match (pose.is_identity(), pose.rotation()) {
+        (true, _) => "without a pose".to_owned(),
+        (false, None) => format!("at {}", pose.translation),
+        (false, Some((axis, angle))) => {
+            format!("at {}, turned by {angle:.4}° about {axis:.6}", pose.translation)
+        }
+    };
+    let mut text = format!("{}: {} points, {stands}", described.name, described.count);
+    for field in scan.row.iter().map(|field| &described.fields[*field]) {
+        if let Kind::Integer { scale, offset, .. } = field.kind
+            && !field.name.ends_with("State")
+        {
+            let bits = field.bits();
+            text += &format!("; {} in {bits} bits, with scale {scale} and offset {offset}", field.name);
+        }
+    }
+    text
+}
+
+/// What is known of a model, and which field of each scan each attribute is.
+fn info(
+    source: &Source,
+    header: &Header,
+    scans: &[Scan],
+    (vertices, crs): (u64, Option<String>),
+) -> (ModelInfo, Vec<Vec<(usize, usize)>>) {
+    let with_points = || scans.iter().filter(|scan| scan.described.count > 0);
+    let has_normals = vertices > 0 && with_points().all(|scan| scan.has_normals);
+    let is_single = |scan: &Scan| {
+        let fields = scan.row.iter().take(3).map(|field| &scan.described.fields[*field]);
+        fields.into_iter().all(|field| field.kind == Kind::Single) && scan.described.pose.is_identity()
+    };
+    let mut attributes: Vec<Attribute> = Vec::new();
+    let mut known = BTreeMap::new();
+    let mut places = Vec::new();
+    for scan in scans {
+        let mut of_scan = BTreeMap::new();
+        for index in scan.attributes(has_normals) {
+            let field = &scan.described.fields[index];
+            let name = match &*field.name {
+                "colorRed" => "red",
+                "colorGreen" => "green",
+                "colorBlue" => "blue",
+                name => name,
+            };
+            if !Attribute::is_name(name) {
+                continue;
+            }
+            let kind = field.number_type();
+            let attribute = *known.entry(name).or_insert(attributes.len());
+            match attributes.get_mut(attribute) {
+                Some(Attribute { kind: of_others, .. }) if *of_others != kind => *of_others = Type::F64,
+                Some(_) => {}
+                None => attributes.push(Attribute { name: name.to_owned(), kind }),
+            }
+            of_scan.entry(attribute).or_insert(index);
+        }
+        places.push(of_scan.into_iter().collect());
+    }
+    let number = match scans.len() {
+        1 => "1 scan".to_owned(),
+        scans => format!("{scans} scans"),
+    };
+    let vertex_bytes = scans.iter().map(|scan| scan.described.count * (scan.row.len() * NUMBER) as u64);
+    let described = |a: &Attribute| format!("{} {}", a.kind.name(), a.name);
+    let info = ModelInfo {
+        format: format!("E57 {}.{}, {number}", header.version[0], header.version[1]),
+        vertices,
+        faces: 0,
+        has_normals,
+        position_type: if vertices > 0 && with_points().all(is_single) { Scalar::F32 } else { Scalar::F64 },
+        other_properties: attributes.iter().map(described).collect(),
+        attributes,
+        bytes: source.len(),
+        random_access: true,
+        block_vertices: 1,
+        vertex_bytes: vertex_bytes.fold(0, u64::saturating_add),
+        face_bytes: 0,
+        integers: None,
+        written: None,
+        crs,
+    };
+    (info, places)
+}

@@ -1,0 +1,108 @@
+//! E57 (ASTM E2807): scans with poses, in compressed vectors of points with any fields.
+//!
+//! The vertices are the points of all scans, in the order of the file and in the frame that they share. The
+//! bits of positions (and normals) are patched in the packets that hold them, page by page, with new
+//! checksums; everything else is copied byte by byte, but for what the XML says of how far points reach,
+//! which is corrected where it changes.
+//!
+//! | module | |
+//! |---|---|
+//! | `file` | what is known of a file once it is open |
+//! | `pages` | pages with checksums, and the logical bytes that they hold |
+//! | `header` | the header; `description` the XML: scans, fields, poses, bounds |
+//! | `fields` | numbers in and out of bits; `pose` the frames of scans, and spherical coordinates |
+//! | `packets` | where the streams of a scan's fields are; `streams` what some points have of them |
+//! | `scan` | positions and normals in and out of a point's fields |
+//! | `reader` | chunks of vertices from anywhere in the file |
+//! | `rewrite` | the whole file anew; `pieces` cuts it into pieces, `ending` is what is known last |
+
+mod description;
+mod ending;
+mod fields;
+mod file;
+mod header;
+mod packets;
+mod pages;
+mod pieces;
+mod pose;
+mod reader;
+mod rewrite;
+mod scan;
+mod streams;
+
+use std::ops::Range;
+use std::path::Path;
+
+use file::E57Model;
+use reader::Reader;
+
+use crate::model::NoFaces;
+use crate::source::Source;
+use crate::{
+    Edit, FaceReader, Model, ModelInfo, Output, Progress, Result, Rewriting, VertexChunk, VertexReader,
+    pipeline,
+};
+
+/// Whether a file that begins so is E57.
+pub(super) fn is_e57(start: &[u8]) -> bool {
+    start.starts_with(header::MAGIC)
+}
+
+/// # Errors
+/// The file cannot be read, or is not what E57 files are.
+pub(super) fn open(source: Source) -> Result<Box<dyn Model>> {
+    Ok(Box::new(E57Model::new(source)?))
+}
+
+impl Model for E57Model {
+    fn info(&self) -> &ModelInfo {
+        &self.info
+    }
+
+    fn path(&self) -> &Path {
+        self.source.path()
+    }
+
+    fn extensions(&self) -> &'static [&'static str] {
+        &["e57"]
+    }
+
+    fn details(&self) -> Vec<String> {
+        self.describe_scans()
+    }
+
+    fn besides(&self) -> Result<Vec<String>> {
+        Ok(self.describe_besides())
+    }
+
+    fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
+        Ok(Box::new(Reader::new(self, range)))
+    }
+
+    fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
+        self.attributes_of(chunk, to);
+        Ok(())
+    }
+
+    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
+        Ok(Box::new(NoFaces))
+    }
+
+    fn faces_at(&self, _ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
+        Ok(Box::new(NoFaces))
+    }
+
+    fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
+        self.source.check_unchanged()
+    }
+
+    fn rewrite(
+        &self,
+        outputs: &mut [&mut dyn Output],
+        how: Rewriting,
+        edit: &dyn Edit,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        pipeline::rewrite(self, outputs, how, edit, progress)
+    }
+}
