@@ -75,8 +75,16 @@ impl Converted {
         let Some(extension) = WRITTEN.into_iter().find(|written| *written == named) else {
             return Err(Error::new(
                 ErrorKind::Argument,
-                format!("{} is named as a file of a format that cannot be written anew", target.display()),
-                format!("what can be written: {}", WRITTEN.join(", ")),
+                format!(
+                    "{} is named as if of another format than the model, {}, and of one that cannot be written anew",
+                    target.display(),
+                    model.info().format
+                ),
+                format!(
+                    "give it the extension .{}; what else can be written: {}",
+                    model.extensions().first().unwrap_or(&"ply"),
+                    WRITTEN.join(", ")
+                ),
             ));
         };
         model.check_complete(progress)?;
