@@ -127,7 +127,8 @@ fn arrows_go_one_way() {
     let engine = ["simod-core", "simod-model"];
     let session = [&engine[..], &["simod-measure", "simod-picture", "simod-plugin-api"]].concat();
     crates.expect_members("host/session", &session);
-    crates.expect_members("host/viewer", &[&engine[..], &["simod-plugin-api", "simod-session"]].concat());
+    let viewer = [&engine[..], &["simod-picture", "simod-plugin-api", "simod-session"]].concat();
+    crates.expect_members("host/viewer", &viewer);
     let cli = [&engine[..], &["simod-generate", "simod-picture", "simod-session"]].concat();
     crates.expect_members("host/cli", &cli);
     crates.expect_members("host/scene", &["simod-model", "simod-picture"]);

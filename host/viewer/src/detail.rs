@@ -6,6 +6,7 @@
 //! streamed stays of use when a change is taken back.
 
 use crate::engine::Pose;
+use crate::tint::Tint;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use simod_core::detail::{Batch, Chosen};
@@ -23,18 +24,6 @@ pub enum Previewed {
     Selection,
     /// Nothing: samples everywhere.
     Nothing,
-}
-
-/// What vertices that are shown in full are coloured by.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Tint {
-    /// The samples that they are at.
-    #[default]
-    Samples,
-    /// Their own colours.
-    Own,
-    /// Their attribute at this place in the model's list.
-    Attribute(usize),
 }
 
 /// Vertices in pieces, as they came.

@@ -20,10 +20,11 @@ pub mod record;
 pub mod scene;
 pub mod selection;
 pub mod state;
+mod tint;
 
 pub use camera::Camera;
 pub use command::Command;
-pub use detail::{Detail, Previewed, Tint};
+pub use detail::{Detail, Previewed};
 pub use engine::{Engine, Event};
 pub use navigation::Navigation;
 pub use overlay::Overlay;
@@ -32,3 +33,4 @@ pub use record::replay;
 pub use scene::Scene;
 pub use selection::Selection;
 pub use state::{State, Version};
+pub use tint::Tint;

@@ -3,12 +3,8 @@
 use std::ops::Range;
 
 use super::file::GltfModel;
-use super::layout::{Drawn, Mode};
+use super::layout::{Drawn, FACE, Mode};
 use crate::{CHUNK_TRIANGLES, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader, Result};
-
-/// Bytes that a triangle counts as: three indices. Marks count so from the first one on, as strips and
-/// vertices without indices have no place of their own for each triangle.
-pub(super) const FACE: u64 = 12;
 
 /// Reads some of the triangles.
 pub(super) struct Faces<'a> {

@@ -7,9 +7,8 @@ use serde::de::IgnoredAny;
 use serde_json::value::RawValue;
 
 use super::container::Container;
-use super::faces::FACE;
 use super::json::Document;
-use super::layout::Layout;
+use super::layout::{FACE, Layout};
 use super::limits::Limits;
 use super::places::{Place, Places, number_type};
 use crate::source::Source;

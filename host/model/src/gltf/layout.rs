@@ -8,6 +8,10 @@ use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
+/// Bytes that a triangle counts as: three indices. Marks count so from the first one on, as strips and
+/// vertices without indices have no place of their own for each triangle.
+pub(super) const FACE: u64 = 12;
+
 use super::json::{Names, Node, Primitive};
 use super::nodes::Placement;
 use super::places::{PLAIN, Place, Places, UNCOMPRESSED};

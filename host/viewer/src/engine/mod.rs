@@ -15,8 +15,8 @@ mod thread;
 mod wasted;
 mod watch;
 
-use crate::detail::Tint;
 use crate::scene::Scene;
+use crate::tint::Tint;
 pub use comparing::{Carried, Comparing};
 pub use emerged::Emerged;
 pub use preview::Pose;

@@ -3,7 +3,7 @@
 use super::thread::{Teller, guarded};
 use super::watch::Watch;
 use super::{Event, Job, Shared};
-use crate::detail::Tint;
+use crate::tint::Tint;
 use glam::Vec3;
 use simod_core::colors;
 use simod_core::detail::{self, Chosen, Shown};

@@ -2,8 +2,9 @@
 //! samples.
 
 use super::{State, nothing_open};
-use crate::detail::{Detail, Previewed, Tint};
+use crate::detail::{Detail, Previewed};
 use crate::engine::{Job, Pose};
+use crate::tint::Tint;
 use rayon::prelude::*;
 use simod_core::detail::{Batch, Chosen, ENOUGH, Streamed};
 use simod_model::Result;

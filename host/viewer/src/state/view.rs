@@ -3,8 +3,8 @@
 use super::{State, refused};
 use crate::camera::Camera;
 use crate::command::CameraMove;
-use crate::detail::Tint;
 use crate::overlay::Overlay;
+use crate::tint::Tint;
 use glam::{DVec2, DVec3};
 use simod_model::{Attribute, Colors, Result};
 use simod_plugin_api::Effort;

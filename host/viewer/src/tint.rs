@@ -1,0 +1,13 @@
+//! What vertices that are shown in full are coloured by.
+
+/// What vertices that are shown in full are coloured by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Tint {
+    /// The samples that they are at.
+    #[default]
+    Samples,
+    /// Their own colours.
+    Own,
+    /// Their attribute at this place in the model's list.
+    Attribute(usize),
+}
