@@ -56,7 +56,7 @@ impl ColorScale {
     /// number tells.
     pub fn of(kind: Type, most: f64) -> Self {
         match kind {
-            kind if Self::is_fixed(kind) => Self(255),
+            Type::U8 | Type::I8 => Self(255),
             _ if kind.is_float() && most <= 1.0 => Self(1),
             _ if most <= 255.0 => Self(255),
             _ => Self(65535),
@@ -66,11 +66,6 @@ impl ColorScale {
     /// The number of full light.
     pub fn full(self) -> f64 {
         f64::from(self.0)
-    }
-
-    /// Whether numbers of a type mean the same everywhere.
-    pub fn is_fixed(kind: Type) -> bool {
-        matches!(kind, Type::U8 | Type::I8)
     }
 
     /// A number as a byte, in the transfer curve that it has (sRGB as a rule); nothing where it is none.

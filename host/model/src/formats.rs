@@ -21,11 +21,15 @@ const BY_BEGINNING: [Known; 6] = [
     (gltf::is_glb, gltf::open),
 ];
 
+/// Extensions that models usually have, in lower case.
+pub fn extensions() -> impl Iterator<Item = &'static str> {
+    EXTENSIONS.into_iter().chain(columns::EXTENSIONS)
+}
+
 /// Whether a path's extension says that a file is of a format, and of another one than a model.
 pub fn is_named_otherwise(model: &dyn Model, path: &Path) -> bool {
     let extension = extension(path);
-    let is_known =
-        EXTENSIONS.contains(&extension.as_str()) || columns::EXTENSIONS.contains(&extension.as_str());
+    let is_known = extensions().any(|known| known == extension);
     let own = model.extensions();
     is_known && !own.is_empty() && !own.contains(&extension.as_str())
 }

@@ -56,7 +56,7 @@ pub use colors::{ColorScale, Colors};
 pub use convert::Converted;
 pub use error::{Error, ErrorKind, Result};
 pub use form::Conversion;
-pub use formats::{is_model, is_named_otherwise, open, open_with_columns};
+pub use formats::{extensions, is_model, is_named_otherwise, open, open_with_columns};
 pub use in_step::{Vertices, in_step};
 pub use model::{
     Attribute, CHUNK_TRIANGLES, CHUNK_VERTICES, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark,

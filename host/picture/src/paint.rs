@@ -1,5 +1,6 @@
 //! The vertices' own colours, and other numbers of theirs as colours.
 
+use simod_core::colors::Bytes;
 use simod_model::{Attribute, ColorScale, Colors, Error, ErrorKind, Model, Progress, Result, for_vertices};
 
 use super::Image;
@@ -77,19 +78,18 @@ impl Coloring {
         }
     }
 
-    /// How many of the first attributes it needs.
-    pub fn count(&self) -> usize {
+    /// Where the numbers are that have to be known.
+    fn places(&self) -> &[usize] {
         match self {
-            Self::Clay => 0,
-            Self::Own(colors) => colors.count(),
-            Self::Attribute(place, _) => place + 1,
+            Self::Clay => &[],
+            Self::Own(colors) => &colors.places,
+            Self::Attribute(place, _) => std::slice::from_ref(place),
         }
     }
 }
 
 impl Paint {
-    /// Colours of a model's vertices. The model is read once more for them, unless its numbers mean the same
-    /// in every model.
+    /// Colours of a model's vertices. For an attribute, the model is read once more, which tells the scale.
     ///
     /// Memory: a chunk, and 512 KiB.
     ///
@@ -97,21 +97,23 @@ impl Paint {
     /// The model cannot be read; the user cancelled.
     pub fn of_model(model: &dyn Model, coloring: Coloring, progress: &dyn Progress) -> Result<Self> {
         let mut numbers = Numbers::default();
-        let is_known = match &coloring {
-            Coloring::Clay => true,
-            Coloring::Own(colors) => ColorScale::is_fixed(colors.kind),
-            Coloring::Attribute(..) => false,
-        };
-        if !is_known {
-            let mut values = vec![Vec::new(); coloring.count()];
-            progress.begin("measuring", model.info().vertex_bytes);
-            for_vertices(model, |chunk| {
-                progress.check()?;
-                model.attributes(chunk, &mut values)?;
-                coloring.places().for_each(|place| values[place].iter().for_each(|x| numbers.add(*x)));
-                progress.advance(chunk.raw().len() as u64);
-                Ok(())
-            })?;
+        match &coloring {
+            Coloring::Clay => {}
+            Coloring::Own(_) => {
+                let meaning = Bytes::of(model)?.map(|bytes| bytes.meaning());
+                return Ok(meaning.map_or(Self::Clay, |(colors, scale)| Self::Own(colors, scale)));
+            }
+            Coloring::Attribute(place, _) => {
+                let mut values = vec![Vec::new(); place + 1];
+                progress.begin("measuring", model.info().vertex_bytes);
+                for_vertices(model, |chunk| {
+                    progress.check()?;
+                    model.attributes(chunk, &mut values)?;
+                    values[*place].iter().for_each(|x| numbers.add(*x));
+                    progress.advance(chunk.raw().len() as u64);
+                    Ok(())
+                })?;
+            }
         }
         Ok(Self::new(coloring, &numbers))
     }
@@ -120,7 +122,7 @@ impl Paint {
     pub fn of_values(coloring: Coloring, values: &[&[f32]]) -> Self {
         let mut numbers = Numbers::default();
         for place in coloring.places() {
-            values[place].iter().for_each(|x| numbers.add(f64::from(*x)));
+            values[*place].iter().for_each(|x| numbers.add(f64::from(*x)));
         }
         Self::new(coloring, &numbers)
     }
@@ -175,18 +177,6 @@ impl Paint {
         };
         let labels = [short(from), format!("{} {}", name.to_uppercase(), short(to))];
         image.with_scale(color, [&labels[0], &labels[1]])
-    }
-}
-
-impl Coloring {
-    /// Where the numbers are that have to be known.
-    fn places(&self) -> impl Iterator<Item = usize> {
-        let places = match self {
-            Self::Clay => Vec::new(),
-            Self::Own(colors) => colors.places.to_vec(),
-            Self::Attribute(place, _) => vec![*place],
-        };
-        places.into_iter()
     }
 }
 

@@ -54,8 +54,6 @@ pub struct Dialog {
     chosen: Receiver<Option<PathBuf>>,
 }
 
-const MODELS: [&str; 1] = ["ply"];
-
 /// No hand is quicker.
 const QUICKEST: Duration = Duration::from_millis(300);
 
@@ -72,7 +70,7 @@ impl Dialog {
         };
         let ask: Box<dyn FnOnce() -> Option<PathBuf> + Send> = match &purpose {
             Purpose::Open => {
-                let all: Vec<&str> = MODELS.into_iter().chain(["toml"]).collect();
+                let all: Vec<&str> = simod_model::extensions().chain(["toml"]).collect();
                 let dialog = dialog.add_filter("Models, sessions", &all);
                 let dialog = dialog.add_filter("All files", &["*"]);
                 Box::new(move || dialog.pick_file())

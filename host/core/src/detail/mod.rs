@@ -220,7 +220,8 @@ pub fn stream(
     let (frame, shown) = (sampled.frame, chosen.shown);
     let gathering = Gathering { model, kept, frame, cubes: None, with_ids: false, attributes: shown.count() };
     let thinning = Thinning::new(chosen.stride);
-    let carrying = Carrying { sampled, field, stride: chosen.stride, progress };
+    let extents = sampled.samples.extents();
+    let carrying = Carrying { sampled, extents: &extents, field, stride: chosen.stride, progress };
     let part_of = |cell: u32| Part::of(cell, &shown);
     let mut open: Vec<Part> = chosen.cells.iter().map(|cell| part_of(*cell)).collect();
     let mut complete: Vec<Part> = Vec::new();
@@ -287,6 +288,8 @@ impl Part {
 /// How vertices become a batch.
 struct Carrying<'a> {
     sampled: &'a SampledModel,
+    /// Of the samples.
+    extents: &'a [f32],
     field: Option<&'a DeformationField<'a>>,
     stride: u64,
     progress: &'a dyn Progress,
@@ -336,7 +339,7 @@ impl Carrying<'_> {
     /// Normals at rest of vertices of which some are known, and their spacing.
     fn surface(&self, positions: &[Vec3], known: &[Vec3], homes: &[u32]) -> (Vec<Vec3>, Vec<f32>) {
         let samples = &self.sampled.samples;
-        let (of_samples, at_samples) = (samples.spacing(), samples.normals());
+        let at_samples = samples.normals();
         // Vertices are hardly farther apart than samples.
         let most = (self.stride as f32).sqrt();
         let tree = KdTree::new(positions);
@@ -360,7 +363,7 @@ impl Carrying<'_> {
                 let d = positions[*j as usize].distance(p);
                 (sum, count) = (sum + d, count + u8::from(d > 0.0));
             }
-            let widest = most * of_samples[home];
+            let widest = most * self.extents[home];
             (normal, if count > 0 { (sum / f32::from(count)).min(widest) } else { widest })
         };
         (0..positions.len()).into_par_iter().map_init(Default::default, look).unzip()

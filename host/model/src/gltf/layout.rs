@@ -8,10 +8,6 @@ use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-/// Bytes that a triangle counts as: three indices. Marks count so from the first one on, as strips and
-/// vertices without indices have no place of their own for each triangle.
-pub(super) const FACE: u64 = 12;
-
 use super::json::{Names, Node, Primitive};
 use super::nodes::Placement;
 use super::places::{PLAIN, Place, Places, UNCOMPRESSED};
@@ -22,6 +18,10 @@ const APART: &str =
 const SINGLE: &str = "make each of them a mesh of its own, as by \"Make Single User\" in Blender, or: gltf-transform join IN.glb OUT.glb";
 const SEPARATE: &str =
     "export it with a mesh of its own for each copy, as Blender does after \"Make Single User\"";
+
+/// Bytes that a triangle counts as: three indices. Marks count so from the first one on, as strips and
+/// vertices without indices have no place of their own for each triangle.
+pub(super) const FACE: u64 = 12;
 
 /// Extensions by which a mesh' bytes are compressed, of primitives and of views.
 const COMPRESSED: [&str; 3] =
