@@ -150,6 +150,22 @@ pub fn rate(vertices: u64, seconds: f64) -> String {
     }
 }
 
+/// A length for people: as a fraction of the model's diagonal, and in its unit.
+pub fn length(fraction: f64, diagonal: f64) -> String {
+    format!("{fraction:.1e} of the diagonal ({:.1e} in the model's unit)", fraction * diagonal)
+}
+
+/// How far vertices are off, likewise.
+pub fn errors([rms, p999, worst]: [f64; 3], diagonal: f64) -> String {
+    format!(
+        "rms {rms:.1e}, 99.9 % below {p999:.1e}, worst {worst:.1e} of the diagonal ({:.1e}, {:.1e}, {:.1e} in the \
+         model's unit)",
+        rms * diagonal,
+        p999 * diagonal,
+        worst * diagonal
+    )
+}
+
 #[cfg(test)]
 mod tests {
     #[test]

@@ -61,7 +61,7 @@ impl Demo {
         let edited = file("amphora-edited.ply");
         let run = Run::execute(&session, &plugins, &Reconstruction::default(), true, &edited, progress)?;
         describe(&run, report);
-        describe_error(&run.transfer_error(progress)?, report);
+        describe_error(&run.transfer_error(progress)?, run.deformed.sampled.bounds.diagonal(), report);
 
         let (before, after) = (simod_model::open(&file("amphora.ply"))?, simod_model::open(&edited)?);
         let after_bounds = picture::bounds(after.as_ref(), progress)?;

@@ -11,7 +11,7 @@ use simod_model::bounds::Bounds;
 use simod_model::{Result, Scalar, ScaledIntegers};
 use simod_picture::picture;
 
-use crate::report::{Report, count};
+use crate::report::{Report, count, length};
 
 /// Show what a model, or a sampled model, holds
 #[derive(Args)]
@@ -81,9 +81,12 @@ impl Info {
             count(source.vertices),
             source.path.display()
         ));
+        let diagonal = sampled.bounds.diagonal();
         let target = match sampled.sampling.target {
             Target::Samples(n) => format!("{} samples", count(n)),
-            Target::Error(e) => format!("an error of {e} of the diagonal"),
+            Target::Error(e) => {
+                format!("an error of {e} of the diagonal ({:.1e} in the model's unit)", e * diagonal)
+            }
         };
         report.line(format!(
             "asked for {target}; {} cells of {:.4}",
@@ -102,8 +105,8 @@ impl Info {
         report.line(format!("{} triangles; cells and trees {cells}", count(sampled.triangles.len() as u64)));
         for refinement in &sampled.refinements {
             report.line(format!(
-                "refined to an error of {:.1e} of the diagonal, {} samples more: {}",
-                refinement.error,
+                "refined to an error of {}, {} samples more: {}",
+                length(refinement.error, diagonal),
                 count(refinement.added),
                 refinement.places()
             ));

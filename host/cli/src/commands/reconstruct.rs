@@ -20,7 +20,7 @@ use super::convert::tell_losses;
 use super::overwrite::Overwrite;
 use super::sample::parse_bytes;
 use super::warn_non_finite;
-use crate::report::{Report, count, rate};
+use crate::report::{Report, count, errors, length, rate};
 use crate::versions::{VersionPaths, versions};
 
 /// Stream the deformation of the samples onto every vertex of the model, or several deformations at once
@@ -185,6 +185,7 @@ impl Reconstruct {
         report.figure("vertices", done.vertices);
         report.figure("versions", versions.len());
         report.figure("samples", sampled.samples.len());
+        report.figure("diagonal", sampled.bounds.diagonal());
         let into = match &paths[..] {
             [one] => one.output.display().to_string(),
             several => format!("each of {} versions", several.len()),
@@ -233,9 +234,10 @@ impl Reconstruct {
                 return Err(Error::new(
                     ErrorKind::Argument,
                     format!(
-                        "{}: vertices are expected to be off by up to {worst:.1e} of the diagonal near ({:.6}, {:.6}, {:.6}), \
-                         and by more than the tolerance of {tolerance:.1e} around {} samples; nothing was written",
+                        "{}: vertices are expected to be off by up to {} near ({:.6}, {:.6}, {:.6}), and by more than the \
+                         tolerance of {tolerance:.1e} around {} samples; nothing was written",
                         paths.output.display(),
+                        length(worst, sampled.bounds.diagonal()),
                         place.x,
                         place.y,
                         place.z,
@@ -300,12 +302,9 @@ impl Reconstruct {
 pub fn describe_expected(expected: &ExpectedError, diagonal: f64, report: &mut Report) {
     let ExpectedError { rms, p999, worst, of_vertices, .. } = expected;
     report.line(format!(
-        "expected transfer error{}: rms {rms:.1e}, 99.9 % below {p999:.1e}, worst {worst:.1e} of the diagonal ({:.1e}, {:.1e}, \
-         {:.1e} in the model's unit)",
+        "expected transfer error{}: {}",
         if *of_vertices { " of the vertices" } else { ", by the samples" },
-        rms * diagonal,
-        p999 * diagonal,
-        worst * diagonal
+        errors([*rms, *p999, *worst], diagonal)
     ));
 }
 
@@ -313,9 +312,9 @@ pub fn describe_expected(expected: &ExpectedError, diagonal: f64, report: &mut R
 pub fn warn_beyond(which: &str, beyond: &Beyond, diagonal: f64, help: &str, report: &mut Report) {
     let Beyond { worst, place, samples, .. } = beyond;
     report.warn(format!(
-        "{which}vertices are expected to be off by up to {worst:.1e} of the diagonal ({:.1e} in the model's unit), near \
-         ({:.6}, {:.6}, {:.6}), and by more than {:.0e} around {} samples; {help}",
-        worst * diagonal,
+        "{which}vertices are expected to be off by up to {}, near ({:.6}, {:.6}, {:.6}), and by more than {:.0e} around \
+         {} samples; {help}",
+        length(*worst, diagonal),
         place.x,
         place.y,
         place.z,

@@ -15,7 +15,7 @@ use simod_session::{Shape, Shapes};
 
 use super::overwrite::Overwrite;
 use super::sample::parse_bytes;
-use crate::report::{Report, count};
+use crate::report::{Report, count, length};
 
 /// Append more samples to a sampled model where it is selected, down to its vertices if need be
 #[derive(Args)]
@@ -144,7 +144,7 @@ impl Refine {
         }
 
         let samples = refined.unwrap_or(&sampled).samples.len();
-        let info = model.info();
+        let (info, diagonal) = (model.info(), sampled.bounds.diagonal());
         let read = done.vertex_bytes + done.face_bytes;
         report.figure("vertices", info.vertices);
         report.figure("samples", samples);
@@ -159,14 +159,14 @@ impl Refine {
             report.figure("needy_samples", need.samples);
             report.line(if need.samples == 0 {
                 format!(
-                    "vertices are expected to be off by {:.1e} of the diagonal at most: the deformation needs no more samples. \
-                     Nothing is changed",
-                    need.expected
+                    "vertices are expected to be off by {} at most: the deformation needs no more samples. Nothing is \
+                     changed",
+                    length(need.expected, diagonal)
                 )
             } else {
                 format!(
-                    "vertices are expected to be off by up to {:.1e} of the diagonal: by more than {:.1e} around {} samples",
-                    need.expected,
+                    "vertices are expected to be off by up to {}: by more than {:.1e} around {} samples",
+                    length(need.expected, diagonal),
                     need.allowed,
                     count(need.samples)
                 )
@@ -176,11 +176,11 @@ impl Refine {
             report.line("nothing to refine: no cluster there has a larger error. Nothing is changed");
         } else if refined.is_some() {
             report.line(format!(
-                "{} samples more, {} in all, in {}; the error there is {:.1e} of the diagonal",
+                "{} samples more, {} in all, in {}; the error there is {}",
                 count(done.added),
                 count(samples as u64),
                 target.display(),
-                done.error
+                length(done.error, diagonal)
             ));
         }
         report.line(format!(

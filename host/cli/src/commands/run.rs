@@ -16,7 +16,7 @@ use super::plugin_options::PluginOptions;
 use super::reconstruct::{MethodName, NormalsName, OffsetName, describe_expected, warn_beyond};
 use super::time_options::TimeOptions;
 use super::{notices, tell, warn_non_finite};
-use crate::report::{Report, count, rate};
+use crate::report::{Report, count, errors, length, rate};
 
 /// Do a whole session: sample its model, deform the samples, write the deformed model
 #[derive(Args)]
@@ -118,7 +118,7 @@ impl Run {
             describe_certificate(&certificate, diagonal, report);
         }
         if self.measure {
-            describe_error(&run.transfer_error(progress)?, report);
+            describe_error(&run.transfer_error(progress)?, diagonal, report);
         }
         report.line(format!("wrote {}", output.display()));
         Ok(())
@@ -132,6 +132,7 @@ pub fn describe(run: &Pipeline, report: &mut Report) {
     let (vertices, samples) = (run.deformed.sampled.source.vertices, run.deformed.sampled.samples.len());
     report.figure("vertices", vertices);
     report.figure("samples", samples);
+    report.figure("diagonal", run.deformed.sampled.bounds.diagonal());
     report.figure("vertices_per_second", vertices as f64 / run.seconds.max(1e-9));
     report.line(format!(
         "{} vertices through {} samples, {}",
@@ -171,28 +172,25 @@ fn describe_certificate(certificate: &Certificate, diagonal: f64, report: &mut R
         }),
     );
     report.line(format!(
-        "tolerance {tolerance:.1e} of the diagonal: up to {expected:.1e} are expected around the samples, {} of which were \
-         added in {rounds} rounds and deformed by the plugins",
+        "tolerance {}: up to {} are expected around the samples, {} of which were added in {rounds} rounds and \
+         deformed by the plugins",
+        length(*tolerance, diagonal),
+        length(*expected, diagonal),
         count(*added)
     ));
     report.line(match truth {
         Some(t) => format!(
-            "true error at {} vertices: rms {:.1e}, 99.9 % below {:.1e}, worst {:.1e} of the diagonal",
+            "true error at {} vertices: {}",
             count(t.vertices),
-            t.rms,
-            t.p999,
-            t.max
+            errors([t.rms, t.p999, t.max], diagonal)
         ),
         None => "the true error is not known, as a step deforms samples only".to_owned(),
     });
 }
 
 /// Reports how far a run is from the exact deformation.
-pub fn describe_error(error: &TransferError, report: &mut Report) {
-    report.line(format!(
-        "transfer error: rms {:.1e}, 99.9 % below {:.1e}, worst {:.1e} of the diagonal",
-        error.rms, error.p999, error.max
-    ));
+pub fn describe_error(error: &TransferError, diagonal: f64, report: &mut Report) {
+    report.line(format!("transfer error: {}", errors([error.rms, error.p999, error.max], diagonal)));
     report.figure(
         "transfer_error",
         json!({"vertices": error.vertices, "rms": error.rms, "p999": error.p999, "max": error.max, "jump": error.jump}),

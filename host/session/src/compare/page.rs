@@ -85,7 +85,8 @@ fn head(c: &Comparison, title: &str) -> Markup {
         dl { "\n" @for (name, value) in &facts { (entry(name, value)) } }
         "\n"
         p.soft {
-            "Lengths are in percent of the diagonal of the model's bounding box at rest. All figures are in "
+            "Lengths are in percent of the diagonal of the model's bounding box at rest: 1 % is "
+            (number(0.01 * m.diagonal)) " in the model's unit. All figures are in "
             code { "compare.json" }
             " as well."
         }
@@ -154,7 +155,8 @@ fn differences(c: &Comparison, pictures: &[(String, Vec<u8>)]) -> Markup {
         "\n"
         p {
             span style=(scale) {}
-            " 0 to " (round_percent(c.color_scale)) " of the diagonal and beyond"
+            " 0 to " (round_percent(c.color_scale)) " of the diagonal, "
+            (number(c.color_scale * c.model.diagonal)) " in the model's unit, and beyond"
         }
         "\n"
         div.grid { "\n" @for figure in figures { (figure) } }
