@@ -614,6 +614,12 @@ pub trait Model: Send + Sync {
     /// The file cannot be read, or ends early; the user cancelled.
     fn check_complete(&self, progress: &dyn Progress) -> Result<()>;
 
+    /// Whether what is rewritten has room for a vertex at a position, as far as can be said without knowing which
+    /// vertex it is: integers do not reach everywhere.
+    fn has_room_for(&self, p: DVec3) -> bool {
+        self.info().written.is_none_or(|integers| integers.range().contains(p))
+    }
+
     /// Lets what is rewritten from now on store its positions with another offset, by so many steps from one
     /// integer to the next, axis by axis: all integers are written anew.
     ///

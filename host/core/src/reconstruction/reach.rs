@@ -18,32 +18,40 @@ pub(super) fn check_reach<'a>(
     model: &dyn Model,
     deformed: impl IntoIterator<Item = &'a [Vec3]>,
 ) -> Result<()> {
-    let Some(integers) = model.info().written else { return Ok(()) };
-    let range = integers.range();
+    let rest = &sampled.samples.positions;
     for positions in deformed {
-        for (sample, local) in positions.iter().enumerate() {
+        for (sample, (local, rest)) in positions.iter().zip(rest).enumerate() {
             let p = sampled.frame.to_model(*local);
-            if range.contains(p) {
-                continue;
+            if local != rest && !model.has_room_for(p) {
+                return Err(no_room(model, sample, p));
             }
-            let axis = (0..3).find(|axis| !(range.min[*axis]..=range.max[*axis]).contains(&p[*axis]));
-            let axis = axis.unwrap_or(0);
-            return Err(Error::new(
-                ErrorKind::Degenerate,
-                format!(
-                    "sample {sample} moves to {} = {}, but with its scale and offset {} holds {} to {} alone; \
-                     nothing was written",
-                    AXES[axis],
-                    p[axis],
-                    model.path().display(),
-                    range.min[axis],
-                    range.max[axis]
-                ),
-                "move it less, or give --offset auto, which chooses another offset",
-            ));
         }
     }
     Ok(())
+}
+
+fn no_room(model: &dyn Model, sample: usize, p: DVec3) -> Error {
+    let path = model.path().display();
+    let Some(integers) = model.info().written else {
+        return Error::new(
+            ErrorKind::Degenerate,
+            format!(
+                "sample {sample} moves to {p}, for which {path} has no room in its integers; nothing was written"
+            ),
+            "move it less, or export the model with coordinates as floats first",
+        );
+    };
+    let range = integers.range();
+    let axis = (0..3).find(|axis| !(range.min[*axis]..=range.max[*axis]).contains(&p[*axis])).unwrap_or(0);
+    Error::new(
+        ErrorKind::Degenerate,
+        format!(
+            "sample {sample} moves to {} = {}, but with its scale and offset {path} holds {} to {} alone; nothing was \
+             written",
+            AXES[axis], p[axis], range.min[axis], range.max[axis]
+        ),
+        "move it less, or give --offset auto, which chooses another offset",
+    )
 }
 
 /// Chooses another offset for the integers of the new file, where the samples tell that those of the model do

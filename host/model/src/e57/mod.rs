@@ -34,6 +34,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use file::E57Model;
+use glam::DVec3;
 use reader::Reader;
 
 use crate::model::NoFaces;
@@ -90,6 +91,10 @@ impl Model for E57Model {
 
     fn faces_at(&self, _ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
         Ok(Box::new(NoFaces))
+    }
+
+    fn has_room_for(&self, p: DVec3) -> bool {
+        self.scans.iter().any(|scan| scan.has_room_for(p))
     }
 
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {

@@ -190,6 +190,21 @@ impl Scan {
         Ok(changed)
     }
 
+    /// Whether any point may be at a position in the frame of all scans, or hardly beyond what the fields hold: a
+    /// field may reach just as far as its points do, and a position be rounded.
+    pub fn has_room_for(&self, p: DVec3) -> bool {
+        const HARDLY: f64 = 1e-3;
+        let local = self.described.pose.turned_back(p - self.described.pose.translation);
+        let fits = |of_row: usize, number: f64| {
+            let (least, most) = self.field(of_row).range();
+            let margin = HARDLY * (most - least).abs().min(f64::MAX);
+            (least - margin..=most + margin).contains(&number)
+        };
+        let Roles { cartesian, spherical: polar, .. } = &self.roles;
+        let flat = cartesian.is_none_or(|three| (0..3).all(|axis| fits(three[axis], local[axis])));
+        flat && polar.is_none_or(|[range, ..]| fits(range, spherical(local)[0]))
+    }
+
     /// Turns a normal to another one, in the frame of all scans; whether any bits changed. What a field
     /// cannot hold stays.
     pub fn turn_normal(&self, row: &mut [u64], from: Vec3, to: Vec3) -> bool {

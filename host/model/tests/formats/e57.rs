@@ -591,7 +591,17 @@ fn what_does_not_fit_the_bits_is_an_error_that_says_so() {
             .to_vec(),
         ..MadeScan::default()
     };
+    let free = MadeScan {
+        fields: ["cartesianX", "cartesianY", "cartesianZ"].map(|n| Made::single(n, [0.0])).to_vec(),
+        ..MadeScan::default()
+    };
+    let both = open(&make(&[scan.clone(), free], At::End, |left| left), ".e57").unwrap();
     let model = open(&make(&[scan], At::End, |left| left), ".e57").unwrap();
+    // Told of a position alone where no scan has room for it.
+    for (y, has_room) in [(5.0, true), (-5.11, true), (5.2, false), (-6.0, false)] {
+        assert_eq!(model.has_room_for(DVec3::new(1.0, y, 2.0)), has_room, "{y}");
+        assert!(both.has_room_for(DVec3::new(1.0, y, 2.0)));
+    }
     let error = message(move_points(model.as_ref(), |p| p + DVec3::Y * 3.2));
     assert_eq!(error, "vertex 1 moves to cartesianY = 5.2 of scan 1, which has room for -5.12 to 5.11 alone");
     assert!(move_points(model.as_ref(), |p| p + DVec3::Y * 3.0).is_ok());
