@@ -91,7 +91,7 @@ pub struct Pick {
 /// Which vertices are picked, and what their colours are.
 pub struct Picking {
     colors: Bytes,
-    /// Every so manieth, from the first on.
+    /// One of so many is picked, from the first on.
     every: u64,
 }
 
