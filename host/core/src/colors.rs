@@ -70,14 +70,21 @@ impl Bytes {
     /// # Errors
     /// In a text format, something is no number.
     pub fn decode(&self, model: &dyn Model, chunk: &VertexChunk, to: &mut Vec<[u8; 3]>) -> Result<()> {
-        let mut lists = [const { Vec::new() }; 3];
+        let mut lists = Lists::default();
         model.some_attributes(chunk, &self.colors.places, &mut lists)?;
         to.clear();
-        let color = |i: usize| [0, 1, 2].map(|part: usize| self.scale.byte(lists[part][i]));
-        to.extend((0..chunk.len()).map(color));
+        to.extend((0..chunk.len()).map(|i| self.color(&lists, i)));
         Ok(())
     }
+
+    #[inline]
+    fn color(&self, lists: &Lists, vertex: usize) -> [u8; 3] {
+        [0, 1, 2].map(|part: usize| self.scale.byte(lists[part][vertex]))
+    }
 }
+
+/// Red, green and blue of the vertices of a chunk, as they are in the file.
+pub type Lists = [Vec<f64>; 3];
 
 /// A vertex that was picked.
 #[derive(Clone, Copy, Pod, Zeroable)]
@@ -106,7 +113,7 @@ impl Picking {
         Ok(Bytes::of(model)?.map(|colors| Self { colors, every }))
     }
 
-    /// Picks of a chunk that was read of the model.
+    /// Picks of a chunk that was read of the model. `lists` are used for its numbers.
     ///
     /// # Errors
     /// In a text format, something is no number.
@@ -115,16 +122,19 @@ impl Picking {
         model: &dyn Model,
         frame: &Frame,
         chunk: &VertexChunk,
+        lists: &mut Lists,
         to: &mut Vec<Pick>,
     ) -> Result<()> {
         let skip = chunk.first.next_multiple_of(self.every) - chunk.first;
         if skip >= chunk.len() as u64 {
             return Ok(());
         }
-        let mut colors = Vec::new();
-        self.colors.decode(model, chunk, &mut colors)?;
-        let some = chunk.positions.iter().zip(&colors).skip(skip as usize).step_by(self.every as usize);
-        to.extend(some.map(|(p, [r, g, b])| Pick { position: frame.to_local(*p), color: [*r, *g, *b, 0] }));
+        model.some_attributes(chunk, &self.colors.colors.places, lists)?;
+        let some = (skip as usize..chunk.len()).step_by(self.every as usize);
+        to.extend(some.map(|i| {
+            let [r, g, b] = self.colors.color(lists, i);
+            Pick { position: frame.to_local(chunk.positions[i]), color: [r, g, b, 0] }
+        }));
         Ok(())
     }
 }
@@ -270,7 +280,7 @@ pub fn of_ranges(
     let mut means = Means::new(positions, first);
     if let Some(colors) = Bytes::of(model)? {
         let picking = Picking { colors, every: 1 };
-        let (mut chunk, mut picks) = (VertexChunk::default(), Vec::new());
+        let (mut chunk, mut lists, mut picks) = (VertexChunk::default(), Lists::default(), Vec::new());
         for range in ranges {
             let mut reader = model.vertices(range.clone())?;
             reader.set_chunk(SMALL_CHUNK);
@@ -278,7 +288,7 @@ pub fn of_ranges(
             while reader.read(&mut chunk)? {
                 progress.check()?;
                 picks.clear();
-                picking.pick(model, frame, &chunk, &mut picks)?;
+                picking.pick(model, frame, &chunk, &mut lists, &mut picks)?;
                 means.add(&picks, |_| None);
             }
         }

@@ -577,14 +577,15 @@ pub trait Model: Send + Sync {
     /// In a text format, something is no number.
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()>;
 
-    /// The same of the attributes at some places among them, a list each.
+    /// The same of the attributes at some places among them, no place twice, a list each.
     ///
     /// # Errors
     /// As of [`attributes`](Self::attributes).
     fn some_attributes(&self, chunk: &VertexChunk, places: &[usize], to: &mut [Vec<f64>]) -> Result<()> {
         let mut lists = vec![Vec::new(); places.iter().max().map_or(0, |last| last + 1)];
+        to.iter_mut().zip(places).for_each(|(to, place)| lists[*place] = std::mem::take(to));
         self.attributes(chunk, &mut lists)?;
-        to.iter_mut().zip(places).for_each(|(to, place)| to.clone_from(&lists[*place]));
+        to.iter_mut().zip(places).for_each(|(to, place)| *to = std::mem::take(&mut lists[*place]));
         Ok(())
     }
 

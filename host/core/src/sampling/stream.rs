@@ -17,7 +17,7 @@ use simod_model::progress::{Emerging, Visitor};
 use simod_model::{Error, Result, VertexChunk, VertexReader};
 use xxhash_rust::xxh3::Xxh3Default;
 
-use crate::colors::{Pick, Picked};
+use crate::colors::{Lists, Pick, Picked};
 
 use super::cluster::Element;
 use super::cut::{ClusteredCell, Forest};
@@ -193,6 +193,7 @@ struct Piece<P> {
     positions: Vec<Vec3>,
     /// Those whose colours are kept.
     picks: Vec<Pick>,
+    lists: Lists,
     /// Each cell that the stream enters, and the vertex at which it does.
     visits: Vec<(u32, u64)>,
     /// Number of items that are merged.
@@ -274,6 +275,7 @@ impl<'a, G: Gather> Stream<'a, G> {
             items: Vec::new(),
             positions: Vec::new(),
             picks: Vec::new(),
+            lists: Lists::default(),
             visits: Vec::new(),
             merged: 0,
         }
@@ -300,11 +302,11 @@ impl<'a, G: Gather> Stream<'a, G> {
     fn put_in_cells(&self, piece: &mut Piece<G::Piece>) -> Result<()> {
         let Pass { model, grid, frame, noted, .. } = *self.pass;
         let with_items = self.leaves.is_some();
-        let Piece { chunks, gathered, items, positions, picks, visits, .. } = piece;
+        let Piece { chunks, gathered, items, positions, picks, lists, visits, .. } = piece;
         let mut current: Option<(Bounds, u32)> = None;
         for chunk in chunks {
             if let Some(picking) = self.pass.picking {
-                picking.pick(model, frame, chunk, picks)?;
+                picking.pick(model, frame, chunk, lists, picks)?;
             }
             for (i, p) in chunk.positions.iter().enumerate() {
                 let cell = match &current {
