@@ -8,7 +8,7 @@ mod versions;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use simod_model::ErrorKind;
+use simod_model::{ErrorKind, memory};
 
 use commands::{
     bind, compare, convert, deform, demo, generate, info, plugin, reconstruct, refine, render, run, sample,
@@ -52,6 +52,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    memory::return_large_blocks();
     let arguments = Arguments::parse();
     // A process that answers another one is stopped by that.
     let is_worker = matches!(&arguments.command, Command::Plugin(plugin) if plugin.is_worker());
