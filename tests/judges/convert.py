@@ -19,6 +19,8 @@ import numpy as np
 import open3d
 import trimesh
 
+import ply_files
+
 SIMOD = str(pathlib.Path(sys.argv[1]).resolve())
 
 
@@ -66,23 +68,6 @@ def cloud(path, count, version, form, extra=True):
     return path
 
 
-def fields(path):
-    """The vertices of a binary little-endian PLY file, and where its faces begin."""
-    content = path.read_bytes()
-    start = content.index(b"end_header\n") + 11
-    kinds = {"float": "<f4", "double": "<f8", "uchar": "u1", "char": "i1", "uint": "<u4", "int": "<i4"}
-    kinds |= {"ushort": "<u2", "short": "<i2"}
-    count, names, element = 0, [], ""
-    for line in content[:start].decode().splitlines():
-        words = line.split()
-        if words[0] == "element":
-            element = words[1]
-            count = int(words[2]) if element == "vertex" else count
-        elif words[0] == "property" and element == "vertex":
-            names.append((words[2], kinds[words[1]]))
-    return np.frombuffer(content, np.dtype(names), count, start)
-
-
 RENAMED = {"scan_angle_rank": "scan_angle", "count of some": "count_of_some"}
 
 
@@ -92,7 +77,7 @@ def judge_clouds(folder):
             model = cloud(folder / name, 130_000, version, form)
             before = laspy.read(str(model))
             # A blank in a name is lost.
-            ply = fields(convert(model, folder / "a.ply", "--lossy"))
+            ply = ply_files.vertices(convert(model, folder / "a.ply", "--lossy"))
             for axis in "xyz":
                 assert np.abs(ply[axis] - before[axis]).max() < 1e-9
             for own in before.point_format.dimension_names:

@@ -26,10 +26,11 @@ import pye57
 from pye57 import libe57
 from pyquaternion import Quaternion
 
+import ply_files
+
 CARTESIAN = ["cartesianX", "cartesianY", "cartesianZ"]
 SPHERICAL = ["sphericalRange", "sphericalAzimuth", "sphericalElevation"]
 IMAGE = bytes(range(256)) * 77
-TYPES = {"double": "<f8", "float": "<f4", "int": "<i4", "uint": "<u4", "short": "<i2", "ushort": "<u2", "uchar": "u1"}
 
 
 def hills(count, seed):
@@ -206,22 +207,6 @@ def simod(program, *words, folder):
     return done
 
 
-def ply_points(path):
-    """The header of a binary PLY file of ours, and its vertices."""
-    data = path.read_bytes()
-    end = data.index(b"end_header\n") + len(b"end_header\n")
-    fields, count, is_vertex = [], 0, False
-    for line in data[:end].decode().splitlines():
-        words = line.split()
-        if words[0] == "element":
-            is_vertex = words[1] == "vertex"
-            count = int(words[2]) if is_vertex else count
-        if words[0] == "property" and is_vertex:
-            fields.append((words[2], TYPES[words[1]]))
-    kind = np.dtype(fields)
-    return data, end, np.frombuffer(data, kind, count, end).copy()
-
-
 def moved(p, middle):
     """Bends one half, and leaves the other."""
     u = np.maximum(p[:, 0] - middle, 0.0)
@@ -229,13 +214,13 @@ def moved(p, middle):
 
 
 def move_samples(folder):
-    data, end, points = ply_points(folder / "m.simod" / "samples.ply")
+    data, start, points = ply_files.read(folder / "m.simod" / "samples.ply")
     p = np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1)
     middle = p[:, 0].mean()
     new = moved(p, middle)
     for i, axis in enumerate("xyz"):
         points[axis] = new[:, i]
-    (folder / "moved.ply").write_bytes(data[:end] + points.tobytes() + data[end + points.nbytes :])
+    ply_files.write(folder / "moved.ply", data, start, points)
     return middle
 
 
@@ -281,7 +266,7 @@ def judge_file(program, model, folder, what, bound):
     assert (folder / "same.e57").read_bytes() == model.read_bytes(), (what, "identity")
     middle = move_samples(folder)
     simod(program, "reconstruct", "m.simod", "--deformed", "moved.ply", "-o", "bent.e57", folder=folder)
-    _, _, points = ply_points(same)
+    points = ply_files.vertices(same)
     # So far from the bend, samples on one side of it alone have a say.
     margin = 10 * np.ptp(points["x"]) / len(points) ** 0.5
     off = compare(model, folder / "bent.e57", middle, margin, what)

@@ -20,6 +20,8 @@ import pygltflib
 import trimesh
 from stl import Mode, mesh
 
+import ply_files
+
 SIMOD = str(pathlib.Path(sys.argv[1]).resolve())
 SIDE = 80
 ANGLE = 0.5
@@ -50,17 +52,11 @@ def turn(p, middle):
 
 def turned(samples, out, middle):
     """Turns the samples of a PLY file."""
-    content = samples.read_bytes()
-    start = content.index(b"end_header\n") + 11
-    lines = content[:start].decode().splitlines()
-    count = int(next(l for l in lines if l.startswith("element vertex")).split()[2])
-    names = [l.split() for l in lines if l.startswith("property") and "list" not in l]
-    kinds = np.dtype([(name, "<f8" if kind == "double" else "<f4") for _, kind, name in names])
-    data = np.frombuffer(content, kinds, count, start).copy()
+    content, start, data = ply_files.read(samples)
     p = turn(np.stack([data[c].astype(float) for c in "xyz"], 1), middle)
     for c, values in zip("xyz", p.T):
         data[c] = values
-    out.write_bytes(content[:start] + data.tobytes() + content[start + data.nbytes :])
+    ply_files.write(out, content, start, data)
 
 
 def simod(*arguments):

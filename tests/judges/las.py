@@ -23,6 +23,8 @@ import copclib
 import laspy
 import numpy as np
 
+import ply_files
+
 
 def cloud(count, format, version, seed=1):
     """Hills with every dimension of the format filled."""
@@ -68,22 +70,6 @@ def simod(program, *words, folder):
     return time.perf_counter() - start, done
 
 
-def ply_points(path):
-    """The header of a binary PLY file of ours, and its vertices."""
-    data = path.read_bytes()
-    end = data.index(b"end_header\n") + len(b"end_header\n")
-    fields, count, is_vertex = [], 0, False
-    for line in data[:end].decode().splitlines():
-        words = line.split()
-        if words[0] == "element":
-            is_vertex = words[1] == "vertex"
-            count = int(words[2]) if is_vertex else count
-        if words[0] == "property" and is_vertex:
-            fields.append((words[2], {"double": "<f8", "float": "<f4", "uint": "<u4", "uchar": "u1"}[words[1]]))
-    kind = np.dtype(fields)
-    return data, end, np.frombuffer(data, kind, count, end).copy(), kind
-
-
 def moved(p, middle):
     """Bends one half, and leaves the other."""
     u = np.maximum(p[:, 0] - middle, 0.0)
@@ -91,12 +77,12 @@ def moved(p, middle):
 
 
 def move_samples(folder):
-    data, end, points, kind = ply_points(folder / "m.simod" / "samples.ply")
+    data, start, points = ply_files.read(folder / "m.simod" / "samples.ply")
     p = np.stack([points[axis] for axis in "xyz"], axis=1)
     new = moved(p, p[:, 0].mean())
     for i, axis in enumerate("xyz"):
         points[axis] = new[:, i]
-    (folder / "moved.ply").write_bytes(data[:end] + points.tobytes() + data[end + points.nbytes :])
+    ply_files.write(folder / "moved.ply", data, start, points)
     return p[:, 0].mean()
 
 

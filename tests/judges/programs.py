@@ -22,6 +22,8 @@ import numpy as np
 import open3d
 import pymeshlab
 
+import ply_files
+
 SIMOD = str(pathlib.Path(sys.argv[1]).resolve())
 SIDE = 120
 SHIFT = np.array([0.0, 0.0, 0.25])
@@ -31,22 +33,6 @@ def simod(*words, ok=True):
     done = subprocess.run([SIMOD, *map(str, words)], capture_output=True, text=True)
     assert (done.returncode == 0) == ok, f"simod {' '.join(map(str, words))}: {done.stdout}{done.stderr}"
     return done
-
-
-def fields(path):
-    """The vertices of a binary little-endian PLY file."""
-    content = path.read_bytes()
-    start = content.index(b"end_header\n") + 11
-    kinds = {"float": "<f4", "double": "<f8", "uchar": "u1", "uint": "<u4", "int": "<i4", "ushort": "<u2"}
-    count, names, element = 0, [], ""
-    for line in content[:start].decode().splitlines():
-        words = line.split()
-        if words[0] == "element":
-            element = words[1]
-            count = int(words[2]) if element == "vertex" else count
-        elif words[0] == "property" and element == "vertex":
-            names.append((words[2], kinds[words[1]]))
-    return np.frombuffer(content, np.dtype(names), count, start)
 
 
 def write_model(path):
@@ -71,7 +57,7 @@ def by_meshlab(samples, out):
     meshes = pymeshlab.MeshSet()
     meshes.load_new_mesh(str(samples))
     mesh = meshes.current_mesh()
-    before = fields(samples)
+    before = ply_files.vertices(samples)
     assert mesh.vertex_number() == len(before) and mesh.face_number() > 0
     assert np.allclose(mesh.vertex_color_matrix()[:, 0] * 255, before["red"], atol=1)
     assert np.allclose(mesh.vertex_normal_matrix()[:, 2], before["nz"], atol=1e-5)
@@ -81,7 +67,7 @@ def by_meshlab(samples, out):
 
 def by_open3d(samples, out):
     mesh = open3d.io.read_triangle_mesh(str(samples))
-    before = fields(samples)
+    before = ply_files.vertices(samples)
     assert len(mesh.vertices) == len(before) and mesh.has_vertex_normals() and mesh.has_triangles()
     assert np.allclose(np.asarray(mesh.vertex_colors)[:, 1] * 255, before["green"], atol=1)
     open3d.io.write_triangle_mesh(str(out), mesh.translate(SHIFT), write_ascii=False)
@@ -90,7 +76,7 @@ def by_open3d(samples, out):
 def by_open3d_points(samples, out):
     """As a cloud of tensors, which keep the ids, and shuffled."""
     cloud = open3d.t.io.read_point_cloud(str(samples))
-    before = fields(samples)
+    before = ply_files.vertices(samples)
     assert np.array_equal(cloud.point["id"].numpy().ravel(), before["id"])
     assert np.array_equal(cloud.point["colors"].numpy()[:, 0], before["red"])
     order = np.random.default_rng(5).permutation(len(before))
@@ -101,7 +87,7 @@ def by_open3d_points(samples, out):
 
 def by_cloudcompare(samples, out):
     """What CloudCompare writes: ids as scalar_id, of type float, here in another order."""
-    before = fields(samples)
+    before = ply_files.vertices(samples)
     order = np.random.default_rng(7).permutation(len(before))
     records = np.zeros(len(order), [("p", "<f4", 3), ("id", "<f4")])
     records["p"] = np.stack([before[c] for c in "xyz"], 1)[order] + SHIFT
@@ -115,7 +101,7 @@ def by_blender(samples, out):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.wm.ply_import(filepath=str(samples))
     mesh = bpy.context.selected_objects[0].data
-    before = fields(samples)
+    before = ply_files.vertices(samples)
     assert len(mesh.vertices) == len(before) and len(mesh.polygons) > 0 and len(mesh.color_attributes) == 1
     for vertex in mesh.vertices:
         vertex.co.z += SHIFT[2]
@@ -129,7 +115,7 @@ def judge(name, by, folder, samples, expected):
     out.unlink(missing_ok=True)
     by(samples, out)
     simod("reconstruct", folder / "m.simod", "--deformed", out, "-o", folder / "out.ply")
-    found = fields(folder / "out.ply")
+    found = ply_files.vertices(folder / "out.ply")
     off = max(np.abs(found[c] - expected[c]).max() for c in "xyz")
     assert off < 1e-5, f"{name}: off by {off}"
     ids = b"id\n" in out.read_bytes()[:2000] or b"scalar_id" in out.read_bytes()[:2000]
@@ -141,7 +127,7 @@ with tempfile.TemporaryDirectory() as name:
     write_model(folder / "m.ply")
     simod("sample", folder / "m.ply", "-o", folder / "m.simod", "--samples", 1200)
     samples = folder / "m.simod" / "samples.ply"
-    expected = {c: fields(folder / "m.ply")[c] + shift for c, shift in zip("xyz", SHIFT)}
+    expected = {c: ply_files.vertices(folder / "m.ply")[c] + shift for c, shift in zip("xyz", SHIFT)}
     judges = {
         "MeshLab": by_meshlab,
         "Open3D, mesh": by_open3d,

@@ -217,7 +217,7 @@ impl Attributes {
 }
 
 /// The values of all samples, by those that are known; nothing if none is.
-fn completed(values: &[Option<f32>], positions: &[Vec3]) -> Option<Vec<f32>> {
+pub(crate) fn completed<T: Copy>(values: &[Option<T>], positions: &[Vec3]) -> Option<Vec<T>> {
     let known: Vec<usize> = (0..values.len()).filter(|i| values[*i].is_some()).collect();
     if known.is_empty() {
         return None;
@@ -226,8 +226,7 @@ fn completed(values: &[Option<f32>], positions: &[Vec3]) -> Option<Vec<f32>> {
         return values.iter().copied().collect();
     }
     let tree = KdTree::new(&known.iter().map(|i| positions[*i]).collect::<Vec<_>>());
-    let value =
-        |(value, p): (&Option<f32>, &Vec3)| value.or_else(|| values[known[tree.nearest(*p) as usize]]);
+    let value = |(value, p): (&Option<T>, &Vec3)| value.or_else(|| values[known[tree.nearest(*p) as usize]]);
     values.iter().zip(positions).map(value).collect()
 }
 

@@ -13,8 +13,9 @@ use glam::Vec3;
 use rayon::prelude::*;
 use simod_model::frame::Frame;
 use simod_model::scratch::Scratch;
-use simod_model::{ColorScale, Colors, Model, Progress, Result, SMALL_CHUNK, Type, VertexChunk};
+use simod_model::{ColorScale, Colors, Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 
+use crate::attributes::completed;
 use crate::sampling::KdTree;
 
 /// Vertices for each sample that are enough for a mean.
@@ -25,10 +26,6 @@ const MOST: u64 = 4 << 20;
 
 /// Vertices that are written or looked up at a time.
 const BLOCK: usize = 1 << 14;
-
-/// Places of the model that are looked at for how large its colours are, and vertices at each.
-const PLACES: u64 = 16;
-const AT_A_PLACE: u64 = 2048;
 
 /// The colours of a model's vertices as bytes.
 pub struct Bytes {
@@ -42,22 +39,8 @@ impl Bytes {
     /// # Errors
     /// The file cannot be read.
     pub fn of(model: &dyn Model) -> Result<Option<Self>> {
-        let info = model.info();
-        let Some(colors) = Colors::of(info) else { return Ok(None) };
-        let mut most = 0.0f64;
-        // Where reading begins at the first vertex always, those there have to do.
-        let places = if info.random_access { PLACES } else { 1 };
-        let (mut chunk, mut lists) = (VertexChunk::default(), vec![Vec::new(); colors.count()]);
-        for i in 0..places {
-            let first = info.vertices / places * i;
-            let mut reader = model.vertices(first..(first + AT_A_PLACE).min(info.vertices))?;
-            while colors.kind != Type::U8 && reader.read(&mut chunk)? {
-                model.attributes(&chunk, &mut lists)?;
-                let all = colors.places.iter().flat_map(|place| &lists[*place]);
-                most = all.filter(|c| c.is_finite()).fold(most, |most, c| most.max(*c));
-            }
-        }
-        Ok(Some(Self { colors, scale: ColorScale::of(colors.kind, most) }))
+        let Some(colors) = Colors::of(model.info()) else { return Ok(None) };
+        Ok(Some(Self { colors, scale: ColorScale::of_model(model, &colors)? }))
     }
 
     /// Which numbers the colours are, and what these stand for.
@@ -245,21 +228,9 @@ impl<'a> Means<'a> {
 
     /// The means; of samples without a vertex that of the nearest one that has some. Nothing if none has.
     fn colors(&self) -> Vec<[u8; 3]> {
-        let sums = &self.sums;
-        let known: Vec<usize> = (0..sums.len()).filter(|i| sums[*i][3] > 0).collect();
-        if known.is_empty() {
-            return Vec::new();
-        }
-        let mean = |[r, g, b, n]: [u32; 4]| [r, g, b].map(|sum| ((sum + n / 2) / n) as u8);
-        if known.len() == sums.len() {
-            return sums.iter().map(|sum| mean(*sum)).collect();
-        }
-        let positions = &self.positions[self.first..];
-        let tree = KdTree::new(&known.iter().map(|i| positions[*i]).collect::<Vec<_>>());
-        let color = |(sum, p): (&[u32; 4], &Vec3)| {
-            mean(if sum[3] > 0 { *sum } else { sums[known[tree.nearest(*p) as usize]] })
-        };
-        sums.iter().zip(positions).map(color).collect()
+        let mean = |[r, g, b, n]: &[u32; 4]| (*n > 0).then(|| [r, g, b].map(|sum| ((sum + n / 2) / n) as u8));
+        let known: Vec<_> = self.sums.iter().map(mean).collect();
+        completed(&known, &self.positions[self.first..]).unwrap_or_default()
     }
 }
 

@@ -1,7 +1,7 @@
 //! The colours of vertices: which of their numbers these are, and what the numbers stand for. All that shows,
 //! compares or writes colours asks here.
 
-use crate::{Attribute, ModelInfo, Type};
+use crate::{Attribute, Model, ModelInfo, Result, Type, VertexChunk};
 
 /// What red, green and blue are called, in lower case.
 const NAMES: [[&str; 3]; 3] =
@@ -66,6 +66,32 @@ impl ColorScale {
     /// The number of full light.
     pub fn full(self) -> f64 {
         f64::from(self.0)
+    }
+
+    /// That of a model's colours. How large they are is told by vertices all over the file; where reading begins
+    /// at the first one always, those there have to do.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn of_model(model: &dyn Model, colors: &Colors) -> Result<Self> {
+        const PLACES: u64 = 16;
+        const AT_A_PLACE: u64 = 2048;
+        let (info, mut most) = (model.info(), 0.0f64);
+        if colors.kind == Type::U8 {
+            return Ok(Self::of(colors.kind, most));
+        }
+        let places = if info.random_access { PLACES } else { 1 };
+        let (mut chunk, mut lists) = (VertexChunk::default(), vec![Vec::new(); colors.count()]);
+        for i in 0..places {
+            let first = info.vertices / places * i;
+            let mut reader = model.vertices(first..(first + AT_A_PLACE).min(info.vertices))?;
+            while reader.read(&mut chunk)? {
+                model.attributes(&chunk, &mut lists)?;
+                let all = colors.places.iter().flat_map(|place| &lists[*place]);
+                most = all.filter(|c| c.is_finite()).fold(most, |most, c| most.max(*c));
+            }
+        }
+        Ok(Self::of(colors.kind, most))
     }
 
     /// A number as a byte, in the transfer curve that it has (sRGB as a rule); nothing where it is none.

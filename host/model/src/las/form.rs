@@ -10,8 +10,7 @@ use super::laszip::Laszip;
 use crate::bounds::Bounds;
 use crate::form::{Content, Form, Rows, attribute_loss, put_numbers};
 use crate::{
-    ColorScale, Colors, Error, ErrorKind, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk,
-    for_positions,
+    ColorScale, Colors, Error, ErrorKind, Result, ScaledIntegers, Summary, Type, VertexChunk, for_positions,
 };
 
 /// Points of a compressed block: as LASzip has it.
@@ -498,8 +497,8 @@ impl Form for LasForm {
 
 /// How positions become integers.
 fn integers(content: &Content<'_>, losses: &mut Vec<String>) -> Result<ScaledIntegers> {
-    let info = content.info();
     let how = &content.how;
+    let info = content.info();
     if let (Some(integers), None, None) = (info.integers, how.step, how.offset) {
         return Ok(integers);
     }
@@ -539,24 +538,10 @@ fn integers(content: &Content<'_>, losses: &mut Vec<String>) -> Result<ScaledInt
 
 /// What makes colours of 16 bits of those of a model.
 fn full_light(content: &Content<'_>, colors: &Colors) -> Result<f64> {
-    const PLACES: u64 = 16;
-    const AT_A_PLACE: u64 = 2048;
-    let info: &ModelInfo = content.info();
     match colors.kind {
         Type::U8 => return Ok(257.0),
         Type::U16 => return Ok(1.0),
         _ => {}
     }
-    let mut most = 0.0f64;
-    let (mut chunk, mut lists) = (VertexChunk::default(), vec![Vec::new(); colors.count()]);
-    for i in 0..if info.random_access { PLACES } else { 1 } {
-        let first = info.vertices / PLACES * i;
-        let mut reader = content.model.vertices(first..(first + AT_A_PLACE).min(info.vertices))?;
-        while reader.read(&mut chunk)? {
-            content.model.attributes(&chunk, &mut lists)?;
-            let all = colors.places.iter().flat_map(|place| &lists[*place]);
-            most = all.filter(|c| c.is_finite()).fold(most, |most, c| most.max(*c));
-        }
-    }
-    Ok(65535.0 / ColorScale::of(colors.kind, most).full())
+    Ok(65535.0 / ColorScale::of_model(content.model, colors)?.full())
 }
