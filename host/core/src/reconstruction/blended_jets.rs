@@ -314,3 +314,48 @@ fn strain<S: Simd>(simd: S, gradient: &[[f64; MOST_LANES]; 9]) -> DoubleLanes<S>
     }
     splat(0.5) * sum.sqrt()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reconstruction::Surroundings;
+
+    /// A rolling patch with a step in its deformation.
+    #[test]
+    fn expansions_have_the_same_bits_with_any_vectors() {
+        let jitter = |i: u32, k: u32| ((i * 7919 + k * 104_729) % 1000) as f32 / 1500.0;
+        let place = |i: u32| {
+            let (x, y) = ((i % 31) as f32 + jitter(i, 1), (i / 31) as f32 + jitter(i, 2));
+            Vec3::new(x / 31.0, 0.1 * (x / 5.0).sin(), y / 31.0)
+        };
+        let samples = SampleSet::new((0..961).map(place).collect(), Vec::new()).expect("samples");
+        let moved = |p: &Vec3| *p + Vec3::new(0.0, 0.2 * p.x * p.z, if p.z > 0.5 { 0.3 } else { p.x * p.x });
+        let deformed: Vec<Vec3> = samples.positions.iter().map(moved).collect();
+        let around = Surroundings::of(&samples);
+        let (gradients, stencils) = Gradients::fit(&samples, &around.sheets, &deformed);
+        let fitted = Fitted {
+            samples: &samples,
+            stencils: &stencils,
+            deformed: &deformed,
+            gradient: &gradients.gradient,
+        };
+        let fit = |by: &dyn Fn(Fits<'_>)| {
+            let mut jets: Vec<Jet> = gradients.gradient.iter().map(|g| Jet::affine(*g)).collect();
+            by(Fits { fitted, first: 0, jets: &mut jets });
+            let numbers = |jet: &Jet| {
+                let terms = jet.second.iter().flat_map(|h| h.to_array()).chain(jet.slope.to_cols_array());
+                let open = [Vec3::X, Vec3::Y, Vec3::Z].map(|d| jet.unresolved.at(d));
+                (terms.chain(open).map(f32::to_bits).collect::<Vec<_>>(), jet.doubt.to_bits())
+            };
+            jets.iter().map(numbers).collect::<Vec<_>>()
+        };
+        let one_by_one = fit(&|fits| fits.with_simd(pulp::Scalar::new()));
+        assert!(fit(&|fits| Arch::new().dispatch(fits)) == one_by_one);
+        #[cfg(target_arch = "x86_64")]
+        if let Some(simd) = pulp::x86::V3::try_new() {
+            assert!(fit(&|fits| Simd::vectorize(simd, fits)) == one_by_one);
+        }
+        let in_doubt = one_by_one.iter().filter(|(_, doubt)| f64::from_bits(*doubt) > 0.5).count();
+        assert!((10..500).contains(&in_doubt), "{in_doubt}");
+    }
+}
