@@ -11,6 +11,7 @@ use super::json::Document;
 use super::layout::{FACE, Layout};
 use super::limits::Limits;
 use super::places::{Place, Places, number_type};
+use crate::cache::Cache;
 use crate::source::Source;
 use crate::{Attribute, Error, ErrorKind, ModelInfo, Result, Scalar};
 
@@ -80,8 +81,8 @@ impl GltfModel {
         Ok(found)
     }
 
-    pub(super) fn new(source: Source) -> Result<Self> {
-        let (container, json) = Container::open(source)?;
+    pub(super) fn new(source: Source, cache: &Cache) -> Result<Self> {
+        let (container, json) = Container::open(source, cache)?;
         let document: Document<'_> = container.parse(&json)?;
         check_version(&container, &document)?;
         let layout = Places { container: &container, document: &document }.layout()?;

@@ -33,6 +33,7 @@ use faces::Faces;
 use file::GltfModel;
 use reader::Reader;
 
+use crate::cache::Making;
 use crate::source::Source;
 use crate::{
     Edit, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
@@ -54,8 +55,8 @@ pub(super) fn is_gltf(source: &Source) -> Result<bool> {
 }
 
 /// Opens a file.
-pub(super) fn open(source: Source) -> Result<Box<dyn Model>> {
-    Ok(Box::new(GltfModel::new(source)?))
+pub(super) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
+    Ok(Box::new(GltfModel::new(source, making.cache)?))
 }
 
 impl Model for GltfModel {
