@@ -98,6 +98,12 @@ impl Source {
         Error::new(ErrorKind::Format, format!("{}: {what}", self.path.display()), hint)
     }
 
+    /// An error where normals are to be left out of what cannot be without.
+    pub(crate) fn keeps_normals(&self, hint: &str) -> Error {
+        let what = format!("{}: normals cannot be left out of a file of this format", self.path.display());
+        Error::new(ErrorKind::Argument, what, hint)
+    }
+
     /// An error of writing a new version.
     pub(crate) fn write_error(&self, error: &io::Error) -> Error {
         Error::io("write the new version of", &self.path, error)

@@ -218,7 +218,7 @@ impl Run {
         };
         if *may_move {
             let chosen = choose_offset(&deformed.sampled, model.as_mut(), [&deformed.positions[..]])?;
-            chosen.into_iter().for_each(|offset| progress.note(&offset_note(offset)));
+            chosen.into_iter().for_each(|changed| progress.note(&changed));
         }
         let version = Version { deformed: &deformed.positions, output, diagnostics: *diagnostics };
         let (written, exact) = if *exact {
@@ -260,14 +260,6 @@ fn converted(
     }
     let how = Conversion { lossy, drops_normals: normals == Normals::Drop, ..Conversion::default() };
     Converted::new(model, output, how, progress).map(Some)
-}
-
-/// What to tell of another offset.
-pub fn offset_note(offset: DVec3) -> String {
-    format!(
-        "the offset of the positions becomes ({}, {}, {}); all their integers are written anew",
-        offset.x, offset.y, offset.z
-    )
 }
 
 /// Tells what the evaluation of all vertices will take, by that of some samples.

@@ -13,7 +13,6 @@ use simod_core::reconstruction::{
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::{Conversion, Converted, Error, ErrorKind, Model, Result, is_named_otherwise};
 use simod_session::Tolerance;
-use simod_session::pipeline::offset_note;
 use simod_session::tolerance::check_precision;
 
 use super::convert::tell_losses;
@@ -143,7 +142,7 @@ impl Reconstruct {
         let mut model = sampled.open_source(self.model.as_deref(), report.progress())?;
         if self.offset == OffsetName::Auto {
             let chosen = choose_offset(&sampled, model.as_mut(), deformed.iter().map(Vec::as_slice))?;
-            chosen.into_iter().for_each(|offset| report.progress().note(&offset_note(offset)));
+            chosen.into_iter().for_each(|changed| report.progress().note(&changed));
         }
         if let Some(output) = paths.iter().map(|v| &v.output).find(|path| is_named_otherwise(&*model, path)) {
             let drops_normals = self.normals == NormalsName::Drop;

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use glam::DVec3;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use serde_json::value::RawValue;
@@ -138,6 +139,8 @@ fn info(container: &Container, document: &Document<'_>, layout: &Layout) -> Mode
         vertex_bytes: regions.map(|region| region.bytes.end - region.bytes.start).sum(),
         face_bytes: FACE * layout.triangles,
         integers: None,
+        step: DVec3::ZERO,
+        ranges: Vec::new(),
         written: None,
         crs: None,
     }

@@ -36,8 +36,8 @@ use reader::Reader;
 use crate::cache::Making;
 use crate::source::Source;
 use crate::{
-    Edit, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
-    VertexChunk, VertexReader, pipeline,
+    Edit, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, VertexChunk,
+    VertexReader, pipeline,
 };
 
 /// Whether a file that begins so is GLB.
@@ -109,11 +109,7 @@ impl Model for GltfModel {
         progress: &dyn Progress,
     ) -> Result<()> {
         if how.normals == Normals::Drop && self.info.has_normals {
-            return Err(Error::new(
-                ErrorKind::Argument,
-                format!("{}: normals cannot be left out of a file of this format", self.path().display()),
-                "transform or keep them",
-            ));
+            return Err(self.container.source.keeps_normals("keep or transform them: --normals keep"));
         }
         let rewriting = rewrite::Rewriting::new(self);
         rewriting.announce(progress);
