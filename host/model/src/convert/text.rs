@@ -103,7 +103,7 @@ pub(super) struct Lines {
 struct Painted {
     colors: Colors,
     scale: ColorScale,
-    /// Where that is among the attributes, if the model has one of bytes.
+    /// Where that is among the attributes, if the model has one of the same type.
     alpha: Option<usize>,
 }
 
@@ -114,7 +114,7 @@ impl Painted {
             return Ok(None);
         };
         let scale = ColorScale::of_model(content.model, &colors)?;
-        let is_alpha = |a: &Attribute| a.name == "alpha" && a.kind == Type::U8 && colors.kind == Type::U8;
+        let is_alpha = |a: &Attribute| a.name == "alpha" && a.kind == colors.kind;
         let alpha = info.attributes.iter().position(is_alpha).filter(|_| kind == Kind::Off);
         Ok(Some(Self { colors, scale, alpha }))
     }
@@ -132,8 +132,8 @@ impl Painted {
             };
         }
         if kind == Kind::Off {
-            let alpha = self.alpha.map_or(255.0, |place| numbers[place][i]);
-            let _ = write!(to, " {}", alpha as u8);
+            let alpha = self.alpha.map_or(u8::MAX, |place| self.scale.byte(numbers[place][i]));
+            let _ = write!(to, " {alpha}");
         }
     }
 }
