@@ -21,7 +21,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
     let mut sampled = SampledModel::load(&folder)?;
     sampled.hold_cells(sampled.cells(&folder, None, &Silent)?);
-    let model = sampled.open_source(None)?;
+    let model = sampled.open_source(None, &Silent)?;
     // Any function of space says what is selected: here the distance to a ball.
     let distance = |p: DVec3| p.distance(DVec3::new(x, y, z)) - radius;
     let selection = Selection { distance: &distance, so_far: None, at_rest: true };

@@ -243,7 +243,8 @@ impl Outcome {
         assert!(!stderr.contains("panicked at"), "{context}");
         let (errors, hints) = (self.lines("error: "), self.lines("hint: "));
         assert_eq!((errors.len(), hints.len()), (1, 1), "{context}");
-        assert_eq!(stderr.lines().count() - self.lines("warning: ").len(), 2, "{context}");
+        let said = self.lines("warning: ").len() + self.lines("note: ").len();
+        assert_eq!(stderr.lines().count() - said, 2, "{context}");
         assert!(!hints[0].trim().is_empty(), "{context}");
         for name in named {
             assert!(errors[0].contains(name), "the error does not name {name:?}: {context}");

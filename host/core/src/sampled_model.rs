@@ -14,7 +14,8 @@ use simod_model::input::{self, Identity};
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::folder_of;
 use simod_model::{
-    Attribute, Besides, Error, ErrorKind, FaceChunk, Model, Progress, Result, Scalar, VertexChunk, output,
+    Attribute, Besides, Cache, Error, ErrorKind, FaceChunk, Model, Progress, Result, Scalar, VertexChunk,
+    output,
 };
 use xxhash_rust::xxh3::Xxh3Default;
 
@@ -39,6 +40,9 @@ pub const BINDING: &str = "binding.bin";
 /// The file with the cells: see [`KeptCells`].
 const CELLS: &str = "cells.bin";
 
+/// The file of what is made of a model that cannot be read from anywhere as it is: see [`Cache`].
+const CACHE: &str = "cache.bin";
+
 /// What describes the folder.
 const DESCRIPTION: &str = "simod.toml";
 
@@ -46,7 +50,7 @@ const DESCRIPTION: &str = "simod.toml";
 const SAMPLES: &str = "samples.ply";
 
 /// All files of a folder.
-pub(crate) const OWN_FILES: [&str; 6] = [DESCRIPTION, SAMPLES, CELLS, SHEETS, ATTRIBUTES, BINDING];
+pub(crate) const OWN_FILES: [&str; 7] = [DESCRIPTION, SAMPLES, CELLS, SHEETS, ATTRIBUTES, BINDING, CACHE];
 
 /// Longest description: each refinement adds a few hundred bytes.
 const LONGEST_DESCRIPTION: u64 = 64 << 20;
@@ -191,6 +195,8 @@ pub struct SampledModel {
     folder: Option<(PathBuf, String)>,
     /// Once they were asked for.
     attributes: OnceLock<Arc<Attributes>>,
+    /// What is made of the model where it cannot be read from anywhere as it is.
+    cache: Arc<Cache>,
 }
 
 /// The content of `simod.toml`.
@@ -287,6 +293,7 @@ impl SampledModel {
             kept: None,
             folder: None,
             attributes: OnceLock::new(),
+            cache: Arc::default(),
         })
     }
 
@@ -317,6 +324,7 @@ impl SampledModel {
             kept: Some(kept),
             folder: None,
             attributes: OnceLock::new(),
+            cache: self.cache.clone(),
             ..*self
         })
     }
@@ -356,6 +364,21 @@ impl SampledModel {
     pub fn begin(folder: &Path) -> Result<OutputFolder> {
         Self::check_target(folder)?;
         OutputFolder::create(folder)
+    }
+
+    /// The cache of the model that will be sampled, in the folder that it will be [saved in](Self::save_in).
+    pub fn cache_in(begun: &OutputFolder) -> Arc<Cache> {
+        Arc::new(Cache::in_new_folder(begun, CACHE))
+    }
+
+    /// What is made of the model where it cannot be read from anywhere as it is.
+    pub fn cache(&self) -> &Arc<Cache> {
+        &self.cache
+    }
+
+    /// The same from now on: what was made of the model when it was sampled.
+    pub fn set_cache(&mut self, cache: Arc<Cache>) {
+        self.cache = cache;
     }
 
     /// As [`save`](Self::save), to a folder that was begun before.
@@ -417,6 +440,7 @@ impl SampledModel {
             let of = [&*description.samples_fingerprint, &*self.source.fingerprint];
             output::write_file(&new.path().join(ATTRIBUTES), &attributes.encode(of)?).map_err(named)?;
         }
+        self.cache.link_to(&new.path().join(CACHE));
         // What came there meanwhile is not lost.
         Self::check_target(folder)?;
         new.commit()
@@ -558,6 +582,7 @@ impl SampledModel {
             kept: None,
             folder: Some((folder.to_owned(), description.samples_fingerprint)),
             attributes: OnceLock::new(),
+            cache: Arc::new(Cache::in_folder(&folder.join(CACHE))),
         })
     }
 
@@ -638,7 +663,7 @@ impl SampledModel {
                 "sample the model again, and refine it again: `simod info` tells where it was refined",
             ));
         }
-        let source = self.open_source(elsewhere)?;
+        let source = self.open_source(elsewhere, progress)?;
         // The triangles tell where the faces of each cell are.
         let triangles = self.triangles.is_empty();
         // Former versions looked for no sheets unless asked to.
@@ -690,7 +715,7 @@ impl SampledModel {
         let found = match self.kept_attributes() {
             Some(kept) => kept,
             None => {
-                let found = Attributes::of(self, &*self.open_source(elsewhere)?, progress)?;
+                let found = Attributes::of(self, &*self.open_source(elsewhere, progress)?, progress)?;
                 if let Err(e) = self.keep_attributes(&found) {
                     progress.note(&format!("the attributes are not kept, and found anew the next time: {e}"));
                 }
@@ -727,8 +752,8 @@ impl SampledModel {
     ///
     /// # Errors
     /// It cannot be opened, or is not the model that was sampled, as far as its size tells; the
-    /// reconstruction compares its bytes too.
-    pub fn open_source(&self, elsewhere: Option<&Path>) -> Result<Box<dyn Model>> {
+    /// reconstruction compares its bytes too; what has to be made of it has no room.
+    pub fn open_source(&self, elsewhere: Option<&Path>, progress: &dyn Progress) -> Result<Box<dyn Model>> {
         let path = elsewhere.unwrap_or(&self.source.path);
         if elsewhere.is_none() && !path.exists() {
             return Err(Error::new(
@@ -737,7 +762,7 @@ impl SampledModel {
                 "put it back, or say where it is with --model",
             ));
         }
-        let model = simod_model::open_with_columns(path, self.source.columns.as_deref())?;
+        let model = simod_model::open_with(path, self.source.columns.as_deref(), &self.cache, progress)?;
         let info = model.info();
         if (info.bytes, info.vertices) != (self.source.bytes, self.source.vertices) {
             return Err(self.source_changed(path));

@@ -55,7 +55,7 @@ impl Good {
     fn use_it(&self) {
         let at = |name: &str| self.folder.path().join(name);
         let Ok(mut sampled) = SampledModel::load(&at("m.simod")) else { return };
-        let Ok(model) = sampled.open_source(None) else { return };
+        let Ok(model) = sampled.open_source(None, &Silent) else { return };
         if let Ok(attributes) = sampled.attributes(None, &Silent) {
             let samples = sampled.samples.len();
             assert!(attributes.all().iter().all(|of| of.values.len() == samples));

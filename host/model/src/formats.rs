@@ -1,23 +1,26 @@
 //! The formats that are known.
 
 use std::path::Path;
+use std::sync::Arc;
 
+use crate::cache::{Cache, Making};
+use crate::progress::Silent;
 use crate::source::Source;
-use crate::{Error, ErrorKind, Model, Result, columns, e57, gltf, las, obj, off, pcd, ply, stl};
+use crate::{Error, ErrorKind, Model, Progress, Result, columns, e57, gltf, las, obj, off, pcd, ply, stl};
 
 /// Extensions of all formats, by which names say what a file is.
 const EXTENSIONS: [&str; 10] = ["ply", "obj", "stl", "off", "pcd", "las", "laz", "e57", "glb", "gltf"];
 
 /// Whether a file that begins so is of a format, and what opens it.
-type Known = (fn(&[u8]) -> bool, fn(Source) -> Result<Box<dyn Model>>);
+type Known = (fn(&[u8]) -> bool, fn(Source, &Making<'_>) -> Result<Box<dyn Model>>);
 
 /// The formats that a file's first bytes tell.
 const BY_BEGINNING: [Known; 6] = [
-    (ply::is_ply, |source| Ok(Box::new(ply::PlyModel::new(source)?))),
-    (las::is_las, |source| Ok(Box::new(las::LasModel::new(source)?))),
-    (e57::is_e57, e57::open),
+    (ply::is_ply, |source, _| Ok(Box::new(ply::PlyModel::new(source)?))),
+    (las::is_las, |source, _| Ok(Box::new(las::LasModel::new(source)?))),
+    (e57::is_e57, |source, _| e57::open(source)),
     (pcd::is_pcd, pcd::open),
-    (off::is_off, off::open),
+    (off::is_off, |source, _| off::open(source)),
     (gltf::is_glb, gltf::open),
 ];
 
@@ -74,6 +77,21 @@ pub fn open(path: &Path) -> Result<Box<dyn Model>> {
 /// # Errors
 /// As of [`open`], or columns are given of another format.
 pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn Model>> {
+    open_with(path, columns, &Arc::default(), &Silent)
+}
+
+/// The same; what has to be made of the model to read it from anywhere goes to a cache, whose size `progress` is
+/// told first.
+///
+/// # Errors
+/// As of [`open_with_columns`], there is no room for what is made, or the user cancelled.
+pub fn open_with(
+    path: &Path,
+    columns: Option<&str>,
+    cache: &Arc<Cache>,
+    progress: &dyn Progress,
+) -> Result<Box<dyn Model>> {
+    let making = &Making { cache, progress };
     let source = Source::open(path)?;
     let start = beginning(&source)?;
     let found = BY_BEGINNING.iter().find(|(is, _)| is(&start));
@@ -83,12 +101,12 @@ pub fn open_with_columns(path: &Path, columns: Option<&str>) -> Result<Box<dyn M
             let what = format!("{} is no text in columns, but columns are given", path.display());
             Err(Error::new(ErrorKind::Argument, what, "leave out the columns"))
         }
-        (Some((_, open)), None) => open(source),
+        (Some((_, open)), None) => open(source, making),
         (None, Some(_)) => columns::open(source, &extension, columns),
         (None, None) if extension == "off" => off::open(source),
-        (None, None) if extension == "gltf" || gltf::is_gltf(&source)? => gltf::open(source),
+        (None, None) if extension == "gltf" || gltf::is_gltf(&source)? => gltf::open(source, making),
         (None, None) if extension == "stl" || stl::is_stl(&source)? => stl::open(source),
-        (None, None) if extension == "obj" || obj::is_obj(&source)? => obj::open(source),
+        (None, None) if extension == "obj" || obj::is_obj(&source)? => obj::open(source, making),
         (None, None) if columns::EXTENSIONS.contains(&extension.as_str()) => {
             columns::open(source, &extension, None)
         }

@@ -12,6 +12,7 @@
 //! Nothing here prints, opens a window, or knows of samples.
 
 pub mod bounds;
+mod cache;
 pub mod claim;
 mod colors;
 mod columns;
@@ -52,11 +53,12 @@ mod text;
 mod uncached;
 mod unfit;
 
+pub use cache::Cache;
 pub use colors::{ColorScale, Colors};
 pub use convert::Converted;
 pub use error::{Error, ErrorKind, Result};
 pub use form::Conversion;
-pub use formats::{extensions, is_model, is_named_otherwise, open, open_with_columns};
+pub use formats::{extensions, is_model, is_named_otherwise, open, open_with, open_with_columns};
 pub use in_step::{Vertices, in_step};
 pub use model::{
     Attribute, CHUNK_TRIANGLES, CHUNK_VERTICES, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark,

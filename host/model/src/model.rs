@@ -104,8 +104,13 @@ pub struct ModelInfo {
     pub face_bytes: u64,
     /// The whole numbers that positions are stored as, where they are.
     pub integers: Option<ScaledIntegers>,
-    /// Those of what is written: with another offset, where one was [chosen](Model::move_offset).
+    /// Those of what is written: with another offset, where one was [chosen](Model::make_room).
     pub written: Option<ScaledIntegers>,
+    /// From one whole number that positions are written as to the next, along three directions at right angles:
+    /// the coarsest, where there are several; zero where they are floats.
+    pub step: DVec3,
+    /// Ranges of whole numbers that were [chosen](Model::make_room) for what is written.
+    pub ranges: Vec<[i64; 2]>,
     /// What the file says of its coordinate reference system, as "EPSG:25832" or the name in its WKT.
     pub crs: Option<String>,
 }
@@ -120,6 +125,12 @@ impl ModelInfo {
     /// Vertices of no interest between two others that are better read as well than passed over.
     pub fn near(&self) -> u64 {
         if self.random_access { self.block_vertices - 1 } else { u64::MAX }
+    }
+
+    /// How far a position that is written as whole numbers is from where it should be: the root of the mean
+    /// square; zero where they are floats.
+    pub fn rounding(&self) -> f64 {
+        (self.step.length_squared() / 12.0).sqrt()
     }
 
     /// What becomes of a position when it is written to such a file; one that does not fit stays as it is.
@@ -621,16 +632,17 @@ pub trait Model: Send + Sync {
         self.info().written.is_none_or(|integers| integers.range().contains(p))
     }
 
-    /// Lets what is rewritten from now on store its positions with another offset, by so many steps from one
-    /// integer to the next, axis by axis: all integers are written anew.
+    /// Sees to it that what is rewritten from now on has room for vertices that go from the first place of each
+    /// pair to the second, and for others that go further by `margin`: where integers do not reach, by another
+    /// offset, or another range. Returns what was changed, if anything: all integers are written anew then.
     ///
     /// # Errors
-    /// The format has no integers for positions.
-    fn move_offset(&mut self, _steps: [i64; 3]) -> Result<()> {
+    /// The format has no integers for positions, or they cannot reach so far.
+    fn make_room(&mut self, _moves: &[[DVec3; 2]], _margin: f64) -> Result<Option<String>> {
         Err(Error::new(
             ErrorKind::Argument,
-            format!("{} has no offset that could be another one", self.path().display()),
-            "leave the offset as it is",
+            format!("{} has no offset: its positions are not stored as integers", self.path().display()),
+            "leave out --offset auto",
         ))
     }
 

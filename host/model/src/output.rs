@@ -53,6 +53,19 @@ impl OutputFile {
         commit().map_err(|e| claim.failed(&e))
     }
 
+    /// What it will be called.
+    pub(crate) fn path(&self) -> &Path {
+        &self.claim.places().path
+    }
+
+    /// The file, to be written at any place.
+    ///
+    /// # Errors
+    /// The operating system refuses.
+    pub(crate) fn part(&self) -> Result<File> {
+        self.claim.part().try_clone().map_err(|e| self.claim.failed(&e))
+    }
+
     /// As what a model can be written to, whose bytes may be replaced in the end.
     pub fn replaceable(&mut self) -> Replaceable<'_> {
         Replaceable(self)

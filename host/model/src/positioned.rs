@@ -1,6 +1,6 @@
 //! Files read and written at given positions, from several threads.
 
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{ErrorKind, Result};
 
 /// By the operating system where it has such calls.
@@ -23,8 +23,8 @@ impl Positioned {
         std::os::unix::fs::FileExt::write_all_at(&self.0, buffer, offset)
     }
 
-    pub(crate) fn len(&self) -> Result<u64> {
-        Ok(self.0.metadata()?.len())
+    pub(crate) fn metadata(&self) -> Result<Metadata> {
+        self.0.metadata()
     }
 }
 
@@ -55,8 +55,8 @@ impl Positioned {
         std::io::Write::write_all(&mut *self.lock_at(offset)?, buffer)
     }
 
-    pub(crate) fn len(&self) -> Result<u64> {
-        Ok(self.lock_at(0)?.metadata()?.len())
+    pub(crate) fn metadata(&self) -> Result<Metadata> {
+        self.lock_at(0)?.metadata()
     }
 }
 

@@ -40,9 +40,24 @@ impl ScaledIntegers {
         Bounds::of([IVec3::MIN, IVec3::MAX].map(|numbers| self.position(numbers)))
     }
 
-    /// How far a position is from the nearest that has numbers: the root of the mean square.
-    pub fn rounding(&self) -> f64 {
-        (self.scale.length_squared() / 12.0).sqrt()
+    /// By how many steps the offset has to move, if it has to, so that there are numbers for all within some
+    /// bounds and a margin around them; an axis along which none will do.
+    pub(crate) fn steps_to(&self, bounds: &Bounds, margin: f64) -> Result<Option<[i64; 3]>, usize> {
+        if bounds.is_empty() {
+            return Ok(None);
+        }
+        let range = self.range();
+        let (min, max) = (bounds.min - margin, bounds.max + margin);
+        let mut steps = [0; 3];
+        for (axis, steps) in steps.iter_mut().enumerate() {
+            if (range.max - range.min)[axis] <= (max - min)[axis] {
+                return Err(axis);
+            }
+            if min[axis] < range.min[axis] || max[axis] > range.max[axis] {
+                *steps = ((bounds.center() - self.offset)[axis] / self.scale[axis]).round() as i64;
+            }
+        }
+        Ok((steps != [0; 3]).then_some(steps))
     }
 }
 
@@ -69,6 +84,19 @@ mod tests {
                 prop_assert_eq!(back, Some(numbers));
             }
         }
+    }
+
+    #[test]
+    fn an_offset_moves_by_whole_steps_and_only_where_it_has_to() {
+        let integers =
+            ScaledIntegers { scale: DVec3::new(0.01, -0.01, 1e-9), offset: DVec3::new(5.0, 0.0, 1.0) };
+        let steps_to = |bounds: &Bounds| integers.steps_to(bounds, 0.05 * bounds.diagonal());
+        let near = Bounds::of([DVec3::new(0.0, 0.0, 0.5), DVec3::new(0.1, 0.1, 1.5)]);
+        assert_eq!(steps_to(&near), Ok(None));
+        let far = Bounds::of([DVec3::new(1e8, 1e8, 0.5), DVec3::new(1e8 + 2.0, 1e8 + 2.0, 1.5)]);
+        assert_eq!(steps_to(&far), Ok(Some([9_999_999_600, -10_000_000_100, 0])));
+        let wide = Bounds::of([DVec3::ZERO, DVec3::new(0.0, 0.0, 4.3)]);
+        assert_eq!(steps_to(&wide), Err(2));
     }
 
     #[test]

@@ -26,9 +26,22 @@ impl Scratch {
     /// # Errors
     /// It cannot be made.
     pub fn new(folder: &Path, advice: &'static str) -> Result<Self> {
-        let files = tempfile::tempfile_in(folder).and_then(|file| Ok((file.try_clone()?, file)));
-        let (handle, file) = files.map_err(|e| refused("write", folder, advice, &e))?;
+        let file = tempfile::tempfile_in(folder).map_err(|e| refused("write", folder, advice, &e))?;
+        Self::of(file, folder, advice)
+    }
+
+    /// An open file in `folder`, which may have a name: it must not be [mapped](Self::map) then.
+    pub(crate) fn of(file: File, folder: &Path, advice: &'static str) -> Result<Self> {
+        let handle = file.try_clone().map_err(|e| refused("write", folder, advice, &e))?;
         Ok(Self { file: Positioned::new(file), handle, folder: folder.to_owned(), advice })
+    }
+
+    /// A new file beside it.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    pub(crate) fn beside(&self) -> Result<Self> {
+        Self::new(&self.folder, self.advice)
     }
 
     /// Writes all of `bytes` at a place.

@@ -3,18 +3,23 @@
 //! Files are read, never mapped into memory: a mapped file that another program shortens kills the process
 //! (SIGBUS), whereas a read returns an error; and mapped pages count as memory of the process.
 
+use std::fs::Metadata;
+use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use crate::positioned::Positioned;
 use crate::scratch::Scratch;
 use crate::{Error, ErrorKind, Result, input};
 
 /// An open file of known length that several threads read at once, each where it likes.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Source {
-    file: Positioned,
+    file: Arc<Positioned>,
     path: PathBuf,
     len: u64,
+    /// Bytes of the file itself, of which a part may be read.
+    file_len: u64,
 }
 
 impl Source {
@@ -30,12 +35,23 @@ impl Source {
                 "copy or export the model again",
             ));
         }
-        Ok(Self { file: Positioned::new(file), path: path.to_owned(), len })
+        Ok(Self { file: Arc::new(Positioned::new(file)), path: path.to_owned(), len, file_len: len })
     }
 
     /// What was written to a temporary file, in the name of another one.
     pub(crate) fn of_scratch(scratch: Scratch, path: &Path, len: u64) -> Self {
-        Self { file: scratch.into_file(), path: path.to_owned(), len }
+        Self::of_part(scratch.into_file(), path, len)
+    }
+
+    /// The first bytes of a file, in the name of another one.
+    pub(crate) fn of_part(file: Positioned, path: &Path, len: u64) -> Self {
+        let file_len = file.metadata().map_or(len, |is| is.len());
+        Self { file: Arc::new(file), path: path.to_owned(), len, file_len }
+    }
+
+    /// What the system knows of the file.
+    pub(crate) fn metadata(&self) -> io::Result<Metadata> {
+        self.file.metadata()
     }
 
     pub(crate) fn path(&self) -> &Path {
@@ -55,7 +71,7 @@ impl Source {
             match self.file.read_at(&mut buffer[done..wanted], offset + done as u64) {
                 Ok(0) => break,
                 Ok(n) => done += n,
-                Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
                 Err(e) => return Err(Error::io("read", &self.path, &e)),
             }
         }
@@ -73,8 +89,8 @@ impl Source {
 
     /// An error where the file is not as long any more as when it was opened.
     pub(crate) fn check_unchanged(&self) -> Result<()> {
-        let len = self.file.len().map_err(|e| Error::io("read", &self.path, &e))?;
-        if len == self.len { Ok(()) } else { Err(self.changed()) }
+        let len = self.metadata().map_err(|e| Error::io("read", &self.path, &e))?.len();
+        if len == self.file_len { Ok(()) } else { Err(self.changed()) }
     }
 
     /// An error about the content: `what` follows the file's name.
@@ -82,8 +98,14 @@ impl Source {
         Error::new(ErrorKind::Format, format!("{}: {what}", self.path.display()), hint)
     }
 
+    /// An error where normals are to be left out of what cannot be without.
+    pub(crate) fn keeps_normals(&self, hint: &str) -> Error {
+        let what = format!("{}: normals cannot be left out of a file of this format", self.path.display());
+        Error::new(ErrorKind::Argument, what, hint)
+    }
+
     /// An error of writing a new version.
-    pub(crate) fn write_error(&self, error: &std::io::Error) -> Error {
+    pub(crate) fn write_error(&self, error: &io::Error) -> Error {
         Error::io("write the new version of", &self.path, error)
     }
 

@@ -14,7 +14,7 @@ use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
 use simod_model::target::folder_of;
 use simod_model::{
-    Conversion, Converted, Error, ErrorKind, Model, Normals, Progress, Result, is_named_otherwise,
+    Cache, Conversion, Converted, Error, ErrorKind, Model, Normals, Progress, Result, is_named_otherwise,
 };
 use simod_plugin_api::Effort;
 
@@ -32,7 +32,7 @@ use crate::tolerance::{self, Certificate, Tolerance};
 pub fn sampled(
     session: &SessionFile,
     skip: Skip,
-    folder: &Path,
+    (folder, cache): (&Path, &Arc<Cache>),
     progress: &dyn Progress,
 ) -> Result<(SampledModel, Box<dyn Model>)> {
     let path = session.model.as_deref().ok_or_else(|| {
@@ -49,10 +49,11 @@ pub fn sampled(
             "put it back, correct [model] path in the session, or say where it is with --model",
         ));
     }
-    let model = simod_model::open_with_columns(path, session.columns.as_deref())?;
+    let model = simod_model::open_with(path, session.columns.as_deref(), cache, progress)?;
     let mut sampling = Sampling::from(session.sampling);
     sampling.skip = Skip { sheets: sampling.skip.sheets, ..skip };
-    let sampled = sample(model.as_ref(), &sampling, folder, progress)?;
+    let mut sampled = sample(model.as_ref(), &sampling, folder, progress)?;
+    sampled.set_cache(cache.clone());
     if session.fingerprint.as_ref().is_some_and(|known| *known != sampled.source.fingerprint) {
         progress.note(&format!("{} is not what it was when the session was saved", path.display()));
     }
@@ -192,8 +193,9 @@ impl Run {
         // With triangles, a refinement knows the faces, and places its samples as it does those of a folder.
         let triangles = cells || stack.plugins().any(|p| p.consumes().triangles);
         let skip = Skip { triangles: !triangles, cells: !cells, colors: true, ..Skip::default() };
-        let converted = converted(session, output, (how.normals, *lossy), progress)?;
-        let (sampled, mut model) = sampled(session, skip, folder, progress)?;
+        let cache = &Arc::new(Cache::nameless(folder));
+        let converted = converted(session, output, (how.normals, *lossy), (cache, progress))?;
+        let (sampled, mut model) = sampled(session, skip, (folder, cache), progress)?;
         if let Some(converted) = converted {
             let losses = converted.losses();
             if !losses.is_empty() {
@@ -216,7 +218,7 @@ impl Run {
         };
         if *may_move {
             let chosen = choose_offset(&deformed.sampled, model.as_mut(), [&deformed.positions[..]])?;
-            chosen.into_iter().for_each(|offset| progress.note(&offset_note(offset)));
+            chosen.into_iter().for_each(|changed| progress.note(&changed));
         }
         let version = Version { deformed: &deformed.positions, output, diagnostics: *diagnostics };
         let (written, exact) = if *exact {
@@ -234,7 +236,7 @@ impl Run {
     /// # Errors
     /// A plugin of the stack does not know its map between the samples; a file cannot be read; cancelled.
     pub fn transfer_error(&self, progress: &dyn Progress) -> Result<TransferError> {
-        let model = self.deformed.sampled.open_source(None)?;
+        let model = self.deformed.sampled.open_source(None, progress)?;
         let columns = model.columns().filter(|_| !is_named_otherwise(&*model, &self.output));
         let output = simod_model::open_with_columns(&self.output, columns)?;
         let diagonal = self.deformed.sampled.bounds.diagonal();
@@ -249,23 +251,15 @@ fn converted(
     session: &SessionFile,
     output: &Path,
     (normals, lossy): (Normals, bool),
-    progress: &dyn Progress,
+    (cache, progress): (&Arc<Cache>, &dyn Progress),
 ) -> Result<Option<Converted>> {
     let Some(path) = session.model.as_deref().filter(|path| path.exists()) else { return Ok(None) };
-    let model = simod_model::open_with_columns(path, session.columns.as_deref())?;
+    let model = simod_model::open_with(path, session.columns.as_deref(), cache, progress)?;
     if !is_named_otherwise(&*model, output) {
         return Ok(None);
     }
     let how = Conversion { lossy, drops_normals: normals == Normals::Drop, ..Conversion::default() };
     Converted::new(model, output, how, progress).map(Some)
-}
-
-/// What to tell of another offset.
-pub fn offset_note(offset: DVec3) -> String {
-    format!(
-        "the offset of the positions becomes ({}, {}, {}); all their integers are written anew",
-        offset.x, offset.y, offset.z
-    )
 }
 
 /// Tells what the evaluation of all vertices will take, by that of some samples.

@@ -125,12 +125,10 @@ pub fn check_precision(sampled: &SampledModel, model: &dyn Model, tolerance: f64
             return refused(why, 2.0 * rounding);
         }
     }
-    if let Some(integers) = model.info().written {
-        let rounding = 0.5 * integers.scale.length() / diagonal;
-        if 2.0 * rounding > tolerance {
-            let why = format!("the file's positions are integers, which alone makes up to {rounding:.1e}");
-            return refused(why, 2.0 * rounding);
-        }
+    let rounding = 0.5 * model.info().step.length() / diagonal;
+    if 2.0 * rounding > tolerance {
+        let why = format!("the file's positions are integers, which alone makes up to {rounding:.1e}");
+        return refused(why, 2.0 * rounding);
     }
     let least = LEAST_LOCAL / sampled.local_diagonal().max(f64::MIN_POSITIVE);
     if least > tolerance {

@@ -8,7 +8,7 @@ use simod_model::{Error, ErrorKind, Result};
 use simod_picture::Image;
 use simod_scene::{Background, Gpu, Mode, NoGpu, Scale, Scene, Style, Surface, View};
 use simod_viewer::camera::Camera;
-use simod_viewer::{Overlay, State};
+use simod_viewer::{State, Version};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -68,13 +68,8 @@ impl Shot {
     pub fn of(state: &mut State) -> Result<Self> {
         let none = || Error::new(ErrorKind::Argument, "there is no model to be drawn", "name one");
         let shown = state.scene().cloned().ok_or_else(none)?;
-        let own =
-            state.has_own_colors() && state.overlay() == Overlay::None && !shown.sampled.colors.is_empty();
-        let tint = state.tint();
-        let (colors, scale): (Option<Vec<[u8; 3]>>, _) = match state.field() {
-            Some(field) => (Some((0..shown.len()).map(|i| field.color(i)).collect()), Some(field.scale())),
-            None => (own.then(|| shown.sampled.colors.clone()), None),
-        };
+        let (colors, tint) = (state.sample_colors(Version::Now), state.tint());
+        let scale = state.field().map(|field| field.scale());
         let detail = state.detail();
         let radii = sample_radii(&shown.sampled.samples.extents(), detail);
         let pieces = detail.into_iter().flat_map(|detail| detail.pieces().values());

@@ -160,6 +160,49 @@ fn a_mesh_goes_through_formats() {
     work.refuses("convert c.csv c.xyz", &["the normals", "the attribute red (double)", "the attribute heat"]);
 }
 
+/// Red, green, blue and alpha behind the positions, as other programs read them.
+#[test]
+fn colours_go_to_obj_and_off() {
+    let work = Workplace::new();
+    let header = |numbers: &str| {
+        let names = numbers.split(' ').map(|kind_and_name| {
+            let (kind, name) = kind_and_name.split_once('_').expect("a type and a name");
+            format!("property {kind} {name}\n")
+        });
+        format!("ply\nformat ascii 1.0\nelement vertex 2\n{}end_header\n", names.collect::<String>())
+    };
+    let position = "float_x float_y float_z";
+    let normal = "float_nx float_ny float_nz";
+    let bytes = header(&format!("{position} {normal} uchar_red uchar_green uchar_blue uchar_alpha"));
+    work.write("bytes.ply", bytes + "0 0 0 0 0 1 255 0 51 7\n1 2 3 0 1 0 1 2 3 255\n");
+    work.simod("convert bytes.ply bytes.off");
+    let text = |name: &str| String::from_utf8(work.read(name)).expect("text");
+    let off = "CNOFF\n2 0 0\n0 0 0 0 0 1 255 0 51 7\n1 2 3 0 1 0 1 2 3 255\n";
+    assert_eq!(text("bytes.off"), off);
+    // There and back.
+    let report = work.report("convert bytes.off back.ply");
+    assert_eq!(report["lost"].as_array().map(Vec::len), Some(0));
+    work.simod("convert back.ply again.off --lossy");
+    assert_eq!(text("again.off"), off);
+
+    work.refuses("convert bytes.ply bytes.obj", &["would lose: the attribute alpha (uchar)"]);
+    work.simod("convert bytes.ply bytes.obj --lossy");
+    let obj = "v 0 0 0 1 0 0.2\nvn 0 0 1\nv 1 2 3 0.003921569 0.007843138 0.011764706\nvn 0 1 0\n";
+    assert_eq!(text("bytes.obj"), obj);
+    work.simod("convert bytes.obj again.obj");
+    let numbers =
+        |text: String| -> Vec<f32> { text.split_whitespace().filter_map(|w| w.parse().ok()).collect() };
+    assert_eq!(numbers(text("again.obj")), numbers(obj.to_owned()));
+
+    let words = header(&format!("{position} ushort_red ushort_green ushort_blue"));
+    work.write("words.ply", words + "0 0 0 65535 0 32768\n1 2 3 1 2 3\n");
+    work.refuses("convert words.ply words.off", &["digits of the colours (ushort), which become bytes"]);
+    work.simod("convert words.ply words.off --lossy");
+    assert_eq!(text("words.off"), "COFF\n2 0 0\n0 0 0 255 0 128 255\n1 2 3 0 0 0 255\n");
+    work.simod("convert words.ply words.obj");
+    assert!(text("words.obj").starts_with("v 0 0 0 1 0 0.50000764\n"), "{}", text("words.obj"));
+}
+
 #[test]
 fn what_would_be_lost_is_named() {
     let work = Workplace::new();
@@ -257,8 +300,8 @@ fn deformed_models_are_written_in_other_formats() {
     work.move_samples("m.simod", bend);
     let line = "reconstruct m.simod --deformed deformed.ply -o";
     work.simod(&format!("{line} own.ply"));
-    work.refuses(&format!("{line} out.obj"), &["out.obj would lose", "the attribute red (uchar)"]);
-    work.simod(&format!("{line} out.obj --lossy"));
+    // Colours and all.
+    work.simod(&format!("{line} out.obj"));
     work.simod("convert out.obj back.ply");
     let (own, back) = (work.ply("own.ply").positions(), work.ply("back.ply").positions());
     assert!(own.len() == back.len() && own.iter().zip(&back).all(|(p, q)| p.distance(*q) < 1e-6));
@@ -272,7 +315,7 @@ fn deformed_models_are_written_in_other_formats() {
     assert!(work.read("out.obj") == once, "bound");
     // Several at a time, with what becomes of each vertex.
     work.simod("reconstruct m.simod --deformed deformed.ply m.simod/samples.ply -o {}.off --normals drop --lossy --diagnostics d-{}.ply");
-    assert!(work.read("samples.off").starts_with(b"OFF\n") && work.ply("d-deformed.ply").len() == own.len());
+    assert!(work.read("samples.off").starts_with(b"COFF\n") && work.ply("d-deformed.ply").len() == own.len());
     work.refuses(
         &format!("{line} out.stl"),
         &["the normals of the vertices", "which corners are one vertex"],

@@ -178,6 +178,104 @@ fn killed_and_gone_on_with() {
     assert!(gone_on > 0, "it was never killed in the midst of it");
 }
 
+/// Points of one scan, without a pose, that are stored as integers of so many bits.
+fn write_one(work: &Workplace, name: &str, bits: u32, description: Option<&str>) {
+    let mut writer = E57Writer::from_file(work.path(name), "guid").expect("a file");
+    let integers =
+        |offset| RecordDataType::ScaledInteger { min: 0, max: (1 << bits) - 10, scale: 0.001, offset };
+    let record = |name, data_type| Record { name, data_type };
+    let far = pose().1;
+    let prototype = vec![
+        record(RecordName::CartesianX, integers(far.x - 1.0)),
+        record(RecordName::CartesianY, integers(far.y - 1.0)),
+        record(RecordName::CartesianZ, integers(far.z - 1.0)),
+        record(RecordName::Intensity, RecordDataType::Integer { min: 0, max: 255 }),
+    ];
+    let mut cloud = writer.add_pointcloud("one", prototype).expect("a cloud");
+    cloud.set_description(description.map(str::to_owned));
+    for i in 0..20_000 {
+        let numbers = ((vertex(0, 3 * i) - far) / 0.001).round().to_array().map(|n| n as i64 + 1000);
+        let numbers = numbers.map(RecordValue::ScaledInteger);
+        let intensity = RecordValue::Integer(i as i64 % 256);
+        cloud.add_point(numbers.into_iter().chain([intensity]).collect()).expect("a point");
+    }
+    cloud.finalize().expect("a cloud");
+    writer.finalize().expect("a file");
+}
+
+/// The points of the only scan, by another library.
+fn read_one(bytes: &[u8]) -> Vec<[f64; 4]> {
+    let mut reader = E57Reader::new(Cursor::new(bytes)).expect("a file");
+    let cloud = reader.pointclouds().remove(0);
+    let points = reader.pointcloud_simple(&cloud).expect("points");
+    let points = points.map(|point| {
+        let point = point.expect("a point");
+        let CartesianCoordinate::Valid { x, y, z } = point.cartesian else { panic!("no position") };
+        [x, y, z, f64::from(point.intensity.expect("an intensity"))]
+    });
+    points.collect()
+}
+
+#[test]
+fn integers_get_other_ranges_where_their_bits_allow() {
+    let work = Workplace::new();
+    write_one(&work, "one.e57", 14, None);
+    work.simod("sample one.e57 -o one.simod --samples 1000");
+    // Its extent is twice as large, and elsewhere: beyond the range that it has, but not wider.
+    let far = pose().1;
+    let wide = |p: DVec3| far + DVec3::new(2.0 * (p.x - far.x) + 100.0, p.y - far.y, p.z - far.z - 2.0);
+    work.move_samples("one.simod", wide);
+    let line = "reconstruct one.simod --deformed deformed.ply -o out.e57";
+    assert!(work.refuses(line, &["has no room in its integers"]).hint().contains("--offset auto"));
+    let outcome = work.simod(&format!("{line} --offset auto"));
+    assert!(
+        outcome.stderr.contains("ranges of integers become others: cartesianX of scan 1"),
+        "{}",
+        outcome.stderr
+    );
+    let (before, after) = (read_one(&work.read("one.e57")), read_one(&work.read("out.e57")));
+    for (before, after) in before.iter().zip(&after) {
+        let expected = wide(DVec3::new(before[0], before[1], before[2]));
+        let found = DVec3::new(after[0], after[1], after[2]);
+        assert!((found - expected).abs().max_element() < 0.6e-3, "{found} for {expected}");
+        // What does not move stays on its number; what was no position is what it was.
+        assert!((before[1] - after[1]).abs() < 1e-9 && before[3] == after[3]);
+    }
+    // A second time, from there, to the bit.
+    work.simod("sample out.e57 -o out.simod --samples 1000");
+    work.simod("reconstruct out.simod --deformed out.simod/samples.ply -o same.e57 --offset auto");
+    assert!(work.read("same.e57") == work.read("out.e57"));
+
+    // Wider than any range of so many bits.
+    work.move_samples("one.simod", |p| far + 20.0 * (p - far));
+    let line = line.replace("out.e57", "none.e57");
+    let named = ["cartesianX of scan 1 goes from", "no range of 14 bits"];
+    work.refuses(&format!("{line} --offset auto"), &named);
+
+    // Rounding is a part of what is expected, and nothing below it can be asked for.
+    work.move_samples("one.simod", |p| p + DVec3::new(0.0, 0.0, 0.01));
+    let report = work.report("reconstruct one.simod --deformed deformed.ply -o near.e57");
+    let rms = report["expected_error"]["rms"].as_f64().expect("a number");
+    let diagonal = report["diagonal"].as_f64().expect("a number");
+    let rounding = 0.001 * 0.5 / diagonal;
+    assert!((0.99 * rounding..1.2 * rounding).contains(&rms), "{rms:e} for {rounding:e}");
+    let line = "reconstruct one.simod --deformed deformed.ply -o none.e57 --tolerance";
+    work.refuses(&format!("{line} {:e}", 0.5 * rounding), &["positions are integers"]);
+}
+
+#[test]
+fn what_another_format_holds_all_of_needs_no_word() {
+    let work = Workplace::new();
+    write_one(&work, "one.e57", 14, None);
+    let report = work.report("convert one.e57 out.ply");
+    assert_eq!(report["lost"].as_array().map(Vec::len), Some(0), "{report}");
+    let expected = read_one(&work.read("one.e57"));
+    let found = work.ply("out.ply").positions();
+    assert!(found.iter().zip(&expected).all(|(a, b)| a.to_array() == b[..3]));
+    write_one(&work, "told.e57", 14, Some("of the tower"));
+    work.refuses("convert told.e57 none.ply", &["what is told of scans: description"]);
+}
+
 #[test]
 fn what_does_not_fit_is_refused_and_leaves_nothing() {
     let work = Workplace::new();
@@ -187,10 +285,9 @@ fn what_does_not_fit_is_refused_and_leaves_nothing() {
     let line = "reconstruct scans.simod --deformed deformed.ply -o out.e57";
     let outcome = work.refuses(line, &["moves to cartesianX = ", "of scan 1, which has room for "]);
     assert!(outcome.hint().contains("as floats"));
-    work.refuses(&format!("{line} --offset auto"), &["has no offset"]);
     work.refuses(
         "reconstruct scans.simod --deformed scans.simod/samples.ply -o out.ply",
-        &["what is told of 2 scans, poses among it"],
+        &["which points are of which of 2 scans, and their names; 1 pose"],
     );
     work.simod("convert scans.e57 out.ply --lossy");
     let far = work.ply("out.ply").positions()[COUNT + 10].distance(vertex(1, 10));

@@ -1,6 +1,7 @@
 //! The program's commands, through the real binary: one module for each subject.
 
 mod bind;
+mod cache;
 mod cancel;
 mod compare;
 mod convert;

@@ -10,6 +10,7 @@ use simod_model::claim::Claim;
 use simod_model::{ErrorKind, Result};
 
 use super::overwrite::Overwrite;
+use super::tell_cache;
 use crate::report::{Report, count};
 
 /// Find out once who is near whom, for a model that will be reconstructed again and again
@@ -34,7 +35,7 @@ impl Bind {
             claim => Some(claim?),
         };
         let sampled = SampledModel::load(&self.sampled)?;
-        let model = sampled.open_source(self.model.as_deref())?;
+        let model = sampled.open_source(self.model.as_deref(), report.progress())?;
         let path = self.sampled.join(BINDING);
         let mut guard = self.overwrite.guard();
         guard.reads_all([model.path(), &sampled.source.path]);
@@ -43,6 +44,7 @@ impl Bind {
         report.figure("vertices", model.info().vertices);
         report.figure("samples", sampled.samples.len());
         report.figure("bytes", bytes);
+        tell_cache(sampled.cache(), report);
         report.line(format!(
             "{} vertices bound to {} samples in {}, {} bytes",
             count(model.info().vertices),

@@ -1,14 +1,17 @@
 //! `simod convert`: a model in another format, as it is.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use clap::Args;
 use glam::DVec3;
 use serde_json::json;
 use simod_core::guard::Kind;
-use simod_model::{Conversion, Converted, Model, Result};
+use simod_model::target::folder_of;
+use simod_model::{Cache, Conversion, Converted, Model, Result};
 
 use super::overwrite::Overwrite;
+use super::tell_cache;
 use crate::report::{Report, count, rate};
 
 /// Write a model in another format, streamed, as it is
@@ -49,7 +52,8 @@ impl Convert {
         let mut guard = self.overwrite.guard();
         guard.reads(&self.model);
         let progress = report.progress();
-        let model = simod_model::open_with_columns(&self.model, self.columns.as_deref())?;
+        let cache = Arc::new(Cache::nameless(folder_of(&self.output)));
+        let model = simod_model::open_with(&self.model, self.columns.as_deref(), &cache, progress)?;
         guard.reads_all(model.other_files());
         guard.writes(&self.output, Kind::Model)?;
         let how =
@@ -58,6 +62,7 @@ impl Convert {
         converted.write(&self.output, progress)?;
         let vertices = converted.info().vertices;
         tell_losses(&converted, report);
+        tell_cache(&cache, report);
         report.figure("vertices", vertices);
         report.figure("triangles", converted.triangles());
         report.figure("bytes", std::fs::metadata(&self.output).map_or(0, |meta| meta.len()));

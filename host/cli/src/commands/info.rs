@@ -1,6 +1,7 @@
 //! `simod info`: what a model or a sampled model is.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use clap::Args;
 use serde_json::json;
@@ -11,6 +12,7 @@ use simod_model::bounds::Bounds;
 use simod_model::{Result, Scalar, ScaledIntegers};
 use simod_picture::picture;
 
+use super::tell_cache;
 use crate::report::{Report, count, length};
 
 /// Show what a model, or a sampled model, holds
@@ -30,7 +32,10 @@ impl Info {
     }
 
     fn model(&self, report: &mut Report) -> Result<()> {
-        let model = simod_model::open_with_columns(&self.path, self.columns.as_deref())?;
+        let cache = Arc::default();
+        let columns = self.columns.as_deref();
+        let model = simod_model::open_with(&self.path, columns, &cache, report.progress())?;
+        tell_cache(&cache, report);
         model.check_complete(report.progress())?;
         let bounds = picture::bounds(model.as_ref(), report.progress())?;
         let info = model.info();

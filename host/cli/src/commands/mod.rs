@@ -22,7 +22,7 @@ mod time_options;
 pub mod view;
 
 use simod_core::sampled_model::SampledModel;
-use simod_model::{Error, ErrorKind, Result};
+use simod_model::{Cache, Error, ErrorKind, Result};
 
 use simod_session::session_file::Step;
 use simod_session::{Message, PluginRegistry};
@@ -50,6 +50,13 @@ fn tell(messages: &[Message], report: &mut Report) {
     for message in messages.iter().filter(|m| !m.is_debug()) {
         let text = format!("{}: {}", message.plugin, message.text);
         if message.is_warning() { report.warn(text) } else { report.line(text) }
+    }
+}
+
+/// Says how large what had to be made of the model is.
+fn tell_cache(cache: &Cache, report: &mut Report) {
+    if let Some(bytes) = cache.bytes() {
+        report.figure("cache_bytes", bytes);
     }
 }
 

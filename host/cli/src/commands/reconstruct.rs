@@ -13,13 +13,12 @@ use simod_core::reconstruction::{
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::{Conversion, Converted, Error, ErrorKind, Model, Result, is_named_otherwise};
 use simod_session::Tolerance;
-use simod_session::pipeline::offset_note;
 use simod_session::tolerance::check_precision;
 
 use super::convert::tell_losses;
 use super::overwrite::Overwrite;
 use super::sample::parse_bytes;
-use super::warn_non_finite;
+use super::{tell_cache, warn_non_finite};
 use crate::report::{Report, count, errors, length, rate};
 use crate::versions::{VersionPaths, versions};
 
@@ -140,10 +139,10 @@ impl Reconstruct {
         for path in paths.iter().flat_map(|v| [&v.output].into_iter().chain(&v.diagnostics)) {
             guard.writes(path, Kind::Model)?;
         }
-        let mut model = sampled.open_source(self.model.as_deref())?;
+        let mut model = sampled.open_source(self.model.as_deref(), report.progress())?;
         if self.offset == OffsetName::Auto {
             let chosen = choose_offset(&sampled, model.as_mut(), deformed.iter().map(Vec::as_slice))?;
-            chosen.into_iter().for_each(|offset| report.progress().note(&offset_note(offset)));
+            chosen.into_iter().for_each(|changed| report.progress().note(&changed));
         }
         if let Some(output) = paths.iter().map(|v| &v.output).find(|path| is_named_otherwise(&*model, path)) {
             let drops_normals = self.normals == NormalsName::Drop;
@@ -183,6 +182,7 @@ impl Reconstruct {
         describe_folding(&paths, &done.folding, report);
         self.describe_expected(&paths, &done.expected, sampled.bounds.diagonal(), report);
         report.figure("vertices", done.vertices);
+        tell_cache(sampled.cache(), report);
         report.figure("versions", versions.len());
         report.figure("samples", sampled.samples.len());
         report.figure("diagonal", sampled.bounds.diagonal());

@@ -15,6 +15,7 @@ use simod_session::{Shape, Shapes};
 
 use super::overwrite::Overwrite;
 use super::sample::parse_bytes;
+use super::tell_cache;
 use crate::report::{Report, count, length};
 
 /// Append more samples to a sampled model where it is selected, down to its vertices if need be
@@ -91,7 +92,7 @@ impl Refine {
         let begun = SampledModel::begin(target)?;
         let mut sampled = SampledModel::load(&self.sampled)?;
         let deformed = self.deformed.as_deref().map(|path| sampled.read_deformed(path)).transpose()?;
-        let model = sampled.open_source(self.model.as_deref())?;
+        let model = sampled.open_source(self.model.as_deref(), report.progress())?;
         let mut guard = self.overwrite.guard();
         guard.reads_all([model.path(), &sampled.source.path]);
         if self.into.is_some() {
@@ -144,6 +145,7 @@ impl Refine {
         }
 
         let samples = refined.unwrap_or(&sampled).samples.len();
+        tell_cache(sampled.cache(), report);
         let (info, diagonal) = (model.info(), sampled.bounds.diagonal());
         let read = done.vertex_bytes + done.face_bytes;
         report.figure("vertices", info.vertices);

@@ -1,6 +1,7 @@
 //! `simod render`: a picture of a model or of its samples, without a window or a graphics card.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 use simod_core::guard::Kind;
@@ -10,6 +11,7 @@ use simod_picture::picture::{self, Up, View};
 use simod_picture::{Coloring, FrameFolder, Image, Paint};
 
 use super::overwrite::Overwrite;
+use super::tell_cache;
 use crate::report::Report;
 
 /// Draw a model, or the samples of a sampled model, as a PNG picture
@@ -103,8 +105,9 @@ impl Render {
                 }
             }
         } else {
-            let model = simod_model::open(&self.path)?;
-            let progress = report.progress();
+            let (cache, progress) = (Arc::default(), report.progress());
+            let model = simod_model::open_with(&self.path, None, &cache, progress)?;
+            tell_cache(&cache, report);
             let coloring = Coloring::choose(self.color.as_deref(), &model.info().attributes)?;
             let bounds = picture::bounds(model.as_ref(), progress)?;
             if bounds.is_empty() {

@@ -15,7 +15,7 @@ use super::overwrite::Overwrite;
 use super::plugin_options::PluginOptions;
 use super::reconstruct::{MethodName, NormalsName, OffsetName, describe_expected, warn_beyond};
 use super::time_options::TimeOptions;
-use super::{notices, tell, warn_non_finite};
+use super::{notices, tell, tell_cache, warn_non_finite};
 use crate::report::{Report, count, errors, length, rate};
 
 /// Do a whole session: sample its model, deform the samples, write the deformed model
@@ -102,6 +102,7 @@ impl Run {
         };
         let run = Pipeline::execute_with(&session, &plugins, &running, &output, progress)?;
         describe(&run, report);
+        tell_cache(run.deformed.sampled.cache(), report);
         let diagonal = run.deformed.sampled.bounds.diagonal();
         if let Some(expected) = run.written.expected.first().copied().flatten() {
             report.figure("expected_error", json!(expected));

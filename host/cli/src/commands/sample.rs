@@ -9,7 +9,7 @@ use simod_core::sampling::{By, Grouping, Placement, Sampling, Skip, Splitting, T
 use simod_model::Result;
 use simod_model::target::folder_of;
 
-use super::warn_non_finite;
+use super::{tell_cache, warn_non_finite};
 use crate::report::{Report, count, rate};
 
 /// Stream a model to a small point set that any tool can deform
@@ -170,7 +170,9 @@ impl Sample {
         guard.reads(&self.model);
         guard.replaces_folder(&self.output)?;
         let begun = SampledModel::begin(&self.output)?;
-        let model = simod_model::open_with_columns(&self.model, self.columns.as_deref())?;
+        let cache = SampledModel::cache_in(&begun);
+        let opened = simod_model::open_with(&self.model, self.columns.as_deref(), &cache, report.progress());
+        let model = opened.map_err(|e| begun.named(e))?;
         let folder = folder_of(&self.output);
         let sampled = sample(model.as_ref(), &self.sampling.sampling(), folder, report.progress())?;
         sampled.save_in(begun)?;
@@ -184,6 +186,7 @@ impl Sample {
         report.figure("samples", sampled.samples.len());
         report.figure("cells", sampled.cells);
         report.figure("triangles", sampled.triangles.len());
+        tell_cache(&cache, report);
         report.line(format!(
             "{} vertices to {} samples in {}, {}",
             count(vertices),

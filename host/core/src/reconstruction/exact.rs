@@ -62,7 +62,9 @@ pub fn write_exact(
     let mut diagnostics = version.diagnostics.map(create).transpose()?;
     let gradients = needs_gradient(model, how.normals, version.diagnostics);
     let surveys = Surveys::new([diagnostics.as_mut()]);
-    let exact = Exact { sampled, field, map, gradients, hash: Mutex::default(), surveys };
+    let mut exact =
+        Exact { sampled, field, map, gradients, is_still: false, hash: Mutex::default(), surveys };
+    exact.is_still = field.is_still() && exact.moves_nothing(model, progress)?;
     progress.begin("evaluating every vertex", info.bytes);
     let outputs: &mut [&mut dyn Output] = &mut [&mut file.replaceable()];
     let rewriting = Rewriting { normals: how.normals, pieces_done: 0 };
@@ -95,6 +97,8 @@ struct Exact<'a> {
     map: &'a ExactMap<'a>,
     /// Whether the gradient is asked for.
     gradients: bool,
+    /// Whether it is known that nothing moves.
+    is_still: bool,
     /// Of all vertices' bytes.
     hash: Mutex<Xxh3Default>,
     surveys: Surveys<'a>,
@@ -123,9 +127,31 @@ impl Edit for Exact<'_> {
     fn end(&self, first: u64) -> Result<()> {
         self.surveys.write(first)
     }
+
+    fn is_still(&self, _version: usize) -> bool {
+        self.is_still
+    }
 }
 
 impl Exact<'_> {
+    /// Whether the map leaves all vertices where they are, which takes an evaluation of each: asked where it
+    /// leaves the samples there, as formats make room for what may change.
+    fn moves_nothing(&self, model: &dyn Model, progress: &dyn Progress) -> Result<bool> {
+        progress.begin("looking for what moves", model.info().vertex_bytes);
+        let mut reader = model.vertices(0..model.info().vertices)?;
+        let mut chunk = VertexChunk::default();
+        while reader.read(&mut chunk)? {
+            progress.check()?;
+            let carried = self.carry(&chunk.positions, self.gradients)?;
+            let is_still = |c: &Carried| c.way == DVec3::ZERO && c.gradient == DMat3::IDENTITY;
+            if !carried.iter().all(is_still) {
+                return Ok(false);
+            }
+            progress.advance(chunk.raw().len() as u64);
+        }
+        Ok(true)
+    }
+
     /// Moves the vertices of each version; what the map does to them.
     fn moved(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<Vec<Carried>> {
         let turns = |edited: &Edited| !edited.normals.is_empty() || !edited.tangents.is_empty();

@@ -90,7 +90,7 @@ impl Rounding {
         let is_single = info.position_type == Scalar::F32;
         Self {
             from: is_single.then(|| (frame.origin / frame.scale).as_vec3()),
-            step: info.written.map_or(0.0, |integers| integers.rounding() / frame.scale) as f32,
+            step: (info.rounding() / frame.scale) as f32,
         }
     }
 

@@ -382,7 +382,8 @@ impl<'a> Work<'a> {
         };
         let frame = (sampled.frame.origin.to_array(), sampled.frame.scale);
         let offset = model.info().written.map(|integers| integers.offset.to_array());
-        let numbers = (REVISION, method, normals, model.info().bytes, changed, frame, offset);
+        let ranges = &model.info().ranges;
+        let numbers = (REVISION, method, normals, model.info().bytes, changed, frame, offset, ranges);
         let small = (env!("CARGO_PKG_VERSION"), &source.fingerprint, numbers);
         let small = postcard::to_allocvec(&small)
             .map_err(|e| Error::internal(format!("a key cannot be made: {e}"), "report this").because(e))?;

@@ -16,6 +16,8 @@ mod work;
 use std::ops::Range;
 use std::path::Path;
 
+use glam::DVec3;
+
 use crate::form::{Content, Conversion, Form, is_of_vertices};
 use crate::formats::extension;
 use crate::las::LasModel;
@@ -116,6 +118,7 @@ impl Converted {
         let (bytes, written) = (form.bytes(), form.integers());
         drop(form);
         (converted.bytes, converted.info.written) = (bytes, written);
+        converted.info.step = written.map_or(DVec3::ZERO, |integers| integers.scale.abs());
         if !keeps_records {
             converted.info.integers = None;
         }
@@ -259,7 +262,7 @@ impl Model for Converted {
         self.model.check_complete(progress)
     }
 
-    fn move_offset(&mut self, steps: [i64; 3]) -> Result<()> {
+    fn make_room(&mut self, moves: &[[DVec3; 2]], margin: f64) -> Result<Option<String>> {
         if !self.keeps_records {
             return Err(Error::new(
                 ErrorKind::Argument,
@@ -267,9 +270,9 @@ impl Model for Converted {
                 "leave out --offset auto",
             ));
         }
-        self.model.move_offset(steps)?;
+        let changed = self.model.make_room(moves, margin)?;
         self.info.written = self.model.info().written;
-        Ok(())
+        Ok(changed)
     }
 
     fn written_bytes(&self) -> u64 {
@@ -283,6 +286,9 @@ impl Model for Converted {
         edit: &dyn Edit,
         progress: &dyn Progress,
     ) -> Result<()> {
+        if let Some(las) = as_las(&*self.model) {
+            las.tell_of_octree(progress);
+        }
         let form = self.form(how.normals == Normals::Drop, &mut Vec::new())?;
         if form.needs_vertices() && (outputs.len() > 1 || how.pieces_done > 0) {
             return Err(Error::new(

@@ -5,7 +5,7 @@ use std::io::Write;
 use glam::DVec3;
 
 use crate::form::{Content, Form, Rows, attribute_loss};
-use crate::{Result, Scalar, Summary, Type};
+use crate::{Attribute, ColorScale, Colors, Result, Scalar, Summary, Type};
 
 /// How positions become text: so that they come back.
 #[derive(Debug, Clone, Copy)]
@@ -95,6 +95,47 @@ pub(super) struct Lines {
     triangles: u64,
     has_normals: bool,
     attributes: Vec<(String, Type, usize)>,
+    /// The colours of OBJ and OFF.
+    colors: Option<Painted>,
+}
+
+/// Colours behind positions: in OBJ fractions of full light, in OFF bytes, with the alpha behind them.
+struct Painted {
+    colors: Colors,
+    scale: ColorScale,
+    /// Where that is among the attributes, if the model has one of the same type.
+    alpha: Option<usize>,
+}
+
+impl Painted {
+    fn of(kind: Kind, content: &Content<'_>) -> Result<Option<Self>> {
+        let info = content.info();
+        let Some(colors) = Colors::of(info).filter(|_| matches!(kind, Kind::Obj | Kind::Off)) else {
+            return Ok(None);
+        };
+        let scale = ColorScale::of_model(content.model, &colors)?;
+        let is_alpha = |a: &Attribute| a.name == "alpha" && a.kind == colors.kind;
+        let alpha = info.attributes.iter().position(is_alpha).filter(|_| kind == Kind::Off);
+        Ok(Some(Self { colors, scale, alpha }))
+    }
+
+    fn write(&self, kind: Kind, numbers: &[Vec<f64>], i: usize, to: &mut Vec<u8>) {
+        for place in self.colors.places {
+            to.push(b' ');
+            let number = numbers[place][i];
+            // Writing to memory does not fail.
+            let _ = match (kind, self.colors.kind) {
+                (Kind::Off, _) => write!(to, "{}", self.scale.byte(number)),
+                (_, Type::F64) => number_to(to, number / self.scale.full(), false),
+                // As many digits as give bytes, words, and singles back.
+                _ => number_to(to, number / self.scale.full(), true),
+            };
+        }
+        if kind == Kind::Off {
+            let alpha = self.alpha.map_or(u8::MAX, |place| self.scale.byte(numbers[place][i]));
+            let _ = write!(to, " {alpha}");
+        }
+    }
 }
 
 impl Lines {
@@ -111,8 +152,20 @@ impl Lines {
         if let Some(crs) = &info.crs {
             losses.push(format!("the coordinate reference system {crs}"));
         }
+        let colors = Painted::of(kind, content)?;
+        if let Some(Painted { colors, .. }) =
+            colors.as_ref().filter(|c| kind == Kind::Off && c.colors.kind != Type::U8)
+        {
+            losses.push(format!("digits of the colours ({}), which become bytes", colors.kind.name()));
+        }
+        let is_painted = |place: usize| {
+            colors.as_ref().is_some_and(|c| c.colors.places.contains(&place) || c.alpha == Some(place))
+        };
         let mut attributes = Vec::new();
         for (place, attribute) in info.attributes.iter().enumerate() {
+            if is_painted(place) {
+                continue;
+            }
             let is_color = ["red", "green", "blue"].contains(&attribute.name.as_str());
             let is_written = match kind {
                 Kind::Obj | Kind::Off => false,
@@ -143,20 +196,23 @@ impl Lines {
             triangles: if holds_faces { content.triangles } else { 0 },
             has_normals: content.has_normals && holds_normals,
             attributes,
+            colors,
         })
     }
 }
 
 impl Form for Lines {
     fn attributes(&self) -> usize {
-        self.attributes.iter().map(|(.., place)| place + 1).max().unwrap_or(0)
+        let colors = self.colors.iter().flat_map(|c| c.colors.places.into_iter().chain(c.alpha));
+        self.attributes.iter().map(|(.., place)| *place).chain(colors).max().map_or(0, |last| last + 1)
     }
 
     fn head(&self) -> Result<Vec<u8>> {
         Ok(match self.kind {
             Kind::Off => {
-                let letter = if self.has_normals { "N" } else { "" };
-                format!("{letter}OFF\n{} {} 0\n", self.vertices, self.triangles).into_bytes()
+                let color = if self.colors.is_some() { "C" } else { "" };
+                let normal = if self.has_normals { "N" } else { "" };
+                format!("{color}{normal}OFF\n{} {} 0\n", self.vertices, self.triangles).into_bytes()
             }
             Kind::Named(separator) => {
                 let mut names = vec!["x", "y", "z"];
@@ -179,12 +235,18 @@ impl Form for Lines {
                 to.extend_from_slice(b"v ");
             }
             self.digits.position(*p, separator, to);
+            if let Some(colors) = self.colors.as_ref().filter(|_| self.kind == Kind::Obj) {
+                colors.write(self.kind, rows.attributes, i, to);
+            }
             if let Some(n) = rows.normals.get(i).filter(|_| self.has_normals) {
                 to.extend_from_slice(if self.kind == Kind::Obj { b"\nvn" } else { b"" });
                 for component in n.to_array() {
                     to.push(separator);
                     whole_or_not(Type::F32, f64::from(component), to);
                 }
+            }
+            if let Some(colors) = self.colors.as_ref().filter(|_| self.kind == Kind::Off) {
+                colors.write(self.kind, rows.attributes, i, to);
             }
             for (_, kind, place) in &self.attributes {
                 to.push(separator);
@@ -219,7 +281,8 @@ impl Form for Lines {
 
     fn bytes(&self) -> u64 {
         // Twelve characters for a number, at a guess.
-        let numbers = 3 + if self.has_normals { 3 } else { 0 } + self.attributes.len() as u64;
+        let (normals, colors) = (u64::from(self.has_normals), u64::from(self.colors.is_some()));
+        let numbers = 3 * (1 + normals + colors) + self.attributes.len() as u64;
         12 * numbers * self.vertices + 24 * self.triangles
     }
 }

@@ -127,10 +127,12 @@ impl<'a> Work<'a> {
         if chunk.first == first && first + chunk.len() as u64 == end {
             return Ok(());
         }
-        Err(self.source.malformed(
-            format_args!("it ends before vertex {}", end - 1),
-            "it changed while it was read: wait until nothing writes to it any more, then try again",
-        ))
+        Err(self.ends_before(end - 1))
+    }
+
+    fn ends_before(&self, vertex: u64) -> Error {
+        let hint = "it changed while it was read: wait until nothing writes to it any more, then try again";
+        self.source.malformed(format_args!("it ends before vertex {vertex}"), hint)
     }
 }
 
@@ -280,10 +282,7 @@ impl Reading<'_> {
         if let Some(reader) = &mut self.reader {
             reader.set_chunk(PIECE as usize);
             if !reader.read(chunk)? {
-                return Err(work.source.malformed(
-                    format_args!("it ends before vertex {}", self.vertex),
-                    "it changed while it was read: wait until nothing writes to it any more, then try again",
-                ));
+                return Err(work.ends_before(self.vertex));
             }
             work.progress.advance(chunk.raw.len() as u64);
             self.vertex += chunk.len() as u64;

@@ -27,6 +27,10 @@ pub(super) struct Described {
     pub fields: Vec<Field>,
     pub pose: Pose,
     pub slots: Vec<Slot>,
+    /// For each field, where in the text its least and its largest number are, as far as it says them.
+    pub limits: Vec<[Option<Range<usize>>; 2]>,
+    /// What else is told of the scan, by the names of elements.
+    pub besides: Vec<String>,
 }
 
 /// All scans, in the order of the text.
@@ -94,6 +98,31 @@ fn ns<'a>(node: Node<'a, '_>) -> Option<&'a str> {
     node.tag_name().namespace()
 }
 
+/// What is told of a scan besides points, pose, and what follows from the points or says who made the file and when:
+/// the names of elements that are not empty.
+fn besides(scan: Node<'_, '_>) -> Vec<String> {
+    const FOLLOWS: [&str; 9] = [
+        "guid",
+        "name",
+        "pose",
+        "points",
+        "cartesianBounds",
+        "sphericalBounds",
+        "intensityLimits",
+        "colorLimits",
+        "indexBounds",
+    ];
+    const WHO_AND_WHEN: [&str; 3] = ["sensor", "acquisition", "originalGuids"];
+    let is_told = |node: &Node<'_, '_>| {
+        let name = node.tag_name().name();
+        let has_text = |node: Node<'_, '_>| node.text().is_some_and(|text| !text.trim().is_empty());
+        !FOLLOWS.contains(&name)
+            && !WHO_AND_WHEN.iter().any(|start| name.starts_with(start))
+            && node.descendants().any(has_text)
+    };
+    elements(scan).filter(is_told).map(|node| node.tag_name().name().chars().take(100).collect()).collect()
+}
+
 /// The name in a text in WKT, or else all of a short text.
 fn crs_name(text: &str) -> Option<String> {
     let name = text.split('"').nth(1).unwrap_or(text).trim();
@@ -124,9 +153,9 @@ impl<'a, 'i> Reading<'a, 'i> {
         let count = self.attribute(points, "recordCount")?.unwrap_or(0);
         let place = self.attribute(points, "fileOffset")?.unwrap_or(0);
         let prototype = child(points, "prototype");
-        let mut slots = Vec::new();
+        let (mut slots, mut limits) = (Vec::new(), Vec::new());
         let fields = match prototype {
-            Some(prototype) => self.fields(prototype, &mut slots)?,
+            Some(prototype) => self.fields(prototype, &mut slots, &mut limits)?,
             None => return Err(self.wrong(points, format!("the points of {name} have no prototype"))),
         };
         if let Some(codecs) = child(points, "codecs") {
@@ -150,10 +179,16 @@ impl<'a, 'i> Reading<'a, 'i> {
                 slots.extend(child(bounds, name).and_then(|node| self.slot(node, corner).ok()));
             }
         }
-        Ok(Described { name, count, place, fields, pose: self.pose(node)?, slots })
+        let pose = self.pose(node)?;
+        Ok(Described { name, count, place, fields, pose, slots, limits, besides: besides(node) })
     }
 
-    fn fields(&self, prototype: Node<'a, 'i>, slots: &mut Vec<Slot>) -> Result<Vec<Field>> {
+    fn fields(
+        &self,
+        prototype: Node<'a, 'i>,
+        slots: &mut Vec<Slot>,
+        limits: &mut Vec<[Option<Range<usize>>; 2]>,
+    ) -> Result<Vec<Field>> {
         let mut fields = Vec::new();
         let all = prototype.descendants().skip(1).filter(Node::is_element);
         for node in all.filter(|node| node.attribute("type") != Some("Structure")) {
@@ -179,6 +214,8 @@ impl<'a, 'i> Reading<'a, 'i> {
                     });
                 }
             }
+            let place = |limit| node.attribute_node(limit).map(|attribute| attribute.range_value());
+            limits.push([place("minimum"), place("maximum")]);
             fields.push(Field { name, kind });
         }
         Ok(fields)

@@ -118,20 +118,24 @@ impl E57Model {
             let both = [boxes(0), boxes(1)];
             let (before, after): (Reach, Reach) = (both.map(|b| b[0]), both.map(|b| b[1]));
             for slot in &scan.described.slots {
-                replaced.extend(new_number(scan, slot, &before, &after).map(|new| (slot, new)));
+                let around = |new: String| format!("{}{new}{}", slot.around.0, slot.around.1);
+                let new = new_number(scan, slot, &before, &after).map(around);
+                replaced.extend(new.map(|new| (slot.text.clone(), new)));
+            }
+            for (field, range) in scan.other_ranges() {
+                let limits = scan.described.limits[field].iter().zip(range);
+                replaced.extend(limits.filter_map(|(text, new)| Some((text.clone()?, new.to_string()))));
             }
         }
         if replaced.is_empty() {
             return None;
         }
-        replaced.sort_by_key(|(slot, _)| slot.text.start);
+        replaced.sort_by_key(|(text, _)| text.start);
         let (mut xml, mut at) = (String::new(), 0);
-        for (slot, new) in replaced {
-            xml += self.xml.get(at..slot.text.start).unwrap_or_default();
-            xml += &slot.around.0;
+        for (text, new) in replaced {
+            xml += self.xml.get(at..text.start).unwrap_or_default();
             xml += &new;
-            xml += &slot.around.1;
-            at = slot.text.end;
+            at = text.end;
         }
         xml += self.xml.get(at..).unwrap_or_default();
         xml.extend(std::iter::repeat_n('\n', self.xml.len().saturating_sub(xml.len())));

@@ -29,6 +29,37 @@ impl Kind {
             Self::Other => f64::NAN,
         }
     }
+
+    /// The bits of the nearest number; none if there is none so far out.
+    #[inline]
+    pub fn nearest(&self, value: f64) -> Option<u64> {
+        match *self {
+            Kind::Single => Some(value as f32).filter(|v| v.is_finite()).map(|v| v.to_bits().into()),
+            Kind::Double => Some(value).filter(|v| v.is_finite()).map(f64::to_bits),
+            Kind::Integer { min, max, scale, offset } => {
+                let number = ((value - offset) / scale).round();
+                // Both ends as doubles are exact or beyond what a number can be rounded to.
+                if !(number >= min as f64 && number <= max as f64) {
+                    return None;
+                }
+                let number = (number as i64).clamp(min, max);
+                Some(number.wrapping_sub(min).cast_unsigned())
+            }
+            Kind::Other => None,
+        }
+    }
+
+    /// The least and the largest number that can be stored.
+    pub fn range(&self) -> (f64, f64) {
+        match *self {
+            Kind::Single => (f32::MIN.into(), f32::MAX.into()),
+            Kind::Integer { min, max, scale, offset } => {
+                let ends = [min, max].map(|n| n as f64 * scale + offset);
+                (ends[0].min(ends[1]), ends[0].max(ends[1]))
+            }
+            Kind::Double | Kind::Other => (f64::MIN, f64::MAX),
+        }
+    }
 }
 
 /// A field of the points of a scan, which has a stream of bits of its own.
@@ -62,35 +93,23 @@ impl Field {
         self.kind.value(bits)
     }
 
-    /// The bits of the nearest number; none if there is none so far out.
-    #[inline]
-    pub fn nearest(&self, value: f64) -> Option<u64> {
+    /// The least and the largest number that can be stored.
+    pub fn range(&self) -> (f64, f64) {
+        self.kind.range()
+    }
+
+    /// From one number to the next; zero of floats.
+    pub fn step(&self) -> f64 {
         match self.kind {
-            Kind::Single => Some(value as f32).filter(|v| v.is_finite()).map(|v| v.to_bits().into()),
-            Kind::Double => Some(value).filter(|v| v.is_finite()).map(f64::to_bits),
-            Kind::Integer { min, max, scale, offset } => {
-                let number = ((value - offset) / scale).round();
-                // Both ends as doubles are exact or beyond what a number can be rounded to.
-                if !(number >= min as f64 && number <= max as f64) {
-                    return None;
-                }
-                let number = (number as i64).clamp(min, max);
-                Some(number.wrapping_sub(min).cast_unsigned())
-            }
-            Kind::Other => None,
+            Kind::Integer { min, max, scale, .. } if max > min => scale.abs(),
+            _ => 0.0,
         }
     }
 
-    /// The least and the largest number that can be stored.
-    pub fn range(&self) -> (f64, f64) {
-        match self.kind {
-            Kind::Single => (f32::MIN.into(), f32::MAX.into()),
-            Kind::Integer { min, max, scale, offset } => {
-                let ends = [min, max].map(|n| n as f64 * scale + offset);
-                (ends[0].min(ends[1]), ends[0].max(ends[1]))
-            }
-            Kind::Double | Kind::Other => (f64::MIN, f64::MAX),
-        }
+    /// Whether some of its numbers are integers that doubles do not tell apart.
+    pub fn is_beyond_doubles(&self) -> bool {
+        const MOST: i64 = 1 << 53;
+        matches!(self.kind, Kind::Integer { min, max, .. } if max > min && (min < -MOST || max > MOST))
     }
 
     /// What holds all numbers of the field.
@@ -190,6 +209,27 @@ impl Packed {
     }
 }
 
+/// A range of integers, as wide as so many bits allow, that reaches over all of `from` to `to`; the range before
+/// stays as much as it can. None if there is none.
+pub(super) fn range_over(range: [i64; 2], bits: u32, from: f64, to: f64) -> Option<[i64; 2]> {
+    let [min, max] = range.map(i128::from);
+    // Casts of floats end at the ends.
+    let (least, most) = (from.floor() as i128, to.ceil() as i128);
+    let span = (1i128 << bits) - 1;
+    if most - least > span {
+        return None;
+    }
+    let start = if least >= min && most <= min + span {
+        min
+    } else if most <= max && least >= max - span {
+        max - span
+    } else {
+        least - (span - (most - least)) / 2
+    };
+    let start = start.clamp(i64::MIN.into(), i128::from(i64::MAX) - span);
+    (start <= least && most <= start + span).then_some([start as i64, (start + span) as i64])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -218,16 +258,27 @@ mod tests {
     fn numbers_beyond_the_range_have_no_bits() {
         let field = integer(-10, 20, 0.5, 100.0);
         assert_eq!(field.range(), (95.0, 110.0));
-        assert_eq!(field.nearest(95.0), Some(0));
-        assert_eq!(field.nearest(110.2), Some(30));
-        assert_eq!(field.nearest(110.3), None);
-        assert_eq!(field.nearest(94.7), None);
-        assert_eq!(field.nearest(f64::NAN), None);
+        assert_eq!(field.kind.nearest(95.0), Some(0));
+        assert_eq!(field.kind.nearest(110.2), Some(30));
+        assert_eq!(field.kind.nearest(110.3), None);
+        assert_eq!(field.kind.nearest(94.7), None);
+        assert_eq!(field.kind.nearest(f64::NAN), None);
         let negative = integer(-10, 20, -0.5, 0.0);
         assert_eq!(negative.range(), (-10.0, 5.0));
-        assert_eq!(negative.nearest(5.0).map(|bits| negative.value(bits)), Some(5.0));
+        assert_eq!(negative.kind.nearest(5.0).map(|bits| negative.value(bits)), Some(5.0));
         let single = Field { name: "x".into(), kind: Kind::Single };
-        assert_eq!(single.nearest(1e39), None);
+        assert_eq!(single.kind.nearest(1e39), None);
+    }
+
+    #[test]
+    fn ranges_move_no_further_than_they_have_to() {
+        assert_eq!(range_over([0, 200], 8, 10.0, 250.5), Some([0, 255]));
+        assert_eq!(range_over([0, 200], 8, -30.0, 150.0), Some([-55, 200]));
+        assert_eq!(range_over([0, 200], 8, 1000.0, 1100.0), Some([923, 1178]));
+        assert_eq!(range_over([0, 200], 8, 0.0, 255.5), None);
+        assert_eq!(range_over([5, 5], 0, 5.0, 5.0), Some([5, 5]));
+        assert_eq!(range_over([0, 3], 2, 1e300, 1e300), None);
+        assert_eq!(range_over([i64::MIN, i64::MAX], 64, -1e9, 1e9), Some([i64::MIN, i64::MAX]));
     }
 
     proptest! {
@@ -261,7 +312,7 @@ mod tests {
             let field = integer(min, max, 1.0, 0.0);
             let span = (max - min).cast_unsigned();
             let bits = if span == u64::MAX { bits } else { bits % (span + 1) };
-            prop_assert_eq!(field.nearest(field.value(bits)), Some(bits));
+            prop_assert_eq!(field.kind.nearest(field.value(bits)), Some(bits));
         }
     }
 }

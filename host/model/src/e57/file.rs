@@ -7,9 +7,10 @@ use super::fields::Kind;
 use super::header::{Header, LENGTH};
 use super::packets::{Packets, Walk};
 use super::pages::{DAMAGED, Window, physical};
-use super::scan::{NUMBER, Scan};
+use super::scan::{NUMBER, Scan, TooWide};
 use crate::source::Source;
-use crate::{Attribute, ModelInfo, Result, Scalar, Type};
+use crate::{Attribute, Error, ErrorKind, ModelInfo, Result, Scalar, Type};
+use glam::DVec3;
 
 /// Most points of which no field takes any bits: how many there are is held against nothing.
 const MOST_OF_NOTHING: u64 = 1 << 12;
@@ -97,14 +98,69 @@ impl E57Model {
         Walk { source: &self.source, window, name: &scan.described.name }
     }
 
+    /// See [`Model::make_room`](crate::Model::make_room).
+    pub(super) fn choose_ranges(&mut self, moves: &[[DVec3; 2]], margin: f64) -> Result<Option<String>> {
+        let refused = |what: String, hint: &str| {
+            let what = format!("{}: {what}", self.source.path().display());
+            Err(Error::new(ErrorKind::Degenerate, what, hint))
+        };
+        if self.info.step == DVec3::ZERO {
+            let what = "its coordinates are floats, which reach everywhere".to_owned();
+            return refused(what, "leave out --offset auto");
+        }
+        let mut chosen = Vec::new();
+        for scan in &mut self.scans {
+            if let Err(TooWide { field, ends: [least, most] }) = scan.make_room(moves, margin) {
+                let field = &scan.described.fields[field];
+                let (name, bits) = (&field.name, field.bits());
+                let what = format!(
+                    "{name} of {} goes from {least} to {most}, for which no range of {bits} bits is wide enough",
+                    scan.described.name
+                );
+                return refused(what, "move it less, or export the model with coordinates as floats first");
+            }
+            for (field, [min, max]) in scan.other_ranges() {
+                self.info.ranges.push([min, max]);
+                let (name, scan) = (&scan.described.fields[field].name, &scan.described.name);
+                chosen.push(format!("{name} of {scan} is {min} to {max}"));
+            }
+        }
+        let changed =
+            format!("ranges of integers become others: {}; these are written anew", chosen.join(", "));
+        Ok((!chosen.is_empty()).then_some(changed))
+    }
+
     /// What formats of points alone have no place for.
     pub(super) fn describe_besides(&self) -> Vec<String> {
         let number = |count: usize, one: &str| match count {
             1 => format!("1 {one}"),
             _ => format!("{count} {one}s"),
         };
-        let mut besides =
-            vec![format!("what is told of {}, poses among it", number(self.scans.len(), "scan"))];
+        let mut besides = Vec::new();
+        if self.scans.len() > 1 {
+            besides.push(format!("which points are of which of {} scans, and their names", self.scans.len()));
+        }
+        let posed = self.scans.iter().filter(|scan| !scan.described.pose.is_identity()).count();
+        if posed > 0 {
+            besides.push(number(posed, "pose"));
+        }
+        let mut told: Vec<&str> = Vec::new();
+        for name in self.scans.iter().flat_map(|scan| &scan.described.besides) {
+            if !told.contains(&&**name) {
+                told.push(name);
+            }
+        }
+        if !told.is_empty() {
+            besides.push(format!("what is told of scans: {}", told.join(", ")));
+        }
+        if self.scans.iter().any(Scan::has_spherical) {
+            besides.push("spherical coordinates".to_owned());
+        }
+        let all = || self.scans.iter().flat_map(|scan| &scan.described.fields);
+        let wide = all().filter(|field| field.is_beyond_doubles()).count();
+        if wide > 0 {
+            besides.push(format!("digits of {} of more than 53 bits", number(wide, "field")));
+        }
         if self.images > 0 {
             besides.push(number(self.images, "image"));
         }
@@ -214,6 +270,11 @@ fn info(
         face_bytes: 0,
         integers: None,
         written: None,
+        step: with_points()
+            .map(Scan::step)
+            .max_by(|a, b| a.length().total_cmp(&b.length()))
+            .unwrap_or_default(),
+        ranges: Vec::new(),
         crs,
     };
     (info, places)

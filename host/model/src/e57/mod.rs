@@ -97,6 +97,10 @@ impl Model for E57Model {
         self.scans.iter().any(|scan| scan.has_room_for(p))
     }
 
+    fn make_room(&mut self, moves: &[[DVec3; 2]], margin: f64) -> Result<Option<String>> {
+        self.choose_ranges(moves, margin)
+    }
+
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
         self.source.check_unchanged()
     }

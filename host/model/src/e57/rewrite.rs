@@ -12,11 +12,7 @@ use crate::{Error, ErrorKind, Normals, Result, Summary, VertexChunk};
 impl Rewritable for E57Model {
     fn pieces(&self, normals: Normals) -> Result<Box<dyn Pieces + '_>> {
         if normals == Normals::Drop && self.info.has_normals {
-            let what = format!(
-                "{}: normals cannot be left out of a file of this format",
-                self.source.path().display()
-            );
-            return Err(Error::new(ErrorKind::Argument, what, "keep or transform them: --normals keep"));
+            return Err(self.source.keeps_normals("keep or transform them: --normals keep"));
         }
         Ok(Box::new(E57Pieces::new(self)))
     }
@@ -114,7 +110,7 @@ impl Moving<'_, '_> {
             }
             if let Some(was) = was {
                 include(&mut before, was);
-                include(&mut after, if moves { scan.reach(row) } else { was });
+                include(&mut after, if moves { scan.new_reach(row) } else { was });
             }
         }
         if scan.wants_reach() && !segment.own.is_empty() {
@@ -151,8 +147,9 @@ impl Moving<'_, '_> {
         let edited = self.version.edited;
         let (from, to) = (of(self.from, vertex), edited.positions[vertex]);
         let mut changed = false;
-        if let Some(from) = from.filter(|from| from.is_finite() && *from != to) {
-            changed = scan.move_point(row, from, to).map_err(|e| self.beyond(segment, point, e))?;
+        let moves = from.filter(|from| from.is_finite() && *from != to).map(|from| [from, to]);
+        if moves.is_some() || scan.has_other_ranges() {
+            changed = scan.move_point(row, moves).map_err(|e| self.beyond(segment, point, e))?;
         }
         if let (Some(from), Some(to)) = (of(self.from_normals, vertex), edited.normals.get(vertex)) {
             changed |= scan.turn_normal(row, from, *to);
@@ -176,7 +173,8 @@ impl Moving<'_, '_> {
                  which has room for {least} to {most} alone",
                 source.path().display()
             ),
-            "move it less, or export the model with coordinates as floats (of type Float) first",
+            "move it less, give --offset auto, which chooses other ranges, or export the model with coordinates as floats \
+             (of type Float) first",
         )
     }
 }

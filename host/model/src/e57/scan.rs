@@ -8,7 +8,7 @@ use std::ops::Range;
 use glam::{DVec3, Vec3};
 
 use super::description::{CARTESIAN, Corner, Described, SPHERICAL};
-use super::fields::{Field, Kind};
+use super::fields::{Field, Kind, range_over};
 use super::packets::Packets;
 use super::pose::{cartesian, spherical};
 use crate::bounds::Bounds;
@@ -28,8 +28,9 @@ pub(super) struct Scan {
     pub first: u64,
     /// The fields of a row.
     pub row: Vec<usize>,
-    /// How they are stored.
+    /// How they are stored, and how they are written, which is with other ranges where these were chosen.
     kinds: Vec<Kind>,
+    written: Vec<Kind>,
     roles: Roles,
     /// The field by whose numbers points are told to be in a part of the file; none where no field takes any
     /// bits.
@@ -54,6 +55,13 @@ struct Roles {
 pub(super) struct Beyond {
     pub field: usize,
     pub value: f64,
+}
+
+/// What no range of a field's bits is wide enough for: the field, and from where to where its numbers would go.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct TooWide {
+    pub field: usize,
+    pub ends: [f64; 2],
 }
 
 /// How far points reach: in x, y and z, and in range, azimuth and elevation, in the scan's own frame.
@@ -84,13 +92,19 @@ impl Scan {
         let has_normals = roles.normal.is_some();
         let wants = [false, true]
             .map(|is_spherical| described.slots.iter().any(|slot| slot.corner.is_spherical == is_spherical));
-        let kinds = row.iter().map(|field| fields[*field].kind).collect();
-        Some(Self { described, packets, first, row, kinds, roles, lead, has_normals, wants })
+        let kinds: Vec<Kind> = row.iter().map(|field| fields[*field].kind).collect();
+        let written = kinds.clone();
+        Some(Self { described, packets, first, row, kinds, written, roles, lead, has_normals, wants })
     }
 
     /// The model's numbers of its points.
     pub fn vertices(&self) -> Range<u64> {
         self.first..self.first + self.described.count
+    }
+
+    /// Whether its points have spherical coordinates.
+    pub fn has_spherical(&self) -> bool {
+        self.roles.spherical.is_some()
     }
 
     /// Fields that are neither positions nor normals, but numbers.
@@ -108,6 +122,24 @@ impl Scan {
 
     fn field(&self, of_row: usize) -> &Field {
         &self.described.fields[self.row[of_row]]
+    }
+
+    /// From one number to the next of positions that are written, along three directions at right angles, the
+    /// coarsest of cartesian and spherical ones; zero where they are floats.
+    pub fn step(&self) -> DVec3 {
+        if let Some(three) = self.roles.cartesian {
+            return DVec3::from(three.map(|i| self.field(i).step()));
+        }
+        let Some(three) = self.roles.spherical else { return DVec3::ZERO };
+        let [range, azimuth, elevation] = three.map(|i| self.field(i).step());
+        // As far as the file says that points are.
+        let corner = Corner { is_spherical: true, axis: 0, is_max: true };
+        let told = self.described.slots.iter().filter(|slot| slot.corner == corner).map(|slot| slot.value);
+        let field = self.field(three[0]);
+        let widest = if field.step() > 0.0 { field.range().1 } else { f64::INFINITY };
+        let far = told.fold(widest, f64::min);
+        let far = if far.is_finite() { far } else { 0.0 };
+        DVec3::new(range, far * azimuth, far * elevation)
     }
 
     #[inline]
@@ -136,11 +168,17 @@ impl Scan {
     /// A position in the scan's own frame; not finite where the file says that it is none.
     #[inline]
     pub fn local(&self, row: &[u64]) -> DVec3 {
+        self.local_of(&self.kinds, row)
+    }
+
+    #[inline]
+    fn local_of(&self, kinds: &[Kind], row: &[u64]) -> DVec3 {
+        let values = |three: [usize; 3]| three.map(|i| kinds[i].value(row[i]));
         if let Some(three) = self.valid_cartesian(row) {
-            return DVec3::from(self.three(row, three));
+            return DVec3::from(values(three));
         }
         match self.valid_spherical(row) {
-            Some(three) => cartesian(self.three(row, three)),
+            Some(three) => cartesian(values(three)),
             None => DVec3::NAN,
         }
     }
@@ -158,21 +196,39 @@ impl Scan {
         self.described.pose.turned(DVec3::from(self.three(row, three))).as_vec3()
     }
 
-    /// Moves a point from one position to another, both in the frame of all scans; whether any bits changed.
-    pub fn move_point(&self, row: &mut [u64], from: DVec3, to: DVec3) -> Result<bool, Beyond> {
+    /// Turns a row into what is written of it: with its point at another place, if it moves from one position to
+    /// another, both in the frame of all scans. Returns whether any bits changed.
+    pub fn move_point(&self, row: &mut [u64], moves: Option<[DVec3; 2]>) -> Result<bool, Beyond> {
         let before = self.local(row);
+        let (flat, polar) = (self.valid_cartesian(row), self.valid_spherical(row));
+        let azimuth_before = polar.map_or(0.0, |[_, azimuth, _]| self.value(row, azimuth));
         // By how much, so that far away from the frame's origin no digits are lost.
-        let after = before + self.described.pose.turned_back(to - from);
+        let turned = moves.map(|[from, to]| before + self.described.pose.turned_back(to - from));
+        let moves_along = |axis: usize| turned.is_some_and(|after| after[axis] != before[axis]);
+        let mut changed = false;
+        if self.has_other_ranges() {
+            let is_kept = |of_row: usize| {
+                let axis = flat.and_then(|three| three.iter().position(|i| *i == of_row));
+                axis.map_or(polar.is_none_or(|polar| !polar.contains(&of_row)) || turned.is_none(), |axis| {
+                    !moves_along(axis)
+                })
+            };
+            let valid = |of_row: &usize| flat.iter().chain(&polar).flatten().any(|i| i == of_row);
+            for of_row in 0..row.len() {
+                if self.written[of_row] != self.kinds[of_row] && is_kept(of_row) {
+                    changed |= self.renumber(row, of_row, valid(&of_row))?;
+                }
+            }
+        }
+        let (Some(after), Some([_, to])) = (turned, moves) else { return Ok(changed) };
         if !after.is_finite() {
             let axis = (0..3).find(|axis| !to[*axis].is_finite()).unwrap_or(0);
             let field =
                 self.roles.cartesian.or(self.roles.spherical).map_or(0, |three| self.row[three[axis]]);
             return Err(Beyond { field, value: to[axis] });
         }
-        let (flat, polar) = (self.valid_cartesian(row), self.valid_spherical(row));
-        let mut changed = false;
         for (axis, of_row) in flat.into_iter().flatten().enumerate() {
-            if after[axis] != before[axis] {
+            if moves_along(axis) {
                 changed |= self.put(row, of_row, &[after[axis]])?;
             }
         }
@@ -183,11 +239,76 @@ impl Scan {
             // Straight above the scanner any will do, and it stays; some programs count from 0 to a full
             // turn.
             if after.x != 0.0 || after.y != 0.0 {
-                let a = if a < 0.0 && self.value(row, azimuth) > PI { a + TAU } else { a };
+                let a = if a < 0.0 && azimuth_before > PI { a + TAU } else { a };
                 changed |= self.put(row, azimuth, &[a, a + TAU, a - TAU])?;
             }
         }
         Ok(changed)
+    }
+
+    /// Whether integers are written with other ranges than they have.
+    pub fn has_other_ranges(&self) -> bool {
+        self.written != self.kinds
+    }
+
+    /// Writes the same number in another range; one that says nothing, and is beyond, becomes the end of the
+    /// range.
+    fn renumber(&self, row: &mut [u64], of_row: usize, is_valid: bool) -> Result<bool, Beyond> {
+        let (Kind::Integer { min: old, .. }, Kind::Integer { min, max, .. }) =
+            (self.kinds[of_row], self.written[of_row])
+        else {
+            return Ok(false);
+        };
+        let number = old.wrapping_add(row[of_row].cast_signed());
+        if is_valid && !(min..=max).contains(&number) {
+            return Err(Beyond { field: self.row[of_row], value: self.value(row, of_row) });
+        }
+        let bits = number.clamp(min, max).wrapping_sub(min).cast_unsigned();
+        let changed = row[of_row] != bits;
+        row[of_row] = bits;
+        Ok(changed)
+    }
+
+    /// Chooses ranges for the integers of positions where these have no room for points that go from the first
+    /// place of a pair to the second, in the frame of all scans, and further by a margin; of those pairs that
+    /// begin where the scan may have points.
+    ///
+    /// # Errors
+    /// A field has too few bits for any range.
+    pub fn make_room(&mut self, moves: &[[DVec3; 2]], margin: f64) -> Result<(), TooWide> {
+        let pose = self.described.pose;
+        let (flat, polar) = (self.roles.cartesian, self.roles.spherical.map(|[range, ..]| range));
+        let fields: Vec<usize> = flat.into_iter().flatten().chain(polar).collect();
+        let numbers = |p: DVec3| {
+            let local = pose.turned_back(p - pose.translation);
+            let flat = if flat.is_some() { &local.to_array()[..] } else { &[] };
+            flat.iter().copied().chain(polar.map(|_| spherical(local)[0])).collect::<Vec<f64>>()
+        };
+        let ends: Vec<(f64, f64)> = fields.iter().map(|i| self.kinds[*i].range()).collect();
+        let is_within =
+            |(number, ends): (&f64, &(f64, f64))| (ends.0 - margin..=ends.1 + margin).contains(number);
+        let mut reach = vec![(f64::INFINITY, f64::NEG_INFINITY); fields.len()];
+        for [from, to] in moves {
+            if numbers(*from).iter().zip(&ends).all(is_within) {
+                for (reach, number) in reach.iter_mut().zip(numbers(*to)) {
+                    *reach = (reach.0.min(number - margin), reach.1.max(number + margin));
+                }
+            }
+        }
+        for ((of_row, (least, most)), ends) in fields.into_iter().zip(reach).zip(ends) {
+            let Kind::Integer { min, max, scale, offset } = self.kinds[of_row] else { continue };
+            if least > most || (least >= ends.0 && most <= ends.1) {
+                continue;
+            }
+            let steps = [least, most].map(|number| (number - offset) / scale);
+            let (least_step, most_step) = (steps[0].min(steps[1]), steps[0].max(steps[1]));
+            let bits = self.field(of_row).bits();
+            let Some([min, max]) = range_over([min, max], bits, least_step, most_step) else {
+                return Err(TooWide { field: self.row[of_row], ends: [least, most] });
+            };
+            self.written[of_row] = Kind::Integer { min, max, scale, offset };
+        }
+        Ok(())
     }
 
     /// Whether any point may be at a position in the frame of all scans, or hardly beyond what the fields hold: a
@@ -196,7 +317,7 @@ impl Scan {
         const HARDLY: f64 = 1e-3;
         let local = self.described.pose.turned_back(p - self.described.pose.translation);
         let fits = |of_row: usize, number: f64| {
-            let (least, most) = self.field(of_row).range();
+            let (least, most) = self.written[of_row].range();
             let margin = HARDLY * (most - least).abs().min(f64::MAX);
             (least - margin..=most + margin).contains(&number)
         };
@@ -227,8 +348,8 @@ impl Scan {
     /// Puts the first of some numbers that the field can hold; whether its bits change.
     #[inline]
     fn put(&self, row: &mut [u64], of_row: usize, numbers: &[f64]) -> Result<bool, Beyond> {
-        let field = self.field(of_row);
-        let bits = numbers.iter().find_map(|number| field.nearest(*number));
+        let kind = self.written[of_row];
+        let bits = numbers.iter().find_map(|number| kind.nearest(*number));
         let bits = bits.ok_or(Beyond { field: self.row[of_row], value: numbers[0] })?;
         let changed = row[of_row] != bits;
         row[of_row] = bits;
@@ -238,9 +359,20 @@ impl Scan {
     /// How far a point reaches, as far as the text says it of all: nowhere, if it has no position.
     #[inline]
     pub fn reach(&self, row: &[u64]) -> [Option<DVec3>; 2] {
-        let local = Some(self.local(row)).filter(|local| local.is_finite());
+        self.reach_of(&self.kinds, row)
+    }
+
+    /// The same of a row that is written.
+    #[inline]
+    pub fn new_reach(&self, row: &[u64]) -> [Option<DVec3>; 2] {
+        self.reach_of(&self.written, row)
+    }
+
+    #[inline]
+    fn reach_of(&self, kinds: &[Kind], row: &[u64]) -> [Option<DVec3>; 2] {
+        let local = Some(self.local_of(kinds, row)).filter(|local| local.is_finite());
         let polar = local.filter(|_| self.wants[1]).map(|local| {
-            let told = self.valid_spherical(row).map(|three| self.three(row, three));
+            let told = self.valid_spherical(row).map(|three| three.map(|i| kinds[i].value(row[i])));
             DVec3::from(told.unwrap_or_else(|| spherical(local)))
         });
         [local.filter(|_| self.wants[0]), polar]
@@ -252,7 +384,18 @@ impl Scan {
 
     /// The range of an axis in the scan's own frame that its fields can hold.
     pub fn range(&self, field: usize) -> (f64, f64) {
-        self.described.fields[field].range()
+        let of_row = self.row.iter().position(|of_row| *of_row == field);
+        of_row.map_or(self.described.fields[field].kind, |of_row| self.written[of_row]).range()
+    }
+
+    /// The ranges of integers that are written, where they are others: the field, and the least and the largest
+    /// number.
+    pub fn other_ranges(&self) -> impl Iterator<Item = (usize, [i64; 2])> {
+        let all = self.row.iter().zip(&self.kinds).zip(&self.written);
+        all.filter(|((_, old), new)| old != new).filter_map(|((field, _), new)| match new {
+            Kind::Integer { min, max, .. } => Some((*field, [*min, *max])),
+            _ => None,
+        })
     }
 }
 

@@ -12,7 +12,7 @@ use serde::Deserialize;
 use serde_json::value::RawValue;
 
 use super::json::{Buffer, list, span};
-use crate::scratch::Scratch;
+use crate::cache::Cache;
 use crate::size::human_size;
 use crate::source::Source;
 use crate::text::{CUT_OFF, DAMAGED};
@@ -89,7 +89,7 @@ struct Buffers {
 
 impl Container {
     /// Opens a file, and returns its JSON.
-    pub(super) fn open(source: Source) -> Result<(Self, Vec<u8>)> {
+    pub(super) fn open(source: Source, cache: &Cache) -> Result<(Self, Vec<u8>)> {
         let mut start = [0; HEADER as usize];
         let read = source.read_at(&mut start, 0)?;
         if !start[..read].starts_with(MAGIC) {
@@ -101,7 +101,7 @@ impl Container {
             }
             let mut json = Vec::new();
             source.append_at(&mut json, 0, len as usize)?;
-            return Self::gather(source, json, None, 0);
+            return Self::gather(source, json, None, (0, cache));
         }
         let this = Self::of_glb(source)?;
         let mut json = Vec::new();
@@ -112,7 +112,7 @@ impl Container {
         }
         let after = if this.bin.is_empty() { this.json.end } else { this.bin.end };
         let bin = Some(this.bin.clone()).filter(|bin| !bin.is_empty());
-        Self::gather(this.source, json, bin, after)
+        Self::gather(this.source, json, bin, (after, cache))
     }
 
     /// The chunks of a GLB file.
@@ -174,14 +174,19 @@ impl Container {
 
     /// A file whose JSON refers to buffers elsewhere, with all of them as binary data. `bin` is that of the
     /// file itself, and `after` is where other chunks begin.
-    fn gather(source: Source, json: Vec<u8>, bin: Option<Range<u64>>, after: u64) -> Result<(Self, Vec<u8>)> {
+    fn gather(
+        source: Source,
+        json: Vec<u8>,
+        bin: Option<Range<u64>>,
+        (after, cache): (u64, &Cache),
+    ) -> Result<(Self, Vec<u8>)> {
         let mut this = Self { source, parts: Vec::new(), len: 0, json: 0..0, bin: 0..0 };
         let Buffers { buffers } = this.parse(&json)?;
         let (mut parts, mut len, mut starts) = (Vec::new(), 0, Vec::new());
         for (index, buffer) in buffers.iter().enumerate() {
             starts.push(len);
             let bytes = match (&buffer.uri, &bin) {
-                (Some(uri), _) => Bytes::File(this.buffer(index, uri)?),
+                (Some(uri), _) => Bytes::File(this.buffer(index, uri, cache)?),
                 (None, Some(bin)) if index == 0 => Bytes::Opened(bin.start),
                 (None, _) => {
                     let what = format!("buffer {index} has no data");
@@ -278,7 +283,7 @@ impl Container {
     }
 
     /// What a buffer's URI leads to.
-    fn buffer(&self, index: usize, uri: &str) -> Result<Source> {
+    fn buffer(&self, index: usize, uri: &str, cache: &Cache) -> Result<Source> {
         let refused = |why: &str| {
             let what = format!("buffer {index} {why}");
             Err(self.source.malformed(what, AS_GLB))
@@ -288,8 +293,8 @@ impl Container {
                 return refused("is a data URI that is not base64");
             };
             let Ok(bytes) = STANDARD.decode(text) else { return refused("is not correct base64") };
-            let scratch =
-                Scratch::new(&std::env::temp_dir(), "set TMPDIR to a folder on a disk with more room")?;
+            // No more than the JSON, which is bounded.
+            let scratch = cache.scratch()?;
             scratch.write_at(&bytes, 0)?;
             return Ok(Source::of_scratch(scratch, self.source.path(), bytes.len() as u64));
         }

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use glam::DVec3;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use serde_json::value::RawValue;
@@ -11,6 +12,7 @@ use super::json::Document;
 use super::layout::{FACE, Layout};
 use super::limits::Limits;
 use super::places::{Place, Places, number_type};
+use crate::cache::Cache;
 use crate::source::Source;
 use crate::{Attribute, Error, ErrorKind, ModelInfo, Result, Scalar};
 
@@ -80,8 +82,8 @@ impl GltfModel {
         Ok(found)
     }
 
-    pub(super) fn new(source: Source) -> Result<Self> {
-        let (container, json) = Container::open(source)?;
+    pub(super) fn new(source: Source, cache: &Cache) -> Result<Self> {
+        let (container, json) = Container::open(source, cache)?;
         let document: Document<'_> = container.parse(&json)?;
         check_version(&container, &document)?;
         let layout = Places { container: &container, document: &document }.layout()?;
@@ -137,6 +139,8 @@ fn info(container: &Container, document: &Document<'_>, layout: &Layout) -> Mode
         vertex_bytes: regions.map(|region| region.bytes.end - region.bytes.start).sum(),
         face_bytes: FACE * layout.triangles,
         integers: None,
+        step: DVec3::ZERO,
+        ranges: Vec::new(),
         written: None,
         crs: None,
     }

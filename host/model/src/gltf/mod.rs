@@ -33,10 +33,11 @@ use faces::Faces;
 use file::GltfModel;
 use reader::Reader;
 
+use crate::cache::Making;
 use crate::source::Source;
 use crate::{
-    Edit, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
-    VertexChunk, VertexReader, pipeline,
+    Edit, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, VertexChunk,
+    VertexReader, pipeline,
 };
 
 /// Whether a file that begins so is GLB.
@@ -54,8 +55,8 @@ pub(super) fn is_gltf(source: &Source) -> Result<bool> {
 }
 
 /// Opens a file.
-pub(super) fn open(source: Source) -> Result<Box<dyn Model>> {
-    Ok(Box::new(GltfModel::new(source)?))
+pub(super) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
+    Ok(Box::new(GltfModel::new(source, making.cache)?))
 }
 
 impl Model for GltfModel {
@@ -108,11 +109,7 @@ impl Model for GltfModel {
         progress: &dyn Progress,
     ) -> Result<()> {
         if how.normals == Normals::Drop && self.info.has_normals {
-            return Err(Error::new(
-                ErrorKind::Argument,
-                format!("{}: normals cannot be left out of a file of this format", self.path().display()),
-                "transform or keep them",
-            ));
+            return Err(self.container.source.keeps_normals("keep or transform them: --normals keep"));
         }
         let rewriting = rewrite::Rewriting::new(self);
         rewriting.announce(progress);

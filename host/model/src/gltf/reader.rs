@@ -1,6 +1,7 @@
 //! Chunks of vertices from anywhere in the file.
 
 use std::ops::Range;
+use std::sync::OnceLock;
 
 use glam::{DVec3, Vec3, Vec4};
 
@@ -95,15 +96,55 @@ impl GltfModel {
             else {
                 continue;
             };
+            let curve = Curve::of_type(kind);
             self.container.read(&mut raw, place.bytes(elements))?;
             let Place { stride, size, .. } = place;
             for at in rows(stride as usize, raw.len(), 0, size as usize) {
                 let numbers = raw[at..at + size as usize].chunks_exact(kind.size());
-                to.iter_mut().zip(numbers).for_each(|(to, bytes)| to.push(number(kind, bytes)));
+                for (part, (to, bytes)) in to.iter_mut().zip(numbers).enumerate() {
+                    let number = number(kind, bytes);
+                    to.push(if part < 3 { curve.of(number) } else { number });
+                }
             }
         }
         Ok(())
     }
+}
+
+/// From linear light, as glTF has it, to the curve of sRGB, as all other formats have it: numbers of the same
+/// type, whole where they were.
+#[derive(Clone, Copy)]
+enum Curve {
+    /// By a table.
+    Bytes(&'static [u8; 256]),
+    Whole(f64),
+    Fractions,
+}
+
+impl Curve {
+    fn of_type(kind: Type) -> Self {
+        static BYTES: OnceLock<[u8; 256]> = OnceLock::new();
+        match kind {
+            Type::U8 => Self::Bytes(
+                BYTES.get_or_init(|| std::array::from_fn(|i| (255.0 * srgb(i as f64 / 255.0)).round() as u8)),
+            ),
+            Type::U16 => Self::Whole(65535.0),
+            _ => Self::Fractions,
+        }
+    }
+
+    #[inline]
+    fn of(self, number: f64) -> f64 {
+        match self {
+            Self::Bytes(table) => f64::from(table[usize::from(number as u8)]),
+            Self::Whole(full) => (full * srgb(number / full)).round(),
+            Self::Fractions => srgb(number),
+        }
+    }
+}
+
+fn srgb(linear: f64) -> f64 {
+    if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 
 /// A number of a colour.

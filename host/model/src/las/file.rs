@@ -59,6 +59,8 @@ impl LasModel {
             face_bytes: 0,
             integers: Some(header.integers),
             written: Some(header.integers),
+            step: header.integers.scale.abs(),
+            ranges: Vec::new(),
             crs: records.crs(&source)?,
         };
         Ok(Self { source, header, records, places, compressed, info, shift: [0; 3] })

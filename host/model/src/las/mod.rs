@@ -36,10 +36,11 @@ use glam::DVec3;
 use reader::Reader;
 use vlrs::Kind;
 
+use crate::bounds::Bounds;
 use crate::model::NoFaces;
 use crate::{
-    Edit, FaceReader, Model, ModelInfo, Output, Progress, Result, Rewriting, ScaledIntegers, VertexChunk,
-    VertexReader, pipeline,
+    Edit, Error, ErrorKind, FaceReader, Model, ModelInfo, Output, Progress, Result, Rewriting,
+    ScaledIntegers, VertexChunk, VertexReader, pipeline,
 };
 
 /// Whether a file that begins so is LAS.
@@ -112,12 +113,30 @@ impl Model for LasModel {
         self.source.check_unchanged()
     }
 
-    fn move_offset(&mut self, steps: [i64; 3]) -> Result<()> {
-        let ScaledIntegers { scale, offset } = self.header.integers;
-        let moved = DVec3::from(steps.map(|n| n as f64)) * scale + offset;
-        self.info.written = Some(ScaledIntegers { scale, offset: moved });
+    fn make_room(&mut self, moves: &[[DVec3; 2]], margin: f64) -> Result<Option<String>> {
+        let integers = self.header.integers;
+        let bounds = Bounds::of(moves.iter().map(|[_, to]| *to));
+        let steps = integers.steps_to(&bounds, margin).map_err(|axis| {
+            let what = format!(
+                "the deformed samples span {} along {}, which has no room in integers of 32 bits at the scale {} of {}",
+                (bounds.max - bounds.min)[axis],
+                ["x", "y", "z"][axis],
+                integers.scale[axis],
+                self.path().display()
+            );
+            let hint = "write the model with a coarser scale first, as `pdal translate IN.las OUT.las \
+                        --writers.las.scale_x=0.01` (and _y, _z) does";
+            Error::new(ErrorKind::Degenerate, what, hint)
+        })?;
+        let Some(steps) = steps else { return Ok(None) };
+        let ScaledIntegers { scale, offset } = integers;
+        let offset = DVec3::from(steps.map(|n| n as f64)) * scale + offset;
+        self.info.written = Some(ScaledIntegers { scale, offset });
         self.shift = steps;
-        Ok(())
+        let DVec3 { x, y, z } = offset;
+        Ok(Some(format!(
+            "the offset of the positions becomes ({x}, {y}, {z}); all their integers are written anew"
+        )))
     }
 
     fn rewrite(
@@ -127,13 +146,20 @@ impl Model for LasModel {
         edit: &dyn Edit,
         progress: &dyn Progress,
     ) -> Result<()> {
+        self.tell_of_octree(progress);
+        pipeline::rewrite(self, outputs, how, edit, progress)
+    }
+}
+
+impl LasModel {
+    /// Says that what is written has no octree, if this is COPC.
+    pub(crate) fn tell_of_octree(&self, progress: &dyn Progress) {
         if self.records.of_copc().next().is_some() {
-            let path = self.path().display();
             progress.note(&format!(
-                "{path}: the octree of COPC is left out, as it does not fit what is deformed; the output is LAZ, \
-                 of which `pdal translate OUT.laz OUT.copc.laz` makes COPC again"
+                "{}: the octree of COPC is left out, as it does not fit what is written; of LAZ, \
+                 `pdal translate OUT.laz OUT.copc.laz` makes COPC again",
+                self.path().display()
             ));
         }
-        pipeline::rewrite(self, outputs, how, edit, progress)
     }
 }

@@ -10,6 +10,7 @@ use glam::{DVec3, Vec3};
 
 use super::grammar::Obj;
 use super::lines::{Statement, values};
+use super::shared::Sharing;
 use crate::pipeline::{Piece, Pieces, Rewritable, Version};
 use crate::source::Source;
 use crate::text::blocks::{BlockReader, Blocks, changed};
@@ -27,8 +28,8 @@ pub(super) struct ApartModel {
     pub(super) model: TextModel<Obj>,
     pub(super) normals: Option<Blocks>,
     pub(super) digits: Digits,
-    /// The normals are of corners, which share them.
-    pub(super) are_shared: bool,
+    /// Where the normals are of corners, which share them.
+    pub(super) sharing: Option<Sharing>,
     /// Normals of corners, which are not read.
     pub(super) of_corners: u64,
 }
@@ -45,10 +46,10 @@ fn cut(bytes: &[u8], count: u64) -> Option<usize> {
 impl ApartModel {
     /// One that has none apart, but so many of corners.
     pub(super) fn without(model: TextModel<Obj>, of_corners: u64) -> Self {
-        Self { model, normals: None, digits: Digits::default(), are_shared: false, of_corners }
+        Self { model, normals: None, digits: Digits::default(), sharing: None, of_corners }
     }
 
-    pub(super) fn new(mut model: TextModel<Obj>, normals: Blocks, are_shared: bool) -> Result<Self> {
+    pub(super) fn new(mut model: TextModel<Obj>, normals: Blocks, sharing: Option<Sharing>) -> Result<Self> {
         const OF_A_BLOCK: u64 = 64;
         let (mut survey, mut raw) = (Survey::default(), Vec::new());
         for (_, bytes) in normals.spread(32) {
@@ -60,20 +61,16 @@ impl ApartModel {
                 values(line).take(3).enumerate().for_each(|(c, (a, b))| survey.take(c, &line[a..b]));
             }
         }
-        model.info.has_normals = !are_shared;
-        Ok(Self {
-            model,
-            normals: Some(normals),
-            digits: survey.digits(Some(1.0)),
-            are_shared,
-            of_corners: 0,
-        })
+        model.info.has_normals = sharing.is_none();
+        Ok(Self { model, normals: Some(normals), digits: survey.digits(Some(1.0)), sharing, of_corners: 0 })
     }
 
     /// A reader of some vertices, with their normals.
     pub(super) fn reader(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         let vertices = self.model.vertices(range.clone())?;
-        let Some(blocks) = self.normals.as_ref().filter(|_| !self.are_shared) else { return Ok(vertices) };
+        let Some(blocks) = self.normals.as_ref().filter(|_| self.sharing.is_none()) else {
+            return Ok(vertices);
+        };
         let normals = BlockReader::new(&self.model.source, blocks, range);
         let (raw, spans, ahead, some) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         Ok(Box::new(Reader { model: self, vertices, normals, raw, spans, ahead, some }))

@@ -22,6 +22,7 @@ mod model;
 mod scan;
 mod shared;
 
+use crate::cache::Making;
 use crate::source::Source;
 use crate::text::model::{TextModel, info};
 use crate::{Attribute, Model, ModelInfo, Result, Type};
@@ -30,10 +31,12 @@ use grammar::Obj;
 pub(crate) use lines::is_obj;
 use lines::values;
 use scan::{NormalsAre, Scan};
+use shared::Sharing;
 
 /// Opens a file, which is gone over once.
-pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
-    let Scan { vertices, normals, faces, face_lines, is_relative, first_vertex, others } = Scan::of(&source)?;
+pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
+    let Scan { vertices, normals, faces, face_lines, corners, is_relative, first_vertex, others } =
+        Scan::of(&source)?;
     let colours = colours(&first_vertex);
     let attributes = |name: &&str| Attribute { name: (*name).into(), kind: Type::F64 };
     let info = ModelInfo {
@@ -55,8 +58,11 @@ pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
     Ok(match normals {
         NormalsAre::None | NormalsAre::Beside => Box::new(ApartModel::without(model, 0)),
         NormalsAre::Scattered(count) => Box::new(ApartModel::without(model, count)),
-        NormalsAre::Shared(blocks) => Box::new(ApartModel::new(model, blocks, true)?),
-        NormalsAre::Apart(blocks) => Box::new(ApartModel::new(model, blocks, false)?),
+        NormalsAre::Shared(blocks) => {
+            let sharing = Sharing { corners, cache: making.cache.clone() };
+            Box::new(ApartModel::new(model, blocks, Some(sharing))?)
+        }
+        NormalsAre::Apart(blocks) => Box::new(ApartModel::new(model, blocks, None)?),
     })
 }
 

@@ -28,7 +28,7 @@ impl Model for ApartModel {
 
     fn besides(&self) -> Result<Vec<String>> {
         let mut besides = self.model.grammar.besides();
-        if self.of_corners > 0 || self.are_shared {
+        if self.of_corners > 0 || self.sharing.is_some() {
             besides.push("normals (vn) of corners".to_owned());
         }
         Ok(besides)
@@ -72,8 +72,8 @@ impl Model for ApartModel {
             return self.model.rewrite(outputs, how, edit, progress);
         }
         self.model.check_normals(how.normals)?;
-        if self.are_shared && how.normals == Normals::Transform {
-            let shared = SharedNormals::new(self, progress)?;
+        if let (Some(sharing), Normals::Transform) = (&self.sharing, how.normals) {
+            let shared = SharedNormals::new(self, sharing, progress)?;
             pipeline::rewrite(&shared, outputs, how, edit, progress)?;
             shared.tell(progress);
             return Ok(());

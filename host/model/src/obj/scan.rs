@@ -38,6 +38,8 @@ pub(super) struct Scan {
     pub(super) faces: u64,
     /// Where the first face begins and the last one ends.
     pub(super) face_lines: Range<u64>,
+    /// How many corners the faces have that may name a normal, at most.
+    pub(super) corners: u64,
     /// Some numbers of corners are negative.
     pub(super) is_relative: bool,
     pub(super) first_vertex: Vec<u8>,
@@ -91,7 +93,7 @@ impl Scan {
         let mut lines = Lines::new(source, 0, u64::MAX, true);
         let (mut vertices, mut normals) = (Builder::new(0, 1), Builder::new(0, 1));
         let mut beside = Beside { builder: Some(Builder::new(0, 1)), vertices: 0, normals: 0, start: 0 };
-        let (mut faces, mut face_lines) = (0, 0..0);
+        let (mut faces, mut face_lines, mut slashes) = (0, 0..0, 0);
         let (mut is_relative, mut are_of_vertices, mut first_vertex) = (false, true, Vec::new());
         let mut others = BTreeMap::new();
         let (mut runs, mut last) = (0u64, Statement::Other);
@@ -125,6 +127,7 @@ impl Scan {
                     }
                     face_lines.end = end;
                     faces += 1;
+                    slashes += memchr::memchr_iter(b'/', line).count() as u64;
                     is_relative = is_relative || memchr::memchr(b'-', line).is_some();
                     are_of_vertices = are_of_vertices
                         && normals_are_of_vertices(line, vertices.vertices(), normals.vertices());
@@ -144,6 +147,7 @@ impl Scan {
             _ if of_normals != count || !are_of_vertices => NormalsAre::Shared(normals),
             _ => NormalsAre::Apart(normals),
         };
-        Ok(Self { vertices, normals, faces, face_lines, is_relative, first_vertex, others })
+        let corners = slashes / 2;
+        Ok(Self { vertices, normals, faces, face_lines, corners, is_relative, first_vertex, others })
     }
 }

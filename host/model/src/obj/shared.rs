@@ -1,23 +1,26 @@
 //! Normals that corners share: one for several vertices, or several for one.
 //!
-//! Where a normal is used is found by one pass over the faces: pairs of normal and vertex, sorted in
-//! temporary files. When the file is written, each normal is turned at every place that uses it. It becomes
+//! Where a normal is used is found by one pass over the faces: pairs of normal and vertex, sorted, in
+//! the cache. When the file is written, each normal is turned at every place that uses it. It becomes
 //! their mean where all are within five degrees of it, and keeps its bytes elsewhere.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
+use std::ops::Range;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec3;
-use memmap2::Mmap;
 
 use super::apart::{ApartModel, ApartPieces};
 use super::grammar::Obj;
 use super::lines::{Statement, absolute, leading_integer, values};
+use crate::cache::{Cache, Need};
 use crate::pipeline::{Pieces, Rewritable, Version};
 use crate::scratch::Scratch;
 use crate::shared_normal::mean;
 use crate::source::Source;
+use crate::text::blocks::changed;
 use crate::text::lines::Lines;
 use crate::text::model::{TextModel, splice_normal};
 use crate::{CHUNK_VERTICES, Model, Normals, Progress, Result, SMALL_CHUNK, VertexChunk};
@@ -28,31 +31,51 @@ const RUN: usize = 1 << 22;
 /// Pairs that are read ahead of each sorted run.
 const AHEAD: usize = 1 << 12;
 
-const ADVICE: &str = "set TMPDIR to a folder on a disk with more room";
-
 /// Bytes of a pair, and of a position.
 const PAIR: usize = 8;
 const POSITION: usize = 24;
 
+/// What finding out who uses which normal needs.
+#[derive(Debug)]
+pub(super) struct Sharing {
+    /// Corners that may name a normal, at most.
+    pub corners: u64,
+    pub cache: Arc<Cache>,
+}
+
 /// A model that is rewritten with its shared normals.
 ///
-/// Disk: 24 bytes for each vertex, and 8 to 16 for each pair of a vertex and a normal, in nameless temporary
-/// files, which are mapped. Memory: 32 MiB while they are sorted; beside the chunks, nothing after that.
+/// Disk, in the cache: 24 bytes for each vertex, and 8 for each pair of a vertex and a normal; while it is filled
+/// 8 to 16 besides for each. Memory: 32 MiB while they are sorted; beside the chunks 1 MiB for each thread after
+/// that.
 pub(super) struct SharedNormals<'a> {
     model: &'a ApartModel,
-    /// The normal in the upper half, the vertex in the lower: ascending, none twice.
-    pairs: Option<Mmap>,
-    positions: Option<Mmap>,
+    /// The positions of all vertices, and behind them the pairs: the normal in the upper half, the vertex in
+    /// the lower; ascending, none twice.
+    file: Source,
+    /// How many pairs there are.
+    pairs: u64,
     /// Normals that keep their bytes as their places disagree, of all versions.
     kept: AtomicU64,
 }
 
 impl<'a> SharedNormals<'a> {
     /// Finds out who uses which normal.
-    pub(super) fn new(model: &'a ApartModel, progress: &dyn Progress) -> Result<Self> {
-        let pairs = pairs(&model.model, progress)?;
-        let positions = positions(model, progress)?;
-        Ok(Self { model, pairs, positions, kept: AtomicU64::new(0) })
+    pub(super) fn new(model: &'a ApartModel, sharing: &Sharing, progress: &dyn Progress) -> Result<Self> {
+        let positions = POSITION as u64 * model.info().vertices;
+        let of_pairs = (PAIR as u64).saturating_mul(sharing.corners);
+        let need = Need {
+            what: "which corners share which normal is written",
+            bytes: positions.saturating_add(of_pairs),
+            meanwhile: of_pairs,
+        };
+        let source = &model.model.source;
+        let file = sharing.cache.get(source, &need, progress, |to| {
+            write_positions(model, to, progress)?;
+            write_pairs(&model.model, to, positions, progress)
+        })?;
+        let pairs = file.len().saturating_sub(positions) / PAIR as u64;
+        Ok(Self { model, file, pairs, kept: AtomicU64::new(0) })
     }
 
     /// Says what was kept.
@@ -66,33 +89,85 @@ impl<'a> SharedNormals<'a> {
         }
     }
 
-    fn pair(&self, index: usize) -> Option<u64> {
-        let bytes = self.pairs.as_ref()?.get(PAIR * index..PAIR * (index + 1))?;
-        Some(u64::from_le_bytes(bytes.try_into().ok()?))
+    /// What reads pairs, each of 8 bytes, and positions, each of 24.
+    fn records(&self) -> (Records<'_, PAIR>, Records<'_, POSITION>) {
+        let positions = POSITION as u64 * self.model.info().vertices;
+        (Records::new(&self.file, positions..self.file.len()), Records::new(&self.file, 0..positions))
     }
 
     /// Index of the first pair of a normal, or of a later one.
-    fn first_pair(&self, normal: u64) -> usize {
-        let (mut low, mut high) = (0, self.pairs.as_ref().map_or(0, |map| map.len() / PAIR));
+    fn first_pair(&self, pairs: &mut Records<'_, PAIR>, normal: u64) -> Result<u64> {
+        let (mut low, mut high) = (0, self.pairs);
         while low < high {
             let middle = low.midpoint(high);
-            if self.pair(middle).is_some_and(|pair| pair >> 32 < normal) {
-                low = middle + 1
-            } else {
-                high = middle
-            }
+            if pair_of(pairs.get(middle)?) >> 32 < normal { low = middle + 1 } else { high = middle }
         }
-        low
+        Ok(low)
     }
 
-    fn position(&self, vertex: u64) -> Option<DVec3> {
-        let at = POSITION * usize::try_from(vertex).ok()?;
-        let bytes = self.positions.as_ref()?.get(at..at + POSITION)?;
-        let mut position = DVec3::ZERO;
-        for (c, bytes) in bytes.chunks_exact(8).enumerate() {
-            position[c] = f64::from_le_bytes(bytes.try_into().ok()?);
+    /// The same, where it is not before `next` and probably one of the first from there on.
+    fn first_pair_from(
+        &self,
+        pairs: &mut Records<'_, PAIR>,
+        (next, end): (u64, u64),
+        normal: u64,
+    ) -> Result<u64> {
+        const NEAR: u64 = 16;
+        for index in next..end.min(next + NEAR) {
+            if pair_of(pairs.get(index)?) >> 32 >= normal {
+                return Ok(index);
+            }
         }
-        Some(position)
+        if next + NEAR >= end { Ok(end) } else { self.first_pair(pairs, normal) }
+    }
+}
+
+fn pair_of(bytes: [u8; PAIR]) -> u64 {
+    u64::from_le_bytes(bytes)
+}
+
+fn position_of(bytes: [u8; POSITION]) -> DVec3 {
+    let coordinate = |axis: usize| {
+        let mut eight = [0; 8];
+        eight.copy_from_slice(&bytes[8 * axis..8 * (axis + 1)]);
+        f64::from_le_bytes(eight)
+    };
+    DVec3::new(coordinate(0), coordinate(1), coordinate(2))
+}
+
+/// Records of `N` bytes in a part of a file, of which the last blocks that were asked for are held.
+struct Records<'a, const N: usize> {
+    file: &'a Source,
+    range: Range<u64>,
+    /// Each the block of the number beside it, or none.
+    blocks: Vec<(u64, Vec<u8>)>,
+}
+
+impl<'a, const N: usize> Records<'a, N> {
+    /// Records of a block, and how many blocks are held: half a MiB.
+    const OF_A_BLOCK: u64 = 256;
+    const BLOCKS: u64 = 64;
+
+    fn new(file: &'a Source, range: Range<u64>) -> Self {
+        Self { file, range, blocks: vec![(u64::MAX, Vec::new()); Self::BLOCKS as usize] }
+    }
+
+    fn get(&mut self, index: u64) -> Result<[u8; N]> {
+        let block = index / Self::OF_A_BLOCK;
+        let (held, bytes) = &mut self.blocks[(block % Self::BLOCKS) as usize];
+        if *held != block {
+            *held = u64::MAX;
+            let length = N as u64 * Self::OF_A_BLOCK;
+            let at = self.range.start + block * length;
+            bytes.clear();
+            self.file.append_at(bytes, at, length.min(self.range.end.saturating_sub(at)) as usize)?;
+            *held = block;
+        }
+        let at = (index % Self::OF_A_BLOCK) as usize * N;
+        let mut record = [0; N];
+        let Some(there) = bytes.get(at..at + N) else { return Err(changed(self.file)) };
+        record.copy_from_slice(there);
+        Ok(record)
     }
 }
 
@@ -112,16 +187,23 @@ impl Rewritable for SharedNormals<'_> {
         self.model.decode_normals(raw, first, count, &mut own, spans)?;
         positions.clear();
         normals.clear();
-        let mut next = self.first_pair(first);
-        let end = self.first_pair(first + count as u64);
+        let (mut pairs, mut places) = self.records();
+        let mut next = self.first_pair(&mut pairs, first)?;
+        let end = self.first_pair(&mut pairs, first + count as u64)?;
         // Where there are too many places, each normal is looked at in some of them, evenly spread.
-        let most = if end - next > CHUNK_VERTICES { CHUNK_VERTICES / count.max(1) } else { CHUNK_VERTICES };
+        let most =
+            if end - next > CHUNK_VERTICES as u64 { CHUNK_VERTICES / count.max(1) } else { CHUNK_VERTICES };
+        let most = most.max(1) as u64;
         for (normal, value) in (first..).zip(own) {
             let start = positions.len() as u32;
-            let after = self.first_pair_from(next, end, normal + 1);
-            for index in (next..after).step_by((after - next).div_ceil(most.max(1)).max(1)) {
-                let vertex = self.pair(index).map_or(0, |pair| pair & u64::from(u32::MAX));
-                if let Some(position) = self.position(vertex).filter(|p| p.is_finite()) {
+            let after = self.first_pair_from(&mut pairs, (next, end), normal + 1)?;
+            for index in (next..after).step_by((after - next).div_ceil(most).max(1) as usize) {
+                let vertex = pair_of(pairs.get(index)?) & u64::from(u32::MAX);
+                if vertex >= self.model.info().vertices {
+                    continue;
+                }
+                let position = position_of(places.get(vertex)?);
+                if position.is_finite() {
                     positions.push(position);
                     normals.push(value);
                 }
@@ -160,36 +242,22 @@ impl Rewritable for SharedNormals<'_> {
     }
 }
 
-impl SharedNormals<'_> {
-    /// As [`first_pair`](Self::first_pair), which is among those from `next` on and probably one of the first.
-    fn first_pair_from(&self, next: usize, end: usize, normal: u64) -> usize {
-        const NEAR: usize = 16;
-        let is_before = |index: &usize| self.pair(*index).is_some_and(|pair| pair >> 32 < normal);
-        let near = (next..end.min(next + NEAR)).take_while(is_before).count();
-        if near < NEAR { next + near } else { self.first_pair(normal) }
-    }
-}
-
-/// The positions of all vertices.
-fn positions(model: &ApartModel, progress: &dyn Progress) -> Result<Option<Mmap>> {
-    if model.info().vertices == 0 {
-        return Ok(None);
-    }
-    let scratch = Scratch::new(&std::env::temp_dir(), ADVICE)?;
+/// Writes the positions of all vertices.
+fn write_positions(model: &ApartModel, to: &Scratch, progress: &dyn Progress) -> Result<()> {
     let mut reader = model.vertices(0..u64::MAX)?;
     let (mut chunk, mut bytes) = (VertexChunk::default(), Vec::new());
     while reader.read(&mut chunk)? {
         progress.check()?;
         bytes.clear();
         bytes.extend(chunk.positions.iter().flat_map(|p| p.to_array()).flat_map(f64::to_le_bytes));
-        scratch.write_at(&bytes, POSITION as u64 * chunk.first)?;
+        to.write_at(&bytes, POSITION as u64 * chunk.first)?;
     }
-    Ok(Some(scratch.map()?))
+    Ok(())
 }
 
-/// Pairs of normals and vertices, sorted; `None` if there are none.
-fn pairs(model: &TextModel<Obj>, progress: &dyn Progress) -> Result<Option<Mmap>> {
-    let mut runs = Runs::new()?;
+/// Writes pairs of normals and vertices, sorted, from `start` on; returns where they end.
+fn write_pairs(model: &TextModel<Obj>, to: &Scratch, start: u64, progress: &dyn Progress) -> Result<u64> {
+    let mut runs = Runs::new(to)?;
     let mut lines = Lines::new(&model.source, 0, u64::MAX, true);
     let (mut vertices, mut normals, mut faces) = (0, 0, 0u64);
     while let Some((_, line)) = lines.next()? {
@@ -210,7 +278,7 @@ fn pairs(model: &TextModel<Obj>, progress: &dyn Progress) -> Result<Option<Mmap>
             Statement::Other => {}
         }
     }
-    runs.merge(progress)
+    Ok(start + PAIR as u64 * runs.merge(to, start, progress)?)
 }
 
 /// The normal and the vertex of a corner that has both.
@@ -232,9 +300,9 @@ struct Runs {
 }
 
 impl Runs {
-    fn new() -> Result<Self> {
-        let scratch = Scratch::new(&std::env::temp_dir(), ADVICE)?;
-        Ok(Self { scratch, ends: Vec::new(), buffer: Vec::new() })
+    /// Beside the file that they go to in the end.
+    fn new(beside: &Scratch) -> Result<Self> {
+        Ok(Self { scratch: beside.beside()?, ends: Vec::new(), buffer: Vec::new() })
     }
 
     fn add(&mut self, pair: u64) -> Result<()> {
@@ -246,23 +314,18 @@ impl Runs {
         self.buffer.sort_unstable();
         self.buffer.dedup();
         let start = self.ends.last().copied().unwrap_or(0);
-        write(&self.scratch, &self.buffer, start)?;
+        write(&self.scratch, &self.buffer, PAIR as u64 * start)?;
         self.ends.push(start + self.buffer.len() as u64);
         self.buffer.clear();
         Ok(())
     }
 
-    /// All of them in order, none twice.
-    fn merge(mut self, progress: &dyn Progress) -> Result<Option<Mmap>> {
+    /// Writes all of them in order, none twice, from `start` on; returns how many they are.
+    fn merge(mut self, to: &Scratch, start: u64, progress: &dyn Progress) -> Result<u64> {
         if !self.buffer.is_empty() {
             self.end_run()?;
         }
         self.buffer = Vec::new();
-        match self.ends.len() {
-            0 => return Ok(None),
-            1 => return self.scratch.map().map(Some),
-            _ => {}
-        }
         let starts = [0].into_iter().chain(self.ends.iter().copied());
         let mut runs: Vec<Run> =
             starts.zip(&self.ends).map(|(next, end)| Run { next, end: *end, ahead: Vec::new() }).collect();
@@ -270,7 +333,6 @@ impl Runs {
         for (i, run) in runs.iter_mut().enumerate() {
             heap.extend(run.next(&self.scratch)?.map(|pair| Reverse((pair, i))));
         }
-        let sorted = Scratch::new(&std::env::temp_dir(), ADVICE)?;
         let (mut merged, mut written) = (Vec::new(), 0);
         let mut last = None;
         while let Some(Reverse((pair, i))) = heap.pop() {
@@ -281,13 +343,13 @@ impl Runs {
             merged.push(pair);
             if merged.len() == AHEAD {
                 progress.check()?;
-                write(&sorted, &merged, written)?;
+                write(to, &merged, start + PAIR as u64 * written)?;
                 written += merged.len() as u64;
                 merged.clear();
             }
         }
-        write(&sorted, &merged, written)?;
-        sorted.map().map(Some)
+        write(to, &merged, start + PAIR as u64 * written)?;
+        Ok(written + merged.len() as u64)
     }
 }
 
@@ -315,7 +377,7 @@ impl Run {
 
 fn write(to: &Scratch, pairs: &[u64], at: u64) -> Result<()> {
     let bytes: Vec<u8> = pairs.iter().flat_map(|pair| pair.to_le_bytes()).collect();
-    to.write_at(&bytes, PAIR as u64 * at)
+    to.write_at(&bytes, at)
 }
 
 #[cfg(test)]
@@ -328,7 +390,8 @@ mod tests {
     proptest! {
         #[test]
         fn runs_are_merged_in_order(runs in prop::collection::vec(prop::collection::vec(0u64..5000, 0..9000), 0..4)) {
-            let mut sorter = Runs::new().unwrap();
+            let file = Scratch::new(&std::env::temp_dir(), "").unwrap();
+            let mut sorter = Runs::new(&file).unwrap();
             for run in &runs {
                 run.iter().for_each(|pair| sorter.add(*pair).unwrap());
                 if !sorter.buffer.is_empty() {
@@ -338,8 +401,9 @@ mod tests {
             let mut expected = runs.concat();
             expected.sort_unstable();
             expected.dedup();
-            let merged = sorter.merge(&Silent).unwrap();
-            let bytes = merged.as_deref().unwrap_or_default();
+            let count = sorter.merge(&file, 80, &Silent).unwrap();
+            let mut bytes = vec![0; PAIR * count as usize];
+            file.read_at(&mut bytes, 80).unwrap();
             let found: Vec<u64> = bytes.chunks(8).map(|b| u64::from_le_bytes(b.try_into().unwrap())).collect();
             prop_assert_eq!(found, expected);
         }

@@ -2,32 +2,27 @@
 //!
 //! But for the header these are records as PLY has them, and are read and written by the same code: see
 //! [`ply`](crate::ply). A compressed file holds one block of at most 4 GiB, in which each field of all points
-//! comes before the next field: it is unpacked into a nameless temporary file when it is opened, and what is
+//! comes before the next field: it is unpacked into the [cache](crate::cache) when it is opened, and what is
 //! written is not compressed, which its header says.
 
 mod header;
 mod unpack;
 
-use std::path::Path;
-
+use crate::cache::Making;
 use crate::ply::{Element, Encoding, Header as Records, PlyModel, Property, Shape};
 use crate::source::Source;
 use crate::{Model, Result, Type};
 pub(crate) use header::is_pcd;
 use header::{Data, Field, Header};
 
-/// Opens a file; a compressed one is unpacked into the folder of temporary files.
-pub(crate) fn open(source: Source) -> Result<Box<dyn Model>> {
-    open_in(source, &std::env::temp_dir())
-}
-
-fn open_in(source: Source, temporary: &Path) -> Result<Box<dyn Model>> {
+/// Opens a file; a compressed one is unpacked into the cache.
+pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
     let header = Header::read(&source)?;
     let name = header.data.name();
     let compressed = header.data == Data::Compressed;
     let (source, header) = match header.data {
         Data::Compressed => {
-            let source = unpack::unpack(&source, &header, temporary)?;
+            let source = unpack::unpack(&source, &header, making)?;
             let header = Header::read(&source)?;
             (source, header)
         }

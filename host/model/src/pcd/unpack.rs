@@ -1,15 +1,14 @@
-//! Compressed points, unpacked into a temporary file, point by point.
+//! Compressed points, unpacked point by point.
 //!
 //! The block is compressed by LZF (Marc Lehmann's LibLZF): runs of up to 32 bytes, and copies of up to 264
 //! bytes that begin at most 8192 bytes before.
 
-use std::path::Path;
-
 use super::header::Header;
+use crate::cache::{Making, Need};
 use crate::scratch::Scratch;
 use crate::source::Source;
 use crate::text::{CUT_OFF, DAMAGED};
-use crate::{Error, Result};
+use crate::{Error, Progress, Result};
 
 /// How far back a copy may begin.
 const WINDOW: usize = 1 << 13;
@@ -17,12 +16,10 @@ const WINDOW: usize = 1 << 13;
 /// Bytes that are read, and written, at a time.
 const BLOCK: usize = 1 << 20;
 
-const ADVICE: &str = "set TMPDIR to a folder on a disk with more room";
-
-/// A nameless file that holds the same points as binary records.
+/// The same points as binary records, in the cache.
 ///
-/// Disk: twice the unpacked size, at most 8 GiB. Memory: a few MiB.
-pub(super) fn unpack(source: &Source, header: &Header, temporary: &Path) -> Result<Source> {
+/// Disk: the unpacked size, at most 4 GiB, and as much again until that is done. Memory: a few MiB.
+pub(super) fn unpack(source: &Source, header: &Header, making: &Making<'_>) -> Result<Source> {
     let mut sizes = [0; 8];
     if source.read_at(&mut sizes, header.len)? < sizes.len() {
         return Err(source.malformed("the file ends before the compressed points", CUT_OFF));
@@ -44,25 +41,28 @@ pub(super) fn unpack(source: &Source, header: &Header, temporary: &Path) -> Resu
             format!("says {packed} bytes of compressed points, but only {} follow", source.len() - start);
         return Err(source.malformed(what, CUT_OFF));
     }
-    let fields = Scratch::new(temporary, ADVICE)?;
-    Unpacker {
-        source,
-        at: start,
-        end: start + packed,
-        input: Vec::new(),
-        taken: 0,
-        output: Vec::new(),
-        written: 0,
-        limit: unpacked,
-        to: &fields,
-    }
-    .run()?;
     let text = [&header.text[..header.data_line], b"DATA binary\n"].concat();
-    let points = Scratch::new(temporary, ADVICE)?;
-    points.write_at(&text, 0)?;
-    transpose(&fields, &points, header, stride, text.len() as u64)?;
     let len = text.len() as u64 + unpacked;
-    Ok(Source::of_scratch(points, source.path(), len))
+    let need = Need { what: "its compressed points are unpacked", bytes: len, meanwhile: unpacked };
+    making.cache.get(source, &need, making.progress, |points| {
+        let fields = points.beside()?;
+        let unpacker = Unpacker {
+            source,
+            at: start,
+            end: start + packed,
+            input: Vec::new(),
+            taken: 0,
+            output: Vec::new(),
+            written: 0,
+            limit: unpacked,
+            to: &fields,
+            progress: making.progress,
+        };
+        unpacker.run()?;
+        points.write_at(&text, 0)?;
+        transpose(&fields, points, header, stride, text.len() as u64)?;
+        Ok(len)
+    })
 }
 
 struct Unpacker<'a> {
@@ -78,6 +78,7 @@ struct Unpacker<'a> {
     /// Bytes that there should be.
     limit: u64,
     to: &'a Scratch,
+    progress: &'a dyn Progress,
 }
 
 impl Unpacker<'_> {
@@ -137,6 +138,7 @@ impl Unpacker<'_> {
 
     /// Writes all but the last bytes.
     fn flush(&mut self, kept: usize) -> Result<()> {
+        self.progress.check()?;
         let done = self.output.len().saturating_sub(kept);
         self.to.write_at(&self.output[..done], self.written)?;
         self.output.drain(..done);

@@ -46,6 +46,7 @@ use super::{Edit, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, 
 use crate::progress::Silent;
 use crate::{Progress, Result};
 use faces::{Faces, SomeFaces};
+use glam::DVec3;
 use layout::Layout;
 use offsets::Offsets;
 use reader::Reader;
@@ -91,6 +92,8 @@ impl PlyModel {
             vertex_bytes: 0,
             face_bytes: 0,
             integers: None,
+            step: DVec3::ZERO,
+            ranges: Vec::new(),
             written: None,
             crs: None,
         };

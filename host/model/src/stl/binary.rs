@@ -75,6 +75,8 @@ impl BinaryStl {
             vertex_bytes: FACET * facets,
             face_bytes: FACET * facets,
             integers: None,
+            step: DVec3::ZERO,
+            ranges: Vec::new(),
             written: None,
             crs: None,
         };

@@ -14,8 +14,8 @@ use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
 use crate::source::Source;
 use crate::unfit::Unfit;
 use crate::{
-    CHUNK_VERTICES, Edit, Edited, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress,
-    Result, Rewriting, Scalar, VertexChunk, VertexReader,
+    CHUNK_VERTICES, Edit, Edited, Error, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
+    Rewriting, Scalar, VertexChunk, VertexReader,
 };
 
 /// What a text format knows of its lines, among those between the first and the last vertex.
@@ -126,6 +126,8 @@ pub(crate) fn info(source: &Source, format: String) -> ModelInfo {
         vertex_bytes: 0,
         face_bytes: 0,
         integers: None,
+        step: DVec3::ZERO,
+        ranges: Vec::new(),
         written: None,
         crs: None,
     }
@@ -234,14 +236,7 @@ impl<G: Grammar> TextModel<G> {
     /// An error where normals cannot be left out.
     pub(crate) fn check_normals(&self, normals: Normals) -> Result<()> {
         if normals == Normals::Drop && self.info.has_normals {
-            return Err(Error::new(
-                ErrorKind::Argument,
-                format!(
-                    "{}: normals cannot be left out of a file of this format",
-                    self.source.path().display()
-                ),
-                self.grammar.without_normals(),
-            ));
+            return Err(self.source.keeps_normals(self.grammar.without_normals()));
         }
         Ok(())
     }

@@ -684,7 +684,7 @@ fn a_file_of_another_program_is_moved_and_its_image_stays() {
     let bytes = of_crate();
     go_over(&bytes, ".e57").unwrap();
     let model = open(&bytes, ".e57").unwrap();
-    assert_eq!(model.besides().unwrap(), ["what is told of 1 scan, poses among it"]);
+    assert_eq!(model.besides().unwrap(), ["1 pose"]);
     assert!(model.details()[0].starts_with("scan 1 (Hall): 20000 points, at [1, 2, 3], turned by 120.0000°"));
     let moved = |p: DVec3| p + DVec3::new(0.0, 0.25, 0.0005 * (p.x * 3.0).round());
     let out = move_points(model.as_ref(), moved).unwrap();

@@ -192,8 +192,14 @@ fn a_shared_normal_is_the_mean_of_its_places_where_they_agree() {
     assert!(out.split_whitespace().zip(expected.split_whitespace()).all(|(a, b)| near(a, b)), "{out}");
     assert!(out.starts_with("v 0.000 0 0\n") && out.contains("\nvn 0 0 1.00000\nvn 0 0 1.00000\n"));
     let notes = notes.0.into_inner().unwrap();
-    assert_eq!(notes.len(), 1);
-    assert!(notes[0].contains(": 1 normals (vn) are kept as they are"), "{notes:?}");
+    // Four positions, and pairs for five corners.
+    assert!(
+        notes[0].contains("which corners share which normal is written into a temporary file"),
+        "{notes:?}"
+    );
+    assert!(notes[0].contains("which takes 144 bytes, and 48 bytes besides"), "{notes:?}");
+    assert_eq!(notes.len(), 2);
+    assert!(notes[1].contains(": 1 normals (vn) are kept as they are"), "{notes:?}");
 }
 
 /// What the user is told.

@@ -13,7 +13,7 @@ use simod_core::reconstruction::{Reconstruction, Version, reconstruct, transfer_
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::Skip;
 use simod_model::memory::MemoryWatch;
-use simod_model::{Model, Progress, Result};
+use simod_model::{Cache, Model, Progress, Result};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -23,6 +23,7 @@ pub(super) struct Bench<'a> {
     file: &'a CompareFile,
     plugins: &'a PluginRegistry,
     folder: &'a Path,
+    cache: Arc<Cache>,
     samplings: Vec<Known>,
     /// A method refines: samplings keep their cells.
     refines: bool,
@@ -47,15 +48,20 @@ pub(super) struct Deformed {
 }
 
 impl<'a> Bench<'a> {
-    /// A bench without samplings; files are written to `folder`.
-    pub fn new(file: &'a CompareFile, plugins: &'a PluginRegistry, folder: &'a Path) -> Self {
+    /// A bench without samplings; files are written to `folder`, and the model is read by `cache`.
+    pub fn new(
+        file: &'a CompareFile,
+        plugins: &'a PluginRegistry,
+        (folder, cache): (&'a Path, Arc<Cache>),
+    ) -> Self {
         let refines = |method: &Method| match &method.work {
             // What is wrong with a session is told when it is done.
             Work::Session(path) => SessionFile::load(path)
                 .is_ok_and(|session| session.steps.iter().any(|step| step.enabled && step.refines())),
             Work::Plugin { .. } => false,
         };
-        Self { file, plugins, folder, samplings: Vec::new(), refines: file.methods.iter().any(refines) }
+        let refines = file.methods.iter().any(refines);
+        Self { file, plugins, folder, cache, samplings: Vec::new(), refines }
     }
 
     /// Does a method. `record` gets what is known as soon as it is.
@@ -84,7 +90,7 @@ impl<'a> Bench<'a> {
         let deform = start.elapsed().as_secs_f64();
 
         let start = Instant::now();
-        let source = deformed.sampled.open_source(Some(&self.file.model))?;
+        let source = deformed.sampled.open_source(Some(&self.file.model), progress)?;
         let output = self.folder.join(file_name(name, source.as_ref()));
         let version = Version { deformed: &deformed.positions, output: &output, diagnostics: None };
         let how = Reconstruction { method: method.reconstruction, ..Reconstruction::default() };
@@ -161,7 +167,7 @@ impl<'a> Bench<'a> {
             ..SessionFile::default()
         };
         let skip = Skip { cells: !self.refines, colors: true, ..Skip::default() };
-        let sampled = Arc::new(sampled(&session, skip, self.folder, progress)?.0);
+        let sampled = Arc::new(sampled(&session, skip, (self.folder, &self.cache), progress)?.0);
         let seconds = start.elapsed().as_secs_f64();
         self.samplings.push(Known { of, sampled: sampled.clone(), seconds });
         Ok((sampled, seconds))

@@ -33,8 +33,9 @@ use folder::{INDEX, RECORD, Target};
 use method::{Bench, Deformed};
 use simod_model::output::write_file;
 use simod_model::output_folder::OutputFolder;
-use simod_model::{Error, ErrorKind, Model, Progress, Result};
+use simod_model::{Cache, Error, ErrorKind, Model, Progress, Result};
 use std::path::Path;
+use std::sync::Arc;
 
 /// Does all methods of a file and writes the folder `output`, whole or not at all: `index.html`,
 /// `compare.json`, pictures, and with `keep_models` the deformed models. A method that fails is told so in
@@ -51,9 +52,11 @@ pub fn compare(
     progress: &dyn Progress,
 ) -> Result<Comparison> {
     let target = Target::check(output, &file.model)?;
-    let rest = simod_model::open_with_columns(&file.model, file.columns.as_deref())?;
     let folder = OutputFolder::create(output)?;
-    let made = in_folder(file, plugins, keep_models, &folder, rest.as_ref(), &target, progress);
+    let cache = Arc::new(Cache::nameless(folder.path()));
+    let rest = simod_model::open_with(&file.model, file.columns.as_deref(), &cache, progress)?;
+    let bench = Bench::new(file, plugins, (folder.path(), cache));
+    let made = in_folder(file, bench, keep_models, &folder, rest.as_ref(), &target, progress);
     let comparison = made.map_err(|e| folder.named(e))?;
     folder.commit()?;
     Ok(comparison)
@@ -61,14 +64,13 @@ pub fn compare(
 
 fn in_folder(
     file: &CompareFile,
-    plugins: &PluginRegistry,
+    mut bench: Bench<'_>,
     keep_models: bool,
     folder: &OutputFolder,
     rest: &dyn Model,
     target: &Target,
     progress: &dyn Progress,
 ) -> Result<Comparison> {
-    let mut bench = Bench::new(file, plugins, folder.path());
     let (mut records, mut done) = (Vec::new(), Vec::new());
     for (i, (method, name)) in file.methods.iter().zip(folder::names(&file.methods)).enumerate() {
         progress.check()?;

@@ -45,7 +45,7 @@ impl Editor {
         progress: &dyn Progress,
     ) -> Result<(Self, Evaluation)> {
         let folder = path.as_deref().map_or_else(std::env::temp_dir, |path| folder_of(path).to_owned());
-        let (sampled, _) = sampled(&session, Skip::default(), &folder, progress)?;
+        let (sampled, _) = sampled(&session, Skip::default(), (&folder, &Arc::default()), progress)?;
         Ok(Self::of(sampled, session, path, plugins, folder))
     }
 

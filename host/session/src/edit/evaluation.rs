@@ -87,7 +87,7 @@ impl Evaluated {
         progress: &dyn Progress,
     ) -> Result<Reconstructed> {
         messages(self.statuses)?;
-        let model = self.sampled.open_source(model)?;
+        let model = self.sampled.open_source(model, progress)?;
         let deformed = self.sampled.rounded(&self.positions);
         let version = Version { deformed: &deformed, output, diagnostics: None };
         reconstruct(&self.sampled, model.as_ref(), &[version], how, progress)
@@ -363,7 +363,7 @@ impl Evaluation {
         positions: &[Vec3],
         progress: &dyn Progress,
     ) -> Result<(Arc<SampledModel>, Arc<[Vec3]>)> {
-        let model = sampled.open_source(self.how.model.as_deref())?;
+        let model = sampled.open_source(self.how.model.as_deref(), progress)?;
         // Without shapes, everywhere.
         let everywhere = step.shapes.shapes.is_empty();
         let distance = |p| if everywhere { -1.0 } else { step.shapes.signed_distance(p) };

@@ -114,7 +114,7 @@ impl Thread {
     ) -> Result<Event> {
         let Streaming { number, pose: Pose { sampled, positions }, chosen, tint, model } = streaming;
         let start = Instant::now();
-        let model = sampled.open_source(model.as_deref())?;
+        let model = sampled.open_source(model.as_deref(), progress)?;
         let chosen = chosen.showing(match tint {
             Tint::Samples => Shown::Nothing,
             Tint::Attribute(place) => Shown::Attribute(place),

@@ -44,6 +44,17 @@ impl State {
         self.fields[version as usize].as_ref().map(|known| &known.field)
     }
 
+    /// The colours of a version's samples, if they are not all the same: those of the numbers that are shown, or
+    /// the model's own.
+    pub fn sample_colors(&mut self, version: Version) -> Option<Vec<[u8; 3]>> {
+        let scene = self.scene_of(version)?.clone();
+        if let Some(field) = self.field_of(version) {
+            return Some((0..scene.len()).map(|i| field.color(i)).collect());
+        }
+        let own = self.has_own_colors() && self.overlay() == Overlay::None;
+        (own && !scene.sampled.colors.is_empty()).then(|| scene.sampled.colors.clone())
+    }
+
     /// Finds the numbers of a version, unless they are known.
     fn know(&mut self, version: Version) {
         let known = self.fields[version as usize].take();

@@ -151,10 +151,8 @@ impl Colors {
 
     /// The colours of samples, if they are not all the same.
     fn made(&self, window: &mut Window, version: Version, scene: &Scene) -> Option<Vec<[u8; 3]>> {
-        let own = window.state().has_own_colors() && window.state().overlay() == Overlay::None;
-        let mut colors = match window.state_mut().field_of(version) {
-            Some(field) => (0..scene.len()).map(|i| field.color(i)).collect(),
-            None if own && !scene.sampled.colors.is_empty() => scene.sampled.colors.clone(),
+        let mut colors = match window.state_mut().sample_colors(version) {
+            Some(colors) => colors,
             None if self.mixing.is_none() => return None,
             None => vec![theme::CLAY; scene.len()],
         };

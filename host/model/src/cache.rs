@@ -1,0 +1,298 @@
+//! What is made once of a model that cannot be read from anywhere as it is, as of one that is compressed as a
+//! whole: one file, for all that open the model after that.
+//!
+//! A cache is kept under a name, in the folder of a sampled model, or in a nameless file that is gone with the
+//! process. It is filled by the first one that needs it, which is told how large it will be. A kept one ends
+//! with the size and the hash of the model that it was made of, and with a hash of its own: it is of use as
+//! long as both are right, and filled anew otherwise.
+
+use std::fs::Metadata;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::SystemTime;
+
+use xxhash_rust::xxh3::Xxh3Default;
+
+use crate::claim::Claim;
+use crate::output::{OutputFile, check_space};
+use crate::output_folder::OutputFolder;
+use crate::positioned::Positioned;
+use crate::scratch::Scratch;
+use crate::size::human_size;
+use crate::source::Source;
+use crate::target::folder_of;
+use crate::{Error, Progress, Result, input};
+
+/// What a kept cache ends with: this, and the numbers of [`Made`].
+const MAGIC: &[u8; 8] = b"simodc01";
+
+/// Bytes at the end of a kept cache.
+const ENDING: usize = 8 + 8 + 16 + 8 + 16;
+
+/// Bytes that are read at a time.
+const BLOCK: usize = 1 << 20;
+
+/// What can be done about a folder without room.
+const ADVICE: &str = "write to a disk with more room, or set TMPDIR to a folder there";
+
+/// Where what is made of a model goes.
+#[derive(Debug)]
+pub struct Cache {
+    place: Place,
+    made: Mutex<Option<Known>>,
+}
+
+#[derive(Debug)]
+enum Place {
+    /// A folder for a file without a name.
+    Nameless(PathBuf),
+    /// A file in a folder that this process is writing, and what it will be called.
+    Claimed(PathBuf, PathBuf),
+    /// A file in a folder that others may be writing.
+    Shared(PathBuf),
+}
+
+/// What this process made, or found, of a model.
+#[derive(Debug)]
+struct Known {
+    stamp: Option<Stamp>,
+    of: Made,
+    file: Source,
+}
+
+/// A file's size and when it was written.
+#[derive(Debug, PartialEq, Eq)]
+struct Stamp(u64, SystemTime);
+
+impl Stamp {
+    fn of(is: &Metadata) -> Option<Self> {
+        Some(Self(is.len(), is.modified().ok()?))
+    }
+}
+
+/// What was made of what.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Made {
+    source_bytes: u64,
+    source_hash: u128,
+    bytes: u64,
+    hash: u128,
+}
+
+/// What will be made.
+pub(crate) struct Need {
+    /// What goes there of the model, as "its points are unpacked".
+    pub what: &'static str,
+    /// Bytes at most.
+    pub bytes: u64,
+    /// Bytes besides, until it is made.
+    pub meanwhile: u64,
+}
+
+/// What the formats need to make something of a model.
+pub(crate) struct Making<'a> {
+    pub cache: &'a Arc<Cache>,
+    pub progress: &'a dyn Progress,
+}
+
+impl Default for Cache {
+    fn default() -> Self {
+        Self::nameless(&std::env::temp_dir())
+    }
+}
+
+impl Cache {
+    /// One in a nameless file in `folder`, which is gone with the process.
+    pub fn nameless(folder: &Path) -> Self {
+        Self::at(Place::Nameless(folder.to_owned()))
+    }
+
+    /// One that is kept in the file `name` of a folder in the making.
+    pub fn in_new_folder(folder: &OutputFolder, name: &str) -> Self {
+        Self::at(Place::Claimed(folder.path().join(name), folder.target().join(name)))
+    }
+
+    /// One that is kept in the file `path` of a folder that is there. Where that is being written by others, or
+    /// cannot be, it goes to a nameless file.
+    pub fn in_folder(path: &Path) -> Self {
+        Self::at(Place::Shared(path.to_owned()))
+    }
+
+    fn at(place: Place) -> Self {
+        Self { place, made: Mutex::new(None) }
+    }
+
+    /// Bytes of what was made or found; `None` if nothing was needed so far.
+    pub fn bytes(&self) -> Option<u64> {
+        self.made.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|made| made.of.bytes)
+    }
+
+    /// Gives what is kept another name as well, if that can be done without copying it: it can be made anew.
+    pub fn link_to(&self, path: &Path) {
+        if let Place::Claimed(file, _) | Place::Shared(file) = &self.place {
+            let _ = std::fs::hard_link(file, path);
+        }
+    }
+
+    /// The folder for files without a name.
+    fn folder(&self) -> PathBuf {
+        match &self.place {
+            Place::Nameless(folder) => folder.clone(),
+            Place::Claimed(file, _) => folder_of(file).to_owned(),
+            Place::Shared(_) => std::env::temp_dir(),
+        }
+    }
+
+    /// A file without a name, for what is small.
+    pub(crate) fn scratch(&self) -> Result<Scratch> {
+        Scratch::new(&self.folder(), ADVICE)
+    }
+
+    /// What is made of a model: what was made of it before, or else what `fill` writes, which returns how many
+    /// bytes that are. It is read in the name of the model.
+    ///
+    /// # Errors
+    /// The model cannot be read, the disk has no room, or `fill` failed.
+    pub(crate) fn get(
+        &self,
+        source: &Source,
+        need: &Need,
+        progress: &dyn Progress,
+        fill: impl FnOnce(&Scratch) -> Result<u64>,
+    ) -> Result<Source> {
+        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        let stamp = source.metadata().ok().and_then(|is| Stamp::of(&is));
+        if let Some(known) = made.as_ref().filter(|known| stamp.is_some() && known.stamp == stamp) {
+            return Ok(known.file.clone());
+        }
+        let source_hash = hash(source, progress)?;
+        let is_same = |of: &Made| (of.source_bytes, of.source_hash) == (source.len(), source_hash);
+        let before = made.take().filter(|known| is_same(&known.of)).map(|known| (known.of, known.file));
+        let (of, file) = match before.or_else(|| self.kept(source, is_same, progress)) {
+            Some(found) => found,
+            None => self.fill(source, source_hash, need, progress, fill)?,
+        };
+        *made = Some(Known { stamp, of, file: file.clone() });
+        Ok(file)
+    }
+
+    /// What was kept, if it is whole and of this model.
+    fn kept(
+        &self,
+        source: &Source,
+        is_same: impl Fn(&Made) -> bool,
+        progress: &dyn Progress,
+    ) -> Option<(Made, Source)> {
+        let (Place::Claimed(path, _) | Place::Shared(path)) = &self.place else { return None };
+        let file = input::open(path).ok()?;
+        let len = file.metadata().ok()?.len();
+        let file = Positioned::new(file);
+        let mut ending = [0; ENDING];
+        file.read_exact_at(&mut ending, len.checked_sub(ENDING as u64)?).ok()?;
+        let of = Made::decode(&ending).filter(is_same)?;
+        if of.bytes != len - ENDING as u64 {
+            return None;
+        }
+        let file = Source::of_part(file, source.path(), of.bytes);
+        (hash(&file, progress).ok()? == of.hash).then_some((of, file))
+    }
+
+    fn fill(
+        &self,
+        source: &Source,
+        source_hash: u128,
+        need: &Need,
+        progress: &dyn Progress,
+        fill: impl FnOnce(&Scratch) -> Result<u64>,
+    ) -> Result<(Made, Source)> {
+        let output = self.output(need)?;
+        let folder = output.as_ref().map_or_else(|| self.folder(), |(o, _)| folder_of(o.path()).to_owned());
+        let place = match (&self.place, &output) {
+            (Place::Claimed(_, shown), _) => shown.clone(),
+            (_, Some((output, _))) => output.path().to_owned(),
+            (_, None) => format!("a temporary file in {}", folder.display()).into(),
+        };
+        check_space(&place, &folder, need.bytes.saturating_add(need.meanwhile))?;
+        let meanwhile = match need.meanwhile {
+            0 => String::new(),
+            bytes => format!(", and {} besides until it is done", human_size(bytes)),
+        };
+        let (path, takes) = (source.path().display(), human_size(need.bytes));
+        progress.note(&format!(
+            "{path}: {} into {}, which takes {takes}{meanwhile}",
+            need.what,
+            place.display()
+        ));
+        progress.begin("unpacking", 0);
+        let scratch = match &output {
+            Some((file, _)) => Scratch::of(file.part()?, &folder, ADVICE)?,
+            None => Scratch::new(&folder, ADVICE)?,
+        };
+        let bytes = fill(&scratch)?;
+        source.check_unchanged()?;
+        let file = Source::of_scratch(scratch, source.path(), bytes);
+        let mut of = Made { source_bytes: source.len(), source_hash, bytes, hash: 0 };
+        // Nobody else will look whether a nameless one is whole.
+        let Some((output, _claim)) = output else { return Ok((of, file)) };
+        of.hash = hash(&file, progress)?;
+        let part = Positioned::new(output.part()?);
+        part.write_all_at(&of.encode(), bytes).map_err(|e| Error::io("write", &place, &e))?;
+        output.commit()?;
+        Ok((of, Source::of_part(part, source.path(), bytes)))
+    }
+
+    /// The file to be kept, with the right to write it; none if it is to have no name.
+    fn output(&self, need: &Need) -> Result<Option<(OutputFile, Option<Claim>)>> {
+        match &self.place {
+            Place::Nameless(_) => Ok(None),
+            // Whether there is room is told by the name that it will have.
+            Place::Claimed(path, _) => Ok(Some((OutputFile::create(path, 0)?, None))),
+            Place::Shared(path) => {
+                let Ok(claim) = Claim::folder(folder_of(path)) else { return Ok(None) };
+                let Ok(file) = OutputFile::create(path, need.bytes.saturating_add(need.meanwhile)) else {
+                    return Ok(None);
+                };
+                Ok(Some((file, Some(claim))))
+            }
+        }
+    }
+}
+
+impl Made {
+    fn encode(&self) -> Vec<u8> {
+        let Self { source_bytes, source_hash, bytes, hash } = self;
+        let mut ending = MAGIC.to_vec();
+        ending.extend_from_slice(&source_bytes.to_le_bytes());
+        ending.extend_from_slice(&source_hash.to_le_bytes());
+        ending.extend_from_slice(&bytes.to_le_bytes());
+        ending.extend_from_slice(&hash.to_le_bytes());
+        ending
+    }
+
+    fn decode(ending: &[u8; ENDING]) -> Option<Self> {
+        let (magic, rest) = ending.split_first_chunk()?;
+        let (source_bytes, rest) = rest.split_first_chunk()?;
+        let (source_hash, rest) = rest.split_first_chunk()?;
+        let (bytes, rest) = rest.split_first_chunk()?;
+        let (hash, _) = rest.split_first_chunk()?;
+        (magic == MAGIC).then_some(Self {
+            source_bytes: u64::from_le_bytes(*source_bytes),
+            source_hash: u128::from_le_bytes(*source_hash),
+            bytes: u64::from_le_bytes(*bytes),
+            hash: u128::from_le_bytes(*hash),
+        })
+    }
+}
+
+/// The hash of all bytes.
+fn hash(source: &Source, progress: &dyn Progress) -> Result<u128> {
+    let (mut hash, mut block, mut at) = (Xxh3Default::new(), Vec::new(), 0);
+    while at < source.len() {
+        progress.check()?;
+        block.clear();
+        let read = source.append_at(&mut block, at, BLOCK)?;
+        hash.update(&block);
+        at += read as u64;
+    }
+    Ok(hash.digest128())
+}
