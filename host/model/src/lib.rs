@@ -19,6 +19,7 @@ mod convert;
 mod e57;
 mod error;
 mod fan;
+pub mod follow;
 mod form;
 mod formats;
 pub mod frame;

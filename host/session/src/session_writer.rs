@@ -5,7 +5,7 @@ use crate::motion::Motion;
 use crate::picked::PickedPoints;
 use crate::session_file::{
     Action, Deformation, HandleMove, Joint, Refine, Region, Role, Sampling, SessionFile, SessionTime, Step,
-    Stroke, VERSION,
+    FIRST_VERSION, Stroke, VERSION,
 };
 use crate::shapes::Shape;
 use crate::strokes_file;
@@ -35,7 +35,7 @@ impl SessionFile {
     /// it, to these files.
     fn to_toml(&self, path: &Path) -> Result<(String, Vec<PathBuf>)> {
         let mut document = DocumentMut::new();
-        document["version"] = value(VERSION);
+        document["version"] = value(if self.follow.is_empty() { FIRST_VERSION } else { VERSION });
         let folder = folder_of(path);
         let mut files = Vec::new();
         if let Some(model) = &self.model {
@@ -47,6 +47,10 @@ impl SessionFile {
                 model["fingerprint"] = value(fingerprint);
             }
             document["model"] = Item::Table(model);
+        }
+        if !self.follow.is_empty() {
+            let declared = self.follow.iter().map(|(name, kind)| (name, Value::from(kind.name())));
+            document["follow"] = Item::Table(declared.collect::<InlineTable>().into_table());
         }
         let sampling = sampling(&self.sampling);
         if !sampling.is_empty() {

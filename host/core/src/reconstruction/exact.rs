@@ -33,7 +33,8 @@ pub type ExactMap<'a> = dyn Fn(&mut [DVec3]) -> Result<()> + Sync + 'a;
 
 /// Whether the gradient is needed besides the images.
 pub fn needs_gradient(model: &dyn Model, normals: Normals, diagnostics: Option<&Path>) -> bool {
-    diagnostics.is_some() || model.info().has_normals && normals == Normals::Transform
+    let turns_normals = model.info().has_normals && normals == Normals::Transform;
+    diagnostics.is_some() || turns_normals || model.following().is_some()
 }
 
 /// Writes the model with the exact image of each vertex; all else of the file is as it is. Normals turn by
@@ -58,7 +59,7 @@ pub fn write_exact(
     check_reach(sampled, model, [version.deformed])?;
     let info = model.info();
     let mut file = OutputFile::create(version.output, info.bytes)?;
-    let create = |path| DiagnosticsFile::create(path, info, sampled.bounds.diagonal());
+    let create = |path| DiagnosticsFile::create(path, model, sampled.bounds.diagonal());
     let mut diagnostics = version.diagnostics.map(create).transpose()?;
     let gradients = needs_gradient(model, how.normals, version.diagnostics);
     let surveys = Surveys::new([diagnostics.as_mut()]);
@@ -128,7 +129,7 @@ impl Edit for Exact<'_> {
 impl Exact<'_> {
     /// Moves the vertices of each version; what the map does to them.
     fn moved(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<Vec<Carried>> {
-        let turns = |edited: &Edited| !edited.normals.is_empty() || !edited.tangents.is_empty();
+        let turns = |edited: &Edited| !edited.normals.is_empty() || !edited.gradients.is_empty();
         let moved = self.carry(&chunk.positions, self.gradients || versions.iter().any(turns))?;
         for edited in versions {
             for (position, moved) in edited.positions.iter_mut().zip(&moved) {
@@ -138,9 +139,9 @@ impl Exact<'_> {
                 let transport = moved.transport(self.sampled.frame.scale);
                 *normal = transport.normal(*normal, self.field.gradients.mirrored);
             }
-            for (tangent, moved) in edited.tangents.iter_mut().zip(&moved) {
-                let transport = moved.transport(self.sampled.frame.scale);
-                *tangent = transport.tangent(*tangent, self.field.gradients.mirrored);
+            edited.mirrored = self.field.is_mirrored();
+            for (gradient, moved) in edited.gradients.iter_mut().zip(&moved) {
+                *gradient = moved.gradient.as_mat3();
             }
         }
         Ok(moved)

@@ -42,7 +42,7 @@ use std::ops::Range;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use glam::{Mat3, Vec3, Vec4};
+use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
 use crate::sampling::SampleSet;
@@ -69,6 +69,7 @@ pub use reach::choose_offset;
 use sheets::Sheets;
 pub(crate) use sheets::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, sheet_distance};
 pub use simod_model::Normals;
+use simod_model::follow;
 use stencils::Stencils;
 pub use stream::{Folding, PART_BYTES, Reconstructed, Reconstruction, Version, reconstruct};
 
@@ -88,30 +89,9 @@ impl Transport {
     /// Nothing happens.
     pub const NONE: Self = Self { displacement: Vec3::ZERO, gradient: Mat3::IDENTITY };
 
-    /// The normal after the deformation, of the same length as before. `mirrored` says that the deformation
-    /// as a whole turns left into right, where what is outside stays outside.
+    /// The [normal](follow::normal) after the deformation.
     pub fn normal(&self, n: Vec3, mirrored: bool) -> Vec3 {
-        if self.gradient == Mat3::IDENTITY || !n.is_finite() {
-            return n;
-        }
-        // F⁻ᵀ up to a factor: the cofactors, which exist for a singular F too. The sign of the determinant
-        // here, which a flat surface hardly tells, would turn single normals round.
-        let [a, b, c] = [self.gradient.x_axis, self.gradient.y_axis, self.gradient.z_axis];
-        let cofactors = Mat3::from_cols(b.cross(c), c.cross(a), a.cross(b));
-        let turned = cofactors * n;
-        turned.try_normalize().map_or(n, |t| t * if mirrored { -n.length() } else { n.length() })
-    }
-
-    /// The tangent after the deformation: its direction goes with the gradient, as a line on the surface does,
-    /// and is of the same length as before. Its last number is the side on which normal × direction has the
-    /// bitangent, which is the other one where the deformation as a whole is `mirrored`.
-    pub fn tangent(&self, t: Vec4, mirrored: bool) -> Vec4 {
-        if self.gradient == Mat3::IDENTITY || !t.is_finite() {
-            return t;
-        }
-        let side = if mirrored { -t.w } else { t.w };
-        let turned = (self.gradient * t.truncate()).try_normalize();
-        turned.map_or(t, |turned| (turned * t.truncate().length()).extend(side))
+        follow::normal(&self.gradient, n, mirrored)
     }
 }
 
@@ -283,6 +263,11 @@ impl<'a> DeformationField<'a> {
         self.deformed.iter().map(bits).eq(self.around.samples.positions.iter().map(bits))
     }
 
+    /// Whether it turns left into right as a whole.
+    pub(crate) fn is_mirrored(&self) -> bool {
+        self.gradients.mirrored
+    }
+
     /// What is known of the samples at rest.
     pub fn around(&self) -> &'a Surroundings<'a> {
         self.around
@@ -302,7 +287,8 @@ impl<'a> DeformationField<'a> {
         let expected_error = if self.active[home] { self.expected_at(home, p, *displacement) } else { 0.0 };
         let [displacement, expected_error] =
             [displacement.length(), expected_error].map(|x| (f64::from(x) * scale) as f32);
-        Figures { displacement, stretch, folded, expected_error }
+        let anisotropy = follow::anisotropy(gradient);
+        Figures { displacement, stretch, folded, expected_error, anisotropy }
     }
 
     /// Carries a vertex over that no support reaches, as one that lies far off the samples.

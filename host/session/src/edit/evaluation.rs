@@ -14,6 +14,7 @@ use simod_core::reconstruction::{
 };
 use simod_core::refinement::{Refining, Selection, appended_deformed, refine};
 use simod_core::sampled_model::SampledModel;
+use simod_model::follow::Follow;
 use simod_model::{Error, ErrorKind, Progress, Result};
 use simod_plugin_api::{Effort, HandleDesc, Time};
 use std::collections::HashMap;
@@ -75,19 +76,21 @@ impl Evaluated {
     }
 
     /// Writes the deformed model, whole or not at all. `model` is where it is, if it was moved since it was
-    /// sampled.
+    /// sampled, and `follow` what turns with the surface.
     ///
     /// # Errors
     /// A step could not be done; the model or the file cannot be read or written; the user cancelled.
     pub fn write(
         self,
         model: Option<&Path>,
+        follow: &Follow,
         output: &Path,
         how: &Reconstruction<'_>,
         progress: &dyn Progress,
     ) -> Result<Reconstructed> {
         messages(self.statuses)?;
-        let model = self.sampled.open_source(model)?;
+        let mut model = self.sampled.open_source(model)?;
+        model.follow(follow)?;
         let deformed = self.sampled.rounded(&self.positions);
         let version = Version { deformed: &deformed, output, diagnostics: None };
         reconstruct(&self.sampled, model.as_ref(), &[version], how, progress)
