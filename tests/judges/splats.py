@@ -24,12 +24,17 @@ DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1)[:, None]
 
 
 def torus(count):
-    """Points on a bumpy torus, and the normals of the smooth one."""
+    """Points on a bumpy torus, and its normals there."""
     u, v = RNG.uniform(0, 2 * np.pi, (2, count))
-    radius = 0.35 + 0.02 * np.sin(7 * u) * np.cos(5 * v)
-    ring = np.stack([np.cos(u), np.sin(u), 0 * u], 1)
-    n = ring * np.cos(v)[:, None] + np.array([0, 0, 1.0]) * np.sin(v)[:, None]
-    return ring + radius[:, None] * n, n
+
+    def at(u, v):
+        radius = 0.35 + 0.02 * np.sin(7 * u) * np.cos(5 * v)
+        ring = np.stack([np.cos(u), np.sin(u), 0 * u], 1)
+        return ring + radius[:, None] * (ring * np.cos(v)[:, None] + np.array([0, 0, 1.0]) * np.sin(v)[:, None])
+
+    h = 1e-5
+    n = np.cross(at(u + h, v) - at(u - h, v), at(u, v + h) - at(u, v - h))
+    return at(u, v), n / np.linalg.norm(n, axis=1)[:, None]
 
 
 def scene(path, count, degree=3):
@@ -185,6 +190,13 @@ def bump(p):
 
 
 MAPS = [rigid, twist, bend, bump]
+
+# The same as steps of a session.
+LENGTHS = "center = [0, 0, 0], from = -2, to = 2"
+STEPS = {
+    "twist": f'operation = "twist", angle = {np.degrees(0.8 * 4)}, axis = [1, 0, 0], {LENGTHS}',
+    "bend": f'operation = "bend", angle = {np.degrees(0.5 * 4)}, axis = [1, 0, 0], direction = [0, 1, 0], {LENGTHS}',
+}
 
 
 def polar(j):

@@ -661,7 +661,11 @@ pub trait Model: Send + Sync {
         let Some(name) = follow.declared.keys().next() else { return Ok(()) };
         Err(Error::new(
             ErrorKind::Argument,
-            format!("{} has no property {name} that can be rewritten: its format is {}", self.path().display(), self.info().format),
+            format!(
+                "{} has no property {name} that can be rewritten: its format is {}",
+                self.path().display(),
+                self.info().format
+            ),
             "properties follow in PLY and PCD: have `simod convert` make such a file first",
         ))
     }

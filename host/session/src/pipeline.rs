@@ -20,7 +20,7 @@ use simod_model::{
 use simod_plugin_api::Effort;
 
 use crate::deformer::Message;
-use crate::edit::{Document, Evaluated, Evaluation, Refinements, messages};
+use crate::edit::{Document, Evaluated, Evaluation, Refinements, messages, turning_gradients};
 use crate::plugins::PluginRegistry;
 use crate::session_file::{self, SessionFile, Step};
 use crate::stack::{PreparedStack, Stack};
@@ -268,7 +268,9 @@ impl Run {
             let cost = told_cost(&deformed, model.as_ref(), running, progress)?;
             (evaluated(&deformed, model.as_ref(), &version, how, progress)?, Some(cost))
         } else {
-            (reconstruct(&deformed.sampled, model.as_ref(), &[version], how, progress)?, None)
+            let known = turning_gradients(&deformed.sampled, &deformed.stack, model.as_ref(), progress)?;
+            let how = Reconstruction { gradients: known.as_deref(), ..*how };
+            (reconstruct(&deformed.sampled, model.as_ref(), &[version], &how, progress)?, None)
         };
         let seconds = start.elapsed().as_secs_f64();
         let output = output.to_owned();

@@ -4,8 +4,8 @@
 use crate::motion::Motion;
 use crate::picked::PickedPoints;
 use crate::session_file::{
-    Action, Deformation, HandleMove, Joint, Refine, Region, Role, Sampling, SessionFile, SessionTime, Step,
-    FIRST_VERSION, Stroke, VERSION,
+    Action, Deformation, FIRST_VERSION, HandleMove, Joint, Refine, Region, Role, Sampling, SessionFile,
+    SessionTime, Step, Stroke, VERSION,
 };
 use crate::shapes::Shape;
 use crate::strokes_file;

@@ -236,7 +236,7 @@ impl Workspace {
             let gradient = one_by_one.map_or_else(|| self.gradient(i), |moved| moved.gradient);
             let moved = Transport { displacement, gradient };
             if let Some(to) = gradients.get_mut(i) {
-                *to = gradient;
+                *to = field.completed(home, self.local[i], gradient);
             }
             if let Some(figures) = figures {
                 *figures = field.figures(home, self.local[i], &moved, frame.scale);

@@ -5,8 +5,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Mat3, Vec3};
-use simod_model::output::OutputFile;
 use simod_model::follow::Following;
+use simod_model::output::OutputFile;
 use simod_model::{Error, Model, Result, Scalar};
 
 use super::expansion::Expansion;

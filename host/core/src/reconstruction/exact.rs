@@ -6,6 +6,7 @@ use std::sync::Mutex;
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
+use simod_model::frame::Frame;
 use simod_model::output::OutputFile;
 use simod_model::{Edit, Edited, Model, Normals, Output, Progress, RawChunk, Result, Rewriting, VertexChunk};
 use xxhash_rust::xxh3::Xxh3Default;
@@ -88,6 +89,34 @@ pub fn write_exact(
         folding: vec![Some(folding)],
         expected: vec![expected],
     })
+}
+
+/// The gradients of a map at points of the model, from differences; the identity where nothing tells.
+///
+/// # Errors
+/// The map fails.
+pub(super) fn gradients(map: &ExactMap<'_>, frame: &Frame, positions: &[DVec3]) -> Result<Vec<DMat3>> {
+    let step = STEP * frame.scale;
+    let mut columns = Vec::with_capacity(3);
+    for axis in DVec3::AXES {
+        let beside = |by: f64| -> Result<Vec<DVec3>> {
+            let mut points: Vec<DVec3> = positions.iter().map(|p| *p + by * axis).collect();
+            map(&mut points)?;
+            Ok(points)
+        };
+        columns.push((beside(step)?, beside(-step)?));
+    }
+    let gradient = |(i, p): (usize, &DVec3)| {
+        // The distance that there really is, where coordinates are large.
+        let column = |axis: usize| {
+            let (after, before) = (&columns[axis].0, &columns[axis].1);
+            (after[i] - before[i]) / ((p[axis] + step) - (p[axis] - step))
+        };
+        let gradient = DMat3::from_cols(column(0), column(1), column(2));
+        let tells = gradient.is_finite() && !gradient.abs_diff_eq(DMat3::IDENTITY, STILL);
+        if tells { gradient } else { DMat3::IDENTITY }
+    };
+    Ok(positions.iter().enumerate().map(gradient).collect())
 }
 
 struct Exact<'a> {
@@ -179,26 +208,8 @@ impl Exact<'_> {
         if !gradient {
             return Ok(carried);
         }
-        let step = STEP * frame.scale;
-        let mut columns = Vec::with_capacity(3);
-        for axis in DVec3::AXES {
-            let beside = |by: f64| -> Result<Vec<DVec3>> {
-                let mut points: Vec<DVec3> = positions.iter().map(|p| *p + by * axis).collect();
-                (self.map)(&mut points)?;
-                Ok(points)
-            };
-            columns.push((beside(step)?, beside(-step)?));
-        }
-        for (i, (p, carried)) in positions.iter().zip(&mut carried).enumerate() {
-            // The distance that there really is, where coordinates are large.
-            let column = |axis: usize| {
-                let (after, before) = (&columns[axis].0, &columns[axis].1);
-                (after[i] - before[i]) / ((p[axis] + step) - (p[axis] - step))
-            };
-            let gradient = DMat3::from_cols(column(0), column(1), column(2));
-            if gradient.is_finite() && !gradient.abs_diff_eq(DMat3::IDENTITY, STILL) {
-                carried.gradient = gradient;
-            }
+        for (carried, gradient) in carried.iter_mut().zip(gradients(self.map, frame, positions)?) {
+            carried.gradient = gradient;
         }
         Ok(carried)
     }

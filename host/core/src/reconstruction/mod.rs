@@ -23,6 +23,7 @@ mod expected_error;
 mod gradients;
 mod homes;
 mod hull;
+mod known_gradients;
 mod lanes;
 mod least_squares;
 mod limiter;
@@ -62,6 +63,7 @@ use expected_error::{Expectation, Rounding};
 use gradients::Gradients;
 use homes::Cells;
 pub(crate) use homes::RING as TANGENT_RING;
+pub use known_gradients::known_gradients;
 use least_squares::Unresolved;
 use limiter::{Limiter, outer};
 use neighbourhood::Neighbourhood;
@@ -212,6 +214,8 @@ pub struct DeformationField<'a> {
     /// What is expected around each sample, if [that was asked for](Self::expecting).
     expected: Vec<Expectation>,
     rounding: Rounding,
+    /// What the gradient lacks at each sample, if [that is known](Self::knowing).
+    missing: Vec<Mat3>,
 }
 
 impl<'a> DeformationField<'a> {
@@ -249,6 +253,7 @@ impl<'a> DeformationField<'a> {
             folds,
             expected: Vec::new(),
             rounding: Rounding::default(),
+            missing: Vec::new(),
         }
     }
 

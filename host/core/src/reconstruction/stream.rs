@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::time::UNIX_EPOCH;
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
 use simod_model::output::check_space;
 use simod_model::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
 use simod_model::target::{canonical_target, folder_of};
@@ -66,6 +66,9 @@ pub struct Reconstruction<'a> {
     /// Where [`bind`](super::bind) may have kept what does not depend on the deformation. It is used if it
     /// fits.
     pub binding: Option<&'a Path>,
+    /// The [gradient](super::known_gradients) of the one version's map at each sample, where it is known: by it
+    /// turns what [follows](Model::following).
+    pub gradients: Option<&'a [Mat3]>,
 }
 
 impl Default for Reconstruction<'_> {
@@ -76,6 +79,7 @@ impl Default for Reconstruction<'_> {
             resume: false,
             part_bytes: PART_BYTES,
             binding: None,
+            gradients: None,
         }
     }
 }
@@ -281,7 +285,11 @@ impl<'a> Work<'a> {
         let info = self.model.info();
         let field = |begun: &Begun<'a>| {
             let field = DeformationField::new(&surroundings, begun.version.deformed, self.how.method);
-            field.expecting(&self.sampled.frame, info)
+            let field = field.expecting(&self.sampled.frame, info);
+            match self.how.gradients {
+                Some(known) if known.len() == self.sampled.samples.len() => field.knowing(known),
+                _ => field,
+            }
         };
         let fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
         for (field, begun) in fields.iter().zip(&self.pass) {
@@ -393,8 +401,9 @@ impl<'a> Work<'a> {
         let contacts = contacts.as_ref().map(|digest| &digest[..]);
         let following = model.following().map(|following| following.descriptions().join("; "));
         let following = following.as_ref().map(|text| text.as_bytes());
+        let known: Option<&[u8]> = how.gradients.map(bytemuck::cast_slice);
         let mut hash = Xxh3Default::new();
-        for bytes in [&small[..]].into_iter().chain(points).chain(contacts).chain(following) {
+        for bytes in [&small[..]].into_iter().chain(points).chain(contacts).chain(following).chain(known) {
             hash.update(&(bytes.len() as u64).to_le_bytes());
             hash.update(bytes);
         }

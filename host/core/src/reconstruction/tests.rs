@@ -238,8 +238,12 @@ fn tangents_turn_as_lines_on_the_surface_do() {
         assert!(field.is_still());
         let mut gradients = vec![Mat3::IDENTITY; points.len()];
         let mut positions = rest.clone();
-        let moved =
-            Moved { positions: &mut positions, normals: &mut [], gradients: &mut gradients, figures: &mut [] };
+        let moved = Moved {
+            positions: &mut positions,
+            normals: &mut [],
+            gradients: &mut gradients,
+            figures: &mut [],
+        };
         carry(std::slice::from_ref(&field), &LOCAL, &rest, None, &mut [moved]);
         assert!(gradients.iter().all(|gradient| *gradient == Mat3::IDENTITY));
     }

@@ -22,8 +22,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::Attribute;
 use splat::Splat;
-pub use turn::{normal, tangent};
 use turn::Turn;
+pub use turn::{normal, tangent};
 
 /// How declared numbers turn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

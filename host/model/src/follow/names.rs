@@ -115,9 +115,7 @@ mod tests {
             let scale = (0..scales).map(|i| format!("scale_{i}"));
             rot.chain(scale).chain((0..rest).rev().map(|i| format!("f_rest_{i}"))).collect()
         };
-        let of = |names: &[String]| {
-            splat(&floats(&names.iter().map(String::as_str).collect::<Vec<_>>()))
-        };
+        let of = |names: &[String]| splat(&floats(&names.iter().map(String::as_str).collect::<Vec<_>>()));
         for (scales, rest, degree) in [(3, 0, 0), (2, 9, 1), (3, 24, 2), (3, 45, 3)] {
             let (splat, places) = of(&names(scales, rest)).unwrap().unwrap();
             assert_eq!(splat, Splat { scales, degree });

@@ -43,8 +43,8 @@ pub use writer::{Besides, write_points, write_vertices};
 
 use super::source::Source;
 use super::{Edit, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, VertexReader, pipeline};
-use crate::progress::Silent;
 use crate::follow::{Follow, Following};
+use crate::progress::Silent;
 use crate::{Error, ErrorKind, Progress, Result};
 use faces::{Faces, SomeFaces};
 use layout::Layout;
