@@ -13,10 +13,9 @@ use std::sync::mpsc::sync_channel;
 use std::thread;
 
 use glam::{DVec3, Mat3, Vec3, Vec4};
-use serde::{Deserialize, Serialize};
 
 use crate::follow::{self, Follow, Following};
-use crate::{Error, ErrorKind, Progress, Result, ScaledIntegers, Summary, Type};
+use crate::{Attribute, Error, ErrorKind, Progress, Result, ScaledIntegers, Summary};
 
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
 pub const CHUNK_VERTICES: usize = 1 << 16;
@@ -47,31 +46,6 @@ impl Scalar {
             Self::F32 => 4,
             Self::F64 => 8,
         }
-    }
-}
-
-/// A number that each vertex has, beside its position and its normal.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Attribute {
-    /// What the file calls it, as `red`.
-    pub name: String,
-    /// The type of its numbers.
-    pub kind: Type,
-}
-
-impl Attribute {
-    /// Longest name, in bytes.
-    const LONGEST_NAME: usize = 255;
-
-    /// Whether its numbers are names of classes, as they are in LAS: a mean of them is none.
-    pub fn is_of_classes(&self) -> bool {
-        self.name == "classification" && !self.kind.is_float()
-    }
-
-    /// Whether something can be asked for by this name: it is short, and nothing in it needs care when it is
-    /// shown.
-    pub fn is_name(name: &str) -> bool {
-        (1..=Self::LONGEST_NAME).contains(&name.len()) && !name.chars().any(char::is_control)
     }
 }
 

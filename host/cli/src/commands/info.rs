@@ -11,6 +11,7 @@ use simod_model::bounds::Bounds;
 use simod_model::{Result, Scalar, ScaledIntegers};
 use simod_picture::picture;
 
+use super::reconstruct::tell_following;
 use crate::report::{Report, count, length};
 
 /// Show what a model, or a sampled model, holds
@@ -56,6 +57,7 @@ impl Info {
         if !info.other_properties.is_empty() {
             report.line(format!("further properties: {}", info.other_properties.join(", ")));
         }
+        tell_following(&*model, report);
         if bounds.is_empty() {
             report.line("no vertex has a finite position");
         } else {

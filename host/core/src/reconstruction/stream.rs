@@ -286,10 +286,9 @@ impl<'a> Work<'a> {
         let field = |begun: &Begun<'a>| {
             let field = DeformationField::new(&surroundings, begun.version.deformed, self.how.method);
             let field = field.expecting(&self.sampled.frame, info);
-            match self.how.gradients {
-                Some(known) if known.len() == self.sampled.samples.len() => field.knowing(known),
-                _ => field,
-            }
+            let known = self.how.gradients.filter(|known| known.len() == self.sampled.samples.len());
+            let is_smooth = known.is_some() || self.how.method == Method::BlendedJets;
+            if is_smooth && self.model.following().is_some() { field.knowing(known) } else { field }
         };
         let fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
         for (field, begun) in fields.iter().zip(&self.pass) {

@@ -1,6 +1,6 @@
 //! Which of the vertices' numbers turn, by their names.
 
-use super::Kind;
+use super::rules::Kind;
 use super::splat::Splat;
 use crate::{Attribute, Type};
 

@@ -5,8 +5,8 @@ use std::fmt;
 
 use glam::{DMat3, DQuat};
 
-use super::Opacity;
 use super::harmonics::Rotation;
+use super::rules::Opacity;
 use super::turn::{Turn, lengths, on_side_of, orthogonal, sorted};
 
 /// Cosines between axes below this are those of right angles: what a gradient in floats cannot tell apart
@@ -169,11 +169,14 @@ fn conserved(before: f64, area: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::follow::some_gradient;
     use glam::{DVec3, EulerRot};
     use proptest::prelude::*;
 
     const SOLID: Splat = Splat { scales: 3, degree: 0 };
+
+    fn some_gradient() -> DMat3 {
+        DMat3::from_cols_array(&[1.1, 0.2, -0.3, -0.1, 0.8, 0.4, 0.2, -0.5, 1.3])
+    }
 
     fn covariance(numbers: &[f64]) -> DMat3 {
         let q = DQuat::from_xyzw(numbers[1], numbers[2], numbers[3], numbers[0]);

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec3, Mat3, Vec3, Vec4};
 
-use super::Kind;
+use super::rules::Kind;
 
 /// Columns are orthogonal once the cosines between them are below this.
 const ORTHOGONAL: f64 = 1e-14;
@@ -192,10 +192,23 @@ fn polar(j: &DMat3) -> Option<DMat3> {
     Some(DMat3::from_cols(a, b, c) * v.transpose())
 }
 
+/// How much longer than wide a round splat becomes under a deformation of this gradient: the ratio of its two
+/// largest singular values.
+pub fn anisotropy(gradient: &Mat3) -> f32 {
+    if *gradient == Mat3::IDENTITY {
+        return 1.0;
+    }
+    let [a, b, _] = sorted(lengths(&orthogonal(&gradient.as_dmat3(), 1e-9).0));
+    (a / b) as f32
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::follow::some_gradient;
+
+    fn some_gradient() -> DMat3 {
+        DMat3::from_cols_array(&[1.1, 0.2, -0.3, -0.1, 0.8, 0.4, 0.2, -0.5, 1.3])
+    }
 
     fn rotation() -> DMat3 {
         DMat3::from_quat(DQuat::from_euler(glam::EulerRot::XYZ, 0.7, -1.1, 2.0))
