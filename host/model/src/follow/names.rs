@@ -21,6 +21,25 @@ fn all(names: &[String], attributes: &[Attribute]) -> Result<Option<Vec<usize>>,
     names.iter().map(|name| place(name, attributes)).collect()
 }
 
+/// Ways in which programs name the parts of a vector.
+const STYLES: usize = 6;
+
+/// What a part of `name` is called in one of these ways.
+fn spelt(style: usize, name: &str, i: usize, part: &str) -> String {
+    match style {
+        0 => format!("{name}_{part}"),
+        1 => format!("{name}{part}"),
+        2 => format!("{name}.{part}"),
+        3 => format!("{name}_{i}"),
+        4 => format!("{name}{i}"),
+        // nx1 of n1.
+        _ => {
+            let (letter, rest) = name.split_at(name.chars().next().map_or(0, char::len_utf8));
+            format!("{letter}{part}{rest}")
+        }
+    }
+}
+
 /// The attributes that are meant by a declared name, in the order of its numbers.
 pub(super) fn declared(name: &str, kind: Kind, attributes: &[Attribute]) -> Result<Vec<usize>, String> {
     let parts: &[&str] = match kind {
@@ -29,19 +48,9 @@ pub(super) fn declared(name: &str, kind: Kind, attributes: &[Attribute]) -> Resu
         Kind::QuaternionXyzw => &["x", "y", "z", "w"],
         Kind::Covariance => &["xx", "xy", "xz", "yy", "yz", "zz"],
     };
-    let split = name.char_indices().nth(1).map_or(name.len(), |(at, _)| at);
-    let (letter, rest) = name.split_at(split);
-    // nx1 of n1 comes last, as it looks like nx_1 of nothing else.
-    let styles: [&dyn Fn(usize, &str) -> String; 6] = [
-        &|_, part| format!("{name}_{part}"),
-        &|_, part| format!("{name}{part}"),
-        &|_, part| format!("{name}.{part}"),
-        &|i, _| format!("{name}_{i}"),
-        &|i, _| format!("{name}{i}"),
-        &|_, part| format!("{letter}{part}{rest}"),
-    ];
-    for style in styles {
-        let names: Vec<String> = parts.iter().enumerate().map(|(i, part)| style(i, part)).collect();
+    for style in 0..STYLES {
+        let names: Vec<String> =
+            parts.iter().enumerate().map(|(i, part)| spelt(style, name, i, part)).collect();
         if let Some(places) = all(&names, attributes)? {
             return Ok(places);
         }
