@@ -303,6 +303,7 @@ mod tests {
     use crate::session_file::Origin;
     use crate::shapes::Shapes;
     use simod_core::sampling::{By, Placement};
+    use simod_model::follow::Kind;
     use std::sync::Arc;
 
     fn stroke(points: usize) -> Arc<Stroke> {
@@ -359,6 +360,7 @@ mod tests {
         SessionFile {
             model: Some(folder.join("models/nefertiti.ply")),
             columns: Some("x,y,z,_,nx,ny,nz".into()),
+            follow: [("n1".to_owned(), Kind::Normal), ("t".to_owned(), Kind::Vector)].into(),
             fingerprint: Some("xxh3-128:0".to_owned()),
             sampling: Sampling {
                 samples: Some(50_000),
@@ -419,12 +421,16 @@ mod tests {
         let (text, _) = session.to_toml(&folder.join("edit.toml")).unwrap();
         assert_eq!(
             text,
-            r#"version = 1
+            r#"version = 2
 
 [model]
 path = "models/nefertiti.ply"
 columns = "x,y,z,_,nx,ny,nz"
 fingerprint = "xxh3-128:0"
+
+[follow]
+n1 = "normal"
+t = "vector"
 
 [sampling]
 samples = 50000
