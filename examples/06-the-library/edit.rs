@@ -50,7 +50,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     work.tell(&format!("undone: {undone}"), &editor)?;
 
     let full = work.update(&editor, Effort::FULL)?;
-    full.write(editor.model(), output, &Reconstruction::default(), &Silent)?;
+    full.write(editor.model(), &editor.follow(), output, &Reconstruction::default(), &Silent)?;
     editor.save(session)?;
     println!("wrote {} and {}", output.display(), session.display());
     Ok(())

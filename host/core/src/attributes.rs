@@ -9,7 +9,7 @@
 //! The file begins with eight letters and a version; the hash of the `samples.ply` and of the model that it
 //! belongs to follow, the attributes, and a checksum.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use simod_model::{Attribute, Error, ErrorKind, Model, Progress, Result};
@@ -17,7 +17,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 
 use crate::reconstruction::{Surroundings, homes};
 use crate::sampled_model::{SampledModel, fingerprint};
-use crate::sampling::KdTree;
+use crate::sampling::kd_tree::completed;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
 
 /// Most attributes that samples have: the first ones of the file.
@@ -214,20 +214,6 @@ impl Attributes {
         };
         self.0.len() <= MOST && self.0.iter().enumerate().all(is_good)
     }
-}
-
-/// The values of all samples, by those that are known; nothing if none is.
-pub(crate) fn completed<T: Copy>(values: &[Option<T>], positions: &[Vec3]) -> Option<Vec<T>> {
-    let known: Vec<usize> = (0..values.len()).filter(|i| values[*i].is_some()).collect();
-    if known.is_empty() {
-        return None;
-    }
-    if known.len() == values.len() {
-        return values.iter().copied().collect();
-    }
-    let tree = KdTree::new(&known.iter().map(|i| positions[*i]).collect::<Vec<_>>());
-    let value = |(value, p): (&Option<T>, &Vec3)| value.or_else(|| values[known[tree.nearest(*p) as usize]]);
-    values.iter().zip(positions).map(value).collect()
 }
 
 fn damaged(what: &str) -> Error {

@@ -15,8 +15,8 @@ use simod_model::frame::Frame;
 use simod_model::scratch::Scratch;
 use simod_model::{ColorScale, Colors, Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 
-use crate::attributes::completed;
 use crate::sampling::KdTree;
+use crate::sampling::kd_tree::completed;
 
 /// Vertices for each sample that are enough for a mean.
 const ENOUGH: u64 = 8;

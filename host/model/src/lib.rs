@@ -11,6 +11,7 @@
 //!
 //! Nothing here prints, opens a window, or knows of samples.
 
+mod attribute;
 pub mod bounds;
 mod cache;
 pub mod claim;
@@ -20,6 +21,7 @@ mod convert;
 mod e57;
 mod error;
 mod fan;
+pub mod follow;
 mod form;
 mod formats;
 pub mod frame;
@@ -53,6 +55,7 @@ mod text;
 mod uncached;
 mod unfit;
 
+pub use attribute::Attribute;
 pub use cache::Cache;
 pub use colors::{ColorScale, Colors};
 pub use convert::Converted;
@@ -61,9 +64,9 @@ pub use form::Conversion;
 pub use formats::{extensions, is_model, is_named_otherwise, open, open_with, open_with_columns};
 pub use in_step::{Vertices, in_step};
 pub use model::{
-    Attribute, CHUNK_TRIANGLES, CHUNK_VERTICES, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark,
-    FaceReader, MAX_VERSIONS, Model, ModelInfo, Normals, Output, RawChunk, Rewriting, SMALL_CHUNK, Scalar,
-    VertexChunk, VertexReader, for_faces, for_faces_at, for_positions, for_vertices,
+    CHUNK_TRIANGLES, CHUNK_VERTICES, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader,
+    MAX_VERSIONS, Model, ModelInfo, Normals, Output, RawChunk, Rewriting, SMALL_CHUNK, Scalar, VertexChunk,
+    VertexReader, for_faces, for_faces_at, for_positions, for_vertices,
 };
 pub use number::Type;
 pub use ply::{Besides, write_points, write_vertices};

@@ -12,10 +12,10 @@ use std::path::Path;
 use std::sync::mpsc::sync_channel;
 use std::thread;
 
-use glam::{DVec3, Vec3, Vec4};
-use serde::{Deserialize, Serialize};
+use glam::{DVec3, Mat3, Vec3, Vec4};
 
-use crate::{Error, ErrorKind, Progress, Result, ScaledIntegers, Summary, Type};
+use crate::follow::{self, Follow, Following};
+use crate::{Attribute, Error, ErrorKind, Progress, Result, ScaledIntegers, Summary};
 
 /// Most vertices in a chunk: the bound of every buffer of a reader or a writer.
 pub const CHUNK_VERTICES: usize = 1 << 16;
@@ -46,31 +46,6 @@ impl Scalar {
             Self::F32 => 4,
             Self::F64 => 8,
         }
-    }
-}
-
-/// A number that each vertex has, beside its position and its normal.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Attribute {
-    /// What the file calls it, as `red`.
-    pub name: String,
-    /// The type of its numbers.
-    pub kind: Type,
-}
-
-impl Attribute {
-    /// Longest name, in bytes.
-    const LONGEST_NAME: usize = 255;
-
-    /// Whether its numbers are names of classes, as they are in LAS: a mean of them is none.
-    pub fn is_of_classes(&self) -> bool {
-        self.name == "classification" && !self.kind.is_float()
-    }
-
-    /// Whether something can be asked for by this name: it is short, and nothing in it needs care when it is
-    /// shown.
-    pub fn is_name(name: &str) -> bool {
-        (1..=Self::LONGEST_NAME).contains(&name.len()) && !name.chars().any(char::is_control)
     }
 }
 
@@ -155,6 +130,8 @@ pub struct VertexChunk {
     /// Tangents as glTF has them, a direction along the surface and the side on which the bitangent is, which is
     /// normal × direction times the last number (1 or -1): only where a model is rewritten that has any.
     pub tangents: Vec<Vec4>,
+    /// Other numbers of the vertices [turn with the surface](Model::following): only where the model is rewritten.
+    pub(crate) follows: bool,
     /// The bytes of the file that these vertices were read from; in a compressed file those of whole blocks,
     /// each with the first chunk that was read of it.
     pub(crate) raw: Vec<u8>,
@@ -238,7 +215,7 @@ pub(crate) struct Block {
 
 /// What the vertices of a chunk become in one version of the model.
 ///
-/// Memory: 36 bytes per vertex, so at most 2.3 MiB, and 16 more with tangents; [`Model::rewrite`] holds one for
+/// Memory: 36 bytes per vertex, so at most 2.3 MiB, and 36 more with gradients; [`Model::rewrite`] holds one for
 /// each version and thread.
 #[derive(Debug, Default)]
 pub struct Edited {
@@ -246,9 +223,19 @@ pub struct Edited {
     pub positions: Vec<DVec3>,
     /// Normals, as many as the chunk has; empty where the model has none, or they are not to be transformed.
     pub normals: Vec<Vec3>,
-    /// Tangents, likewise: the direction turns as a line on the surface does, and the last number changes its
-    /// sign where the deformation as a whole turns left into right.
-    pub tangents: Vec<Vec4>,
+    /// The gradient of the deformation at each vertex, which is the identity until it is changed; empty where
+    /// nothing is to turn by it. Tangents and [all that follows](Model::following) do.
+    pub gradients: Vec<Mat3>,
+    /// Whether the deformation as a whole turns left into right.
+    pub mirrored: bool,
+}
+
+impl Edited {
+    /// What becomes of the chunk's tangents.
+    pub(crate) fn tangents(&self, chunk: &VertexChunk) -> Vec<Vec4> {
+        let turned = chunk.tangents.iter().zip(&self.gradients);
+        turned.map(|(t, gradient)| follow::tangent(gradient, *t, self.mirrored)).collect()
+    }
 }
 
 /// What becomes of a model's normals when it is rewritten. Of no effect where it has none.
@@ -646,8 +633,32 @@ pub trait Model: Send + Sync {
         ))
     }
 
+    /// What turns with the surface besides normals and tangents when it is rewritten, if it is known what does:
+    /// that is told by names, or by the properties of Gaussian splats.
+    fn following(&self) -> Option<&Following> {
+        None
+    }
+
+    /// Says what is to turn with the surface from now on.
+    ///
+    /// # Errors
+    /// What is declared is not there, or cannot be changed in the format; splats lack a property.
+    fn follow(&mut self, follow: &Follow) -> Result<()> {
+        let Some(name) = follow.declared.keys().next() else { return Ok(()) };
+        Err(Error::new(
+            ErrorKind::Argument,
+            format!(
+                "{} has no property {name} that can be rewritten: its format is {}",
+                self.path().display(),
+                self.info().format
+            ),
+            "properties follow in PLY and PCD: have `simod convert` make such a file first",
+        ))
+    }
+
     /// Streams the whole file to all `outputs` in one reading: each gets a version of its own, with the
-    /// positions and normals that `edit` gives its vertices. Every other byte is copied as it is.
+    /// positions and normals that `edit` gives its vertices, and what [follows](Self::following) from the
+    /// gradients. Every other byte is copied as it is.
     ///
     /// `edit` sees each chunk as it is in the file, and for each output an [`Edited`], which is as the chunk
     /// until it is changed. Of the pieces that `how` says are done it is told, but does not get them. A

@@ -11,6 +11,8 @@ use std::io;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
+use glam::Mat3;
+
 use super::{Edit, Edited, MAX_VERSIONS, Normals, Output, RawChunk, Rewriting, Summary, VertexChunk};
 use crate::source::Source;
 use crate::{Error, ErrorKind, Progress, Result};
@@ -429,18 +431,30 @@ impl Edited {
         self.positions.clear();
         self.positions.extend_from_slice(&chunk.positions);
         self.normals.clear();
-        self.tangents.clear();
         if normals == Normals::Transform {
             self.normals.extend_from_slice(&chunk.normals);
-            self.tangents.extend_from_slice(&chunk.tangents);
+        }
+        self.gradients.clear();
+        self.gradients.resize(Self::gradients_of(chunk, normals), Mat3::IDENTITY);
+        self.mirrored = false;
+    }
+
+    /// How many gradients are asked for.
+    fn gradients_of(chunk: &VertexChunk, normals: Normals) -> usize {
+        if chunk.follows {
+            chunk.len()
+        } else if normals == Normals::Transform {
+            chunk.tangents.len()
+        } else {
+            0
         }
     }
 
     /// An error where it does not have as many vertices as the chunk.
     fn check(&self, chunk: &VertexChunk, normals: Normals) -> Result<()> {
         let expected = |count: usize| if normals == Normals::Transform { count } else { 0 };
-        let directions = (expected(chunk.normals.len()), expected(chunk.tangents.len()));
-        if self.positions.len() == chunk.len() && (self.normals.len(), self.tangents.len()) == directions {
+        let directions = (expected(chunk.normals.len()), Self::gradients_of(chunk, normals));
+        if self.positions.len() == chunk.len() && (self.normals.len(), self.gradients.len()) == directions {
             return Ok(());
         }
         let (vertices, first, edited) = (chunk.len(), chunk.first, self.positions.len());

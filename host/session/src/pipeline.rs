@@ -12,6 +12,7 @@ use simod_core::reconstruction::{
 };
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target, sample};
+use simod_model::follow::Follow;
 use simod_model::target::folder_of;
 use simod_model::{
     Cache, Conversion, Converted, Error, ErrorKind, Model, Normals, Progress, Result, is_named_otherwise,
@@ -19,7 +20,7 @@ use simod_model::{
 use simod_plugin_api::Effort;
 
 use crate::deformer::Message;
-use crate::edit::{Document, Evaluated, Evaluation, Refinements, messages};
+use crate::edit::{Document, Evaluated, Evaluation, Refinements, messages, turning_gradients};
 use crate::plugins::PluginRegistry;
 use crate::session_file::{self, SessionFile, Step};
 use crate::stack::{PreparedStack, Stack};
@@ -35,6 +36,13 @@ pub fn sampled(
     (folder, cache): (&Path, &Arc<Cache>),
     progress: &dyn Progress,
 ) -> Result<(SampledModel, Box<dyn Model>)> {
+    let model = open(session, cache, progress)?;
+    let sampled = sampled_of(session, &*model, skip, (folder, cache), progress)?;
+    Ok((sampled, model))
+}
+
+/// Opens a session's model.
+fn open(session: &SessionFile, cache: &Arc<Cache>, progress: &dyn Progress) -> Result<Box<dyn Model>> {
     let path = session.model.as_deref().ok_or_else(|| {
         Error::new(
             ErrorKind::Argument,
@@ -49,15 +57,25 @@ pub fn sampled(
             "put it back, correct [model] path in the session, or say where it is with --model",
         ));
     }
-    let model = simod_model::open_with(path, session.columns.as_deref(), cache, progress)?;
+    simod_model::open_with(path, session.columns.as_deref(), cache, progress)
+}
+
+/// Samples a session's model, which is open.
+fn sampled_of(
+    session: &SessionFile,
+    model: &dyn Model,
+    skip: Skip,
+    (folder, cache): (&Path, &Arc<Cache>),
+    progress: &dyn Progress,
+) -> Result<SampledModel> {
     let mut sampling = Sampling::from(session.sampling);
     sampling.skip = Skip { sheets: sampling.skip.sheets, ..skip };
-    let mut sampled = sample(model.as_ref(), &sampling, folder, progress)?;
+    let mut sampled = sample(model, &sampling, folder, progress)?;
     sampled.set_cache(cache.clone());
     if session.fingerprint.as_ref().is_some_and(|known| *known != sampled.source.fingerprint) {
-        progress.note(&format!("{} is not what it was when the session was saved", path.display()));
+        progress.note(&format!("{} is not what it was when the session was saved", model.path().display()));
     }
-    Ok((sampled, model))
+    Ok(sampled)
 }
 
 /// P_S*: the samples of a model after the steps of a session.
@@ -96,7 +114,7 @@ pub fn deform(
 }
 
 /// How a session is run.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy)]
 pub struct Running<'a> {
     /// How the deformation is transferred.
     pub how: Reconstruction<'a>,
@@ -113,6 +131,24 @@ pub struct Running<'a> {
     pub choose_offset: bool,
     /// What is written in another format than the model's may lose what that cannot hold.
     pub lossy: bool,
+    /// What turns with the surface besides normals; that of the [default](Follow::default) is splats.
+    pub follow: &'a Follow,
+}
+
+impl Default for Running<'_> {
+    fn default() -> Self {
+        static FOLLOW: Follow = Follow::SPLATS;
+        Self {
+            how: Reconstruction::default(),
+            diagnostics: None,
+            measure: false,
+            exact: false,
+            tolerance: None,
+            choose_offset: false,
+            lossy: false,
+            follow: &FOLLOW,
+        }
+    }
 }
 
 /// What the evaluation of every vertex was expected to take.
@@ -139,6 +175,8 @@ pub struct Run {
     pub certificate: Option<Certificate>,
     /// What was told beforehand, if every vertex was evaluated.
     pub exact: Option<ExactCost>,
+    /// What turned with the surface besides normals and tangents, for people.
+    pub following: Vec<String>,
     /// Seconds from opening the model to the finished output.
     pub seconds: f64,
 }
@@ -157,7 +195,8 @@ impl Run {
         output: &Path,
         progress: &dyn Progress,
     ) -> Result<Self> {
-        let running = Running { how: *how, measure, ..Running::default() };
+        let follow = Follow::default().or_declared(&session.follow);
+        let running = Running { how: *how, measure, follow: &follow, ..Running::default() };
         Self::execute_with(session, plugins, &running, output, progress)
     }
 
@@ -174,7 +213,8 @@ impl Run {
         output: &Path,
         progress: &dyn Progress,
     ) -> Result<Self> {
-        let Running { how, diagnostics, measure, exact, tolerance, choose_offset: may_move, lossy } = running;
+        let Running { how, diagnostics, measure, exact, tolerance, choose_offset: may_move, lossy, follow } =
+            running;
         let start = Instant::now();
         let stack = Stack::build(&session.steps, plugins)?;
         if *measure || *exact {
@@ -195,13 +235,18 @@ impl Run {
         let skip = Skip { triangles: !triangles, cells: !cells, colors: true, ..Skip::default() };
         let cache = &Arc::new(Cache::nameless(folder));
         let converted = converted(session, output, (how.normals, *lossy), (cache, progress))?;
-        let (sampled, mut model) = sampled(session, skip, (folder, cache), progress)?;
+        let mut model = open(session, cache, progress)?;
+        // Before it is sampled, as what is declared may not be there.
+        model.follow(follow)?;
+        let following = model.following().map_or(Vec::new(), |following| following.descriptions().to_vec());
+        let sampled = sampled_of(session, &*model, skip, (folder, cache), progress)?;
         if let Some(converted) = converted {
             let losses = converted.losses();
             if !losses.is_empty() {
                 progress.note(&format!("what is lost: {}", losses.join("; ")));
             }
             model = Box::new(converted);
+            model.follow(follow)?;
         }
         let (deformed, certificate) = match tolerance {
             Some(tolerance) => {
@@ -225,10 +270,13 @@ impl Run {
             let cost = told_cost(&deformed, model.as_ref(), running, progress)?;
             (evaluated(&deformed, model.as_ref(), &version, how, progress)?, Some(cost))
         } else {
-            (reconstruct(&deformed.sampled, model.as_ref(), &[version], how, progress)?, None)
+            let known = turning_gradients(&deformed.sampled, &deformed.stack, model.as_ref(), progress)?;
+            let how = Reconstruction { gradients: known.as_deref(), ..*how };
+            (reconstruct(&deformed.sampled, model.as_ref(), &[version], &how, progress)?, None)
         };
         let seconds = start.elapsed().as_secs_f64();
-        Ok(Self { deformed, output: output.to_owned(), written, certificate, exact, seconds })
+        let output = output.to_owned();
+        Ok(Self { deformed, output, written, certificate, exact, following, seconds })
     }
 
     /// Compares the output with the exact image of every vertex of the model.

@@ -9,6 +9,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use simod_core::refinement::Finer;
 use simod_core::sampling::{By, Placement};
+use simod_model::follow::Kind;
 use simod_model::target::{canonical_target, folder_of};
 use simod_model::{Error, ErrorKind, Result, input};
 use simod_plugin_api::Time;
@@ -22,7 +23,10 @@ use toml::Spanned;
 const LARGEST: u64 = 16 << 20;
 
 /// The format's version: raised when what a session says could not be understood any more by former versions.
-pub(crate) const VERSION: i64 = 1;
+pub(crate) const VERSION: i64 = 2;
+
+/// The version of those that declare nothing to follow: former programs understand them.
+pub(crate) const FIRST_VERSION: i64 = 1;
 
 /// A session. Paths are as the program needs them: relative to the current folder, or absolute.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -31,6 +35,8 @@ pub struct SessionFile {
     pub model: Option<PathBuf>,
     /// What its columns are, if it is a text in columns that does not say so, as "x,y,z,_,nx,ny,nz".
     pub columns: Option<String>,
+    /// Numbers of the vertices that turn with the surface, by what their names begin with.
+    pub follow: BTreeMap<String, Kind>,
     /// The model's [fingerprint](simod_core::sampled_model::Source) when the session was saved.
     pub fingerprint: Option<String>,
     /// How finely to sample it.
@@ -434,6 +440,7 @@ pub struct Region {
 struct RawSession {
     version: Option<Spanned<i64>>,
     model: Option<RawModel>,
+    follow: Option<Spanned<BTreeMap<String, Kind>>>,
     #[serde(default)]
     sampling: Option<Spanned<Sampling>>,
     time: Option<Spanned<SessionTime>>,
@@ -543,10 +550,15 @@ impl SessionFile {
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let source = Source { text, path };
         let raw: RawSession = toml::from_str(text).map_err(|e| source.refused(&e))?;
-        if let Some(version) = raw.version.filter(|v| !(1..=VERSION).contains(v.get_ref())) {
+        if let Some(version) = raw.version.as_ref().filter(|v| !(1..=VERSION).contains(v.get_ref())) {
             let what =
                 format!("the session is of version {}, this program knows {VERSION}", version.get_ref());
             return Err(source.error(&version.span(), &what, "open it with a newer version of SIMOD"));
+        }
+        let version = raw.version.map_or(VERSION, Spanned::into_inner);
+        if let Some(follow) = raw.follow.as_ref().filter(|_| version < VERSION) {
+            let hint = "write `version = 2` at its beginning: programs that do not know it refuse it then";
+            return Err(source.error(&follow.span(), "`follow` is of sessions of version 2", hint));
         }
         let folder = path.parent().unwrap_or(Path::new(""));
         let sampling = match raw.sampling {
@@ -557,6 +569,7 @@ impl SessionFile {
             columns: raw.model.as_ref().and_then(|m| m.columns.clone()),
             fingerprint: raw.model.as_ref().and_then(|m| m.fingerprint.clone()),
             model: raw.model.map(|m| folder.join(m.path)),
+            follow: raw.follow.map(Spanned::into_inner).unwrap_or_default(),
             sampling,
             time: raw.time.map_or(Ok(SessionTime::default()), |time| source.time(&time))?,
             steps: raw.step.into_iter().map(|s| source.step(s)).collect::<Result<_>>()?,

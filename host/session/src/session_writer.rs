@@ -4,8 +4,8 @@
 use crate::motion::Motion;
 use crate::picked::PickedPoints;
 use crate::session_file::{
-    Action, Deformation, HandleMove, Joint, Refine, Region, Role, Sampling, SessionFile, SessionTime, Step,
-    Stroke, VERSION,
+    Action, Deformation, FIRST_VERSION, HandleMove, Joint, Refine, Region, Role, Sampling, SessionFile,
+    SessionTime, Step, Stroke, VERSION,
 };
 use crate::shapes::Shape;
 use crate::strokes_file;
@@ -35,7 +35,7 @@ impl SessionFile {
     /// it, to these files.
     fn to_toml(&self, path: &Path) -> Result<(String, Vec<PathBuf>)> {
         let mut document = DocumentMut::new();
-        document["version"] = value(VERSION);
+        document["version"] = value(if self.follow.is_empty() { FIRST_VERSION } else { VERSION });
         let folder = folder_of(path);
         let mut files = Vec::new();
         if let Some(model) = &self.model {
@@ -47,6 +47,10 @@ impl SessionFile {
                 model["fingerprint"] = value(fingerprint);
             }
             document["model"] = Item::Table(model);
+        }
+        if !self.follow.is_empty() {
+            let declared = self.follow.iter().map(|(name, kind)| (name, Value::from(kind.name())));
+            document["follow"] = Item::Table(declared.collect::<InlineTable>().into_table());
         }
         let sampling = sampling(&self.sampling);
         if !sampling.is_empty() {
@@ -299,6 +303,7 @@ mod tests {
     use crate::session_file::Origin;
     use crate::shapes::Shapes;
     use simod_core::sampling::{By, Placement};
+    use simod_model::follow::Kind;
     use std::sync::Arc;
 
     fn stroke(points: usize) -> Arc<Stroke> {
@@ -355,6 +360,7 @@ mod tests {
         SessionFile {
             model: Some(folder.join("models/nefertiti.ply")),
             columns: Some("x,y,z,_,nx,ny,nz".into()),
+            follow: [("n1".to_owned(), Kind::Normal), ("t".to_owned(), Kind::Vector)].into(),
             fingerprint: Some("xxh3-128:0".to_owned()),
             sampling: Sampling {
                 samples: Some(50_000),
@@ -415,12 +421,16 @@ mod tests {
         let (text, _) = session.to_toml(&folder.join("edit.toml")).unwrap();
         assert_eq!(
             text,
-            r#"version = 1
+            r#"version = 2
 
 [model]
 path = "models/nefertiti.ply"
 columns = "x,y,z,_,nx,ny,nz"
 fingerprint = "xxh3-128:0"
+
+[follow]
+n1 = "normal"
+t = "vector"
 
 [sampling]
 samples = 50000

@@ -50,6 +50,16 @@ fn comparing_methods() {
     assert!(page.contains("5 methods on cactus.ply") && !page.contains("Failed"), "{}", lesson.said);
 }
 
+#[test]
+fn a_splat_scene() {
+    if Command::new("python3").arg("--version").output().is_err() {
+        return skip("python3 is not installed");
+    }
+    let lesson = Lesson::follow("07-a-splat-scene");
+    lesson.assert_deformed("scene.ply", "posed.ply");
+    assert!(lesson.said.contains("Gaussian splats with harmonics of degree 1"), "{}", lesson.said);
+}
+
 /// The programs of the lesson on the library, one after the other.
 #[test]
 fn the_library() {

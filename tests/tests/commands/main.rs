@@ -22,6 +22,7 @@ mod reliability;
 mod resume;
 mod sampling;
 mod sheets;
+mod splats;
 mod trust;
 mod turntable;
 mod untouched;

@@ -12,6 +12,7 @@ use simod_model::bounds::Bounds;
 use simod_model::{Result, Scalar, ScaledIntegers};
 use simod_picture::picture;
 
+use super::reconstruct::tell_following;
 use super::tell_cache;
 use crate::report::{Report, count, length};
 
@@ -61,6 +62,7 @@ impl Info {
         if !info.other_properties.is_empty() {
             report.line(format!("further properties: {}", info.other_properties.join(", ")));
         }
+        tell_following(&*model, report);
         if bounds.is_empty() {
             report.line("no vertex has a finite position");
         } else {

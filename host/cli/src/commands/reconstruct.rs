@@ -1,5 +1,6 @@
 //! `simod reconstruct`: deformed samples back onto the whole model.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
@@ -16,6 +17,7 @@ use simod_session::Tolerance;
 use simod_session::tolerance::check_precision;
 
 use super::convert::tell_losses;
+use super::follow_options::FollowOptions;
 use super::overwrite::Overwrite;
 use super::sample::parse_bytes;
 use super::{tell_cache, warn_non_finite};
@@ -69,6 +71,8 @@ pub struct Reconstruct {
     /// Write another format than the model's even where it cannot hold all
     #[arg(long)]
     lossy: bool,
+    #[command(flatten)]
+    following: FollowOptions,
     #[command(flatten)]
     overwrite: Overwrite,
 }
@@ -140,6 +144,8 @@ impl Reconstruct {
             guard.writes(path, Kind::Model)?;
         }
         let mut model = sampled.open_source(self.model.as_deref(), report.progress())?;
+        model.follow(&self.following.follow(&BTreeMap::new()))?;
+        tell_following(&*model, report);
         if self.offset == OffsetName::Auto {
             let chosen = choose_offset(&sampled, model.as_mut(), deformed.iter().map(Vec::as_slice))?;
             chosen.into_iter().for_each(|changed| report.progress().note(&changed));
@@ -167,6 +173,7 @@ impl Reconstruct {
             resume: self.resume,
             part_bytes: self.part_size,
             binding: Some(&binding),
+            gradients: None,
         };
         if let Some(tolerance) = self.tolerance {
             report.progress().begin("estimating the error", 0);
@@ -296,6 +303,13 @@ impl Reconstruct {
             }
         }
     }
+}
+
+/// Says what turns with the surface besides normals and tangents.
+pub fn tell_following(model: &dyn Model, report: &mut Report) {
+    let Some(following) = model.following() else { return };
+    report.line(format!("turning with the surface: {}", following.descriptions().join("; ")));
+    report.figure("following", following.descriptions().to_vec());
 }
 
 /// Reports how far vertices are expected to be off.

@@ -11,6 +11,7 @@ use simod_model::Result;
 use simod_session::session_file::inputs;
 use simod_session::{Certificate, ExactCost, Run as Pipeline, Running, SessionFile, Tolerance};
 
+use super::follow_options::FollowOptions;
 use super::overwrite::Overwrite;
 use super::plugin_options::PluginOptions;
 use super::reconstruct::{MethodName, NormalsName, OffsetName, describe_expected, warn_beyond};
@@ -58,6 +59,8 @@ pub struct Run {
     #[arg(long)]
     lossy: bool,
     #[command(flatten)]
+    following: FollowOptions,
+    #[command(flatten)]
     time: TimeOptions,
     #[command(flatten)]
     overwrite: Overwrite,
@@ -99,10 +102,15 @@ impl Run {
             tolerance: self.tolerance,
             choose_offset: self.offset == OffsetName::Auto,
             lossy: self.lossy,
+            follow: &self.following.follow(&session.follow),
         };
         let run = Pipeline::execute_with(&session, &plugins, &running, &output, progress)?;
         describe(&run, report);
         tell_cache(run.deformed.sampled.cache(), report);
+        if !run.following.is_empty() {
+            report.line(format!("turned with the surface: {}", run.following.join("; ")));
+            report.figure("following", run.following.clone());
+        }
         let diagonal = run.deformed.sampled.bounds.diagonal();
         if let Some(expected) = run.written.expected.first().copied().flatten() {
             report.figure("expected_error", json!(expected));

@@ -326,7 +326,7 @@ impl Carrying<'_> {
         let mut moved = rest.clone();
         let mut figures = vec![Figures::UNKNOWN; rest.len()];
         let to =
-            Moved { positions: &mut moved, normals: &mut turned, tangents: &mut [], figures: &mut figures };
+            Moved { positions: &mut moved, normals: &mut turned, gradients: &mut [], figures: &mut figures };
         carry(std::slice::from_ref(field), frame, &rest, Some(&at), &mut [to]);
         spacing.iter_mut().zip(&figures).for_each(|(spacing, figures)| {
             let stretch = figures.stretch[0];

@@ -3,7 +3,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use glam::{DVec3, Mat3, Vec3, Vec4};
+use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use simod_model::frame::Frame;
 
@@ -55,8 +55,8 @@ pub struct Moved<'a> {
     pub positions: &'a mut [DVec3],
     /// Normals that are to be turned: as many, or none.
     pub normals: &'a mut [Vec3],
-    /// Tangents that are to be turned: as many, or none.
-    pub tangents: &'a mut [Vec4],
+    /// The gradient of the deformation at each, which is filled in where anything moves: as many, or none.
+    pub gradients: &'a mut [Mat3],
     /// What becomes of the surface, which is filled in: as many, or none.
     pub figures: &'a mut [Figures],
 }
@@ -114,14 +114,14 @@ fn blocks<'a>(
             moved: Vec::with_capacity(moved.len()),
         })
         .collect();
-    for Moved { positions, normals, tangents, figures } in moved {
+    for Moved { positions, normals, gradients, figures } in moved {
         let (mut of_normals, mut of_figures) = (normals.chunks_mut(BLOCK), figures.chunks_mut(BLOCK));
-        let mut of_tangents = tangents.chunks_mut(BLOCK);
+        let mut of_gradients = gradients.chunks_mut(BLOCK);
         for (block, positions) in blocks.iter_mut().zip(positions.chunks_mut(BLOCK)) {
             let normals = of_normals.next().unwrap_or_default();
-            let tangents = of_tangents.next().unwrap_or_default();
+            let gradients = of_gradients.next().unwrap_or_default();
             let figures = of_figures.next().unwrap_or_default();
-            block.moved.push(Moved { positions, normals, tangents, figures });
+            block.moved.push(Moved { positions, normals, gradients, figures });
         }
     }
     blocks
@@ -181,7 +181,7 @@ impl Workspace {
 
     /// Carries the block over.
     fn carry(&mut self, field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3], moved: Moved<'_>) {
-        let Moved { positions: images, normals, tangents, figures } = moved;
+        let Moved { positions: images, normals, gradients, figures } = moved;
         if field.method == Method::BlendedJets {
             self.grouped.normals.iter_mut().for_each(|v| {
                 v.resize(if normals.is_empty() { 0 } else { self.grouped.positions[0].len() }, 0.0)
@@ -192,7 +192,7 @@ impl Workspace {
             let mirrored = field.gradients.mirrored;
             let supports = &field.around.supports;
             let gradient = !figures.is_empty()
-                || !tangents.is_empty()
+                || !gradients.is_empty()
                 || !normals.is_empty() && field.limiter.is_needed();
             blend(supports, &field.expansions, mirrored, gradient, &mut self.grouped);
             field.find_within_range(&mut self.grouped);
@@ -230,13 +230,13 @@ impl Workspace {
                     None => self.normal(i),
                 };
             }
-            if figures.is_none() && tangents.is_empty() {
+            if figures.is_none() && gradients.is_empty() {
                 continue;
             }
             let gradient = one_by_one.map_or_else(|| self.gradient(i), |moved| moved.gradient);
             let moved = Transport { displacement, gradient };
-            if let Some(tangent) = tangents.get_mut(i) {
-                *tangent = moved.tangent(*tangent, field.gradients.mirrored);
+            if let Some(to) = gradients.get_mut(i) {
+                *to = field.completed(home, self.local[i], gradient);
             }
             if let Some(figures) = figures {
                 *figures = field.figures(home, self.local[i], &moved, frame.scale);

@@ -5,8 +5,9 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Mat3, Vec3};
+use simod_model::follow::Following;
 use simod_model::output::OutputFile;
-use simod_model::{Error, ModelInfo, Result, Scalar};
+use simod_model::{Error, Model, Result, Scalar};
 
 use super::expansion::Expansion;
 use super::expected_error::Tally;
@@ -25,14 +26,21 @@ pub struct Figures {
     pub folded: bool,
     /// How far it is expected to be off, in the model's unit.
     pub expected_error: f32,
+    /// How many times as long as wide a round splat becomes.
+    pub anisotropy: f32,
 }
 
 impl Figures {
     /// Of a vertex without a finite position.
-    pub const UNKNOWN: Self =
-        Self { displacement: f32::NAN, stretch: [f32::NAN; 2], folded: false, expected_error: f32::NAN };
+    pub const UNKNOWN: Self = Self {
+        displacement: f32::NAN,
+        stretch: [f32::NAN; 2],
+        folded: false,
+        expected_error: f32::NAN,
+        anisotropy: f32::NAN,
+    };
 
-    /// Bytes in a file.
+    /// Bytes in a file, without the anisotropy.
     const BYTES: u64 = 21;
 }
 
@@ -47,6 +55,11 @@ pub fn principal_stretches(gradient: &Mat3, normal: Vec3) -> [f32; 2] {
     // Their product is the change of area.
     let smallest = if largest > 0.0 { a.cross(b).length() / largest } else { 0.0 };
     [largest, smallest.min(largest)]
+}
+
+/// Whether the vertices are splats that turn with the surface.
+fn has_splats(model: &dyn Model) -> bool {
+    model.following().is_some_and(Following::has_splats)
 }
 
 /// Where a deformation folds the surface, so that a part of it is turned inside out.
@@ -131,6 +144,8 @@ pub struct DiagnosticsFile {
     file: OutputFile,
     path: PathBuf,
     scalar: Scalar,
+    /// The vertices are splats, whose anisotropy is written.
+    of_splats: bool,
     /// One over the model's diagonal at rest.
     inverse_diagonal: f64,
     /// Folded vertices up to here.
@@ -141,15 +156,18 @@ pub struct DiagnosticsFile {
 
 impl DiagnosticsFile {
     /// Size of such a file of a model, in bytes, but for its header.
-    pub fn expected_bytes(info: &ModelInfo) -> u64 {
-        info.vertices * (3 * info.position_type.size() as u64 + Figures::BYTES)
+    pub fn expected_bytes(model: &dyn Model) -> u64 {
+        let info = model.info();
+        let anisotropy = if has_splats(model) { 4 } else { 0 };
+        info.vertices * (3 * info.position_type.size() as u64 + Figures::BYTES + anisotropy)
     }
 
     /// Begins the file of a model with this diagonal at rest.
     ///
     /// # Errors
     /// As for [`OutputFile::create`], and [`write`](Self::write).
-    pub fn create(path: &Path, info: &ModelInfo, diagonal: f64) -> Result<Self> {
+    pub fn create(path: &Path, model: &dyn Model, diagonal: f64) -> Result<Self> {
+        let (info, of_splats) = (model.info(), has_splats(model));
         let scalar = info.position_type;
         let kind = match scalar {
             Scalar::F32 => "float",
@@ -161,14 +179,16 @@ impl DiagnosticsFile {
         let position = ["x", "y", "z"].map(|name| (kind, name));
         let expected = ["expected_error", "expected_error_fraction"].map(|name| ("float", name));
         let all = position.into_iter().chain(of_floats).chain([("uchar", "folded")]).chain(expected);
+        let all = all.chain(of_splats.then_some(("float", "anisotropy")));
         for (kind, name) in all {
             header.push_str(&format!("property {kind} {name}\n"));
         }
         header.push_str("end_header\n");
-        let file = OutputFile::create(path, Self::expected_bytes(info))?;
+        let file = OutputFile::create(path, Self::expected_bytes(model))?;
         let inverse_diagonal = 1.0 / diagonal.max(f64::MIN_POSITIVE);
         let expected = Tally::default();
-        let mut this = Self { file, path: path.to_owned(), scalar, inverse_diagonal, folded: 0, expected };
+        let path = path.to_owned();
+        let mut this = Self { file, path, scalar, of_splats, inverse_diagonal, folded: 0, expected };
         this.file.write_all(header.as_bytes()).map_err(|e| this.failed(e))?;
         Ok(this)
     }
@@ -197,6 +217,9 @@ impl DiagnosticsFile {
                 self.folded += u64::from(f.folded);
                 let part = f64::from(f.expected_error) * self.inverse_diagonal;
                 bytes.extend_from_slice([f.expected_error, part as f32].map(f32::to_le_bytes).as_flattened());
+                if self.of_splats {
+                    bytes.extend_from_slice(&f.anisotropy.to_le_bytes());
+                }
                 self.expected.add(part, 1);
             }
             self.file.write_all(&bytes).map_err(|e| self.failed(e))?;

@@ -256,7 +256,7 @@ impl DeformationField<'_> {
         let at = |i: &usize| of.frame.to_model(self.around.samples.positions[*i]);
         let rest: Vec<DVec3> = single.iter().map(at).collect();
         let mut carried = rest.clone();
-        let moved = Moved { positions: &mut carried, normals: &mut [], tangents: &mut [], figures: &mut [] };
+        let moved = Moved { positions: &mut carried, normals: &mut [], gradients: &mut [], figures: &mut [] };
         carry(std::slice::from_ref(&self), &of.frame, &rest, None, &mut [moved]);
         for (i, carried) in single.into_iter().zip(carried) {
             let off = of.frame.to_model(self.deformed[i]).distance(carried) / of.frame.scale;

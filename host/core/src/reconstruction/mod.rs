@@ -43,7 +43,7 @@ use std::ops::Range;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use glam::{Mat3, Vec3, Vec4};
+use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
 use crate::sampling::SampleSet;
@@ -56,7 +56,7 @@ pub(crate) use block::homes;
 pub use block::{Moved, carry};
 use bound::Bound;
 pub use diagnostics::{Figures, Folds, principal_stretches};
-pub use exact::{EVALUATIONS_WITH_GRADIENT, ExactMap, needs_gradient, write_exact};
+pub use exact::{EVALUATIONS_WITH_GRADIENT, ExactMap, known_gradients, needs_gradient, write_exact};
 use expansion::Expansion;
 pub use expected_error::{Beyond, ExpectedError};
 use expected_error::{Expectation, Rounding};
@@ -70,6 +70,7 @@ pub use reach::choose_offset;
 use sheets::Sheets;
 pub(crate) use sheets::{CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, sheet_distance};
 pub use simod_model::Normals;
+use simod_model::follow;
 use stencils::Stencils;
 pub use stream::{Folding, PART_BYTES, Reconstructed, Reconstruction, Version, reconstruct};
 
@@ -89,30 +90,9 @@ impl Transport {
     /// Nothing happens.
     pub const NONE: Self = Self { displacement: Vec3::ZERO, gradient: Mat3::IDENTITY };
 
-    /// The normal after the deformation, of the same length as before. `mirrored` says that the deformation
-    /// as a whole turns left into right, where what is outside stays outside.
+    /// The [normal](follow::normal) after the deformation.
     pub fn normal(&self, n: Vec3, mirrored: bool) -> Vec3 {
-        if self.gradient == Mat3::IDENTITY || !n.is_finite() {
-            return n;
-        }
-        // F⁻ᵀ up to a factor: the cofactors, which exist for a singular F too. The sign of the determinant
-        // here, which a flat surface hardly tells, would turn single normals round.
-        let [a, b, c] = [self.gradient.x_axis, self.gradient.y_axis, self.gradient.z_axis];
-        let cofactors = Mat3::from_cols(b.cross(c), c.cross(a), a.cross(b));
-        let turned = cofactors * n;
-        turned.try_normalize().map_or(n, |t| t * if mirrored { -n.length() } else { n.length() })
-    }
-
-    /// The tangent after the deformation: its direction goes with the gradient, as a line on the surface does,
-    /// and is of the same length as before. Its last number is the side on which normal × direction has the
-    /// bitangent, which is the other one where the deformation as a whole is `mirrored`.
-    pub fn tangent(&self, t: Vec4, mirrored: bool) -> Vec4 {
-        if self.gradient == Mat3::IDENTITY || !t.is_finite() {
-            return t;
-        }
-        let side = if mirrored { -t.w } else { t.w };
-        let turned = (self.gradient * t.truncate()).try_normalize();
-        turned.map_or(t, |turned| (turned * t.truncate().length()).extend(side))
+        follow::normal(&self.gradient, n, mirrored)
     }
 }
 
@@ -233,6 +213,8 @@ pub struct DeformationField<'a> {
     /// What is expected around each sample, if [that was asked for](Self::expecting).
     expected: Vec<Expectation>,
     rounding: Rounding,
+    /// What the expansions' gradients lack at each sample; empty unless [smooth ones](Self::knowing) are asked for.
+    missing: Vec<Mat3>,
 }
 
 impl<'a> DeformationField<'a> {
@@ -270,6 +252,7 @@ impl<'a> DeformationField<'a> {
             folds,
             expected: Vec::new(),
             rounding: Rounding::default(),
+            missing: Vec::new(),
         }
     }
 
@@ -282,6 +265,11 @@ impl<'a> DeformationField<'a> {
     pub fn is_still(&self) -> bool {
         let bits = |p: &Vec3| p.to_array().map(f32::to_bits);
         self.deformed.iter().map(bits).eq(self.around.samples.positions.iter().map(bits))
+    }
+
+    /// Whether it turns left into right as a whole.
+    pub(crate) fn is_mirrored(&self) -> bool {
+        self.gradients.mirrored
     }
 
     /// What is known of the samples at rest.
@@ -303,7 +291,41 @@ impl<'a> DeformationField<'a> {
         let expected_error = if self.active[home] { self.expected_at(home, p, *displacement) } else { 0.0 };
         let [displacement, expected_error] =
             [displacement.length(), expected_error].map(|x| (f64::from(x) * scale) as f32);
-        Figures { displacement, stretch, folded, expected_error }
+        let anisotropy = follow::anisotropy(gradient);
+        Figures { displacement, stretch, folded, expected_error, anisotropy }
+    }
+
+    /// The same, with smooth gradients for what turns; and with those at the samples known, if they are.
+    ///
+    /// Memory: 36 bytes per sample.
+    pub(super) fn knowing(mut self, known: Option<&[Mat3]>) -> Self {
+        let missing = |(known, e): (&Mat3, &Expansion)| *known - Mat3::IDENTITY - e.slope();
+        self.missing = match known {
+            Some(known) => known.iter().zip(&self.expansions).map(missing).collect(),
+            None => vec![Mat3::ZERO; self.expansions.len()],
+        };
+        self
+    }
+
+    /// The gradient at a place around a home by which numbers turn, where that of the blend is this: the blend of the
+    /// gradients that the expansions have there, each corrected by what it is known to lack at its sample. That is
+    /// smoother than the gradient of the blend, in which the weights' slopes make more of rounding.
+    pub(super) fn completed(&self, home: usize, p: Vec3, gradient: Mat3) -> Mat3 {
+        if self.missing.is_empty() {
+            return gradient;
+        }
+        let (mut blended, mut sum) = (Mat3::ZERO, 0.0);
+        for i in self.around.reaching(home) {
+            let e = &self.expansions[i];
+            let s = e.within(p).max(0.0);
+            if s > 0.0 {
+                let w = s * s * s;
+                let (_, slope) = e.at(p - Vec3::from_array(e.center));
+                blended += (slope + self.missing[i]) * w;
+                sum += w;
+            }
+        }
+        if sum > 0.0 { Mat3::IDENTITY + blended * (1.0 / sum) } else { gradient }
     }
 
     /// Carries a vertex over that no support reaches, as one that lies far off the samples.

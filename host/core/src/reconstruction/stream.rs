@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::time::UNIX_EPOCH;
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
 use simod_model::output::check_space;
 use simod_model::resumable::{Finished, Opened, ResumableFile, bytes_there, is_left};
 use simod_model::target::{canonical_target, folder_of};
@@ -44,7 +44,8 @@ pub struct Version<'a> {
     /// A file that is to say what becomes of the surface at each vertex, likewise: a binary PLY file of the
     /// deformed positions with `displacement` (in the model's unit), `stretch_max` and `stretch_min` (1 at
     /// rest), `folded` (0 or 1), `expected_error` (how far the vertex is probably off, in the model's unit),
-    /// and `expected_error_fraction` (the same as a fraction of the diagonal at rest). The numbers of a
+    /// and `expected_error_fraction` (the same as a fraction of the diagonal at rest); of splats `anisotropy` as
+    /// well (how many times as long as wide a round one becomes). The numbers of a
     /// vertex without a finite position are NaN, and it is not folded.
     pub diagnostics: Option<&'a Path>,
 }
@@ -65,6 +66,9 @@ pub struct Reconstruction<'a> {
     /// Where [`bind`](super::bind) may have kept what does not depend on the deformation. It is used if it
     /// fits.
     pub binding: Option<&'a Path>,
+    /// The [gradient](super::known_gradients) of the one version's map at each sample, where it is known: by it
+    /// turns what [follows](Model::following).
+    pub gradients: Option<&'a [Mat3]>,
 }
 
 impl Default for Reconstruction<'_> {
@@ -75,6 +79,7 @@ impl Default for Reconstruction<'_> {
             resume: false,
             part_bytes: PART_BYTES,
             binding: None,
+            gradients: None,
         }
     }
 }
@@ -176,7 +181,7 @@ pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &R
     };
     let mut targets = BTreeMap::new();
     let outputs = versions.iter().flat_map(|v| {
-        let diagnostics = v.diagnostics.map(|path| (path, DiagnosticsFile::expected_bytes(info)));
+        let diagnostics = v.diagnostics.map(|path| (path, DiagnosticsFile::expected_bytes(model)));
         [(v.output, of_model(v.output))].into_iter().chain(diagnostics)
     });
     for (output, needed) in outputs {
@@ -249,7 +254,7 @@ impl<'a> Work<'a> {
             match ResumableFile::open(version.output, key, self.how.resume, part_bytes, self.progress)? {
                 Opened::Unfinished(file) => {
                     let diagonal = self.sampled.bounds.diagonal();
-                    let create = |path| DiagnosticsFile::create(path, self.model.info(), diagonal);
+                    let create = |path| DiagnosticsFile::create(path, self.model, diagonal);
                     let diagnostics = version.diagnostics.map(create).transpose()?;
                     self.pass.push(Begun { number, version: *version, file, diagnostics });
                 }
@@ -280,7 +285,10 @@ impl<'a> Work<'a> {
         let info = self.model.info();
         let field = |begun: &Begun<'a>| {
             let field = DeformationField::new(&surroundings, begun.version.deformed, self.how.method);
-            field.expecting(&self.sampled.frame, info)
+            let field = field.expecting(&self.sampled.frame, info);
+            let known = self.how.gradients.filter(|known| known.len() == self.sampled.samples.len());
+            let is_smooth = known.is_some() || self.how.method == Method::BlendedJets;
+            if is_smooth && self.model.following().is_some() { field.knowing(known) } else { field }
         };
         let fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
         for (field, begun) in fields.iter().zip(&self.pass) {
@@ -391,8 +399,11 @@ impl<'a> Work<'a> {
         let points = [&samples.positions, samples.known_normals(), deformed].map(bytemuck::cast_slice);
         let contacts = samples.contacts().map(|contacts| contacts.digest().to_le_bytes());
         let contacts = contacts.as_ref().map(|digest| &digest[..]);
+        let following = model.following().map(|following| following.descriptions().join("; "));
+        let following = following.as_ref().map(|text| text.as_bytes());
+        let known: Option<&[u8]> = how.gradients.map(bytemuck::cast_slice);
         let mut hash = Xxh3Default::new();
-        for bytes in [&small[..]].into_iter().chain(points).chain(contacts) {
+        for bytes in [&small[..]].into_iter().chain(points).chain(contacts).chain(following).chain(known) {
             hash.update(&(bytes.len() as u64).to_le_bytes());
             hash.update(bytes);
         }

@@ -1,6 +1,7 @@
 //! The field as a whole: what it reproduces, how it behaves at steps, and that sheets do not bleed.
 
-use glam::{Affine3A, DVec3, EulerRot, Mat3, Quat, Vec3, Vec4};
+use glam::{Affine3A, DVec3, EulerRot, Mat3, Quat, Vec3};
+use simod_model::follow::tangent;
 use simod_model::frame::Frame;
 
 use super::{DeformationField, Figures, Method, Moved, Surroundings, carry};
@@ -39,7 +40,7 @@ fn carried_with_normals(
     let rest: Vec<DVec3> = points.iter().map(|p| p.as_dvec3()).collect();
     let (mut positions, mut turned) = (rest.clone(), normals.to_vec());
     let moved =
-        Moved { positions: &mut positions, normals: &mut turned, tangents: &mut [], figures: &mut [] };
+        Moved { positions: &mut positions, normals: &mut turned, gradients: &mut [], figures: &mut [] };
     carry(std::slice::from_ref(field), &LOCAL, &rest, None, &mut [moved]);
     (positions.iter().map(|p| p.as_vec3()).collect(), turned)
 }
@@ -213,15 +214,16 @@ fn tangents_turn_as_lines_on_the_surface_do() {
             let deformed: Vec<Vec3> = set.positions.iter().map(|p| map(*p)).collect();
             let field = DeformationField::new(&around, &deformed, method);
             let mut positions = rest.clone();
-            let mut tangents: Vec<Vec4> = points.iter().map(|p| along(p).extend(1.0)).collect();
+            let mut gradients = vec![Mat3::IDENTITY; points.len()];
             let moved = Moved {
                 positions: &mut positions,
                 normals: &mut [],
-                tangents: &mut tangents,
+                gradients: &mut gradients,
                 figures: &mut [],
             };
             carry(std::slice::from_ref(&field), &LOCAL, &rest, None, &mut [moved]);
-            for (p, t) in points.iter().zip(&tangents) {
+            for (p, gradient) in points.iter().zip(&gradients) {
+                let t = tangent(gradient, along(p).extend(1.0), field.is_mirrored());
                 let step = 1e-3 * along(p);
                 let expected = 2.0 * (map(*p + step) - map(*p - step)).normalize_or(Vec3::X);
                 let found = t.truncate();
@@ -234,13 +236,16 @@ fn tangents_turn_as_lines_on_the_surface_do() {
         // Nothing moves, and nothing turns.
         let field = DeformationField::new(&around, &set.positions, method);
         assert!(field.is_still());
-        let mut tangents: Vec<Vec4> = points.iter().map(|p| along(p).extend(-1.0)).collect();
-        let before = tangents.clone();
+        let mut gradients = vec![Mat3::IDENTITY; points.len()];
         let mut positions = rest.clone();
-        let moved =
-            Moved { positions: &mut positions, normals: &mut [], tangents: &mut tangents, figures: &mut [] };
+        let moved = Moved {
+            positions: &mut positions,
+            normals: &mut [],
+            gradients: &mut gradients,
+            figures: &mut [],
+        };
         carry(std::slice::from_ref(&field), &LOCAL, &rest, None, &mut [moved]);
-        assert_eq!(tangents, before);
+        assert!(gradients.iter().all(|gradient| *gradient == Mat3::IDENTITY));
     }
 }
 
@@ -253,7 +258,7 @@ fn bits(field: &DeformationField, points: &[(Vec3, Vec3)]) -> Vec<Bits> {
     let mut normals: Vec<Vec3> = points.iter().map(|(_, n)| *n).collect();
     let mut figures = vec![Figures::UNKNOWN; rest.len()];
     let moved =
-        Moved { positions: &mut positions, normals: &mut normals, tangents: &mut [], figures: &mut figures };
+        Moved { positions: &mut positions, normals: &mut normals, gradients: &mut [], figures: &mut figures };
     carry(std::slice::from_ref(field), &LOCAL, &rest, None, &mut [moved]);
     let figures = figures.iter().map(|f| [f.displacement, f.stretch[0], f.stretch[1]].map(f32::to_bits));
     let normals = normals.iter().map(|n| n.to_array().map(f32::to_bits));

@@ -49,34 +49,13 @@ impl Edit for Transfer<'_> {
     fn edit(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
         let homes = locked(&self.homes).remove(&chunk.first);
         let mut figures = self.surveys.figures(chunk.len());
-        let mut moved: Vec<Moved<'_>> = versions
-            .iter_mut()
-            .zip(&mut figures)
-            .map(|(edited, figures)| Moved {
-                positions: &mut edited.positions,
-                normals: &mut edited.normals,
-                tangents: &mut edited.tangents,
-                figures,
-            })
-            .collect();
-        carry_on_this_thread(self.fields, self.frame, &chunk.positions, homes.as_deref(), &mut moved);
+        self.carry(chunk, homes.as_deref(), versions, &mut figures);
         self.surveys.keep(chunk.first, versions, figures);
         Ok(())
     }
 
     fn edit_normals(&self, chunk: &VertexChunk, versions: &mut [Edited]) -> Result<()> {
-        let figures = &mut vec![Vec::new(); versions.len()];
-        let mut moved: Vec<Moved<'_>> = versions
-            .iter_mut()
-            .zip(figures)
-            .map(|(edited, figures)| Moved {
-                positions: &mut edited.positions,
-                normals: &mut edited.normals,
-                tangents: &mut edited.tangents,
-                figures,
-            })
-            .collect();
-        carry_on_this_thread(self.fields, self.frame, &chunk.positions, None, &mut moved);
+        self.carry(chunk, None, versions, &mut vec![Vec::new(); versions.len()]);
         Ok(())
     }
 
@@ -86,6 +65,28 @@ impl Edit for Transfer<'_> {
 
     fn is_still(&self, version: usize) -> bool {
         self.fields.get(version).is_some_and(DeformationField::is_still)
+    }
+}
+
+impl Transfer<'_> {
+    /// Carries the vertices of a chunk over, in each version.
+    fn carry(
+        &self,
+        chunk: &VertexChunk,
+        homes: Option<&[u32]>,
+        versions: &mut [Edited],
+        figures: &mut [Vec<Figures>],
+    ) {
+        for (edited, field) in versions.iter_mut().zip(self.fields) {
+            edited.mirrored = field.is_mirrored();
+        }
+        let of_version = |(edited, figures)| -> Moved<'_> {
+            let (edited, figures): (&mut Edited, &mut Vec<Figures>) = (edited, figures);
+            let Edited { positions, normals, gradients, .. } = edited;
+            Moved { positions, normals, gradients, figures }
+        };
+        let mut moved: Vec<Moved<'_>> = versions.iter_mut().zip(figures).map(of_version).collect();
+        carry_on_this_thread(self.fields, self.frame, &chunk.positions, homes, &mut moved);
     }
 }
 

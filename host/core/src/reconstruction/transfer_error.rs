@@ -117,7 +117,7 @@ pub fn measure_some(
             .collect();
         let rest: Vec<DVec3> = chosen.iter().map(|i| chunk.positions[*i]).collect();
         let (mut found, mut truth) = (rest.clone(), rest.clone());
-        let moved = Moved { positions: &mut found, normals: &mut [], tangents: &mut [], figures: &mut [] };
+        let moved = Moved { positions: &mut found, normals: &mut [], gradients: &mut [], figures: &mut [] };
         carry(std::slice::from_ref(field), &of.frame, &rest, None, &mut [moved]);
         exact(&mut truth)?;
         for ((rest, found), truth) in rest.iter().zip(&found).zip(&truth) {

@@ -272,7 +272,7 @@ pub fn appended_deformed(refined: &SampledModel, first: usize, field: &Deformati
 /// Where points of the model (its coordinates) go.
 fn carried(field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3]) -> Vec<DVec3> {
     let mut moved = positions.to_vec();
-    let to = &mut [Moved { positions: &mut moved, normals: &mut [], tangents: &mut [], figures: &mut [] }];
+    let to = &mut [Moved { positions: &mut moved, normals: &mut [], gradients: &mut [], figures: &mut [] }];
     carry(std::slice::from_ref(field), frame, positions, None, to);
     moved
 }

@@ -169,6 +169,20 @@ impl KdTree {
     }
 }
 
+/// The values of all points, by those that are known: of the others that of the nearest one. Nothing if none is known.
+pub(crate) fn completed<T: Copy>(values: &[Option<T>], positions: &[Vec3]) -> Option<Vec<T>> {
+    let known: Vec<usize> = (0..values.len()).filter(|i| values[*i].is_some()).collect();
+    if known.is_empty() {
+        return None;
+    }
+    if known.len() == values.len() {
+        return values.iter().copied().collect();
+    }
+    let tree = KdTree::new(&known.iter().map(|i| positions[*i]).collect::<Vec<_>>());
+    let value = |(value, p): (&Option<T>, &Vec3)| value.or_else(|| values[known[tree.nearest(*p) as usize]]);
+    values.iter().zip(positions).map(value).collect()
+}
+
 /// Parts the points at the median along their box's longest side, so that leaves are full, and so on.
 fn halve(points: &mut [(Vec3, u32)], boxes: &mut [Extent], in_parallel: bool) {
     let Some((whole, halves)) = boxes.split_first_mut() else { return };

@@ -132,7 +132,7 @@ fn off_by(
     let around = Surroundings::of(&sampled.samples);
     let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
     let mut moved = body.positions.clone();
-    let to = &mut [Moved { positions: &mut moved, normals: &mut [], tangents: &mut [], figures: &mut [] }];
+    let to = &mut [Moved { positions: &mut moved, normals: &mut [], gradients: &mut [], figures: &mut [] }];
     carry(&[field], &sampled.frame, &body.positions, None, to);
     let off = |((p, q), part): ((&DVec3, &DVec3), &f64)| q.distance(map(*p, *part));
     body.positions.iter().zip(&moved).zip(part).map(off).collect()

@@ -18,6 +18,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
+use crate::follow::{Follow, Following};
 use crate::form::{Content, Conversion, Form, is_of_vertices};
 use crate::formats::extension;
 use crate::las::LasModel;
@@ -250,6 +251,14 @@ impl Model for Converted {
         self.model.attributes(chunk, to)
     }
 
+    fn following(&self) -> Option<&Following> {
+        self.model.following()
+    }
+
+    fn follow(&mut self, follow: &Follow) -> Result<()> {
+        self.model.follow(follow)
+    }
+
     fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
         self.model.faces()
     }
@@ -298,6 +307,9 @@ impl Model for Converted {
             ));
         }
         let work = Work::new(&*self.model, &self.source, &*form, how, edit, progress);
-        pipeline::rewrite(&work, outputs, how, &work.edit(), &work.quietly())
+        pipeline::rewrite(&work, outputs, how, &work.edit(), &work.quietly())?;
+        let notes = self.following().map_or(Vec::new(), Following::notes);
+        notes.iter().for_each(|note| progress.note(&format!("{}: {note}", self.path().display())));
+        Ok(())
     }
 }

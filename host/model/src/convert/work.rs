@@ -5,6 +5,9 @@
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
+use glam::Mat3;
+
+use crate::follow::Following;
 use crate::form::{Form, Rows, is_of_vertices};
 use crate::pipeline::{Piece, Pieces, Rewritable, Version};
 use crate::progress::Emerging;
@@ -112,6 +115,27 @@ impl<'a> Work<'a> {
         done
     }
 
+    /// The attributes of vertices that the form asks for, and others that turn with them.
+    fn attributes(&self, chunk: &VertexChunk, edited: &Edited) -> Result<Vec<Vec<f64>>> {
+        let following = self.model.following().filter(|_| !edited.gradients.is_empty());
+        let places = following.map_or(&[][..], Following::places);
+        let needed = places.iter().map(|place| place + 1).max().unwrap_or(0);
+        let mut attributes = vec![Vec::new(); self.form.attributes().max(needed)];
+        if attributes.is_empty() {
+            return Ok(attributes);
+        }
+        self.model.attributes(chunk, &mut attributes)?;
+        let Some(following) = following else { return Ok(attributes) };
+        let mut numbers = Vec::new();
+        for (i, gradient) in edited.gradients.iter().enumerate().filter(|(_, g)| **g != Mat3::IDENTITY) {
+            numbers.clear();
+            numbers.extend(places.iter().map(|place| attributes[*place][i]));
+            following.turn(gradient, edited.mirrored, &mut numbers);
+            places.iter().zip(&numbers).for_each(|(place, number)| attributes[*place][i] = *number);
+        }
+        Ok(attributes)
+    }
+
     /// Reads the vertices of the piece that begins with the chunk's first one.
     fn read_piece(&self, chunk: &mut VertexChunk) -> Result<()> {
         let end = (chunk.first + PIECE).min(self.model.info().vertices);
@@ -153,6 +177,7 @@ impl Rewritable for Work<'_> {
     }
 
     fn decode(&self, chunk: &mut VertexChunk) -> Result<()> {
+        chunk.follows = self.model.following().is_some();
         if self.in_order {
             return Ok(());
         }
@@ -162,10 +187,7 @@ impl Rewritable for Work<'_> {
     fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
         self.guarded(chunk.first, || {
             let Version { edited, normals, bytes, summary, .. } = version;
-            let mut attributes = vec![Vec::new(); self.form.attributes()];
-            if !attributes.is_empty() {
-                self.model.attributes(chunk, &mut attributes)?;
-            }
+            let attributes = self.attributes(chunk, edited)?;
             // What has no position stays without.
             let mut positions = Vec::new();
             if chunk.positions.iter().any(|p| !p.is_finite()) {
@@ -176,7 +198,7 @@ impl Rewritable for Work<'_> {
                 first: chunk.first,
                 positions: if positions.is_empty() { &edited.positions } else { &positions },
                 normals: if normals == Normals::Transform { &edited.normals } else { &chunk.normals },
-                attributes: &attributes,
+                attributes: &attributes[..self.form.attributes()],
                 chunk,
             };
             let moved = |i: usize| {

@@ -277,7 +277,7 @@ impl Patch<'_> {
 
     /// Turns tangents, likewise.
     fn tangents(&mut self, offset: usize, placements: &[Option<Placement>]) -> Turned {
-        let (old, new) = (&self.chunk.tangents, &self.edited.tangents);
+        let (old, new) = (&self.chunk.tangents, self.edited.tangents(self.chunk));
         let (mut found, mut turned) = (Turned::default(), Vec::new());
         let count = self.rows(offset, 16).count();
         for (row, at) in self.rows(offset, 16).enumerate() {

@@ -2,10 +2,11 @@
 //!
 //! Lines mean nothing here: words are separated by whitespace of any sort, as other readers have it.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
 
 use super::layout::{Component, Layout, Slot};
 use super::patch::same_normal;
+use crate::follow::Following;
 use crate::text::{drop_word, next_word, parse, quoted, round, write_number};
 use crate::unfit::Unfit;
 use crate::{Edited, VertexChunk};
@@ -74,15 +75,18 @@ pub(super) fn decode(layout: &Layout, chunk: &mut VertexChunk) -> Result<(), Not
     Ok(())
 }
 
-/// Appends the chunk's bytes to `text`, with those numbers replaced that were edited, and without normals if
-/// they are to be dropped.
+/// Appends the chunk's bytes to `text`, with those numbers replaced that were edited or follow, and without
+/// normals if they are to be dropped.
 pub(super) fn splice(
     layout: &Layout,
+    following: &Following,
     chunk: &VertexChunk,
     edited: &Edited,
     drop_normals: bool,
     text: &mut Vec<u8>,
 ) -> Result<(), Unfit> {
+    let first = layout.following();
+    let mut numbers = Vec::new();
     let VertexChunk { positions, normals, raw, spans, .. } = chunk;
     let mut copied = 0;
     for (vertex, spans) in spans.chunks_exact(layout.components.len()).enumerate() {
@@ -90,9 +94,17 @@ pub(super) fn splice(
         if !is_finite && !drop_normals {
             continue;
         }
+        let gradient = edited.gradients.get(vertex).filter(|g| is_finite && **g != Mat3::IDENTITY);
+        numbers.clear();
+        if let Some(gradient) = gradient {
+            let of = layout.components[first..].iter().zip(&spans[first..]);
+            // A word that is no number stays, as nothing that it belongs to is finite.
+            numbers.extend(of.map(|(c, span)| parse(c.scalar, word(raw, *span)).unwrap_or(f64::NAN)));
+            following.turn(gradient, edited.mirrored, &mut numbers);
+        }
         for &c in &layout.file_order {
             let [start, end] = spans[c].map(|v| v as usize);
-            if c >= 3 && drop_normals {
+            if (3..first).contains(&c) && drop_normals {
                 text.extend_from_slice(&raw[copied..start]);
                 copied = drop_word(text, raw, end);
                 continue;
@@ -107,6 +119,10 @@ pub(super) fn splice(
                     return Err(Unfit { vertex, axis: c, value: new });
                 }
                 (value.to_bits() != old.to_bits()).then_some(value)
+            } else if c >= first {
+                let old = || parse(scalar, word(raw, spans[c])).unwrap_or(f64::NAN);
+                let new = numbers.get(c - first).map(|new| round(scalar, *new));
+                new.filter(|new| new.is_finite() && new.to_bits() != old().to_bits())
             } else {
                 // Normals are edited all or none.
                 let old = normals[vertex][c - 3];

@@ -2,12 +2,14 @@
 //!
 //! Each loop is written once, for any [`Codec`]; which one is looked up once per chunk.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
 
 use super::header::Encoding;
 use super::layout::{Layout, Slot};
 use super::patch::{Rest, same_normal};
 use crate::Type;
+use crate::follow::Following;
+use crate::text::round;
 use crate::unfit::Unfit;
 use crate::{Edited, Scalar, VertexChunk};
 
@@ -246,9 +248,47 @@ fn patch_normals<C: Codec>(
     }
 }
 
+/// Turns what follows in `raw`, the bytes of whole vertices, of which these had finite positions.
+pub(super) fn turn(layout: &Layout, following: &Following, rest: Rest<'_>, edited: &Edited, raw: &mut [u8]) {
+    if layout.encoding == Encoding::Big {
+        turn_all::<true>(layout, following, rest, edited, raw);
+    } else {
+        turn_all::<false>(layout, following, rest, edited, raw);
+    }
+}
+
+fn turn_all<const BIG: bool>(
+    layout: &Layout,
+    following: &Following,
+    rest: Rest<'_>,
+    edited: &Edited,
+    raw: &mut [u8],
+) {
+    let first = layout.following();
+    let components = &layout.components[first..];
+    let (mut old, mut new) = (Vec::new(), Vec::new());
+    let moving = edited.gradients.iter().zip(rest.positions).enumerate();
+    for (vertex, (gradient, _)) in moving.filter(|(_, (g, p))| **g != Mat3::IDENTITY && p.is_finite()) {
+        let at = |c: usize| match layout.stride {
+            Some(stride) => vertex * stride + components[c].offset,
+            None => rest.spans[vertex * layout.components.len() + first + c][0] as usize,
+        };
+        old.clear();
+        old.extend(components.iter().enumerate().map(|(c, of)| Any::<BIG>(of.scalar).get(raw, at(c))));
+        new.clone_from(&old);
+        following.turn(gradient, edited.mirrored, &mut new);
+        for (c, (old, new)) in old.iter().zip(&new).enumerate() {
+            let new = round(components[c].scalar, *new);
+            if new.to_bits() != old.to_bits() && new.is_finite() {
+                Any::<BIG>(components[c].scalar).put(raw, at(c), new);
+            }
+        }
+    }
+}
+
 /// Takes the normals out of `raw`, the bytes of whole vertices.
 pub(super) fn cut_normals(layout: &Layout, spans: &[[u32; 2]], raw: &mut Vec<u8>) {
-    let normals = || layout.file_order.iter().copied().filter(|c| *c >= 3);
+    let normals = || layout.file_order.iter().copied().filter(|c| (3..layout.following()).contains(c));
     match layout.stride {
         Some(stride) => {
             let in_record: Vec<[usize; 2]> = normals()

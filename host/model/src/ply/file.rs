@@ -3,6 +3,7 @@
 use super::header::Header;
 use super::layout::Layout;
 use super::offsets::Offsets;
+use crate::follow::Following;
 use crate::source::Source;
 use crate::{ModelInfo, Result};
 
@@ -14,6 +15,10 @@ pub struct PlyModel {
     /// Index of the element that holds the vertices.
     pub(super) vertex: usize,
     pub(super) layout: Layout,
+    /// What of the layout's attributes turns with the surface.
+    pub(super) following: Following,
+    /// Why it is not known what turns.
+    pub(super) misfit: Option<String>,
     /// Where in the file the vertices begin.
     pub(super) vertices_start: u64,
     /// In a binary file, where each element begins, and after them the end of the last one. Empty in a text

@@ -1,12 +1,13 @@
-//! Where a vertex record keeps its position and normal.
+//! Where a vertex record keeps its position and normal, and what else turns with the surface.
 
 use super::header::{DAMAGED, Element, Encoding, NORMAL, Shape, quoted};
 use crate::source::Source;
 use crate::{Attribute, Result, Scalar, Type};
 
-/// One coordinate of the position or of the normal.
+/// One coordinate of the position or of the normal, or a number that follows these.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Component {
+    /// Of a coordinate; those of other numbers are with the attributes.
     pub(super) name: &'static str,
     pub(super) scalar: Scalar,
     /// Bytes from the start of the record, in binary records of fixed size.
@@ -28,8 +29,9 @@ pub(super) enum Slot {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Layout {
     pub(super) encoding: Encoding,
-    /// x, y, z, and if the vertices have normals nx, ny, nz.
+    /// x, y, z, and if the vertices have normals nx, ny, nz; and then what [follows](Self::follow).
     pub(super) components: Vec<Component>,
+    has_normals: bool,
     /// Indices into `components`, in the file's order.
     pub(super) file_order: Vec<usize>,
     /// The properties in the file's order.
@@ -105,11 +107,41 @@ impl Layout {
                 Shape::List { .. } => None,
             };
         }
-        Ok(Self { encoding, components, file_order, slots, stride, other, attributes, places })
+        Ok(Self { encoding, components, has_normals, file_order, slots, stride, other, attributes, places })
     }
 
     pub(super) fn has_normals(&self) -> bool {
-        self.components.len() == 6
+        self.has_normals
+    }
+
+    /// Where among the components those begin that are neither position nor normal.
+    pub(super) fn following(&self) -> usize {
+        if self.has_normals { 6 } else { 3 }
+    }
+
+    /// Makes components of attributes, in the place of former ones. None is of another type than float or
+    /// double.
+    pub(super) fn follow(&mut self, attributes: &[usize]) {
+        let first = self.following();
+        self.components.truncate(first);
+        for slot in &mut self.slots {
+            if let Slot::Component { index, size } = *slot
+                && index >= first
+            {
+                *slot = Slot::Other { size };
+            }
+        }
+        for attribute in attributes {
+            let (slot, offset) = self.places[*attribute];
+            let Some(scalar) = floating(Shape::Scalar(self.attributes[*attribute].kind)) else { continue };
+            self.slots[slot] = Slot::Component { index: self.components.len(), size: scalar.size() };
+            self.components.push(Component { name: "", scalar, offset });
+        }
+        let index = |slot: &Slot| match slot {
+            Slot::Component { index, .. } => Some(*index),
+            _ => None,
+        };
+        self.file_order = self.slots.iter().filter_map(index).collect();
     }
 
     /// Double if any coordinate is.

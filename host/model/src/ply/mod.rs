@@ -43,8 +43,9 @@ pub use writer::{Besides, write_points, write_vertices};
 
 use super::source::Source;
 use super::{Edit, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, VertexReader, pipeline};
+use crate::follow::{Follow, Following};
 use crate::progress::Silent;
-use crate::{Progress, Result};
+use crate::{Error, ErrorKind, Progress, Result};
 use faces::{Faces, SomeFaces};
 use glam::DVec3;
 use layout::Layout;
@@ -76,7 +77,12 @@ impl PlyModel {
     /// As of [`new`](Self::new).
     pub(super) fn of(source: Source, header: Header, without_normals: fn(&[u8]) -> Vec<u8>) -> Result<Self> {
         let (vertex, element) = header.vertex(&source)?;
-        let layout = Layout::new(&source, header.encoding, element)?;
+        let mut layout = Layout::new(&source, header.encoding, element)?;
+        let (following, misfit) = match Following::of(&Follow::default(), &layout.attributes) {
+            Ok(following) => (following, None),
+            Err(why) => (Following::default(), Some(why)),
+        };
+        layout.follow(following.places());
         let faces = header.elements.iter().filter(|e| e.name == "face" || e.name == "tristrips");
         let mut info = ModelInfo {
             format: format!("PLY 1.0, {}", header.encoding.name()),
@@ -111,6 +117,8 @@ impl PlyModel {
             header,
             vertex,
             layout,
+            following,
+            misfit,
             vertices_start,
             starts,
             offsets: Offsets::new(),
@@ -125,6 +133,12 @@ impl PlyModel {
         }
         model.info.face_bytes = faces::bytes(&model);
         Ok(model)
+    }
+
+    /// An error where it is not known what turns with the surface.
+    fn misfit(&self, why: &str) -> Error {
+        let hint = "correct the file or the names, or give --follow none: all but positions and normals keep their bytes then";
+        Error::new(ErrorKind::Argument, format!("{}: {why}", self.source.path().display()), hint)
     }
 
     /// Comments, and what is neither vertex nor face.
@@ -236,6 +250,17 @@ impl Model for PlyModel {
         self.source.check_unchanged()
     }
 
+    fn following(&self) -> Option<&Following> {
+        (!self.following.is_empty()).then_some(&self.following)
+    }
+
+    fn follow(&mut self, follow: &Follow) -> Result<()> {
+        self.following = Following::of(follow, &self.layout.attributes).map_err(|why| self.misfit(&why))?;
+        self.misfit = None;
+        self.layout.follow(self.following.places());
+        Ok(())
+    }
+
     fn rewrite(
         &self,
         outputs: &mut [&mut dyn Output],
@@ -243,10 +268,16 @@ impl Model for PlyModel {
         edit: &dyn Edit,
         progress: &dyn Progress,
     ) -> Result<()> {
+        if let Some(why) = &self.misfit {
+            return Err(self.misfit(why));
+        }
         if let Some(note) = self.note {
             progress.note(&format!("{}: {note}", self.source.path().display()));
         }
-        pipeline::rewrite(self, outputs, how, edit, progress)
+        pipeline::rewrite(self, outputs, how, edit, progress)?;
+        let notes = self.following.notes();
+        notes.iter().for_each(|note| progress.note(&format!("{}: {note}", self.source.path().display())));
+        Ok(())
     }
 }
 

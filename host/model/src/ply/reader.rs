@@ -73,6 +73,8 @@ impl<'a> Reader<'a> {
         let model = self.model;
         let components = model.layout.components.len();
         let limit = limit.min(CHUNK_VERTICES as u64) as usize;
+        // A record has a byte at least for each of its properties.
+        let limit = limit.min(CHUNK_BYTES / model.layout.slots.len().max(1) + 1);
         let VertexChunk { raw, spans, .. } = chunk;
         raw.clear();
         raw.append(&mut self.ahead);

@@ -22,6 +22,7 @@ impl Rewritable for PlyModel {
     }
 
     fn decode(&self, chunk: &mut VertexChunk) -> Result<()> {
+        chunk.follows = !self.following.is_empty();
         PlyModel::decode(self, chunk)
     }
 
@@ -30,7 +31,7 @@ impl Rewritable for PlyModel {
         let drop_normals = version.normals == Normals::Drop && self.layout.has_normals();
         if self.header.encoding == Encoding::Ascii {
             version.bytes.clear();
-            return ascii::splice(&self.layout, chunk, edited, drop_normals, version.bytes)
+            return ascii::splice(&self.layout, &self.following, chunk, edited, drop_normals, version.bytes)
                 .map_err(|unfit| unfit.in_floats(&self.source, first));
         }
         let VertexChunk { positions, normals, raw, spans, .. } = chunk;
@@ -38,6 +39,9 @@ impl Rewritable for PlyModel {
         let bytes = version.begin_with(raw);
         binary::patch(&self.layout, rest, edited, bytes)
             .map_err(|unfit| unfit.in_floats(&self.source, first))?;
+        if !edited.gradients.is_empty() {
+            binary::turn(&self.layout, &self.following, rest, edited, bytes);
+        }
         if drop_normals {
             binary::cut_normals(&self.layout, spans, bytes);
         }

@@ -189,11 +189,8 @@ fn carry(edited: &mut Edited, map: DAffine3) {
         let turned = linear.inverse().transpose() * n.as_dvec3();
         *n = (turned.normalize_or_zero() * n.as_dvec3().length()).as_vec3();
     }
-    for t in &mut edited.tangents {
-        let turned = linear * t.truncate().as_dvec3();
-        let length = t.truncate().length();
-        *t = (turned.normalize_or_zero() * f64::from(length)).as_vec3().extend(t.w * side as f32);
-    }
+    edited.gradients.fill(linear.as_mat3());
+    edited.mirrored = side < 0.0;
 }
 
 fn check_near(found: &[Vec3], expected: &[DVec3], bound: f64) {

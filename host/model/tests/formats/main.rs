@@ -125,7 +125,8 @@ impl<F: FnMut(&mut Edited) + Send> Edit for Same<F> {
         for other in others {
             other.positions.clone_from(&one.positions);
             other.normals.clone_from(&one.normals);
-            other.tangents.clone_from(&one.tangents);
+            other.gradients.clone_from(&one.gradients);
+            other.mirrored = one.mirrored;
         }
         Ok(())
     }

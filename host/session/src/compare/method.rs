@@ -3,7 +3,7 @@
 use super::figures::on_samples;
 use super::file::{CompareFile, Method, Work};
 use super::record::{Figures, MethodRecord, Seconds, StepRecord, words};
-use crate::edit::Refinements;
+use crate::edit::{Refinements, turning_gradients};
 use crate::pipeline::{DeformedSamples, deform, sampled};
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Role, Sampling, SessionFile, Step, read_text};
@@ -93,7 +93,9 @@ impl<'a> Bench<'a> {
         let source = deformed.sampled.open_source(Some(&self.file.model), progress)?;
         let output = self.folder.join(file_name(name, source.as_ref()));
         let version = Version { deformed: &deformed.positions, output: &output, diagnostics: None };
-        let how = Reconstruction { method: method.reconstruction, ..Reconstruction::default() };
+        let known = turning_gradients(&deformed.sampled, &deformed.stack, source.as_ref(), progress)?;
+        let gradients = known.as_deref();
+        let how = Reconstruction { method: method.reconstruction, gradients, ..Reconstruction::default() };
         let done = reconstruct(&deformed.sampled, source.as_ref(), &[version], &how, progress)?;
         let reconstruct = start.elapsed().as_secs_f64();
         let peak_memory_bytes = memory.peak();

@@ -9,6 +9,7 @@ use crate::session_writer::text;
 use crate::side_file;
 use simod_core::sampled_model::{SampledModel, relative};
 use simod_core::sampling::Skip;
+use simod_model::follow::Follow;
 use simod_model::target::folder_of;
 use simod_model::{Error, Progress, Result};
 use simod_plugin_api::ParamKind;
@@ -78,6 +79,11 @@ impl Editor {
         let (saved, kept) = (document.steps().clone(), document.steps().clone());
         let evaluation = Evaluation::new(Arc::new(sampled), how);
         (Self { session, path, document, plugins, saved, kept }, evaluation)
+    }
+
+    /// What turns with the surface besides normals, when the model is written.
+    pub fn follow(&self) -> Follow {
+        Follow::default().or_declared(&self.session.follow)
     }
 
     /// The steps.

@@ -7,14 +7,15 @@ use crate::key::Key;
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Refine, Step};
 use crate::stack::{Done, Kept, Layer, Moment, PreparedStack, Rest, RestShape, at};
-use glam::Vec3;
+use glam::{DVec3, Mat3, Vec3};
 use simod_core::reconstruction::{
     DeformationField, Method, Reconstructed, Reconstruction, Surroundings, Version, deformed_normals,
-    reconstruct,
+    known_gradients, reconstruct,
 };
 use simod_core::refinement::{Refining, Selection, appended_deformed, refine};
 use simod_core::sampled_model::SampledModel;
-use simod_model::{Error, ErrorKind, Progress, Result};
+use simod_model::follow::Follow;
+use simod_model::{Error, ErrorKind, Model, Progress, Result};
 use simod_plugin_api::{Effort, HandleDesc, Time};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -75,23 +76,44 @@ impl Evaluated {
     }
 
     /// Writes the deformed model, whole or not at all. `model` is where it is, if it was moved since it was
-    /// sampled.
+    /// sampled, and `follow` what turns with the surface.
     ///
     /// # Errors
     /// A step could not be done; the model or the file cannot be read or written; the user cancelled.
     pub fn write(
         self,
         model: Option<&Path>,
+        follow: &Follow,
         output: &Path,
         how: &Reconstruction<'_>,
         progress: &dyn Progress,
     ) -> Result<Reconstructed> {
         messages(self.statuses)?;
-        let model = self.sampled.open_source(model, progress)?;
+        let mut model = self.sampled.open_source(model, progress)?;
+        model.follow(follow)?;
         let deformed = self.sampled.rounded(&self.positions);
         let version = Version { deformed: &deformed, output, diagnostics: None };
-        reconstruct(&self.sampled, model.as_ref(), &[version], how, progress)
+        let known = turning_gradients(&self.sampled, &self.stack, model.as_ref(), progress)?;
+        let how = Reconstruction { gradients: known.as_deref(), ..*how };
+        reconstruct(&self.sampled, model.as_ref(), &[version], &how, progress)
     }
+}
+
+/// The gradients at the samples, where anything of the model turns by them and all plugins know their map.
+///
+/// # Errors
+/// A plugin fails; the user cancelled.
+pub(crate) fn turning_gradients(
+    sampled: &SampledModel,
+    stack: &PreparedStack,
+    model: &dyn Model,
+    progress: &dyn Progress,
+) -> Result<Option<Vec<Mat3>>> {
+    if model.following().is_none() || !stack.can_evaluate() {
+        return Ok(None);
+    }
+    let map = |points: &mut [DVec3]| stack.evaluate_with(points, progress);
+    known_gradients(sampled, &map).map(Some)
 }
 
 /// What the plugins had to say.

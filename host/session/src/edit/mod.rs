@@ -9,5 +9,5 @@ mod tests;
 
 pub use document::{Change, Command, Document, Entry, StepId};
 pub use editor::{Editor, forget, recover, saved_at};
-pub(crate) use evaluation::messages;
 pub use evaluation::{Evaluated, Evaluation, Refinements, Status};
+pub(crate) use evaluation::{messages, turning_gradients};

@@ -15,6 +15,7 @@ use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
 use simod_generate::{ModelOptions, write_file};
 use simod_model::Scalar;
+use simod_model::follow::Follow;
 use simod_model::progress::Silent;
 use simod_model::write_points;
 use simod_plugin_api as api;
@@ -556,7 +557,9 @@ fn the_editor_writes_what_a_run_of_its_session_writes() {
     let (edited, run) = (folder.path().join("edited.ply"), folder.path().join("run.ply"));
     let how = simod_core::reconstruction::Reconstruction::default();
     let full = api::Effort::FULL;
-    update(&mut evaluation, editor.document(), full).write(None, &edited, &how, &Silent).unwrap();
+    update(&mut evaluation, editor.document(), full)
+        .write(None, &Follow::default(), &edited, &how, &Silent)
+        .unwrap();
     let saved = folder.path().join("elsewhere.toml");
     editor.save(&saved).unwrap();
     let session = SessionFile::load(&saved).unwrap();
@@ -568,8 +571,9 @@ fn the_editor_writes_what_a_run_of_its_session_writes() {
     // A step that cannot be done: nothing is written.
     editor.document_mut().apply(set(0, "shift", 1000.0)).unwrap();
     let never = folder.path().join("never.ply");
-    let error =
-        update(&mut evaluation, editor.document(), full).write(None, &never, &how, &Silent).unwrap_err();
+    let error = update(&mut evaluation, editor.document(), full)
+        .write(None, &Follow::default(), &never, &how, &Silent)
+        .unwrap_err();
     assert!(error.to_string().contains("too far"));
     assert!(!never.exists());
 }

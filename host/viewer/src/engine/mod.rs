@@ -24,6 +24,7 @@ use preview::Streaming;
 use serde::{Deserialize, Serialize};
 use simod_core::detail::{Batch, Chosen, Streamed};
 use simod_core::reconstruction::{Method, Normals, Reconstructed};
+use simod_model::follow::Follow;
 use simod_model::{Error, Result};
 use simod_plugin_api::Effort;
 use simod_session::PluginRegistry;
@@ -62,6 +63,8 @@ pub struct Writing {
     pub output: PathBuf,
     /// The model, if it was moved since it was sampled.
     pub model: Option<PathBuf>,
+    /// What turns with the surface besides normals.
+    pub follow: Follow,
     /// How vertices are carried over.
     pub method: Method,
     /// What becomes of the model's normals.

@@ -212,10 +212,10 @@ impl Thread {
         }
         let tell = self.tell.clone();
         let work = move || {
-            let Writing { output, model, method, normals } = writing;
+            let Writing { output, model, follow, method, normals } = writing;
             let how = Reconstruction { method, normals, ..Reconstruction::default() };
             let start = Instant::now();
-            let report = guarded(|| evaluated.write(model.as_deref(), &output, &how, &*watch));
+            let report = guarded(|| evaluated.write(model.as_deref(), &follow, &output, &how, &*watch));
             let written = report.map(|report| Event::Written {
                 output,
                 report: Box::new(report),

@@ -137,7 +137,8 @@ impl State {
         // As `simod run` does unless told otherwise.
         let how = Reconstruction::default();
         let model = open.editor.model().map(Path::to_owned);
-        let writing = Writing { output, model, method: how.method, normals: how.normals };
+        let follow = open.editor.follow();
+        let writing = Writing { output, model, follow, method: how.method, normals: how.normals };
         self.engine.write(open.steps().clone(), writing);
         Ok(())
     }

@@ -1,0 +1,156 @@
+//! The numbers of a model that turn with the surface.
+
+use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use glam::Mat3;
+
+use super::names;
+use super::rules::{Follow, Kind, Opacity};
+use super::splat::Splat;
+use super::turn::Turn;
+use crate::Attribute;
+
+/// A group of numbers that turn together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Rule {
+    Declared(Kind),
+    Splat(Splat),
+}
+
+/// What of a model's numbers turns with the surface, once it is open.
+#[derive(Debug, Default)]
+pub struct Following {
+    /// Which attributes they are, group by group.
+    places: Vec<usize>,
+    groups: Vec<(Rule, Range<usize>)>,
+    /// For people, and to tell one from another.
+    descriptions: Vec<String>,
+    opacity: Opacity,
+    max_anisotropy: Option<f64>,
+    tally: Tally,
+}
+
+/// What became of the splats of all versions.
+#[derive(Debug, Default)]
+struct Tally {
+    /// Those that keep their numbers, as some mean nothing.
+    kept: AtomicU64,
+    /// Those that were longer than [`NEEDLE`] times their second axis afterwards and not before.
+    needles: AtomicU64,
+    /// Bits of the largest ratio of any of these.
+    longest: AtomicU64,
+}
+
+/// From here on a splat is seen as a needle.
+const NEEDLE: f64 = 10.0;
+
+impl Following {
+    /// Finds what is to follow among the attributes of a model.
+    ///
+    /// # Errors
+    /// What is declared is not there, or is not of floating-point numbers; splats lack a property.
+    pub(crate) fn of(follow: &Follow, attributes: &[Attribute]) -> Result<Self, String> {
+        let mut following =
+            Self { opacity: follow.opacity, max_anisotropy: follow.max_anisotropy, ..Self::default() };
+        for (name, kind) in &follow.declared {
+            let places = names::declared(name, *kind, attributes)?;
+            following.add(Rule::Declared(*kind), places, format!("{name} as {}", kind.name()));
+        }
+        if follow.splats
+            && let Some((splat, places)) = names::splat(attributes)?
+        {
+            let (opacity, most) = (following.opacity, following.max_anisotropy);
+            let how = match (opacity, most) {
+                (Opacity::Keep, None) => String::new(),
+                (Opacity::Conserve, None) => ", opacity conserved".to_owned(),
+                (Opacity::Keep, Some(most)) => format!(", at most {most} times as long as wide"),
+                (Opacity::Conserve, Some(most)) => {
+                    format!(", opacity conserved, at most {most} times as long as wide")
+                }
+            };
+            following.add(Rule::Splat(splat), places, format!("{splat}{how}"));
+        }
+        let mut seen = following.places.clone();
+        seen.sort_unstable();
+        if let Some(twice) = seen.windows(2).find(|pair| pair[0] == pair[1]) {
+            return Err(format!("{} would turn in two ways", attributes[twice[0]].name));
+        }
+        Ok(following)
+    }
+
+    fn add(&mut self, rule: Rule, places: Vec<usize>, description: String) {
+        let first = self.places.len();
+        self.places.extend(places);
+        self.groups.push((rule, first..self.places.len()));
+        self.descriptions.push(description);
+    }
+
+    /// Whether nothing follows.
+    pub fn is_empty(&self) -> bool {
+        self.groups.is_empty()
+    }
+
+    /// Whether the vertices are splats.
+    pub fn has_splats(&self) -> bool {
+        self.groups.iter().any(|(rule, _)| matches!(rule, Rule::Splat(_)))
+    }
+
+    /// What follows, for people: all that determines what becomes of it.
+    pub fn descriptions(&self) -> &[String] {
+        &self.descriptions
+    }
+
+    /// Which attributes follow: places in a list of these.
+    pub(crate) fn places(&self) -> &[usize] {
+        &self.places
+    }
+
+    /// Turns the numbers of a vertex, which are those of [`places`](Self::places).
+    pub(crate) fn turn(&self, gradient: &Mat3, mirrored: bool, numbers: &mut [f64]) {
+        if *gradient == Mat3::IDENTITY || !gradient.is_finite() {
+            return;
+        }
+        let turn = Turn::new(gradient.as_dmat3(), mirrored);
+        for (rule, range) in &self.groups {
+            let numbers = &mut numbers[range.clone()];
+            match rule {
+                Rule::Declared(kind) => turn.declared(*kind, numbers),
+                Rule::Splat(splat) => self.turn_splat(splat, &turn, numbers),
+            }
+        }
+    }
+
+    fn turn_splat(&self, splat: &Splat, turn: &Turn, numbers: &mut [f64]) {
+        let Some(ratios) = splat.turn(turn, self.opacity, self.max_anisotropy, numbers) else {
+            self.tally.kept.fetch_add(1, Ordering::Relaxed);
+            return;
+        };
+        let [before, after] = ratios;
+        if after > NEEDLE && before <= NEEDLE {
+            self.tally.needles.fetch_add(1, Ordering::Relaxed);
+            // Of positive numbers, the larger ones have the larger bits.
+            self.tally.longest.fetch_max(after.to_bits(), Ordering::Relaxed);
+        }
+    }
+
+    /// What became of splats, where users should know.
+    pub(crate) fn notes(&self) -> Vec<String> {
+        let Tally { kept, needles, longest } = &self.tally;
+        let [kept, needles, longest] = [kept, needles, longest].map(|n| n.swap(0, Ordering::Relaxed));
+        let mut notes = Vec::new();
+        if kept > 0 {
+            notes.push(format!(
+                "{kept} splats keep their shape and colours: a quaternion of no length, or a scale that is not finite"
+            ));
+        }
+        if needles > 0 {
+            notes.push(format!(
+                "{needles} splats became more than {NEEDLE} times as long as wide, up to {:.1} times; \
+                 --max-anisotropy {NEEDLE} keeps them shorter",
+                f64::from_bits(longest)
+            ));
+        }
+        notes
+    }
+}

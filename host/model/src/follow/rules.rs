@@ -1,0 +1,119 @@
+//! What users ask to turn with the surface.
+
+use std::collections::BTreeMap;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::Attribute;
+
+/// How declared numbers turn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// Three numbers v become J·v, with J the gradient of the deformation.
+    Vector,
+    /// The same, but of the length that it had: a tangent.
+    Direction,
+    /// Three numbers turn by the cofactors of J, and keep their length.
+    Normal,
+    /// Four numbers, the real one first, turn by the rotation in J.
+    QuaternionWxyz,
+    /// The same with the real one last.
+    QuaternionXyzw,
+    /// Six numbers xx, xy, xz, yy, yz, zz of a symmetric matrix Σ, which becomes J·Σ·Jᵀ.
+    Covariance,
+}
+
+impl Kind {
+    /// All of them, by the names that users give.
+    const NAMES: [(&str, Self); 6] = [
+        ("vector", Self::Vector),
+        ("direction", Self::Direction),
+        ("normal", Self::Normal),
+        ("quaternion-wxyz", Self::QuaternionWxyz),
+        ("quaternion-xyzw", Self::QuaternionXyzw),
+        ("covariance", Self::Covariance),
+    ];
+
+    /// What users call it.
+    pub fn name(self) -> &'static str {
+        Self::NAMES.iter().find(|(_, kind)| *kind == self).map_or("", |(name, _)| name)
+    }
+}
+
+impl FromStr for Kind {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let known = || Self::NAMES.map(|(name, _)| name).join(", ");
+        let found = Self::NAMES.iter().find(|(name, _)| *name == text);
+        found.map(|(_, kind)| *kind).ok_or_else(|| format!("{text:?} is none of {}", known()))
+    }
+}
+
+/// What becomes of the opacity of splats.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Opacity {
+    /// It stays.
+    #[default]
+    Keep,
+    /// A splat that is stretched to twice the area lets as much light through as half of its matter would.
+    Conserve,
+}
+
+/// What of a model is to turn with the surface.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Follow {
+    /// Numbers by what their names begin with, as `tangent` of `tangent_x`, `tangent_y` and `tangent_z`.
+    pub declared: BTreeMap<String, Kind>,
+    /// Whether splats are recognised by their properties.
+    pub splats: bool,
+    /// What becomes of the opacity of splats.
+    pub opacity: Opacity,
+    /// No splat becomes longer than so many times its second axis, unless it was before.
+    pub max_anisotropy: Option<f64>,
+}
+
+impl Default for Follow {
+    fn default() -> Self {
+        Self::SPLATS
+    }
+}
+
+impl FromStr for Follow {
+    type Err = String;
+
+    /// Reads `tangent=vector,q=quaternion-wxyz`, or `none`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mut follow = Self::default();
+        if text == "none" {
+            follow.splats = false;
+            return Ok(follow);
+        }
+        for part in text.split(',') {
+            let (name, kind) = part.split_once('=').ok_or_else(|| {
+                format!("{part:?} is not as tangent=vector, a name and how it turns; or give none")
+            })?;
+            if !Attribute::is_name(name) || follow.declared.insert(name.to_owned(), kind.parse()?).is_some() {
+                return Err(format!("{name:?} is no name, or given twice"));
+            }
+        }
+        Ok(follow)
+    }
+}
+
+impl Follow {
+    /// Splats alone, which keep their opacity.
+    pub const SPLATS: Self =
+        Self { declared: BTreeMap::new(), splats: true, opacity: Opacity::Keep, max_anisotropy: None };
+
+    /// The same with other numbers declared, which it may have none of itself.
+    pub fn or_declared(mut self, declared: &BTreeMap<String, Kind>) -> Self {
+        if self.declared.is_empty() && self.splats {
+            self.declared.clone_from(declared);
+        }
+        self
+    }
+}
