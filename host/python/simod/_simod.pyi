@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._records import Info, Report
 
+__all__: list[str]
+
 _Path = str | PathLike[str]
 _Progress = bool | Callable[[str, float | None], object] | None
 _Normals = Literal["transform", "keep", "drop"]
