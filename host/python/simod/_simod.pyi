@@ -10,7 +10,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._records import Info, Report
 
-__all__: list[str]
+__all__ = [
+    "Chunks",
+    "Model",
+    "Samples",
+    "Session",
+    "_plugin_data",
+    "_register",
+    "_stop_all",
+    "compare",
+    "load",
+    "open",
+    "sample",
+]
 
 _Path = str | PathLike[str]
 _Progress = bool | Callable[[str, float | None], object] | None
