@@ -13,6 +13,7 @@
 
 use std::ops::Range;
 
+use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -22,6 +23,9 @@ use super::expansion::Expansion;
 use super::lanes::{Lanes, from, length_squared, triple};
 use super::sheets::{Sheets, are_lists, blocks};
 use crate::sampling::SampleSet;
+
+/// Homes whose lists are made by one job.
+const TOGETHER: usize = 256;
 
 /// The support of a sample ends at this one of its neighbours.
 const SUPPORT_NEIGHBOURS: usize = 7;
@@ -36,6 +40,26 @@ pub struct Reaching {
     from: f32,
     /// The sample.
     pub sample: u32,
+}
+
+impl Reaching {
+    /// A number: a nearer one's is less, and of those that are equally far that of the first sample.
+    fn to_ordered(self) -> u64 {
+        let bits = self.from.to_bits();
+        let bits = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
+        u64::from(bits) << 32 | u64::from(self.sample)
+    }
+
+    fn from_ordered(number: u64) -> Self {
+        let bits = (number >> 32) as u32;
+        let bits = if bits >> 31 == 1 { bits & !(1 << 31) } else { !bits };
+        Self { from: f32::from_bits(bits), sample: number as u32 }
+    }
+}
+
+/// The square of the distance between two samples, as the neighbours of a sample are ordered.
+fn squared(positions: &[Vec3], i: usize, j: u32) -> f32 {
+    positions[i].distance_squared(positions[j as usize])
 }
 
 /// For each sample, the supports that reach where it is the home.
@@ -72,39 +96,57 @@ impl Supports {
                 .then_some(Reaching { from: distance - radius[j], sample: j as u32 })
         };
         // Where a sample is among the neighbours of another, but not the other way round: as between sparse
-        // and dense.
+        // and dense. Where a sample's neighbours are its nearest ones, the last tells whom it has.
+        let last: Vec<(f32, u32)> = (0..n)
+            .into_par_iter()
+            .map(|i| match sheets.of_sample(i).last() {
+                Some(last) if !sheets.is_crowded(i) => (squared(positions, i, *last), *last),
+                _ => (-1.0, 0),
+            })
+            .collect();
+        let is_unknown = |home: u32, j: u32| match last[home as usize] {
+            (distance, _) if distance < 0.0 => !sheets.of_sample(home as usize).contains(&j),
+            last => last < (squared(positions, home as usize, j), j),
+        };
         let mut one_way: Vec<(u32, u32)> = (0..n)
             .into_par_iter()
             .flat_map_iter(|j| {
-                let unknown = move |home: &u32| !sheets.of_sample(*home as usize).contains(&(j as u32));
-                let overlapping = move |home: &u32| entry(*home as usize, j).is_some();
-                sheets
-                    .of_sample(j)
-                    .iter()
-                    .copied()
-                    .filter(overlapping)
-                    .filter(unknown)
-                    .map(move |home| (home, j as u32))
+                let homes = sheets.of_sample(j).iter().map(move |home| (*home, j as u32));
+                homes
+                    .filter(|(home, j)| is_unknown(*home, *j) && entry(*home as usize, *j as usize).is_some())
             })
             .collect();
         one_way.par_sort_unstable();
 
-        let list = |home: usize| {
+        // As numbers that are in the order of the entries.
+        let list = |home: usize, list: &mut Vec<u64>| {
             let first = one_way.partition_point(|(h, _)| (*h as usize) < home);
             let others = one_way[first..].iter().take_while(|(h, _)| *h as usize == home).map(|(_, j)| j);
             let itself = [home as u32];
             let all = itself.iter().chain(sheets.of_sample(home)).chain(others);
-            let mut list: Vec<Reaching> = all.filter_map(|j| entry(home, *j as usize)).collect();
-            list.sort_unstable_by(|a, b| a.from.total_cmp(&b.from).then(a.sample.cmp(&b.sample)));
-            list
+            list.clear();
+            list.extend(all.filter_map(|j| entry(home, *j as usize)).map(Reaching::to_ordered));
+            list.sort_unstable();
+        };
+        let some = |homes: Range<usize>| {
+            let (mut ends, mut reaching, mut one) = (Vec::with_capacity(homes.len()), Vec::new(), Vec::new());
+            for home in homes {
+                list(home, &mut one);
+                reaching.extend(one.iter().map(|r| Reaching::from_ordered(*r)));
+                ends.push(reaching.len() as u32);
+            }
+            (ends, reaching)
         };
         let (mut starts, mut reaching) = (vec![0], Vec::new());
         for block in blocks(n) {
-            let lists: Vec<Vec<Reaching>> = block.into_par_iter().map(list).collect();
-            reaching.reserve_exact(lists.iter().map(Vec::len).sum());
-            for list in lists {
+            let parts = block.clone().into_par_iter().step_by(TOGETHER);
+            let lists: Vec<(Vec<u32>, Vec<Reaching>)> =
+                parts.map(|first| some(first..block.end.min(first + TOGETHER))).collect();
+            reaching.reserve_exact(lists.iter().map(|(_, reaching)| reaching.len()).sum());
+            for (ends, list) in lists {
+                let first = reaching.len() as u32;
+                starts.extend(ends.iter().map(|end| first + end));
                 reaching.extend(list);
-                starts.push(reaching.len() as u32);
             }
         }
         Self { radius, ranging, starts, reaching }

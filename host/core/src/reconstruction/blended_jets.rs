@@ -9,12 +9,14 @@
 //! towards nothing: where the neighbours do not tell, as across a flat neighbourhood, those maps stand. They
 //! reproduce similarities exactly, and so does this.
 
-use glam::{DMat3, Mat3, Vec3};
+use glam::{Mat3, Vec3};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
+use super::double_lanes::{DoubleLanes, MOST_LANES};
 use super::expansion::Expansion;
-use super::gradients::{Gradients, ROUNDING};
-use super::least_squares::{LeastSquares, Unresolved};
+use super::gradients::Gradients;
+use super::least_squares::{Fitted, LeastSquares, TERMS, Unresolved, square};
 use super::stencils::Stencils;
 use crate::geometry::hermite;
 use crate::sampling::SampleSet;
@@ -24,6 +26,9 @@ pub const BLENDED: usize = 6;
 
 /// Neighbours in a fit: three times its terms.
 pub(super) const FIT_NEIGHBOURS: usize = 28;
+
+/// Samples that are fitted by one job.
+const TOGETHER: usize = 64;
 
 /// What a fit leaves over counts as noise of its data: a ridge of so much of it, as a part of the data's
 /// square, shows what the fit explains by terms that the noise leaves undetermined (as Wiener's filter
@@ -60,6 +65,11 @@ struct Jet {
 }
 
 impl Jet {
+    /// The affine map that has a gradient.
+    fn affine(slope: Mat3) -> Self {
+        Self { slope, second: [Vec3::ZERO; 6], doubt: 0.0, unresolved: Unresolved::default() }
+    }
+
     /// The image of a point at `d` from the sample, relative to the sample's image, and the gradient there.
     fn at(&self, d: Vec3) -> (Vec3, Mat3) {
         let [xx, xy, xz, yy, yz, zz] = self.second;
@@ -95,8 +105,11 @@ pub fn expand(
     deformed: &[Vec3],
     gradients: &Gradients,
 ) -> Expanded {
-    let all = || (0..samples.len()).into_par_iter();
-    let jets: Vec<Jet> = all().map(|i| fit(samples, stencils, deformed, gradients.gradient[i], i)).collect();
+    let fitted = Fitted { samples, stencils, deformed, gradient: &gradients.gradient };
+    let mut jets: Vec<Jet> = gradients.gradient.par_iter().map(|gradient| Jet::affine(*gradient)).collect();
+    jets.par_chunks_mut(TOGETHER).enumerate().for_each(|(chunk, jets)| {
+        Arch::new().dispatch(Fits { fitted, first: chunk * TOGETHER, jets });
+    });
     let in_doubt: Vec<u32> = (0..).zip(&jets).filter(|(_, jet)| jet.doubt > 0.0).map(|(i, _)| i).collect();
     let prevailing = prevailing(samples, stencils, &jets, &in_doubt);
     let mended: Vec<(u32, Jet, Doubt)> = in_doubt
@@ -197,35 +210,107 @@ impl Jet {
     }
 }
 
-fn fit(samples: &SampleSet, stencils: &Stencils<'_>, deformed: &[Vec3], gradient: Mat3, i: usize) -> Jet {
-    let affine =
-        Jet { slope: gradient, second: [Vec3::ZERO; 6], doubt: 0.0, unresolved: Unresolved::default() };
-    let prior = gradient.as_dmat3();
-    let Some(squares) = LeastSquares::gather(samples, stencils, deformed, prior, i) else { return affine };
-    if squares.largest < ROUNDING {
-        return affine;
-    }
-    let strain = strain(prior);
-    let Some((terms, left, ridge)) = squares.solve(strain) else { return affine };
-    // What terms explain that noise of this size leaves undetermined is not relied on.
-    let relied_on =
-        if left > SMOOTH { squares.ridged(ridge + NOISE * (left - SMOOTH)) } else { Some((terms, left)) };
-    let Some((_, left)) = relied_on else { return affine };
-    let scale = squares.scale;
-    let first = |a: usize| (terms[a] * scale).as_vec3();
-    let second = [3, 4, 5, 6, 7, 8].map(|a: usize| (terms[a] * scale * scale).as_vec3());
-    let slope = gradient + Mat3::from_cols(first(0), first(1), first(2));
-    if !(slope.is_finite() && second.iter().all(|h| h.is_finite())) {
-        return affine;
-    }
-    let bent: f64 = terms[3..].iter().map(|term| term.length_squared()).sum();
-    let off = (STRAINED * strain).hypot(bent.sqrt() * scale);
-    let unresolved = squares.unresolved(samples.normals()[i].as_dvec3() * off);
-    Jet { slope, second, doubt: squares.doubt(left), unresolved }
+/// Fits samples that follow each other from the first, one for each jet: the affine map is left where nothing more
+/// is to be explained, or cannot be.
+struct Fits<'a> {
+    fitted: Fitted<'a>,
+    first: usize,
+    jets: &'a mut [Jet],
 }
 
-/// How far a gradient is from a rotation: the size of Green's strain.
-fn strain(f: DMat3) -> f64 {
-    let doubled = f.transpose() * f - DMat3::IDENTITY;
-    0.5 * doubled.to_cols_array().iter().map(|e| e * e).sum::<f64>().sqrt()
+impl WithSimd for Fits<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { fitted, first, jets } = self;
+        for at in (0..jets.len()).step_by(S::F64_LANES) {
+            let count = S::F64_LANES.min(jets.len() - at);
+            let mut packet = [first + at; MOST_LANES];
+            packet.iter_mut().enumerate().take(count).for_each(|(lane, sample)| *sample += lane);
+            fit(simd, &fitted, &packet, &mut jets[at..at + count]);
+        }
+    }
+}
+
+/// Fits the samples of a packet.
+#[inline(always)]
+fn fit<S: Simd>(simd: S, fitted: &Fitted<'_>, packet: &[usize; MOST_LANES], jets: &mut [Jet]) {
+    let squares = LeastSquares::gather(simd, fitted, packet);
+    let is_needed = squares.is_needed();
+    if !is_needed.any() {
+        return;
+    }
+    let (mut gradient, mut normal) = ([[0.0; MOST_LANES]; 9], [[0.0; MOST_LANES]; 3]);
+    let normals = fitted.samples.normals();
+    for lane in 0..S::F64_LANES {
+        let columns = fitted.gradient[packet[lane]].to_cols_array();
+        for i in 0..9 {
+            gradient[i][lane] = f64::from(columns[i]);
+        }
+        for axis in 0..3 {
+            normal[axis][lane] = f64::from(normals[packet[lane]][axis]);
+        }
+    }
+    let splat = |x| DoubleLanes::splat(simd, x);
+    let strain = strain(simd, &gradient);
+    let (terms, left, ridge, is_solved) = squares.solve(strain);
+    // What terms explain that noise of this size leaves undetermined is not relied on.
+    let (mut relied_on, mut is_solved) = (left, is_solved);
+    let is_noisy = splat(SMOOTH).less(left);
+    if is_noisy.any() {
+        let noise = splat(NOISE) * (left - splat(SMOOTH)).max(splat(0.0));
+        let (_, ridged, is_found) = squares.ridged(ridge + noise);
+        relied_on = is_noisy.select(ridged, left);
+        is_solved = is_solved.and(is_found);
+    }
+    let doubt = squares.doubt(relied_on).store();
+    let mut bent = splat(0.0);
+    for term in &terms[3..] {
+        bent += square(*term);
+    }
+    let (strained, bent) = (splat(STRAINED) * strain, bent * squares.scale * squares.scale);
+    let off = strained.mul_add(strained, bent).sqrt();
+    let mut across = [off; 3];
+    for axis in 0..3 {
+        across[axis] = DoubleLanes::load(simd, &normal[axis]) * off;
+    }
+    let open = squares.unresolved(across);
+
+    let is_fitted = is_needed.and(is_solved).store();
+    let (mut stored, mut unresolved) = ([[[0.0; MOST_LANES]; 3]; TERMS], [[0.0; MOST_LANES]; TERMS]);
+    for a in 0..TERMS {
+        for axis in 0..3 {
+            let scaled = terms[a][axis] * squares.scale;
+            stored[a][axis] = if a < 3 { scaled } else { scaled * squares.scale }.store();
+        }
+        unresolved[a] = open[a].store();
+    }
+    for (lane, jet) in jets.iter_mut().enumerate().filter(|(lane, _)| is_fitted[*lane]) {
+        let term = |a: usize| Vec3::from_array(stored[a].map(|numbers| numbers[lane] as f32));
+        let slope = jet.slope + Mat3::from_cols(term(0), term(1), term(2));
+        let second = [3, 4, 5, 6, 7, 8].map(term);
+        if slope.is_finite() && second.iter().all(|h| h.is_finite()) {
+            let unresolved = Unresolved(unresolved.map(|numbers| numbers[lane] as f32));
+            *jet = Jet { slope, second, doubt: doubt[lane], unresolved };
+        }
+    }
+}
+
+/// How far gradients, column by column, are from rotations: the size of Green's strain.
+#[inline(always)]
+fn strain<S: Simd>(simd: S, gradient: &[[f64; MOST_LANES]; 9]) -> DoubleLanes<S> {
+    let splat = |x| DoubleLanes::splat(simd, x);
+    let mut sum = splat(0.0);
+    for a in 0..3 {
+        for b in 0..3 {
+            let mut product = splat(if a == b { -1.0 } else { 0.0 });
+            for axis in 0..3 {
+                let factor = DoubleLanes::load(simd, &gradient[3 * a + axis]);
+                product = factor.mul_add(DoubleLanes::load(simd, &gradient[3 * b + axis]), product);
+            }
+            sum = product.mul_add(product, sum);
+        }
+    }
+    splat(0.5) * sum.sqrt()
 }

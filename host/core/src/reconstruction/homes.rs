@@ -5,7 +5,7 @@
 //! its middle best. That one, or one of its neighbours, is the home. Where several sheets of the surface are
 //! near, it may be on the wrong one: there the home is the sample whose tangent plane the place lies near.
 
-use glam::{UVec3, Vec3, Vec4};
+use glam::{BVec3, UVec3, Vec3, Vec4};
 use rayon::prelude::*;
 
 use super::Surroundings;
@@ -121,15 +121,29 @@ impl Cell {
         self.corner + 0.5 * self.edge
     }
 
-    /// Whether a box about a point, so far to each side, meets it.
-    fn meets(self, p: Vec3, reach: f32) -> bool {
-        (p - self.middle()).abs().max_element() <= 0.5 * self.edge + reach
+    /// Along which axes a box about a point, so far to each side, meets it.
+    fn meets(self, p: Vec3, reach: f32) -> BVec3 {
+        (p - self.middle()).abs().cmple(Vec3::splat(0.5 * self.edge + reach))
     }
 }
 
 /// What a cell is filled with, where the list that it speaks of stands behind so many others.
 fn behind(others: u32, what: u32) -> u32 {
     if what & PARTED == 0 { what } else { what + others }
+}
+
+/// The samples that reach each eighth of a cell: as many places for each as there are samples, of which the first are
+/// taken.
+struct Reached {
+    samples: Vec<u32>,
+    counts: [u32; 8],
+}
+
+impl Reached {
+    fn of_eighth(&self, eighth: usize) -> &[u32] {
+        let first = eighth * (self.samples.len() / 8);
+        &self.samples[first..first + self.counts[eighth] as usize]
+    }
 }
 
 /// What cells are made of.
@@ -143,9 +157,10 @@ impl Growing<'_> {
     fn part(&self, cell: Cell, near: &[u32], parted: &mut Vec<[u32; 8]>) {
         let at = parted.len();
         parted.push([0; 8]);
+        let reached = self.reached(cell, near);
         if near.len() < SIDE_BY_SIDE {
             for i in 0..8 {
-                parted[at][i] = self.fill(cell.eighth(i), near, parted);
+                parted[at][i] = self.fill(cell.eighth(i), near, reached.of_eighth(i), parted);
             }
             return;
         }
@@ -153,7 +168,7 @@ impl Growing<'_> {
             .into_par_iter()
             .map(|i| {
                 let mut below = Vec::new();
-                (self.fill(cell.eighth(i), near, &mut below), below)
+                (self.fill(cell.eighth(i), near, reached.of_eighth(i), &mut below), below)
             })
             .collect();
         for (i, (what, below)) in eighths.into_iter().enumerate() {
@@ -163,20 +178,31 @@ impl Growing<'_> {
         }
     }
 
-    /// What a cell is filled with, of which the one that it is a part of is reached by some samples.
-    fn fill(&self, cell: Cell, around: &[u32], parted: &mut Vec<[u32; 8]>) -> u32 {
-        let near: Vec<u32> = around
-            .iter()
-            .copied()
-            .filter(|i| {
-                let i = *i as usize;
-                cell.meets(self.supports[i].truncate(), REACH * self.radius[i])
-            })
-            .collect();
+    /// Which samples reach the eighths of a cell.
+    fn reached(&self, cell: Cell, near: &[u32]) -> Reached {
+        let [low, high] = [0, 7].map(|eighth| cell.eighth(eighth));
+        let mut reached = Reached { samples: vec![0; 8 * near.len()], counts: [0; 8] };
+        for sample in near {
+            let (p, reach) =
+                (self.supports[*sample as usize].truncate(), REACH * self.radius[*sample as usize]);
+            let (low, high) = (low.meets(p, reach), high.meets(p, reach));
+            let (x, y, z) = ([low.x, high.x], [low.y, high.y], [low.z, high.z]);
+            for (eighth, count) in reached.counts.iter_mut().enumerate() {
+                let meets = x[eighth & 1] & y[eighth >> 1 & 1] & z[eighth >> 2];
+                reached.samples[eighth * near.len() + *count as usize] = *sample;
+                *count += u32::from(meets);
+            }
+        }
+        reached
+    }
+
+    /// What a cell is filled with, of which the one that it is a part of is reached by the samples `around`, and
+    /// itself by those that are `near`.
+    fn fill(&self, cell: Cell, around: &[u32], near: &[u32], parted: &mut Vec<[u32; 8]>) -> u32 {
         let least = near.iter().map(|i| self.radius[*i as usize]).fold(f32::INFINITY, f32::min);
         if near.len() > MOST && cell.edge > EDGE * least && cell.level < LEVELS {
             let at = parted.len() as u32;
-            self.part(cell, &near, parted);
+            self.part(cell, near, parted);
             return at | PARTED;
         }
         let middle = cell.middle();
@@ -186,7 +212,7 @@ impl Growing<'_> {
             let support = if near.is_empty() { support.with_w(1.0) } else { support };
             depth(support, middle)
         };
-        let from = if near.is_empty() { around } else { &near };
+        let from = if near.is_empty() { around } else { near };
         from.iter().copied().min_by(|a, b| key(a).total_cmp(&key(b)).then(a.cmp(b))).unwrap_or_default()
     }
 }

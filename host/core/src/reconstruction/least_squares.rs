@@ -4,13 +4,22 @@
 //! What the affine map of [`gradients`](super::gradients) leaves over at the neighbours is explained by nine
 //! terms for each coordinate, with a ridge that follows from what they leave over in their turn (N. Wiener,
 //! *Extrapolation, Interpolation, and Smoothing of Stationary Time Series*, 1949).
+//!
+//! As many samples are fitted at once as the processor's vector registers take, each by the same operations in
+//! the same order on any processor.
 
-use glam::{DMat3, DVec3, Vec3};
+#![expect(
+    clippy::needless_range_loop,
+    reason = "vectors are compiled for the processor only where they are inlined"
+)]
+
+use glam::{Mat3, Vec3};
+use pulp::Simd;
 
 use super::blended_jets::FIT_NEIGHBOURS;
+use super::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES};
 use super::gradients::ROUNDING;
 use super::stencils::Stencils;
-use crate::geometry::{hermite, solve_positive_definite};
 use crate::sampling::SampleSet;
 
 /// The largest ridge, relative to terms of the size of the neighbourhood ...
@@ -23,8 +32,11 @@ const LEAST_RIDGE: f64 = 1e-11;
 /// the affine map leaves over.
 const EXPECTED: f64 = 4.0;
 
-/// Terms of a second-order expansion without its constant.
+/// Terms of a second-order expansion without its constant: x, y, z, xx, xy, xz, yy, yz, zz.
 pub const TERMS: usize = 9;
+
+/// The factors of its second-order terms.
+const FACTORS: [[usize; 2]; 6] = [[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]];
 
 /// A fit that leaves over more than this part of the displacement's variation is in doubt …
 const DOUBTFUL: f64 = 0.1;
@@ -39,7 +51,7 @@ const USELESS: f64 = 0.3;
 /// (A + λ W)⁻¹ λ W e of it, e across, A of the fit's squares: next to nothing where neighbours tell about
 /// the direction across, and nothing at the neighbours themselves.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Unresolved([f32; TERMS]);
+pub struct Unresolved(pub [f32; TERMS]);
 
 impl Unresolved {
     /// The length of what is left at `d` from the sample.
@@ -50,114 +62,375 @@ impl Unresolved {
     }
 }
 
-/// The squares of what the affine map leaves over at the neighbours of a sample, to be explained by the terms
-/// x, y, z, xx, xy, xz, yy, yz, zz in units of the neighbourhood's radius.
-pub(super) struct LeastSquares {
-    /// One over the radius.
-    pub scale: f64,
-    /// Lower triangle of the products of terms, and the products with what is to be explained.
-    matrix: [[f64; TERMS]; TERMS],
-    right: [DVec3; TERMS],
-    /// Of the weights, and of their squares.
-    weights: f64,
-    squared_weights: f64,
-    /// Of what is to be explained.
-    squares: f64,
-    /// The largest of that, as a length.
-    pub largest: f64,
-    /// Of the displacements, beside the sample's own.
-    variation: f64,
+/// One number for each sample and coordinate.
+pub type Triple<S> = [DoubleLanes<S>; 3];
+
+/// The terms of the three coordinates.
+pub type Terms<S> = [Triple<S>; TERMS];
+
+/// What is fitted: samples, and the gradient at each that the fit goes beyond.
+#[derive(Clone, Copy)]
+pub struct Fitted<'a> {
+    pub samples: &'a SampleSet,
+    pub stencils: &'a Stencils<'a>,
+    pub deformed: &'a [Vec3],
+    pub gradient: &'a [Mat3],
 }
 
-impl LeastSquares {
-    /// Gathers the neighbours of sample `i`; `None` where they all lie at one place.
-    pub fn gather(
-        samples: &SampleSet,
-        stencils: &Stencils<'_>,
-        deformed: &[Vec3],
-        prior: DMat3,
-        i: usize,
-    ) -> Option<Self> {
-        let (near, radius) = stencils.around(&samples.positions, i, FIT_NEIGHBOURS);
-        let (q, q_star) = (samples.positions[i], deformed[i]);
-        let scale = 1.0 / f64::from(radius);
-        let mut sums = Self {
-            scale,
-            matrix: [[0.0; TERMS]; TERMS],
-            right: [DVec3::ZERO; TERMS],
-            weights: 0.0,
-            squared_weights: 0.0,
-            squares: 0.0,
-            largest: 0.0,
-            variation: 0.0,
-        };
-        for j in near {
-            let j = *j as usize;
-            let d = (samples.positions[j] - q).as_dvec3();
-            let moved = deformed[j].as_dvec3() - q_star.as_dvec3();
-            let left_over = moved - prior * d;
-            let w = f64::from(hermite((d.length() * scale) as f32));
-            let DVec3 { x, y, z } = d * scale;
-            let terms = [x, y, z, x * x, x * y, x * z, y * y, y * z, z * z];
-            for (a, term) in terms.iter().enumerate() {
-                let weighted = w * term;
-                for (b, other) in terms[..=a].iter().enumerate() {
-                    sums.matrix[a][b] += weighted * other;
-                }
-                sums.right[a] += left_over * weighted;
+/// The squares of what the affine map leaves over at the neighbours of each sample, to be explained by the terms
+/// in units of the neighbourhood's radius.
+pub struct LeastSquares<S: Simd> {
+    simd: S,
+    /// One over the radius; 1 where that is nothing, and nothing is gathered.
+    pub scale: DoubleLanes<S>,
+    /// Lower triangle of the products of terms, and the products with what is to be explained.
+    matrix: [[DoubleLanes<S>; TERMS]; TERMS],
+    right: Terms<S>,
+    /// Of the weights, and of their squares.
+    weights: DoubleLanes<S>,
+    squared_weights: DoubleLanes<S>,
+    /// Of what is to be explained.
+    squares: DoubleLanes<S>,
+    /// The largest of that, as the square of a length.
+    largest: DoubleLanes<S>,
+    /// Of the displacements, beside the sample's own.
+    variation: DoubleLanes<S>,
+}
+
+/// The neighbours of several samples that come at one place in their lists, as ways from the samples.
+struct Neighbours {
+    /// 1, or 0 where a list is over.
+    is_there: [f64; MOST_LANES],
+    way: [[f64; MOST_LANES]; 3],
+    /// The same after the deformation.
+    moved: [[f64; MOST_LANES]; 3],
+}
+
+impl<S: Simd> LeastSquares<S> {
+    /// Gathers the neighbours of as many samples as there are lanes.
+    #[inline(always)]
+    pub fn gather(simd: S, fitted: &Fitted<'_>, packet: &[usize; MOST_LANES]) -> Self {
+        let Fitted { samples, stencils, deformed, gradient } = *fitted;
+        let zero = DoubleLanes::splat(simd, 0.0);
+        let (mut lists, mut scale, mut longest) = ([&[][..]; MOST_LANES], [1.0; MOST_LANES], 0);
+        let mut prior = [[0.0; MOST_LANES]; 9];
+        for lane in 0..S::F64_LANES {
+            let (near, radius) = stencils.around(&samples.positions, packet[lane], FIT_NEIGHBOURS);
+            // Of neighbours that all lie at one place, nothing can be told.
+            if radius > 0.0 {
+                scale[lane] = 1.0 / f64::from(radius);
+                (lists[lane], longest) = (near, near.len().max(longest));
             }
-            sums.weights += w;
-            sums.squared_weights += w * w;
-            sums.variation += w * (moved - d).length_squared();
-            sums.squares += w * left_over.length_squared();
-            sums.largest = sums.largest.max(left_over.length());
+            let columns = gradient[packet[lane]].to_cols_array();
+            for i in 0..9 {
+                prior[i][lane] = f64::from(columns[i]);
+            }
         }
-        scale.is_finite().then_some(sums)
+        let scale = DoubleLanes::load(simd, &scale);
+        let mut slope = [zero; 9];
+        for i in 0..9 {
+            slope[i] = DoubleLanes::load(simd, &prior[i]);
+        }
+        let mut sums = Self {
+            simd,
+            scale,
+            matrix: [[zero; TERMS]; TERMS],
+            right: [[zero; 3]; TERMS],
+            weights: zero,
+            squared_weights: zero,
+            squares: zero,
+            largest: zero,
+            variation: zero,
+        };
+        let mut moments = Moments { second: [zero; 6], third: [zero; 10], fourth: [zero; 15] };
+        let nobody = [[0.0; MOST_LANES]; 3];
+        for place in 0..longest {
+            let mut all = Neighbours { is_there: [0.0; MOST_LANES], way: nobody, moved: nobody };
+            for lane in 0..S::F64_LANES {
+                if place < lists[lane].len() {
+                    let (i, j) = (packet[lane], lists[lane][place] as usize);
+                    let way = samples.positions[j] - samples.positions[i];
+                    all.is_there[lane] = 1.0;
+                    for axis in 0..3 {
+                        all.way[axis][lane] = f64::from(way[axis]);
+                        all.moved[axis][lane] = f64::from(deformed[j][axis]) - f64::from(deformed[i][axis]);
+                    }
+                }
+            }
+            sums.include(&slope, &all, &mut moments);
+        }
+        sums.matrix = moments.products(zero);
+        sums
     }
 
-    fn with_ridge(&self, ridge: f64) -> [[f64; TERMS]; TERMS] {
-        let mut matrix = self.matrix;
-        matrix.iter_mut().enumerate().for_each(|(a, row)| row[a] += ridge * self.weights);
-        matrix
+    #[inline(always)]
+    fn include(&mut self, slope: &[DoubleLanes<S>; 9], all: &Neighbours, moments: &mut Moments<S>) {
+        let simd = self.simd;
+        let load = |numbers| DoubleLanes::load(simd, numbers);
+        let d = [load(&all.way[0]), load(&all.way[1]), load(&all.way[2])];
+        let moved = [load(&all.moved[0]), load(&all.moved[1]), load(&all.moved[2])];
+        let mut left = moved;
+        for axis in 0..3 {
+            for column in 0..3 {
+                left[axis] = slope[3 * column + axis].negate_mul_add(d[column], left[axis]);
+            }
+        }
+        let x = [d[0] * self.scale, d[1] * self.scale, d[2] * self.scale];
+        // The kernel 1 - 3t² + 2t³.
+        let one = DoubleLanes::splat(simd, 1.0);
+        let t = square(x).sqrt().min(one);
+        let rest = t.mul_add(DoubleLanes::splat(simd, 2.0), DoubleLanes::splat(simd, -3.0));
+        let w = load(&all.is_there) * (t * t).mul_add(rest, one);
+
+        let mut second = [one; 6];
+        for (to, [a, b]) in second.iter_mut().zip(FACTORS) {
+            *to = x[a] * x[b];
+        }
+        let weighted = moments.include(w, x, second);
+        for a in 0..3 {
+            let first = w * x[a];
+            for axis in 0..3 {
+                self.right[a][axis] = first.mul_add(left[axis], self.right[a][axis]);
+            }
+        }
+        for a in 0..6 {
+            for axis in 0..3 {
+                self.right[3 + a][axis] = weighted[a].mul_add(left[axis], self.right[3 + a][axis]);
+            }
+        }
+        self.weights += w;
+        self.squared_weights = w.mul_add(w, self.squared_weights);
+        let displaced = [moved[0] - d[0], moved[1] - d[1], moved[2] - d[2]];
+        self.variation = w.mul_add(square(displaced), self.variation);
+        let left = square(left);
+        self.squares = w.mul_add(left, self.squares);
+        self.largest = self.largest.max(left);
     }
 
-    /// The terms that explain most with this ridge, and the part of the squares that they leave over.
-    pub fn ridged(&self, ridge: f64) -> Option<([DVec3; TERMS], f64)> {
-        let c = solve_positive_definite(self.with_ridge(ridge), self.right)?;
+    /// Where more is to be explained than rounding makes.
+    #[inline(always)]
+    pub fn is_needed(&self) -> DoubleMask<S> {
+        DoubleLanes::splat(self.simd, ROUNDING * ROUNDING).less(self.largest)
+    }
+
+    /// The terms that explain most with this ridge, the part of the squares that they leave over, and where they
+    /// could be found.
+    #[inline(always)]
+    pub fn ridged(&self, ridge: DoubleLanes<S>) -> (Terms<S>, DoubleLanes<S>, DoubleMask<S>) {
+        let (factor, is_found) = Factor::of(self.simd, &self.matrix, ridge * self.weights);
+        let terms = factor.solve(self.right);
         // For the least squares c, what is left over is Σ w|r|² − c·b, up to the ridge.
-        let explained: f64 = c.iter().zip(&self.right).map(|(c, b)| c.dot(*b)).sum();
-        Some((c, (1.0 - explained / self.squares).max(0.0)))
+        let mut explained = DoubleLanes::splat(self.simd, 0.0);
+        for (term, right) in terms.iter().zip(&self.right) {
+            for axis in 0..3 {
+                explained = term[axis].mul_add(right[axis], explained);
+            }
+        }
+        let (zero, one) = (DoubleLanes::splat(self.simd, 0.0), DoubleLanes::splat(self.simd, 1.0));
+        (terms, (one - explained / self.squares).max(zero), is_found)
     }
 
-    /// The same with the ridge of a Wiener filter, which is given as well, where the map strains so much:
-    /// what is left over almost without a ridge is noise, beside what terms may amount to.
-    pub fn solve(&self, strain: f64) -> Option<([DVec3; TERMS], f64, f64)> {
-        let (_, left) = self.ridged(LEAST_RIDGE)?;
+    /// The same with the ridge of a Wiener filter, where the map strains so much, and this ridge: what is left
+    /// over almost without a ridge is noise, beside what terms may amount to.
+    #[inline(always)]
+    pub fn solve(&self, strain: DoubleLanes<S>) -> (Terms<S>, DoubleLanes<S>, DoubleLanes<S>, DoubleMask<S>) {
+        let splat = |x| DoubleLanes::splat(self.simd, x);
+        let (_, left, is_found) = self.ridged(splat(LEAST_RIDGE));
         // What nine terms leave over of few neighbours is less than they are off by.
-        let free = (1.0 - TERMS as f64 * self.squared_weights / (self.weights * self.weights)).max(0.0);
-        let signal = self.squares + self.weights * (strain / self.scale).powi(2);
-        let ridge = (LEAST_RIDGE + left * self.squares / (EXPECTED * free * signal)).min(RIDGE);
-        self.ridged(ridge).map(|(terms, left)| (terms, left, ridge))
+        let used = self.squared_weights / (self.weights * self.weights);
+        let free = splat(TERMS as f64).negate_mul_add(used, splat(1.0)).max(splat(0.0));
+        let extent = strain / self.scale;
+        let signal = self.weights.mul_add(extent * extent, self.squares);
+        let noise = left * self.squares / (splat(EXPECTED) * free * signal);
+        let ridge = (splat(LEAST_RIDGE) + noise).min(splat(RIDGE));
+        let (terms, left, is_solved) = self.ridged(ridge);
+        (terms, left, ridge, is_found.and(is_solved))
     }
 
     /// How little a fit is to be believed that leaves this part of the squares over, from 0 to 1.
-    pub fn doubt(&self, part: f64) -> f64 {
+    #[inline(always)]
+    pub fn doubt(&self, part: DoubleLanes<S>) -> DoubleLanes<S> {
+        let splat = |x| DoubleLanes::splat(self.simd, x);
         let left = part * self.squares;
-        if (left / self.weights).sqrt() < ROUNDING {
-            return 0.0;
-        }
+        let is_more = (splat(ROUNDING * ROUNDING) * self.weights).less(left);
         // Beside how much the displacement varies, little matters that is left over of little.
         let part = (left / self.squares.max(self.variation)).sqrt();
-        let t = ((part - DOUBTFUL) / (USELESS - DOUBTFUL)).clamp(0.0, 1.0);
-        t * t * (3.0 - 2.0 * t)
+        let t = (part - splat(DOUBTFUL)) / splat(USELESS - DOUBTFUL);
+        let t = t.max(splat(0.0)).min(splat(1.0));
+        is_more.select(t * t * splat(-2.0).mul_add(t, splat(3.0)), splat(0.0))
     }
 
-    /// What the fit leaves of a gradient that is off by so much `across` the surface.
-    pub fn unresolved(&self, across: DVec3) -> Unresolved {
-        let mut right = [DVec3::ZERO; TERMS];
-        right.iter_mut().zip(across.to_array()).for_each(|(right, n)| right.x = RIDGE * self.weights * n);
-        let left = solve_positive_definite(self.with_ridge(RIDGE), right).unwrap_or_default();
-        let unit = |a: usize| if a < 3 { 1.0 } else { self.scale };
-        Unresolved(std::array::from_fn(|a| (left[a].x * unit(a)) as f32))
+    /// What the fit leaves of a gradient that is off by so much `across` the surface: the terms of
+    /// [`Unresolved`], nothing where they cannot be found.
+    #[inline(always)]
+    pub fn unresolved(&self, across: Triple<S>) -> [DoubleLanes<S>; TERMS] {
+        let zero = DoubleLanes::splat(self.simd, 0.0);
+        let ridge = DoubleLanes::splat(self.simd, RIDGE) * self.weights;
+        let (factor, is_found) = Factor::of(self.simd, &self.matrix, ridge);
+        let mut right = [[zero; 1]; TERMS];
+        for axis in 0..3 {
+            right[axis][0] = ridge * across[axis];
+        }
+        let left = factor.solve(right);
+        let mut terms = [zero; TERMS];
+        for a in 0..TERMS {
+            let term = if a < 3 { left[a][0] } else { left[a][0] * self.scale };
+            terms[a] = is_found.select(term, zero);
+        }
+        terms
     }
+}
+
+/// Weighted sums of products of two, three and four coordinates: xx, xy, xz, yy, yz, zz; xxx, xxy, xxz, xyy, xyz,
+/// xzz, yyy, yyz, yzz, zzz; and so on.
+struct Moments<S: Simd> {
+    second: [DoubleLanes<S>; 6],
+    third: [DoubleLanes<S>; 10],
+    fourth: [DoubleLanes<S>; 15],
+}
+
+/// The place of each third moment: of a product of two, and a coordinate.
+const THIRD: [[usize; 3]; 6] = [[0, 1, 2], [1, 3, 4], [2, 4, 5], [3, 6, 7], [4, 7, 8], [5, 8, 9]];
+
+/// The place of each fourth moment: of two products of two.
+const FOURTH: [[usize; 6]; 6] = [
+    [0, 1, 2, 3, 4, 5],
+    [1, 3, 4, 6, 7, 8],
+    [2, 4, 5, 7, 8, 9],
+    [3, 6, 7, 10, 11, 12],
+    [4, 7, 8, 11, 12, 13],
+    [5, 8, 9, 12, 13, 14],
+];
+
+/// Two factors for each third and fourth moment.
+const OF_THIRD: [[usize; 2]; 10] =
+    [[0, 0], [0, 1], [0, 2], [3, 0], [4, 0], [5, 0], [3, 1], [3, 2], [5, 1], [5, 2]];
+const OF_FOURTH: [[usize; 2]; 15] = [
+    [0, 0],
+    [0, 1],
+    [0, 2],
+    [0, 3],
+    [0, 4],
+    [0, 5],
+    [1, 3],
+    [1, 4],
+    [1, 5],
+    [2, 5],
+    [3, 3],
+    [3, 4],
+    [3, 5],
+    [4, 5],
+    [5, 5],
+];
+
+impl<S: Simd> Moments<S> {
+    /// Adds those of a place, of which the products of two coordinates are `second`; gives these, weighted.
+    #[inline(always)]
+    fn include(
+        &mut self,
+        w: DoubleLanes<S>,
+        x: Triple<S>,
+        second: [DoubleLanes<S>; 6],
+    ) -> [DoubleLanes<S>; 6] {
+        let mut weighted = second;
+        for a in 0..6 {
+            weighted[a] = w * second[a];
+            self.second[a] += weighted[a];
+        }
+        for (to, [a, b]) in self.third.iter_mut().zip(OF_THIRD) {
+            *to = weighted[a].mul_add(x[b], *to);
+        }
+        for (to, [a, b]) in self.fourth.iter_mut().zip(OF_FOURTH) {
+            *to = weighted[a].mul_add(second[b], *to);
+        }
+        weighted
+    }
+
+    /// The lower triangle of the products of terms.
+    #[inline(always)]
+    fn products(&self, zero: DoubleLanes<S>) -> [[DoubleLanes<S>; TERMS]; TERMS] {
+        let mut matrix = [[zero; TERMS]; TERMS];
+        for (second, [a, b]) in self.second.iter().zip(FACTORS) {
+            matrix[b][a] = *second;
+        }
+        for a in 0..6 {
+            for b in 0..3 {
+                matrix[3 + a][b] = self.third[THIRD[a][b]];
+            }
+            for b in 0..=a {
+                matrix[3 + a][3 + b] = self.fourth[FOURTH[a][b]];
+            }
+        }
+        matrix
+    }
+}
+
+/// Cholesky's decomposition of symmetric positive definite matrices.
+struct Factor<S: Simd> {
+    /// The lower triangle, with one over the diagonal's numbers in their place.
+    rows: [[DoubleLanes<S>; TERMS]; TERMS],
+}
+
+impl<S: Simd> Factor<S> {
+    /// Of matrices, of which the lower triangle is given, with `ridge` added along the diagonal; and where they are
+    /// positive definite.
+    #[inline(always)]
+    fn of(
+        simd: S,
+        matrix: &[[DoubleLanes<S>; TERMS]; TERMS],
+        ridge: DoubleLanes<S>,
+    ) -> (Self, DoubleMask<S>) {
+        let (zero, one) = (DoubleLanes::splat(simd, 0.0), DoubleLanes::splat(simd, 1.0));
+        let most = DoubleLanes::splat(simd, f64::MAX);
+        let (mut rows, mut is_definite) = (*matrix, zero.less(one));
+        for j in 0..TERMS {
+            for i in j..TERMS {
+                let mut sum = if i == j { rows[i][j] + ridge } else { rows[i][j] };
+                for k in 0..j {
+                    sum = rows[i][k].negate_mul_add(rows[j][k], sum);
+                }
+                rows[i][j] = sum;
+            }
+            let pivot = rows[j][j];
+            // What is no number is neither.
+            let is_positive = zero.less(pivot).and(pivot.less(most));
+            is_definite = is_definite.and(is_positive);
+            let inverse = one / is_positive.select(pivot, one).sqrt();
+            rows[j][j] = inverse;
+            for i in j + 1..TERMS {
+                rows[i][j] = rows[i][j] * inverse;
+            }
+        }
+        (Self { rows }, is_definite)
+    }
+
+    /// Solves for right sides.
+    #[inline(always)]
+    fn solve<const N: usize>(&self, mut right: [[DoubleLanes<S>; N]; TERMS]) -> [[DoubleLanes<S>; N]; TERMS] {
+        for i in 0..TERMS {
+            for n in 0..N {
+                let mut sum = right[i][n];
+                for k in 0..i {
+                    sum = self.rows[i][k].negate_mul_add(right[k][n], sum);
+                }
+                right[i][n] = sum * self.rows[i][i];
+            }
+        }
+        for i in (0..TERMS).rev() {
+            for n in 0..N {
+                let mut sum = right[i][n];
+                for k in i + 1..TERMS {
+                    sum = self.rows[k][i].negate_mul_add(right[k][n], sum);
+                }
+                right[i][n] = sum * self.rows[i][i];
+            }
+        }
+        right
+    }
+}
+
+/// The squares of lengths.
+#[inline(always)]
+pub fn square<S: Simd>(d: Triple<S>) -> DoubleLanes<S> {
+    d[0].mul_add(d[0], d[1].mul_add(d[1], d[2] * d[2]))
 }

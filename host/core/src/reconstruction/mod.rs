@@ -17,6 +17,7 @@ mod bound;
 #[cfg(test)]
 mod bound_tests;
 mod diagnostics;
+mod double_lanes;
 mod exact;
 mod expansion;
 mod expected_error;

@@ -73,11 +73,15 @@ impl Sheets {
             }
             let near = graph.of(i);
             if near.iter().all(|j| surely_along(positions, normals, i, *j as usize))
+                || are_linked(&links, i, near, places)
                 || reached(&links, i, near, places).count() == near.len()
             {
                 return None;
             }
-            let near = samples.nearest_neighbours(i, CROWDED_NEIGHBOURS);
+            // As far as so many may be, on a surface.
+            let reach = near.last().map_or(0.0, |j| positions[*j as usize].distance(positions[i]));
+            let reach = reach * (CROWDED_NEIGHBOURS as f32 / near.len() as f32).sqrt();
+            let near = samples.neighbours_about(i, reach, CROWDED_NEIGHBOURS);
             let same: Vec<u32> = reached(&links, i, &near, places).take(SHEET_NEIGHBOURS).copied().collect();
             // Noise and creases alone do not make a second sheet, and fewer samples do not tell how they
             // turn: mostly the normal is wrong.
@@ -267,12 +271,37 @@ fn links(positions: &[Vec3], normals: &[Vec3], near: &[u32], i: usize) -> [u32; 
             continue;
         }
         let entry = (sheet_distance(d, n), *j);
-        if entry.0 < best[LINKS - 1].0 {
-            best[LINKS - 1] = entry;
-            best.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        let mut at = LINKS;
+        while at > 0 && entry.0 < best[at - 1].0 {
+            if at < LINKS {
+                best[at] = best[at - 1];
+            }
+            best[at - 1] = entry;
+            at -= 1;
         }
     }
     best.map(|(_, j)| j)
+}
+
+/// Whether each of `near` (nearest first) has a link to sample `i`, or to one that has: mostly so to a nearer one,
+/// where there is one sheet alone. If not, links of the others may still lead there. `places` as for [`reached`].
+fn are_linked(links: &[[u32; LINKS]], i: usize, near: &[u32], places: &mut [u8]) -> bool {
+    places[i] = 0;
+    let mut left = near.len();
+    // The second time for those that come before what they have a link to.
+    for _ in 0..2 {
+        for j in near.iter().map(|j| *j as usize) {
+            if places[j] == NOWHERE && links[j].iter().any(|to| places[*to as usize] != NOWHERE) {
+                places[j] = 0;
+                left -= 1;
+            }
+        }
+        if left == 0 {
+            break;
+        }
+    }
+    near.iter().chain([&(i as u32)]).for_each(|j| places[*j as usize] = NOWHERE);
+    left == 0
 }
 
 /// Those of `near` (fewer than 128) that links within them reach from sample `i`, in their order. `places`

@@ -6,35 +6,36 @@
 use glam::Vec3;
 
 /// Points of a leaf.
-const LEAF: usize = 16;
+pub(super) const LEAF: usize = 16;
 
 /// A k-d tree.
 ///
 /// Memory: 20 bytes per point, and 16 more while it is built.
 pub struct KdTree {
-    leaves: Vec<Leaf>,
+    pub(super) leaves: Vec<Leaf>,
     /// A node's box, then those of its left half, then those of its right half. A node of n leaves has ⌊n /
     /// 2⌋ of them on its left, and 2n − 1 boxes in all.
-    boxes: Vec<Extent>,
+    pub(super) boxes: Vec<Extent>,
+    len: usize,
 }
 
 /// Points by coordinates, so that all are looked at together. The last leaf is filled up with points
 /// infinitely far away.
-struct Leaf {
-    x: [f32; LEAF],
-    y: [f32; LEAF],
-    z: [f32; LEAF],
-    index: [u32; LEAF],
+pub(super) struct Leaf {
+    pub(super) x: [f32; LEAF],
+    pub(super) y: [f32; LEAF],
+    pub(super) z: [f32; LEAF],
+    pub(super) index: [u32; LEAF],
 }
 
 #[derive(Clone, Copy)]
-struct Extent {
-    min: Vec3,
-    max: Vec3,
+pub(super) struct Extent {
+    pub(super) min: Vec3,
+    pub(super) max: Vec3,
 }
 
 /// A point that was found: the bits of its squared distance, which order as the distance does, and its index.
-type Found = u64;
+pub(super) type Found = u64;
 
 /// Farther than any point.
 const NOTHING: Found = u64::MAX;
@@ -52,10 +53,16 @@ impl KdTree {
 
     fn build(points: &[Vec3], in_parallel: bool) -> Self {
         let mut points: Vec<(Vec3, u32)> = points.iter().copied().zip(0..).collect();
-        let leaves = points.len().div_ceil(LEAF);
+        let len = points.len();
+        let leaves = len.div_ceil(LEAF);
         let mut boxes = vec![Extent { min: Vec3::ZERO, max: Vec3::ZERO }; 2 * leaves - 1];
         halve(&mut points, &mut boxes, in_parallel);
-        Self { leaves: points.chunks(LEAF).map(Leaf::of).collect(), boxes }
+        Self { leaves: points.chunks(LEAF).map(Leaf::of).collect(), boxes, len }
+    }
+
+    /// Number of points.
+    pub(super) fn len(&self) -> usize {
+        self.len
     }
 
     /// The point nearest to `p`.
@@ -165,11 +172,8 @@ impl KdTree {
 /// Parts the points at the median along their box's longest side, so that leaves are full, and so on.
 fn halve(points: &mut [(Vec3, u32)], boxes: &mut [Extent], in_parallel: bool) {
     let Some((whole, halves)) = boxes.split_first_mut() else { return };
-    let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    for (p, _) in points.iter() {
-        (min, max) = (min.min(*p), max.max(*p));
-    }
-    *whole = Extent { min, max };
+    *whole = Extent::of(points.iter().map(|(p, _)| *p));
+    let Extent { min, max } = *whole;
     if points.len() > LEAF {
         let left = points.len().div_ceil(LEAF) / 2;
         let axis = (max - min).max_position();
@@ -194,9 +198,15 @@ impl Leaf {
         leaf
     }
 
+    /// Its points and their indices.
+    pub(super) fn points(&self) -> impl Iterator<Item = (Vec3, u32)> {
+        let point = |i| (Vec3::new(self.x[i], self.y[i], self.z[i]), self.index[i]);
+        (0..LEAF).map(point).filter(|(_, index)| *index != u32::MAX)
+    }
+
     /// Squared distances of a point.
-    #[inline]
-    fn distances(&self, p: Vec3) -> [f32; LEAF] {
+    #[inline(always)]
+    pub(super) fn distances(&self, p: Vec3) -> [f32; LEAF] {
         std::array::from_fn(|i| {
             let (x, y, z) = (self.x[i] - p.x, self.y[i] - p.y, self.z[i] - p.z);
             x * x + y * y + z * z
@@ -205,6 +215,17 @@ impl Leaf {
 }
 
 impl Extent {
+    pub(super) fn of(points: impl Iterator<Item = Vec3>) -> Self {
+        let nothing = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
+        points.fold(nothing, |all, p| Self { min: all.min.min(p), max: all.max.max(p) })
+    }
+
+    /// Squared distance of another one: rounded as those of the points in both are, so that it is never greater.
+    pub(super) fn gap_squared(&self, other: &Self) -> f32 {
+        let d = (self.min - other.max).max(other.min - self.max).max(Vec3::ZERO);
+        d.x * d.x + d.y * d.y + d.z * d.z
+    }
+
     /// Squared distance of a point: rounded as those of the points in the box are, so that it is never
     /// greater.
     #[inline]

@@ -15,6 +15,7 @@ pub(crate) mod kd_tree;
 pub mod kept_cells;
 mod layers;
 mod membership;
+mod nearest_of_all;
 pub(crate) mod normals;
 mod open_cells;
 pub(crate) mod placement;

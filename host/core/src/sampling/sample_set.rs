@@ -106,7 +106,7 @@ impl SampleSet {
             Some(around) => normals::completed(&self.positions, &self.known, &around.neighbours),
             None => {
                 self.prepare_tree();
-                let near = NeighbourGraph::of_points(&self.positions, self.tree(), normals::NEIGHBOURS);
+                let near = NeighbourGraph::of_points(self.tree(), normals::NEIGHBOURS);
                 normals::completed(&self.positions, &self.known, &near)
             }
         })
@@ -286,7 +286,7 @@ impl SampleSet {
 
 impl Surroundings {
     fn of(positions: &[Vec3], tree: &KdTree) -> Self {
-        let neighbours = NeighbourGraph::of_points(positions, tree, NEIGHBOURS);
+        let neighbours = NeighbourGraph::of_points(tree, NEIGHBOURS);
         let near = SPACING_NEIGHBOURS.min(neighbours.k);
         let spacing = (0..positions.len())
             .into_par_iter()
@@ -301,19 +301,9 @@ impl Surroundings {
 
 impl NeighbourGraph {
     /// The graph of points to `k` neighbours, if there are as many.
-    fn of_points(positions: &[Vec3], tree: &KdTree, k: usize) -> Self {
-        let k = k.min(positions.len() - 1);
-        let mut flat = vec![0; positions.len() * k];
-        if k > 0 {
-            flat.par_chunks_mut(k).enumerate().for_each_init(
-                || vec![0; k],
-                |found, (i, neighbours)| {
-                    tree.nearest_others(positions[i], i as u32, found);
-                    neighbours.iter_mut().zip(found).for_each(|(slot, found)| *slot = *found as u32);
-                },
-            );
-        }
-        Self { k, flat }
+    fn of_points(tree: &KdTree, k: usize) -> Self {
+        let k = k.min(tree.len() - 1);
+        Self { k, flat: tree.nearest_others_of_all(k) }
     }
 }
 

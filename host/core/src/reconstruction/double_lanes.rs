@@ -1,0 +1,156 @@
+//! As [`lanes`](super::lanes), in double precision: one number for each of several samples.
+
+use std::ops::{Add, AddAssign, Div, Mul, Sub};
+
+use pulp::Simd;
+
+/// The most samples that any processor takes at once.
+pub const MOST_LANES: usize = 8;
+
+/// One number for each sample of a packet.
+#[derive(Clone, Copy)]
+pub struct DoubleLanes<S: Simd>(pub S, pub S::f64s);
+
+impl<S: Simd> DoubleLanes<S> {
+    /// The same number for all.
+    #[inline(always)]
+    pub fn splat(simd: S, x: f64) -> Self {
+        Self(simd, simd.splat_f64s(x))
+    }
+
+    /// The first of these numbers, one for each.
+    #[inline(always)]
+    pub fn load(simd: S, numbers: &[f64; MOST_LANES]) -> Self {
+        Self(simd, S::as_simd_f64s(numbers).0[0])
+    }
+
+    /// The number of each, and of no meaning behind them.
+    #[inline(always)]
+    pub fn store(self) -> [f64; MOST_LANES] {
+        let mut numbers = [0.0; MOST_LANES];
+        S::as_mut_simd_f64s(&mut numbers).0[0] = self.1;
+        numbers
+    }
+
+    /// self · by + to, rounded once.
+    #[inline(always)]
+    pub fn mul_add(self, by: Self, to: Self) -> Self {
+        Self(self.0, self.0.mul_add_f64s(self.1, by.1, to.1))
+    }
+
+    /// from - self · by, rounded once.
+    #[inline(always)]
+    pub fn negate_mul_add(self, by: Self, from: Self) -> Self {
+        Self(self.0, self.0.negate_mul_add_f64s(self.1, by.1, from.1))
+    }
+
+    /// Its square root.
+    #[inline(always)]
+    pub fn sqrt(self) -> Self {
+        Self(self.0, self.0.sqrt_f64s(self.1))
+    }
+
+    /// The larger of each pair; the other one where this is no number.
+    #[inline(always)]
+    pub fn max(self, other: Self) -> Self {
+        other.less(self).select(self, other)
+    }
+
+    /// The smaller of each pair; the other one where this is no number.
+    #[inline(always)]
+    pub fn min(self, other: Self) -> Self {
+        self.less(other).select(self, other)
+    }
+
+    /// The largest of all.
+    #[inline(always)]
+    pub fn largest(self) -> f64 {
+        self.0.reduce_max_f64s(self.1)
+    }
+
+    /// Where it is less than another.
+    #[inline(always)]
+    pub fn less(self, than: Self) -> DoubleMask<S> {
+        DoubleMask(self.0, self.0.less_than_f64s(self.1, than.1))
+    }
+}
+
+/// Whether something holds, for each sample of a packet.
+#[derive(Clone, Copy)]
+pub struct DoubleMask<S: Simd>(S, S::m64s);
+
+impl<S: Simd> DoubleMask<S> {
+    /// Where both hold.
+    #[inline(always)]
+    pub fn and(self, other: Self) -> Self {
+        Self(self.0, self.0.and_m64s(self.1, other.1))
+    }
+
+    /// `then` where it holds, and `or` elsewhere.
+    #[inline(always)]
+    pub fn select(self, then: DoubleLanes<S>, or: DoubleLanes<S>) -> DoubleLanes<S> {
+        DoubleLanes(self.0, self.0.select_f64s(self.1, then.1, or.1))
+    }
+
+    /// Whether it holds anywhere.
+    #[inline(always)]
+    pub fn any(self) -> bool {
+        let (one, zero) = (DoubleLanes::splat(self.0, 1.0), DoubleLanes::splat(self.0, 0.0));
+        self.select(one, zero).largest() > 0.0
+    }
+
+    /// Where it holds, sample by sample; of no meaning behind them.
+    #[inline(always)]
+    pub fn store(self) -> [bool; MOST_LANES] {
+        let (one, zero) = (DoubleLanes::splat(self.0, 1.0), DoubleLanes::splat(self.0, 0.0));
+        let numbers = self.select(one, zero).store();
+        let mut holds = [false; MOST_LANES];
+        for i in 0..MOST_LANES {
+            holds[i] = numbers[i] != 0.0;
+        }
+        holds
+    }
+}
+
+impl<S: Simd> Add for DoubleLanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Self(self.0, self.0.add_f64s(self.1, other.1))
+    }
+}
+
+impl<S: Simd> AddAssign for DoubleLanes<S> {
+    #[inline(always)]
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
+    }
+}
+
+impl<S: Simd> Sub for DoubleLanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        Self(self.0, self.0.sub_f64s(self.1, other.1))
+    }
+}
+
+impl<S: Simd> Mul for DoubleLanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        Self(self.0, self.0.mul_f64s(self.1, other.1))
+    }
+}
+
+impl<S: Simd> Div for DoubleLanes<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        Self(self.0, self.0.div_f64s(self.1, other.1))
+    }
+}

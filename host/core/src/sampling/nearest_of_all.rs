@@ -1,0 +1,248 @@
+//! The nearest others of every point of a tree, leaf by leaf: the points of a leaf are near the same leaves, which
+//! are looked up once for all of them.
+//!
+//! What is nearest to one of them reaches no further than what is nearest to another, and the way between both.
+//! Within that, how far the right number reaches is guessed by the point before, and counted: so few are sorted
+//! that are not wanted.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use glam::Vec3;
+use pulp::{Arch, Simd, WithSimd};
+use rayon::prelude::*;
+
+use super::kd_tree::{Extent, Found, KdTree, LEAF, Leaf};
+
+/// Most leaves that are looked at together. Where a leaf is near more, as one of few points beside a heap, its
+/// points are looked up one by one.
+const MOST_LEAVES: usize = 128;
+
+/// A guess that brings up to so many more than are wanted is good enough.
+const SPARE: usize = 12;
+
+/// Guesses, before what is sure is taken.
+const GUESSES: usize = 3;
+
+/// Makes up for the rounding of sums of distances.
+const SURELY: f32 = 1.0001;
+
+impl KdTree {
+    /// The `k` nearest others of each point, nearest first, one list behind the other: the same as
+    /// [`nearest_others`](Self::nearest_others) finds. There are more points than `k`. Takes jobs of the thread
+    /// pool.
+    ///
+    /// Memory: 4 bytes for each entry, and 9 kilobytes for each thread.
+    pub fn nearest_others_of_all(&self, k: usize) -> Vec<u32> {
+        let lists: Vec<AtomicU32> = (0..k * self.len()).map(|_| AtomicU32::new(0)).collect();
+        if k > 0 {
+            let batch =
+                || Batch { tree: self, k, near: Vec::new(), distances: Vec::new(), found: Vec::new() };
+            (0..self.leaves.len()).into_par_iter().for_each_init(batch, |batch, leaf| {
+                batch.look_up(leaf, |point, found| {
+                    let list = &lists[point as usize * k..];
+                    list.iter().zip(found).for_each(|(to, found)| to.store(*found as u32, Ordering::Relaxed));
+                });
+            });
+        }
+        lists.into_iter().map(AtomicU32::into_inner).collect()
+    }
+}
+
+/// What a thread looks up with.
+struct Batch<'a> {
+    tree: &'a KdTree,
+    k: usize,
+    /// The leaves that are near.
+    near: Vec<u32>,
+    /// Squared distances of a point to all of their points.
+    distances: Vec<[f32; LEAF]>,
+    found: Vec<Found>,
+}
+
+impl Batch<'_> {
+    /// Finds the nearest others of all points of a leaf, and says them.
+    fn look_up(&mut self, leaf: usize, mut say: impl FnMut(u32, &[Found])) {
+        let tree = self.tree;
+        let leaf = &tree.leaves[leaf];
+        let whole = Extent::of(leaf.points().map(|(p, _)| p));
+        let middle = 0.5 * (whole.min + whole.max);
+        let from_middle = |p: &(Vec3, u32)| p.0.distance_squared(middle);
+        let Some((first, index)) = leaf.points().min_by(|a, b| from_middle(a).total_cmp(&from_middle(b)))
+        else {
+            return;
+        };
+        self.found.resize(self.k, 0);
+        tree.nearest_others(first, index, &mut self.found);
+        let mut last = distance(self.found[self.k - 1]);
+        let reach = last.sqrt();
+        let surely = |p: Vec3| (SURELY * (reach + p.distance(first))).powi(2);
+        let most = leaf.points().map(|(p, _)| surely(p)).fold(0.0, f32::max);
+        if !self.gather(&whole, most) {
+            for (p, index) in leaf.points() {
+                self.found.resize(self.k, 0);
+                tree.nearest_others(p, index, &mut self.found);
+                say(index, &self.found);
+            }
+            return;
+        }
+        for (point, index) in leaf.points() {
+            let one = One { point, index, guess: last, surely: surely(point), batch: self };
+            Arch::new().dispatch(one);
+            self.found.sort_unstable();
+            self.found.truncate(self.k);
+            last = distance(self.found[self.k - 1]);
+            say(index, &self.found);
+        }
+    }
+
+    /// Gathers the leaves of which a point may be no farther from a box than the root of `most`; `false` if they
+    /// are too many.
+    fn gather(&mut self, whole: &Extent, most: f32) -> bool {
+        self.near.clear();
+        if !most.is_finite() {
+            return false;
+        }
+        let mut open = vec![(0, 0, self.tree.leaves.len())];
+        while let Some((node, first, leaves)) = open.pop() {
+            if self.tree.boxes[node].gap_squared(whole) > most {
+                continue;
+            }
+            if leaves > 1 {
+                let left = leaves / 2;
+                open.extend([(node + 1, first, left), (node + 2 * left, first + left, leaves - left)]);
+            } else {
+                self.near.push(first as u32);
+            }
+        }
+        self.distances.resize(self.near.len(), [0.0; LEAF]);
+        self.near.len() <= MOST_LEAVES
+    }
+}
+
+fn distance(found: Found) -> f32 {
+    f32::from_bits((found >> 32) as u32)
+}
+
+/// Finds the points around one, in no order: at least as many as are wanted.
+struct One<'a, 'b> {
+    point: Vec3,
+    index: u32,
+    /// About the squared distance of the last that is wanted ...
+    guess: f32,
+    /// ... and what it is at most.
+    surely: f32,
+    batch: &'a mut Batch<'b>,
+}
+
+impl WithSimd for One<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Batch { tree, k, near, distances, found } = self.batch;
+        for (to, leaf) in distances.iter_mut().zip(near.iter()) {
+            measure(simd, self.point, &tree.leaves[*leaf as usize], to);
+        }
+        // The point itself is among them.
+        let limit = limit(simd, distances, *k + 1, self.guess, self.surely);
+        found.clear();
+        for (leaf, distances) in near.iter().zip(distances.iter()) {
+            if least(simd, distances) > limit {
+                continue;
+            }
+            let room = found.len();
+            let Leaf { index, .. } = &tree.leaves[*leaf as usize];
+            found.resize(room + LEAF, 0);
+            let mut count = 0;
+            for (distance, index) in distances.iter().zip(index) {
+                found[room + count] = u64::from(distance.to_bits()) << 32 | u64::from(*index);
+                count += usize::from(*distance <= limit && *index != self.index);
+            }
+            found.truncate(room + count);
+        }
+    }
+}
+
+/// The squared distances of a point to those of a leaf: as [`Leaf::distances`].
+#[inline(always)]
+fn measure<S: Simd>(simd: S, p: Vec3, leaf: &Leaf, to: &mut [f32; LEAF]) {
+    let (px, py, pz) = (simd.splat_f32s(p.x), simd.splat_f32s(p.y), simd.splat_f32s(p.z));
+    let (x, y, z) = (S::as_simd_f32s(&leaf.x).0, S::as_simd_f32s(&leaf.y).0, S::as_simd_f32s(&leaf.z).0);
+    let to = S::as_mut_simd_f32s(to).0;
+    for i in 0..to.len() {
+        let (x, y, z) = (simd.sub_f32s(x[i], px), simd.sub_f32s(y[i], py), simd.sub_f32s(z[i], pz));
+        let sum = simd.add_f32s(simd.mul_f32s(x, x), simd.mul_f32s(y, y));
+        to[i] = simd.add_f32s(sum, simd.mul_f32s(z, z));
+    }
+}
+
+/// The least of distances.
+#[inline(always)]
+fn least<S: Simd>(simd: S, distances: &[f32; LEAF]) -> f32 {
+    let distances = S::as_simd_f32s(distances).0;
+    let mut least = distances[0];
+    for distances in &distances[1..] {
+        least = simd.min_f32s(least, *distances);
+    }
+    simd.reduce_min_f32s(least)
+}
+
+/// How many distances are within a limit.
+#[inline(always)]
+fn count<S: Simd>(simd: S, distances: &[[f32; LEAF]], limit: f32) -> usize {
+    let (limit, one, none) = (simd.splat_f32s(limit), simd.splat_f32s(1.0), simd.splat_f32s(0.0));
+    let mut count = none;
+    for distance in S::as_simd_f32s(distances.as_flattened()).0 {
+        let within = simd.less_than_or_equal_f32s(*distance, limit);
+        count = simd.add_f32s(count, simd.select_f32s(within, one, none));
+    }
+    simd.reduce_sum_f32s(count) as usize
+}
+
+/// A distance within which there are as many as are wanted, if possible hardly more.
+#[inline(always)]
+fn limit<S: Simd>(simd: S, distances: &[[f32; LEAF]], wanted: usize, guess: f32, surely: f32) -> f32 {
+    let mut limit = guess;
+    for _ in 0..GUESSES {
+        let count = count(simd, distances, limit);
+        if (wanted..=wanted + SPARE).contains(&count) {
+            return limit;
+        }
+        // On a surface their number grows with the square.
+        limit *= (wanted + SPARE / 2) as f32 / count.max(wanted / 3).max(1) as f32;
+        if limit >= surely {
+            return surely;
+        }
+    }
+    if count(simd, distances, limit) >= wanted { limit } else { surely }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn points() -> impl Strategy<Value = Vec<Vec3>> {
+        // Few distinct values, so that many are equally far; and heaps, far points, and some so far that squares
+        // overflow.
+        let x = || prop_oneof![4 => (-4..4i32).prop_map(|x| x as f32 / 4.0), 4 => -1.0..1.0f32];
+        let point =
+            (x(), x(), x(), prop_oneof![6 => Just(1.0f32), 2 => Just(1e-3), 1 => Just(1e2), 1 => Just(1e25)]);
+        proptest::collection::vec(point.prop_map(|(x, y, z, size)| Vec3::new(x, y, z) * size), 1..700)
+    }
+
+    proptest! {
+        #[test]
+        fn those_of_all_are_those_of_each(points in points(), k in 0..40usize) {
+            let k = k.min(points.len() - 1);
+            let tree = KdTree::new(&points);
+            let all = tree.nearest_others_of_all(k);
+            let mut found = vec![0; k];
+            for (i, p) in points.iter().enumerate() {
+                tree.nearest_others(*p, i as u32, &mut found);
+                let each: Vec<u32> = found.iter().map(|found| *found as u32).collect();
+                prop_assert_eq!(&all[i * k..(i + 1) * k], &each, "{}", i);
+            }
+        }
+    }
+}
