@@ -152,7 +152,7 @@ fn python_is_beside_the_workspace() {
         text.parse().expect("TOML")
     };
     let (ours, python) = (read("Cargo.toml"), read("host/python/Cargo.toml"));
-    assert_eq!(ours["workspace"]["exclude"].as_array().expect("a list"), &["host/python".into()]);
+    assert!(ours["workspace"]["exclude"].as_array().expect("a list").contains(&"host/python".into()));
     let of_paths =
         |(name, dependency): (&String, &toml::Value)| Some((name.clone(), dependency.get("path")?.clone()));
     let used: BTreeMap<String, toml::Value> =
