@@ -301,6 +301,22 @@ def test_blender_installs_the_zip(model, tmp_path):
     assert "imported " in done.stdout, done.stdout + done.stderr
 
 
+def test_the_lesson(extension, model, tmp_path):
+    lesson = HERE.parent.parent / "examples" / "08-blender" / "armature.py"
+    (tmp_path / "jar.ply").write_bytes(model.read_bytes())
+    command = [sys.executable, lesson, tmp_path / "jar.ply", tmp_path / "bent.ply"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    before, after = vertices(model), vertices(tmp_path / "bent.ply")
+    still, turned = before[:, 1] < 0.4, before[:, 1] > 1.6
+    assert np.allclose(after[still], before[still], atol=1e-3)
+    middle = (before[:, 1].min() + before[:, 1].max()) / 2
+    c, s = np.cos(np.radians(35)), np.sin(np.radians(35))
+    x, y, z = (before[turned] - [0, middle, 0]).T
+    expected = np.stack([c * x - s * y, s * x + c * y + middle, z], 1)
+    assert np.abs(after[turned] - expected).max() < 5e-3
+
+
 def test_in_the_background_with_progress(imported, tmp_path, monkeypatch):
     operators = sys.modules["simod_blender"].operators
     imported.location.x = 1

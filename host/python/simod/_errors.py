@@ -1,6 +1,20 @@
 """What is raised: one class for each sort of failure."""
 
 
+_KEYWORDS = {
+    "--offset auto": "choose_offset=True",
+    "--force": "overwrite=True",
+    "--lossy": "lossy=True",
+    "--tolerance": "tolerance",
+    "--exact": "exact",
+    "--measure": "measure",
+    "--method": "method",
+    "--memory-limit": "memory_limit",
+    "-o FILE": "an output",
+}
+"""What the command's options are called here, as hints speak of them."""
+
+
 class Error(Exception):
     """A failure: what is wrong and where, and what to do about it."""
 
@@ -11,6 +25,8 @@ class Error(Exception):
 
     def __init__(self, what: str, hint: str = "") -> None:
         super().__init__(what, hint)
+        for option, keyword in _KEYWORDS.items():
+            hint = hint.replace(option, keyword)
         self.what = what
         self.hint = hint
 

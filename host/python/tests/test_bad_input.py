@@ -1,5 +1,6 @@
 """Arrays and files that are not what they should be: an exception that says so, and nothing left behind."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -125,6 +126,7 @@ def test_what_must_not_be_written_over(samples: simod.Samples, plane: Path, tmp_
     letter.write_text("Dear reader, this is no model")
     with pytest.raises(simod.ArgumentError, match="is no model"):
         simod.open(plane).apply(samples, letter)
+    assert "overwrite=True" in str(_error(lambda: simod.open(plane).apply(samples, letter)))
     simod.open(plane).apply(samples, letter, overwrite=True)
     with pytest.raises(simod.FileError):
         simod.open(plane).apply(samples, tmp_path / "no" / "folder.ply")
@@ -146,6 +148,14 @@ def test_a_folder_that_is_no_sampled_model(tmp_path: Path) -> None:
     with pytest.raises(simod.ArgumentError, match="no sampled model"):
         simod.load(tmp_path)
     assert "sample" in run("--help")
+
+
+def _error(call: Callable[[], object]) -> simod.Error:
+    try:
+        call()
+    except simod.Error as e:
+        return e
+    raise AssertionError("nothing was raised")
 
 
 class _nothing:
