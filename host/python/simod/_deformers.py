@@ -84,7 +84,12 @@ def _describe(function: Callable[..., Any], id: str, everywhere: bool) -> dict[s
     if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", id):
         raise TypeError(f"a deformer cannot be called {id!r}: give an id of small letters, as id=\"my-deformer\"")
     summary = (inspect.getdoc(function) or "").split("\n\n")[0].replace("\n", " ")
-    parameters = list(inspect.signature(function, eval_str=True).parameters.values())
+    try:
+        signature = inspect.signature(function, eval_str=True)
+    except NameError:
+        # Annotations that are texts may speak of what is not there yet.
+        signature = inspect.signature(function)
+    parameters = list(signature.parameters.values())
     if not parameters or parameters[0].kind not in (
         inspect.Parameter.POSITIONAL_ONLY,
         inspect.Parameter.POSITIONAL_OR_KEYWORD,
@@ -117,7 +122,7 @@ def _parameter(id: str, of: inspect.Parameter) -> dict[str, Any]:
         return {**found, "kind": "choice", "default": [list(choices), [default]]}
     if isinstance(default, bool):
         return {**found, "kind": "bool", "default": default}
-    if isinstance(default, int) and of.annotation is not float:
+    if isinstance(default, int) and of.annotation not in (float, "float"):
         return {**found, "kind": "int", "default": default}
     if isinstance(default, (int, float)):
         return {**found, "kind": "float", "default": float(default)}

@@ -3,7 +3,7 @@
 import inspect
 import pydoc
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -175,6 +175,15 @@ def test_a_function_that_gives_nan(plane: Path) -> None:
     samples = simod.open(plane).sample(500)
     with pytest.raises(simod.PluginError, match="1 of .* not finite, the first at index 7"):
         samples.apply(lost)
+
+
+def test_annotations_that_nobody_knows(plane: Path) -> None:
+    names: dict[str, Any] = {}
+    exec("def up(points: 'Unknown', *, by: 'float' = 1) -> 'Unknown':\n    return points + [0, by, 0]", names)
+    simod.deformer(names["up"])
+    samples = simod.open(plane).sample(500)
+    samples.apply("up", by=0.5)
+    assert np.allclose(samples.points - samples.rest, [0, 0.5, 0], atol=1e-6)
 
 
 def test_functions_that_cannot_be_deformers() -> None:
