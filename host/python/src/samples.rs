@@ -1,12 +1,13 @@
 //! Samples as arrays: what any program may deform, and plugins do.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use glam::{DVec3, Vec3};
 use numpy::{PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::sync::MutexExt;
 use pyo3::types::{PyDict, PyTuple};
 use simod_core::reconstruction::{DeformationField, Method, Moved, Surroundings, carry, deformed_normals};
 use simod_core::sampled_model::SampledModel;
@@ -19,7 +20,7 @@ use simod_session::session_file::Step;
 use crate::errors::{OrRaise, argument};
 use crate::options::sampling;
 use crate::plugins::registry;
-use crate::work::{locked, warn, work};
+use crate::work::{warn, work};
 use crate::{arrays, steps};
 
 /// An array of points, or of directions.
@@ -132,12 +133,17 @@ impl Samples {
 
     /// The samples, and where they are now: finite local positions.
     pub fn now(&self, py: Python<'_>) -> PyResult<(Arc<SampledModel>, Arc<[Vec3]>)> {
-        let Moment { sampled, local, .. } = locked(&self.state).look(py)?;
+        let Moment { sampled, local, .. } = self.state(py).look(py)?;
         Ok((sampled, local))
     }
 
-    fn sampled(&self) -> Arc<SampledModel> {
-        locked(&self.state).now.sampled.clone()
+    /// The state; who waits for it lets others have the interpreter's lock.
+    fn state(&self, py: Python<'_>) -> MutexGuard<'_, State> {
+        self.state.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn sampled(&self, py: Python<'_>) -> Arc<SampledModel> {
+        self.state(py).now.sampled.clone()
     }
 
     /// Does a step.
@@ -158,7 +164,7 @@ impl Samples {
         let MovedSamples { sampled, positions, messages } = moved;
         let steps = before.steps.iter().cloned().chain([name]).collect();
         let after = Moment::new(sampled, positions, steps);
-        let mut state = locked(&self.state);
+        let mut state = self.state(py);
         state.go_to(py, after)?;
         state.past.push(before);
         state.future.clear();
@@ -186,7 +192,7 @@ impl Samples {
     /// Where the samples are at rest: shape (N, 3), float64, model coordinates. Nobody may write to it.
     #[getter]
     fn rest<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
-        locked(&self.state).rest.bind(py).clone()
+        self.state(py).rest.bind(py).clone()
     }
 
     /// Where the samples are now: shape (N, 3), float64, model coordinates. Write to it to deform the model.
@@ -195,13 +201,13 @@ impl Samples {
     /// `samples.points` copies into it.
     #[getter]
     fn points<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
-        locked(&self.state).points.bind(py).clone()
+        self.state(py).points.bind(py).clone()
     }
 
     #[setter]
     fn set_points(&self, py: Python<'_>, given: &Bound<'_, PyAny>) -> PyResult<()> {
-        let points = arrays::points("points", given, Some(self.__len__()))?;
-        let state = locked(&self.state);
+        let points = arrays::points("points", given, Some(self.__len__(py)))?;
+        let state = self.state(py);
         let mut array = state.points.bind(py).try_readwrite()?;
         array.as_slice_mut()?.copy_from_slice(bytemuck::cast_slice(&points));
         Ok(())
@@ -225,13 +231,13 @@ impl Samples {
     /// Triangles between the samples, by their indices: shape (T, 3), uint32; none where the model has no faces.
     #[getter]
     fn triangles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
-        arrays::of_triples(py, self.sampled().triangles.as_flattened().to_vec())
+        arrays::of_triples(py, self.sampled(py).triangles.as_flattened().to_vec())
     }
 
     /// Distance to the nearest other samples at rest, in the model's unit: shape (N,), float64.
     #[getter]
     fn spacing<'py>(&self, py: Python<'py>) -> Bound<'py, numpy::PyArray1<f64>> {
-        let sampled = self.sampled();
+        let sampled = self.sampled(py);
         let spacing = sampled.samples.spacing().iter().map(|s| f64::from(*s) * sampled.frame.scale);
         numpy::PyArray1::from_vec(py, spacing.collect())
     }
@@ -239,7 +245,7 @@ impl Samples {
     /// The samples' colours: shape (N, 3), uint8; None where the model has none.
     #[getter]
     fn colors<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<u8>>>> {
-        let sampled = self.sampled();
+        let sampled = self.sampled(py);
         let colors = sampled.colors.as_flattened().to_vec();
         (colors.len() == 3 * sampled.samples.len()).then(|| arrays::of_triples(py, colors)).transpose()
     }
@@ -247,22 +253,22 @@ impl Samples {
     /// The model's bounding box at rest: shape (2, 3), float64, smallest and largest coordinates.
     #[getter]
     fn bounds<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let bounds = self.sampled().bounds;
+        let bounds = self.sampled(py).bounds;
         arrays::of_points(py, vec![bounds.min, bounds.max])
     }
 
     /// The names of the steps that were applied, first to last.
     #[getter]
-    fn steps(&self) -> Vec<String> {
-        locked(&self.state).now.steps.clone()
+    fn steps(&self, py: Python<'_>) -> Vec<String> {
+        self.state(py).now.steps.clone()
     }
 
-    fn __len__(&self) -> usize {
-        self.sampled().samples.len()
+    fn __len__(&self, py: Python<'_>) -> usize {
+        self.sampled(py).samples.len()
     }
 
-    fn __repr__(&self) -> String {
-        let sampled = self.sampled();
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let sampled = self.sampled(py);
         format!("<simod.Samples: {} of {} vertices>", sampled.samples.len(), sampled.source.vertices)
     }
 
@@ -296,7 +302,7 @@ impl Samples {
             Ok(id) => id,
             Err(_) => deformer.getattr("id")?.extract()?,
         };
-        let before = locked(&self.state).look(py)?;
+        let before = self.state(py).look(py)?;
         let all = PyDict::new(py);
         params.into_iter().chain(parameters).try_for_each(|some| all.update(some.as_mapping()))?;
         let step = PyDict::new(py);
@@ -337,7 +343,7 @@ impl Samples {
                 "sample the arrays more finely",
             ));
         }
-        let before = locked(&self.state).look(py)?;
+        let before = self.state(py).look(py)?;
         let refine = PyDict::new(py);
         add(&refine, "shapes", shapes)?;
         refine.set_item("factor", factor)?;
@@ -354,7 +360,7 @@ impl Samples {
 
     /// Takes back the last `apply` or `refine`, with what was written to `points` since. Whether there was one.
     fn undo(&self, py: Python<'_>) -> PyResult<bool> {
-        let mut state = locked(&self.state);
+        let mut state = self.state(py);
         let now = state.look(py)?;
         let Some(before) = state.past.pop() else { return Ok(false) };
         state.future.push(now);
@@ -364,7 +370,7 @@ impl Samples {
 
     /// Does again what was taken back last. Whether there was something.
     fn redo(&self, py: Python<'_>) -> PyResult<bool> {
-        let mut state = locked(&self.state);
+        let mut state = self.state(py);
         let now = state.look(py)?;
         let Some(after) = state.future.pop() else { return Ok(false) };
         state.past.push(now);
@@ -415,7 +421,7 @@ impl Samples {
             let what = "samples of arrays in memory have no model that a folder could name";
             return Err(argument(py, what, "write the arrays to a file, open that, and sample it"));
         }
-        let sampled = self.sampled();
+        let sampled = self.sampled(py);
         py.detach(|| sampled.save(&folder)).or_raise(py)
     }
 
@@ -436,9 +442,9 @@ impl Samples {
     /// Moves the samples to where a file has them: `samples.ply` with other positions, from any program. Where
     /// it has ids, they tell which is which; otherwise the order does.
     fn read(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        let sampled = self.sampled();
+        let sampled = self.sampled(py);
         let local = py.detach(|| sampled.read_deformed(&path)).or_raise(py)?;
-        let mut state = locked(&self.state);
+        let mut state = self.state(py);
         let before = state.look(py)?;
         let named = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let steps = before.steps.iter().cloned().chain([named]).collect();

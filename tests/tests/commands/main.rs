@@ -21,6 +21,7 @@ mod reliability;
 mod resume;
 mod sampling;
 mod sheets;
+mod shell;
 mod trust;
 mod turntable;
 mod untouched;
