@@ -12,7 +12,7 @@ use super::homes::Homes;
 use super::{DeformationField, Figures, Method, Surroundings, Transport, projected_barycentric};
 
 /// Vertices of a block: many, so that there are several of each home.
-pub const BLOCK: usize = 1 << 13;
+pub const BLOCK: usize = 1 << 14;
 
 /// The place of a vertex that does not move.
 const NOWHERE: u32 = u32::MAX;
