@@ -1,6 +1,6 @@
 //! The arrows between the crates go one way (design §2): `plugin-api <- plugins`; `model <- core, generate,
 //! measure`; `core <- picture`; `plugin-api, core, measure, picture <- session <- viewer, cli`; `picture <-
-//! scene`; `viewer, scene <- window`.
+//! scene`; `viewer, scene <- window`; `core, plugin-api, session <- python`, which is no crate of the workspace.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -143,6 +143,28 @@ fn arrows_go_one_way() {
     crates.expect_none("host/scene", &["egui", "eframe", "winit", "abi_stable", "simod-plugin-api"]);
 }
 
+/// The library for Python is a workspace of its own, so that nothing here waits for it, and is at the end of the
+/// arrows as the program is.
+#[test]
+fn python_is_beside_the_workspace() {
+    let read = |file: &str| -> toml::Table {
+        let text = std::fs::read_to_string(workspace().join(file)).expect("a manifest");
+        text.parse().expect("TOML")
+    };
+    let (ours, python) = (read("Cargo.toml"), read("host/python/Cargo.toml"));
+    assert!(ours["workspace"]["exclude"].as_array().expect("a list").contains(&"host/python".into()));
+    let of_paths =
+        |(name, dependency): (&String, &toml::Value)| Some((name.clone(), dependency.get("path")?.clone()));
+    let used: BTreeMap<String, toml::Value> =
+        python["dependencies"].as_table().expect("a table").iter().filter_map(of_paths).collect();
+    let expected = ["simod-core", "simod-model", "simod-plugin-api", "simod-session"];
+    assert_eq!(used.keys().collect::<Vec<_>>(), expected.iter().collect::<Vec<_>>());
+    let profile = |of: &toml::Table, key: &str| of["profile"]["release"][key].clone();
+    for key in ["codegen-units", "panic"] {
+        assert_eq!(profile(&ours, key), profile(&python, key), "{key}");
+    }
+}
+
 /// Code over vectors is compiled for the processor only where it is inlined: what is left of the compiler's
 /// vector instructions as functions of their own passes vectors through memory.
 #[test]
@@ -252,6 +274,9 @@ fn modules_have_no_circles() {
     for folder in std::fs::read_dir(workspace().join("host")).expect("a folder") {
         let folder = folder.expect("an entry").path();
         let name = folder.file_name().and_then(|name| name.to_str()).expect("a name").to_owned();
+        if !folder.join("Cargo.toml").exists() {
+            continue;
+        }
         let files = Modules::read(&folder.join("src")).in_circles();
         if !files.is_empty() {
             println!("files of host/{name} in circles: {files:?}");

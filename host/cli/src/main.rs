@@ -7,12 +7,12 @@ mod versions;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use simod_model::{ErrorKind, memory};
 
 use commands::{
     bind, compare, convert, deform, demo, generate, info, plugin, reconstruct, refine, render, run, sample,
-    view,
+    shell, view,
 };
 use console::{CANCELLED, Console};
 use report::Report;
@@ -49,6 +49,8 @@ enum Command {
     Generate(generate::Generate),
     Render(render::Render),
     View(view::View),
+    Completions(shell::Completions),
+    Manual(shell::Manual),
 }
 
 fn main() -> ExitCode {
@@ -90,6 +92,8 @@ fn execute(arguments: Arguments, console: &Console) -> simod_model::Result<()> {
         Command::Generate(c) => c.execute(&mut report),
         Command::Render(c) => c.execute(&mut report),
         Command::View(c) => return c.execute(),
+        Command::Completions(c) => return c.execute(Arguments::command()),
+        Command::Manual(c) => return c.execute(Arguments::command()),
     }?;
     report.finish(arguments.json)
 }

@@ -1,6 +1,7 @@
 //! A sampled model: P_S and where it came from, in memory or as a folder of plain files (design: `simod.toml`
 //! and `samples.ply`, which any tool opens and any program may deform).
 
+use std::fmt::Display;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -837,15 +838,23 @@ impl SampledModel {
     /// The file cannot be read, has other vertices than P_S, or positions that are not finite.
     pub fn read_deformed(&self, path: &Path) -> Result<Vec<Vec3>> {
         let DeformedFile { positions, .. } = deformed_file::read(path, self.samples.len())?;
+        self.to_local(&positions, &path.display())
+    }
+
+    /// Local positions of deformed samples, which are in the model's coordinates; `whose` they are, for
+    /// errors.
+    ///
+    /// # Errors
+    /// One is not finite, or too far away.
+    pub fn to_local(&self, positions: &[DVec3], whose: &dyn Display) -> Result<Vec<Vec3>> {
         let local: Vec<Vec3> = positions.iter().map(|p| self.frame.to_local(*p)).collect();
         let mut bad = (0..local.len()).filter(|i| !local[*i].is_finite());
         if let Some(first) = bad.next() {
             return Err(Error::new(
                 ErrorKind::Degenerate,
                 format!(
-                    "{} of the vertices of {} are not finite, the first is vertex {first}",
-                    bad.count() + 1,
-                    path.display()
+                    "{} of the vertices of {whose} are not finite, the first is vertex {first}",
+                    bad.count() + 1
                 ),
                 "mend the deformation: every sample needs a finite position",
             ));
@@ -854,11 +863,7 @@ impl SampledModel {
         if let Some(i) = local.iter().position(|p| p.abs().max_element() > FARTHEST) {
             return Err(Error::new(
                 ErrorKind::Degenerate,
-                format!(
-                    "{}: sample {i} is at {}, too far from the model to go on",
-                    path.display(),
-                    positions[i]
-                ),
+                format!("{whose}: sample {i} is at {}, too far from the model to go on", positions[i]),
                 "mend the deformation: no sample can be a trillion times the model's size away",
             ));
         }

@@ -27,6 +27,7 @@ mod formats;
 pub mod frame;
 mod gltf;
 pub mod histogram;
+mod in_memory;
 mod in_step;
 pub mod input;
 mod las;
@@ -62,6 +63,7 @@ pub use convert::Converted;
 pub use error::{Error, ErrorKind, Result};
 pub use form::Conversion;
 pub use formats::{extensions, is_model, is_named_otherwise, open, open_with, open_with_columns};
+pub use in_memory::InMemory;
 pub use in_step::{Vertices, in_step};
 pub use model::{
     CHUNK_TRIANGLES, CHUNK_VERTICES, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader,

@@ -113,6 +113,77 @@ pub fn deform(
     Ok(DeformedSamples { sampled, positions, normals, stack, messages })
 }
 
+/// Samples after steps that something else may go on from.
+pub struct MovedSamples {
+    /// The model with its samples at rest, with those that steps appended.
+    pub sampled: Arc<SampledModel>,
+    /// Local positions, one per sample, which nothing rounded.
+    pub positions: Arc<[Vec3]>,
+    /// What the plugins had to say.
+    pub messages: Vec<Message>,
+}
+
+/// Does steps on samples that something else may have moved before.
+///
+/// # Errors
+/// A step cannot be done, or the user cancelled.
+pub fn deform_from(
+    sampled: Arc<SampledModel>,
+    positions: Arc<[Vec3]>,
+    steps: &[Step],
+    plugins: &PluginRegistry,
+    how: Refinements,
+    progress: &dyn Progress,
+) -> Result<MovedSamples> {
+    let document = Document::new(steps.iter().cloned());
+    let evaluation = Evaluation::new(sampled, how);
+    let mut evaluation = if *positions == *evaluation.sampled().samples.positions {
+        evaluation
+    } else {
+        evaluation.starting_at(positions)?
+    };
+    let done = evaluation.update(document.steps(), plugins, Effort::FULL, progress)?;
+    let done = done.with_notices(document.steps(), plugins);
+    let messages = messages(done.statuses)?;
+    Ok(MovedSamples { sampled: done.sampled, positions: done.positions, messages })
+}
+
+/// Writes the model as its samples were deformed, from `model`, which was sampled, to a file of its own format or
+/// of another one that the name says. Of `running`, what is of the writing counts.
+///
+/// # Errors
+/// As of [`reconstruct`]; another format cannot hold all.
+pub fn write(
+    sampled: &SampledModel,
+    mut model: Box<dyn Model>,
+    positions: &[Vec3],
+    output: &Path,
+    running: &Running<'_>,
+    progress: &dyn Progress,
+) -> Result<Reconstructed> {
+    model.follow(running.follow)?;
+    if running.choose_offset {
+        let chosen = choose_offset(sampled, model.as_mut(), [positions])?;
+        chosen.into_iter().for_each(|changed| progress.note(&changed));
+    }
+    if is_named_otherwise(&*model, output) {
+        let drops_normals = running.how.normals == Normals::Drop;
+        let how = Conversion { lossy: running.lossy, drops_normals, ..Conversion::default() };
+        let converted = Converted::new(model, output, how, progress)?;
+        note_losses(&converted, progress);
+        model = Box::new(converted);
+    }
+    let version = Version { deformed: positions, output, diagnostics: running.diagnostics };
+    reconstruct(sampled, model.as_ref(), &[version], &running.how, progress)
+}
+
+fn note_losses(converted: &Converted, progress: &dyn Progress) {
+    let losses = converted.losses();
+    if !losses.is_empty() {
+        progress.note(&format!("what is lost: {}", losses.join("; ")));
+    }
+}
+
 /// How a session is run.
 #[derive(Debug, Clone, Copy)]
 pub struct Running<'a> {
@@ -241,10 +312,7 @@ impl Run {
         let following = model.following().map_or(Vec::new(), |following| following.descriptions().to_vec());
         let sampled = sampled_of(session, &*model, skip, (folder, cache), progress)?;
         if let Some(converted) = converted {
-            let losses = converted.losses();
-            if !losses.is_empty() {
-                progress.note(&format!("what is lost: {}", losses.join("; ")));
-            }
+            note_losses(&converted, progress);
             model = Box::new(converted);
             model.follow(follow)?;
         }

@@ -55,7 +55,7 @@ fn a_splat_scene() {
     if Command::new("python3").arg("--version").output().is_err() {
         return skip("python3 is not installed");
     }
-    let lesson = Lesson::follow("07-a-splat-scene");
+    let lesson = Lesson::follow("09-a-splat-scene");
     lesson.assert_deformed("scene.ply", "posed.ply");
     assert!(lesson.said.contains("Gaussian splats with harmonics of degree 1"), "{}", lesson.said);
 }

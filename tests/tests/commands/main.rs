@@ -22,6 +22,7 @@ mod reliability;
 mod resume;
 mod sampling;
 mod sheets;
+mod shell;
 mod splats;
 mod trust;
 mod turntable;

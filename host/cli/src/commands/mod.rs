@@ -19,6 +19,7 @@ pub mod refine;
 pub mod render;
 pub mod run;
 pub mod sample;
+pub mod shell;
 mod time_options;
 pub mod view;
 

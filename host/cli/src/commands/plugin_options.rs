@@ -5,15 +5,12 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use simod_model::{Error, Result};
-use simod_session::worker::{self, WorkerOptions};
+use simod_session::worker::{self, MEMORY, PATIENCE, WorkerOptions};
 use simod_session::{Isolation, PluginOptions as Options, PluginRegistry};
 
 use super::plugin_check::parse_seconds;
 use super::sample::parse_bytes;
 use crate::report::Report;
-
-const PATIENCE: Duration = Duration::from_secs(120);
-const MEMORY: u64 = 4 << 30;
 
 /// Options on plugins
 #[derive(Args)]
@@ -68,8 +65,8 @@ impl PluginOptions {
         };
         // This program once more, however it is called now.
         let program = std::env::current_exe().unwrap_or_else(|_| PathBuf::from("simod"));
-        let command = vec![program, "plugin".into(), "serve".into()];
-        let worker = WorkerOptions { command, silence: self.plugin_patience, memory: self.plugin_memory };
+        let (silence, memory) = (self.plugin_patience, self.plugin_memory);
+        let worker = WorkerOptions { silence, memory, ..WorkerOptions::of(&program) };
         let options = Options { chosen: self.r#use, ..Options::standard(isolation, worker) };
         let registry = PluginRegistry::discover_with(&options, report.untimed())?;
         if let Some(error) = registry.refused_choice() {

@@ -149,7 +149,8 @@ impl Comparison {
         }
     }
 
-    pub(super) fn to_json(&self) -> String {
+    /// As `compare.json` has it.
+    pub fn to_json(&self) -> String {
         // Maps have text for keys, and numbers that are not finite become null.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }

@@ -88,6 +88,14 @@ impl Plugin {
         Self::new(Box::new(LookingCode(RustCode::new(module))), path)
     }
 
+    /// A deformer of the host's own: no library has its code.
+    ///
+    /// # Errors
+    /// What it says of itself makes no sense.
+    pub fn of_host(code: Box<dyn Code>) -> Result<Self> {
+        Self::new(code, Path::new("this process"))
+    }
+
     /// Asks a plugin what it is, and checks the answer.
     pub(crate) fn new(code: Box<dyn Code>, path: &Path) -> Result<Self> {
         let about = Self::ask(code.as_ref(), path)?;

@@ -139,6 +139,8 @@ pub(crate) fn messages(statuses: Vec<(StepId, Status)>) -> Result<Vec<Message>> 
 /// What is of steps that are gone, or switched off, is let go.
 pub struct Evaluation {
     sampled: Arc<SampledModel>,
+    /// Where the samples are before the first step, if not at rest.
+    start: Option<Arc<[Vec3]>>,
     how: Refinements,
     known: HashMap<StepId, Known>,
     at: Arc<AtomicUsize>,
@@ -185,7 +187,21 @@ impl Evaluation {
     /// Nothing is done yet. If there are steps that refine, the model has to [hold its
     /// cells](SampledModel::hold_cells).
     pub fn new(sampled: Arc<SampledModel>, how: Refinements) -> Self {
-        Self { sampled, how, known: HashMap::new(), at: Arc::default() }
+        Self { sampled, start: None, how, known: HashMap::new(), at: Arc::default() }
+    }
+
+    /// The same, of samples that something else has moved before the first step: finite local positions, one
+    /// for each.
+    ///
+    /// # Errors
+    /// There are more positions than samples, or less.
+    pub fn starting_at(self, positions: Arc<[Vec3]>) -> Result<Self> {
+        let (there, samples) = (positions.len(), self.sampled.samples.len());
+        if there != samples {
+            let what = format!("there are {there} positions of {samples} samples");
+            return Err(Error::new(ErrorKind::Mismatch, what, "give one for each sample"));
+        }
+        Ok(Self { start: Some(positions), ..self })
     }
 
     /// For other steps on the same samples: nothing is done yet.
@@ -220,7 +236,12 @@ impl Evaluation {
         effort: Effort,
         progress: &dyn Progress,
     ) -> Result<Evaluated> {
-        let rest = with_shape(&self.sampled, |shape| shape.rest(0))?;
+        let start = self.start.clone();
+        let rest = with_shape(&self.sampled, |shape| match start {
+            // What it stands for is the same each time.
+            Some(positions) => shape.rest_at(positions, 1),
+            None => shape.rest(0),
+        })?;
         let mut between = Between { sampled: self.sampled.clone(), rest: Arc::new(rest) };
         let mut layers = Vec::new();
         let (mut statuses, mut before) = (Vec::with_capacity(steps.len()), Vec::with_capacity(steps.len()));

@@ -100,6 +100,14 @@ impl PluginOptions {
         Self { chosen: Vec::new(), folders, isolation, worker: Arc::new(worker), cache }
     }
 
+    /// The same for another program that has this one's libraries within itself: its plugins are those of
+    /// `program`, beside which they lie, and which runs them where they have processes of their own.
+    #[cfg(unix)]
+    pub fn of_program(program: &Path) -> Self {
+        let worker = WorkerOptions::of(program);
+        Self { folders: folders_of(Some(program)), ..Self::standard(Isolation::Others, worker) }
+    }
+
     /// The given folders in this process, and nothing to remember.
     pub fn in_process(folders: Vec<PluginFolder>) -> Self {
         Self {
@@ -147,14 +155,19 @@ pub struct PluginRegistry {
 /// The folders that [`PluginRegistry::discover`] looks in, most important first: those in
 /// `SIMOD_PLUGIN_PATH`, the user's, `plugins/` beside the running program, and the program's own.
 pub fn standard_folders() -> Vec<PluginFolder> {
+    folders_of(std::env::current_exe().ok().as_deref())
+}
+
+/// The same, of a program that may not be the running one.
+fn folders_of(program: Option<&Path>) -> Vec<PluginFolder> {
     let any = |path| PluginFolder { path, by_name: false, shipped: false };
     let mut folders: Vec<PluginFolder> = std::env::var_os(PATH_VARIABLE)
         .map(|paths| std::env::split_paths(&paths).filter(|p| !p.as_os_str().is_empty()).map(any).collect())
         .unwrap_or_default();
     folders.extend(user_folder().map(any));
-    if let Some(own) = std::env::current_exe().ok().and_then(|p| p.parent().map(Path::to_owned)) {
+    if let Some(own) = program.and_then(Path::parent) {
         folders.push(PluginFolder { path: own.join("plugins"), by_name: false, shipped: true });
-        folders.push(PluginFolder { path: own, by_name: true, shipped: true });
+        folders.push(PluginFolder { path: own.to_owned(), by_name: true, shipped: true });
     }
     folders
 }
@@ -185,6 +198,13 @@ impl PluginRegistry {
         let mut registry = Self::default();
         plugins.into_iter().for_each(|plugin| registry.add(Arc::new(plugin)));
         registry
+    }
+
+    /// A plugin takes the place of any other of its id.
+    pub fn put(&mut self, plugin: Arc<Plugin>) {
+        self.plugins.retain(|known| known.id() != plugin.id());
+        self.plugins.push(plugin);
+        self.plugins.sort_by(|a, b| a.id().cmp(b.id()));
     }
 
     /// Finds out what is in the folders. Folders that do not exist are fine. Libraries that were looked at

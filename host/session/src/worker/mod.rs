@@ -45,6 +45,20 @@ pub struct WorkerOptions {
     pub memory: u64,
 }
 
+/// How long a plugin in a process of its own may give no sign of life, unless that is said.
+pub const PATIENCE: Duration = Duration::from_secs(120);
+
+/// How much memory it may take, in bytes, unless that is said.
+pub const MEMORY: u64 = 4 << 30;
+
+impl WorkerOptions {
+    /// By `simod` itself, with the usual limits.
+    pub fn of(program: &Path) -> Self {
+        let command = vec![program.to_owned(), "plugin".into(), "serve".into()];
+        Self { command, silence: PATIENCE, memory: MEMORY }
+    }
+}
+
 /// A plugin's code in another process, which is started when it is first called.
 pub(crate) struct WorkerCode {
     library: PathBuf,

@@ -1,0 +1,35 @@
+#!/usr/bin/env bash
+# Tests the extension with Blender as a module, in an environment of its own; `cargo build --release` came before. Says so
+# and does nothing where Blender's module cannot be installed or started: it is for Python 3.11 alone, and needs libraries
+# of X11 and OpenGL.
+set -euo pipefail
+cd "$(dirname "$0")"
+here=$PWD
+target=${CARGO_TARGET_DIR:-$here/../../target}
+env=$(mktemp -d)
+trap 'rm -rf "$env"' EXIT
+
+skip() {
+    echo "skipped: the extension for Blender: $1"
+    echo "test result: blender. 0 passed; 0 failed; 1 ignored"
+    exit 0
+}
+
+command -v python3.11 >/dev/null || skip "there is no python3.11"
+python3.11 -m venv "$env/venv"
+python="$env/venv/bin/python"
+"$python" -m pip install --quiet --disable-pip-version-check -r tests/requirements.txt || skip "bpy cannot be installed"
+"$python" -c "import bpy" 2>/dev/null || skip "bpy cannot be started, as a library is missing"
+
+export SIMOD_PROGRAM="$target/release/simod" PYTHONDONTWRITEBYTECODE=1 BLENDER_USER_RESOURCES="$env/user"
+status=0
+"$python" -m pytest -p no:cacheprovider -q tests | tee "$env/log" || status=$?
+
+# As cargo's tests have it, for the line over all.
+"$python" - "$env/log" <<'END'
+import re, sys
+last = [line for line in open(sys.argv[1]) if re.search(r"\d+ (passed|failed|error)", line)][-1]
+count = lambda what: sum(int(n) for n in re.findall(rf"(\d+) (?:{what})", last))
+print(f"test result: blender. {count('passed')} passed; {count('failed|error')} failed; {count('skipped')} ignored")
+END
+exit "$status"

@@ -1,0 +1,31 @@
+#!/usr/bin/env bash
+# Builds the wheel, installs it into an empty environment, and runs its tests and the checks of its types there. Needs
+# python3 (3.11 or later) with venv; `cargo build --release` came before.
+set -euo pipefail
+cd "$(dirname "$0")"
+env=$(mktemp -d)
+trap 'rm -rf "$env"' EXIT
+
+python3 -m venv "$env/venv"
+python="$env/venv/bin/python"
+"$python" -m pip install --quiet --disable-pip-version-check -r tests/requirements.txt
+"$python" -m maturin build --release --locked --out "$env/wheels" --interpreter "$python"
+"$python" -m pip install --quiet --disable-pip-version-check "$env"/wheels/*.whl
+
+# Away from the sources, so that what was installed is what is tested.
+here=$PWD
+cd "$env"
+status=0
+"$python" -m pytest --rootdir "$here" -c "$here/pyproject.toml" -p no:cacheprovider -rs "$here/tests" | tee log || status=$?
+"$python" -m mypy --strict --cache-dir "$env/mypy" "$here/tests"
+"$python" -m mypy --strict --cache-dir "$env/mypy" -p simod
+"$python" -m mypy.stubtest simod --mypy-config-file "$here/pyproject.toml"
+
+# As cargo's tests have it, for the line over all.
+"$python" - <<'END'
+import re
+last = open("log").read().splitlines()[-1]
+count = lambda what: sum(int(n) for n in re.findall(rf"(\d+) (?:{what})", last))
+print(f"test result: python. {count('passed')} passed; {count('failed|error')} failed; {count('skipped')} ignored")
+END
+exit "$status"
