@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use pyo3::prelude::*;
 use serde_json::json;
 use simod_core::guard::{Guard, Kind};
+use simod_model::follow::Follow;
 use simod_session::compare::{self as comparison, CompareFile};
 use simod_session::session_file::inputs;
 use simod_session::{Run, Running, SessionFile, Tolerance};
@@ -90,6 +91,7 @@ impl Session {
             return Err(argument(py, "both `exact` and `tolerance` are given", "keep one of the two"));
         }
         let how = reconstruction(py, normals, method)?;
+        let follow = Follow::default().or_declared(&self.file.follow);
         let running = Running {
             how,
             diagnostics: diagnostics.as_deref(),
@@ -98,6 +100,7 @@ impl Session {
             tolerance,
             choose_offset,
             lossy,
+            follow: &follow,
         };
         let plugins = registry(py)?;
         let mut session = self.file.clone();

@@ -5,12 +5,13 @@
 //! read once more.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 
 use super::grammar::Obj;
 use super::lines::{Statement, values};
-use super::shared::Sharing;
+use crate::cache::Cache;
 use crate::pipeline::{Piece, Pieces, Rewritable, Version};
 use crate::source::Source;
 use crate::text::blocks::{BlockReader, Blocks, changed};
@@ -22,6 +23,14 @@ use crate::{CHUNK_VERTICES, Error, Model, Normals, Result, Scalar, VertexChunk, 
 
 /// Bytes that are copied at once.
 const COPIED: u64 = 4 << 20;
+
+/// What finding out who uses which normal needs.
+#[derive(Debug)]
+pub(super) struct Sharing {
+    /// Corners that may name a normal, at most.
+    pub corners: u64,
+    pub cache: Arc<Cache>,
+}
 
 /// A model, with its normals if they stand apart.
 pub(super) struct ApartModel {

@@ -26,12 +26,11 @@ use crate::cache::Making;
 use crate::source::Source;
 use crate::text::model::{TextModel, info};
 use crate::{Attribute, Model, ModelInfo, Result, Type};
-use apart::ApartModel;
+use apart::{ApartModel, Sharing};
 use grammar::Obj;
 pub(crate) use lines::is_obj;
 use lines::values;
 use scan::{NormalsAre, Scan};
-use shared::Sharing;
 
 /// Opens a file, which is gone over once.
 pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {

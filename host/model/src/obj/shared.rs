@@ -7,15 +7,14 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::ops::Range;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec3;
 
-use super::apart::{ApartModel, ApartPieces};
+use super::apart::{ApartModel, ApartPieces, Sharing};
 use super::grammar::Obj;
 use super::lines::{Statement, absolute, leading_integer, values};
-use crate::cache::{Cache, Need};
+use crate::cache::Need;
 use crate::pipeline::{Pieces, Rewritable, Version};
 use crate::scratch::Scratch;
 use crate::shared_normal::mean;
@@ -34,14 +33,6 @@ const AHEAD: usize = 1 << 12;
 /// Bytes of a pair, and of a position.
 const PAIR: usize = 8;
 const POSITION: usize = 24;
-
-/// What finding out who uses which normal needs.
-#[derive(Debug)]
-pub(super) struct Sharing {
-    /// Corners that may name a normal, at most.
-    pub corners: u64,
-    pub cache: Arc<Cache>,
-}
 
 /// A model that is rewritten with its shared normals.
 ///
