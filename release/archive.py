@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
 """Makes one archive of a release: archive.py [FOLDER]
 
-The program, the window and the plugins; completions and manual pages, which the program makes; documents and lessons; and the
-licences of all that is linked in. Comes after `cargo build --release` and `cargo build --release -p simod-window`; the
-window is left out, and that is said, where it was not built. The archive goes to FOLDER, which is target/ unless given.
+The program, the window and the plugins; completions and manual pages, which the program makes; what makes a desktop (of
+Linux) open sessions in the window; documents and lessons; and the licences of all that is linked in. Comes after `cargo
+build --release` and `cargo build --release -p simod-window`; the window is left out, and that is said, where it was not
+built. The archive goes to FOLDER, which is target/ unless given.
 """
 
 import io
@@ -73,6 +74,8 @@ def main(folder: Path) -> None:
         content[f"bin/plugins/{file}"] = (BUILT / file).read_bytes()
     for shell, file in SHELLS.items():
         content[f"share/completions/{file}"] = output(BUILT / f"simod{EXE}", "completions", shell).encode()
+    content["share/applications/simod.desktop"] = (ROOT / "release/simod.desktop").read_bytes()
+    content["share/mime/packages/simod.xml"] = (ROOT / "release/simod.xml").read_bytes()
     pages = folder / f".{name}-pages"
     output(BUILT / f"simod{EXE}", "manual", "-o", pages)
     for page in sorted(pages.iterdir()):

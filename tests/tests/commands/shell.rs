@@ -83,6 +83,8 @@ fn an_archive_has_all_of_a_release() {
         "LICENSE-MIT",
         "share/man/man1/simod-run.1",
         "share/completions/simod",
+        "share/applications/simod.desktop",
+        "share/mime/packages/simod.xml",
         "docs/formats.md",
     ] {
         assert!(folder.join(file).is_file(), "{file}");
