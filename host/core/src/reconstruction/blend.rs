@@ -18,11 +18,14 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::bound::AROUND;
-use super::expansion::Expansion;
+use super::expansion::{Expansion, Reaching};
 use super::lanes::{Lanes, from, length_squared, triple};
+use super::scattered;
 use super::sheets::{Sheets, are_lists, blocks};
 use crate::sampling::SampleSet;
+
+/// Samples that a [range](super::bound) is of.
+pub const AROUND: usize = 28;
 
 /// Homes whose lists are made by one job.
 const TOGETHER: usize = 256;
@@ -32,30 +35,6 @@ const SUPPORT_NEIGHBOURS: usize = 7;
 
 /// Least sum of weights at which the blend is that of the supports. Less is the margin of the last one.
 pub const LEAST_WEIGHT: f32 = 1e-6;
-
-/// A support that reaches the vertices of a home.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-pub struct Reaching {
-    /// Vertices nearer to the home's sample than this are not reached.
-    from: f32,
-    /// The sample.
-    pub sample: u32,
-}
-
-impl Reaching {
-    /// A number: a nearer one's is less, and of those that are equally far that of the first sample.
-    fn to_ordered(self) -> u64 {
-        let bits = self.from.to_bits();
-        let bits = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
-        u64::from(bits) << 32 | u64::from(self.sample)
-    }
-
-    fn from_ordered(number: u64) -> Self {
-        let bits = (number >> 32) as u32;
-        let bits = if bits >> 31 == 1 { bits & !(1 << 31) } else { !bits };
-        Self { from: f32::from_bits(bits), sample: number as u32 }
-    }
-}
 
 /// The square of the distance between two samples, as the neighbours of a sample are ordered.
 fn squared(positions: &[Vec3], i: usize, j: u32) -> f32 {
@@ -175,6 +154,10 @@ pub struct Grouped {
     /// The groups: their home, and their vertices. Each begins at a multiple of [`PACKET`]; what is between
     /// them is of no meaning, but finite.
     pub groups: Vec<(u32, Range<usize>)>,
+    /// The homes of the vertices behind the groups, which are nearly alone around them.
+    pub scattered: Vec<u32>,
+    /// Where these begin: a multiple of [`PACKET`].
+    pub scattered_at: usize,
     /// Local coordinates.
     pub positions: [Vec<f32>; 3],
     /// The displacement.
@@ -234,36 +217,77 @@ impl<const GRADIENT: bool> WithSimd for Kernel<'_, GRADIENT> {
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { supports, expansions, mirrored, grouped } = self;
         let side = Lanes::splat(simd, if mirrored { -1.0 } else { 1.0 });
-        let Grouped { groups, positions, displacement, sum, normals, gradient, .. } = grouped;
+        let Grouped {
+            groups, scattered, scattered_at, positions, displacement, sum, normals, gradient, ..
+        } = grouped;
         // All lengths are multiples of the packet: nothing is left over.
+        let scalars = &*positions;
         let positions = positions.each_ref().map(|v| S::as_simd_f32s(v).0);
-        let mut displacement = displacement.each_mut().map(|v| S::as_mut_simd_f32s(v).0);
-        let normals = normals.each_mut().map(|v| S::as_mut_simd_f32s(v).0);
-        let mut gradient = gradient.each_mut().map(|v| S::as_mut_simd_f32s(v).0);
-        let sum = S::as_mut_simd_f32s(sum).0;
+        let mut results = Results {
+            displacement: displacement.each_mut().map(|v| S::as_mut_simd_f32s(v).0),
+            sum: S::as_mut_simd_f32s(sum).0,
+            normals: normals.each_mut().map(|v| S::as_mut_simd_f32s(v).0),
+            gradient: gradient.each_mut().map(|v| S::as_mut_simd_f32s(v).0),
+        };
         for (home, range) in groups {
             let list = supports.of_home(*home as usize);
             let home = &expansions[*home as usize];
             for at in range.start / S::F32_LANES..range.end.div_ceil(S::F32_LANES) {
                 let p = triple(simd, &positions, at);
                 let blended = packet::<S, GRADIENT>(simd, p, home, list, expansions);
-                for (to, u) in displacement.iter_mut().zip(&blended.displacement) {
-                    to[at] = u.1;
+                results.put::<GRADIENT>(simd, at, &blended, side);
+            }
+        }
+        for (packet, homes) in scattered.chunks(S::F32_LANES).enumerate() {
+            let first = *scattered_at + packet * S::F32_LANES;
+            let mut values = [[0.0; PACKET]; scattered::VALUES];
+            for (lane, home) in homes.iter().enumerate() {
+                let p = [scalars[0][first + lane], scalars[1][first + lane], scalars[2][first + lane]];
+                let list = supports.of_home(*home as usize);
+                let one = scattered::one::<GRADIENT>(p, &expansions[*home as usize], list, expansions);
+                for (to, value) in values.iter_mut().zip(one.values()) {
+                    to[lane] = value;
                 }
-                sum[at] = blended.sum.1;
-                if GRADIENT && !normals[0].is_empty() {
-                    let [x, y, z] = &normals;
-                    let n = [Lanes(simd, x[at]), Lanes(simd, y[at]), Lanes(simd, z[at])];
-                    let turned = turn(n, &blended.gradient, side);
-                    for i in 0..3 {
-                        normals[i][at] = turned[i].1;
-                    }
-                }
-                if GRADIENT && !gradient[0].is_empty() {
-                    for (to, g) in gradient.iter_mut().zip(&blended.gradient) {
-                        to[at] = g.1;
-                    }
-                }
+            }
+            let zero = Lanes::splat(simd, 0.0);
+            let mut blended = Blended { displacement: [zero; 3], sum: zero, gradient: [zero; 9] };
+            let Blended { displacement, sum, gradient } = &mut blended;
+            let all = displacement.iter_mut().chain([sum]).chain(gradient);
+            for (to, of_lanes) in all.zip(&values) {
+                *to = Lanes(simd, S::as_simd_f32s(of_lanes).0[0]);
+            }
+            results.put::<GRADIENT>(simd, first / S::F32_LANES, &blended, side);
+        }
+    }
+}
+
+/// Where the results of packets go.
+struct Results<'a, S: Simd> {
+    displacement: [&'a mut [S::f32s]; 3],
+    sum: &'a mut [S::f32s],
+    normals: [&'a mut [S::f32s]; 3],
+    gradient: [&'a mut [S::f32s]; 9],
+}
+
+impl<S: Simd> Results<'_, S> {
+    /// Puts those of a packet where they belong, and turns its normals.
+    #[inline(always)]
+    fn put<const GRADIENT: bool>(&mut self, simd: S, at: usize, blended: &Blended<S>, side: Lanes<S>) {
+        for (to, u) in self.displacement.iter_mut().zip(&blended.displacement) {
+            to[at] = u.1;
+        }
+        self.sum[at] = blended.sum.1;
+        if GRADIENT && !self.normals[0].is_empty() {
+            let [x, y, z] = &self.normals;
+            let n = [Lanes(simd, x[at]), Lanes(simd, y[at]), Lanes(simd, z[at])];
+            let turned = turn(n, &blended.gradient, side);
+            for (to, n) in self.normals.iter_mut().zip(&turned) {
+                to[at] = n.1;
+            }
+        }
+        if GRADIENT && !self.gradient[0].is_empty() {
+            for (to, g) in self.gradient.iter_mut().zip(&blended.gradient) {
+                to[at] = g.1;
             }
         }
     }
@@ -298,6 +322,12 @@ struct Blended<S: Simd> {
     displacement: [Lanes<S>; 3],
     sum: Lanes<S>,
     gradient: [Lanes<S>; 9],
+}
+
+/// Term `k` of coordinate `o` of an expansion, for all lanes.
+#[inline(always)]
+fn term<S: Simd>(simd: S, e: &Expansion, k: usize, o: usize) -> Lanes<S> {
+    Lanes::splat(simd, e.term(k, o))
 }
 
 /// Goes through the supports for as many vertices as there are lanes.
@@ -337,15 +367,11 @@ fn packet<S: Simd, const GRADIENT: bool>(
         let [dx, dy, dz] = d;
         for o in 0..3 {
             // As in `Expansion::at`.
-            let row = &e.rows[o];
             // Beyond the home's, for precision: weights that vanish have steep logarithms.
-            let u = Lanes::splat(simd, row[0] - home.rows[o][0]);
-            let (sx, sy, sz) =
-                (Lanes::splat(simd, row[1]), Lanes::splat(simd, row[2]), Lanes::splat(simd, row[3]));
-            let (xx, xy, xz) =
-                (Lanes::splat(simd, row[4]), Lanes::splat(simd, row[5]), Lanes::splat(simd, row[6]));
-            let (yy, yz, zz) =
-                (Lanes::splat(simd, row[7]), Lanes::splat(simd, row[8]), Lanes::splat(simd, row[9]));
+            let u = Lanes::splat(simd, e.term(0, o) - home.term(0, o));
+            let (sx, sy, sz) = (term(simd, e, 1, o), term(simd, e, 2, o), term(simd, e, 3, o));
+            let (xx, xy, xz) = (term(simd, e, 4, o), term(simd, e, 5, o), term(simd, e, 6, o));
+            let (yy, yz, zz) = (term(simd, e, 7, o), term(simd, e, 8, o), term(simd, e, 9, o));
             let a = xx.mul_add(dx, xy.mul_add(dy, xz.mul_add(dz, sx)));
             let b = yy.mul_add(dy, yz.mul_add(dz, sy));
             let c = zz.mul_add(dz, sz);
@@ -369,7 +395,7 @@ fn packet<S: Simd, const GRADIENT: bool>(
     let inverse = blended.sum.inverse_or_one();
     for o in 0..3 {
         let u = blended.displacement[o] * inverse;
-        blended.displacement[o] = u + Lanes::splat(simd, home.rows[o][0]);
+        blended.displacement[o] = u + term(simd, home, 0, o);
         if GRADIENT {
             for (column, slope) in sum_slope.iter().enumerate() {
                 // Of the deformation, not of the displacement.

@@ -3,7 +3,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use glam::{DVec3, Mat3, Vec3};
+use glam::{DVec3, Mat3, UVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::frame::Frame;
 
@@ -11,24 +11,36 @@ use super::blend::{Grouped, LEAST_WEIGHT, PACKET, blend};
 use super::homes::Homes;
 use super::{DeformationField, Figures, Method, Surroundings, Transport, projected_barycentric};
 
-/// Vertices of a block: many, so that there are several of each home.
-pub const BLOCK: usize = 1 << 14;
+/// Most vertices of a block: many, so that there are several of each home.
+pub const BLOCK: usize = 1 << 16;
+
+/// Vertices that a packet is not worth for.
+const FEW: usize = 3;
+
+/// Bits of a coordinate by which vertices are put in order …
+const MORTON_BITS: u32 = 10;
+
+/// … if many are further from the one before than this part of their block's size.
+const JUMP: f32 = 0.1;
 
 /// The place of a vertex that does not move.
 const NOWHERE: u32 = u32::MAX;
 
 /// Memory that is used again from block to block.
 ///
-/// About 80 bytes per vertex of a block, at most 700 if each has a home of its own, and 4 per sample.
+/// About 100 bytes per vertex of a block, at most 400 if all homes have four, and 4 per sample.
 #[derive(Debug, Default)]
 pub struct Workspace {
     /// Local positions.
     local: Vec<Vec3>,
+    /// The vertices in the order in which they are gone through, and what it is found by.
+    order: Vec<u32>,
+    keys: Vec<u64>,
     homes: Vec<u32>,
     /// For each sample, the group of which it is the home, if that group is of this block.
     group_of: Vec<u32>,
-    /// Number of vertices of each group, and then where the next one goes.
-    next: Vec<usize>,
+    /// How far each group is filled.
+    filled: Vec<Filled>,
     /// Where each vertex is among the grouped ones, if its home moves.
     place: Vec<u32>,
     grouped: Grouped,
@@ -138,7 +150,7 @@ impl Block<'_> {
                 None => workspace.find_homes(around),
             }
             workspace.group(fields);
-            around.count(&workspace.grouped.groups);
+            around.count(&workspace.grouped);
             let versions = fields.iter().zip(moved);
             versions.for_each(|(field, moved)| workspace.carry(field, frame, positions, moved));
         });
@@ -168,10 +180,11 @@ impl Workspace {
         self.local.extend(
             positions.iter().map(|p| if p.is_finite() { frame.to_local(*p) + 0.0 } else { Vec3::ZERO }),
         );
+        put_in_order(&self.local, &mut self.order, &mut self.keys);
     }
 
     fn find_homes(&mut self, around: &Surroundings<'_>) {
-        Homes::new(around).of(&self.local, &mut self.homes);
+        Homes::new(around).of(&self.local, self.order.iter().map(|i| *i as usize), &mut self.homes);
     }
 
     fn take_homes(&mut self, homes: &[u32]) {
@@ -310,31 +323,37 @@ impl Workspace {
 
     /// Puts the vertices of each home that moves side by side.
     fn group(&mut self, fields: &[DeformationField<'_>]) {
-        let Self { local, homes, group_of, next, place, grouped } = self;
+        let Self { local, order, homes, group_of, filled, place, grouped, .. } = self;
         let samples = &fields[0].around.samples.positions;
         let moves = |home: usize| fields.iter().any(|field| field.active[home]);
         group_of.resize(samples.len(), u32::MAX);
-        next.clear();
+        filled.clear();
         grouped.groups.clear();
-        for home in homes.iter().filter(|home| moves(**home as usize)) {
-            let h = *home as usize;
+        for home in order.iter().map(|i| homes[*i as usize]).filter(|home| moves(*home as usize)) {
+            let h = home as usize;
             // What an earlier block left is no group of this one, unless that group is of the same home.
             let group = group_of[h] as usize;
-            if grouped.groups.get(group).is_some_and(|(of, _)| of == home) {
-                next[group] += 1;
+            if grouped.groups.get(group).is_some_and(|(of, _)| *of == home) {
+                filled[group].next += 1;
             } else {
                 group_of[h] = grouped.groups.len() as u32;
-                grouped.groups.push((*home, 0..0));
-                next.push(1);
+                grouped.groups.push((home, 0..0));
+                filled.push(Filled { next: 1, scattered: 0 });
             }
         }
         let mut end = 0;
-        for ((_, range), next) in grouped.groups.iter_mut().zip(next.iter_mut()) {
-            *range = end..end + *next;
-            *next = end;
+        grouped.scattered.clear();
+        for ((home, range), filled) in grouped.groups.iter_mut().zip(filled.iter_mut()) {
+            let rest = filled.next % PACKET;
+            let scattered = if rest <= FEW { rest } else { 0 };
+            *range = end..end + filled.next - scattered;
+            *filled = Filled { next: end, scattered: grouped.scattered.len() };
+            grouped.scattered.extend(std::iter::repeat_n(*home, scattered));
             end = range.end.next_multiple_of(PACKET);
         }
-        grouped.positions.iter_mut().for_each(|v| v.resize(end, 0.0));
+        grouped.scattered_at = end;
+        let all = end + grouped.scattered.len();
+        grouped.positions.iter_mut().for_each(|v| v.resize(all.next_multiple_of(PACKET), 0.0));
         for (home, range) in &grouped.groups {
             // Lanes that are left over are at the home, where they disturb nobody.
             let center = samples[*home as usize];
@@ -342,15 +361,59 @@ impl Workspace {
             (0..3).for_each(|i| grouped.positions[i][rest.clone()].fill(center[i]));
         }
         place.clear();
-        place.extend(local.iter().zip(homes).map(|(p, home)| {
-            if !moves(*home as usize) {
-                return NOWHERE;
-            }
-            let next = &mut next[group_of[*home as usize] as usize];
-            let at = *next;
-            *next += 1;
-            (0..3).for_each(|i| grouped.positions[i][at] = p[i]);
-            at as u32
-        }));
+        place.resize(local.len(), NOWHERE);
+        for i in order.iter().map(|i| *i as usize).filter(|i| moves(homes[*i] as usize)) {
+            let group = group_of[homes[i] as usize] as usize;
+            let filled = &mut filled[group];
+            let in_packets = &grouped.groups[group].1;
+            let at = if filled.next < in_packets.end {
+                filled.next += 1;
+                filled.next - 1
+            } else {
+                filled.scattered += 1;
+                end + filled.scattered - 1
+            };
+            (0..3).for_each(|axis| grouped.positions[axis][at] = local[i][axis]);
+            place[i] = at as u32;
+        }
     }
+}
+
+/// How far a group is filled: where its next vertex goes, and where the next one of those that are scattered.
+#[derive(Debug, Clone, Copy)]
+struct Filled {
+    /// At first, the number of its vertices.
+    next: usize,
+    scattered: usize,
+}
+
+/// Puts the numbers of vertices in an order in which those near to each other are mostly side by side: as they
+/// are, where that is so already, or along a curve of Morton's.
+fn put_in_order(local: &[Vec3], order: &mut Vec<u32>, keys: &mut Vec<u64>) {
+    order.clear();
+    order.extend(0..local.len() as u32);
+    let low = local.iter().copied().fold(Vec3::INFINITY, Vec3::min);
+    let high = local.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
+    let size = (high - low).max_element();
+    let is_jump = |pair: &&[Vec3]| (pair[1] - pair[0]).abs().max_element() > JUMP * size;
+    if local.windows(2).filter(is_jump).count() <= local.len() / 4 {
+        return;
+    }
+    let steps = (1 << MORTON_BITS) as f32 * 0.999 / size;
+    keys.clear();
+    let key = |p: &Vec3| u64::from(morton(((*p - low) * steps).as_uvec3())) << 32;
+    keys.extend(local.iter().zip(0u64..).map(|(p, i)| key(p) | i));
+    keys.sort_unstable();
+    order.iter_mut().zip(keys).for_each(|(to, key)| *to = *key as u32);
+}
+
+/// The bits of three coordinates in turn.
+fn morton(at: UVec3) -> u32 {
+    let spread = |x: u32| {
+        let x = (x | x << 16) & 0x0300_00ff;
+        let x = (x | x << 8) & 0x0300_f00f;
+        let x = (x | x << 4) & 0x030c_30c3;
+        (x | x << 2) & 0x0924_9249
+    };
+    spread(at.x) | spread(at.y) << 1 | spread(at.z) << 2
 }

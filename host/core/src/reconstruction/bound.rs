@@ -13,15 +13,13 @@
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
+use super::blend::AROUND;
 use super::expansion::Expansion;
 use super::gradients::ROUNDING;
 use super::hull::way_from_hull;
 use super::sheets::Sheets;
 use super::{DeformationField, Transport};
 use crate::sampling::SampleSet;
-
-/// Samples that a range is of.
-pub const AROUND: usize = 28;
 
 /// How far beyond the range a vertex may go, as a part of the local step: a little less than a tenth, for
 /// rounding.
@@ -61,8 +59,10 @@ impl Extent {
         Self { low: u - MARGIN, high: u + MARGIN }
     }
 
-    fn include(&mut self, u: Vec3) {
-        (self.low, self.high) = (self.low.min(u - MARGIN), self.high.max(u + MARGIN));
+    /// With one displacement more.
+    #[inline]
+    fn with(self, u: Vec3) -> Self {
+        Self { low: self.low.min(u - MARGIN), high: self.high.max(u + MARGIN) }
     }
 
     fn widened(&self, by: f32) -> Self {
@@ -149,18 +149,21 @@ impl DeformationField<'_> {
     /// Whether a displacement of a vertex of this home is within the range of those samples of the home's
     /// sheet that are surely among the nearest ones: then it keeps to the range without a search.
     pub(super) fn is_bounded(&self, home: usize, p: Vec3, u: Vec3) -> bool {
-        let positions = &self.around.samples.positions;
-        let distance = p.distance(positions[home]);
+        let center = |j: usize| Vec3::from_array(self.expansions[j].center);
+        let distance = p.distance(center(home));
         let reach = self.around.supports.ranging[home] - distance;
         if reach <= distance {
             return false;
         }
-        let step = |j: usize| self.bound.step(j);
-        let (mut extent, mut largest) = (Extent::about(self.expansions[home].displacement()), step(home));
-        self.around.sheets.of_sample(home).iter().map(|j| *j as usize).any(|j| {
-            if positions[j].distance_squared(p) < reach * reach {
-                extent.include(self.expansions[j].displacement());
-                largest = largest.max(step(j));
+        let (mut extent, mut largest) =
+            (Extent::about(self.expansions[home].displacement()), self.bound.step(home));
+        self.around.sheets.of_sample(home).chunks(EDGES).any(|ring| {
+            for j in ring.iter().map(|j| *j as usize) {
+                // Without a branch: nobody foretells it.
+                let is_near = center(j).distance_squared(p) < reach * reach;
+                let with = extent.with(self.expansions[j].displacement());
+                extent = if is_near { with } else { extent };
+                largest = largest.max(if is_near { self.bound.step(j) } else { 0.0 });
             }
             extent.widened(BEYOND * largest).holds(u)
         })
@@ -217,7 +220,7 @@ impl Range {
             let e = &field.expansions[j as usize];
             range.from[range.count] = Vec3::from_array(e.center) - p;
             range.displacement[range.count] = e.displacement();
-            range.extent.include(e.displacement());
+            range.extent = range.extent.with(e.displacement());
             range.edges.include(&field.bound.edges[j as usize]);
             range.count += 1;
         }

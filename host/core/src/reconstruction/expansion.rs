@@ -1,23 +1,28 @@
 //! A second-order Taylor expansion of the deformation about a sample: what is blended.
 
 use glam::{Mat3, Vec3};
+use serde::{Deserialize, Serialize};
 
 /// The displacement about a sample, u(q + d) = u₀ + S·d + Q(d, d), and how far the sample's word counts.
 ///
-/// One row per coordinate of the displacement holds u₀, the three slopes, and the six second-order terms xx,
-/// xy, xz, yy, yz, zz, in the order in which Horner's rule takes them. Displacements rather than places, as
-/// those of samples that do not move are exactly nothing.
+/// The ten terms of each coordinate are u₀, the three slopes, and the six second-order terms xx, xy, xz, yy,
+/// yz, zz, in the order in which Horner's rule takes them. Displacements rather than places, as those of
+/// samples that do not move are exactly nothing.
 ///
-/// Memory: 136 bytes.
+/// Memory: 144 bytes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expansion {
     /// q, in local coordinates.
     pub center: [f32; 3],
     /// One over the square of the support's radius, at most [`NO_SUPPORT`](Self::NO_SUPPORT).
     pub inverse_square: f32,
-    /// For each coordinate of the displacement.
-    pub rows: [[f32; 10]; 3],
+    /// Term by term, the three coordinates of each side by side; and two numbers more, so that four can be
+    /// read from where any term begins.
+    terms: [f32; 32],
 }
+
+/// Terms of each coordinate.
+const TERMS: usize = 10;
 
 impl Expansion {
     /// So small a support holds the sample alone.
@@ -25,12 +30,29 @@ impl Expansion {
 
     /// Of a displacement, its gradient S, and the second-order terms.
     pub fn new(center: Vec3, displacement: Vec3, slope: Mat3, second: [Vec3; 6]) -> Self {
-        let row = |o: usize| {
-            let s = slope.row(o);
-            let [xx, xy, xz, yy, yz, zz] = second.map(|q| q[o]);
-            [displacement[o], s.x, s.y, s.z, xx, xy, xz, yy, yz, zz]
-        };
-        Self { center: center.to_array(), inverse_square: Self::NO_SUPPORT, rows: [row(0), row(1), row(2)] }
+        let first = [displacement, slope.x_axis, slope.y_axis, slope.z_axis];
+        let mut terms = [0.0; 32];
+        for (to, term) in terms.chunks_exact_mut(3).zip(first.iter().chain(&second)) {
+            to.copy_from_slice(&term.to_array());
+        }
+        Self { center: center.to_array(), inverse_square: Self::NO_SUPPORT, terms }
+    }
+
+    /// Term `k` of coordinate `o`.
+    #[inline(always)]
+    pub fn term(&self, k: usize, o: usize) -> f32 {
+        self.terms[3 * k + o]
+    }
+
+    /// Term `k` of the three coordinates, and a number of no meaning.
+    #[inline(always)]
+    pub fn four(&self, k: usize) -> [f32; 4] {
+        [self.terms[3 * k], self.terms[3 * k + 1], self.terms[3 * k + 2], self.terms[3 * k + 3]]
+    }
+
+    /// The terms of each coordinate.
+    pub fn rows(&self) -> [[f32; TERMS]; 3] {
+        std::array::from_fn(|o| std::array::from_fn(|k| self.term(k, o)))
     }
 
     /// How far within its support a place is: from 1 at the sample down to 0, and below.
@@ -41,23 +63,23 @@ impl Expansion {
 
     /// The displacement of the sample itself.
     pub fn displacement(&self) -> Vec3 {
-        Vec3::from_array(self.rows.map(|row| row[0]))
+        Vec3::new(self.terms[0], self.terms[1], self.terms[2])
     }
 
     /// The gradient of the displacement at the sample.
     pub fn slope(&self) -> Mat3 {
-        let rows = self.rows.map(|[_, x, y, z, ..]| Vec3::new(x, y, z));
-        Mat3::from_cols(rows[0], rows[1], rows[2]).transpose()
+        let column = |k: usize| Vec3::new(self.term(k, 0), self.term(k, 1), self.term(k, 2));
+        Mat3::from_cols(column(1), column(2), column(3))
     }
 
     /// Whether it moves nothing anywhere.
     pub fn is_still(&self) -> bool {
-        self.rows.as_flattened().iter().all(|x| *x == 0.0)
+        self.terms.iter().all(|x| *x == 0.0)
     }
 
     /// The displacement at `d` from the sample, and its gradient.
     pub fn at(&self, d: Vec3) -> (Vec3, Mat3) {
-        let parts = self.rows.map(|[u, sx, sy, sz, xx, xy, xz, yy, yz, zz]| {
+        let parts = self.rows().map(|[u, sx, sy, sz, xx, xy, xz, yy, yz, zz]| {
             let a = sx + xx * d.x + xy * d.y + xz * d.z;
             let b = sy + yy * d.y + yz * d.z;
             let c = sz + zz * d.z;
@@ -74,7 +96,32 @@ impl Expansion {
     pub fn beyond(&self, d: Vec3) -> (Vec3, Mat3) {
         let margin = (1.0 / (d.length_squared() * self.inverse_square)).min(1.0);
         let mut inner = *self;
-        inner.rows.iter_mut().flat_map(|row| &mut row[4..]).for_each(|x| *x *= margin);
+        inner.terms[3 * 4..].iter_mut().for_each(|x| *x *= margin);
         inner.at(d)
+    }
+}
+
+/// A support that reaches the vertices of a home.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub struct Reaching {
+    /// Vertices nearer to the home's sample than this are not reached.
+    pub from: f32,
+    /// The sample.
+    pub sample: u32,
+}
+
+impl Reaching {
+    /// A number: a nearer one's is less, and of those that are equally far that of the first sample.
+    pub fn to_ordered(self) -> u64 {
+        let bits = self.from.to_bits();
+        let bits = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
+        u64::from(bits) << 32 | u64::from(self.sample)
+    }
+
+    /// The support of such a number.
+    pub fn from_ordered(number: u64) -> Self {
+        let bits = (number >> 32) as u32;
+        let bits = if bits >> 31 == 1 { bits & !(1 << 31) } else { !bits };
+        Self { from: f32::from_bits(bits), sample: number as u32 }
     }
 }

@@ -211,7 +211,7 @@ impl DeformationField<'_> {
     pub fn learn(&mut self, found: &[(Vec3, f32)]) {
         let places: Vec<Vec3> = found.iter().map(|(place, _)| *place).collect();
         let mut homes = Vec::new();
-        Homes::new(self.around).of(&places, &mut homes);
+        Homes::new(self.around).of(&places, 0..places.len(), &mut homes);
         for ((place, off), home) in found.iter().zip(homes) {
             let reaching = self.around.supports.of_home(home as usize).iter().map(|r| r.sample as usize);
             let (expansions, expected) = (&self.expansions, &mut self.expected);
@@ -444,7 +444,7 @@ impl Heard {
 #[inline]
 fn says(e: &Expansion, p: Vec3) -> Vec3 {
     let Vec3 { x, y, z } = p - Vec3::from_array(e.center);
-    Vec3::from_array(e.rows.map(|[u, sx, sy, sz, xx, xy, xz, yy, yz, zz]| {
+    Vec3::from_array(e.rows().map(|[u, sx, sy, sz, xx, xy, xz, yy, yz, zz]| {
         u + (sx + xx * x + xy * y + xz * z) * x + (sy + yy * y + yz * z) * y + (sz + zz * z) * z
     }))
 }

@@ -30,6 +30,7 @@ mod limiter;
 mod neighbourhood;
 mod projected_barycentric;
 mod reach;
+mod scattered;
 mod sheets;
 mod stencils;
 mod stream;
@@ -39,7 +40,6 @@ mod transfer;
 pub mod transfer_error;
 mod within_range;
 
-use std::ops::Range;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -49,7 +49,7 @@ use rayon::prelude::*;
 use crate::sampling::SampleSet;
 pub(crate) use binding::MAGIC as BINDING_MAGIC;
 pub use binding::bind;
-use blend::{LEAST_WEIGHT, Supports};
+use blend::{Grouped, LEAST_WEIGHT, Supports};
 use blended_jets::Expanded;
 use block::Workspaces;
 pub(crate) use block::homes;
@@ -182,10 +182,12 @@ impl<'a> Surroundings<'a> {
     }
 
     /// Counts vertices that were carried around homes.
-    fn count(&self, groups: &[(u32, Range<usize>)]) {
-        for (home, vertices) in groups {
-            self.vertices[*home as usize].fetch_add(vertices.len() as u64, Ordering::Relaxed);
-        }
+    fn count(&self, grouped: &Grouped) {
+        let count = |home: u32, vertices: usize| {
+            self.vertices[home as usize].fetch_add(vertices as u64, Ordering::Relaxed);
+        };
+        grouped.groups.iter().for_each(|(home, vertices)| count(*home, vertices.len()));
+        grouped.scattered.iter().for_each(|home| count(*home, 1));
     }
 
     /// The number of vertices so far of which the sample was the home, where anything moves.
@@ -348,7 +350,7 @@ impl<'a> DeformationField<'a> {
     /// planes of the ground do by roofs that have few samples.
     fn by_nearer_ones(&self, home: usize, p: Vec3) -> Option<Transport> {
         let samples = self.around.samples;
-        let mut found = [0; bound::AROUND];
+        let mut found = [0; blend::AROUND];
         let mut near = samples.nearest_ones(p, &mut found).map(|i| i as usize).peekable();
         let distance = |i: usize| samples.positions[i].distance(p);
         let much_nearer = near.peek().is_some_and(|first| distance(home) > MUCH_NEARER * distance(*first));

@@ -1,6 +1,7 @@
 //! Which vertices of a block are seen to keep to the range of the samples around them without a search, as
 //! many at once as the processor's vector registers take: nearly all. See [`bound`](super::bound).
 
+use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::DeformationField;
@@ -33,7 +34,20 @@ impl WithSimd for Kernel<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { field, grouped } = self;
-        let Grouped { groups, positions, displacement, sum, is_within_range, .. } = grouped;
+        let Grouped {
+            groups, scattered, scattered_at, positions, displacement, sum, is_within_range, ..
+        } = grouped;
+        for (i, home) in scattered.iter().enumerate() {
+            let (at, home) = (*scattered_at + i, *home as usize);
+            let p = Vec3::new(positions[0][at], positions[1][at], positions[2][at]);
+            let u = Vec3::new(displacement[0][at], displacement[1][at], displacement[2][at]);
+            let is_within = field.active[home]
+                && !field.limiter.concerns(home)
+                && sum[at] >= LEAST_WEIGHT
+                && field.reaches(home, p)
+                && field.is_bounded(home, p, u);
+            is_within_range[at] = f32::from(u8::from(is_within));
+        }
         let positions = positions.each_ref().map(|v| S::as_simd_f32s(v).0);
         let displacement = displacement.each_ref().map(|v| S::as_simd_f32s(v).0);
         let sum = S::as_simd_f32s(sum).0;
