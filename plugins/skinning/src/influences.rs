@@ -41,6 +41,18 @@ pub fn limited(weights: &mut [(f64, u16)], limit: usize) -> Influences {
     this
 }
 
+/// Turns weights that are not negative into parts of their sum, of which small ones are faded out: those below
+/// the first of two shares are nothing, and those above the second are whole.
+pub fn faded(weights: &mut Vec<(f64, u16)>, shares: [f64; 2]) {
+    let sum: f64 = weights.iter().map(|w| w.0).sum();
+    for (weight, _) in weights.iter_mut() {
+        let share = *weight / sum;
+        let t = ((share - shares[0]) / (shares[1] - shares[0])).clamp(0.0, 1.0);
+        *weight = share * t * t * (3.0 - 2.0 * t);
+    }
+    weights.retain(|(weight, _)| *weight > 0.0);
+}
+
 /// The influences of all samples: so many of each as the one with the most has.
 pub struct Table {
     width: usize,

@@ -3,26 +3,33 @@
 //! | what | by |
 //! |---|---|
 //! | `skeleton` | joints of the session, or of a file |
-//! | `grid`, `voxels`, `distance`, `binding`, `influences` | weights by the distance inside of the model: Dionne and de Lasa 2013 |
+//! | `grid`, `voxels`, `field`, `influences` | numbers of joints at the voxels of the model, and so everywhere |
+//! | `levels`, `bounded`, `biharmonic` | bounded biharmonic weights: Jacobson, Baran, Popović and Sorkine 2011 |
+//! | `distance`, `geodesic` | weights by the distance inside of the model: Dionne and de Lasa 2013 |
 //! | `table` | weights of a file |
 //! | `pose`, `reach` | motions of handles, and ends that reach for a place: Aristidou and Lasenby 2011 |
 //! | `blend` | linear, or by dual quaternions: Kavan, Collins, Žára and O'Sullivan 2008 |
 //!
 //! Weights are a map of space, and with them the whole deformation.
 
-mod binding;
+mod biharmonic;
 mod blend;
+mod bounded;
 mod distance;
+mod field;
+mod geodesic;
 mod grid;
 mod influences;
+mod levels;
 mod pose;
 mod reach;
 mod skeleton;
 mod table;
 mod voxels;
 
-use binding::{Binding, Rule};
+use biharmonic::Biharmonic;
 use blend::Blend;
+use geodesic::{Geodesic, Rule};
 use glam::DVec3;
 use influences::{Influences, MOST, Table};
 use pose::Reaching;
@@ -80,21 +87,33 @@ enum Reach {
 /// What the weights are by.
 #[derive(ParamSet)]
 struct Weights {
+    /// How weights are found, where no file has them: the smoothest ones that go from one bone to the next, or
+    /// by distances through the inside, with `falloff` and `smoothing`
+    #[param(default = Binding::Biharmonic, group = "Weights", invalidates_preparation)]
+    binding: Binding,
     /// Most joints that a place follows
     #[param(default = 4, hard = 1..=MOST as i64, group = "Weights", invalidates_preparation)]
     influences: i64,
     /// How fast a bone's influence falls with the distance, as a power of it: from 2 for soft limbs to 8 and
-    /// more for joints that bend within little more than their width
+    /// more for joints that bend within little more than their width; of geodesic binding
     #[param(default = 4.0, hard = 2.0..=32.0, soft = 2.0..=10.0, group = "Weights", invalidates_preparation)]
     falloff: f64,
-    /// Over which length creases in the distances from bones are rounded off
+    /// Over which length creases in the distances from bones are rounded off; of geodesic binding
     #[param(default = 0.005, unit = "diagonal", hard = 0.0..=0.02, soft = 0.0..=0.01, group = "Weights")]
     #[param(invalidates_preparation)]
     smoothing: f64,
-    /// Voxels along the longest side of the model, in which distances are found; limbs that are less than two
+    /// Voxels along the longest side of the model, in which weights are found; limbs that are less than two
     /// of them apart are taken for one
     #[param(default = 128, hard = 16..=256, soft = 64..=256, group = "Weights", invalidates_preparation)]
     resolution: i64,
+}
+
+#[derive(Choice, Clone, Copy)]
+enum Binding {
+    #[choice(label = "Bounded biharmonic")]
+    Biharmonic,
+    #[choice(label = "Geodesic voxel")]
+    Geodesic,
 }
 
 /// A bound model.
@@ -107,14 +126,16 @@ struct Prepared {
 
 /// Where weights come from.
 enum Source {
-    Voxels(Box<Binding>),
+    Biharmonic(Box<Biharmonic>),
+    Geodesic(Box<Geodesic>),
     File { rows: WeightTable, limit: usize },
 }
 
 impl Source {
     fn at(&self, p: DVec3, room: &mut Vec<(f64, u16)>) -> Influences {
         match self {
-            Self::Voxels(binding) => binding.at(p, room),
+            Self::Biharmonic(binding) => binding.at(p, room),
+            Self::Geodesic(binding) => binding.at(p, room),
             Self::File { rows, limit } => rows.at(p, *limit, room).0,
         }
     }
@@ -193,7 +214,7 @@ impl Deformer for Skinning {
     fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
         let skeleton = skeleton(input)?;
         let handles = handles(input, &skeleton)?;
-        let Weights { influences, falloff, smoothing, resolution } = input.params().read()?;
+        let Weights { binding, influences, falloff, smoothing, resolution } = input.params().read()?;
         let whole =
             |id: &str, x: i64| usize::try_from(x).map_err(|_| PluginError::parameter(id, "is negative"));
         let limit = whole("influences", influences)?.clamp(1, MOST);
@@ -207,18 +228,25 @@ impl Deformer for Skinning {
                 let voxels =
                     Voxels::new(input, &skeleton.all_bones(), whole("resolution", resolution)?, host)?;
                 let rule = Rule { power: falloff, smoothing: smoothing * input.bounds.diagonal(), limit };
-                Source::Voxels(Box::new(Binding::new(voxels, &skeleton, rule, host)?))
+                match binding {
+                    Binding::Biharmonic => {
+                        Source::Biharmonic(Box::new(Biharmonic::new(voxels, &skeleton, limit, host)?))
+                    }
+                    Binding::Geodesic => {
+                        Source::Geodesic(Box::new(Geodesic::new(voxels, &skeleton, rule, host)?))
+                    }
+                }
             }
         };
         let far = AtomicUsize::new(0);
         let near = NEAR * input.bounds.diagonal();
         let find = |p: DVec3, room: &mut Vec<(f64, u16)>| match &weights {
-            Source::Voxels(binding) => binding.at(p, room),
             Source::File { rows, limit } => {
                 let (influences, distance) = rows.at(p, *limit, room);
                 far.fetch_add(usize::from(distance > near), Ordering::Relaxed);
                 influences
             }
+            found => found.at(p, room),
         };
         let table = Table::new(samples, find, host)?;
         match far.into_inner() {

@@ -1,5 +1,6 @@
 //! The whole plugin, as the host calls it.
 
+mod dump;
 mod meaning;
 mod reference;
 mod refused;
