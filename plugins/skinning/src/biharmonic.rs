@@ -15,6 +15,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A joint's share in a place below which it has none, and above which it has all of it.
 const SHARES: [f64; 2] = [0.001, 0.005];
+/// Voxels so near to a bone are on it, in cells: so one between two rows of them is on both.
+const BESIDE: f64 = 0.75;
 /// Weights of voxels below are not kept.
 const LEAST: f64 = 1e-4;
 
@@ -35,8 +37,8 @@ impl Biharmonic {
             if !passages.is_empty() {
                 bound.push(joint);
             }
-            for voxel in passages.iter().flat_map(|p| &p.voxels) {
-                *sums.entry(*voxel).or_default().entry(joint).or_default() += 1.0;
+            for (voxel, _) in passages.iter().flat_map(|p| p.about(&voxels, BESIDE)) {
+                *sums.entry(voxel).or_default().entry(joint).or_default() += 1.0;
             }
         }
         let mut own: Held = sums.into_iter().map(|(voxel, sum)| (voxel, parts(sum))).collect();

@@ -17,10 +17,12 @@ pub const LANES: usize = 4;
 /// The weights of as many joints at a node.
 pub type Lanes = [f64; LANES];
 
-/// Most steps on a level, the finest first; those further up have as many as the last one.
-const STEPS: [usize; 3] = [60, 300, 1500];
+/// Most steps on a level, the finest first; those further up, and the coarsest, have as many as the last one.
+const STEPS: [usize; 3] = [60, 500, 2000];
 /// Steps end where no weight changes by more.
-const SETTLED: f64 = 2e-6;
+const SETTLED: f64 = 3e-7;
+/// Weights that are as near to 0 or 1, on a coarser level, are so on finer ones.
+const NEARLY: f64 = 1e-3;
 /// Steps between two looks at whether they have settled.
 const PATIENCE: usize = 10;
 
@@ -45,18 +47,19 @@ pub fn solve(levels: &[Level], held: &[Held], joints: &[u16], is_wanted: impl Fn
             *own = [0.0; LANES];
             own.iter_mut().zip(joints).for_each(|(w, joint)| *w = share(joint));
         }
-        let steps = STEPS[depth.min(STEPS.len() - 1)];
+        let steps = if is_coarsest { STEPS[STEPS.len() - 1] } else { STEPS[depth.min(STEPS.len() - 1)] };
         Part::new(level, &is_free).descend(&mut weights, steps, &is_wanted);
         coarser = weights;
     }
     coarser
 }
 
-/// Whether the weights at a node or beside it are neither all 0 nor all those of one joint.
+/// Whether the weights at a node and beside it are not all nearly 0 or 1, and the same.
 fn is_between(level: &Level, weights: &[Lanes], node: u32) -> bool {
     let own = &weights[node as usize];
-    own.iter().any(|w| *w > 0.0 && *w < 1.0)
-        || level.links(node).iter().any(|(other, _)| weights[*other as usize] != *own)
+    let differs = |other: &Lanes| own.iter().zip(other).any(|(a, b)| (a - b).abs() > NEARLY);
+    own.iter().any(|w| *w > NEARLY && *w < 1.0 - NEARLY)
+        || level.links(node).iter().any(|(other, _)| differs(&weights[*other as usize]))
 }
 
 /// The free nodes of a level, then those that these are linked to, then what these are linked to, numbered
@@ -67,7 +70,7 @@ struct Part {
     /// Nodes whose Laplacian counts.
     rows: usize,
     starts: Vec<u32>,
-    links: Vec<(u32, f64)>,
+    links: Vec<(u32, f32)>,
     masses: Vec<f64>,
     /// Of the energy's second derivatives the sums of each row's sizes: steps that are as much shorter go
     /// down.
@@ -105,19 +108,20 @@ impl Part {
         let mut this = Self { nodes, free, rows, starts, links, masses, bounds: Vec::new() };
         let size = |row: usize| 2.0 * this.degree(row) / this.masses[row];
         let bound = |row: usize| {
-            let others = this.links(row).iter().map(|(other, by)| by * size(*other as usize));
+            let others = this.links(row).iter().map(|(other, by)| f64::from(*by) * size(*other as usize));
             this.degree(row) * size(row) + others.sum::<f64>()
         };
-        this.bounds = (0..free).map(bound).collect();
+        // What is linked to nothing has none.
+        this.bounds = (0..free).map(|row| bound(row).max(f64::MIN_POSITIVE)).collect();
         this
     }
 
-    fn links(&self, row: usize) -> &[(u32, f64)] {
+    fn links(&self, row: usize) -> &[(u32, f32)] {
         &self.links[self.starts[row] as usize..self.starts[row + 1] as usize]
     }
 
     fn degree(&self, row: usize) -> f64 {
-        self.links(row).iter().map(|l| l.1).sum()
+        self.links(row).iter().map(|l| f64::from(l.1)).sum()
     }
 
     /// The sum of differences to what a row is linked to.
@@ -125,7 +129,7 @@ impl Part {
         let mut sum = [0.0; LANES];
         let own = of[row];
         for (other, by) in self.links(row) {
-            let other = &of[*other as usize];
+            let (other, by) = (&of[*other as usize], f64::from(*by));
             (0..LANES).for_each(|k| sum[k] += by * (other[k] - own[k]));
         }
         sum
@@ -173,5 +177,102 @@ impl Part {
             }
         }
         self.nodes[..self.free].iter().zip(&weights).for_each(|(n, w)| all[*n as usize] = *w);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::levels::{coarsened, coarser_held};
+    use glam::IVec3;
+    use proptest::prelude::*;
+
+    fn solved(links: &[(u32, u32)], cells: Vec<IVec3>, held: Held, joints: &[u16]) -> Vec<Lanes> {
+        let both = links.iter().flat_map(|(a, b)| [(*a, *b, 1.0), (*b, *a, 1.0)]).collect();
+        let levels = coarsened(Level::new(both, vec![1.0; cells.len()], cells));
+        let mut all = vec![held];
+        for (level, depth) in levels[..levels.len() - 1].iter().zip(0..) {
+            let next = coarser_held(&all[depth], level);
+            all.push(next);
+        }
+        solve(&levels, &all, joints, || true)
+    }
+
+    fn chain(nodes: u32, held: Held) -> Vec<Lanes> {
+        let links: Vec<(u32, u32)> = (1..nodes).map(|i| (i - 1, i)).collect();
+        solved(&links, (0..nodes).map(|i| IVec3::X * i as i32).collect(), held, &[3, 5])
+    }
+
+    /// Between two bones in a line, fourth differences are 0: a cubic polynomial.
+    #[test]
+    fn between_two_bones_weights_are_cubic() {
+        for (gap, far) in [(10_u32, 1e-4), (24, 2e-3)] {
+            let first = (0..5).map(|i| (i, vec![(3, 1.0)]));
+            let second = (4 + gap..9 + gap).map(|i| (i, vec![(5, 1.0)]));
+            let weights = chain(9 + gap, first.chain(second).collect());
+            // Through 1 at -1 and 0, and 0 at n and n + 1.
+            let n = f64::from(gap);
+            let exact = |x: f64| {
+                let t = (x + 0.5) / (n + 1.0) - 0.5;
+                let h = 0.5 / (n + 1.0);
+                // Odd about the middle: a t + b t³ is 1/2 at t = 1/2 - h and 1/2 + h.
+                let (p, q) = (0.5 - h, 0.5 + h);
+                let b = 0.5 * (1.0 / q - 1.0 / p) / (q * q - p * p);
+                let a = 0.5 / p - b * p * p;
+                0.5 - (a * t + b * t * t * t)
+            };
+            for i in 0..=gap {
+                let [a, b, ..] = weights[4 + i as usize];
+                let wanted = exact(f64::from(i));
+                assert!(
+                    (a - wanted).abs() < far && (a + b - 1.0).abs() < far,
+                    "{i} of {gap}: {a} {b}, {wanted}"
+                );
+            }
+        }
+    }
+
+    /// Beyond the other bone, a point, the smoothest weights would be negative.
+    #[test]
+    fn bounds_hold() {
+        let weights = chain(30, vec![(0, vec![(3, 1.0)]), (1, vec![(3, 1.0)]), (12, vec![(5, 1.0)])]);
+        assert!(weights[12..].iter().all(|w| w[0] == 0.0 || w[0] < 1e-5), "{weights:?}");
+        assert!(weights[1..12].windows(2).all(|w| w[0][0] > w[1][0]));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+
+        /// Nothing that keeps to the bounds is smoother: the slope is 0, or leads out of them.
+        #[test]
+        fn weights_are_the_least(
+            more in prop::collection::vec((0..24_u32, 0..24_u32), 0..40),
+            a in 0..12_u32, b in 12..24_u32,
+        ) {
+            let mut links: Vec<(u32, u32)> = (1..24).map(|i| (i - 1, i)).collect();
+            links.extend(more.into_iter().filter(|(a, b)| a != b));
+            let cells = (0..24).map(|i| IVec3::X * i).collect();
+            let found = solved(&links, cells, vec![(a, vec![(3, 1.0)]), (b, vec![(5, 1.0)])], &[3, 5]);
+            let laplacian = |of: &[f64]| {
+                let mut sums = vec![0.0; 24];
+                for (a, b) in links.iter().map(|(a, b)| (*a as usize, *b as usize)) {
+                    sums[a] += of[b] - of[a];
+                    sums[b] += of[a] - of[b];
+                }
+                sums
+            };
+            for lane in 0..2 {
+                let weights: Vec<f64> = found.iter().map(|w| w[lane]).collect();
+                let slope = laplacian(&laplacian(&weights));
+                for i in (0..24).filter(|i| *i != a as usize && *i != b as usize) {
+                    let inwards = match weights[i] {
+                        w if w < 1e-4 => -slope[i],
+                        w if w > 1.0 - 1e-4 => slope[i],
+                        _ => slope[i].abs(),
+                    };
+                    prop_assert!(inwards < 2e-3, "{} at {}: {}", inwards, i, weights[i]);
+                }
+            }
+        }
     }
 }

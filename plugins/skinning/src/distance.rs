@@ -11,8 +11,6 @@ use glam::DVec3;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Around a bone, distances are exact; so far, in cells.
-const EXACT: f64 = 4.0;
 /// Points of a bone outside of the model that are looked at.
 const PROJECTED: usize = 256;
 /// Steps between two looks at the wish to stop.
@@ -152,23 +150,6 @@ pub fn on_bone(voxels: &Voxels, bone: [DVec3; 2]) -> Vec<u32> {
     found.sort_unstable();
     found.dedup();
     found
-}
-
-/// The voxels about those that a bone passes through, with their distances in cells.
-pub fn about(voxels: &Voxels, bone: [DVec3; 2], mut found: Vec<u32>) -> Vec<(u32, f32)> {
-    let far = |voxel: u32| far(voxels, voxel, bone);
-    // Around them, without leaving the model: beyond a gap there may be another limb.
-    let mut is_known: std::collections::HashSet<u32> = found.iter().copied().collect();
-    let mut next = 0;
-    while let Some(voxel) = found.get(next).copied() {
-        for to in voxels.neighbours[voxel as usize] {
-            if to != NONE && far(to) <= EXACT && is_known.insert(to) {
-                found.push(to);
-            }
-        }
-        next += 1;
-    }
-    found.into_iter().map(|v| (v, far(v) as f32)).collect()
 }
 
 /// How far a voxel is from a bone, in cells.

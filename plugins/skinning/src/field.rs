@@ -1,12 +1,13 @@
 //! Numbers of joints at voxels, and between these to second order: a map of space.
 
-use crate::distance::{on_bone, projected};
+use crate::distance::{far, on_bone, projected};
 use crate::grid::Grid;
 use crate::skeleton::Skeleton;
 use crate::voxels::{NONE, Voxels};
 use glam::{DVec3, IVec3};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use simod_plugin_api::{Host, PluginError, PluginResult};
+use std::collections::HashSet;
 
 /// Most numbers of voxels and joints.
 pub const MOST: usize = 1 << 26;
@@ -149,13 +150,33 @@ pub fn gradient(voxels: &Voxels, voxel: u32, value: impl Fn(u32) -> f32) -> [f32
     })
 }
 
-/// The voxels that a bone passes through; or, where it is outside, those that are nearest to it, with what it
-/// is called outside.
+/// The voxels that a bone passes through; or, where it is outside, those that are nearest to it.
 #[derive(Debug)]
 pub struct Passage {
     pub voxels: Vec<u32>,
     pub bone: [DVec3; 2],
     pub is_outside: bool,
+}
+
+impl Passage {
+    /// These voxels and those about them, up to so many cells from the bone, with their distances from it in
+    /// cells; of a bone outside, these alone.
+    pub fn about(&self, voxels: &Voxels, most: f64) -> Vec<(u32, f32)> {
+        let far = |voxel: u32| far(voxels, voxel, self.bone);
+        let mut found = self.voxels.clone();
+        // Without leaving the model: beyond a gap there may be another limb.
+        let mut is_known: HashSet<u32> = found.iter().copied().collect();
+        let mut next = 0;
+        while let Some(voxel) = found.get(next).copied().filter(|_| !self.is_outside) {
+            for to in voxels.neighbours[voxel as usize] {
+                if to != NONE && far(to) <= most && is_known.insert(to) {
+                    found.push(to);
+                }
+            }
+            next += 1;
+        }
+        found.into_iter().map(|v| (v, far(v) as f32)).collect()
+    }
 }
 
 /// Where the bones of each joint are; those outside of the model are told.

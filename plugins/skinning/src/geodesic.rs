@@ -6,7 +6,7 @@
 //! itself is the parameter, so that a limb bends the same whatever its size. Small ones fade to nothing, so
 //! that what is far stays.
 
-use crate::distance::{March, about, far};
+use crate::distance::March;
 use crate::field::{Elsewhere, Entry, Field, MOST, Passage, gradient, passages};
 use crate::influences::{Influences, faded, limited};
 use crate::skeleton::Skeleton;
@@ -19,6 +19,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 const SHARES: [f64; 2] = [0.01, 0.05];
 /// Distances are taken for so many cells at least.
 const NEAREST: f64 = 0.25;
+/// Around a bone, distances are exact; so far, in cells.
+const EXACT: f64 = 4.0;
 /// So much further than needed marches go, as a factor and in cells: they are smoothed and interpolated.
 const FURTHER: [f32; 2] = [1.1, 2.0];
 
@@ -43,7 +45,8 @@ impl Geodesic {
     /// Binds a model's voxels to a skeleton.
     pub fn new(voxels: Voxels, skeleton: &Skeleton, rule: Rule, host: &Host<'_>) -> PluginResult<Self> {
         let passages = passages(&voxels, skeleton, host)?;
-        let seeds: Vec<Vec<(u32, f32)>> = passages.into_iter().map(|p| seeds(&voxels, p)).collect();
+        let about = |p: &Vec<Passage>| p.iter().flat_map(|p| p.about(&voxels, EXACT)).collect();
+        let seeds: Vec<Vec<(u32, f32)>> = passages.iter().map(about).collect();
         let is_wanted = |at: f64| move || host.progress(at).is_ok();
         // How far the nearest bone is, and how far others may be then.
         let all = seeds.iter().flatten().copied();
@@ -105,15 +108,4 @@ impl Geodesic {
         distances.iter_mut().for_each(|(d, _)| *d = (nearest / *d).powf(self.rule.power));
         faded(distances, SHARES);
     }
-}
-
-/// The voxels about a joint's bones, with their distances.
-fn seeds(voxels: &Voxels, passages: Vec<Passage>) -> Vec<(u32, f32)> {
-    let seeds = |passage: Passage| match passage {
-        Passage { voxels: on, bone, is_outside: true } => {
-            on.into_iter().map(|v| (v, far(voxels, v, bone) as f32)).collect()
-        }
-        Passage { voxels: on, bone, .. } => about(voxels, bone, on),
-    };
-    passages.into_iter().flat_map(seeds).collect()
 }

@@ -11,13 +11,13 @@ use std::collections::HashMap;
 /// The coarsest level has at most so many nodes, if it can.
 const COARSEST: usize = 1200;
 /// Of a link over an edge of two cells, as a part of one over a face.
-const OVER_EDGE: f64 = 0.25;
+const OVER_EDGE: f32 = 0.25;
 
 /// Nodes with their finite volumes: links are faces by distances, in cells of the level.
 #[derive(Debug)]
 pub struct Level {
     starts: Vec<u32>,
-    links: Vec<(u32, f64)>,
+    links: Vec<(u32, f32)>,
     /// The volume of each node, in voxels.
     pub masses: Vec<f64>,
     /// The node of the next coarser level that each is part of; nothing in the coarsest.
@@ -32,12 +32,13 @@ impl Level {
     }
 
     /// What a node is linked to, and how strongly.
-    pub fn links(&self, node: u32) -> &[(u32, f64)] {
+    pub fn links(&self, node: u32) -> &[(u32, f32)] {
         let node = node as usize;
         &self.links[self.starts[node] as usize..self.starts[node + 1] as usize]
     }
 
-    fn new(mut links: Vec<(u32, u32, f64)>, masses: Vec<f64>, cells: Vec<IVec3>) -> Self {
+    /// Of links from node to node, both ways; those between the same two are summed up.
+    pub fn new(mut links: Vec<(u32, u32, f32)>, masses: Vec<f64>, cells: Vec<IVec3>) -> Self {
         links.sort_unstable_by_key(|l| (l.0, l.1));
         links.dedup_by(|b, a| {
             let is_same = (a.0, a.1) == (b.0, b.1);
@@ -118,7 +119,12 @@ fn root(roots: &mut [u32], mut node: u32) -> u32 {
 
 /// All levels of some voxels, the finest first.
 pub fn levels(voxels: &Voxels) -> Vec<Level> {
-    let mut levels = vec![Level::finest(voxels)];
+    coarsened(Level::finest(voxels))
+}
+
+/// All levels from one on.
+pub fn coarsened(finest: Level) -> Vec<Level> {
+    let mut levels = vec![finest];
     while let Some(last) = levels.last_mut().filter(|l| l.len() > COARSEST) {
         let next = last.coarser();
         if next.len() == last.len() {

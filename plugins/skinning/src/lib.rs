@@ -35,7 +35,7 @@ use influences::{Influences, MOST, Table};
 use pose::Reaching;
 use simod_plugin_api::{
     Affine, Choice, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host, IsIdentity,
-    ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
+    Migrate, MigrationDesc, ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput, Settings,
 };
 use skeleton::Skeleton;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -187,8 +187,9 @@ impl Deformer for Skinning {
             .summary("Bends the model by the joints of a skeleton in it")
             .citation(
                 "L. Kavan, S. Collins, J. Žára, C. O'Sullivan, Geometric skinning with approximate dual quaternion \
-                 blending, ACM TOG 27, 2008; O. Dionne, M. de Lasa, Geodesic voxel binding for production character \
-                 meshes, SCA 2013; A. Aristidou, J. Lasenby, FABRIK, Graphical Models 73, 2011",
+                 blending, ACM TOG 27, 2008; A. Jacobson, I. Baran, J. Popović, O. Sorkine, Bounded biharmonic weights \
+                 for real-time deformation, SIGGRAPH 2011; O. Dionne, M. de Lasa, Geodesic voxel binding for \
+                 production character meshes, SCA 2013; A. Aristidou, J. Lasenby, FABRIK, Graphical Models 73, 2011",
             )
             .param_set::<Pose>()
             .param(
@@ -315,13 +316,28 @@ impl Handles for Skinning {
     }
 }
 
+impl Migrate for Skinning {
+    /// In the first version weights were geodesic: sessions that say how stay with these.
+    fn migration() -> MigrationDesc {
+        MigrationDesc::new(2)
+    }
+
+    fn migrate(_: u32, settings: &mut Settings) -> PluginResult<()> {
+        let says_how = ["falloff", "smoothing"].iter().any(|id| settings.get(id).is_some());
+        if says_how && settings.get("binding").is_none() {
+            settings.set_text("binding", "geodesic");
+        }
+        Ok(())
+    }
+}
+
 impl IsIdentity for Skinning {
     fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
         Ok(input.handle_motions().iter().all(|motion| *motion == Affine::IDENTITY))
     }
 }
 
-simod_plugin_api::export_plugin!(Skinning, evaluate, handles, is_identity);
+simod_plugin_api::export_plugin!(Skinning, evaluate, handles, is_identity, migrate);
 
 #[cfg(test)]
 mod tests;

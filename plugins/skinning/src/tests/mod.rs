@@ -1,6 +1,5 @@
 //! The whole plugin, as the host calls it.
 
-mod dump;
 mod meaning;
 mod reference;
 mod refused;
