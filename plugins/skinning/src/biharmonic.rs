@@ -72,15 +72,16 @@ impl Biharmonic {
         Ok(Self { weights: Field::new(voxels, &fields, Elsewhere::Nothing)?, limit })
     }
 
-    /// What a place follows, with the weights: `room` is for what is in between.
-    pub fn at(&self, p: DVec3, room: &mut Vec<(f64, u16)>) -> Influences {
+    /// What a place follows.
+    pub fn at(&self, p: DVec3, room: &mut Influences) {
         self.weights.at(p, room);
         let largest = room.iter().map(|w| w.0).fold(f64::NEG_INFINITY, f64::max);
         // What is continued from the voxels may come to nothing.
-        let part = |w: f64| if largest > 0.0 { (w / largest).max(0.0) } else { f64::from(u8::from(w == largest)) };
+        let part =
+            |w: f64| if largest > 0.0 { (w / largest).max(0.0) } else { f64::from(u8::from(w == largest)) };
         room.iter_mut().for_each(|(w, _)| *w = part(*w));
         faded(room, SHARES);
-        limited(room, self.limit)
+        limited(room, self.limit);
     }
 }
 

@@ -94,15 +94,15 @@ impl Geodesic {
         Ok(Self { distances: Field::new(voxels, &fields, Elsewhere::Unknown)?, rule })
     }
 
-    /// What a place follows, with the weights: `room` is for what is in between.
-    pub fn at(&self, p: DVec3, room: &mut Vec<(f64, u16)>) -> Influences {
+    /// What a place follows.
+    pub fn at(&self, p: DVec3, room: &mut Influences) {
         self.distances.at(p, room);
         self.weights(room);
-        limited(room, self.rule.limit)
+        limited(room, self.rule.limit);
     }
 
     /// Turns distances into shares, of which small ones are faded out.
-    fn weights(&self, distances: &mut Vec<(f64, u16)>) {
+    fn weights(&self, distances: &mut Influences) {
         distances.iter_mut().for_each(|(d, _)| *d = d.max(NEAREST));
         let nearest = distances.iter().map(|d| d.0).fold(f64::INFINITY, f64::min);
         distances.iter_mut().for_each(|(d, _)| *d = (nearest / *d).powf(self.rule.power));

@@ -243,6 +243,71 @@ fn what_nothing_reaches_follows_what_is_near() {
     assert!(most > 0.01, "{most}");
 }
 
+/// Bones in the skeleton's order: `root` to `a`, and its limb, and then the same of `b`.
+#[test]
+fn a_pose_moves_bones_that_share_a_joint_apart() {
+    let still = "1 0 0 0 0 1 0 0 0 0 1 0\n";
+    let up = "1 0 0 0 0 1 0 0 0 0 1 0.5\n";
+    let mut file = tempfile::NamedTempFile::new().unwrap();
+    let frames = [still.repeat(6), up.repeat(3) + &still.repeat(3)].concat();
+    std::io::Write::write_all(&mut file, frames.as_bytes()).unwrap();
+    let mut scene = Scene { pose: file.path().to_str().unwrap().to_owned(), ..Scene::new(fork(), &FORK) };
+    assert!(scene.try_handles().unwrap().is_empty(), "the file moves them");
+    let state = scene.prepare();
+    assert_eq!(scene.try_deform(&state, &[]).unwrap(), scene.points);
+    scene.frame = 1;
+    for method in METHODS {
+        scene.method = method;
+        let moved = scene.try_deform(&state, &[]).unwrap();
+        let (mut went, mut stayed) = (0, 0);
+        for (p, q) in scene.points.iter().zip(&moved) {
+            // The limbs, and what is about the bones from `root` to these.
+            if p[0] > 0.2 {
+                let by = if p[1] < 0.1 { 0.5 } else { 0.0 };
+                assert!(at(*q).distance(at(*p) + DVec3::Z * by) < 1e-6, "{p:?} {q:?}");
+                if by > 0.0 { went += 1 } else { stayed += 1 }
+            }
+        }
+        assert!(went > 500 && stayed > 500);
+        let part = |y: f32| {
+            let of = |p: &[f32; 3]| (p[1] - y).abs() < 0.015 && p[0] < -0.03;
+            let all =
+                scene.points.iter().zip(&moved).filter(|(p, _)| of(p)).map(|(p, q)| f64::from(q[2] - p[2]));
+            let (sum, count) = all.fold((0.0, 0), |(sum, count), z| (sum + z, count + 1));
+            sum / f64::from(count)
+        };
+        let [a, b] = [part(0.03), part(0.17)];
+        println!("{a} {b}");
+        assert!(a > 0.4 && b < 0.1, "{a} {b}");
+    }
+    scene.frame = 2;
+    assert!(scene.try_deform(&state, &[]).unwrap_err().message.contains("2 frames"));
+}
+
+#[test]
+fn a_file_keeps_all_that_it_has_and_what_is_left_out_is_told() {
+    let joints: Vec<(&'static str, [f64; 3], u32)> = ["a", "b", "c", "d", "e", "f", "g", "h", "i", "j"]
+        .into_iter()
+        .enumerate()
+        .map(|(i, id)| (id, [0.1 * i as f64, 0.0, 0.0], u32::MAX))
+        .collect();
+    let mut file = tempfile::NamedTempFile::new().unwrap();
+    let text = "x y z a b c d e f g h i j\n0 0 0 1 1 1 1 1 1 1 1 1 1\n";
+    std::io::Write::write_all(&mut file, text.as_bytes()).unwrap();
+    let mut scene = Scene::new((vec![[0.0; 3]; 3], Vec::new()), &joints);
+    scene.weights = file.path().to_str().unwrap().to_owned();
+    let prepare = |scene: &Scene| {
+        let host = Listener::default();
+        let state = scene.try_prepare(&host).unwrap();
+        (state.table.of(0).count(), host.lines.into_inner().unwrap().concat())
+    };
+    scene.influences = 0.0;
+    assert_eq!(prepare(&scene), (10, String::new()));
+    scene.influences = 4.0;
+    let (count, told) = prepare(&scene);
+    assert!(count == 4 && told.contains("3 of 3 samples lose more than 1 %"), "{count} {told}");
+}
+
 /// A single joint takes all along.
 #[test]
 fn a_lone_joint_moves_the_model() {
