@@ -145,7 +145,7 @@ enum Moved {
 enum Source {
     Biharmonic(Box<Biharmonic>),
     Geodesic(Box<Geodesic>),
-    File(WeightTable, usize),
+    File(Box<WeightTable>, usize),
 }
 
 /// How well a place is told what it follows.
@@ -288,7 +288,7 @@ impl Deformer for Skinning {
             Some(path) => {
                 let places = input.params().file("places")?;
                 let rows = WeightTable::read(path, places, &skeleton, to_local(input, "weights")?)?;
-                Source::File(rows, limit.unwrap_or(usize::MAX))
+                Source::File(Box::new(rows), limit.unwrap_or(usize::MAX))
             }
             None => {
                 let voxels =

@@ -196,8 +196,13 @@ pub fn on_segment(p: DVec3, [a, b]: [DVec3; 2]) -> DVec3 {
 /// A joint's id, its place, and the number of the one that it hangs on, which comes before it.
 type Placed = (String, DVec3, Option<usize>);
 
+/// Joints, and the lower ones of bones.
+type Parsed = (Vec<Placed>, Vec<usize>);
+/// What is wrong, and in which line.
+type Wrong = (Option<usize>, String);
+
 /// The joints in a file, and the lower ones of its bones; or the line, and what is wrong there.
-fn parse(text: &str) -> Result<(Vec<Placed>, Vec<usize>), (Option<usize>, String)> {
+fn parse(text: &str) -> Result<Parsed, Wrong> {
     let mut points: Vec<(&str, DVec3)> = Vec::new();
     let mut parents: Vec<Option<usize>> = Vec::new();
     let mut bones = Vec::new();

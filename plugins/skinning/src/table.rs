@@ -360,7 +360,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let write = |name: &str, text: &[u8]| {
             let path = folder.path().join(name);
-            std::fs::write(&path, text).unwrap();
+            std::fs::File::create(&path).unwrap().write_all(text).unwrap();
             path
         };
         // Rounding below 0 is nothing.
