@@ -9,7 +9,8 @@
 //! A dual quaternion and its negative are the same motion, but not in a mean. Signs are chosen once for a
 //! pose, each joint's such that it turns by less than half a turn against the one that it hangs on: choosing
 //! them place by place, against the largest weight, tears the surface apart where the largest weight changes
-//! and joints are half a turn from each other.
+//! and joints are half a turn from each other. Where no joint hangs on another, nothing else tells them: then
+//! they are chosen so.
 
 use crate::skeleton::Skeleton;
 use glam::{DAffine3, DMat3, DQuat, DVec3, DVec4};
@@ -29,7 +30,11 @@ pub struct Blend {
 
 enum Joints {
     Linear(Vec<DAffine3>),
-    Dual(Vec<Dual>),
+    Dual {
+        motions: Vec<Dual>,
+        /// Whether signs are chosen place by place.
+        is_by_place: bool,
+    },
 }
 
 /// A joint's motion for dual quaternions.
@@ -74,7 +79,10 @@ impl Blend {
             let dual = DVec4::from(DQuat::from_vec4(shift.extend(0.0)) * DQuat::from_vec4(real)) * 0.5;
             duals.push(Dual { real, dual, stretch: (!is_rigid).then_some((stretch, joint.at)) });
         }
-        Ok(Self { is_moved: moved(motions), joints: Joints::Dual(duals) })
+        Ok(Self {
+            is_moved: moved(motions),
+            joints: Joints::Dual { motions: duals, is_by_place: !skeleton.is_hierarchy() },
+        })
     }
 
     /// Whether nothing moves.
@@ -92,7 +100,7 @@ impl Blend {
             Joints::Linear(motions) => influences
                 .filter(|(joint, _)| self.is_moved[*joint])
                 .fold(p, |q, (joint, weight)| q + weight * (motions[joint].transform_point3(p) - p)),
-            Joints::Dual(duals) => dual_blend(duals, p, influences),
+            Joints::Dual { motions, is_by_place } => dual_blend(motions, *is_by_place, p, influences),
         }
     }
 }
@@ -101,14 +109,21 @@ fn moved(motions: &[DAffine3]) -> Vec<bool> {
     motions.iter().map(|m| *m != DAffine3::IDENTITY).collect()
 }
 
-fn dual_blend(duals: &[Dual], p: DVec3, influences: impl Iterator<Item = (usize, f64)>) -> DVec3 {
+fn dual_blend(
+    duals: &[Dual],
+    is_by_place: bool,
+    p: DVec3,
+    influences: impl Iterator<Item = (usize, f64)>,
+) -> DVec3 {
     let (mut real, mut dual, mut stretched) = (DVec4::ZERO, DVec4::ZERO, p);
     let mut first = None;
     for (joint, weight) in influences {
         let Dual { real: r, dual: d, stretch } = &duals[joint];
-        first = first.or(Some(joint));
-        real += weight * *r;
-        dual += weight * *d;
+        // That of the largest weight.
+        let first = *first.get_or_insert(joint);
+        let sign = if is_by_place && r.dot(duals[first].real) < 0.0 { -1.0 } else { 1.0 };
+        real += sign * weight * *r;
+        dual += sign * weight * *d;
         if let Some((stretch, about)) = stretch {
             stretched += weight * (*stretch * (p - about));
         }
@@ -157,7 +172,8 @@ mod tests {
 
     fn two_joints() -> Skeleton {
         use simod_plugin_api::Joint;
-        Skeleton::new(&[Joint::new("a", [0.0; 3], Joint::ROOT), Joint::new("b", [1.0, 0.0, 0.0], 0)]).unwrap()
+        let joints = [Joint::new("a", [0.0; 3], Joint::ROOT), Joint::new("b", [1.0, 0.0, 0.0], 0)];
+        Skeleton::new(&[&joints[..], &[Joint::new("tip", [2.0, 0.0, 0.0], 1)]].concat()).unwrap()
     }
 
     fn dual(a: DAffine3, b: DAffine3) -> Blend {
@@ -188,6 +204,22 @@ mod tests {
         let chain = [turn(DVec3::X, 100.0, DVec3::ZERO), turn(DVec3::X, 200.0, DVec3::ZERO)];
         let q = dual(chain[0], chain[1]).apply(DVec3::Y, [(0, 0.5), (1, 0.5)].into_iter());
         assert!(q.distance(turn(DVec3::X, 150.0, DVec3::ZERO).transform_point3(DVec3::Y)) < 1e-12, "{q}");
+    }
+
+    /// By -100° and 100°: without a hierarchy, they meet on the shorter way.
+    #[test]
+    fn signs_are_chosen_by_place_without_a_hierarchy() {
+        let motions = [-100.0, 100.0].map(|degrees| turn(DVec3::X, degrees, DVec3::ZERO));
+        let apart = two_joints().taken_apart();
+        assert!(!apart.is_hierarchy());
+        let lone = Skeleton::new(&[
+            simod_plugin_api::Joint::new("a", [0.0; 3], simod_plugin_api::Joint::ROOT),
+            simod_plugin_api::Joint::new("b", [1.0, 0.0, 0.0], simod_plugin_api::Joint::ROOT),
+        ])
+        .unwrap();
+        let blend = Blend::dual_quaternion(&motions, &lone).unwrap();
+        let q = blend.apply(DVec3::Y, [(0, 0.5), (1, 0.5)].into_iter());
+        assert!(q.distance(-DVec3::Y) < 1e-12, "{q}");
     }
 
     #[test]

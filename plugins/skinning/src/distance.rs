@@ -11,8 +11,6 @@ use glam::DVec3;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Around a bone, distances are exact; so far, in cells.
-const EXACT: f64 = 4.0;
 /// Points of a bone outside of the model that are looked at.
 const PROJECTED: usize = 256;
 /// Steps between two looks at the wish to stop.
@@ -130,17 +128,6 @@ impl March {
         }
     }
 
-    /// How distances change from cell to cell.
-    pub fn gradient(&self, voxels: &Voxels, voxel: u32) -> [f32; 3] {
-        let here = self.distances[voxel as usize];
-        self.sides(voxels, voxel).map(|[a, b]| match (a.is_finite(), b.is_finite()) {
-            (true, true) => 0.5 * (b - a),
-            (true, false) => here - a,
-            (false, true) => b - here,
-            (false, false) => 0.0,
-        })
-    }
-
     /// The values before and after a voxel along each axis.
     fn sides(&self, voxels: &Voxels, voxel: u32) -> [[f32; 2]; 3] {
         let at = |voxel: u32| if voxel == NONE { f32::INFINITY } else { self.distances[voxel as usize] };
@@ -153,46 +140,30 @@ fn curvature(a: f32, here: f32, b: f32) -> f32 {
     if a.is_finite() && b.is_finite() { a + b - 2.0 * here } else { 0.0 }
 }
 
-/// The voxels about a bone, with their distances in cells; none if no voxel is on the bone.
-pub fn inside(voxels: &Voxels, bone: [DVec3; 2]) -> Vec<(u32, f32)> {
+/// The voxels that a bone passes through.
+pub fn on_bone(voxels: &Voxels, bone: [DVec3; 2]) -> Vec<u32> {
     let grid = &voxels.grid;
-    let far = |voxel: u32| {
-        let centre = voxels.centre(voxel);
-        centre.distance(on_segment(centre, bone)) / grid.size
-    };
-    let mut found: Vec<u32> = Vec::new();
-    if let Some([from, to]) = grid.clip(bone) {
-        let steps = (2.0 * from.distance(to) / grid.size).ceil().max(1.0);
-        let on = (0..=steps as usize).map(|i| voxels.id(grid.cell(from.lerp(to, i as f64 / steps))));
-        found.extend(on.filter(|v| *v != NONE));
-    }
+    let Some([from, to]) = grid.clip(bone) else { return Vec::new() };
+    let steps = (2.0 * from.distance(to) / grid.size).ceil().max(1.0);
+    let on = (0..=steps as usize).map(|i| voxels.id(grid.cell(from.lerp(to, i as f64 / steps))));
+    let mut found: Vec<u32> = on.filter(|v| *v != NONE).collect();
     found.sort_unstable();
     found.dedup();
-    // Around them, without leaving the model: beyond a gap there may be another limb.
-    let mut is_known: std::collections::HashSet<u32> = found.iter().copied().collect();
-    let mut next = 0;
-    while let Some(voxel) = found.get(next).copied() {
-        for to in voxels.neighbours[voxel as usize] {
-            if to != NONE && far(to) <= EXACT && is_known.insert(to) {
-                found.push(to);
-            }
-        }
-        next += 1;
-    }
-    found.into_iter().map(|v| (v, far(v) as f32)).collect()
+    found
 }
 
-/// The voxels that are nearest to points of a bone outside, with their distances in cells.
-pub fn projected(
-    voxels: &Voxels,
-    bone: [DVec3; 2],
-    nearest: impl Fn(DVec3) -> Option<u32>,
-) -> Vec<(u32, f32)> {
+/// How far a voxel is from a bone, in cells.
+pub fn far(voxels: &Voxels, voxel: u32, bone: [DVec3; 2]) -> f64 {
+    let centre = voxels.centre(voxel);
+    centre.distance(on_segment(centre, bone)) / voxels.grid.size
+}
+
+/// The voxels that are nearest to points of a bone outside.
+pub fn projected(voxels: &Voxels, bone: [DVec3; 2], nearest: impl Fn(DVec3) -> Option<u32>) -> Vec<u32> {
     let steps = (2.0 * bone[0].distance(bone[1]) / voxels.grid.size).ceil().clamp(1.0, PROJECTED as f64);
     let points = (0..=steps as usize).map(|i| bone[0].lerp(bone[1], i as f64 / steps));
-    let seed = |p: DVec3| {
-        let voxel = nearest(p)?;
-        Some((voxel, (voxels.centre(voxel).distance(p) / voxels.grid.size) as f32))
-    };
-    points.filter_map(seed).collect()
+    let mut found: Vec<u32> = points.filter_map(nearest).collect();
+    found.sort_unstable();
+    found.dedup();
+    found
 }

@@ -3,32 +3,44 @@
 //! | what | by |
 //! |---|---|
 //! | `skeleton` | joints of the session, or of a file |
-//! | `grid`, `voxels`, `distance`, `binding`, `influences` | weights by the distance inside of the model: Dionne and de Lasa 2013 |
-//! | `table` | weights of a file |
+//! | `grid`, `voxels`, `field`, `influences` | numbers of joints at the voxels of the model, and so everywhere |
+//! | `levels`, `bounded`, `biharmonic` | bounded biharmonic weights: Jacobson, Baran, Popović and Sorkine 2011 |
+//! | `distance`, `geodesic` | weights by the distance inside of the model: Dionne and de Lasa 2013 |
+//! | `table`, `dmat` | weights of a file |
+//! | `frames` | motions of a file |
 //! | `pose`, `reach` | motions of handles, and ends that reach for a place: Aristidou and Lasenby 2011 |
 //! | `blend` | linear, or by dual quaternions: Kavan, Collins, Žára and O'Sullivan 2008 |
 //!
 //! Weights are a map of space, and with them the whole deformation.
 
-mod binding;
+mod biharmonic;
 mod blend;
+mod bounded;
 mod distance;
+mod dmat;
+mod field;
+mod frames;
+mod geodesic;
 mod grid;
 mod influences;
+mod levels;
 mod pose;
 mod reach;
 mod skeleton;
 mod table;
 mod voxels;
 
-use binding::{Binding, Rule};
+use biharmonic::Biharmonic;
 use blend::Blend;
-use glam::DVec3;
-use influences::{Influences, MOST, Table};
+use frames::Frames;
+use geodesic::{Geodesic, Rule};
+use glam::{DAffine3, DVec3};
+use influences::{Influences, Table, limited};
 use pose::Reaching;
 use simod_plugin_api::{
     Affine, Choice, DeformInput, Deformer, Descriptor, Evaluate, HandleDesc, Handles, Host, IsIdentity,
-    ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
+    Migrate, MigrationDesc, ModelFrame, ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
+    Settings,
 };
 use skeleton::Skeleton;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -37,6 +49,10 @@ use voxels::Voxels;
 
 /// Samples or points at once on one thread.
 const TOGETHER: usize = 1024;
+/// Joints that a place follows where weights are found and nothing is said.
+const FOUND: usize = 4;
+/// So much of a sample's weights may be left out without a word.
+const LOST: f64 = 0.01;
 /// A file's rows should be so near to the samples, as a part of the diagonal.
 const NEAR: f64 = 0.05;
 
@@ -80,43 +96,77 @@ enum Reach {
 /// What the weights are by.
 #[derive(ParamSet)]
 struct Weights {
-    /// Most joints that a place follows
-    #[param(default = 4, hard = 1..=MOST as i64, group = "Weights", invalidates_preparation)]
+    /// How weights are found, where no file has them: the smoothest ones that go from one bone to the next, or
+    /// by distances through the inside, with `falloff` and `smoothing`
+    #[param(default = Binding::Biharmonic, group = "Weights", invalidates_preparation)]
+    binding: Binding,
+    /// Most joints that a place follows; 0 for four where weights are found, and for all that a file has
+    #[param(default = 0, hard = 0..=64, soft = 0..=8, group = "Weights", invalidates_preparation)]
     influences: i64,
     /// How fast a bone's influence falls with the distance, as a power of it: from 2 for soft limbs to 8 and
-    /// more for joints that bend within little more than their width
+    /// more for joints that bend within little more than their width; of geodesic binding
     #[param(default = 4.0, hard = 2.0..=32.0, soft = 2.0..=10.0, group = "Weights", invalidates_preparation)]
     falloff: f64,
-    /// Over which length creases in the distances from bones are rounded off
+    /// Over which length creases in the distances from bones are rounded off; of geodesic binding
     #[param(default = 0.005, unit = "diagonal", hard = 0.0..=0.02, soft = 0.0..=0.01, group = "Weights")]
     #[param(invalidates_preparation)]
     smoothing: f64,
-    /// Voxels along the longest side of the model, in which distances are found; limbs that are less than two
+    /// Voxels along the longest side of the model, in which weights are found; limbs that are less than two
     /// of them apart are taken for one
     #[param(default = 128, hard = 16..=256, soft = 64..=256, group = "Weights", invalidates_preparation)]
     resolution: i64,
 }
 
+#[derive(Choice, Clone, Copy)]
+enum Binding {
+    #[choice(label = "Bounded biharmonic")]
+    Biharmonic,
+    #[choice(label = "Geodesic voxel")]
+    Geodesic,
+}
+
 /// A bound model.
 struct Prepared {
     skeleton: Skeleton,
-    handles: pose::Handles,
+    moved: Moved,
     weights: Source,
     table: Table,
 }
 
+/// What moves the joints.
+enum Moved {
+    /// The user.
+    Handles(pose::Handles),
+    /// A file, which moves each bone by itself.
+    Frames(Frames),
+}
+
 /// Where weights come from.
 enum Source {
-    Voxels(Box<Binding>),
-    File { rows: WeightTable, limit: usize },
+    Biharmonic(Box<Biharmonic>),
+    Geodesic(Box<Geodesic>),
+    File(Box<WeightTable>, usize),
+}
+
+/// How well a place is told what it follows.
+struct Told {
+    /// How far the nearest place is that a file has.
+    far: f64,
+    /// How much of its weights is left out.
+    lost: f64,
 }
 
 impl Source {
-    fn at(&self, p: DVec3, room: &mut Vec<(f64, u16)>) -> Influences {
+    fn at(&self, p: DVec3, influences: &mut Influences) -> Told {
         match self {
-            Self::Voxels(binding) => binding.at(p, room),
-            Self::File { rows, limit } => rows.at(p, *limit, room).0,
+            Self::Biharmonic(binding) => binding.at(p, influences),
+            Self::Geodesic(binding) => binding.at(p, influences),
+            Self::File(rows, limit) => {
+                let far = rows.at(p, influences);
+                return Told { far, lost: limited(influences, *limit) };
+            }
         }
+        Told { far: 0.0, lost: 0.0 }
     }
 }
 
@@ -130,11 +180,15 @@ fn skeleton(input: &PrepareInput<'_>) -> PluginResult<Skeleton> {
 
 /// From the coordinates of a file to local ones.
 fn to_local(input: &PrepareInput<'_>, param: &str) -> PluginResult<impl Fn(DVec3) -> DVec3> {
-    let frame = *input.frame().ok_or_else(|| {
+    let frame = frame(input, param)?;
+    Ok(move |p: DVec3| frame.to_local(p.to_array()).into())
+}
+
+fn frame(input: &PrepareInput<'_>, param: &str) -> PluginResult<ModelFrame> {
+    input.frame().copied().ok_or_else(|| {
         PluginError::parameter(param, "is of no use: this program does not tell where the model lies")
             .hint("take a newer one")
-    })?;
-    Ok(move |p: DVec3| frame.to_local(p.to_array()).into())
+    })
 }
 
 fn handles(input: &PrepareInput<'_>, skeleton: &Skeleton) -> PluginResult<pose::Handles> {
@@ -149,8 +203,19 @@ fn handles(input: &PrepareInput<'_>, skeleton: &Skeleton) -> PluginResult<pose::
 /// How places move.
 fn blend(state: &Prepared, input: &DeformInput<'_>) -> PluginResult<Blend> {
     let Pose { method, reach_length, .. } = input.params().read()?;
-    let length = usize::try_from(reach_length).ok().filter(|most| *most > 0);
-    let motions = state.handles.pose(&state.skeleton, input.handle_motions(), length)?;
+    let motions = match &state.moved {
+        Moved::Handles(handles) => {
+            let length = usize::try_from(reach_length).ok().filter(|most| *most > 0);
+            handles.pose(&state.skeleton, input.handle_motions(), length)?
+        }
+        Moved::Frames(frames) => {
+            let mut motions = vec![DAffine3::IDENTITY; state.skeleton.joints.len()];
+            for (bone, motion) in frames.of(input.time().frame)?.iter().enumerate() {
+                motions[state.skeleton.mover(bone)] = *motion;
+            }
+            motions
+        }
+    };
     match method {
         Method::DualQuaternion => Blend::dual_quaternion(&motions, &state.skeleton),
         Method::Linear => Ok(Blend::linear(motions)),
@@ -166,8 +231,9 @@ impl Deformer for Skinning {
             .summary("Bends the model by the joints of a skeleton in it")
             .citation(
                 "L. Kavan, S. Collins, J. Žára, C. O'Sullivan, Geometric skinning with approximate dual quaternion \
-                 blending, ACM TOG 27, 2008; O. Dionne, M. de Lasa, Geodesic voxel binding for production character \
-                 meshes, SCA 2013; A. Aristidou, J. Lasenby, FABRIK, Graphical Models 73, 2011",
+                 blending, ACM TOG 27, 2008; A. Jacobson, I. Baran, J. Popović, O. Sorkine, Bounded biharmonic weights \
+                 for real-time deformation, SIGGRAPH 2011; O. Dionne, M. de Lasa, Geodesic voxel binding for \
+                 production character meshes, SCA 2013; A. Aristidou, J. Lasenby, FABRIK, Graphical Models 73, 2011",
             )
             .param_set::<Pose>()
             .param(
@@ -176,8 +242,18 @@ impl Deformer for Skinning {
                     .group("Files"),
             )
             .param(
-                ParamDesc::file("weights", "Weights", &["txt", "csv", "dat"])
-                    .hint("A table `x y z` and a column for each joint, in the model's coordinates; without it they are found")
+                ParamDesc::file("weights", "Weights", &["txt", "csv", "dat", "dmat"])
+                    .hint("A table `x y z` and a column for each joint, in the model's coordinates, or a DMAT; without it they are found")
+                    .group("Files"),
+            )
+            .param(
+                ParamDesc::file("places", "Places of weights", &["obj", "dmat"])
+                    .hint("Where the rows of a DMAT with weights are: an OBJ's vertices, or a DMAT with three columns")
+                    .group("Files"),
+            )
+            .param(
+                ParamDesc::file("pose", "Pose", &["txt", "csv", "dat", "dmat"])
+                    .hint("12 numbers for each bone and frame, which move bones instead of handles, each by itself")
                     .group("Files"),
             )
             .param_set::<Weights>()
@@ -186,41 +262,66 @@ impl Deformer for Skinning {
                 triangles: true,
                 graph: true,
                 frame: true,
+                time: true,
                 ..Default::default()
             })
     }
 
     fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
-        let skeleton = skeleton(input)?;
-        let handles = handles(input, &skeleton)?;
-        let Weights { influences, falloff, smoothing, resolution } = input.params().read()?;
+        let whole_skeleton = skeleton(input)?;
+        let (skeleton, moved) = match input.params().file("pose")? {
+            Some(path) => {
+                let frames = Frames::read(path, whole_skeleton.bone_count(), frame(input, "pose")?)?;
+                (whole_skeleton.taken_apart(), Moved::Frames(frames))
+            }
+            None => {
+                let handles = handles(input, &whole_skeleton)?;
+                (whole_skeleton, Moved::Handles(handles))
+            }
+        };
+        let Weights { binding, influences, falloff, smoothing, resolution } = input.params().read()?;
         let whole =
             |id: &str, x: i64| usize::try_from(x).map_err(|_| PluginError::parameter(id, "is negative"));
-        let limit = whole("influences", influences)?.clamp(1, MOST);
+        let limit = Some(whole("influences", influences)?).filter(|most| *most > 0);
         let samples = input.samples.positions();
         let weights = match input.params().file("weights")? {
             Some(path) => {
-                let rows = WeightTable::read(path, &skeleton, limit, to_local(input, "weights")?)?;
-                Source::File { rows, limit }
+                let places = input.params().file("places")?;
+                let rows = WeightTable::read(path, places, &skeleton, to_local(input, "weights")?)?;
+                Source::File(Box::new(rows), limit.unwrap_or(usize::MAX))
             }
             None => {
                 let voxels =
                     Voxels::new(input, &skeleton.all_bones(), whole("resolution", resolution)?, host)?;
+                let limit = limit.unwrap_or(FOUND);
                 let rule = Rule { power: falloff, smoothing: smoothing * input.bounds.diagonal(), limit };
-                Source::Voxels(Box::new(Binding::new(voxels, &skeleton, rule, host)?))
+                match binding {
+                    Binding::Biharmonic => {
+                        Source::Biharmonic(Box::new(Biharmonic::new(voxels, &skeleton, limit, host)?))
+                    }
+                    Binding::Geodesic => {
+                        Source::Geodesic(Box::new(Geodesic::new(voxels, &skeleton, rule, host)?))
+                    }
+                }
             }
         };
-        let far = AtomicUsize::new(0);
+        let (far, lossy) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let near = NEAR * input.bounds.diagonal();
-        let find = |p: DVec3, room: &mut Vec<(f64, u16)>| match &weights {
-            Source::Voxels(binding) => binding.at(p, room),
-            Source::File { rows, limit } => {
-                let (influences, distance) = rows.at(p, *limit, room);
-                far.fetch_add(usize::from(distance > near), Ordering::Relaxed);
-                influences
-            }
+        let find = |p: DVec3, influences: &mut Influences| {
+            let told = weights.at(p, influences);
+            far.fetch_add(usize::from(told.far > near), Ordering::Relaxed);
+            lossy.fetch_add(usize::from(told.lost > LOST), Ordering::Relaxed);
         };
         let table = Table::new(samples, find, host)?;
+        let lossy = lossy.into_inner();
+        if lossy > 0 {
+            host.warn(&format!(
+                "{lossy} of {} samples lose more than 1 % of their weights, as they follow {} joints at most; raise \
+                 `influences`",
+                samples.len(),
+                limit.unwrap_or(FOUND)
+            ));
+        }
         match far.into_inner() {
             0 => {}
             all if all == samples.len() => {
@@ -232,7 +333,7 @@ impl Deformer for Skinning {
                 samples.len()
             )),
         }
-        Ok(Prepared { skeleton, handles, weights, table })
+        Ok(Prepared { skeleton, moved, weights, table })
     }
 
     fn deform(
@@ -273,7 +374,8 @@ impl Evaluate for Skinning {
             host.progress(0.0)?;
             for p in points {
                 let x = DVec3::from(*p);
-                *p = blend.apply(x, state.weights.at(x, &mut room).iter()).into();
+                state.weights.at(x, &mut room);
+                *p = blend.apply(x, room.iter().map(|(w, joint)| (usize::from(*joint), *w))).into();
             }
         }
         Ok(())
@@ -282,18 +384,37 @@ impl Evaluate for Skinning {
 
 impl Handles for Skinning {
     fn handles(input: &PrepareInput<'_>, _: &Host<'_>) -> PluginResult<Vec<HandleDesc>> {
+        if input.params().file("pose")?.is_some() {
+            return Ok(Vec::new());
+        }
         let skeleton = skeleton(input)?;
         Ok(handles(input, &skeleton)?.describe(&skeleton))
     }
 }
 
-impl IsIdentity for Skinning {
-    fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
-        Ok(input.handle_motions().iter().all(|motion| *motion == Affine::IDENTITY))
+impl Migrate for Skinning {
+    /// In the first version weights were geodesic: sessions that say how stay with these.
+    fn migration() -> MigrationDesc {
+        MigrationDesc::new(2)
+    }
+
+    fn migrate(_: u32, settings: &mut Settings) -> PluginResult<()> {
+        let says_how = ["falloff", "smoothing"].iter().any(|id| settings.get(id).is_some());
+        if says_how && settings.get("binding").is_none() {
+            settings.set_text("binding", "geodesic");
+        }
+        Ok(())
     }
 }
 
-simod_plugin_api::export_plugin!(Skinning, evaluate, handles, is_identity);
+impl IsIdentity for Skinning {
+    fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
+        let is_still = input.params().file("pose")?.is_none();
+        Ok(is_still && input.handle_motions().iter().all(|motion| *motion == Affine::IDENTITY))
+    }
+}
+
+simod_plugin_api::export_plugin!(Skinning, evaluate, handles, is_identity, migrate);
 
 #[cfg(test)]
 mod tests;

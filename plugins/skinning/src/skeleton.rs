@@ -37,6 +37,9 @@ impl Joint {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Skeleton {
     pub joints: Vec<Joint>,
+    /// The lower joint of each bone, in the order in which they were given, after joints that are all by
+    /// themselves, as libigl has them.
+    bones: Vec<usize>,
 }
 
 impl Skeleton {
@@ -49,11 +52,12 @@ impl Skeleton {
             let parent = (j.parent != GivenJoint::ROOT).then_some(j.parent as usize);
             (j.id().to_owned(), DVec3::from(j.position), parent)
         };
-        Self::of(given.iter().map(joint).collect())
+        Self::of(given.iter().map(joint).collect(), &[])
     }
 
-    /// Joints by their ids, places and parents, each after its parent.
-    fn of(given: Vec<Placed>) -> PluginResult<Self> {
+    /// Joints by their ids, places and parents, each after its parent; and the lower joints of bones, if these
+    /// have an order of their own.
+    fn of(given: Vec<Placed>, bones: &[usize]) -> PluginResult<Self> {
         if given.is_empty() {
             return Err(PluginError::input("there are no joints")
                 .hint("place some by [[step.joint]], or give a file with a skeleton as `skeleton`"));
@@ -76,7 +80,14 @@ impl Skeleton {
             }
             joints.push(Joint { id, at, parent, children: Vec::new() });
         }
-        let this = Self { joints };
+        let is_lone = |j: &usize| joints[*j].parent.is_none() && joints[*j].children.is_empty();
+        let lone = (0..joints.len()).filter(is_lone);
+        let hanging: Vec<usize> = match bones {
+            [] => (0..joints.len()).filter(|j| joints[*j].parent.is_some()).collect(),
+            bones => bones.to_vec(),
+        };
+        let bones = lone.chain(hanging).collect();
+        let this = Self { joints, bones };
         let size = this.size();
         for joint in &this.joints {
             if let Some(parent) = joint.parent.map(|p| &this.joints[p])
@@ -110,6 +121,45 @@ impl Skeleton {
         (0..self.joints.len()).flat_map(|joint| self.bones(joint)).collect()
     }
 
+    /// How many bones there are, with joints that are all by themselves.
+    pub fn bone_count(&self) -> usize {
+        self.bones.len()
+    }
+
+    /// The joint that moves a bone, by the bone's number.
+    pub fn mover(&self, bone: usize) -> usize {
+        let lower = self.bones[bone];
+        self.joints[lower].parent.unwrap_or(lower)
+    }
+
+    /// Each bone by itself, with two joints of its own, upper and lower, or one. The upper one has the id of the
+    /// joint that it is of, and behind it that of the lower one where several bones hang there: `hip/knee`.
+    #[must_use]
+    pub fn taken_apart(&self) -> Self {
+        let mut joints = Vec::new();
+        let mut bones = Vec::new();
+        for lower in &self.bones {
+            let end = &self.joints[*lower];
+            let upper = end.parent.map_or(end, |p| &self.joints[p]);
+            let id =
+                if upper.children.len() > 1 { format!("{}/{}", upper.id, end.id) } else { upper.id.clone() };
+            let first = joints.len();
+            joints.push(Joint { id, at: upper.at, parent: None, children: Vec::new() });
+            if end.parent.is_some() {
+                joints[first].children.push(first + 1);
+                let id = format!("{}/{}/end", upper.id, end.id);
+                joints.push(Joint { id, at: end.at, parent: Some(first), children: Vec::new() });
+            }
+            bones.push(joints.len() - 1);
+        }
+        Self { joints, bones }
+    }
+
+    /// Whether any joint with a bone hangs on another.
+    pub fn is_hierarchy(&self) -> bool {
+        self.joints.iter().any(|j| j.parent.is_some() && !j.is_end())
+    }
+
     /// The joint of an id.
     pub fn find(&self, id: &str) -> Option<usize> {
         self.joints.iter().position(|j| j.id == id)
@@ -127,12 +177,12 @@ impl Skeleton {
             PluginError::parameter("skeleton", &format!("cannot be read: {}: {e}", path.display()))
                 .hint("give a TGF file of points and bones")
         })?;
-        let joints = parse(&text).map_err(|(line, what)| {
+        let (joints, bones) = parse(&text).map_err(|(line, what)| {
             let place = line.map_or(String::new(), |n| format!(", line {n}"));
             PluginError::parameter("skeleton", &format!("{what}: {}{place}", path.display()))
                 .hint("give points as `id x y z`, a line `#`, and bones as `upper-id lower-id`")
         })?;
-        Self::of(joints.into_iter().map(|(id, at, parent)| (id, to_local(at), parent)).collect())
+        Self::of(joints.into_iter().map(|(id, at, parent)| (id, to_local(at), parent)).collect(), &bones)
     }
 }
 
@@ -146,10 +196,16 @@ pub fn on_segment(p: DVec3, [a, b]: [DVec3; 2]) -> DVec3 {
 /// A joint's id, its place, and the number of the one that it hangs on, which comes before it.
 type Placed = (String, DVec3, Option<usize>);
 
-/// The content of a file; or the line, and what is wrong there.
-fn parse(text: &str) -> Result<Vec<Placed>, (Option<usize>, String)> {
+/// Joints, and the lower ones of bones.
+type Parsed = (Vec<Placed>, Vec<usize>);
+/// What is wrong, and in which line.
+type Wrong = (Option<usize>, String);
+
+/// The joints in a file, and the lower ones of its bones; or the line, and what is wrong there.
+fn parse(text: &str) -> Result<Parsed, Wrong> {
     let mut points: Vec<(&str, DVec3)> = Vec::new();
     let mut parents: Vec<Option<usize>> = Vec::new();
+    let mut bones = Vec::new();
     let mut part = 0;
     for (number, line) in text.lines().enumerate() {
         let wrong = |what: String| (Some(number + 1), what);
@@ -182,6 +238,7 @@ fn parse(text: &str) -> Result<Vec<Placed>, (Option<usize>, String)> {
                     found.ok_or_else(|| wrong(format!("has a bone of a joint `{id}` that is not there")))
                 };
                 let (upper, lower) = (find(upper)?, find(lower)?);
+                bones.push(lower);
                 if let Some(other) = parents[lower].replace(upper) {
                     let [lower, a, b] = [lower, other, upper].map(|j| points[j].0);
                     return Err(wrong(format!("hangs the joint `{lower}` on two, `{a}` and `{b}`")));
@@ -195,7 +252,7 @@ fn parse(text: &str) -> Result<Vec<Placed>, (Option<usize>, String)> {
         .map_err(|joint| (None, format!("hangs the joint `{}` on itself, by others", points[joint].0)))?;
     let place = |joint: usize| order.iter().position(|o| *o == joint);
     let joint = |o: &usize| (points[*o].0.to_owned(), points[*o].1, parents[*o].and_then(place));
-    Ok(order.iter().map(joint).collect())
+    Ok((order.iter().map(joint).collect(), bones.into_iter().filter_map(place).collect()))
 }
 
 /// An order in which parents come first; or one that is in a circle.
@@ -245,6 +302,27 @@ mod tests {
         assert_eq!(skeleton.bones(0), [[DVec3::ZERO, DVec3::new(4.0, 0.0, 1.0)]]);
         assert_eq!(skeleton.bones(2), [[DVec3::ZERO; 2]; 0]);
         assert_eq!(skeleton.bones(3), [[DVec3::splat(18.0); 2]], "a bone of no length");
+    }
+
+    #[test]
+    fn bones_are_taken_apart() {
+        let text =
+            "knee 0 1 0\nhip 0 2 0\nspine 0 3 0\nlone 9 9 9\ntoe 0 0 0\n#\nhip spine\nknee toe\nhip knee\n";
+        let skeleton = read(text).unwrap();
+        assert!(skeleton.is_hierarchy() && skeleton.bone_count() == 4);
+        let apart = skeleton.taken_apart();
+        let ids: Vec<&str> = apart.joints.iter().map(|j| j.id.as_str()).collect();
+        let wanted =
+            ["lone", "hip/spine", "hip/spine/end", "knee", "knee/toe/end", "hip/knee", "hip/knee/end"];
+        assert_eq!(ids, wanted);
+        assert!(!apart.is_hierarchy());
+        let knee = apart.find("knee").unwrap();
+        assert_eq!(apart.bones(knee), [[DVec3::new(0.0, 2.0, 0.0), DVec3::ZERO]]);
+        assert_eq!([0, 1, 2, 3].map(|bone| apart.mover(bone)), [0, 1, 3, 5]);
+        assert_eq!(
+            [0, 1, 2, 3].map(|bone| &skeleton.joints[skeleton.mover(bone)].id),
+            ["lone", "hip", "knee", "hip"]
+        );
     }
 
     #[test]

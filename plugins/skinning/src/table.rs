@@ -1,6 +1,7 @@
 //! Weights from a file: a table of places with what each of them follows.
 
-use crate::influences::{Influences, MOST, limited};
+use crate::dmat::Matrix;
+use crate::influences::{Influences, limited};
 use crate::skeleton::Skeleton;
 use glam::DVec3;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -17,12 +18,25 @@ const BLENDED: usize = 4;
 /// Rows that are so near, as a part of the table's size, are at the place itself.
 const SAME: f64 = 1e-7;
 
+/// Most weights above 0.
+const MOST_WEIGHTS: usize = 1 << 26;
+/// Negative weights up to this part of the largest are of rounding, or of solvers that keep to bounds nearly.
+const ROUND_OFF: f64 = 0.01;
+
 /// Places and what they follow.
 pub struct WeightTable {
-    rows: Vec<Influences>,
+    rows: Rows,
     tree: ImmutableKdTree<f64, 3>,
     /// Rows at most so far away are at the place itself.
     same: f64,
+}
+
+/// What places follow, one after the other, as parts of 1.
+#[derive(Default)]
+struct Rows {
+    places: Vec<DVec3>,
+    ends: Vec<usize>,
+    weights: Vec<(f64, u16)>,
 }
 
 /// What is wrong, and in which line.
@@ -33,27 +47,45 @@ impl WeightTable {
     /// weight for each of the joints. Numbers are separated by white space or commas; empty lines and those
     /// that begin with `#` are passed over. Weights are taken as parts of their sum.
     ///
+    /// Or a DMAT with a column for each bone, in the skeleton's order, and a row for each of the places in a
+    /// second file: an OBJ's vertices, or a DMAT with three columns.
+    ///
     /// # Errors
     /// They name the line, and the column.
     pub fn read(
         path: &Path,
+        places: Option<&Path>,
         skeleton: &Skeleton,
-        limit: usize,
         to_local: impl Fn(DVec3) -> DVec3,
     ) -> PluginResult<Self> {
-        let file = File::open(path).map_err(|e| (None, format!("cannot be read: {e}")));
-        let rows = file.and_then(|file| parse(BufReader::new(file), skeleton, limit));
-        let this = rows.and_then(|rows| Self::new(rows, to_local));
-        this.map_err(|(line, what)| {
-            let place = line.map_or(String::new(), |n| format!(", line {n}"));
-            PluginError::parameter("weights", &format!("{what}: {}{place}", path.display()))
-                .hint("give a line `x y z` with the ids of joints, and then three coordinates and the weights in each")
+        let rows = match (is_dmat(path), places) {
+            (true, Some(places)) => {
+                let places = read_places(places).map_err(|(line, what)| {
+                    told("places", places, line, &what).hint("give an OBJ, or a DMAT with three columns")
+                })?;
+                Matrix::read(path).and_then(|m| of_matrix(&m, places, skeleton)).map_err(|what| (None, what))
+            }
+            (true, None) => {
+                return Err(told("weights", path, None, "is a DMAT, which does not say where its rows are")
+                    .hint(
+                        "give the mesh that they are of as `places`: an OBJ, or a DMAT with three columns",
+                    ));
+            }
+            (false, _) => {
+                let file = File::open(path).map_err(|e| (None, format!("cannot be read: {e}")));
+                file.and_then(|file| parse(BufReader::new(file), skeleton))
+            }
+        };
+        rows.and_then(|rows| Self::new(rows, to_local)).map_err(|(line, what)| {
+            told("weights", path, line, &what).hint(
+                "give a line `x y z` with the ids of joints, and then three coordinates and the weights in each; or a \
+                 DMAT with a column for each bone",
+            )
         })
     }
 
-    fn new(rows: Vec<(DVec3, Influences)>, to_local: impl Fn(DVec3) -> DVec3) -> Result<Self, Wrong> {
-        let (at, rows): (Vec<[f64; 3]>, Vec<Influences>) =
-            rows.into_iter().map(|(p, influences)| (to_local(p).to_array(), influences)).unzip();
+    fn new(rows: Rows, to_local: impl Fn(DVec3) -> DVec3) -> Result<Self, Wrong> {
+        let at: Vec<[f64; 3]> = rows.places.iter().map(|p| to_local(*p).to_array()).collect();
         let points = || at.iter().map(|p| DVec3::from(*p));
         let size =
             points().fold(DVec3::NEG_INFINITY, DVec3::max) - points().fold(DVec3::INFINITY, DVec3::min);
@@ -65,12 +97,12 @@ impl WeightTable {
         Ok(Self { rows, tree, same: SAME * size.length() })
     }
 
-    /// What a place follows: a row's where it is in that place, and otherwise those of the four nearest, the
-    /// nearer ones more. And how far the nearest is.
+    /// What a place follows, all of it: a row's where it is in that place, and otherwise those of the four
+    /// nearest, the nearer ones more. Gives how far the nearest is.
     ///
     /// By R. Franke, G. Nielson, *Smooth interpolation of large sets of scattered data*, 1980: a row's part
     /// falls to nothing at the distance of the fifth, so that none jumps where another takes its place.
-    pub fn at(&self, p: DVec3, limit: usize, room: &mut Vec<(f64, u16)>) -> (Influences, f64) {
+    pub fn at(&self, p: DVec3, room: &mut Influences) -> f64 {
         let count = NonZero::new(BLENDED + 1).unwrap_or(NonZero::<usize>::MIN);
         let near = self.tree.query(&p.to_array()).nearest_n::<SquaredEuclidean<f64>>(count).execute();
         let mut near: Vec<(f64, usize)> =
@@ -79,10 +111,10 @@ impl WeightTable {
         let nearest = near[0].0;
         room.clear();
         let mut add = |row: usize, part: f64| {
-            for (joint, weight) in self.rows[row].iter() {
-                match room.iter_mut().find(|(_, j)| usize::from(*j) == joint) {
+            for (weight, joint) in self.rows.of(row) {
+                match room.iter_mut().find(|(_, j)| j == joint) {
                     Some((sum, _)) => *sum += part * weight,
-                    None => room.push((part * weight, joint as u16)),
+                    None => room.push((part * weight, *joint)),
                 }
             }
         };
@@ -95,14 +127,115 @@ impl WeightTable {
                 add(*row, (nearest / d * (1.0 - d / far)).powi(2));
             }
         }
-        (limited(room, limit), nearest)
+        limited(room, usize::MAX);
+        nearest
     }
 }
 
+impl Rows {
+    fn of(&self, row: usize) -> &[(f64, u16)] {
+        let start = if row == 0 { 0 } else { self.ends[row - 1] };
+        &self.weights[start..self.ends[row]]
+    }
+
+    /// Adds a row. Weights that are a little below 0 are 0.
+    fn push(&mut self, place: DVec3, mut weights: Influences) -> Result<(), String> {
+        let largest = weights.iter().map(|w| w.0).fold(0.0, f64::max);
+        if largest == 0.0 {
+            return Err("has no weight above 0".to_owned());
+        }
+        weights.retain(|w| w.0 > 0.0);
+        weights.iter_mut().for_each(|w| w.0 /= largest);
+        limited(&mut weights, usize::MAX);
+        if self.weights.len() + weights.len() > MOST_WEIGHTS {
+            return Err(format!("has more than {MOST_WEIGHTS} weights"));
+        }
+        self.weights.extend(weights);
+        self.places.push(place);
+        self.ends.push(self.weights.len());
+        Ok(())
+    }
+}
+
+/// Whether a weight is so far below 0 that it is no rounding.
+fn is_negative(weight: f64, largest: f64) -> bool {
+    weight < -ROUND_OFF * largest
+}
+
+fn is_dmat(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("dmat"))
+}
+
+fn told(param: &str, path: &Path, line: Option<usize>, what: &str) -> PluginError {
+    let place = line.map_or(String::new(), |n| format!(", line {n}"));
+    PluginError::parameter(param, &format!("{what}: {}{place}", path.display()))
+}
+
+/// The rows of a matrix.
+fn of_matrix(matrix: &Matrix, places: Vec<DVec3>, skeleton: &Skeleton) -> Result<Rows, String> {
+    if matrix.columns != skeleton.bone_count() {
+        let (columns, bones) = (matrix.columns, skeleton.bone_count());
+        return Err(format!("has {columns} columns, and the skeleton {bones} bones"));
+    }
+    if matrix.rows != places.len() {
+        return Err(format!("has {} rows, and there are {} places", matrix.rows, places.len()));
+    }
+    if matrix.rows == 0 || matrix.rows > MOST_ROWS {
+        return Err(format!("has {} rows, and 1 to {MOST_ROWS} can be", matrix.rows));
+    }
+    let mut rows = Rows::default();
+    for (row, place) in places.into_iter().enumerate() {
+        let wrong = |what: &str| format!("{what} in row {}", row + 1);
+        let largest = (0..matrix.columns).map(|bone| matrix.at(row, bone)).fold(0.0, f64::max);
+        let mut weights: Influences = Vec::new();
+        for bone in 0..matrix.columns {
+            let (weight, joint) = (matrix.at(row, bone), skeleton.mover(bone) as u16);
+            if is_negative(weight, largest) {
+                return Err(wrong("has a negative weight"));
+            }
+            match weights.iter_mut().find(|(_, j)| *j == joint) {
+                Some((sum, _)) => *sum += weight.max(0.0),
+                None => weights.push((weight.max(0.0), joint)),
+            }
+        }
+        rows.push(place, weights).map_err(|what| wrong(&what))?;
+    }
+    Ok(rows)
+}
+
+/// The vertices of an OBJ, or the rows of a DMAT.
+fn read_places(path: &Path) -> Result<Vec<DVec3>, Wrong> {
+    if is_dmat(path) {
+        let matrix = Matrix::read(path).map_err(|what| (None, what))?;
+        if matrix.columns != 3 {
+            return Err((None, format!("has {} columns instead of three", matrix.columns)));
+        }
+        return Ok((0..matrix.rows).map(|row| [0, 1, 2].map(|k| matrix.at(row, k)).into()).collect());
+    }
+    let file = File::open(path).map_err(|e| (None, format!("cannot be read: {e}")))?;
+    let mut places = Vec::new();
+    for (number, line) in BufReader::new(file).lines().enumerate() {
+        let line = line.map_err(|e| (Some(number + 1), format!("cannot be read: {e}")))?;
+        let mut words = line.split_whitespace();
+        if words.next() != Some("v") {
+            continue;
+        }
+        if places.len() == MOST_ROWS {
+            return Err((Some(number + 1), format!("has more than {MOST_ROWS} vertices")));
+        }
+        let mut next = || words.next().and_then(|w| w.parse::<f64>().ok()).filter(|x| x.is_finite());
+        match [next(), next(), next()] {
+            [Some(x), Some(y), Some(z)] => places.push(DVec3::new(x, y, z)),
+            _ => return Err((Some(number + 1), "has a vertex without three finite coordinates".to_owned())),
+        }
+    }
+    Ok(places)
+}
+
 /// The rows of a table.
-fn parse(text: impl BufRead, skeleton: &Skeleton, limit: usize) -> Result<Vec<(DVec3, Influences)>, Wrong> {
+fn parse(text: impl BufRead, skeleton: &Skeleton) -> Result<Rows, Wrong> {
     let mut columns: Option<Vec<(String, usize)>> = None;
-    let mut rows = Vec::new();
+    let mut rows = Rows::default();
     for (number, line) in text.lines().enumerate() {
         let number = number + 1;
         let line = line.map_err(|e| (Some(number), format!("cannot be read: {e}")))?;
@@ -111,15 +244,16 @@ fn parse(text: impl BufRead, skeleton: &Skeleton, limit: usize) -> Result<Vec<(D
             (None, _) => {}
             (Some(word), _) if word.starts_with('#') => {}
             (_, None) => columns = Some(header(words(), skeleton).map_err(|what| (Some(number), what))?),
-            (_, Some(_)) if rows.len() == MOST_ROWS => {
+            (_, Some(_)) if rows.places.len() == MOST_ROWS => {
                 return Err((Some(number), format!("has more than {MOST_ROWS} rows")));
             }
             (_, Some(columns)) => {
-                rows.push(row(words(), columns, limit).map_err(|what| (Some(number), what))?);
+                let row = row(words(), columns).and_then(|(place, weights)| rows.push(place, weights));
+                row.map_err(|what| (Some(number), what))?;
             }
         }
     }
-    match (columns, rows.is_empty()) {
+    match (columns, rows.places.is_empty()) {
         (None, _) => Err((None, "is empty".to_owned())),
         (_, true) => Err((None, "has no rows".to_owned())),
         _ => Ok(rows),
@@ -157,7 +291,6 @@ fn header<'a>(
 fn row<'a>(
     words: impl Iterator<Item = &'a str>,
     columns: &[(String, usize)],
-    limit: usize,
 ) -> Result<(DVec3, Influences), String> {
     let words: Vec<&str> = words.collect();
     if words.len() != 3 + columns.len() {
@@ -170,19 +303,13 @@ fn row<'a>(
     let at = DVec3::new(number("x", words[0])?, number("y", words[1])?, number("z", words[2])?);
     let mut weights = Vec::with_capacity(columns.len());
     for ((id, joint), word) in columns.iter().zip(&words[3..]) {
-        let weight = number(id, word)?;
-        if weight < 0.0 {
-            return Err(format!("has a negative weight in column `{id}`"));
-        }
-        weights.push((weight, *joint as u16));
+        weights.push((number(id, word)?, *joint as u16));
     }
     let largest = weights.iter().map(|w| w.0).fold(0.0, f64::max);
-    if largest == 0.0 {
-        return Err("has no weight above 0".to_owned());
+    match weights.iter().position(|w| is_negative(w.0, largest)) {
+        Some(i) => Err(format!("has a negative weight in column `{}`", columns[i].0)),
+        None => Ok((at, weights)),
     }
-    weights.iter_mut().for_each(|w| w.0 /= largest);
-    // More than a sample may follow are kept, as some may come to less in between.
-    Ok((at, limited(&mut weights, limit.max(MOST))))
 }
 
 #[cfg(test)]
@@ -200,12 +327,14 @@ mod tests {
     fn read(text: &str) -> PluginResult<WeightTable> {
         let mut file = tempfile::NamedTempFile::new().unwrap();
         file.write_all(text.as_bytes()).unwrap();
-        WeightTable::read(file.path(), &skeleton(), 4, |p| p)
+        WeightTable::read(file.path(), None, &skeleton(), |p| p)
     }
 
     fn at(table: &WeightTable, p: [f64; 3]) -> [f64; 2] {
         let mut weights = [0.0; 2];
-        table.at(p.into(), 4, &mut Vec::new()).0.iter().for_each(|(j, w)| weights[j] = w);
+        let mut room = Vec::new();
+        table.at(p.into(), &mut room);
+        room.iter().for_each(|(w, j)| weights[usize::from(*j)] = *w);
         weights
     }
 
@@ -226,13 +355,46 @@ mod tests {
         assert_eq!(at(&read("x y z a\n3 0 0 2").unwrap(), [0.0; 3]), [1.0, 0.0]);
     }
 
+    #[test]
+    fn a_matrix_is_read_with_its_places() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &[u8]| {
+            let path = folder.path().join(name);
+            std::fs::File::create(&path).unwrap().write_all(text).unwrap();
+            path
+        };
+        // Rounding below 0 is nothing.
+        let weights = write("weights.dmat", b"2 3\n1 0.25 -1e-9\n-0.003 0.75 2\n");
+        let obj =
+            write("mesh.obj", b"# mesh\nv 0 0 0 1 1 1\nvn 0 0 1\nv 1 0 0\nv 2 0 0\nv\t9 9 9\nf 1 2 3\n");
+        let read = |weights: &Path, places: &Path| {
+            WeightTable::read(weights, Some(places), &skeleton(), |p| p).map_err(|e| e.message.to_string())
+        };
+        assert!(read(&weights, &obj).err().unwrap().contains("3 rows, and there are 4 places"));
+        let places = write("places.dmat", b"3 3\n0 1 2 0 0 0 0 0 0\n");
+        let table = read(&weights, &places).unwrap();
+        assert_eq!(
+            [0.0, 1.0, 2.0].map(|x| at(&table, [x, 0.0, 0.0])),
+            [[1.0, 0.0], [0.25, 0.75], [0.0, 1.0]]
+        );
+        let error = WeightTable::read(&weights, None, &skeleton(), |p| p).err().unwrap();
+        assert!(error.message.contains("where its rows are") && error.hint.contains("places"), "{error}");
+        let negative = write("negative.dmat", b"2 3\n1 1 1\n-0.02 0 0\n");
+        assert!(read(&negative, &places).err().unwrap().contains("negative weight in row 1"));
+        let wide = write("wide.dmat", b"3 3\n1 1 1 1 1 1 1 1 1\n");
+        assert!(read(&wide, &places).err().unwrap().contains("3 columns, and the skeleton 2 bones"));
+        assert!(read(&weights, &weights).err().unwrap().contains("2 columns instead of three"));
+        let damaged = write("damaged.obj", b"v 0 0 0\nv 1 0 nan\n");
+        assert!(read(&weights, &damaged).err().unwrap().contains("line 2"));
+    }
+
     /// Damaged files are an error or a table, whose weights are parts of one, and nothing panics.
     #[test]
     fn damaged_files_do_no_harm() {
         let good = "# by hand\nx y z b a\n0 0 0 0 1\n1,0,0,3,1\n\n1 1 0 1 0\n0 1 0 0 7e300\n5 5 5 1 0\n";
         assert!(read(good).is_ok());
         simod_tests::damage::damaged_files(good, 500, |path| {
-            if let Ok(table) = WeightTable::read(path, &skeleton(), 4, |p| p) {
+            if let Ok(table) = WeightTable::read(path, None, &skeleton(), |p| p) {
                 let sum: f64 = at(&table, [0.3, 0.2, 0.0]).iter().sum();
                 assert!((sum - 1.0).abs() < 1e-9, "{sum}");
             }
@@ -262,20 +424,20 @@ mod tests {
         told("x y z a b\n0 1e999 0 1 0\n", &["`1e999`", "`y`", "line 2"]);
         told("x y z a b\n0 0 0 0 0\n", &["no weight above 0", "line 2"]);
         told("x y z a b\n1e308 0 0 1 0\n-1e308 0 0 1 0\n", &["too far"]);
-        let error = WeightTable::read(Path::new("/nowhere"), &skeleton(), 4, |p| p).err().unwrap();
+        let error = WeightTable::read(Path::new("/nowhere"), None, &skeleton(), |p| p).err().unwrap();
         assert!(error.message.contains("/nowhere"), "{error}");
     }
 
     proptest! {
         #[test]
         fn nothing_makes_it_panic(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
-            let _ = parse(&bytes[..], &skeleton(), 4);
+            let _ = parse(&bytes[..], &skeleton());
         }
 
         #[test]
         fn nor_does_what_looks_right(lines in prop::collection::vec("[0-9ab.,e -]{0,14}", 0..8)) {
             let text = format!("x y z a b\n{}", lines.join("\n"));
-            let _ = parse(text.as_bytes(), &skeleton(), 4).and_then(|rows| WeightTable::new(rows, |p| p));
+            let _ = parse(text.as_bytes(), &skeleton()).and_then(|rows| WeightTable::new(rows, |p| p));
         }
     }
 }

@@ -136,6 +136,30 @@ impl Voxels {
         })
     }
 
+    /// The neighbours over faces, edges and corners that are voxels.
+    pub fn all_around(&self, voxel: u32) -> impl Iterator<Item = u32> + '_ {
+        let cell = self.cells[voxel as usize] as isize;
+        let both = LATER.iter().flat_map(|by| [*by, by.map(|x| -x)]);
+        both.map(move |by| self.ids[(cell + self.grid.step(by)) as usize]).filter(|id| *id != NONE)
+    }
+
+    /// The neighbours over edges that are voxels, where none beside both is.
+    pub fn over_edges(&self, voxel: u32) -> impl Iterator<Item = u32> + '_ {
+        let cell = self.cells[voxel as usize] as isize;
+        let at = move |by: [i32; 3]| self.ids[(cell + self.grid.step(by)) as usize];
+        let both = LATER.iter().flat_map(|by| [*by, by.map(|x| -x)]);
+        let edges = both.filter(|by| by.iter().filter(|x| **x != 0).count() == 2);
+        let is_apart = move |by: &[i32; 3]| {
+            let mut beside = (0..3).filter(|a| by[*a] != 0).map(|a| {
+                let mut beside = *by;
+                beside[a] = 0;
+                beside
+            });
+            beside.all(|by| at(by) == NONE)
+        };
+        edges.filter(is_apart).map(at).filter(|id| *id != NONE)
+    }
+
     /// Whether all neighbours over the faces are voxels.
     pub fn is_inner(&self, voxel: u32) -> bool {
         !self.neighbours[voxel as usize].contains(&NONE)

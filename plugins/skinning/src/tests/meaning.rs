@@ -6,6 +6,7 @@ use glam::{DAffine3, DVec3};
 use proptest::prelude::*;
 
 const METHODS: [&str; 2] = ["linear", "dual-quaternion"];
+const BINDINGS: [&str; 2] = ["biharmonic", "geodesic"];
 
 fn bent() -> [(&'static str, DAffine3); 1] {
     [("lower", turn(DVec3::Z, 80.0))]
@@ -18,8 +19,8 @@ fn difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> f64 {
 
 #[test]
 fn what_does_not_move_stays_to_the_last_bit() {
-    for method in METHODS {
-        let scene = Scene { method, ..Scene::new(limb(), &LIMB) };
+    for (method, binding) in METHODS.into_iter().zip(BINDINGS) {
+        let scene = Scene { method, binding, ..Scene::new(limb(), &LIMB) };
         let state = scene.prepare();
         assert_eq!(scene.deform(&state, &[]), scene.points);
         // What only the upper bone moves, and what the lower one does.
@@ -41,7 +42,7 @@ fn what_does_not_move_stays_to_the_last_bit() {
 /// In a straight limb, distances are known, and so are weights.
 #[test]
 fn weights_are_those_of_exact_distances() {
-    let scene = Scene::new(limb(), &LIMB);
+    let scene = Scene { binding: "geodesic", ..Scene::new(limb(), &LIMB) };
     let state = scene.prepare();
     let share = |x: f64| {
         let (own, other) = (0.15_f64, 0.15_f64.hypot(x));
@@ -68,8 +69,8 @@ fn weights_are_those_of_exact_distances() {
 
 #[test]
 fn weights_sum_to_one_and_are_as_few_as_wanted() {
-    for limit in [1, 2, 4, 8] {
-        let scene = Scene { influences: f64::from(limit), ..Scene::new(fork(), &FORK) };
+    for (limit, binding) in [1, 2, 4, 8].into_iter().zip(BINDINGS.into_iter().cycle()) {
+        let scene = Scene { influences: f64::from(limit), binding, ..Scene::new(fork(), &FORK) };
         let state = scene.prepare();
         for i in 0..scene.points.len() {
             let weights: Vec<(usize, f64)> = state.table.of(i).collect();
@@ -85,7 +86,8 @@ fn weights_sum_to_one_and_are_as_few_as_wanted() {
 fn limbs_beside_each_other_do_not_take_each_other_along() {
     let is_b = |p: &[f32; 3]| p[1] > 0.12 && p[0] > 0.3;
     let [mesh, cloud] = [Scene::new(fork(), &FORK), Scene::new(fork(), &FORK).into_cloud()];
-    for scene in [mesh, cloud] {
+    let geodesic = Scene { binding: "geodesic", ..mesh.clone() };
+    for scene in [mesh, cloud, geodesic] {
         let state = scene.prepare();
         let moved = scene.deform(&state, &[("a-middle", turn(DVec3::Z, -60.0))]);
         let b: Vec<usize> = (0..moved.len()).filter(|i| is_b(&scene.points[*i])).collect();
@@ -171,15 +173,36 @@ fn the_order_of_samples_does_not_matter() {
 
 #[test]
 fn what_is_symmetric_bends_symmetrically() {
-    let scene = Scene::new(limb(), &LIMB);
+    // Blocks of voxels that smooth weights begin with need not be symmetric.
+    for (binding, most) in BINDINGS.into_iter().zip([6e-3, 1e-4]) {
+        let scene = Scene { binding, ..Scene::new(limb(), &LIMB) };
+        let state = scene.prepare();
+        let points: Vec<DVec3> = scene.points.iter().map(|p| at(*p)).collect();
+        let mirror = DVec3::new(1.0, 1.0, -1.0);
+        let mirrored: Vec<DVec3> = points.iter().map(|p| *p * mirror).collect();
+        let (a, b) = (scene.evaluate(&state, &bent(), &points), scene.evaluate(&state, &bent(), &mirrored));
+        let off = a.iter().zip(&b).map(|(a, b)| (*a * mirror).distance(*b)).fold(0.0, f64::max);
+        println!("{binding}: off by {off:.1e}");
+        assert!(off < most, "{binding}: {off}");
+    }
+}
+
+/// A limb about its own bone follows it alone, and weights fall from there on.
+#[test]
+fn smooth_weights_are_whole_about_their_bones() {
+    let scene = Scene::new(fork(), &FORK);
     let state = scene.prepare();
-    let points: Vec<DVec3> = scene.points.iter().map(|p| at(*p)).collect();
-    let mirror = DVec3::new(1.0, 1.0, -1.0);
-    let mirrored: Vec<DVec3> = points.iter().map(|p| *p * mirror).collect();
-    let (a, b) = (scene.evaluate(&state, &bent(), &points), scene.evaluate(&state, &bent(), &mirrored));
-    let off = a.iter().zip(&b).map(|(a, b)| (*a * mirror).distance(*b)).fold(0.0, f64::max);
-    println!("off by {off:.1e}");
-    assert!(off < 1e-4, "{off}");
+    let of = |i: usize, id: &str| {
+        let joint = FORK.iter().position(|j| j.0 == id).unwrap();
+        state.table.of(i).filter(|(j, _)| *j == joint).map(|(_, w)| w).sum::<f64>()
+    };
+    let tip = (0..scene.points.len()).filter(|i| scene.points[*i][0] > 1.0 && scene.points[*i][1] < 0.08);
+    let weights: Vec<f64> = tip.map(|i| of(i, "a-middle")).collect();
+    let mean = weights.iter().sum::<f64>() / weights.len() as f64;
+    println!("{} samples at the tip: {mean:.4}", weights.len());
+    assert!(weights.len() > 50 && mean > 0.99, "{mean}");
+    // And nothing of the limb beside it.
+    assert!((0..scene.points.len()).all(|i| of(i, "a-middle") * of(i, "b-middle") < 1e-4));
 }
 
 /// The map is continuous, and does not jump from voxel to voxel.
@@ -218,6 +241,71 @@ fn what_nothing_reaches_follows_what_is_near() {
     let moved = scene.deform(&state, &[("stray", DAffine3::from_translation(DVec3::Y))]);
     let most = scene.points.iter().zip(&moved).map(|(p, q)| at(*p).distance(at(*q))).fold(0.0, f64::max);
     assert!(most > 0.01, "{most}");
+}
+
+/// Bones in the skeleton's order: `root` to `a`, and its limb, and then the same of `b`.
+#[test]
+fn a_pose_moves_bones_that_share_a_joint_apart() {
+    let still = "1 0 0 0 0 1 0 0 0 0 1 0\n";
+    let up = "1 0 0 0 0 1 0 0 0 0 1 0.5\n";
+    let mut file = tempfile::NamedTempFile::new().unwrap();
+    let frames = [still.repeat(6), up.repeat(3) + &still.repeat(3)].concat();
+    std::io::Write::write_all(&mut file, frames.as_bytes()).unwrap();
+    let mut scene = Scene { pose: file.path().to_str().unwrap().to_owned(), ..Scene::new(fork(), &FORK) };
+    assert!(scene.try_handles().unwrap().is_empty(), "the file moves them");
+    let state = scene.prepare();
+    assert_eq!(scene.try_deform(&state, &[]).unwrap(), scene.points);
+    scene.frame = 1;
+    for method in METHODS {
+        scene.method = method;
+        let moved = scene.try_deform(&state, &[]).unwrap();
+        let (mut went, mut stayed) = (0, 0);
+        for (p, q) in scene.points.iter().zip(&moved) {
+            // The limbs, and what is about the bones from `root` to these.
+            if p[0] > 0.2 {
+                let by = if p[1] < 0.1 { 0.5 } else { 0.0 };
+                assert!(at(*q).distance(at(*p) + DVec3::Z * by) < 1e-6, "{p:?} {q:?}");
+                if by > 0.0 { went += 1 } else { stayed += 1 }
+            }
+        }
+        assert!(went > 500 && stayed > 500);
+        let part = |y: f32| {
+            let of = |p: &[f32; 3]| (p[1] - y).abs() < 0.015 && p[0] < -0.03;
+            let all =
+                scene.points.iter().zip(&moved).filter(|(p, _)| of(p)).map(|(p, q)| f64::from(q[2] - p[2]));
+            let (sum, count) = all.fold((0.0, 0), |(sum, count), z| (sum + z, count + 1));
+            sum / f64::from(count)
+        };
+        let [a, b] = [part(0.03), part(0.17)];
+        println!("{a} {b}");
+        assert!(a > 0.4 && b < 0.1, "{a} {b}");
+    }
+    scene.frame = 2;
+    assert!(scene.try_deform(&state, &[]).unwrap_err().message.contains("2 frames"));
+}
+
+#[test]
+fn a_file_keeps_all_that_it_has_and_what_is_left_out_is_told() {
+    let joints: Vec<(&'static str, [f64; 3], u32)> = ["a", "b", "c", "d", "e", "f", "g", "h", "i", "j"]
+        .into_iter()
+        .enumerate()
+        .map(|(i, id)| (id, [0.1 * i as f64, 0.0, 0.0], u32::MAX))
+        .collect();
+    let mut file = tempfile::NamedTempFile::new().unwrap();
+    let text = "x y z a b c d e f g h i j\n0 0 0 1 1 1 1 1 1 1 1 1 1\n";
+    std::io::Write::write_all(&mut file, text.as_bytes()).unwrap();
+    let mut scene = Scene::new((vec![[0.0; 3]; 3], Vec::new()), &joints);
+    scene.weights = file.path().to_str().unwrap().to_owned();
+    let prepare = |scene: &Scene| {
+        let host = Listener::default();
+        let state = scene.try_prepare(&host).unwrap();
+        (state.table.of(0).count(), host.lines.into_inner().unwrap().concat())
+    };
+    scene.influences = 0.0;
+    assert_eq!(prepare(&scene), (10, String::new()));
+    scene.influences = 4.0;
+    let (count, told) = prepare(&scene);
+    assert!(count == 4 && told.contains("3 of 3 samples lose more than 1 %"), "{count} {told}");
 }
 
 /// A single joint takes all along.

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use simod_plugin_api::{
     Affine, Bounds, DeformInput, Deformer, Evaluate, Graph, HandleDesc, HandleMotions, Handles, Host,
     HostCalls, Joint, Joints, LogLevel, ModelFrame, Param, ParamKind, Part, PluginResult, PrepareInput,
-    Samples, Triangles,
+    Samples, Time, Triangles,
 };
 use std::num::NonZero;
 use std::sync::Mutex;
@@ -42,10 +42,14 @@ pub struct Scene {
     pub neighbours: Vec<Vec<u32>>,
     pub joints: Vec<(&'static str, [f64; 3], u32)>,
     pub method: &'static str,
+    pub binding: &'static str,
     pub reach: &'static str,
     pub reach_length: f64,
     pub skeleton: String,
     pub weights: String,
+    pub places: String,
+    pub pose: String,
+    pub frame: i64,
     pub influences: f64,
     pub resolution: f64,
 }
@@ -61,10 +65,14 @@ impl Scene {
             neighbours: Vec::new(),
             joints: joints.to_vec(),
             method: "dual-quaternion",
+            binding: "biharmonic",
             reach: "ends",
             reach_length: 0.0,
             skeleton: String::new(),
             weights: String::new(),
+            places: String::new(),
+            pose: String::new(),
+            frame: 0,
             influences: 4.0,
             resolution: 96.0,
         }
@@ -101,6 +109,9 @@ impl Scene {
             Param::numbers("reach-length", ParamKind::INT, length),
             Param::text("skeleton", ParamKind::FILE, &self.skeleton),
             Param::text("weights", ParamKind::FILE, &self.weights),
+            Param::text("places", ParamKind::FILE, &self.places),
+            Param::text("pose", ParamKind::FILE, &self.pose),
+            Param::text("binding", ParamKind::CHOICE, self.binding),
             Param::numbers("influences", ParamKind::INT, influences),
             Param::numbers("falloff", ParamKind::FLOAT, falloff),
             Param::numbers("smoothing", ParamKind::FLOAT, smoothing),
@@ -169,7 +180,8 @@ impl Scene {
         call: impl FnOnce(&DeformInput<'_>) -> T,
     ) -> T {
         let motions = HandleMotions::new(motions);
-        let parts = [Part::new(&motions)];
+        let time = Time { frame: self.frame, seconds: 0.0 };
+        let parts = [Part::new(&motions), Part::new(&time)];
         self.with_params(|params| {
             call(&DeformInput::new(samples, self.bounds(), &[], params).with_parts(&parts))
         })
