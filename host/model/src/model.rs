@@ -568,6 +568,12 @@ pub trait Model: Send + Sync {
     /// The file cannot be read.
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
 
+    /// Is told that from now on all vertices are read several times for their positions and colours, or with
+    /// `None` that they are not any more. Where it takes long to find these, as in compressed blocks, they may
+    /// be kept in a temporary file in `folder`, of 18 bytes per vertex as a rule, and of 8 GiB at most; if there
+    /// is no room, they are not.
+    fn keep_positions(&self, _folder: Option<&Path>) {}
+
     /// The numbers of the [first attributes](ModelInfo::attributes), as many as there are lists, one for each
     /// vertex of a chunk that was read from this model. What the lists held is gone.
     ///

@@ -247,6 +247,10 @@ impl Model for Converted {
         self.model.vertices(range)
     }
 
+    fn keep_positions(&self, folder: Option<&Path>) {
+        self.model.keep_positions(folder);
+    }
+
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
         self.model.attributes(chunk, to)
     }
