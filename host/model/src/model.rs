@@ -14,6 +14,7 @@ use std::thread;
 
 use glam::{DVec3, Mat3, Vec3, Vec4};
 
+use crate::fan::Fan;
 use crate::follow::{self, Follow, Following};
 use crate::{Attribute, Error, ErrorKind, Progress, Result, ScaledIntegers, Summary};
 
@@ -384,11 +385,36 @@ pub struct FaceChunk {
     /// may be no vertex of an index, and corners may be equal. An index that no vertex can have, as it is
     /// negative or 2³² - 1 or more, is given as [`u32::MAX`].
     pub triangles: Vec<[u32; 3]>,
+    /// Which of them, ascending, are of the same polygon as the triangle before, at whose first corner and last
+    /// one they begin: the last triangle of the chunk before, if it is the first one here.
+    pub continued: Vec<u32>,
     /// Where blocks of [`FACES_OF_A_BLOCK`] faces begin, ascending; at the very end, where the last one ends.
     /// None where faces cannot be read but all at once.
     pub marks: Vec<FaceMark>,
     /// Bytes of the file that this chunk took.
     pub bytes: u64,
+}
+
+impl FaceChunk {
+    /// Leaves nothing of former triangles.
+    pub(crate) fn clear(&mut self) {
+        self.triangles.clear();
+        self.continued.clear();
+        self.marks.clear();
+        self.bytes = 0;
+    }
+
+    /// Adds the next corner of a polygon.
+    #[inline]
+    pub(crate) fn add_corner(&mut self, fan: &mut Fan, index: i64) {
+        let continues = fan.has_triangle();
+        if let Some(triangle) = fan.polygon(index) {
+            if continues {
+                self.continued.push(self.triangles.len() as u32);
+            }
+            self.triangles.push(triangle);
+        }
+    }
 }
 
 /// Reads consecutive vertices of a model, a chunk at a time.

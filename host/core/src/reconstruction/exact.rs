@@ -186,8 +186,7 @@ impl Exact<'_> {
         while reader.read(&mut chunk)? {
             progress.check()?;
             let carried = self.carry(&chunk.positions, self.gradients)?;
-            let is_still = |c: &Carried| c.way == DVec3::ZERO && c.gradient == DMat3::IDENTITY;
-            if !carried.iter().all(is_still) {
+            if !carried.iter().all(Carried::is_still) {
                 return Ok(false);
             }
             progress.advance(chunk.raw().len() as u64);
@@ -203,7 +202,9 @@ impl Exact<'_> {
             for (position, moved) in edited.positions.iter_mut().zip(&moved) {
                 *position += moved.way;
             }
-            for (normal, moved) in edited.normals.iter_mut().zip(&moved) {
+            // What does not turn keeps its length, too.
+            let turned = edited.normals.iter_mut().zip(&moved).filter(|(_, moved)| !moved.is_still());
+            for (normal, moved) in turned {
                 let transport = moved.transport(self.sampled.frame.scale);
                 *normal = transport.normal(*normal, self.field.gradients.mirrored);
             }
@@ -225,6 +226,10 @@ struct Carried {
 }
 
 impl Carried {
+    fn is_still(&self) -> bool {
+        self.way == DVec3::ZERO && self.gradient == DMat3::IDENTITY
+    }
+
     /// The same in local units of this length.
     fn transport(&self, scale: f64) -> Transport {
         Transport { displacement: (self.way / scale).as_vec3(), gradient: self.gradient.as_mat3() }
