@@ -136,7 +136,7 @@ fn in_the_making(folder: &std::path::Path) -> Option<u64> {
 fn a_cache_is_whole_or_made_anew() {
     let work = Workplace::new();
     // The same points many times over, so that it takes long.
-    let times = 150;
+    let times = 80;
     let fields: Vec<u8> = (0..3)
         .flat_map(|c| (0..times).flat_map(move |_| (0..N * N).flat_map(move |k| vertex(k)[c].to_le_bytes())))
         .collect();
@@ -154,7 +154,7 @@ fn a_cache_is_whole_or_made_anew() {
 
     let folder = work.path("m.simod");
     let (mut is_part, mut seed) = (0, 12_345u64);
-    for round in 0..12 {
+    for round in 0..8 {
         std::fs::remove_file(folder.join("cache.bin")).expect("a cache");
         let mut command = work.command(line);
         command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null());
@@ -187,7 +187,7 @@ fn a_cache_is_whole_or_made_anew() {
 
     // A folder that is not there yet does not appear with a part of it.
     for wait in [5, 20, 40, 80] {
-        let mut command = work.command("sample m.pcd -o n.simod --samples 500 --force");
+        let mut command = work.command("sample m.pcd -o n.simod --samples 500");
         command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null());
         let mut child = command.spawn().expect("a start");
         std::thread::sleep(std::time::Duration::from_millis(wait));
@@ -197,7 +197,7 @@ fn a_cache_is_whole_or_made_anew() {
             assert!(work.read("n.simod/cache.bin") == filled, "after {wait} ms");
         }
     }
-    work.simod("sample m.pcd -o n.simod --samples 500 --force");
+    work.simod("sample m.pcd -o n.simod --samples 500");
     assert!(work.read("n.simod/cache.bin") == filled);
     assert!(work.names().iter().all(|name| !name.starts_with(".simod")), "{:?}", work.names());
 }

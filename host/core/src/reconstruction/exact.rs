@@ -186,7 +186,8 @@ impl Exact<'_> {
         while reader.read(&mut chunk)? {
             progress.check()?;
             let carried = self.carry(&chunk.positions, self.gradients)?;
-            if !carried.iter().all(Carried::is_still) {
+            let is_still = |c: &Carried| c.way == DVec3::ZERO && c.gradient == DMat3::IDENTITY;
+            if !carried.iter().all(is_still) {
                 return Ok(false);
             }
             progress.advance(chunk.raw().len() as u64);
@@ -200,11 +201,11 @@ impl Exact<'_> {
         let moved = self.carry(&chunk.positions, self.gradients || versions.iter().any(turns))?;
         for edited in versions {
             for (position, moved) in edited.positions.iter_mut().zip(&moved) {
-                *position += moved.way;
+                // A zero keeps its sign.
+                let moves = moved.way.cmpne(DVec3::ZERO);
+                *position = DVec3::select(moves, *position + moved.way, *position);
             }
-            // What does not turn keeps its length, too.
-            let turned = edited.normals.iter_mut().zip(&moved).filter(|(_, moved)| !moved.is_still());
-            for (normal, moved) in turned {
+            for (normal, moved) in edited.normals.iter_mut().zip(&moved) {
                 let transport = moved.transport(self.sampled.frame.scale);
                 *normal = transport.normal(*normal, self.field.gradients.mirrored);
             }
@@ -226,10 +227,6 @@ struct Carried {
 }
 
 impl Carried {
-    fn is_still(&self) -> bool {
-        self.way == DVec3::ZERO && self.gradient == DMat3::IDENTITY
-    }
-
     /// The same in local units of this length.
     fn transport(&self, scale: f64) -> Transport {
         Transport { displacement: (self.way / scale).as_vec3(), gradient: self.gradient.as_mat3() }

@@ -852,7 +852,7 @@ fn bad_files_are_errors_or_sane() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(24))]
+    #![proptest_config(cases(24))]
 
     #[test]
     fn numbers_of_any_width_in_any_packets_move(
