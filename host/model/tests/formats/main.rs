@@ -275,7 +275,8 @@ fn texts_with_what_is_no_text_are_errors_or_sane() {
         ] {
             if let Err(error) = with(other) {
                 let text = error.to_string();
-                let tells = ["line ", "vertex ", "ends within"].iter().any(|place| text.contains(place));
+                let tells =
+                    ["line ", "vertex ", "ends within", "facets"].iter().any(|place| text.contains(place));
                 assert!(!error.hint().is_empty() && tells, "{extension}, {what}: {text}");
             }
         }
