@@ -82,7 +82,7 @@ impl LasModel {
     pub(super) fn parts(&self) -> Vec<Range<usize>> {
         let colors = Colors::of(&self.info).into_iter().flat_map(|colors| colors.places);
         let of_colors = colors.map(|place| self.places.bytes_of(place));
-        [0..points::BYTES].into_iter().chain(of_colors).collect()
+        std::iter::once(0..points::BYTES).chain(of_colors).collect()
     }
 
     pub(super) fn kept(&self) -> Option<Arc<Kept>> {
