@@ -609,6 +609,9 @@ fn what_does_not_fit_the_bits_is_an_error_that_says_so() {
     assert_eq!(error, "the deformation moves vertex 0 to NaN");
 }
 
+/// Where each point goes.
+type Motion = Box<dyn Fn(DVec3) -> DVec3 + Sync>;
+
 #[test]
 fn angles_get_other_ranges_where_their_bits_allow() {
     let mut next = random(5);
@@ -627,7 +630,7 @@ fn angles_get_other_ranges_where_their_bits_allow() {
     let (rotation, place) = pose();
     let about = |turn: DQuat| move |p: DVec3| place + rotation * (turn * (rotation.inverse() * (p - place)));
     let turns = |angle: f64| about(DQuat::from_rotation_z(angle));
-    let cases: [(&str, Box<dyn Fn(DVec3) -> DVec3 + Sync>); 6] = [
+    let cases: [(&str, Motion); 6] = [
         ("sphericalAzimuth", Box::new(turns(1.0))),
         ("sphericalAzimuth", Box::new(turns(-0.6))),
         // Through half a turn, from where some count on and others from below.
