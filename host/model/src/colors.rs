@@ -1,6 +1,8 @@
 //! The colours of vertices: which of their numbers these are, and what the numbers stand for. All that shows,
 //! compares or writes colours asks here.
 
+use rayon::prelude::*;
+
 use crate::{Attribute, Model, ModelInfo, Result, Type, VertexChunk};
 
 /// What red, green and blue are called, in lower case.
@@ -76,21 +78,26 @@ impl ColorScale {
     pub fn of_model(model: &dyn Model, colors: &Colors) -> Result<Self> {
         const PLACES: u64 = 16;
         const AT_A_PLACE: u64 = 2048;
-        let (info, mut most) = (model.info(), 0.0f64);
+        let info = model.info();
         if colors.kind == Type::U8 {
-            return Ok(Self::of(colors.kind, most));
+            return Ok(Self::of(colors.kind, 0.0));
         }
         let places = if info.random_access { PLACES } else { 1 };
-        let (mut chunk, mut lists) = (VertexChunk::default(), vec![Vec::new(); colors.count()]);
-        for i in 0..places {
-            let first = info.vertices / places * i;
+        let largest = |place| -> Result<f64> {
+            let first = info.vertices / places * place;
             let mut reader = model.vertices(first..(first + AT_A_PLACE).min(info.vertices))?;
+            reader.skip_all_but_colors();
+            let (mut chunk, mut lists, mut most) =
+                (VertexChunk::default(), [(); 3].map(|()| Vec::new()), 0.0f64);
             while reader.read(&mut chunk)? {
-                model.attributes(&chunk, &mut lists)?;
-                let all = colors.places.iter().flat_map(|place| &lists[*place]);
-                most = all.filter(|c| c.is_finite()).fold(most, |most, c| most.max(*c));
+                model.some_attributes(&chunk, &colors.places, &mut lists)?;
+                let finite = lists.iter().flatten().filter(|c| c.is_finite());
+                most = finite.fold(most, |most, c| most.max(*c));
             }
-        }
+            Ok(most)
+        };
+        let largest: Result<Vec<f64>> = (0..places).into_par_iter().map(largest).collect();
+        let most = largest?.into_iter().fold(0.0, f64::max);
         Ok(Self::of(colors.kind, most))
     }
 

@@ -3,7 +3,7 @@
 /// The corners so far of a polygon or of a strip.
 #[derive(Debug, Default)]
 pub(crate) struct Fan {
-    /// How many, if fewer than two.
+    /// How many, up to three.
     corners: u8,
     /// The two corners that the next one makes a triangle with, in this order.
     pair: [u32; 2],
@@ -18,7 +18,14 @@ impl Fan {
         let [first, last] = self.pair;
         let corner = self.add(index)?;
         self.pair = [first, corner];
+        self.corners = 3;
         Some([first, last, corner])
+    }
+
+    /// Whether the next triangle of a polygon is not the first one.
+    #[inline]
+    pub(crate) fn has_triangle(&self) -> bool {
+        self.corners == 3
     }
 
     /// The next corner of a strip, or -1 to begin a new one; and the triangle that it ends.
@@ -39,7 +46,7 @@ impl Fan {
     #[inline]
     fn add(&mut self, index: i64) -> Option<u32> {
         let corner = u32::try_from(index).unwrap_or(u32::MAX);
-        if self.corners == 2 {
+        if self.corners >= 2 {
             return Some(corner);
         }
         self.pair[usize::from(self.corners)] = corner;

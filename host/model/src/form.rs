@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use glam::{DVec3, Vec3};
 
+use crate::polygons::Polygons;
 use crate::{Error, ErrorKind, Model, ModelInfo, Result, ScaledIntegers, Summary, Type, VertexChunk};
 
 /// What is asked of a conversion.
@@ -25,11 +26,22 @@ pub(crate) struct Content<'a> {
     pub(crate) model: &'a dyn Model,
     /// Whether vertices have normals that are kept.
     pub(crate) has_normals: bool,
-    /// Triangles of the faces that refer to vertices.
-    pub(crate) triangles: u64,
+    /// Its faces as polygons.
+    pub(crate) faces: Faces,
     pub(crate) how: Conversion,
     /// Where temporary files go.
     pub(crate) folder: PathBuf,
+}
+
+/// Faces of which all corners are vertices.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Faces {
+    pub(crate) polygons: u64,
+    /// Corners of all of them, and of the largest.
+    pub(crate) corners: u64,
+    pub(crate) largest: usize,
+    /// Triangles that they are made of.
+    pub(crate) triangles: u64,
 }
 
 impl Content<'_> {
@@ -113,11 +125,16 @@ pub(crate) trait Form: Send + Sync {
         false
     }
 
-    /// Appends triangles, all of vertices that there are.
+    /// Whether it holds polygons of more than three corners.
+    fn holds_polygons(&self) -> bool {
+        false
+    }
+
+    /// Appends faces, all of vertices that there are: triangles, or polygons.
     ///
     /// # Errors
     /// A temporary file cannot be read.
-    fn faces(&self, _triangles: &[[u32; 3]], _to: &mut Vec<u8>) -> Result<()> {
+    fn faces(&self, _faces: &Polygons, _to: &mut Vec<u8>) -> Result<()> {
         Ok(())
     }
 

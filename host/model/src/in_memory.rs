@@ -93,9 +93,8 @@ impl FaceReader for Triangles<'_> {
     fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
         let (now, later) = self.0.split_at(self.0.len().min(CHUNK_TRIANGLES));
         self.0 = later;
-        chunk.triangles.clear();
+        chunk.clear();
         chunk.triangles.extend_from_slice(now);
-        chunk.marks.clear();
         chunk.bytes = size_of_val(now) as u64;
         Ok(!now.is_empty())
     }

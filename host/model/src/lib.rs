@@ -41,6 +41,7 @@ pub mod output_folder;
 mod pcd;
 mod pipeline;
 mod ply;
+mod polygons;
 mod positioned;
 pub mod progress;
 pub mod resumable;

@@ -14,6 +14,7 @@ use std::thread;
 
 use glam::{DVec3, Mat3, Vec3, Vec4};
 
+use crate::fan::Fan;
 use crate::follow::{self, Follow, Following};
 use crate::{Attribute, Error, ErrorKind, Progress, Result, ScaledIntegers, Summary};
 
@@ -384,11 +385,36 @@ pub struct FaceChunk {
     /// may be no vertex of an index, and corners may be equal. An index that no vertex can have, as it is
     /// negative or 2³² - 1 or more, is given as [`u32::MAX`].
     pub triangles: Vec<[u32; 3]>,
+    /// Which of them, ascending, are of the same polygon as the triangle before, at whose first corner and last
+    /// one they begin: the last triangle of the chunk before, if it is the first one here.
+    pub continued: Vec<u32>,
     /// Where blocks of [`FACES_OF_A_BLOCK`] faces begin, ascending; at the very end, where the last one ends.
     /// None where faces cannot be read but all at once.
     pub marks: Vec<FaceMark>,
     /// Bytes of the file that this chunk took.
     pub bytes: u64,
+}
+
+impl FaceChunk {
+    /// Leaves nothing of former triangles.
+    pub(crate) fn clear(&mut self) {
+        self.triangles.clear();
+        self.continued.clear();
+        self.marks.clear();
+        self.bytes = 0;
+    }
+
+    /// Adds the next corner of a polygon.
+    #[inline]
+    pub(crate) fn add_corner(&mut self, fan: &mut Fan, index: i64) {
+        let continues = fan.has_triangle();
+        if let Some(triangle) = fan.polygon(index) {
+            if continues {
+                self.continued.push(self.triangles.len() as u32);
+            }
+            self.triangles.push(triangle);
+        }
+    }
 }
 
 /// Reads consecutive vertices of a model, a chunk at a time.
@@ -567,6 +593,12 @@ pub trait Model: Send + Sync {
     /// # Errors
     /// The file cannot be read.
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
+
+    /// Is told that from now on all vertices are read several times for their positions and colours, or with
+    /// `None` that they are not any more. Where it takes long to find these, as in compressed blocks, they may
+    /// be kept in a temporary file in `folder`, of 18 bytes per vertex as a rule, and of 8 GiB at most; if there
+    /// is no room, they are not.
+    fn keep_positions(&self, _folder: Option<&Path>) {}
 
     /// The numbers of the [first attributes](ModelInfo::attributes), as many as there are lists, one for each
     /// vertex of a chunk that was read from this model. What the lists held is gone.

@@ -125,20 +125,25 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
 pub fn check_space(path: &Path, folder: &Path, needed: u64) -> Result<()> {
     // A file system that cannot tell is no reason to stop; a missing folder is reported when it is written
     // to.
-    let Ok(stats) = fs4::statvfs(folder) else { return Ok(()) };
-    if stats.total_space() == 0 || stats.available_space() >= needed {
+    let Some(available) = available_space(folder).filter(|available| *available < needed) else {
         return Ok(());
-    }
+    };
     Err(Error::new(
         ErrorKind::Io,
         format!(
             "cannot write {}: it needs {}, and the disk has {} available",
             path.display(),
             human_size(needed),
-            human_size(stats.available_space())
+            human_size(available)
         ),
         "free some space, or write to another disk",
     ))
+}
+
+/// Bytes that the disk of `folder` has room for, where it tells.
+pub(crate) fn available_space(folder: &Path) -> Option<u64> {
+    let stats = fs4::statvfs(folder).ok().filter(|stats| stats.total_space() > 0)?;
+    Some(stats.available_space())
 }
 
 /// Exchanges two folders at once, where the system can: at any moment each name has one of both. `false`

@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)] // helpers of tests are tests, too
 
 use std::fs;
-use std::io::{self, Cursor, Write};
+use std::io::{self, Cursor, Seek, Write};
 use std::path::Path;
 
 use glam::DVec3;
@@ -13,7 +13,7 @@ use laz::{LasZipCompressor, LasZipDecompressor, LazItem, LazItemRecordBuilder, L
 use proptest::prelude::*;
 use simod_model::progress::Silent;
 use simod_model::{
-    CHUNK_VERTICES, Edited, Error, ErrorKind, FaceChunk, Model, Output, Result, Rewriting, Summary,
+    CHUNK_VERTICES, Colors, Edited, Error, ErrorKind, FaceChunk, Model, Output, Result, Rewriting, Summary,
     VertexChunk,
 };
 use tempfile::NamedTempFile;
@@ -44,6 +44,8 @@ struct Spec {
     minor: u8,
     format: u8,
     extra: usize,
+    /// What is said of extra bytes, if not that the first one is a number.
+    described: Vec<u8>,
     scale: DVec3,
     offset: DVec3,
     packing: Packing,
@@ -62,6 +64,7 @@ impl Spec {
             minor,
             format,
             extra: 0,
+            described: Vec::new(),
             scale: DVec3::new(0.01, 0.01, 0.001),
             offset: DVec3::new(400_000.0, 5_000_000.0, 0.0),
             packing: Packing::Plain,
@@ -148,9 +151,12 @@ impl Spec {
             vlrs.push(Self::vlr(b"laszip encoded", 22204, &content));
         }
         if self.extra > 0 {
-            let mut description = vec![0; 192];
-            description[2] = 1;
-            description[4..14].copy_from_slice(b"reflection");
+            let mut description = self.described.clone();
+            if description.is_empty() {
+                description.resize(192, 0);
+                description[2] = 1;
+                description[4..14].copy_from_slice(b"reflection");
+            }
             vlrs.push(Self::vlr(b"LASF_Spec", 4, &description));
         }
         vlrs.push(Self::vlr(b"nobody", 7, b"knows what this is"));
@@ -821,6 +827,86 @@ fn positions_alone_are_the_same_and_so_are_the_bytes() {
                 bytes.extend_from_slice(chunk.raw());
             }
             assert!(positions == expected && bytes == raw);
+        }
+    }
+}
+
+/// Positions and colours, of the vertices from one on.
+fn read_colors(model: &dyn Model, first: u64) -> (Vec<DVec3>, Vec<Vec<f64>>) {
+    let colors = Colors::of(model.info());
+    let mut reader = model.vertices(first..u64::MAX).unwrap();
+    if colors.is_some() {
+        reader.skip_all_but_colors()
+    } else {
+        reader.skip_attributes()
+    }
+    reader.set_chunk(77);
+    let (mut positions, mut all) = (Vec::new(), vec![Vec::new(); 3]);
+    let (mut chunk, mut some) = (VertexChunk::default(), vec![Vec::new(); 3]);
+    while reader.read(&mut chunk).unwrap() {
+        positions.extend_from_slice(&chunk.positions);
+        if let Some(colors) = &colors {
+            model.some_attributes(&chunk, &colors.places, &mut some).unwrap();
+            all.iter_mut().zip(&some).for_each(|(all, some)| all.extend_from_slice(some));
+        }
+    }
+    (positions, all)
+}
+
+#[test]
+fn what_is_kept_for_a_second_reading_is_what_was_read() {
+    let folder = tempfile::tempdir().unwrap();
+    for (minor, format) in formats() {
+        for packing in [Packing::Fixed(300), Packing::Variable(50)] {
+            let spec = Spec { extra: 2, ..Spec::new(minor, format) }.packed(packing);
+            let there = spec.build(&hills(1000));
+            let file = file(&there);
+            let model = open(file.path()).unwrap();
+            let (expected, all, _) = read(model.as_ref(), 0, 100);
+            model.keep_positions(Some(folder.path()));
+            for first in [0, 555, 1, 0] {
+                let (positions, colors) = read_colors(model.as_ref(), first);
+                assert_eq!(
+                    positions,
+                    expected[first as usize..],
+                    "LAS 1.{minor}, format {format}, {packing:?}"
+                );
+                if let Some(places) = Colors::of(model.info()).map(|colors| colors.places) {
+                    let wanted = places.map(|place| &all[place][first as usize..]);
+                    assert_eq!(colors, wanted, "LAS 1.{minor}, format {format}, {packing:?}");
+                }
+            }
+            // Somebody writes the file meanwhile: of the first point another x, from which others count.
+            let at = u32::from_le_bytes(there[96..100].try_into().unwrap()) as usize + 8;
+            let mut open = file.as_file();
+            open.seek(io::SeekFrom::Start(at as u64)).unwrap();
+            open.write_all(&[there[at] ^ 1]).unwrap();
+            let now = read_colors(model.as_ref(), 0).0;
+            assert!(now[0] != expected[0] && now[999] == expected[999]);
+            model.keep_positions(None);
+            assert_eq!(read_colors(model.as_ref(), 0).0, now);
+        }
+    }
+}
+
+#[test]
+fn extra_bytes_that_are_called_colours_are_read_as_such() {
+    let description = |name: &[u8]| {
+        let mut one = vec![0; 192];
+        one[2] = 3;
+        one[4..4 + name.len()].copy_from_slice(name);
+        one
+    };
+    let described = [&b"red"[..], b"green", b"blue"].map(description).concat();
+    for (minor, format) in [(2, 1), (4, 6)] {
+        let spec = Spec { extra: 6, described: described.clone(), ..Spec::new(minor, format) };
+        let file = file(&spec.packed(Packing::Fixed(300)).build(&hills(1000)));
+        let model = open(file.path()).unwrap();
+        let places = Colors::of(model.info()).expect("colours").places;
+        let (_, all, _) = read(model.as_ref(), 0, 100);
+        model.keep_positions(Some(std::env::temp_dir().as_path()));
+        for _ in 0..2 {
+            assert_eq!(read_colors(model.as_ref(), 0).1, places.map(|place| all[place].clone()));
         }
     }
 }

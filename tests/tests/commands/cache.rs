@@ -122,6 +122,86 @@ fn commands_without_a_folder_leave_nothing() {
     assert_eq!(work.names(), ["edit.toml", "edited.ply", "m.pcd", "out.ply", "out.png"]);
 }
 
+/// Bytes of the file that is being made in a folder; none if there is none.
+#[cfg(unix)]
+fn in_the_making(folder: &std::path::Path) -> Option<u64> {
+    let mut names = std::fs::read_dir(folder).ok()?.filter_map(Result::ok);
+    let part = names.find(|name| name.file_name().to_string_lossy().starts_with(".simod"))?;
+    Some(part.metadata().ok()?.len())
+}
+
+/// Killed while it is written, and at moments before and after that.
+#[cfg(unix)]
+#[test]
+fn a_cache_is_whole_or_made_anew() {
+    let work = Workplace::new();
+    // The same points many times over, so that it takes long.
+    let times = 80;
+    let fields: Vec<u8> = (0..3)
+        .flat_map(|c| (0..times).flat_map(move |_| (0..N * N).flat_map(move |k| vertex(k)[c].to_le_bytes())))
+        .collect();
+    let packed: Vec<u8> =
+        fields.chunks(32).flat_map(|run| [vec![run.len() as u8 - 1], run.to_vec()].concat()).collect();
+    let header = HEADER.replace("8100", &(times * N * N).to_string());
+    let sizes = [packed.len() as u32, fields.len() as u32].map(u32::to_le_bytes).concat();
+    work.write("m.pcd", [format!("{header}DATA binary_compressed\n").as_bytes(), &sizes, &packed].concat());
+    work.simod("sample m.pcd -o m.simod --samples 500");
+    let filled = work.read("m.simod/cache.bin");
+    work.move_samples("m.simod", moved);
+    let line = "reconstruct m.simod --deformed deformed.ply -o out.pcd --force";
+    work.simod(line);
+    let expected = work.read("out.pcd");
+
+    let folder = work.path("m.simod");
+    let (mut is_part, mut seed) = (0, 12_345u64);
+    for round in 0..8 {
+        std::fs::remove_file(folder.join("cache.bin")).expect("a cache");
+        let mut command = work.command(line);
+        command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null());
+        let mut child = command.spawn().expect("a start");
+        let is_running = |child: &mut std::process::Child| child.try_wait().expect("a child").is_none();
+        // Half of them once some of it is there, the others whenever it is.
+        let some = |bytes: u64| round % 2 == 0 || bytes > round * fields.len() as u64 / 15;
+        while round > 0 && !in_the_making(&folder).is_some_and(some) && is_running(&mut child) {
+            std::thread::sleep(std::time::Duration::from_micros(100));
+        }
+        if round % 2 == 0 {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            std::thread::sleep(std::time::Duration::from_micros((seed >> 33) % 100_000));
+        }
+        child.kill().expect("a child");
+        child.wait().expect("an end");
+        is_part += u32::from(in_the_making(&folder).is_some_and(|bytes| bytes > 0));
+        // Who finds it finds all of it.
+        if folder.join("cache.bin").exists() {
+            assert!(work.read("m.simod/cache.bin") == filled, "round {round}");
+        }
+        work.simod(line);
+        assert!(
+            work.read("out.pcd") == expected && work.read("m.simod/cache.bin") == filled,
+            "round {round}"
+        );
+        assert_eq!(in_the_making(&folder), None, "round {round}");
+    }
+    assert!(is_part > 0, "it was never killed in the midst of it");
+
+    // A folder that is not there yet does not appear with a part of it.
+    for wait in [5, 20, 40, 80] {
+        let mut command = work.command("sample m.pcd -o n.simod --samples 500");
+        command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null());
+        let mut child = command.spawn().expect("a start");
+        std::thread::sleep(std::time::Duration::from_millis(wait));
+        child.kill().expect("a child");
+        child.wait().expect("an end");
+        if work.path("n.simod").exists() {
+            assert!(work.read("n.simod/cache.bin") == filled, "after {wait} ms");
+        }
+    }
+    work.simod("sample m.pcd -o n.simod --samples 500");
+    assert!(work.read("n.simod/cache.bin") == filled);
+    assert!(work.names().iter().all(|name| !name.starts_with(".simod")), "{:?}", work.names());
+}
+
 #[cfg(unix)]
 #[test]
 fn a_disk_without_room_is_told_and_nothing_is_left() {

@@ -256,7 +256,7 @@ fn a_model_is_written_in_its_own_format_and_name() {
     let line = "reconstruct m.simod --deformed m.simod/samples.ply -o";
     let outcome = work.refuses(&format!("{line} out.pts"), &["out.pts", "cannot be written anew"]);
     assert!(outcome.hint().contains("obj"));
-    work.refuses(&format!("{line} out.las"), &["out.las would lose", "1 triangles"]);
+    work.refuses(&format!("{line} out.las"), &["out.las would lose", "1 faces"]);
     work.simod(&format!("{line} out.obj"));
     // A model of any format may be replaced, and nothing else.
     work.simod(&format!("{line} out.obj"));

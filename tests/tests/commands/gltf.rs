@@ -215,6 +215,17 @@ fn meshes_become_what_ply_becomes() {
 }
 
 #[test]
+fn an_identity_by_the_exact_map_makes_no_room() {
+    let work = Workplace::new();
+    work.write("a.glb", apart(|p| p, ""));
+    for (params, changes) in [("params = { angle = 0 }", false), ("", true)] {
+        work.write_session("a.glb", 500, &format!("[[step]]\ndeform = \"warp\"\n{params}"));
+        work.simod("run edit.toml --exact -o out.glb --force");
+        assert_eq!(work.read("out.glb") != work.read("a.glb"), changes, "{params}");
+    }
+}
+
+#[test]
 fn a_mirror_changes_the_side_of_the_bitangent() {
     let work = Workplace::new();
     let count = N * N;

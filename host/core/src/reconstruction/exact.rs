@@ -201,7 +201,9 @@ impl Exact<'_> {
         let moved = self.carry(&chunk.positions, self.gradients || versions.iter().any(turns))?;
         for edited in versions {
             for (position, moved) in edited.positions.iter_mut().zip(&moved) {
-                *position += moved.way;
+                // A zero keeps its sign.
+                let moves = moved.way.cmpne(DVec3::ZERO);
+                *position = DVec3::select(moves, *position + moved.way, *position);
             }
             for (normal, moved) in edited.normals.iter_mut().zip(&moved) {
                 let transport = moved.transport(self.sampled.frame.scale);

@@ -177,6 +177,19 @@ pub fn sample(
     progress: &dyn Progress,
 ) -> Result<SampledModel> {
     check(sampling)?;
+    model.keep_positions(Some(folder));
+    let sampled = sample_kept(model, sampling, folder, progress);
+    model.keep_positions(None);
+    sampled
+}
+
+/// The same of a model that may keep its positions for the second reading.
+fn sample_kept(
+    model: &dyn Model,
+    sampling: &Sampling,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<SampledModel> {
     let info = model.info();
     if info.vertices == 0 {
         return Err(Error::new(

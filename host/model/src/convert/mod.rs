@@ -19,12 +19,13 @@ use std::path::Path;
 use glam::DVec3;
 
 use crate::follow::{Follow, Following};
-use crate::form::{Content, Conversion, Form, is_of_vertices};
+use crate::form::{Content, Conversion, Faces, Form};
 use crate::formats::extension;
 use crate::las::LasModel;
 use crate::las::form::LasForm;
 use crate::las::same_records::SameRecords;
 use crate::output::OutputFile;
+use crate::polygons::{Counted, Joining, MOST_CORNERS, Polygons};
 use crate::source::Source;
 use crate::target::folder_of;
 use crate::{
@@ -45,21 +46,12 @@ pub struct Converted {
     /// One of [`WRITTEN`].
     extension: &'static str,
     how: Conversion,
-    triangles: u64,
+    faces: Faces,
     folder: std::path::PathBuf,
     /// The records of points stay what they are, as from LAS to LAZ.
     keeps_records: bool,
     losses: Vec<String>,
     bytes: u64,
-}
-
-/// What is known of the faces of a model.
-#[derive(Default)]
-struct Faces {
-    /// Triangles of vertices that there are.
-    triangles: u64,
-    /// Others.
-    without_vertex: u64,
 }
 
 impl Converted {
@@ -91,8 +83,7 @@ impl Converted {
             ));
         };
         model.check_complete(progress)?;
-        let faces = count_faces(&*model, progress)?;
-        let polygons = model.info().faces;
+        let (faces, counted) = count_faces(&*model, progress)?;
         let info = model.info().clone();
         let is_las = matches!(extension, "las" | "laz") && as_las(&*model).is_some();
         let keeps_records = is_las && how.step.is_none() && how.offset.is_none();
@@ -102,19 +93,19 @@ impl Converted {
             info,
             extension,
             how,
-            triangles: faces.triangles,
+            faces,
             folder: folder_of(target).to_owned(),
             keeps_records,
             losses: Vec::new(),
             bytes: 0,
         };
         let mut losses = if keeps_records { Vec::new() } else { converted.model.besides()? };
-        if faces.without_vertex > 0 {
-            losses.push(format!("{} triangles that refer to no vertex", faces.without_vertex));
+        if counted.without_vertex > 0 {
+            losses.push(format!("{} triangles that refer to no vertex", counted.without_vertex));
         }
         let form = converted.form(how.drops_normals, &mut losses)?;
-        if form.has_faces() && polygons != faces.triangles + faces.without_vertex {
-            losses.push(format!("which of the {} triangles are one of {polygons} faces", faces.triangles));
+        if form.has_faces() {
+            losses.extend(losses_of_faces(form.holds_polygons(), converted.info.faces, &counted));
         }
         let (bytes, written) = (form.bytes(), form.integers());
         drop(form);
@@ -147,7 +138,7 @@ impl Converted {
 
     /// Number of triangles that are written, where the format has any.
     pub fn triangles(&self) -> u64 {
-        self.triangles
+        self.faces.triangles
     }
 
     /// Writes the model as it is; the file appears whole or not at all.
@@ -171,7 +162,7 @@ impl Converted {
         let content = Content {
             model: &*self.model,
             has_normals: self.model.info().has_normals && !drops_normals,
-            triangles: self.triangles,
+            faces: self.faces,
             how: self.how,
             folder: self.folder.clone(),
         };
@@ -202,22 +193,48 @@ fn as_las(model: &dyn Model) -> Option<&LasModel> {
     model.as_any()?.downcast_ref()
 }
 
-/// Counts the triangles of the faces, which takes a reading of them.
-fn count_faces(model: &dyn Model, progress: &dyn Progress) -> Result<Faces> {
+/// Counts the faces, which takes a reading of them.
+fn count_faces(model: &dyn Model, progress: &dyn Progress) -> Result<(Faces, Counted)> {
     let (mut faces, info) = (Faces::default(), model.info());
+    let (mut joining, mut polygons) = (Joining::new(info.vertices, true), Polygons::default());
     if info.faces == 0 {
-        return Ok(faces);
+        return Ok((faces, joining.counted));
     }
+    let mut count = |polygons: &mut Polygons| {
+        faces.polygons += polygons.len() as u64;
+        faces.corners += polygons.corners() as u64;
+        polygons.clear();
+    };
     progress.begin("counting the faces", info.face_bytes);
     for_faces(model, |chunk| {
         progress.check()?;
-        let good = chunk.triangles.iter().filter(|t| is_of_vertices(t, info.vertices)).count();
-        faces.triangles += good as u64;
-        faces.without_vertex += (chunk.triangles.len() - good) as u64;
+        joining.add(chunk, &mut polygons);
+        count(&mut polygons);
         progress.advance(chunk.bytes);
         Ok(())
     })?;
-    Ok(faces)
+    joining.finish(&mut polygons);
+    count(&mut polygons);
+    let counted = joining.counted;
+    (faces.triangles, faces.largest) = (counted.triangles, counted.largest);
+    Ok((faces, counted))
+}
+
+/// What a format that holds polygons, or triangles alone, loses of the faces of a file that says it has so many.
+fn losses_of_faces(holds_polygons: bool, told: u64, counted: &Counted) -> Vec<String> {
+    let Counted { triangles, without_vertex, faces, long, .. } = *counted;
+    let mut losses = Vec::new();
+    // Each triangle of a strip is one face.
+    let is_of_strips = faces > told;
+    if is_of_strips || (!holds_polygons && faces != triangles + without_vertex) {
+        losses.push(format!("which of the {triangles} triangles are one of {told} faces"));
+    } else if long > 0 {
+        losses.push(format!("{long} polygons of more than {MOST_CORNERS} corners, which become triangles"));
+    }
+    if faces < told {
+        losses.push(format!("{} faces of fewer than three corners", told - faces));
+    }
+    losses
 }
 
 impl Model for Converted {
@@ -245,6 +262,10 @@ impl Model for Converted {
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
         self.model.vertices(range)
+    }
+
+    fn keep_positions(&self, folder: Option<&Path>) {
+        self.model.keep_positions(folder);
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {

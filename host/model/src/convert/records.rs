@@ -1,9 +1,10 @@
 //! PLY (binary, little endian) and PCD (binary): a header of text, a record for each vertex, and in PLY one for
-//! each triangle.
+//! each face.
 
 use std::collections::HashSet;
 
-use crate::form::{Content, Form, Rows, attribute_loss, put_numbers};
+use crate::form::{Content, Faces, Form, Rows, attribute_loss, put_numbers};
+use crate::polygons::Polygons;
 use crate::{Attribute, Colors, Result, Scalar, Summary, Type};
 
 /// Which of the two.
@@ -24,7 +25,7 @@ const PACKED: [&str; 2] = ["rgb", "rgba"];
 pub(super) struct Records {
     kind: Kind,
     vertices: u64,
-    triangles: u64,
+    faces: Faces,
     scalar: Scalar,
     has_normals: bool,
     /// Name and type of each attribute that is written, and its place among the model's.
@@ -39,11 +40,11 @@ impl Records {
     pub(super) fn new(kind: Kind, content: &Content<'_>, losses: &mut Vec<String>) -> Result<Self> {
         let info = content.info();
         let own = if kind == Kind::Ply { PLY } else { PCD };
-        let triangles = if kind == Kind::Ply { content.triangles } else { 0 };
-        if kind == Kind::Pcd && content.triangles > 0 {
-            losses.push(format!("{} triangles", content.triangles));
+        let faces = if kind == Kind::Ply { content.faces } else { Faces::default() };
+        if kind == Kind::Pcd && content.faces.triangles > 0 {
+            losses.push(format!("{} faces", content.faces.polygons));
         }
-        if triangles > 0 {
+        if faces.triangles > 0 {
             content.too_many("vertices with faces", info.vertices, u64::from(u32::MAX))?;
         }
         let mut taken: HashSet<String> = own.iter().map(|name| (*name).to_owned()).collect();
@@ -86,7 +87,7 @@ impl Records {
         let colors = if packed.is_some() { 4 } else { 0 };
         let stride = 3 * scalar.size() + if content.has_normals { 12 } else { 0 } + colors + numbers;
         let (vertices, has_normals) = (info.vertices, content.has_normals);
-        Ok(Self { kind, vertices, triangles, scalar, has_normals, attributes, packed, comments, stride })
+        Ok(Self { kind, vertices, faces, scalar, has_normals, attributes, packed, comments, stride })
     }
 
     /// Name and type of all numbers of a record.
@@ -104,10 +105,11 @@ impl Records {
         self.comments.iter().for_each(|comment| header += &format!("comment {comment}\n"));
         header += &format!("element vertex {}\n", self.vertices);
         self.fields().for_each(|(name, kind)| header += &format!("property {} {name}\n", kind.name()));
-        if self.triangles > 0 {
+        if self.faces.triangles > 0 {
             header += &format!(
-                "element face {}\nproperty list uchar {} vertex_indices\n",
-                self.triangles,
+                "element face {}\nproperty list {} {} vertex_indices\n",
+                self.faces.polygons,
+                self.length().name(),
                 self.index().name()
             );
         }
@@ -132,6 +134,11 @@ impl Records {
             words(&|_, _| "1".to_owned()),
             n = self.vertices
         )
+    }
+
+    /// The type of how many corners a face has.
+    fn length(&self) -> Type {
+        if self.faces.largest <= usize::from(u8::MAX) { Type::U8 } else { Type::I32 }
     }
 
     /// The type of the numbers of vertices: what most programs expect, as long as it reaches.
@@ -192,18 +199,26 @@ impl Form for Records {
     }
 
     fn has_faces(&self) -> bool {
-        self.triangles > 0
+        self.faces.triangles > 0
     }
 
-    fn faces(&self, triangles: &[[u32; 3]], to: &mut Vec<u8>) -> Result<()> {
-        to.resize(13 * triangles.len(), 3);
-        for (record, corners) in to.chunks_exact_mut(13).zip(triangles) {
-            record[1..].copy_from_slice(corners.map(u32::to_le_bytes).as_flattened());
+    fn holds_polygons(&self) -> bool {
+        true
+    }
+
+    fn faces(&self, faces: &Polygons, to: &mut Vec<u8>) -> Result<()> {
+        let length = self.length().size();
+        to.clear();
+        to.reserve(length * faces.len() + 4 * faces.corners());
+        for corners in faces.iter() {
+            to.extend_from_slice(&(corners.len() as u32).to_le_bytes()[..length]);
+            corners.iter().for_each(|corner| to.extend_from_slice(&corner.to_le_bytes()));
         }
         Ok(())
     }
 
     fn bytes(&self) -> u64 {
-        self.vertices * self.stride as u64 + 13 * self.triangles
+        let of_faces = self.length().size() as u64 * self.faces.polygons + 4 * self.faces.corners;
+        self.vertices * self.stride as u64 + of_faces
     }
 }

@@ -7,6 +7,7 @@ use glam::Vec3;
 use memmap2::Mmap;
 
 use crate::form::{Content, Form, Rows, attribute_loss};
+use crate::polygons::Polygons;
 use crate::scratch::Scratch;
 use crate::{Error, ErrorKind, Result, Scalar, Summary};
 
@@ -22,14 +23,14 @@ pub(super) struct Stl {
 impl Stl {
     pub(super) fn new(content: &Content<'_>, losses: &mut Vec<String>) -> Result<Self> {
         let info = content.info();
-        if content.triangles == 0 {
+        if content.faces.triangles == 0 {
             return Err(Error::new(
                 ErrorKind::Argument,
                 format!("{} has no faces, which STL consists of", content.model.path().display()),
                 "write another format, as PLY",
             ));
         }
-        content.too_many("triangles", content.triangles, u64::from(u32::MAX))?;
+        content.too_many("triangles", content.faces.triangles, u64::from(u32::MAX))?;
         if info.position_type == Scalar::F64 {
             losses.push("digits of the positions: double becomes float".to_owned());
         }
@@ -41,11 +42,15 @@ impl Stl {
             losses.push(format!("the coordinate reference system {crs}"));
         }
         // Soup is soup again.
-        if info.vertices != 3 * content.triangles {
+        if info.vertices != 3 * content.faces.triangles {
             losses.push("which corners are one vertex".to_owned());
         }
         let file = Scratch::new(&content.folder, "write another format, as PLY")?;
-        Ok(Self { triangles: content.triangles, vertices: Mutex::new(Some(file)), map: OnceLock::new() })
+        Ok(Self {
+            triangles: content.faces.triangles,
+            vertices: Mutex::new(Some(file)),
+            map: OnceLock::new(),
+        })
     }
 
     /// The positions of all vertices, 12 bytes each.
@@ -101,12 +106,13 @@ impl Form for Stl {
         true
     }
 
-    fn faces(&self, triangles: &[[u32; 3]], to: &mut Vec<u8>) -> Result<()> {
+    fn faces(&self, faces: &Polygons, to: &mut Vec<u8>) -> Result<()> {
         let all = self.all()?;
         to.clear();
-        to.resize(FACET * triangles.len(), 0);
-        for (facet, corners) in to.chunks_exact_mut(FACET).zip(triangles) {
-            let [a, b, c] = corners.map(|corner| position(all, corner));
+        to.resize(FACET * faces.len(), 0);
+        for (facet, corners) in to.chunks_exact_mut(FACET).zip(faces.iter()) {
+            let [a, b, c] =
+                [0, 1, 2].map(|i| corners.get(i).map_or(Vec3::NAN, |corner| position(all, *corner)));
             let (u, v) = ((b - a).as_dvec3(), (c - a).as_dvec3());
             let normal =
                 u.try_normalize().zip(v.try_normalize()).and_then(|(u, v)| u.cross(v).try_normalize());

@@ -4,7 +4,8 @@ use std::io::Write;
 
 use glam::DVec3;
 
-use crate::form::{Content, Form, Rows, attribute_loss};
+use crate::form::{Content, Faces, Form, Rows, attribute_loss};
+use crate::polygons::Polygons;
 use crate::{Attribute, ColorScale, Colors, Result, Scalar, Summary, Type};
 
 /// How positions become text: so that they come back.
@@ -92,7 +93,7 @@ pub(super) struct Lines {
     kind: Kind,
     digits: Digits,
     vertices: u64,
-    triangles: u64,
+    faces: Faces,
     has_normals: bool,
     attributes: Vec<(String, Type, usize)>,
     /// The colours of OBJ and OFF.
@@ -142,8 +143,8 @@ impl Lines {
     pub(super) fn new(kind: Kind, content: &Content<'_>, losses: &mut Vec<String>) -> Result<Self> {
         let info = content.info();
         let holds_faces = matches!(kind, Kind::Obj | Kind::Off);
-        if !holds_faces && content.triangles > 0 {
-            losses.push(format!("{} triangles", content.triangles));
+        if !holds_faces && content.faces.triangles > 0 {
+            losses.push(format!("{} faces", content.faces.polygons));
         }
         let holds_normals = !matches!(kind, Kind::Plain { with_normals: false, .. });
         if content.has_normals && !holds_normals {
@@ -193,7 +194,7 @@ impl Lines {
             kind,
             digits: Digits::of(content),
             vertices: info.vertices,
-            triangles: if holds_faces { content.triangles } else { 0 },
+            faces: if holds_faces { content.faces } else { Faces::default() },
             has_normals: content.has_normals && holds_normals,
             attributes,
             colors,
@@ -212,7 +213,7 @@ impl Form for Lines {
             Kind::Off => {
                 let color = if self.colors.is_some() { "C" } else { "" };
                 let normal = if self.has_normals { "N" } else { "" };
-                format!("{color}{normal}OFF\n{} {} 0\n", self.vertices, self.triangles).into_bytes()
+                format!("{color}{normal}OFF\n{} {} 0\n", self.vertices, self.faces.polygons).into_bytes()
             }
             Kind::Named(separator) => {
                 let mut names = vec!["x", "y", "z"];
@@ -258,23 +259,27 @@ impl Form for Lines {
     }
 
     fn has_faces(&self) -> bool {
-        self.triangles > 0
+        self.faces.triangles > 0
     }
 
-    fn faces(&self, triangles: &[[u32; 3]], to: &mut Vec<u8>) -> Result<()> {
+    fn holds_polygons(&self) -> bool {
+        true
+    }
+
+    fn faces(&self, faces: &Polygons, to: &mut Vec<u8>) -> Result<()> {
         to.clear();
-        for [a, b, c] in triangles {
-            let _ = match (self.kind, self.has_normals) {
-                (Kind::Off, _) => writeln!(to, "3 {a} {b} {c}"),
-                (_, has_normals) => {
-                    let [a, b, c] = [*a, *b, *c].map(|corner| u64::from(corner) + 1);
-                    if has_normals {
-                        writeln!(to, "f {a}//{a} {b}//{b} {c}//{c}")
-                    } else {
-                        writeln!(to, "f {a} {b} {c}")
-                    }
-                }
-            };
+        for corners in faces.iter() {
+            // Writing to memory does not fail.
+            let _ = if self.kind == Kind::Off { write!(to, "{}", corners.len()) } else { write!(to, "f") };
+            for corner in corners {
+                let one_more = u64::from(*corner) + 1;
+                let _ = match (self.kind, self.has_normals) {
+                    (Kind::Off, _) => write!(to, " {corner}"),
+                    (_, true) => write!(to, " {one_more}//{one_more}"),
+                    (_, false) => write!(to, " {one_more}"),
+                };
+            }
+            to.push(b'\n');
         }
         Ok(())
     }
@@ -283,6 +288,6 @@ impl Form for Lines {
         // Twelve characters for a number, at a guess.
         let (normals, colors) = (u64::from(self.has_normals), u64::from(self.colors.is_some()));
         let numbers = 3 * (1 + normals + colors) + self.attributes.len() as u64;
-        12 * numbers * self.vertices + 24 * self.triangles
+        12 * numbers * self.vertices + 8 * self.faces.corners
     }
 }

@@ -8,8 +8,9 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use glam::Mat3;
 
 use crate::follow::Following;
-use crate::form::{Form, Rows, is_of_vertices};
+use crate::form::{Form, Rows};
 use crate::pipeline::{Piece, Pieces, Rewritable, Version};
+use crate::polygons::{Joining, Polygons};
 use crate::progress::Emerging;
 use crate::source::Source;
 use crate::{
@@ -164,15 +165,16 @@ impl Rewritable for Work<'_> {
     fn pieces(&self, _normals: Normals) -> Result<Box<dyn Pieces + '_>> {
         let vertices = self.model.info().vertices;
         let reader = self.in_order.then(|| self.model.vertices(0..vertices)).transpose()?;
-        let (faces, number) = (FaceChunk::default(), 0);
         Ok(Box::new(Reading {
             work: self,
             next: Next::Head,
-            number,
+            number: 0,
             vertex: 0,
             reader,
             triangles: None,
-            faces,
+            chunk: FaceChunk::default(),
+            joining: Joining::new(vertices, self.form.holds_polygons()),
+            faces: Polygons::default(),
         }))
     }
 
@@ -247,7 +249,9 @@ struct Reading<'a> {
     vertex: u64,
     reader: Option<Box<dyn VertexReader + 'a>>,
     triangles: Option<Box<dyn FaceReader + 'a>>,
-    faces: FaceChunk,
+    chunk: FaceChunk,
+    joining: Joining,
+    faces: Polygons,
 }
 
 impl Pieces for Reading<'_> {
@@ -323,7 +327,7 @@ impl Reading<'_> {
         Ok(Some(count as usize))
     }
 
-    /// The next triangles as they are written; `false` at their end.
+    /// The next faces as they are written; `false` at their end.
     fn read_faces(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
         let work = self.work;
         let vertices = work.model.info().vertices;
@@ -336,17 +340,20 @@ impl Reading<'_> {
                 self.triangles.insert(work.model.faces()?)
             }
         };
-        while reader.read(&mut self.faces)? {
-            work.progress.check()?;
-            work.progress.advance(self.faces.bytes);
-            self.faces.triangles.retain(|triangle| is_of_vertices(triangle, vertices));
-            if !self.faces.triangles.is_empty() {
-                chunk.raw.clear();
-                work.form.faces(&self.faces.triangles, &mut chunk.raw)?;
-                return Ok(true);
+        self.faces.clear();
+        while self.faces.len() == 0 {
+            if !reader.read(&mut self.chunk)? {
+                // Once more, and there is nothing left.
+                self.joining.finish(&mut self.faces);
+                break;
             }
+            work.progress.check()?;
+            work.progress.advance(self.chunk.bytes);
+            self.joining.add(&self.chunk, &mut self.faces);
         }
-        Ok(false)
+        chunk.raw.clear();
+        work.form.faces(&self.faces, &mut chunk.raw)?;
+        Ok(self.faces.len() > 0)
     }
 }
 

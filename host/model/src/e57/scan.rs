@@ -64,6 +64,33 @@ pub(super) struct TooWide {
     pub ends: [f64; 2],
 }
 
+/// An angle by which points turn further than samples at most: near the scanner it could be any.
+const MOST_TURN: f64 = 0.1;
+
+/// A number of a place, as fields of positions have it.
+#[derive(Debug, Clone, Copy)]
+struct Coordinate {
+    number: f64,
+    /// How much less or more it may be nearby, and what it is at most, either way.
+    margin: f64,
+    most: f64,
+    is_angle: bool,
+    /// It is the same after a full turn.
+    turns: bool,
+}
+
+impl Coordinate {
+    /// The same number as it lies within a range, if it can; or else next to another one.
+    fn beside(&self, other: f64, (least, most): (f64, f64)) -> f64 {
+        if !self.turns {
+            return self.number;
+        }
+        let turned = [0.0, TAU, -TAU].map(|turn| self.number + turn);
+        let within = turned.into_iter().find(|number| (least..=most).contains(number));
+        within.unwrap_or_else(|| self.number + TAU * ((other - self.number) / TAU).round())
+    }
+}
+
 /// How far points reach: in x, y and z, and in range, azimuth and elevation, in the scan's own frame.
 pub(super) type Reach = [Bounds; 2];
 
@@ -235,12 +262,14 @@ impl Scan {
         if let Some([range, azimuth, elevation]) = polar {
             let [r, a, e] = spherical(after);
             changed |= self.put(row, range, &[r])?;
-            changed |= self.put(row, elevation, &[e])?;
+            changed |= self.put(row, elevation, &[e, self.held(elevation, e)])?;
             // Straight above the scanner any will do, and it stays; some programs count from 0 to a full
             // turn.
             if after.x != 0.0 || after.y != 0.0 {
                 let a = if a < 0.0 && azimuth_before > PI { a + TAU } else { a };
-                changed |= self.put(row, azimuth, &[a, a + TAU, a - TAU])?;
+                let [more, less] = [a + TAU, a - TAU];
+                let held = [a, more, less].map(|a| self.held(azimuth, a));
+                changed |= self.put(row, azimuth, &[a, more, less, held[0], held[1], held[2]])?;
             }
         }
         Ok(changed)
@@ -276,28 +305,39 @@ impl Scan {
     /// # Errors
     /// A field has too few bits for any range.
     pub fn make_room(&mut self, moves: &[[DVec3; 2]], margin: f64) -> Result<(), TooWide> {
-        let pose = self.described.pose;
-        let (flat, polar) = (self.roles.cartesian, self.roles.spherical.map(|[range, ..]| range));
-        let fields: Vec<usize> = flat.into_iter().flatten().chain(polar).collect();
-        let numbers = |p: DVec3| {
-            let local = pose.turned_back(p - pose.translation);
-            let flat = if flat.is_some() { &local.to_array()[..] } else { &[] };
-            flat.iter().copied().chain(polar.map(|_| spherical(local)[0])).collect::<Vec<f64>>()
-        };
+        let fields: Vec<usize> =
+            self.roles.cartesian.into_iter().chain(self.roles.spherical).flatten().collect();
         let ends: Vec<(f64, f64)> = fields.iter().map(|i| self.kinds[*i].range()).collect();
-        let is_within =
-            |(number, ends): (&f64, &(f64, f64))| (ends.0 - margin..=ends.1 + margin).contains(number);
         let mut reach = vec![(f64::INFINITY, f64::NEG_INFINITY); fields.len()];
         for [from, to] in moves {
-            if numbers(*from).iter().zip(&ends).all(is_within) {
-                for (reach, number) in reach.iter_mut().zip(numbers(*to)) {
-                    *reach = (reach.0.min(number - margin), reach.1.max(number + margin));
+            let (starts, goals) = (self.coordinates(*from, margin), self.coordinates(*to, margin));
+            let of = || starts.iter().zip(&goals).zip(&ends);
+            let is_within = |((start, _), ends): ((&Coordinate, _), &(f64, f64))| {
+                let number = start.beside(start.number, *ends);
+                (ends.0 - start.margin..=ends.1 + start.margin).contains(&number)
+            };
+            if !of().all(is_within) {
+                continue;
+            }
+            for (((start, goal), ends), reach) in of().zip(&mut reach) {
+                // Next to the others.
+                let others = f64::midpoint(reach.0, reach.1);
+                let number = goal.beside(if others.is_finite() { others } else { start.number }, *ends);
+                let (mut least, mut most) =
+                    ((number - goal.margin).max(-goal.most), (number + goal.margin).min(goal.most));
+                if goal.is_angle && from == to {
+                    // Points that stay have room.
+                    (least, most) = (least.clamp(ends.0, ends.1), most.clamp(ends.0, ends.1));
                 }
+                *reach = (reach.0.min(least), reach.1.max(most));
             }
         }
         for ((of_row, (least, most)), ends) in fields.into_iter().zip(reach).zip(ends) {
             let Kind::Integer { min, max, scale, offset } = self.kinds[of_row] else { continue };
-            if least > most || (least >= ends.0 && most <= ends.1) {
+            // All around there is room for any azimuth.
+            let is_azimuth = self.roles.spherical.is_some_and(|[_, azimuth, _]| azimuth == of_row);
+            let is_all_around = is_azimuth && ends.1 - ends.0 + 2.0 * scale.abs() > TAU;
+            if least > most || (least >= ends.0 && most <= ends.1) || is_all_around {
                 continue;
             }
             let steps = [least, most].map(|number| (number - offset) / scale);
@@ -309,6 +349,29 @@ impl Scan {
             self.written[of_row] = Kind::Integer { min, max, scale, offset };
         }
         Ok(())
+    }
+
+    /// The numbers of a place in the frame of all scans: x, y and z, if points have them, and then range, azimuth
+    /// and elevation; each with what a margin around the place makes of it.
+    fn coordinates(&self, p: DVec3, margin: f64) -> Vec<Coordinate> {
+        let local = self.described.pose.turned_back(p - self.described.pose.translation);
+        let length =
+            |number| Coordinate { number, margin, most: f64::INFINITY, is_angle: false, turns: false };
+        let mut all = Vec::new();
+        if self.roles.cartesian.is_some() {
+            all.extend(local.to_array().map(length));
+        }
+        if self.roles.spherical.is_some() {
+            let [range, azimuth, elevation] = spherical(local);
+            let angle = |number, radius: f64, most, turns| {
+                let margin = (margin / radius.max(f64::MIN_POSITIVE)).min(MOST_TURN);
+                Coordinate { number, margin, most, is_angle: true, turns }
+            };
+            all.push(length(range));
+            all.push(angle(azimuth, local.truncate().length(), f64::INFINITY, true));
+            all.push(angle(elevation, range, PI / 2.0, false));
+        }
+        all
     }
 
     /// Whether any point may be at a position in the frame of all scans, or hardly beyond what the fields hold: a
@@ -343,6 +406,13 @@ impl Scan {
             }
         }
         changed
+    }
+
+    /// An angle, held to the range of its field if it is beyond that by less than a step.
+    fn held(&self, of_row: usize, angle: f64) -> f64 {
+        let (least, most) = self.written[of_row].range();
+        let near = angle.clamp(least, most);
+        if (near - angle).abs() <= self.field(of_row).step() { near } else { angle }
     }
 
     /// Puts the first of some numbers that the field can hold; whether its bits change.

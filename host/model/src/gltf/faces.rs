@@ -102,9 +102,8 @@ impl<'a> Faces<'a> {
 
 impl FaceReader for Faces<'_> {
     fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
-        let FaceChunk { triangles, marks, bytes } = chunk;
-        triangles.clear();
-        marks.clear();
+        chunk.clear();
+        let FaceChunk { triangles, marks, bytes, .. } = chunk;
         while triangles.len() < CHUNK_TRIANGLES {
             if self.range.is_empty() {
                 let Some(next) = self.ranges.next() else { break };

@@ -1,5 +1,7 @@
 //! Numbers of a point's record beside its position.
 
+use std::ops::Range;
+
 use super::header::{Header, RECORD_BYTES, bytes_at};
 use crate::{Attribute, Type};
 
@@ -26,6 +28,17 @@ enum How {
         scale: f64,
         offset: f64,
     },
+}
+
+impl How {
+    fn size(self) -> usize {
+        match self {
+            Self::Bits { .. } => 1,
+            Self::Number(kind) => kind.size(),
+            Self::U64 | Self::I64 => 8,
+            Self::Scaled { number, .. } => number.size(),
+        }
+    }
 }
 
 /// A type of extra bytes.
@@ -71,7 +84,7 @@ pub(super) struct Places {
     /// Extra bytes that are among them.
     extra_bytes: usize,
     /// Bytes of a record before extra ones.
-    standard_bytes: usize,
+    pub standard_bytes: usize,
 }
 
 impl Places {
@@ -202,6 +215,11 @@ impl Places {
             values.extend(records.chunks_exact(record).map(|bytes| place.number(bytes)));
         }
         to.iter_mut().skip(self.places.len()).for_each(Vec::clear);
+    }
+
+    /// The bytes of a record that an attribute is in.
+    pub fn bytes_of(&self, attribute: usize) -> Range<usize> {
+        self.places.get(attribute).map_or(0..0, |place| place.at..place.at + place.how.size())
     }
 
     /// Extra bytes of a record that are not among the attributes as they are.

@@ -199,6 +199,11 @@ impl Blocks {
         self.starts.len() - 1
     }
 
+    /// How many vertices all blocks have.
+    pub fn vertices(&self) -> u64 {
+        self.starts[self.len()].0
+    }
+
     /// Where the blocks end.
     pub fn end(&self) -> u64 {
         self.starts[self.len()].1
@@ -218,7 +223,7 @@ impl Blocks {
     /// Vertices of the largest group of blocks that are read at a time, about.
     pub fn most_vertices(&self) -> u64 {
         let largest = (0..self.len()).map(|number| self.block(number).vertices).max().unwrap_or(1);
-        largest.max((CHUNK_VERTICES as u64).min(self.starts[self.len()].0)).max(1)
+        largest.max((CHUNK_VERTICES as u64).min(self.vertices())).max(1)
     }
 
     /// The first vertex of a block, and where it begins.

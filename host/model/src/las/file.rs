@@ -1,12 +1,17 @@
 //! What is known of a LAS file once it is open.
 
+use std::ops::Range;
+use std::sync::{Arc, Mutex, PoisonError};
+
 use super::attributes::Places;
 use super::blocks::Blocks;
 use super::header::{CUT_OFF, DAMAGED, Header};
+use super::kept::Kept;
 use super::laszip::Laszip;
+use super::points;
 use super::vlrs::{Kind, Records};
 use crate::source::Source;
-use crate::{Attribute, ModelInfo, Result, Scalar, ScaledIntegers, VertexChunk};
+use crate::{Attribute, Colors, ModelInfo, Result, Scalar, ScaledIntegers, VertexChunk};
 
 /// Most bytes of the record that describes extra bytes: as many as can be in a record of a point.
 const MOST_DESCRIPTIONS: u64 = 192 << 16;
@@ -23,6 +28,8 @@ pub struct LasModel {
     pub(super) info: ModelInfo,
     /// By how many steps the offset of what is written is another one.
     pub(super) shift: [i64; 3],
+    /// What was found in compressed points, as long as they are [read again](crate::Model::keep_positions).
+    pub(super) kept: Mutex<Option<Arc<Kept>>>,
 }
 
 impl LasModel {
@@ -63,12 +70,23 @@ impl LasModel {
             ranges: Vec::new(),
             crs: records.crs(&source)?,
         };
-        Ok(Self { source, header, records, places, compressed, info, shift: [0; 3] })
+        Ok(Self { source, header, records, places, compressed, info, shift: [0; 3], kept: Mutex::default() })
     }
 
     /// How positions are stored in what is written.
     pub(super) fn written(&self) -> &ScaledIntegers {
         self.info.written.as_ref().unwrap_or(&self.header.integers)
+    }
+
+    /// The bytes of a record that positions and colours take.
+    pub(super) fn parts(&self) -> Vec<Range<usize>> {
+        let colors = Colors::of(&self.info).into_iter().flat_map(|colors| colors.places);
+        let of_colors = colors.map(|place| self.places.bytes_of(place));
+        std::iter::once(0..points::BYTES).chain(of_colors).collect()
+    }
+
+    pub(super) fn kept(&self) -> Option<Arc<Kept>> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// The records of a chunk's vertices.

@@ -135,8 +135,8 @@ fn fits(kind: Type, place: Place) -> bool {
 impl LasForm {
     pub(crate) fn new(is_compressed: bool, content: &Content<'_>, losses: &mut Vec<String>) -> Result<Self> {
         let info = content.info();
-        if content.triangles > 0 {
-            losses.push(format!("{} triangles", content.triangles));
+        if content.faces.triangles > 0 {
+            losses.push(format!("{} faces", content.faces.polygons));
         }
         if content.has_normals {
             losses.push("the normals".to_owned());

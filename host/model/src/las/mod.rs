@@ -10,7 +10,7 @@
 //! | `file` | what is known of a file once it is open |
 //! | `header` | the header; `vlrs` the records around the points, of which few matter |
 //! | `points` | positions in and out of records; `attributes` the other numbers |
-//! | `laszip` | a block of compressed points, in and out; `blocks` where they are |
+//! | `laszip` | a block of compressed points, in and out; `blocks` where they are; `kept` what was found in them |
 //! | `reader` | chunks of vertices from anywhere in the file |
 //! | `rewrite` | the whole file anew; `form` one made of another format, and
 //! | | `same_records` the same points compressed, or not |
@@ -20,6 +20,7 @@ mod blocks;
 mod file;
 pub(crate) mod form;
 mod header;
+mod kept;
 mod laszip;
 mod points;
 mod reader;
@@ -30,9 +31,11 @@ mod vlrs;
 use std::any::Any;
 use std::ops::Range;
 use std::path::Path;
+use std::sync::{Arc, PoisonError};
 
 pub(super) use file::LasModel;
 use glam::DVec3;
+use kept::Kept;
 use reader::Reader;
 use vlrs::Kind;
 
@@ -107,6 +110,16 @@ impl Model for LasModel {
 
     fn faces_at(&self, _ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
         Ok(Box::new(NoFaces))
+    }
+
+    fn keep_positions(&self, folder: Option<&Path>) {
+        // In layers, what is not asked for is not decompressed.
+        let blocks =
+            self.compressed.as_ref().filter(|(laszip, _)| !laszip.is_layered).map(|(_, blocks)| blocks);
+        let kept = folder
+            .zip(blocks)
+            .and_then(|(folder, blocks)| Kept::new(folder, blocks, self.parts(), self.header.record));
+        *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = kept.map(Arc::new);
     }
 
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {

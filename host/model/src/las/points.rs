@@ -8,7 +8,7 @@ use crate::unfit::Unfit;
 use crate::{ScaledIntegers, Summary};
 
 /// Bytes of the integers of a position.
-const BYTES: usize = 12;
+pub(super) const BYTES: usize = 12;
 
 #[inline(always)]
 fn numbers(record: &[u8]) -> IVec3 {

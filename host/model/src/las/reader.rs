@@ -7,6 +7,7 @@ use std::thread;
 use super::blocks::Blocks;
 use super::file::LasModel;
 use super::header::{CUT_OFF, DAMAGED};
+use super::kept::Compressed;
 use super::laszip::{Laszip, What};
 use super::points;
 use crate::model::Block;
@@ -162,14 +163,22 @@ impl LasModel {
         let vertices: u64 = of.iter().map(|block| block.vertices).sum();
         records.clear();
         records.resize(vertices as usize * record, 0);
+        let kept = if what == What::All { None } else { self.kept() };
         let (mut raw, mut records) = (raw, &mut records[..]);
         for (number, block) in (first..).zip(of) {
             let (bytes, others) = raw.split_at(block.bytes as usize);
             let (now, later) = records.split_at_mut(block.vertices as usize * record);
+            (raw, records) = (others, later);
+            let block = Compressed { number, bytes };
+            if kept.as_ref().is_some_and(|kept| kept.get(block, now)) {
+                continue;
+            }
             laszip.decompress(bytes, now, what).map_err(|what| {
                 self.source.malformed(format!("compressed block {number} cannot be read: {what}"), DAMAGED)
             })?;
-            (raw, records) = (others, later);
+            if let Some(kept) = &kept {
+                kept.put(block, now);
+            }
         }
         Ok(())
     }
@@ -194,7 +203,10 @@ impl VertexReader for Reader<'_> {
     }
 
     fn skip_all_but_colors(&mut self) {
-        self.what = What::Colors;
+        // Extra bytes are called so, too.
+        let is_layered = self.model.compressed.as_ref().is_some_and(|(laszip, _)| laszip.is_layered);
+        let any_name = self.model.parts().iter().any(|part| part.end > self.model.places.standard_bytes);
+        self.what = if is_layered && any_name { What::All } else { What::Colors };
     }
 
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {

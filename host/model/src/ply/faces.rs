@@ -101,20 +101,21 @@ impl Compact {
         })
     }
 
-    /// Reads up to so many records that `bytes` begin with into `triangles`, up to one that is short or long.
+    /// Reads up to so many records that `bytes` begin with into `chunk`, up to one that is short or long.
     /// Returns the number of records and their bytes.
     #[inline(always)]
     fn read(
         &self,
         bytes: &[u8],
         records: u64,
-        triangles: &mut Vec<[u32; 3]>,
+        chunk: &mut FaceChunk,
         decode: impl Fn([u8; 4]) -> u32,
     ) -> (u64, usize) {
         let corner = |bytes: &[u8], at: usize| {
             let corner = decode(binary::bytes_at(bytes, at));
             if corner & self.sign == 0 { corner } else { u32::MAX }
         };
+        let FaceChunk { triangles, continued, .. } = chunk;
         let (mut record, mut at) = (0, 0);
         while record < records && triangles.len() + Self::CORNERS <= CHUNK_TRIANGLES {
             let rest = &bytes[at..];
@@ -130,6 +131,8 @@ impl Compact {
                 }
                 corners @ 4..=Self::CORNERS if rest.len() >= self.bare + 4 * corners => {
                     let corner = |i: usize| corner(rest, self.corners + 4 * i);
+                    let first = triangles.len() as u32;
+                    continued.extend(first + 1..first + corners as u32 - 2);
                     triangles.extend((2..corners).map(|i| [corner(0), corner(i - 1), corner(i)]));
                     at += self.bare + 4 * corners;
                 }
@@ -211,9 +214,7 @@ impl<'a> Faces<'a> {
 
 impl FaceReader for Faces<'_> {
     fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
-        chunk.triangles.clear();
-        chunk.marks.clear();
-        chunk.bytes = 0;
+        chunk.clear();
         let Some(part) = self.parts.get(self.part) else { return Ok(false) };
         chunk.triangles.reserve(CHUNK_TRIANGLES);
         let cursor = &mut self.cursor;
@@ -261,9 +262,7 @@ impl<'a> SomeFaces<'a> {
 
 impl FaceReader for SomeFaces<'_> {
     fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
-        chunk.triangles.clear();
-        chunk.marks.clear();
-        chunk.bytes = 0;
+        chunk.clear();
         chunk.triangles.reserve(CHUNK_TRIANGLES);
         let cursor = &mut self.cursor;
         while chunk.triangles.len() < CHUNK_TRIANGLES && chunk.bytes < CHUNK_BYTES as u64 {
@@ -325,7 +324,7 @@ impl<'a> Cursor<'a> {
             return Ok(true);
         }
         if let (Some(list), 1..) = (part.corners, self.left) {
-            self.read_corners(part, list.item, &mut chunk.triangles)?;
+            self.read_corners(part, list.item, chunk)?;
             return Ok(true);
         }
         if self.step == 0 {
@@ -364,9 +363,9 @@ impl<'a> Cursor<'a> {
             let end = plan.count.min(self.next_mark);
             let (bytes, left) = (self.window.rest(), end.saturating_sub(self.record));
             let (records, bytes) = if self.encoding == Encoding::Big {
-                compact.read(bytes, left, &mut chunk.triangles, u32::from_be_bytes)
+                compact.read(bytes, left, chunk, u32::from_be_bytes)
             } else {
-                compact.read(bytes, left, &mut chunk.triangles, u32::from_le_bytes)
+                compact.read(bytes, left, chunk, u32::from_le_bytes)
             };
             self.record += records;
             self.window.at += bytes;
@@ -391,12 +390,16 @@ impl<'a> Cursor<'a> {
     }
 
     /// Reads corners of the list, each of which ends a triangle at most.
-    fn read_corners(&mut self, part: &Part, item: Type, triangles: &mut Vec<[u32; 3]>) -> Result<()> {
-        let room = (CHUNK_TRIANGLES - triangles.len()).min(Self::AT_ONCE);
+    fn read_corners(&mut self, part: &Part, item: Type, chunk: &mut FaceChunk) -> Result<()> {
+        let room = (CHUNK_TRIANGLES - chunk.triangles.len()).min(Self::AT_ONCE);
         for _ in 0..self.left.min(room as u64) {
             let index = self.integer(&part.plan, item)?;
             self.left -= 1;
-            triangles.extend(if part.strips { self.fan.strip(index) } else { self.fan.polygon(index) });
+            if part.strips {
+                chunk.triangles.extend(self.fan.strip(index));
+            } else {
+                chunk.add_corner(&mut self.fan, index);
+            }
         }
         Ok(())
     }

@@ -57,8 +57,7 @@ impl Facets {
 
 impl FaceReader for Facets {
     fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
-        chunk.triangles.clear();
-        chunk.marks.clear();
+        chunk.clear();
         while chunk.triangles.len() < CHUNK_TRIANGLES {
             if self.range.is_empty() {
                 let Some(next) = self.ranges.next() else { break };

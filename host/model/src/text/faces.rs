@@ -91,10 +91,10 @@ impl<'a, P: FaceLines> LineFaces<'a, P> {
     }
 
     /// Adds the triangles of the face that is being read; `false` if there is no room for all.
-    fn add(&mut self, triangles: &mut Vec<[u32; 3]>) -> Result<bool> {
-        while triangles.len() < CHUNK_TRIANGLES {
+    fn add(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
+        while chunk.triangles.len() < CHUNK_TRIANGLES {
             match self.parser.corner(&self.line, &mut self.at) {
-                Ok(Some(index)) => triangles.extend(self.fan.polygon(index)),
+                Ok(Some(index)) => chunk.add_corner(&mut self.fan, index),
                 Ok(None) => {
                     self.line.clear();
                     return Ok(true);
@@ -108,15 +108,13 @@ impl<'a, P: FaceLines> LineFaces<'a, P> {
 
 impl<P: FaceLines> FaceReader for LineFaces<'_, P> {
     fn read(&mut self, chunk: &mut FaceChunk) -> Result<bool> {
-        chunk.triangles.clear();
-        chunk.marks.clear();
-        chunk.bytes = 0;
+        chunk.clear();
         if self.is_over {
             return Ok(false);
         }
         chunk.triangles.reserve(CHUNK_TRIANGLES);
         loop {
-            if !self.line.is_empty() && !self.add(&mut chunk.triangles)? {
+            if !self.line.is_empty() && !self.add(chunk)? {
                 return Ok(true);
             }
             if chunk.triangles.len() == CHUNK_TRIANGLES || !self.next_face(chunk)? {

@@ -133,7 +133,7 @@ fn bad_files_are_errors_or_sane() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(cases(64))]
 
     #[test]
     fn any_numbers_come_back_as_they_are(

@@ -609,6 +609,87 @@ fn what_does_not_fit_the_bits_is_an_error_that_says_so() {
     assert_eq!(error, "the deformation moves vertex 0 to NaN");
 }
 
+/// Where each point goes.
+type Motion = Box<dyn Fn(DVec3) -> DVec3 + Sync>;
+
+#[test]
+fn angles_get_other_ranges_where_their_bits_allow() {
+    let mut next = random(5);
+    let mut list =
+        |least: f64, most: f64| (0..500).map(|_| least + (most - least) * next()).collect::<Vec<_>>();
+    let scan = MadeScan {
+        fields: vec![
+            Made::scaled("sphericalRange", 14, 0.001, 8.0, list(5.0, 9.0)),
+            Made::scaled("sphericalAzimuth", 10, 0.001, 0.3, list(0.1, 0.6)),
+            Made::scaled("sphericalElevation", 10, 0.001, 0.2, list(0.0, 0.4)),
+        ],
+        xml: POSE.to_owned(),
+        ..MadeScan::default()
+    };
+    let bytes = make(&[scan], At::End, |left| left / 2 + 1);
+    let (rotation, place) = pose();
+    let about = |turn: DQuat| move |p: DVec3| place + rotation * (turn * (rotation.inverse() * (p - place)));
+    let turns = |angle: f64| about(DQuat::from_rotation_z(angle));
+    let cases: [(&str, Motion); 6] = [
+        ("sphericalAzimuth", Box::new(turns(1.0))),
+        ("sphericalAzimuth", Box::new(turns(-0.6))),
+        // Through half a turn, from where some count on and others from below.
+        ("sphericalAzimuth", Box::new(turns(2.79))),
+        ("sphericalAzimuth", Box::new(turns(-3.5))),
+        ("sphericalElevation", Box::new(about(DQuat::from_rotation_y(-0.8)))),
+        ("sphericalRange", Box::new(move |p| place + 2.0 * (p - place))),
+    ];
+    for (field, motion) in cases {
+        let mut model = open(&bytes, ".e57").unwrap();
+        let before = read(model.as_ref()).unwrap().0;
+        assert!(message(move_points(model.as_ref(), &motion)).contains(field));
+        let moves: Vec<[DVec3; 2]> = before.iter().map(|p| [*p, motion(*p)]).collect();
+        let changed = model.make_room(&moves, 0.01).unwrap().unwrap();
+        assert!(changed.contains(&format!("{field} of scan 1 is")), "{changed}");
+        let out = move_points(model.as_ref(), &motion).unwrap();
+        let after = read(open(&out, ".e57").unwrap().as_ref()).unwrap().0;
+        for ([_, wanted], found) in moves.iter().zip(&after) {
+            // Half a step of each, at most 18 m away.
+            assert!((*wanted - *found).length() < 0.02, "{field}: {found} for {wanted}");
+        }
+    }
+    // As far apart as no range of so many bits is wide, and next to others that stay.
+    let mut model = open(&bytes, ".e57").unwrap();
+    let before = read(model.as_ref()).unwrap().0;
+    let moves: Vec<[DVec3; 2]> =
+        before.iter().enumerate().map(|(i, p)| [*p, if i % 2 == 0 { turns(1.0)(*p) } else { *p }]).collect();
+    let error = model.make_room(&moves, 0.01).unwrap_err();
+    assert!(error.to_string().contains("sphericalAzimuth of scan 1 goes from"), "{error}");
+    assert!(error.hint().contains("floats"));
+}
+
+#[test]
+fn azimuths_all_around_have_room_for_any() {
+    let scan = MadeScan {
+        fields: vec![
+            Made::scaled("sphericalRange", 14, 0.001, 8.0, [5.0; 300]),
+            // To the nearest step within half a turn either way.
+            Made {
+                xml: "<sphericalAzimuth type=\"ScaledInteger\" minimum=\"-3141\" maximum=\"3141\" scale=\"1e-3\"/>".into(),
+                bits: 13,
+                numbers: (0..300).map(|i| i * 20).collect(),
+            },
+            Made::scaled("sphericalElevation", 12, 0.001, 0.0, [0.1; 300]),
+        ],
+        ..MadeScan::default()
+    };
+    let mut model = open(&make(&[scan], At::End, |left| left), ".e57").unwrap();
+    let before = read(model.as_ref()).unwrap().0;
+    for angle in [1.0, 2.0, -1.5, std::f64::consts::PI] {
+        let turn = |p: DVec3| DQuat::from_rotation_z(angle) * p;
+        let moves: Vec<[DVec3; 2]> = before.iter().map(|p| [*p, turn(*p)]).collect();
+        assert_eq!(model.make_room(&moves, 0.01).unwrap(), None);
+        let out = move_points(model.as_ref(), turn).unwrap();
+        let after = read(open(&out, ".e57").unwrap().as_ref()).unwrap().0;
+        assert!(moves.iter().zip(&after).all(|([_, wanted], found)| (*wanted - *found).length() < 0.006));
+    }
+}
+
 #[test]
 fn normals_turn_in_their_scan_and_cannot_be_left_out() {
     let mut scan = three(50).swap_remove(0);
@@ -774,7 +855,7 @@ fn bad_files_are_errors_or_sane() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(24))]
+    #![proptest_config(cases(24))]
 
     #[test]
     fn numbers_of_any_width_in_any_packets_move(

@@ -15,6 +15,7 @@ use std::ops::Range;
 use std::sync::Mutex;
 
 use glam::{DVec3, Vec3};
+use proptest::prelude::ProptestConfig;
 use simod_model::progress::Silent;
 use simod_model::{
     Edit, Edited, FaceChunk, Model, Normals, Output, Result, Rewriting, Summary, VertexChunk, for_faces,
@@ -161,6 +162,16 @@ pub fn message(result: Result<impl Sized>) -> String {
     }
 }
 
+/// So many cases, unless others are asked for.
+pub fn cases(count: u32) -> ProptestConfig {
+    let usual = ProptestConfig::default();
+    if std::env::var_os("PROPTEST_CASES").is_some() {
+        usual
+    } else {
+        ProptestConfig { cases: count, ..usual }
+    }
+}
+
 /// Goes over all of a file, as a command would.
 pub fn go_over(bytes: &[u8], extension: &str) -> Result<()> {
     let model = open(bytes, extension)?;
@@ -208,6 +219,71 @@ pub fn check_bad(bytes: &[u8], extension: &str) {
             let mut bad = bytes.to_vec();
             bad[at] = other;
             let _ = go_over(&bad, extension);
+        }
+    }
+}
+
+/// A text of each format, and a word of it that is a coordinate.
+const TEXTS: [(&str, &str, &str); 7] = [
+    ("v 0 0 0\nv 1.25 0 0\nv 0 1 0\n# end\nf 1 2 3\n", ".obj", "1.25"),
+    ("OFF\n3 1 0\n0 0 0\n1.25 0 0\n0 1 0\n3 0 1 2\n", ".off", "1.25"),
+    (
+        "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 3\nHEIGHT 1\nPOINTS 3\nDATA ascii\n\
+         0 0 0\n1.25 0 0\n0 1 0\n",
+        ".pcd",
+        "1.25",
+    ),
+    (
+        "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1.25 0 0\nvertex 0 1 0\nendloop\nendfacet\n\
+         endsolid a\n",
+        ".stl",
+        "1.25",
+    ),
+    ("x,y,z,a\n0,0,0,7\n1.25,0,0,8\n0,1,0,9\n", ".csv", "1.25"),
+    ("0 0 0\n1.25 0 0\n0 1 0\n", ".xyz", "1.25"),
+    ("3\n0 0 0 1\n1.25 0 0 1\n0 1 0 1\n", ".pts", "1.25"),
+];
+
+#[test]
+fn texts_with_line_ends_of_all_kinds_are_the_same() {
+    for (text, extension, _) in TEXTS {
+        let expected = read(open(text.as_bytes(), extension).unwrap().as_ref()).unwrap().0;
+        let ends = ["\r\n", "\n", "\r"];
+        let mixed: String =
+            text.lines().zip(ends.iter().cycle()).map(|(line, end)| line.to_owned() + end).collect();
+        go_over(mixed.as_bytes(), extension).unwrap();
+        let found = read(open(mixed.as_bytes(), extension).unwrap().as_ref()).unwrap().0;
+        assert_eq!(found, expected, "{extension}");
+    }
+}
+
+#[test]
+fn texts_with_what_is_no_text_are_errors_or_sane() {
+    for (text, extension, word) in TEXTS {
+        let with = |other: &[u8]| {
+            let (before, after) = text.split_once(word).unwrap();
+            go_over(&[before.as_bytes(), other, after.as_bytes()].concat(), extension)
+        };
+        // A number beyond all doubles is none, and stays.
+        with(b"1e999").unwrap();
+        for (what, other) in [
+            ("NUL alone", &b"\0"[..]),
+            ("NUL within", b"1.\x0025"),
+            ("NUL behind", b"1.25\0"),
+            ("no UTF-8", b"1.2\xff"),
+            ("words", b"one"),
+        ] {
+            if let Err(error) = with(other) {
+                let text = error.to_string();
+                let tells =
+                    ["line ", "vertex ", "ends within", "facets"].iter().any(|place| text.contains(place));
+                assert!(!error.hint().is_empty() && tells, "{extension}, {what}: {text}");
+            }
+        }
+        // Long lines are refused long before they are read to their end.
+        for (long, mebibytes) in [(b"1", 100), (b" ", 17), (b"\0", 17)] {
+            let error = with(&long.repeat(mebibytes << 20)).unwrap_err();
+            assert!(!error.hint().is_empty(), "{extension}: {error}");
         }
     }
 }

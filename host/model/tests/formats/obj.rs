@@ -283,7 +283,7 @@ fn a_polygon_of_any_length_is_a_fan() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(cases(64))]
 
     #[test]
     fn any_lines_come_back_as_they_are(

@@ -76,7 +76,7 @@ fn bad_files_are_errors_or_sane() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(cases(64))]
 
     #[test]
     fn any_mesh_comes_back_as_it_is(

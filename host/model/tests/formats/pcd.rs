@@ -221,7 +221,7 @@ fn bad_files_are_errors_or_sane() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(32))]
+    #![proptest_config(cases(32))]
 
     #[test]
     fn what_was_compressed_is_unpacked(values in prop::collection::vec((0u8..4, any::<f32>()), 1..3000)) {
