@@ -50,6 +50,27 @@ impl Expansion {
         Mat3::from_cols(rows[0], rows[1], rows[2]).transpose()
     }
 
+    /// The same with another gradient of the displacement.
+    pub fn with_slope(mut self, slope: Mat3) -> Self {
+        for (axis, row) in self.rows.iter_mut().enumerate() {
+            row[1..4].copy_from_slice(&slope.row(axis).to_array());
+        }
+        self
+    }
+
+    /// The same with other second-order terms: xx, xy, xz, yy, yz, zz.
+    pub fn with_second(mut self, second: [Vec3; 6]) -> Self {
+        for (axis, row) in self.rows.iter_mut().enumerate() {
+            row[4..].copy_from_slice(&second.map(|term| term[axis]));
+        }
+        self
+    }
+
+    /// The second-order terms xx, xy, xz, yy, yz, zz.
+    pub fn second(&self) -> [Vec3; 6] {
+        std::array::from_fn(|term| Vec3::from_array(self.rows.map(|row| row[4 + term])))
+    }
+
     /// Whether it moves nothing anywhere.
     pub fn is_still(&self) -> bool {
         self.rows.as_flattened().iter().all(|x| *x == 0.0)
