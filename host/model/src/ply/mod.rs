@@ -66,7 +66,7 @@ impl PlyModel {
     ///
     /// # Errors
     /// The file cannot be read, is not PLY, is cut off, or has no vertices with positions.
-    pub(super) fn new(source: Source) -> Result<Self> {
+    pub(crate) fn new(source: Source) -> Result<Self> {
         let header = Header::read(&source)?;
         Self::of(source, header, header::without_normals)
     }
