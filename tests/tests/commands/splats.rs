@@ -449,7 +449,7 @@ fn floaters_take_no_samples_and_are_deformed_all_the_same() {
     assert!(all["transparent"].is_null());
     assert!(work.ply("all.simod/samples.ply").bounds()[1].z > 0.9);
     work.write("edit.toml", "[model]\npath = \"model.ply\"\n[sampling]\nsamples = 2000\nmin-opacity = 0.3\n");
-    let more = work.report("run edit.toml");
+    let more = work.report("run edit.toml -o run.ply");
     assert!(more["transparent"].as_u64() > Some(1000));
     work.refuses("sample model.ply -o no.simod --min-opacity 1", &["least opacity 1"]);
     work.refuses("sample model.ply -o no.simod --min-opacity 0.99", &["too transparent"]);
