@@ -3,6 +3,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -25,16 +26,16 @@ def program(preferred: str) -> str:
 class Job:
     """Commands, one after the other, of which the first that fails is the last."""
 
-    def __init__(self, what: str, commands: list[list[str]], outputs: list[Path], expected: int) -> None:
+    def __init__(self, what: str, commands: list[list[str]]) -> None:
         self.what = what
         self.error = ""
         self.hint = ""
+        self.stage = ""
+        self.fraction = 0.0
         self.report: dict[str, Any] = {}
         self.folder = Path(tempfile.mkdtemp(prefix="simod-"))
         self.on_done: Callable[[Job], None] | None = None
         self.commands = commands
-        self._outputs = outputs
-        self._expected = max(expected, 1)
         self.process: subprocess.Popen[str] | None = None
         self._cancelled = threading.Event()
         self._started = time.monotonic()
@@ -55,16 +56,9 @@ class Job:
         """Since it began."""
         return time.monotonic() - self._started
 
-    def progress(self) -> float:
-        """How much is written, 0 to 1: what there is of the hidden files beside the outputs, and of these."""
-        written = 0
-        for output in self._outputs:
-            try:
-                hidden = [p for p in output.parent.iterdir() if p.name.startswith(".simod-") and p.suffix == ".part"]
-                written += sum(p.stat().st_size for p in hidden)
-            except OSError:
-                pass
-        return min(1.0, written / self._expected)
+    def progress(self) -> str:
+        """What it does now, as a line."""
+        return f"{self.stage or self.what}, {self.seconds:.0f} s"
 
     def wait(self) -> None:
         """Until it is over."""
@@ -86,20 +80,40 @@ class Job:
             if self._cancelled.is_set():
                 self.error = "cancelled"
                 return
-            try:
-                self.process = subprocess.Popen(
-                    command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-                )
-            except OSError as e:
-                self.error = f"{command[0]}: {e}"
-                return
-            if self._cancelled.is_set():
-                self.cancel()
-            out, errors = self.process.communicate()
-            if self.process.returncode != 0:
-                told = dict(line.split(": ", 1) for line in errors.splitlines() if ": " in line)
-                self.error = "cancelled" if self._cancelled.is_set() else told.get("error", "the program failed")
-                self.hint = told.get("hint", "")
-                return
-            if out.strip():
-                self.report = json.loads(out)
+            # A file, as nobody reads while it is written.
+            with tempfile.TemporaryFile("w+", encoding="utf-8") as out:
+                try:
+                    self.process = subprocess.Popen(
+                        [command[0], "--progress", "lines", *command[1:]],
+                        stdin=subprocess.DEVNULL,
+                        stdout=out,
+                        stderr=subprocess.PIPE,
+                        encoding="utf-8",
+                        errors="replace",
+                    )
+                except OSError as e:
+                    self.error = f"{command[0]}: {e}"
+                    return
+                if self._cancelled.is_set():
+                    self.cancel()
+                told = self._listen(self.process)
+                if self.process.wait() != 0:
+                    self.error = "cancelled" if self._cancelled.is_set() else told.get("error", "the program failed")
+                    self.hint = told.get("hint", "")
+                    return
+                out.seek(0)
+                printed = out.read()
+            if printed.strip():
+                self.report = json.loads(printed)
+
+    def _listen(self, process: subprocess.Popen[str]) -> dict[str, str]:
+        """What the program says until it ends, by its kind; how far it is goes to `stage` and `fraction`."""
+        told = {}
+        for line in process.stderr or []:
+            kind, _, text = line.rstrip().partition(": ")
+            if kind != "progress":
+                told[kind] = text
+                continue
+            stage, part = re.fullmatch(r"(.*?)(?: (\d+)%.*)?", text).groups()
+            self.stage, self.fraction = stage, int(part or 0) / 100
+        return told

@@ -141,7 +141,7 @@ class SIMOD_OT_import(Operator):
         folder = Path(bpy.path.abspath(self.folder)) if self.folder else model.with_suffix(".simod")
         count = int(self.preset) or self.samples
         command = [program(preferences_program(context)), "--json", "sample", str(model), "-o", str(folder)]
-        job = Job("sampling", [[*command, "--samples", str(count)]], [], 0)
+        job = Job("sampling", [[*command, "--samples", str(count)]])
 
         def done(job: Job) -> None:
             samples.new_object(bpy.context, Sampled.load(folder))
@@ -175,7 +175,7 @@ class SIMOD_OT_write(OfSamples):
         simod = program(preferences_program(context))
         sampled, out = samples.sampled_of(context.object), Path(bpy.path.abspath(self.filepath))
         positions = samples.evaluated(context, context.object, sampled)
-        job = Job("writing the model", [], [out], size(sampled))
+        job = Job("writing the model", [])
         deformed = job.folder / "deformed.ply"
         write_ply(deformed, positions)
         job.commands.append(
@@ -211,7 +211,7 @@ class SIMOD_OT_write_frames(OfSamples):
         frames, before = range(self.start, self.end + 1), context.scene.frame_current
         if not frames:
             raise samples.Refused("the last frame comes before the first")
-        job = Job("writing frames", [], [out], size(sampled) * len(frames))
+        job = Job("writing frames", [])
         try:
             for frame in frames:
                 context.scene.frame_set(frame)
@@ -245,7 +245,7 @@ class SIMOD_OT_refine(OfSamples):
             bpy.ops.object.mode_set(mode="OBJECT")
         before = samples.sampled_of(object)
         balls = selection(object, before)
-        job = Job("refining", [], [], 0)
+        job = Job("refining", [])
         write_ply(job.folder / "base.ply", samples.base(object, before))
         more = job.folder / "more.ply"
         shapes = [f"--sphere={','.join(repr(float(x)) for x in ball)}" for ball in balls]
@@ -276,11 +276,6 @@ class SIMOD_OT_cancel(bpy.types.Operator):
         if current:
             current.cancel()
         return {"FINISHED"}
-
-
-def size(sampled: Sampled) -> int:
-    """Bytes of the model, about those of what is written."""
-    return sampled.model.stat().st_size if sampled.model.exists() else 0
 
 
 def selection(object: bpy.types.Object, sampled: Sampled) -> np.ndarray:

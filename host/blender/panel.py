@@ -20,7 +20,7 @@ class SIMOD_PT_panel(bpy.types.Panel):
         job = operators.current
         if job and not job.is_over:
             row = layout.row()
-            row.progress(factor=job.progress(), text=f"{job.what}, {job.seconds:.0f} s")
+            row.progress(factor=job.fraction, text=job.progress())
             row.operator("simod.cancel", text="", icon="X")
         layout.operator("simod.import_samples", icon="IMPORT")
         column = layout.column(align=True)

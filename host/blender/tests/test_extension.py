@@ -328,8 +328,9 @@ def test_in_the_background_with_progress(imported, tmp_path, monkeypatch):
         bpy.ops.simod.write_model(filepath=str(tmp_path / "other.ply"))
     seen = []
     while operators.look() is not None:
-        seen.append(operators.current.progress())
-    assert all(0 <= part <= 1 for part in seen) and (tmp_path / "out.ply").exists()
+        seen.append((operators.current.stage, operators.current.fraction))
+    assert all(0 <= part <= 1 for _, part in seen) and (tmp_path / "out.ply").exists()
+    assert "reconstructing" in {stage for stage, _ in seen}
     assert operators.last_report[0].startswith("writing the model: done in")
     assert not bpy.ops.simod.cancel.poll()
 
@@ -339,11 +340,11 @@ def test_cancel(extension, tmp_path):
     subprocess.run([SIMOD, "generate", "--vertices", "4000000", "-o", big], check=True)
     jobs = sys.modules["simod_blender.jobs"]
     out = tmp_path / "folder"
-    job = jobs.Job("sampling", [[SIMOD, "--json", "sample", str(big), "-o", str(out)]], [out], 1).start()
-    while job.process is None:
+    job = jobs.Job("sampling", [[SIMOD, "--json", "sample", str(big), "-o", str(out)]]).start()
+    while job.fraction == 0:
         time.sleep(0.01)
-    time.sleep(0.3)
-    assert not job.is_over
+    assert not job.is_over and job.stage in ("counting", "clustering")
+    assert job.progress().startswith(job.stage)
     job.cancel()
     job.wait()
     job.close()

@@ -1,12 +1,13 @@
 //! The terminal: progress and errors on standard error, cancel by Ctrl-C and by the signals that mean the
 //! same.
 
+use std::fmt::Write as _;
 use std::io::Write;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{HumanBytes, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use simod_model::memory::MemoryWatch;
 use simod_model::{Error, Progress};
 
@@ -18,6 +19,21 @@ const DEAF: Duration = Duration::from_secs(1);
 
 /// How long it may take to stop then.
 const SLOW: Duration = Duration::from_secs(10);
+
+/// How often a line of progress is printed.
+const PAUSE: Duration = Duration::from_millis(250);
+
+/// How progress is shown on standard error.
+#[derive(Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Show {
+    /// A bar, where standard error is a terminal
+    #[default]
+    Auto,
+    /// Lines, for programs and logs: stage, part done, bytes a second
+    Lines,
+    /// Nothing
+    None,
+}
 
 /// Whether the user asked to stop, and somebody knows of it.
 #[derive(Default)]
@@ -35,7 +51,9 @@ pub struct Console {
 
 #[derive(Default)]
 struct Stages {
+    show: Show,
     bar: Option<ProgressBar>,
+    told: Option<Instant>,
     current: Option<(&'static str, Instant)>,
     done: Vec<(&'static str, Duration)>,
 }
@@ -58,6 +76,11 @@ impl Console {
         Self { wish: Arc::default(), memory: MemoryWatch::start(), stages: Mutex::default() }
     }
 
+    /// Chooses how progress is shown.
+    pub fn show(&self, how: Show) {
+        self.locked().show = how;
+    }
+
     /// Peak anonymous memory so far.
     pub fn peak_memory(&self) -> Option<u64> {
         self.memory.peak()
@@ -65,7 +88,7 @@ impl Console {
 
     /// Ends the current stage; the time that each one took so far.
     pub fn stages(&self) -> Vec<(&'static str, Duration)> {
-        let mut stages = self.stages.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut stages = self.locked();
         stages.end();
         stages.done.clone()
     }
@@ -83,8 +106,12 @@ impl Console {
         self.say("warning", text);
     }
 
+    fn locked(&self) -> std::sync::MutexGuard<'_, Stages> {
+        self.stages.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn say(&self, what: &str, text: &str) {
-        let stages = self.stages.lock().unwrap_or_else(PoisonError::into_inner);
+        let stages = self.locked();
         let line = format!("{what}: {}", line(text));
         match &stages.bar {
             Some(bar) if !bar.is_hidden() => bar.println(line),
@@ -216,14 +243,38 @@ impl Stages {
         if let Some(bar) = self.bar.take() {
             bar.finish_and_clear();
         }
+        self.told = None;
+    }
+
+    /// Prints how far the stage is, where lines are wanted and none was printed for a while.
+    fn line(&mut self) {
+        if self.show != Show::Lines || self.told.is_some_and(|last| last.elapsed() < PAUSE) {
+            return;
+        }
+        let (Some(bar), Some((stage, since))) = (&self.bar, self.current) else { return };
+        self.told = Some(Instant::now());
+        let done = bar.position();
+        let mut text = format!("progress: {stage}");
+        if let Some(total) = bar.length().filter(|total| *total > 0) {
+            let _ = write!(text, " {}%", done.min(total) * 100 / total);
+            if done > 0 {
+                let rate = done as f64 / since.elapsed().as_secs_f64().max(1e-3);
+                let _ = write!(text, ", {}/s", HumanBytes(rate as u64));
+            }
+        }
+        let _ = writeln!(std::io::stderr(), "{text}");
     }
 }
 
 impl Progress for Console {
     fn begin(&self, stage: &'static str, total_bytes: u64) {
-        let mut stages = self.stages.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut stages = self.locked();
         stages.end();
-        let bar = ProgressBar::with_draw_target(Some(total_bytes), ProgressDrawTarget::stderr_with_hz(10));
+        let target = match stages.show {
+            Show::Auto => ProgressDrawTarget::stderr_with_hz(10),
+            Show::Lines | Show::None => ProgressDrawTarget::hidden(),
+        };
+        let bar = ProgressBar::with_draw_target(Some(total_bytes), target);
         let template = if total_bytes > 0 {
             "{msg:>22} {bar:30} {percent:>3}%  {bytes_per_sec:>12}  {eta:>4} left"
         } else {
@@ -236,10 +287,12 @@ impl Progress for Console {
         bar.enable_steady_tick(Duration::from_millis(100));
         stages.bar = Some(bar);
         stages.current = Some((stage, Instant::now()));
+        stages.line();
     }
 
     fn advance(&self, bytes: u64) {
-        let stages = self.stages.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut stages = self.locked();
+        stages.line();
         if let (Some(bar), Some((stage, _))) = (&stages.bar, stages.current) {
             bar.inc(bytes);
             if let Some(peak) = self.memory.peak().filter(|_| !bar.is_hidden()) {

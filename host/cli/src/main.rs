@@ -14,7 +14,7 @@ use commands::{
     bind, compare, convert, deform, demo, generate, info, plugin, reconstruct, refine, render, run, sample,
     shell, view,
 };
-use console::{CANCELLED, Console};
+use console::{CANCELLED, Console, Show};
 use report::Report;
 
 /// Freeform deformation of models of any size: sample, deform the samples with any mix of plugins, and stream
@@ -28,6 +28,9 @@ struct Arguments {
     /// Use this many threads, at most 1024 (default: all cores)
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+    /// How progress is shown on standard error
+    #[arg(long, global = true, value_name = "HOW", default_value = "auto")]
+    progress: Show,
     #[command(subcommand)]
     command: Command,
 }
@@ -76,6 +79,7 @@ fn execute(arguments: Arguments, console: &Console) -> simod_model::Result<()> {
     if let Some(n) = arguments.threads {
         commands::set_threads(usize::from(n))?;
     }
+    console.show(arguments.progress);
     let mut report = Report::new(console);
     match arguments.command {
         Command::Sample(c) => c.execute(&mut report),

@@ -42,16 +42,6 @@ def test_points_with_normals_turn() -> None:
     assert np.allclose(normals[there], points[there] @ turn.T, atol=1e-3)
 
 
-def test_other_programs_arrays() -> None:
-    trimesh = pytest.importorskip("trimesh")
-    mesh = trimesh.creation.icosphere(subdivisions=5)
-    samples = simod.sample(mesh.vertices, mesh.vertex_normals, triangles=mesh.faces, samples=800)
-    assert len(samples.triangles) > len(samples)
-    samples.apply("warp", operation="stretch", factor=2.0) if "factor" in simod.plugins["warp"].parameters else None
-    mesh.vertices, _ = samples.transfer(mesh.vertices)
-    assert mesh.is_watertight
-
-
 def test_bad_arrays() -> None:
     points = sphere(1000)
     with pytest.raises(simod.ArgumentError, match=r"points: an array of shape \(1000, 2\)"):

@@ -1,4 +1,4 @@
-//! Ctrl-C: the work stops, and nothing of it is left.
+//! Long work tells how far it is, and Ctrl-C stops it: nothing of it is left.
 #![cfg(unix)]
 
 use std::process::{Command, Stdio};
@@ -41,4 +41,24 @@ fn an_interrupted_run_leaves_nothing() {
     if interrupted == 0 {
         skip("every run was done before it could be interrupted");
     }
+}
+
+#[test]
+fn lines_of_progress_are_for_programs_to_read() {
+    let work = Workplace::new();
+    work.simod("generate -o model.ply --vertices 300000 --no-colors");
+    let said = work.simod("sample model.ply -o model.simod --json --progress lines");
+    let lines = said.lines("progress: ");
+    for stage in ["counting", "clustering"] {
+        let of_stage = lines.iter().filter_map(|line| line.strip_prefix(stage)).collect::<Vec<_>>();
+        assert_eq!(of_stage.first(), Some(&" 0%"), "{lines:?}");
+        let parts = of_stage.iter().map(|rest| rest.split_once('%').expect("a part").0.trim().parse::<u32>());
+        let parts: Vec<u32> = parts.map(|part| part.expect("a number")).collect();
+        assert!(parts.is_sorted() && parts.iter().all(|part| *part <= 100), "{lines:?}");
+    }
+    assert!(said.stdout.starts_with('{') && said.stderr.lines().all(|line| line.starts_with("progress: ")));
+    // Not a terminal: silent.
+    let silent = work.simod("sample model.ply -o again.simod --json");
+    assert_eq!(silent.stderr, "");
+    assert_eq!(work.run("sample model.ply -o x.simod --progress loud").code, Some(2));
 }
