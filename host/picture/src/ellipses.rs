@@ -73,7 +73,8 @@ impl Ellipses {
         let opacity = self.opacity.map_or(1.0, |place| 1.0 / (1.0 + (-attribute(place)).exp()));
         let [w, x, y, z] = self.rotation.map(&attribute);
         let q = DQuat::from_xyzw(x, y, z, w);
-        let frame = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| q.normalize() * axis);
+        let q = q * (1.0 / q.length());
+        let frame = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| q * axis);
         let scale = |i: usize| self.scales.get(i).map_or(0.0, |place| EXTENT * attribute(*place).exp());
         let mut axes = [0, 1, 2].map(|i| (scale(i), frame[i]));
         axes.sort_by(|a, b| b.0.total_cmp(&a.0));

@@ -15,7 +15,7 @@ use crate::report::{Report, count, rate};
 /// Stream a model to a small point set that any tool can deform
 #[derive(Args)]
 pub struct Sample {
-    /// The model to sample: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, or text in columns
+    /// The model to sample: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns
     model: PathBuf,
     /// What the columns of a text are, as x,y,z,_,nx,ny,nz [default: by names in its first line, or x,y,z]
     #[arg(long, value_name = "NAMES")]

@@ -5,11 +5,13 @@
 //! |---|---|
 //! | `records` | `.splat`: 32 bytes a splat, in any order |
 //! | `chunks` | compressed PLY: chunks of 256 splats, packed between bounds |
+//! | `spz` | SPZ: arrays, compressed by gzip |
 //! | `packing` | numbers in few bits |
 
 pub(crate) mod chunks;
 mod packing;
 pub(crate) mod records;
+pub(crate) mod spz;
 
 use glam::{DVec3, Mat3};
 

@@ -1,5 +1,7 @@
 //! `.splat` and compressed PLY.
 
+use std::io::Read;
+
 use glam::{DMat3, DQuat, DVec3, Mat3};
 use proptest::prelude::*;
 use simod_model::{ErrorKind, Model};
@@ -62,6 +64,38 @@ fn chunks(count: usize, whole: bool) -> Vec<u8> {
     bytes
 }
 
+/// The same number as SPZ of a version and with harmonics of a degree, not compressed yet.
+fn unpacked(count: usize, version: u32, degree: u8) -> Vec<u8> {
+    let mut bytes = b"NGSP".to_vec();
+    bytes.extend(version.to_le_bytes());
+    bytes.extend((count as u32).to_le_bytes());
+    bytes.extend([degree, 12, 0, 0]);
+    let harmonics = 3 * ((usize::from(degree) + 1).pow(2) - 1);
+    for i in 0..count as i32 {
+        [41 * i, -9000 + 30 * i, 7].iter().for_each(|p: &i32| bytes.extend(&p.to_le_bytes()[..3]));
+    }
+    let rest = count * (1 + 3 + 3 + if version == 2 { 3 } else { 4 } + harmonics);
+    bytes.extend((0..rest as u32).map(|i| {
+        let noise = i.wrapping_add(1).wrapping_mul(2_654_435_761);
+        // Far from the ends of what bytes hold.
+        80 + ((noise >> 8) % 96) as u8
+    }));
+    bytes
+}
+
+/// Compressed by gzip.
+fn spz(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
+fn of_spz(bytes: &[u8]) -> Vec<u8> {
+    let mut found = Vec::new();
+    flate2::read::GzDecoder::new(bytes).read_to_end(&mut found).unwrap();
+    found
+}
+
 /// Its numbers by the names that they have.
 fn numbers(model: &dyn Model) -> Vec<Vec<f64>> {
     let mut reader = model.vertices(0..u64::MAX).unwrap();
@@ -82,14 +116,17 @@ fn shapes(model: &dyn Model) -> Vec<(DMat3, f64)> {
     let shape = |i: usize| {
         let [w, x, y, z] = [0, 1, 2, 3].map(|k| numbers[rotation + k][i]);
         let scales = DVec3::from_array([0, 1, 2].map(|k| numbers[scale + k][i].exp()));
-        let half = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()) * DMat3::from_diagonal(scales);
+        let half = DMat3::from_quat({
+            let q = DQuat::from_xyzw(x, y, z, w);
+            q * (1.0 / q.length())
+        }) * DMat3::from_diagonal(scales);
         (half * half.transpose(), numbers[opacity][i])
     };
     (0..numbers[0].len()).map(shape).collect()
 }
 
 fn map() -> DMat3 {
-    DMat3::from_axis_angle(DVec3::new(1.0, 2.0, -0.5).normalize(), 0.8)
+    DMat3::from_axis_angle(DVec3::new(1.0, 2.0, -0.5).normalize_or(DVec3::X), 0.8)
         * DMat3::from_diagonal(DVec3::new(1.3, 0.9, 1.0))
 }
 
@@ -209,6 +246,98 @@ fn what_does_not_move_keeps_its_bytes() {
         assert!(before[0][24..] == after[0][24..], "bounds of scales and colours");
         assert_eq!(before[2] == after[2], chunk < 5);
     }
+}
+
+#[test]
+fn spz_turns_as_far_as_its_bits_tell() {
+    for (version, degree) in [(2, 0), (2, 2), (3, 1), (3, 3)] {
+        let bytes = unpacked(700, version, degree);
+        let packed = spz(&bytes);
+        let model = check_whole_but(&packed);
+        let harmonics = 3 * ((usize::from(degree) + 1).pow(2) - 1);
+        assert_eq!((model.info().vertices, model.info().attributes.len()), (700, 11 + harmonics));
+        let (rest, _) = read(model.as_ref()).unwrap();
+        assert_eq!(rest[100], DVec3::new(4100.0, -6000.0, 7.0) / 4096.0);
+
+        let all = numbers(model.as_ref());
+        let of = |name: &str| all[model.info().attributes.iter().position(|a| a.name == name).unwrap()][3];
+        // Positions, opacities, colours, then scales.
+        let scales = 16 + 700 * 13;
+        assert_eq!(of("scale_1"), f64::from(bytes[scales + 3 * 3 + 1]) / 16.0 - 10.0);
+        if degree > 0 {
+            // Red, green and blue of each coefficient stand together.
+            let start = bytes.len() - (700 - 3) * harmonics;
+            let name = format!("f_rest_{}", harmonics / 3);
+            assert_eq!(of(&name), (f64::from(bytes[start + 1]) - 128.0) / 128.0);
+        }
+
+        let out = deformed(model.as_ref());
+        let found = open(&out, ".spz").unwrap();
+        let now = read(found.as_ref()).unwrap().0;
+        for (p, q) in rest.iter().zip(&now) {
+            assert!(q.distance(map() * *p) < 1.0 / 4096.0, "{q} is not {}", map() * *p);
+        }
+        for ((s, opacity), (t, other)) in shapes(model.as_ref()).iter().zip(shapes(found.as_ref())) {
+            let expected = map() * *s * map().transpose();
+            let size = |m: DMat3| m.to_cols_array().iter().map(|x| x * x).sum::<f64>().sqrt();
+            // Scales are in steps of 6 %.
+            assert!(size(t - expected) < 0.13 * size(expected), "{t} is not {expected}");
+            assert_eq!(*opacity, other);
+        }
+        // Colours and opacities are kept.
+        assert!(of_spz(&out)[16 + 700 * 9..16 + 700 * 13] == bytes[16 + 700 * 9..16 + 700 * 13]);
+    }
+}
+
+/// What holds of every good file, but that gzip may pack the same bytes in another way.
+fn check_whole_but(bytes: &[u8]) -> Box<dyn Model> {
+    let model = open(bytes, ".spz").unwrap();
+    let all = read(model.as_ref()).unwrap();
+    for chunk in [1, 3, 1000] {
+        assert!(read_by(model.as_ref(), 0..u64::MAX, chunk).unwrap() == all);
+        assert!(vertex_bytes(model.as_ref(), chunk) == vertex_bytes(model.as_ref(), 1 << 16));
+    }
+    let out = rewrite(model.as_ref(), |_: &mut Edited| {}).unwrap();
+    assert!(of_spz(&out) == of_spz(bytes));
+    model
+}
+
+#[test]
+fn spz_that_lies_is_refused() {
+    let good = unpacked(3, 3, 1);
+    let refused = |bytes: &[u8], named: &str| {
+        let found = message(open(bytes, ".spz"));
+        assert!(found.contains(named), "{found}");
+    };
+    let with = |at: usize, byte: u8| {
+        let mut bytes = good.clone();
+        bytes[at] = byte;
+        spz(&bytes)
+    };
+    refused(&with(0, b'X'), "no SPZ in it");
+    refused(&with(4, 4), "version 4");
+    refused(&with(12, 4), "degree 4");
+    refused(&with(8, 4), "another number of bytes");
+    refused(&with(8, 2), "another number of bytes");
+    refused(&with(11, 200), "bytes in all");
+    let packed = spz(&good);
+    for end in 1..packed.len() {
+        assert!(open(&packed[..end], ".spz").is_err() || end + 9 > packed.len());
+    }
+    for at in 0..packed.len() {
+        for other in [0, 1, 0x7f, 0xff] {
+            let mut bad = packed.clone();
+            bad[at] = other;
+            if let Ok(model) = open(&bad, ".spz") {
+                read(model.as_ref()).unwrap();
+            }
+        }
+    }
+    // Far positions have no room.
+    let model = open(&packed, ".spz").unwrap();
+    assert!(!model.has_room_for(DVec3::splat(3000.0)) && model.has_room_for(DVec3::splat(2000.0)));
+    let far = rewrite(model.as_ref(), |edited: &mut Edited| edited.positions[1].y = 3000.0);
+    assert!(message(far).contains("too far for its 24 bits"));
 }
 
 #[test]
