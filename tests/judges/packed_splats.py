@@ -2,10 +2,11 @@
 
     python packed_splats.py SIMOD [SPLATS [SAMPLES]]
 
-packs the scene of `splats.py` as `.splat` and as compressed PLY, has SIMOD deform both, and prints how far the splats
+packs the scene of `splats.py` as `.splat`, as compressed PLY and as SPZ, has SIMOD deform all, and prints how far the splats
 are from those of the exact map, beside how far the packing alone takes them.
 """
 
+import gzip
 import sys
 import tempfile
 from pathlib import Path
@@ -102,6 +103,38 @@ def read_chunks(path):
     return three(words[:, 0], b[:, 0:3], b[:, 3:6]), three(words[:, 2], b[:, 6:9], b[:, 9:12]), q
 
 
+def write_spz(path, points):
+    """As SPZ 2, with harmonics."""
+    count = len(points)
+    p = np.round(splats.columns(points, "xyz") * 4096).astype("<i4")
+    p = p.view("u1").reshape(count, 3, 4)[:, :, :3]
+    opacity = parts(1 / (1 + np.exp(-splats.columns(points, ["opacity"]))), 8)
+    colours = splats.columns(points, [f"f_dc_{i}" for i in range(3)]) * 0.15 * 255 + 127.5
+    scales = (splats.columns(points, [f"scale_{i}" for i in range(3)]) + 10) * 16
+    q = splats.columns(points, [f"rot_{i}" for i in (1, 2, 3, 0)])
+    q /= np.linalg.norm(q, axis=1)[:, None] * np.where(q[:, 3] < 0, -1, 1)[:, None]
+    rest = sum(name.startswith("f_rest_") for name in points.dtype.names)
+    harmonics = splats.columns(points, [f"f_rest_{c * rest // 3 + k}" for k in range(rest // 3) for c in range(3)])
+    header = np.array([0x5053474E, 2, count], "<u4").tobytes()
+    header += bytes([{0: 0, 9: 1, 24: 2, 45: 3}[rest], 12, 0, 0])
+    arrays = [opacity, colours, scales, (q[:, :3] + 1) * 127.5, harmonics * 128 + 128]
+    data = p.tobytes() + b"".join(np.clip(np.round(a), 0, 255).astype("u1").tobytes() for a in arrays)
+    path.write_bytes(gzip.compress(header + data, 6))
+
+
+def read_spz(path):
+    data = gzip.decompress(path.read_bytes())
+    count = int(np.frombuffer(data, "<u4", 1, 8)[0])
+    p = np.frombuffer(data, "u1", 9 * count, 16).reshape(count, 3, 3).astype(np.int64)
+    p = p[:, :, 0] | p[:, :, 1] << 8 | p[:, :, 2] << 16
+    p = (p ^ 1 << 23) - (1 << 23)
+    at = 16 + 13 * count
+    scales = np.frombuffer(data, "u1", 3 * count, at).reshape(-1, 3) / 16 - 10
+    q = np.frombuffer(data, "u1", 3 * count, at + 3 * count).reshape(-1, 3) / 127.5 - 1
+    w = np.sqrt(np.maximum(0, 1 - (q**2).sum(1)))
+    return p / 4096, scales, np.column_stack([w, q])
+
+
 def covariances(scales, q):
     points = np.zeros(len(q), [(n, "f8") for n in [f"scale_{i}" for i in range(3)] + [f"rot_{i}" for i in range(4)]])
     for i in range(3):
@@ -123,7 +156,12 @@ def main():
         p = splats.columns(points, "xyz")
         cells = np.floor((p - p.min(0)) / 0.05).astype(int)
         points = points[np.lexsort((cells[:, 2], cells[:, 1], cells[:, 0]))]
-        for name, write, read in (("m.splat", write_records, read_records), ("m.ply", write_chunks, read_chunks)):
+        layouts = (
+            ("m.splat", write_records, read_records),
+            ("m.ply", write_chunks, read_chunks),
+            ("m.spz", write_spz, read_spz),
+        )
+        for name, write, read in layouts:
             write(folder / name, points)
             splats.run([simod, "sample", folder / name, "-o", folder / f"s-{name}", "--samples", samples])
             p, s, q = read(folder / name)
