@@ -29,7 +29,7 @@ use crate::sampling::gather::{Cubes, PIECE};
 use crate::sampling::grid::Grid;
 use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::triangles::Triangles;
-use crate::sampling::{By, Grouping, Placement, SampleSet, Sampling, Skip, Splitting, Target};
+use crate::sampling::{By, Grouping, Opaque, Placement, SampleSet, Sampling, Skip, Splitting, Target};
 use crate::touching::Contacts;
 
 /// What is written on the first line of `simod.toml`.
@@ -93,12 +93,19 @@ pub struct Source {
     /// The first of these.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub first_non_finite: Option<u64>,
+    /// How many splats were too transparent to be sampled.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub transparent: u64,
     /// How often a vertex is in another cell of the coarse grid than the one before it; not known of folders
     /// that former versions wrote.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub jumps: Option<u64>,
     /// Hash of the bytes of all vertices.
     pub fingerprint: String,
+}
+
+fn is_none(count: &u64) -> bool {
+    *count == 0
 }
 
 /// Fewer vertices than this are carried over in a second or two in any order.
@@ -243,6 +250,9 @@ struct SamplingRecord {
     /// What placed the samples, if not their vertices alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     placement: Option<Placement>,
+    /// The least opacity of splats that were sampled, if any were left out for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    min_opacity: Option<f64>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -332,9 +342,17 @@ impl SampledModel {
 
     /// How its clusters were split, and will be.
     pub(crate) fn rule(&self) -> Rule {
-        let Source { vertices, non_finite, .. } = self.source;
-        let (finite, edge) = (vertices.saturating_sub(non_finite), self.cell_size / self.frame.scale);
+        let Source { vertices, non_finite, transparent, .. } = self.source;
+        let (finite, edge) = (
+            vertices.saturating_sub(non_finite).saturating_sub(transparent),
+            self.cell_size / self.frame.scale,
+        );
         Rule::new(self.sampling.splitting, self.sampling.by, finite, self.cells, edge)
+    }
+
+    /// Which splats of the model were left out, and are whenever it is read for samples.
+    pub(crate) fn opaque(&self, model: &dyn Model) -> Option<Opaque> {
+        Opaque::of(model, self.sampling.min_opacity)
     }
 
     /// How vertices were gathered in groups, if they were.
@@ -417,6 +435,7 @@ impl SampledModel {
                     .filter(|piece| self.sampling.grouping.is_level() && *piece != u64::MAX),
                 placement: Some(self.sampling.placement)
                     .filter(|placement| *placement != Placement::Vertices),
+                min_opacity: self.sampling.min_opacity,
             },
             frame: FrameRecord {
                 origin: self.frame.origin,
@@ -561,6 +580,7 @@ impl SampledModel {
                 by: description.sampling.by,
                 grouping: description.sampling.group_level.map_or(Grouping::Never, Grouping::Level),
                 placement: description.sampling.placement.unwrap_or(Placement::Vertices),
+                min_opacity: description.sampling.min_opacity,
                 skip: Skip {
                     normals: set.known_normals().is_empty(),
                     sheets: set.contacts().is_none(),
@@ -629,10 +649,11 @@ impl SampledModel {
     }
 
     fn check_cells(&self, kept: &KeptCells) -> Result<()> {
-        let Source { vertices, non_finite, bytes, .. } = self.source;
+        let Source { vertices, non_finite, transparent, bytes, .. } = self.source;
+        let left_out = non_finite.saturating_add(transparent);
         let parted = self.samples.contacts().map_or(&[][..], Contacts::parted);
         let parted = parted.iter().map(|[sample, _]| *sample);
-        kept.check(vertices - non_finite.min(vertices), vertices, bytes, self.samples.len(), parted)
+        kept.check(vertices - left_out.min(vertices), vertices, bytes, self.samples.len(), parted)
     }
 
     /// Holds cells in memory, as [`cells`](Self::cells) has read them: to be refined, or saved with the

@@ -6,22 +6,38 @@ use std::sync::Arc;
 use crate::cache::{Cache, Making};
 use crate::progress::Silent;
 use crate::source::Source;
-use crate::{Error, ErrorKind, Model, Progress, Result, columns, e57, gltf, las, obj, off, pcd, ply, stl};
+use crate::{
+    Error, ErrorKind, Model, Progress, Result, columns, e57, gltf, las, obj, off, pcd, ply, splats, stl,
+};
 
 /// Extensions of all formats, by which names say what a file is.
-const EXTENSIONS: [&str; 10] = ["ply", "obj", "stl", "off", "pcd", "las", "laz", "e57", "glb", "gltf"];
+const EXTENSIONS: [&str; 12] = [
+    "ply",
+    "obj",
+    "stl",
+    "off",
+    "pcd",
+    "las",
+    "laz",
+    "e57",
+    "glb",
+    "gltf",
+    "spz",
+    splats::records::EXTENSION,
+];
 
 /// Whether a file that begins so is of a format, and what opens it.
 type Known = (fn(&[u8]) -> bool, fn(Source, &Making<'_>) -> Result<Box<dyn Model>>);
 
 /// The formats that a file's first bytes tell.
-const BY_BEGINNING: [Known; 6] = [
-    (ply::is_ply, |source, _| Ok(Box::new(ply::PlyModel::new(source)?))),
+const BY_BEGINNING: [Known; 7] = [
+    (ply::is_ply, |source, _| splats::chunks::open_ply(source)),
     (las::is_las, |source, _| Ok(Box::new(las::LasModel::new(source)?))),
     (e57::is_e57, |source, _| e57::open(source)),
     (pcd::is_pcd, pcd::open),
     (off::is_off, |source, _| off::open(source)),
     (gltf::is_glb, gltf::open),
+    (splats::spz::is_gzip, splats::spz::open),
 ];
 
 /// Extensions that models usually have, in lower case.
@@ -48,6 +64,7 @@ pub fn is_model(path: &Path) -> Result<bool> {
         || stl::is_stl(&source)?
         || obj::is_obj(&source)?
         || gltf::is_gltf(&source)?
+        || extension(path) == splats::records::EXTENSION
         || columns::is_columns(&source, &extension(path)))
 }
 
@@ -103,6 +120,7 @@ pub fn open_with(
         }
         (Some((_, open)), None) => open(source, making),
         (None, Some(_)) => columns::open(source, &extension, columns),
+        (None, None) if extension == splats::records::EXTENSION => splats::records::open(source),
         (None, None) if extension == "off" => off::open(source),
         (None, None) if extension == "gltf" || gltf::is_gltf(&source)? => gltf::open(source, making),
         (None, None) if extension == "stl" || stl::is_stl(&source)? => stl::open(source),
@@ -117,6 +135,6 @@ pub fn open_with(
 fn unknown(source: &Source, start: &[u8]) -> Error {
     let start = &start[..start.len().min(16)];
     let what = format!("no model of a known format: it begins with \"{}\"", start.escape_ascii());
-    let hint = "PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57 and text in columns can be read: export the model as one of them";
+    let hint = "PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ and text in columns can be read: export the model as one of them";
     source.malformed(what, hint)
 }

@@ -50,6 +50,7 @@ pub mod scratch;
 mod shared_normal;
 pub mod size;
 mod source;
+mod splats;
 mod stl;
 mod summary;
 pub mod target;

@@ -541,6 +541,19 @@ fn read_ahead<C: Default + Send>(
     })
 }
 
+/// Some attributes, taken out of all up to the last of them.
+pub(crate) fn some_by_all(
+    attributes: impl FnOnce(&mut [Vec<f64>]) -> Result<()>,
+    places: &[usize],
+    to: &mut [Vec<f64>],
+) -> Result<()> {
+    let mut lists = vec![Vec::new(); places.iter().max().map_or(0, |last| last + 1)];
+    to.iter_mut().zip(places).for_each(|(to, place)| lists[*place] = std::mem::take(to));
+    attributes(&mut lists)?;
+    to.iter_mut().zip(places).for_each(|(to, place)| *to = std::mem::take(&mut lists[*place]));
+    Ok(())
+}
+
 /// A model on disk that can be streamed any number of times, from several threads.
 pub trait Model: Send + Sync {
     /// What is known without reading the vertices.
@@ -612,11 +625,7 @@ pub trait Model: Send + Sync {
     /// # Errors
     /// As of [`attributes`](Self::attributes).
     fn some_attributes(&self, chunk: &VertexChunk, places: &[usize], to: &mut [Vec<f64>]) -> Result<()> {
-        let mut lists = vec![Vec::new(); places.iter().max().map_or(0, |last| last + 1)];
-        to.iter_mut().zip(places).for_each(|(to, place)| lists[*place] = std::mem::take(to));
-        self.attributes(chunk, &mut lists)?;
-        to.iter_mut().zip(places).for_each(|(to, place)| *to = std::mem::take(&mut lists[*place]));
-        Ok(())
+        some_by_all(|lists| self.attributes(chunk, lists), places, to)
     }
 
     /// A reader of all faces, in the file's order, as triangles: a polygon of more than three corners becomes

@@ -20,6 +20,7 @@
 //! ```
 
 mod camera;
+mod ellipses;
 mod font;
 mod frames;
 mod ground;
@@ -42,6 +43,7 @@ pub use point::SurfacePoint;
 pub use spacing::Spacing;
 pub use style::Style;
 
+use glam::Vec3;
 use ground::Ground;
 use splat::Canvas;
 
@@ -75,7 +77,13 @@ impl Renderer {
 
     /// First pass: finds the nearest surface.
     pub fn depth(&mut self, points: &[SurfacePoint]) {
-        self.canvas.depth(&self.camera, points);
+        self.depth_of(points, &[]);
+    }
+
+    /// The same of ellipses: each point has two half axes at right angles to each other and to its normal, the longer
+    /// one as long as its radius. Where there are no axes, points are discs.
+    pub fn depth_of(&mut self, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
+        self.canvas.depth(&self.camera, points, axes);
         if let Some(ground) = &mut self.ground {
             ground.add(points);
         }
@@ -84,7 +92,12 @@ impl Renderer {
     /// Second pass: blends normals and colours of the points on the nearest surface. What was not in the
     /// first pass does not show.
     pub fn blend(&mut self, points: &[SurfacePoint]) {
-        self.canvas.blend(&self.camera, points);
+        self.blend_of(points, &[]);
+    }
+
+    /// The same of ellipses, as in [`depth_of`](Self::depth_of).
+    pub fn blend_of(&mut self, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
+        self.canvas.blend(&self.camera, points, axes);
     }
 
     /// Lights the picture.

@@ -4,6 +4,7 @@ use simod_core::colors::Bytes;
 use simod_model::{Attribute, ColorScale, Colors, Error, ErrorKind, Model, Progress, Result, for_vertices};
 
 use super::Image;
+use super::ellipses;
 use super::palette::{class_color, scale_color};
 
 /// What points are coloured by.
@@ -13,6 +14,8 @@ pub enum Coloring {
     Clay,
     /// Their own colours.
     Own(Colors),
+    /// Those of Gaussian splats, whose first coefficients are at these places.
+    Splats([usize; 3]),
     /// The attribute at a place.
     Attribute(usize, Attribute),
 }
@@ -24,6 +27,8 @@ pub enum Paint {
     Clay,
     /// Their own colours, whose numbers mean this.
     Own(Colors, ColorScale),
+    /// Those of Gaussian splats, by the coefficients at these places.
+    Splats([usize; 3]),
     /// Of classes, the least and the largest that there are.
     Classes {
         /// The attribute's place.
@@ -57,10 +62,12 @@ impl Coloring {
         let attributes: Vec<&Attribute> = attributes.into_iter().collect();
         let own = Colors::among(attributes.iter().copied());
         let by_name = |name: &str| attributes.iter().position(|attribute| attribute.name == name);
-        match (word, own) {
-            (Some("clay"), _) | (None, None) => Ok(Self::Clay),
-            (Some("own") | None, Some(own)) => Ok(Self::Own(own)),
-            (Some(name), _) => by_name(name)
+        let splats = ellipses::colors(attributes.iter().copied());
+        match (word, own, splats) {
+            (Some("clay"), ..) | (None, None, None) => Ok(Self::Clay),
+            (Some("own") | None, Some(own), _) => Ok(Self::Own(own)),
+            (Some("own") | None, None, Some(places)) => Ok(Self::Splats(places)),
+            (Some(name), ..) => by_name(name)
                 .map(|place| Self::Attribute(place, attributes[place].clone()))
                 .ok_or_else(|| {
                     let what = match name {
@@ -83,6 +90,7 @@ impl Coloring {
         match self {
             Self::Clay => &[],
             Self::Own(colors) => &colors.places,
+            Self::Splats(places) => places,
             Self::Attribute(place, _) => std::slice::from_ref(place),
         }
     }
@@ -98,7 +106,7 @@ impl Paint {
     pub fn of_model(model: &dyn Model, coloring: Coloring, progress: &dyn Progress) -> Result<Self> {
         let mut numbers = Numbers::default();
         match &coloring {
-            Coloring::Clay => {}
+            Coloring::Clay | Coloring::Splats(_) => {}
             Coloring::Own(_) => {
                 let meaning = Bytes::of(model)?.map(|bytes| bytes.meaning());
                 return Ok(meaning.map_or(Self::Clay, |(colors, scale)| Self::Own(colors, scale)));
@@ -130,6 +138,7 @@ impl Paint {
     fn new(coloring: Coloring, numbers: &Numbers) -> Self {
         match coloring {
             Coloring::Clay => Self::Clay,
+            Coloring::Splats(places) => Self::Splats(places),
             Coloring::Own(colors) => Self::Own(colors, ColorScale::of(colors.kind, numbers.most)),
             Coloring::Attribute(place, of) if of.is_of_classes() => {
                 Self::Classes { place, name: of.name, range: numbers.extremes() }
@@ -150,6 +159,7 @@ impl Paint {
         match self {
             Self::Clay => 0,
             Self::Own(colors, _) => colors.count(),
+            Self::Splats(places) => places.iter().max().map_or(0, |last| last + 1),
             Self::Classes { place, .. } | Self::Scale { place, .. } => place + 1,
         }
     }
@@ -160,6 +170,7 @@ impl Paint {
         match self {
             Self::Clay => [0; 3],
             Self::Own(colors, scale) => colors.places.map(|place| scale.byte(attribute(place))),
+            Self::Splats(places) => places.map(|place| ellipses::byte(attribute(place))),
             Self::Classes { place, .. } => class_color(attribute(*place) as u8),
             Self::Scale { place, range, .. } => scale_color(part(*range, attribute(*place))),
         }
@@ -168,7 +179,7 @@ impl Paint {
     /// A picture with what its colours mean below it.
     pub fn with_legend(&self, image: &Image) -> Image {
         let (name, [from, to]) = match self {
-            Self::Clay | Self::Own(..) => return image.clone(),
+            Self::Clay | Self::Own(..) | Self::Splats(_) => return image.clone(),
             Self::Classes { name, range, .. } | Self::Scale { name, range, .. } => (name, *range),
         };
         let color = |t: f32| match self {

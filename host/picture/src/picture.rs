@@ -6,6 +6,7 @@ use simod_core::sampled_model::SampledModel;
 use simod_model::bounds::Bounds;
 use simod_model::{Model, Progress, Result, VertexChunk, Vertices, in_step};
 
+use super::ellipses::Ellipses;
 use super::{Camera, Image, Paint, Renderer, Spacing, Style, SurfacePoint};
 
 /// The colour of a vertex: of its number in these parts of models that are read in step.
@@ -162,6 +163,9 @@ fn spacing(model: &dyn Model, bounds: &Bounds, progress: &dyn Progress) -> Resul
     Ok(spacing)
 }
 
+/// Draws points, and the half axes of those that are ellipses.
+type Drawing<'a> = dyn FnMut(&[SurfacePoint], &[[Vec3; 2]]) + 'a;
+
 fn draw(
     models: &[&dyn Model],
     spacing: &Spacing,
@@ -170,26 +174,42 @@ fn draw(
     paint: Option<(usize, &PaintBy<'_>)>,
     progress: &dyn Progress,
 ) -> Result<Image> {
-    let points_of = |parts: &[Vertices<'_>]| -> Vec<SurfacePoint> {
+    let ellipses = Ellipses::of(&models[0].info().attributes);
+    let points_of = |parts: &[Vertices<'_>]| -> (Vec<SurfacePoint>, Vec<[Vec3; 2]>) {
         let Vertices { positions, normals, .. } = parts[0];
-        let point = |(i, p): (usize, &DVec3)| SurfacePoint {
-            position: view.up.turned(*p),
-            normal: view.up.turned(normals.get(i).map_or(DVec3::ZERO, |n| n.as_dvec3())).as_vec3(),
-            color: paint.map_or([0; 3], |(_, paint)| paint(parts, i)),
-            radius: spacing.radius_at(*p),
-        };
-        positions.iter().enumerate().map(point).collect()
+        let (mut points, mut axes) = (Vec::with_capacity(positions.len()), Vec::new());
+        for (i, p) in positions.iter().enumerate() {
+            let mut point = SurfacePoint {
+                position: view.up.turned(*p),
+                normal: view.up.turned(normals.get(i).map_or(DVec3::ZERO, |n| n.as_dvec3())).as_vec3(),
+                color: paint.map_or([0; 3], |(_, paint)| paint(parts, i)),
+                radius: spacing.radius_at(*p),
+            };
+            if let Some(ellipses) = &ellipses {
+                // One that is not seen has no size.
+                let none = ([DVec3::NAN; 2], DVec3::NAN);
+                let (half, normal) = ellipses.ellipse(|place| parts[0].attribute(place, i)).unwrap_or(none);
+                point.normal = view.up.turned(normal).as_vec3();
+                point.radius = half[0].length() as f32;
+                axes.push(half.map(|axis| view.up.turned(axis).as_vec3()));
+            }
+            points.push(point);
+        }
+        (points, axes)
     };
+    let wanted =
+        paint.map_or(0, |(attributes, _)| attributes).max(ellipses.as_ref().map_or(0, Ellipses::count));
     let mut renderer = view.renderer(camera, paint.is_some());
-    let pass = |draw: &mut dyn FnMut(&[SurfacePoint])| {
+    let pass = |draw: &mut Drawing<'_>| {
         progress.begin("drawing", models[0].info().vertex_bytes);
-        in_step(models, paint.map_or(0, |(attributes, _)| attributes), progress, |parts| {
-            draw(&points_of(parts));
+        in_step(models, wanted, progress, |parts| {
+            let (points, axes) = points_of(parts);
+            draw(&points, &axes);
             Ok(())
         })
     };
-    pass(&mut |points| renderer.depth(points))?;
-    pass(&mut |points| renderer.blend(points))?;
+    pass(&mut |points, axes| renderer.depth_of(points, axes))?;
+    pass(&mut |points, axes| renderer.blend_of(points, axes))?;
     Ok(renderer.finish())
 }
 

@@ -250,8 +250,8 @@ mod tests {
         for (known, worst_allowed, mean_allowed) in [(true, 0.03, 0.01), (false, 0.5, 0.06)] {
             let points = points(known);
             let mut canvas = Canvas::new(400, 400);
-            canvas.depth(&camera, &points);
-            canvas.blend(&camera, &points);
+            canvas.depth(&camera, &points, &[]);
+            canvas.blend(&camera, &points, &[]);
             let surface = Surface::new(&canvas, &camera);
             let center = camera.to_view(DVec3::ZERO);
             let (mut worst, mut sum, mut count) = (0.0f32, 0.0, 0.0);

@@ -58,13 +58,15 @@ impl Pixel {
     }
 }
 
-/// A disc in view coordinates.
+/// A disc, or an ellipse, in view coordinates.
 struct Splat {
     center: Vec3,
     /// Unit normal towards the eye; zero where it is not known.
     normal: Vec3,
     color: Vec3,
     radius: f32,
+    /// The half axes of an ellipse, over the squares of their lengths.
+    axes: Option<[Vec3; 2]>,
     /// Least weight with which it hides what is behind it.
     hiding: f32,
     pixel: [f32; 2],
@@ -77,7 +79,13 @@ struct Splat {
 
 impl Splat {
     /// None for what is out of the picture of the given size, or no disc at all.
-    fn new(camera: &Camera, lens: &Lens, size: [usize; 2], point: &SurfacePoint) -> Option<Self> {
+    fn new(
+        camera: &Camera,
+        lens: &Lens,
+        size: [usize; 2],
+        point: &SurfacePoint,
+        axes: Option<&[Vec3; 2]>,
+    ) -> Option<Self> {
         let center = camera.to_view(point.position);
         if !(center.is_finite() && center.z > lens.near && point.radius >= 0.0) {
             return None;
@@ -95,7 +103,14 @@ impl Splat {
         // A splat as small as a sample hides wherever it is drawn: else it could fall between samples.
         let share = HIDING[usize::from(seen_from_back)].max(LEAST_REACH / reach);
         let (radius, hiding) = (reach / scale, weight(share * share));
-        Some(Self { center, normal, color, radius, hiding, pixel, reach, columns, rows })
+        let shrunk = radius / point.radius;
+        let axes = axes.filter(|_| shrunk > 0.0 && shrunk.is_finite()).map(|axes| {
+            axes.map(|axis| {
+                let axis = shrunk * camera.direction_to_view(axis.as_dvec3()).as_vec3();
+                axis / axis.length_squared()
+            })
+        });
+        Some(Self { center, normal, color, radius, axes, hiding, pixel, reach, columns, rows })
     }
 
     /// Depth and weight (0 outside) along a pixel's ray; (`dx`, `dy`) is the way there from the splat's
@@ -109,7 +124,11 @@ impl Splat {
         if facing < 0.0 {
             depth = (self.normal.dot(self.center) / facing)
                 .clamp(self.center.z - self.radius, self.center.z + self.radius);
-            let on_disc = (ray * depth).distance_squared(self.center) / (self.radius * self.radius);
+            let way = ray * depth - self.center;
+            let on_disc = match self.axes {
+                Some([a, b]) => way.dot(a).powi(2) + way.dot(b).powi(2),
+                None => way.length_squared() / (self.radius * self.radius),
+            };
             // A disc narrower than a sample is drawn as a dot of that size.
             distance = on_disc.min(on_screen / (LEAST_REACH * LEAST_REACH));
         }
@@ -134,8 +153,8 @@ impl Canvas {
     }
 
     /// First pass: the depth of the nearest surface.
-    pub fn depth(&mut self, camera: &Camera, points: &[SurfacePoint]) {
-        self.draw(camera, points, |pixel, splat, depth, weight| {
+    pub fn depth(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
+        self.draw(camera, points, axes, |pixel, splat, depth, weight| {
             if weight >= splat.hiding {
                 pixel.nearest = pixel.nearest.min(depth);
             }
@@ -143,8 +162,8 @@ impl Canvas {
     }
 
     /// Second pass: what lies on the nearest surface.
-    pub fn blend(&mut self, camera: &Camera, points: &[SurfacePoint]) {
-        self.draw(camera, points, |pixel, splat, depth, weight| {
+    pub fn blend(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
+        self.draw(camera, points, axes, |pixel, splat, depth, weight| {
             // Neighbouring discs of one surface differ in depth by less than they are wide.
             if pixel.nearest.is_finite() && depth <= pixel.nearest + splat.radius {
                 pixel.weight += weight;
@@ -159,13 +178,15 @@ impl Canvas {
         &mut self,
         camera: &Camera,
         points: &[SurfacePoint],
+        axes: &[[Vec3; 2]],
         hit: impl Fn(&mut Pixel, &Splat, f32, f32) + Sync,
     ) {
         let lens = self.lens(camera);
         let size = [self.width, self.height];
-        for batch in points.chunks(BATCH) {
-            let splats: Vec<Splat> =
-                batch.par_iter().filter_map(|point| Splat::new(camera, &lens, size, point)).collect();
+        for (number, batch) in points.chunks(BATCH).enumerate() {
+            let axes = axes.get(number * BATCH..).unwrap_or_default();
+            let splat = |(i, point)| Splat::new(camera, &lens, size, point, axes.get(i));
+            let splats: Vec<Splat> = batch.par_iter().enumerate().filter_map(splat).collect();
             self.pixels.par_chunks_mut(BAND * self.width).enumerate().for_each(|(band, pixels)| {
                 let first = band * BAND;
                 for splat in &splats {

@@ -35,7 +35,7 @@ pub struct Model {
     details: Vec<String>,
 }
 
-/// Opens a model: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, or text in columns. No vertex is read yet.
+/// Opens a model: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns. No vertex is read yet.
 ///
 /// `columns` says what the columns of a text are, as "x,y,z,_,nx,ny,nz", where its first line does not.
 ///

@@ -436,6 +436,7 @@ impl From<session_file::Sampling> for Sampling {
             grid: from.grid,
             by: from.by.unwrap_or_default(),
             placement: from.place.unwrap_or_default(),
+            min_opacity: from.min_opacity,
             skip: Skip { sheets: from.sheets == Some(false), ..Skip::default() },
             ..Self::default()
         }

@@ -67,6 +67,8 @@ pub struct Sampling {
     pub by: Option<By>,
     /// Whether the model's faces tell sheets apart that touch; they do, where not given.
     pub sheets: Option<bool>,
+    /// Gaussian splats of less opacity are left out of the samples; 0.1 where not given.
+    pub min_opacity: Option<f64>,
 }
 
 /// When in a sequence steps are done, for plugins that take the time.

@@ -105,6 +105,9 @@ fn sampling(from: &Sampling) -> Table {
     if let Some(sheets) = from.sheets {
         table["sheets"] = value(sheets);
     }
+    if let Some(least) = from.min_opacity {
+        table["min-opacity"] = value(least);
+    }
     table
 }
 
@@ -369,6 +372,7 @@ mod tests {
                 place: Some(Placement::Vertices),
                 by: Some(By::Area),
                 sheets: Some(true),
+                min_opacity: Some(0.25),
             },
             time: SessionTime { frame: Some(-3), rate: Some(25.0), seconds: None },
             steps: vec![
@@ -438,6 +442,7 @@ grid = 64
 by = "area"
 place = "vertices"
 sheets = true
+min-opacity = 0.25
 
 [time]
 frame = -3

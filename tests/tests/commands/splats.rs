@@ -409,3 +409,139 @@ fn declared_numbers_turn_by_command_line_and_by_session() {
         &["has no property t"],
     );
 }
+
+#[test]
+fn floaters_take_no_samples_and_are_deformed_all_the_same() {
+    let mut table = Table::splats();
+    let (count, opacity) = (table.rows.len(), table.column("opacity"));
+    for i in 0..500 {
+        let mut row = table.rows[7 * i].clone();
+        // As far off as the model is wide, and nearly nothing.
+        (row[0], row[1], row[2], row[opacity]) = (row[1], row[0], 0.6 + (i % 10) as f64 / 16.0, -4.0);
+        table.rows.insert(11 * i, row);
+    }
+    let work = Workplace::new();
+    work.write("model.ply", table.ply(Kind::Little));
+    let report = work.report("sample model.ply -o model.simod --samples 2000");
+    assert_eq!(report["transparent"], 500);
+    let [low, high] = work.ply("model.simod/samples.ply").bounds();
+    assert!(high.z - low.z < 0.45, "{low} {high}");
+    // What is sampled is what there is without them.
+    let mut seen = table.clone();
+    seen.rows.retain(|row| row[opacity] > -2.2);
+    assert_eq!(seen.rows.len(), count);
+    work.write("seen.ply", seen.ply(Kind::Little));
+    work.simod("sample seen.ply -o seen.simod --samples 2000 --min-opacity 0");
+    let positions = |name: &str| work.ply(name).positions();
+    assert_eq!(positions("model.simod/samples.ply"), positions("seen.simod/samples.ply"));
+
+    work.move_samples("model.simod", |p| rotation() * p);
+    work.simod(RECONSTRUCT);
+    let found = table.read(&work.read("out.ply"), Kind::Little);
+    for row in 0..table.rows.len() {
+        assert!(found.position(row).distance(rotation() * table.position(row)) < 1e-3);
+        assert_eq!(found.rows[row][opacity], table.rows[row][opacity]);
+    }
+    // Refinements leave the same out, and sessions ask for as much.
+    work.simod("refine model.simod --half-space 0,0,0,0,0,1 --factor 2 --into finer.simod");
+    assert!(work.ply("finer.simod/samples.ply").bounds()[1].z < 0.45);
+    let all = work.report("sample model.ply -o all.simod --samples 2000 --min-opacity 0");
+    assert!(all["transparent"].is_null());
+    assert!(work.ply("all.simod/samples.ply").bounds()[1].z > 0.9);
+    work.write("edit.toml", "[model]\npath = \"model.ply\"\n[sampling]\nsamples = 2000\nmin-opacity = 0.3\n");
+    let more = work.report("run edit.toml -o run.ply");
+    assert!(more["transparent"].as_u64() > Some(1000));
+    work.refuses("sample model.ply -o no.simod --min-opacity 1", &["least opacity 1"]);
+    work.refuses("sample model.ply -o no.simod --min-opacity 0.99", &["too transparent"]);
+    work.simod("generate -o mesh.ply --vertices 5000");
+    work.refuses("sample mesh.ply -o no.simod --min-opacity 0.1", &["no splats"]);
+}
+
+#[test]
+fn mirrors_turn_ellipsoids_and_colours() {
+    let table = Table::splats();
+    let mirror = rotation() * DMat3::from_diagonal(DVec3::new(1.0, -1.0, 1.0));
+    let work = moved(&table.ply(Kind::Little), |p| mirror * p);
+    work.simod(RECONSTRUCT);
+    let found = table.read(&work.read("out.ply"), Kind::Little);
+    let [covariance, colour] = worst(&table, &found, mirror, mirror);
+    assert!(covariance < 5e-3 && colour < 5e-3, "{covariance} {colour}");
+}
+
+#[test]
+fn declared_numbers_of_point_clouds_turn() {
+    let names = ["x", "y", "z", "t_x", "t_y", "t_z", "other"].map(str::to_owned);
+    let splats = Table::splats();
+    let row = |i: usize| {
+        let p = splats.position(i);
+        vec![p.x, p.y, p.z, 0.5, -2.0, 1.0, 7.0]
+    };
+    let table = Table { names: names.into(), rows: (0..splats.rows.len()).map(row).collect() };
+    let work = Workplace::new();
+    work.write("model.ply", table.ply(Kind::Little));
+    work.simod("convert model.ply model.pcd");
+    work.simod("sample model.pcd -o model.simod --samples 2000");
+    work.move_samples("model.simod", |p| stretch() * p);
+    let session = "version = 2\n[model]\npath = \"model.pcd\"\n[follow]\nt = \"vector\"\n";
+    work.write("edit.toml", session);
+    work.simod("reconstruct model.simod --deformed deformed.ply -o out.pcd --follow t=vector");
+    work.simod("convert out.pcd out.ply");
+    let found = table.read(&work.read("out.ply"), Kind::Little);
+    let off = |row: usize| {
+        let t = DVec3::from_array(found.numbers(["t_x", "t_y", "t_z"], row));
+        assert_eq!(found.numbers(["other"], row), [7.0]);
+        t.distance(stretch() * DVec3::new(0.5, -2.0, 1.0))
+    };
+    assert!((0..found.rows.len()).map(off).fold(0.0, f64::max) < 0.1);
+    work.simod("run edit.toml -o still.pcd");
+    assert!(work.read("still.pcd") == work.read("model.pcd"));
+}
+
+#[test]
+fn packed_splats_turn_and_become_ply() {
+    let table = Table::splats();
+    let mut bytes = Vec::new();
+    for row in 0..table.rows.len() {
+        let scales = table.numbers(["scale_0", "scale_1", "scale_2"], row).map(f64::exp);
+        let floats = table.position(row).to_array().into_iter().chain(scales);
+        bytes.extend(floats.flat_map(|x| (x as f32).to_le_bytes()));
+        bytes.extend([10, 20, 30, 200]);
+        let q = table.numbers(["rot_0", "rot_1", "rot_2", "rot_3"], row);
+        let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+        bytes.extend(q.map(|x| (x / length * 128.0 + 128.0).round() as u8));
+    }
+    let work = Workplace::new();
+    work.write("model.splat", &bytes);
+    assert!(work.simod("info model.splat").stdout.contains("quaternions in steps of 1/128"));
+    work.simod("sample model.splat -o model.simod --samples 2000");
+    work.move_samples("model.simod", |p| rotation() * p);
+    let reconstruct = "reconstruct model.simod --deformed deformed.ply";
+    work.simod(&format!("{reconstruct} -o out.splat"));
+    work.simod(&format!("{reconstruct} -o out.ply"));
+    let out = work.read("out.splat");
+    assert_eq!(out.len(), bytes.len());
+    let exact = Table {
+        names: ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"]
+            .into_iter()
+            .chain(["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"])
+            .map(str::to_owned)
+            .collect(),
+        rows: Vec::new(),
+    };
+    let exact = exact.read(&work.read("out.ply"), Kind::Little);
+    let size = |m: DMat3| m.to_cols_array().map(|x| x * x).iter().sum::<f64>().sqrt();
+    for (row, (before, after)) in bytes.chunks(32).zip(out.chunks(32)).enumerate() {
+        assert!(exact.position(row).distance(rotation() * table.position(row)) < 1e-5);
+        let expected = rotation() * table.covariance(row) * rotation().transpose();
+        // Steps of 1/128 were in the model already.
+        assert!(size(exact.covariance(row) - expected) < 0.06 * size(expected), "{row}");
+        let q = exact.numbers(["rot_0", "rot_1", "rot_2", "rot_3"], row);
+        for (byte, x) in after[28..].iter().zip(q) {
+            assert!((f64::from(*byte) - 128.0 - 128.0 * x).abs() < 1.1, "{byte} {x}");
+        }
+        assert_eq!(before[24..28], after[24..28]);
+    }
+    // Killed and gone on with, the bytes are the same.
+    work.simod(&format!("{reconstruct} -o again.splat --resume"));
+    assert!(work.read("again.splat") == out);
+}

@@ -62,6 +62,17 @@ fn tell_cache(cache: &Cache, report: &mut Report) {
     }
 }
 
+/// Says how many splats were not sampled.
+fn tell_transparent(sampled: &SampledModel, report: &mut Report) {
+    if let (n @ 1.., Some(least)) = (sampled.source.transparent, sampled.sampling.min_opacity) {
+        report.figure("transparent", n);
+        report.line(format!(
+            "{} splats of less opacity than {least} take no samples, and are deformed all the same",
+            count(n)
+        ));
+    }
+}
+
 /// Says which vertices will stay as they are.
 fn warn_non_finite(sampled: &SampledModel, report: &mut Report) {
     if let (n @ 1.., Some(first)) = (sampled.source.non_finite, sampled.source.first_non_finite) {

@@ -16,7 +16,7 @@ use super::overwrite::Overwrite;
 use super::plugin_options::PluginOptions;
 use super::reconstruct::{MethodName, NormalsName, OffsetName, describe_expected, warn_beyond};
 use super::time_options::TimeOptions;
-use super::{notices, tell, tell_cache, warn_non_finite};
+use super::{notices, tell, tell_cache, tell_transparent, warn_non_finite};
 use crate::report::{Report, count, errors, length, rate};
 
 /// Do a whole session: sample its model, deform the samples, write the deformed model
@@ -137,6 +137,7 @@ impl Run {
 /// Reports a finished run.
 pub fn describe(run: &Pipeline, report: &mut Report) {
     warn_non_finite(&run.deformed.sampled, report);
+    tell_transparent(&run.deformed.sampled, report);
     tell(&run.deformed.messages, report);
     let (vertices, samples) = (run.deformed.sampled.source.vertices, run.deformed.sampled.samples.len());
     report.figure("vertices", vertices);

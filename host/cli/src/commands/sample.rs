@@ -9,13 +9,13 @@ use simod_core::sampling::{By, Grouping, Placement, Sampling, Skip, Splitting, T
 use simod_model::Result;
 use simod_model::target::folder_of;
 
-use super::{tell_cache, warn_non_finite};
+use super::{tell_cache, tell_transparent, warn_non_finite};
 use crate::report::{Report, count, rate};
 
 /// Stream a model to a small point set that any tool can deform
 #[derive(Args)]
 pub struct Sample {
-    /// The model to sample: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, or text in columns
+    /// The model to sample: PLY, OBJ, STL, GLB, OFF, PCD, LAS, LAZ, E57, .splat, SPZ, or text in columns
     model: PathBuf,
     /// What the columns of a text are, as x,y,z,_,nx,ny,nz [default: by names in its first line, or x,y,z]
     #[arg(long, value_name = "NAMES")]
@@ -56,6 +56,10 @@ pub struct SamplingArguments {
     /// of the surface
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
     place: Place,
+    /// Leave Gaussian splats of less opacity out of the samples, as floaters; they are deformed all the same
+    /// [default: 0.1; 0 takes all]
+    #[arg(long, value_name = "A")]
+    min_opacity: Option<f64>,
     /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be
     /// estimated, `sheets`, so that the model's faces do not tell parts apart that touch,
     /// `colors` of the samples
@@ -153,6 +157,7 @@ impl SamplingArguments {
                 Place::Faces => Placement::Faces,
                 Place::Vertices => Placement::Vertices,
             },
+            min_opacity: self.min_opacity,
             skip: Skip {
                 triangles: skips(Part::Triangles),
                 cells: skips(Part::Cells),
@@ -178,6 +183,7 @@ impl Sample {
         sampled.save_in(begun)?;
         let vertices = model.info().vertices;
         warn_non_finite(&sampled, report);
+        tell_transparent(&sampled, report);
         warn_faces(&sampled, report);
         if let Some(cost) = sampled.source.cost_of_order() {
             report.warn(cost);

@@ -218,7 +218,15 @@ pub fn stream(
     }
     let changed = || sampled.source_changed(model.path());
     let (frame, shown) = (sampled.frame, chosen.shown);
-    let gathering = Gathering { model, kept, frame, cubes: None, with_ids: false, attributes: shown.count() };
+    let gathering = Gathering {
+        model,
+        kept,
+        frame,
+        cubes: None,
+        with_ids: false,
+        attributes: shown.count(),
+        opaque: sampled.opaque(model),
+    };
     let thinning = Thinning::new(chosen.stride);
     let extents = sampled.samples.extents();
     let carrying = Carrying { sampled, extents: &extents, field, stride: chosen.stride, progress };

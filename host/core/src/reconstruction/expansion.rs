@@ -30,12 +30,8 @@ impl Expansion {
 
     /// Of a displacement, its gradient S, and the second-order terms.
     pub fn new(center: Vec3, displacement: Vec3, slope: Mat3, second: [Vec3; 6]) -> Self {
-        let first = [displacement, slope.x_axis, slope.y_axis, slope.z_axis];
-        let mut terms = [0.0; 32];
-        for (to, term) in terms.chunks_exact_mut(3).zip(first.iter().chain(&second)) {
-            to.copy_from_slice(&term.to_array());
-        }
-        Self { center: center.to_array(), inverse_square: Self::NO_SUPPORT, terms }
+        let nothing = Self { center: center.to_array(), inverse_square: Self::NO_SUPPORT, terms: [0.0; 32] };
+        nothing.with(0, [displacement]).with_slope(slope).with_second(second)
     }
 
     /// Term `k` of coordinate `o`.
@@ -63,13 +59,40 @@ impl Expansion {
 
     /// The displacement of the sample itself.
     pub fn displacement(&self) -> Vec3 {
-        Vec3::new(self.terms[0], self.terms[1], self.terms[2])
+        self.vector(0)
     }
 
     /// The gradient of the displacement at the sample.
     pub fn slope(&self) -> Mat3 {
-        let column = |k: usize| Vec3::new(self.term(k, 0), self.term(k, 1), self.term(k, 2));
-        Mat3::from_cols(column(1), column(2), column(3))
+        Mat3::from_cols(self.vector(1), self.vector(2), self.vector(3))
+    }
+
+    /// The same with another gradient of the displacement.
+    pub fn with_slope(self, slope: Mat3) -> Self {
+        self.with(1, [slope.x_axis, slope.y_axis, slope.z_axis])
+    }
+
+    /// The same with other second-order terms: xx, xy, xz, yy, yz, zz.
+    pub fn with_second(self, second: [Vec3; 6]) -> Self {
+        self.with(4, second)
+    }
+
+    /// The second-order terms xx, xy, xz, yy, yz, zz.
+    pub fn second(&self) -> [Vec3; 6] {
+        std::array::from_fn(|term| self.vector(4 + term))
+    }
+
+    /// Term `k` of the three coordinates.
+    fn vector(&self, k: usize) -> Vec3 {
+        Vec3::new(self.term(k, 0), self.term(k, 1), self.term(k, 2))
+    }
+
+    /// The same with other terms from the `k`-th on.
+    fn with<const N: usize>(mut self, k: usize, terms: [Vec3; N]) -> Self {
+        for (to, term) in self.terms[3 * k..].chunks_exact_mut(3).zip(terms) {
+            to.copy_from_slice(&term.to_array());
+        }
+        self
     }
 
     /// Whether it moves nothing anywhere.

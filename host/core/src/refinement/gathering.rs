@@ -7,6 +7,7 @@ use simod_model::bounds::Bounds;
 use simod_model::frame::Frame;
 use simod_model::{Model, Progress, Result, SMALL_CHUNK, VertexChunk};
 
+use crate::sampling::Opaque;
 use crate::sampling::cluster::{Group, Vertex};
 use crate::sampling::finalization::{PART, unit};
 use crate::sampling::gather::{Cubes, Gather, GatherPiece, Groups, PieceGroups};
@@ -64,6 +65,8 @@ pub(crate) struct Gathering<'a> {
     pub with_ids: bool,
     /// So many of the first attributes are read.
     pub attributes: usize,
+    /// Splats that were left out when the model was sampled, and are again.
+    pub opaque: Option<Opaque>,
 }
 
 impl Gathering<'_> {
@@ -148,11 +151,14 @@ impl Gathering<'_> {
             visit(None)?;
             let mut reader = self.model.vertices(range)?;
             reader.set_chunk(SMALL_CHUNK);
-            if attributes.is_empty() {
+            if attributes.is_empty() && self.opaque.is_none() {
                 reader.skip_attributes();
             }
             while reader.read(&mut chunk)? {
                 progress.check()?;
+                if let Some(opaque) = self.opaque {
+                    opaque.leave_out(self.model, &mut chunk)?;
+                }
                 if !attributes.is_empty() {
                     self.model.attributes(&chunk, &mut attributes)?;
                 }

@@ -432,6 +432,7 @@ impl Work<'_, '_> {
             cubes: sampled.cubes(),
             with_ids: has_triangles,
             attributes: 0,
+            opaque: sampled.opaque(*model),
         };
         self.tell_scattered(&gathering, &cells);
         let mut noted = self.guides.map(|_| Noted::new(self.folder)).transpose()?;

@@ -90,7 +90,7 @@ fn refined(
 fn members(sampled: &SampledModel, model: &dyn Model) -> Vec<Option<u32>> {
     let kept = sampled.held_cells().unwrap();
     let (frame, cubes) = (sampled.frame, sampled.cubes());
-    let gathering = Gathering { model, kept, frame, cubes, with_ids: true, attributes: 0 };
+    let gathering = Gathering { model, kept, frame, cubes, with_ids: true, attributes: 0, opaque: None };
     let all: Vec<u32> = (0..kept.cells.len() as u32).collect();
     let (gathered, _) = gathering.read(&all, &Silent).unwrap().expect("the model is as it was");
     let nowhere = |_: DVec3| f64::INFINITY;

@@ -19,6 +19,7 @@ use super::cut::{ClusteredCell, Forest, most_kept, running_bound};
 use super::density::Rule;
 use super::grid::{CellKey, Grid};
 use super::membership::{Leaves, Membership, Noted};
+use super::opaque::Opaque;
 use super::open_cells::CellItems;
 use super::random::mix;
 use super::ranges::Ranges;
@@ -63,6 +64,8 @@ pub struct Pass<'a> {
     pub noted: Noted,
     /// Which vertices' colours are kept, if they are wanted.
     pub picking: Option<&'a Picking>,
+    /// Splats that are left out.
+    pub opaque: Option<Opaque>,
     /// Where temporary files go.
     pub folder: &'a Path,
     /// Watches.

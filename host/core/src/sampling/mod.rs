@@ -17,6 +17,7 @@ mod layers;
 mod membership;
 mod nearest_of_all;
 pub(crate) mod normals;
+mod opaque;
 mod open_cells;
 pub(crate) mod placement;
 pub(crate) mod random;
@@ -42,6 +43,8 @@ use simod_model::{
 pub use density::By;
 pub use gather::Grouping;
 pub use kd_tree::KdTree;
+pub use opaque::LEAST_OPACITY;
+pub(crate) use opaque::Opaque;
 pub use placement::Placement;
 pub use sample_set::{NEIGHBOURS, NeighbourGraph, SampleSet};
 pub use splitting::Splitting;
@@ -95,6 +98,9 @@ pub struct Sampling {
     pub grouping: Grouping,
     /// What places the samples.
     pub placement: Placement,
+    /// Gaussian splats of less opacity are left out, as floaters are; [`LEAST_OPACITY`] where not given. Once
+    /// sampled, nothing where none are left out.
+    pub min_opacity: Option<f64>,
     /// What is not wanted.
     pub skip: Skip,
 }
@@ -200,10 +206,12 @@ fn sample_kept(
     }
 
     model.check_complete(progress)?;
+    let min_opacity = opaque::resolve(model, sampling.min_opacity)?;
+    let opaque = Opaque::of(model, min_opacity);
 
     progress.begin("counting", info.vertex_bytes);
     let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
-    let (grid, non_finite) = count_cells(model, resolution, progress)?;
+    let (grid, non_finite) = count_cells(model, opaque, resolution, progress)?;
     if !grid.bounds.diagonal().is_finite() {
         return Err(Error::new(
             ErrorKind::Degenerate,
@@ -219,7 +227,7 @@ fn sample_kept(
     };
     let cells = grid.keys.len();
     let memory = sampling.memory_for_cells(&grid);
-    let finite = info.vertices - non_finite.count;
+    let finite = info.vertices - non_finite.count - non_finite.transparent;
     let edge = grid.cell_size() / frame.scale;
     let splitting = match sampling.splitting {
         // Where there are faces, these tell layers apart.
@@ -242,7 +250,7 @@ fn sample_kept(
     };
     let reads_faces = info.faces > 0 && info.vertices <= Membership::MAX_VERTICES;
     let placement = if reads_faces { sampling.placement.resolve(model)? } else { Placement::Vertices };
-    let sampling = &Sampling { placement, splitting, ..*sampling };
+    let sampling = &Sampling { placement, splitting, min_opacity, ..*sampling };
     let by_faces = placement == Placement::Faces;
     let known = if let Target::Samples(n) = sampling.target { Some(n) } else { None };
     let picking = if sampling.skip.colors { None } else { Picking::of(model, known)? };
@@ -260,6 +268,7 @@ fn sample_kept(
             with_members: reads_faces && (by_faces || !sampling.skip.sheets || !sampling.skip.triangles),
             noted: Noted { positions: by_faces, twins: !sampling.skip.sheets },
             picking: picking.as_ref(),
+            opaque,
             folder,
             progress,
         };
@@ -313,6 +322,7 @@ fn sample_kept(
             attributes: info.attributes.clone(),
             non_finite: non_finite.count,
             first_non_finite: non_finite.first,
+            transparent: non_finite.transparent,
             jumps: Some(jumps),
             fingerprint: fingerprint(hash.digest128()),
         },
@@ -608,23 +618,31 @@ fn default_grid(vertices: u64, target: Target) -> u32 {
 struct NonFinite {
     count: u64,
     first: Option<u64>,
+    /// Splats that are left out as well, and are not of them.
+    transparent: u64,
 }
 
 impl NonFinite {
     fn absorb(&mut self, other: Self) {
         self.count += other.count;
+        self.transparent += other.transparent;
         self.first = self.first.into_iter().chain(other.first).min();
     }
 }
 
 /// Pass 1, on all cores where the file can be read from anywhere.
-fn count_cells(model: &dyn Model, resolution: u32, progress: &dyn Progress) -> Result<(Grid, NonFinite)> {
+fn count_cells(
+    model: &dyn Model,
+    opaque: Option<Opaque>,
+    resolution: u32,
+    progress: &dyn Progress,
+) -> Result<(Grid, NonFinite)> {
     let info = model.info();
     let parts = if info.random_access { rayon::current_num_threads() as u64 } else { 1 };
     let part = info.vertices.div_ceil(parts);
     let counted: Result<Vec<_>> = (0..parts)
         .into_par_iter()
-        .map(|i| count_range(model, i * part..(i + 1) * part, resolution, progress))
+        .map(|i| count_range(model, opaque, i * part..(i + 1) * part, resolution, progress))
         .collect();
     let (mut counter, mut non_finite) = (GridCounter::new(resolution), NonFinite::default());
     for (cells, others) in counted? {
@@ -638,11 +656,19 @@ fn count_cells(model: &dyn Model, resolution: u32, progress: &dyn Progress) -> R
             "check how the file was written: all of its positions hold NaN or infinity",
         ));
     }
+    if non_finite.count + non_finite.transparent == info.vertices {
+        return Err(Error::new(
+            ErrorKind::Degenerate,
+            format!("all splats of {} are too transparent to be sampled", model.path().display()),
+            "give a smaller --min-opacity, or 0 for all splats",
+        ));
+    }
     Ok((counter.finish(), non_finite))
 }
 
 fn count_range(
     model: &dyn Model,
+    opaque: Option<Opaque>,
     range: Range<u64>,
     resolution: u32,
     progress: &dyn Progress,
@@ -651,17 +677,23 @@ fn count_range(
     let mut non_finite = NonFinite::default();
     let mut reader = model.vertices(range)?;
     reader.set_chunk(SMALL_CHUNK);
-    reader.skip_attributes();
+    if opaque.is_none() {
+        reader.skip_attributes();
+    }
     let mut chunk = VertexChunk::default();
     while reader.read(&mut chunk)? {
         progress.check()?;
         for (index, p) in (chunk.first..).zip(&chunk.positions) {
-            if p.is_finite() {
-                counter.add(*p, index);
-            } else {
+            if !p.is_finite() {
                 non_finite.count += 1;
                 non_finite.first.get_or_insert(index);
             }
+        }
+        if let Some(opaque) = opaque {
+            non_finite.transparent += opaque.leave_out(model, &mut chunk)?;
+        }
+        for (index, p) in (chunk.first..).zip(&chunk.positions).filter(|(_, p)| p.is_finite()) {
+            counter.add(*p, index);
         }
         progress.advance(chunk.raw().len() as u64);
     }

@@ -305,6 +305,9 @@ impl<'a, G: Gather> Stream<'a, G> {
         let Piece { chunks, gathered, items, positions, picks, lists, visits, .. } = piece;
         let mut current: Option<(Bounds, u32)> = None;
         for chunk in chunks {
+            if let Some(opaque) = self.pass.opaque {
+                opaque.leave_out(model, chunk)?;
+            }
             if let Some(picking) = self.pass.picking {
                 picking.pick(model, frame, chunk, lists, picks)?;
             }
@@ -449,9 +452,10 @@ impl<P: GatherPiece> Piece<P> {
 
 fn positions_of<'a>(pass: &Pass<'a>, range: Range<u64>) -> Result<Box<dyn VertexReader + 'a>> {
     let mut reader = pass.model.vertices(range)?;
-    match pass.picking {
-        None => reader.skip_attributes(),
-        Some(_) => reader.skip_all_but_colors(),
+    match (pass.picking, pass.opaque) {
+        (_, Some(_)) => {}
+        (None, None) => reader.skip_attributes(),
+        (Some(_), None) => reader.skip_all_but_colors(),
     }
     Ok(reader)
 }

@@ -15,5 +15,6 @@ mod splat;
 mod turn;
 
 pub use following::Following;
+pub use names::opacity;
 pub use rules::{Follow, Kind, Opacity};
 pub use turn::{anisotropy, normal, tangent};

@@ -59,6 +59,12 @@ pub(super) fn declared(name: &str, kind: Kind, attributes: &[Attribute]) -> Resu
     Err(format!("the vertices have no properties {}", wanted.join(", ")))
 }
 
+/// Where the opacity of splats is, if the vertices are such.
+pub fn opacity(attributes: &[Attribute]) -> Option<usize> {
+    let has = |name: &str| attributes.iter().any(|a| a.name == name);
+    (has("rot_0") && has("scale_0")).then(|| attributes.iter().position(|a| a.name == "opacity"))?
+}
+
 /// Most coefficients of a channel beyond the first: those of degree 3.
 const MOST_COEFFICIENTS: usize = 15;
 

@@ -36,6 +36,23 @@ pub(super) fn decode(layout: &Layout, chunk: &VertexChunk, to: &mut [Vec<f64>]) 
     Ok(())
 }
 
+/// Fills each list with the numbers of the attribute at one of these places, if all records have a length.
+pub(super) fn decode_some(
+    layout: &Layout,
+    chunk: &VertexChunk,
+    places: &[usize],
+    to: &mut [Vec<f64>],
+) -> bool {
+    let Some(stride) = layout.stride else { return false };
+    for (values, place) in to.iter_mut().zip(places) {
+        let (kind, (_, offset)) = (layout.attributes[*place].kind, layout.places[*place]);
+        let records = chunk.raw.chunks_exact(stride);
+        values.clear();
+        values.extend(records.map(|r| number(kind, layout.encoding == Encoding::Big, &r[offset..])));
+    }
+    true
+}
+
 /// The number of type `kind` that `raw` begins with.
 #[inline]
 fn number(kind: Type, big: bool, raw: &[u8]) -> f64 {

@@ -116,7 +116,7 @@ pub(crate) fn is_ply(start: &[u8]) -> bool {
 
 impl Header {
     /// Reads the header of `source`.
-    pub(super) fn read(source: &Source) -> Result<Self> {
+    pub(crate) fn read(source: &Source) -> Result<Self> {
         let mut bytes = Vec::new();
         // Headers are short: do not fetch 1 MiB where 4 KiB hold it all.
         for limit in [4096, MAX_HEADER] {

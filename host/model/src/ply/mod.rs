@@ -41,6 +41,7 @@ pub use file::PlyModel;
 pub(super) use header::{Element, Encoding, Header, Property, Shape, is_ply};
 pub use writer::{Besides, write_points, write_vertices};
 
+use super::model::some_by_all;
 use super::source::Source;
 use super::{Edit, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, VertexReader, pipeline};
 use crate::follow::{Follow, Following};
@@ -65,7 +66,7 @@ impl PlyModel {
     ///
     /// # Errors
     /// The file cannot be read, is not PLY, is cut off, or has no vertices with positions.
-    pub(super) fn new(source: Source) -> Result<Self> {
+    pub(crate) fn new(source: Source) -> Result<Self> {
         let header = Header::read(&source)?;
         Self::of(source, header, header::without_normals)
     }
@@ -231,6 +232,13 @@ impl Model for PlyModel {
             let what = format!("vertex {vertex}: {} {} is no number", header::quoted(name), e.word);
             self.source.malformed(what, header::DAMAGED)
         })
+    }
+
+    fn some_attributes(&self, chunk: &VertexChunk, places: &[usize], to: &mut [Vec<f64>]) -> Result<()> {
+        if attributes::decode_some(&self.layout, chunk, places, to) {
+            return Ok(());
+        }
+        some_by_all(|lists| self.attributes(chunk, lists), places, to)
     }
 
     fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {

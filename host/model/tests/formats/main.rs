@@ -8,6 +8,7 @@ mod gltf;
 mod obj;
 mod off;
 mod pcd;
+mod splats;
 mod stl;
 
 use std::io::{self, Write};

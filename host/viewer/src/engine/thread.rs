@@ -286,7 +286,10 @@ fn session_of(sampled: &SampledModel) -> SessionFile {
     };
     let by = Some(sampled.sampling.by).filter(|by| *by != By::Error);
     let place = Some(sampled.sampling.placement).filter(|by| *by == Placement::Faces);
-    let sampling = Sampling { samples, error, grid: sampled.sampling.grid, place, by, sheets: None };
+    let has_opacity = simod_model::follow::opacity(&sampled.source.attributes).is_some();
+    let min_opacity = has_opacity.then(|| sampled.sampling.min_opacity.unwrap_or(0.0));
+    let sampling =
+        Sampling { samples, error, grid: sampled.sampling.grid, place, by, sheets: None, min_opacity };
     let model = Some(sampled.source.path.clone());
     SessionFile { model, columns: sampled.source.columns.clone(), sampling, ..SessionFile::default() }
 }

@@ -1,0 +1,379 @@
+//! The gradient across the surface, by which what turns needs it: from wider neighbourhoods than expansions have.
+//!
+//! A surface tells how a map of space changes across it by how its own bending varies: where it bends by
+//! another amount, the same gradient across moves it by another one. Next to a sample that hardly shows, and the
+//! second order of the map along the surface looks alike. Over six spacings it shows, if the map is expanded to
+//! third order. So at some samples, the *anchors*, such an expansion is fitted to all samples that are neighbours
+//! of neighbours. It goes beyond the affine map, with the ridge that noise of the size of what is left over asks
+//! for (N. Wiener, *Extrapolation, Interpolation, and Smoothing of Stationary Time Series*, 1949): where samples
+//! are not moved by a smooth map of space, the prior of the gradients stands.
+//!
+//! Memory: 4 bytes per sample and some 260 per anchor, of which there is one for about nine samples; the result
+//! takes 144 per sample.
+
+use glam::{DMat3, DVec3, Mat3, Vec3};
+use pulp::Arch;
+use rayon::prelude::*;
+
+use super::expansion::Expansion;
+use super::gradients::ROUNDING;
+use super::limiter::outer;
+use super::stencils::Stencils;
+use crate::sampling::SampleSet;
+
+/// Every sample has an anchor among so many neighbours, or is one.
+const ANCHORED: usize = 16;
+
+/// Terms of a third-order expansion without its constant: three, six and ten.
+const TERMS: usize = 19;
+
+/// The coordinates whose product each term is; 3 stands for none.
+const FACTORS: [[usize; 3]; TERMS] = {
+    let mut factors = [[3; 3]; TERMS];
+    let (mut quadratic, mut cubic, mut a) = (3, 9, 0);
+    while a < 3 {
+        factors[a][0] = a;
+        let mut b = a;
+        while b < 3 {
+            factors[quadratic] = [a, b, 3];
+            quadratic += 1;
+            let mut c = b;
+            while c < 3 {
+                factors[cubic] = [a, b, c];
+                cubic += 1;
+                c += 1;
+            }
+            b += 1;
+        }
+        a += 1;
+    }
+    factors
+};
+
+/// The least ridge, for each of the weights.
+const LEAST_RIDGE: f64 = 1e-14;
+
+/// How large the terms of a fit are expected to be, as squares: so many times those of the strain and of what the
+/// affine map leaves over, which both tell little of shear across.
+const EXPECTED: f64 = 10.0;
+
+/// A fit with fewer degrees of freedom left, as a part of its data, tells nothing.
+const LEAST_FREE: f64 = 0.3;
+
+/// A gradient that leaves less than this part of the volume, or more than its inverse, is not taken for the map's.
+const THINNEST: f32 = 0.1;
+
+/// The expansion around an anchor.
+struct Anchor {
+    center: Vec3,
+    /// One over the radius of the neighbourhood.
+    scale: f32,
+    /// The affine map that it goes beyond.
+    affine: Mat3,
+    /// The terms, in units of the radius; their images are local units.
+    terms: [Vec3; TERMS],
+    /// How far its neighbours tell the gradient across, from 0 to 1.
+    trust: f32,
+}
+
+/// The expansions by whose gradients numbers turn: those of the samples, with what anchors tell across the surface,
+/// and of the second order. `gradient` has the affine maps.
+pub fn told(
+    samples: &SampleSet,
+    stencils: &Stencils<'_>,
+    deformed: &[Vec3],
+    gradient: &[Mat3],
+    expansions: &[Expansion],
+) -> Vec<Expansion> {
+    let (places, chosen) = anchors(samples.len(), stencils);
+    let fit =
+        |i: &u32| Arch::new().dispatch(|| Anchor::fit(samples, stencils, deformed, gradient, *i as usize));
+    let anchors: Vec<Anchor> = chosen.par_iter().map(fit).collect();
+    let near = |i: usize| {
+        let own = std::iter::once(i as u32).chain(stencils.of_sample(i).iter().copied());
+        own.filter_map(|j| anchors.get(places[j as usize] as usize))
+    };
+    let told = |(i, e): (usize, &Expansion)| {
+        if e.is_still() {
+            return *e;
+        }
+        let (q, n) = (samples.positions[i], samples.normals()[i]);
+        let (_, radius) = stencils.around(&samples.positions, i, usize::MAX);
+        let (own, own_second) = (Mat3::IDENTITY + e.slope(), e.second());
+        let (mut across, mut second, mut sum) = (Vec3::ZERO, [Vec3::ZERO; 6], 0.0);
+        for anchor in near(i) {
+            let d = q - anchor.center;
+            let w = (1.0 - d.length_squared() / (radius * radius)).max(0.0).powi(3);
+            let trusted = w * anchor.trust;
+            across += trusted * (anchor.gradient(d) * n - own * n);
+            let more = anchor.second(d).into_iter().zip(own_second);
+            second.iter_mut().zip(more).for_each(|(sum, (theirs, own))| *sum += trusted * (theirs - own));
+            sum += w;
+        }
+        let more = outer(across / sum, n);
+        let ratio = (own + more).determinant() / own.determinant();
+        if !(more.is_finite() && (THINNEST..1.0 / THINNEST).contains(&ratio)) {
+            return *e;
+        }
+        let second = std::array::from_fn(|at| own_second[at] + second[at] / sum);
+        e.with_slope(e.slope() + more).with_second(second)
+    };
+    expansions.par_iter().enumerate().map(told).collect()
+}
+
+/// The place of each sample among the anchors, `u32::MAX` for those that are none, and the anchors, ascending.
+fn anchors(samples: usize, stencils: &Stencils<'_>) -> (Vec<u32>, Vec<u32>) {
+    let (mut places, mut chosen) = (vec![u32::MAX; samples], Vec::new());
+    for i in 0..samples {
+        let mut near = stencils.of_sample(i).iter().take(ANCHORED);
+        if near.all(|j| places[*j as usize] == u32::MAX) {
+            places[i] = chosen.len() as u32;
+            chosen.push(i as u32);
+        }
+    }
+    (places, chosen)
+}
+
+impl Anchor {
+    #[inline(always)]
+    fn fit(
+        samples: &SampleSet,
+        stencils: &Stencils<'_>,
+        deformed: &[Vec3],
+        gradient: &[Mat3],
+        i: usize,
+    ) -> Self {
+        let affine = gradient[i];
+        let none =
+            Self { center: samples.positions[i], scale: 0.0, affine, terms: [Vec3::ZERO; TERMS], trust: 0.0 };
+        let mut near: Vec<u32> = stencils.of_sample(i).to_vec();
+        near.extend(stencils.of_sample(i).iter().flat_map(|j| stencils.of_sample(*j as usize)));
+        near.sort_unstable();
+        near.dedup();
+        let way = |j: u32| samples.positions[j as usize] - samples.positions[i];
+        let square = near.iter().map(|j| way(*j).length_squared()).fold(0.0, f32::max);
+        if square == 0.0 {
+            return none;
+        }
+        let radius = f64::from(square).sqrt();
+        let mut squares = Squares::default();
+        for j in near {
+            let d = way(j).as_dvec3();
+            let moved = (deformed[j as usize].as_dvec3() - deformed[i].as_dvec3()) - affine.as_dmat3() * d;
+            squares.include(d / radius, moved);
+        }
+        let normal = samples.normals()[i].as_dvec3();
+        let Some((terms, trust)) = squares.solve(radius * strain(affine.as_dmat3()), normal) else {
+            return none;
+        };
+        Self { scale: (1.0 / radius) as f32, terms: terms.map(|t| t.as_vec3()), trust: trust as f32, ..none }
+    }
+
+    /// The gradient of the map at `d` from the anchor.
+    fn gradient(&self, d: Vec3) -> Mat3 {
+        let x = d * self.scale;
+        let mut slopes = [Vec3::ZERO; 3];
+        for (factors, term) in FACTORS.iter().zip(&self.terms) {
+            for (left_out, axis) in factors.iter().enumerate().filter(|(_, axis)| **axis < 3) {
+                let others = factors.iter().enumerate().filter(|(at, axis)| *at != left_out && **axis < 3);
+                slopes[*axis] += *term * others.map(|(_, axis)| x[*axis]).product::<f32>();
+            }
+        }
+        let [x, y, z] = slopes.map(|slope| slope * self.scale);
+        self.affine + Mat3::from_cols(x, y, z)
+    }
+
+    /// The second-order terms of the map at `d` from the anchor: xx, xy, xz, yy, yz, zz.
+    fn second(&self, d: Vec3) -> [Vec3; 6] {
+        const PLACE: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
+        let x = d * self.scale;
+        let mut second = [Vec3::ZERO; 6];
+        second.copy_from_slice(&self.terms[3..9]);
+        for ([a, b, c], term) in FACTORS[9..].iter().zip(&self.terms[9..]) {
+            second[PLACE[*a][*b]] += *term * x[*c];
+            second[PLACE[*a][*c]] += *term * x[*b];
+            second[PLACE[*b][*c]] += *term * x[*a];
+        }
+        second.map(|term| term * self.scale * self.scale)
+    }
+}
+/// The squares of what the affine map leaves over, to be explained by the terms in units of the radius.
+#[derive(Default)]
+struct Squares {
+    /// Lower triangle of the products of terms, and the products with what is to be explained.
+    matrix: [[f64; TERMS]; TERMS],
+    right: [DVec3; TERMS],
+    /// Of the weights, and of their squares.
+    weights: f64,
+    squared_weights: f64,
+    /// Of what is to be explained.
+    squares: f64,
+    /// The largest of that, as the square of a length.
+    largest: f64,
+}
+
+impl Squares {
+    /// Adds a neighbour at `x`, in units of the radius, that the affine map leaves so far from its image.
+    #[inline(always)]
+    fn include(&mut self, x: DVec3, left: DVec3) {
+        let w = (1.0 - x.length_squared()).max(0.0);
+        let x = [x.x, x.y, x.z, 1.0];
+        let terms = FACTORS.map(|[a, b, c]| x[a] * x[b] * x[c]);
+        for a in 0..TERMS {
+            let weighted = w * terms[a];
+            for (to, term) in self.matrix[a][..=a].iter_mut().zip(&terms) {
+                *to += weighted * term;
+            }
+            self.right[a] += weighted * left;
+        }
+        self.weights += w;
+        self.squared_weights += w * w;
+        self.squares += w * left.length_squared();
+        self.largest = self.largest.max(left.length_squared());
+    }
+
+    /// The terms, and how far the neighbours tell the one along the normal; `extent` is the strain times the
+    /// radius. Nothing where the affine map explains all but rounding, or too little is there.
+    fn solve(&self, extent: f64, normal: DVec3) -> Option<([DVec3; TERMS], f64)> {
+        let free = 1.0 - TERMS as f64 * self.squared_weights / (self.weights * self.weights);
+        if self.largest <= ROUNDING * ROUNDING || free.is_nan() || free < LEAST_FREE {
+            return None;
+        }
+        let least = LEAST_RIDGE * self.weights;
+        let explained: f64 =
+            self.ridged(least)?.solve(self.right).iter().zip(&self.right).map(|(c, b)| c.dot(*b)).sum();
+        let noise = (self.squares - explained).max(0.0) / (self.weights * free);
+        let ridge = least + noise / (EXPECTED * (self.squares / self.weights + extent * extent));
+        let factor = self.ridged(ridge)?;
+        let mut across = [DVec3::ZERO; TERMS];
+        (0..3).for_each(|axis| across[axis].x = normal[axis]);
+        let open = factor.solve(across);
+        let untold: f64 = ridge * (0..3).map(|axis| open[axis].x * normal[axis]).sum::<f64>();
+        let terms = factor.solve(self.right);
+        terms.iter().all(|t| t.is_finite()).then_some((terms, (1.0 - untold).clamp(0.0, 1.0)))
+    }
+
+    /// Cholesky's decomposition of the products, with a ridge along the diagonal.
+    fn ridged(&self, ridge: f64) -> Option<Factor> {
+        let mut rows = self.matrix;
+        for j in 0..TERMS {
+            for i in j..TERMS {
+                let sum: f64 = (0..j).map(|k| rows[i][k] * rows[j][k]).sum();
+                rows[i][j] -= sum;
+            }
+            let pivot = rows[j][j] + ridge;
+            if !(pivot > 0.0 && pivot.is_finite()) {
+                return None;
+            }
+            let root = pivot.sqrt();
+            rows[j][j] = root;
+            (j + 1..TERMS).for_each(|i| rows[i][j] /= root);
+        }
+        Some(Factor(rows))
+    }
+}
+
+/// The lower triangle of Cholesky's decomposition.
+struct Factor([[f64; TERMS]; TERMS]);
+
+impl Factor {
+    fn solve(&self, mut right: [DVec3; TERMS]) -> [DVec3; TERMS] {
+        let Self(rows) = self;
+        for i in 0..TERMS {
+            let sum: DVec3 = (0..i).map(|k| rows[i][k] * right[k]).sum();
+            right[i] = (right[i] - sum) / rows[i][i];
+        }
+        for i in (0..TERMS).rev() {
+            let sum: DVec3 = (i + 1..TERMS).map(|k| rows[k][i] * right[k]).sum();
+            right[i] = (right[i] - sum) / rows[i][i];
+        }
+        right
+    }
+}
+
+/// The size of Green's strain of a gradient.
+fn strain(f: DMat3) -> f64 {
+    0.5 * (f.transpose() * f - DMat3::IDENTITY).to_cols_array().iter().map(|e| e * e).sum::<f64>().sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{DeformationField, Method, Surroundings};
+    use super::*;
+
+    /// Samples of a surface that bends here more and there less.
+    fn samples() -> SampleSet {
+        let place = |i: u32| {
+            let jitter = |k: u32| ((i * 7919 + k * 104_729) % 1000) as f32 / 2500.0;
+            let (x, z) = (((i % 50) as f32 + jitter(1)) / 50.0, ((i / 50) as f32 + jitter(2)) / 50.0);
+            Vec3::new(x, 0.05 * (9.0 * x + 4.0 * z).sin() + 0.05 * (7.0 * z).cos(), z)
+        };
+        SampleSet::new((0..2500).map(place).collect(), Vec::new()).expect("samples")
+    }
+
+    /// How far the gradient is off across the surface, in the mean of the samples that are not at the border:
+    /// by the expansions, and by what is told.
+    fn off(map: impl Fn(Vec3) -> Vec3, gradient: impl Fn(Vec3) -> Mat3) -> [f32; 2] {
+        let samples = samples();
+        let around = Surroundings::of(&samples);
+        let deformed: Vec<Vec3> = samples.positions.iter().map(|p| map(*p)).collect();
+        let field = DeformationField::new(&around, &deformed, Method::BlendedJets).knowing(None);
+        let is_within = |p: &Vec3| (0.15..0.85).contains(&p.x) && (0.15..0.85).contains(&p.z);
+        let inner = (0..samples.len()).filter(|i| is_within(&samples.positions[*i]));
+        let (mut sums, mut count) = ([0.0; 2], 0.0);
+        for i in inner {
+            let n = samples.normals()[i];
+            let expected = gradient(samples.positions[i]) * n;
+            for (sum, all) in sums.iter_mut().zip([&field.expansions, &field.turning]) {
+                *sum += ((Mat3::IDENTITY + all[i].slope()) * n).distance_squared(expected);
+            }
+            count += 1.0;
+        }
+        sums.map(|sum| (sum / count).sqrt())
+    }
+
+    #[test]
+    fn shear_across_is_told_by_how_the_surface_bends() {
+        // Along y, by as much as z says, which no sample alone tells from bending.
+        let map =
+            |p: Vec3| p + Vec3::new(0.3 * p.y * p.z + 0.4 * p.y, 0.2 * p.x * p.x * p.z, 0.2 * p.y * p.x);
+        let gradient = |p: Vec3| {
+            Mat3::from_cols(
+                Vec3::new(1.0, 0.4 * p.x * p.z, 0.2 * p.y),
+                Vec3::new(0.4 + 0.3 * p.z, 1.0, 0.2 * p.x),
+                Vec3::new(0.3 * p.y, 0.2 * p.x * p.x, 1.0),
+            )
+        };
+        let [by_expansions, told] = off(map, gradient);
+        assert!(told < 0.01 && told < 0.3 * by_expansions, "{told}, by expansions {by_expansions}");
+    }
+
+    #[test]
+    fn noise_is_not_taken_for_what_happens_across() {
+        let gradient = Mat3::from_diagonal(Vec3::new(1.2, 1.0, 1.0));
+        for size in [1e-4, 2e-3] {
+            let noise = |p: Vec3| size * (p.x * 12_345.6).sin() * (p.z * 7_654.3).cos();
+            let [by_expansions, told] = off(|p| gradient * p + noise(p) * Vec3::Y, |_| gradient);
+            assert!(told < by_expansions, "{told}, by expansions {by_expansions}");
+        }
+    }
+
+    #[test]
+    fn rigid_motions_and_what_is_still_are_as_they_were() {
+        assert_eq!(changed(|p| p), 0.0);
+        let changed = changed(|p| glam::Quat::from_rotation_y(0.7) * p + Vec3::X);
+        assert!(changed < 1e-5, "{changed}");
+    }
+
+    /// By how much the gradients of a map are others than those of the expansions, in the mean.
+    fn changed(map: impl Fn(Vec3) -> Vec3) -> f32 {
+        let samples = samples();
+        let around = Surroundings::of(&samples);
+        let deformed: Vec<Vec3> = samples.positions.iter().map(|p| map(*p)).collect();
+        let field = DeformationField::new(&around, &deformed, Method::BlendedJets).knowing(None);
+        let square = |m: Mat3| m.to_cols_array().iter().map(|x| x * x).sum::<f32>();
+        let all = field.expansions.iter().zip(&field.turning);
+        let sum: f32 = all.map(|(a, b)| square(a.slope() - b.slope())).sum();
+        (sum / samples.len() as f32).sqrt()
+    }
+}

@@ -1,0 +1,100 @@
+//! Gaussian splats in layouts of their own, of few bytes each: what is read has the same numbers, by the same names, as
+//! PLY files of 3D Gaussian splatting, and is written back in as many bits as there are.
+//!
+//! | module | |
+//! |---|---|
+//! | `records` | `.splat`: 32 bytes a splat, in any order |
+//! | `chunks` | compressed PLY: chunks of 256 splats, packed between bounds |
+//! | `spz` | SPZ: arrays, compressed by gzip |
+//! | `packing` | numbers in few bits |
+
+pub(crate) mod chunks;
+mod packing;
+pub(crate) mod records;
+pub(crate) mod spz;
+
+use glam::{DVec3, Mat3};
+
+use crate::follow::{Follow, Following};
+use crate::source::Source;
+use crate::{Attribute, Edited, Error, ErrorKind, ModelInfo, Result, Scalar, Type};
+
+/// What the numbers of a splat are called, with so many harmonics beyond the first three.
+fn attributes(harmonics: usize) -> Vec<Attribute> {
+    let groups = [("f_dc_", 3), ("f_rest_", harmonics), ("opacity", 1), ("scale_", 3), ("rot_", 4)];
+    let names = groups.into_iter().flat_map(|(name, count)| {
+        (0..count).map(move |i| if name == "opacity" { name.to_owned() } else { format!("{name}{i}") })
+    });
+    names.map(|name| Attribute { name, kind: Type::F32 }).collect()
+}
+
+/// Where among these numbers the groups begin.
+#[derive(Debug, Clone, Copy)]
+struct Places {
+    opacity: usize,
+    scale: usize,
+    rotation: usize,
+    /// Their number.
+    all: usize,
+}
+
+/// The first coefficient of the harmonics beyond the first three.
+const HARMONICS: usize = 3;
+
+impl Places {
+    fn new(harmonics: usize) -> Self {
+        let opacity = HARMONICS + harmonics;
+        Self { opacity, scale: opacity + 1, rotation: opacity + 4, all: opacity + 8 }
+    }
+}
+
+/// What is known of such a file.
+fn info(
+    format: String,
+    source: &Source,
+    vertices: u64,
+    bytes_of_a_splat: u64,
+    harmonics: usize,
+) -> ModelInfo {
+    let attributes = attributes(harmonics);
+    ModelInfo {
+        format,
+        vertices,
+        faces: 0,
+        has_normals: false,
+        position_type: Scalar::F32,
+        other_properties: attributes.iter().map(|a| format!("float {}", a.name)).collect(),
+        attributes,
+        bytes: source.len(),
+        random_access: true,
+        block_vertices: 1,
+        vertex_bytes: vertices * bytes_of_a_splat,
+        face_bytes: 0,
+        integers: None,
+        step: DVec3::ZERO,
+        ranges: Vec::new(),
+        written: None,
+        crs: None,
+    }
+}
+
+/// What turns in such a file.
+fn following(follow: &Follow, source: &Source, info: &ModelInfo) -> Result<Following> {
+    Following::of(follow, &info.attributes).map_err(|why| {
+        let what = format!("{}: {why}", source.path().display());
+        Error::new(ErrorKind::Argument, what, "leave it out: splats turn by themselves")
+    })
+}
+
+/// The gradient by which a splat of a chunk turns, if it does.
+fn gradient(edited: &Edited, splat: usize) -> Option<&Mat3> {
+    edited.gradients.get(splat).filter(|gradient| **gradient != Mat3::IDENTITY)
+}
+
+/// Turns the numbers of a splat; `some` is used for those that follow.
+fn turn(following: &Following, gradient: &Mat3, mirrored: bool, numbers: &mut [f64], some: &mut Vec<f64>) {
+    some.clear();
+    some.extend(following.places().iter().map(|place| numbers[*place]));
+    following.turn(gradient, mirrored, some);
+    following.places().iter().zip(some).for_each(|(place, new)| numbers[*place] = *new);
+}

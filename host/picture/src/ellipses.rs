@@ -1,0 +1,115 @@
+//! Gaussian splats as flat ellipses across their shortest axis, in the colours that they have from all sides alike
+//! (B. Kerbl, G. Kopanas, T. Leimkühler, G. Drettakis, *3D Gaussian Splatting for Real-Time Radiance Field
+//! Rendering*, 2023).
+
+use glam::{DQuat, DVec3};
+use simod_core::sampling::LEAST_OPACITY;
+use simod_model::Attribute;
+
+/// So many standard deviations are drawn.
+const EXTENT: f64 = 2.0;
+
+/// The shorter axis is at least so long, as a part of the longer one: thinner ones would vanish.
+const THINNEST: f64 = 1e-3;
+
+/// The first function of the harmonics.
+const FIRST: f64 = 0.282_094_791_773_878_14;
+
+/// Where among the attributes of splats their shape is.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Ellipses {
+    /// Real part first.
+    rotation: [usize; 4],
+    /// Logarithms; those of discs are two.
+    scales: Vec<usize>,
+    /// Before the sigmoid.
+    opacity: Option<usize>,
+}
+
+/// Half axes, the longer one first, and the normal, which is of unit length.
+pub(super) type Ellipse = ([DVec3; 2], DVec3);
+
+fn place(name: &str, attributes: &[Attribute]) -> Option<usize> {
+    attributes.iter().position(|a| a.name == name)
+}
+
+/// Where the coefficients of the colour are, of points that are splats.
+pub(super) fn colors<'a>(attributes: impl IntoIterator<Item = &'a Attribute>) -> Option<[usize; 3]> {
+    let mut places = [None; 3];
+    for (at, attribute) in attributes.into_iter().enumerate() {
+        match &*attribute.name {
+            "f_dc_0" => places[0] = Some(at),
+            "f_dc_1" => places[1] = Some(at),
+            "f_dc_2" => places[2] = Some(at),
+            _ => {}
+        }
+    }
+    Some([places[0]?, places[1]?, places[2]?])
+}
+
+/// The byte of a colour by its coefficient.
+pub(super) fn byte(coefficient: f64) -> u8 {
+    // A conversion saturates, and gives 0 for NaN.
+    ((0.5 + FIRST * coefficient) * 255.0).round() as u8
+}
+
+impl Ellipses {
+    /// Of splats; nothing where the points are none.
+    pub(super) fn of(attributes: &[Attribute]) -> Option<Self> {
+        let of = |name: &str, i: usize| place(&format!("{name}_{i}"), attributes);
+        let rotation = [of("rot", 0)?, of("rot", 1)?, of("rot", 2)?, of("rot", 3)?];
+        let scales = [Some(of("scale", 0)?), Some(of("scale", 1)?), of("scale", 2)].into_iter().flatten();
+        Some(Self { rotation, scales: scales.collect(), opacity: place("opacity", attributes) })
+    }
+
+    /// How many of the first attributes are asked for.
+    pub(super) fn count(&self) -> usize {
+        let all = self.rotation.iter().chain(&self.scales).chain(&self.opacity);
+        all.max().map_or(0, |last| last + 1)
+    }
+
+    /// What is drawn of a splat, by its attribute at each place: nothing of one that is hardly seen, or means nothing.
+    pub(super) fn ellipse(&self, attribute: impl Fn(usize) -> f64) -> Option<Ellipse> {
+        let opacity = self.opacity.map_or(1.0, |place| 1.0 / (1.0 + (-attribute(place)).exp()));
+        let [w, x, y, z] = self.rotation.map(&attribute);
+        let q = DQuat::from_xyzw(x, y, z, w);
+        let q = q * (1.0 / q.length());
+        let frame = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| q * axis);
+        let scale = |i: usize| self.scales.get(i).map_or(0.0, |place| EXTENT * attribute(*place).exp());
+        let mut axes = [0, 1, 2].map(|i| (scale(i), frame[i]));
+        axes.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let [(long, a), (short, b), (_, normal)] = axes;
+        let axes = [a * long, b * short.max(THINNEST * long)];
+        let is_seen = opacity >= LEAST_OPACITY && long > 0.0;
+        (is_seen && axes.iter().all(|axis| axis.is_finite()) && normal.is_finite()).then_some((axes, normal))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use simod_model::Type;
+
+    #[test]
+    fn splats_are_ellipses_across_their_shortest_axis() {
+        let names = ["f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"];
+        let names = names.into_iter().chain(["rot_0", "rot_1", "rot_2", "rot_3"]);
+        let all: Vec<Attribute> =
+            names.map(|name| Attribute { name: name.to_owned(), kind: Type::F32 }).collect();
+        let ellipses = Ellipses::of(&all).unwrap();
+        assert_eq!((ellipses.count(), colors(&all)), (11, Some([0, 1, 2])));
+        let half = 0.5f64.sqrt();
+        // A quarter turn about z: the first axis goes to y.
+        let mut numbers = [0.0, 0.0, 0.0, 2.0, 0.3f64.ln(), 0.01f64.ln(), 0.1f64.ln(), half, 0.0, 0.0, half];
+        let ([long, short], normal) = ellipses.ellipse(|place| numbers[place]).unwrap();
+        assert!(long.distance(DVec3::Y * 0.6) < 1e-9 && short.distance(DVec3::Z * 0.2) < 1e-9);
+        assert!(normal.abs().distance(DVec3::X) < 1e-9);
+        assert_eq!([byte(0.0), byte(-9.0), byte(9.0), byte(f64::NAN)], [128, 0, 255, 0]);
+        for (place, bad) in [(3, -5.0), (4, f64::INFINITY), (7, f64::NAN)] {
+            let good = std::mem::replace(&mut numbers[place], bad);
+            assert!(ellipses.ellipse(|place| numbers[place]).is_none(), "{place}");
+            numbers[place] = good;
+        }
+        assert!(Ellipses::of(&all[..8]).is_none());
+    }
+}
