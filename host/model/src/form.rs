@@ -70,11 +70,6 @@ pub(crate) fn attribute_loss(name: &str, kind: Type) -> String {
     format!("the attribute {name} ({})", kind.name())
 }
 
-/// Whether there are vertices for all corners.
-pub(crate) fn is_of_vertices(triangle: &[u32; 3], vertices: u64) -> bool {
-    triangle.iter().all(|corner| u64::from(*corner) < vertices && *corner != u32::MAX)
-}
-
 /// Consecutive vertices, as they are to be written.
 pub(crate) struct Rows<'a> {
     /// The first one's index.

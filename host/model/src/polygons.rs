@@ -1,10 +1,14 @@
 //! Triangles of faces as the polygons that they were.
 
 use crate::FaceChunk;
-use crate::form::is_of_vertices;
 
 /// Most corners of a polygon that is held: larger ones stay fans of triangles.
 pub(crate) const MOST_CORNERS: usize = 1 << 16;
+
+/// Whether there are vertices for all corners.
+fn is_of_vertices(triangle: &[u32; 3], vertices: u64) -> bool {
+    triangle.iter().all(|corner| u64::from(*corner) < vertices && *corner != u32::MAX)
+}
 
 /// Polygons, each of at least three corners.
 #[derive(Debug, Default)]

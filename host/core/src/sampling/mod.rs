@@ -16,6 +16,7 @@ pub mod kept_cells;
 mod layers;
 mod membership;
 mod nearest_of_all;
+mod neighbour_graph;
 pub(crate) mod normals;
 mod opaque;
 mod open_cells;
@@ -43,10 +44,11 @@ use simod_model::{
 pub use density::By;
 pub use gather::Grouping;
 pub use kd_tree::KdTree;
+pub use neighbour_graph::NeighbourGraph;
 pub use opaque::LEAST_OPACITY;
 pub(crate) use opaque::Opaque;
 pub use placement::Placement;
-pub use sample_set::{NEIGHBOURS, NeighbourGraph, SampleSet};
+pub use sample_set::{NEIGHBOURS, SampleSet};
 pub use splitting::Splitting;
 
 use crate::colors::Picking;

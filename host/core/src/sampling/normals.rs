@@ -5,7 +5,7 @@
 use glam::{DMat3, DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::sample_set::NeighbourGraph;
+use super::neighbour_graph::NeighbourGraph;
 use crate::geometry::symmetric_eigen;
 
 /// Neighbours that are needed: they span the tangent plane.

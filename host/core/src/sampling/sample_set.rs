@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use simod_model::{Error, ErrorKind, Result};
 
 use super::kd_tree::KdTree;
+use super::neighbour_graph::NeighbourGraph;
 use super::normals;
 use crate::touching::Contacts;
 
@@ -16,31 +17,6 @@ pub const NEIGHBOURS: usize = 32;
 
 /// Neighbours over which the spacing is measured: as many as in a hexagonal packing.
 const SPACING_NEIGHBOURS: usize = 6;
-
-/// The k nearest neighbours of each sample, nearest first, without the sample itself.
-#[derive(Debug, Clone, Default)]
-pub struct NeighbourGraph {
-    k: usize,
-    flat: Vec<u32>,
-}
-
-impl NeighbourGraph {
-    /// The neighbours of sample `i`, nearest first.
-    #[inline]
-    pub fn of(&self, i: usize) -> &[u32] {
-        &self.flat[i * self.k..(i + 1) * self.k]
-    }
-
-    /// The neighbours of all samples, [`k`](Self::k) of each.
-    pub fn all(&self) -> &[u32] {
-        &self.flat
-    }
-
-    /// How many neighbours each sample has: [`NEIGHBOURS`], or fewer in a set of fewer samples.
-    pub fn k(&self) -> usize {
-        self.k
-    }
-}
 
 /// The small point set P_S, in local coordinates (see [`Frame`](simod_model::frame::Frame)).
 ///
@@ -287,7 +263,7 @@ impl SampleSet {
 impl Surroundings {
     fn of(positions: &[Vec3], tree: &KdTree) -> Self {
         let neighbours = NeighbourGraph::of_points(tree, NEIGHBOURS);
-        let near = SPACING_NEIGHBOURS.min(neighbours.k);
+        let near = SPACING_NEIGHBOURS.min(neighbours.k());
         let spacing = (0..positions.len())
             .into_par_iter()
             .map(|i| {
@@ -296,14 +272,6 @@ impl Surroundings {
             })
             .collect();
         Self { neighbours, spacing }
-    }
-}
-
-impl NeighbourGraph {
-    /// The graph of points to `k` neighbours, if there are as many.
-    fn of_points(tree: &KdTree, k: usize) -> Self {
-        let k = k.min(tree.len() - 1);
-        Self { k, flat: tree.nearest_others_of_all(k) }
     }
 }
 

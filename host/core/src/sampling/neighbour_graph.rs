@@ -1,0 +1,34 @@
+//! Who is near whom among the samples.
+
+use super::kd_tree::KdTree;
+
+/// The k nearest neighbours of each sample, nearest first, without the sample itself.
+#[derive(Debug, Clone, Default)]
+pub struct NeighbourGraph {
+    k: usize,
+    flat: Vec<u32>,
+}
+
+impl NeighbourGraph {
+    /// The graph of points to `k` neighbours, if there are as many.
+    pub(super) fn of_points(tree: &KdTree, k: usize) -> Self {
+        let k = k.min(tree.len() - 1);
+        Self { k, flat: tree.nearest_others_of_all(k) }
+    }
+
+    /// The neighbours of sample `i`, nearest first.
+    #[inline]
+    pub fn of(&self, i: usize) -> &[u32] {
+        &self.flat[i * self.k..(i + 1) * self.k]
+    }
+
+    /// The neighbours of all samples, [`k`](Self::k) of each.
+    pub fn all(&self) -> &[u32] {
+        &self.flat
+    }
+
+    /// How many neighbours each sample has: [`NEIGHBOURS`](super::NEIGHBOURS), or fewer in a set of fewer samples.
+    pub fn k(&self) -> usize {
+        self.k
+    }
+}
