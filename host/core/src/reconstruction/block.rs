@@ -11,8 +11,15 @@ use super::blend::{Grouped, LEAST_WEIGHT, PACKET, blend};
 use super::homes::Homes;
 use super::{DeformationField, Figures, Method, Surroundings, Transport, projected_barycentric};
 
-/// Most vertices of a block: many, so that there are several of each home.
-pub const BLOCK: usize = 1 << 16;
+/// Most vertices of a block that follow the surface: many, so that there are several of each home, and as few
+/// as stay in the cache.
+const BLOCK: usize = 1 << 14;
+
+/// Most vertices of a block that are in no order: many, so that those side by side on a curve are near.
+const LARGE_BLOCK: usize = 1 << 16;
+
+/// Of so many vertices, two are looked at to tell whether they are in order.
+const LOOKED_AT: usize = 16;
 
 /// Vertices that a packet is not worth for.
 const FEW: usize = 3;
@@ -20,8 +27,8 @@ const FEW: usize = 3;
 /// Bits of a coordinate by which vertices are put in order …
 const MORTON_BITS: u32 = 10;
 
-/// … if many are further from the one before than this part of their block's size.
-const JUMP: f32 = 0.1;
+/// … if many are further from the one before than this part of where they all are.
+const JUMP: f64 = 0.1;
 
 /// The place of a vertex that does not move.
 const NOWHERE: u32 = u32::MAX;
@@ -118,7 +125,8 @@ fn blocks<'a>(
     homes: Option<&'a [u32]>,
     moved: &'a mut [Moved<'_>],
 ) -> Vec<Block<'a>> {
-    let ranges = (0..positions.len()).step_by(BLOCK).map(|at| at..positions.len().min(at + BLOCK));
+    let most = most_of_block(positions);
+    let ranges = (0..positions.len()).step_by(most).map(|at| at..positions.len().min(at + most));
     let mut blocks: Vec<Block<'a>> = ranges
         .map(|range| Block {
             positions: &positions[range.clone()],
@@ -127,9 +135,9 @@ fn blocks<'a>(
         })
         .collect();
     for Moved { positions, normals, gradients, figures } in moved {
-        let (mut of_normals, mut of_figures) = (normals.chunks_mut(BLOCK), figures.chunks_mut(BLOCK));
-        let mut of_gradients = gradients.chunks_mut(BLOCK);
-        for (block, positions) in blocks.iter_mut().zip(positions.chunks_mut(BLOCK)) {
+        let (mut of_normals, mut of_figures) = (normals.chunks_mut(most), figures.chunks_mut(most));
+        let mut of_gradients = gradients.chunks_mut(most);
+        for (block, positions) in blocks.iter_mut().zip(positions.chunks_mut(most)) {
             let normals = of_normals.next().unwrap_or_default();
             let gradients = of_gradients.next().unwrap_or_default();
             let figures = of_figures.next().unwrap_or_default();
@@ -162,7 +170,8 @@ pub fn homes(around: &Surroundings<'_>, frame: &Frame, positions: &[DVec3], home
     homes.resize(positions.len(), 0);
     // Before jobs ask for them.
     around.cells();
-    let blocks = positions.par_chunks(BLOCK).zip(homes.par_chunks_mut(BLOCK));
+    let most = most_of_block(positions);
+    let blocks = positions.par_chunks(most).zip(homes.par_chunks_mut(most));
     blocks.for_each(|(positions, homes)| {
         around.workspaces.with(|workspace| {
             workspace.place(frame, positions);
@@ -180,7 +189,7 @@ impl Workspace {
         self.local.extend(
             positions.iter().map(|p| if p.is_finite() { frame.to_local(*p) + 0.0 } else { Vec3::ZERO }),
         );
-        put_in_order(&self.local, &mut self.order, &mut self.keys);
+        put_in_order(positions, &self.local, &mut self.order, &mut self.keys);
     }
 
     fn find_homes(&mut self, around: &Surroundings<'_>) {
@@ -387,18 +396,31 @@ struct Filled {
     scattered: usize,
 }
 
-/// Puts the numbers of vertices in an order in which those near to each other are mostly side by side: as they
-/// are, where that is so already, or along a curve of Morton's.
-fn put_in_order(local: &[Vec3], order: &mut Vec<u32>, keys: &mut Vec<u64>) {
+/// The most vertices of a block of these.
+fn most_of_block(positions: &[DVec3]) -> usize {
+    if is_in_order(positions) { BLOCK } else { LARGE_BLOCK }
+}
+
+/// Whether most vertices are near to the one before, by some of them.
+fn is_in_order(positions: &[DVec3]) -> bool {
+    let some = || positions.chunks_exact(LOOKED_AT);
+    let low = some().map(|p| p[0]).fold(DVec3::INFINITY, DVec3::min);
+    let high = some().map(|p| p[0]).fold(DVec3::NEG_INFINITY, DVec3::max);
+    let far = JUMP * (high - low).max_element();
+    4 * some().filter(|p| (p[1] - p[0]).abs().max_element() > far).count() <= some().len()
+}
+
+/// Puts the numbers of vertices in an order in which those near to each other are mostly side by side: along a
+/// curve of Morton's, unless they are so as they are.
+fn put_in_order(positions: &[DVec3], local: &[Vec3], order: &mut Vec<u32>, keys: &mut Vec<u64>) {
     order.clear();
     order.extend(0..local.len() as u32);
+    if is_in_order(positions) {
+        return;
+    }
     let low = local.iter().copied().fold(Vec3::INFINITY, Vec3::min);
     let high = local.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
     let size = (high - low).max_element();
-    let is_jump = |pair: &&[Vec3]| (pair[1] - pair[0]).abs().max_element() > JUMP * size;
-    if local.windows(2).filter(is_jump).count() <= local.len() / 4 {
-        return;
-    }
     let steps = (1 << MORTON_BITS) as f32 * 0.999 / size;
     keys.clear();
     let key = |p: &Vec3| u64::from(morton(((*p - low) * steps).as_uvec3())) << 32;
