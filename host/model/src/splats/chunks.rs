@@ -13,7 +13,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::{HARMONICS, Places, following, gradient, info, packing, turn};
+use super::{HARMONICS, Layout, Places, Reader, following, gradient, info, packing, turn};
 use crate::follow::{Follow, Following};
 use crate::model::NoFaces;
 use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
@@ -163,35 +163,6 @@ impl Chunks {
             }
         }
         Ok(step)
-    }
-
-    /// Fills a chunk with the bytes of some splats.
-    fn read(&self, chunk: &mut VertexChunk, splats: Range<u64>) -> Result<()> {
-        let VertexChunk { raw, records, first, .. } = chunk;
-        raw.clear();
-        records.clear();
-        *first = splats.start;
-        if splats.is_empty() {
-            return Ok(());
-        }
-        let (size, count) = (self.bounds_bytes() as u64, (splats.end - splats.start) as usize);
-        let chunks = splats.start / CHUNK..splats.end.div_ceil(CHUNK);
-        let bytes = (chunks.end - chunks.start) * size;
-        self.source.append_at(records, self.starts[0] + chunks.start * size, bytes as usize)?;
-        let (mut packed, mut harmonics) = (Vec::new(), Vec::new());
-        self.source.append_at(&mut packed, self.starts[1] + splats.start * PACKED as u64, count * PACKED)?;
-        let each = self.harmonics;
-        self.source.append_at(&mut harmonics, self.starts[2] + splats.start * each as u64, count * each)?;
-        for (i, packed) in packed.chunks_exact(PACKED).enumerate() {
-            let splat = splats.start + i as u64;
-            if splat.is_multiple_of(CHUNK) {
-                let at = ((splat / CHUNK - chunks.start) * size) as usize;
-                raw.extend_from_slice(&records[at..at + size as usize]);
-            }
-            raw.extend_from_slice(packed);
-            raw.extend_from_slice(&harmonics[i * each..(i + 1) * each]);
-        }
-        Ok(())
     }
 
     /// The splats of a chunk, each with the bounds of its chunk of the file.
@@ -391,23 +362,33 @@ enum Part {
     Harmonics,
 }
 
-struct Reader<'a> {
-    model: &'a Chunks,
-    range: Range<u64>,
-    chunk: u64,
-}
-
-impl VertexReader for Reader<'_> {
-    fn set_chunk(&mut self, vertices: usize) {
-        self.chunk = vertices.clamp(1, CHUNK_VERTICES) as u64;
-    }
-
-    fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
-        let end = self.range.end.min(self.range.start + self.chunk);
-        self.model.read(chunk, self.range.start..end)?;
-        self.range.start = end;
-        self.model.decode(chunk)?;
-        Ok(!chunk.is_empty())
+impl Layout for Chunks {
+    fn read(&self, chunk: &mut VertexChunk, splats: Range<u64>) -> Result<()> {
+        let VertexChunk { raw, records, first, .. } = chunk;
+        raw.clear();
+        records.clear();
+        *first = splats.start;
+        if splats.is_empty() {
+            return Ok(());
+        }
+        let (size, count) = (self.bounds_bytes() as u64, (splats.end - splats.start) as usize);
+        let chunks = splats.start / CHUNK..splats.end.div_ceil(CHUNK);
+        let bytes = (chunks.end - chunks.start) * size;
+        self.source.append_at(records, self.starts[0] + chunks.start * size, bytes as usize)?;
+        let (mut packed, mut harmonics) = (Vec::new(), Vec::new());
+        self.source.append_at(&mut packed, self.starts[1] + splats.start * PACKED as u64, count * PACKED)?;
+        let each = self.harmonics;
+        self.source.append_at(&mut harmonics, self.starts[2] + splats.start * each as u64, count * each)?;
+        for (i, packed) in packed.chunks_exact(PACKED).enumerate() {
+            let splat = splats.start + i as u64;
+            if splat.is_multiple_of(CHUNK) {
+                let at = ((splat / CHUNK - chunks.start) * size) as usize;
+                raw.extend_from_slice(&records[at..at + size as usize]);
+            }
+            raw.extend_from_slice(packed);
+            raw.extend_from_slice(&harmonics[i * each..(i + 1) * each]);
+        }
+        Ok(())
     }
 }
 
@@ -432,8 +413,7 @@ impl Model for Chunks {
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
-        let end = range.end.min(self.info.vertices);
-        Ok(Box::new(Reader { model: self, range: range.start.min(end)..end, chunk: CHUNK_VERTICES as u64 }))
+        Ok(Box::new(Reader::new(self, range)))
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {

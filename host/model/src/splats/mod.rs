@@ -13,11 +13,17 @@ mod packing;
 pub(crate) mod records;
 pub(crate) mod spz;
 
+use std::ops::Range;
+
 use glam::{DVec3, Mat3};
 
 use crate::follow::{Follow, Following};
+use crate::pipeline::Rewritable;
 use crate::source::Source;
-use crate::{Attribute, Edited, Error, ErrorKind, ModelInfo, Result, Scalar, Type};
+use crate::{
+    Attribute, CHUNK_VERTICES, Edited, Error, ErrorKind, Model, ModelInfo, Result, Scalar, Type, VertexChunk,
+    VertexReader,
+};
 
 /// What the numbers of a splat are called, with so many harmonics beyond the first three.
 fn attributes(harmonics: usize) -> Vec<Attribute> {
@@ -75,6 +81,40 @@ fn info(
         ranges: Vec::new(),
         written: None,
         crs: None,
+    }
+}
+
+/// A layout of which any splats can be read.
+trait Layout: Model + Rewritable {
+    /// Fills a chunk with the bytes of some splats.
+    fn read(&self, chunk: &mut VertexChunk, splats: Range<u64>) -> Result<()>;
+}
+
+/// Reads splats chunk by chunk.
+struct Reader<'a, L> {
+    model: &'a L,
+    range: Range<u64>,
+    chunk: u64,
+}
+
+impl<'a, L: Layout> Reader<'a, L> {
+    fn new(model: &'a L, range: Range<u64>) -> Self {
+        let end = range.end.min(model.info().vertices);
+        Self { model, range: range.start.min(end)..end, chunk: CHUNK_VERTICES as u64 }
+    }
+}
+
+impl<L: Layout> VertexReader for Reader<'_, L> {
+    fn set_chunk(&mut self, vertices: usize) {
+        self.chunk = vertices.clamp(1, CHUNK_VERTICES) as u64;
+    }
+
+    fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
+        let end = self.range.end.min(self.range.start + self.chunk);
+        self.model.read(chunk, self.range.start..end)?;
+        self.range.start = end;
+        self.model.decode(chunk)?;
+        Ok(!chunk.is_empty())
     }
 }
 

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use glam::{DVec3, Vec3};
 
-use super::{Places, following, gradient, info, packing, turn};
+use super::{Layout, Places, Reader, following, gradient, info, packing, turn};
 use crate::follow::{Follow, Following};
 use crate::model::NoFaces;
 use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
@@ -97,32 +97,12 @@ fn put_numbers(record: &mut [u8], old: &[f64], new: &[f64]) {
     }
 }
 
-impl Records {
+impl Layout for Records {
     fn read(&self, chunk: &mut VertexChunk, splats: Range<u64>) -> Result<()> {
         chunk.first = splats.start;
         chunk.raw.resize((splats.end - splats.start) as usize * RECORD, 0);
         self.source.read_at(&mut chunk.raw, splats.start * RECORD as u64)?;
         Ok(())
-    }
-}
-
-struct Reader<'a> {
-    model: &'a Records,
-    range: Range<u64>,
-    chunk: u64,
-}
-
-impl VertexReader for Reader<'_> {
-    fn set_chunk(&mut self, vertices: usize) {
-        self.chunk = vertices.clamp(1, CHUNK_VERTICES) as u64;
-    }
-
-    fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
-        let end = self.range.end.min(self.range.start + self.chunk);
-        self.model.read(chunk, self.range.start..end)?;
-        self.range.start = end;
-        self.model.decode(chunk)?;
-        Ok(!chunk.is_empty())
     }
 }
 
@@ -144,8 +124,7 @@ impl Model for Records {
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
-        let end = range.end.min(self.info.vertices);
-        Ok(Box::new(Reader { model: self, range: range.start.min(end)..end, chunk: CHUNK_VERTICES as u64 }))
+        Ok(Box::new(Reader::new(self, range)))
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {

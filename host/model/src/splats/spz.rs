@@ -15,7 +15,7 @@ use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 use glam::DVec3;
 
-use super::{HARMONICS, Places, following, gradient, info, packing, turn};
+use super::{HARMONICS, Layout, Places, Reader, following, gradient, info, packing, turn};
 use crate::cache::{Making, Need};
 use crate::follow::{Follow, Following};
 use crate::model::NoFaces;
@@ -154,27 +154,6 @@ impl Spz {
         self.sizes.iter().sum()
     }
 
-    /// Fills a chunk with the bytes of some splats.
-    fn read(&self, chunk: &mut VertexChunk, splats: Range<u64>) -> Result<()> {
-        let (count, each) = ((splats.end - splats.start) as usize, self.each());
-        chunk.first = splats.start;
-        chunk.raw.clear();
-        chunk.raw.resize(count * each, 0);
-        let (mut bytes, mut start) = (Vec::new(), HEADER);
-        for array in ARRAYS {
-            let (size, place) = (self.sizes[array as usize], self.place(array));
-            bytes.clear();
-            self.unpacked.append_at(&mut bytes, start + splats.start * size as u64, count * size)?;
-            start += self.info.vertices * size as u64;
-            if size > 0 {
-                for (to, from) in chunk.raw.chunks_exact_mut(each).zip(bytes.chunks_exact(size)) {
-                    to[place.clone()].copy_from_slice(from);
-                }
-            }
-        }
-        Ok(())
-    }
-
     fn position(&self, splat: &[u8]) -> DVec3 {
         DVec3::from_array([0, 3, 6].map(|at| {
             // The sign is that of the highest byte.
@@ -307,23 +286,25 @@ fn put_quaternion(q: [f64; 4], bytes: &mut [u8]) {
     bytes.copy_from_slice(&packed.to_le_bytes());
 }
 
-struct Reader<'a> {
-    model: &'a Spz,
-    range: Range<u64>,
-    chunk: u64,
-}
-
-impl VertexReader for Reader<'_> {
-    fn set_chunk(&mut self, vertices: usize) {
-        self.chunk = vertices.clamp(1, CHUNK_VERTICES) as u64;
-    }
-
-    fn read(&mut self, chunk: &mut VertexChunk) -> Result<bool> {
-        let end = self.range.end.min(self.range.start + self.chunk);
-        self.model.read(chunk, self.range.start..end)?;
-        self.range.start = end;
-        self.model.decode(chunk)?;
-        Ok(!chunk.is_empty())
+impl Layout for Spz {
+    fn read(&self, chunk: &mut VertexChunk, splats: Range<u64>) -> Result<()> {
+        let (count, each) = ((splats.end - splats.start) as usize, self.each());
+        chunk.first = splats.start;
+        chunk.raw.clear();
+        chunk.raw.resize(count * each, 0);
+        let (mut bytes, mut start) = (Vec::new(), HEADER);
+        for array in ARRAYS {
+            let (size, place) = (self.sizes[array as usize], self.place(array));
+            bytes.clear();
+            self.unpacked.append_at(&mut bytes, start + splats.start * size as u64, count * size)?;
+            start += self.info.vertices * size as u64;
+            if size > 0 {
+                for (to, from) in chunk.raw.chunks_exact_mut(each).zip(bytes.chunks_exact(size)) {
+                    to[place.clone()].copy_from_slice(from);
+                }
+            }
+        }
+        Ok(())
     }
 }
 
@@ -346,8 +327,7 @@ impl Model for Spz {
     }
 
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>> {
-        let end = range.end.min(self.info.vertices);
-        Ok(Box::new(Reader { model: self, range: range.start.min(end)..end, chunk: CHUNK_VERTICES as u64 }))
+        Ok(Box::new(Reader::new(self, range)))
     }
 
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
