@@ -1,15 +1,15 @@
-//! The gradient across the surface, by which what turns needs it: from wider neighbourhoods than expansions have.
+//! The gradient by which what turns needs it: from wider neighbourhoods than expansions have.
 //!
 //! A surface tells how a map of space changes across it by how its own bending varies: where it bends by
 //! another amount, the same gradient across moves it by another one. Next to a sample that hardly shows, and the
-//! second order of the map along the surface looks alike. Over six spacings it shows, if the map is expanded to
-//! third order. So at some samples, the *anchors*, such an expansion is fitted to all samples that are neighbours
-//! of neighbours. It goes beyond the affine map, with the ridge that noise of the size of what is left over asks
-//! for (N. Wiener, *Extrapolation, Interpolation, and Smoothing of Stationary Time Series*, 1949): where samples
-//! are not moved by a smooth map of space, the prior of the gradients stands.
+//! second order of the map along the surface looks alike. Over a dozen spacings it shows, if the map is expanded
+//! to fourth order. So at some samples, the *anchors*, such an expansion is fitted to all samples that four links
+//! of the graph of neighbours lead to. It goes beyond the affine map, with the ridge that noise of the size of
+//! what is left over asks for (N. Wiener, *Extrapolation, Interpolation, and Smoothing of Stationary Time Series*,
+//! 1949): where samples are not moved by a smooth map of space, the gradients of the samples' own expansions stand.
 //!
-//! Memory: 4 bytes per sample and some 260 per anchor, of which there is one for about nine samples; the result
-//! takes 144 per sample.
+//! Memory: 4 bytes per sample and thread, some 500 per anchor and 4 for each sample at which it has a say, about
+//! 250, of one anchor for about 30 samples; the result takes 144 per sample.
 
 use glam::{DMat3, DVec3, Mat3, Vec3};
 use pulp::Arch;
@@ -17,35 +17,48 @@ use rayon::prelude::*;
 
 use super::expansion::Expansion;
 use super::gradients::ROUNDING;
-use super::limiter::outer;
 use super::stencils::Stencils;
 use crate::sampling::SampleSet;
 
-/// Every sample has an anchor among so many neighbours, or is one.
-const ANCHORED: usize = 16;
+/// An anchor is fitted to all samples that so many links of the graph of neighbours lead to.
+const LINKS: usize = 4;
 
-/// Terms of a third-order expansion without its constant: three, six and ten.
-const TERMS: usize = 19;
+/// It has a say at those that so many lead to.
+const HEARD: usize = 3;
 
-/// The coordinates whose product each term is; 3 stands for none.
-const FACTORS: [[usize; 3]; TERMS] = {
-    let mut factors = [[3; 3]; TERMS];
-    let (mut quadratic, mut cubic, mut a) = (3, 9, 0);
-    while a < 3 {
-        factors[a][0] = a;
-        let mut b = a;
-        while b < 3 {
-            factors[quadratic] = [a, b, 3];
-            quadratic += 1;
-            let mut c = b;
-            while c < 3 {
-                factors[cubic] = [a, b, c];
-                cubic += 1;
-                c += 1;
+/// No other sample that so many links to the nearest neighbours lead to is an anchor.
+const APART: usize = 2;
+
+/// As many of the nearest neighbours.
+const NEAREST: usize = 16;
+
+/// Terms of a fourth-order expansion without its constant: three, six, ten and fifteen.
+const TERMS: usize = 34;
+
+/// Factors of a term, at most.
+const ORDER: usize = 4;
+
+/// The coordinates whose product each term is, ascending; 3 stands for none.
+const FACTORS: [[usize; ORDER]; TERMS] = {
+    let (mut factors, mut at, mut order) = ([[3; ORDER]; TERMS], 0, 1);
+    while order <= ORDER {
+        // All numbers of four digits of base four, of which those that ascend are terms.
+        let mut number = 0;
+        while number < 1 << (2 * ORDER) {
+            let digits = [number >> 6 & 3, number >> 4 & 3, number >> 2 & 3, number & 3];
+            let (mut count, mut ascends, mut i) = (0, true, 0);
+            while i < ORDER {
+                count += (digits[i] < 3) as usize;
+                ascends &= i == 0 || digits[i - 1] <= digits[i];
+                i += 1;
             }
-            b += 1;
+            if ascends && count == order {
+                factors[at] = digits;
+                at += 1;
+            }
+            number += 1;
         }
-        a += 1;
+        order += 1;
     }
     factors
 };
@@ -74,6 +87,8 @@ struct Anchor {
     terms: [Vec3; TERMS],
     /// How far its neighbours tell the gradient across, from 0 to 1.
     trust: f32,
+    /// One over the square of the radius within which it has a say.
+    inverse_square: f32,
 }
 
 /// The expansions by whose gradients numbers turn: those of the samples, with what anchors tell across the surface,
@@ -85,32 +100,32 @@ pub fn told(
     gradient: &[Mat3],
     expansions: &[Expansion],
 ) -> Vec<Expansion> {
-    let (places, chosen) = anchors(samples.len(), stencils);
-    let fit =
-        |i: &u32| Arch::new().dispatch(|| Anchor::fit(samples, stencils, deformed, gradient, *i as usize));
-    let anchors: Vec<Anchor> = chosen.par_iter().map(fit).collect();
-    let near = |i: usize| {
-        let own = std::iter::once(i as u32).chain(stencils.of_sample(i).iter().copied());
-        own.filter_map(|j| anchors.get(places[j as usize] as usize))
+    let chosen = anchors(stencils, expansions);
+    let fit = |walk: &mut Walk, i: &u32| {
+        let fit = Fit { samples, stencils, deformed, affine: gradient[*i as usize], i: *i as usize };
+        Arch::new().dispatch(|| fit.anchor(walk))
     };
+    let fitted = chosen.par_iter().map_init(|| Walk::new(samples.len()), fit);
+    let (anchors, heard): (Vec<Anchor>, Vec<Vec<u32>>) = fitted.unzip();
+    let heard = Heard::new(samples.len(), &heard);
     let told = |(i, e): (usize, &Expansion)| {
-        if e.is_still() {
+        let near = heard.at(i);
+        if e.is_still() || near.is_empty() {
             return *e;
         }
-        let (q, n) = (samples.positions[i], samples.normals()[i]);
-        let (_, radius) = stencils.around(&samples.positions, i, usize::MAX);
+        let q = samples.positions[i];
         let (own, own_second) = (Mat3::IDENTITY + e.slope(), e.second());
-        let (mut across, mut second, mut sum) = (Vec3::ZERO, [Vec3::ZERO; 6], 0.0);
-        for anchor in near(i) {
+        let (mut more, mut second, mut sum) = (Mat3::ZERO, [Vec3::ZERO; 6], 0.0);
+        for anchor in near.iter().map(|anchor| &anchors[*anchor as usize]) {
             let d = q - anchor.center;
-            let w = (1.0 - d.length_squared() / (radius * radius)).max(0.0).powi(3);
+            let w = (1.0 - d.length_squared() * anchor.inverse_square).max(0.0).powi(3);
             let trusted = w * anchor.trust;
-            across += trusted * (anchor.gradient(d) * n - own * n);
-            let more = anchor.second(d).into_iter().zip(own_second);
-            second.iter_mut().zip(more).for_each(|(sum, (theirs, own))| *sum += trusted * (theirs - own));
+            more += (anchor.gradient(d) - own) * trusted;
+            let theirs = anchor.second(d).into_iter().zip(own_second);
+            second.iter_mut().zip(theirs).for_each(|(sum, (theirs, own))| *sum += trusted * (theirs - own));
             sum += w;
         }
-        let more = outer(across / sum, n);
+        let more = more * (1.0 / sum);
         let ratio = (own + more).determinant() / own.determinant();
         if !(more.is_finite() && (THINNEST..1.0 / THINNEST).contains(&ratio)) {
             return *e;
@@ -121,84 +136,169 @@ pub fn told(
     expansions.par_iter().enumerate().map(told).collect()
 }
 
-/// The place of each sample among the anchors, `u32::MAX` for those that are none, and the anchors, ascending.
-fn anchors(samples: usize, stencils: &Stencils<'_>) -> (Vec<u32>, Vec<u32>) {
-    let (mut places, mut chosen) = (vec![u32::MAX; samples], Vec::new());
-    for i in 0..samples {
-        let mut near = stencils.of_sample(i).iter().take(ANCHORED);
-        if near.all(|j| places[*j as usize] == u32::MAX) {
-            places[i] = chosen.len() as u32;
+/// The anchors, ascending, among samples that move.
+fn anchors(stencils: &Stencils<'_>, expansions: &[Expansion]) -> Vec<u32> {
+    let (mut is_near, mut chosen) = (vec![false; expansions.len()], Vec::new());
+    let mut walk = Walk::new(expansions.len());
+    for i in (0..expansions.len()).filter(|i| !expansions[*i].is_still()) {
+        if !is_near[i] {
+            let (near, _) = walk.from(i as u32, APART, |j| {
+                let near = stencils.of_sample(j);
+                &near[..near.len().min(NEAREST)]
+            });
+            near.iter().for_each(|j| is_near[*j as usize] = true);
             chosen.push(i as u32);
         }
     }
-    (places, chosen)
+    chosen
 }
 
-impl Anchor {
+/// A way through the graph of neighbours, to each sample once.
+struct Walk {
+    /// In which walk each sample was met last.
+    met: Vec<u32>,
+    walks: u32,
+}
+
+impl Walk {
+    fn new(samples: usize) -> Self {
+        Self { met: vec![0; samples], walks: 0 }
+    }
+
+    /// The samples that at most so many links lead to, by the number of links, itself first; and how many
+    /// [`HEARD`] links lead to.
+    fn from<'a>(&mut self, i: u32, links: usize, near: impl Fn(usize) -> &'a [u32]) -> (Vec<u32>, usize) {
+        self.walks += 1;
+        self.met[i as usize] = self.walks;
+        let (mut all, mut start, mut heard) = (vec![i], 0, 1);
+        for link in 1..=links {
+            let end = all.len();
+            for at in start..end {
+                for j in near(all[at] as usize) {
+                    if std::mem::replace(&mut self.met[*j as usize], self.walks) != self.walks {
+                        all.push(*j);
+                    }
+                }
+            }
+            start = end;
+            if link <= HEARD {
+                heard = all.len();
+            }
+        }
+        (all, heard)
+    }
+}
+
+/// Which anchors have a say at each sample, ascending.
+struct Heard {
+    starts: Vec<u32>,
+    anchors: Vec<u32>,
+}
+
+impl Heard {
+    /// Of the samples at which each anchor has one.
+    fn new(samples: usize, of_anchors: &[Vec<u32>]) -> Self {
+        let mut starts = vec![0; samples + 1];
+        of_anchors.iter().flatten().for_each(|i| starts[*i as usize + 1] += 1);
+        (0..samples).for_each(|i| starts[i + 1] += starts[i]);
+        let (mut ends, mut anchors) = (starts.clone(), vec![0; starts[samples] as usize]);
+        for (anchor, all) in of_anchors.iter().enumerate() {
+            for i in all.iter().map(|i| *i as usize) {
+                anchors[ends[i] as usize] = anchor as u32;
+                ends[i] += 1;
+            }
+        }
+        Self { starts, anchors }
+    }
+
+    fn at(&self, i: usize) -> &[u32] {
+        &self.anchors[self.starts[i] as usize..self.starts[i + 1] as usize]
+    }
+}
+
+/// What an anchor is fitted to.
+struct Fit<'a> {
+    samples: &'a SampleSet,
+    stencils: &'a Stencils<'a>,
+    deformed: &'a [Vec3],
+    affine: Mat3,
+    i: usize,
+}
+
+impl Fit<'_> {
+    /// The anchor, and the samples at which it has a say.
     #[inline(always)]
-    fn fit(
-        samples: &SampleSet,
-        stencils: &Stencils<'_>,
-        deformed: &[Vec3],
-        gradient: &[Mat3],
-        i: usize,
-    ) -> Self {
-        let affine = gradient[i];
-        let none =
-            Self { center: samples.positions[i], scale: 0.0, affine, terms: [Vec3::ZERO; TERMS], trust: 0.0 };
-        let mut near: Vec<u32> = stencils.of_sample(i).to_vec();
-        near.extend(stencils.of_sample(i).iter().flat_map(|j| stencils.of_sample(*j as usize)));
-        near.sort_unstable();
-        near.dedup();
+    fn anchor(&self, walk: &mut Walk) -> (Anchor, Vec<u32>) {
+        let Self { samples, stencils, deformed, affine, i } = *self;
+        let (mut near, heard) = walk.from(i as u32, LINKS, |j| stencils.of_sample(j));
         let way = |j: u32| samples.positions[j as usize] - samples.positions[i];
-        let square = near.iter().map(|j| way(*j).length_squared()).fold(0.0, f32::max);
-        if square == 0.0 {
-            return none;
+        let radius = |near: &[u32]| near.iter().map(|j| way(*j).length_squared()).fold(0.0, f32::max);
+        let (square, of_heard) = (radius(&near), radius(&near[..heard]));
+        let none = Anchor {
+            center: samples.positions[i],
+            scale: 0.0,
+            affine,
+            terms: [Vec3::ZERO; TERMS],
+            trust: 0.0,
+            inverse_square: 1.0 / of_heard,
+        };
+        if of_heard == 0.0 {
+            return (none, Vec::new());
         }
         let radius = f64::from(square).sqrt();
-        let mut squares = Squares::default();
-        for j in near {
-            let d = way(j).as_dvec3();
-            let moved = (deformed[j as usize].as_dvec3() - deformed[i].as_dvec3()) - affine.as_dmat3() * d;
+        let mut squares = Squares::new();
+        for j in &near {
+            let d = way(*j).as_dvec3();
+            let moved = (deformed[*j as usize].as_dvec3() - deformed[i].as_dvec3()) - affine.as_dmat3() * d;
             squares.include(d / radius, moved);
         }
         let normal = samples.normals()[i].as_dvec3();
-        let Some((terms, trust)) = squares.solve(radius * strain(affine.as_dmat3()), normal) else {
-            return none;
+        near.truncate(heard);
+        let anchor = match squares.solve(radius * strain(affine.as_dmat3()), normal) {
+            Some((terms, trust)) => Anchor {
+                scale: (1.0 / radius) as f32,
+                terms: terms.map(|t| t.as_vec3()),
+                trust: trust as f32,
+                ..none
+            },
+            None => none,
         };
-        Self { scale: (1.0 / radius) as f32, terms: terms.map(|t| t.as_vec3()), trust: trust as f32, ..none }
+        (anchor, near)
     }
+}
 
+impl Anchor {
     /// The gradient of the map at `d` from the anchor.
     fn gradient(&self, d: Vec3) -> Mat3 {
-        let x = d * self.scale;
-        let mut slopes = [Vec3::ZERO; 3];
+        let x = (d * self.scale).extend(1.0).to_array();
+        let mut slopes = [Vec3::ZERO; 4];
         for (factors, term) in FACTORS.iter().zip(&self.terms) {
-            for (left_out, axis) in factors.iter().enumerate().filter(|(_, axis)| **axis < 3) {
-                let others = factors.iter().enumerate().filter(|(at, axis)| *at != left_out && **axis < 3);
-                slopes[*axis] += *term * others.map(|(_, axis)| x[*axis]).product::<f32>();
+            for left_out in 0..ORDER {
+                let others = (0..ORDER).filter(|at| *at != left_out).map(|at| x[factors[at]]);
+                slopes[factors[left_out]] += *term * others.product::<f32>();
             }
         }
-        let [x, y, z] = slopes.map(|slope| slope * self.scale);
+        let [x, y, z, _] = slopes.map(|slope| slope * self.scale);
         self.affine + Mat3::from_cols(x, y, z)
     }
 
     /// The second-order terms of the map at `d` from the anchor: xx, xy, xz, yy, yz, zz.
     fn second(&self, d: Vec3) -> [Vec3; 6] {
-        const PLACE: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
-        let x = d * self.scale;
-        let mut second = [Vec3::ZERO; 6];
-        second.copy_from_slice(&self.terms[3..9]);
-        for ([a, b, c], term) in FACTORS[9..].iter().zip(&self.terms[9..]) {
-            second[PLACE[*a][*b]] += *term * x[*c];
-            second[PLACE[*a][*c]] += *term * x[*b];
-            second[PLACE[*b][*c]] += *term * x[*a];
+        // Where the product of two coordinates is, or of one and none, which is no matter.
+        const PLACE: [[usize; 4]; 4] = [[0, 1, 2, 6], [1, 3, 4, 6], [2, 4, 5, 6], [6; 4]];
+        let x = (d * self.scale).extend(1.0).to_array();
+        let mut second = [Vec3::ZERO; 7];
+        for (factors, term) in FACTORS.iter().zip(&self.terms) {
+            for (one, other) in [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)] {
+                let others = (0..ORDER).filter(|at| *at != one && *at != other).map(|at| x[factors[at]]);
+                second[PLACE[factors[one]][factors[other]]] += *term * others.product::<f32>();
+            }
         }
-        second.map(|term| term * self.scale * self.scale)
+        std::array::from_fn(|at| second[at] * self.scale * self.scale)
     }
 }
+
 /// The squares of what the affine map leaves over, to be explained by the terms in units of the radius.
-#[derive(Default)]
 struct Squares {
     /// Lower triangle of the products of terms, and the products with what is to be explained.
     matrix: [[f64; TERMS]; TERMS],
@@ -213,12 +313,17 @@ struct Squares {
 }
 
 impl Squares {
+    fn new() -> Self {
+        let (matrix, right) = ([[0.0; TERMS]; TERMS], [DVec3::ZERO; TERMS]);
+        Self { matrix, right, weights: 0.0, squared_weights: 0.0, squares: 0.0, largest: 0.0 }
+    }
+
     /// Adds a neighbour at `x`, in units of the radius, that the affine map leaves so far from its image.
     #[inline(always)]
     fn include(&mut self, x: DVec3, left: DVec3) {
         let w = (1.0 - x.length_squared()).max(0.0);
         let x = [x.x, x.y, x.z, 1.0];
-        let terms = FACTORS.map(|[a, b, c]| x[a] * x[b] * x[c]);
+        let terms = FACTORS.map(|[a, b, c, d]| x[a] * x[b] * x[c] * x[d]);
         for a in 0..TERMS {
             let weighted = w * terms[a];
             for (to, term) in self.matrix[a][..=a].iter_mut().zip(&terms) {

@@ -298,16 +298,17 @@ impl<'a> DeformationField<'a> {
         Figures { displacement, stretch, folded, expected_error, anisotropy }
     }
 
-    /// The same, with smooth gradients for what turns: with those at the samples known, if they are, and otherwise
-    /// with what wider neighbourhoods tell across the surface.
+    /// The same, with smooth gradients for what turns: by what wider neighbourhoods tell, and with those at the
+    /// samples known, if they are.
     ///
     /// Memory: 136 bytes per sample.
     pub(super) fn knowing(mut self, known: Option<&[Mat3]>) -> Self {
         let Self { around, stencils, deformed, gradients, expansions, .. } = &self;
         let exact = |(e, known): (&Expansion, &Mat3)| e.with_slope(*known - Mat3::IDENTITY);
+        let told = across::told(around.samples, stencils, deformed, &gradients.gradient, expansions);
         self.turning = match known {
-            Some(known) => expansions.iter().zip(known).map(exact).collect(),
-            None => across::told(around.samples, stencils, deformed, &gradients.gradient, expansions),
+            Some(known) => told.iter().zip(known).map(exact).collect(),
+            None => told,
         };
         self
     }
