@@ -29,7 +29,9 @@ use crate::sampling::gather::{Cubes, PIECE};
 use crate::sampling::grid::Grid;
 use crate::sampling::kept_cells::KeptCells;
 use crate::sampling::triangles::Triangles;
-use crate::sampling::{By, Grouping, Opaque, Placement, SampleSet, Sampling, Skip, Splitting, Target};
+use crate::sampling::{
+    By, Grouping, Opaque, Placement, SampleSet, Sampling, Skip, Splitting, Target, UsualSplat,
+};
 use crate::touching::Contacts;
 
 /// What is written on the first line of `simod.toml`.
@@ -96,6 +98,9 @@ pub struct Source {
     /// How many splats were too transparent to be sampled.
     #[serde(default, skip_serializing_if = "is_none")]
     pub transparent: u64,
+    /// What the size and the place of splats were compared with; nothing where none were left out for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub usual_splat: Option<UsualSplat>,
     /// How often a vertex is in another cell of the coarse grid than the one before it; not known of folders
     /// that former versions wrote.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -352,7 +357,7 @@ impl SampledModel {
 
     /// Which splats of the model were left out, and are whenever it is read for samples.
     pub(crate) fn opaque(&self, model: &dyn Model) -> Option<Opaque> {
-        Opaque::of(model, self.sampling.min_opacity)
+        Opaque::of(model, self.sampling.min_opacity, self.source.usual_splat)
     }
 
     /// How vertices were gathered in groups, if they were.

@@ -596,6 +596,12 @@ pub trait Model: Send + Sync {
         self.info().bytes
     }
 
+    /// Bytes by which the progress of [rewriting](Self::rewrite) is counted: more than the file has where parts of
+    /// it are read several times.
+    fn bytes_to_rewrite(&self) -> u64 {
+        self.info().bytes
+    }
+
     /// What the user said that the columns of a text are, as "x,y,z": it has to be opened so again.
     fn columns(&self) -> Option<&str> {
         None
@@ -628,15 +634,17 @@ pub trait Model: Send + Sync {
         some_by_all(|lists| self.attributes(chunk, lists), places, to)
     }
 
-    /// A reader of all faces, in the file's order, as triangles: a polygon of more than three corners becomes
-    /// a fan about its first corner, one of fewer gives none, and a strip's triangles are turned to the same
-    /// side.
+    /// A reader of all faces, if the format has any, in the file's order, as triangles: a polygon of more than
+    /// three corners becomes a fan about its first corner, one of fewer gives none, and a strip's triangles are
+    /// turned to the same side.
     ///
     /// In a text file the end of the vertices has to be found, where it is not known from reading them.
     ///
     /// # Errors
     /// The file cannot be read, or ends within the vertices.
-    fn faces(&self) -> Result<Box<dyn FaceReader + '_>>;
+    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
+        Ok(Box::new(NoFaces))
+    }
 
     /// A reader of the faces that lie in some ranges of the file's bytes, each from one [`FaceMark`] to
     /// another, and of nothing else.
@@ -644,7 +652,9 @@ pub trait Model: Send + Sync {
     /// # Errors
     /// The model's faces have no marks. When it is read: the file cannot be, or no face ends where a range
     /// does, as the file has changed; records are counted from the beginning of the range then.
-    fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>>;
+    fn faces_at(&self, _ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
+        Ok(Box::new(NoFaces))
+    }
 
     /// Checks that the file holds all that its header speaks of. Most formats know once the file is open, and
     /// this takes no time; text has to be read to its end, as a stage of its own, which

@@ -458,6 +458,56 @@ fn floaters_take_no_samples_and_are_deformed_all_the_same() {
 }
 
 #[test]
+fn splats_that_are_large_or_far_need_more_opacity() {
+    let mut table = Table::splats();
+    let (opacity, scale) = (table.column("opacity"), table.column("scale_0"));
+    // Of opacities from 0.5 to 0.88, so that size and place have no say.
+    table.rows.iter_mut().for_each(|row| row[opacity] = 0.05 + row[opacity].abs());
+    let with = |opaque: f64| {
+        let mut table = table.clone();
+        for i in 0..300 {
+            let mut row = table.rows[7 * i].clone();
+            row[opacity] = opaque;
+            match i % 3 {
+                // Thirty times as large, up to forty times as far off, or hardly other than the rest.
+                0 => row[scale..scale + 3].fill(-1.2),
+                1 => (0..3).for_each(|axis| row[axis] = 20.0 * (row[axis] - 0.5)),
+                _ => row[scale] += 0.5,
+            }
+            table.rows.insert(11 * i, row);
+        }
+        table
+    };
+    let work = Workplace::new();
+    let sampled = |opaque: f64, options: &str| {
+        work.write("model.ply", with(opaque).ply(Kind::Little));
+        work.report(&format!("sample model.ply -o model.simod --samples 2000 {options}"))["transparent"]
+            .as_u64()
+    };
+    // Of opacity 0.18: twice as much as any splat needs.
+    let left_out = sampled(-1.5, "").expect("floaters");
+    assert!((150..=200).contains(&left_out), "{left_out}");
+    let [low, high] = work.ply("model.simod/samples.ply").bounds();
+    assert!((high - low).max_element() < 14.5, "{low} {high}");
+    assert_eq!(sampled(-1.5, "--min-opacity 0"), None);
+    let [low, high] = work.ply("model.simod/samples.ply").bounds();
+    assert!((high - low).max_element() > 18.0, "{low} {high}");
+    // What covers half of what is behind it is seen, and what is fainter everywhere is not.
+    assert_eq!(sampled(0.01, ""), None);
+    assert!(sampled(-3.0, "") == Some(300));
+
+    // Refinements leave out the same, whatever they read, and the session and its command line agree.
+    sampled(-1.5, "");
+    work.simod("refine model.simod --half-space 0,0,0,1,0,0 --factor 2 --into finer.simod");
+    let [low, high] = work.ply("finer.simod/samples.ply").bounds();
+    assert!((high - low).max_element() < 14.5, "{low} {high}");
+    work.write("edit.toml", "[model]\npath = \"model.ply\"\n[sampling]\nsamples = 2000\nmin-opacity = 0\n");
+    assert!(work.report("run edit.toml -o run.ply")["transparent"].is_null());
+    let by_flag = work.report("run edit.toml -o run.ply --min-opacity 0.1");
+    assert_eq!(by_flag["transparent"].as_u64(), Some(left_out));
+}
+
+#[test]
 fn mirrors_turn_ellipsoids_and_colours() {
     let table = Table::splats();
     let mirror = rotation() * DMat3::from_diagonal(DVec3::new(1.0, -1.0, 1.0));

@@ -67,7 +67,8 @@ fn tell_transparent(sampled: &SampledModel, report: &mut Report) {
     if let (n @ 1.., Some(least)) = (sampled.source.transparent, sampled.sampling.min_opacity) {
         report.figure("transparent", n);
         report.line(format!(
-            "{} splats of less opacity than {least} take no samples, and are deformed all the same",
+            "{} splats of less opacity than {least}, or than their size and distance ask for, take no samples, and \
+             are deformed all the same",
             count(n)
         ));
     }

@@ -52,6 +52,10 @@ pub struct Run {
     /// What becomes of the offset of positions that are stored as integers, as in LAS
     #[arg(long, value_enum, default_value_t)]
     offset: OffsetName,
+    /// Leave Gaussian splats of less opacity out of the samples, as `simod sample --min-opacity` does; instead of the
+    /// session's `min-opacity`
+    #[arg(long, value_name = "A")]
+    min_opacity: Option<f64>,
     /// A PLY file to write beside the result, as that of `simod reconstruct --diagnostics`
     #[arg(long, value_name = "FILE")]
     diagnostics: Option<PathBuf>,
@@ -73,6 +77,7 @@ impl Run {
         let mut session = SessionFile::load(&self.session)?;
         session.model = self.model.or(session.model);
         session.time = self.time.over(session.time)?;
+        session.sampling.min_opacity = self.min_opacity.or(session.sampling.min_opacity);
         let output = match self.output {
             Some(output) => output,
             None => session.output_beside(&self.session)?.to_owned(),

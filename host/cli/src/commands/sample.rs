@@ -56,8 +56,8 @@ pub struct SamplingArguments {
     /// of the surface
     #[arg(long, value_enum, default_value_t, value_name = "BY")]
     place: Place,
-    /// Leave Gaussian splats of less opacity out of the samples, as floaters; they are deformed all the same
-    /// [default: 0.1; 0 takes all]
+    /// Leave Gaussian splats of less opacity out of the samples, as floaters, and large and far ones of up to 0.5;
+    /// they are deformed all the same [default: 0.1; 0 takes all]
     #[arg(long, value_name = "A")]
     min_opacity: Option<f64>,
     /// What to leave out: `triangles` of the samples, `cells` for refining, `normals` where they would be

@@ -315,7 +315,7 @@ impl<'a> Work<'a> {
             surveys: Surveys::new(surveys),
             progress: self.progress,
         };
-        self.progress.begin("reconstructing", self.model.info().bytes);
+        self.progress.begin("reconstructing", self.model.bytes_to_rewrite());
         let how = Rewriting { normals: self.how.normals, pieces_done };
         self.model.rewrite(&mut outputs, how, &transfer, self.progress)?;
         if self.sampled.source.fingerprint != fingerprint(locked(&transfer.hash).digest128()) {

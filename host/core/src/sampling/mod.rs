@@ -47,6 +47,7 @@ pub use kd_tree::KdTree;
 pub use neighbour_graph::NeighbourGraph;
 pub use opaque::LEAST_OPACITY;
 pub(crate) use opaque::Opaque;
+pub use opaque::UsualSplat;
 pub use placement::Placement;
 pub use sample_set::{NEIGHBOURS, SampleSet};
 pub use splitting::Splitting;
@@ -209,7 +210,9 @@ fn sample_kept(
 
     model.check_complete(progress)?;
     let min_opacity = opaque::resolve(model, sampling.min_opacity)?;
-    let opaque = Opaque::of(model, min_opacity);
+    let mut opaque = Opaque::of(model, min_opacity, None);
+    let usual_splat = opaque.map(|opaque| opaque.usual(model)).transpose()?.flatten();
+    opaque = opaque.map(|opaque| opaque.beside(usual_splat));
 
     progress.begin("counting", info.vertex_bytes);
     let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
@@ -325,6 +328,7 @@ fn sample_kept(
             non_finite: non_finite.count,
             first_non_finite: non_finite.first,
             transparent: non_finite.transparent,
+            usual_splat,
             jumps: Some(jumps),
             fingerprint: fingerprint(hash.digest128()),
         },

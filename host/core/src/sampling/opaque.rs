@@ -1,26 +1,112 @@
-//! Splats that are so transparent that nobody sees a surface in them: floaters, which would take samples from
-//! what is seen. They are left out of P_S, as vertices without a position are, and are deformed like all others.
+//! Splats in which nobody sees a surface: floaters, which would take samples from what is seen. They are too
+//! transparent, the more so the larger or the farther off they are than others. They are left out of P_S, as vertices
+//! without a position are, and are deformed like all others.
 
+use glam::DVec3;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use simod_model::{Error, ErrorKind, Model, Result, VertexChunk, follow};
 
 /// Splats of less opacity are left out, where nothing else is asked for.
 pub const LEAST_OPACITY: f64 = 0.1;
 
+/// Splats more than so many times as large as usual, or as far off, need more opacity in proportion.
+const UNUSUAL: f64 = 10.0;
+
+/// A splat of so much opacity is part of what is seen, however large and wherever it is.
+const SEEN: f64 = 0.5;
+
+/// What is usual is told by splats at so many places of the file, so many at each.
+const PLACES: u64 = 64;
+const AT_A_PLACE: u64 = 1024;
+
+/// What larger and farther splats are compared with: medians of those of a model that are opaque enough.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct UsualSplat {
+    /// Of positions, axis by axis.
+    middle: DVec3,
+    /// Of distances from there.
+    distance: f64,
+    /// Of sizes: the geometric mean of the two longest axes.
+    size: f64,
+}
+
+impl UsualSplat {
+    /// Of some splats, given by position and size; nothing where they do not tell.
+    fn of(splats: &[(DVec3, f64)]) -> Option<Self> {
+        let median = |of: &dyn Fn(&(DVec3, f64)) -> f64| {
+            let (mut numbers, middle) = (splats.iter().map(of).collect::<Vec<_>>(), splats.len() / 2);
+            (!numbers.is_empty()).then(|| *numbers.select_nth_unstable_by(middle, f64::total_cmp).1)
+        };
+        let middle = DVec3::new(median(&|s| s.0.x)?, median(&|s| s.0.y)?, median(&|s| s.0.z)?);
+        let usual = Self { middle, distance: median(&|s| s.0.distance(middle))?, size: median(&|s| s.1)? };
+        (usual.distance > 0.0 && usual.size > 0.0).then_some(usual)
+    }
+
+    /// How many times larger or farther off than what is hardly unusual a splat is; at least one, and one if it has
+    /// no size.
+    fn excess(&self, p: DVec3, size: f64) -> f64 {
+        (size / (UNUSUAL * self.size)).max(p.distance(self.middle) / (UNUSUAL * self.distance)).max(1.0)
+    }
+}
+
 /// Which splats are left out of a model.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Opaque {
-    /// Where among the attributes the opacity is.
-    place: usize,
-    /// The least one, before the sigmoid, as files have it.
+    /// Where among the attributes opacity and logarithms of scales are; discs have two of these.
+    places: [usize; 4],
+    scales: usize,
+    /// The least opacity.
     least: f64,
+    usual: Option<UsualSplat>,
 }
 
 impl Opaque {
-    /// Of this opacity at least; nothing where none is asked for, or the model has no splats.
-    pub(crate) fn of(model: &dyn Model, least: Option<f64>) -> Option<Self> {
+    /// Of this opacity at least, and more where a splat is larger or farther off than `usual`; nothing where none
+    /// is asked for, or the model has no splats.
+    pub(crate) fn of(model: &dyn Model, least: Option<f64>, usual: Option<UsualSplat>) -> Option<Self> {
         let least = least.filter(|least| *least > 0.0)?;
-        let place = follow::opacity(&model.info().attributes)?;
-        Some(Self { place, least: (least / (1.0 - least)).ln() })
+        let attributes = &model.info().attributes;
+        let mut places = [follow::opacity(attributes)?; 4];
+        let scale = |i: usize| attributes.iter().position(|a| a.name == format!("scale_{i}"));
+        let scales = (0..3).map_while(scale).zip(&mut places[1..]).map(|(scale, to)| *to = scale).count();
+        Some(Self { places, scales, least, usual })
+    }
+
+    /// What is usual in the model.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub(crate) fn usual(&self, model: &dyn Model) -> Result<Option<UsualSplat>> {
+        let info = model.info();
+        // Where reading begins at the first splat always, all are read, and some are taken: files may be sorted.
+        let (places, each, step) = match info.random_access && info.vertices > PLACES * AT_A_PLACE {
+            true => (PLACES, AT_A_PLACE, 1),
+            false => (1, info.vertices, info.vertices.div_ceil(PLACES * AT_A_PLACE).max(1)),
+        };
+        let read = |place: u64| -> Result<Vec<(DVec3, f64)>> {
+            let first = info.vertices / places * place;
+            let mut reader = model.vertices(first..first + each)?;
+            let (mut chunk, mut numbers, mut splats) = (VertexChunk::default(), self.lists(), Vec::new());
+            while reader.read(&mut chunk)? {
+                model.some_attributes(&chunk, self.places(), &mut numbers)?;
+                let all = (chunk.first..).zip(&chunk.positions).enumerate();
+                let taken = all.filter(|(i, (splat, p))| {
+                    splat.is_multiple_of(step) && p.is_finite() && numbers[0][*i] >= logit(self.least)
+                });
+                let sized = taken.map(|(i, (_, p))| (*p, size(&numbers[1..], i)));
+                splats.extend(sized.filter(|(_, size)| size.is_finite()));
+            }
+            Ok(splats)
+        };
+        let splats = (0..places).into_par_iter().map(read).collect::<Result<Vec<_>>>()?;
+        Ok(UsualSplat::of(&splats.concat()))
+    }
+
+    /// The same, of splats that are compared with what is usual.
+    pub(crate) fn beside(self, usual: Option<UsualSplat>) -> Self {
+        Self { usual, ..self }
     }
 
     /// Takes the positions from the splats of a chunk that are left out; returns how many of them had one.
@@ -28,18 +114,43 @@ impl Opaque {
     /// # Errors
     /// In a text format, something is no number.
     pub(crate) fn leave_out(&self, model: &dyn Model, chunk: &mut VertexChunk) -> Result<u64> {
-        let mut opacity = [Vec::new()];
-        model.some_attributes(chunk, &[self.place], &mut opacity)?;
-        let mut count = 0;
-        for (p, opacity) in chunk.positions.iter_mut().zip(&opacity[0]) {
+        let mut numbers = self.lists();
+        model.some_attributes(chunk, self.places(), &mut numbers)?;
+        let (least, seen, mut count) = (logit(self.least), logit(SEEN.max(self.least)), 0);
+        for (i, p) in chunk.positions.iter_mut().enumerate().filter(|(_, p)| p.is_finite()) {
+            let opacity = numbers[0][i];
+            let is_faint = |usual: UsualSplat| {
+                opacity < seen && opacity < logit(self.least * usual.excess(*p, size(&numbers[1..], i)))
+            };
             // What is no number stays.
-            if *opacity < self.least && p.is_finite() {
-                *p = glam::DVec3::NAN;
+            if opacity < least || self.usual.is_some_and(is_faint) {
+                *p = DVec3::NAN;
                 count += 1;
             }
         }
         Ok(count)
     }
+
+    fn places(&self) -> &[usize] {
+        &self.places[..=self.scales]
+    }
+
+    fn lists(&self) -> Vec<Vec<f64>> {
+        vec![Vec::new(); 1 + self.scales]
+    }
+}
+
+/// The geometric mean of a splat's two longest axes, of the logarithms of their lengths.
+fn size(scales: &[Vec<f64>], splat: usize) -> f64 {
+    let (sum, least) = scales
+        .iter()
+        .fold((0.0, f64::INFINITY), |(sum, least), axis| (sum + axis[splat], axis[splat].min(least)));
+    (0.5 * if scales.len() < 3 { sum } else { sum - least }).exp()
+}
+
+/// An opacity before the sigmoid, as files have it; of one that there cannot be, more than any.
+fn logit(opacity: f64) -> f64 {
+    if opacity < 1.0 { (opacity / (1.0 - opacity)).ln() } else { f64::INFINITY }
 }
 
 /// The least opacity of a model's splats, by what was asked for: nothing where there are none.

@@ -329,8 +329,9 @@ impl Model for Converted {
         }
         let work = Work::new(&*self.model, &self.source, &*form, how, edit, progress);
         pipeline::rewrite(&work, outputs, how, &work.edit(), &work.quietly())?;
-        let notes = self.following().map_or(Vec::new(), Following::notes);
-        notes.iter().for_each(|note| progress.note(&format!("{}: {note}", self.path().display())));
+        if let Some(following) = self.following() {
+            following.tell(self.path(), progress);
+        }
         Ok(())
     }
 }

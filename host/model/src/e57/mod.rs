@@ -37,11 +37,9 @@ use file::E57Model;
 use glam::DVec3;
 use reader::Reader;
 
-use crate::model::NoFaces;
 use crate::source::Source;
 use crate::{
-    Edit, FaceReader, Model, ModelInfo, Output, Progress, Result, Rewriting, VertexChunk, VertexReader,
-    pipeline,
+    Edit, Model, ModelInfo, Output, Progress, Result, Rewriting, VertexChunk, VertexReader, pipeline,
 };
 
 /// Whether a file that begins so is E57.
@@ -83,14 +81,6 @@ impl Model for E57Model {
     fn attributes(&self, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<()> {
         self.attributes_of(chunk, to);
         Ok(())
-    }
-
-    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(NoFaces))
-    }
-
-    fn faces_at(&self, _ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(NoFaces))
     }
 
     fn has_room_for(&self, p: DVec3) -> bool {

@@ -1,6 +1,7 @@
 //! The numbers of a model that turn with the surface.
 
 use std::ops::Range;
+use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Mat3;
@@ -9,7 +10,7 @@ use super::names;
 use super::rules::{Follow, Kind, Opacity};
 use super::splat::Splat;
 use super::turn::Turn;
-use crate::Attribute;
+use crate::{Attribute, Progress};
 
 /// A group of numbers that turn together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -134,8 +135,13 @@ impl Following {
         }
     }
 
-    /// What became of splats, where users should know.
-    pub(crate) fn notes(&self) -> Vec<String> {
+    /// Tells what became of the splats of a file, where users should know.
+    pub(crate) fn tell(&self, file: &Path, progress: &dyn Progress) {
+        self.notes().iter().for_each(|note| progress.note(&format!("{}: {note}", file.display())));
+    }
+
+    /// The same, in words.
+    fn notes(&self) -> Vec<String> {
         let Tally { kept, needles, longest } = &self.tally;
         let [kept, needles, longest] = [kept, needles, longest].map(|n| n.swap(0, Ordering::Relaxed));
         let mut notes = Vec::new();

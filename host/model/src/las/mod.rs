@@ -40,10 +40,9 @@ use reader::Reader;
 use vlrs::Kind;
 
 use crate::bounds::Bounds;
-use crate::model::NoFaces;
 use crate::{
-    Edit, Error, ErrorKind, FaceReader, Model, ModelInfo, Output, Progress, Result, Rewriting,
-    ScaledIntegers, VertexChunk, VertexReader, pipeline,
+    Edit, Error, ErrorKind, Model, ModelInfo, Output, Progress, Result, Rewriting, ScaledIntegers,
+    VertexChunk, VertexReader, pipeline,
 };
 
 /// Whether a file that begins so is LAS.
@@ -102,14 +101,6 @@ impl Model for LasModel {
     fn some_attributes(&self, chunk: &VertexChunk, places: &[usize], to: &mut [Vec<f64>]) -> Result<()> {
         self.places.decode_some(self.records_of(chunk), self.header.record, places, to);
         Ok(())
-    }
-
-    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(NoFaces))
-    }
-
-    fn faces_at(&self, _ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(NoFaces))
     }
 
     fn keep_positions(&self, folder: Option<&Path>) {

@@ -283,8 +283,7 @@ impl Model for PlyModel {
             progress.note(&format!("{}: {note}", self.source.path().display()));
         }
         pipeline::rewrite(self, outputs, how, edit, progress)?;
-        let notes = self.following.notes();
-        notes.iter().for_each(|note| progress.note(&format!("{}: {note}", self.source.path().display())));
+        self.following.tell(self.source.path(), progress);
         Ok(())
     }
 }

@@ -15,14 +15,13 @@ use glam::DVec3;
 
 use super::{HARMONICS, Layout, Places, Reader, following, gradient, info, packing, turn};
 use crate::follow::{Follow, Following};
-use crate::model::NoFaces;
 use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
 use crate::ply::{Element, Encoding, Header, PlyModel, Shape};
 use crate::source::Source;
 use crate::unfit::Unfit;
 use crate::{
-    CHUNK_VERTICES, Edit, Edited, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
-    Type, VertexChunk, VertexReader,
+    CHUNK_VERTICES, Edit, Edited, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, Type,
+    VertexChunk, VertexReader,
 };
 
 /// Splats between one pair of bounds.
@@ -426,16 +425,13 @@ impl Model for Chunks {
         Ok(())
     }
 
-    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(NoFaces))
-    }
-
-    fn faces_at(&self, _ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(NoFaces))
-    }
-
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
         self.source.check_unchanged()
+    }
+
+    fn bytes_to_rewrite(&self) -> u64 {
+        let again = if self.harmonics == 0 { 1 } else { 2 };
+        self.info.bytes + again * self.info.vertex_bytes
     }
 
     fn following(&self) -> Option<&Following> {
@@ -455,8 +451,7 @@ impl Model for Chunks {
         progress: &dyn Progress,
     ) -> Result<()> {
         pipeline::rewrite(self, outputs, how, edit, progress)?;
-        let notes = self.following.notes();
-        notes.iter().for_each(|note| progress.note(&format!("{}: {note}", self.source.path().display())));
+        self.following.tell(self.source.path(), progress);
         Ok(())
     }
 }

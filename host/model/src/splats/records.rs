@@ -8,13 +8,12 @@ use glam::{DVec3, Vec3};
 
 use super::{Layout, Places, Reader, following, gradient, info, packing, turn};
 use crate::follow::{Follow, Following};
-use crate::model::NoFaces;
 use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
 use crate::source::Source;
 use crate::unfit::Unfit;
 use crate::{
-    CHUNK_VERTICES, Edit, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
-    VertexChunk, VertexReader,
+    CHUNK_VERTICES, Edit, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, VertexChunk,
+    VertexReader,
 };
 
 /// The extension of such files.
@@ -137,14 +136,6 @@ impl Model for Records {
         Ok(())
     }
 
-    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(NoFaces))
-    }
-
-    fn faces_at(&self, _ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(NoFaces))
-    }
-
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
         self.source.check_unchanged()
     }
@@ -166,8 +157,7 @@ impl Model for Records {
         progress: &dyn Progress,
     ) -> Result<()> {
         pipeline::rewrite(self, outputs, how, edit, progress)?;
-        let notes = self.following.notes();
-        notes.iter().for_each(|note| progress.note(&format!("{}: {note}", self.source.path().display())));
+        self.following.tell(self.source.path(), progress);
         Ok(())
     }
 }

@@ -18,12 +18,11 @@ use glam::DVec3;
 use super::{HARMONICS, Layout, Places, Reader, following, gradient, info, packing, turn};
 use crate::cache::{Making, Need};
 use crate::follow::{Follow, Following};
-use crate::model::NoFaces;
 use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
 use crate::source::Source;
 use crate::{
-    CHUNK_VERTICES, Edit, Edited, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress,
-    Result, Rewriting, Summary, VertexChunk, VertexReader,
+    CHUNK_VERTICES, Edit, Edited, Error, ErrorKind, Model, ModelInfo, Normals, Output, Progress, Result,
+    Rewriting, Summary, VertexChunk, VertexReader,
 };
 
 /// What the unpacked file begins with.
@@ -340,20 +339,17 @@ impl Model for Spz {
         Ok(())
     }
 
-    fn faces(&self) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(NoFaces))
-    }
-
-    fn faces_at(&self, _ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(NoFaces))
-    }
-
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {
         self.source.check_unchanged()
     }
 
     fn has_room_for(&self, p: DVec3) -> bool {
         (p * self.unit).abs().max_element() < REACH - 1.0
+    }
+
+    fn bytes_to_rewrite(&self) -> u64 {
+        let read = |array| if self.may_change(array) { self.each() } else { self.sizes[array as usize] };
+        HEADER + self.info.vertices * ARRAYS.into_iter().map(read).sum::<usize>() as u64
     }
 
     fn following(&self) -> Option<&Following> {
@@ -384,8 +380,7 @@ impl Model for Spz {
         let mut outputs: Vec<&mut dyn Output> =
             packed.iter_mut().map(|output| output as &mut dyn Output).collect();
         pipeline::rewrite(self, &mut outputs, how, edit, progress)?;
-        let notes = self.following.notes();
-        notes.iter().for_each(|note| progress.note(&format!("{}: {note}", self.source.path().display())));
+        self.following.tell(self.source.path(), progress);
         Ok(())
     }
 }

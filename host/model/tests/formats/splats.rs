@@ -1,10 +1,11 @@
 //! `.splat` and compressed PLY.
 
 use std::io::Read;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::{DMat3, DQuat, DVec3, Mat3};
 use proptest::prelude::*;
-use simod_model::{ErrorKind, Model};
+use simod_model::{ErrorKind, Model, Progress, Rewriting};
 
 use super::*;
 
@@ -245,6 +246,37 @@ fn what_does_not_move_keeps_its_bytes() {
         assert_eq!(before == after, chunk < 5, "{chunk}");
         assert!(before[0][24..] == after[0][24..], "bounds of scales and colours");
         assert_eq!(before[2] == after[2], chunk < 5);
+    }
+}
+
+/// Adds up what is done.
+#[derive(Default)]
+struct Done(AtomicU64);
+
+impl Progress for Done {
+    fn begin(&self, _stage: &'static str, _total_bytes: u64) {}
+    fn advance(&self, bytes: u64) {
+        self.0.fetch_add(bytes, Ordering::Relaxed);
+    }
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+}
+
+#[test]
+fn progress_ends_with_all_bytes() {
+    for (bytes, extension) in [
+        (records(700), ".splat"),
+        (chunks(700, false), ".ply"),
+        (chunks(700, true), ".ply"),
+        (spz(&unpacked(700, 2, 0)), ".spz"),
+        (spz(&unpacked(700, 3, 2)), ".spz"),
+    ] {
+        let model = open(&bytes, extension).unwrap();
+        let (done, mut out) = (Done::default(), Written::default());
+        let keep = |_: &VertexChunk, _: &mut [Edited]| Ok(());
+        model.rewrite(&mut [&mut out], Rewriting::default(), &keep, &done).unwrap();
+        assert_eq!(done.0.into_inner(), model.bytes_to_rewrite(), "{extension}");
     }
 }
 
