@@ -39,7 +39,7 @@ impl Bytes {
     /// # Errors
     /// The file cannot be read.
     pub fn of(model: &dyn Model) -> Result<Option<Self>> {
-        let Some(colors) = Colors::of(model.info()) else { return Ok(None) };
+        let Some(colors) = Colors::seen(&model.info().attributes) else { return Ok(None) };
         Ok(Some(Self { colors, scale: ColorScale::of_model(model, &colors)? }))
     }
 

@@ -9,6 +9,12 @@ use crate::{Attribute, Model, ModelInfo, Result, Type, VertexChunk};
 const NAMES: [[&str; 3]; 3] =
     [["red", "green", "blue"], ["r", "g", "b"], ["diffuse_red", "diffuse_green", "diffuse_blue"]];
 
+/// The first coefficients of the harmonics of Gaussian splats: the colour that they have from all sides alike.
+const COEFFICIENTS: [&str; 3] = ["f_dc_0", "f_dc_1", "f_dc_2"];
+
+/// The first function of the harmonics.
+const HARMONIC: f64 = 0.282_094_791_773_878_14;
+
 /// Where among the attributes of vertices their colour is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Colors {
@@ -16,11 +22,21 @@ pub struct Colors {
     pub places: [usize; 3],
     /// The type of these numbers.
     pub kind: Type,
+    /// The numbers are coefficients of harmonics.
+    pub of_splats: bool,
 }
 
-/// What numbers stand for: from 0 to the one of full light.
+/// What numbers stand for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ColorScale(u16);
+pub struct ColorScale(Meaning);
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Meaning {
+    /// From 0 to the number of full light.
+    Full(u16),
+    /// Coefficients of harmonics.
+    Coefficients,
+}
 
 impl Colors {
     /// The colour of vertices with such attributes, if they have one: three numbers of one type.
@@ -37,11 +53,29 @@ impl Colors {
         }
         places.into_iter().find_map(|found| {
             let [(red, kind), (green, other), (blue, another)] = [found[0]?, found[1]?, found[2]?];
-            (kind == other && kind == another).then_some(Self { places: [red, green, blue], kind })
+            (kind == other && kind == another).then_some(Self {
+                places: [red, green, blue],
+                kind,
+                of_splats: false,
+            })
         })
     }
 
-    /// That of a model's vertices.
+    /// The same, or what vertices with such attributes are seen in, if they are Gaussian splats.
+    pub fn seen<'a>(attributes: impl IntoIterator<Item = &'a Attribute> + Clone) -> Option<Self> {
+        let coefficient = |name: &str| {
+            let mut all = attributes.clone().into_iter().enumerate();
+            all.find_map(|(place, a)| (a.name == name).then_some((place, a.kind)))
+        };
+        let of_splats = || {
+            let [red, green, blue] = COEFFICIENTS.map(coefficient);
+            let ((red, kind), (green, _), (blue, _)) = (red?, green?, blue?);
+            Some(Self { places: [red, green, blue], kind, of_splats: true })
+        };
+        Self::among(attributes.clone()).or_else(of_splats)
+    }
+
+    /// That of a model's vertices, as numbers from nothing to full light.
     pub fn of(info: &ModelInfo) -> Option<Self> {
         Self::among(&info.attributes)
     }
@@ -53,21 +87,24 @@ impl Colors {
 }
 
 impl ColorScale {
-    /// That of numbers of a type of which `most` is the largest: bytes are full at 255. Wider types are by
-    /// themselves full at 1 (fractions), 255 or 65 535, which programs do not agree upon, so that the largest
-    /// number tells.
-    pub fn of(kind: Type, most: f64) -> Self {
-        match kind {
-            Type::U8 | Type::I8 => Self(255),
-            _ if kind.is_float() && most <= 1.0 => Self(1),
-            _ if most <= 255.0 => Self(255),
-            _ => Self(65535),
-        }
+    /// That of numbers of which `most` is the largest: bytes are full at 255. Wider types are by themselves full at
+    /// 1 (fractions), 255 or 65 535, which programs do not agree upon, so that the largest number tells.
+    pub fn of(colors: &Colors, most: f64) -> Self {
+        Self(match colors.kind {
+            _ if colors.of_splats => Meaning::Coefficients,
+            Type::U8 | Type::I8 => Meaning::Full(255),
+            kind if kind.is_float() && most <= 1.0 => Meaning::Full(1),
+            _ if most <= 255.0 => Meaning::Full(255),
+            _ => Meaning::Full(65535),
+        })
     }
 
-    /// The number of full light.
+    /// The number of full light; 1 of coefficients, which have none.
     pub fn full(self) -> f64 {
-        f64::from(self.0)
+        match self.0 {
+            Meaning::Full(full) => f64::from(full),
+            Meaning::Coefficients => 1.0,
+        }
     }
 
     /// That of a model's colours. How large they are is told by vertices all over the file; where reading begins
@@ -79,8 +116,8 @@ impl ColorScale {
         const PLACES: u64 = 16;
         const AT_A_PLACE: u64 = 2048;
         let info = model.info();
-        if colors.kind == Type::U8 {
-            return Ok(Self::of(colors.kind, 0.0));
+        if colors.kind == Type::U8 || colors.of_splats {
+            return Ok(Self::of(colors, 0.0));
         }
         let places = if info.random_access { PLACES } else { 1 };
         let largest = |place| -> Result<f64> {
@@ -98,14 +135,18 @@ impl ColorScale {
         };
         let largest: Result<Vec<f64>> = (0..places).into_par_iter().map(largest).collect();
         let most = largest?.into_iter().fold(0.0, f64::max);
-        Ok(Self::of(colors.kind, most))
+        Ok(Self::of(colors, most))
     }
 
     /// A number as a byte, in the transfer curve that it has (sRGB as a rule); nothing where it is none.
     #[inline]
     pub fn byte(self, number: f64) -> u8 {
+        let part = match self.0 {
+            Meaning::Full(full) => number / f64::from(full),
+            Meaning::Coefficients => 0.5 + HARMONIC * number,
+        };
         // A conversion saturates, and gives 0 for NaN.
-        (number / f64::from(self.0) * 255.0).round() as u8
+        (part * 255.0).round() as u8
     }
 }
 
@@ -122,7 +163,7 @@ mod tests {
         let of = |names: &[(&str, Type)]| Colors::among(&attributes(names));
         let byte = |name| (name, Type::U8);
         let usual = of(&[("intensity", Type::F32), byte("red"), byte("green"), byte("blue"), byte("alpha")]);
-        assert_eq!(usual, Some(Colors { places: [1, 2, 3], kind: Type::U8 }));
+        assert_eq!(usual, Some(Colors { places: [1, 2, 3], kind: Type::U8, of_splats: false }));
         assert_eq!(usual.unwrap().count(), 4);
         assert_eq!(of(&[byte("B"), byte("G"), byte("R")]).unwrap().places, [2, 1, 0]);
         let two = [byte("r"), byte("g"), byte("b"), byte("red"), byte("green"), byte("blue")];
@@ -130,11 +171,17 @@ mod tests {
         assert_eq!(of(&[byte("red"), byte("green")]), None);
         assert_eq!(of(&[byte("red"), byte("green"), ("blue", Type::F32)]), None);
         assert_eq!(of(&[]), None);
+        let float = |name| (name, Type::F32);
+        let splats = [float("f_dc_0"), float("f_dc_1"), float("f_dc_2"), float("opacity")];
+        assert_eq!((of(&splats), Colors::seen(&attributes(&splats[..2]))), (None, None));
+        assert!(Colors::seen(&attributes(&splats)).unwrap().of_splats);
+        assert!(!Colors::seen(&attributes(&[&splats[..], &two].concat())).unwrap().of_splats);
     }
 
     #[test]
     fn numbers_become_bytes() {
-        let byte = |kind, most, number| ColorScale::of(kind, most).byte(number);
+        let colors = |kind| Colors { places: [0, 1, 2], kind, of_splats: false };
+        let byte = |kind, most, number| ColorScale::of(&colors(kind), most).byte(number);
         assert_eq!(byte(Type::U8, 1.0, 1.0), 1);
         assert_eq!(byte(Type::U16, 65000.0, 65535.0), 255);
         assert_eq!(byte(Type::U16, 255.0, 128.0), 128);
@@ -143,5 +190,7 @@ mod tests {
         assert_eq!(byte(Type::F64, 1.0, f64::NAN), 0);
         assert_eq!(byte(Type::F64, 1.0, -3.0), 0);
         assert_eq!(byte(Type::F64, 1.0, 3.0), 255);
+        let splats = ColorScale::of(&Colors { of_splats: true, ..colors(Type::F32) }, 0.0);
+        assert_eq!([0.0, 1.0, -9.0, 9.0, f64::NAN].map(|c| splats.byte(c)), [128, 199, 0, 255, 0]);
     }
 }

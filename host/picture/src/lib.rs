@@ -20,7 +20,6 @@
 //! ```
 
 mod camera;
-mod ellipses;
 mod font;
 mod frames;
 mod ground;

@@ -4,7 +4,6 @@ use simod_core::colors::Bytes;
 use simod_model::{Attribute, ColorScale, Colors, Error, ErrorKind, Model, Progress, Result, for_vertices};
 
 use super::Image;
-use super::ellipses;
 use super::palette::{class_color, scale_color};
 
 /// What points are coloured by.
@@ -14,8 +13,6 @@ pub enum Coloring {
     Clay,
     /// Their own colours.
     Own(Colors),
-    /// Those of Gaussian splats, whose first coefficients are at these places.
-    Splats([usize; 3]),
     /// The attribute at a place.
     Attribute(usize, Attribute),
 }
@@ -27,8 +24,6 @@ pub enum Paint {
     Clay,
     /// Their own colours, whose numbers mean this.
     Own(Colors, ColorScale),
-    /// Those of Gaussian splats, by the coefficients at these places.
-    Splats([usize; 3]),
     /// Of classes, the least and the largest that there are.
     Classes {
         /// The attribute's place.
@@ -60,14 +55,12 @@ impl Coloring {
         attributes: impl IntoIterator<Item = &'a Attribute>,
     ) -> Result<Self> {
         let attributes: Vec<&Attribute> = attributes.into_iter().collect();
-        let own = Colors::among(attributes.iter().copied());
+        let own = Colors::seen(attributes.iter().copied());
         let by_name = |name: &str| attributes.iter().position(|attribute| attribute.name == name);
-        let splats = ellipses::colors(attributes.iter().copied());
-        match (word, own, splats) {
-            (Some("clay"), ..) | (None, None, None) => Ok(Self::Clay),
-            (Some("own") | None, Some(own), _) => Ok(Self::Own(own)),
-            (Some("own") | None, None, Some(places)) => Ok(Self::Splats(places)),
-            (Some(name), ..) => by_name(name)
+        match (word, own) {
+            (Some("clay"), _) | (None, None) => Ok(Self::Clay),
+            (Some("own") | None, Some(own)) => Ok(Self::Own(own)),
+            (Some(name), _) => by_name(name)
                 .map(|place| Self::Attribute(place, attributes[place].clone()))
                 .ok_or_else(|| {
                     let what = match name {
@@ -90,7 +83,6 @@ impl Coloring {
         match self {
             Self::Clay => &[],
             Self::Own(colors) => &colors.places,
-            Self::Splats(places) => places,
             Self::Attribute(place, _) => std::slice::from_ref(place),
         }
     }
@@ -106,7 +98,7 @@ impl Paint {
     pub fn of_model(model: &dyn Model, coloring: Coloring, progress: &dyn Progress) -> Result<Self> {
         let mut numbers = Numbers::default();
         match &coloring {
-            Coloring::Clay | Coloring::Splats(_) => {}
+            Coloring::Clay => {}
             Coloring::Own(_) => {
                 let meaning = Bytes::of(model)?.map(|bytes| bytes.meaning());
                 return Ok(meaning.map_or(Self::Clay, |(colors, scale)| Self::Own(colors, scale)));
@@ -138,8 +130,7 @@ impl Paint {
     fn new(coloring: Coloring, numbers: &Numbers) -> Self {
         match coloring {
             Coloring::Clay => Self::Clay,
-            Coloring::Splats(places) => Self::Splats(places),
-            Coloring::Own(colors) => Self::Own(colors, ColorScale::of(colors.kind, numbers.most)),
+            Coloring::Own(colors) => Self::Own(colors, ColorScale::of(&colors, numbers.most)),
             Coloring::Attribute(place, of) if of.is_of_classes() => {
                 Self::Classes { place, name: of.name, range: numbers.extremes() }
             }
@@ -159,7 +150,6 @@ impl Paint {
         match self {
             Self::Clay => 0,
             Self::Own(colors, _) => colors.count(),
-            Self::Splats(places) => places.iter().max().map_or(0, |last| last + 1),
             Self::Classes { place, .. } | Self::Scale { place, .. } => place + 1,
         }
     }
@@ -170,7 +160,6 @@ impl Paint {
         match self {
             Self::Clay => [0; 3],
             Self::Own(colors, scale) => colors.places.map(|place| scale.byte(attribute(place))),
-            Self::Splats(places) => places.map(|place| ellipses::byte(attribute(place))),
             Self::Classes { place, .. } => class_color(attribute(*place) as u8),
             Self::Scale { place, range, .. } => scale_color(part(*range, attribute(*place))),
         }
@@ -179,7 +168,7 @@ impl Paint {
     /// A picture with what its colours mean below it.
     pub fn with_legend(&self, image: &Image) -> Image {
         let (name, [from, to]) = match self {
-            Self::Clay | Self::Own(..) | Self::Splats(_) => return image.clone(),
+            Self::Clay | Self::Own(..) => return image.clone(),
             Self::Classes { name, range, .. } | Self::Scale { name, range, .. } => (name, *range),
         };
         let color = |t: f32| match self {
@@ -279,7 +268,7 @@ mod tests {
     fn what_is_said_is_chosen() {
         let of = |name: &str| Attribute { name: name.to_owned(), kind: Type::U16 };
         let all = ["intensity", "red", "green", "blue"].map(of);
-        let own = Colors { places: [1, 2, 3], kind: Type::U16 };
+        let own = Colors { places: [1, 2, 3], kind: Type::U16, of_splats: false };
         assert_eq!(Coloring::choose(None, &all).unwrap(), Coloring::Own(own));
         assert_eq!(Coloring::choose(Some("own"), &all).unwrap(), Coloring::Own(own));
         assert_eq!(Coloring::choose(Some("clay"), &all).unwrap(), Coloring::Clay);
@@ -293,7 +282,7 @@ mod tests {
 
     #[test]
     fn numbers_become_colours() {
-        let own = Coloring::Own(Colors { places: [0, 1, 2], kind: Type::U16 });
+        let own = Coloring::Own(Colors { places: [0, 1, 2], kind: Type::U16, of_splats: false });
         let wide = Paint::of_values(own.clone(), &[&[0.0, 65535.0], &[0.0, 1.0], &[1.0, 2.0]]);
         assert_eq!(wide.color(|_| 65535.0), [255; 3]);
         let narrow = Paint::of_values(own, &[&[0.0, 255.0], &[0.0, 1.0], &[1.0, 2.0]]);

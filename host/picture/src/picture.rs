@@ -2,11 +2,11 @@
 
 use glam::{DVec3, Vec3, swizzles::Vec3Swizzles};
 use serde::Deserialize;
+use simod_core::ellipses::Ellipses;
 use simod_core::sampled_model::SampledModel;
 use simod_model::bounds::Bounds;
 use simod_model::{Model, Progress, Result, VertexChunk, Vertices, in_step};
 
-use super::ellipses::Ellipses;
 use super::{Camera, Image, Paint, Renderer, Spacing, Style, SurfacePoint};
 
 /// The colour of a vertex: of its number in these parts of models that are read in step.

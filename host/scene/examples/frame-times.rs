@@ -65,8 +65,8 @@ fn measure(gpu: &Gpu, sampled: &SampledModel) -> Result<(), Box<dyn Error>> {
         positions: &set.positions,
         normals: set.normals(),
         radii: &radii,
-        colors: None,
         triangles: &sampled.triangles,
+        ..Surface::default()
     };
     timed(set.len(), "upload of the surface", || {
         scene.set_surface(&surface).map(|()| gpu.wait()).map(|()| set.len())
@@ -133,8 +133,8 @@ fn pictures(gpu: &Gpu, sampled: &SampledModel, folder: &Path) -> Result<(), Box<
         positions: &set.positions,
         normals: set.normals(),
         radii: &radii,
-        colors: None,
         triangles: &sampled.triangles,
+        ..Surface::default()
     };
     let mut scene = Scene::new(gpu);
     scene.set_surface(&rest)?;

@@ -11,7 +11,8 @@ use crate::gpu::Gpu;
 use crate::order::Order;
 use crate::pipeline::bind;
 
-/// A sampled surface, in local coordinates. All lists are as long as `positions`, but `triangles`.
+/// A sampled surface, in local coordinates. All lists are as long as `positions`, but `triangles`, and `axes` where
+/// it is empty.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Surface<'a> {
     /// Positions; samples that are not finite are not drawn.
@@ -21,6 +22,9 @@ pub struct Surface<'a> {
     /// Radii of the discs: a little more than the distance of neighbours, so that discs leave no holes. Where
     /// it is negative, none is drawn.
     pub radii: &'a [f32],
+    /// Half axes of ellipses in the discs' place, the longer one first, at right angles to each other and to the
+    /// normal; `radii` has the longer one's length, or says that none is drawn. Of discs all around: empty.
+    pub axes: &'a [[Vec3; 2]],
     /// Red, green and blue, in sRGB; white where there are none.
     pub colors: Option<&'a [[u8; 3]]>,
     /// Indices of samples; their order tells the front side (counter-clockwise). May be empty.
@@ -67,6 +71,7 @@ struct Chunk {
     places: Range<usize>,
     geometry: Buffer,
     look: Buffer,
+    shape: Buffer,
     group: BindGroup,
 }
 
@@ -80,6 +85,11 @@ struct Triangles {
 type Geometry = [u32; 4];
 /// Radius and colour.
 type Look = [u32; 2];
+/// The longer axis, and how long the other one is beside it.
+type Shape = u32;
+
+/// A disc's, which is as wide as it is long.
+const ROUND: Shape = 0xff00_0000;
 
 /// Instead of a normal; the same in `samples.wgsl`.
 const HIDDEN: u32 = 0x8000_8000;
@@ -99,6 +109,7 @@ impl Cloud {
             .collect();
         let mut cloud = Self { order, chunks, triangles: None, radius: radius(surface.positions) };
         cloud.write_geometry(&gpu.queue, surface.positions, surface.normals);
+        cloud.write_shapes(&gpu.queue, surface.axes);
         cloud.write_look(&gpu.queue, surface.radii, surface.colors);
         // Triangles reach all samples only where these are in one piece.
         if cloud.chunks.len() == 1 && !surface.triangles.is_empty() {
@@ -136,6 +147,15 @@ impl Cloud {
                 .map(|&i| packed(positions[i as usize], normals[i as usize]))
                 .collect();
             queue.write_buffer(&chunk.geometry, 0, cast_slice(&packed));
+        }
+    }
+
+    /// Uploads half axes, one pair for each sample, or none.
+    pub fn write_shapes(&self, queue: &Queue, axes: &[[Vec3; 2]]) {
+        let shape = |i: &u32| axes.get(*i as usize).map_or(ROUND, shape);
+        for chunk in &self.chunks {
+            let packed: Vec<Shape> = self.order.samples[chunk.places.clone()].par_iter().map(shape).collect();
+            queue.write_buffer(&chunk.shape, 0, cast_slice(&packed));
         }
     }
 
@@ -190,9 +210,10 @@ impl Chunk {
         };
         let geometry = buffer("positions and normals", size_of::<Geometry>());
         let look = buffer("radii and colours", size_of::<Look>());
-        let group =
-            bind(device, "samples", layout, &[geometry.as_entire_binding(), look.as_entire_binding()]);
-        Self { places, geometry, look, group }
+        let shape = buffer("axes", size_of::<Shape>());
+        let buffers = [&geometry, &look, &shape].map(Buffer::as_entire_binding);
+        let group = bind(device, "samples", layout, &buffers);
+        Self { places, geometry, look, shape, group }
     }
 }
 
@@ -223,6 +244,7 @@ impl Surface<'_> {
         let samples = self.positions.len();
         same_length("normals", self.normals.len(), samples)?;
         same_length("radii", self.radii.len(), samples)?;
+        same_length("axes", if self.axes.is_empty() { samples } else { self.axes.len() }, samples)?;
         same_length("colours", self.colors.map_or(samples, <[_]>::len), samples)?;
         let wrong = |corners: &[u32; 3]| corners.iter().copied().find(|i| *i as usize >= samples);
         match self.triangles.iter().enumerate().find_map(|(t, corners)| Some((t, wrong(corners)?))) {
@@ -251,19 +273,32 @@ fn packed(position: Vec3, normal: Vec3) -> Geometry {
     if position.is_finite() { [x, y, z, octahedral(normal)] } else { [0, 0, 0, HIDDEN] }
 }
 
-/// A direction as a point of an octahedron's net, in 16 bits each way: Z. Cigolle et al., *A Survey of
-/// Efficient Representations for Independent Unit Vectors*, JCGT 3(2), 2014.
+/// The direction of the longer axis in 12 bits each way, and the other one's length in 8, as a part of it.
+fn shape([long, short]: &[Vec3; 2]) -> Shape {
+    let Some(e) = on_octahedron(*long) else { return ROUND };
+    let word = |x: f32| ((x.clamp(-1.0, 1.0) * 2047.0).round() as i32 + 2047) as u32;
+    // A conversion saturates, and gives 0 for NaN.
+    let ratio = (255.0 * short.length() / long.length()).round() as u8;
+    word(e.x) | word(e.y) << 12 | u32::from(ratio) << 24
+}
+
+/// A direction as a point of an octahedron's net, in 16 bits each way.
 fn octahedral(normal: Vec3) -> u32 {
-    let n = normal / normal.abs().element_sum();
+    let word = |x: f32| u32::from((x.clamp(-1.0, 1.0) * 32767.0).round() as i16 as u16);
+    on_octahedron(normal).map_or(UNKNOWN, |e| word(e.x) | word(e.y) << 16)
+}
+
+/// A direction as a point of an octahedron's net, from -1 to 1 each way; none where it is not known: Z. Cigolle et al., *A Survey of
+/// Efficient Representations for Independent Unit Vectors*, JCGT 3(2), 2014.
+fn on_octahedron(direction: Vec3) -> Option<Vec2> {
+    let n = direction / direction.abs().element_sum();
     if !n.is_finite() {
-        return UNKNOWN;
+        return None;
     }
     let sign = |x: f32| if x >= 0.0 { 1.0 } else { -1.0 };
-    let e = if n.z >= 0.0 {
+    Some(if n.z >= 0.0 {
         Vec2::new(n.x, n.y)
     } else {
         Vec2::new((1.0 - n.y.abs()) * sign(n.x), (1.0 - n.x.abs()) * sign(n.y))
-    };
-    let word = |x: f32| u32::from((x.clamp(-1.0, 1.0) * 32767.0).round() as i16 as u16);
-    word(e.x) | word(e.y) << 16
+    })
 }

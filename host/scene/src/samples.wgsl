@@ -5,6 +5,9 @@
 // Radius (a float), and red, green and blue (a byte each).
 @group(1) @binding(1) var<storage, read> look: array<vec2u>;
 
+// The longer axis of an ellipse, on an octahedron (two numbers of 12 bits), and the other's length beside it (8 bits).
+@group(1) @binding(2) var<storage, read> shape: array<u32>;
+
 // Instead of a normal: nothing is drawn; a normal that is not known.
 const HIDDEN = 0x80008000u;
 const UNKNOWN = 0x80000000u;
@@ -13,17 +16,30 @@ fn position_of(sample: vec4u) -> vec3f {
     return (frame.view * vec4f(bitcast<vec3f>(sample.xyz), 1.0)).xyz;
 }
 
-// In the view's space; zero where it is not known. Octahedral mapping: Z. Cigolle et al., "A Survey of Efficient
-// Representations for Independent Unit Vectors", JCGT 3(2), 2014.
+// In the view's space; zero where it is not known.
 fn normal_of(sample: vec4u) -> vec3f {
     if sample.w == UNKNOWN {
         return vec3f(0.0);
     }
-    let e = unpack2x16snorm(sample.w);
+    return direction_of(unpack2x16snorm(sample.w));
+}
+
+// The direction in the view's space of a point on the octahedron: Z. Cigolle et al., "A Survey of Efficient
+// Representations for Independent Unit Vectors", JCGT 3(2), 2014.
+fn direction_of(e: vec2f) -> vec3f {
     var n = vec3f(e, 1.0 - abs(e.x) - abs(e.y));
     let fold = max(-n.z, 0.0);
     n = vec3f(n.xy - select(vec2f(-fold), vec2f(fold), n.xy >= vec2f(0.0)), n.z);
     return normalize((frame.view * vec4f(n, 0.0)).xyz);
+}
+
+// How long the shorter axis is beside the longer one; 1 of discs.
+fn width_of(shape: u32) -> f32 {
+    return f32(shape >> 24u) / 255.0;
+}
+
+fn long_axis_of(shape: u32) -> vec3f {
+    return direction_of((vec2f(vec2u(shape, shape >> 12u) & vec2u(0xfffu)) - 2047.0) / 2047.0);
 }
 
 fn color_of(look: vec2u) -> vec3f {

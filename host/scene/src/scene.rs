@@ -69,7 +69,7 @@ impl Scene {
     pub fn new(gpu: &Gpu) -> Self {
         let device = &gpu.device;
         let frame = layout(device, "frame", &[Given::Uniform]);
-        let samples = layout(device, "samples", &[Given::Storage; 2]);
+        let samples = layout(device, "samples", &[Given::Storage; 3]);
         Self {
             splats: Splats::new(device, &frame, &samples),
             mesh: TriangleMesh::new(device, &frame, &samples),
@@ -98,7 +98,7 @@ impl Scene {
         &self.gpu
     }
 
-    /// Shows another surface. What it takes per sample: 24 bytes of the device's memory, 4 here; 12 there per
+    /// Shows another surface. What it takes per sample: 28 bytes of the device's memory, 4 here; 12 there per
     /// triangle.
     ///
     /// # Errors

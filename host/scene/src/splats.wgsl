@@ -18,7 +18,7 @@ const BACK_PENALTY = 1.0;
 
 struct Corner {
     @builtin(position) position: vec4f,
-    // On the disc, whose radius is 1.
+    // On the disc, whose radius is 1; or on an ellipse, by parts of its half axes.
     @location(0) disc: vec2f,
     @location(1) depth: f32,
     @location(2) @interpolate(flat) normal: vec3f,
@@ -76,8 +76,13 @@ fn corner(index: u32, hiding_part: bool) -> Corner {
         let tilt = max(facing, share);
         axis = eye * tilt + normalize(across) * sqrt(max(1.0 - tilt * tilt, 0.0));
     }
-    let u = normalize(cross(axis, select(vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), abs(axis.x) > 0.7)));
-    let v = cross(axis, u);
+    var u = normalize(cross(axis, select(vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), abs(axis.x) > 0.7)));
+    let width = max(width_of(shape[index / 3u]), share);
+    if width < 1.0 {
+        let long = cross(axis, long_axis_of(shape[index / 3u]));
+        u = select(u, cross(normalize(long), axis), dot(long, long) > 1e-8);
+    }
+    let v = cross(axis, u) * width;
 
     var ends = select(HIDING_FRONT, HIDING_PART, frame.radius_scale > 1.0);
     ends = select(ends, HIDING_BACK, back);
@@ -86,7 +91,7 @@ fn corner(index: u32, hiding_part: bool) -> Corner {
     let point = center + radius * (u * disc.x + v * disc.y);
 
     // Seen from the eye, scaling about it moves the disc backwards alone.
-    let behind = radius * (select(0.0, BACK_PENALTY, back) + select(0.0, LAYER, hiding_part));
+    let behind = radius * sqrt(width) * (select(0.0, BACK_PENALTY, back) + select(0.0, LAYER, hiding_part));
     var moved = point - vec3f(0.0, 0.0, behind);
     if is_perspective() {
         moved = point * (1.0 + behind / length(center));

@@ -26,6 +26,7 @@ fn split() -> Split {
             radii: kept.iter().map(|i| whole.radii[*i]).collect(),
             colors: whole.colors.as_ref().map(|colors| kept.iter().map(|i| colors[*i]).collect()),
             triangles: Vec::new(),
+            ..Model::default()
         }
     };
     let details = [part(&|p| p.x > 0.2 && p.y < 0.0), part(&|p| p.x > 0.2 && p.y >= 0.0)];

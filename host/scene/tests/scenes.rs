@@ -257,6 +257,8 @@ fn lists_that_do_not_fit_are_refused() {
     refused(scene.set_surface(&short).unwrap_err(), &format!("normals: {} for {n} samples", n - 1));
     let colors = Surface { colors: Some(&[[0; 3]; 2]), ..good.surface() };
     refused(scene.set_surface(&colors).unwrap_err(), &format!("colours: 2 for {n} samples"));
+    let axes = Surface { axes: &[[Vec3::X; 2]; 3], ..good.surface() };
+    refused(scene.set_surface(&axes).unwrap_err(), &format!("axes: 3 for {n} samples"));
     let triangles = Surface { triangles: &[[0, 1, 2], [0, 9999, 1]], ..good.surface() };
     refused(scene.set_surface(&triangles).unwrap_err(), &format!("triangle 1 has sample 9999 of {n}"));
     refused(scene.set_positions(&[], &good.normals).unwrap_err(), &format!("positions: 0 for {n} samples"));

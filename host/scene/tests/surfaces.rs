@@ -7,9 +7,9 @@ use common::{
     Model, RED, apart, at, difference, draw, draw_from, gpu, is_red, lit, plain, project, same, sphere, view,
 };
 use glam::camera::rh::proj::directx::orthographic;
-use glam::{Vec2, Vec3};
+use glam::{Mat2, Mat3, Vec2, Vec3};
 use simod_picture::Image;
-use simod_scene::{Mode, Scale, Style};
+use simod_scene::{Mode, Scale, Style, View};
 
 /// Places of a picture, in the middle of each pixel, with their distances from the picture's middle.
 fn pixels(image: &Image) -> impl Iterator<Item = ([f32; 2], f32)> {
@@ -44,13 +44,50 @@ fn the_outline_is_the_projected_circle() {
     has_outline(&draw(gpu, &red, &Style { scale: Scale::Half, ..plain() }), radius, 4.0);
 }
 
+/// A hundred pixels to a unit everywhere.
+fn parallel() -> View {
+    View { projection: orthographic(-1.2, 1.2, -1.2, 1.2, 0.5, 8.0), ..view() }
+}
+
 #[test]
 fn the_outline_in_parallel_projection() {
     let Some(gpu) = gpu() else { return };
     let red = sphere(Vec3::ZERO, 1.0, 120).colored(RED);
-    let parallel = simod_scene::View { projection: orthographic(-1.2, 1.2, -1.2, 1.2, 0.5, 8.0), ..view() };
     for mode in [Mode::Splats, Mode::Triangles] {
-        has_outline(&draw_from(gpu, &red, &Style { mode, ..plain() }, &parallel), 100.0, 1.5);
+        has_outline(&draw_from(gpu, &red, &Style { mode, ..plain() }, &parallel()), 100.0, 1.5);
+    }
+}
+
+/// An ellipse lies as its half axes do, whichever side is seen, and however it is turned.
+#[test]
+fn the_outline_is_the_projected_ellipse() {
+    let Some(gpu) = gpu() else { return };
+    for (turn, side) in [(0.0, 1.0), (0.5, 1.0), (2.1, 1.0), (-0.7, -1.0)] {
+        for tilt in [0.0, 0.9] {
+            let turned = Mat3::from_rotation_x(tilt) * Mat3::from_rotation_z(turn);
+            let axes = [turned * Vec3::X, turned * Vec3::Y * 0.3];
+            let ellipse = Model {
+                positions: vec![Vec3::ZERO],
+                normals: vec![turned * Vec3::Z * side],
+                radii: vec![1.0],
+                axes: vec![axes],
+                ..Model::default()
+            };
+            let image = draw_from(gpu, &ellipse.colored(RED), &plain(), &parallel());
+            let mut inside = 0;
+            for (place, _) in pixels(&image) {
+                // Seen from z: where the pixel's ray meets the plane, by parts of the half axes.
+                let seen = Vec2::new(place[0] - 120.0, 120.0 - place[1]) / 100.0;
+                let foot = Mat2::from_cols(axes[0].truncate(), axes[1].truncate()).inverse() * seen;
+                // Near the border it only blends with others; how near depends on how it is turned to the eye.
+                let share = if side > 0.0 { 0.6..0.9 } else { 0.3..0.9 };
+                if !share.contains(&foot.length()) {
+                    assert_eq!(is_red(&image, place), foot.length() < 0.6, "{turn} {tilt} {place:?}");
+                    inside += usize::from(foot.length() < 0.6);
+                }
+            }
+            assert!(inside > 500, "{inside}");
+        }
     }
 }
 

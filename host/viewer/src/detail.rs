@@ -28,7 +28,7 @@ pub enum Previewed {
 
 /// Vertices in pieces, as they came.
 ///
-/// Memory: 32 bytes for each vertex. There are at most twice as many as were [chosen](Chosen), as a piece is
+/// Memory: 32 bytes for each vertex, 56 for each splat. There are at most twice as many as were [chosen](Chosen), as a piece is
 /// made anew when others have taken the place of more than half of it; and for what was chosen before, until
 /// that is replaced.
 pub struct Detail {
@@ -309,6 +309,7 @@ fn part(batch: &Batch, runs: &[usize]) -> Batch {
         part.normals.extend_from_slice(&batch.normals[range.clone()]);
         part.spacing.extend_from_slice(&batch.spacing[range.clone()]);
         part.homes.extend_from_slice(&batch.homes[range.clone()]);
+        part.axes.extend_from_slice(batch.axes.get(range.clone()).unwrap_or_default());
         part.values.extend(&batch.values, range);
         part.cells.push((*cell, first..part.positions.len() as u32));
     }

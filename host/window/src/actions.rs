@@ -234,6 +234,8 @@ pub const ALL: &[Action] = &[
         .begins(),
     action(Menu::View, "Ghost of the Rest Shape", &[(SHIFT, Key::G)], is_open, |w| w.looks.ghost ^= true)
         .on(|w| w.looks.ghost),
+    action(Menu::View, "Samples over Full Detail", &[], is_open, |w| w.looks.samples ^= true)
+        .on(|w| w.looks.samples),
     action(Menu::View, "The Model's Own Colours", &[], has_colors, |w| {
         let own = !w.state().has_own_colors();
         w.apply(Command::ShowOwnColors(own));

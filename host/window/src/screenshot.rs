@@ -1,12 +1,12 @@
 //! Pictures of the model without a window, or beside it.
 
 use crate::viewport::colors::VertexColors;
-use crate::viewport::detail::{Splats, sample_colors, sample_radii, splats};
+use crate::viewport::detail::{Splats, sample_colors, sample_dots, sample_radii, splats};
 use crate::window::Window;
 use glam::DVec3;
 use simod_model::{Error, ErrorKind, Result};
 use simod_picture::Image;
-use simod_scene::{Background, Gpu, Mode, NoGpu, Scale, Scene, Style, Surface, View};
+use simod_scene::{Background, Dot, Gpu, Mode, NoGpu, Scale, Scene, Style, Surface, View};
 use simod_viewer::camera::Camera;
 use simod_viewer::{State, Version};
 use std::path::Path;
@@ -47,6 +47,8 @@ pub struct Shot {
     colors: Option<Vec<[u8; 3]>>,
     /// What is shown in full.
     detail: Vec<Splats>,
+    /// Samples over that.
+    dots: Vec<Dot>,
     camera: Camera,
     size: [u32; 2],
     style: Style,
@@ -86,7 +88,17 @@ impl Shot {
             ..Style::default()
         };
         let camera = *state.camera();
-        Ok(Self { shown, radii, colors, detail: in_full, camera, size: SIZE, style, ghost: false })
+        Ok(Self {
+            shown,
+            radii,
+            colors,
+            detail: in_full,
+            dots: Vec::new(),
+            camera,
+            size: SIZE,
+            style,
+            ghost: false,
+        })
     }
 
     /// Of what a window shows, as it looks there, but for what is marked for the work on it: the selection,
@@ -105,7 +117,9 @@ impl Shot {
             occlusion,
             ..shot.style
         };
-        Ok(Self { size, style, ghost: looks.ghost, ..shot })
+        let detail = window.state().detail().filter(|_| looks.samples);
+        let dots = sample_dots(&shot.shown.positions, detail);
+        Ok(Self { size, style, dots, ghost: looks.ghost, ..shot })
     }
 
     /// Gives it to a device of its own.
@@ -126,6 +140,7 @@ impl Shot {
             radii: &self.radii,
             colors: self.colors.as_deref(),
             triangles: &shown.sampled.triangles,
+            ..Surface::default()
         };
         let rest = Surface {
             positions: &samples.positions,
@@ -138,6 +153,7 @@ impl Shot {
         for (splats, number) in self.detail.iter().zip(0..) {
             scene.set_detail(number, Some(&splats.surface())).map_err(bad)?;
         }
+        scene.set_dots(&self.dots);
         scene.set_ghost(self.ghost.then_some(&rest)).map_err(bad)?;
         let mut bounds = shown.bounds();
         if self.ghost {

@@ -15,6 +15,10 @@ pub const CLAY: [u8; 3] = [197, 189, 180];
 pub const SAMPLES: [u8; 3] = [96, 116, 150];
 pub const SAMPLES_SHARE: f32 = 0.3;
 
+/// Dots for samples over what is shown in full, and how large they are, in pixels.
+pub const SAMPLE_DOTS: [u8; 4] = [255, 214, 90, 255];
+pub const SAMPLE_DOT_SIZE: f32 = 3.0;
+
 /// The surface where samples stand for it and other parts are shown in full.
 pub fn samples_clay() -> [u8; 3] {
     mixed(CLAY, SAMPLES, SAMPLES_SHARE)

@@ -29,6 +29,8 @@ pub struct Looks {
     pub triangles: bool,
     /// The shape at rest.
     pub ghost: bool,
+    /// Dots for samples in whose place vertices are shown.
+    pub samples: bool,
     /// The regions of the chosen step, in colours.
     pub regions: bool,
     /// The handles that the chosen step's plugin placed.
@@ -44,6 +46,7 @@ impl Default for Looks {
         Self {
             triangles: false,
             ghost: false,
+            samples: false,
             regions: true,
             handles: true,
             side_by_side: false,

@@ -12,10 +12,11 @@ mod thinning;
 
 use std::ops::Range;
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
 use rayon::prelude::*;
 use simod_model::{ColorScale, Colors, Error, ErrorKind, Model, Progress, Result};
 
+use crate::ellipses::{self, Ellipses};
 use crate::reconstruction::{DeformationField, Figures, Moved, carry, homes};
 use crate::refinement::gathering::{Gathering, Visited};
 use crate::sampled_model::SampledModel;
@@ -136,7 +137,7 @@ pub struct Streamed {
 /// Vertices of some cells, carried over. All lists but the last one have an entry for each vertex;
 /// coordinates are local (see [`Frame`](simod_model::frame::Frame)).
 ///
-/// Memory: 32 bytes per vertex, 3 or 4 more for what of its attributes is shown, 12 per cell.
+/// Memory: 32 bytes per vertex, 3 or 4 more for what of its attributes is shown, 24 more for splats, 12 per cell.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Batch {
     /// Where the deformation takes them.
@@ -147,6 +148,9 @@ pub struct Batch {
     pub spacing: Vec<f32>,
     /// A sample near each at rest, on its sheet of the surface.
     pub homes: Vec<u32>,
+    /// Half axes of splats, as they are drawn: the longer one first, at right angles to each other and to the
+    /// normal; zero where nothing is to be seen. Empty where vertices are no splats.
+    pub axes: Vec<[Vec3; 2]>,
     /// What was asked for of their attributes.
     pub values: Values,
     /// The cells, as in [`Chosen::cells`], and which vertices are theirs, in the order of the model.
@@ -218,13 +222,14 @@ pub fn stream(
     }
     let changed = || sampled.source_changed(model.path());
     let (frame, shown) = (sampled.frame, chosen.shown);
+    let splats = Ellipses::of(&model.info().attributes);
     let gathering = Gathering {
         model,
         kept,
         frame,
         cubes: None,
         with_ids: false,
-        attributes: shown.count(),
+        attributes: shown.count().max(splats.as_ref().map_or(0, Ellipses::count)),
         opaque: sampled.opaque(model),
     };
     let thinning = Thinning::new(chosen.stride);
@@ -250,6 +255,10 @@ pub fn stream(
             return Ok(false);
         }
         if thinning.takes(part.cell, part.seen, all) {
+            let normal = match &splats {
+                Some(splats) => part.push_ellipse(splats, &vertex, frame.scale),
+                None => normal,
+            };
             part.positions.push(position);
             part.normals.push(normal);
             part.values.push(&shown, &vertex);
@@ -284,12 +293,23 @@ struct Part {
     /// Those that were taken: model coordinates, and normals, zero where there are none.
     positions: Vec<DVec3>,
     normals: Vec<Vec3>,
+    /// Of splats, in local units; zero where nothing is to be seen.
+    axes: Vec<[Vec3; 2]>,
     values: Values,
 }
 
 impl Part {
     fn of(cell: u32, shown: &Shown) -> Self {
-        Self { cell, seen: 0, positions: Vec::new(), normals: Vec::new(), values: shown.none() }
+        let (positions, normals, axes) = Default::default();
+        Self { cell, seen: 0, positions, normals, axes, values: shown.none() }
+    }
+
+    /// Takes the half axes of a splat; gives its normal, on any side.
+    fn push_ellipse(&mut self, splats: &Ellipses, vertex: &Visited<'_>, unit: f64) -> Vec3 {
+        let (axes, normal) =
+            splats.ellipse(|place| vertex.attribute(place)).unwrap_or(([DVec3::ZERO; 2], DVec3::ZERO));
+        self.axes.push(axes.map(|axis| (axis / unit).as_vec3()));
+        normal.as_vec3()
     }
 }
 
@@ -306,11 +326,13 @@ struct Carrying<'a> {
 impl Carrying<'_> {
     fn batch(&self, parts: &[Part]) -> Result<Batch> {
         let mut cells = Vec::with_capacity(parts.len());
-        let (mut rest, mut known, mut values) = (Vec::new(), Vec::new(), Values::Nothing);
+        let (mut rest, mut known, mut axes) = (Vec::new(), Vec::new(), Vec::new());
+        let mut values = Values::Nothing;
         for part in parts {
             let first = rest.len() as u32;
             rest.extend_from_slice(&part.positions);
             known.extend_from_slice(&part.normals);
+            axes.extend_from_slice(&part.axes);
             values.extend(&part.values, 0..part.values.len());
             cells.push((part.cell, first..rest.len() as u32));
         }
@@ -326,22 +348,35 @@ impl Carrying<'_> {
             None => local.par_iter().map(|p| self.sampled.samples.nearest(*p)).collect_into_vec(&mut at),
         }
         self.progress.check()?;
+        // Which end of its shortest axis is outside, a splat does not tell.
+        let at_samples = self.sampled.samples.normals();
+        let outwards = |(n, home): (&mut Vec3, &u32)| *n *= n.dot(at_samples[*home as usize]).signum();
+        known.iter_mut().zip(&at).take(axes.len()).for_each(outwards);
         let (mut turned, mut spacing) = self.surface(&local, &known, &at);
+        // One of so many splats stands for all.
+        let wider = (self.stride as f32).sqrt();
+        axes.iter_mut().flatten().for_each(|axis: &mut Vec3| *axis *= wider);
         self.progress.check()?;
         let Some(field) = self.field else {
-            return Ok(Batch { positions: local, normals: turned, spacing, homes: at, values, cells });
+            return Ok(Batch { positions: local, normals: turned, spacing, homes: at, axes, values, cells });
         };
         let mut moved = rest.clone();
         let mut figures = vec![Figures::UNKNOWN; rest.len()];
-        let to =
-            Moved { positions: &mut moved, normals: &mut turned, gradients: &mut [], figures: &mut figures };
+        let mut gradients = vec![Mat3::IDENTITY; axes.len()];
+        let to = Moved {
+            positions: &mut moved,
+            normals: &mut turned,
+            gradients: &mut gradients,
+            figures: &mut figures,
+        };
         carry(std::slice::from_ref(field), frame, &rest, Some(&at), &mut [to]);
         spacing.iter_mut().zip(&figures).for_each(|(spacing, figures)| {
             let stretch = figures.stretch[0];
             *spacing *= if stretch.is_finite() { stretch.min(MOST_STRETCH) } else { 1.0 };
         });
+        axes.iter_mut().zip(&gradients).for_each(|(axes, g)| *axes = ellipses::image(*axes, g));
         let positions = moved.par_iter().map(|p| frame.to_local(*p)).collect();
-        Ok(Batch { positions, normals: turned, spacing, homes: at, values, cells })
+        Ok(Batch { positions, normals: turned, spacing, homes: at, axes, values, cells })
     }
 
     /// Normals at rest of vertices of which some are known, and their spacing.

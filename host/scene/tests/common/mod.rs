@@ -30,6 +30,7 @@ pub struct Model {
     pub positions: Vec<Vec3>,
     pub normals: Vec<Vec3>,
     pub radii: Vec<f32>,
+    pub axes: Vec<[Vec3; 2]>,
     pub colors: Option<Vec<[u8; 3]>>,
     pub triangles: Vec<[u32; 3]>,
 }
@@ -40,6 +41,7 @@ impl Model {
             positions: &self.positions,
             normals: &self.normals,
             radii: &self.radii,
+            axes: &self.axes,
             colors: self.colors.as_deref(),
             triangles: &self.triangles,
         }
@@ -50,6 +52,7 @@ impl Model {
         self.positions.extend(&other.positions);
         self.normals.extend(&other.normals);
         self.radii.extend(&other.radii);
+        self.axes.extend(&other.axes);
         self.triangles.extend(other.triangles.iter().map(|t| t.map(|i| i + first)));
         if let (Some(colors), Some(others)) = (&mut self.colors, &other.colors) {
             colors.extend(others);

@@ -3,8 +3,9 @@
 use super::colors::VertexColors;
 use crate::screenshot::disc_radii;
 use crate::theme;
+use glam::Vec3;
 use simod_core::detail::Batch;
-use simod_scene::{BadSurface, Scene, Surface};
+use simod_scene::{BadSurface, Dot, Scene, Surface};
 use simod_viewer::Detail;
 use simod_viewer::detail::Piece;
 use std::collections::BTreeMap;
@@ -65,6 +66,7 @@ impl Splats {
             positions: &self.batch.positions,
             normals: &self.batch.normals,
             radii: &self.radii,
+            axes: &self.batch.axes,
             colors: Some(&self.colors),
             triangles: &[],
         }
@@ -77,8 +79,13 @@ pub fn splats(piece: &Piece, colors: VertexColors<'_>) -> Splats {
 }
 
 fn radii(piece: &Piece) -> Vec<f32> {
-    let mut radii = disc_radii(&piece.batch.spacing);
-    for ((_, range), _) in piece.batch.cells.iter().zip(&piece.shown).filter(|(_, shown)| !**shown) {
+    let batch = &piece.batch;
+    let long = |[long, _]: &[Vec3; 2]| if *long == Vec3::ZERO { HIDDEN } else { long.length() };
+    let mut radii = match &batch.axes[..] {
+        [] => disc_radii(&batch.spacing),
+        axes => axes.iter().map(long).collect(),
+    };
+    for ((_, range), _) in batch.cells.iter().zip(&piece.shown).filter(|(_, shown)| !**shown) {
         radii[range.start as usize..range.end as usize].fill(HIDDEN);
     }
     radii
@@ -92,6 +99,18 @@ pub fn sample_radii(spacing: &[f32], detail: Option<&Detail>) -> Vec<f32> {
         covered.for_each(|(radius, _)| *radius = HIDDEN);
     }
     radii
+}
+
+/// Dots where samples are that vertices are shown instead of.
+pub fn sample_dots(positions: &[Vec3], detail: Option<&Detail>) -> Vec<Dot> {
+    let covered = detail.map_or(&[][..], |detail| detail.covered());
+    let dot = |position: &Vec3| Dot {
+        position: *position,
+        color: theme::SAMPLE_DOTS,
+        size_px: theme::SAMPLE_DOT_SIZE,
+        on_top: false,
+    };
+    positions.iter().zip(covered).filter(|(_, covered)| **covered).map(|(p, _)| dot(p)).collect()
 }
 
 /// Colours of samples beside vertices that are shown in full: a little other than these.

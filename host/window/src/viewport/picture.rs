@@ -2,7 +2,7 @@
 
 use super::Canvas;
 use super::colors::Colors;
-use super::detail::{Pieces, sample_radii};
+use super::detail::{Pieces, sample_dots, sample_radii};
 use super::emerging::Emerging;
 use super::texture::Texture;
 use crate::screenshot::{disc_radii, view};
@@ -45,6 +45,8 @@ struct Drawing {
     /// What of the detail is shown.
     detail: Option<u64>,
     ghost: bool,
+    /// Samples are dots over what is shown in full.
+    dots: bool,
     /// From where the last picture was.
     seen: Option<View>,
 }
@@ -152,6 +154,7 @@ impl Drawing {
             pieces: Pieces::default(),
             detail: None,
             ghost: false,
+            dots: false,
             seen: None,
         }
     }
@@ -242,6 +245,7 @@ impl Drawing {
                 radii: &radii,
                 colors,
                 triangles: &sampled.triangles,
+                ..Surface::default()
             })?;
         } else {
             if !same {
@@ -252,6 +256,10 @@ impl Drawing {
             }
         }
         self.pieces.update(&mut self.scene, detail, self.colors.of_vertices(), recolored)?;
+        let dots = window.looks.samples && self.version == Version::Now;
+        if std::mem::replace(&mut self.dots, dots) != dots || dots && (!same || covers_others) {
+            self.scene.set_dots(&sample_dots(&scene.positions, detail.filter(|_| dots)));
+        }
         if window.looks.ghost != self.ghost || self.ghost && !same_samples {
             self.ghost = window.looks.ghost;
             let radii = disc_radii(&samples.extents());

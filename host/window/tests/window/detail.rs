@@ -49,6 +49,27 @@ fn what_is_seen_or_selected_is_shown_in_full_by_a_key() {
     assert!(figures(&harness).is_none());
 }
 
+/// What a window looks like, which is kept where somebody wants to see it.
+fn picture(harness: &mut Harness<'_, App>, name: &str) -> Image {
+    harness.run_steps(8);
+    let shown = harness.render().unwrap();
+    let pixels = shown.pixels().map(|p| [p.0[0], p.0[1], p.0[2]]).collect();
+    let image = Image::from_pixels(shown.width(), shown.height(), pixels).unwrap();
+    if let Some(folder) = std::env::var_os("SIMOD_PICTURES") {
+        std::fs::write(Path::new(&folder).join(name), image.to_png().unwrap()).unwrap();
+    }
+    image
+}
+
+/// Places in the middle of the picture, where the model is.
+fn middle() -> impl Iterator<Item = [u32; 2]> {
+    (300..700).flat_map(|x| (200..600).map(move |y| [x, y]))
+}
+
+fn at(image: &Image, [x, y]: [u32; 2]) -> [u8; 3] {
+    image.pixel(x, y).unwrap()
+}
+
 #[test]
 fn it_is_seen_and_gone_again() {
     if !can_draw() {
@@ -63,31 +84,74 @@ fn it_is_seen_and_gone_again() {
     let mut harness =
         builder.build_eframe(|cc| App::new(cc, Window::new(&cc.egui_ctx, plugins, Settings::default())));
     open(&mut harness, &path);
-    let picture = |harness: &mut Harness<'_, App>, name: &str| {
-        harness.run_steps(8);
-        let shown = harness.render().unwrap();
-        if let Some(folder) = std::env::var_os("SIMOD_PICTURES") {
-            let pixels = shown.pixels().map(|p| [p.0[0], p.0[1], p.0[2]]).collect();
-            let image = Image::from_pixels(shown.width(), shown.height(), pixels).unwrap();
-            std::fs::write(Path::new(&folder).join(name), image.to_png().unwrap()).unwrap();
-        }
-        shown
-    };
     let before = picture(&mut harness, "samples.png");
     press(&mut harness, egui::Modifiers::NONE);
     let detail = picture(&mut harness, "detail.png");
-    // In the middle of the picture, where the amphora is.
-    let middle = |x: &u32, y: &u32| (300..700).contains(x) && (200..600).contains(y);
-    let others = before
-        .enumerate_pixels()
-        .filter(|(x, y, p)| middle(x, y) && p.0[0].abs_diff(detail.get_pixel(*x, *y).0[0]) > 6)
-        .count();
+    let others = middle().filter(|place| at(&before, *place)[0].abs_diff(at(&detail, *place)[0]) > 6).count();
     assert!(others > 2000, "{others} pixels are others");
     press(&mut harness, egui::Modifiers::ALT);
     let after = picture(&mut harness, "after.png");
-    let others = before
-        .enumerate_pixels()
-        .filter(|(x, y, p)| middle(x, y) && p.0 != after.get_pixel(*x, *y).0)
-        .count();
+    let others = middle().filter(|place| at(&before, *place) != at(&after, *place)).count();
     assert_eq!(others, 0);
+}
+
+/// Splats on a wall: long ones that lie aslant, red below and blue above, a part of the wall's size each.
+fn wall_of_splats(path: &Path) {
+    const N: usize = 60;
+    let names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"];
+    let names = names.into_iter().chain(["rot_0", "rot_1", "rot_2", "rot_3"]);
+    let mut file = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", N * N);
+    names.for_each(|name| file.push_str(&format!("property float {name}\n")));
+    let mut file = (file + "end_header\n").into_bytes();
+    for i in 0..N * N {
+        let place = |i: usize| (i as f32 + 0.5) / N as f32 - 0.5;
+        let (x, y) = (place(i % N), place(i / N));
+        let (red, blue) = if y < 0.0 { (1.5, -1.5) } else { (-1.5, 1.5) };
+        // An eighth of a turn about z.
+        let (sin, cos) = std::f32::consts::FRAC_PI_8.sin_cos();
+        let position = [x, y, 0.02 * (9.0 * x).sin()];
+        let look = [red, -1.5, blue, 4.0, 0.011f32.ln(), 0.0016f32.ln(), 0.0004f32.ln(), cos, 0.0, 0.0, sin];
+        file.extend(position.into_iter().chain(look).flat_map(f32::to_le_bytes));
+    }
+    std::fs::write(path, file).unwrap();
+}
+
+#[test]
+fn splats_are_ellipses_in_their_colours() {
+    if !can_draw() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("wall.ply");
+    wall_of_splats(&path);
+    let mut harness = super::picture::drawn_window();
+    let sampling = Sampling { samples: Some(400), ..Sampling::default() };
+    done(&mut harness, Command::Open { path, sampling, recover: false });
+    // The samples have the splats' colours already.
+    let samples = picture(&mut harness, "splats-samples.png");
+    let red = |[r, _, b]: [u8; 3]| r > 60 && r > 2 * b.max(1).min(127);
+    let blue = |[r, _, b]: [u8; 3]| b > 60 && b > 2 * r.max(1).min(127);
+    let of = |picture: &Image, is: &dyn Fn([u8; 3]) -> bool| {
+        middle().filter(|place| is(at(picture, *place))).count()
+    };
+    assert!(of(&samples, &red) > 5000 && of(&samples, &blue) > 5000);
+
+    press(&mut harness, egui::Modifiers::NONE);
+    let splats = picture(&mut harness, "splats.png");
+    let [covered, left] = [&samples, &splats].map(|picture| of(picture, &red) + of(picture, &blue));
+    // What is between narrow ellipses is seen through.
+    assert!(left > 5000 && left < covered * 9 / 10, "{left} of {covered}");
+    // Pixels that go on along the ellipses, and across them.
+    let is = |place| red(at(&splats, place)) || blue(at(&splats, place));
+    let alike = |dx: u32, dy: i32| {
+        let other = |[x, y]: [u32; 2]| [x + dx, y.wrapping_add_signed(dy)];
+        middle().filter(|place| is(*place) && is(other(*place))).count()
+    };
+    let (along, across) = (alike(6, -3), alike(6, 3));
+    assert!(along > across * 5 / 4, "{along} along, {across} across");
+
+    harness.state_mut().window_mut().looks.samples = true;
+    let dots = picture(&mut harness, "splats-dots.png");
+    let yellow = |[r, g, b]: [u8; 3]| r > 200 && g > 160 && b < 140;
+    assert!(of(&splats, &yellow) == 0 && of(&dots, &yellow) > 300, "{}", of(&dots, &yellow));
 }

@@ -1,10 +1,10 @@
-//! Gaussian splats as flat ellipses across their shortest axis, in the colours that they have from all sides alike
-//! (B. Kerbl, G. Kopanas, T. Leimkühler, G. Drettakis, *3D Gaussian Splatting for Real-Time Radiance Field
-//! Rendering*, 2023).
+//! Gaussian splats as flat ellipses across their shortest axis, as pictures and windows draw them (B. Kerbl, G.
+//! Kopanas, T. Leimkühler, G. Drettakis, *3D Gaussian Splatting for Real-Time Radiance Field Rendering*, 2023).
 
-use glam::{DQuat, DVec3};
-use simod_core::sampling::LEAST_OPACITY;
+use glam::{DQuat, DVec3, Mat3, Vec3};
 use simod_model::Attribute;
+
+use crate::sampling::LEAST_OPACITY;
 
 /// So many standard deviations are drawn.
 const EXTENT: f64 = 2.0;
@@ -12,12 +12,9 @@ const EXTENT: f64 = 2.0;
 /// The shorter axis is at least so long, as a part of the longer one: thinner ones would vanish.
 const THINNEST: f64 = 1e-3;
 
-/// The first function of the harmonics.
-const FIRST: f64 = 0.282_094_791_773_878_14;
-
 /// Where among the attributes of splats their shape is.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Ellipses {
+pub struct Ellipses {
     /// Real part first.
     rotation: [usize; 4],
     /// Logarithms; those of discs are two.
@@ -27,35 +24,15 @@ pub(super) struct Ellipses {
 }
 
 /// Half axes, the longer one first, and the normal, which is of unit length.
-pub(super) type Ellipse = ([DVec3; 2], DVec3);
+pub type Ellipse = ([DVec3; 2], DVec3);
 
 fn place(name: &str, attributes: &[Attribute]) -> Option<usize> {
     attributes.iter().position(|a| a.name == name)
 }
 
-/// Where the coefficients of the colour are, of points that are splats.
-pub(super) fn colors<'a>(attributes: impl IntoIterator<Item = &'a Attribute>) -> Option<[usize; 3]> {
-    let mut places = [None; 3];
-    for (at, attribute) in attributes.into_iter().enumerate() {
-        match &*attribute.name {
-            "f_dc_0" => places[0] = Some(at),
-            "f_dc_1" => places[1] = Some(at),
-            "f_dc_2" => places[2] = Some(at),
-            _ => {}
-        }
-    }
-    Some([places[0]?, places[1]?, places[2]?])
-}
-
-/// The byte of a colour by its coefficient.
-pub(super) fn byte(coefficient: f64) -> u8 {
-    // A conversion saturates, and gives 0 for NaN.
-    ((0.5 + FIRST * coefficient) * 255.0).round() as u8
-}
-
 impl Ellipses {
     /// Of splats; nothing where the points are none.
-    pub(super) fn of(attributes: &[Attribute]) -> Option<Self> {
+    pub fn of(attributes: &[Attribute]) -> Option<Self> {
         let of = |name: &str, i: usize| place(&format!("{name}_{i}"), attributes);
         let rotation = [of("rot", 0)?, of("rot", 1)?, of("rot", 2)?, of("rot", 3)?];
         let scales = [Some(of("scale", 0)?), Some(of("scale", 1)?), of("scale", 2)].into_iter().flatten();
@@ -63,13 +40,13 @@ impl Ellipses {
     }
 
     /// How many of the first attributes are asked for.
-    pub(super) fn count(&self) -> usize {
+    pub fn count(&self) -> usize {
         let all = self.rotation.iter().chain(&self.scales).chain(&self.opacity);
         all.max().map_or(0, |last| last + 1)
     }
 
     /// What is drawn of a splat, by its attribute at each place: nothing of one that is hardly seen, or means nothing.
-    pub(super) fn ellipse(&self, attribute: impl Fn(usize) -> f64) -> Option<Ellipse> {
+    pub fn ellipse(&self, attribute: impl Fn(usize) -> f64) -> Option<Ellipse> {
         let opacity = self.opacity.map_or(1.0, |place| 1.0 / (1.0 + (-attribute(place)).exp()));
         let [w, x, y, z] = self.rotation.map(&attribute);
         let q = DQuat::from_xyzw(x, y, z, w);
@@ -85,6 +62,17 @@ impl Ellipses {
     }
 }
 
+/// The half axes of an ellipse's image under a linear map, the longer one first.
+///
+/// The images of half axes are conjugate half diameters; those that are at right angles among these come of the
+/// angle 2t with tan 2t = 2 a·b / (a² - b²) (Rytz).
+pub fn image([long, short]: [Vec3; 2], map: &Mat3) -> [Vec3; 2] {
+    let (a, b) = (*map * long, *map * short);
+    let t = 0.5 * (2.0 * a.dot(b)).atan2(a.length_squared() - b.length_squared());
+    let (sin, cos) = t.sin_cos();
+    [a * cos + b * sin, b * cos - a * sin]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -97,19 +85,35 @@ mod tests {
         let all: Vec<Attribute> =
             names.map(|name| Attribute { name: name.to_owned(), kind: Type::F32 }).collect();
         let ellipses = Ellipses::of(&all).unwrap();
-        assert_eq!((ellipses.count(), colors(&all)), (11, Some([0, 1, 2])));
+        assert_eq!(ellipses.count(), 11);
         let half = 0.5f64.sqrt();
         // A quarter turn about z: the first axis goes to y.
         let mut numbers = [0.0, 0.0, 0.0, 2.0, 0.3f64.ln(), 0.01f64.ln(), 0.1f64.ln(), half, 0.0, 0.0, half];
         let ([long, short], normal) = ellipses.ellipse(|place| numbers[place]).unwrap();
         assert!(long.distance(DVec3::Y * 0.6) < 1e-9 && short.distance(DVec3::Z * 0.2) < 1e-9);
         assert!(normal.abs().distance(DVec3::X) < 1e-9);
-        assert_eq!([byte(0.0), byte(-9.0), byte(9.0), byte(f64::NAN)], [128, 0, 255, 0]);
         for (place, bad) in [(3, -5.0), (4, f64::INFINITY), (7, f64::NAN)] {
             let good = std::mem::replace(&mut numbers[place], bad);
             assert!(ellipses.ellipse(|place| numbers[place]).is_none(), "{place}");
             numbers[place] = good;
         }
         assert!(Ellipses::of(&all[..8]).is_none());
+    }
+
+    #[test]
+    fn images_of_ellipses_have_the_same_points() {
+        let map =
+            Mat3::from_cols(Vec3::new(0.3, 1.0, 0.2), Vec3::new(-2.0, 0.4, 0.1), Vec3::new(0.0, 0.5, 1.0));
+        let axes = [Vec3::new(0.0, 2.0, 0.0), Vec3::new(1.5, 0.0, 0.0)];
+        let [long, short] = image(axes, &map);
+        assert!(long.dot(short).abs() < 1e-5 && long.length() > short.length());
+        for i in 0..12 {
+            let (sin, cos) = (0.5 * i as f32).sin_cos();
+            let p = map * (axes[0] * cos + axes[1] * sin);
+            let [x, y] = [long, short].map(|axis| p.dot(axis) / axis.length_squared());
+            assert!((x * x + y * y - 1.0).abs() < 1e-5 && p.distance(long * x + short * y) < 1e-5);
+        }
+        assert_eq!(image(axes, &Mat3::IDENTITY), axes);
+        assert_eq!(image([Vec3::ZERO; 2], &map), [Vec3::ZERO; 2]);
     }
 }
