@@ -2,8 +2,9 @@
 
     python packed_splats.py SIMOD [SPLATS [SAMPLES]]
 
-packs the scene of `splats.py` as `.splat`, as compressed PLY and as SPZ, has SIMOD deform all, and prints how far the splats
-are from those of the exact map, beside how far the packing alone takes them.
+packs the scene of `splats.py` as `.splat`, as compressed PLY and as SPZ 2 by code of its own, and as SPZ 3 by `gsply` where
+that is installed, has SIMOD deform all, reads them again likewise, and prints how far the splats are from those of the exact
+map, beside how far the packing alone takes them.
 """
 
 import gzip
@@ -14,6 +15,11 @@ from pathlib import Path
 import numpy as np
 import ply_files
 import splats
+
+try:
+    import gsply
+except ImportError:
+    gsply = None
 
 FIRST = 0.28209479177387814
 
@@ -135,6 +141,28 @@ def read_spz(path):
     return p / 4096, scales, np.column_stack([w, q])
 
 
+def write_spz_3(path, points):
+    """As SPZ 3, by gsply."""
+    rest = sum(name.startswith("f_rest_") for name in points.dtype.names)
+    harmonics = splats.columns(points, [f"f_rest_{i}" for i in range(rest)]).reshape(len(points), 3, rest // 3)
+    q = splats.columns(points, [f"rot_{i}" for i in range(4)])
+    numbers = {
+        "means": splats.columns(points, "xyz"),
+        "scales": splats.columns(points, [f"scale_{i}" for i in range(3)]),
+        "quats": q / np.linalg.norm(q, axis=1)[:, None],
+        "opacities": points["opacity"],
+        "sh0": splats.columns(points, [f"f_dc_{i}" for i in range(3)]),
+        "shN": harmonics.transpose(0, 2, 1),
+    }
+    data = gsply.GSData(**{name: np.ascontiguousarray(array, "<f4") for name, array in numbers.items()})
+    gsply.write_spz(path, data, version=3)
+
+
+def read_spz_3(path):
+    data = gsply.read_spz(path)
+    return data.means.astype(float), data.scales.astype(float), data.quats.astype(float)
+
+
 def covariances(scales, q):
     points = np.zeros(len(q), [(n, "f8") for n in [f"scale_{i}" for i in range(3)] + [f"rot_{i}" for i in range(4)]])
     for i in range(3):
@@ -160,7 +188,11 @@ def main():
             ("m.splat", write_records, read_records),
             ("m.ply", write_chunks, read_chunks),
             ("m.spz", write_spz, read_spz),
+            ("m3.spz", write_spz_3, read_spz_3),
         )
+        if gsply is None:
+            layouts = layouts[:-1]
+            print("SPZ 3 is left out, as there is no gsply")
         for name, write, read in layouts:
             write(folder / name, points)
             splats.run([simod, "sample", folder / name, "-o", folder / f"s-{name}", "--samples", samples])
