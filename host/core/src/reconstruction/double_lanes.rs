@@ -44,6 +44,12 @@ impl<S: Simd> DoubleLanes<S> {
         Self(self.0, self.0.negate_mul_add_f64s(self.1, by.1, from.1))
     }
 
+    /// Its size.
+    #[inline(always)]
+    pub fn abs(self) -> Self {
+        Self(self.0, self.0.abs_f64s(self.1))
+    }
+
     /// Its square root.
     #[inline(always)]
     pub fn sqrt(self) -> Self {

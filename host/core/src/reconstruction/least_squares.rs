@@ -97,8 +97,23 @@ pub struct LeastSquares<S: Simd> {
     variation: DoubleLanes<S>,
 }
 
-/// The neighbours of several samples that come at one place in their lists, as ways from the samples.
-struct Neighbours {
+/// The neighbours of several samples, place by place in their lists, as ways from the samples.
+///
+/// They are gathered before any is loaded: a vector that is loaded at once behind its numbers, which are stored
+/// one by one, has to wait for these.
+pub struct Neighbours {
+    /// Column by column, the gradient at each sample.
+    pub gradient: [[f64; MOST_LANES]; 9],
+    /// One over the radius; 1 where that is nothing, and nothing is gathered.
+    scale: [f64; MOST_LANES],
+    /// Places of the longest list.
+    longest: usize,
+    places: [Place; FIT_NEIGHBOURS],
+}
+
+/// The neighbours of several samples that come at one place in their lists.
+#[derive(Clone, Copy)]
+struct Place {
     /// 1, or 0 where a list is over.
     is_there: [f64; MOST_LANES],
     way: [[f64; MOST_LANES]; 3],
@@ -106,34 +121,72 @@ struct Neighbours {
     moved: [[f64; MOST_LANES]; 3],
 }
 
-impl<S: Simd> LeastSquares<S> {
-    /// Gathers the neighbours of as many samples as there are lanes.
+impl Default for Neighbours {
+    fn default() -> Self {
+        let nobody = [[0.0; MOST_LANES]; 3];
+        let place = Place { is_there: [0.0; MOST_LANES], way: nobody, moved: nobody };
+        Self {
+            gradient: [[0.0; MOST_LANES]; 9],
+            scale: [1.0; MOST_LANES],
+            longest: 0,
+            places: [place; FIT_NEIGHBOURS],
+        }
+    }
+}
+
+impl Neighbours {
+    /// Gathers those of as many samples as there are lanes.
     #[inline(always)]
-    pub fn gather(simd: S, fitted: &Fitted<'_>, packet: &[usize; MOST_LANES]) -> Self {
+    pub fn gather<S: Simd>(&mut self, fitted: &Fitted<'_>, packet: &[usize; MOST_LANES]) {
         let Fitted { samples, stencils, deformed, gradient } = *fitted;
-        let zero = DoubleLanes::splat(simd, 0.0);
-        let (mut lists, mut scale, mut longest) = ([&[][..]; MOST_LANES], [1.0; MOST_LANES], 0);
-        let mut prior = [[0.0; MOST_LANES]; 9];
+        let positions = &samples.positions[..];
+        let mut lists = [&[][..]; MOST_LANES];
+        (self.scale, self.longest) = ([1.0; MOST_LANES], 0);
         for lane in 0..S::F64_LANES {
-            let (near, radius) = stencils.around(&samples.positions, packet[lane], FIT_NEIGHBOURS);
+            let (near, radius) = stencils.around(positions, packet[lane], FIT_NEIGHBOURS);
             // Of neighbours that all lie at one place, nothing can be told.
             if radius > 0.0 {
-                scale[lane] = 1.0 / f64::from(radius);
-                (lists[lane], longest) = (near, near.len().max(longest));
+                self.scale[lane] = 1.0 / f64::from(radius);
+                (lists[lane], self.longest) = (near, near.len().max(self.longest));
             }
             let columns = gradient[packet[lane]].to_cols_array();
             for i in 0..9 {
-                prior[i][lane] = f64::from(columns[i]);
+                self.gradient[i][lane] = f64::from(columns[i]);
             }
         }
-        let scale = DoubleLanes::load(simd, &scale);
+        for lane in 0..S::F64_LANES {
+            let (i, list) = (packet[lane], lists[lane]);
+            let (q, image) = (positions[i], deformed[i].as_dvec3());
+            for (place, j) in self.places.iter_mut().zip(list) {
+                let way = (positions[*j as usize] - q).as_dvec3();
+                let moved = deformed[*j as usize].as_dvec3() - image;
+                place.is_there[lane] = 1.0;
+                for axis in 0..3 {
+                    (place.way[axis][lane], place.moved[axis][lane]) = (way[axis], moved[axis]);
+                }
+            }
+            for place in &mut self.places[list.len()..self.longest] {
+                place.is_there[lane] = 0.0;
+                for axis in 0..3 {
+                    (place.way[axis][lane], place.moved[axis][lane]) = (0.0, 0.0);
+                }
+            }
+        }
+    }
+}
+
+impl<S: Simd> LeastSquares<S> {
+    /// Of the neighbours of as many samples as there are lanes.
+    #[inline(always)]
+    pub fn of(simd: S, neighbours: &Neighbours) -> Self {
+        let zero = DoubleLanes::splat(simd, 0.0);
         let mut slope = [zero; 9];
         for i in 0..9 {
-            slope[i] = DoubleLanes::load(simd, &prior[i]);
+            slope[i] = DoubleLanes::load(simd, &neighbours.gradient[i]);
         }
         let mut sums = Self {
             simd,
-            scale,
+            scale: DoubleLanes::load(simd, &neighbours.scale),
             matrix: [[zero; TERMS]; TERMS],
             right: [[zero; 3]; TERMS],
             weights: zero,
@@ -143,28 +196,15 @@ impl<S: Simd> LeastSquares<S> {
             variation: zero,
         };
         let mut moments = Moments { second: [zero; 6], third: [zero; 10], fourth: [zero; 15] };
-        let nobody = [[0.0; MOST_LANES]; 3];
-        for place in 0..longest {
-            let mut all = Neighbours { is_there: [0.0; MOST_LANES], way: nobody, moved: nobody };
-            for lane in 0..S::F64_LANES {
-                if place < lists[lane].len() {
-                    let (i, j) = (packet[lane], lists[lane][place] as usize);
-                    let way = samples.positions[j] - samples.positions[i];
-                    all.is_there[lane] = 1.0;
-                    for axis in 0..3 {
-                        all.way[axis][lane] = f64::from(way[axis]);
-                        all.moved[axis][lane] = f64::from(deformed[j][axis]) - f64::from(deformed[i][axis]);
-                    }
-                }
-            }
-            sums.include(&slope, &all, &mut moments);
+        for place in 0..neighbours.longest {
+            sums.include(&slope, &neighbours.places[place], &mut moments);
         }
         sums.matrix = moments.products(zero);
         sums
     }
 
     #[inline(always)]
-    fn include(&mut self, slope: &[DoubleLanes<S>; 9], all: &Neighbours, moments: &mut Moments<S>) {
+    fn include(&mut self, slope: &[DoubleLanes<S>; 9], all: &Place, moments: &mut Moments<S>) {
         let simd = self.simd;
         let load = |numbers| DoubleLanes::load(simd, numbers);
         let d = [load(&all.way[0]), load(&all.way[1]), load(&all.way[2])];
@@ -176,13 +216,9 @@ impl<S: Simd> LeastSquares<S> {
             }
         }
         let x = [d[0] * self.scale, d[1] * self.scale, d[2] * self.scale];
-        // The kernel 1 - 3t² + 2t³.
-        let one = DoubleLanes::splat(simd, 1.0);
-        let t = square(x).sqrt().min(one);
-        let rest = t.mul_add(DoubleLanes::splat(simd, 2.0), DoubleLanes::splat(simd, -3.0));
-        let w = load(&all.is_there) * (t * t).mul_add(rest, one);
+        let w = load(&all.is_there) * kernel(simd, square(x).sqrt());
 
-        let mut second = [one; 6];
+        let mut second = [w; 6];
         for (to, [a, b]) in second.iter_mut().zip(FACTORS) {
             *to = x[a] * x[b];
         }
@@ -427,6 +463,15 @@ impl<S: Simd> Factor<S> {
         }
         right
     }
+}
+
+/// The kernel 1 - 3t² + 2t³ of distances as parts of its radius, nothing beyond.
+#[inline(always)]
+pub fn kernel<S: Simd>(simd: S, t: DoubleLanes<S>) -> DoubleLanes<S> {
+    let one = DoubleLanes::splat(simd, 1.0);
+    let t = t.min(one);
+    let rest = t.mul_add(DoubleLanes::splat(simd, 2.0), DoubleLanes::splat(simd, -3.0));
+    (t * t).mul_add(rest, one)
 }
 
 /// The squares of lengths.

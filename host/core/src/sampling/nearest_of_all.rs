@@ -33,7 +33,8 @@ impl KdTree {
     ///
     /// Memory: 4 bytes for each entry, and 9 kilobytes for each thread.
     pub fn nearest_others_of_all(&self, k: usize) -> Vec<u32> {
-        let lists: Vec<AtomicU32> = (0..k * self.len()).map(|_| AtomicU32::new(0)).collect();
+        // The system's own zeros: the threads that fill them touch them first.
+        let lists: Vec<AtomicU32> = bytemuck::zeroed_vec(k * self.len());
         if k > 0 {
             let batch =
                 || Batch { tree: self, k, near: Vec::new(), distances: Vec::new(), found: Vec::new() };
