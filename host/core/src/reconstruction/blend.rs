@@ -22,6 +22,7 @@ use super::expansion::{Expansion, Reaching};
 use super::lanes::{Lanes, from, length_squared, triple};
 use super::scattered;
 use super::sheets::Sheets;
+use crate::counting_sort;
 use crate::sampling::SampleSet;
 
 /// Samples that a [range](super::bound) is of.
@@ -108,7 +109,7 @@ impl Supports {
             let all = itself.iter().chain(sheets.of_sample(home)).chain(others);
             list.clear();
             list.extend(all.filter_map(|j| entry(home, *j as usize)).map(Reaching::to_ordered));
-            list.sort_unstable();
+            counting_sort::sort(list);
         };
         // Places for as many as there may be: so lists that are made side by side stay where they are.
         let (mut starts, mut jobs) = (Vec::with_capacity(n), Vec::with_capacity(n.div_ceil(TOGETHER)));

@@ -15,10 +15,11 @@ use glam::{Mat3, Vec3};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::double_lanes::{DoubleLanes, MOST_LANES};
+use super::double_lanes::{DoubleLanes, MOST_LANES, square};
 use super::expansion::Expansion;
 use super::gradients::Gradients;
-use super::least_squares::{Fitted, LeastSquares, Neighbours, TERMS, Unresolved, square};
+use super::least_squares::{LeastSquares, TERMS, Unresolved};
+use super::packets::{MOST_NEIGHBOURS, Neighbours};
 use super::stencils::Stencils;
 use crate::geometry::hermite;
 use crate::sampling::SampleSet;
@@ -27,7 +28,7 @@ use crate::sampling::SampleSet;
 pub const BLENDED: usize = 6;
 
 /// Neighbours in a fit: three times its terms.
-pub(super) const FIT_NEIGHBOURS: usize = 28;
+pub(super) const FIT_NEIGHBOURS: usize = MOST_NEIGHBOURS;
 
 /// Samples that are fitted by one job.
 const TOGETHER: usize = 64;
@@ -237,6 +238,15 @@ impl Jet {
     }
 }
 
+/// What is fitted: samples, and the gradient at each that the fit goes beyond.
+#[derive(Clone, Copy)]
+struct Fitted<'a> {
+    samples: &'a SampleSet,
+    stencils: &'a Stencils<'a>,
+    deformed: &'a [Vec3],
+    gradient: &'a [Mat3],
+}
+
 /// Fits samples that follow each other from the first: the affine map is left where nothing more is to be
 /// explained, or cannot be.
 struct Fits<'a> {
@@ -259,7 +269,8 @@ impl WithSimd for Fits<'_> {
             let count = S::F64_LANES.min(self.expansions.len() - at);
             let mut packet = [self.first + at; MOST_LANES];
             packet.iter_mut().enumerate().take(count).for_each(|(lane, sample)| *sample += lane);
-            neighbours.gather::<S>(&self.fitted, &packet);
+            let Fitted { samples, stencils, deformed, .. } = self.fitted;
+            neighbours.gather::<S>(samples, stencils, deformed, &packet, FIT_NEIGHBOURS);
             self.fit(simd, &neighbours, &packet, at..at + count);
         }
     }
@@ -276,20 +287,24 @@ impl Fits<'_> {
         places: Range<usize>,
     ) {
         let fitted = &self.fitted;
-        let squares = LeastSquares::of(simd, neighbours);
-        let is_needed = squares.is_needed();
-        if !is_needed.any() {
-            return;
-        }
-        let mut normal = [[0.0; MOST_LANES]; 3];
+        let (mut gradient, mut normal) = ([[0.0; MOST_LANES]; 9], [[0.0; MOST_LANES]; 3]);
         let normals = fitted.samples.normals();
         for lane in 0..S::F64_LANES {
+            let columns = fitted.gradient[packet[lane]].to_cols_array();
+            for i in 0..9 {
+                gradient[i][lane] = f64::from(columns[i]);
+            }
             for axis in 0..3 {
                 normal[axis][lane] = f64::from(normals[packet[lane]][axis]);
             }
         }
+        let squares = LeastSquares::of(simd, neighbours, &gradient);
+        let is_needed = squares.is_needed();
+        if !is_needed.any() {
+            return;
+        }
         let splat = |x| DoubleLanes::splat(simd, x);
-        let strain = strain(simd, &neighbours.gradient);
+        let strain = strain(simd, &gradient);
         let (terms, left, ridge, is_solved) = squares.solve(strain);
         // What terms explain that noise of this size leaves undetermined is not relied on.
         let (mut relied_on, mut is_solved) = (left, is_solved);

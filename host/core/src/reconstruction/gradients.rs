@@ -19,9 +19,9 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::Transport;
-use super::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES};
+use super::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES, Triple, kernel, square};
 use super::eigen_lanes::{cross, dot, symmetric_eigen};
-use super::least_squares::{Triple, kernel, square};
+use super::packets::{Neighbours, Place, triple};
 use super::sheets::Sheets;
 use super::stencils::Stencils;
 use crate::sampling::SampleSet;
@@ -110,75 +110,16 @@ impl WithSimd for Fits<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { samples, stencils, deformed, all, fits } = self;
+        let mut neighbours = Neighbours::default();
         for at in (0..all.len()).step_by(S::F64_LANES) {
             let count = S::F64_LANES.min(all.len() - at);
             let mut packet = [all[at] as usize; MOST_LANES];
             for lane in 0..count {
                 packet[lane] = all[at + lane] as usize;
             }
-            let neighbours = Neighbours::gather::<S>(samples, stencils, deformed, &packet);
+            neighbours.gather::<S>(samples, stencils, deformed, &packet, FIT_NEIGHBOURS);
             fit(simd, &neighbours, &mut fits[at..at + count]);
         }
-    }
-}
-
-/// The neighbours of several samples, place by place in their lists, as ways from the samples.
-struct Neighbours {
-    /// Samples around which nothing moves, themselves included.
-    is_still: [bool; MOST_LANES],
-    /// One over the radius of the kernel.
-    scale: [f64; MOST_LANES],
-    /// Places of the longest list.
-    longest: usize,
-    /// 1, or 0 where a list is over.
-    is_there: [[f64; MOST_LANES]; FIT_NEIGHBOURS],
-    way: [[[f64; MOST_LANES]; 3]; FIT_NEIGHBOURS],
-    /// The same after the deformation.
-    moved: [[[f64; MOST_LANES]; 3]; FIT_NEIGHBOURS],
-}
-
-impl Neighbours {
-    #[inline(always)]
-    fn gather<S: Simd>(
-        samples: &SampleSet,
-        stencils: &Stencils<'_>,
-        deformed: &[Vec3],
-        packet: &[usize; MOST_LANES],
-    ) -> Self {
-        let positions = &samples.positions[..];
-        let nobody = [[[0.0; MOST_LANES]; 3]; FIT_NEIGHBOURS];
-        let mut all = Self {
-            is_still: [true; MOST_LANES],
-            scale: [1.0; MOST_LANES],
-            longest: 0,
-            is_there: [[0.0; MOST_LANES]; FIT_NEIGHBOURS],
-            way: nobody,
-            moved: nobody,
-        };
-        for lane in 0..S::F64_LANES {
-            let i = packet[lane];
-            let (near, radius) = stencils.around(positions, i, FIT_NEIGHBOURS);
-            let (q, q_star) = (positions[i], deformed[i]);
-            all.is_still[lane] = q == q_star;
-            for place in 0..near.len() {
-                let j = near[place] as usize;
-                all.is_still[lane] &= positions[j] == deformed[j];
-                // Of neighbours that all lie at one place, nothing can be told.
-                if radius > 0.0 {
-                    let way = positions[j] - q;
-                    all.is_there[place][lane] = 1.0;
-                    for axis in 0..3 {
-                        all.way[place][axis][lane] = f64::from(way[axis]);
-                        all.moved[place][axis][lane] = f64::from(deformed[j][axis]) - f64::from(q_star[axis]);
-                    }
-                }
-            }
-            if radius > 0.0 {
-                all.scale[lane] = 1.0 / f64::from(radius);
-            }
-            all.longest = all.longest.max(near.len());
-        }
-        all
     }
 }
 
@@ -199,9 +140,10 @@ impl<S: Simd> Sums<S> {
         let mut sums = Self { diagonal: [zero; 3], off: [zero; 3], images: [[zero; 3]; 3], weights: zero };
         let scale = DoubleLanes::load(simd, &neighbours.scale);
         for place in 0..neighbours.longest {
-            let (d, moved) = (triple(simd, &neighbours.way[place]), triple(simd, &neighbours.moved[place]));
+            let Place { is_there, way, moved } = &neighbours.places[place];
+            let (d, moved) = (triple(simd, way), triple(simd, moved));
             let t = square(d).sqrt() * scale;
-            let w = DoubleLanes::load(simd, &neighbours.is_there[place]) * kernel(simd, t);
+            let w = DoubleLanes::load(simd, is_there) * kernel(simd, t);
             let weighted = [w * d[0], w * d[1], w * d[2]];
             for (at, [a, b]) in [[0, 1], [0, 2], [1, 2]].into_iter().enumerate() {
                 sums.diagonal[at] = weighted[at].mul_add(d[at], sums.diagonal[at]);
@@ -337,8 +279,8 @@ fn explained<S: Simd>(
     let limit = splat(ROUNDING * ROUNDING);
     let mut explained = [splat(0.0).less(limit); 2];
     for place in 0..neighbours.longest {
-        let d = triple(simd, &neighbours.way[place]);
-        let mut left = triple(simd, &neighbours.moved[place]);
+        let Place { way, moved, .. } = &neighbours.places[place];
+        let (d, mut left) = (triple(simd, way), triple(simd, moved));
         for at in 0..2 {
             let (axis, image) = axes[at];
             let along = dot(d, axis);
@@ -362,12 +304,6 @@ fn explained<S: Simd>(
 #[inline(always)]
 fn divided<S: Simd>(v: Triple<S>, by: DoubleLanes<S>) -> Triple<S> {
     [v[0] / by, v[1] / by, v[2] / by]
-}
-
-#[inline(always)]
-fn triple<S: Simd>(simd: S, numbers: &[[f64; MOST_LANES]; 3]) -> Triple<S> {
-    let load = |numbers| DoubleLanes::load(simd, numbers);
-    [load(&numbers[0]), load(&numbers[1]), load(&numbers[2])]
 }
 
 #[inline(always)]

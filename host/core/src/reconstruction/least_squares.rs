@@ -13,14 +13,12 @@
     reason = "vectors are compiled for the processor only where they are inlined"
 )]
 
-use glam::{Mat3, Vec3};
+use glam::Vec3;
 use pulp::Simd;
 
-use super::blended_jets::FIT_NEIGHBOURS;
-use super::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES};
+use super::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES, Triple, kernel, square};
 use super::gradients::ROUNDING;
-use super::stencils::Stencils;
-use crate::sampling::SampleSet;
+use super::packets::{Neighbours, Place, triple};
 
 /// The largest ridge, relative to terms of the size of the neighbourhood ...
 const RIDGE: f64 = 1e-7;
@@ -62,20 +60,8 @@ impl Unresolved {
     }
 }
 
-/// One number for each sample and coordinate.
-pub type Triple<S> = [DoubleLanes<S>; 3];
-
 /// The terms of the three coordinates.
 pub type Terms<S> = [Triple<S>; TERMS];
-
-/// What is fitted: samples, and the gradient at each that the fit goes beyond.
-#[derive(Clone, Copy)]
-pub struct Fitted<'a> {
-    pub samples: &'a SampleSet,
-    pub stencils: &'a Stencils<'a>,
-    pub deformed: &'a [Vec3],
-    pub gradient: &'a [Mat3],
-}
 
 /// The squares of what the affine map leaves over at the neighbours of each sample, to be explained by the terms
 /// in units of the neighbourhood's radius.
@@ -97,92 +83,14 @@ pub struct LeastSquares<S: Simd> {
     variation: DoubleLanes<S>,
 }
 
-/// The neighbours of several samples, place by place in their lists, as ways from the samples.
-///
-/// They are gathered before any is loaded: a vector that is loaded at once behind its numbers, which are stored
-/// one by one, has to wait for these.
-pub struct Neighbours {
-    /// Column by column, the gradient at each sample.
-    pub gradient: [[f64; MOST_LANES]; 9],
-    /// One over the radius; 1 where that is nothing, and nothing is gathered.
-    scale: [f64; MOST_LANES],
-    /// Places of the longest list.
-    longest: usize,
-    places: [Place; FIT_NEIGHBOURS],
-}
-
-/// The neighbours of several samples that come at one place in their lists.
-#[derive(Clone, Copy)]
-struct Place {
-    /// 1, or 0 where a list is over.
-    is_there: [f64; MOST_LANES],
-    way: [[f64; MOST_LANES]; 3],
-    /// The same after the deformation.
-    moved: [[f64; MOST_LANES]; 3],
-}
-
-impl Default for Neighbours {
-    fn default() -> Self {
-        let nobody = [[0.0; MOST_LANES]; 3];
-        let place = Place { is_there: [0.0; MOST_LANES], way: nobody, moved: nobody };
-        Self {
-            gradient: [[0.0; MOST_LANES]; 9],
-            scale: [1.0; MOST_LANES],
-            longest: 0,
-            places: [place; FIT_NEIGHBOURS],
-        }
-    }
-}
-
-impl Neighbours {
-    /// Gathers those of as many samples as there are lanes.
-    #[inline(always)]
-    pub fn gather<S: Simd>(&mut self, fitted: &Fitted<'_>, packet: &[usize; MOST_LANES]) {
-        let Fitted { samples, stencils, deformed, gradient } = *fitted;
-        let positions = &samples.positions[..];
-        let mut lists = [&[][..]; MOST_LANES];
-        (self.scale, self.longest) = ([1.0; MOST_LANES], 0);
-        for lane in 0..S::F64_LANES {
-            let (near, radius) = stencils.around(positions, packet[lane], FIT_NEIGHBOURS);
-            // Of neighbours that all lie at one place, nothing can be told.
-            if radius > 0.0 {
-                self.scale[lane] = 1.0 / f64::from(radius);
-                (lists[lane], self.longest) = (near, near.len().max(self.longest));
-            }
-            let columns = gradient[packet[lane]].to_cols_array();
-            for i in 0..9 {
-                self.gradient[i][lane] = f64::from(columns[i]);
-            }
-        }
-        for lane in 0..S::F64_LANES {
-            let (i, list) = (packet[lane], lists[lane]);
-            let (q, image) = (positions[i], deformed[i].as_dvec3());
-            for (place, j) in self.places.iter_mut().zip(list) {
-                let way = (positions[*j as usize] - q).as_dvec3();
-                let moved = deformed[*j as usize].as_dvec3() - image;
-                place.is_there[lane] = 1.0;
-                for axis in 0..3 {
-                    (place.way[axis][lane], place.moved[axis][lane]) = (way[axis], moved[axis]);
-                }
-            }
-            for place in &mut self.places[list.len()..self.longest] {
-                place.is_there[lane] = 0.0;
-                for axis in 0..3 {
-                    (place.way[axis][lane], place.moved[axis][lane]) = (0.0, 0.0);
-                }
-            }
-        }
-    }
-}
-
 impl<S: Simd> LeastSquares<S> {
-    /// Of the neighbours of as many samples as there are lanes.
+    /// Of the neighbours of as many samples as there are lanes, and the gradients there, column by column.
     #[inline(always)]
-    pub fn of(simd: S, neighbours: &Neighbours) -> Self {
+    pub fn of(simd: S, neighbours: &Neighbours, gradient: &[[f64; MOST_LANES]; 9]) -> Self {
         let zero = DoubleLanes::splat(simd, 0.0);
         let mut slope = [zero; 9];
         for i in 0..9 {
-            slope[i] = DoubleLanes::load(simd, &neighbours.gradient[i]);
+            slope[i] = DoubleLanes::load(simd, &gradient[i]);
         }
         let mut sums = Self {
             simd,
@@ -204,11 +112,9 @@ impl<S: Simd> LeastSquares<S> {
     }
 
     #[inline(always)]
-    fn include(&mut self, slope: &[DoubleLanes<S>; 9], all: &Place, moments: &mut Moments<S>) {
+    fn include(&mut self, slope: &[DoubleLanes<S>; 9], place: &Place, moments: &mut Moments<S>) {
         let simd = self.simd;
-        let load = |numbers| DoubleLanes::load(simd, numbers);
-        let d = [load(&all.way[0]), load(&all.way[1]), load(&all.way[2])];
-        let moved = [load(&all.moved[0]), load(&all.moved[1]), load(&all.moved[2])];
+        let (d, moved) = (triple(simd, &place.way), triple(simd, &place.moved));
         let mut left = moved;
         for axis in 0..3 {
             for column in 0..3 {
@@ -216,7 +122,7 @@ impl<S: Simd> LeastSquares<S> {
             }
         }
         let x = [d[0] * self.scale, d[1] * self.scale, d[2] * self.scale];
-        let w = load(&all.is_there) * kernel(simd, square(x).sqrt());
+        let w = DoubleLanes::load(simd, &place.is_there) * kernel(simd, square(x).sqrt());
 
         let mut second = [w; 6];
         for (to, [a, b]) in second.iter_mut().zip(FACTORS) {
@@ -463,19 +369,4 @@ impl<S: Simd> Factor<S> {
         }
         right
     }
-}
-
-/// The kernel 1 - 3t² + 2t³ of distances as parts of its radius, nothing beyond.
-#[inline(always)]
-pub fn kernel<S: Simd>(simd: S, t: DoubleLanes<S>) -> DoubleLanes<S> {
-    let one = DoubleLanes::splat(simd, 1.0);
-    let t = t.min(one);
-    let rest = t.mul_add(DoubleLanes::splat(simd, 2.0), DoubleLanes::splat(simd, -3.0));
-    (t * t).mul_add(rest, one)
-}
-
-/// The squares of lengths.
-#[inline(always)]
-pub fn square<S: Simd>(d: Triple<S>) -> DoubleLanes<S> {
-    d[0].mul_add(d[0], d[1].mul_add(d[1], d[2] * d[2]))
 }

@@ -30,6 +30,7 @@ mod lanes;
 mod least_squares;
 mod limiter;
 mod neighbourhood;
+mod packets;
 mod projected_barycentric;
 mod reach;
 mod scattered;

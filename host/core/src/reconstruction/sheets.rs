@@ -154,13 +154,11 @@ impl Sheets {
         let left = |i: usize| -> Option<(u32, Vec<u32>)> {
             let list = lists.of_sample(i);
             let is_denied = |j: &u32| lists.denies(positions, *j as usize, i);
-            let left: Vec<u32> = list.iter().copied().filter(|j| !is_denied(j)).collect();
-            let is_less = left.len() < list.len() && left.len() >= ENOUGH;
-            match (is_less, lists.is_crowded(i)) {
-                (true, _) => Some((i as u32, left)),
-                (false, true) => Some((i as u32, list.to_vec())),
-                (false, false) => None,
+            let denied = list.iter().filter(|j| is_denied(j)).count();
+            if denied > 0 && list.len() >= ENOUGH + denied {
+                return Some((i as u32, list.iter().copied().filter(|j| !is_denied(j)).collect()));
             }
+            lists.is_crowded(i).then(|| (i as u32, list.to_vec()))
         };
         let all: Vec<(u32, Vec<u32>)> = (0..lists.list.len()).into_par_iter().filter_map(left).collect();
         (self.starts, self.neighbours) = (vec![0], Vec::with_capacity(self.neighbours.len()));

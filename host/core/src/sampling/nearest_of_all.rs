@@ -12,6 +12,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::kd_tree::{Extent, Found, KdTree, LEAF, Leaf};
+use crate::counting_sort;
 
 /// Most leaves that are looked at together. Where a leaf is near more, as one of few points beside a heap, its
 /// points are looked up one by one.
@@ -89,7 +90,7 @@ impl Batch<'_> {
         for (point, index) in leaf.points() {
             let one = One { point, index, guess: last, surely: surely(point), batch: self };
             Arch::new().dispatch(one);
-            self.found.sort_unstable();
+            counting_sort::sort(&mut self.found);
             self.found.truncate(self.k);
             last = distance(self.found[self.k - 1]);
             say(index, &self.found);
