@@ -60,7 +60,7 @@ impl State {
     pub fn tint(&self) -> Tint {
         match self.overlay {
             Overlay::Attribute(place) if place < self.attributes().len() => Tint::Attribute(place),
-            Overlay::None if self.own_colors && Colors::among(self.attributes()).is_some() => Tint::Own,
+            Overlay::None if self.own_colors && Colors::seen(self.attributes()).is_some() => Tint::Own,
             _ => Tint::Samples,
         }
     }
