@@ -390,7 +390,8 @@ fn declared_numbers_turn_by_command_line_and_by_session() {
     let found = table.read(&work.read("edited.ply"), Kind::Double);
     for row in 0..found.rows.len() {
         let t = DVec3::from_array(found.numbers(["t_x", "t_y", "t_z"], row));
-        assert!(t.distance(DVec3::new(1.0, -2.0, 1.0)) < 1e-5, "{t}");
+        // Gradients are exact at the samples; between them, fits over many of these add what rounding leaves.
+        assert!(t.distance(DVec3::new(1.0, -2.0, 1.0)) < 3e-5, "{t}");
         assert!(found.numbers(["qw"], row)[0] > 1.0 - 1e-9);
     }
     // The command line has the last word.
@@ -464,7 +465,7 @@ fn splats_that_are_large_or_far_need_more_opacity() {
     // Of opacities from 0.5 to 0.88, so that size and place have no say.
     table.rows.iter_mut().for_each(|row| row[opacity] = 0.05 + row[opacity].abs());
     let with = |opaque: f64| {
-        let mut table = table.clone();
+        let mut all = table.clone();
         for i in 0..300 {
             let mut row = table.rows[7 * i].clone();
             row[opacity] = opaque;
@@ -474,9 +475,9 @@ fn splats_that_are_large_or_far_need_more_opacity() {
                 1 => (0..3).for_each(|axis| row[axis] = 20.0 * (row[axis] - 0.5)),
                 _ => row[scale] += 0.5,
             }
-            table.rows.insert(11 * i, row);
+            all.rows.insert(11 * i, row);
         }
-        table
+        all
     };
     let work = Workplace::new();
     let sampled = |opaque: f64, options: &str| {
