@@ -39,7 +39,8 @@ impl Held {
 
 /// The homes that samples in doubt reach, and what prevails around all samples that reach there.
 ///
-/// Memory: five bytes per sample, and 44 for each that reaches such a home, unless no sample is in doubt.
+/// Memory: five bytes per sample, four more while it is made, and 44 for each that reaches such a home, unless no
+/// sample is in doubt.
 #[derive(Debug, Default)]
 pub struct Limiter {
     /// Whether a sample in doubt reaches the home; empty if none is in doubt.
@@ -59,15 +60,16 @@ impl Limiter {
         }
         let n = expansions.len();
         let around = |i: usize| supports.of_home(i).iter().map(|r| r.sample as usize);
-        let in_doubt = |i: usize| doubtful.binary_search_by_key(&(i as u32), |(i, _)| *i).ok();
+        let mut of_sample = vec![NONE; n];
+        doubtful.iter().zip(0..).for_each(|((i, _), at)| of_sample[*i as usize] = at);
         let concerned: Vec<bool> =
-            (0..n).into_par_iter().map(|home| around(home).any(|i| in_doubt(i).is_some())).collect();
+            (0..n).into_par_iter().map(|home| around(home).any(|i| of_sample[i] != NONE)).collect();
         let mut this = Self { concerned, place: vec![NONE; n], held: Vec::new() };
         for i in (0..n).filter(|home| this.concerned[*home]).flat_map(around) {
             if this.place[i] == NONE {
                 this.place[i] = this.held.len() as u32;
-                let (slope, doubt) = match in_doubt(i) {
-                    Some(at) => (doubtful[at].1.prevailing, doubtful[at].1.amount),
+                let (slope, doubt) = match doubtful.get(of_sample[i] as usize) {
+                    Some((_, doubt)) => (doubt.prevailing, doubt.amount),
                     None => (expansions[i].slope(), 0.0),
                 };
                 let differences =
