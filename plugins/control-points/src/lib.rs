@@ -8,13 +8,13 @@ mod landmarks;
 mod map;
 mod report;
 
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 use landmarks::Landmark;
 use map::{Extent, Kind, Map};
 use report::Report;
 use simod_plugin_api::{
-    Bounds, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, LogLevel, ModelFrame,
-    ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
+    Bounds, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, IsIdentity, LogLevel,
+    ModelFrame, ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
 };
 use std::path::Path;
 
@@ -73,9 +73,10 @@ impl Deformer for ControlPoints {
 
     fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Map> {
         let Settings { method, smoothing, report } = input.params().read()?;
-        let path = input.params().file("landmarks")?.ok_or_else(|| {
-            PluginError::parameter("landmarks", "names no file").hint("give a CSV with the landmarks")
-        })?;
+        let Some(path) = input.params().file("landmarks")? else {
+            host.warn("there is no file of landmarks: nothing moves");
+            return Ok(Map::Affine(DAffine3::IDENTITY));
+        };
         let frame = input.frame().ok_or_else(|| {
             PluginError::input("this version of SIMOD does not tell where the file's coordinates are")
                 .hint("use a newer one")
@@ -131,6 +132,12 @@ impl Evaluate for ControlPoints {
             points.iter_mut().for_each(|p| *p = map.apply(DVec3::from(*p)).into());
         }
         Ok(())
+    }
+}
+
+impl IsIdentity for ControlPoints {
+    fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
+        Ok(input.params().file("landmarks")?.is_none())
     }
 }
 
@@ -198,7 +205,7 @@ fn names(all: &[&str]) -> String {
     if all.len() > NAMES { format!("{some} and {} more", all.len() - NAMES) } else { some }
 }
 
-simod_plugin_api::export_plugin!(ControlPoints, evaluate);
+simod_plugin_api::export_plugin!(ControlPoints, evaluate, is_identity);
 
 #[cfg(test)]
 mod tests;

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::map::Open;
-use glam::{DAffine3, DMat3};
+use glam::DMat3;
 use proptest::prelude::*;
 use simod_plugin_api::{HostCalls, Param, ParamKind, Part, Samples};
 use std::sync::Mutex;
