@@ -179,6 +179,7 @@ impl HostCalls for Log {
     }
 }
 
+#[expect(clippy::disallowed_methods, reason = "the file is the test's own")]
 fn prepare(text: &str, method: &str, report: &str) -> (PluginResult<Map>, String) {
     let file = std::env::temp_dir().join(format!(
         "simod-landmarks-{}-{:?}.csv",
