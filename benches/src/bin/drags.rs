@@ -74,7 +74,11 @@ const CASES: [Case; 7] = [
     Case { name: "warp, the angle", steps: &[Param("warp", "angle")], dragged: 0 },
     Case { name: "rbf", steps: &[Handle("rbf", None)], dragged: 0 },
     Case { name: "smooth-handle", steps: &[Handle("smooth-handle", None)], dragged: 0 },
-    Case { name: "laplacian, as rigid as possible", steps: &[Handle("laplacian", Some("arap"))], dragged: 0 },
+    Case {
+        name: "laplacian, as rigid as possible",
+        steps: &[Handle("laplacian", Some("smooth-arap"))],
+        dragged: 0,
+    },
     Case { name: "rbf above a warp", steps: &[Param("warp", "angle"), Handle("rbf", None)], dragged: 1 },
     Case { name: "rbf below a warp", steps: &[Handle("rbf", None), Param("warp", "angle")], dragged: 0 },
     Case { name: "rbf below a refinement", steps: &[Handle("rbf", None), Refine], dragged: 0 },

@@ -53,6 +53,21 @@ impl<'a> Report<'a> {
         self.lines.push(text.into());
     }
 
+    /// Adds a line for people, which programs get among the `notes`.
+    pub fn note(&mut self, text: impl Into<String>) {
+        let text = text.into();
+        self.record("notes", &text);
+        self.line(text);
+    }
+
+    /// Adds a text to a list for programs.
+    fn record(&mut self, list: &str, text: &str) {
+        match self.figures.entry(list).or_insert_with(|| json!([])) {
+            Value::Array(all) => all.push(text.into()),
+            other => *other = json!([text]),
+        }
+    }
+
     /// Adds a figure for programs.
     pub fn figure(&mut self, name: &str, value: impl Into<Value>) {
         self.figures.insert(name.to_owned(), value.into());
@@ -62,10 +77,7 @@ impl<'a> Report<'a> {
     pub fn warn(&mut self, text: impl Into<String>) {
         let text = text.into();
         self.console.warn(&text);
-        match self.figures.entry("warnings").or_insert_with(|| json!([])) {
-            Value::Array(all) => all.push(text.into()),
-            other => *other = json!([text]),
-        }
+        self.record("warnings", &text);
     }
 
     /// Peak anonymous memory so far; `None` where the system does not tell.

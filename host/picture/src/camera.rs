@@ -59,6 +59,14 @@ impl Camera {
         Self { position: target - forward * distance, right, up, forward, target, radius, tangents }
     }
 
+    /// The same view of a part of the picture, from as far away: that around a point, or the middle, `part` as wide and
+    /// high as the whole.
+    pub(super) fn crop(self, around: Option<DVec3>, part: f64) -> Self {
+        let way = around.map_or(DVec3::ZERO, |point| point - self.target);
+        let aside = way - way.dot(self.forward) * self.forward;
+        Self { position: self.position + aside, tangents: self.tangents.map(|t| part * t), ..self }
+    }
+
     /// Where the eye is.
     pub fn position(&self) -> DVec3 {
         self.position
@@ -164,6 +172,21 @@ mod tests {
                 assert!((0.0..200.0).contains(&x) && (0.0..100.0).contains(&y), "{x} {y}");
             }
         }
+    }
+
+    #[test]
+    fn a_crop_has_its_point_in_the_middle_and_everything_larger() {
+        let camera = Camera::frame([DVec3::splat(-1.0), DVec3::new(1.0, 3.0, 2.0)], 0.7, 0.3, 1.5);
+        let point = DVec3::new(0.5, 2.5, -0.75);
+        let crop = camera.crop(Some(point), 0.25);
+        let [x, y] = crop.project(point, 300, 200).unwrap();
+        assert!((x - 150.0).abs() < 1e-2 && (y - 100.0).abs() < 1e-2, "{x} {y}");
+        let wide = |camera: &Camera| {
+            let [a, b] = [-0.1, 0.1].map(|d| camera.project(point + d * camera.right, 300, 200).unwrap()[0]);
+            b - a
+        };
+        assert!((wide(&crop) / wide(&camera) - 4.0).abs() < 1e-2);
+        assert_eq!(camera.crop(None, 1.0), camera);
     }
 
     #[test]

@@ -28,6 +28,24 @@ pub struct View {
     pub size: [u32; 2],
     /// Which of the model's axes points up.
     pub up: Up,
+    /// What of it is shown.
+    pub crop: Crop,
+}
+
+/// A part of a picture, from the same place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Crop {
+    /// The model's point in the middle; that of the bounds where it is not given.
+    pub around: Option<DVec3>,
+    /// Its width over that of the whole: above 0.
+    pub part: f64,
+}
+
+impl Default for Crop {
+    /// The whole.
+    fn default() -> Self {
+        Self { around: None, part: 1.0 }
+    }
 }
 
 /// The model's axis that points up in the picture.
@@ -56,6 +74,15 @@ impl Up {
 
 impl View {
     fn camera(&self) -> Camera {
+        self.cropped(self.whole())
+    }
+
+    fn cropped(&self, camera: Camera) -> Camera {
+        camera.crop(self.crop.around.map(|p| self.up.turned(p)), self.crop.part)
+    }
+
+    /// The camera that shows everything.
+    fn whole(&self) -> Camera {
         let [w, h] = self.size;
         let bounds = [self.up.turned(self.bounds.min), self.up.turned(self.bounds.max)];
         let aspect = f64::from(w) / f64::from(h.max(1));
@@ -66,9 +93,9 @@ impl View {
     /// everything: nothing is cut, and the model does not seem to grow and shrink.
     fn turn(&self, frames: u32) -> Vec<Camera> {
         let yaw = |k| self.yaw + 360.0 * f64::from(k) / f64::from(frames);
-        let cameras: Vec<Camera> = (0..frames).map(|k| Self { yaw: yaw(k), ..*self }.camera()).collect();
+        let cameras: Vec<Camera> = (0..frames).map(|k| Self { yaw: yaw(k), ..*self }.whole()).collect();
         let farthest = cameras.iter().map(Camera::distance).fold(0.0, f64::max);
-        cameras.into_iter().map(|camera| camera.at_least(farthest)).collect()
+        cameras.into_iter().map(|camera| self.cropped(camera.at_least(farthest))).collect()
     }
 
     fn renderer(&self, camera: Camera, own_colors: bool) -> Renderer {

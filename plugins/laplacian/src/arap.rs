@@ -19,8 +19,21 @@ use std::ops::Range;
 const TOGETHER: usize = 1024;
 /// The part of what the slope promises by which the energy has to go down.
 const SUFFICIENT: f64 = 1e-4;
+/// Steps whose decrease of the energy is looked at together: a single one may be short.
+const LOOKED_AT: usize = 3;
 /// Steps are not made shorter than this part.
 const LEAST_PART: f64 = 0.05;
+
+/// When a descent ends: whatever comes first.
+#[derive(Debug, Clone, Copy)]
+pub struct Until {
+    /// So many steps are done.
+    pub steps: usize,
+    /// No node moves farther, local coordinates.
+    pub tolerance: f64,
+    /// The last steps together lower the energy by less than this part of what all did.
+    pub decrease: f64,
+}
 
 /// The surface, or a coarse likeness of it, with its factorised Laplacian.
 #[derive(Debug)]
@@ -145,8 +158,7 @@ impl Level {
         Ok((energy, gradient))
     }
 
-    /// Takes the energy down until no node moves farther than `tolerance`, in at most so many `steps`. Gives
-    /// the energies on the way.
+    /// Takes the energy down. Gives the energies on the way, but for a constant.
     ///
     /// A local and a global step are one of Newton's method with the Laplacian for the second derivative.
     /// What the steps before tell of the derivative makes it better, and saves most of the steps
@@ -157,17 +169,17 @@ impl Level {
         pose: &mut Pose,
         turning: Turning<'_>,
         motion: &Motion,
-        (steps, tolerance): (usize, f64),
+        until: Until,
         host: &Host<'_>,
     ) -> PluginResult<Vec<f64>> {
-        if steps == 0 || self.problem.free == 0 {
+        if until.steps == 0 || self.problem.free == 0 {
             return Ok(Vec::new());
         }
         self.turn(pose, turning, host)?;
         let (mut energy, mut gradient) = self.assess(pose, motion, host)?;
         let mut energies = vec![energy];
         let mut past = Past::default();
-        for _ in 0..steps {
+        for _ in 0..until.steps {
             host.progress(0.0)?;
             let step = past.step(&gradient, &self.factor, host)?;
             let slope: f64 = step.iter().zip(&gradient).map(|(s, g)| s.dot(*g)).sum();
@@ -198,7 +210,7 @@ impl Level {
             };
             energies.push(lower);
             let moved = part * step.iter().map(|s| s.length()).fold(0.0, f64::max);
-            if moved <= tolerance {
+            if moved <= until.tolerance || is_settled(&energies, until.decrease) {
                 break;
             }
             past.push(&step, part, &gradient, &next);
@@ -206,6 +218,12 @@ impl Level {
         }
         Ok(energies)
     }
+}
+
+/// Whether the last steps lowered the energy by less than a part of what all did.
+fn is_settled(energies: &[f64], part: f64) -> bool {
+    let last = energies.len() - 1;
+    last > LOOKED_AT && energies[last - LOOKED_AT] - energies[last] <= part * (energies[0] - energies[last])
 }
 
 impl Turning<'_> {
@@ -238,7 +256,7 @@ mod tests {
     use crate::tests::scene::{tube, turn};
     use simod_plugin_api::Affine;
 
-    fn level() -> Level {
+    fn level(is_of_spokes: bool) -> Level {
         let scene = tube(14, 24, 0.15);
         let rest: Vec<DVec3> = scene.points.iter().map(|p| DVec3::from(p.map(f64::from))).collect();
         let kind = |p: &DVec3| match p.z {
@@ -251,8 +269,11 @@ mod tests {
         let node = kinds.iter().position(|k| *k == Kind::Free).unwrap() as u32;
         let soft = [Soft { node, target: Target::Handle(0), strength: 0.1 }];
         let host = Host::new(&());
-        Level::new(Problem::new(&rest, &elements, &kinds, &soft, &host).unwrap(), 400.0, 0.0..1.0, &host)
-            .unwrap()
+        let mut problem = Problem::new(&rest, &elements, &kinds, &soft, &host).unwrap();
+        if is_of_spokes {
+            problem.operators = problem.operators.of_spokes(&problem.rest);
+        }
+        Level::new(problem, 400.0, 0.0..1.0, &host).unwrap()
     }
 
     fn motion() -> Motion {
@@ -269,8 +290,9 @@ mod tests {
 
     #[test]
     fn neither_step_raises_the_energy() {
-        let (level, motion, host) = (level(), motion(), Host::new(&()));
-        for width in [0.0, 0.1] {
+        let (motion, host) = (motion(), Host::new(&()));
+        for (width, is_of_spokes) in [(0.0, false), (0.1, false), (0.0, true)] {
+            let level = level(is_of_spokes);
             let cells = Cells::new(&level.problem, width, &host).unwrap();
             let turning = Turning { cells: &cells, problem: &level.problem, groups: None };
             let mut pose = start(&level, turning, &motion);
@@ -290,7 +312,9 @@ mod tests {
             }
             // The faster descent comes at least as far in half of the steps, and never up.
             let mut pose = start(&level, turning, &motion);
-            let energies = level.relax(&mut pose, turning, &motion, (30, 0.0), &host).unwrap();
+            let energies = level
+                .relax(&mut pose, turning, &motion, Until { steps: 30, tolerance: 0.0, decrease: 0.0 }, &host)
+                .unwrap();
             assert!(energies.is_sorted_by(|a, b| a >= b), "{energies:?}");
             assert!(*energies.last().unwrap() <= last + 1e-6, "{energies:?}, {last}");
         }
@@ -298,8 +322,9 @@ mod tests {
 
     #[test]
     fn the_gradient_is_the_derivative_of_the_energy() {
-        let (level, motion, host) = (level(), motion(), Host::new(&()));
-        for width in [0.0, 0.1] {
+        let (motion, host) = (motion(), Host::new(&()));
+        for (width, is_of_spokes) in [(0.0, false), (0.1, false), (0.0, true)] {
+            let level = level(is_of_spokes);
             let cells = Cells::new(&level.problem, width, &host).unwrap();
             let turning = Turning { cells: &cells, problem: &level.problem, groups: None };
             let mut pose = start(&level, turning, &motion);

@@ -1,6 +1,6 @@
 //! From the handles' motions to a pose: coarse to fine.
 
-use crate::arap::{Level, Turning};
+use crate::arap::{Level, Turning, Until};
 use crate::cells::Cells;
 use crate::coarse::{Prolongation, coarsen};
 use crate::constraints::Motion;
@@ -53,12 +53,12 @@ impl Hierarchy {
         Ok(Self { cells, is_wide: width > 0.0, influence, fine, coarse })
     }
 
-    /// The displacements, in at most so many `steps` on all nodes, or until none moves farther than
-    /// `tolerance`. A draft has no number of steps: it is the coarse likeness', carried over.
+    /// The displacements of all nodes. A draft's are the coarse likeness', carried over.
     pub fn deform(
         &self,
         motion: &Motion,
-        (steps, tolerance): (Option<usize>, f64),
+        until: Until,
+        is_draft: bool,
         host: &Host<'_>,
     ) -> PluginResult<Vec<DVec3>> {
         let (fine, cells) = (&self.fine, &self.cells);
@@ -66,18 +66,20 @@ impl Hierarchy {
             let turning = Turning { cells, problem: &fine.problem, groups: None };
             let mut pose = fine.pose(self.influence.turns(&fine.problem, motion), turning, motion, host)?;
             // These are as cheap as coarse ones, and all that there are.
-            fine.relax(&mut pose, turning, motion, (steps.unwrap_or(0) + COARSE_STEPS, tolerance), host)?;
+            let steps = COARSE_STEPS + if is_draft { 0 } else { until.steps };
+            fine.relax(&mut pose, turning, motion, Until { steps, ..until }, host)?;
             return Ok(pose.displacements);
         };
         let turning = Turning { cells, problem: &coarse.problem, groups: None };
         let mut pose = coarse.pose(self.influence.turns(&coarse.problem, motion), turning, motion, host)?;
-        let coarse_steps = if steps.is_some() { COARSE_STEPS } else { DRAFT_STEPS };
-        coarse.relax(&mut pose, turning, motion, (coarse_steps, COARSE_TOLERANCE * tolerance), host)?;
-        let Some(steps) = steps else {
+        let steps = if is_draft { DRAFT_STEPS } else { COARSE_STEPS };
+        let coarsely = Until { steps, tolerance: COARSE_TOLERANCE * until.tolerance, decrease: 0.0 };
+        coarse.relax(&mut pose, turning, motion, coarsely, host)?;
+        if is_draft {
             let carried = (pose.displacements.as_slice(), pose.blends.as_slice());
             let (coarse, fine) = (&coarse.problem, &fine.problem);
             return draft::carry(fine, coarse, prolongation, carried, motion, host);
-        };
+        }
         let own = Cells::narrow();
         let (turning, turns) = if self.is_wide {
             (Turning { groups: Some(prolongation), ..turning }, pose.turns)
@@ -86,7 +88,7 @@ impl Hierarchy {
             (Turning { cells: &own, problem: &fine.problem, groups: None }, turns)
         };
         let mut pose = fine.pose(turns, turning, motion, host)?;
-        fine.relax(&mut pose, turning, motion, (steps, tolerance), host)?;
+        fine.relax(&mut pose, turning, motion, until, host)?;
         Ok(pose.displacements)
     }
 }

@@ -1,11 +1,14 @@
 //! Surface editing with the Laplacian: regions are held or moved, and the surface between follows.
 //!
-//! Three methods on one discretisation (cotangents, made robust: see `intrinsic`, `stars`):
+//! Four methods on one discretisation (cotangents, made robust: see `intrinsic`, `stars`):
 //!
-//! - `arap`, the default: as rigid as possible (Sorkine and Alexa 2007; `arap`). Rotations are found on a
-//!   coarse likeness of the surface first (`coarse`), from the handles' own by harmonic interpolation (R.
-//!   Zayer et al., *Harmonic Guidance for Surface Deformation*, Eurographics 2005), then on the surface
-//!   itself. Details turn, and limbs keep their length and girth.
+//! - `smooth-arap`, the default: as rigid as possible, with surroundings of a width of their own (`cells`),
+//!   so that the surface resists bending. Rotations are found on a coarse likeness of the surface first
+//!   (`coarse`), from the handles' own by harmonic interpolation (R. Zayer et al., *Harmonic Guidance for
+//!   Surface Deformation*, Eurographics 2005), then on the surface itself. Details turn, and limbs keep their
+//!   length and girth.
+//! - `arap`: as rigid as possible as it is published (Sorkine and Alexa 2007; `arap`), with spokes and rims
+//!   (Chao et al. 2010) or spokes alone, until the energy has settled.
 //! - `bi-laplacian`: the smoothest displacement (Botsch and Kobbelt 2004; `linear`). Linear, and the fastest;
 //!   details do not turn, and large turns make things shrink.
 //! - `laplacian`: two such steps, in which details turn with the surface, and this with the handles (Lipman
@@ -40,6 +43,7 @@ mod stars;
 mod structure;
 mod surface;
 
+use arap::Until;
 use constraints::{Constraints, Motion, Target, affine};
 use followers::Followers;
 use glam::{DAffine3, DMat3, DVec3};
@@ -48,14 +52,18 @@ use linear::{BiLaplacian, Smoothest};
 use problem::{Kind, Problem};
 use rotated::{Rotated, Stiffness};
 use simod_plugin_api::{
-    Choice, Consumes, DeformInput, Deformer, Descriptor, Effort, Host, ParamSet, PluginError, PluginResult,
-    PrepareInput,
+    Choice, Consumes, DeformInput, Deformer, Descriptor, Effort, Host, Migrate, MigrationDesc, ParamSet,
+    PluginError, PluginResult, PrepareInput, Settings,
 };
 use std::collections::BTreeMap;
 use surface::Weights;
 
 /// How far a draw of weight 1/2 lets the surface bend before it gives in, in units of the diagonal.
 const SOFT_LENGTH: f64 = 0.3;
+/// Steps until the energy settles, at most.
+const MOST_STEPS: usize = 2000;
+/// They end, too, when no sample moves farther, in units of the diagonal: what is left is of rounding.
+const AT_REST: f64 = 1e-8;
 /// Samples that are written at once on one thread.
 const DEFORM_BLOCK: usize = 8192;
 
@@ -63,17 +71,24 @@ const DEFORM_BLOCK: usize = 8192;
 struct Laplacian;
 
 #[derive(ParamSet)]
-struct Settings {
+struct Parameters {
     /// Rigid keeps shapes and turns details; smoothest is linear and does neither
-    #[param(default = Mode::Arap, invalidates_preparation)]
+    #[param(default = Mode::SmoothArap, invalidates_preparation)]
     mode: Mode,
-    /// Over how long a way the surface bends, for rigid; 0 lets it crease
+    /// Over how long a way the surface bends, for smooth rigid; 0 lets it crease
     #[param(default = 0.03, unit = "diagonal", hard = 0.0..=1.0, soft = 0.0..=0.2, invalidates_preparation)]
     bending: f64,
-    /// At most so many steps on all samples, after those on a coarse likeness; for rigid
+    /// What turns around a sample, for rigid: its triangles (Chao and others 2010), or its edges alone
+    /// (Sorkine and Alexa 2007)
+    #[param(default = Surroundings::SpokesAndRims, group = "Accuracy", invalidates_preparation)]
+    surroundings: Surroundings,
+    /// The last three steps lower the energy by less than this part of what all did, for rigid
+    #[param(default = 1e-3, hard = 0.0..=1.0, soft = 1e-6..=1e-1, group = "Accuracy")]
+    decrease: f64,
+    /// At most so many steps on all samples, after those on a coarse likeness; for smooth rigid
     #[param(default = 2, hard = 0..=10_000, soft = 0..=20, group = "Accuracy")]
     iterations: i64,
-    /// Steps end when no sample moves farther; for rigid
+    /// Steps end when no sample moves farther; for smooth rigid
     #[param(default = 1e-4, unit = "diagonal", hard = 0.0..=1.0, soft = 1e-6..=1e-2, group = "Accuracy")]
     tolerance: f64,
     /// Robust takes any triangles; cotangents as they are compare with other programs
@@ -83,12 +98,22 @@ struct Settings {
 
 #[derive(Choice, Clone, Copy)]
 enum Mode {
-    #[choice(label = "As rigid as possible")]
+    #[choice(label = "As rigid as possible, smooth")]
+    SmoothArap,
+    #[choice(label = "As rigid as possible, as published")]
     Arap,
     #[choice(label = "Rotated Laplacian coordinates")]
     Laplacian,
     #[choice(label = "Bi-Laplacian (smoothest)")]
     BiLaplacian,
+}
+
+#[derive(Choice, Clone, Copy, PartialEq, Eq)]
+enum Surroundings {
+    #[choice(label = "Spokes and rims")]
+    SpokesAndRims,
+    #[choice(label = "Spokes")]
+    Spokes,
 }
 
 /// What does not depend on the handles' motions.
@@ -125,8 +150,11 @@ impl Deformer for Laplacian {
     fn descriptor() -> Descriptor {
         Descriptor::new("laplacian", "Laplacian surface editing", env!("CARGO_PKG_VERSION"))
             .summary("Moves handle regions, holds fixed ones, and bends the surface in between like a skin")
-            .citation("O. Sorkine, M. Alexa, As-Rigid-As-Possible Surface Modeling, SGP 2007")
-            .param_set::<Settings>()
+            .citation(
+                "O. Sorkine, M. Alexa, As-Rigid-As-Possible Surface Modeling, SGP 2007; I. Chao, U. Pinkall, P. \
+                 Sanan, P. Schröder, A Simple Geometric Model for Elastic Deformations, SIGGRAPH 2010",
+            )
+            .param_set::<Parameters>()
             .consumes(Consumes {
                 fixed_regions: true,
                 handle_regions: true,
@@ -140,7 +168,7 @@ impl Deformer for Laplacian {
 
     fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
         host.progress(0.0)?;
-        let Settings { mode, bending, weights, .. } = input.params().read()?;
+        let Parameters { mode, bending, surroundings, weights, .. } = input.params().read()?;
         let constraints = Constraints::gather(input)?;
         let positions: Vec<DVec3> =
             input.samples.positions().iter().map(|p| DVec3::from(p.map(f64::from))).collect();
@@ -151,7 +179,7 @@ impl Deformer for Laplacian {
         let parts = parts(&kinds, &surface::components(positions.len(), &elements));
         let is_loose = |i: u32| kinds[i as usize] == Kind::Loose;
         let followers = Followers::new(input.samples.positions(), &parts, is_loose, input.graph(), host)?;
-        let problem = Problem::new(&positions, &elements, &kinds, &constraints.soft, host)?;
+        let mut problem = Problem::new(&positions, &elements, &kinds, &constraints.soft, host)?;
         drop(elements);
         host.progress(0.3)?;
 
@@ -161,8 +189,12 @@ impl Deformer for Laplacian {
         let (handles, stiffness) =
             (constraints.handles, Stiffness { harmonic: length.powi(-2), biharmonic: length.powi(-4) });
         let method = match mode {
-            Mode::Arap => {
-                let width = bending * diagonal;
+            Mode::Arap | Mode::SmoothArap => {
+                let is_smooth = matches!(mode, Mode::SmoothArap);
+                if !is_smooth && surroundings == Surroundings::Spokes {
+                    problem.operators = problem.operators.of_spokes(&problem.rest);
+                }
+                let width = if is_smooth { bending * diagonal } else { 0.0 };
                 Method::Arap(Box::new(Hierarchy::new(problem, stiffness.harmonic, width, handles, host)?))
             }
             Mode::BiLaplacian => {
@@ -205,12 +237,18 @@ impl Deformer for Laplacian {
             let is_draft = input.effort() == Effort::DRAFT;
             match &state.method {
                 Method::Arap(hierarchy) => {
-                    let Settings { iterations, tolerance, .. } = input.params().read()?;
+                    let Parameters { mode, iterations, tolerance, decrease, .. } = input.params().read()?;
                     let steps = usize::try_from(iterations)
                         .map_err(|_| PluginError::parameter("iterations", "is negative"))?;
-                    let steps = if is_draft { None } else { Some(steps) };
-                    let tolerance = tolerance * input.bounds.diagonal();
-                    hierarchy.deform(&motion, (steps, tolerance), host)?
+                    let until = match mode {
+                        Mode::Arap => Until {
+                            steps: MOST_STEPS,
+                            tolerance: AT_REST * input.bounds.diagonal(),
+                            decrease,
+                        },
+                        _ => Until { steps, tolerance: tolerance * input.bounds.diagonal(), decrease: 0.0 },
+                    };
+                    hierarchy.deform(&motion, until, is_draft, host)?
                 }
                 Method::Bilaplacian(smoothest) => smoothest.displacements(&motion, host)?,
                 Method::Rotated(rotated) => rotated.displacements(&motion, is_draft, host)?,
@@ -248,6 +286,29 @@ impl Deformer for Laplacian {
                 *o = q.as_vec3().to_array();
             }
         })
+    }
+}
+
+impl Migrate for Laplacian {
+    /// In the first version `arap` had a bending length, as `smooth-arap` has now. Steps that give one above 0
+    /// keep it; others are as rigid as possible, as they say.
+    fn migration() -> MigrationDesc {
+        MigrationDesc::new(2)
+    }
+
+    fn migrate(_: u32, settings: &mut Settings) -> PluginResult<()> {
+        // Who says what turns has written the step since.
+        if settings.text("mode") != Some("arap") || settings.get("surroundings").is_some() {
+            return Ok(());
+        }
+        if settings.number("bending").is_some_and(|length| length > 0.0) {
+            settings.set_text("mode", "smooth-arap");
+        } else {
+            // Said, so that the user is told.
+            settings.remove("bending");
+            settings.set_text("surroundings", "spokes-and-rims");
+        }
+        Ok(())
     }
 }
 
@@ -311,7 +372,7 @@ fn frames(constraints: &Constraints, positions: &[DVec3]) -> Vec<(DVec3, f64)> {
     (0..constraints.handles as u32).map(frame).collect()
 }
 
-simod_plugin_api::export_plugin!(Laplacian);
+simod_plugin_api::export_plugin!(Laplacian, migrate);
 
 #[cfg(test)]
 mod tests;

@@ -89,6 +89,32 @@ impl Operators {
         Ok(this)
     }
 
+    /// The same with the edges from a sample alone as its surroundings (*spokes*), as Sorkine and Alexa have
+    /// them: each edge turns with both of its ends, by halves.
+    #[must_use]
+    pub fn of_spokes(mut self, rest: &[DVec3]) -> Self {
+        for i in 0..rest.len() {
+            let mut sum = DVec3::ZERO;
+            let mut own = None;
+            for k in self.starts[i]..self.starts[i + 1] {
+                let j = self.columns[k] as usize;
+                if j == i {
+                    own = Some(k);
+                    continue;
+                }
+                let half = 0.5 * self.stiffness[k] * (rest[j] - rest[i]);
+                sum += half;
+                self.out[k] = half.as_vec3().to_array();
+                self.into[k] = (-half).as_vec3().to_array();
+            }
+            if let Some(k) = own {
+                self.out[k] = sum.as_vec3().to_array();
+                self.into[k] = [0.0; 3];
+            }
+        }
+        self
+    }
+
     /// The entries of a row, by column.
     pub fn row(&self, i: usize) -> impl Iterator<Item = Entry> {
         let vector = |v: &[f32; 3]| DVec3::from(v.map(f64::from));

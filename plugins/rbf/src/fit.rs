@@ -4,13 +4,18 @@
 //! constraints next, until all are met. Unlike there, each round adds a quarter as many centres as there are,
 //! and where there are very many constraints, some take part that are well spread. Whenever there are twice
 //! as many centres, all constraints are checked, and more that are not met take part.
+//!
+//! Where that does not meet them with [`CHOSEN`] centres and there may be more, these are interpolated by, which
+//! costs their square and not their cube (`interpolation`).
 
 use crate::TOGETHER;
 use crate::constraints::{Constraints, spread_order};
-use crate::kernel::{BLOCK, Block, Functions, Kernel, Point};
+use crate::interpolation::interpolate;
+use crate::kernel::{BLOCK, Functions, Kernel, Point};
 use crate::least_squares::LeastSquares;
 use faer::Mat;
 use simod_plugin_api::{ErrorCode, Host, ParamSet, PluginError, PluginResult};
+use std::collections::HashSet;
 
 /// Centres of the first round.
 const FIRST_CENTERS: usize = 32;
@@ -21,6 +26,14 @@ const FEWEST_ROWS: usize = 512;
 /// Ridge on all unknowns, relative to kernels of about 1: holds what coplanar or coincident constraints leave
 /// open.
 const RIDGE: f64 = 1e-9;
+/// Centres that are chosen one by one, at most.
+const CHOSEN: usize = 1000;
+/// How many times more there are after each round of interpolation, at most.
+const MORE: usize = 6;
+/// Centres of an interpolation are one where they are in the same cell of this size, in the unit box.
+const CELL: f64 = 1e-5;
+/// What interpolation leaves over at the centres, as a part of the tolerance.
+const LEFT: f64 = 0.5;
 /// Two centres nearer than this in the unit box are one: single-precision positions do not tell them apart.
 const COINCIDENT: f64 = 1e-7;
 
@@ -37,7 +50,7 @@ pub struct Goal {
     #[param(default = 1e-3, hard = 1e-9..=1.0, soft = 1e-5..=1e-2, group = "Accuracy", invalidates_preparation)]
     pub tolerance: f64,
     /// Limits the time of the preparation
-    #[param(name = "Most centres", default = 1000, hard = 8..=5000, soft = 100..=2000)]
+    #[param(name = "Most centres", default = 1000, hard = 8..=50_000, soft = 100..=20_000)]
     #[param(group = "Accuracy", invalidates_preparation)]
     pub max_centers: i64,
 }
@@ -63,7 +76,7 @@ pub fn fit(
     until: f64,
 ) -> PluginResult<Fit> {
     let most = usize::try_from(goal.max_centers).unwrap_or(0).clamp(1, constraints.points.len());
-    let fitter = Fitter { constraints, goal, support, most, host, until };
+    let fitter = Fitter { constraints, goal, support, most: most.min(CHOSEN), host, until };
     let first = constraints.spread.iter().copied();
     let mut rows: Vec<usize> = first.take(fitter.most_rows() / 2).collect();
     let mut centers = fitter.first_centers();
@@ -72,13 +85,18 @@ pub fn fit(
         let (functions, weights) = fitter.greedy(&rows, &mut centers)?;
         let residuals = fitter.residuals(None, &functions, &weights)?;
         let is_met = residuals.iter().all(|r| *r <= goal.tolerance);
-        if !is_met && centers.len() < most {
+        if !is_met && centers.len() < fitter.most {
             fitter.take_failing(&mut rows, &residuals);
         }
-        if is_met || centers.len() >= most || before == (rows.len(), centers.len()) {
-            return Ok(Fit { functions, weights, residual: residuals.into_iter().fold(0.0, f64::max) });
+        if is_met || centers.len() >= fitter.most || before == (rows.len(), centers.len()) {
+            let fit = Fit { functions, weights, residual: largest(&residuals) };
+            return if is_met { Ok(fit) } else { fitter.interpolate(fit, centers, residuals, most) };
         }
     }
+}
+
+fn largest(residuals: &[f64]) -> f64 {
+    residuals.iter().copied().fold(0.0, f64::max)
 }
 
 /// What to fit, and how well.
@@ -155,6 +173,54 @@ impl Fitter<'_> {
         }
     }
 
+    /// Makes what is not met centres, up to `most` of them, until all is; where rounding ends that, the best fit.
+    fn interpolate(
+        &self,
+        mut fit: Fit,
+        mut centers: Vec<usize>,
+        mut residuals: Vec<f64>,
+        most: usize,
+    ) -> PluginResult<Fit> {
+        while fit.residual > self.goal.tolerance && centers.len() < most {
+            let wanted = most.min(MORE * centers.len());
+            let before = centers.len();
+            self.add_failing(&residuals, wanted, &mut centers);
+            if centers.len() == before {
+                break;
+            }
+            let points = centers.iter().map(|&i| self.constraints.points[i]).collect();
+            let functions = Functions { kernel: self.goal.kernel, support: self.support, centers: points };
+            let targets = Mat::from_fn(centers.len(), self.constraints.functions(), |i, f| {
+                self.constraints.target(centers[i], f)
+            });
+            let weights = interpolate(&functions, &targets, LEFT * self.goal.tolerance, self.host)?;
+            self.check_finite(&weights)?;
+            residuals = self.residuals(None, &functions, &weights)?;
+            let residual = largest(&residuals);
+            // Between few centres it may be off by more than before; and in the end by rounding.
+            if residual < fit.residual {
+                fit = Fit { functions, weights, residual };
+            }
+        }
+        Ok(fit)
+    }
+
+    /// Makes constraints that are not met centres, well spread, the worst of each place, until there are
+    /// `wanted`. Where few are not met, others that nearly are join them, so that rounds stay few.
+    fn add_failing(&self, residuals: &[f64], wanted: usize, centers: &mut Vec<usize>) {
+        let points = &self.constraints.points;
+        let cell = |i: usize| points[i].map(|x| (x / CELL) as i32);
+        let mut taken: HashSet<[i32; 3]> = centers.iter().map(|&i| cell(i)).collect();
+        let mut worst = worst_first((0..residuals.len()).collect(), residuals);
+        worst.retain(|&i| taken.insert(cell(i)));
+        let failing = worst.partition_point(|&i| residuals[i] > self.goal.tolerance);
+        if failing > 0 {
+            worst.truncate(failing.max(centers.len() / 4));
+            let room = wanted.saturating_sub(centers.len());
+            centers.extend(spread_order(points, worst.into_iter(), room));
+        }
+    }
+
     /// Makes the worst constraints centres; whether there are any.
     fn add_worst(
         &self,
@@ -219,14 +285,13 @@ impl Fitter<'_> {
         let mut residuals = vec![0.0; of.map_or(constraints.points.len(), <[usize]>::len)];
         let which = |i: usize| of.map_or(i, |of| of[i]);
         self.host.parallel_blocks(&mut residuals, TOGETHER * BLOCK, |first, residuals| {
-            let mut scratch = Block::default();
             for (block, residuals) in residuals.chunks_mut(BLOCK).enumerate() {
                 let first = first + block * BLOCK;
                 let points: Vec<Point> =
                     (first..first + residuals.len()).map(|i| constraints.points[which(i)]).collect();
-                let sums = functions.sums(&points, weights.as_ref(), &mut scratch);
+                let sums = functions.sums(&points, weights.as_ref());
                 for (i, residual) in residuals.iter_mut().enumerate() {
-                    let off = |f: usize| (sums[(i, f)] - constraints.target(which(first + i), f)).abs();
+                    let off = |f: usize| (sums[f][i] - constraints.target(which(first + i), f)).abs();
                     *residual = (0..constraints.functions()).map(off).fold(0.0, f64::max);
                 }
             }

@@ -9,7 +9,7 @@
 use crate::TOGETHER;
 use crate::constraints::Constraints;
 use crate::fit::Fit;
-use crate::kernel::{BLOCK, Block, Point};
+use crate::kernel::{BLOCK, Point};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use simod_plugin_api::{Host, PluginError, PluginResult};
 use std::num::NonZero;
@@ -35,14 +35,13 @@ impl Held {
         let mut residuals = vec![0.0; points.len() * functions];
         let entries = BLOCK * functions;
         host.parallel_blocks(&mut residuals, TOGETHER * entries, |first, residuals| {
-            let mut scratch = Block::default();
             for (block, residuals) in residuals.chunks_mut(entries).enumerate() {
                 let first = first / functions + block * BLOCK;
                 let points = &points[first..first + residuals.len() / functions];
-                let sums = fit.functions.sums(points, fit.weights.as_ref(), &mut scratch);
+                let sums = fit.functions.sums(points, fit.weights.as_ref());
                 for (i, residuals) in residuals.chunks_exact_mut(functions).enumerate() {
                     for (f, residual) in residuals.iter_mut().enumerate() {
-                        *residual = (constraints.target(first + i, f) - sums[(i, f)]) as f32;
+                        *residual = (constraints.target(first + i, f) - sums[f][i]) as f32;
                     }
                 }
             }

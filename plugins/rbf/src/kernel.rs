@@ -3,14 +3,14 @@
 //! The compact kernels are those of H. Wendland, *Piecewise polynomial, positive definite and compactly
 //! supported radial functions of minimal degree*, Advances in Computational Mathematics 1995.
 
-use faer::linalg::matmul::matmul;
-use faer::{Accum, Mat, MatMut, MatRef, Par};
+use crate::sums;
+use faer::{MatMut, MatRef};
 use simod_plugin_api::Choice;
 
 /// A point or vector, in whichever space.
 pub type Point = [f64; 3];
 
-/// Points evaluated together: their kernels to all centres are one matrix, of `BLOCK` x centres.
+/// Points evaluated together, so that sums at them stay near the processor.
 pub const BLOCK: usize = 128;
 
 /// Weight of the side conditions among the equations.
@@ -43,6 +43,22 @@ impl Kernel {
     /// reach everywhere.
     pub fn affine(self) -> usize {
         if self.is_compact() { 0 } else { 4 }
+    }
+
+    /// The first compact one, of the squared distance.
+    #[inline(always)]
+    pub fn compact_c2(r2: f64, per_support: f64) -> f64 {
+        let t = (r2.sqrt() * per_support).min(1.0);
+        let left2 = (1.0 - t) * (1.0 - t);
+        left2 * left2 * (4.0 * t + 1.0)
+    }
+
+    /// The second.
+    #[inline(always)]
+    pub fn compact_c4(r2: f64, per_support: f64) -> f64 {
+        let t = (r2.sqrt() * per_support).min(1.0);
+        let left2 = (1.0 - t) * (1.0 - t);
+        left2 * left2 * left2 * ((35.0 / 3.0 * t + 6.0) * t + 1.0)
     }
 }
 
@@ -116,16 +132,8 @@ impl Functions {
             match self.kernel {
                 Kernel::Triharmonic => radial(points, c, values, |r2| r2 * r2.sqrt()),
                 Kernel::Biharmonic => radial(points, c, values, f64::sqrt),
-                Kernel::CompactC2 => radial(points, c, values, |r2| {
-                    let t = (r2.sqrt() * per_support).min(1.0);
-                    let left2 = (1.0 - t) * (1.0 - t);
-                    left2 * left2 * (4.0 * t + 1.0)
-                }),
-                Kernel::CompactC4 => radial(points, c, values, |r2| {
-                    let t = (r2.sqrt() * per_support).min(1.0);
-                    let left2 = (1.0 - t) * (1.0 - t);
-                    left2 * left2 * left2 * ((35.0 / 3.0 * t + 6.0) * t + 1.0)
-                }),
+                Kernel::CompactC2 => radial(points, c, values, |r2| Kernel::compact_c2(r2, per_support)),
+                Kernel::CompactC4 => radial(points, c, values, |r2| Kernel::compact_c4(r2, per_support)),
             }
         }
     }
@@ -142,20 +150,19 @@ impl Functions {
         }
     }
 
-    /// Sums with `weights` (functions x sums): row `i` of the result belongs to point `i`. At most [`BLOCK`]
-    /// points; `scratch` is reused from call to call.
-    pub fn sums<'s>(
-        &self,
-        points: &[Point],
-        weights: MatRef<'_, f64>,
-        scratch: &'s mut Block,
-    ) -> MatRef<'s, f64> {
-        scratch.fit(self.count(), weights.ncols());
-        self.fill(points, 0, scratch.values.as_mut());
-        let values = scratch.values.as_ref().subrows(0, points.len());
-        let mut sums = scratch.sums.as_mut().subrows_mut(0, points.len());
-        matmul(sums.as_mut(), Accum::Replace, values, weights, 1.0, Par::Seq);
-        scratch.sums.as_ref().subrows(0, points.len())
+    /// Sums with `weights` (functions x sums) at up to [`BLOCK`] points, sum by sum.
+    pub fn sums(&self, points: &[Point], weights: MatRef<'_, f64>) -> Vec<[f64; BLOCK]> {
+        let affine = self.kernel.affine();
+        let (own, radial) = weights.split_at_row(affine);
+        let mut sums = sums::block(self, points, radial);
+        if affine > 0 {
+            for (f, sum) in sums.iter_mut().enumerate() {
+                for (value, p) in sum.iter_mut().zip(points) {
+                    *value += own[(0, f)] + (0..3).map(|k| own[(k + 1, f)] * p[k]).sum::<f64>();
+                }
+            }
+        }
+        sums
     }
 }
 
@@ -164,29 +171,5 @@ fn radial(points: &[Point], c: &Point, values: &mut [f64], phi: impl Fn(f64) -> 
     for (value, p) in values.iter_mut().zip(points) {
         let d = [p[0] - c[0], p[1] - c[1], p[2] - c[2]];
         *value = phi(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
-    }
-}
-
-/// Working memory for one block of points.
-#[derive(Debug)]
-pub struct Block {
-    values: Mat<f64>,
-    sums: Mat<f64>,
-}
-
-impl Default for Block {
-    fn default() -> Self {
-        Self { values: Mat::new(), sums: Mat::new() }
-    }
-}
-
-impl Block {
-    fn fit(&mut self, functions: usize, sums: usize) {
-        if self.values.ncols() != functions {
-            self.values = Mat::zeros(BLOCK, functions);
-        }
-        if self.sums.ncols() != sums {
-            self.sums = Mat::zeros(BLOCK, sums);
-        }
     }
 }

@@ -11,15 +11,19 @@
 //! does exactly what the region does (`held`).
 
 mod constraints;
+mod domains;
 mod fit;
 mod held;
+mod interpolation;
 mod kernel;
 mod least_squares;
+mod side;
+mod sums;
 
 use constraints::{Constraints, HandleFrame, PER_HANDLE};
 use fit::{Fit, Goal};
 use held::Held;
-use kernel::{BLOCK, Block, Frame, Point};
+use kernel::{BLOCK, Frame, Point};
 use simod_plugin_api::{
     Affine, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, PluginError, PluginResult,
     PrepareInput,
@@ -117,15 +121,14 @@ impl Evaluate for Rbf {
         host: &Host<'_>,
     ) -> PluginResult<()> {
         let motion = state.motion(input.transforms())?;
-        let mut scratch = Block::default();
         let (mut unit, mut values) = ([[0.0; 3]; BLOCK], vec![0.0; motion.coefficients.len()]);
         for points in points.chunks_mut(BLOCK) {
             host.progress(0.0)?;
             let unit = &mut unit[..points.len()];
             unit.iter_mut().zip(points.iter()).for_each(|(u, &p)| *u = state.frame.to_unit(p));
-            let sums = state.fit.functions.sums(unit, state.fit.weights.as_ref(), &mut scratch);
+            let sums = state.fit.functions.sums(unit, state.fit.weights.as_ref());
             for (i, p) in points.iter_mut().enumerate() {
-                values.iter_mut().enumerate().for_each(|(f, value)| *value = sums[(i, f)]);
+                values.iter_mut().enumerate().for_each(|(f, value)| *value = sums[f][i]);
                 state.held.add(&unit[i], &mut values);
                 let common = motion.common.apply(*p);
                 *p = std::array::from_fn(|j| {
@@ -211,7 +214,7 @@ fn table(
         let first = first / functions;
         // Whether to go on is looked after by whoever hands out the blocks.
         let _ = host.progress(FIT_SHARE + (1.0 - FIT_SHARE) * first as f64 / total);
-        let (mut scratch, mut free, mut sum) = (Block::default(), Vec::new(), vec![0.0; functions]);
+        let (mut free, mut sum) = (Vec::new(), vec![0.0; functions]);
         for (table, first) in table.chunks_mut(entries).zip((first..).step_by(BLOCK)) {
             free.clear();
             for (i, values) in table.chunks_exact_mut(functions).enumerate() {
@@ -222,9 +225,9 @@ fn table(
             }
             let at = |i: &usize| constraints.frame.to_unit(positions[first + i].map(f64::from));
             let points: Vec<Point> = free.iter().map(at).collect();
-            let sums = fit.functions.sums(&points, fit.weights.as_ref(), &mut scratch);
+            let sums = fit.functions.sums(&points, fit.weights.as_ref());
             for (row, (i, p)) in free.iter().zip(&points).enumerate() {
-                sum.iter_mut().enumerate().for_each(|(f, sum)| *sum = sums[(row, f)]);
+                sum.iter_mut().enumerate().for_each(|(f, sum)| *sum = sums[f][row]);
                 held.add(p, &mut sum);
                 let values = &mut table[i * functions..][..functions];
                 values.iter_mut().zip(&sum).for_each(|(value, sum)| *value = *sum as f32);

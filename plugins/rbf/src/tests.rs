@@ -416,3 +416,91 @@ fn what_is_not_connected_moves_with_space() {
         assert!(if p[1] > 7.5 { up > 0.7 } else { p[1] > 0.5 || up.abs() < 0.3 }, "{p:?} to {q:?}");
     }
 }
+
+/// Held below the middle, and a handle above it, where they meet all around.
+fn border(n: usize, gap: f32) -> Setup {
+    let points = bar(n);
+    let fixed = weights(&points, |p| p[1] < 4.0 - gap);
+    let handle = weights(&points, |p| p[1] > 4.0 + gap);
+    Setup {
+        tolerance: 1e-6,
+        max_centers: 50_000.0,
+        ..Setup::new(points, vec![(Role::FIXED, fixed), (Role::HANDLE, handle)])
+    }
+}
+
+#[test]
+fn long_borders_are_met_by_more_centres_than_can_be_chosen() {
+    for kernel in ["triharmonic", "biharmonic", "compact-c2", "compact-c4"] {
+        for gap in [0.0, 0.2] {
+            let setup = Setup { kernel, ..border(2500, gap) };
+            let log = Log::default();
+            let state = setup.prepare(&log).unwrap();
+            assert!(state.fit.residual <= 1e-6, "{kernel}, {gap}: {}", state.fit.residual);
+            assert!(log.0.lock().unwrap().is_empty());
+        }
+    }
+    // As many as may be, and what is left over is told.
+    let setup = Setup { max_centers: 1500.0, ..border(2500, 0.0) };
+    let log = Log::default();
+    let state = setup.prepare(&log).unwrap();
+    assert!(state.fit.functions.centers.len() <= 1500);
+    let told = log.0.lock().unwrap().concat();
+    assert!(told.contains(" centres: "), "{told}");
+}
+
+/// `cargo test --release -p simod-plugin-rbf cost -- --ignored --nocapture`
+#[test]
+#[ignore = "prints times, and asserts nothing"]
+fn cost() {
+    for kernel in ["triharmonic", "biharmonic", "compact-c2", "compact-c4"] {
+        for (n, gap, tolerance) in
+            [(16_540, 0.0, 1e-7), (20_000, 0.0, 1e-6), (25_000, 0.8, 1e-6), (100_000, 3.2, 1e-6)]
+        {
+            let setup = Setup { kernel, tolerance, ..border(n, gap) };
+            let start = std::time::Instant::now();
+            let state = setup.prepare(&Threads).unwrap();
+            println!(
+                "{kernel}, {n} samples, a gap of {gap}: {} centres to {:.1e} of {tolerance:.0e}, {:.1} s",
+                state.fit.functions.centers.len(),
+                state.fit.residual,
+                start.elapsed().as_secs_f64()
+            );
+        }
+    }
+}
+
+/// A host with two threads.
+struct Threads;
+
+impl HostCalls for Threads {
+    fn progress(&self, _: f64) -> bool {
+        true
+    }
+    fn log(&self, _: LogLevel, _: &str) {}
+    fn parallel_for(&self, count: usize, body: &(dyn Fn(usize) + Sync)) -> bool {
+        let next = AtomicUsize::new(0);
+        let work = || {
+            loop {
+                let i = next.fetch_add(1, Ordering::Relaxed);
+                if i >= count {
+                    return;
+                }
+                body(i);
+            }
+        };
+        std::thread::scope(|scope| {
+            scope.spawn(work);
+            work();
+        });
+        true
+    }
+}
+
+#[test]
+fn threads_make_no_difference() {
+    let setup = Setup { tolerance: 1e-5, ..border(3000, 0.1) };
+    let quarter = [turn(90.0, [0.0, 4.0, 0.0], [2.0, -1.0, 0.5])];
+    let alone = setup.deform(&setup.prepare(&()).unwrap(), &quarter);
+    assert_eq!(alone, setup.deform(&setup.prepare(&Threads).unwrap(), &quarter));
+}

@@ -80,3 +80,29 @@ fn own_colours_attributes_and_clay() {
         work.refuses(&format!("render {of} -o no.png --color temperature"), &["temperature"]);
     }
 }
+
+/// Around a point of the left half there is no blue, however the whole lies; and a diagnosis is a colour, too.
+#[test]
+fn a_crop_shows_a_part_larger() {
+    let work = Workplace::new();
+    sheet(&work);
+    let how = "--size 200x200 --yaw 0 --pitch 0 --color own";
+    work.simod(&format!("render sheet.ply -o crop.png {how} --target 30,60,0 --crop 0.2"));
+    work.simod(&format!("render sheet.ply -o whole.png {how} --target 59.5,59.5,0 --crop 1"));
+    work.simod(&format!("render sheet.ply -o plain.png {how}"));
+    for at in [[0.05, 0.05], [0.95, 0.95], [0.05, 0.95], [0.95, 0.05]] {
+        let [r, _, b] = mean(&work, "crop.png", at);
+        assert!(r > b + 60.0, "{at:?}: {r}, {b}");
+    }
+    assert!(work.read("whole.png") == work.read("plain.png"));
+    let [left, right] = [LEFT, RIGHT].map(|at| mean(&work, "whole.png", at));
+    assert!(left[0] > left[2] && right[2] > right[0]);
+    for bad in ["--target 1,2", "--target 1,2,nan", "--crop 0", "--crop 2"] {
+        assert_eq!(work.run(&format!("render sheet.ply -o no.png {bad}")).code, Some(2), "{bad}");
+    }
+    let step = "[[step]]\ndeform = \"warp\"\nparams = { operation = \"shear\", axis = [1, 0, 0], direction = [0, 0, 1] }\n";
+    work.write_session("sheet.ply", 1500, step);
+    work.simod("run edit.toml --diagnostics diagnosis.ply");
+    work.simod("render diagnosis.ply -o d.png --size 200x200 --yaw 0 --pitch 0 --color-by displacement");
+    assert_ne!(mean(&work, "d.png", LEFT), mean(&work, "d.png", [0.5, 0.5]));
+}

@@ -4,6 +4,7 @@ mod artists_tools;
 mod authors;
 mod bad_plugins;
 mod c_plugins;
+mod control_points;
 mod first_interface;
 mod hostile_plugins;
 mod isolation;

@@ -223,6 +223,11 @@ mod every_rule_is_kept {
     }
 
     #[test]
+    fn by_control_points() {
+        keeps_every_rule("control-points");
+    }
+
+    #[test]
     fn by_skinning() {
         keeps_every_rule("skinning");
     }

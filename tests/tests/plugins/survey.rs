@@ -80,3 +80,32 @@ fn a_bar_twisted_as_rigid_as_possible_keeps_its_ends_and_nearly_its_volume() {
     };
     assert!(wide(&edited) > 0.85 * wide(&rest), "{} of {}", wide(&edited), wide(&rest));
 }
+
+/// Steps of before `smooth-arap` that state a bending length go on as they were, and are told so; without one they are as
+/// rigid as possible as it is published, which is told, too.
+#[test]
+fn a_bending_length_keeps_the_hybrid_under_its_new_name() {
+    let (work, _) = with_sessions();
+    let text = String::from_utf8(work.read("bar.toml")).expect("a text");
+    let smooth = "mode = \"smooth-arap\"";
+    assert!(text.contains(smooth), "{text}");
+    let run = |params: &str| {
+        work.write("edit.toml", text.replace(smooth, params));
+        let said = work.report("run edit.toml -o edited.ply")["warnings"].to_string();
+        (work.read("edited.ply"), said)
+    };
+    let (expected, said) = run(smooth);
+    assert!(!said.contains("smooth-arap"), "{said}");
+    let (found, said) = run("mode = \"arap\", bending = 0.03");
+    assert!(found == expected && said.contains("smooth-arap"), "{said}");
+    let (published, said) = run("mode = \"arap\"");
+    assert!(published != expected && said.contains("spokes-and-rims"), "{said}");
+    // Who says what turns, knows.
+    let (spokes, said) = run("mode = \"arap\", surroundings = \"spokes\"");
+    assert!(spokes != published && !said.contains("arap"), "{said}");
+    // The window writes which version of the plugin's parameters a step has: nothing is told then.
+    let now = text.replace("[[step]]", "[[step]]\nstate-version = 2").replace(smooth, "mode = \"arap\"");
+    work.write("edit.toml", now);
+    let said = work.report("run edit.toml -o edited.ply")["warnings"].to_string();
+    assert!(!said.contains("arap") && work.read("edited.ply") == published, "{said}");
+}

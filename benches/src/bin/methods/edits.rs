@@ -71,7 +71,7 @@ const RIGHT: Region = (Role::HANDLE, |p| p[1] > 0.5 && p[1] < 0.8 && p[0] > 0.85
 const ONE: &[Region] = &[BELOW, ABOVE];
 const THREE: &[Region] = &[BELOW, ABOVE, LEFT, RIGHT];
 
-const ARAP: &[(&str, Value)] = &[("mode", Text("arap"))];
+const ARAP: &[(&str, Value)] = &[("mode", Text("smooth-arap"))];
 const ROTATED: &[(&str, Value)] = &[("mode", Text("laplacian"))];
 const SMOOTH: &[(&str, Value)] = &[("mode", Text("bi-laplacian"))];
 

@@ -85,9 +85,10 @@ const fn by_session(name: &'static str, key: &'static str) -> Method {
     Method { name, key, by_regions: None }
 }
 
-pub const METHODS: [Method; 11] = [
+pub const METHODS: [Method; 12] = [
     by_regions("rbf", "rbf", "rbf", ""),
     by_regions("rbf, compact", "rbf-compact", "rbf", "kernel = 'compact-c2'\nsupport = 1.0"),
+    by_regions("laplacian, smooth-arap", "smooth-arap", "laplacian", "mode = 'smooth-arap'"),
     by_regions("laplacian, arap", "arap", "laplacian", "mode = 'arap'"),
     by_regions("laplacian, laplacian", "laplacian", "laplacian", "mode = 'laplacian'"),
     by_regions("laplacian, bi-laplacian", "bi-laplacian", "laplacian", "mode = 'bi-laplacian'"),

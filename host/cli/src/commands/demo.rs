@@ -7,7 +7,7 @@ use simod_core::guard::Kind;
 use simod_core::reconstruction::Reconstruction;
 use simod_generate::{ModelOptions, write_file};
 use simod_model::{Error, Result, output};
-use simod_picture::picture::{self, Up, View};
+use simod_picture::picture::{self, Crop, Up, View};
 use simod_picture::{Image, Paint};
 use simod_session::{Run, SessionFile};
 
@@ -68,7 +68,8 @@ impl Demo {
         let mut all = run.deformed.sampled.bounds;
         all.include(after_bounds.min);
         all.include(after_bounds.max);
-        let view = View { bounds: all, yaw: 20.0, pitch: 10.0, size: [560, 700], up: Up::Y };
+        let view =
+            View { bounds: all, yaw: 20.0, pitch: 10.0, size: [560, 700], up: Up::Y, crop: Crop::default() };
         let samples = &run.deformed.sampled.samples;
         let pictures = [
             picture::of_model(before.as_ref(), &run.deformed.sampled.bounds, &view, &Paint::Clay, progress)?,

@@ -51,7 +51,7 @@ fn notices(plugins: &PluginRegistry, steps: &[Step], report: &mut Report) {
 fn tell(messages: &[Message], report: &mut Report) {
     for message in messages.iter().filter(|m| !m.is_debug()) {
         let text = format!("{}: {}", message.plugin, message.text);
-        if message.is_warning() { report.warn(text) } else { report.line(text) }
+        if message.is_warning() { report.warn(text) } else { report.note(text) }
     }
 }
 

@@ -4,10 +4,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
+use glam::DVec3;
 use simod_core::guard::Kind;
 use simod_core::sampled_model::SampledModel;
 use simod_model::{Error, ErrorKind, Result, output};
-use simod_picture::picture::{self, Up, View};
+use simod_picture::picture::{self, Crop, Up, View};
 use simod_picture::{Coloring, FrameFolder, Image, Paint};
 
 use super::overwrite::Overwrite;
@@ -37,8 +38,14 @@ pub struct Render {
     up: UpName,
     /// What it is coloured by: own (the vertices' colours, those of splats from all sides), clay, or an attribute, as intensity [default: own, where
     /// there are colours]
-    #[arg(long, value_name = "WHAT")]
+    #[arg(long, visible_alias = "color-by", value_name = "WHAT")]
     color: Option<String>,
+    /// Look at this point of the model
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
+    target: Option<DVec3>,
+    /// Show this part of the picture's width and height around the target: 0.1 is ten times as large
+    #[arg(long, default_value_t = 1.0, value_name = "PART", value_parser = parse_part)]
+    crop: f64,
     /// Size of the picture in pixels
     #[arg(long, default_value = "1000x1000", value_name = "WxH", value_parser = parse_size)]
     size: [u32; 2],
@@ -74,10 +81,31 @@ fn parse_size(text: &str) -> std::result::Result<[u32; 2], String> {
     size.ok_or_else(|| format!("a size is like 1920x1080, each side from 1 to {MAX_SIDE}"))
 }
 
+fn parse_point(text: &str) -> std::result::Result<DVec3, String> {
+    let numbers: Option<Vec<f64>> =
+        text.split(',').map(|x| x.trim().parse().ok().filter(|x: &f64| x.is_finite())).collect();
+    match numbers.as_deref() {
+        Some(&[x, y, z]) => Ok(DVec3::new(x, y, z)),
+        _ => Err("a point is like 0.5,1,-2".to_owned()),
+    }
+}
+
+fn parse_part(text: &str) -> std::result::Result<f64, String> {
+    let part = text.parse().ok().filter(|part| (1e-3..=1.0).contains(part));
+    part.ok_or_else(|| "a part is from 0.001 to 1".to_owned())
+}
+
 impl Render {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        let view =
-            |bounds| View { bounds, yaw: self.yaw, pitch: self.pitch, size: self.size, up: self.up.into() };
+        let crop = Crop { around: self.target, part: self.crop };
+        let view = |bounds| View {
+            bounds,
+            yaw: self.yaw,
+            pitch: self.pitch,
+            size: self.size,
+            up: self.up.into(),
+            crop,
+        };
         // What is in the way is told before the model is read.
         let mut guard = self.overwrite.guard();
         guard.reads(&self.path);

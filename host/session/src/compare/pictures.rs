@@ -9,7 +9,7 @@ use crate::session_file::{Region, Role};
 use glam::DVec3;
 use simod_model::bounds::Bounds;
 use simod_model::{Model, Progress, Result, Vertices};
-use simod_picture::picture::{PaintBy, View, of_painted};
+use simod_picture::picture::{Crop, PaintBy, View, of_painted};
 use simod_picture::{Coloring, Paint, scale_color as color};
 
 const CLAY: [u8; 3] = [205, 198, 190];
@@ -32,7 +32,14 @@ pub(super) fn draw(
         all.include(bounds.max);
     }
     let camera = file.camera;
-    let view = View { bounds: all, yaw: camera.yaw, pitch: camera.pitch, size: camera.size, up: camera.up };
+    let view = View {
+        bounds: all,
+        yaw: camera.yaw,
+        pitch: camera.pitch,
+        size: camera.size,
+        up: camera.up,
+        crop: Crop::default(),
+    };
     let info = models[0].info();
     let paint = Paint::of_model(models[0], Coloring::choose(None, &info.attributes)?, progress)?;
     let own = |parts: &[Vertices<'_>], i: usize| match paint.is_colored() {

@@ -10,7 +10,8 @@ use std::time::Instant;
 fn cost() {
     let [full, draft] = [Effort::FULL, Effort::DRAFT];
     let rotated = [("laplacian", full), ("laplacian", draft)];
-    for (mode, effort) in [("arap", full), ("arap", draft), ("bi-laplacian", full)].into_iter().chain(rotated)
+    for (mode, effort) in
+        [("smooth-arap", full), ("smooth-arap", draft), ("bi-laplacian", full)].into_iter().chain(rotated)
     {
         for samples in [20_000_u32, 100_000, 200_000, 350_000] {
             let around = (f64::from(samples) * 0.6).sqrt() as usize;

@@ -51,8 +51,7 @@ impl Reference {
         let motions: Vec<Affine> = figures["motions"].as_array().unwrap().iter().map(motion).collect();
         let mut scene = Scene::new(points, triangles);
         scene.weights = "cotangent";
-        scene.bending = 0.0;
-        (scene.iterations, scene.tolerance) = (10_000.0, 1e-8);
+        scene.decrease = 1e-12;
         for region in 0..motions.len() {
             let role = if region == 0 { Role::FIXED } else { Role::HANDLE };
             let weights = selection.iter().map(|s| f32::from(u8::from(*s == region as i32)));

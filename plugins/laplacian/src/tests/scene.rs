@@ -31,6 +31,8 @@ pub struct Scene {
     pub neighbours: Vec<Vec<u32>>,
     pub regions: Vec<(Role, Vec<f32>)>,
     pub mode: &'static str,
+    pub surroundings: &'static str,
+    pub decrease: f64,
     pub weights: &'static str,
     pub bending: f64,
     pub iterations: f64,
@@ -45,7 +47,9 @@ impl Scene {
             triangles,
             neighbours: Vec::new(),
             regions: Vec::new(),
-            mode: "arap",
+            mode: "smooth-arap",
+            surroundings: "spokes-and-rims",
+            decrease: 1e-6,
             weights: "robust",
             bending: 0.03,
             iterations: 1000.0,
@@ -96,7 +100,7 @@ impl Scene {
     /// Calls with the preparation's input.
     pub fn with_input<T>(&self, call: impl FnOnce(&PrepareInput<'_>) -> T) -> T {
         let regions: Vec<Region<'_>> = self.regions.iter().map(|(role, w)| Region::new(*role, w)).collect();
-        let numbers = ([self.iterations], [self.tolerance], [self.bending]);
+        let numbers = [[self.iterations], [self.tolerance], [self.bending], [self.decrease]];
         let params = self.params(&numbers);
         let triangles = Triangles::new(&self.triangles);
         let mut starts = vec![0];
@@ -117,13 +121,15 @@ impl Scene {
         call(&PrepareInput::new(samples, self.bounds(), &regions, &params).with_parts(&parts))
     }
 
-    fn params<'a>(&'a self, numbers: &'a ([f64; 1], [f64; 1], [f64; 1])) -> [Param<'a>; 5] {
+    fn params<'a>(&'a self, numbers: &'a [[f64; 1]; 4]) -> [Param<'a>; 7] {
         [
             Param::text("mode", ParamKind::CHOICE, self.mode),
             Param::text("weights", ParamKind::CHOICE, self.weights),
-            Param::numbers("iterations", ParamKind::INT, &numbers.0),
-            Param::numbers("tolerance", ParamKind::FLOAT, &numbers.1),
-            Param::numbers("bending", ParamKind::FLOAT, &numbers.2),
+            Param::numbers("iterations", ParamKind::INT, &numbers[0]),
+            Param::numbers("tolerance", ParamKind::FLOAT, &numbers[1]),
+            Param::numbers("bending", ParamKind::FLOAT, &numbers[2]),
+            Param::numbers("decrease", ParamKind::FLOAT, &numbers[3]),
+            Param::text("surroundings", ParamKind::CHOICE, self.surroundings),
         ]
     }
 
@@ -137,7 +143,7 @@ impl Scene {
         transforms: &[Affine],
         host: &impl HostCalls,
     ) -> PluginResult<Vec<[f32; 3]>> {
-        let numbers = ([self.iterations], [self.tolerance], [self.bending]);
+        let numbers = [[self.iterations], [self.tolerance], [self.bending], [self.decrease]];
         let params = self.params(&numbers);
         let samples = Samples::new(&self.points, &[], &[]);
         let parts = [Part::new(&self.effort)];

@@ -1,0 +1,211 @@
+//! Deformation by landmarks: points of the model of which it is known where they belong, in a file.
+//!
+//! Five maps (`map`), from a translation to a thin-plate spline, which meets all landmarks; a report of how well
+//! each landmark is met, and how well the others foretell it (`report`). Closed forms, which any point goes
+//! through: the samples are of no account.
+
+mod landmarks;
+mod map;
+mod report;
+
+use glam::{DAffine3, DVec3};
+use landmarks::Landmark;
+use map::{Extent, Kind, Map};
+use report::Report;
+use simod_plugin_api::{
+    Bounds, Choice, Consumes, DeformInput, Deformer, Descriptor, Evaluate, Host, IsIdentity, LogLevel,
+    ModelFrame, ParamDesc, ParamSet, PluginError, PluginResult, PrepareInput,
+};
+use std::path::Path;
+
+/// Samples that are deformed at once on one thread.
+const BLOCK: usize = 1024;
+/// Landmarks that lie farther from the model than this, in units of its diagonal, are told.
+const FAR: f64 = 1.0;
+/// Names that are told.
+const NAMES: usize = 5;
+
+/// The plugin.
+struct ControlPoints;
+
+/// Which map, and what is told of it.
+#[derive(ParamSet)]
+struct Settings {
+    /// Splines and local weights meet each landmark; the others as well as they can
+    #[param(default = Kind::ThinPlate, invalidates_preparation)]
+    method: Kind,
+    /// How much a thin-plate spline may miss landmarks, for those that are not exact; 0 meets them
+    #[param(default = 0.0, unit = "diagonal", hard = 0.0..=1e3, soft = 0.0..=0.1, invalidates_preparation)]
+    smoothing: f64,
+    /// How well landmarks are met: in one line, a line for each of them, or as objects of JSON
+    #[param(default = Told::Summary, invalidates_preparation)]
+    report: Told,
+}
+
+#[derive(Choice, Debug, Clone, Copy)]
+enum Told {
+    Summary,
+    #[choice(label = "Each landmark")]
+    Landmarks,
+    #[choice(id = "json", label = "JSON")]
+    Json,
+}
+
+impl Deformer for ControlPoints {
+    type State = Map;
+    type Scratch = ();
+
+    fn descriptor() -> Descriptor {
+        Descriptor::new("control-points", "Control points", env!("CARGO_PKG_VERSION"))
+            .summary("Takes landmarks to where they belong, and all else along: spline, affine, similarity or local")
+            .citation(
+                "F. L. Bookstein, Principal Warps: Thin-Plate Splines and the Decomposition of Deformations, PAMI \
+                 1989; S. Umeyama, Least-Squares Estimation of Transformation Parameters Between Two Point Patterns, \
+                 PAMI 1991",
+            )
+            .param(
+                ParamDesc::file("landmarks", "Landmarks", &["csv", "txt"])
+                    .hint("Lines of a name, x, y, z, where these belong, and maybe a weight, in the model's coordinates"),
+            )
+            .param_set::<Settings>()
+            .consumes(Consumes { frame: true, ..Consumes::default() })
+    }
+
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Map> {
+        let Settings { method, smoothing, report } = input.params().read()?;
+        let Some(path) = input.params().file("landmarks")? else {
+            host.warn("there is no file of landmarks: nothing moves");
+            return Ok(Map::Affine(DAffine3::IDENTITY));
+        };
+        let frame = input.frame().ok_or_else(|| {
+            PluginError::input("this version of SIMOD does not tell where the file's coordinates are")
+                .hint("use a newer one")
+        })?;
+        let landmarks = landmarks(path, frame)?;
+        are_near(&landmarks, &input.bounds, host)?;
+        let smoothing = smoothing * input.bounds.diagonal();
+        let map = Map::fit(method, &landmarks, smoothing).map_err(|open| {
+            let error = PluginError::input(format!("{}: {}", path.display(), open.what));
+            match open.instead {
+                Some(kind) => error.hint(format!(
+                    "take more landmarks elsewhere, or `method = \"{}\"`, which they determine",
+                    kind.id()
+                )),
+                None => error.hint("give landmarks a weight"),
+            }
+        })?;
+        warn(&map, method, &landmarks, host);
+        host.progress(0.5)?;
+        let told = Report::new(&map, method, &landmarks, smoothing, frame.scale);
+        tell(&told, report, host);
+        Ok(map)
+    }
+
+    fn deform(
+        map: &Map,
+        input: &DeformInput<'_>,
+        _: &mut (),
+        out: &mut [[f32; 3]],
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        let rest = input.samples.positions();
+        if rest.len() != out.len() {
+            return Err(PluginError::internal("the samples are not those of the preparation"));
+        }
+        host.parallel_blocks(out, BLOCK, |first, out| {
+            for (o, p) in out.iter_mut().zip(&rest[first..]) {
+                *o = map.apply(DVec3::from(p.map(f64::from))).as_vec3().into();
+            }
+        })
+    }
+}
+
+impl Evaluate for ControlPoints {
+    fn evaluate(
+        map: &Map,
+        _: &DeformInput<'_>,
+        points: &mut [[f64; 3]],
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        for points in points.chunks_mut(BLOCK) {
+            host.progress(0.0)?;
+            points.iter_mut().for_each(|p| *p = map.apply(DVec3::from(*p)).into());
+        }
+        Ok(())
+    }
+}
+
+impl IsIdentity for ControlPoints {
+    fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
+        Ok(input.params().file("landmarks")?.is_none())
+    }
+}
+
+/// Those of a file, in local coordinates.
+fn landmarks(path: &Path, frame: &ModelFrame) -> PluginResult<Vec<Landmark>> {
+    let local = |p: DVec3| DVec3::from(frame.to_local(p.into()));
+    let mut landmarks = landmarks::read(path).map_err(|(line, what)| {
+        let place = line.map_or(String::new(), |line| format!(", line {line}"));
+        PluginError::input(format!("{}{place} {what}", path.display()))
+            .hint("a line for each landmark: a name, x, y, z, where these belong, and maybe a weight")
+    })?;
+    for landmark in &mut landmarks {
+        (landmark.source, landmark.target) = (local(landmark.source), local(landmark.target));
+    }
+    Ok(landmarks)
+}
+
+/// Tells of landmarks that lie far from the model; they cannot all.
+fn are_near(landmarks: &[Landmark], bounds: &Bounds, host: &Host<'_>) -> PluginResult<()> {
+    let [low, high] = [bounds.min, bounds.max].map(DVec3::from);
+    let beside = |l: &&Landmark| l.source.distance(l.source.clamp(low, high)) > FAR * bounds.diagonal();
+    let far: Vec<&str> = landmarks.iter().filter(beside).map(|l| l.name.as_str()).collect();
+    if far.len() == landmarks.len() {
+        return Err(PluginError::input("all landmarks lie far from the model")
+            .hint("their coordinates have to be the model's: same origin, unit and order of axes"));
+    }
+    if !far.is_empty() {
+        host.warn(&format!("landmarks lie far from the model: {}", names(&far)));
+    }
+    Ok(())
+}
+
+/// Tells what the user may not want.
+fn warn(map: &Map, method: Kind, landmarks: &[Landmark], host: &Host<'_>) {
+    let used: Vec<DVec3> = landmarks.iter().filter(|l| l.weight > 0.0).map(|l| l.source).collect();
+    let extent = Extent::of(&used);
+    if matches!(method, Kind::Affine | Kind::ThinPlate) && extent.is_uncertain() {
+        host.warn(&format!(
+            "the landmarks lie nearly in a plane ({:.1e} of their extent across it): what happens across it is \
+             uncertain; `method = \"similarity\"` does without",
+            extent.least
+        ));
+    }
+    if map.mirrors() {
+        host.warn("the map turns the model inside out: axes may be in another order in sources and targets");
+    }
+}
+
+fn tell(told: &Report, how: Told, host: &Host<'_>) {
+    let lines = match how {
+        Told::Summary => vec![told.summary()],
+        Told::Landmarks => std::iter::once(told.summary()).chain(told.lines()).collect(),
+        Told::Json => told.json(),
+    };
+    lines.iter().for_each(|line| host.log(LogLevel::INFO, line));
+    let outliers = told.outliers();
+    if !outliers.is_empty() {
+        host.warn(&format!("landmarks stand out, and may be wrong: {}", names(&outliers)));
+    }
+}
+
+/// Some names.
+fn names(all: &[&str]) -> String {
+    let some = all.iter().take(NAMES).map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
+    if all.len() > NAMES { format!("{some} and {} more", all.len() - NAMES) } else { some }
+}
+
+simod_plugin_api::export_plugin!(ControlPoints, evaluate, is_identity);
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,342 @@
+//! The maps that landmarks determine, from the simplest to the most flexible.
+//!
+//! - A similarity, or seven-parameter transformation: S. Umeyama, *Least-squares estimation of transformation
+//!   parameters between two point patterns*, PAMI 1991.
+//! - The thin-plate spline in space, whose kernel is the distance: F. L. Bookstein, *Principal warps*, PAMI 1989.
+//! - Local weights: D. Shepard, *A two-dimensional interpolation function for irregularly-spaced data*, 1968, of
+//!   what the best simpler map leaves over.
+
+use crate::landmarks::Landmark;
+use faer::linalg::solvers::{PartialPivLu, Solve};
+use faer::{Mat, Side};
+use glam::{DAffine3, DMat3, DVec3};
+use simod_plugin_api::Choice;
+
+/// Landmarks extend in a direction if by more than this part of their largest extent.
+const EXTENDS: f64 = 1e-6;
+/// Below this part what a map does in that direction is uncertain.
+const FLAT: f64 = 1e-2;
+
+/// The kind of map.
+#[derive(Choice, Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    #[choice(label = "Thin-plate spline")]
+    ThinPlate,
+    #[choice(label = "Local weights")]
+    LocalWeights,
+    Affine,
+    #[choice(label = "Similarity (Helmert)")]
+    Similarity,
+    Translation,
+}
+
+impl Kind {
+    /// What a session calls it.
+    pub fn id(self) -> &'static str {
+        match self {
+            Self::ThinPlate => "thin-plate",
+            Self::LocalWeights => "local-weights",
+            Self::Affine => "affine",
+            Self::Similarity => "similarity",
+            Self::Translation => "translation",
+        }
+    }
+}
+
+/// Why landmarks determine no map of a kind, and the next simpler one that they do.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Open {
+    pub what: String,
+    pub instead: Option<Kind>,
+}
+
+/// In how many directions points extend, and the least of these extents as a part of the largest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Extent {
+    pub directions: usize,
+    pub least: f64,
+}
+
+impl Extent {
+    pub fn of(points: &[DVec3]) -> Self {
+        let count = points.len().max(1) as f64;
+        let mean = points.iter().sum::<DVec3>() / count;
+        let covariance = Mat::<f64>::from_fn(3, 3, |i, j| {
+            points.iter().map(|p| (*p - mean)[i] * (*p - mean)[j]).sum::<f64>() / count
+        });
+        let Ok(squares) = covariance.self_adjoint_eigenvalues(Side::Lower) else {
+            return Self { directions: 0, least: 0.0 };
+        };
+        let largest = squares.iter().fold(0.0_f64, |a, b| a.max(*b)).sqrt();
+        // What rounding leaves of points in one place.
+        let size = points.iter().map(|p| p.length()).fold(0.0, f64::max);
+        if largest <= 1e-12 * size {
+            return Self { directions: 0, least: 0.0 };
+        }
+        let parts = squares.iter().map(|s| s.max(0.0).sqrt() / largest).filter(|part| *part > EXTENDS);
+        Self { directions: parts.clone().count(), least: parts.fold(1.0, f64::min) }
+    }
+
+    /// Whether it is flat, though not altogether.
+    pub fn is_uncertain(self) -> bool {
+        self.directions == 3 && self.least < FLAT
+    }
+
+    fn in_words(self) -> &'static str {
+        match self.directions {
+            0 => "all in one place",
+            1 => "all on one line",
+            2 => "all in one plane",
+            _ => "all over space",
+        }
+    }
+}
+
+/// A map of space.
+#[derive(Debug, Clone)]
+pub enum Map {
+    Affine(DAffine3),
+    /// An affine map, and at each centre a weight of the distance from it.
+    Spline(DAffine3, Vec<(DVec3, DVec3)>),
+    /// An affine map, and at each source how much is left over, and how much that counts.
+    Local(DAffine3, Vec<(DVec3, DVec3, f64)>),
+}
+
+impl Map {
+    /// Where a point goes.
+    pub fn apply(&self, p: DVec3) -> DVec3 {
+        match self {
+            Self::Affine(map) => map.transform_point3(p),
+            Self::Spline(map, centers) => {
+                centers.iter().fold(map.transform_point3(p), |q, (c, w)| q + *w * c.distance(p))
+            }
+            Self::Local(map, left) => {
+                let (mut sum, mut weights) = (DVec3::ZERO, 0.0);
+                for (source, off, weight) in left {
+                    let square = source.distance_squared(p);
+                    if square == 0.0 {
+                        return map.transform_point3(p) + *off;
+                    }
+                    sum += weight / square * *off;
+                    weights += weight / square;
+                }
+                map.transform_point3(p) + if weights > 0.0 { sum / weights } else { DVec3::ZERO }
+            }
+        }
+    }
+
+    /// The map of a kind that landmarks determine, of those that have a weight. `smoothing` is how much a spline
+    /// may miss them, in their own unit of length.
+    ///
+    /// # Errors
+    /// They do not determine it.
+    pub fn fit(kind: Kind, landmarks: &[Landmark], smoothing: f64) -> Result<Self, Open> {
+        let used: Vec<&Landmark> = landmarks.iter().filter(|l| l.weight > 0.0).collect();
+        let extent = Extent::of(&used.iter().map(|l| l.source).collect::<Vec<_>>());
+        let needed = match kind {
+            Kind::ThinPlate | Kind::Affine => 3,
+            Kind::Similarity => 2,
+            Kind::Translation | Kind::LocalWeights => 0,
+        };
+        if used.is_empty() {
+            return Err(Open { what: "no landmark has a weight above 0".to_owned(), instead: None });
+        }
+        if extent.directions < needed {
+            return Err(open(extent, used.len()));
+        }
+        match kind {
+            Kind::Translation => Ok(Self::Affine(translation(&used))),
+            Kind::Similarity => similarity(&used).map(Self::Affine),
+            Kind::Affine => Ok(Self::Affine(affine(&used))),
+            Kind::ThinPlate => Spline::new(&used, smoothing).map(|spline| spline.map(&used)),
+            Kind::LocalWeights => {
+                distinct(&used)?;
+                let map = match extent.directions {
+                    3 => affine(&used),
+                    2 => similarity(&used)?,
+                    _ => translation(&used),
+                };
+                let left = |l: &&Landmark| (l.source, l.target - map.transform_point3(l.source), l.weight);
+                Ok(Self::Local(map, used.iter().map(left).collect()))
+            }
+        }
+    }
+
+    /// By how far each landmark is missed by the map that all others determine; nothing where these do not
+    /// determine one.
+    pub fn left_out(kind: Kind, landmarks: &[Landmark], smoothing: f64) -> Vec<Option<DVec3>> {
+        if kind == Kind::ThinPlate {
+            return Spline::left_out(landmarks, smoothing);
+        }
+        let without = |i: usize| {
+            let mut others = landmarks.to_vec();
+            let landmark = others.remove(i);
+            Self::fit(kind, &others, smoothing).ok().map(|map| landmark.target - map.apply(landmark.source))
+        };
+        (0..landmarks.len()).map(without).collect()
+    }
+
+    /// Whether it turns things inside out, where it is affine.
+    pub fn mirrors(&self) -> bool {
+        matches!(self, Self::Affine(map) if map.matrix3.determinant() <= 0.0)
+    }
+}
+
+/// What is open for landmarks that extend in too few directions.
+fn open(extent: Extent, count: usize) -> Open {
+    let (instead, what) = match extent.directions {
+        2 => (Kind::Similarity, "what happens across it cannot be determined"),
+        1 => (Kind::Translation, "turns about it, and what happens across it, cannot be determined"),
+        _ => (Kind::Translation, "neither turns nor scales can be determined"),
+    };
+    Open { what: format!("the {count} landmarks lie {}: {what}", extent.in_words()), instead: Some(instead) }
+}
+
+/// Sources that coincide cannot go to several places.
+fn distinct(used: &[&Landmark]) -> Result<(), Open> {
+    let mut order: Vec<&&Landmark> = used.iter().collect();
+    let key = |l: &Landmark| l.source.to_array();
+    order.sort_by(|a, b| key(a).partial_cmp(&key(b)).unwrap_or(std::cmp::Ordering::Equal));
+    match order.windows(2).find(|pair| pair[0].source == pair[1].source) {
+        Some(pair) => Err(Open {
+            what: format!(
+                "landmarks `{}` and `{}` coincide, and cannot both be met",
+                pair[0].name, pair[1].name
+            ),
+            instead: Some(Kind::Affine),
+        }),
+        None => Ok(()),
+    }
+}
+
+/// Weighted means of sources and targets.
+fn means(used: &[&Landmark]) -> [DVec3; 2] {
+    let whole: f64 = used.iter().map(|l| l.weight).sum();
+    [
+        used.iter().map(|l| l.weight / whole * l.source).sum(),
+        used.iter().map(|l| l.weight / whole * l.target).sum(),
+    ]
+}
+
+fn translation(used: &[&Landmark]) -> DAffine3 {
+    let [source, target] = means(used);
+    DAffine3::from_translation(target - source)
+}
+
+/// The sum of weighted products of what differs from the means: target by source.
+fn covariance(used: &[&Landmark], [source, target]: [DVec3; 2]) -> DMat3 {
+    used.iter().fold(DMat3::ZERO, |sum, l| {
+        let (s, t) = (l.source - source, l.weight * (l.target - target));
+        sum + DMat3::from_cols(t * s.x, t * s.y, t * s.z)
+    })
+}
+
+fn similarity(used: &[&Landmark]) -> Result<DAffine3, Open> {
+    let middle = means(used);
+    let covariance = covariance(used, middle);
+    let matrix = Mat::<f64>::from_fn(3, 3, |i, j| covariance.col(j)[i]);
+    let unsolved = || Open {
+        what: "the landmarks' targets lie so that neither turns nor scales can be determined".to_owned(),
+        instead: Some(Kind::Translation),
+    };
+    let svd = matrix.svd().map_err(|_| unsolved())?;
+    let dense =
+        |m: faer::MatRef<'_, f64>| DMat3::from_cols_array(&std::array::from_fn(|k| m[(k % 3, k / 3)]));
+    let (u, v) = (dense(svd.U()), dense(svd.V()));
+    let values = DVec3::from_array(std::array::from_fn(|i| svd.S().column_vector()[i]));
+    // The second largest decides whether the turn is known.
+    if values.y <= EXTENDS * EXTENDS * values.x || values.x <= 0.0 {
+        return Err(unsolved());
+    }
+    let signs = DVec3::new(1.0, 1.0, (u.determinant() * v.determinant()).signum());
+    let turn = u * DMat3::from_diagonal(signs) * v.transpose();
+    let spread: f64 = used.iter().map(|l| l.weight * (l.source - middle[0]).length_squared()).sum();
+    let scaled = values.dot(signs) / spread * turn;
+    Ok(DAffine3::from_mat3_translation(scaled, middle[1] - scaled * middle[0]))
+}
+
+fn affine(used: &[&Landmark]) -> DAffine3 {
+    let middle = means(used);
+    let spread = used.iter().fold(DMat3::ZERO, |sum, l| {
+        let s = l.source - middle[0];
+        sum + l.weight * DMat3::from_cols(s * s.x, s * s.y, s * s.z)
+    });
+    let matrix = covariance(used, middle) * spread.inverse();
+    DAffine3::from_mat3_translation(matrix, middle[1] - matrix * middle[0])
+}
+
+/// The equations of a thin-plate spline: distances, the smoothing, and the four side conditions.
+struct Spline {
+    factor: PartialPivLu<f64>,
+    /// Middle and size of the sources, for the sake of rounding.
+    middle: DVec3,
+    size: f64,
+}
+
+impl Spline {
+    fn new(used: &[&Landmark], smoothing: f64) -> Result<Self, Open> {
+        if smoothing == 0.0 {
+            distinct(used)?;
+        }
+        let middle = means(used)[0];
+        let size = used.iter().map(|l| l.source.distance(middle)).fold(0.0, f64::max);
+        let n = used.len();
+        let matrix = Mat::from_fn(n + 4, n + 4, |i, j| match (i < n, j < n) {
+            // Less the distance, the spline's energy is positive.
+            (true, true) if i == j => -smoothing / (size * used[i].weight),
+            (true, true) => used[i].source.distance(used[j].source) / size,
+            (true, false) => affine_part((used[i].source - middle) / size, j - n),
+            (false, true) => affine_part((used[j].source - middle) / size, i - n),
+            (false, false) => 0.0,
+        });
+        faer::set_global_parallelism(faer::Par::Seq);
+        Ok(Self { factor: matrix.partial_piv_lu(), middle, size })
+    }
+
+    /// Its weights, and the coefficients of the affine part.
+    fn solve(&self, used: &[&Landmark]) -> Mat<f64> {
+        let n = used.len();
+        let mut right =
+            Mat::from_fn(n + 4, 3, |i, k| if i < n { used[i].target[k] - used[i].source[k] } else { 0.0 });
+        self.factor.solve_in_place(right.as_mut());
+        right
+    }
+
+    fn map(&self, used: &[&Landmark]) -> Map {
+        let found = self.solve(used);
+        let row = |i: usize| DVec3::from_array(std::array::from_fn(|k| found[(i, k)]));
+        let n = used.len();
+        let linear = DMat3::from_cols(row(n + 1), row(n + 2), row(n + 3)) * self.size.recip();
+        let own = DAffine3::from_mat3_translation(DMat3::IDENTITY + linear, row(n) - linear * self.middle);
+        Map::Spline(own, (0..n).map(|i| (used[i].source, row(i) / self.size)).collect())
+    }
+
+    /// S. Rippa, *An algorithm for selecting a good value for the parameter c in radial basis function
+    /// interpolation*, Advances in Computational Mathematics 1999: no spline has to be found anew.
+    fn left_out(landmarks: &[Landmark], smoothing: f64) -> Vec<Option<DVec3>> {
+        let used: Vec<&Landmark> = landmarks.iter().filter(|l| l.weight > 0.0).collect();
+        let Ok(spline) = Self::new(&used, smoothing) else { return vec![None; landmarks.len()] };
+        let map = spline.map(&used);
+        let found = spline.solve(&used);
+        let mut inverse = Mat::<f64>::identity(used.len() + 4, used.len() + 4);
+        spline.factor.solve_in_place(inverse.as_mut());
+        let largest = (0..used.len()).map(|i| inverse[(i, i)].abs()).fold(0.0, f64::max);
+        let mut next = 0;
+        let each = |l: &Landmark| {
+            if l.weight == 0.0 {
+                return Some(l.target - map.apply(l.source));
+            }
+            let i = next;
+            next += 1;
+            // The others do not determine a spline.
+            let own = inverse[(i, i)];
+            let is_needed = own.abs() <= 1e-9 * largest || used.len() < 5;
+            (!is_needed).then(|| DVec3::from_array(std::array::from_fn(|k| found[(i, k)] / own)))
+        };
+        landmarks.iter().map(each).collect()
+    }
+}
+
+fn affine_part(p: DVec3, function: usize) -> f64 {
+    if function == 0 { 1.0 } else { p[function - 1] }
+}
