@@ -69,7 +69,7 @@ pub fn write_exact(
     exact.is_still = field.is_still() && exact.moves_nothing(model, progress)?;
     progress.begin("evaluating every vertex", info.bytes);
     let outputs: &mut [&mut dyn Output] = &mut [&mut file.replaceable()];
-    let rewriting = Rewriting { normals: how.normals, pieces_done: 0 };
+    let rewriting = Rewriting { normals: how.normals, ..Rewriting::default() };
     model.rewrite(outputs, rewriting, &exact, progress)?;
     if sampled.source.fingerprint != fingerprint(locked(&exact.hash).digest128()) {
         return Err(sampled.source_changed(model.path()));

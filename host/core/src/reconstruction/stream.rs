@@ -316,7 +316,7 @@ impl<'a> Work<'a> {
             progress: self.progress,
         };
         self.progress.begin("reconstructing", self.model.info().bytes);
-        let how = Rewriting { normals: self.how.normals, pieces_done };
+        let how = Rewriting { normals: self.how.normals, pieces_done, only: None };
         self.model.rewrite(&mut outputs, how, &transfer, self.progress)?;
         if self.sampled.source.fingerprint != fingerprint(locked(&transfer.hash).digest128()) {
             return Err(self.sampled.source_changed(self.model.path()));

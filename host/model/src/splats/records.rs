@@ -13,8 +13,8 @@ use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
 use crate::source::Source;
 use crate::unfit::Unfit;
 use crate::{
-    CHUNK_VERTICES, Edit, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
-    VertexChunk, VertexReader,
+    CHUNK_VERTICES, Division, Edit, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
+    Rewriting, VertexChunk, VertexReader,
 };
 
 /// The extension of such files.
@@ -158,6 +158,10 @@ impl Model for Records {
         Ok(())
     }
 
+    fn division(&self, normals: Normals) -> Option<Division> {
+        Rewritable::division(self, normals)
+    }
+
     fn rewrite(
         &self,
         outputs: &mut [&mut dyn Output],
@@ -212,6 +216,11 @@ impl Rewritable for Records {
         Ok(())
     }
 
+    fn division(&self, _normals: Normals) -> Option<Division> {
+        let pieces = self.info.vertices.div_ceil(CHUNK_VERTICES as u64);
+        Some(Division { pieces, vertices: 0..pieces })
+    }
+
     fn source(&self) -> &Source {
         &self.source
     }
@@ -234,5 +243,10 @@ impl Pieces for RecordPieces<'_> {
         self.model.read(chunk, self.next..end)?;
         self.next = end;
         Ok(Piece::Vertices(count))
+    }
+
+    fn skip(&mut self, pieces: u64) -> Result<u64> {
+        self.next = pieces.saturating_mul(CHUNK_VERTICES as u64).min(self.model.info.vertices);
+        Ok(self.next * RECORD as u64)
     }
 }
