@@ -12,6 +12,7 @@ pub mod attributes;
 pub mod colors;
 mod deformed_file;
 pub mod detail;
+pub mod fingerprint;
 pub mod geometry;
 pub mod guard;
 pub mod reconstruction;

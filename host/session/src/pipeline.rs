@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::{DVec3, Vec3};
+use simod_core::fingerprint::are_same;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{
     DeformationField, EVALUATIONS_WITH_GRADIENT, Method, Reconstructed, Reconstruction, Surroundings,
@@ -72,7 +73,8 @@ fn sampled_of(
     sampling.skip = Skip { sheets: sampling.skip.sheets, ..skip };
     let mut sampled = sample(model, &sampling, folder, progress)?;
     sampled.set_cache(cache.clone());
-    if session.fingerprint.as_ref().is_some_and(|known| *known != sampled.source.fingerprint) {
+    let now = &sampled.source.fingerprint;
+    if session.fingerprint.as_ref().is_some_and(|known| are_same(known, now) == Some(false)) {
         progress.note(&format!("{} is not what it was when the session was saved", model.path().display()));
     }
     Ok(sampled)

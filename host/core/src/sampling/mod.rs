@@ -52,7 +52,7 @@ pub use sample_set::{NEIGHBOURS, SampleSet};
 pub use splitting::Splitting;
 
 use crate::colors::Picking;
-use crate::sampled_model::{SampledModel, Source, fingerprint};
+use crate::sampled_model::{SampledModel, Source};
 use crate::sampling::ranges::joined;
 use crate::touching::{Contacts, Islands, Parted, Parting};
 use density::Rule;
@@ -326,7 +326,7 @@ fn sample_kept(
             first_non_finite: non_finite.first,
             transparent: non_finite.transparent,
             jumps: Some(jumps),
-            fingerprint: fingerprint(hash.digest128()),
+            fingerprint: hash.fingerprint(),
         },
         Sampling { grouping, ..*sampling },
         &grid,
