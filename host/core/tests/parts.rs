@@ -11,7 +11,7 @@ use simod_core::reconstruction::{
     Method, Normals, Reconstruction, Version, join_parts, reconstruct, write_part,
 };
 use simod_core::sampled_model::SampledModel;
-use simod_core::sampling::{Sampling, Target, sample};
+use simod_core::sampling::{Sampling, Target, count, sample, sample_counted};
 use simod_generate::{ModelOptions, write_file as generate};
 use simod_model::progress::Silent;
 use simod_model::{Conversion, Converted, ErrorKind, Model, Progress, Result};
@@ -187,5 +187,61 @@ fn who_cancels_leaves_nothing() {
         let error = work.write(0, 1, &how, &Cancelling(AtomicU64::new(times))).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Cancelled);
         assert_eq!(work.files(), 1);
+    }
+}
+
+#[test]
+fn counts_of_ranges_add_up() {
+    for extension in ["ply", "laz"] {
+        let work = Work::new(extension);
+        let model = &*work.model;
+        let sampling = Sampling { target: Target::Samples(500), ..Sampling::default() };
+        let vertices = model.info().vertices;
+        let whole = sample(model, &sampling, work.folder.path(), &Silent).unwrap();
+        for cuts in [vec![], vec![1], vec![100_000, 100_000, 220_001], vec![0, 70_000, 150_001]] {
+            let ends: Vec<u64> = [0].into_iter().chain(cuts).chain([vertices]).collect();
+            let mut files = Vec::new();
+            for (number, pair) in ends.windows(2).enumerate() {
+                let path = work.path(&format!("count-{number}"));
+                assert!(count(model, &sampling, (pair[0]..pair[1], &path), &Silent).unwrap());
+                assert!(!count(model, &sampling, (pair[0]..pair[1], &path), &Silent).unwrap());
+                files.push(path);
+            }
+            files.reverse();
+            let by_parts =
+                sample_counted(model, &sampling, Some(&files), work.folder.path(), &Silent).unwrap();
+            assert_eq!(by_parts.source, whole.source);
+            assert_eq!(by_parts.samples.positions, whole.samples.positions);
+            assert_eq!(by_parts.samples.normals(), whole.samples.normals());
+            assert_eq!(by_parts.triangles, whole.triangles);
+            for (name, sampled) in [("by-parts", &by_parts), ("whole", &whole)] {
+                sampled.save(&work.path(name)).unwrap();
+            }
+            for file in ["simod.toml", "samples.ply", "cells.bin"] {
+                let [a, b] = ["by-parts", "whole"].map(|name| fs::read(work.path(name).join(file)).unwrap());
+                assert!(a == b, "{file} differs");
+            }
+            let refused = |files: &[PathBuf], sampling: &Sampling| {
+                let folder = work.folder.path();
+                let error = sample_counted(model, sampling, Some(files), folder, &Silent).err().unwrap();
+                error.to_string()
+            };
+            assert!(refused(&[], &sampling).contains("not of each vertex once"));
+            if files.len() > 1 {
+                assert!(refused(&files[1..], &sampling).contains("not of each vertex once"));
+                let twice = [&files[..], &files[..1]].concat();
+                assert!(refused(&twice, &sampling).contains("not of each vertex once"));
+            }
+            let finer = Sampling { grid: Some(37), ..sampling };
+            assert!(refused(&files, &finer).contains("for other samples"));
+            let good = fs::read(&files[0]).unwrap();
+            for at in [0, 9, good.len() / 2, good.len() - 1] {
+                let mut spoilt = good.clone();
+                spoilt[at] ^= 1;
+                fs::write(&files[0], spoilt).unwrap();
+                assert!(refused(&files, &sampling).contains("is damaged"), "byte {at}");
+            }
+            files.iter().for_each(|file| fs::remove_file(file).unwrap());
+        }
     }
 }

@@ -5,6 +5,7 @@
 //! (`cut`) gives the samples, which [`SampleSet`] completes with neighbours, spacing and normals.
 
 pub mod cluster;
+mod counted;
 pub(crate) mod cut;
 pub(crate) mod density;
 mod face_ranges;
@@ -41,6 +42,7 @@ use simod_model::{
     Error, ErrorKind, FaceChunk, Model, Progress, Result, SMALL_CHUNK, VertexChunk, for_faces, for_faces_at,
 };
 
+pub use counted::count;
 pub use density::By;
 pub use gather::Grouping;
 pub use kd_tree::KdTree;
@@ -184,9 +186,25 @@ pub fn sample(
     folder: &Path,
     progress: &dyn Progress,
 ) -> Result<SampledModel> {
+    sample_counted(model, sampling, None::<&[&Path]>, folder, progress)
+}
+
+/// The same of a model whose vertices were [counted](count) before, in ranges, each to one of some files.
+///
+/// # Errors
+/// As of [`sample`]; a file is missing, damaged, or of another model or other options; they are not of all
+/// vertices.
+pub fn sample_counted(
+    model: &dyn Model,
+    sampling: &Sampling,
+    counted: Option<&[impl AsRef<Path>]>,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<SampledModel> {
     check(sampling)?;
+    let counted = counted.map(|files| files.iter().map(AsRef::as_ref).collect::<Vec<_>>());
     model.keep_positions(Some(folder));
-    let sampled = sample_kept(model, sampling, folder, progress);
+    let sampled = sample_kept(model, sampling, counted.as_deref(), folder, progress);
     model.keep_positions(None);
     sampled
 }
@@ -195,6 +213,7 @@ pub fn sample(
 fn sample_kept(
     model: &dyn Model,
     sampling: &Sampling,
+    counted: Option<&[&Path]>,
     folder: &Path,
     progress: &dyn Progress,
 ) -> Result<SampledModel> {
@@ -211,9 +230,15 @@ fn sample_kept(
     let min_opacity = opaque::resolve(model, sampling.min_opacity)?;
     let opaque = Opaque::of(model, min_opacity);
 
-    progress.begin("counting", info.vertex_bytes);
-    let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
-    let (grid, non_finite) = count_cells(model, opaque, resolution, progress)?;
+    let (grid, non_finite) = match counted {
+        Some(files) => counted::merged(model, sampling, files)?,
+        None => {
+            progress.begin("counting", info.vertex_bytes);
+            let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
+            count_cells(model, opaque, resolution, progress)?
+        }
+    };
+    check_counted(model, &non_finite)?;
     if !grid.bounds.diagonal().is_finite() {
         return Err(Error::new(
             ErrorKind::Degenerate,
@@ -651,6 +676,12 @@ fn count_cells(
         counter.absorb(cells);
         non_finite.absorb(others);
     }
+    Ok((counter.finish(), non_finite))
+}
+
+/// An error where no vertex is left.
+fn check_counted(model: &dyn Model, non_finite: &NonFinite) -> Result<()> {
+    let info = model.info();
     if non_finite.count == info.vertices {
         return Err(Error::new(
             ErrorKind::Degenerate,
@@ -665,7 +696,7 @@ fn count_cells(
             "give a smaller --min-opacity, or 0 for all splats",
         ));
     }
-    Ok((counter.finish(), non_finite))
+    Ok(())
 }
 
 fn count_range(
