@@ -24,14 +24,14 @@ pub fn are_same(a: &str, b: &str) -> Option<bool> {
 
 /// Hashes the bytes of all vertices, in their order.
 pub(crate) enum VertexHash {
-    Blocks(Blocks),
+    Blocks(Box<Blocks>),
     /// As former versions did.
     Stream(Box<Xxh3Default>),
 }
 
 impl Default for VertexHash {
     fn default() -> Self {
-        Self::Blocks(Blocks::default())
+        Self::Blocks(Box::default())
     }
 }
 

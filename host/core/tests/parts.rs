@@ -8,13 +8,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3;
 use simod_core::reconstruction::{
-    Method, Normals, Reconstruction, Version, join_parts, reconstruct, write_part,
+    Method, Normals, Part, Reconstruction, Version, join_parts, reconstruct, write_part,
 };
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, count, sample, sample_counted};
 use simod_generate::{ModelOptions, write_file as generate};
 use simod_model::progress::Silent;
-use simod_model::{Conversion, Converted, ErrorKind, Model, Progress, Result};
+use simod_model::{Conversion, Converted, Division, ErrorKind, Model, Progress, Result};
 use tempfile::TempDir;
 
 struct Work {
@@ -75,21 +75,26 @@ impl Work {
         how: &Reconstruction<'_>,
         progress: &dyn Progress,
     ) -> Result<bool> {
-        let pieces = self.model.division(how.normals).unwrap().pieces;
-        let range = part * pieces / count..(part + 1) * pieces / count;
-        let path = &self.parts(count)[part as usize];
-        write_part(&self.sampled, &*self.model, &self.deformed, how, (range, path), progress)
+        let Division { pieces, vertices, .. } = self.model.division(how.normals).unwrap();
+        let at = |part: u64| vertices.start + part * (pieces - vertices.start) / count;
+        let (own, shared) = (&*self.parts(count)[part as usize], &*self.path("shared"));
+        let part = Part { pieces: at(part)..at(part + 1), own, shared };
+        write_part(&self.sampled, &*self.model, &self.deformed, how, &part, progress)
     }
 
     fn join(&self, parts: &[PathBuf], how: &Reconstruction<'_>) -> Result<Vec<u8>> {
         let output = self.path("joined");
         let version = Version { deformed: &self.deformed, output: &output, diagnostics: None };
-        let done = join_parts(&self.sampled, &*self.model, &version, how, parts, &Silent)?;
+        let files = (parts, &*self.path("shared"));
+        let done = join_parts(&self.sampled, &*self.model, &version, how, files, &Silent)?;
         assert_eq!(done.vertices, self.model.info().vertices);
         assert_eq!(done.folding.len(), 1);
-        let bytes = fs::read(&output).unwrap();
-        fs::remove_file(output).unwrap();
-        Ok(bytes)
+        Ok(fs::read(&output).unwrap())
+    }
+
+    /// Whether parts share a file.
+    fn shares(&self, how: &Reconstruction<'_>) -> bool {
+        self.model.division(how.normals).unwrap().in_place
     }
 }
 
@@ -115,6 +120,15 @@ fn parts_in_any_order_are_the_model_that_is_written_at_once() {
                 let parts = work.parts(count);
                 assert!(work.join(&parts, &how).unwrap() == whole, "{extension} of {count} parts differs");
                 assert!(work.join(&parts, &how).unwrap() == whole, "a second time");
+                assert!(!work.path("shared").exists());
+                fs::remove_file(work.path("joined")).unwrap();
+                if work.shares(&how) {
+                    let error = work.join(&parts, &how).unwrap_err().to_string();
+                    assert!(error.contains("are gone"), "{error}");
+                    // What the parts speak of is gone: they are written again.
+                    assert!(work.write(0, count, &how, &Silent).unwrap());
+                    fs::remove_file(work.path("shared")).unwrap();
+                }
                 parts.iter().for_each(|part| fs::remove_file(part).unwrap());
             }
             assert_eq!(work.files(), 1, "something is left");
@@ -124,11 +138,15 @@ fn parts_in_any_order_are_the_model_that_is_written_at_once() {
 
 #[test]
 fn what_is_wrong_with_parts_is_told() {
-    let work = Work::new("laz");
+    ["laz", "las"].map(check_wrong);
+}
+
+fn check_wrong(extension: &str) {
+    let work = Work::new(extension);
     let how = Reconstruction::default();
     let parts = work.parts(3);
     (0..3).for_each(|part| assert!(work.write(part, 3, &how, &Silent).unwrap()));
-    let whole = work.join(&parts, &how).unwrap();
+    let whole = work.whole(&how);
     let message = |parts: &[PathBuf], how: &Reconstruction<'_>| {
         let error = work.join(parts, how).unwrap_err();
         assert!(!error.hint().is_empty());
@@ -153,10 +171,17 @@ fn what_is_wrong_with_parts_is_told() {
         assert!(message(&parts, &how).contains("is damaged"), "{end} bytes");
         // It is written again where it is asked for.
         assert!(work.write(1, 3, &how, &Silent).unwrap());
-        assert!(work.join(&parts, &how).unwrap() == whole);
     }
     fs::remove_file(&parts[1]).unwrap();
     assert!(message(&parts, &how).contains("part-1"));
+    assert!(work.write(1, 3, &how, &Silent).unwrap());
+    if work.shares(&how) {
+        let shared = fs::read(work.path("shared")).unwrap();
+        fs::write(work.path("shared"), &shared[..shared.len() - 1]).unwrap();
+        assert!(message(&parts, &how).contains("is cut off"));
+        assert!(work.write(2, 3, &how, &Silent).unwrap(), "the part that is not all there is written again");
+    }
+    assert!(work.join(&parts, &how).unwrap() == whole);
 }
 
 /// The parts know nothing of each other: together they notice that the model is another one.
@@ -186,7 +211,8 @@ fn who_cancels_leaves_nothing() {
     for times in 1..4 {
         let error = work.write(0, 1, &how, &Cancelling(AtomicU64::new(times))).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Cancelled);
-        assert_eq!(work.files(), 1);
+        // What is shared stays, for the others.
+        assert!(work.files() <= 2 && !work.parts(1)[0].exists());
     }
 }
 

@@ -47,6 +47,7 @@ pub mod progress;
 pub mod resumable;
 mod scaled;
 pub mod scratch;
+pub mod shared;
 mod shared_normal;
 pub mod size;
 mod source;

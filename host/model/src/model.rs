@@ -346,11 +346,22 @@ pub struct Division {
     pub pieces: u64,
     /// Those of them that hold vertices; the others are copied.
     pub vertices: Range<u64>,
+    /// Whether each of them has as many bytes in the new file as in the old one, so that it is known beforehand where
+    /// it goes, and nothing is replaced in them in the end but before the vertices.
+    pub in_place: bool,
 }
 
 /// Where a new version of a model goes. Anything that can be written to is one, for formats that replace
 /// nothing in the end.
 pub trait Output: Send {
+    /// Is told first, where a [part](Rewriting::only) of a file is rewritten, at which byte of the old file it begins.
+    ///
+    /// # Errors
+    /// Nothing can be written there.
+    fn begin_at(&mut self, _at: u64) -> io::Result<()> {
+        Ok(())
+    }
+
     /// Takes the next piece of the new file, which stands for `source_bytes` of the model, and what other
     /// places of the file have to know of it. The same model, rewritten in the same way, comes in the same
     /// pieces each time.

@@ -84,10 +84,18 @@ pub(crate) trait Pieces: Send {
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece>;
 
     /// Passes over so many pieces at the beginning of a file that can be [divided](Rewritable::division), without
-    /// reading them: how many bytes of vertices these are.
-    fn skip(&mut self, _pieces: u64) -> Result<u64> {
+    /// reading them.
+    fn skip(&mut self, _pieces: u64) -> Result<Skipped> {
         Err(Error::internal("a file that cannot be divided was divided", "report this"))
     }
+}
+
+/// What pieces were that were passed over.
+pub(crate) struct Skipped {
+    /// Where they end in the file.
+    pub(crate) bytes: u64,
+    /// How many bytes of these are of vertices.
+    pub(crate) vertex_bytes: u64,
 }
 
 /// What a piece of a file is.
@@ -127,7 +135,10 @@ pub(crate) fn rewrite(
     let mut pieces = file.pieces(how.normals)?;
     let first = how.only.map_or(0, |only| only.first);
     if first > 0 {
-        edit.begin_behind(pieces.skip(first)?);
+        let Skipped { bytes, vertex_bytes } = pieces.skip(first)?;
+        edit.begin_behind(vertex_bytes);
+        let begun = outputs.iter_mut().try_for_each(|output| output.begin_at(bytes));
+        begun.map_err(|e| failed_write(file, e))?;
     }
     let work = Work {
         file,

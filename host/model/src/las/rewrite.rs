@@ -10,7 +10,7 @@ use super::laszip::What;
 use super::points;
 use super::reader::Reader;
 use crate::bounds::Bounds;
-use crate::pipeline::{Piece, Pieces, Rewritable, Version};
+use crate::pipeline::{Piece, Pieces, Rewritable, Skipped, Version};
 use crate::source::Source;
 use crate::unfit::Unfit;
 use crate::{Division, Error, ErrorKind, Normals, Result, ScaledIntegers, Summary, VertexChunk};
@@ -142,7 +142,8 @@ impl Rewritable for LasModel {
                 starts.position(|at| at >= blocks.len()).unwrap_or(0) as u64
             }
         };
-        Some(Division { pieces: first + points, vertices: first..first + points })
+        let in_place = self.compressed.is_none() && self.records.of_copc().next().is_none();
+        Some(Division { pieces: first + points, vertices: first..first + points, in_place })
     }
 
     fn source(&self) -> &Source {
@@ -209,29 +210,37 @@ impl Pieces for LasPieces<'_> {
         }
     }
 
-    fn skip(&mut self, mut pieces: u64) -> Result<u64> {
+    fn skip(&mut self, mut pieces: u64) -> Result<Skipped> {
         let model = self.model;
-        let mut bytes = 0;
+        let mut skipped = Skipped { bytes: 0, vertex_bytes: 0 };
         while let (1.., Some(part)) = (pieces, self.next.front_mut()) {
             match part {
                 Part::Copy(range) => {
                     let passed = copies(range).min(pieces);
                     pieces -= passed;
                     range.start = range.end.min(range.start + passed * CHUNK_BYTES as u64);
+                    skipped.bytes = range.start;
                 }
                 Part::Points => {
                     let passed;
-                    (passed, bytes) = self.skip_points(pieces);
+                    (passed, skipped) = self.skip_points(pieces);
                     pieces -= passed;
                 }
-                Part::Header | Part::Table(_) => pieces -= 1,
+                Part::Header => {
+                    pieces -= 1;
+                    skipped.bytes = model.header.len;
+                }
+                Part::Table(range) => {
+                    pieces -= 1;
+                    skipped.bytes = range.end;
+                }
             }
             if pieces > 0 || matches!(self.next.front(), Some(Part::Header | Part::Table(_))) {
                 self.next.pop_front();
             }
         }
         model.source.check_unchanged()?;
-        Ok(bytes)
+        Ok(skipped)
     }
 }
 
@@ -259,22 +268,24 @@ impl LasPieces<'_> {
 }
 
 impl LasPieces<'_> {
-    /// Passes over so many pieces of points, or all: how many these are, and their bytes.
-    fn skip_points(&mut self, pieces: u64) -> (u64, u64) {
+    /// Passes over so many pieces of points, or all: how many these are, and all that lies before their end.
+    fn skip_points(&mut self, pieces: u64) -> (u64, Skipped) {
         let model = self.model;
         let Some((_, blocks)) = &model.compressed else {
             let chunk = Reader::plain_chunk(model.header.record);
             let passed = model.info.vertices.div_ceil(chunk).min(pieces);
             let first = (passed * chunk).min(model.info.vertices);
             self.plain = Reader::new(model, first..model.info.vertices);
-            return (passed, first * model.header.record as u64);
+            let vertex_bytes = first * model.header.record as u64;
+            return (passed, Skipped { bytes: model.header.points + vertex_bytes, vertex_bytes });
         };
         let mut passed = 0;
         while passed < pieces && self.block < blocks.len() {
             self.block = blocks.group(self.block).end;
             passed += 1;
         }
-        (passed, blocks.start(self.block).1 - blocks.start(0).1)
+        let bytes = blocks.start(self.block).1;
+        (passed, Skipped { bytes, vertex_bytes: bytes - blocks.start(0).1 })
     }
 }
 

@@ -6,7 +6,7 @@ use super::patch::Rest;
 use super::reader::{CHUNK_BYTES, Reader};
 use super::walk::{CUT_OFF, Walker};
 use super::{ascii, binary};
-use crate::pipeline::{Piece, Pieces, Rewritable, Version};
+use crate::pipeline::{Piece, Pieces, Rewritable, Skipped, Version};
 use crate::source::Source;
 use crate::{Division, Error, Normals, Result, VertexChunk};
 
@@ -53,7 +53,9 @@ impl Rewritable for PlyModel {
         let per_piece = Reader::fixed_chunk(self.layout.stride?);
         let vertices = before..before + self.info.vertices.div_ceil(per_piece);
         let behind = self.source.len().saturating_sub(self.vertices_end()?);
-        Some(Division { pieces: vertices.end + behind.div_ceil(CHUNK_BYTES as u64), vertices })
+        let in_place = !(normals == Normals::Drop && self.layout.has_normals());
+        let pieces = vertices.end + behind.div_ceil(CHUNK_BYTES as u64);
+        Some(Division { pieces, vertices, in_place })
     }
 
     fn source(&self) -> &Source {
@@ -110,7 +112,7 @@ impl Pieces for PlyPieces<'_> {
         Ok(Piece::End)
     }
 
-    fn skip(&mut self, pieces: u64) -> Result<u64> {
+    fn skip(&mut self, pieces: u64) -> Result<Skipped> {
         let model = self.model;
         let normals = if self.drop_normals { Normals::Drop } else { Normals::Keep };
         let (Some(Division { vertices, .. }), Some(stride)) = (model.division(normals), model.layout.stride)
@@ -121,7 +123,7 @@ impl Pieces for PlyPieces<'_> {
             for _ in 0..pieces {
                 self.read(&mut VertexChunk::default())?;
             }
-            return Ok(0);
+            return Ok(Skipped { bytes: self.at, vertex_bytes: 0 });
         }
         self.drop_normals = false;
         self.at = model.vertices_start;
@@ -130,10 +132,12 @@ impl Pieces for PlyPieces<'_> {
         self.vertices = Reader::new(model, first..model.info.vertices)?;
         if pieces >= vertices.end {
             self.at = self.vertices.offset() + (pieces - vertices.end) * CHUNK_BYTES as u64;
+            self.at = self.at.min(model.source.len());
             // Nothing that is behind it is looked at: it cannot be known where elements begin.
             self.walker = Some(Walker::new(&[], model.header.encoding));
         }
-        Ok(first * stride as u64)
+        let bytes = if pieces >= vertices.end { self.at } else { self.vertices.offset() };
+        Ok(Skipped { bytes, vertex_bytes: first * stride as u64 })
     }
 }
 

@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use super::{Layout, Places, Reader, following, gradient, info, packing, turn};
 use crate::follow::{Follow, Following};
 use crate::model::NoFaces;
-use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
+use crate::pipeline::{self, Piece, Pieces, Rewritable, Skipped, Version};
 use crate::source::Source;
 use crate::unfit::Unfit;
 use crate::{
@@ -218,7 +218,7 @@ impl Rewritable for Records {
 
     fn division(&self, _normals: Normals) -> Option<Division> {
         let pieces = self.info.vertices.div_ceil(CHUNK_VERTICES as u64);
-        Some(Division { pieces, vertices: 0..pieces })
+        Some(Division { pieces, vertices: 0..pieces, in_place: true })
     }
 
     fn source(&self) -> &Source {
@@ -245,8 +245,9 @@ impl Pieces for RecordPieces<'_> {
         Ok(Piece::Vertices(count))
     }
 
-    fn skip(&mut self, pieces: u64) -> Result<u64> {
+    fn skip(&mut self, pieces: u64) -> Result<Skipped> {
         self.next = pieces.saturating_mul(CHUNK_VERTICES as u64).min(self.model.info.vertices);
-        Ok(self.next * RECORD as u64)
+        let bytes = self.next * RECORD as u64;
+        Ok(Skipped { bytes, vertex_bytes: bytes })
     }
 }

@@ -7,7 +7,7 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 
 use super::facets::{FACET, Facets, START, normal};
-use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
+use crate::pipeline::{self, Piece, Pieces, Rewritable, Skipped, Version};
 use crate::source::Source;
 use crate::text::CUT_OFF;
 use crate::unfit::Unfit;
@@ -240,7 +240,7 @@ impl Rewritable for BinaryStl {
 
     fn division(&self, _normals: Normals) -> Option<Division> {
         let facets = 1..1 + self.facets.div_ceil(CHUNK_FACETS);
-        Some(Division { pieces: facets.end, vertices: facets })
+        Some(Division { pieces: facets.end, vertices: facets, in_place: true })
     }
 
     fn source(&self) -> &Source {
@@ -277,9 +277,9 @@ impl Pieces for StlPieces<'_> {
         Ok(Piece::Bytes)
     }
 
-    fn skip(&mut self, pieces: u64) -> Result<u64> {
+    fn skip(&mut self, pieces: u64) -> Result<Skipped> {
         let facets = pieces.saturating_sub(1).saturating_mul(CHUNK_FACETS).min(self.model.facets);
         self.at = if pieces == 0 { 0 } else { START + FACET * facets };
-        Ok(FACET * facets)
+        Ok(Skipped { bytes: self.at, vertex_bytes: FACET * facets })
     }
 }

@@ -18,9 +18,15 @@ struct Part {
     bytes: Vec<u8>,
     summary: Summary,
     is_patched: bool,
+    begins: u64,
 }
 
 impl Output for Part {
+    fn begin_at(&mut self, at: u64) -> io::Result<()> {
+        self.begins = at;
+        Ok(())
+    }
+
     fn write_piece(&mut self, bytes: &[u8], _source_bytes: u64, summary: &Summary) -> io::Result<()> {
         self.bytes.extend_from_slice(bytes);
         self.summary.absorb(summary);
@@ -78,7 +84,7 @@ fn write_range(model: &dyn Model, normals: Normals, only: Option<PieceRange>, ou
 fn check_parts(model: &dyn Model, normals: Normals) {
     let mut whole = Part::default();
     let all = write_range(model, normals, None, &mut whole).raw.into_inner().unwrap();
-    let Division { pieces, vertices } = model.division(normals).unwrap();
+    let Division { pieces, vertices, in_place } = model.division(normals).unwrap();
     assert!(vertices.end <= pieces && vertices.end - vertices.start >= 3, "{vertices:?} of {pieces}");
     for parts in [1, 2, 3, pieces] {
         let (mut file, mut raw) = (Part::default(), Vec::new());
@@ -88,14 +94,19 @@ fn check_parts(model: &dyn Model, normals: Normals) {
             let only = Some(PieceRange { first, end: Some(end) });
             let Twist { behind, raw: of_part } = write_range(model, normals, only, &mut some);
             assert!(!some.is_patched);
+            if in_place {
+                assert_eq!(some.begins, file.bytes.len() as u64, "part {part} of {parts}");
+            }
             assert_eq!(behind.into_inner(), raw.len() as u64, "part {part} of {parts}");
             raw.append(&mut of_part.into_inner().unwrap());
             file.bytes.append(&mut some.bytes);
             file.summary.absorb(&some.summary);
         }
+        let before_rest = file.bytes.len() as u64;
         let rest = Some(PieceRange { first: pieces, end: None });
         let told = write_range(model, normals, rest, &mut file).raw.into_inner().unwrap();
         assert!(told.is_empty());
+        assert!(!in_place || file.begins == before_rest);
         assert!(raw == all, "{parts} parts read other vertices");
         assert!(file.bytes == whole.bytes, "{parts} parts are another file");
         assert_eq!(file.is_patched, whole.is_patched);

@@ -143,7 +143,9 @@ fn units(model: &dyn Model, undivided: bool, options: &Options<'_>) -> Vec<Unit>
         return units;
     };
     let mut parts = Vec::new();
-    for (number, range) in shares(division.pieces, options.units).enumerate() {
+    let first = division.vertices.start;
+    for (number, share) in shares(division.pieces - first, options.units).enumerate() {
+        let range = first + share.start..first + share.end;
         let writes = PathBuf::from(format!("part-{number}.bin"));
         parts.push(add(Stage::Apply, vec![deform], [None, Some(range)], writes));
     }

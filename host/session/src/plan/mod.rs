@@ -42,6 +42,9 @@ const REFINED: &str = "refined.simod";
 /// P_S*.
 const DEFORMED: &str = "deformed.ply";
 
+/// The output in the making, where it is known beforehand where each part goes.
+const SHARED: &str = "output.bin";
+
 /// The deformation's gradients at the samples, where anything turns by them.
 const GRADIENTS: &str = "gradients.bin";
 
@@ -206,7 +209,8 @@ impl Plan {
 
     /// What makes no sense, if anything.
     fn check(&self) -> Result<(), String> {
-        let [mut vertices, mut pieces] = [0, 0];
+        // What comes before the vertices is of no unit that applies the deformation.
+        let (mut vertices, mut pieces) = (Some(0), None);
         for (number, unit) in self.units.iter().enumerate() {
             let wrong = |what: &str| Err(format!("unit {number} {what}"));
             if unit.number != number {
@@ -224,8 +228,10 @@ impl Plan {
                 _ => None,
             };
             match range {
-                Some((Some(range), next)) if range.start == *next && range.end >= range.start => {
-                    *next = range.end;
+                Some((Some(range), next))
+                    if next.is_none_or(|next| next == range.start) && range.end >= range.start =>
+                {
+                    *next = Some(range.end);
                 }
                 Some(_) => return wrong("is not of the range that comes next"),
                 None => {}

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::{Mat3, Vec3};
 use simod_core::reconstruction::{
-    Reconstructed, Reconstruction, Version, choose_offset, join_parts, reconstruct, write_part,
+    Part, Reconstructed, Reconstruction, Version, choose_offset, join_parts, reconstruct, write_part,
 };
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, count, sample_counted};
@@ -14,7 +14,7 @@ use simod_model::{
     is_named_otherwise, output,
 };
 
-use super::{DEFORMED, FINISHED, GRADIENTS, Plan, REFINED, SAMPLED, Stage, Unit, hash_of};
+use super::{DEFORMED, FINISHED, GRADIENTS, Plan, REFINED, SAMPLED, SHARED, Stage, Unit, hash_of};
 use crate::deformer::Message;
 use crate::edit::{Refinements, turning_gradients};
 use crate::pipeline::{DeformedSamples, deform, needed, note_losses, open, sampled_of};
@@ -150,8 +150,9 @@ impl Work<'_> {
         let edit = self.edit()?;
         let pieces = self.unit.pieces.clone().unwrap_or_default();
         let Edit { sampled, model, deformed, .. } = &edit;
-        let target = (pieces, &*self.at_own());
-        let did = write_part(sampled, &**model, deformed, &edit.how(), target, self.progress)?;
+        let (own, shared) = (&*self.at_own(), &*self.at(SHARED));
+        let part = Part { pieces, own, shared };
+        let did = write_part(sampled, &**model, deformed, &edit.how(), &part, self.progress)?;
         Ok(Done { was_done: !did, ..Done::default() })
     }
 
@@ -160,7 +161,8 @@ impl Work<'_> {
         let Edit { sampled, model, deformed, .. } = &edit;
         let parts = self.plan.files_of(self.folder, Stage::Apply);
         let version = Version { deformed, output: &self.plan.output, diagnostics: None };
-        let written = join_parts(sampled, &**model, &version, &edit.how(), &parts, self.progress)?;
+        let files = (&parts[..], &*self.at(SHARED));
+        let written = join_parts(sampled, &**model, &version, &edit.how(), files, self.progress)?;
         self.finished()?;
         // They are not needed any more; one that cannot be removed hurts nobody.
         parts.iter().for_each(|part| drop(std::fs::remove_file(part)));
