@@ -258,6 +258,9 @@ fn what_is_wrong_is_told() {
     work.refuses("plan edit.toml -o plan --model missing.ply", &["missing.ply"]);
     work.simod("plan edit.toml -o plan --units 2");
     work.refuses("plan edit.toml -o plan --to plan/out.ply", &["out.ply", "plan's folder"]);
+    work.write("plan/notes.txt", "precious");
+    work.refuses("plan edit.toml -o plan", &["notes.txt", "beside the plan"]);
+    std::fs::remove_file(work.path("plan/notes.txt")).expect("notes");
     work.refuses("unit plan 7", &["no unit 7"]);
     for unit in 2..7 {
         work.refuses(&format!("unit plan {unit}"), &["has to be done before"]);

@@ -19,6 +19,11 @@ pub enum Emit {
     Commands,
 }
 
+impl Emit {
+    /// The names of the scripts.
+    pub(super) const FILES: [&str; 3] = ["Makefile", "slurm.sh", "commands.txt"];
+}
+
 /// The script of a plan whose folder will be there: its name, and its text.
 ///
 /// # Errors
@@ -29,9 +34,9 @@ pub fn emit(plan: &Plan, how: Emit, folder: &Path) -> Result<(&'static str, Stri
     let text = |path: &Path| path.to_str().map(quoted).ok_or_else(|| no_text(path));
     let (program, folder) = (text(&program)?, text(&folder)?);
     Ok(match how {
-        Emit::Make => ("Makefile", makefile(plan, &program)),
-        Emit::Slurm => ("slurm.sh", slurm(plan, &program)),
-        Emit::Commands => ("commands.txt", commands(plan, &program, &folder)),
+        Emit::Make => (Emit::FILES[0], makefile(plan, &program)),
+        Emit::Slurm => (Emit::FILES[1], slurm(plan, &program)),
+        Emit::Commands => (Emit::FILES[2], commands(plan, &program, &folder)),
     })
 }
 

@@ -1,5 +1,6 @@
 //! Plans from sessions.
 
+use std::ffi::OsString;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,8 +11,9 @@ use simod_model::output_folder::OutputFolder;
 use simod_model::target::{canonical_target, folder_of};
 use simod_model::{Cache, Error, ErrorKind, Model, Normals, Progress, Result, output};
 
-use super::{DEFORMED, FINISHED, FORMAT, METHODS, NORMALS, PLAN, Plan, Recorded, SAMPLED, Stage, Unit};
+use super::{DEFORMED, FINISHED, FORMAT, GRADIENTS, METHODS, NORMALS, PLAN, REFINED, SAMPLED, SHARED};
 use super::{Emit, emit, hash_of, name_of};
+use super::{Plan, Recorded, Stage, Unit};
 use crate::pipeline::{converted, open};
 use crate::plugins::PluginRegistry;
 use crate::session_file::SessionFile;
@@ -129,7 +131,8 @@ fn units(model: &dyn Model, undivided: bool, options: &Options<'_>) -> Vec<Unit>
     };
     let mut before = Vec::new();
     let info = model.info();
-    if info.random_access {
+    // Others would have to be unpacked, or gone over, by each unit.
+    if info.random_access && model.division(options.normals).is_some() {
         for (number, range) in shares(info.vertices, options.units).enumerate() {
             let writes = PathBuf::from(format!("count-{number}.bin"));
             before.push(add(Stage::Count, Vec::new(), [Some(range), None], writes));
@@ -162,14 +165,34 @@ fn shares(all: u64, count: u64) -> impl Iterator<Item = Range<u64>> {
 
 /// An error where something else is than a plan, or nothing.
 fn check_target(folder: &Path) -> Result<()> {
-    if folder.symlink_metadata().is_err() || folder.join(PLAN).is_file() {
+    let refused = |what: String| {
+        let hint = "give the name of a new folder, or of a plan to replace";
+        Err(Error::new(ErrorKind::Argument, format!("{} {what}", folder.display()), hint))
+    };
+    if folder.symlink_metadata().is_err() {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Argument,
-        format!("{} exists and is no plan", folder.display()),
-        "give the name of a new folder, or of a plan to replace",
-    ))
+    if !folder.join(PLAN).is_file() {
+        return refused("exists and is no plan".to_owned());
+    }
+    // What is replaced is removed: nothing of the user's own.
+    let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
+    let foreign = |name: &OsString| !name.to_str().is_some_and(is_own);
+    match entries.flatten().map(|entry| entry.file_name()).find(foreign) {
+        Some(name) => refused(format!("holds {} beside the plan", name.display())),
+        None => Ok(()),
+    }
+}
+
+/// Whether a file in a plan's folder is of the plan, its units or its engines.
+fn is_own(name: &str) -> bool {
+    let fixed = [PLAN, FINISHED, SAMPLED, REFINED, DEFORMED, SHARED, GRADIENTS];
+    let is_numbered = |(before, behind)| name.starts_with(before) && name.ends_with(behind);
+    fixed.contains(&name)
+        || Emit::FILES.contains(&name)
+        || [("count-", ".bin"), ("part-", ".bin"), ("slurm-", ".out"), (".simod-", "")]
+            .into_iter()
+            .any(is_numbered)
 }
 
 /// A path that does not depend on where a unit is done.
