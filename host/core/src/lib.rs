@@ -10,6 +10,7 @@
 
 pub mod attributes;
 pub mod colors;
+mod counting_sort;
 mod deformed_file;
 pub mod detail;
 pub mod fingerprint;

@@ -28,7 +28,7 @@ use crate::varint::{self, Numbers};
 pub(crate) const MAGIC: &[u8; 8] = b"SIMODBND";
 
 /// To be counted up whenever the format changes, or the homes or surroundings of the same samples.
-const VERSION: u32 = 6;
+const VERSION: u32 = 7;
 
 /// Most bytes of a part: a chunk's vertices, each with another home.
 const MOST_BYTES: usize = 10 * simod_model::CHUNK_VERTICES;
@@ -178,7 +178,11 @@ impl Binding {
             return Err("it belongs to other samples".to_owned());
         }
         let n = samples.len();
-        if !head.sheets.is_valid(n) || !head.supports.is_valid(n) || !samples.set_normals(head.normals) {
+        let is_valid = head.sheets.is_valid(n) && head.supports.is_valid(n);
+        if !is_valid
+            || !samples.set_neighbours(head.sheets.graph().clone())
+            || !samples.set_normals(head.normals)
+        {
             return Err("its numbers make no sense".to_owned());
         }
         let around = Surroundings::known(samples, head.sheets, head.supports);

@@ -13,7 +13,7 @@
 
 use std::ops::Range;
 
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,8 @@ use serde::{Deserialize, Serialize};
 use super::expansion::{Expansion, Reaching};
 use super::lanes::{Lanes, from, length_squared, triple};
 use super::scattered;
-use super::sheets::{Sheets, are_lists, blocks};
+use super::sheets::Sheets;
+use crate::counting_sort;
 use crate::sampling::SampleSet;
 
 /// Samples that a [range](super::bound) is of.
@@ -43,7 +44,7 @@ fn squared(positions: &[Vec3], i: usize, j: u32) -> f32 {
 
 /// For each sample, the supports that reach where it is the home.
 ///
-/// Memory: about 30 supports of 8 bytes per sample.
+/// Memory: about 30 supports of 8 bytes per sample, and room for a few more.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Supports {
     /// Radius of each sample's support.
@@ -51,7 +52,9 @@ pub struct Supports {
     /// How far from each sample, on whatever sheet, no more samples are than a [range](super::bound) is of,
     /// itself included.
     pub ranging: Vec<f32>,
+    /// Where those of each home begin and end; what lies between is of no meaning.
     starts: Vec<u32>,
+    ends: Vec<u32>,
     reaching: Vec<Reaching>,
 }
 
@@ -69,10 +72,12 @@ impl Supports {
             None => f32::MAX,
         });
         let ranging: Vec<f32> = ranging.collect();
+        // Beside each other, as all are looked up in no order.
+        let balls: Vec<Vec4> = positions.iter().zip(&radius).map(|(p, radius)| p.extend(*radius)).collect();
         let entry = |home: usize, j: usize| {
-            let distance = positions[home].distance(positions[j]);
-            (distance < radius[home] + radius[j])
-                .then_some(Reaching { from: distance - radius[j], sample: j as u32 })
+            let (own, other) = (balls[home], balls[j]);
+            let distance = own.truncate().distance(other.truncate());
+            (distance < own.w + other.w).then_some(Reaching { from: distance - other.w, sample: j as u32 })
         };
         // Where a sample is among the neighbours of another, but not the other way round: as between sparse
         // and dense. Where a sample's neighbours are its nearest ones, the last tells whom it has.
@@ -98,50 +103,64 @@ impl Supports {
         one_way.par_sort_unstable();
 
         // As numbers that are in the order of the entries.
-        let list = |home: usize, list: &mut Vec<u64>| {
-            let first = one_way.partition_point(|(h, _)| (*h as usize) < home);
-            let others = one_way[first..].iter().take_while(|(h, _)| *h as usize == home).map(|(_, j)| j);
+        let list = |home: usize, others: &[(u32, u32)], list: &mut Vec<u64>| {
+            let others = others.iter().map(|(_, j)| j);
             let itself = [home as u32];
             let all = itself.iter().chain(sheets.of_sample(home)).chain(others);
             list.clear();
             list.extend(all.filter_map(|j| entry(home, *j as usize)).map(Reaching::to_ordered));
-            list.sort_unstable();
+            counting_sort::sort(list);
         };
-        let some = |homes: Range<usize>| {
-            let (mut ends, mut reaching, mut one) = (Vec::with_capacity(homes.len()), Vec::new(), Vec::new());
-            for home in homes {
-                list(home, &mut one);
-                reaching.extend(one.iter().map(|r| Reaching::from_ordered(*r)));
-                ends.push(reaching.len() as u32);
+        // Places for as many as there may be: so lists that are made side by side stay where they are.
+        let (mut starts, mut jobs) = (Vec::with_capacity(n), Vec::with_capacity(n.div_ceil(TOGETHER)));
+        let (mut most, mut others) = (0, &one_way[..]);
+        for home in 0..n {
+            if home % TOGETHER == 0 {
+                jobs.push((most, others));
             }
-            (ends, reaching)
-        };
-        let (mut starts, mut reaching) = (vec![0], Vec::new());
-        for block in blocks(n) {
-            let parts = block.clone().into_par_iter().step_by(TOGETHER);
-            let lists: Vec<(Vec<u32>, Vec<Reaching>)> =
-                parts.map(|first| some(first..block.end.min(first + TOGETHER))).collect();
-            reaching.reserve_exact(lists.iter().map(|(_, reaching)| reaching.len()).sum());
-            for (ends, list) in lists {
-                let first = reaching.len() as u32;
-                starts.extend(ends.iter().map(|end| first + end));
-                reaching.extend(list);
-            }
+            let own = others.iter().take_while(|(h, _)| *h as usize == home).count();
+            starts.push(most as u32);
+            most += 1 + sheets.of_sample(home).len() + own;
+            others = &others[own..];
         }
-        Self { radius, ranging, starts, reaching }
+        let (mut ends, mut reaching) = (vec![0; n], bytemuck::zeroed_vec::<Reaching>(most));
+        let mut parts = Vec::with_capacity(jobs.len());
+        let mut rest = &mut reaching[..];
+        for (at, (first, others)) in jobs.iter().enumerate() {
+            let end = jobs.get(at + 1).map_or(most, |(first, _)| *first);
+            let (part, behind) = rest.split_at_mut(end - first);
+            parts.push((*others, part));
+            rest = behind;
+        }
+        let jobs = parts.into_par_iter().zip(starts.par_chunks(TOGETHER)).zip(ends.par_chunks_mut(TOGETHER));
+        jobs.enumerate().for_each_init(Vec::new, |one, (job, (((mut others, part), starts), ends))| {
+            for (at, (start, end)) in starts.iter().zip(ends).enumerate() {
+                let home = job * TOGETHER + at;
+                let own = others.iter().take_while(|(h, _)| *h as usize == home).count();
+                list(home, &others[..own], one);
+                others = &others[own..];
+                let to = &mut part[(start - starts[0]) as usize..];
+                to.iter_mut().zip(&*one).for_each(|(to, r)| *to = Reaching::from_ordered(*r));
+                *end = start + one.len() as u32;
+            }
+        });
+        Self { radius, ranging, starts, ends, reaching }
     }
 
     /// Whether it is of so many samples: one that was read may be anything.
     pub fn is_valid(&self, samples: usize) -> bool {
         self.radius.len() == samples
             && self.ranging.len() == samples
-            && are_lists(&self.starts, samples, self.reaching.len())
+            && self.starts.len() == samples
+            && self.ends.len() == samples
+            && self.starts.iter().zip(&self.ends).all(|(start, end)| start <= end)
+            && self.ends.iter().all(|end| *end as usize <= self.reaching.len())
             && self.reaching.iter().all(|r| (r.sample as usize) < samples)
     }
 
     /// The supports that reach where `home` is the home.
     pub fn of_home(&self, home: usize) -> &[Reaching] {
-        &self.reaching[self.starts[home] as usize..self.starts[home + 1] as usize]
+        &self.reaching[self.starts[home] as usize..self.ends[home] as usize]
     }
 }
 

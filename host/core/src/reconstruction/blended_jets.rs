@@ -9,14 +9,17 @@
 //! towards nothing: where the neighbours do not tell, as across a flat neighbourhood, those maps stand. They
 //! reproduce similarities exactly, and so does this.
 
+use std::ops::Range;
+
 use glam::{Mat3, Vec3};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::double_lanes::{DoubleLanes, MOST_LANES};
+use super::double_lanes::{DoubleLanes, MOST_LANES, square};
 use super::expansion::Expansion;
 use super::gradients::Gradients;
-use super::least_squares::{Fitted, LeastSquares, TERMS, Unresolved, square};
+use super::least_squares::{LeastSquares, TERMS, Unresolved};
+use super::packets::{MOST_NEIGHBOURS, Neighbours};
 use super::stencils::Stencils;
 use crate::geometry::hermite;
 use crate::sampling::SampleSet;
@@ -25,7 +28,7 @@ use crate::sampling::SampleSet;
 pub const BLENDED: usize = 6;
 
 /// Neighbours in a fit: three times its terms.
-pub(super) const FIT_NEIGHBOURS: usize = 28;
+pub(super) const FIT_NEIGHBOURS: usize = MOST_NEIGHBOURS;
 
 /// Samples that are fitted by one job.
 const TOGETHER: usize = 64;
@@ -51,23 +54,19 @@ const ROUNDS: usize = 3;
 /// What rounding makes of a cost: the root of about 1e-7, for each neighbour.
 const LEAST_COST: f32 = 1e-2;
 
-/// What a fit gives.
+/// A map around a sample.
 #[derive(Debug, Clone, Copy)]
 struct Jet {
     /// Gradient of the deformation.
     slope: Mat3,
     /// The second-order terms xx, xy, xz, yy, yz, zz.
     second: [Vec3; 6],
-    /// How little the fit is to be believed, from 0 to 1.
-    doubt: f64,
-    /// How far it is off, if the prior across the surface is.
-    unresolved: Unresolved,
 }
 
 impl Jet {
-    /// The affine map that has a gradient.
-    fn affine(slope: Mat3) -> Self {
-        Self { slope, second: [Vec3::ZERO; 6], doubt: 0.0, unresolved: Unresolved::default() }
+    /// That of an expansion.
+    fn of(expansion: &Expansion) -> Self {
+        Self { slope: expansion.slope() + Mat3::IDENTITY, second: expansion.second() }
     }
 
     /// The image of a point at `d` from the sample, relative to the sample's image, and the gradient there.
@@ -106,39 +105,57 @@ pub fn expand(
     gradients: &Gradients,
 ) -> Expanded {
     let fitted = Fitted { samples, stencils, deformed, gradient: &gradients.gradient };
-    let mut jets: Vec<Jet> = gradients.gradient.par_iter().map(|gradient| Jet::affine(*gradient)).collect();
-    jets.par_chunks_mut(TOGETHER).enumerate().for_each(|(chunk, jets)| {
-        Arch::new().dispatch(Fits { fitted, first: chunk * TOGETHER, jets });
-    });
-    let in_doubt: Vec<u32> = (0..).zip(&jets).filter(|(_, jet)| jet.doubt > 0.0).map(|(i, _)| i).collect();
-    let prevailing = prevailing(samples, stencils, &jets, &in_doubt);
+    let affine = |i: usize| {
+        let (q, slope) = (samples.positions[i], gradients.gradient[i] - Mat3::IDENTITY);
+        Expansion::new(q, deformed[i] - q, slope, [Vec3::ZERO; 6])
+    };
+    let mut expansions: Vec<Expansion> = (0..samples.len()).into_par_iter().map(affine).collect();
+    let mut unresolved = vec![Unresolved::default(); samples.len()];
+    let mut doubt = vec![0.0; samples.len()];
+    let jobs = expansions.par_chunks_mut(TOGETHER).zip(unresolved.par_chunks_mut(TOGETHER));
+    jobs.zip(doubt.par_chunks_mut(TOGETHER)).enumerate().for_each(
+        |(chunk, ((expansions, unresolved), doubt))| {
+            Arch::new().dispatch(Fits { fitted, first: chunk * TOGETHER, expansions, unresolved, doubt });
+        },
+    );
+    let in_doubt: Vec<u32> = (0..).zip(&doubt).filter(|(_, doubt)| **doubt > 0.0).map(|(i, _)| i).collect();
+    let prevailing = prevailing(samples, stencils, &expansions, &doubt, &in_doubt);
     let mended: Vec<(u32, Jet, Doubt)> = in_doubt
         .par_iter()
         .zip(prevailing)
         .map(|(i, slope)| {
-            let jet = &jets[*i as usize];
-            let amount = jet.doubt as f32;
-            let one_sided = one_sided(samples, stencils, deformed, &jets, *i as usize);
-            (*i, jet.mixed(&one_sided, amount), Doubt { amount, prevailing: slope - Mat3::IDENTITY })
+            let amount = doubt[*i as usize];
+            let one_sided = one_sided(samples, stencils, deformed, &expansions, *i as usize);
+            let mixed = Jet::of(&expansions[*i as usize]).mixed(&one_sided, amount);
+            (*i, mixed, Doubt { amount, prevailing: slope - Mat3::IDENTITY })
         })
         .collect();
-    let expansion = |i: usize, jet: &Jet| {
-        let q = samples.positions[i];
-        Expansion::new(q, deformed[i] - q, jet.slope - Mat3::IDENTITY, jet.second)
-    };
-    let mut expansions: Vec<Expansion> = jets.iter().enumerate().map(|(i, jet)| expansion(i, jet)).collect();
-    mended.iter().for_each(|(i, jet, _)| expansions[*i as usize] = expansion(*i as usize, jet));
-    let unresolved = jets.iter().map(|jet| jet.unresolved).collect();
+    for (i, jet, _) in &mended {
+        let expansion = &mut expansions[*i as usize];
+        *expansion = expansion.with_slope(jet.slope - Mat3::IDENTITY).with_second(jet.second);
+    }
     let doubtful = mended.into_iter().map(|(i, _, doubt)| (i, doubt)).collect();
     Expanded { expansions, unresolved, doubtful }
 }
 
 /// The gradient around each sample in doubt: that of its neighbours which are in none, or in their turn of
 /// theirs.
-fn prevailing(samples: &SampleSet, stencils: &Stencils<'_>, jets: &[Jet], in_doubt: &[u32]) -> Vec<Mat3> {
+fn prevailing(
+    samples: &SampleSet,
+    stencils: &Stencils<'_>,
+    expansions: &[Expansion],
+    doubt: &[f32],
+    in_doubt: &[u32],
+) -> Vec<Mat3> {
+    if in_doubt.is_empty() {
+        return Vec::new();
+    }
     // The gradient at each sample, as far as it is known, and how well: from 0 to 1.
-    let mut known: Vec<(Mat3, f32)> =
-        jets.iter().map(|jet| (jet.slope, (1.0 - jet.doubt as f32).powi(2))).collect();
+    let mut known: Vec<(Mat3, f32)> = expansions
+        .iter()
+        .zip(doubt)
+        .map(|(e, doubt)| (e.slope() + Mat3::IDENTITY, (1.0 - doubt).powi(2)))
+        .collect();
     let mut slopes = Vec::new();
     for _ in 0..ROUNDS {
         slopes = in_doubt
@@ -152,7 +169,11 @@ fn prevailing(samples: &SampleSet, stencils: &Stencils<'_>, jets: &[Jet], in_dou
                     slope += known[j].0 * w;
                     sum += w;
                 }
-                if sum > 0.0 { (slope * (1.0 / sum), sum.min(1.0)) } else { (jets[i].slope, 0.0) }
+                if sum > 0.0 {
+                    (slope * (1.0 / sum), sum.min(1.0))
+                } else {
+                    (expansions[i].slope() + Mat3::IDENTITY, 0.0)
+                }
             })
             .collect::<Vec<_>>();
         in_doubt.iter().zip(&slopes).for_each(|(i, slope)| known[*i as usize] = *slope);
@@ -166,7 +187,13 @@ fn prevailing(samples: &SampleSet, stencils: &Stencils<'_>, jets: &[Jet], in_dou
 /// This is the choice of the smoothest stencil in essentially non-oscillatory schemes (ENO; with weights as
 /// in X.-D. Liu, S. Osher, T. Chan, *Weighted Essentially Non-oscillatory Schemes*, 1994). Best is the least
 /// sum of square roots of distances: a few neighbours that are far off matter little.
-fn one_sided(samples: &SampleSet, stencils: &Stencils<'_>, deformed: &[Vec3], jets: &[Jet], i: usize) -> Jet {
+fn one_sided(
+    samples: &SampleSet,
+    stencils: &Stencils<'_>,
+    deformed: &[Vec3],
+    expansions: &[Expansion],
+    i: usize,
+) -> Jet {
     let (near, radius) = stencils.around(&samples.positions, i, FIT_NEIGHBOURS);
     let positions = &samples.positions;
     let neighbours: Vec<(Vec3, Vec3, f32)> = near
@@ -182,14 +209,15 @@ fn one_sided(samples: &SampleSet, stencils: &Stencils<'_>, deformed: &[Vec3], je
         costs.sum::<f32>() + LEAST_COST
     };
     let others = near.iter().map(|j| {
-        let jet = jets[*j as usize];
+        let jet = Jet::of(&expansions[*j as usize]);
         Jet { slope: jet.at(positions[i] - positions[*j as usize]).1, ..jet }
     });
-    let own = [jets[i], Jet { second: [Vec3::ZERO; 6], ..jets[i] }];
+    let own = Jet::of(&expansions[i]);
+    let own = [own, Jet { second: [Vec3::ZERO; 6], ..own }];
     let candidates: Vec<(Jet, f32)> = others.chain(own).map(|jet| (jet, cost(&jet))).collect();
 
     let least = candidates.iter().map(|(_, cost)| *cost).fold(f32::INFINITY, f32::min);
-    let mut chosen = Jet { slope: Mat3::ZERO, second: [Vec3::ZERO; 6], ..jets[i] };
+    let mut chosen = Jet { slope: Mat3::ZERO, second: [Vec3::ZERO; 6] };
     let mut sum = 0.0;
     for (jet, cost) in &candidates {
         let w = (least / cost).powi(CHOICE);
@@ -206,93 +234,119 @@ impl Jet {
     fn mixed(&self, other: &Self, t: f32) -> Self {
         let slope = self.slope * (1.0 - t) + other.slope * t;
         let second = std::array::from_fn(|a| self.second[a].lerp(other.second[a], t));
-        Self { slope, second, ..*self }
+        Self { slope, second }
     }
 }
 
-/// Fits samples that follow each other from the first, one for each jet: the affine map is left where nothing more
-/// is to be explained, or cannot be.
+/// What is fitted: samples, and the gradient at each that the fit goes beyond.
+#[derive(Clone, Copy)]
+struct Fitted<'a> {
+    samples: &'a SampleSet,
+    stencils: &'a Stencils<'a>,
+    deformed: &'a [Vec3],
+    gradient: &'a [Mat3],
+}
+
+/// Fits samples that follow each other from the first: the affine map is left where nothing more is to be
+/// explained, or cannot be.
 struct Fits<'a> {
     fitted: Fitted<'a>,
     first: usize,
-    jets: &'a mut [Jet],
+    expansions: &'a mut [Expansion],
+    /// How far each fit is off, if the prior across the surface is.
+    unresolved: &'a mut [Unresolved],
+    /// How little each fit is to be believed, from 0 to 1.
+    doubt: &'a mut [f32],
 }
 
 impl WithSimd for Fits<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Self { fitted, first, jets } = self;
-        for at in (0..jets.len()).step_by(S::F64_LANES) {
-            let count = S::F64_LANES.min(jets.len() - at);
-            let mut packet = [first + at; MOST_LANES];
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let mut neighbours = Neighbours::default();
+        for at in (0..self.expansions.len()).step_by(S::F64_LANES) {
+            let count = S::F64_LANES.min(self.expansions.len() - at);
+            let mut packet = [self.first + at; MOST_LANES];
             packet.iter_mut().enumerate().take(count).for_each(|(lane, sample)| *sample += lane);
-            fit(simd, &fitted, &packet, &mut jets[at..at + count]);
+            let Fitted { samples, stencils, deformed, .. } = self.fitted;
+            neighbours.gather::<S>(samples, stencils, deformed, &packet, FIT_NEIGHBOURS);
+            self.fit(simd, &neighbours, &packet, at..at + count);
         }
     }
 }
 
-/// Fits the samples of a packet.
-#[inline(always)]
-fn fit<S: Simd>(simd: S, fitted: &Fitted<'_>, packet: &[usize; MOST_LANES], jets: &mut [Jet]) {
-    let squares = LeastSquares::gather(simd, fitted, packet);
-    let is_needed = squares.is_needed();
-    if !is_needed.any() {
-        return;
-    }
-    let (mut gradient, mut normal) = ([[0.0; MOST_LANES]; 9], [[0.0; MOST_LANES]; 3]);
-    let normals = fitted.samples.normals();
-    for lane in 0..S::F64_LANES {
-        let columns = fitted.gradient[packet[lane]].to_cols_array();
-        for i in 0..9 {
-            gradient[i][lane] = f64::from(columns[i]);
+impl Fits<'_> {
+    /// Fits the samples of a packet.
+    #[inline(always)]
+    fn fit<S: Simd>(
+        &mut self,
+        simd: S,
+        neighbours: &Neighbours,
+        packet: &[usize; MOST_LANES],
+        places: Range<usize>,
+    ) {
+        let fitted = &self.fitted;
+        let (mut gradient, mut normal) = ([[0.0; MOST_LANES]; 9], [[0.0; MOST_LANES]; 3]);
+        let normals = fitted.samples.normals();
+        for lane in 0..S::F64_LANES {
+            let columns = fitted.gradient[packet[lane]].to_cols_array();
+            for i in 0..9 {
+                gradient[i][lane] = f64::from(columns[i]);
+            }
+            for axis in 0..3 {
+                normal[axis][lane] = f64::from(normals[packet[lane]][axis]);
+            }
         }
+        let squares = LeastSquares::of(simd, neighbours, &gradient);
+        let is_needed = squares.is_needed();
+        if !is_needed.any() {
+            return;
+        }
+        let splat = |x| DoubleLanes::splat(simd, x);
+        let strain = strain(simd, &gradient);
+        let (terms, left, ridge, is_solved) = squares.solve(strain);
+        // What terms explain that noise of this size leaves undetermined is not relied on.
+        let (mut relied_on, mut is_solved) = (left, is_solved);
+        let is_noisy = splat(SMOOTH).less(left);
+        if is_noisy.any() {
+            let noise = splat(NOISE) * (left - splat(SMOOTH)).max(splat(0.0));
+            let (_, ridged, is_found) = squares.ridged(ridge + noise);
+            relied_on = is_noisy.select(ridged, left);
+            is_solved = is_solved.and(is_found);
+        }
+        let doubt = squares.doubt(relied_on).store();
+        let mut bent = splat(0.0);
+        for term in &terms[3..] {
+            bent += square(*term);
+        }
+        let (strained, bent) = (splat(STRAINED) * strain, bent * squares.scale * squares.scale);
+        let off = strained.mul_add(strained, bent).sqrt();
+        let mut across = [off; 3];
         for axis in 0..3 {
-            normal[axis][lane] = f64::from(normals[packet[lane]][axis]);
+            across[axis] = DoubleLanes::load(simd, &normal[axis]) * off;
         }
-    }
-    let splat = |x| DoubleLanes::splat(simd, x);
-    let strain = strain(simd, &gradient);
-    let (terms, left, ridge, is_solved) = squares.solve(strain);
-    // What terms explain that noise of this size leaves undetermined is not relied on.
-    let (mut relied_on, mut is_solved) = (left, is_solved);
-    let is_noisy = splat(SMOOTH).less(left);
-    if is_noisy.any() {
-        let noise = splat(NOISE) * (left - splat(SMOOTH)).max(splat(0.0));
-        let (_, ridged, is_found) = squares.ridged(ridge + noise);
-        relied_on = is_noisy.select(ridged, left);
-        is_solved = is_solved.and(is_found);
-    }
-    let doubt = squares.doubt(relied_on).store();
-    let mut bent = splat(0.0);
-    for term in &terms[3..] {
-        bent += square(*term);
-    }
-    let (strained, bent) = (splat(STRAINED) * strain, bent * squares.scale * squares.scale);
-    let off = strained.mul_add(strained, bent).sqrt();
-    let mut across = [off; 3];
-    for axis in 0..3 {
-        across[axis] = DoubleLanes::load(simd, &normal[axis]) * off;
-    }
-    let open = squares.unresolved(across);
+        let open = squares.unresolved(across);
 
-    let is_fitted = is_needed.and(is_solved).store();
-    let (mut stored, mut unresolved) = ([[[0.0; MOST_LANES]; 3]; TERMS], [[0.0; MOST_LANES]; TERMS]);
-    for a in 0..TERMS {
-        for axis in 0..3 {
-            let scaled = terms[a][axis] * squares.scale;
-            stored[a][axis] = if a < 3 { scaled } else { scaled * squares.scale }.store();
+        let is_fitted = is_needed.and(is_solved).store();
+        let (mut stored, mut unresolved) = ([[[0.0; MOST_LANES]; 3]; TERMS], [[0.0; MOST_LANES]; TERMS]);
+        for a in 0..TERMS {
+            for axis in 0..3 {
+                let scaled = terms[a][axis] * squares.scale;
+                stored[a][axis] = if a < 3 { scaled } else { scaled * squares.scale }.store();
+            }
+            unresolved[a] = open[a].store();
         }
-        unresolved[a] = open[a].store();
-    }
-    for (lane, jet) in jets.iter_mut().enumerate().filter(|(lane, _)| is_fitted[*lane]) {
-        let term = |a: usize| Vec3::from_array(stored[a].map(|numbers| numbers[lane] as f32));
-        let slope = jet.slope + Mat3::from_cols(term(0), term(1), term(2));
-        let second = [3, 4, 5, 6, 7, 8].map(term);
-        if slope.is_finite() && second.iter().all(|h| h.is_finite()) {
-            let unresolved = Unresolved(unresolved.map(|numbers| numbers[lane] as f32));
-            *jet = Jet { slope, second, doubt: doubt[lane], unresolved };
+        for (lane, place) in places.enumerate().filter(|(lane, _)| is_fitted[*lane]) {
+            let term = |a: usize| Vec3::from_array(stored[a].map(|numbers| numbers[lane] as f32));
+            let slope = fitted.gradient[packet[lane]] + Mat3::from_cols(term(0), term(1), term(2));
+            let second = [3, 4, 5, 6, 7, 8].map(term);
+            if slope.is_finite() && second.iter().all(|h| h.is_finite()) {
+                let expansion = &mut self.expansions[place];
+                *expansion = expansion.with_slope(slope - Mat3::IDENTITY).with_second(second);
+                self.unresolved[place] = Unresolved(unresolved.map(|numbers| numbers[lane] as f32));
+                self.doubt[place] = doubt[lane] as f32;
+            }
         }
     }
 }
@@ -340,14 +394,25 @@ mod tests {
             gradient: &gradients.gradient,
         };
         let fit = |by: &dyn Fn(Fits<'_>)| {
-            let mut jets: Vec<Jet> = gradients.gradient.iter().map(|g| Jet::affine(*g)).collect();
-            by(Fits { fitted, first: 0, jets: &mut jets });
-            let numbers = |jet: &Jet| {
-                let terms = jet.second.iter().flat_map(|h| h.to_array()).chain(jet.slope.to_cols_array());
-                let open = [Vec3::X, Vec3::Y, Vec3::Z].map(|d| jet.unresolved.at(d));
-                (terms.chain(open).map(f32::to_bits).collect::<Vec<_>>(), jet.doubt.to_bits())
+            let affine =
+                |(p, g): (&Vec3, &Mat3)| Expansion::new(*p, Vec3::ZERO, *g - Mat3::IDENTITY, [Vec3::ZERO; 6]);
+            let mut expansions: Vec<Expansion> =
+                samples.positions.iter().zip(&gradients.gradient).map(affine).collect();
+            let (mut unresolved, mut doubt) = (vec![Unresolved::default(); 961], vec![0.0; 961]);
+            let (expansions_of, unresolved_of) = (&mut expansions, &mut unresolved);
+            by(Fits {
+                fitted,
+                first: 0,
+                expansions: expansions_of,
+                unresolved: unresolved_of,
+                doubt: &mut doubt,
+            });
+            let numbers = |(e, (open, doubt)): (&Expansion, (&Unresolved, &f32))| {
+                let terms = e.rows().into_iter().flatten();
+                let open = [Vec3::X, Vec3::Y, Vec3::Z].map(|d| open.at(d));
+                (terms.chain(open).map(f32::to_bits).collect::<Vec<_>>(), doubt.to_bits())
             };
-            jets.iter().map(numbers).collect::<Vec<_>>()
+            expansions.iter().zip(unresolved.iter().zip(&doubt)).map(numbers).collect::<Vec<_>>()
         };
         let one_by_one = fit(&|fits| fits.with_simd(pulp::Scalar::new()));
         assert!(fit(&|fits| Arch::new().dispatch(fits)) == one_by_one);
@@ -355,7 +420,7 @@ mod tests {
         if let Some(simd) = pulp::x86::V3::try_new() {
             assert!(fit(&|fits| Simd::vectorize(simd, fits)) == one_by_one);
         }
-        let in_doubt = one_by_one.iter().filter(|(_, doubt)| f64::from_bits(*doubt) > 0.5).count();
+        let in_doubt = one_by_one.iter().filter(|(_, doubt)| f32::from_bits(*doubt) > 0.5).count();
         assert!((10..500).contains(&in_doubt), "{in_doubt}");
     }
 }

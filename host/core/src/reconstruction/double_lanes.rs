@@ -44,6 +44,12 @@ impl<S: Simd> DoubleLanes<S> {
         Self(self.0, self.0.negate_mul_add_f64s(self.1, by.1, from.1))
     }
 
+    /// Its size.
+    #[inline(always)]
+    pub fn abs(self) -> Self {
+        Self(self.0, self.0.abs_f64s(self.1))
+    }
+
     /// Its square root.
     #[inline(always)]
     pub fn sqrt(self) -> Self {
@@ -73,6 +79,24 @@ impl<S: Simd> DoubleLanes<S> {
     pub fn less(self, than: Self) -> DoubleMask<S> {
         DoubleMask(self.0, self.0.less_than_f64s(self.1, than.1))
     }
+}
+
+/// One number for each sample and coordinate.
+pub type Triple<S> = [DoubleLanes<S>; 3];
+
+/// The kernel 1 - 3t² + 2t³ of distances as parts of its radius, nothing beyond.
+#[inline(always)]
+pub fn kernel<S: Simd>(simd: S, t: DoubleLanes<S>) -> DoubleLanes<S> {
+    let one = DoubleLanes::splat(simd, 1.0);
+    let t = t.min(one);
+    let rest = t.mul_add(DoubleLanes::splat(simd, 2.0), DoubleLanes::splat(simd, -3.0));
+    (t * t).mul_add(rest, one)
+}
+
+/// The squares of lengths.
+#[inline(always)]
+pub fn square<S: Simd>(d: Triple<S>) -> DoubleLanes<S> {
+    d[0].mul_add(d[0], d[1].mul_add(d[1], d[2] * d[2]))
 }
 
 /// Whether something holds, for each sample of a packet.

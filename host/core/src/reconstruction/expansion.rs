@@ -1,5 +1,6 @@
 //! A second-order Taylor expansion of the deformation about a sample: what is blended.
 
+use bytemuck::Zeroable;
 use glam::{Mat3, Vec3};
 use serde::{Deserialize, Serialize};
 
@@ -125,7 +126,7 @@ impl Expansion {
 }
 
 /// A support that reaches the vertices of a home.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize, Zeroable)]
 pub struct Reaching {
     /// Vertices nearer to the home's sample than this are not reached.
     pub from: f32,

@@ -5,18 +5,32 @@
 //! but how the map bends, which looks like shear across the plane: the plane's normal goes to the new normal,
 //! scaled by the root of the change of area, as a similarity does. Where the surface has relief, its
 //! neighbours off the plane tell more than the prior, and outweigh it.
+//!
+//! As many samples are fitted at once as the processor's vector registers take, each by the same operations in
+//! the same order on any processor.
+
+#![expect(
+    clippy::needless_range_loop,
+    reason = "vectors are compiled for the processor only where they are inlined"
+)]
 
 use glam::{DMat3, DQuat, DVec3, Mat3, Vec3};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::Transport;
+use super::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES, Triple, kernel, square};
+use super::eigen_lanes::{cross, dot, symmetric_eigen};
+use super::packets::{Neighbours, Place, triple};
 use super::sheets::Sheets;
 use super::stencils::Stencils;
-use crate::geometry::{hermite, symmetric_eigen};
 use crate::sampling::SampleSet;
 
 /// Neighbours in a fit: two rings.
 const FIT_NEIGHBOURS: usize = 16;
+
+/// Samples that are fitted by one job.
+const TOGETHER: usize = 64;
 
 /// Neighbours whose extent across their line is below this part of that along it are collinear.
 const COLLINEAR: f64 = 1e-3;
@@ -51,15 +65,19 @@ impl Gradients {
     /// Fits all samples, to those of their own sheets first, which tell whom each may borrow besides.
     pub fn fit<'a>(samples: &SampleSet, sheets: &'a Sheets, deformed: &[Vec3]) -> (Self, Stencils<'a>) {
         let own = Stencils::own(sheets);
-        let fit = |stencils: &Stencils<'_>, i: usize| {
-            let (gradient, side) = fit_one(samples, stencils, deformed, i);
-            (gradient.as_mat3(), side.map(|side| side as f32))
-        };
-        let mut fits: Vec<(Mat3, Option<f32>)> =
-            (0..samples.len()).into_par_iter().map(|i| fit(&own, i)).collect();
+        let mut fits = vec![(Mat3::IDENTITY, None); samples.len()];
+        fits.par_chunks_mut(TOGETHER).enumerate().for_each(|(chunk, fits)| {
+            let first = (chunk * TOGETHER) as u32;
+            let all: Vec<u32> = (first..first + fits.len() as u32).collect();
+            Arch::new().dispatch(Fits { samples, stencils: &own, deformed, all: &all, fits });
+        });
         let stencils = Stencils::borrowing(samples, sheets, deformed, |i| fits[i].0);
-        let again = stencils.borrowers().into_par_iter().map(|i| (i, fit(&stencils, i as usize)));
-        for (i, fit) in again.collect::<Vec<_>>() {
+        let borrowers = stencils.borrowers();
+        let mut again = vec![(Mat3::IDENTITY, None); borrowers.len()];
+        again.par_chunks_mut(TOGETHER).zip(borrowers.par_chunks(TOGETHER)).for_each(|(fits, all)| {
+            Arch::new().dispatch(Fits { samples, stencils: &stencils, deformed, all, fits });
+        });
+        for (i, fit) in borrowers.into_iter().zip(again) {
             fits[i as usize] = fit;
         }
         let (gradient, sides): (Vec<Mat3>, Vec<Option<f32>>) = fits.into_iter().unzip();
@@ -75,78 +93,222 @@ impl Gradients {
 }
 
 /// The gradient at a sample, and, where its neighbours tell it, the sign of its determinant.
-fn fit_one(
-    samples: &SampleSet,
-    stencils: &Stencils<'_>,
-    deformed: &[Vec3],
-    i: usize,
-) -> (DMat3, Option<f64>) {
-    let (near, radius) = stencils.around(&samples.positions, i, FIT_NEIGHBOURS);
-    let (q, q_star) = (samples.positions[i], deformed[i]);
-    if near.iter().all(|j| samples.positions[*j as usize] == deformed[*j as usize]) && q == q_star {
-        return (DMat3::IDENTITY, Some(1.0));
-    }
+type Fit = (Mat3, Option<f32>);
 
-    let (mut a, mut b, mut weights) = (DMat3::ZERO, DMat3::ZERO, 0.0);
-    for j in near {
-        let j = *j as usize;
-        let d = samples.positions[j] - q;
-        let w = f64::from(hermite(d.length() / radius.max(f32::MIN_POSITIVE)));
-        let (d, d_star) = (d.as_dvec3(), deformed[j].as_dvec3() - q_star.as_dvec3());
-        a += outer(d, d) * w;
-        b += outer(d_star, d) * w;
-        weights += w;
-    }
-
-    let (spread, axes) = symmetric_eigen(a);
-    let (across, e2, e1) = (axes.x_axis, axes.y_axis, axes.z_axis);
-    if !(spread.z > 0.0 && spread.z.is_finite()) {
-        return (DMat3::IDENTITY, None);
-    }
-    let v1 = b * e1 / spread.z;
-    if spread.y > COLLINEAR * COLLINEAR * spread.z {
-        let v2 = b * e2 / spread.y;
-        let turned = v1.cross(v2);
-        if let Some(normal) = turned.try_normalize() {
-            // Right-handed, as the image is.
-            let across = across * e1.cross(e2).dot(across).signum();
-            let prior = normal * turned.length().sqrt();
-            let whole = spread.x + spread.y + spread.z;
-            let held = |ridge: f64| {
-                (b + outer(prior, across) * ridge) * (a + outer(across, across) * ridge).inverse()
-            };
-            let explains = |f: DMat3| {
-                near.iter().all(|j| {
-                    let (j, q) = (*j as usize, q.as_dvec3());
-                    let d_star = deformed[j].as_dvec3() - q_star.as_dvec3();
-                    (f * (samples.positions[j].as_dvec3() - q) - d_star).length() < ROUNDING
-                })
-            };
-            let side_of = |f: DMat3| (spread.x > RELIEF * whole).then(|| f.determinant().signum());
-            // Where the prior explains all neighbours to rounding, the little that they tell is rounding;
-            // where an affine map does, nearly without the prior, they tell that it is one.
-            let by_prior = held(PRIOR * whole);
-            if explains(by_prior) {
-                return (by_prior, side_of(by_prior));
-            }
-            let by_neighbours = held(LEAST_PRIOR * weights);
-            let f = if explains(by_neighbours) { by_neighbours } else { by_prior };
-            if f.is_finite() {
-                return (f, side_of(by_neighbours));
-            }
-        }
-    }
-    // Samples on a line, before or after: turned and stretched as the line is, by the least rotation.
-    let along = match v1.try_normalize() {
-        Some(v) => DMat3::from_quat(DQuat::from_rotation_arc(e1, v)) * v1.length(),
-        None => DMat3::IDENTITY,
-    };
-    (along, None)
+/// Fits samples, one fit for each.
+struct Fits<'a> {
+    samples: &'a SampleSet,
+    stencils: &'a Stencils<'a>,
+    deformed: &'a [Vec3],
+    all: &'a [u32],
+    fits: &'a mut [Fit],
 }
 
-/// a bᵀ
-fn outer(a: DVec3, b: DVec3) -> DMat3 {
-    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
+impl WithSimd for Fits<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { samples, stencils, deformed, all, fits } = self;
+        let mut neighbours = Neighbours::default();
+        for at in (0..all.len()).step_by(S::F64_LANES) {
+            let count = S::F64_LANES.min(all.len() - at);
+            let mut packet = [all[at] as usize; MOST_LANES];
+            for lane in 0..count {
+                packet[lane] = all[at + lane] as usize;
+            }
+            neighbours.gather::<S>(samples, stencils, deformed, &packet, FIT_NEIGHBOURS);
+            fit(simd, &neighbours, &mut fits[at..at + count]);
+        }
+    }
+}
+
+/// Weighted sums over the neighbours of each sample.
+struct Sums<S: Simd> {
+    /// Of the products of their ways: xx, yy, zz, and xy, xz, yz.
+    diagonal: Triple<S>,
+    off: Triple<S>,
+    /// Of the products of the moved ways with the ways, column by column.
+    images: [Triple<S>; 3],
+    weights: DoubleLanes<S>,
+}
+
+impl<S: Simd> Sums<S> {
+    #[inline(always)]
+    fn of(simd: S, neighbours: &Neighbours) -> Self {
+        let zero = DoubleLanes::splat(simd, 0.0);
+        let mut sums = Self { diagonal: [zero; 3], off: [zero; 3], images: [[zero; 3]; 3], weights: zero };
+        let scale = DoubleLanes::load(simd, &neighbours.scale);
+        for place in 0..neighbours.longest {
+            let Place { is_there, way, moved } = &neighbours.places[place];
+            let (d, moved) = (triple(simd, way), triple(simd, moved));
+            let t = square(d).sqrt() * scale;
+            let w = DoubleLanes::load(simd, is_there) * kernel(simd, t);
+            let weighted = [w * d[0], w * d[1], w * d[2]];
+            for (at, [a, b]) in [[0, 1], [0, 2], [1, 2]].into_iter().enumerate() {
+                sums.diagonal[at] = weighted[at].mul_add(d[at], sums.diagonal[at]);
+                sums.off[at] = weighted[a].mul_add(d[b], sums.off[at]);
+            }
+            for column in 0..3 {
+                for axis in 0..3 {
+                    sums.images[column][axis] =
+                        weighted[column].mul_add(moved[axis], sums.images[column][axis]);
+                }
+            }
+            sums.weights += w;
+        }
+        sums
+    }
+
+    /// The sum of the moved ways, by their products with the ways and a direction.
+    #[inline(always)]
+    fn along(&self, direction: Triple<S>) -> Triple<S> {
+        let [x, y, z] = direction;
+        let mut sum = [x; 3];
+        for axis in 0..3 {
+            let [a, b, c] = [self.images[0][axis], self.images[1][axis], self.images[2][axis]];
+            sum[axis] = a * x + b * y + c * z;
+        }
+        sum
+    }
+}
+
+/// Fits the samples of a packet.
+#[inline(always)]
+fn fit<S: Simd>(simd: S, neighbours: &Neighbours, fits: &mut [Fit]) {
+    if neighbours.is_still == [true; MOST_LANES] {
+        fits.fill((Mat3::IDENTITY, Some(1.0)));
+        return;
+    }
+    let splat = |x| DoubleLanes::splat(simd, x);
+    let zero = splat(0.0);
+    let sums = Sums::of(simd, neighbours);
+    let (spread, [across, e2, e1]) = symmetric_eigen(simd, sums.diagonal, sums.off);
+    let is_spread = zero.less(spread[2]).and(spread[2].less(splat(f64::INFINITY)));
+    let is_planar = (splat(COLLINEAR * COLLINEAR) * spread[2]).less(spread[1]);
+    let v1 = divided(sums.along(e1), spread[2]);
+    let v2 = divided(sums.along(e2), spread[1]);
+    let turned = cross(v1, v2);
+    let area = square(turned).sqrt();
+    let is_turned = zero.less(area).and(area.less(splat(f64::INFINITY)));
+    // Right-handed, as the image is.
+    let is_left = dot(cross(e1, e2), across).less(zero);
+    let mut prior = turned;
+    let mut normal = across;
+    for axis in 0..3 {
+        normal[axis] = is_left.select(zero - across[axis], across[axis]);
+        prior[axis] = turned[axis] / area.sqrt();
+    }
+    // The axes are those of the fit with a ridge as well, which changes the direction across alone.
+    let whole = spread[0] + spread[1] + spread[2];
+    let image = sums.along(normal);
+    let by_prior = held(image, prior, spread[0], splat(PRIOR) * whole);
+    let by_neighbours = held(image, prior, spread[0], splat(LEAST_PRIOR) * sums.weights);
+    // Where the prior explains all neighbours to rounding, the little that they tell is rounding; where an
+    // affine map does, nearly without the prior, they tell that it is one.
+    let [prior_explains, neighbours_explain] =
+        explained(simd, neighbours, [(e1, v1), (e2, v2)], normal, [by_prior, by_neighbours]);
+    let mut third = by_prior;
+    for axis in 0..3 {
+        let other = neighbours_explain.select(by_neighbours[axis], by_prior[axis]);
+        third[axis] = prior_explains.select(by_prior[axis], other);
+    }
+    let side = prior_explains.select(dot(turned, by_prior), dot(turned, by_neighbours));
+    let tells_side = (splat(RELIEF) * whole).less(spread[0]);
+
+    let mut columns = [[zero; 3]; 3];
+    for column in 0..3 {
+        for axis in 0..3 {
+            let along = v1[axis] * e1[column] + v2[axis] * e2[column];
+            columns[column][axis] = third[axis].mul_add(normal[column], along);
+        }
+    }
+    let columns = [stored(columns[0]), stored(columns[1]), stored(columns[2])];
+    let is_plane = is_spread.and(is_planar).and(is_turned).store();
+    let (is_spread, tells_side, side) = (is_spread.store(), tells_side.store(), side.store());
+    let (e1, v1) = (stored(e1), stored(v1));
+    for (lane, fit) in fits.iter_mut().enumerate() {
+        let of_lane = |numbers: &[[f64; MOST_LANES]; 3]| DVec3::from_array(numbers.map(|n| n[lane]));
+        let f = DMat3::from_cols(of_lane(&columns[0]), of_lane(&columns[1]), of_lane(&columns[2]));
+        *fit = if neighbours.is_still[lane] {
+            (Mat3::IDENTITY, Some(1.0))
+        } else if !is_spread[lane] {
+            (Mat3::IDENTITY, None)
+        } else if is_plane[lane] && f.is_finite() {
+            (f.as_mat3(), tells_side[lane].then_some(side[lane].signum() as f32))
+        } else {
+            (on_a_line(of_lane(&e1), of_lane(&v1)).as_mat3(), None)
+        };
+    }
+}
+
+/// The image of the direction across, of which the neighbours' spread tells one, with a ridge to a prior.
+#[inline(always)]
+fn held<S: Simd>(
+    image: Triple<S>,
+    prior: Triple<S>,
+    spread: DoubleLanes<S>,
+    ridge: DoubleLanes<S>,
+) -> Triple<S> {
+    let mut held = image;
+    for axis in 0..3 {
+        held[axis] = prior[axis].mul_add(ridge, image[axis]) / (spread + ridge);
+    }
+    held
+}
+
+/// Samples on a line, before or after: turned and stretched as the line is, by the least rotation.
+fn on_a_line(e1: DVec3, v1: DVec3) -> DMat3 {
+    match v1.try_normalize() {
+        Some(v) => DMat3::from_quat(DQuat::from_rotation_arc(e1, v)) * v1.length(),
+        None => DMat3::IDENTITY,
+    }
+}
+
+/// Where maps explain all neighbours of a sample to rounding: two, that have the images of the axes along the plane
+/// in common, and each its own of the normal.
+#[inline(always)]
+fn explained<S: Simd>(
+    simd: S,
+    neighbours: &Neighbours,
+    axes: [(Triple<S>, Triple<S>); 2],
+    normal: Triple<S>,
+    images: [Triple<S>; 2],
+) -> [DoubleMask<S>; 2] {
+    let splat = |x| DoubleLanes::splat(simd, x);
+    let limit = splat(ROUNDING * ROUNDING);
+    let mut explained = [splat(0.0).less(limit); 2];
+    for place in 0..neighbours.longest {
+        let Place { way, moved, .. } = &neighbours.places[place];
+        let (d, mut left) = (triple(simd, way), triple(simd, moved));
+        for at in 0..2 {
+            let (axis, image) = axes[at];
+            let along = dot(d, axis);
+            for i in 0..3 {
+                left[i] = image[i].negate_mul_add(along, left[i]);
+            }
+        }
+        let along = dot(d, normal);
+        for map in 0..2 {
+            let mut left = left;
+            for i in 0..3 {
+                left[i] = images[map][i].negate_mul_add(along, left[i]);
+            }
+            explained[map] = explained[map].and(square(left).less(limit));
+        }
+    }
+    explained
+}
+
+/// Vectors over numbers.
+#[inline(always)]
+fn divided<S: Simd>(v: Triple<S>, by: DoubleLanes<S>) -> Triple<S> {
+    [v[0] / by, v[1] / by, v[2] / by]
+}
+
+#[inline(always)]
+fn stored<S: Simd>(v: Triple<S>) -> [[f64; MOST_LANES]; 3] {
+    [v[0].store(), v[1].store(), v[2].store()]
 }
 
 #[cfg(test)]
@@ -181,6 +343,38 @@ mod tests {
             assert!(f.abs_diff_eq(expected, 1e-3), "{i}: {f} is not {expected}");
             assert!(gradients.normal[i].distance(rotation * set.normals()[i]) < 1e-3);
         }
+    }
+
+    #[test]
+    fn fits_have_the_same_bits_with_any_vectors() {
+        // Some stay where they are, and some come to lie on a line.
+        let samples = SampleSet::new(patch(), Vec::new()).expect("samples");
+        samples.prepare();
+        let bend = |p: Vec3| match p.z {
+            z if z < 0.3 => p,
+            z if z > 0.8 => Vec3::X * p.x,
+            _ => Vec3::new(p.x, p.y + p.x * p.z, p.z * 1.2 - p.y * p.y),
+        };
+        let deformed: Vec<Vec3> = samples.positions.iter().map(|p| bend(*p)).collect();
+        let sheets = Sheets::of(&samples);
+        let stencils = Stencils::own(&sheets);
+        let all: Vec<u32> = (0..samples.len() as u32).collect();
+        let fit = |by: &dyn Fn(Fits<'_>)| {
+            let mut fits = vec![(Mat3::IDENTITY, None); samples.len()];
+            let (samples, stencils, deformed) = (&samples, &stencils, &deformed[..]);
+            by(Fits { samples, stencils, deformed, all: &all, fits: &mut fits });
+            let bits = |(f, side): &Fit| (f.to_cols_array().map(f32::to_bits), side.map(f32::to_bits));
+            fits.iter().map(bits).collect::<Vec<_>>()
+        };
+        let one_by_one = fit(&|fits| fits.with_simd(pulp::Scalar::new()));
+        assert!(fit(&|fits| Arch::new().dispatch(fits)) == one_by_one);
+        #[cfg(target_arch = "x86_64")]
+        if let Some(simd) = pulp::x86::V3::try_new() {
+            assert!(fit(&|fits| Simd::vectorize(simd, fits)) == one_by_one);
+        }
+        let still = Mat3::IDENTITY.to_cols_array().map(f32::to_bits);
+        let moving = one_by_one.iter().filter(|(f, _)| *f != still).count();
+        assert!((300..800).contains(&moving), "{moving}");
     }
 
     #[test]

@@ -5,6 +5,8 @@
 //! its middle best. That one, or one of its neighbours, is the home. Where several sheets of the surface are
 //! near, it may be on the wrong one: there the home is the sample whose tangent plane the place lies near.
 
+use std::sync::OnceLock;
+
 use glam::{BVec3, UVec3, Vec3, Vec4};
 use rayon::prelude::*;
 
@@ -54,8 +56,9 @@ pub struct Cells {
     parted: Vec<[u32; 8]>,
     /// Centre of each support, and one over the square of its radius.
     supports: Vec<Vec4>,
-    /// For each node of the samples' tree, the largest radius below it.
-    largest: Vec<f32>,
+    /// For each node of the samples' tree, the largest radius below it: found when a place is first looked up that
+    /// no support near it reaches.
+    largest: OnceLock<Vec<f32>>,
 }
 
 impl Cells {
@@ -78,7 +81,7 @@ impl Cells {
             scale: (1 << LEVELS) as f32 / edge,
             parted: Vec::new(),
             supports: supports.collect(),
-            largest: samples.largest_below(radius),
+            largest: OnceLock::new(),
         };
         let whole = Cell { corner, edge, level: 0 };
         let growing = Growing { supports: &cells.supports, radius };
@@ -333,7 +336,8 @@ impl<'a> Homes<'a> {
         if least < 1.0 {
             return best;
         }
-        let deepest = self.samples.deepest(p, self.radius, &self.cells.largest);
+        let largest = self.cells.largest.get_or_init(|| self.samples.largest_below(self.radius));
+        let deepest = self.samples.deepest(p, self.radius, largest);
         deepest.unwrap_or_else(|| self.samples.nearest(p))
     }
 

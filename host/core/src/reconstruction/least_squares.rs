@@ -13,14 +13,12 @@
     reason = "vectors are compiled for the processor only where they are inlined"
 )]
 
-use glam::{Mat3, Vec3};
+use glam::Vec3;
 use pulp::Simd;
 
-use super::blended_jets::FIT_NEIGHBOURS;
-use super::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES};
+use super::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES, Triple, kernel, square};
 use super::gradients::ROUNDING;
-use super::stencils::Stencils;
-use crate::sampling::SampleSet;
+use super::packets::{Neighbours, Place, triple};
 
 /// The largest ridge, relative to terms of the size of the neighbourhood ...
 const RIDGE: f64 = 1e-7;
@@ -62,20 +60,8 @@ impl Unresolved {
     }
 }
 
-/// One number for each sample and coordinate.
-pub type Triple<S> = [DoubleLanes<S>; 3];
-
 /// The terms of the three coordinates.
 pub type Terms<S> = [Triple<S>; TERMS];
-
-/// What is fitted: samples, and the gradient at each that the fit goes beyond.
-#[derive(Clone, Copy)]
-pub struct Fitted<'a> {
-    pub samples: &'a SampleSet,
-    pub stencils: &'a Stencils<'a>,
-    pub deformed: &'a [Vec3],
-    pub gradient: &'a [Mat3],
-}
 
 /// The squares of what the affine map leaves over at the neighbours of each sample, to be explained by the terms
 /// in units of the neighbourhood's radius.
@@ -97,43 +83,18 @@ pub struct LeastSquares<S: Simd> {
     variation: DoubleLanes<S>,
 }
 
-/// The neighbours of several samples that come at one place in their lists, as ways from the samples.
-struct Neighbours {
-    /// 1, or 0 where a list is over.
-    is_there: [f64; MOST_LANES],
-    way: [[f64; MOST_LANES]; 3],
-    /// The same after the deformation.
-    moved: [[f64; MOST_LANES]; 3],
-}
-
 impl<S: Simd> LeastSquares<S> {
-    /// Gathers the neighbours of as many samples as there are lanes.
+    /// Of the neighbours of as many samples as there are lanes, and the gradients there, column by column.
     #[inline(always)]
-    pub fn gather(simd: S, fitted: &Fitted<'_>, packet: &[usize; MOST_LANES]) -> Self {
-        let Fitted { samples, stencils, deformed, gradient } = *fitted;
+    pub fn of(simd: S, neighbours: &Neighbours, gradient: &[[f64; MOST_LANES]; 9]) -> Self {
         let zero = DoubleLanes::splat(simd, 0.0);
-        let (mut lists, mut scale, mut longest) = ([&[][..]; MOST_LANES], [1.0; MOST_LANES], 0);
-        let mut prior = [[0.0; MOST_LANES]; 9];
-        for lane in 0..S::F64_LANES {
-            let (near, radius) = stencils.around(&samples.positions, packet[lane], FIT_NEIGHBOURS);
-            // Of neighbours that all lie at one place, nothing can be told.
-            if radius > 0.0 {
-                scale[lane] = 1.0 / f64::from(radius);
-                (lists[lane], longest) = (near, near.len().max(longest));
-            }
-            let columns = gradient[packet[lane]].to_cols_array();
-            for i in 0..9 {
-                prior[i][lane] = f64::from(columns[i]);
-            }
-        }
-        let scale = DoubleLanes::load(simd, &scale);
         let mut slope = [zero; 9];
         for i in 0..9 {
-            slope[i] = DoubleLanes::load(simd, &prior[i]);
+            slope[i] = DoubleLanes::load(simd, &gradient[i]);
         }
         let mut sums = Self {
             simd,
-            scale,
+            scale: DoubleLanes::load(simd, &neighbours.scale),
             matrix: [[zero; TERMS]; TERMS],
             right: [[zero; 3]; TERMS],
             weights: zero,
@@ -143,32 +104,17 @@ impl<S: Simd> LeastSquares<S> {
             variation: zero,
         };
         let mut moments = Moments { second: [zero; 6], third: [zero; 10], fourth: [zero; 15] };
-        let nobody = [[0.0; MOST_LANES]; 3];
-        for place in 0..longest {
-            let mut all = Neighbours { is_there: [0.0; MOST_LANES], way: nobody, moved: nobody };
-            for lane in 0..S::F64_LANES {
-                if place < lists[lane].len() {
-                    let (i, j) = (packet[lane], lists[lane][place] as usize);
-                    let way = samples.positions[j] - samples.positions[i];
-                    all.is_there[lane] = 1.0;
-                    for axis in 0..3 {
-                        all.way[axis][lane] = f64::from(way[axis]);
-                        all.moved[axis][lane] = f64::from(deformed[j][axis]) - f64::from(deformed[i][axis]);
-                    }
-                }
-            }
-            sums.include(&slope, &all, &mut moments);
+        for place in 0..neighbours.longest {
+            sums.include(&slope, &neighbours.places[place], &mut moments);
         }
         sums.matrix = moments.products(zero);
         sums
     }
 
     #[inline(always)]
-    fn include(&mut self, slope: &[DoubleLanes<S>; 9], all: &Neighbours, moments: &mut Moments<S>) {
+    fn include(&mut self, slope: &[DoubleLanes<S>; 9], place: &Place, moments: &mut Moments<S>) {
         let simd = self.simd;
-        let load = |numbers| DoubleLanes::load(simd, numbers);
-        let d = [load(&all.way[0]), load(&all.way[1]), load(&all.way[2])];
-        let moved = [load(&all.moved[0]), load(&all.moved[1]), load(&all.moved[2])];
+        let (d, moved) = (triple(simd, &place.way), triple(simd, &place.moved));
         let mut left = moved;
         for axis in 0..3 {
             for column in 0..3 {
@@ -176,13 +122,9 @@ impl<S: Simd> LeastSquares<S> {
             }
         }
         let x = [d[0] * self.scale, d[1] * self.scale, d[2] * self.scale];
-        // The kernel 1 - 3t² + 2t³.
-        let one = DoubleLanes::splat(simd, 1.0);
-        let t = square(x).sqrt().min(one);
-        let rest = t.mul_add(DoubleLanes::splat(simd, 2.0), DoubleLanes::splat(simd, -3.0));
-        let w = load(&all.is_there) * (t * t).mul_add(rest, one);
+        let w = DoubleLanes::load(simd, &place.is_there) * kernel(simd, square(x).sqrt());
 
-        let mut second = [one; 6];
+        let mut second = [w; 6];
         for (to, [a, b]) in second.iter_mut().zip(FACTORS) {
             *to = x[a] * x[b];
         }
@@ -427,10 +369,4 @@ impl<S: Simd> Factor<S> {
         }
         right
     }
-}
-
-/// The squares of lengths.
-#[inline(always)]
-pub fn square<S: Simd>(d: Triple<S>) -> DoubleLanes<S> {
-    d[0].mul_add(d[0], d[1].mul_add(d[1], d[2] * d[2]))
 }

@@ -10,13 +10,13 @@
 //! Where the model's faces have told who is on whose sheet ([`Contacts`](crate::touching::Contacts)), what
 //! they say holds.
 
-use std::ops::Range;
-
 use glam::Vec3;
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::sampling::SampleSet;
+use super::lanes::{Lanes, triple};
+use crate::sampling::{NEIGHBOURS, NeighbourGraph, SampleSet};
 
 /// Most neighbours of a sample on its sheet.
 pub const SHEET_NEIGHBOURS: usize = 32;
@@ -26,6 +26,9 @@ pub const CROWDED_NEIGHBOURS: usize = 96;
 
 /// How much more a distance across the surface counts than one along it.
 const STACKED: f32 = 10.0;
+
+/// Samples that are linked by one job.
+const TOGETHER: usize = 256;
 
 /// Links of each sample: a ring.
 const LINKS: usize = 6;
@@ -45,15 +48,22 @@ const ACROSS: f32 = 0.5;
 /// The place of a sample that has none.
 const NOWHERE: u8 = u8::MAX;
 
+/// The list of a sample that has the graph's.
+const NONE: u32 = u32::MAX;
+
 /// The neighbours of each sample on its own sheet.
 ///
-/// Memory: at most 133 bytes per sample; where faces have told sheets apart, 4 more, and 128 for each sample
-/// near which they meet.
+/// Memory: beside the graph, 4 bytes per sample, and at most 132 for each near which there is another sheet; where
+/// faces have told sheets apart, 4 more, and 128 for each sample near which they meet.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Sheets {
+    /// Of the nearest in space: those of most samples are all on the sheet.
+    graph: NeighbourGraph,
+    /// The list of each sample that has one of its own; [`NONE`] of all others.
+    list: Vec<u32>,
+    /// Where the lists begin, and the last ends.
     starts: Vec<u32>,
     neighbours: Vec<u32>,
-    crowded: Vec<bool>,
     /// Where the strangers of each sample begin; empty where there are none at all.
     stranger_starts: Vec<u32>,
     strangers: Vec<u32>,
@@ -63,8 +73,10 @@ impl Sheets {
     /// Of samples that are [prepared](SampleSet::prepare).
     pub fn of(samples: &SampleSet) -> Self {
         let (positions, normals, graph) = (&samples.positions[..], samples.normals(), samples.neighbours());
-        let links: Vec<[u32; LINKS]> =
-            (0..samples.len()).into_par_iter().map(|i| links(positions, normals, graph.of(i), i)).collect();
+        let mut links = vec![Links::default(); samples.len()];
+        links.par_chunks_mut(TOGETHER).enumerate().for_each(|(chunk, links)| {
+            Arch::new().dispatch(Linking { positions, normals, graph, first: chunk * TOGETHER, links });
+        });
         let nowhere = || vec![NOWHERE; samples.len()];
         let alone = |places: &mut Vec<u8>, i: usize| {
             let told = samples.contacts().and_then(|contacts| contacts.same_sheet(i));
@@ -72,7 +84,7 @@ impl Sheets {
                 return Some(same.to_vec());
             }
             let near = graph.of(i);
-            if near.iter().all(|j| surely_along(positions, normals, i, *j as usize))
+            if links[i].are_all_beside
                 || are_linked(&links, i, near, places)
                 || reached(&links, i, near, places).count() == near.len()
             {
@@ -87,22 +99,30 @@ impl Sheets {
             // turn: mostly the normal is wrong.
             (same.len() >= LEAST && same[..] != near[..same.len()]).then_some(same)
         };
-        let (mut starts, mut neighbours) = (vec![0], Vec::with_capacity(samples.len() * graph.k()));
-        let mut crowded = Vec::with_capacity(samples.len());
-        for block in blocks(samples.len()) {
-            let lists: Vec<Option<Vec<u32>>> =
-                block.clone().into_par_iter().map_init(nowhere, alone).collect();
-            for (i, same) in block.zip(&lists) {
-                neighbours.extend_from_slice(same.as_deref().unwrap_or(graph.of(i)));
-                starts.push(neighbours.len() as u32);
-                crowded.push(same.is_some());
-            }
-        }
+        let own = |places: &mut Vec<u8>, i: usize| alone(places, i).map(|same| (i as u32, same));
+        let own = (0..samples.len()).into_par_iter().map_init(nowhere, own).flatten_iter();
         let (stranger_starts, strangers) = Default::default();
-        let mut sheets = Self { starts, neighbours, crowded, stranger_starts, strangers };
+        let mut sheets = Self {
+            graph: graph.clone(),
+            list: vec![NONE; samples.len()],
+            starts: vec![0],
+            neighbours: Vec::new(),
+            stranger_starts,
+            strangers,
+        };
+        for (i, same) in own.collect::<Vec<(u32, Vec<u32>)>>() {
+            sheets.push(i as usize, &same);
+        }
         sheets.leave_out_denied(positions);
         sheets.note_strangers(samples);
         sheets
+    }
+
+    /// Gives a sample a list of its own.
+    fn push(&mut self, i: usize, list: &[u32]) {
+        self.list[i] = self.starts.len() as u32 - 1;
+        self.neighbours.extend_from_slice(list);
+        self.starts.push(self.neighbours.len() as u32);
     }
 
     /// Notes who of the nearest in space is on another sheet, where the faces have told.
@@ -124,40 +144,33 @@ impl Sheets {
     /// Leaves out neighbours on whose sheets the sample is not: those of a roof, which the walls below link
     /// to the ground around a sample there, while from the roof only the roof is reached.
     ///
-    /// Memory: four bytes per sample, for the time.
+    /// Memory: as much again as for the lists, for the time.
     fn leave_out_denied(&mut self, positions: &[Vec3]) {
-        if !self.crowded.contains(&true) {
+        if self.neighbours.is_empty() {
             return;
         }
         let lists = &*self;
-        // A bit for each neighbour.
-        let denied = |i: usize| -> u32 {
+        // The list without those, if there are any, or if it is one of its own.
+        let left = |i: usize| -> Option<(u32, Vec<u32>)> {
             let list = lists.of_sample(i);
-            let bit = |(at, j): (usize, &u32)| u32::from(lists.denies(positions, *j as usize, i)) << at;
-            let denied: u32 = list.iter().enumerate().map(bit).sum();
-            if list.len() >= ENOUGH + denied.count_ones() as usize { denied } else { 0 }
-        };
-        let denied: Vec<u32> = (0..lists.crowded.len()).into_par_iter().map(denied).collect();
-        let (mut from, mut to) = (0, 0);
-        for (i, denied) in denied.into_iter().enumerate() {
-            let end = self.starts[i + 1] as usize;
-            for at in 0..end - from {
-                if denied >> at & 1 == 0 {
-                    self.neighbours[to] = self.neighbours[from + at];
-                    to += 1;
-                }
+            let is_denied = |j: &u32| lists.denies(positions, *j as usize, i);
+            let denied = list.iter().filter(|j| is_denied(j)).count();
+            if denied > 0 && list.len() >= ENOUGH + denied {
+                return Some((i as u32, list.iter().copied().filter(|j| !is_denied(j)).collect()));
             }
-            self.crowded[i] |= denied != 0;
-            self.starts[i + 1] = to as u32;
-            from = end;
+            lists.is_crowded(i).then(|| (i as u32, list.to_vec()))
+        };
+        let all: Vec<(u32, Vec<u32>)> = (0..lists.list.len()).into_par_iter().filter_map(left).collect();
+        (self.starts, self.neighbours) = (vec![0], Vec::with_capacity(self.neighbours.len()));
+        for (i, list) in all {
+            self.push(i as usize, &list);
         }
-        self.neighbours.truncate(to);
     }
 
     /// Whether sample `j`, beside which there are several sheets, knows that sample `i` is not on its own: it
     /// is nearer than others that are.
     fn denies(&self, positions: &[Vec3], j: usize, i: usize) -> bool {
-        if !self.crowded[j] {
+        if !self.is_crowded(j) {
             return false;
         }
         let same = self.of_sample(j);
@@ -167,24 +180,38 @@ impl Sheets {
 
     /// Whether it is of so many samples: one that was read may be anything.
     pub fn is_valid(&self, samples: usize) -> bool {
-        self.crowded.len() == samples
-            && are_lists(&self.starts, samples, self.neighbours.len())
+        let lists = self.starts.len().saturating_sub(1);
+        self.graph.is_valid(samples)
+            && self.list.len() == samples
+            && self.list.iter().all(|list| *list == NONE || (*list as usize) < lists)
+            && are_lists(&self.starts, lists, self.neighbours.len())
             && self.starts.windows(2).all(|s| s[1] - s[0] <= SHEET_NEIGHBOURS as u32)
             && self.neighbours.iter().chain(&self.strangers).all(|j| (*j as usize) < samples)
             && (self.stranger_starts.is_empty() && self.strangers.is_empty()
                 || are_lists(&self.stranger_starts, samples, self.strangers.len()))
     }
 
+    /// The nearest neighbours in space, whatever their sheets are.
+    pub fn graph(&self) -> &NeighbourGraph {
+        &self.graph
+    }
+
     /// The neighbours of sample `i` on its sheet, nearest first, without itself.
     #[inline]
     pub fn of_sample(&self, i: usize) -> &[u32] {
-        &self.neighbours[self.starts[i] as usize..self.starts[i + 1] as usize]
+        match self.list[i] {
+            NONE => self.graph.of(i),
+            list => {
+                let list = list as usize;
+                &self.neighbours[self.starts[list] as usize..self.starts[list + 1] as usize]
+            }
+        }
     }
 
     /// Whether another sheet is near the sample.
     #[inline]
     pub fn is_crowded(&self, i: usize) -> bool {
-        self.crowded[i]
+        self.list[i] != NONE
     }
 
     /// At most `count` nearest neighbours of sample `i` on its sheet, and the radius at which a kernel over
@@ -217,26 +244,12 @@ pub fn nearest_of<'a>(all: &'a [u32], positions: &[Vec3], i: usize, count: usize
     (near, radius)
 }
 
-/// All samples, a sixteenth at a time: lists that are found side by side need more room than one behind the
-/// other.
-pub fn blocks(samples: usize) -> impl Iterator<Item = Range<usize>> {
-    let size = samples.div_ceil(16).max(1 << 14);
-    (0..samples).step_by(size).map(move |start| start..samples.min(start + size))
-}
-
 /// Whether these are where `lists` lists begin, one after the other, and the last ends.
 pub fn are_lists(starts: &[u32], lists: usize, entries: usize) -> bool {
     starts.len() == lists + 1
         && starts.first() == Some(&0)
         && starts.is_sorted()
         && starts.last().is_some_and(|end| *end as usize == entries)
-}
-
-/// Whether normals are more than 120° apart, as on both sides of a thin plate, but not between the walls of a
-/// groove.
-#[inline]
-pub fn faces_away(n: Vec3, side: Vec3) -> bool {
-    2.0 * n.dot(side) + 1.0 <= 0.0
 }
 
 /// The square of how far a point at `d` from a sample is, where the surface between them has the normal `n`.
@@ -246,55 +259,133 @@ pub fn sheet_distance(d: Vec3, n: Vec3) -> f32 {
     d.length_squared() + across * across
 }
 
-/// The chord from sample `i` to sample `j`, and the surface's normal between them (not of unit length).
-fn chord(positions: &[Vec3], normals: &[Vec3], i: usize, j: usize) -> (Vec3, Vec3) {
-    (positions[j] - positions[i], 0.5 * (normals[i] + normals[j]))
+/// What a sample is linked to.
+#[derive(Debug, Clone, Copy, Default)]
+struct Links {
+    /// The nearest samples along the surface; the sample itself in unused places.
+    to: [u32; LINKS],
+    /// Whether all neighbours are so plainly beside the sample that nothing else has to be looked at.
+    are_all_beside: bool,
 }
 
-fn within(d: Vec3, n: Vec3, sine: f32) -> bool {
-    let across = d.dot(n);
-    across * across <= sine * sine * d.length_squared()
+/// Links samples that follow each other from the first.
+struct Linking<'a> {
+    positions: &'a [Vec3],
+    normals: &'a [Vec3],
+    graph: &'a NeighbourGraph,
+    first: usize,
+    links: &'a mut [Links],
 }
 
-/// Whether sample `j` is so plainly beside sample `i` that nothing else has to be looked at.
-fn surely_along(positions: &[Vec3], normals: &[Vec3], i: usize, j: usize) -> bool {
-    let (d, n) = chord(positions, normals, i, j);
-    normals[i].dot(normals[j]) >= 0.0 && within(d, n, ALONG)
-}
+impl WithSimd for Linking<'_> {
+    type Output = ();
 
-/// The nearest samples along the surface; the sample itself in unused places.
-fn links(positions: &[Vec3], normals: &[Vec3], near: &[u32], i: usize) -> [u32; LINKS] {
-    let mut best = [(f32::INFINITY, i as u32); LINKS];
-    for j in near {
-        let (d, n) = chord(positions, normals, i, *j as usize);
-        if faces_away(normals[i], normals[*j as usize]) || !within(d, n, ACROSS) {
-            continue;
-        }
-        let entry = (sheet_distance(d, n), *j);
-        let mut at = LINKS;
-        while at > 0 && entry.0 < best[at - 1].0 {
-            if at < LINKS {
-                best[at] = best[at - 1];
-            }
-            best[at - 1] = entry;
-            at -= 1;
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { positions, normals, graph, first, links } = self;
+        let mut chords = Chords::default();
+        for (i, links) in (first..).zip(links) {
+            let near = graph.of(i);
+            chords.gather(positions, normals, near, i);
+            let are_all_beside = chords.measure(simd, normals[i], near.len());
+            *links = Links { to: chords.nearest(near, i), are_all_beside };
         }
     }
-    best.map(|(_, j)| j)
+}
+
+/// The chords from a sample to its neighbours, the neighbours' normals, and how far these are along the surface.
+#[derive(Default)]
+struct Chords {
+    ways: [[f32; NEIGHBOURS]; 3],
+    normals: [[f32; NEIGHBOURS]; 3],
+    /// Infinite for those that no link goes to.
+    distances: [f32; NEIGHBOURS],
+}
+
+impl Chords {
+    #[inline(always)]
+    fn gather(&mut self, positions: &[Vec3], normals: &[Vec3], near: &[u32], i: usize) {
+        for (at, j) in near.iter().enumerate() {
+            let (d, n) = (positions[*j as usize] - positions[i], normals[*j as usize]);
+            for axis in 0..3 {
+                (self.ways[axis][at], self.normals[axis][at]) = (d[axis], n[axis]);
+            }
+        }
+    }
+
+    /// Measures the distances, and says whether all chords are plainly along the surface. What lies behind the
+    /// neighbours is of no meaning.
+    #[inline(always)]
+    fn measure<S: Simd>(&mut self, simd: S, own: Vec3, count: usize) -> bool {
+        let splat = |x| Lanes::splat(simd, x);
+        let (zero, one) = (splat(0.0), splat(1.0));
+        let own = [splat(own.x), splat(own.y), splat(own.z)];
+        let mut beside = [0.0; NEIGHBOURS];
+        let ways = lists::<S>(&self.ways);
+        let normals = lists::<S>(&self.normals);
+        let distances = S::as_mut_simd_f32s(&mut self.distances).0;
+        let besides = S::as_mut_simd_f32s(&mut beside).0;
+        for at in 0..distances.len() {
+            let (d, n) = (triple(simd, &ways, at), triple(simd, &normals, at));
+            let between =
+                [splat(0.5) * (own[0] + n[0]), splat(0.5) * (own[1] + n[1]), splat(0.5) * (own[2] + n[2])];
+            let (turn, along, squared) = (dot(own, n), dot(d, between), dot(d, d));
+            let across = along * along;
+            let stacked = splat(STACKED) * along;
+            // More than 120° apart, as on both sides of a thin plate, but not between the walls of a groove.
+            let faces_away = (splat(2.0) * turn + one).less_or_equal(zero);
+            let distance = faces_away.select(splat(f32::INFINITY), squared + stacked * stacked);
+            let is_link = across.less_or_equal(splat(ACROSS * ACROSS) * squared);
+            distances[at] = is_link.select(distance, splat(f32::INFINITY)).1;
+            let is_along = across.less_or_equal(splat(ALONG * ALONG) * squared);
+            besides[at] = is_along.and(zero.less_or_equal(turn)).select(one, zero).1;
+        }
+        beside[..count].iter().sum::<f32>() == count as f32
+    }
+
+    /// The nearest along the surface.
+    #[inline(always)]
+    fn nearest(&self, near: &[u32], i: usize) -> [u32; LINKS] {
+        let mut best = [(f32::INFINITY, i as u32); LINKS];
+        for (distance, j) in self.distances.iter().zip(near) {
+            let mut at = LINKS;
+            while at > 0 && *distance < best[at - 1].0 {
+                if at < LINKS {
+                    best[at] = best[at - 1];
+                }
+                best[at - 1] = (*distance, *j);
+                at -= 1;
+            }
+        }
+        best.map(|(_, j)| j)
+    }
+}
+
+/// Numbers by coordinate, as many at once as the processor takes.
+#[inline(always)]
+fn lists<S: Simd>(numbers: &[[f32; NEIGHBOURS]; 3]) -> [&[S::f32s]; 3] {
+    let [x, y, z] = numbers;
+    [S::as_simd_f32s(x).0, S::as_simd_f32s(y).0, S::as_simd_f32s(z).0]
+}
+
+/// Scalar products.
+#[inline(always)]
+fn dot<S: Simd>(a: [Lanes<S>; 3], b: [Lanes<S>; 3]) -> Lanes<S> {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 /// Whether each of `near` (nearest first) has a link to sample `i`, or to one that has: mostly so to a nearer one,
 /// where there is one sheet alone. If not, links of the others may still lead there. `places` as for [`reached`].
-fn are_linked(links: &[[u32; LINKS]], i: usize, near: &[u32], places: &mut [u8]) -> bool {
+fn are_linked(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> bool {
     places[i] = 0;
     let mut left = near.len();
-    // The second time for those that come before what they have a link to.
+    // The second time for those that come before what they have a link to. Without a branch, as which one it is
+    // cannot be foretold: all bits of a place are set, or none.
     for _ in 0..2 {
         for j in near.iter().map(|j| *j as usize) {
-            if places[j] == NOWHERE && links[j].iter().any(|to| places[*to as usize] != NOWHERE) {
-                places[j] = 0;
-                left -= 1;
-            }
+            let linked = links[j].to.iter().fold(NOWHERE, |all, to| all & places[*to as usize]);
+            left -= usize::from(places[j] > linked);
+            places[j] &= linked;
         }
         if left == 0 {
             break;
@@ -304,10 +395,10 @@ fn are_linked(links: &[[u32; LINKS]], i: usize, near: &[u32], places: &mut [u8])
     left == 0
 }
 
-/// Those of `near` (fewer than 128) that links within them reach from sample `i`, in their order. `places`
+/// Those of `near` (fewer than 127) that links within them reach from sample `i`, in their order. `places`
 /// has one for each sample, all [`NOWHERE`], before and after.
 fn reached<'a>(
-    links: &[[u32; LINKS]],
+    links: &[Links],
     i: usize,
     near: &'a [u32],
     places: &mut [u8],
@@ -315,20 +406,27 @@ fn reached<'a>(
     // The sample itself has the last place.
     let nodes = || (0..).zip(near.iter().copied().chain([i as u32]));
     nodes().for_each(|(at, node)| places[node as usize] = at);
-    // Links go both ways.
     let mut linked = [0u128; CROWDED_NEIGHBOURS + 1];
-    for (at, node) in nodes() {
-        for to in links[node as usize].map(|to| places[to as usize]).into_iter().filter(|to| *to != NOWHERE) {
-            linked[at as usize] |= 1 << to;
-            linked[to as usize] |= 1 << at;
-        }
+    for ((_, node), linked) in nodes().zip(&mut linked) {
+        // Nowhere, cut to seven bits, is the last bit, which no node has.
+        let bit = |to: u32| 1u128 << (places[to as usize] & 127);
+        *linked = links[node as usize].to.iter().fold(0, |all, to| all | bit(*to)) & (u128::MAX >> 1);
     }
     nodes().for_each(|(_, node)| places[node as usize] = NOWHERE);
+    let linked = &linked[..=near.len()];
     let (mut seen, mut open) = (0u128, 1u128 << near.len());
     while open != 0 {
-        let at = open.trailing_zeros();
-        seen |= 1 << at;
-        open = (open | linked[at as usize]) & !seen;
+        // Along the links ...
+        while open != 0 {
+            let at = open.trailing_zeros();
+            seen |= 1 << at;
+            open = (open | linked[at as usize]) & !seen;
+        }
+        // ... and against them, as they go both ways.
+        for (at, linked) in linked.iter().enumerate() {
+            open |= u128::from(linked & seen != 0) << at;
+        }
+        open &= !seen;
     }
     near.iter().enumerate().filter(move |(at, _)| seen >> at & 1 == 1).map(|(_, j)| j)
 }

@@ -143,11 +143,7 @@ impl KdTree {
                 open.extend([(node + 1, first, left), (node + 2 * left, first + left, leaves - left)]);
                 continue;
             }
-            let leaf = &self.leaves[first];
-            let near = leaf.distances(p).into_iter().zip(leaf.index);
-            let near = near.filter(|(distance, index)| *distance <= most && *index != u32::MAX);
-            found
-                .extend(near.map(|(distance, index)| u64::from(distance.to_bits()) << 32 | u64::from(index)));
+            self.leaves[first].gather(p, most, &mut found);
         }
         found.sort_unstable();
         found
@@ -216,6 +212,19 @@ impl Leaf {
     pub(super) fn points(&self) -> impl Iterator<Item = (Vec3, u32)> {
         let point = |i| (Vec3::new(self.x[i], self.y[i], self.z[i]), self.index[i]);
         (0..LEAF).map(point).filter(|(_, index)| *index != u32::MAX)
+    }
+
+    /// Appends those of its points that are no farther than a squared distance from a point.
+    #[inline(always)]
+    fn gather(&self, p: Vec3, most: f32, found: &mut Vec<Found>) {
+        // Without a branch for each, as which ones they are cannot be foretold.
+        let (room, mut count) = (found.len(), 0);
+        found.resize(room + LEAF, NOTHING);
+        for (distance, index) in self.distances(p).into_iter().zip(self.index) {
+            found[room + count] = u64::from(distance.to_bits()) << 32 | u64::from(index);
+            count += usize::from(distance <= most && index != u32::MAX);
+        }
+        found.truncate(room + count);
     }
 
     /// Squared distances of a point.

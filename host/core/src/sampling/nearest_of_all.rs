@@ -12,6 +12,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::kd_tree::{Extent, Found, KdTree, LEAF, Leaf};
+use crate::counting_sort;
 
 /// Most leaves that are looked at together. Where a leaf is near more, as one of few points beside a heap, its
 /// points are looked up one by one.
@@ -33,7 +34,8 @@ impl KdTree {
     ///
     /// Memory: 4 bytes for each entry, and 9 kilobytes for each thread.
     pub fn nearest_others_of_all(&self, k: usize) -> Vec<u32> {
-        let lists: Vec<AtomicU32> = (0..k * self.len()).map(|_| AtomicU32::new(0)).collect();
+        // The system's own zeros: the threads that fill them touch them first.
+        let lists: Vec<AtomicU32> = bytemuck::zeroed_vec(k * self.len());
         if k > 0 {
             let batch =
                 || Batch { tree: self, k, near: Vec::new(), distances: Vec::new(), found: Vec::new() };
@@ -88,7 +90,7 @@ impl Batch<'_> {
         for (point, index) in leaf.points() {
             let one = One { point, index, guess: last, surely: surely(point), batch: self };
             Arch::new().dispatch(one);
-            self.found.sort_unstable();
+            counting_sort::sort(&mut self.found);
             self.found.truncate(self.k);
             last = distance(self.found[self.k - 1]);
             say(index, &self.found);

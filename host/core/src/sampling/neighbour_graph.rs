@@ -1,19 +1,33 @@
 //! Who is near whom among the samples.
 
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::NEIGHBOURS;
 use super::kd_tree::KdTree;
 
 /// The k nearest neighbours of each sample, nearest first, without the sample itself.
-#[derive(Debug, Clone, Default)]
+///
+/// Memory: 4 bytes for each neighbour, which clones have in common.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct NeighbourGraph {
     k: usize,
-    flat: Vec<u32>,
+    flat: Arc<Vec<u32>>,
 }
 
 impl NeighbourGraph {
     /// The graph of points to `k` neighbours, if there are as many.
     pub(super) fn of_points(tree: &KdTree, k: usize) -> Self {
         let k = k.min(tree.len() - 1);
-        Self { k, flat: tree.nearest_others_of_all(k) }
+        Self { k, flat: Arc::new(tree.nearest_others_of_all(k)) }
+    }
+
+    /// Whether it is of so many samples: one that was read may be anything.
+    pub(crate) fn is_valid(&self, samples: usize) -> bool {
+        self.k == NEIGHBOURS.min(samples - 1)
+            && self.flat.len() == self.k * samples
+            && self.flat.iter().all(|j| (*j as usize) < samples)
     }
 
     /// The neighbours of sample `i`, nearest first.

@@ -15,6 +15,9 @@ use crate::touching::Contacts;
 /// points around the sample.
 pub const NEIGHBOURS: usize = 32;
 
+/// Parts of a distance within which so many neighbours are expected that are looked at, one after the other.
+const MORE: [f32; 3] = [1.15, 1.5, 2.0];
+
 /// Neighbours over which the spacing is measured: as many as in a hexagonal packing.
 const SPACING_NEIGHBOURS: usize = 6;
 
@@ -146,6 +149,15 @@ impl SampleSet {
         &self.surroundings().neighbours
     }
 
+    /// Sets the graph, which was found out before; `false` if it cannot be that of these samples.
+    pub(crate) fn set_neighbours(&self, graph: NeighbourGraph) -> bool {
+        if !graph.is_valid(self.len()) {
+            return false;
+        }
+        self.surroundings.get_or_init(|| Surroundings::of(&self.positions, graph));
+        true
+    }
+
     /// Mean distance to the nearest neighbours, for each sample; 0 for a single one.
     #[inline]
     pub fn spacing(&self) -> &[f32] {
@@ -186,12 +198,18 @@ impl SampleSet {
     /// The same, sooner if about so many are within `reach`.
     pub(crate) fn neighbours_about(&self, i: usize, reach: f32, count: usize) -> Vec<u32> {
         // Some more, as their number is not the same everywhere.
-        let found =
-            if reach > 0.0 { self.tree().within(self.positions[i], 1.15 * reach) } else { Vec::new() };
-        if found.len() <= count {
-            return self.nearest_neighbours(i, count);
+        for more in MORE {
+            let found = if reach > 0.0 { self.tree().within(self.positions[i], more * reach) } else { break };
+            if found.len() > count {
+                return found
+                    .into_iter()
+                    .map(|found| found as u32)
+                    .filter(|j| *j != i as u32)
+                    .take(count)
+                    .collect();
+            }
         }
-        found.into_iter().map(|found| found as u32).filter(|j| *j != i as u32).take(count).collect()
+        self.nearest_neighbours(i, count)
     }
 
     /// The sample nearest to a finite point. Costs about a microsecond: not for every vertex of P_L.
@@ -227,7 +245,7 @@ impl SampleSet {
     fn surroundings(&self) -> &Surroundings {
         self.surroundings.get_or_init(|| {
             self.prepare_tree();
-            Surroundings::of(&self.positions, self.tree())
+            Surroundings::of(&self.positions, NeighbourGraph::of_points(self.tree(), NEIGHBOURS))
         })
     }
 
@@ -261,8 +279,7 @@ impl SampleSet {
 }
 
 impl Surroundings {
-    fn of(positions: &[Vec3], tree: &KdTree) -> Self {
-        let neighbours = NeighbourGraph::of_points(tree, NEIGHBOURS);
+    fn of(positions: &[Vec3], neighbours: NeighbourGraph) -> Self {
         let near = SPACING_NEIGHBOURS.min(neighbours.k());
         let spacing = (0..positions.len())
             .into_par_iter()
