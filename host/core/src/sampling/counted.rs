@@ -6,10 +6,10 @@ use std::path::Path;
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
-use simod_model::{Error, ErrorKind, Model, Progress, Result, input, output};
+use simod_model::{Error, ErrorKind, Model, Progress, Result, SMALL_CHUNK, VertexChunk, input, output};
 
 use super::grid::{CellKey, CellRecord, Grid, GridCounter};
-use super::{NonFinite, Opaque, Sampling, check, count_range, default_grid, opaque};
+use super::opaque::Opaque;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
 
 /// What such a file begins with.
@@ -36,22 +36,13 @@ struct Counted {
     cells: Vec<(CellKey, [u64; 3])>,
 }
 
-/// Counts the vertices of a range per cell, for [`sample_counted`](super::sample_counted) of the same model and
-/// options, to a file that appears whole or not at all. Nothing is done if it is there already; `false` then.
-///
-/// Memory: 48 bytes for each cell that the range meets, as much for the file, and a chunk.
-///
-/// # Errors
-/// The options are out of range; the model cannot be read; the file cannot be written, or is being written by
-/// another process; the user cancelled.
-pub fn count(
+/// Counts the vertices of a range to a file, unless it is there already.
+pub(super) fn count(
     model: &dyn Model,
-    sampling: &Sampling,
+    of: &Counting,
     (vertices, path): (Range<u64>, &Path),
     progress: &dyn Progress,
 ) -> Result<bool> {
-    check(sampling)?;
-    let of = Of::new(model, sampling)?;
     if read(path).is_ok_and(|there| of.fits(&there) && there.vertices == vertices) {
         return Ok(false);
     }
@@ -79,20 +70,14 @@ pub fn count(
 }
 
 /// What counts belong to.
-struct Of {
-    model: [u64; 2],
-    resolution: u32,
-    min_opacity: Option<f64>,
+pub(super) struct Counting {
+    /// The model's bytes and vertices.
+    pub(super) model: [u64; 2],
+    pub(super) resolution: u32,
+    pub(super) min_opacity: Option<f64>,
 }
 
-impl Of {
-    fn new(model: &dyn Model, sampling: &Sampling) -> Result<Self> {
-        let info = model.info();
-        let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
-        let min_opacity = opaque::resolve(model, sampling.min_opacity)?;
-        Ok(Self { model: [info.bytes, info.vertices], resolution, min_opacity })
-    }
-
+impl Counting {
     fn fits(&self, counted: &Counted) -> bool {
         let bits = |opacity: Option<f64>| opacity.map(f64::to_bits);
         (self.model, self.resolution) == (counted.model, counted.resolution)
@@ -105,10 +90,9 @@ impl Of {
 /// Memory: 48 bytes per occupied cell and the map's slack, and a file.
 pub(super) fn merged(
     model: &dyn Model,
-    sampling: &Sampling,
+    of: &Counting,
     files: &[impl AsRef<Path>],
 ) -> Result<(Grid, NonFinite)> {
-    let of = Of::new(model, sampling)?;
     let (mut counter, mut all, mut ranges) =
         (GridCounter::new(of.resolution), NonFinite::default(), Vec::new());
     for path in files.iter().map(AsRef::as_ref) {
@@ -154,4 +138,56 @@ fn read(path: &Path) -> Result<Counted> {
         return Err(damaged(UNKNOWN_VERSION));
     }
     postcard::from_bytes(content).map_err(|_| damaged("its content makes no sense"))
+}
+
+/// Vertices whose position is not finite: they are left out of P_S, and keep their bytes.
+#[derive(Default)]
+pub(super) struct NonFinite {
+    pub(super) count: u64,
+    pub(super) first: Option<u64>,
+    /// Splats that are left out as well, and are not of them.
+    pub(super) transparent: u64,
+}
+
+impl NonFinite {
+    pub(super) fn absorb(&mut self, other: Self) {
+        self.count += other.count;
+        self.transparent += other.transparent;
+        self.first = self.first.into_iter().chain(other.first).min();
+    }
+}
+
+/// Counts the vertices of a range.
+pub(super) fn count_range(
+    model: &dyn Model,
+    opaque: Option<Opaque>,
+    range: Range<u64>,
+    resolution: u32,
+    progress: &dyn Progress,
+) -> Result<(GridCounter, NonFinite)> {
+    let mut counter = GridCounter::new(resolution);
+    let mut non_finite = NonFinite::default();
+    let mut reader = model.vertices(range)?;
+    reader.set_chunk(SMALL_CHUNK);
+    if opaque.is_none() {
+        reader.skip_attributes();
+    }
+    let mut chunk = VertexChunk::default();
+    while reader.read(&mut chunk)? {
+        progress.check()?;
+        for (index, p) in (chunk.first..).zip(&chunk.positions) {
+            if !p.is_finite() {
+                non_finite.count += 1;
+                non_finite.first.get_or_insert(index);
+            }
+        }
+        if let Some(opaque) = opaque {
+            non_finite.transparent += opaque.leave_out(model, &mut chunk)?;
+        }
+        for (index, p) in (chunk.first..).zip(&chunk.positions).filter(|(_, p)| p.is_finite()) {
+            counter.add(*p, index);
+        }
+        progress.advance(chunk.raw().len() as u64);
+    }
+    Ok((counter, non_finite))
 }

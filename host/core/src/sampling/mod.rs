@@ -42,7 +42,6 @@ use simod_model::{
     Error, ErrorKind, FaceChunk, Model, Progress, Result, SMALL_CHUNK, VertexChunk, for_faces, for_faces_at,
 };
 
-pub use counted::count;
 pub use density::By;
 pub use gather::Grouping;
 pub use kd_tree::KdTree;
@@ -57,6 +56,7 @@ use crate::colors::Picking;
 use crate::sampled_model::{SampledModel, Source};
 use crate::sampling::ranges::joined;
 use crate::touching::{Contacts, Islands, Parted, Parting};
+use counted::{Counting, NonFinite, count_range};
 use density::Rule;
 use face_ranges::FaceRanges;
 use finalization::{Clustered, Pass};
@@ -231,7 +231,7 @@ fn sample_kept(
     let opaque = Opaque::of(model, min_opacity);
 
     let (grid, non_finite) = match counted {
-        Some(files) => counted::merged(model, sampling, files)?,
+        Some(files) => counted::merged(model, &counting(model, sampling)?, files)?,
         None => {
             progress.begin("counting", info.vertex_bytes);
             let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
@@ -376,6 +376,32 @@ fn sample_kept(
     }
     progress.check()?;
     Ok(sampled)
+}
+
+/// Counts the vertices of a range per cell, for [`sample_counted`] of the same model and options, to a file that
+/// appears whole or not at all. Nothing is done if it is there already; `false` then.
+///
+/// Memory: 48 bytes for each cell that the range meets, as much for the file, and a chunk.
+///
+/// # Errors
+/// The options are out of range; the model cannot be read; the file cannot be written, or is being written by
+/// another process; the user cancelled.
+pub fn count(
+    model: &dyn Model,
+    sampling: &Sampling,
+    target: (Range<u64>, &Path),
+    progress: &dyn Progress,
+) -> Result<bool> {
+    check(sampling)?;
+    counted::count(model, &counting(model, sampling)?, target, progress)
+}
+
+/// What counts of a model belong to.
+fn counting(model: &dyn Model, sampling: &Sampling) -> Result<Counting> {
+    let info = model.info();
+    let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
+    let min_opacity = opaque::resolve(model, sampling.min_opacity)?;
+    Ok(Counting { model: [info.bytes, info.vertices], resolution, min_opacity })
 }
 
 /// How the faces are read.
@@ -640,23 +666,6 @@ fn default_grid(vertices: u64, target: Target) -> u32 {
     by_vertices.min(most).clamp(16, 512)
 }
 
-/// Vertices whose position is not finite: they are left out of P_S, and keep their bytes.
-#[derive(Default)]
-struct NonFinite {
-    count: u64,
-    first: Option<u64>,
-    /// Splats that are left out as well, and are not of them.
-    transparent: u64,
-}
-
-impl NonFinite {
-    fn absorb(&mut self, other: Self) {
-        self.count += other.count;
-        self.transparent += other.transparent;
-        self.first = self.first.into_iter().chain(other.first).min();
-    }
-}
-
 /// Pass 1, on all cores where the file can be read from anywhere.
 fn count_cells(
     model: &dyn Model,
@@ -697,38 +706,4 @@ fn check_counted(model: &dyn Model, non_finite: &NonFinite) -> Result<()> {
         ));
     }
     Ok(())
-}
-
-fn count_range(
-    model: &dyn Model,
-    opaque: Option<Opaque>,
-    range: Range<u64>,
-    resolution: u32,
-    progress: &dyn Progress,
-) -> Result<(GridCounter, NonFinite)> {
-    let mut counter = GridCounter::new(resolution);
-    let mut non_finite = NonFinite::default();
-    let mut reader = model.vertices(range)?;
-    reader.set_chunk(SMALL_CHUNK);
-    if opaque.is_none() {
-        reader.skip_attributes();
-    }
-    let mut chunk = VertexChunk::default();
-    while reader.read(&mut chunk)? {
-        progress.check()?;
-        for (index, p) in (chunk.first..).zip(&chunk.positions) {
-            if !p.is_finite() {
-                non_finite.count += 1;
-                non_finite.first.get_or_insert(index);
-            }
-        }
-        if let Some(opaque) = opaque {
-            non_finite.transparent += opaque.leave_out(model, &mut chunk)?;
-        }
-        for (index, p) in (chunk.first..).zip(&chunk.positions).filter(|(_, p)| p.is_finite()) {
-            counter.add(*p, index);
-        }
-        progress.advance(chunk.raw().len() as u64);
-    }
-    Ok((counter, non_finite))
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use simod_model::{Error, ErrorKind, Result};
 
-use super::{FINISHED, Plan, Stage, Unit};
+use super::graph::{FINISHED, Plan, Stage, Unit};
 
 /// An engine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

@@ -11,9 +11,11 @@ use simod_model::output_folder::OutputFolder;
 use simod_model::target::{canonical_target, folder_of};
 use simod_model::{Cache, Error, ErrorKind, Model, Normals, Progress, Result, output};
 
-use super::{DEFORMED, FINISHED, FORMAT, GRADIENTS, METHODS, NORMALS, PLAN, REFINED, SAMPLED, SHARED};
-use super::{Emit, emit, hash_of, name_of};
-use super::{Plan, Recorded, Stage, Unit};
+use super::emit::{Emit, emit};
+use super::graph::{
+    DEFORMED, FINISHED, FORMAT, GRADIENTS, METHODS, NORMALS, PLAN, Plan, REFINED, Recorded, SAMPLED, SHARED,
+    Stage, Unit, hash_of, name_of,
+};
 use crate::pipeline::{converted, open};
 use crate::plugins::PluginRegistry;
 use crate::session_file::SessionFile;
@@ -102,7 +104,7 @@ pub fn make(
     let named = |e: Error| new.named(e);
     output::write_file(&new.path().join(PLAN), described.as_bytes()).map_err(named)?;
     for how in options.emit {
-        let (name, script) = emit(&plan, *how, &new.target().to_owned())?;
+        let (name, script) = emit(&plan, *how, new.target())?;
         output::write_file(&new.path().join(name), script.as_bytes()).map_err(named)?;
     }
     check_target(folder)?;

@@ -14,7 +14,7 @@ use simod_model::{
     is_named_otherwise, output,
 };
 
-use super::{DEFORMED, FINISHED, GRADIENTS, Plan, REFINED, SAMPLED, SHARED, Stage, Unit, hash_of};
+use super::graph::{DEFORMED, FINISHED, GRADIENTS, Plan, REFINED, SAMPLED, SHARED, Stage, Unit, hash_of};
 use crate::deformer::Message;
 use crate::edit::{Refinements, turning_gradients};
 use crate::pipeline::{DeformedSamples, deform, needed, note_losses, open, sampled_of};
