@@ -38,9 +38,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use simod_model::frame::Frame;
 use simod_model::size::human_size;
-use simod_model::{
-    Error, ErrorKind, FaceChunk, Model, Progress, Result, SMALL_CHUNK, VertexChunk, for_faces, for_faces_at,
-};
+use simod_model::{Error, ErrorKind, FaceChunk, Model, Progress, Result, for_faces, for_faces_at};
 
 pub use density::By;
 pub use gather::Grouping;
