@@ -109,6 +109,12 @@ impl Workplace {
         command
     }
 
+    /// Another program that runs as this one does.
+    pub fn prepared(&self, mut command: Command) -> Command {
+        self.prepare(&mut command);
+        command
+    }
+
     /// Lets a command run as the program does.
     fn prepare(&self, command: &mut Command) {
         command.env_clear().env("HOME", self.root.path().join("home"));

@@ -11,8 +11,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 use simod_model::{ErrorKind, memory};
 
 use commands::{
-    bind, compare, convert, deform, demo, generate, info, plugin, reconstruct, refine, render, run, sample,
-    shell, view,
+    bind, compare, convert, deform, demo, generate, info, plan, plugin, reconstruct, refine, render, run,
+    sample, shell, view,
 };
 use console::{CANCELLED, Console, Show};
 use report::Report;
@@ -43,6 +43,8 @@ enum Command {
     Bind(bind::Bind),
     Reconstruct(reconstruct::Reconstruct),
     Run(run::Run),
+    Plan(plan::Plan),
+    Unit(plan::Unit),
     Compare(compare::Compare),
     Convert(convert::Convert),
     Info(info::Info),
@@ -88,6 +90,8 @@ fn execute(arguments: Arguments, console: &Console) -> simod_model::Result<()> {
         Command::Bind(c) => c.execute(&mut report),
         Command::Reconstruct(c) => c.execute(&mut report),
         Command::Run(c) => c.execute(&mut report),
+        Command::Plan(c) => c.execute(&mut report),
+        Command::Unit(c) => c.execute(&mut report),
         Command::Compare(c) => c.execute(&mut report),
         Command::Convert(c) => c.execute(&mut report),
         Command::Info(c) => c.execute(&mut report),

@@ -13,10 +13,10 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use simod_model::{Attribute, Error, ErrorKind, Model, Progress, Result};
-use xxhash_rust::xxh3::Xxh3Default;
 
+use crate::fingerprint::VertexHash;
 use crate::reconstruction::{Surroundings, homes};
-use crate::sampled_model::{SampledModel, fingerprint};
+use crate::sampled_model::SampledModel;
 use crate::sampling::kd_tree::completed;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
 
@@ -149,7 +149,7 @@ impl Attributes {
             attributes.iter().map(|attribute| Gathered::new(attribute, samples.len())).collect();
         // Of a chunk.
         let mut values = vec![Vec::new(); attributes.len()];
-        let (mut home_of, mut hash) = (Vec::new(), Xxh3Default::new());
+        let (mut home_of, mut hash) = (Vec::new(), VertexHash::like(&sampled.source.fingerprint));
         simod_model::for_vertices(model, |chunk| {
             progress.check()?;
             hash.update(chunk.raw());
@@ -171,7 +171,7 @@ impl Attributes {
             progress.advance(chunk.raw().len() as u64);
             Ok(())
         })?;
-        if fingerprint(hash.digest128()) != sampled.source.fingerprint {
+        if hash.fingerprint() != sampled.source.fingerprint {
             return Err(sampled.source_changed(model.path()));
         }
         let all = attributes.iter().zip(&gathered).filter_map(|(attribute, gathered)| {

@@ -14,6 +14,7 @@ mod counting_sort;
 mod deformed_file;
 pub mod detail;
 pub mod ellipses;
+pub mod fingerprint;
 pub mod geometry;
 pub mod guard;
 pub mod reconstruction;

@@ -23,6 +23,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 use crate::attributes::Attributes;
 use crate::colors;
 use crate::deformed_file::{self, DeformedFile};
+use crate::fingerprint::{are_same, fingerprint};
 use crate::refinement::Refinement;
 use crate::sampling::density::Rule;
 use crate::sampling::gather::{Cubes, PIECE};
@@ -697,7 +698,7 @@ impl SampledModel {
         let sheets = self.samples.contacts().is_none();
         let skip = Skip { triangles, cells: false, normals: true, sheets, colors: true };
         let again = crate::sampling::sample(&*source, &Sampling { skip, ..self.sampling }, folder, progress)?;
-        if again.source.fingerprint != self.source.fingerprint {
+        if are_same(&again.source.fingerprint, &self.source.fingerprint) == Some(false) {
             return Err(self.source_changed(source.path()));
         }
         let same = again.samples.positions == self.samples.positions;
@@ -908,11 +909,6 @@ fn file_fingerprint(path: &Path) -> Result<String> {
             n => hash.update(&block[..n]),
         }
     }
-}
-
-/// A hash as it stands in files.
-pub(crate) fn fingerprint(hash: u128) -> String {
-    format!("xxh3-128:{hash:032x}")
 }
 
 /// Whether both paths lead to the same file.

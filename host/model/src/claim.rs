@@ -165,6 +165,25 @@ impl Claim {
         Ok(())
     }
 
+    /// The same of another open file, on whichever disk it is.
+    ///
+    /// # Errors
+    /// As of [`put_in_place`](Self::put_in_place).
+    pub(crate) fn put_other_in_place(&mut self, mut file: &File, path: &Path) -> io::Result<()> {
+        let busy = claimed();
+        take_permissions(file, &self.places.target)?;
+        match fs::rename(path, &self.places.target) {
+            Err(e) if e.kind() == io::ErrorKind::CrossesDevices => {}
+            renamed => return renamed,
+        }
+        drop(busy);
+        io::Seek::rewind(&mut file)?;
+        io::copy(&mut file, &mut self.file)?;
+        self.file.sync_all()?;
+        self.put_in_place()?;
+        remove(path)
+    }
+
     /// A refusal of the operating system, with the target's name.
     pub(crate) fn failed(&self, error: &io::Error) -> Error {
         Error::io("write", &self.places.path, error)

@@ -47,6 +47,7 @@ pub mod progress;
 pub mod resumable;
 mod scaled;
 pub mod scratch;
+pub mod shared;
 mod shared_normal;
 pub mod size;
 mod source;
@@ -68,9 +69,9 @@ pub use formats::{extensions, is_model, is_named_otherwise, open, open_with, ope
 pub use in_memory::InMemory;
 pub use in_step::{Vertices, in_step};
 pub use model::{
-    CHUNK_TRIANGLES, CHUNK_VERTICES, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader,
-    MAX_VERSIONS, Model, ModelInfo, Normals, Output, RawChunk, Rewriting, SMALL_CHUNK, Scalar, VertexChunk,
-    VertexReader, for_faces, for_faces_at, for_positions, for_vertices,
+    CHUNK_TRIANGLES, CHUNK_VERTICES, Division, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark,
+    FaceReader, MAX_VERSIONS, Model, ModelInfo, Normals, Output, PieceRange, RawChunk, Rewriting,
+    SMALL_CHUNK, Scalar, VertexChunk, VertexReader, for_faces, for_faces_at, for_positions, for_vertices,
 };
 pub use number::Type;
 pub use ply::{Besides, write_points, write_vertices};

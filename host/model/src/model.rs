@@ -254,6 +254,10 @@ pub enum Normals {
 /// Gives the vertices of a model their new positions and normals: see [`Model::rewrite`]. A function of a
 /// chunk and its versions is one.
 pub trait Edit: Sync {
+    /// Is told first, where a [part](Rewriting::only) of a file is rewritten, how many bytes of vertices come before
+    /// that.
+    fn begin_behind(&self, _vertex_bytes: u64) {}
+
     /// Is told of each chunk before it is decoded: one at a time, in the file's order.
     ///
     /// # Errors
@@ -320,11 +324,44 @@ pub struct Rewriting {
     /// So many pieces at the beginning are read, but neither edited nor written: the outputs have them
     /// already.
     pub pieces_done: u64,
+    /// These pieces alone are read, edited and written: a part of a file that can be [divided](Model::division).
+    pub only: Option<PieceRange>,
+}
+
+/// Consecutive pieces of a model that is rewritten, by their numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PieceRange {
+    /// The first of them.
+    pub first: u64,
+    /// The one behind the last; to the end of the file where not given, and what is known only then is replaced
+    /// in the outputs.
+    pub end: Option<u64>,
+}
+
+/// How the rewriting of a file can be divided among calls that know nothing of each other.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Division {
+    /// So many pieces, from the file's beginning on, each follow from the model alone. Those behind them, if
+    /// there are any, follow from what became of these.
+    pub pieces: u64,
+    /// Those of them that hold vertices; the others are copied.
+    pub vertices: Range<u64>,
+    /// Whether each of them has as many bytes in the new file as in the old one, so that it is known beforehand where
+    /// it goes, and nothing is replaced in them in the end but before the vertices.
+    pub in_place: bool,
 }
 
 /// Where a new version of a model goes. Anything that can be written to is one, for formats that replace
 /// nothing in the end.
 pub trait Output: Send {
+    /// Is told first, where a [part](Rewriting::only) of a file is rewritten, at which byte of the old file it begins.
+    ///
+    /// # Errors
+    /// Nothing can be written there.
+    fn begin_at(&mut self, _at: u64) -> io::Result<()> {
+        Ok(())
+    }
+
     /// Takes the next piece of the new file, which stands for `source_bytes` of the model, and what other
     /// places of the file have to know of it. The same model, rewritten in the same way, comes in the same
     /// pieces each time.
@@ -707,6 +744,11 @@ pub trait Model: Send + Sync {
         ))
     }
 
+    /// How its rewriting can be divided, where it can begin at any piece without going over those before it.
+    fn division(&self, _normals: Normals) -> Option<Division> {
+        None
+    }
+
     /// Streams the whole file to all `outputs` in one reading: each gets a version of its own, with the
     /// positions and normals that `edit` gives its vertices, and what [follows](Self::following) from the
     /// gradients. Every other byte is copied as it is.
@@ -723,7 +765,8 @@ pub trait Model: Send + Sync {
     /// # Errors
     /// The file cannot be read, is not what its header says, or changed length; an output cannot be written;
     /// `edit` failed, gave a finite vertex a non-finite position, or changed the number of vertices; there
-    /// are more than [`MAX_VERSIONS`] outputs; the user cancelled.
+    /// are more than [`MAX_VERSIONS`] outputs; a part is asked for of a file that cannot be divided; the user
+    /// cancelled.
     fn rewrite(
         &self,
         outputs: &mut [&mut dyn Output],

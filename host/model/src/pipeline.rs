@@ -13,7 +13,9 @@ use std::thread;
 
 use glam::Mat3;
 
-use super::{Edit, Edited, MAX_VERSIONS, Normals, Output, RawChunk, Rewriting, Summary, VertexChunk};
+use super::{
+    Division, Edit, Edited, MAX_VERSIONS, Normals, Output, RawChunk, Rewriting, Summary, VertexChunk,
+};
 use crate::source::Source;
 use crate::{Error, ErrorKind, Progress, Result};
 
@@ -36,6 +38,11 @@ pub(crate) trait Rewritable: Sync {
     /// `is_still` says that nothing changes in this version.
     fn make(&self, _before: &Summary, _is_still: bool) -> Result<Vec<u8>> {
         Ok(Vec::new())
+    }
+
+    /// See [`Model::division`](super::Model::division).
+    fn division(&self, _normals: Normals) -> Option<Division> {
+        None
     }
 
     /// What has to be replaced in the new file once all pieces are there: places, and their bytes.
@@ -75,6 +82,20 @@ impl<'a> Version<'a> {
 pub(crate) trait Pieces: Send {
     /// Reads the bytes of the next piece into `chunk`, in the file's order.
     fn read(&mut self, chunk: &mut VertexChunk) -> Result<Piece>;
+
+    /// Passes over so many pieces at the beginning of a file that can be [divided](Rewritable::division), without
+    /// reading them.
+    fn skip(&mut self, _pieces: u64) -> Result<Skipped> {
+        Err(Error::internal("a file that cannot be divided was divided", "report this"))
+    }
+}
+
+/// What pieces were that were passed over.
+pub(crate) struct Skipped {
+    /// Where they end in the file.
+    pub(crate) bytes: u64,
+    /// How many bytes of these are of vertices.
+    pub(crate) vertex_bytes: u64,
 }
 
 /// What a piece of a file is.
@@ -108,7 +129,17 @@ pub(crate) fn rewrite(
         ));
     }
     let threads = rayon::current_num_threads();
-    let pieces = file.pieces(how.normals)?;
+    if how.only.is_some() && file.division(how.normals).is_none() {
+        return Err(indivisible(file));
+    }
+    let mut pieces = file.pieces(how.normals)?;
+    let first = how.only.map_or(0, |only| only.first);
+    if first > 0 {
+        let Skipped { bytes, vertex_bytes } = pieces.skip(first)?;
+        edit.begin_behind(vertex_bytes);
+        let begun = outputs.iter_mut().try_for_each(|output| output.begin_at(bytes));
+        begun.map_err(|e| failed_write(file, e))?;
+    }
     let work = Work {
         file,
         versions,
@@ -116,12 +147,14 @@ pub(crate) fn rewrite(
         edit,
         progress,
         most: (threads + WAITING) as u64,
-        reading: Mutex::new(Reading { pieces, next: 0, is_over: false }),
+        reading: Mutex::new(Reading { pieces, next: first, is_over: false }),
         queue: Mutex::new(Queue {
             writing: Some(Writing {
                 summaries: outputs.iter().map(|output| output.summary()).collect(),
                 outputs,
             }),
+            taken: first,
+            written: first,
             ..Queue::default()
         }),
         moved: Condvar::new(),
@@ -139,6 +172,11 @@ pub(crate) fn rewrite(
         return Err(error);
     }
     let Some(Writing { outputs, summaries }) = writing else { return Ok(()) };
+    if how.only.is_some_and(|only| only.end.is_some()) {
+        file.source().check_unchanged()?;
+        let finish = |output: &mut &mut dyn Output| output.finish().map_err(|e| failed_write(file, e));
+        return outputs.iter_mut().try_for_each(finish);
+    }
     for (version, (output, summary)) in outputs.iter_mut().zip(&summaries).enumerate() {
         let patches = file.patches(summary, edit.is_still(version))?;
         let patched = patches.iter().try_for_each(|(at, bytes)| output.patch(*at, bytes));
@@ -255,7 +293,8 @@ impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
         }
         let mut reading = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
         let number = reading.next;
-        if reading.is_over {
+        if reading.is_over || self.how.only.and_then(|only| only.end) == Some(number) {
+            reading.is_over = true;
             return (number, Ok(Piece::End));
         }
         let piece = self.progress.check().and_then(|()| reading.pieces.read(chunk)).and_then(|piece| {
@@ -415,6 +454,15 @@ impl<F: Rewritable> Drop for Guard<'_, '_, '_, F> {
             self.0.end(None);
         }
     }
+}
+
+/// A part was asked for of a file that has none.
+fn indivisible(file: &impl Rewritable) -> Error {
+    Error::new(
+        ErrorKind::Argument,
+        format!("{} cannot be rewritten in parts by itself", file.source().path().display()),
+        "rewrite all of it at once",
+    )
 }
 
 fn failed_write(file: &impl Rewritable, error: io::Error) -> Error {

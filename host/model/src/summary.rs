@@ -72,7 +72,7 @@ impl PartBox {
 
 impl Summary {
     /// Adds what comes behind it.
-    pub(crate) fn absorb(&mut self, behind: &Self) {
+    pub fn absorb(&mut self, behind: &Self) {
         self.before.absorb(&behind.before);
         self.after.absorb(&behind.after);
         self.lengths.extend_from_slice(&behind.lengths);
@@ -90,7 +90,7 @@ impl Summary {
     }
 
     /// A word without spaces; none if there is nothing to be told.
-    pub(crate) fn encode(&self) -> Option<String> {
+    pub fn encode(&self) -> Option<String> {
         if *self == Self::default() {
             return None;
         }
@@ -107,7 +107,7 @@ impl Summary {
     }
 
     /// What such a word says.
-    pub(crate) fn decode(word: &str) -> Option<Self> {
+    pub fn decode(word: &str) -> Option<Self> {
         let mut parts = word.split(';');
         let mut words = parts.next()?.split(',');
         let [before, after] = boxes(&mut words)?;

@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 
 /// Places in memory and in the file are multiples of this: as much as any device in use asks for.
-const BLOCK: usize = 4096;
+pub(crate) const BLOCK: usize = 4096;
 
 /// Bytes that are written at once.
 const BUFFER: usize = 2 << 20;
@@ -24,6 +24,8 @@ pub(crate) struct UncachedFile {
     filled: usize,
     /// Where in the file they belong: a multiple of [`BLOCK`].
     offset: u64,
+    /// Where it began.
+    begin: u64,
     /// Whether nothing tells yet that the file system has no way but through the page cache.
     is_direct: bool,
 }
@@ -31,7 +33,7 @@ pub(crate) struct UncachedFile {
 impl UncachedFile {
     /// From the beginning of an open file on.
     pub(crate) fn new(file: File) -> Self {
-        Self { file, buffer: Vec::new(), origin: 0, filled: 0, offset: 0, is_direct: true }
+        Self { file, buffer: Vec::new(), origin: 0, filled: 0, offset: 0, begin: 0, is_direct: true }
     }
 
     /// The file, in which what was written after the last [`flush`](Self::flush) may be missing.
@@ -50,6 +52,18 @@ impl UncachedFile {
         self.offset = end - self.filled as u64;
         self.file.seek(SeekFrom::Start(self.offset))?;
         self.file.read_exact(&mut self.buffer[self.origin..self.origin + self.filled])
+    }
+
+    /// Goes on at a multiple of [`BLOCK`], whatever is there and was written before. What was not
+    /// [flushed](Self::flush) is lost.
+    pub(crate) fn begin_at(&mut self, offset: u64) {
+        self.allocate();
+        (self.filled, self.offset, self.begin) = (0, offset, offset);
+    }
+
+    /// Whether nothing was written since it was said where to [begin](Self::begin_at).
+    pub(crate) fn is_at_begin(&self) -> bool {
+        self.filled == 0 && self.offset == self.begin
     }
 
     /// # Errors

@@ -20,6 +20,7 @@ pub mod motion;
 pub mod params;
 mod picked;
 pub mod pipeline;
+pub mod plan;
 pub mod plugins;
 pub mod session_file;
 pub mod session_writer;

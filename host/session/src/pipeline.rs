@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::{DVec3, Vec3};
+use simod_core::fingerprint::are_same;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{
     DeformationField, EVALUATIONS_WITH_GRADIENT, Method, Reconstructed, Reconstruction, Surroundings,
@@ -37,12 +38,17 @@ pub fn sampled(
     progress: &dyn Progress,
 ) -> Result<(SampledModel, Box<dyn Model>)> {
     let model = open(session, cache, progress)?;
-    let sampled = sampled_of(session, &*model, skip, (folder, cache), progress)?;
+    let by = |sampling: &Sampling| sample(&*model, sampling, folder, progress);
+    let sampled = sampled_of(session, &*model, skip, cache, by, progress)?;
     Ok((sampled, model))
 }
 
 /// Opens a session's model.
-fn open(session: &SessionFile, cache: &Arc<Cache>, progress: &dyn Progress) -> Result<Box<dyn Model>> {
+pub(crate) fn open(
+    session: &SessionFile,
+    cache: &Arc<Cache>,
+    progress: &dyn Progress,
+) -> Result<Box<dyn Model>> {
     let path = session.model.as_deref().ok_or_else(|| {
         Error::new(
             ErrorKind::Argument,
@@ -60,19 +66,21 @@ fn open(session: &SessionFile, cache: &Arc<Cache>, progress: &dyn Progress) -> R
     simod_model::open_with(path, session.columns.as_deref(), cache, progress)
 }
 
-/// Samples a session's model, which is open.
-fn sampled_of(
+/// Samples a session's model, which is open, as `sample` does.
+pub(crate) fn sampled_of(
     session: &SessionFile,
     model: &dyn Model,
     skip: Skip,
-    (folder, cache): (&Path, &Arc<Cache>),
+    cache: &Arc<Cache>,
+    sample: impl FnOnce(&Sampling) -> Result<SampledModel>,
     progress: &dyn Progress,
 ) -> Result<SampledModel> {
     let mut sampling = Sampling::from(session.sampling);
     sampling.skip = Skip { sheets: sampling.skip.sheets, ..skip };
-    let mut sampled = sample(model, &sampling, folder, progress)?;
+    let mut sampled = sample(&sampling)?;
     sampled.set_cache(cache.clone());
-    if session.fingerprint.as_ref().is_some_and(|known| *known != sampled.source.fingerprint) {
+    let now = &sampled.source.fingerprint;
+    if session.fingerprint.as_ref().is_some_and(|known| are_same(known, now) == Some(false)) {
         progress.note(&format!("{} is not what it was when the session was saved", model.path().display()));
     }
     Ok(sampled)
@@ -177,7 +185,7 @@ pub fn write(
     reconstruct(sampled, model.as_ref(), &[version], &running.how, progress)
 }
 
-fn note_losses(converted: &Converted, progress: &dyn Progress) {
+pub(crate) fn note_losses(converted: &Converted, progress: &dyn Progress) {
     let losses = converted.losses();
     if !losses.is_empty() {
         progress.note(&format!("what is lost: {}", losses.join("; ")));
@@ -300,17 +308,15 @@ impl Run {
         }
         let folder = folder_of(output);
         let time = session.time.time();
-        let cells = tolerance.is_some() || session.steps.iter().any(|step| step.enabled && step.refines());
-        // With triangles, a refinement knows the faces, and places its samples as it does those of a folder.
-        let triangles = cells || stack.plugins().any(|p| p.consumes().triangles);
-        let skip = Skip { triangles: !triangles, cells: !cells, colors: true, ..Skip::default() };
+        let skip = needed(session, &stack, tolerance.is_some());
         let cache = &Arc::new(Cache::nameless(folder));
         let converted = converted(session, output, (how.normals, *lossy), (cache, progress))?;
         let mut model = open(session, cache, progress)?;
         // Before it is sampled, as what is declared may not be there.
         model.follow(follow)?;
         let following = model.following().map_or(Vec::new(), |following| following.descriptions().to_vec());
-        let sampled = sampled_of(session, &*model, skip, (folder, cache), progress)?;
+        let by = |sampling: &Sampling| sample(&*model, sampling, folder, progress);
+        let sampled = sampled_of(session, &*model, skip, cache, by, progress)?;
         if let Some(converted) = converted {
             note_losses(&converted, progress);
             model = Box::new(converted);
@@ -361,9 +367,17 @@ impl Run {
     }
 }
 
+/// What of a sampled model a session has no use for; `refines` says that more than its steps refines it.
+pub(crate) fn needed(session: &SessionFile, stack: &Stack, refines: bool) -> Skip {
+    let cells = refines || session.steps.iter().any(|step| step.enabled && step.refines());
+    // With triangles, a refinement knows the faces, and places its samples as it does those of a folder.
+    let triangles = cells || stack.plugins().any(|p| p.consumes().triangles);
+    Skip { triangles: !triangles, cells: !cells, colors: true, ..Skip::default() }
+}
+
 /// The session's model as what the output is named, if that is another format; before it is sampled, as
 /// something may be lost that shall not.
-fn converted(
+pub(crate) fn converted(
     session: &SessionFile,
     output: &Path,
     (normals, lossy): (Normals, bool),

@@ -16,6 +16,7 @@ mod las;
 mod main_job;
 mod pictures;
 mod place;
+mod plan;
 mod programs;
 mod refine;
 mod reliability;

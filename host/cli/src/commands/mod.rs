@@ -9,6 +9,7 @@ mod follow_options;
 pub mod generate;
 pub mod info;
 mod overwrite;
+pub mod plan;
 pub mod plugin;
 mod plugin_check;
 mod plugin_migrate;

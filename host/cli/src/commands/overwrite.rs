@@ -13,6 +13,16 @@ pub struct Overwrite {
 }
 
 impl Overwrite {
+    /// As if the option was given, or was not.
+    pub fn forcing(force: bool) -> Self {
+        Self { force }
+    }
+
+    /// Whether files of another kind are replaced.
+    pub fn force(&self) -> bool {
+        self.force
+    }
+
     /// Of a command that reads nothing so far.
     pub fn guard(&self) -> Guard {
         Guard::new(self.force)

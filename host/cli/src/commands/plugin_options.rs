@@ -55,6 +55,19 @@ impl Default for PluginOptions {
 }
 
 impl PluginOptions {
+    /// The libraries that were chosen.
+    pub fn chosen(&self) -> &[PathBuf] {
+        &self.r#use
+    }
+
+    /// The same, with these libraries where none were chosen.
+    pub fn or_chosen(mut self, files: &[PathBuf]) -> Self {
+        if self.r#use.is_empty() {
+            self.r#use = files.to_owned();
+        }
+        self
+    }
+
     /// Finds the plugins in the standard folders, and says what cannot be used, what takes long, and what
     /// anybody may change.
     pub fn discover(self, report: &mut Report) -> Result<PluginRegistry> {

@@ -19,7 +19,8 @@ use super::Surroundings;
 use super::blend::Supports;
 use super::block::homes;
 use super::sheets::Sheets;
-use crate::sampled_model::{SampledModel, fingerprint};
+use crate::fingerprint::{VertexHash, fingerprint};
+use crate::sampled_model::SampledModel;
 use crate::touching::Contacts;
 use crate::varint::{self, Numbers};
 
@@ -74,7 +75,7 @@ pub fn bind(sampled: &SampledModel, model: &dyn Model, path: &Path, progress: &d
     progress.begin("binding", model.info().vertex_bytes);
     let mut reader = model.vertices(0..model.info().vertices)?;
     let (mut chunk, mut found, mut runs) = (VertexChunk::default(), Vec::new(), Vec::new());
-    let mut hash = xxhash_rust::xxh3::Xxh3Default::new();
+    let mut hash = VertexHash::like(&sampled.source.fingerprint);
     while reader.read(&mut chunk)? {
         progress.check()?;
         hash.update(chunk.raw());
@@ -88,7 +89,7 @@ pub fn bind(sampled: &SampledModel, model: &dyn Model, path: &Path, progress: &d
         bytes += 16 + runs.len() as u64;
         progress.advance(chunk.raw().len() as u64);
     }
-    if sampled.source.fingerprint != fingerprint(hash.digest128()) {
+    if sampled.source.fingerprint != hash.fingerprint() {
         return Err(sampled.source_changed(model.path()));
     }
     file.commit()?;

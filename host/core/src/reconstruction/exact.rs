@@ -9,14 +9,14 @@ use rayon::prelude::*;
 use simod_model::frame::Frame;
 use simod_model::output::OutputFile;
 use simod_model::{Edit, Edited, Model, Normals, Output, Progress, RawChunk, Result, Rewriting, VertexChunk};
-use xxhash_rust::xxh3::Xxh3Default;
 
 use super::diagnostics::DiagnosticsFile;
 use super::reach::check_reach;
 use super::stream::{Folding, check_targets};
 use super::transfer::{Surveys, locked};
 use super::{DeformationField, Figures, Reconstructed, Reconstruction, Transport, Version};
-use crate::sampled_model::{SampledModel, fingerprint};
+use crate::fingerprint::VertexHash;
+use crate::sampled_model::SampledModel;
 
 /// Step of the central differences that give the gradient, in local units: a power of two near the third root
 /// of the rounding of doubles.
@@ -64,14 +64,14 @@ pub fn write_exact(
     let mut diagnostics = version.diagnostics.map(create).transpose()?;
     let gradients = needs_gradient(model, how.normals, version.diagnostics);
     let surveys = Surveys::new([diagnostics.as_mut()]);
-    let mut exact =
-        Exact { sampled, field, map, gradients, is_still: false, hash: Mutex::default(), surveys };
+    let hash = Mutex::new(VertexHash::like(&sampled.source.fingerprint));
+    let mut exact = Exact { sampled, field, map, gradients, is_still: false, hash, surveys };
     exact.is_still = field.is_still() && exact.moves_nothing(model, progress)?;
     progress.begin("evaluating every vertex", info.bytes);
     let outputs: &mut [&mut dyn Output] = &mut [&mut file.replaceable()];
-    let rewriting = Rewriting { normals: how.normals, pieces_done: 0 };
+    let rewriting = Rewriting { normals: how.normals, ..Rewriting::default() };
     model.rewrite(outputs, rewriting, &exact, progress)?;
-    if sampled.source.fingerprint != fingerprint(locked(&exact.hash).digest128()) {
+    if sampled.source.fingerprint != locked(&exact.hash).fingerprint() {
         return Err(sampled.source_changed(model.path()));
     }
     let folds = field.folds();
@@ -143,7 +143,7 @@ struct Exact<'a> {
     /// Whether it is known that nothing moves.
     is_still: bool,
     /// Of all vertices' bytes.
-    hash: Mutex<Xxh3Default>,
+    hash: Mutex<VertexHash>,
     surveys: Surveys<'a>,
 }
 

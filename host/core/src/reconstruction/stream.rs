@@ -19,9 +19,10 @@ use xxhash_rust::xxh3::Xxh3Default;
 use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
 use super::reach::check_reach;
-use super::transfer::{Surveys, Transfer, locked};
+use super::transfer::{Hashing, Surveys, Transfer, locked};
 use super::{DeformationField, ExpectedError, Method, Surroundings};
-use crate::sampled_model::{SampledModel, fingerprint, same_file};
+use crate::fingerprint::{VertexHash, fingerprint};
+use crate::sampled_model::{SampledModel, same_file};
 
 /// To be counted up whenever the same inputs give other bytes: what an earlier program wrote is not gone on
 /// with then.
@@ -250,7 +251,8 @@ struct Begun<'a> {
 impl<'a> Work<'a> {
     fn write(&mut self, versions: &[Version<'a>]) -> Result<()> {
         for (number, version) in versions.iter().enumerate() {
-            let (key, part_bytes) = (self.key(version.deformed)?, self.part_bytes());
+            let key = key(self.sampled, self.model, self.how, version.deformed)?;
+            let part_bytes = self.part_bytes();
             match ResumableFile::open(version.output, key, self.how.resume, part_bytes, self.progress)? {
                 Opened::Unfinished(file) => {
                     let diagonal = self.sampled.bounds.diagonal();
@@ -284,17 +286,11 @@ impl<'a> Work<'a> {
         let (binding, surroundings) = self.surroundings()?;
         let info = self.model.info();
         let field = |begun: &Begun<'a>| {
-            let field = DeformationField::new(&surroundings, begun.version.deformed, self.how.method);
-            let field = field.expecting(&self.sampled.frame, info);
-            let known = self.how.gradients.filter(|known| known.len() == self.sampled.samples.len());
-            let is_smooth = known.is_some() || self.how.method == Method::BlendedJets;
-            if is_smooth && self.model.following().is_some() { field.knowing(known) } else { field }
+            field(self.sampled, self.model, self.how, &surroundings, begun.version.deformed)
         };
         let fields: Vec<DeformationField<'_>> = self.pass.iter().map(field).collect();
         for (field, begun) in fields.iter().zip(&self.pass) {
-            let folds = field.folds();
-            let first = folds.first.map(|i| self.sampled.frame.to_model(self.sampled.samples.positions[i]));
-            self.folding[begun.number] = Some(Folding { samples: folds.samples, first, vertices: None });
+            self.folding[begun.number] = Some(Folding::of_samples(field, self.sampled));
         }
         let mut outputs: Vec<&mut dyn Output> = Vec::new();
         let mut surveys = Vec::new();
@@ -309,16 +305,18 @@ impl<'a> Work<'a> {
         let transfer = Transfer {
             fields: &fields,
             frame: &self.sampled.frame,
-            hash: Mutex::default(),
+            hash: Mutex::new(Hashing::All(VertexHash::like(&self.sampled.source.fingerprint))),
             binding: Mutex::new(binding.zip(self.how.binding)),
             homes: Mutex::default(),
             surveys: Surveys::new(surveys),
             progress: self.progress,
         };
         self.progress.begin("reconstructing", self.model.bytes_to_rewrite());
-        let how = Rewriting { normals: self.how.normals, pieces_done };
+        let how = Rewriting { normals: self.how.normals, pieces_done, only: None };
         self.model.rewrite(&mut outputs, how, &transfer, self.progress)?;
-        if self.sampled.source.fingerprint != fingerprint(locked(&transfer.hash).digest128()) {
+        if let Hashing::All(hash) = &*locked(&transfer.hash)
+            && hash.fingerprint() != self.sampled.source.fingerprint
+        {
             return Err(self.sampled.source_changed(self.model.path()));
         }
         self.pass.iter_mut().try_for_each(|begun| begun.file.complete(several))?;
@@ -369,47 +367,6 @@ impl<'a> Work<'a> {
         self.how.part_bytes.max(self.model.info().bytes / MAX_PARTS)
     }
 
-    /// Hash of all that determines the bytes of a version.
-    fn key(&self, deformed: &[Vec3]) -> Result<String> {
-        let Self { sampled, model, how, .. } = self;
-        let source = &sampled.source;
-        // The fingerprint is of the vertices alone.
-        let changed = |path: &Path| {
-            let time = std::fs::metadata(path).and_then(|meta| meta.modified()).ok()?;
-            time.duration_since(UNIX_EPOCH).ok()
-        };
-        let changed: Vec<_> = [model.path()].into_iter().chain(model.other_files()).map(changed).collect();
-        let method = match how.method {
-            Method::ProjectedBarycentric => 0u8,
-            Method::BlendedJets => 1,
-        };
-        let normals = match how.normals {
-            Normals::Keep => 0u8,
-            Normals::Transform => 1,
-            Normals::Drop => 2,
-        };
-        let frame = (sampled.frame.origin.to_array(), sampled.frame.scale);
-        let offset = model.info().written.map(|integers| integers.offset.to_array());
-        let ranges = &model.info().ranges;
-        let numbers = (REVISION, method, normals, model.info().bytes, changed, frame, offset, ranges);
-        let small = (env!("CARGO_PKG_VERSION"), &source.fingerprint, numbers);
-        let small = postcard::to_allocvec(&small)
-            .map_err(|e| Error::internal(format!("a key cannot be made: {e}"), "report this").because(e))?;
-        let samples = &sampled.samples;
-        let points = [&samples.positions, samples.known_normals(), deformed].map(bytemuck::cast_slice);
-        let contacts = samples.contacts().map(|contacts| contacts.digest().to_le_bytes());
-        let contacts = contacts.as_ref().map(|digest| &digest[..]);
-        let following = model.following().map(|following| following.descriptions().join("; "));
-        let following = following.as_ref().map(|text| text.as_bytes());
-        let known: Option<&[u8]> = how.gradients.map(bytemuck::cast_slice);
-        let mut hash = Xxh3Default::new();
-        for bytes in [&small[..]].into_iter().chain(points).chain(contacts).chain(following).chain(known) {
-            hash.update(&(bytes.len() as u64).to_le_bytes());
-            hash.update(bytes);
-        }
-        Ok(fingerprint(hash.digest128()))
-    }
-
     /// Ends a call that failed.
     fn stop(self, error: Error, versions: &[Version<'_>]) -> Error {
         use ErrorKind::{Cancelled, Degenerate, Format, Io, Mismatch};
@@ -425,5 +382,74 @@ impl<'a> Work<'a> {
         let then = if error.kind() == Cancelled { "when you like" } else { error.hint() };
         let hint = format!("what is done is kept, --resume goes on from there: {then}");
         error.hinting(hint)
+    }
+}
+
+/// Hash of all that determines the bytes of a version.
+pub(super) fn key(
+    sampled: &SampledModel,
+    model: &dyn Model,
+    how: &Reconstruction<'_>,
+    deformed: &[Vec3],
+) -> Result<String> {
+    let source = &sampled.source;
+    // The fingerprint is of the vertices alone.
+    let changed = |path: &Path| {
+        let time = std::fs::metadata(path).and_then(|meta| meta.modified()).ok()?;
+        time.duration_since(UNIX_EPOCH).ok()
+    };
+    let changed: Vec<_> = [model.path()].into_iter().chain(model.other_files()).map(changed).collect();
+    let method = match how.method {
+        Method::ProjectedBarycentric => 0u8,
+        Method::BlendedJets => 1,
+    };
+    let normals = match how.normals {
+        Normals::Keep => 0u8,
+        Normals::Transform => 1,
+        Normals::Drop => 2,
+    };
+    let frame = (sampled.frame.origin.to_array(), sampled.frame.scale);
+    let offset = model.info().written.map(|integers| integers.offset.to_array());
+    let ranges = &model.info().ranges;
+    let numbers = (REVISION, method, normals, model.info().bytes, changed, frame, offset, ranges);
+    let small = (env!("CARGO_PKG_VERSION"), &source.fingerprint, numbers);
+    let small = postcard::to_allocvec(&small)
+        .map_err(|e| Error::internal(format!("a key cannot be made: {e}"), "report this").because(e))?;
+    let samples = &sampled.samples;
+    let points = [&samples.positions, samples.known_normals(), deformed].map(bytemuck::cast_slice);
+    let contacts = samples.contacts().map(|contacts| contacts.digest().to_le_bytes());
+    let contacts = contacts.as_ref().map(|digest| &digest[..]);
+    let following = model.following().map(|following| following.descriptions().join("; "));
+    let following = following.as_ref().map(|text| text.as_bytes());
+    let known: Option<&[u8]> = how.gradients.map(bytemuck::cast_slice);
+    let mut hash = Xxh3Default::new();
+    for bytes in [&small[..]].into_iter().chain(points).chain(contacts).chain(following).chain(known) {
+        hash.update(&(bytes.len() as u64).to_le_bytes());
+        hash.update(bytes);
+    }
+    Ok(fingerprint(hash.digest128()))
+}
+
+/// The deformation of the samples as it is transferred to the model.
+pub(super) fn field<'a>(
+    sampled: &SampledModel,
+    model: &dyn Model,
+    how: &Reconstruction<'a>,
+    surroundings: &'a Surroundings<'a>,
+    deformed: &'a [Vec3],
+) -> DeformationField<'a> {
+    let field = DeformationField::new(surroundings, deformed, how.method);
+    let field = field.expecting(&sampled.frame, model.info());
+    let known = how.gradients.filter(|known| known.len() == sampled.samples.len());
+    let is_smooth = known.is_some() || how.method == Method::BlendedJets;
+    if is_smooth && model.following().is_some() { field.knowing(known) } else { field }
+}
+
+impl Folding {
+    /// What the samples tell.
+    pub(super) fn of_samples(field: &DeformationField<'_>, sampled: &SampledModel) -> Self {
+        let folds = field.folds();
+        let first = folds.first.map(|i| sampled.frame.to_model(sampled.samples.positions[i]));
+        Self { samples: folds.samples, first, vertices: None }
     }
 }

@@ -8,19 +8,19 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use glam::DVec3;
 use simod_model::frame::Frame;
 use simod_model::{Edit, Edited, Progress, RawChunk, Result, VertexChunk};
-use xxhash_rust::xxh3::Xxh3Default;
 
 use super::binding::Binding;
 use super::block::carry_on_this_thread;
 use super::diagnostics::DiagnosticsFile;
 use super::{DeformationField, Figures, Moved};
+use crate::fingerprint::{HashedPart, VertexHash};
 
 /// Transfers deformations of the same samples to chunks of their model, one for each version.
 pub(super) struct Transfer<'a> {
     pub(super) fields: &'a [DeformationField<'a>],
     pub(super) frame: &'a Frame,
-    /// Of all vertices' bytes.
-    pub(super) hash: Mutex<Xxh3Default>,
+    /// Of the vertices' bytes: of all, or of a part.
+    pub(super) hash: Mutex<Hashing>,
     /// What homes are read from, if they were kept, and its file.
     pub(super) binding: Mutex<Option<(Binding, &'a Path)>>,
     /// The homes that were read of chunks in flight, by their first vertices: 4 bytes for each vertex.
@@ -29,9 +29,22 @@ pub(super) struct Transfer<'a> {
     pub(super) progress: &'a dyn Progress,
 }
 
+/// What is hashed of the model that is read.
+pub(super) enum Hashing {
+    All(VertexHash),
+    Part(HashedPart),
+}
+
 impl Edit for Transfer<'_> {
+    fn begin_behind(&self, vertex_bytes: u64) {
+        *locked(&self.hash) = Hashing::Part(HashedPart::new(vertex_bytes));
+    }
+
     fn begin(&self, chunk: &RawChunk<'_>) -> Result<()> {
-        locked(&self.hash).update(chunk.bytes);
+        match &mut *locked(&self.hash) {
+            Hashing::All(hash) => hash.update(chunk.bytes),
+            Hashing::Part(hash) => hash.update(chunk.bytes),
+        }
         let mut binding = locked(&self.binding);
         let Some((known, path)) = binding.as_mut() else { return Ok(()) };
         match known.next(chunk.vertices) {

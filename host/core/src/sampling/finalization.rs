@@ -10,9 +10,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use glam::Vec3;
 use simod_model::frame::Frame;
 use simod_model::{Error, ErrorKind, Model, Progress, Result};
-use xxhash_rust::xxh3::Xxh3Default;
 
 use crate::colors::{Picked, Picking};
+use crate::fingerprint::VertexHash;
 
 use super::cluster::{Element, Moments};
 use super::cut::{ClusteredCell, Forest, most_kept, running_bound};
@@ -77,7 +77,7 @@ pub struct Clustered {
     /// The trees of all cells.
     pub forest: Forest,
     /// Of the bytes of all vertices.
-    pub hash: Xxh3Default,
+    pub hash: VertexHash,
     /// Where in the stream each cell's vertices are.
     pub ranges: Ranges,
     /// Which cluster each vertex belongs to.

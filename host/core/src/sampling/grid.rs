@@ -199,6 +199,35 @@ impl GridCounter {
         self.fit();
     }
 
+    /// What was counted: the level, the bounds, and the cells by their keys.
+    pub fn into_cells(mut self) -> (i32, Bounds, Vec<(CellKey, CellRecord)>) {
+        self.flush();
+        let mut cells: Vec<_> = self.cells.into_iter().collect();
+        cells.sort_unstable_by_key(|(key, _)| *key);
+        (self.level, self.bounds, cells)
+    }
+
+    /// What another counter of this resolution [has counted](Self::into_cells); `None` if none could have.
+    pub fn of_cells(
+        resolution: u32,
+        level: i32,
+        [min, max]: [DVec3; 2],
+        cells: impl Iterator<Item = (CellKey, CellRecord)>,
+    ) -> Option<Self> {
+        let mut counter = Self { level, bounds: Bounds { min, max }, ..Self::new(resolution) };
+        for (key, record) in cells {
+            let is_key = key.iter().all(|k| k.abs() <= 1 << 53);
+            if !is_key || record.count == 0 || counter.cells.insert(key, record).is_some() {
+                return None;
+            }
+            for (k, (low, high)) in key.iter().zip(counter.key_min.iter_mut().zip(&mut counter.key_max)) {
+                (*low, *high) = (*k.min(low), *k.max(high));
+            }
+        }
+        let is_level = counter.cells.is_empty() || (-1074..=1024).contains(&level);
+        (is_level && (counter.cells.is_empty() || (min.is_finite() && max.is_finite()))).then_some(counter)
+    }
+
     /// The finished grid.
     pub fn finish(mut self) -> Grid {
         self.flush();

@@ -5,6 +5,7 @@
 //! (`cut`) gives the samples, which [`SampleSet`] completes with neighbours, spacing and normals.
 
 pub mod cluster;
+mod counted;
 pub(crate) mod cut;
 pub(crate) mod density;
 mod face_ranges;
@@ -37,9 +38,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use simod_model::frame::Frame;
 use simod_model::size::human_size;
-use simod_model::{
-    Error, ErrorKind, FaceChunk, Model, Progress, Result, SMALL_CHUNK, VertexChunk, for_faces, for_faces_at,
-};
+use simod_model::{Error, ErrorKind, FaceChunk, Model, Progress, Result, for_faces, for_faces_at};
 
 pub use density::By;
 pub use gather::Grouping;
@@ -53,9 +52,10 @@ pub use sample_set::{NEIGHBOURS, SampleSet};
 pub use splitting::Splitting;
 
 use crate::colors::Picking;
-use crate::sampled_model::{SampledModel, Source, fingerprint};
+use crate::sampled_model::{SampledModel, Source};
 use crate::sampling::ranges::joined;
 use crate::touching::{Contacts, Islands, Parted, Parting};
+use counted::{Counting, NonFinite, count_range};
 use density::Rule;
 use face_ranges::FaceRanges;
 use finalization::{Clustered, Pass};
@@ -185,9 +185,25 @@ pub fn sample(
     folder: &Path,
     progress: &dyn Progress,
 ) -> Result<SampledModel> {
+    sample_counted(model, sampling, None::<&[&Path]>, folder, progress)
+}
+
+/// The same of a model whose vertices were [counted](count) before, in ranges, each to one of some files.
+///
+/// # Errors
+/// As of [`sample`]; a file is missing, damaged, or of another model or other options; they are not of all
+/// vertices.
+pub fn sample_counted(
+    model: &dyn Model,
+    sampling: &Sampling,
+    counted: Option<&[impl AsRef<Path>]>,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<SampledModel> {
     check(sampling)?;
+    let counted = counted.map(|files| files.iter().map(AsRef::as_ref).collect::<Vec<_>>());
     model.keep_positions(Some(folder));
-    let sampled = sample_kept(model, sampling, folder, progress);
+    let sampled = sample_kept(model, sampling, counted.as_deref(), folder, progress);
     model.keep_positions(None);
     sampled
 }
@@ -196,6 +212,7 @@ pub fn sample(
 fn sample_kept(
     model: &dyn Model,
     sampling: &Sampling,
+    counted: Option<&[&Path]>,
     folder: &Path,
     progress: &dyn Progress,
 ) -> Result<SampledModel> {
@@ -210,13 +227,17 @@ fn sample_kept(
 
     model.check_complete(progress)?;
     let min_opacity = opaque::resolve(model, sampling.min_opacity)?;
-    let mut opaque = Opaque::of(model, min_opacity, None);
-    let usual_splat = opaque.map(|opaque| opaque.usual(model)).transpose()?.flatten();
-    opaque = opaque.map(|opaque| opaque.beside(usual_splat));
+    let opaque = Opaque::find(model, min_opacity)?;
 
-    progress.begin("counting", info.vertex_bytes);
-    let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
-    let (grid, non_finite) = count_cells(model, opaque, resolution, progress)?;
+    let (grid, non_finite) = match counted {
+        Some(files) => counted::merged(model, &counting(model, sampling)?, files)?,
+        None => {
+            progress.begin("counting", info.vertex_bytes);
+            let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
+            count_cells(model, opaque, resolution, progress)?
+        }
+    };
+    check_counted(model, &non_finite)?;
     if !grid.bounds.diagonal().is_finite() {
         return Err(Error::new(
             ErrorKind::Degenerate,
@@ -328,9 +349,9 @@ fn sample_kept(
             non_finite: non_finite.count,
             first_non_finite: non_finite.first,
             transparent: non_finite.transparent,
-            usual_splat,
+            usual_splat: opaque.and_then(|opaque| opaque.usual()),
             jumps: Some(jumps),
-            fingerprint: fingerprint(hash.digest128()),
+            fingerprint: hash.fingerprint(),
         },
         Sampling { grouping, ..*sampling },
         &grid,
@@ -355,6 +376,32 @@ fn sample_kept(
     }
     progress.check()?;
     Ok(sampled)
+}
+
+/// Counts the vertices of a range per cell, for [`sample_counted`] of the same model and options, to a file that
+/// appears whole or not at all. Nothing is done if it is there already; `false` then.
+///
+/// Memory: 48 bytes for each cell that the range meets, as much for the file, and a chunk.
+///
+/// # Errors
+/// The options are out of range; the model cannot be read; the file cannot be written, or is being written by
+/// another process; the user cancelled.
+pub fn count(
+    model: &dyn Model,
+    sampling: &Sampling,
+    target: (Range<u64>, &Path),
+    progress: &dyn Progress,
+) -> Result<bool> {
+    check(sampling)?;
+    counted::count(model, &counting(model, sampling)?, target, progress)
+}
+
+/// What counts of a model belong to.
+fn counting(model: &dyn Model, sampling: &Sampling) -> Result<Counting> {
+    let info = model.info();
+    let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
+    let min_opacity = opaque::resolve(model, sampling.min_opacity)?;
+    Ok(Counting { model: [info.bytes, info.vertices], resolution, min_opacity })
 }
 
 /// How the faces are read.
@@ -619,23 +666,6 @@ fn default_grid(vertices: u64, target: Target) -> u32 {
     by_vertices.min(most).clamp(16, 512)
 }
 
-/// Vertices whose position is not finite: they are left out of P_S, and keep their bytes.
-#[derive(Default)]
-struct NonFinite {
-    count: u64,
-    first: Option<u64>,
-    /// Splats that are left out as well, and are not of them.
-    transparent: u64,
-}
-
-impl NonFinite {
-    fn absorb(&mut self, other: Self) {
-        self.count += other.count;
-        self.transparent += other.transparent;
-        self.first = self.first.into_iter().chain(other.first).min();
-    }
-}
-
 /// Pass 1, on all cores where the file can be read from anywhere.
 fn count_cells(
     model: &dyn Model,
@@ -655,6 +685,12 @@ fn count_cells(
         counter.absorb(cells);
         non_finite.absorb(others);
     }
+    Ok((counter.finish(), non_finite))
+}
+
+/// An error where no vertex is left.
+fn check_counted(model: &dyn Model, non_finite: &NonFinite) -> Result<()> {
+    let info = model.info();
     if non_finite.count == info.vertices {
         return Err(Error::new(
             ErrorKind::Degenerate,
@@ -669,39 +705,5 @@ fn count_cells(
             "give a smaller --min-opacity, or 0 for all splats",
         ));
     }
-    Ok((counter.finish(), non_finite))
-}
-
-fn count_range(
-    model: &dyn Model,
-    opaque: Option<Opaque>,
-    range: Range<u64>,
-    resolution: u32,
-    progress: &dyn Progress,
-) -> Result<(GridCounter, NonFinite)> {
-    let mut counter = GridCounter::new(resolution);
-    let mut non_finite = NonFinite::default();
-    let mut reader = model.vertices(range)?;
-    reader.set_chunk(SMALL_CHUNK);
-    if opaque.is_none() {
-        reader.skip_attributes();
-    }
-    let mut chunk = VertexChunk::default();
-    while reader.read(&mut chunk)? {
-        progress.check()?;
-        for (index, p) in (chunk.first..).zip(&chunk.positions) {
-            if !p.is_finite() {
-                non_finite.count += 1;
-                non_finite.first.get_or_insert(index);
-            }
-        }
-        if let Some(opaque) = opaque {
-            non_finite.transparent += opaque.leave_out(model, &mut chunk)?;
-        }
-        for (index, p) in (chunk.first..).zip(&chunk.positions).filter(|(_, p)| p.is_finite()) {
-            counter.add(*p, index);
-        }
-        progress.advance(chunk.raw().len() as u64);
-    }
-    Ok((counter, non_finite))
+    Ok(())
 }

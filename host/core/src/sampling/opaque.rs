@@ -74,11 +74,25 @@ impl Opaque {
         Some(Self { places, scales, least, usual })
     }
 
+    /// The same, with what is found to be usual in the model.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub(crate) fn find(model: &dyn Model, least: Option<f64>) -> Result<Option<Self>> {
+        let Some(opaque) = Self::of(model, least, None) else { return Ok(None) };
+        Ok(Some(Self { usual: opaque.find_usual(model)?, ..opaque }))
+    }
+
+    /// What splats are compared with.
+    pub(crate) fn usual(&self) -> Option<UsualSplat> {
+        self.usual
+    }
+
     /// What is usual in the model.
     ///
     /// # Errors
     /// The file cannot be read.
-    pub(crate) fn usual(&self, model: &dyn Model) -> Result<Option<UsualSplat>> {
+    fn find_usual(&self, model: &dyn Model) -> Result<Option<UsualSplat>> {
         let info = model.info();
         // Where reading begins at the first splat always, all are read, and some are taken: files may be sorted.
         let (places, each, step) = match info.random_access && info.vertices > PLACES * AT_A_PLACE {
@@ -102,11 +116,6 @@ impl Opaque {
         };
         let splats = (0..places).into_par_iter().map(read).collect::<Result<Vec<_>>>()?;
         Ok(UsualSplat::of(&splats.concat()))
-    }
-
-    /// The same, of splats that are compared with what is usual.
-    pub(crate) fn beside(self, usual: Option<UsualSplat>) -> Self {
-        Self { usual, ..self }
     }
 
     /// Takes the positions from the splats of a chunk that are left out; returns how many of them had one.

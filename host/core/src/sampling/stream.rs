@@ -15,9 +15,9 @@ use glam::Vec3;
 use simod_model::bounds::Bounds;
 use simod_model::progress::{Emerging, Visitor};
 use simod_model::{Error, Result, VertexChunk, VertexReader};
-use xxhash_rust::xxh3::Xxh3Default;
 
 use crate::colors::{Lists, Pick, Picked};
+use crate::fingerprint::VertexHash;
 
 use super::cluster::Element;
 use super::cut::{ClusteredCell, Forest};
@@ -49,7 +49,7 @@ pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: G) -> Result<Option<Clustered
     let members = || Membership::new(pass.grid, info, pass.noted, pass.folder);
     let mut clustered = Clustered {
         forest: Forest::new(pass.grid, pass.target, pass.bound, pass.most, pass.foresight),
-        hash: Xxh3Default::new(),
+        hash: VertexHash::default(),
         ranges: Ranges::new(pass.grid.keys.len()),
         membership: pass.with_members.then(members).transpose()?,
         picked: pass.picking.map(|_| Picked::new(pass.folder)).transpose()?,
@@ -142,7 +142,7 @@ struct Merging<'a, G> {
     left: Vec<u64>,
     /// Of the items of the piece that is merged, where each is now: cell and index.
     places: Vec<(u32, u32)>,
-    hash: &'a mut Xxh3Default,
+    hash: &'a mut VertexHash,
     ranges: &'a mut Ranges,
     membership: Option<&'a mut Membership>,
     picked: Option<&'a mut Picked>,

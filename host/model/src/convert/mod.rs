@@ -150,7 +150,7 @@ impl Converted {
         progress.begin("converting", self.info.vertex_bytes + self.info.face_bytes);
         let normals = if self.how.drops_normals { Normals::Drop } else { Normals::Keep };
         let keep = |_: &VertexChunk, _: &mut [Edited]| Ok(());
-        let how = Rewriting { normals, pieces_done: 0 };
+        let how = Rewriting { normals, ..Rewriting::default() };
         self.rewrite(&mut [&mut file.replaceable()], how, &keep, progress)?;
         progress.check()?;
         file.commit()

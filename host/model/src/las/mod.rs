@@ -40,9 +40,10 @@ use reader::Reader;
 use vlrs::Kind;
 
 use crate::bounds::Bounds;
+use crate::pipeline::Rewritable;
 use crate::{
-    Edit, Error, ErrorKind, Model, ModelInfo, Output, Progress, Result, Rewriting, ScaledIntegers,
-    VertexChunk, VertexReader, pipeline,
+    Division, Edit, Error, ErrorKind, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
+    ScaledIntegers, VertexChunk, VertexReader, pipeline,
 };
 
 /// Whether a file that begins so is LAS.
@@ -141,6 +142,10 @@ impl Model for LasModel {
         Ok(Some(format!(
             "the offset of the positions becomes ({x}, {y}, {z}); all their integers are written anew"
         )))
+    }
+
+    fn division(&self, normals: Normals) -> Option<Division> {
+        Rewritable::division(self, normals)
     }
 
     fn rewrite(

@@ -48,6 +48,11 @@ impl<'a> Reader<'a> {
         Self { model, range, chunk: CHUNK_VERTICES, what: What::All, ahead: VecDeque::new() }
     }
 
+    /// Vertices of a whole chunk of a file that is not compressed.
+    pub fn plain_chunk(record: usize) -> u64 {
+        CHUNK_VERTICES.min((CHUNK_BYTES / record).max(1)) as u64
+    }
+
     /// Reads the bytes of the next vertices of a file that is not compressed; returns how many, none at the
     /// end.
     pub fn read_plain(&mut self, chunk: &mut VertexChunk) -> Result<usize> {

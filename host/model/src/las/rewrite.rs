@@ -10,10 +10,10 @@ use super::laszip::What;
 use super::points;
 use super::reader::Reader;
 use crate::bounds::Bounds;
-use crate::pipeline::{Piece, Pieces, Rewritable, Version};
+use crate::pipeline::{Piece, Pieces, Rewritable, Skipped, Version};
 use crate::source::Source;
 use crate::unfit::Unfit;
-use crate::{Error, ErrorKind, Normals, Result, ScaledIntegers, Summary, VertexChunk};
+use crate::{Division, Error, ErrorKind, Normals, Result, ScaledIntegers, Summary, VertexChunk};
 
 /// Bytes that are copied at a time.
 const CHUNK_BYTES: usize = 4 << 20;
@@ -21,27 +21,21 @@ const CHUNK_BYTES: usize = 4 << 20;
 impl Rewritable for LasModel {
     fn pieces(&self, _normals: Normals) -> Result<Box<dyn Pieces + '_>> {
         let mut next = VecDeque::from([Part::Header]);
+        next.extend(self.copied_before().into_iter().map(Part::Copy));
+        next.push_back(Part::Points);
         let copy = |range: Range<u64>, next: &mut VecDeque<Part>| {
             next.extend(self.without_copc(range).into_iter().map(Part::Copy));
         };
         match &self.compressed {
-            None => {
-                copy(self.header.len..self.header.points, &mut next);
-                next.push_back(Part::Points);
-                copy(self.header.points + self.info.vertex_bytes..self.source.len(), &mut next);
-            }
-            Some((_, blocks)) => {
-                copy(self.header.len..blocks.start(0).1, &mut next);
-                next.push_back(Part::Points);
-                match &blocks.table {
-                    Some(table) => {
-                        copy(blocks.end()..table.start, &mut next);
-                        next.push_back(Part::Table(table.clone()));
-                        copy(table.end..self.source.len(), &mut next);
-                    }
-                    None => copy(blocks.end()..self.source.len(), &mut next),
+            None => copy(self.header.points + self.info.vertex_bytes..self.source.len(), &mut next),
+            Some((_, blocks)) => match &blocks.table {
+                Some(table) => {
+                    copy(blocks.end()..table.start, &mut next);
+                    next.push_back(Part::Table(table.clone()));
+                    copy(table.end..self.source.len(), &mut next);
                 }
-            }
+                None => copy(blocks.end()..self.source.len(), &mut next),
+            },
         }
         let plain = Reader::new(self, 0..self.info.vertices);
         Ok(Box::new(LasPieces { model: self, next, plain, block: 0 }))
@@ -138,6 +132,20 @@ impl Rewritable for LasModel {
         Ok(patches)
     }
 
+    fn division(&self, _normals: Normals) -> Option<Division> {
+        let copied = self.copied_before().into_iter().map(|range| copies(&range));
+        let first = 1 + copied.sum::<u64>();
+        let points = match &self.compressed {
+            None => self.info.vertices.div_ceil(Reader::plain_chunk(self.header.record)),
+            Some((_, blocks)) => {
+                let mut starts = std::iter::successors(Some(0), |at| Some(blocks.group(*at).end));
+                starts.position(|at| at >= blocks.len()).unwrap_or(0) as u64
+            }
+        };
+        let in_place = self.compressed.is_none() && self.records.of_copc().next().is_none();
+        Some(Division { pieces: first + points, vertices: first..first + points, in_place })
+    }
+
     fn source(&self) -> &Source {
         &self.source
     }
@@ -201,6 +209,44 @@ impl Pieces for LasPieces<'_> {
             self.next.pop_front();
         }
     }
+
+    fn skip(&mut self, mut pieces: u64) -> Result<Skipped> {
+        let model = self.model;
+        let mut skipped = Skipped { bytes: 0, vertex_bytes: 0 };
+        while let (1.., Some(part)) = (pieces, self.next.front_mut()) {
+            match part {
+                Part::Copy(range) => {
+                    let passed = copies(range).min(pieces);
+                    pieces -= passed;
+                    range.start = range.end.min(range.start + passed * CHUNK_BYTES as u64);
+                    skipped.bytes = range.start;
+                }
+                Part::Points => {
+                    let passed;
+                    (passed, skipped) = self.skip_points(pieces);
+                    pieces -= passed;
+                }
+                Part::Header => {
+                    pieces -= 1;
+                    skipped.bytes = model.header.len;
+                }
+                Part::Table(range) => {
+                    pieces -= 1;
+                    skipped.bytes = range.end;
+                }
+            }
+            if pieces > 0 || matches!(self.next.front(), Some(Part::Header | Part::Table(_))) {
+                self.next.pop_front();
+            }
+        }
+        model.source.check_unchanged()?;
+        Ok(skipped)
+    }
+}
+
+/// Number of pieces that a range is copied in.
+fn copies(range: &Range<u64>) -> u64 {
+    range.end.saturating_sub(range.start).div_ceil(CHUNK_BYTES as u64)
 }
 
 impl LasPieces<'_> {
@@ -221,7 +267,38 @@ impl LasPieces<'_> {
     }
 }
 
+impl LasPieces<'_> {
+    /// Passes over so many pieces of points, or all: how many these are, and all that lies before their end.
+    fn skip_points(&mut self, pieces: u64) -> (u64, Skipped) {
+        let model = self.model;
+        let Some((_, blocks)) = &model.compressed else {
+            let chunk = Reader::plain_chunk(model.header.record);
+            let passed = model.info.vertices.div_ceil(chunk).min(pieces);
+            let first = (passed * chunk).min(model.info.vertices);
+            self.plain = Reader::new(model, first..model.info.vertices);
+            let vertex_bytes = first * model.header.record as u64;
+            return (passed, Skipped { bytes: model.header.points + vertex_bytes, vertex_bytes });
+        };
+        let mut passed = 0;
+        while passed < pieces && self.block < blocks.len() {
+            self.block = blocks.group(self.block).end;
+            passed += 1;
+        }
+        let bytes = blocks.start(self.block).1;
+        (passed, Skipped { bytes, vertex_bytes: bytes - blocks.start(0).1 })
+    }
+}
+
 impl LasModel {
+    /// What of the file is copied between its header and its points.
+    fn copied_before(&self) -> Vec<Range<u64>> {
+        let points = match &self.compressed {
+            None => self.header.points,
+            Some((_, blocks)) => blocks.start(0).1,
+        };
+        self.without_copc(self.header.len..points)
+    }
+
     /// What of a range of the file goes into the new one: all but the octree of COPC.
     fn without_copc(&self, range: Range<u64>) -> Vec<Range<u64>> {
         let (mut ranges, mut start) = (Vec::new(), range.start);

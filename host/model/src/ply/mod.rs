@@ -43,10 +43,13 @@ pub use writer::{Besides, write_points, write_vertices};
 
 use super::model::some_by_all;
 use super::source::Source;
-use super::{Edit, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, VertexReader, pipeline};
+use super::{
+    Division, Edit, FaceReader, Model, ModelInfo, Output, Rewriting, VertexChunk, VertexReader, pipeline,
+};
 use crate::follow::{Follow, Following};
+use crate::pipeline::Rewritable;
 use crate::progress::Silent;
-use crate::{Error, ErrorKind, Progress, Result};
+use crate::{Error, ErrorKind, Normals, Progress, Result};
 use faces::{Faces, SomeFaces};
 use glam::DVec3;
 use layout::Layout;
@@ -267,6 +270,10 @@ impl Model for PlyModel {
         self.misfit = None;
         self.layout.follow(self.following.places());
         Ok(())
+    }
+
+    fn division(&self, normals: Normals) -> Option<Division> {
+        Rewritable::division(self, normals)
     }
 
     fn rewrite(

@@ -49,6 +49,11 @@ impl<'a> Reader<'a> {
         Ok(reader)
     }
 
+    /// Vertices of a whole chunk, where they all have a length of `stride`.
+    pub(super) fn fixed_chunk(stride: usize) -> u64 {
+        CHUNK_VERTICES.min((CHUNK_BYTES / stride).max(1)) as u64
+    }
+
     /// Where in the file the next vertex begins; after the last vertex, where the vertices end.
     pub(super) fn offset(&self) -> u64 {
         self.offset

@@ -6,9 +6,9 @@ use super::patch::Rest;
 use super::reader::{CHUNK_BYTES, Reader};
 use super::walk::{CUT_OFF, Walker};
 use super::{ascii, binary};
-use crate::pipeline::{Piece, Pieces, Rewritable, Version};
+use crate::pipeline::{Piece, Pieces, Rewritable, Skipped, Version};
 use crate::source::Source;
-use crate::{Normals, Result, VertexChunk};
+use crate::{Division, Error, Normals, Result, VertexChunk};
 
 impl Rewritable for PlyModel {
     fn pieces(&self, normals: Normals) -> Result<Box<dyn Pieces + '_>> {
@@ -46,6 +46,16 @@ impl Rewritable for PlyModel {
             binary::cut_normals(&self.layout, spans, bytes);
         }
         Ok(())
+    }
+
+    fn division(&self, normals: Normals) -> Option<Division> {
+        let before = self.pieces_before(normals);
+        let per_piece = Reader::fixed_chunk(self.layout.stride?);
+        let vertices = before..before + self.info.vertices.div_ceil(per_piece);
+        let behind = self.source.len().saturating_sub(self.vertices_end()?);
+        let in_place = !(normals == Normals::Drop && self.layout.has_normals());
+        let pieces = vertices.end + behind.div_ceil(CHUNK_BYTES as u64);
+        Some(Division { pieces, vertices, in_place })
     }
 
     fn source(&self) -> &Source {
@@ -101,9 +111,50 @@ impl Pieces for PlyPieces<'_> {
         source.check_unchanged()?;
         Ok(Piece::End)
     }
+
+    fn skip(&mut self, pieces: u64) -> Result<Skipped> {
+        let model = self.model;
+        let normals = if self.drop_normals { Normals::Drop } else { Normals::Keep };
+        let (Some(Division { vertices, .. }), Some(stride)) = (model.division(normals), model.layout.stride)
+        else {
+            return Err(Error::internal("a PLY file that cannot be divided was divided", "report this"));
+        };
+        if pieces < vertices.start {
+            for _ in 0..pieces {
+                self.read(&mut VertexChunk::default())?;
+            }
+            return Ok(Skipped { bytes: self.at, vertex_bytes: 0 });
+        }
+        self.drop_normals = false;
+        self.at = model.vertices_start;
+        let first = (pieces.min(vertices.end) - vertices.start) * Reader::fixed_chunk(stride);
+        let first = first.min(model.info.vertices);
+        self.vertices = Reader::new(model, first..model.info.vertices)?;
+        if pieces >= vertices.end {
+            self.at = self.vertices.offset() + (pieces - vertices.end) * CHUNK_BYTES as u64;
+            self.at = self.at.min(model.source.len());
+            // Nothing that is behind it is looked at: it cannot be known where elements begin.
+            self.walker = Some(Walker::new(&[], model.header.encoding));
+        }
+        let bytes = if pieces >= vertices.end { self.at } else { self.vertices.offset() };
+        Ok(Skipped { bytes, vertex_bytes: first * stride as u64 })
+    }
 }
 
 impl PlyModel {
+    /// Number of pieces before the vertices.
+    fn pieces_before(&self, normals: Normals) -> u64 {
+        let cut = normals == Normals::Drop && self.layout.has_normals();
+        let (header, from) = if cut { (1, self.header.len) } else { (0, 0) };
+        header + (self.vertices_start - from).div_ceil(CHUNK_BYTES as u64)
+    }
+
+    /// Where the vertices end, if they are all of one length.
+    fn vertices_end(&self) -> Option<u64> {
+        let bytes = self.info.vertices.checked_mul(self.layout.stride? as u64)?;
+        self.vertices_start.checked_add(bytes)
+    }
+
     /// Makes `piece` up to `count` bytes of the file without vertices; returns how many it holds.
     fn read_bytes(&self, piece: &mut VertexChunk, at: u64, count: usize) -> Result<u64> {
         let VertexChunk { positions, normals, raw, spans, .. } = piece;

@@ -8,12 +8,12 @@ use glam::{DVec3, Vec3};
 
 use super::{Layout, Places, Reader, following, gradient, info, packing, turn};
 use crate::follow::{Follow, Following};
-use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
+use crate::pipeline::{self, Piece, Pieces, Rewritable, Skipped, Version};
 use crate::source::Source;
 use crate::unfit::Unfit;
 use crate::{
-    CHUNK_VERTICES, Edit, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, VertexChunk,
-    VertexReader,
+    CHUNK_VERTICES, Division, Edit, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting,
+    VertexChunk, VertexReader,
 };
 
 /// The extension of such files.
@@ -149,6 +149,10 @@ impl Model for Records {
         Ok(())
     }
 
+    fn division(&self, normals: Normals) -> Option<Division> {
+        Rewritable::division(self, normals)
+    }
+
     fn rewrite(
         &self,
         outputs: &mut [&mut dyn Output],
@@ -202,6 +206,11 @@ impl Rewritable for Records {
         Ok(())
     }
 
+    fn division(&self, _normals: Normals) -> Option<Division> {
+        let pieces = self.info.vertices.div_ceil(CHUNK_VERTICES as u64);
+        Some(Division { pieces, vertices: 0..pieces, in_place: true })
+    }
+
     fn source(&self) -> &Source {
         &self.source
     }
@@ -224,5 +233,11 @@ impl Pieces for RecordPieces<'_> {
         self.model.read(chunk, self.next..end)?;
         self.next = end;
         Ok(Piece::Vertices(count))
+    }
+
+    fn skip(&mut self, pieces: u64) -> Result<Skipped> {
+        self.next = pieces.saturating_mul(CHUNK_VERTICES as u64).min(self.model.info.vertices);
+        let bytes = self.next * RECORD as u64;
+        Ok(Skipped { bytes, vertex_bytes: bytes })
     }
 }

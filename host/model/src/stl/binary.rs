@@ -7,13 +7,13 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 
 use super::facets::{FACET, Facets, START, normal};
-use crate::pipeline::{self, Piece, Pieces, Rewritable, Version};
+use crate::pipeline::{self, Piece, Pieces, Rewritable, Skipped, Version};
 use crate::source::Source;
 use crate::text::CUT_OFF;
 use crate::unfit::Unfit;
 use crate::{
-    CHUNK_VERTICES, Edit, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result, Rewriting, Scalar,
-    VertexChunk, VertexReader,
+    CHUNK_VERTICES, Division, Edit, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
+    Rewriting, Scalar, VertexChunk, VertexReader,
 };
 
 /// Most facets of a chunk.
@@ -180,6 +180,10 @@ impl Model for BinaryStl {
         self.source.check_unchanged()
     }
 
+    fn division(&self, normals: Normals) -> Option<Division> {
+        Rewritable::division(self, normals)
+    }
+
     fn rewrite(
         &self,
         outputs: &mut [&mut dyn Output],
@@ -234,6 +238,11 @@ impl Rewritable for BinaryStl {
         Ok(())
     }
 
+    fn division(&self, _normals: Normals) -> Option<Division> {
+        let facets = 1..1 + self.facets.div_ceil(CHUNK_FACETS);
+        Some(Division { pieces: facets.end, vertices: facets, in_place: true })
+    }
+
     fn source(&self) -> &Source {
         &self.source
     }
@@ -266,5 +275,11 @@ impl Pieces for StlPieces<'_> {
         }
         self.at += source.append_at(&mut chunk.raw, self.at, left.min(COPIED as u64) as usize)? as u64;
         Ok(Piece::Bytes)
+    }
+
+    fn skip(&mut self, pieces: u64) -> Result<Skipped> {
+        let facets = pieces.saturating_sub(1).saturating_mul(CHUNK_FACETS).min(self.model.facets);
+        self.at = if pieces == 0 { 0 } else { START + FACET * facets };
+        Ok(Skipped { bytes: self.at, vertex_bytes: FACET * facets })
     }
 }

@@ -7,6 +7,7 @@ mod e57;
 mod gltf;
 mod obj;
 mod off;
+mod parts;
 mod pcd;
 mod splats;
 mod stl;

@@ -5,6 +5,7 @@ use crate::engine::{Carried, Comparing};
 use crate::overlay::Overlay;
 use crate::scene::{Scene, common};
 use glam::Vec3;
+use simod_core::fingerprint::are_same;
 use simod_core::sampled_model::SampledModel;
 use simod_model::Result;
 use simod_plugin_api::Effort;
@@ -214,8 +215,9 @@ impl State {
 fn is_of(session: &SessionFile, open: &Open) -> bool {
     let source = &open.scene.sampled.source;
     let file = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
-    match (&session.fingerprint, &session.model) {
-        (Some(fingerprint), _) => *fingerprint == source.fingerprint,
+    let same = session.fingerprint.as_ref().and_then(|known| are_same(known, &source.fingerprint));
+    match (same, &session.model) {
+        (Some(same), _) => same,
         (None, Some(model)) => file(model) == file(open.editor.model().unwrap_or(&source.path)),
         (None, None) => true,
     }

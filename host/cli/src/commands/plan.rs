@@ -1,0 +1,177 @@
+//! `simod plan` and `simod unit`: a session by units, for more machines than one.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use simod_core::guard::Kind;
+use simod_model::Result;
+use simod_session::SessionFile;
+use simod_session::plan::{Done, Emit, Options, Plan as Units, Stage, do_unit, make};
+use simod_session::session_file::inputs;
+
+use super::follow_options::FollowOptions;
+use super::overwrite::Overwrite;
+use super::plugin_options::PluginOptions;
+use super::reconstruct::{MethodName, NormalsName, OffsetName};
+use super::tell;
+use super::time_options::TimeOptions;
+use crate::report::{Report, count};
+
+/// Write a whole `simod run` as units of work, for more machines than one: each is done by `simod unit`, and all
+/// together write the same bytes
+#[derive(Args)]
+pub struct Plan {
+    /// The session
+    session: PathBuf,
+    /// The folder of the plan, which all machines see: units read and write there
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// How many units share each stage that can be divided
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    units: u64,
+    /// Write what an engine needs as well (may be given several times)
+    #[arg(long, value_enum, value_name = "ENGINE", value_delimiter = ',')]
+    emit: Vec<EngineName>,
+    /// The deformed model to write, instead of the session's own output
+    #[arg(long, value_name = "FILE")]
+    to: Option<PathBuf>,
+    /// The model, if it is not where the session says
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// How to transfer the deformation
+    #[arg(long, value_enum, default_value_t)]
+    method: MethodName,
+    /// What becomes of the model's normals
+    #[arg(long, value_enum, default_value_t)]
+    normals: NormalsName,
+    /// What becomes of the offset of positions that are stored as integers, as in LAS
+    #[arg(long, value_enum, default_value_t)]
+    offset: OffsetName,
+    /// Write another format than the model's, which the output's extension says, even where it cannot hold all
+    #[arg(long)]
+    lossy: bool,
+    #[command(flatten)]
+    following: FollowOptions,
+    #[command(flatten)]
+    time: TimeOptions,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    #[command(flatten)]
+    plugins: PluginOptions,
+}
+
+/// What does units.
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum EngineName {
+    /// Makefile: `make -C DIR -j 8` does all units
+    Make,
+    /// slurm.sh: submits arrays of jobs with their dependencies
+    Slurm,
+    /// commands.txt: a line for each unit, by stages, for render farms
+    Commands,
+}
+
+impl From<EngineName> for Emit {
+    fn from(name: EngineName) -> Self {
+        match name {
+            EngineName::Make => Self::Make,
+            EngineName::Slurm => Self::Slurm,
+            EngineName::Commands => Self::Commands,
+        }
+    }
+}
+
+impl Plan {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        let mut session = SessionFile::load(&self.session)?;
+        session.model = self.model.or(session.model);
+        session.time = self.time.over(session.time)?;
+        let output = match self.to {
+            Some(output) => output,
+            None => session.output_beside(&self.session)?.to_owned(),
+        };
+        let (chosen, force) = (self.plugins.chosen().to_owned(), self.overwrite.force());
+        let plugins = self.plugins.discover(report)?;
+        let mut guard = self.overwrite.guard();
+        guard.reads(&self.session);
+        guard.reads_all(&session.model);
+        guard.reads_all(inputs(&self.session)?);
+        guard.reads_all(plugins.files());
+        guard.writes(&output, Kind::Model)?;
+        guard.replaces_folder(&self.output)?;
+        let mut emit: Vec<Emit> = self.emit.iter().map(|name| (*name).into()).collect();
+        emit.sort_unstable();
+        emit.dedup();
+        let options = Options {
+            method: self.method.into(),
+            normals: self.normals.into(),
+            choose_offset: self.offset == OffsetName::Auto,
+            lossy: self.lossy,
+            force,
+            follow: &self.following.follow(&session.follow),
+            plugins: &chosen,
+            units: self.units,
+            emit: &emit,
+        };
+        let plan =
+            make(&session, &self.session, &plugins, &output, &options, &self.output, report.progress())?;
+        if let Some(why) = plan.undivided() {
+            report.warn(format!("one unit writes the model: {why}"));
+        }
+        let of = |stage| plan.units().iter().filter(|unit| unit.stage == stage).count();
+        report.figure("units", plan.units().len());
+        report.figure("counting_units", of(Stage::Count));
+        report.figure("writing_units", of(Stage::Apply) + of(Stage::Write));
+        report.figure("vertices", plan.vertices());
+        report.line(format!(
+            "{} units in {}, which write {}",
+            plan.units().len(),
+            self.output.display(),
+            plan.output().display()
+        ));
+        Ok(())
+    }
+}
+
+/// Do a unit of a plan; what is there already is not done again
+#[derive(Args)]
+pub struct Unit {
+    /// The plan's folder
+    #[arg(value_name = "DIR")]
+    plan: PathBuf,
+    /// The unit's number
+    #[arg(value_name = "N")]
+    number: usize,
+    #[command(flatten)]
+    plugins: PluginOptions,
+}
+
+impl Unit {
+    pub fn execute(self, report: &mut Report) -> Result<()> {
+        let plan = Units::load(&self.plan)?;
+        let plugins = self.plugins.or_chosen(plan.plugins()).discover(report)?;
+        let mut guard = Overwrite::forcing(plan.force()).guard();
+        guard.reads_all(plan.inputs());
+        guard.reads_all(inputs(plan.inputs()[0])?);
+        guard.writes(plan.output(), Kind::Model)?;
+        let Done { was_done, messages, written } =
+            do_unit(&plan, (&self.plan, self.number), &plugins, report.progress())?;
+        tell(&messages, report);
+        let stage = plan.units().get(self.number).map_or("", |unit| unit.stage.name());
+        report.figure("unit", self.number);
+        report.figure("stage", stage);
+        report.figure("was_done", was_done);
+        if let Some(written) = written {
+            report.figure("vertices", written.vertices);
+            let folded = written.folding.first().copied().flatten().map_or(0, |folding| folding.samples);
+            report.figure("folded_samples", folded);
+            if folded > 0 {
+                report.warn(format!("the deformation folds the surface at {} samples", count(folded)));
+            }
+            report.line(format!("wrote {}", plan.output().display()));
+        }
+        let was = if was_done { "was done before" } else { "is done" };
+        report.line(format!("unit {} ({stage}) {was}", self.number));
+        Ok(())
+    }
+}

@@ -1,0 +1,297 @@
+//! The content of `plan.toml`: units, and what each comes after.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use simod_core::reconstruction::Method;
+use simod_model::follow::{Follow, Kind, Opacity};
+use simod_model::{Error, ErrorKind, Normals, Result, input};
+
+use crate::session_file::SessionTime;
+
+/// What is written on the first line of `plan.toml`.
+pub(super) const FORMAT: &str = "simod-plan/1";
+
+/// The plan itself.
+pub(super) const PLAN: &str = "plan.toml";
+
+/// What the last unit leaves.
+pub(super) const FINISHED: &str = "finished.toml";
+
+/// P_S.
+pub(super) const SAMPLED: &str = "sampled.simod";
+
+/// P_S with what the steps appended, if any refine.
+pub(super) const REFINED: &str = "refined.simod";
+
+/// P_S*.
+pub(super) const DEFORMED: &str = "deformed.ply";
+
+/// The output in the making, where it is known beforehand where each part goes.
+pub(super) const SHARED: &str = "output.bin";
+
+/// The deformation's gradients at the samples, where anything turns by them.
+pub(super) const GRADIENTS: &str = "gradients.bin";
+
+/// No plan is longer: of a million units.
+pub(super) const LONGEST: u64 = 256 << 20;
+
+/// A folder of units: the content of `plan.toml`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct Plan {
+    pub(super) format: String,
+    /// The program's version: others may give other bytes.
+    pub(super) program: String,
+    /// The session's file, and the hash of what it says.
+    pub(super) session: PathBuf,
+    pub(super) session_hash: String,
+    /// Where the deformed model goes.
+    pub(super) output: PathBuf,
+    /// The model, where it is.
+    pub(super) model: PathBuf,
+    /// Its size.
+    pub(super) model_bytes: u64,
+    /// Number of its vertices.
+    pub(super) vertices: u64,
+    /// Why it is not divided, if it is not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) undivided: Option<String>,
+    pub(super) options: Recorded,
+    #[serde(rename = "unit")]
+    pub(super) units: Vec<Unit>,
+}
+
+/// The options of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub(super) struct Recorded {
+    pub(super) method: String,
+    pub(super) normals: String,
+    /// The offset of integers may change.
+    pub(super) choose_offset: bool,
+    pub(super) lossy: bool,
+    /// Files of other kinds may be replaced.
+    pub(super) force: bool,
+    /// Whether splats turn.
+    pub(super) splats: bool,
+    pub(super) opacity: Opacity,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) max_anisotropy: Option<f64>,
+    /// Libraries of plugins that were chosen.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) plugins: Vec<PathBuf>,
+    #[serde(default)]
+    pub(super) time: SessionTime,
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub(super) follow: BTreeMap<String, Kind>,
+}
+
+/// A piece of work.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct Unit {
+    /// Its place in the list.
+    pub number: usize,
+    /// What is done.
+    pub stage: Stage,
+    /// The units that have to be done before.
+    pub after: Vec<usize>,
+    /// Of which vertices, if it counts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) vertices: Option<Range<u64>>,
+    /// Of which pieces of the file, if it applies the deformation.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) pieces: Option<Range<u64>>,
+    /// The file in the plan's folder that is there once it is done.
+    pub writes: PathBuf,
+}
+
+/// What units do, in the order of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Stage {
+    /// Vertices of a range are counted per cell.
+    Count,
+    /// The counts are added up, and the model is sampled.
+    Sample,
+    /// The samples are deformed, and refined where the steps say so.
+    Deform,
+    /// A range of the file is written.
+    Apply,
+    /// The ranges are put together.
+    Finish,
+    /// The whole file is written, where it cannot be divided.
+    Write,
+}
+
+impl Stage {
+    /// What it is called.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Count => "count",
+            Self::Sample => "sample",
+            Self::Deform => "deform",
+            Self::Apply => "apply",
+            Self::Finish => "finish",
+            Self::Write => "write",
+        }
+    }
+}
+
+/// The names of the methods, and of what becomes of normals, in plans.
+pub(super) const METHODS: [(&str, Method); 2] =
+    [("blended-jets", Method::BlendedJets), ("projected-barycentric", Method::ProjectedBarycentric)];
+pub(super) const NORMALS: [(&str, Normals); 3] =
+    [("keep", Normals::Keep), ("transform", Normals::Transform), ("drop", Normals::Drop)];
+
+pub(super) fn name_of<T: PartialEq>(names: &[(&str, T)], of: &T) -> String {
+    names.iter().find(|(_, known)| known == of).map_or("", |(name, _)| name).to_owned()
+}
+
+fn named<T: Copy>(names: &[(&str, T)], name: &str) -> Option<T> {
+    names.iter().find(|(known, _)| *known == name).map(|(_, of)| *of)
+}
+
+impl Plan {
+    /// Reads the plan in a folder.
+    ///
+    /// # Errors
+    /// There is none, it is of another version of the program, or makes no sense.
+    pub fn load(folder: &Path) -> Result<Self> {
+        let file = folder.join(PLAN);
+        let wrong = |what: String| {
+            let hint = "make it again: `simod plan SESSION.toml -o DIR`";
+            Error::new(ErrorKind::Format, format!("{}: {what}", file.display()), hint)
+        };
+        if !file.exists() {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("{} is no plan: it has no {PLAN}", folder.display()),
+                "give the folder that `simod plan` wrote",
+            ));
+        }
+        let text = input::read_text(&file, LONGEST)?;
+        let plan: Self = toml::from_str(&text).map_err(|e| wrong(e.message().replace('\n', " ")))?;
+        if plan.format != FORMAT {
+            return Err(wrong(format!("format is {:?}, not {FORMAT:?}", plan.format)));
+        }
+        if plan.program != env!("CARGO_PKG_VERSION") {
+            return Err(Error::new(
+                ErrorKind::Mismatch,
+                format!(
+                    "{} was made by version {} of the program, and this is {}",
+                    file.display(),
+                    plan.program,
+                    env!("CARGO_PKG_VERSION")
+                ),
+                "use one version for all units, as others may give other bytes; or make the plan again",
+            ));
+        }
+        plan.check().map_err(wrong)?;
+        Ok(plan)
+    }
+
+    /// What makes no sense, if anything.
+    fn check(&self) -> Result<(), String> {
+        // What comes before the vertices is of no unit that applies the deformation.
+        let (mut vertices, mut pieces) = (Some(0), None);
+        for (number, unit) in self.units.iter().enumerate() {
+            let wrong = |what: &str| Err(format!("unit {number} {what}"));
+            if unit.number != number {
+                return wrong("has another number");
+            }
+            if unit.after.iter().any(|before| *before >= number) {
+                return wrong("comes after one that is not before it");
+            }
+            if !unit.writes.components().all(|part| matches!(part, std::path::Component::Normal(_))) {
+                return wrong("writes outside the plan's folder");
+            }
+            let range = match unit.stage {
+                Stage::Count => Some((&unit.vertices, &mut vertices)),
+                Stage::Apply => Some((&unit.pieces, &mut pieces)),
+                _ => None,
+            };
+            match range {
+                Some((Some(range), next))
+                    if next.is_none_or(|next| next == range.start) && range.end >= range.start =>
+                {
+                    *next = Some(range.end);
+                }
+                Some(_) => return wrong("is not of the range that comes next"),
+                None => {}
+            }
+        }
+        let is_last = |unit: &Unit| matches!(unit.stage, Stage::Finish | Stage::Write);
+        match self.units.iter().filter(|unit| is_last(unit)).count() {
+            1 if self.units.last().is_some_and(is_last) => self.recorded().map(|_| ()),
+            _ => Err("does not end with the unit that writes the output".to_owned()),
+        }
+    }
+
+    /// The units, in an order in which they can be done.
+    pub fn units(&self) -> &[Unit] {
+        &self.units
+    }
+
+    /// Where the deformed model goes.
+    pub fn output(&self) -> &Path {
+        &self.output
+    }
+
+    /// The session that it does, and the model.
+    pub fn inputs(&self) -> [&Path; 2] {
+        [&self.session, &self.model]
+    }
+
+    /// Number of the model's vertices.
+    pub fn vertices(&self) -> u64 {
+        self.vertices
+    }
+
+    /// Why the model is not divided, if it is not.
+    pub fn undivided(&self) -> Option<&str> {
+        self.undivided.as_deref()
+    }
+
+    /// The libraries of plugins that were chosen.
+    pub fn plugins(&self) -> &[PathBuf] {
+        &self.options.plugins
+    }
+
+    /// Whether the output may replace a file of another kind.
+    pub fn force(&self) -> bool {
+        self.options.force
+    }
+
+    /// Method and normals, or what is wrong with them.
+    pub(super) fn recorded(&self) -> Result<(Method, Normals), String> {
+        let Recorded { method, normals, .. } = &self.options;
+        let known = named(&METHODS, method).zip(named(&NORMALS, normals));
+        known.ok_or_else(|| format!("there is no method {method:?} or no way {normals:?} for normals"))
+    }
+
+    pub(super) fn follow(&self) -> Follow {
+        let Recorded { splats, opacity, max_anisotropy, follow, .. } = &self.options;
+        Follow {
+            declared: follow.clone(),
+            splats: *splats,
+            opacity: *opacity,
+            max_anisotropy: *max_anisotropy,
+        }
+    }
+
+    /// The files of a stage, in the order of its units.
+    pub(super) fn files_of(&self, folder: &Path, stage: Stage) -> Vec<PathBuf> {
+        let units = self.units.iter().filter(|unit| unit.stage == stage);
+        units.map(|unit| folder.join(&unit.writes)).collect()
+    }
+}
+
+/// The hash of what a session says, as it stands in plans.
+pub(super) fn hash_of(session: &Path) -> Result<String> {
+    let text = input::read(session, LONGEST)?;
+    Ok(format!("xxh3-128:{:032x}", xxhash_rust::xxh3::xxh3_128(&text)))
+}

@@ -1,0 +1,238 @@
+//! Plans from sessions.
+
+use std::ffi::OsString;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use simod_core::reconstruction::Method;
+use simod_model::follow::Follow;
+use simod_model::output_folder::OutputFolder;
+use simod_model::target::{canonical_target, folder_of};
+use simod_model::{Cache, Error, ErrorKind, Model, Normals, Progress, Result, output};
+
+use super::emit::{Emit, emit};
+use super::graph::{
+    DEFORMED, FINISHED, FORMAT, GRADIENTS, METHODS, NORMALS, PLAN, Plan, REFINED, Recorded, SAMPLED, SHARED,
+    Stage, Unit, hash_of, name_of,
+};
+use crate::pipeline::{converted, open};
+use crate::plugins::PluginRegistry;
+use crate::session_file::SessionFile;
+use crate::stack::Stack;
+
+/// How a session is run by units: as [`Running`](crate::Running) says, as far as units can.
+#[derive(Debug, Clone)]
+pub struct Options<'a> {
+    /// How vertices are carried over.
+    pub method: Method,
+    /// What becomes of the model's normals.
+    pub normals: Normals,
+    /// The offset of positions that are stored as integers may be another one.
+    pub choose_offset: bool,
+    /// Another format may lose what it cannot hold.
+    pub lossy: bool,
+    /// Files of other kinds may be replaced by the output.
+    pub force: bool,
+    /// What turns with the surface.
+    pub follow: &'a Follow,
+    /// Libraries of plugins that were chosen.
+    pub plugins: &'a [PathBuf],
+    /// So many units share each stage that can be divided.
+    pub units: u64,
+    /// For what engines.
+    pub emit: &'a [Emit],
+}
+
+/// Makes the plan of a session, which is in the file `path`, and writes it to a folder, which appears whole or not
+/// at all. A former plan there is replaced. Vertices are not read, unless the model has to be gone over to be opened.
+///
+/// # Errors
+/// The session cannot be done; the model cannot be opened; the folder cannot be written, or is no plan; a path is no
+/// text.
+pub fn make(
+    session: &SessionFile,
+    path: &Path,
+    registry: &PluginRegistry,
+    output: &Path,
+    options: &Options<'_>,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<Plan> {
+    check_target(folder)?;
+    // What is wrong with the steps is told now.
+    Stack::build(&session.steps, registry)?;
+    let output = canonical_target(output)?;
+    if folder.canonicalize().is_ok_and(|folder| output.starts_with(folder)) {
+        let what = format!("{} lies in the plan's folder, which is replaced", output.display());
+        return Err(Error::new(ErrorKind::Argument, what, "write it to another folder"));
+    }
+    let new = OutputFolder::create(folder)?;
+    let cache = &Arc::new(Cache::nameless(folder_of(folder)));
+    let becomes = converted(session, &output, (options.normals, options.lossy), (cache, progress))?;
+    let mut model = open(session, cache, progress)?;
+    model.follow(options.follow)?;
+    let undivided = why_undivided(&*model, becomes.is_some(), options.normals);
+    let info = model.info();
+    let plan = Plan {
+        format: FORMAT.to_owned(),
+        program: env!("CARGO_PKG_VERSION").to_owned(),
+        session: absolute(path)?,
+        session_hash: hash_of(path)?,
+        output: text(output)?,
+        model: absolute(model.path())?,
+        model_bytes: info.bytes,
+        vertices: info.vertices,
+        options: Recorded {
+            method: name_of(&METHODS, &options.method),
+            normals: name_of(&NORMALS, &options.normals),
+            choose_offset: options.choose_offset,
+            lossy: options.lossy,
+            force: options.force,
+            splats: options.follow.splats,
+            opacity: options.follow.opacity,
+            max_anisotropy: options.follow.max_anisotropy,
+            plugins: options.plugins.iter().map(|file| absolute(file)).collect::<Result<_>>()?,
+            time: session.time,
+            follow: options.follow.declared.clone(),
+        },
+        units: units(&*model, undivided.is_some(), options),
+        undivided,
+    };
+    let described = toml::to_string(&plan)
+        .map_err(|e| Error::internal(format!("cannot describe the plan: {e}"), "report this").because(e))?;
+    let named = |e: Error| new.named(e);
+    output::write_file(&new.path().join(PLAN), described.as_bytes()).map_err(named)?;
+    for how in options.emit {
+        let (name, script) = emit(&plan, *how, new.target())?;
+        output::write_file(&new.path().join(name), script.as_bytes()).map_err(named)?;
+    }
+    check_target(folder)?;
+    new.commit()?;
+    Ok(plan)
+}
+
+/// Why only one unit writes the model, if so.
+fn why_undivided(model: &dyn Model, is_converted: bool, normals: Normals) -> Option<String> {
+    if is_converted {
+        return Some("it becomes another format, whose parts follow from each other".to_owned());
+    }
+    model
+        .division(normals)
+        .is_none()
+        .then(|| format!("it is {}, whose parts cannot be written by themselves", model.info().format))
+}
+
+/// The graph.
+fn units(model: &dyn Model, undivided: bool, options: &Options<'_>) -> Vec<Unit> {
+    let mut units: Vec<Unit> = Vec::new();
+    let mut add = |stage, after: Vec<usize>, range: [Option<Range<u64>>; 2], writes: PathBuf| {
+        let [vertices, pieces] = range;
+        units.push(Unit { number: units.len(), stage, after, vertices, pieces, writes });
+        units.len() - 1
+    };
+    let mut before = Vec::new();
+    let info = model.info();
+    // Others would have to be unpacked, or gone over, by each unit.
+    if info.random_access && model.division(options.normals).is_some() {
+        for (number, range) in shares(info.vertices, options.units).enumerate() {
+            let writes = PathBuf::from(format!("count-{number}.bin"));
+            before.push(add(Stage::Count, Vec::new(), [Some(range), None], writes));
+        }
+    }
+    let sample = add(Stage::Sample, before, [None, None], Path::new(SAMPLED).join("simod.toml"));
+    let deform = add(Stage::Deform, vec![sample], [None, None], DEFORMED.into());
+    let division = model.division(options.normals).filter(|_| !undivided);
+    let Some(division) = division else {
+        add(Stage::Write, vec![deform], [None, None], FINISHED.into());
+        return units;
+    };
+    let mut parts = Vec::new();
+    let first = division.vertices.start;
+    for (number, share) in shares(division.pieces - first, options.units).enumerate() {
+        let range = first + share.start..first + share.end;
+        let writes = PathBuf::from(format!("part-{number}.bin"));
+        parts.push(add(Stage::Apply, vec![deform], [None, Some(range)], writes));
+    }
+    add(Stage::Finish, parts, [None, None], FINISHED.into());
+    units
+}
+
+/// Ranges of about the same length, none of them empty.
+fn shares(all: u64, count: u64) -> impl Iterator<Item = Range<u64>> {
+    let count = count.clamp(1, all.max(1));
+    let at = move |share: u64| (u128::from(all) * u128::from(share) / u128::from(count)) as u64;
+    (0..count).map(move |share| at(share)..at(share + 1))
+}
+
+/// An error where something else is than a plan, or nothing.
+fn check_target(folder: &Path) -> Result<()> {
+    let refused = |what: String| {
+        let hint = "give the name of a new folder, or of a plan to replace";
+        Err(Error::new(ErrorKind::Argument, format!("{} {what}", folder.display()), hint))
+    };
+    if folder.symlink_metadata().is_err() {
+        return Ok(());
+    }
+    if !folder.join(PLAN).is_file() {
+        return refused("exists and is no plan".to_owned());
+    }
+    // What is replaced is removed: nothing of the user's own.
+    let entries = std::fs::read_dir(folder).map_err(|e| Error::io("read", folder, &e))?;
+    let foreign = |name: &OsString| !name.to_str().is_some_and(is_own);
+    match entries.flatten().map(|entry| entry.file_name()).find(foreign) {
+        Some(name) => refused(format!("holds {} beside the plan", name.display())),
+        None => Ok(()),
+    }
+}
+
+/// Whether a file in a plan's folder is of the plan, its units or its engines.
+fn is_own(name: &str) -> bool {
+    let fixed = [PLAN, FINISHED, SAMPLED, REFINED, DEFORMED, SHARED, GRADIENTS];
+    let is_numbered = |(before, behind)| name.starts_with(before) && name.ends_with(behind);
+    fixed.contains(&name)
+        || Emit::FILES.contains(&name)
+        || [("count-", ".bin"), ("part-", ".bin"), ("slurm-", ".out"), (".simod-", "")]
+            .into_iter()
+            .any(is_numbered)
+}
+
+/// A path that does not depend on where a unit is done.
+fn absolute(path: &Path) -> Result<PathBuf> {
+    text(path.canonicalize().map_err(|e| Error::io("read", path, &e))?)
+}
+
+/// The path, which scripts and plans can hold.
+fn text(path: PathBuf) -> Result<PathBuf> {
+    let plain = |text: &str| !text.chars().any(char::is_control);
+    if path.to_str().is_some_and(plain) {
+        return Ok(path);
+    }
+    Err(Error::new(
+        ErrorKind::Argument,
+        format!("{} is no name that a plan can hold", path.display()),
+        "give it a name without control characters, in UTF-8",
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn shares_are_all_of_it(all in 0u64..u64::MAX, count in 0u64..2000) {
+            let shares: Vec<Range<u64>> = shares(all, count).collect();
+            let mut next = 0;
+            for share in &shares {
+                prop_assert!(share.start == next && (share.end > share.start || all == 0));
+                next = share.end;
+            }
+            prop_assert_eq!(next, all);
+            prop_assert!(shares.len() as u64 <= count.max(1));
+            let lengths = shares.iter().map(|share| share.end - share.start);
+            prop_assert!(lengths.clone().max().unwrap() - lengths.min().unwrap() <= 1);
+        }
+    }
+}

@@ -1,0 +1,305 @@
+//! Doing a unit of a plan.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::{Mat3, Vec3};
+use simod_core::reconstruction::{
+    Part, Reconstructed, Reconstruction, Version, choose_offset, join_parts, reconstruct, write_part,
+};
+use simod_core::sampled_model::SampledModel;
+use simod_core::sampling::{Sampling, count, sample_counted};
+use simod_model::{
+    Cache, Conversion, Converted, Error, ErrorKind, Model, Normals, Progress, Result, input,
+    is_named_otherwise, output,
+};
+
+use super::graph::{DEFORMED, FINISHED, GRADIENTS, Plan, REFINED, SAMPLED, SHARED, Stage, Unit, hash_of};
+use crate::deformer::Message;
+use crate::edit::{Refinements, turning_gradients};
+use crate::pipeline::{DeformedSamples, deform, needed, note_losses, open, sampled_of};
+use crate::plugins::PluginRegistry;
+use crate::session_file::SessionFile;
+use crate::stack::Stack;
+
+/// Longest file of gradients: of 2³² samples.
+const LONGEST: u64 = 1 << 38;
+
+/// What a unit did.
+#[derive(Default)]
+pub struct Done {
+    /// It was done before, and nothing had to be.
+    pub was_done: bool,
+    /// What the plugins had to say.
+    pub messages: Vec<Message>,
+    /// What was written, by the last unit.
+    pub written: Option<Reconstructed>,
+}
+
+/// Does a unit of the plan in a folder. What is there already is not done again.
+///
+/// # Errors
+/// There is no such unit, or one that has to be done before was not; the session or the model is not what it was;
+/// what other units wrote is damaged; and as of the parts of a [`Run`](crate::Run).
+pub fn do_unit(
+    plan: &Plan,
+    (folder, number): (&Path, usize),
+    plugins: &PluginRegistry,
+    progress: &dyn Progress,
+) -> Result<Done> {
+    let unit = plan.units().get(number).ok_or_else(|| {
+        let last = plan.units().len() - 1;
+        Error::new(
+            ErrorKind::Argument,
+            format!("{} has no unit {number}", folder.display()),
+            format!("its units are 0 to {last}: see plan.toml there"),
+        )
+    })?;
+    let work = Work { plan, unit, folder, progress };
+    // Parts are checked where they are found, and what they were made of may be gone once all is done.
+    let checks_itself = matches!(unit.stage, Stage::Count | Stage::Apply);
+    if folder.join(FINISHED).is_file() || (!checks_itself && folder.join(&unit.writes).is_file()) {
+        return Ok(Done { was_done: true, ..Done::default() });
+    }
+    for before in &unit.after {
+        let before = &plan.units()[*before];
+        if !folder.join(&before.writes).is_file() {
+            let (number, stage) = (before.number, before.stage.name());
+            return Err(Error::new(
+                ErrorKind::Argument,
+                format!("unit {number} ({stage}) has to be done before unit {}", unit.number),
+                format!("do it first: `simod unit {} {number}`", folder.display()),
+            ));
+        }
+    }
+    match unit.stage {
+        Stage::Count => work.count(),
+        Stage::Sample => work.sample(plugins),
+        Stage::Deform => work.deform(plugins),
+        Stage::Apply => work.apply(),
+        Stage::Finish => work.finish(),
+        Stage::Write => work.write(),
+    }
+}
+
+struct Work<'a> {
+    plan: &'a Plan,
+    unit: &'a Unit,
+    folder: &'a Path,
+    progress: &'a dyn Progress,
+}
+
+impl Work<'_> {
+    fn at(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    fn count(&self) -> Result<Done> {
+        let session = self.session()?;
+        let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
+        let vertices = self.unit.vertices.clone().unwrap_or_default();
+        let target = (vertices, &*self.at_own());
+        let did = count(&*model, &Sampling::from(session.sampling), target, self.progress)?;
+        Ok(Done { was_done: !did, ..Done::default() })
+    }
+
+    fn sample(&self, plugins: &PluginRegistry) -> Result<Done> {
+        let session = self.session()?;
+        let stack = Stack::build(&session.steps, plugins)?;
+        let begun = SampledModel::begin(&self.at(SAMPLED))?;
+        let cache = SampledModel::cache_in(&begun);
+        let model = self.open(&session, &cache)?;
+        let counted = self.plan.files_of(self.folder, Stage::Count);
+        let counted = (!counted.is_empty()).then_some(&counted[..]);
+        let skip = needed(&session, &stack, false);
+        let by = |sampling: &Sampling| sample_counted(&*model, sampling, counted, self.folder, self.progress);
+        sampled_of(&session, &*model, skip, &cache, by, self.progress)?.save_in(begun)?;
+        Ok(Done::default())
+    }
+
+    fn deform(&self, plugins: &PluginRegistry) -> Result<Done> {
+        let session = self.session()?;
+        let refines = session.steps.iter().any(|step| step.enabled && step.refines());
+        let from = self.at(SAMPLED);
+        let mut sampled = SampledModel::load(&from)?;
+        if refines {
+            sampled.hold_cells(sampled.cells(&from, None, self.progress)?);
+        }
+        let mut model = sampled.open_source(None, self.progress)?;
+        model.follow(&self.plan.follow())?;
+        let (folder, time) = (self.folder.to_owned(), session.time.time());
+        let how = Refinements { folder, time, ..Refinements::default() };
+        let DeformedSamples { sampled, positions, normals, stack, messages } =
+            deform(sampled, &session.steps, plugins, how, self.progress)?;
+        if refines {
+            sampled.save(&self.at(REFINED))?;
+        }
+        if let Some(known) = turning_gradients(&sampled, &stack, &*model, self.progress)? {
+            let bytes = postcard::to_allocvec(&known.iter().map(Mat3::to_cols_array).collect::<Vec<_>>());
+            let bytes = bytes.map_err(|e| {
+                Error::internal(format!("the gradients cannot be written: {e}"), "report this").because(e)
+            })?;
+            output::write_file(&self.at(GRADIENTS), &sealed(bytes))?;
+        }
+        // In the end, as it tells that all is there.
+        sampled.write_deformed(&self.at(DEFORMED), &positions, &normals)?;
+        Ok(Done { messages, ..Done::default() })
+    }
+
+    fn apply(&self) -> Result<Done> {
+        let edit = self.edit()?;
+        let pieces = self.unit.pieces.clone().unwrap_or_default();
+        let Edit { sampled, model, deformed, .. } = &edit;
+        let (own, shared) = (&*self.at_own(), &*self.at(SHARED));
+        let part = Part { pieces, own, shared };
+        let did = write_part(sampled, &**model, deformed, &edit.how(), &part, self.progress)?;
+        Ok(Done { was_done: !did, ..Done::default() })
+    }
+
+    fn finish(&self) -> Result<Done> {
+        let edit = self.edit()?;
+        let Edit { sampled, model, deformed, .. } = &edit;
+        let parts = self.plan.files_of(self.folder, Stage::Apply);
+        let version = Version { deformed, output: &self.plan.output, diagnostics: None };
+        let files = (&parts[..], &*self.at(SHARED));
+        let written = join_parts(sampled, &**model, &version, &edit.how(), files, self.progress)?;
+        self.finished()?;
+        // They are not needed any more; one that cannot be removed hurts nobody.
+        parts.iter().for_each(|part| drop(std::fs::remove_file(part)));
+        Ok(Done { written: Some(written), ..Done::default() })
+    }
+
+    fn write(&self) -> Result<Done> {
+        let mut edit = self.edit()?;
+        let output = &self.plan.output;
+        if is_named_otherwise(&*edit.model, output) {
+            let drops_normals = edit.normals == Normals::Drop;
+            let how = Conversion { lossy: self.plan.options.lossy, drops_normals, ..Conversion::default() };
+            let converted = Converted::new(edit.model, output, how, self.progress)?;
+            note_losses(&converted, self.progress);
+            edit.model = Box::new(converted);
+            edit.model.follow(&self.plan.follow())?;
+        }
+        self.choose_offset(&mut edit)?;
+        let Edit { sampled, model, deformed, .. } = &edit;
+        let version = Version { deformed, output, diagnostics: None };
+        let written = reconstruct(sampled, &**model, &[version], &edit.how(), self.progress)?;
+        self.finished()?;
+        Ok(Done { written: Some(written), ..Done::default() })
+    }
+
+    /// The file that this unit writes.
+    fn at_own(&self) -> PathBuf {
+        self.folder.join(&self.unit.writes)
+    }
+
+    /// The session, which says what it said when the plan was made.
+    fn session(&self) -> Result<SessionFile> {
+        let path = &self.plan.session;
+        if hash_of(path)? != self.plan.session_hash {
+            return Err(self.changed(path));
+        }
+        let mut session = SessionFile::load(path)?;
+        (session.model, session.time) = (Some(self.plan.model.clone()), self.plan.options.time);
+        Ok(session)
+    }
+
+    /// The model, as far as its size tells.
+    fn open(&self, session: &SessionFile, cache: &Arc<Cache>) -> Result<Box<dyn Model>> {
+        let mut model = open(session, cache, self.progress)?;
+        if (model.info().bytes, model.info().vertices) != (self.plan.model_bytes, self.plan.vertices) {
+            return Err(self.changed(model.path()));
+        }
+        model.follow(&self.plan.follow())?;
+        Ok(model)
+    }
+
+    fn changed(&self, path: &Path) -> Error {
+        Error::new(
+            ErrorKind::Mismatch,
+            format!("{} changed since the plan was made", path.display()),
+            "make the plan again: `simod plan`",
+        )
+    }
+
+    /// What the units before have left for the writing of the model.
+    fn edit(&self) -> Result<Edit> {
+        let of = if self.at(REFINED).is_dir() { REFINED } else { SAMPLED };
+        let sampled = SampledModel::load(&self.at(of))?;
+        let deformed = sampled.read_deformed(&self.at(DEFORMED))?;
+        let mut model = sampled.open_source(None, self.progress)?;
+        model.follow(&self.plan.follow())?;
+        let gradients = self.gradients(sampled.samples.len())?;
+        let known = self.plan.recorded().map_err(|e| Error::internal(e, "report this"))?;
+        let mut edit = Edit { sampled, model, deformed, gradients, method: known.0, normals: known.1 };
+        if self.unit.stage != Stage::Write {
+            self.choose_offset(&mut edit)?;
+        }
+        Ok(edit)
+    }
+
+    fn choose_offset(&self, edit: &mut Edit) -> Result<()> {
+        if self.plan.options.choose_offset {
+            let chosen = choose_offset(&edit.sampled, edit.model.as_mut(), [&edit.deformed[..]])?;
+            chosen.into_iter().for_each(|changed| self.progress.note(&changed));
+        }
+        Ok(())
+    }
+
+    fn gradients(&self, samples: usize) -> Result<Option<Vec<Mat3>>> {
+        let path = self.at(GRADIENTS);
+        if !path.exists() {
+            return Ok(None);
+        }
+        let bytes = input::read(&path, LONGEST)?;
+        let known = unsealed(&bytes).and_then(|bytes| postcard::from_bytes::<Vec<[f32; 9]>>(bytes).ok());
+        let known = known.filter(|known| known.len() == samples).ok_or_else(|| {
+            Error::new(
+                ErrorKind::Format,
+                format!("{} is damaged", path.display()),
+                format!("remove {DEFORMED} beside it, and do the unit again that wrote both"),
+            )
+        })?;
+        Ok(Some(known.iter().map(Mat3::from_cols_array).collect()))
+    }
+
+    /// Says in the plan's folder that the output is in its place.
+    fn finished(&self) -> Result<()> {
+        let bytes = std::fs::metadata(&self.plan.output).map_or(0, |meta| meta.len());
+        let text = format!("output = {:?}\nbytes = {bytes}\n", self.plan.output.display().to_string());
+        output::write_file(&self.at(FINISHED), text.as_bytes())
+    }
+}
+
+/// All that the writing of the model needs.
+struct Edit {
+    sampled: SampledModel,
+    model: Box<dyn Model>,
+    deformed: Vec<Vec3>,
+    gradients: Option<Vec<Mat3>>,
+    method: simod_core::reconstruction::Method,
+    normals: Normals,
+}
+
+impl Edit {
+    fn how(&self) -> Reconstruction<'_> {
+        Reconstruction {
+            method: self.method,
+            normals: self.normals,
+            gradients: self.gradients.as_deref(),
+            ..Reconstruction::default()
+        }
+    }
+}
+
+/// The bytes and their hash.
+fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
+    let hash = xxhash_rust::xxh3::xxh3_128(&bytes).to_le_bytes();
+    bytes.extend_from_slice(&hash);
+    bytes
+}
+
+fn unsealed(bytes: &[u8]) -> Option<&[u8]> {
+    let (content, hash) = bytes.split_last_chunk()?;
+    (xxhash_rust::xxh3::xxh3_128(content) == u128::from_le_bytes(*hash)).then_some(content)
+}
