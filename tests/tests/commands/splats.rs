@@ -391,7 +391,7 @@ fn declared_numbers_turn_by_command_line_and_by_session() {
     for row in 0..found.rows.len() {
         let t = DVec3::from_array(found.numbers(["t_x", "t_y", "t_z"], row));
         // Gradients are exact at the samples; between them, fits over many of these add what rounding leaves.
-        assert!(t.distance(DVec3::new(1.0, -2.0, 1.0)) < 3e-5, "{t}");
+        assert!(t.distance(DVec3::new(1.0, -2.0, 1.0)) < 1e-4, "{t}");
         assert!(found.numbers(["qw"], row)[0] > 1.0 - 1e-9);
     }
     // The command line has the last word.

@@ -129,8 +129,8 @@ fn splats_are_ellipses_in_their_colours() {
     done(&mut harness, Command::Open { path, sampling, recover: false });
     // The samples have the splats' colours already.
     let samples = picture(&mut harness, "splats-samples.png");
-    let red = |[r, _, b]: [u8; 3]| r > 60 && r > 2 * b.max(1).min(127);
-    let blue = |[r, _, b]: [u8; 3]| b > 60 && b > 2 * r.max(1).min(127);
+    let red = |[r, _, b]: [u8; 3]| r > 60 && r > 2 * b.clamp(1, 127);
+    let blue = |[r, _, b]: [u8; 3]| b > 60 && b > 2 * r.clamp(1, 127);
     let of = |picture: &Image, is: &dyn Fn([u8; 3]) -> bool| {
         middle().filter(|place| is(at(picture, *place))).count()
     };
