@@ -13,6 +13,7 @@ use simod_core::reconstruction::{
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, count, sample, sample_counted};
 use simod_generate::{ModelOptions, write_file as generate};
+use simod_model::output::write_file;
 use simod_model::progress::Silent;
 use simod_model::{Conversion, Converted, Division, ErrorKind, Model, Progress, Result};
 use tempfile::TempDir;
@@ -163,11 +164,11 @@ fn check_wrong(extension: &str) {
     for at in [0, good.len() / 2, good.len() - 40, good.len() - 9, good.len() - 8, good.len() - 1] {
         let mut spoilt = good.clone();
         spoilt[at] ^= 1;
-        fs::write(&parts[1], spoilt).unwrap();
+        write_file(&parts[1], &spoilt).unwrap();
         assert!(message(&parts, &how).contains("is damaged"), "byte {at}");
     }
     for end in [0, 7, 8, 100, good.len() - 1] {
-        fs::write(&parts[1], &good[..end]).unwrap();
+        write_file(&parts[1], &good[..end]).unwrap();
         assert!(message(&parts, &how).contains("is damaged"), "{end} bytes");
         // It is written again where it is asked for.
         assert!(work.write(1, 3, &how, &Silent).unwrap());
@@ -177,7 +178,7 @@ fn check_wrong(extension: &str) {
     assert!(work.write(1, 3, &how, &Silent).unwrap());
     if work.shares(&how) {
         let shared = fs::read(work.path("shared")).unwrap();
-        fs::write(work.path("shared"), &shared[..shared.len() - 1]).unwrap();
+        write_file(&work.path("shared"), &shared[..shared.len() - 1]).unwrap();
         assert!(message(&parts, &how).contains("is cut off"));
         assert!(work.write(2, 3, &how, &Silent).unwrap(), "the part that is not all there is written again");
     }
@@ -264,7 +265,7 @@ fn counts_of_ranges_add_up() {
             for at in [0, 9, good.len() / 2, good.len() - 1] {
                 let mut spoilt = good.clone();
                 spoilt[at] ^= 1;
-                fs::write(&files[0], spoilt).unwrap();
+                write_file(&files[0], &spoilt).unwrap();
                 assert!(refused(&files, &sampling).contains("is damaged"), "byte {at}");
             }
             files.iter().for_each(|file| fs::remove_file(file).unwrap());

@@ -15,8 +15,7 @@ use glam::{DMat3, DVec3, Mat3, Vec3};
 use pulp::Arch;
 use rayon::prelude::*;
 
-use super::expansion::Expansion;
-use super::gradients::ROUNDING;
+use super::expansion::{Expansion, ROUNDING};
 use super::stencils::Stencils;
 use crate::sampling::SampleSet;
 

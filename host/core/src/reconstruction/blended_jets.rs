@@ -270,7 +270,8 @@ impl WithSimd for Fits<'_> {
             let mut packet = [self.first + at; MOST_LANES];
             packet.iter_mut().enumerate().take(count).for_each(|(lane, sample)| *sample += lane);
             let Fitted { samples, stencils, deformed, .. } = self.fitted;
-            neighbours.gather::<S>(samples, stencils, deformed, &packet, FIT_NEIGHBOURS);
+            let around = |i: usize| stencils.around(&samples.positions, i, FIT_NEIGHBOURS);
+            neighbours.gather::<S>(&samples.positions, deformed, &packet, around);
             self.fit(simd, &neighbours, &packet, at..at + count);
         }
     }

@@ -14,8 +14,7 @@ use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
 use super::blend::AROUND;
-use super::expansion::Expansion;
-use super::gradients::ROUNDING;
+use super::expansion::{Expansion, ROUNDING};
 use super::hull::way_from_hull;
 use super::sheets::Sheets;
 use super::{DeformationField, Transport};

@@ -4,6 +4,9 @@ use bytemuck::Zeroable;
 use glam::{Mat3, Vec3};
 use serde::{Deserialize, Serialize};
 
+/// What rounding to single precision may leave over, in local units.
+pub const ROUNDING: f64 = 5e-7;
+
 /// The displacement about a sample, u(q + d) = u₀ + S·d + Q(d, d), and how far the sample's word counts.
 ///
 /// The ten terms of each coordinate are u₀, the three slopes, and the six second-order terms xx, xy, xz, yy,

@@ -22,8 +22,7 @@ use simod_model::histogram::Histogram;
 use simod_model::{ModelInfo, Result, Scalar};
 
 use super::blend::LEAST_WEIGHT;
-use super::expansion::Expansion;
-use super::gradients::ROUNDING;
+use super::expansion::{Expansion, ROUNDING};
 use super::homes::Homes;
 use super::{DeformationField, Method, Moved, Neighbourhood, blended_jets, carry};
 use crate::sampled_model::SampledModel;

@@ -21,6 +21,7 @@ use rayon::prelude::*;
 use super::Transport;
 use super::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES, Triple, kernel, square};
 use super::eigen_lanes::{cross, dot, symmetric_eigen};
+use super::expansion::ROUNDING;
 use super::packets::{Neighbours, Place, triple};
 use super::sheets::Sheets;
 use super::stencils::Stencils;
@@ -41,9 +42,6 @@ const PRIOR: f64 = 3e-3;
 /// Its weight where neighbours tell all they can, for each of their own weights: the square of what rounding
 /// makes of how far they are off the plane, for a gradient that is off by a third.
 const LEAST_PRIOR: f64 = 1e-13;
-
-/// What rounding to single precision may leave over, in local units.
-pub const ROUNDING: f64 = 5e-7;
 
 /// Relief of this part of the whole spread tells on which side of the surface things come to lie.
 const RELIEF: f64 = 4e-7;
@@ -110,14 +108,15 @@ impl WithSimd for Fits<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { samples, stencils, deformed, all, fits } = self;
-        let mut neighbours = Neighbours::default();
+        let (mut neighbours, positions) = (Neighbours::default(), &samples.positions[..]);
         for at in (0..all.len()).step_by(S::F64_LANES) {
             let count = S::F64_LANES.min(all.len() - at);
             let mut packet = [all[at] as usize; MOST_LANES];
             for lane in 0..count {
                 packet[lane] = all[at + lane] as usize;
             }
-            neighbours.gather::<S>(samples, stencils, deformed, &packet, FIT_NEIGHBOURS);
+            let around = |i: usize| stencils.around(positions, i, FIT_NEIGHBOURS);
+            neighbours.gather::<S>(positions, deformed, &packet, around);
             fit(simd, &neighbours, &mut fits[at..at + count]);
         }
     }

@@ -17,7 +17,7 @@ use glam::Vec3;
 use pulp::Simd;
 
 use super::double_lanes::{DoubleLanes, DoubleMask, MOST_LANES, Triple, kernel, square};
-use super::gradients::ROUNDING;
+use super::expansion::ROUNDING;
 use super::packets::{Neighbours, Place, triple};
 
 /// The largest ridge, relative to terms of the size of the neighbourhood ...

@@ -4,8 +4,6 @@ use glam::Vec3;
 use pulp::Simd;
 
 use super::double_lanes::{DoubleLanes, MOST_LANES, Triple};
-use super::stencils::Stencils;
-use crate::sampling::SampleSet;
 
 /// Most neighbours of a sample in a fit.
 pub const MOST_NEIGHBOURS: usize = 28;
@@ -51,21 +49,20 @@ impl Default for Neighbours {
 }
 
 impl Neighbours {
-    /// Gathers at most `count` neighbours of each of as many samples as there are lanes.
+    /// Gathers the neighbours of as many samples as there are lanes: those that are `around` each, at most
+    /// [`MOST_NEIGHBOURS`], and the radius of the kernel over them. Positions at rest, and deformed.
     #[inline(always)]
-    pub fn gather<S: Simd>(
+    pub fn gather<'a, S: Simd>(
         &mut self,
-        samples: &SampleSet,
-        stencils: &Stencils<'_>,
+        positions: &[Vec3],
         deformed: &[Vec3],
         packet: &[usize; MOST_LANES],
-        count: usize,
+        around: impl Fn(usize) -> (&'a [u32], f32),
     ) {
-        let positions = &samples.positions[..];
         let mut lists = [&[][..]; MOST_LANES];
         (self.is_still, self.scale, self.longest) = ([true; MOST_LANES], [1.0; MOST_LANES], 0);
         for lane in 0..S::F64_LANES {
-            let (near, radius) = stencils.around(positions, packet[lane], count.min(MOST_NEIGHBOURS));
+            let (near, radius) = around(packet[lane]);
             let is_still = |i: usize| positions[i] == deformed[i];
             self.is_still[lane] = is_still(packet[lane]) && near.iter().all(|j| is_still(*j as usize));
             // Of neighbours that all lie at one place, nothing can be told.

@@ -13,7 +13,7 @@ use std::collections::HashMap;
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
-use super::gradients::ROUNDING;
+use super::expansion::ROUNDING;
 use super::sheets::{SHEET_NEIGHBOURS, Sheets, nearest_of};
 use crate::sampling::SampleSet;
 

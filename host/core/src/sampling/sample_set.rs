@@ -151,7 +151,7 @@ impl SampleSet {
 
     /// Sets the graph, which was found out before; `false` if it cannot be that of these samples.
     pub(crate) fn set_neighbours(&self, graph: NeighbourGraph) -> bool {
-        if !graph.is_valid(self.len()) {
+        if graph.k() != NEIGHBOURS.min(self.len() - 1) || !graph.is_valid(self.len()) {
             return false;
         }
         self.surroundings.get_or_init(|| Surroundings::of(&self.positions, graph));
