@@ -1,6 +1,6 @@
 //! The hash of the bytes of all vertices, which tells whether a model is the one that was sampled.
 //!
-//! It is the hash of those of blocks of [`BLOCK`] bytes, so that readers of a part each find the blocks of theirs.
+//! It is the hash of those of blocks of 256 KiB, so that readers of a part each find the blocks of theirs.
 //! Former versions hashed all bytes as they came: where such a hash is known, it is compared with one of its kind.
 
 use serde::{Deserialize, Serialize};
