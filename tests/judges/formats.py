@@ -3,14 +3,21 @@ compares every attribute.
 
     python -m venv judges && judges/bin/pip install -r tests/judges/formats-requirements.txt
     judges/bin/python tests/judges/formats.py target/release/simod
+    judges/bin/python tests/judges/formats.py target/release/simod --measure 2000000 8000000
 
 A rigid motion of the samples is one of the model, exactly but for rounding; what the samples do not move keeps its bytes.
+`--measure` compares the time of `sample` and `reconstruct` with that of reading and writing the file by the libraries, whose
+own start is left out.
 """
 
+import argparse
+import json
+import os
 import pathlib
 import subprocess
 import sys
 import tempfile
+import time
 
 import meshio
 import numpy as np
@@ -22,7 +29,12 @@ from stl import Mode, mesh
 
 import ply_files
 
-SIMOD = str(pathlib.Path(sys.argv[1]).resolve())
+parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+parser.add_argument("program", type=pathlib.Path)
+parser.add_argument("--measure", type=int, nargs="+", metavar="VERTICES")
+parser.add_argument("--of", nargs="+", metavar="ENDING", help="measure these formats alone")
+OPTIONS = parser.parse_args()
+SIMOD = str(OPTIONS.program.resolve())
 SIDE = 80
 ANGLE = 0.5
 TURN = np.array([[np.cos(ANGLE), -np.sin(ANGLE), 0], [np.sin(ANGLE), np.cos(ANGLE), 0], [0, 0, 1]])
@@ -333,4 +345,76 @@ def main():
     judge("table.csv", lambda p: table().to_csv(p, index=False, float_format="%.4f"), of_table, 1e-4)
 
 
-main()
+# What reads `m.ENDING` and writes `other.ENDING`, by ending and library.
+MESH = "open3d.io.write_triangle_mesh('other.{0}', open3d.io.read_triangle_mesh('m.{0}'))"
+CLOUD = "open3d.io.write_point_cloud('other.{0}', open3d.io.read_point_cloud('m.{0}'))"
+LIBRARIES = {
+    "stl": {"trimesh": "trimesh.load('m.stl').export('other.stl')", "open3d": MESH},
+    "obj": {"trimesh": "trimesh.load('m.obj').export('other.obj')", "open3d": MESH},
+    "off": {"trimesh": "trimesh.load('m.off').export('other.off')", "open3d": MESH},
+    "glb": {"trimesh": "trimesh.load('m.glb').export('other.glb')"},
+    "xyzn": {"open3d": CLOUD},
+    "pcd": {"open3d": CLOUD},
+    "csv": {"pandas": "pandas.read_csv('m.csv').to_csv('other.csv', index=False)"},
+}
+
+
+def measure(counts):
+    """The best of three runs in turns: seconds, seconds of processor time, and the peak of memory in MiB."""
+    for count in counts:
+        for ending, libraries in LIBRARIES.items():
+            if OPTIONS.of and ending not in OPTIONS.of:
+                continue
+            with tempfile.TemporaryDirectory() as name:
+                folder = pathlib.Path(name)
+                made = folder / f"m.{ending}"
+                simod("generate", "--vertices", count, "-o", folder / "m.ply")
+                if ending == "glb":
+                    mesh = open3d.io.read_triangle_mesh(str(folder / "m.ply"))
+                    normals = np.asarray(mesh.compute_vertex_normals().vertex_normals)
+                    faces = np.asarray(mesh.triangles)
+                    whole = trimesh.Trimesh(np.asarray(mesh.vertices), faces, vertex_normals=normals, process=False)
+                    whole.export(made, include_normals=True)
+                    del mesh, normals, faces, whole
+                else:
+                    simod("convert", folder / "m.ply", made, "--lossy")
+                (folder / "m.ply").unlink()
+                runs = {name: [] for name in [*libraries, "sample", "reconstruct"]}
+                for _ in range(3):
+                    for library, code in libraries.items():
+                        code = f"t = time.perf_counter(), time.process_time()\n{code.format(ending)}\n"
+                        code = f"import json, resource, time, {library}\n{code}"
+                        code += "t = time.perf_counter() - t[0], time.process_time() - t[1]\n"
+                        code += "print(json.dumps([*t, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024]))"
+                        told = subprocess.run([sys.executable, "-c", code], cwd=folder, check=True, capture_output=True)
+                        runs[library].append(json.loads(told.stdout.splitlines()[-1]))
+                    subprocess.run(["rm", "-rf", "m.simod", f"out.{ending}"], cwd=folder, check=True)
+                    runs["sample"].append(timed(folder, "sample", made.name, "-o", "m.simod"))
+                    turned(folder / "m.simod" / "samples.ply", folder / "moved.ply", 0.0)
+                    line = ("reconstruct", "m.simod", "--deformed", "moved.ply", "-o", f"out.{ending}")
+                    runs["reconstruct"].append(timed(folder, *line))
+                print(f"{count} vertices, {ending} of {made.stat().st_size / 2**20:.0f} MiB")
+                best = {name: [min(all) for all in zip(*times)] for name, times in runs.items()}
+                for name, (wall, cpu, peak) in best.items():
+                    ratios = ", ".join(f"{wall / best[library][0]:.2f} times {library}" for library in libraries)
+                    own = "" if name in libraries else f" ({ratios})"
+                    print(f"  {name}: {wall:.2f} s{own}, {cpu:.2f} s of processor time, {peak:.0f} MiB", flush=True)
+
+
+def timed(folder, *words):
+    """Seconds, seconds of processor time, and the peak of memory in MiB, which the program tells."""
+    start = time.perf_counter()
+    line = [SIMOD, "--json", *map(str, words)]
+    process = subprocess.Popen(line, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    told = process.stdout.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0, words
+    peak = json.loads(told)["peak_memory_bytes"]
+    return time.perf_counter() - start, usage.ru_utime + usage.ru_stime, peak / 2**20
+
+
+if OPTIONS.measure:
+    measure(OPTIONS.measure)
+else:
+    main()

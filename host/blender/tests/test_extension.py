@@ -317,9 +317,14 @@ def test_the_lesson(extension, model, tmp_path):
     assert np.abs(after[turned] - expected).max() < 5e-3
 
 
-def test_in_the_background_with_progress(imported, tmp_path, monkeypatch):
+def test_in_the_background_with_progress(extension, tmp_path, monkeypatch):
     operators = sys.modules["simod_blender"].operators
-    imported.location.x = 1
+    # Large enough that each stage lasts until it is looked at.
+    subprocess.run([SIMOD, "generate", "--vertices", "2000000", "-o", tmp_path / "large.ply"], check=True)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    how = {"folder": str(tmp_path / "p_s"), "preset": "0", "samples": 8000, "wait": True}
+    assert bpy.ops.simod.import_samples(filepath=str(tmp_path / "large.ply"), **how) == {"FINISHED"}
+    bpy.context.object.location.x = 1
     bpy.context.view_layer.update()
     # As with a window: the operator returns at once, and a timer looks at the job.
     monkeypatch.setattr(operators, "begin", lambda job, wait: setattr(operators, "current", job.start()))
@@ -329,6 +334,7 @@ def test_in_the_background_with_progress(imported, tmp_path, monkeypatch):
     seen = []
     while operators.look() is not None:
         seen.append((operators.current.stage, operators.current.fraction))
+        time.sleep(0.002)
     assert all(0 <= part <= 1 for _, part in seen) and (tmp_path / "out.ply").exists()
     assert "reconstructing" in {stage for stage, _ in seen}
     assert operators.last_report[0].startswith("writing the model: done in")
