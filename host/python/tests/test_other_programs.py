@@ -37,7 +37,7 @@ def is_near(found: Any, expected: NDArray[np.float64], worst: float) -> bool:
 
 
 def test_trimesh(amphora: Path) -> None:
-    trimesh = pytest.importorskip("trimesh")
+    trimesh = pytest.importorskip("trimesh", exc_type=ImportError)
     mesh = trimesh.load(amphora, process=False)
     rest = np.array(mesh.vertices)
     samples = simod.sample(mesh.vertices, mesh.vertex_normals, triangles=mesh.faces, samples=4000)
@@ -50,7 +50,7 @@ def test_trimesh(amphora: Path) -> None:
 
 
 def test_open3d(amphora: Path) -> None:
-    open3d = pytest.importorskip("open3d")
+    open3d = pytest.importorskip("open3d", exc_type=ImportError)
     cloud = open3d.io.read_point_cloud(str(amphora))
     rest, normals = np.array(cloud.points), np.array(cloud.normals)
     samples = simod.sample(cloud.points, cloud.normals, samples=4000)
@@ -63,7 +63,7 @@ def test_open3d(amphora: Path) -> None:
 
 
 def test_pyvista(amphora: Path) -> None:
-    pyvista = pytest.importorskip("pyvista")
+    pyvista = pytest.importorskip("pyvista", exc_type=ImportError)
     mesh = pyvista.read(amphora)
     rest = np.array(mesh.points, np.float64)
     samples = simod.sample(mesh.points, triangles=mesh.regular_faces, samples=4000)
@@ -73,7 +73,7 @@ def test_pyvista(amphora: Path) -> None:
 
 
 def test_laspy(amphora: Path, tmp_path: Path) -> None:
-    laspy = pytest.importorskip("laspy")
+    laspy = pytest.importorskip("laspy", exc_type=ImportError)
     run("convert", amphora, tmp_path / "a.laz", "--lossy", "--step", 0.0001)
     scan = laspy.read(tmp_path / "a.laz")
     rest = np.array(scan.xyz)
