@@ -5,6 +5,7 @@ mod authors;
 mod bad_plugins;
 mod c_plugins;
 mod control_points;
+mod curve;
 mod first_interface;
 mod hostile_plugins;
 mod isolation;

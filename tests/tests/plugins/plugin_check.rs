@@ -228,6 +228,11 @@ mod every_rule_is_kept {
     }
 
     #[test]
+    fn by_curve() {
+        keeps_every_rule("curve");
+    }
+
+    #[test]
     fn by_skinning() {
         keeps_every_rule("skinning");
     }
