@@ -213,6 +213,11 @@ mod every_rule_is_kept {
     }
 
     #[test]
+    fn by_smooth() {
+        keeps_every_rule("smooth");
+    }
+
+    #[test]
     fn by_smooth_handle() {
         keeps_every_rule("smooth-handle");
     }

@@ -1,0 +1,189 @@
+//! Smoothing at the scale of the samples: bumps up to some size go, larger ones stay, and what is finer than the samples
+//! is carried along as it is.
+//!
+//! Two methods: a low-pass filter (G. Taubin, *A signal processing approach to fair surface design*, SIGGRAPH 1995, by the
+//! polynomials of Taubin, Zhang and Golub 1996), which keeps the size of what stays; and mean curvature flow (M. Desbrun, M.
+//! Meyer, P. Schröder, A. Barr, *Implicit fairing of irregular meshes using diffusion and curvature flow*, SIGGRAPH 1999),
+//! by which all shrinks the faster the more it is curved.
+
+mod filter;
+mod laplacian;
+mod volume;
+
+use filter::Filter;
+use glam::DVec3;
+use laplacian::Laplacian;
+use simod_plugin_api::{
+    Choice, Consumes, DeformInput, Deformer, Descriptor, Host, IsIdentity, ParamSet, PluginError,
+    PluginResult, PrepareInput, Role,
+};
+use std::f64::consts::TAU;
+
+/// Samples that are deformed at once on one thread.
+const BLOCK: usize = 4096;
+/// Waves of which the samples tell next to nothing: shorter than so many of the distances between these.
+const SHORTEST: f64 = 3.0;
+
+/// The plugin.
+struct Smooth;
+
+/// What is smoothed.
+#[derive(ParamSet)]
+struct Settings {
+    /// A filter keeps the size of what stays; the flow shrinks all, what is most curved first
+    #[param(default = Method::Filter, invalidates_preparation)]
+    method: Method,
+    /// Bumps go that are shorter from crest to crest; of those of this size half is left (by the flow, a third)
+    #[param(default = 0.05, unit = "diagonal", hard = f64::MIN_POSITIVE..=10.0, soft = 0.005..=0.5, invalidates_preparation)]
+    size: f64,
+    /// How much of it is done; less than nothing makes bumps stand out
+    #[param(default = 1.0, hard = -10.0..=10.0, soft = -1.0..=1.0)]
+    amount: f64,
+    /// In how many steps the flow goes on, each by the curvature that the one before has left
+    #[param(default = 4, hard = 1..=1000, soft = 1..=20, invalidates_preparation)]
+    steps: i64,
+    /// Brings back what a closed surface has lost of its volume
+    #[param(default = true, invalidates_preparation)]
+    keep_volume: bool,
+}
+
+#[derive(Choice, Debug, Clone, Copy, PartialEq)]
+enum Method {
+    #[choice(id = "taubin", label = "Filter (Taubin)")]
+    Filter,
+    #[choice(id = "mean-curvature", label = "Mean curvature flow")]
+    Flow,
+}
+
+/// Where each sample goes at an amount of 1.
+struct Prepared(Vec<DVec3>);
+
+/// How free each sample is to move: not at all where it is fixed, and less towards it.
+fn freedom(input: &PrepareInput<'_>) -> Vec<f64> {
+    let mut freedom = vec![1.0; input.samples.positions().len()];
+    for region in input.regions().iter().filter(|region| region.role == Role::FIXED) {
+        freedom.iter_mut().zip(region.weights()).for_each(|(f, w)| *f *= 1.0 - f64::from(*w).clamp(0.0, 1.0));
+    }
+    freedom
+}
+
+impl Deformer for Smooth {
+    type State = Prepared;
+    type Scratch = ();
+
+    fn descriptor() -> Descriptor {
+        Descriptor::new("smooth", "Smooth", env!("CARGO_PKG_VERSION"))
+            .summary("Takes away bumps up to some size, or makes them stand out")
+            .citation(
+                "G. Taubin, A Signal Processing Approach to Fair Surface Design, SIGGRAPH 1995; M. Desbrun, M. Meyer, \
+                 P. Schröder, A. Barr, Implicit Fairing of Irregular Meshes Using Diffusion and Curvature Flow, \
+                 SIGGRAPH 1999",
+            )
+            .param_set::<Settings>()
+            .consumes(Consumes {
+                fixed_regions: true,
+                normals: true,
+                graph: true,
+                triangles: true,
+                ..Consumes::default()
+            })
+    }
+
+    fn prepare(input: &PrepareInput<'_>, host: &Host<'_>) -> PluginResult<Prepared> {
+        let places = input.samples.positions();
+        if let Some(i) = places.iter().position(|p| p.iter().any(|x| !x.is_finite())) {
+            return Err(PluginError::input(format!("sample {i} is at no finite place")));
+        }
+        let positions: Vec<DVec3> = places.iter().map(|p| DVec3::from(p.map(f64::from))).collect();
+        let graph = input.graph().filter(|graph| graph.len() == positions.len());
+        let graph =
+            graph.ok_or_else(|| PluginError::internal("the host gave no neighbours of the samples"))?;
+        let count = positions.len() as u32;
+        let is_right =
+            |t: &&[u32; 3]| t[0] != t[1] && t[1] != t[2] && t[2] != t[0] && t.iter().all(|c| *c < count);
+        let triangles: Vec<[u32; 3]> =
+            input.triangles().map_or(Vec::new(), |t| t.indices().iter().filter(is_right).copied().collect());
+        let freedom = freedom(input);
+        let Settings { method, size, steps, keep_volume, .. } = input.params().read()?;
+        // A wave's number, squared: an eigenvalue of the Laplacian.
+        let wave = (TAU / (size * input.bounds.diagonal())).powi(2);
+        let laplacian = |positions: &[DVec3]| Laplacian::new(positions, &triangles, graph, &freedom);
+        let mut smoothed = positions.clone();
+        match method {
+            Method::Filter => {
+                let laplacian = laplacian(&positions);
+                let shortest = SHORTEST * 2.0 * laplacian.scale.sqrt() / input.bounds.diagonal();
+                if size < shortest {
+                    host.warn(&format!(
+                        "the samples lie too far apart to tell bumps of {size} of the diagonal: from {shortest:.1e} on \
+                         they do; take more of them for finer ones"
+                    ));
+                }
+                let filter = Filter::low_pass((wave * laplacian.scale).min(1.0));
+                if filter.degree() == filter::MOST {
+                    host.warn("bumps of that size are too large beside the finest triangles to be told apart sharply");
+                }
+                smoothed = filter.apply(&laplacian, &smoothed, host, |part| host.progress(part))?;
+            }
+            Method::Flow => {
+                let steps = steps.max(1);
+                for step in 0..steps {
+                    let laplacian = laplacian(&smoothed);
+                    // Of a wave of this size a third is left in the end.
+                    let time = if laplacian.scale > 0.0 {
+                        1.0 / (wave * laplacian.scale * steps as f64)
+                    } else {
+                        0.0
+                    };
+                    let progress = |part: f64| host.progress((step as f64 + part) / steps as f64);
+                    smoothed = Filter::flow(time).apply(&laplacian, &smoothed, host, progress)?;
+                }
+            }
+        }
+        if triangles.is_empty() {
+            // Nothing tells where a surface of points alone ends: towards its middle they do not go.
+            for ((new, p), n) in smoothed.iter_mut().zip(&positions).zip(input.samples.normals()) {
+                let n = DVec3::from(n.map(f64::from)).normalize_or_zero();
+                if n != DVec3::ZERO {
+                    *new = *p + (*new - *p).dot(n) * n;
+                }
+            }
+        }
+        if keep_volume && volume::is_closed(&triangles) {
+            volume::bring_back(&mut smoothed, &triangles, &freedom, volume::volume(&positions, &triangles));
+        }
+        Ok(Prepared(smoothed))
+    }
+
+    fn deform(
+        Prepared(smoothed): &Prepared,
+        input: &DeformInput<'_>,
+        _: &mut (),
+        out: &mut [[f32; 3]],
+        host: &Host<'_>,
+    ) -> PluginResult<()> {
+        let rest = input.samples.positions();
+        if [rest.len(), out.len()] != [smoothed.len(); 2] {
+            return Err(PluginError::internal("the samples are not those of the preparation"));
+        }
+        let Settings { amount, .. } = input.params().read()?;
+        host.parallel_blocks(out, BLOCK, |first, out| {
+            for ((o, p), to) in out.iter_mut().zip(&rest[first..]).zip(&smoothed[first..]) {
+                let from = DVec3::from(p.map(f64::from));
+                *o = if *to == from { *p } else { (from + amount * (*to - from)).as_vec3().into() };
+            }
+        })
+    }
+}
+
+impl IsIdentity for Smooth {
+    fn is_identity(input: &DeformInput<'_>) -> PluginResult<bool> {
+        let Settings { amount, .. } = input.params().read()?;
+        Ok(amount == 0.0)
+    }
+}
+
+simod_plugin_api::export_plugin!(Smooth, is_identity);
+
+#[cfg(test)]
+mod tests;
