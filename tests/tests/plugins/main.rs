@@ -12,4 +12,5 @@ mod isolation;
 mod own_handles;
 mod plugin_check;
 mod plugin_new;
+mod smooth;
 mod survey;
