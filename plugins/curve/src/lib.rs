@@ -251,4 +251,5 @@ fn comes_back(rest: &Nearest, diagonal: f64) -> Option<String> {
 simod_plugin_api::export_plugin!(CurvePlugin, evaluate, handles, is_identity);
 
 #[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "the tests' files are their own")]
 mod tests;
