@@ -60,7 +60,13 @@ impl Records {
     }
 }
 
-/// A model's vertices, to be drawn with its triangles. Those that no triangle has are drawn as discs.
+/// Whether points that no triangle has are drawn: where they are a tenth of all, or more. A few are strays, which as discs
+/// on a surface would be flaws.
+pub(super) fn are_many(alone: usize, all: usize) -> bool {
+    alone > 0 && alone >= all.div_ceil(10)
+}
+
+/// A model's vertices, to be drawn with its triangles; and those that no triangle has as discs, where these are many.
 pub(super) struct Mesh<'a> {
     model: &'a dyn Model,
     records: Records,
@@ -68,6 +74,8 @@ pub(super) struct Mesh<'a> {
     spacing: Spacing,
     /// Normals were found by the triangles.
     derived: bool,
+    /// There are many vertices that no triangle has.
+    with_points: bool,
 }
 
 impl<'a> Mesh<'a> {
@@ -112,8 +120,18 @@ impl<'a> Mesh<'a> {
             Some(scratch) => Records::Mapped(scratch.map_mut()?),
             None => Records::Held(held),
         };
-        let mut this = Self { model: models[0], records, origin, spacing, derived: !info.has_normals };
+        let mut this = Self {
+            model: models[0],
+            records,
+            origin,
+            spacing,
+            derived: !info.has_normals,
+            with_points: false,
+        };
         this.go_round(progress)?;
+        let all = this.records.all();
+        let is_alone = |record: &&Record| record.used == 0 && Vec3::from(record.position).is_finite();
+        this.with_points = are_many(all.par_iter().filter(is_alone).count(), all.len());
         Ok(this)
     }
 
@@ -171,7 +189,7 @@ impl<'a> Mesh<'a> {
             progress.advance(chunk.bytes);
             Ok(())
         })?;
-        for some in records.chunks(SMALL_CHUNK) {
+        for some in records.chunks(SMALL_CHUNK).take_while(|_| self.with_points) {
             progress.check()?;
             let alone = some.iter().filter(|record| record.used == 0);
             let points: Vec<SurfacePoint> = alone

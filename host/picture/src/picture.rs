@@ -14,7 +14,7 @@ pub use super::paint::PaintBy;
 use super::paint::Painted;
 pub use super::view::{Crop, Up, View};
 
-use super::mesh::Mesh;
+use super::mesh::{Mesh, are_many};
 use super::{Camera, Image, Paint, Spacing, SurfacePoint};
 
 /// Radius of a sample's disc over its spacing: wide enough to leave no holes where the density changes.
@@ -40,7 +40,7 @@ pub fn bounds(model: &dyn Model, progress: &dyn Progress) -> Result<Bounds> {
 pub enum Drawn<'a> {
     /// Vertices alone, as discs.
     Points,
-    /// Triangles where the model has faces, and discs for vertices that no triangle has. Of a model with faces that is
+    /// Triangles where the model has faces, and discs for vertices that no triangle has, where these are a tenth of all. Of a model with faces that is
     /// large, a temporary file without a name is made in this folder: 28 bytes for each vertex.
     Faces(&'a Path),
 }
@@ -234,7 +234,7 @@ pub fn of_some(
 }
 
 /// Draws samples at local `positions`, in colours of which there is one for each, if there are any: the triangles
-/// between them, and each that no triangle has as a disc that its neighbours overlap a little.
+/// between them; and those that no triangle has, where these are a tenth of all, as discs that overlap a little.
 pub fn of_samples(
     sampled: &SampledModel,
     positions: &[Vec3],
@@ -306,7 +306,11 @@ impl<'a> Samples<'a> {
                 *used = true;
             }
         }
-        let alone = points.iter().zip(&used).filter(|(_, used)| !**used).map(|(point, _)| *point).collect();
+        let alone = points.iter().zip(&used).filter(|(_, used)| !**used).map(|(point, _)| *point);
+        let mut alone: Vec<SurfacePoint> = alone.collect();
+        if !are_many(alone.len(), points.len()) {
+            alone.clear();
+        }
         Self { points, triangles, alone, own_colors: colors.is_some() }
     }
 
