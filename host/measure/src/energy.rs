@@ -7,6 +7,7 @@
 //! only moved and turned has 0 and 4.
 
 use glam::{DMat3, DVec3};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use super::triangle::{corners, cross};
@@ -117,15 +118,18 @@ impl Energies {
         for [a, b] in edges.into_iter().map(|edge| edge.map(|i| i as usize)) {
             histograms.edges.add((deformed[a].distance(deformed[b]) / rest[a].distance(rest[b])).log2());
         }
-        let rotations: Vec<DMat3> = covariances.iter().map(rotation).collect();
-        let mut arap = 0.0;
-        for (triangle, before, after) in &all {
-            for i in triangle {
+        let rotations: Vec<DMat3> = covariances.par_iter().map(rotation).collect();
+        let energy = |(triangle, before, after): &([u32; 3], [DVec3; 3], [DVec3; 3])| {
+            let about = |i: &u32| {
                 let rotation = rotations[*i as usize];
                 let off = sides(before).into_iter().zip(sides(after)).zip(weights(before));
-                arap += off.map(|((e, f), weight)| weight * (f - rotation * e).length_squared()).sum::<f64>();
-            }
-        }
+                off.map(|((e, f), weight)| weight * (f - rotation * e).length_squared()).sum::<f64>()
+            };
+            triangle.iter().map(about).sum::<f64>()
+        };
+        // Summed up in pieces of one size, so that the sum does not depend on the threads.
+        let sums: Vec<f64> = all.par_chunks(1 << 12).map(|some| some.iter().map(energy).sum()).collect();
+        let arap: f64 = sums.into_iter().sum();
         let mean = |sum: f64, of: f64| if of > 0.0 { sum / of } else { 0.0 };
         Self {
             // Each triangle is about three corners.
