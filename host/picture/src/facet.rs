@@ -9,7 +9,10 @@ use rayon::prelude::*;
 
 use super::SurfacePoint;
 use super::camera::{Camera, Lens};
-use super::splat::{BAND, BATCH, Canvas, Pixel};
+use super::splat::{BAND, Canvas, Pixel};
+
+/// Triangles that are projected at a time: what is known of them stays in the processor's cache.
+const BATCH: usize = 1 << 12;
 
 /// Steepest slope of a surface, in depths for each width of a sample, over which samples are still of one.
 const STEEPEST: f32 = 6.0;
@@ -21,8 +24,8 @@ const LEAST_WEIGHT: f32 = 1e-4;
 struct Facet {
     /// Where the corners are shown: as far outside as they like.
     corners: [DVec2; 3],
-    /// Twice the area, in samples; of either sign.
-    area: f64,
+    /// One over twice the area, in samples; of either sign, and infinite where there is none.
+    by_area: f64,
     /// One over the corners' depths.
     inverse: [f32; 3],
     normals: [Vec3; 3],
@@ -75,7 +78,7 @@ impl Facet {
         });
         let mut this = Self {
             corners,
-            area,
+            by_area: area.recip(),
             inverse: places.map(|p| p.z.recip()),
             normals,
             colors: triangle.map(|corner| Vec3::from(corner.color.map(f32::from)) / 255.0),
@@ -109,7 +112,7 @@ impl Facet {
         const SLACK: f64 = -1e-7;
         let p = DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
         let [a, b, c] = self.corners.map(|corner| corner - p);
-        let parts = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)].map(|part| part / self.area);
+        let parts = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)].map(|part| part * self.by_area);
         // Without an area, no part is a number, or none is finite.
         let is_inside = parts.iter().all(|part| *part >= SLACK && part.is_finite());
         is_inside.then(|| parts.map(|part| part.max(0.0) as f32))
@@ -178,13 +181,15 @@ impl Canvas {
     ) {
         let lens = self.lens(camera);
         let size = [self.width, self.height];
+        let mut facets = Vec::new();
         for batch in triangles.chunks(BATCH) {
-            let facets: Vec<Facet> =
-                batch.par_iter().filter_map(|triangle| Facet::new(camera, &lens, size, triangle)).collect();
+            // In the same memory each time: to get it anew takes the system longer than to fill it.
+            let facet = |triangle| Facet::new(camera, &lens, size, triangle);
+            batch.par_iter().map(facet).collect_into_vec(&mut facets);
             self.pixels.par_chunks_mut(BAND * self.width).enumerate().for_each(|(band, pixels)| {
                 let first = band * BAND;
                 let rows = [first, first + pixels.len() / size[0]];
-                for facet in facets.iter().filter(|f| f.rows[0] < rows[1] && f.rows[1] > rows[0]) {
+                for facet in facets.iter().flatten().filter(|f| f.rows[0] < rows[1] && f.rows[1] > rows[0]) {
                     facet.visit(rows, |x, y, depth, parts| {
                         hit(&mut pixels[(y - first) * size[0] + x], facet, lens.ray(x, y), depth, parts);
                     });

@@ -18,6 +18,9 @@ use super::{Renderer, Spacing, SurfacePoint};
 /// Bytes of vertices that are held in memory; more than that are in a file.
 const HELD: u64 = 64 << 20;
 
+/// Triangles that are drawn at a time.
+const TRIANGLES: usize = 1 << 14;
+
 /// What to do where the disk has no room.
 const ADVICE: &str = "draw the vertices alone, with --points";
 
@@ -179,13 +182,14 @@ impl<'a> Mesh<'a> {
         progress: &dyn Progress,
         mut draw: impl FnMut(&[[SurfacePoint; 3]], &[SurfacePoint]),
     ) -> Result<()> {
-        let records = self.records.all();
+        let (records, mut drawn) = (self.records.all(), Vec::new());
         progress.begin("drawing", self.model.info().face_bytes);
         for_faces(self.model, |chunk| {
             progress.check()?;
-            let drawn: Vec<[SurfacePoint; 3]> =
-                chunk.triangles.par_iter().filter_map(|t| self.triangle(records, *t, up)).collect();
-            draw(&drawn, &[]);
+            for some in chunk.triangles.chunks(TRIANGLES) {
+                some.par_iter().map(|t| self.triangle(records, *t, up)).collect_into_vec(&mut drawn);
+                draw(&drawn, &[]);
+            }
             progress.advance(chunk.bytes);
             Ok(())
         })?;

@@ -11,6 +11,7 @@ use simod_measure::{
 use simod_model::bounds::Bounds;
 use simod_model::{Error, ErrorKind, Model, Progress, Result, for_faces, for_positions};
 use std::collections::HashMap;
+use std::sync::Arc;
 
 /// What is smaller is a detail, as a fraction of the diagonal.
 pub(super) const DETAIL: f64 = 0.015;
@@ -82,43 +83,68 @@ pub(super) fn beside(
     })
 }
 
-/// The deformed samples beside those at rest.
-pub(super) fn on_samples(
-    sampled: &SampledModel,
-    positions: &[Vec3],
-    progress: &dyn Progress,
-) -> Result<Option<OnSamples>> {
-    let triangles = &sampled.triangles;
-    if triangles.is_empty() {
-        return Ok(None);
-    }
+/// The deformed samples of methods beside those at rest: nothing of those without samples or triangles.
+pub(super) fn on_samples(deformed: &[&Deformed], progress: &dyn Progress) -> Result<Vec<Option<OnSamples>>> {
     progress.begin("measuring the samples", 0);
-    let (rest, after) = (in_diagonals(sampled, &sampled.samples.positions), in_diagonals(sampled, positions));
-    measured(&rest, &after, triangles, progress).map(Some)
+    let mut found: Vec<Option<OnSamples>> = deformed.iter().map(|_| None).collect();
+    for (first, one) in deformed.iter().enumerate() {
+        let is_same = |other: &Deformed| Arc::ptr_eq(&one.sampled, &other.sampled);
+        let triangles = &one.sampled.triangles;
+        if triangles.is_empty() || deformed[..first].iter().any(|other| is_same(other)) {
+            continue;
+        }
+        let rest = in_diagonals(&one.sampled, &one.sampled.samples.positions);
+        let shape = AtRest::new(&rest, triangles);
+        for (found, other) in found.iter_mut().zip(deformed).filter(|(_, other)| is_same(other)) {
+            if let Some(positions) = &other.positions {
+                *found = Some(shape.measure(&in_diagonals(&one.sampled, positions), progress)?);
+            }
+        }
+    }
+    Ok(found)
 }
 
-/// A deformed mesh beside that at rest, in the unit of all lengths.
-fn measured(
-    rest: &[DVec3],
-    after: &[DVec3],
-    triangles: &[[u32; 3]],
-    progress: &dyn Progress,
-) -> Result<OnSamples> {
-    let change = || volume(after, triangles) / volume(rest, triangles) - 1.0;
-    let closed = is_closed(triangles);
-    let volume_change = closed.then(change).filter(|x| x.is_finite());
-    let open = if closed { None } else { Open::of(rest, triangles) };
-    let volume_over_border = open.map(|open| [rest, after].map(|of| open.volume(of, triangles)));
-    progress.check()?;
-    let (edges, areas) =
-        rayon::join(|| edge_distortion(rest, after, triangles), || area_distortion(rest, after, triangles));
-    progress.check()?;
-    let (details, energies) = rayon::join(
-        || Details::new(rest, triangles, DETAIL).rotation(after),
-        || Energies::of(rest, after, triangles),
-    );
-    progress.check()?;
-    Ok(OnSamples { volume_change, volume_over_border, edges, areas, details, energies })
+/// A mesh at rest in the unit of all lengths, to be compared with deformed ones.
+struct AtRest<'a> {
+    rest: &'a [DVec3],
+    triangles: &'a [[u32; 3]],
+    details: Details<'a>,
+    /// Of a closed one.
+    volume: Option<f64>,
+    open: Option<Open>,
+}
+
+impl<'a> AtRest<'a> {
+    fn new(rest: &'a [DVec3], triangles: &'a [[u32; 3]]) -> Self {
+        let closed = is_closed(triangles);
+        Self {
+            rest,
+            triangles,
+            details: Details::new(rest, triangles, DETAIL),
+            volume: closed.then(|| volume(rest, triangles)),
+            open: if closed { None } else { Open::of(rest, triangles) },
+        }
+    }
+
+    fn measure(&self, after: &[DVec3], progress: &dyn Progress) -> Result<OnSamples> {
+        let Self { rest, triangles, .. } = *self;
+        let volume_change = self.volume.map(|before| volume(after, triangles) / before - 1.0);
+        let over_border = |open: &Open| [rest, after].map(|of| open.volume(of, triangles));
+        progress.check()?;
+        let ((edges, areas), (details, energies)) = rayon::join(
+            || (edge_distortion(rest, after, triangles), area_distortion(rest, after, triangles)),
+            || (self.details.rotation(after), Energies::of(rest, after, triangles)),
+        );
+        progress.check()?;
+        Ok(OnSamples {
+            volume_change: volume_change.filter(|x| x.is_finite()),
+            volume_over_border: self.open.as_ref().map(over_border),
+            edges,
+            areas,
+            details,
+            energies,
+        })
+    }
 }
 
 /// The model's own mesh, where it is small enough to be held.
@@ -167,12 +193,16 @@ impl Held {
         Ok((!triangles.is_empty()).then_some(Self { first, rest, triangles, scale }))
     }
 
-    /// A deformed model beside it.
-    pub fn measure(&self, model: &dyn Model, progress: &dyn Progress) -> Result<OnSamples> {
+    /// Deformed models beside it.
+    pub fn measure(&self, models: &[&dyn Model], progress: &dyn Progress) -> Result<Vec<OnSamples>> {
         progress.begin("measuring the model", 0);
-        let all = positions(model)?;
-        let after: Vec<DVec3> = self.first.iter().map(|i| all[*i as usize] * self.scale).collect();
-        measured(&self.rest, &after, &self.triangles, progress)
+        let shape = AtRest::new(&self.rest, &self.triangles);
+        let measure = |model: &&dyn Model| {
+            let all = positions(*model)?;
+            let after: Vec<DVec3> = self.first.iter().map(|i| all[*i as usize] * self.scale).collect();
+            shape.measure(&after, progress)
+        };
+        models.iter().map(measure).collect()
     }
 }
 

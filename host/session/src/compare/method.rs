@@ -2,7 +2,6 @@
 
 use super::clock::Clock;
 use super::external::{self, Files, Ran, write_given};
-use super::figures::on_samples;
 use super::file::{Command, CompareFile, Method, Work};
 use super::record::{Figures, MethodRecord, ResultFile, RunSeconds, Seconds, StepRecord, words};
 use crate::deformer::Message;
@@ -146,7 +145,6 @@ impl<'a> Bench<'a> {
         };
         let Once { sampled, positions, output, .. } = once;
         let is_model = positions.is_none();
-        let on_samples = positions.as_ref().map(|p| on_samples(&sampled, p, progress)).transpose()?.flatten();
         let bytes = std::fs::metadata(&output).map_err(|e| Error::io("read", &output, &e))?.len();
         record.figures = Some(Figures {
             samples: if is_model { 0 } else { sampled.samples.len() },
@@ -157,7 +155,7 @@ impl<'a> Bench<'a> {
             expected_error: once.expected_error,
             displacement: None,
             to_first: None,
-            on_samples,
+            on_samples: None,
             on_model: None,
             folded_samples: once.folded_samples,
             result: ResultFile { bytes, hash, repeats },

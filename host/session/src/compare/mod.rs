@@ -14,7 +14,7 @@
 //! Memory: a run of each method, one after the other; of each distinct sampling its samples and triangles,
 //! and of each method 12 bytes a sample, to the end; then a tree of one method's triangles (300 bytes a
 //! sample), or for each thread a small chunk (about 1 MB) of each model, or a picture in the making (256 bytes a pixel). On
-//! the disk, the deformed models of all methods at once, and the chosen vertices (five for each pixel, 24 bytes for each
+//! the disk, the deformed models of all methods at once, and the chosen vertices (three for each pixel, 24 bytes for each
 //! version).
 
 mod chosen;
@@ -129,12 +129,15 @@ fn in_folder(
     let attributes = if choosing.is_some() { easel.attributes() } else { 0 };
     let beside = figures::beside(&models, diagonal, (attributes, &also), progress)?;
     let chosen = choosing.map(Choosing::finish).transpose()?;
+    let on_samples = figures::on_samples(&deformed, progress)?;
     let held = Held::read(rest, diagonal, progress)?;
-    for (k, ((i, _), displacement)) in done.iter().zip(&beside.displacements).enumerate() {
-        let on_model = held.as_ref().map(|held| held.measure(models[k + 1], progress)).transpose()?;
-        comparison.methods[*i].set_displacement(*displacement, beside.to_first(k), on_model);
-    }
+    let on_model = held.as_ref().map(|held| held.measure(&models[1..], progress)).transpose()?;
     drop(held);
+    let mut on_model = on_model.unwrap_or_default().into_iter();
+    for (k, ((i, _), on_samples)) in done.iter().zip(on_samples).enumerate() {
+        let found = (beside.displacements[k], beside.to_first(k));
+        comparison.methods[*i].set_shape(found, on_samples, on_model.next());
+    }
     let names: Vec<String> = done.iter().map(|(i, _)| file.methods[*i].name.clone()).collect();
     comparison.pairs = figures::pairs(&names, &deformed, &beside, progress)?;
     comparison.color_scale = figures::color_scale(&comparison.pairs, &names[0]);

@@ -38,11 +38,11 @@ impl<'a> Easel<'a> {
         Ok(Self { file, paint: Paint::of_model(rest, coloring, progress)?, folder })
     }
 
-    /// Vertices that are drawn at most without being chosen: five for each pixel, so that there is more than one for
-    /// each sample of the picture that shows the model.
+    /// Vertices that are chosen to be drawn: three for each pixel, so that there is about one for each sample of the
+    /// picture that shows the model.
     pub fn most(&self) -> u64 {
         let [w, h] = self.file.camera.size;
-        5 * u64::from(w) * u64::from(h)
+        3 * u64::from(w) * u64::from(h)
     }
 
     /// How many of the vertices' first attributes their colours are made of.

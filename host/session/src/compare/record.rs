@@ -287,16 +287,15 @@ impl MethodRecord {
     }
 
     /// What is known only when all methods are done.
-    pub(super) fn set_displacement(
+    pub(super) fn set_shape(
         &mut self,
-        displacement: Difference,
-        to_first: Option<Difference>,
+        (displacement, to_first): (Difference, Option<Difference>),
+        on_samples: Option<OnSamples>,
         on_model: Option<OnSamples>,
     ) {
         if let Some(figures) = &mut self.figures {
             figures.displacement = Some(displacement);
-            figures.to_first = to_first;
-            figures.on_model = on_model;
+            (figures.to_first, figures.on_samples, figures.on_model) = (to_first, on_samples, on_model);
         }
     }
 }
