@@ -9,10 +9,7 @@ use rayon::prelude::*;
 
 use super::SurfacePoint;
 use super::camera::{Camera, Lens};
-use super::splat::{BAND, Canvas, Pixel};
-
-/// Triangles that are projected at a time: what is known of them stays in the processor's cache.
-const BATCH: usize = 1 << 12;
+use super::splat::{BAND, BATCH, Canvas, Pixel};
 
 /// Steepest slope of a surface, in depths for each width of a sample, over which samples are still of one.
 const STEEPEST: f32 = 6.0;
@@ -157,15 +154,21 @@ fn towards(normal: Vec3, ray: Vec3) -> Vec3 {
     if away > 0.0 { normal - ray * (away / ray.length_squared()) } else { normal }
 }
 
-impl Canvas {
+/// Draws triangles into a canvas, always by the same memory: to get it anew takes the system longer than to fill it.
+///
+/// Memory: some 200 bytes for each triangle of a batch, 13 MB at most.
+#[derive(Default)]
+pub(super) struct Facets(Vec<Option<Facet>>);
+
+impl Facets {
     /// First pass: the depth of the nearest surface.
-    pub fn depth_of_triangles(&mut self, camera: &Camera, triangles: &[[SurfacePoint; 3]]) {
-        self.draw_triangles(camera, triangles, |pixel, _, _, depth, _| pixel.come_near(depth));
+    pub fn depth(&mut self, canvas: &mut Canvas, camera: &Camera, triangles: &[[SurfacePoint; 3]]) {
+        self.draw(canvas, camera, triangles, |pixel, _, _, depth, _| pixel.come_near(depth));
     }
 
     /// Second pass: what lies on the nearest surface.
-    pub fn blend_triangles(&mut self, camera: &Camera, triangles: &[[SurfacePoint; 3]]) {
-        self.draw_triangles(camera, triangles, |pixel, facet, ray, depth, parts| {
+    pub fn blend(&mut self, canvas: &mut Canvas, camera: &Camera, triangles: &[[SurfacePoint; 3]]) {
+        self.draw(canvas, camera, triangles, |pixel, facet, ray, depth, parts| {
             if pixel.is_near(depth, facet.slack * depth) {
                 let normal = towards(mixed(parts, &facet.normals).normalize_or_zero(), ray);
                 pixel.blend(facet.weight, depth, normal, mixed(parts, &facet.colors));
@@ -173,20 +176,20 @@ impl Canvas {
         });
     }
 
-    fn draw_triangles(
+    fn draw(
         &mut self,
+        canvas: &mut Canvas,
         camera: &Camera,
         triangles: &[[SurfacePoint; 3]],
         hit: impl Fn(&mut Pixel, &Facet, Vec3, f32, [f32; 3]) + Sync,
     ) {
-        let lens = self.lens(camera);
-        let size = [self.width, self.height];
-        let mut facets = Vec::new();
+        let lens = canvas.lens(camera);
+        let size = [canvas.width, canvas.height];
         for batch in triangles.chunks(BATCH) {
-            // In the same memory each time: to get it anew takes the system longer than to fill it.
             let facet = |triangle| Facet::new(camera, &lens, size, triangle);
-            batch.par_iter().map(facet).collect_into_vec(&mut facets);
-            self.pixels.par_chunks_mut(BAND * self.width).enumerate().for_each(|(band, pixels)| {
+            batch.par_iter().map(facet).collect_into_vec(&mut self.0);
+            let facets = &self.0;
+            canvas.pixels.par_chunks_mut(BAND * size[0]).enumerate().for_each(|(band, pixels)| {
                 let first = band * BAND;
                 let rows = [first, first + pixels.len() / size[0]];
                 for facet in facets.iter().flatten().filter(|f| f.rows[0] < rows[1] && f.rows[1] > rows[0]) {

@@ -45,6 +45,7 @@ pub use point::SurfacePoint;
 pub use spacing::Spacing;
 pub use style::Style;
 
+use facet::Facets;
 use glam::Vec3;
 use ground::Ground;
 use splat::Canvas;
@@ -57,6 +58,7 @@ pub struct Renderer {
     camera: Camera,
     style: Style,
     canvas: Canvas,
+    facets: Facets,
     ground: Option<Ground>,
 }
 
@@ -73,6 +75,7 @@ impl Renderer {
             camera,
             style,
             canvas: Canvas::new(width * SUPERSAMPLING, height * SUPERSAMPLING),
+            facets: Facets::default(),
             ground: style.ground.map(|height| Ground::new(height, &camera)),
         }
     }
@@ -106,7 +109,7 @@ impl Renderer {
     /// count. Each corner without a normal has that of its triangle. A triangle is seen from either side; one with a
     /// corner that is not finite, or not before the camera, is left out.
     pub fn depth_of_triangles(&mut self, triangles: &[[SurfacePoint; 3]]) {
-        self.canvas.depth_of_triangles(&self.camera, triangles);
+        self.facets.depth(&mut self.canvas, &self.camera, triangles);
         if let Some(ground) = &mut self.ground {
             ground.add_triangles(triangles);
         }
@@ -114,7 +117,7 @@ impl Renderer {
 
     /// The second pass of triangles.
     pub fn blend_triangles(&mut self, triangles: &[[SurfacePoint; 3]]) {
-        self.canvas.blend_triangles(&self.camera, triangles);
+        self.facets.blend(&mut self.canvas, &self.camera, triangles);
     }
 
     /// Lights the picture.

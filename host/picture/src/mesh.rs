@@ -18,9 +18,6 @@ use super::{Renderer, Spacing, SurfacePoint};
 /// Bytes of vertices that are held in memory; more than that are in a file.
 const HELD: u64 = 64 << 20;
 
-/// Triangles that are drawn at a time.
-const TRIANGLES: usize = 1 << 14;
-
 /// What to do where the disk has no room.
 const ADVICE: &str = "draw the vertices alone, with --points";
 
@@ -186,10 +183,9 @@ impl<'a> Mesh<'a> {
         progress.begin("drawing", self.model.info().face_bytes);
         for_faces(self.model, |chunk| {
             progress.check()?;
-            for some in chunk.triangles.chunks(TRIANGLES) {
-                some.par_iter().map(|t| self.triangle(records, *t, up)).collect_into_vec(&mut drawn);
-                draw(&drawn, &[]);
-            }
+            // In the same memory each time: to get it anew takes the system longer than to fill it.
+            chunk.triangles.par_iter().map(|t| self.triangle(records, *t, up)).collect_into_vec(&mut drawn);
+            draw(&drawn, &[]);
             progress.advance(chunk.bytes);
             Ok(())
         })?;
@@ -222,13 +218,14 @@ impl<'a> Mesh<'a> {
         }
     }
 
-    fn triangle(&self, records: &[Record], triangle: [u32; 3], up: Up) -> Option<[SurfacePoint; 3]> {
-        let [a, b, c] = triangle.map(|i| records.get(i as usize));
-        let mut corners = [a?, b?, c?].map(|record| self.point(record, up));
+    fn triangle(&self, records: &[Record], triangle: [u32; 3], up: Up) -> [SurfacePoint; 3] {
+        // Where there is no vertex, there is no finite position.
+        let nowhere = Record { position: [f32::NAN; 3], ..Record::zeroed() };
+        let mut corners = triangle.map(|i| self.point(records.get(i as usize).unwrap_or(&nowhere), up));
         if self.derived {
             at_creases(&mut corners);
         }
-        Some(corners)
+        corners
     }
 }
 

@@ -9,7 +9,7 @@ use super::camera::{Camera, Lens};
 /// Rows of a band: what one thread draws at a time.
 pub(super) const BAND: usize = 64;
 /// Points projected at a time: the bound of the buffer of splats.
-const BATCH: usize = 1 << 16;
+pub(super) const BATCH: usize = 1 << 16;
 /// A splat reaches at least so many pixels around its middle, so that none falls between samples.
 const LEAST_REACH: f32 = 0.75;
 /// Shares of their radius to which discs seen from the front and from the back hide what is behind them;

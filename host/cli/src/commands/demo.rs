@@ -71,7 +71,8 @@ impl Demo {
         let view =
             View { bounds: all, yaw: 20.0, pitch: 10.0, size: [560, 700], up: Up::Y, crop: Crop::default() };
         let samples = &run.deformed.sampled.samples;
-        let how = (&Paint::Clay, Drawn::Faces(&self.output));
+        // Faces of so many vertices are smaller than what a picture resolves.
+        let how = (&Paint::Clay, Drawn::Points);
         let pictures = [
             picture::of_model(before.as_ref(), &run.deformed.sampled.bounds, &view, how, progress)?,
             picture::of_samples(&run.deformed.sampled, &samples.positions, samples.normals(), &view, None),

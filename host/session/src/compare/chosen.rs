@@ -34,7 +34,7 @@ pub(super) struct Chosen {
 }
 
 impl Choosing {
-    /// About `most` of so many vertices, by their places about `origin`; nothing where there are not twice as many.
+    /// About `most` of so many vertices, or all where there are fewer than twice as many, by their places about `origin`.
     ///
     /// On the disk, in `folder`: 24 bytes for each chosen vertex and version, and four.
     pub fn begin(
@@ -42,13 +42,10 @@ impl Choosing {
         versions: usize,
         origin: DVec3,
         folder: &Path,
-    ) -> Result<Option<Self>> {
-        let stride = vertices / most.max(1);
-        if stride < 2 {
-            return Ok(None);
-        }
+    ) -> Result<Self> {
+        let stride = (vertices / most.max(1)).max(1);
         let file = Scratch::new(folder, ADVICE)?;
-        Ok(Some(Self { stride, count: vertices / stride, versions, origin, file }))
+        Ok(Self { stride, count: vertices / stride, versions, origin, file })
     }
 
     /// Takes those of some consecutive vertices, in all versions, the first one at rest, that are chosen; `color` tells

@@ -120,8 +120,11 @@ fn in_folder(
 
     let diagonal = comparison.model.diagonal;
     let easel = Easel::new(file, rest, folder.path(), progress)?;
-    let numbers = (rest.info().vertices, easel.most());
-    let choosing = Choosing::begin(numbers, models.len(), first.sampled.frame.origin, folder.path())?;
+    let vertices = rest.info().vertices;
+    let choosing = easel.chosen(vertices).map(|most| {
+        Choosing::begin((vertices, most), models.len(), first.sampled.frame.origin, folder.path())
+    });
+    let choosing = choosing.transpose()?;
     let color = |parts: &[Vertices<'_>], i: usize| easel.color(parts, 0, i);
     let also = |first: u64, parts: &[Vertices<'_>]| {
         choosing.as_ref().map_or(Ok(()), |choosing| choosing.take(first, parts, &color))

@@ -38,11 +38,13 @@ impl<'a> Easel<'a> {
         Ok(Self { file, paint: Paint::of_model(rest, coloring, progress)?, folder })
     }
 
-    /// Vertices that are chosen to be drawn: three for each pixel, so that there is about one for each sample of the
-    /// picture that shows the model.
-    pub fn most(&self) -> u64 {
+    /// How many vertices of a model are chosen to be drawn, if they are: three for each pixel, which is about one for each
+    /// sample of the picture that shows the model. Where there is no more than one for each pixel, the model itself is
+    /// drawn, with its faces: those of others would be smaller than samples.
+    pub fn chosen(&self, vertices: u64) -> Option<u64> {
         let [w, h] = self.file.camera.size;
-        3 * u64::from(w) * u64::from(h)
+        let pixels = u64::from(w) * u64::from(h);
+        (vertices > pixels).then_some(3 * pixels)
     }
 
     /// How many of the vertices' first attributes their colours are made of.
