@@ -323,10 +323,9 @@ impl<'a> Bench<'a> {
         let model = &self.file.model;
         let files = Files { samples: &samples, constraints: &constraints, model, output };
         // That of a former run would pass for this one's.
-        let old = [output].into_iter().filter(|path| path.exists());
-        old.map(std::fs::remove_file)
-            .collect::<std::io::Result<()>>()
-            .map_err(|e| Error::io("remove", output, &e))?;
+        if output.exists() {
+            std::fs::remove_file(output).map_err(|e| Error::io("remove", output, &e))?;
+        }
         write_given(command, &files, &known.rest, &self.file.regions)?;
         let ran = external::run(command, &files, progress);
         for given in [&samples, &constraints].into_iter().filter(|path| path.exists()) {
