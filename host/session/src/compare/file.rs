@@ -413,7 +413,7 @@ fn method(
     } else if let Some(deformed) = raw.deformed {
         Work::Deformed(folder.join(deformed))
     } else if let Some(line) = raw.command {
-        Work::Command(command(&line, folder).or_else(|(what, hint)| Err(source.error(&span, &what, hint)))?)
+        Work::Command(command(&line, folder).map_err(|(what, hint)| source.error(&span, &what, hint))?)
     } else {
         Work::Model(folder.join(raw.model.unwrap_or_default()))
     };
