@@ -3,7 +3,7 @@
 #![allow(clippy::print_stdout, reason = "a program that tells what it did")]
 
 use simod_model::progress::Silent;
-use simod_session::compare::{CameraPlace, CompareFile, Method, Work, compare};
+use simod_session::compare::{CameraPlace, CompareFile, Comparing, Method, Work, compare};
 use simod_session::plugins::standard_folders;
 use simod_session::session_file::Sampling;
 use simod_session::{PluginOptions, PluginRegistry};
@@ -35,10 +35,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         fingerprint: None,
         regions: Vec::new(),
         camera: CameraPlace::default(),
+        crops: Vec::new(),
+        runs: 1,
         methods: [20_000, 5_000, 1_000].map(method).into(),
     };
 
-    let comparison = compare(&file, &plugins, false, folder.as_ref(), &Silent)?;
+    let comparison = compare(&file, &plugins, Comparing::default(), folder.as_ref(), &Silent)?;
     for method in &comparison.methods {
         let figures = method.figures.as_ref().ok_or_else(|| format!("{} came to nothing", method.name))?;
         let error = figures.transfer_error.as_ref().ok_or("the plugin does not know its map exactly")?;

@@ -82,8 +82,13 @@ fn measure(arguments: &Arguments) -> Result<()> {
             points.iter_mut().for_each(|p| *p = map.apply(&bounds, *p));
             Ok(())
         };
-        let error =
-            transfer_error::measure(model.as_ref(), result.as_ref(), bounds.diagonal(), &truth, &Silent)?;
+        let error = transfer_error::measure(
+            model.as_ref(),
+            result.as_ref(),
+            (bounds.diagonal(), None),
+            &truth,
+            &Silent,
+        )?;
         let figures = [error.rms, error.p999, error.max, error.jump].map(error_figure);
         println!(
             "{}",

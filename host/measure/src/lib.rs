@@ -18,6 +18,7 @@
 
 mod details;
 mod distance;
+mod energy;
 mod size;
 mod spread;
 mod triangle;
@@ -25,6 +26,7 @@ mod vertexwise;
 
 pub use details::{Details, Rotation};
 pub use distance::{Distances, OnSurface, Surface};
-pub use size::{area, area_distortion, edge_distortion, is_closed, volume};
+pub use energy::{Bins, Energies, Histograms};
+pub use size::{Open, area, area_distortion, edge_distortion, is_closed, volume};
 pub use spread::Spread;
-pub use vertexwise::{Angles, Beside, Difference, beside};
+pub use vertexwise::{Also, Angles, Beside, Difference, beside};

@@ -29,6 +29,46 @@ pub fn is_closed(triangles: &[[u32; 3]]) -> bool {
     !sides.is_empty() && open * 100 <= sides.len()
 }
 
+/// An open mesh, which holds a volume with the plane of its border: between each triangle and that plane, more where it
+/// is above, less below.
+pub struct Open {
+    origin: DVec3,
+    normal: DVec3,
+}
+
+impl Open {
+    /// The plane in the middle of the border at rest, at right angles to what the triangles' normals add up to; nothing
+    /// where there is no border, or the sum is nothing.
+    pub fn of(rest: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
+        let mut sides: Vec<[u32; 2]> = triangles
+            .iter()
+            .filter(|t| corners(rest, **t).is_some())
+            .flat_map(|[a, b, c]| [[*a, *b], [*b, *c], [*c, *a]])
+            .map(|[a, b]| [a.min(b), a.max(b)])
+            .collect();
+        sides.sort_unstable();
+        let border = sides.chunk_by(|a, b| a == b).filter(|same| same.len() == 1).map(|same| same[0]);
+        let (mut sum, mut length) = (DVec3::ZERO, 0.0);
+        for [a, b] in border.map(|side| side.map(|i| rest[i as usize])) {
+            sum += a.distance(b) * 0.5 * (a + b);
+            length += a.distance(b);
+        }
+        let normal = triangles.iter().filter_map(|t| corners(rest, *t)).map(cross).sum::<DVec3>();
+        (length > 0.0).then_some(Self { origin: sum / length, normal: normal.try_normalize()? })
+    }
+
+    /// The volume between the mesh and the plane, which stays where it is at rest.
+    pub fn volume(&self, positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
+        let all = triangles.iter().filter_map(|t| corners(positions, *t));
+        // A prism: the triangle as seen along the normal, by its mean height.
+        let prism = |c: [DVec3; 3]| {
+            let height: f64 = c.iter().map(|p| (*p - self.origin).dot(self.normal)).sum();
+            0.5 * cross(c).dot(self.normal) * height / 3.0
+        };
+        all.map(prism).sum()
+    }
+}
+
 /// The area of a mesh.
 pub fn area(positions: &[DVec3], triangles: &[[u32; 3]]) -> f64 {
     0.5 * triangles.iter().filter_map(|t| corners(positions, *t)).map(|c| cross(c).length()).sum::<f64>()
@@ -92,6 +132,19 @@ mod tests {
             .enumerate()
             .map(|(i, [a, b, c])| if i == 3 { [*a, *c, *b] } else { [*a, *b, *c] });
         assert!(!is_closed(&turned.collect::<Vec<_>>()));
+    }
+
+    #[test]
+    fn an_open_box_holds_what_it_holds_with_its_lid() {
+        let (rest, triangles) = brick();
+        // Without the quad at the top, z = 3.
+        let open: Vec<[u32; 3]> = [&triangles[..2], &triangles[4..]].concat();
+        let plane = Open::of(&rest, &open).unwrap();
+        assert!((plane.volume(&rest, &open).abs() - 6.0).abs() < 1e-12);
+        let deeper: Vec<_> = rest.iter().map(|p| if p.z == 0.0 { p.with_z(-1.0) } else { *p }).collect();
+        let ratio = plane.volume(&deeper, &open) / plane.volume(&rest, &open);
+        assert!((ratio - 4.0 / 3.0).abs() < 1e-12, "{ratio}");
+        assert!(Open::of(&rest, &triangles).is_none() && Open::of(&rest, &[]).is_none());
     }
 
     #[test]

@@ -1,11 +1,10 @@
 //! Versions of a model beside each other, vertex by vertex, in one streaming reading of all of them.
 
 use glam::{DVec3, Vec3};
-use rayon::prelude::*;
 use serde::Serialize;
 use simod_model::bounds::Bounds;
 use simod_model::histogram::Histogram;
-use simod_model::{Model, Progress, Result, Vertices, in_step};
+use simod_model::{Model, Progress, Result, Vertices, in_ranges};
 
 /// How far the vertices of two versions of a model are from each other. Lengths are fractions of a diagonal.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -41,8 +40,8 @@ pub struct Beside {
 }
 
 /// What is known of a pair so far.
+#[derive(Default)]
 struct Pair {
-    of: (usize, usize),
     histogram: Histogram,
     vertices: u64,
     squares: f64,
@@ -53,78 +52,150 @@ struct Pair {
 }
 
 impl Pair {
-    fn new(of: (usize, usize)) -> Self {
-        let histogram = Histogram::default();
-        Self {
-            of,
-            histogram,
-            vertices: 0,
-            squares: 0.0,
-            max: 0.0,
-            normals: 0,
-            angle_squares: 0.0,
-            angle_max: 0.0,
+    fn add(&mut self, [a, b]: [&Vertices<'_>; 2], scale: f64) {
+        for (p, q) in a.positions.iter().zip(b.positions).filter(|(p, q)| p.is_finite() && q.is_finite()) {
+            let square = p.distance_squared(*q) * (scale * scale);
+            self.vertices += 1;
+            self.squares += square;
+            self.max = self.max.max(square);
+            self.histogram.add(square.sqrt());
+        }
+        for (m, n) in a.normals.iter().zip(b.normals) {
+            if m == n && is_direction(*m) {
+                self.normals += 1;
+            } else if is_direction(*m) && is_direction(*n) {
+                let angle = angle(m.as_dvec3(), n.as_dvec3());
+                self.normals += 1;
+                self.angle_squares += angle * angle;
+                self.angle_max = self.angle_max.max(angle);
+            }
         }
     }
 
-    fn add(&mut self, parts: &[Vertices<'_>], scale: f64) {
-        let (a, b) = (parts[self.of.0], parts[self.of.1]);
-        for (p, q) in a.positions.iter().zip(b.positions).filter(|(p, q)| p.is_finite() && q.is_finite()) {
-            let distance = p.distance(*q) * scale;
-            self.vertices += 1;
-            self.squares += distance * distance;
-            self.max = self.max.max(distance);
-            self.histogram.add(distance);
-        }
-        for angle in a.normals.iter().zip(b.normals).filter_map(|(m, n)| angle(*m, *n)) {
-            self.normals += 1;
-            self.angle_squares += angle * angle;
-            self.angle_max = self.angle_max.max(angle);
-        }
+    fn merge(&mut self, other: &Self) {
+        self.histogram.merge(&other.histogram);
+        self.vertices += other.vertices;
+        self.squares += other.squares;
+        self.max = self.max.max(other.max);
+        self.normals += other.normals;
+        self.angle_squares += other.angle_squares;
+        self.angle_max = self.angle_max.max(other.angle_max);
     }
 
     fn finish(&self) -> Difference {
         let rms = |squares: f64, count: u64| (squares / count.max(1) as f64).sqrt();
-        let angles = Angles { rms: rms(self.angle_squares, self.normals), max: self.angle_max };
+        let angles = Angles {
+            rms: rms(self.angle_squares, self.normals).to_degrees(),
+            max: self.angle_max.to_degrees(),
+        };
+        let max = self.max.sqrt();
         Difference {
             vertices: self.vertices,
             rms: rms(self.squares, self.vertices),
             // A bin's middle may be beyond all that is in it.
-            p99: self.histogram.quantile(0.99).min(self.max),
-            max: self.max,
+            p99: self.histogram.quantile(0.99).min(max),
+            max,
             normals: (self.normals > 0).then_some(angles),
         }
     }
 }
 
-/// Degrees; nothing where one of both has no direction.
-fn angle(a: Vec3, b: Vec3) -> Option<f64> {
-    let (a, b) = (a.as_dvec3().try_normalize()?, b.as_dvec3().try_normalize()?);
-    // Exact for small angles, and 0 for the same.
-    Some(a.cross(b).length().atan2(a.dot(b)).to_degrees())
+/// Whether a normal is one.
+#[inline]
+fn is_direction(n: Vec3) -> bool {
+    let square = n.length_squared();
+    square > 0.0 && square.is_finite()
 }
 
-/// Compares versions of a model, all with all. `diagonal` is the length that others are told as fractions of.
-///
-/// Memory: a small chunk of each version, and 8 kB for each pair.
-///
-/// # Errors
-/// The models differ in their number of vertices; one cannot be read; the user cancelled.
-pub fn beside(models: &[&dyn Model], diagonal: f64, progress: &dyn Progress) -> Result<Beside> {
-    let numbers = 0..models.len();
-    let mut pairs: Vec<Pair> =
-        numbers.clone().flat_map(|i| (i + 1..models.len()).map(move |k| Pair::new((i, k)))).collect();
-    let mut bounds = vec![Bounds::default(); models.len()];
-    let scale = 1.0 / diagonal.max(f64::MIN_POSITIVE);
-    progress.begin("measuring", models.first().map_or(0, |m| m.info().vertex_bytes));
-    in_step(models, 0, progress, |parts| {
-        for (bounds, part) in bounds.iter_mut().zip(parts) {
+/// The angle between two directions, in radians; exact for small angles.
+#[inline]
+fn angle(a: DVec3, b: DVec3) -> f64 {
+    // Their lengths cancel out.
+    let (across, along) = (a.cross(b).length(), a.dot(b));
+    // As libraries' arctangents, but without branches, so that several are found at once: x is at most the tangent of a
+    // sixteenth of a turn, where what the series leaves out is 3e-9.
+    let (small, large) = (across.min(along.abs()), across.max(along.abs()));
+    let x = small / large.max(f64::MIN_POSITIVE);
+    let steep = x > std::f64::consts::SQRT_2 - 1.0;
+    let x = if steep { (x - 1.0) / (x + 1.0) } else { x };
+    let square = x * x;
+    let series = [17.0, 15.0, 13.0, 11.0, 9.0, 7.0, 5.0, 3.0f64];
+    let sum = series.iter().fold(0.0, |sum, n| (1.0 / n - sum) * square);
+    let angle = x * (1.0 - sum) + if steep { std::f64::consts::FRAC_PI_4 } else { 0.0 };
+    let angle = if across > along.abs() { std::f64::consts::FRAC_PI_2 - angle } else { angle };
+    if along < 0.0 { std::f64::consts::PI - angle } else { angle }
+}
+
+/// What is known of all versions in a range of vertices.
+#[derive(Default)]
+struct Found {
+    bounds: Vec<Bounds>,
+    pairs: Vec<Pair>,
+}
+
+impl Found {
+    fn add(&mut self, parts: &[Vertices<'_>], scale: f64) {
+        self.make_room(parts.len());
+        for (bounds, part) in self.bounds.iter_mut().zip(parts) {
             part.positions.iter().filter(|p: &&DVec3| p.is_finite()).for_each(|p| bounds.include(*p));
         }
-        pairs.par_iter_mut().for_each(|pair| pair.add(parts, scale));
+        for (pair, (a, b)) in self.pairs.iter_mut().zip(each_two(parts.len())) {
+            pair.add([&parts[a], &parts[b]], scale);
+        }
+    }
+
+    fn make_room(&mut self, versions: usize) {
+        self.bounds.resize_with(versions, Bounds::default);
+        self.pairs.resize_with(each_two(versions).count(), Pair::default);
+    }
+
+    fn merge(&mut self, other: &Self) {
+        for (bounds, other) in self.bounds.iter_mut().zip(&other.bounds).filter(|(_, o)| !o.is_empty()) {
+            bounds.include(other.min);
+            bounds.include(other.max);
+        }
+        self.pairs.iter_mut().zip(&other.pairs).for_each(|(pair, other)| pair.merge(other));
+    }
+}
+
+/// (0, 1), (0, 2), …, (1, 2), …
+fn each_two(count: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..count).flat_map(move |i| (i + 1..count).map(move |k| (i, k)))
+}
+
+/// Takes vertices of all versions, of which the number of the first is told: on any thread, a range of the model after
+/// the other.
+pub type Also<'a> = dyn Fn(u64, &[Vertices<'_>]) -> Result<()> + Sync + 'a;
+
+/// Compares versions of a model, all with all, in one reading, of ranges on all threads where the files allow.
+/// `diagonal` is the length that others are told as fractions of; `also` sees all vertices, too, with so
+/// many of the first one's first attributes.
+///
+/// Memory: for each thread a small chunk of each version; for each pair 13 kB, and as much for each of two ranges for
+/// each thread.
+///
+/// # Errors
+/// The models differ in their number of vertices; one cannot be read; `also` fails; the user cancelled.
+pub fn beside(
+    models: &[&dyn Model],
+    diagonal: f64,
+    (attributes, also): (usize, &Also<'_>),
+    progress: &dyn Progress,
+) -> Result<Beside> {
+    let scale = 1.0 / diagonal.max(f64::MIN_POSITIVE);
+    progress.begin("measuring", models.first().map_or(0, |m| m.info().vertex_bytes));
+    let mut all = Found::default();
+    all.make_room(models.len());
+    let visit = |found: &mut Found, first: u64, parts: &[Vertices<'_>]| {
+        found.add(parts, scale);
+        also(first, parts)
+    };
+    in_ranges(models, attributes, progress, visit, |found| {
+        all.merge(&found);
         Ok(())
     })?;
-    Ok(Beside { bounds, differences: pairs.iter().map(|pair| (pair.of, pair.finish())).collect() })
+    let differences = each_two(models.len()).zip(&all.pairs).map(|(of, pair)| (of, pair.finish()));
+    Ok(Beside { differences: differences.collect(), bounds: all.bounds })
 }
 
 #[cfg(test)]
@@ -150,7 +221,7 @@ mod tests {
         // One of ten columns is moved by 3 and 4.
         let moved =
             open("c", tilted, &|p| if p.x % 10.0 == 0.0 { *p + DVec3::new(0.0, 3.0, 4.0) } else { *p });
-        let found = beside(&[&*first, &*same, &*moved], 2.0, &Silent).unwrap();
+        let found = beside(&[&*first, &*same, &*moved], 2.0, (0, &|_, _| Ok(())), &Silent).unwrap();
         let order: Vec<_> = found.differences.iter().map(|(of, _)| *of).collect();
         assert_eq!(order, [(0, 1), (0, 2), (1, 2)]);
         let nothing = Difference {
@@ -178,7 +249,54 @@ mod tests {
             simod_model::open(&path).unwrap()
         };
         let (a, b) = (open("a", 5), open("b", 6));
-        let error = beside(&[&*a, &*b], 1.0, &Silent).unwrap_err();
+        let error = beside(&[&*a, &*b], 1.0, (0, &|_, _| Ok(())), &Silent).unwrap_err();
         assert!(error.to_string().contains("6 vertices"), "{error}");
+    }
+
+    #[test]
+    fn angles_are_those_of_the_arctangent() {
+        for i in 0..=3600 {
+            let t = f64::from(i) * std::f64::consts::PI / 3600.0;
+            let (a, b) = (DVec3::new(0.6, 0.0, 0.8) * 3.0, DVec3::Y * 0.25);
+            let found = angle(a, (a.normalize_or_zero() * t.cos() + b.normalize_or_zero() * t.sin()) * 7.0);
+            assert!((found - t).abs() < 2e-8, "{found} instead of {t}");
+        }
+        assert_eq!(angle(DVec3::X, DVec3::X), 0.0);
+        // Small ones keep their digits.
+        let little = angle(DVec3::X, DVec3::new(1.0, 1e-9, 0.0));
+        assert!((little / 1e-9 - 1.0).abs() < 1e-6, "{little}");
+    }
+
+    #[test]
+    fn ranges_on_any_threads_add_up_to_the_same() {
+        let folder = tempfile::tempdir().unwrap();
+        let count = 600_000;
+        let at = |i: u32, lift: f64| {
+            let t = f64::from(i);
+            DVec3::new(t, (t * 0.01).sin(), lift * (t * 1e-3).cos())
+        };
+        let open = |name: &str, lift: f64| {
+            let path = folder.path().join(name);
+            write_points(&path, (0..count).map(|i| at(i, lift)), &[], &[], Scalar::F64, &[]).unwrap();
+            simod_model::open(&path).unwrap()
+        };
+        let (a, b) = (open("a", 0.0), open("b", 1.0));
+        let seen = std::sync::atomic::AtomicU64::new(0);
+        let run = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let also = |first: u64, parts: &[Vertices<'_>]| {
+                assert_eq!(parts[0].positions[0].x, first as f64);
+                seen.fetch_add(parts[1].positions.len() as u64, std::sync::atomic::Ordering::Relaxed);
+                Ok(())
+            };
+            pool.install(|| beside(&[&*a, &*b], 1.0, (0, &also), &Silent).unwrap())
+        };
+        let one = run(1);
+        assert_eq!(one, run(3));
+        assert_eq!(seen.into_inner(), 2 * u64::from(count));
+        let squares: f64 = (0..count).map(|i| at(i, 1.0).z.powi(2)).sum();
+        let expected = (squares / f64::from(count)).sqrt();
+        assert!((one.differences[0].1.rms / expected - 1.0).abs() < 1e-12);
+        assert_eq!(one.differences[0].1.vertices, u64::from(count));
     }
 }

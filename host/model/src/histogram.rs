@@ -1,16 +1,22 @@
 //! Quantiles of numbers that are streamed.
 
-/// Counts of positive values on a logarithmic scale from 1e-12 to 1e3, 64 bins per factor of ten.
+/// Counts of positive values from 1e-12 to 1e3 and a little beyond, 32 bins of equal width for each factor of two:
+/// which one it is follows from the bits of a number, without a logarithm.
+#[derive(Debug, Clone)]
 pub struct Histogram {
     bins: Vec<u64>,
 }
 
-const BINS_PER_DECADE: f64 = 64.0;
-const LEAST_EXPONENT: f64 = -12.0;
+/// Bits of a number behind those that tell the bin: 5 of the mantissa's do.
+const SHIFT: u32 = 52 - 5;
+/// The first bin: what is less than 2⁻⁴⁰, which is 9.1e-13.
+const FIRST: u64 = (1023 - 40) << 5;
+/// To 2¹⁰.
+const BINS: usize = 50 << 5;
 
 impl Default for Histogram {
     fn default() -> Self {
-        Self { bins: vec![0; 15 * BINS_PER_DECADE as usize] }
+        Self { bins: vec![0; BINS] }
     }
 }
 
@@ -24,9 +30,15 @@ impl Histogram {
     /// Counts a value so many times.
     #[inline]
     pub fn add_many(&mut self, x: f64, count: u64) {
-        let bin = ((x.log10() - LEAST_EXPONENT) * BINS_PER_DECADE).max(0.0) as usize;
-        let last = self.bins.len() - 1;
-        self.bins[bin.min(last)] += count;
+        // What is not positive, or no number, is below the scale.
+        let bits = if x > 0.0 { x.to_bits() >> SHIFT } else { 0 };
+        let bin = (bits.saturating_sub(FIRST) as usize).min(BINS - 1);
+        self.bins[bin] += count;
+    }
+
+    /// Counts all that another one has.
+    pub fn merge(&mut self, other: &Self) {
+        self.bins.iter_mut().zip(&other.bins).for_each(|(bin, n)| *bin += n);
     }
 
     /// The middle of the bin that holds the quantile; 0 for anything below the scale.
@@ -36,11 +48,8 @@ impl Histogram {
         for (bin, n) in self.bins.iter().enumerate() {
             seen += n;
             if seen >= wanted && seen > 0 {
-                return if bin == 0 {
-                    0.0
-                } else {
-                    10f64.powf((bin as f64 + 0.5) / BINS_PER_DECADE + LEAST_EXPONENT)
-                };
+                let end = |bin: u64| f64::from_bits((FIRST + bin) << SHIFT);
+                return if bin == 0 { 0.0 } else { 0.5 * (end(bin as u64) + end(bin as u64 + 1)) };
             }
         }
         0.0
@@ -58,5 +67,22 @@ mod tests {
         assert!((h.quantile(0.999) / 9.99e-3 - 1.0).abs() < 0.02);
         assert!((h.quantile(0.5) / 5e-3 - 1.0).abs() < 0.02);
         assert_eq!(Histogram::default().quantile(0.999), 0.0);
+    }
+
+    #[test]
+    fn what_is_off_the_scale_is_at_its_ends() {
+        let mut h = Histogram::default();
+        [0.0, -1.0, f64::NAN, 1e-300, 5e-13].into_iter().for_each(|x| h.add(x));
+        assert_eq!(h.quantile(1.0), 0.0);
+        let mut more = Histogram::default();
+        [1e9, f64::INFINITY].into_iter().for_each(|x| more.add(x));
+        h.merge(&more);
+        assert_eq!(h.quantile(0.5), 0.0);
+        assert!((1000.0..1024.0).contains(&h.quantile(1.0)), "{}", h.quantile(1.0));
+        assert!((1e-12..2e-12).contains(&{
+            let mut h = Histogram::default();
+            h.add(1.2e-12);
+            h.quantile(1.0)
+        }));
     }
 }

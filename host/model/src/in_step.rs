@@ -1,6 +1,9 @@
 //! Several versions of one model, read in step: the same vertices of all of them at once.
 
+use std::ops::Range;
+
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 
 use super::{Model, SMALL_CHUNK, VertexChunk, VertexReader};
 use crate::{Error, ErrorKind, Progress, Result};
@@ -73,7 +76,56 @@ pub fn in_step(
     progress: &dyn Progress,
     mut visit: impl FnMut(&[Vertices<'_>]) -> Result<()>,
 ) -> Result<()> {
-    let Some(first) = models.first() else { return Ok(()) };
+    let vertices = checked_count(models)?;
+    range_in_step(models, 0..vertices, attributes, progress, |_, parts| visit(parts))
+}
+
+/// Vertices of a range that one thread reads: so many that the files are read in large pieces.
+const RANGE: u64 = 1 << 18;
+
+/// Ranges that are worked on for each thread until what was found of them is put together.
+const RANGES_AHEAD: usize = 2;
+
+/// As [`in_step`], by ranges of vertices on all threads where the models can be read from anywhere: what `visit` finds in
+/// each range, beginning with the default, comes to `merge` in the order of the ranges, which are the same for any
+/// number of threads. `visit` is told the first vertex' number, too.
+///
+/// Memory: for each thread a small chunk of each model, and what is found of two ranges.
+///
+/// # Errors
+/// As of [`in_step`].
+pub fn in_ranges<T: Default + Send>(
+    models: &[&dyn Model],
+    attributes: usize,
+    progress: &dyn Progress,
+    visit: impl Fn(&mut T, u64, &[Vertices<'_>]) -> Result<()> + Sync,
+    mut merge: impl FnMut(T) -> Result<()>,
+) -> Result<()> {
+    let vertices = checked_count(models)?;
+    let of_range = |range: Range<u64>| {
+        let mut found = T::default();
+        range_in_step(models, range, attributes, progress, |first, parts| visit(&mut found, first, parts))?;
+        Ok(found)
+    };
+    if !models.iter().all(|model| model.info().random_access) {
+        return merge(of_range(0..vertices)?);
+    }
+    let wave = RANGE * (RANGES_AHEAD * rayon::current_num_threads()) as u64;
+    for from in (0..vertices).step_by(wave as usize) {
+        let firsts: Vec<u64> = (from..vertices.min(from + wave)).step_by(RANGE as usize).collect();
+        let found: Vec<Result<T>> = firsts
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|first| of_range(first..vertices.min(first + RANGE)))
+            .collect();
+        found.into_iter().try_for_each(|found| merge(found?))?;
+    }
+    Ok(())
+}
+
+/// How many vertices all models have.
+fn checked_count(models: &[&dyn Model]) -> Result<u64> {
+    let Some(first) = models.first() else { return Ok(0) };
     let vertices = first.info().vertices;
     if let Some(other) = models.iter().find(|m| m.info().vertices != vertices) {
         return Err(Error::new(
@@ -87,9 +139,24 @@ pub fn in_step(
             "compare versions of the same model",
         ));
     }
+    Ok(vertices)
+}
+
+/// As [`in_step`], of the vertices of a range alone, each part with the number of its first one.
+///
+/// # Errors
+/// As of [`in_step`], but that the models' numbers of vertices are not compared.
+pub fn range_in_step(
+    models: &[&dyn Model],
+    range: Range<u64>,
+    attributes: usize,
+    progress: &dyn Progress,
+    mut visit: impl FnMut(u64, &[Vertices<'_>]) -> Result<()>,
+) -> Result<()> {
+    let Some(first) = models.first() else { return Ok(()) };
     let mut cursors = Vec::with_capacity(models.len());
     for (i, model) in models.iter().enumerate() {
-        let mut reader = model.vertices(0..vertices)?;
+        let mut reader = model.vertices(range.clone())?;
         reader.set_chunk(SMALL_CHUNK);
         let attributes = vec![Vec::new(); if i == 0 { attributes } else { 0 }];
         if attributes.is_empty() {
@@ -97,7 +164,8 @@ pub fn in_step(
         }
         cursors.push(Cursor { model: *model, reader, chunk: VertexChunk::default(), attributes, used: 0 });
     }
-    let per_vertex = first.info().vertex_bytes / vertices.max(1);
+    let per_vertex = first.info().vertex_bytes / first.info().vertices.max(1);
+    let mut at = range.start;
     loop {
         progress.check()?;
         // A file's chunks may end elsewhere, as its text is of another length.
@@ -109,7 +177,8 @@ pub fn in_step(
             return Ok(());
         }
         let parts: Vec<Vertices<'_>> = cursors.iter().map(|cursor| cursor.next(count)).collect();
-        visit(&parts)?;
+        visit(at, &parts)?;
+        at += count as u64;
         cursors.iter_mut().for_each(|cursor| cursor.used += count);
         progress.advance(count as u64 * per_vertex);
     }

@@ -43,6 +43,7 @@ mod pipeline;
 mod ply;
 mod polygons;
 mod positioned;
+pub mod processor;
 pub mod progress;
 pub mod resumable;
 mod scaled;
@@ -67,7 +68,7 @@ pub use error::{Error, ErrorKind, Result};
 pub use form::Conversion;
 pub use formats::{extensions, is_model, is_named_otherwise, open, open_with, open_with_columns};
 pub use in_memory::InMemory;
-pub use in_step::{Vertices, in_step};
+pub use in_step::{Vertices, in_ranges, in_step, range_in_step};
 pub use model::{
     CHUNK_TRIANGLES, CHUNK_VERTICES, Division, Edit, Edited, FACES_OF_A_BLOCK, FaceChunk, FaceMark,
     FaceReader, MAX_VERSIONS, Model, ModelInfo, Normals, Output, PieceRange, RawChunk, Rewriting,

@@ -65,13 +65,34 @@ impl Drop for MemoryWatch {
     }
 }
 
+/// The same of another process and those that it started, now.
+#[cfg(target_os = "linux")]
+pub fn anonymous_of(process: u32) -> Option<u64> {
+    let own = anonymous_by(&format!("/proc/{process}/status"))?;
+    let children = std::fs::read_to_string(format!("/proc/{process}/task/{process}/children"));
+    let children = children.unwrap_or_default();
+    let ids = children.split_whitespace().filter_map(|id| id.parse().ok());
+    Some(own + ids.filter_map(anonymous_of).sum::<u64>())
+}
+
+/// Nothing: these systems are not asked.
+#[cfg(not(target_os = "linux"))]
+pub fn anonymous_of(_process: u32) -> Option<u64> {
+    None
+}
+
 /// Anonymous resident memory in bytes, now; `None` where the system does not tell.
 ///
 /// Read here, as `sysinfo` and `memory-stats` know resident memory alone, of which the pages of the model's
 /// files are the most.
 #[cfg(target_os = "linux")]
 pub fn anonymous() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    anonymous_by("/proc/self/status")
+}
+
+#[cfg(target_os = "linux")]
+fn anonymous_by(file: &str) -> Option<u64> {
+    let status = std::fs::read_to_string(file).ok()?;
     let line = status.lines().find_map(|l| l.strip_prefix("RssAnon:"))?;
     let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kilobytes * 1024)

@@ -147,6 +147,12 @@ impl Lens {
         [self.center[0] + self.scale[0] * v.x / v.z, self.center[1] - self.scale[1] * v.y / v.z]
     }
 
+    /// The same in double precision, for what may lie far outside of the picture.
+    pub fn project_exactly(&self, v: DVec3) -> [f64; 2] {
+        let [center, scale] = [self.center, self.scale].map(|xy| xy.map(f64::from));
+        [center[0] + scale[0] * v.x / v.z, center[1] - scale[1] * v.y / v.z]
+    }
+
     /// The point at depth 1 that a pixel's middle shows.
     pub fn ray(&self, x: usize, y: usize) -> Vec3 {
         Vec3::new(

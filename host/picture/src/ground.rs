@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::SurfacePoint;
 use super::camera::Camera;
+use super::facet::spread_over;
 use super::style::KEY_LIGHT;
 
 /// Cells of the shadow's map in each direction.
@@ -36,22 +37,31 @@ impl Ground {
     }
 
     pub fn add(&mut self, points: &[SurfacePoint]) {
+        points.iter().for_each(|point| self.add_place(point.position));
+    }
+
+    /// The same of triangles, all over them.
+    pub fn add_triangles(&mut self, triangles: &[[SurfacePoint; 3]]) {
+        let apart = self.cell;
+        triangles.iter().for_each(|triangle| spread_over(triangle, apart, |p| self.add_place(p)));
+    }
+
+    fn add_place(&mut self, p: DVec3) {
+        let above = p.y - self.height;
+        // Nor is what has no finite height.
+        if !(above >= 0.0 && p.is_finite()) {
+            return;
+        }
         // A light that is too low would throw shadows without end.
         let slope = self.light / self.light.y.max(0.35);
-        for point in points.iter().filter(|point| point.position.is_finite()) {
-            let above = point.position.y - self.height;
-            if above < 0.0 {
-                continue;
-            }
-            if let Some(cell) = self.cell_of(point.position - slope * above) {
-                self.cast[cell] = 1.0;
-            }
-            let near = (1.0 - above / self.contact_height) as f32;
-            if near > 0.0
-                && let Some(cell) = self.cell_of(point.position)
-            {
-                self.contact[cell] = self.contact[cell].max(near);
-            }
+        if let Some(cell) = self.cell_of(p - slope * above) {
+            self.cast[cell] = 1.0;
+        }
+        let near = (1.0 - above / self.contact_height) as f32;
+        if near > 0.0
+            && let Some(cell) = self.cell_of(p)
+        {
+            self.contact[cell] = self.contact[cell].max(near);
         }
     }
 

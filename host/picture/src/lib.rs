@@ -3,7 +3,7 @@
 //! Points are streamed twice, as oriented discs (M. Zwicker, H. Pfister, J. van Baar, M. Gross, *Surface
 //! Splatting*, SIGGRAPH 2001; the two passes as in M. Botsch, A. Hornung, M. Zwicker, L. Kobbelt,
 //! *High-Quality Surface Splatting on Today's GPUs*, PBG 2005): first for the depth of the nearest surface,
-//! then to blend what lies on it. Memory grows with the picture alone. The same points in the same order give
+//! then to blend what lies on it. Triangles are drawn in the same two passes. Memory grows with the picture alone. The same points in the same order give
 //! the same picture, bit by bit, for any number of threads: each band of the picture takes them in order.
 //!
 //! ```
@@ -20,10 +20,12 @@
 //! ```
 
 mod camera;
+mod facet;
 mod font;
 mod frames;
 mod ground;
 mod image;
+mod mesh;
 mod paint;
 mod palette;
 pub mod picture;
@@ -32,6 +34,7 @@ mod shade;
 mod spacing;
 mod splat;
 mod style;
+mod view;
 
 pub use camera::Camera;
 pub use frames::FrameFolder;
@@ -42,6 +45,7 @@ pub use point::SurfacePoint;
 pub use spacing::Spacing;
 pub use style::Style;
 
+use facet::Facets;
 use glam::Vec3;
 use ground::Ground;
 use splat::Canvas;
@@ -54,6 +58,7 @@ pub struct Renderer {
     camera: Camera,
     style: Style,
     canvas: Canvas,
+    facets: Facets,
     ground: Option<Ground>,
 }
 
@@ -70,6 +75,7 @@ impl Renderer {
             camera,
             style,
             canvas: Canvas::new(width * SUPERSAMPLING, height * SUPERSAMPLING),
+            facets: Facets::default(),
             ground: style.ground.map(|height| Ground::new(height, &camera)),
         }
     }
@@ -97,6 +103,21 @@ impl Renderer {
     /// The same of ellipses, as in [`depth_of`](Self::depth_of).
     pub fn blend_of(&mut self, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
         self.canvas.blend(&self.camera, points, axes);
+    }
+
+    /// The first pass of triangles, whose corners' normals and colours are mixed; what is said of a radius does not
+    /// count. Each corner without a normal has that of its triangle. A triangle is seen from either side; one with a
+    /// corner that is not finite, or not before the camera, is left out.
+    pub fn depth_of_triangles(&mut self, triangles: &[[SurfacePoint; 3]]) {
+        self.facets.depth(&mut self.canvas, &self.camera, triangles);
+        if let Some(ground) = &mut self.ground {
+            ground.add_triangles(triangles);
+        }
+    }
+
+    /// The second pass of triangles.
+    pub fn blend_triangles(&mut self, triangles: &[[SurfacePoint; 3]]) {
+        self.facets.blend(&mut self.canvas, &self.camera, triangles);
     }
 
     /// Lights the picture.

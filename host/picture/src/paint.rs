@@ -1,10 +1,18 @@
 //! The vertices' own colours, and other numbers of theirs as colours.
 
 use simod_core::colors::Bytes;
-use simod_model::{Attribute, ColorScale, Colors, Error, ErrorKind, Model, Progress, Result, for_vertices};
+use simod_model::{
+    Attribute, ColorScale, Colors, Error, ErrorKind, Model, Progress, Result, Vertices, for_vertices,
+};
 
 use super::Image;
 use super::palette::{class_color, scale_color};
+
+/// The colour of a vertex: of its number in these parts of models that are read in step.
+pub type PaintBy<'a> = dyn Fn(&[Vertices<'_>], usize) -> [u8; 3] + 'a;
+
+/// How vertices are painted: of so many of the first attributes.
+pub(super) type Painted<'a> = Option<(usize, &'a PaintBy<'a>)>;
 
 /// What points are coloured by.
 #[derive(Debug, Clone, PartialEq, Eq)]

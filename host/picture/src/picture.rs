@@ -1,109 +1,24 @@
-//! Pictures of models and samples: shaded splats, drawn on the processor.
+//! Pictures of models and samples: shaded triangles and splats, drawn on the processor.
 
-use glam::{DVec3, Vec3, swizzles::Vec3Swizzles};
-use serde::Deserialize;
+use std::ops::Range;
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 use simod_core::ellipses::Ellipses;
 use simod_core::sampled_model::SampledModel;
 use simod_model::bounds::Bounds;
-use simod_model::{Model, Progress, Result, VertexChunk, Vertices, in_step};
+use simod_model::{CHUNK_TRIANGLES, CHUNK_VERTICES, Model, Progress, Result, VertexChunk, Vertices, in_step};
 
-use super::{Camera, Image, Paint, Renderer, Spacing, Style, SurfacePoint};
+pub use super::paint::PaintBy;
+use super::paint::Painted;
+pub use super::view::{Crop, Up, View};
 
-/// The colour of a vertex: of its number in these parts of models that are read in step.
-pub type PaintBy<'a> = dyn Fn(&[Vertices<'_>], usize) -> [u8; 3] + 'a;
+use super::mesh::{Mesh, are_many};
+use super::{Camera, Image, Paint, Spacing, SurfacePoint};
 
 /// Radius of a sample's disc over its spacing: wide enough to leave no holes where the density changes.
 const SAMPLE_RADIUS: f64 = 1.35;
-
-/// From where, and how large.
-#[derive(Debug, Clone, Copy)]
-pub struct View {
-    /// What fills the picture.
-    pub bounds: Bounds,
-    /// Turned to the right about +y from +z, in degrees.
-    pub yaw: f64,
-    /// Looking down, in degrees.
-    pub pitch: f64,
-    /// Picture size in pixels.
-    pub size: [u32; 2],
-    /// Which of the model's axes points up.
-    pub up: Up,
-    /// What of it is shown.
-    pub crop: Crop,
-}
-
-/// A part of a picture, from the same place.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Crop {
-    /// The model's point in the middle; that of the bounds where it is not given.
-    pub around: Option<DVec3>,
-    /// Its width over that of the whole: above 0.
-    pub part: f64,
-}
-
-impl Default for Crop {
-    /// The whole.
-    fn default() -> Self {
-        Self { around: None, part: 1.0 }
-    }
-}
-
-/// The model's axis that points up in the picture.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Up {
-    /// The first.
-    X,
-    /// The second.
-    #[default]
-    Y,
-    /// The third.
-    Z,
-}
-
-impl Up {
-    /// Turns the model's axes, in their order, so that the one that is up becomes y.
-    fn turned(self, p: DVec3) -> DVec3 {
-        match self {
-            Self::X => p.zxy(),
-            Self::Y => p,
-            Self::Z => p.yzx(),
-        }
-    }
-}
-
-impl View {
-    fn camera(&self) -> Camera {
-        self.cropped(self.whole())
-    }
-
-    fn cropped(&self, camera: Camera) -> Camera {
-        camera.crop(self.crop.around.map(|p| self.up.turned(p)), self.crop.part)
-    }
-
-    /// The camera that shows everything.
-    fn whole(&self) -> Camera {
-        let [w, h] = self.size;
-        let bounds = [self.up.turned(self.bounds.min), self.up.turned(self.bounds.max)];
-        let aspect = f64::from(w) / f64::from(h.max(1));
-        Camera::frame(bounds, self.yaw.to_radians(), self.pitch.to_radians(), aspect)
-    }
-
-    /// The cameras of a full turn, evenly spaced. All are as far away as the farthest of those that just show
-    /// everything: nothing is cut, and the model does not seem to grow and shrink.
-    fn turn(&self, frames: u32) -> Vec<Camera> {
-        let yaw = |k| self.yaw + 360.0 * f64::from(k) / f64::from(frames);
-        let cameras: Vec<Camera> = (0..frames).map(|k| Self { yaw: yaw(k), ..*self }.whole()).collect();
-        let farthest = cameras.iter().map(Camera::distance).fold(0.0, f64::max);
-        cameras.into_iter().map(|camera| self.cropped(camera.at_least(farthest))).collect()
-    }
-
-    fn renderer(&self, camera: Camera, own_colors: bool) -> Renderer {
-        let [w, h] = self.size;
-        let ground = Some(self.up.turned(self.bounds.min).y);
-        Renderer::new(w, h, camera, Style { own_colors, ground })
-    }
-}
 
 /// Takes the pictures of a turn, one after the other.
 pub type Frames<'a> = dyn FnMut(&Image) -> Result<()> + 'a;
@@ -120,68 +35,109 @@ pub fn bounds(model: &dyn Model, progress: &dyn Progress) -> Result<Bounds> {
     Ok(bounds)
 }
 
-/// Draws a model in three streams: the spacing of its vertices, the visible surface, its shading.
+/// A model's vertices are drawn, or its faces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Drawn<'a> {
+    /// Vertices alone, as discs.
+    Points,
+    /// Triangles where the model has faces, and discs for vertices that no triangle has, where these are a tenth of all. Of a model with faces that is
+    /// large, a temporary file without a name is made in this folder: 28 bytes for each vertex.
+    Faces(&'a Path),
+}
+
+/// Draws a model. Of vertices alone in three streams: their spacing, the visible surface, its shading; of faces in
+/// one stream of the vertices, and three of the faces: which vertices are theirs, the visible surface, its shading.
 ///
 /// # Errors
-/// The model cannot be read; the user cancelled.
+/// The model cannot be read; a temporary file cannot be written; the user cancelled.
 pub fn of_model(
     model: &dyn Model,
     bounds: &Bounds,
     view: &View,
-    paint: &Paint,
+    (paint, drawn): (&Paint, Drawn<'_>),
     progress: &dyn Progress,
 ) -> Result<Image> {
-    let spacing = spacing(model, bounds, progress)?;
-    draw_painted(model, &spacing, view, view.camera(), paint, progress)
+    with_paint(paint, |by| {
+        Shown::new(&[model], bounds, by, drawn, progress)?.draw(view, view.camera(), progress)
+    })
 }
 
-/// As [`of_model`], so many times while the camera goes once round the vertical axis, in one stream more than
+/// As [`of_model`], so many times while the camera goes once round the vertical axis, in one or two streams more than
 /// two for each picture. It stands as far back for all as some of them need; the first is that of
 /// [`of_model`] if it is one of these.
 ///
 /// # Errors
-/// The model cannot be read; `frame` refuses a picture; the user cancelled.
+/// As of [`of_model`]; `frame` refuses a picture.
 pub fn turn_of_model(
     model: &dyn Model,
     bounds: &Bounds,
     view: &View,
-    paint: &Paint,
-    frames: u32,
-    frame: &mut Frames<'_>,
+    (paint, drawn): (&Paint, Drawn<'_>),
+    frames: (u32, &mut Frames<'_>),
     progress: &dyn Progress,
 ) -> Result<()> {
-    let spacing = spacing(model, bounds, progress)?;
-    let draw = |camera| draw_painted(model, &spacing, view, camera, paint, progress);
-    view.turn(frames).into_iter().try_for_each(|camera| frame(&draw(camera)?))
+    with_paint(paint, |by| {
+        let models = [model];
+        let shown = Shown::new(&models, bounds, by, drawn, progress)?;
+        let draw = |camera| shown.draw(view, camera, progress);
+        view.turn(frames.0).into_iter().try_for_each(|camera| (frames.1)(&draw(camera)?))
+    })
 }
 
 /// As [`of_model`], for the first of several models that are read [in step](in_step): `paint` gives its
 /// vertices' colours, and may ask for so many of its first attributes.
 ///
 /// # Errors
-/// A model cannot be read, or they differ in their number of vertices; the user cancelled.
+/// As of [`of_model`]; models differ in their number of vertices.
 pub fn of_painted(
     models: &[&dyn Model],
     bounds: &Bounds,
     view: &View,
-    (attributes, paint): (usize, &PaintBy<'_>),
+    (attributes, paint, drawn): (usize, &PaintBy<'_>, Drawn<'_>),
     progress: &dyn Progress,
 ) -> Result<Image> {
-    let spacing = spacing(models[0], bounds, progress)?;
-    draw(models, &spacing, view, view.camera(), Some((attributes, paint)), progress)
+    let shown = Shown::new(models, bounds, Some((attributes, paint)), drawn, progress)?;
+    shown.draw(view, view.camera(), progress)
 }
 
-fn draw_painted(
-    model: &dyn Model,
-    spacing: &Spacing,
-    view: &View,
-    camera: Camera,
-    paint: &Paint,
-    progress: &dyn Progress,
-) -> Result<Image> {
+fn with_paint<T>(paint: &Paint, draw: impl FnOnce(Painted<'_>) -> Result<T>) -> Result<T> {
     let by_attributes = |parts: &[Vertices<'_>], i: usize| paint.color(|place| parts[0].attribute(place, i));
-    let by = paint.is_colored().then_some((paint.count(), &by_attributes as &PaintBy<'_>));
-    draw(&[model], spacing, view, camera, by, progress)
+    draw(paint.is_colored().then_some((paint.count(), &by_attributes)))
+}
+
+/// What is drawn, from wherever.
+enum Shown<'a> {
+    Mesh(Box<Mesh<'a>>, bool),
+    Points(&'a [&'a dyn Model], Spacing, Painted<'a>),
+}
+
+impl<'a> Shown<'a> {
+    fn new(
+        models: &'a [&'a dyn Model],
+        bounds: &Bounds,
+        paint: Painted<'a>,
+        drawn: Drawn<'_>,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
+        match drawn {
+            Drawn::Faces(folder) if models[0].info().faces > 0 => {
+                let mesh = Mesh::new(models, bounds, paint, folder, progress)?;
+                Ok(Self::Mesh(Box::new(mesh), paint.is_some()))
+            }
+            _ => Ok(Self::Points(models, spacing(models[0], bounds, progress)?, paint)),
+        }
+    }
+
+    fn draw(&self, view: &View, camera: Camera, progress: &dyn Progress) -> Result<Image> {
+        match self {
+            Self::Mesh(mesh, own_colors) => {
+                let mut renderer = view.renderer(camera, *own_colors);
+                mesh.draw(&mut renderer, view.up, progress)?;
+                Ok(renderer.finish())
+            }
+            Self::Points(models, spacing, paint) => draw(models, spacing, view, camera, *paint, progress),
+        }
+    }
 }
 
 fn spacing(model: &dyn Model, bounds: &Bounds, progress: &dyn Progress) -> Result<Spacing> {
@@ -198,7 +154,7 @@ fn draw(
     spacing: &Spacing,
     view: &View,
     camera: Camera,
-    paint: Option<(usize, &PaintBy<'_>)>,
+    paint: Painted<'_>,
     progress: &dyn Progress,
 ) -> Result<Image> {
     let ellipses = Ellipses::of(&models[0].info().attributes);
@@ -240,8 +196,45 @@ fn draw(
     Ok(renderer.finish())
 }
 
-/// Draws samples at local `positions`, each as a disc that its neighbours overlap a little, in colours of which there
-/// is one for each, if there are any.
+/// Draws points of a model that are not all of its vertices, as discs: so many, which `point` gives by their numbers, in
+/// the model's axes. Of what it says of their radii nothing counts: discs cover the surface by how many there are.
+///
+/// # Errors
+/// The user cancelled.
+pub fn of_some(
+    (count, point): (usize, &(dyn Fn(usize) -> SurfacePoint + Sync)),
+    bounds: &Bounds,
+    view: &View,
+    progress: &dyn Progress,
+) -> Result<Image> {
+    progress.begin("drawing", 0);
+    let mut spacing = Spacing::new([bounds.min, bounds.max]);
+    spacing.add((0..count).map(|i| point(i).position));
+    let mut renderer = view.renderer(view.camera(), true);
+    let chunks = || (0..count).step_by(CHUNK_VERTICES).map(|i| i..count.min(i + CHUNK_VERTICES));
+    let drawn = |i: usize| {
+        let point = point(i);
+        SurfacePoint {
+            position: view.up.turned(point.position),
+            normal: view.up.turned(point.normal.as_dvec3()).as_vec3(),
+            radius: spacing.radius_at(point.position),
+            ..point
+        }
+    };
+    let some = |chunk: Range<usize>| chunk.into_par_iter().map(drawn).collect::<Vec<_>>();
+    for chunk in chunks() {
+        progress.check()?;
+        renderer.depth(&some(chunk));
+    }
+    for chunk in chunks() {
+        progress.check()?;
+        renderer.blend(&some(chunk));
+    }
+    Ok(renderer.finish())
+}
+
+/// Draws samples at local `positions`, in colours of which there is one for each, if there are any: the triangles
+/// between them; and those that no triangle has, where these are a tenth of all, as discs that overlap a little.
 pub fn of_samples(
     sampled: &SampledModel,
     positions: &[Vec3],
@@ -249,51 +242,92 @@ pub fn of_samples(
     view: &View,
     colors: Option<&[[u8; 3]]>,
 ) -> Image {
-    drawn(&discs(sampled, positions, normals, view, colors), view, view.camera(), colors.is_some())
+    Samples::new(sampled, (positions, normals), view, colors, true).draw(view, view.camera())
 }
 
-/// As [`of_samples`], so many times while the camera goes once round the vertical axis; see
-/// [`turn_of_model`].
+/// As [`of_samples`] of those at rest, each as a disc, whether there are triangles or not.
+pub fn of_discs(sampled: &SampledModel, view: &View, colors: Option<&[[u8; 3]]>) -> Image {
+    let samples = &sampled.samples;
+    let shape = (&samples.positions[..], samples.normals());
+    Samples::new(sampled, shape, view, colors, false).draw(view, view.camera())
+}
+
+/// As [`of_samples`] of those at rest, or [`of_discs`] where no triangles are wanted, so many times while the camera
+/// goes once round the vertical axis; see [`turn_of_model`].
 ///
 /// # Errors
 /// `frame` refuses a picture; the user cancelled.
 pub fn turn_of_samples(
     sampled: &SampledModel,
     view: &View,
-    colors: Option<&[[u8; 3]]>,
-    frames: u32,
-    frame: &mut Frames<'_>,
+    (colors, triangles): (Option<&[[u8; 3]]>, bool),
+    (frames, frame): (u32, &mut Frames<'_>),
     progress: &dyn Progress,
 ) -> Result<()> {
     let samples = &sampled.samples;
-    let points = discs(sampled, &samples.positions, samples.normals(), view, colors);
+    let shape = (&samples.positions[..], samples.normals());
+    let drawn = Samples::new(sampled, shape, view, colors, triangles);
     view.turn(frames).into_iter().try_for_each(|camera| {
         progress.check()?;
-        frame(&drawn(&points, view, camera, colors.is_some()))
+        frame(&drawn.draw(view, camera))
     })
 }
 
-fn discs(
-    sampled: &SampledModel,
-    positions: &[Vec3],
-    normals: &[Vec3],
-    view: &View,
-    colors: Option<&[[u8; 3]]>,
-) -> Vec<SurfacePoint> {
-    let disc = |(i, ((p, n), spacing)): (usize, ((&Vec3, &Vec3), &f32))| SurfacePoint {
-        position: view.up.turned(sampled.frame.to_model(*p)),
-        normal: view.up.turned(n.as_dvec3()).as_vec3(),
-        color: colors.map_or([0; 3], |colors| colors[i]),
-        radius: (SAMPLE_RADIUS * f64::from(*spacing) * sampled.frame.scale) as f32,
-    };
-    positions.iter().zip(normals).zip(&sampled.samples.extents()).enumerate().map(disc).collect()
+/// Samples as they are drawn.
+struct Samples<'a> {
+    points: Vec<SurfacePoint>,
+    triangles: &'a [[u32; 3]],
+    /// Those that no triangle has.
+    alone: Vec<SurfacePoint>,
+    own_colors: bool,
 }
 
-fn drawn(points: &[SurfacePoint], view: &View, camera: Camera, own_colors: bool) -> Image {
-    let mut renderer = view.renderer(camera, own_colors);
-    renderer.depth(points);
-    renderer.blend(points);
-    renderer.finish()
+impl<'a> Samples<'a> {
+    fn new(
+        sampled: &'a SampledModel,
+        (positions, normals): (&[Vec3], &[Vec3]),
+        view: &View,
+        colors: Option<&[[u8; 3]]>,
+        triangles: bool,
+    ) -> Self {
+        let disc = |(i, ((p, n), spacing)): (usize, ((&Vec3, &Vec3), &f32))| SurfacePoint {
+            position: view.up.turned(sampled.frame.to_model(*p)),
+            normal: view.up.turned(n.as_dvec3()).as_vec3(),
+            color: colors.map_or([0; 3], |colors| colors[i]),
+            radius: (SAMPLE_RADIUS * f64::from(*spacing) * sampled.frame.scale) as f32,
+        };
+        let extents = sampled.samples.extents();
+        let points: Vec<SurfacePoint> =
+            positions.iter().zip(normals).zip(&extents).enumerate().map(disc).collect();
+        let triangles = if triangles { &sampled.triangles[..] } else { &[] };
+        let mut used = vec![false; points.len()];
+        for i in triangles.iter().flatten() {
+            if let Some(used) = used.get_mut(*i as usize) {
+                *used = true;
+            }
+        }
+        let alone = points.iter().zip(&used).filter(|(_, used)| !**used).map(|(point, _)| *point);
+        let mut alone: Vec<SurfacePoint> = alone.collect();
+        if !are_many(alone.len(), points.len()) {
+            alone.clear();
+        }
+        Self { points, triangles, alone, own_colors: colors.is_some() }
+    }
+
+    fn draw(&self, view: &View, camera: Camera) -> Image {
+        let mut renderer = view.renderer(camera, self.own_colors);
+        let corners = |triangle: &[u32; 3]| {
+            let [a, b, c] = triangle.map(|i| self.points.get(i as usize).copied());
+            Some([a?, b?, c?])
+        };
+        let chunks = || self.triangles.chunks(CHUNK_TRIANGLES);
+        let some = |chunk: &[[u32; 3]]| chunk.iter().filter_map(corners).collect::<Vec<_>>();
+        chunks().for_each(|chunk| renderer.depth_of_triangles(&some(chunk)));
+        renderer.depth(&self.alone);
+        chunks().for_each(|chunk| renderer.blend_triangles(&some(chunk)));
+        renderer.blend(&self.alone);
+        renderer.finish()
+    }
 }
 
 fn stream(

@@ -7,9 +7,9 @@ use super::SurfacePoint;
 use super::camera::{Camera, Lens};
 
 /// Rows of a band: what one thread draws at a time.
-const BAND: usize = 64;
+pub(super) const BAND: usize = 64;
 /// Points projected at a time: the bound of the buffer of splats.
-const BATCH: usize = 1 << 16;
+pub(super) const BATCH: usize = 1 << 16;
 /// A splat reaches at least so many pixels around its middle, so that none falls between samples.
 const LEAST_REACH: f32 = 0.75;
 /// Shares of their radius to which discs seen from the front and from the back hide what is behind them;
@@ -41,6 +41,27 @@ pub(super) struct Pixel {
 impl Pixel {
     const EMPTY: Self =
         Self { nearest: f32::INFINITY, depth: 0.0, normal: Vec3::ZERO, color: Vec3::ZERO, weight: 0.0 };
+
+    /// A surface hides what is farther.
+    #[inline]
+    pub fn come_near(&mut self, depth: f32) {
+        self.nearest = self.nearest.min(depth);
+    }
+
+    /// Whether a depth is that of the nearest surface, or no farther behind it than so.
+    #[inline]
+    pub fn is_near(&self, depth: f32, behind: f32) -> bool {
+        self.nearest.is_finite() && depth <= self.nearest + behind
+    }
+
+    /// Adds to what lies on the nearest surface.
+    #[inline]
+    pub fn blend(&mut self, weight: f32, depth: f32, normal: Vec3, color: Vec3) {
+        self.weight += weight;
+        self.depth += weight * depth;
+        self.normal += normal * weight;
+        self.color += color * weight;
+    }
 
     /// Depth of the blended surface; infinite where there is none.
     pub fn depth(&self) -> f32 {
@@ -156,7 +177,7 @@ impl Canvas {
     pub fn depth(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
         self.draw(camera, points, axes, |pixel, splat, depth, weight| {
             if weight >= splat.hiding {
-                pixel.nearest = pixel.nearest.min(depth);
+                pixel.come_near(depth);
             }
         });
     }
@@ -165,11 +186,8 @@ impl Canvas {
     pub fn blend(&mut self, camera: &Camera, points: &[SurfacePoint], axes: &[[Vec3; 2]]) {
         self.draw(camera, points, axes, |pixel, splat, depth, weight| {
             // Neighbouring discs of one surface differ in depth by less than they are wide.
-            if pixel.nearest.is_finite() && depth <= pixel.nearest + splat.radius {
-                pixel.weight += weight;
-                pixel.depth += weight * depth;
-                pixel.normal += splat.normal * weight;
-                pixel.color += splat.color * weight;
+            if pixel.is_near(depth, splat.radius) {
+                pixel.blend(weight, depth, splat.normal, splat.color);
             }
         });
     }

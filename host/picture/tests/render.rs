@@ -123,6 +123,98 @@ fn no_holes_at_normal_density() {
     assert_eq!(light, 0);
 }
 
+/// A sphere of triangles: rings of so many corners, with normals or without.
+fn ball(rings: u32, normals: bool) -> Vec<[SurfacePoint; 3]> {
+    let at = |i: u32, k: u32| {
+        let (down, round) = (f64::from(i) / f64::from(rings), f64::from(k % rings) / f64::from(rings));
+        let ((sin, cos), (s, c)) =
+            ((std::f64::consts::PI * down).sin_cos(), (std::f64::consts::TAU * round).sin_cos());
+        let position = DVec3::new(sin * c, cos, sin * s);
+        let normal = if normals { position.as_vec3() } else { Vec3::ZERO };
+        SurfacePoint { position, normal, color: [200, 20, 20], radius: 0.0 }
+    };
+    let quads = (0..rings).flat_map(|i| (0..rings).map(move |k| (i, k)));
+    quads
+        .flat_map(|(i, k)| {
+            let [a, b, c, d] = [at(i, k), at(i + 1, k), at(i + 1, k + 1), at(i, k + 1)];
+            [[a, b, c], [a, c, d]]
+        })
+        .collect()
+}
+
+fn draw_triangles(size: [u32; 2], camera: Camera, triangles: &[[SurfacePoint; 3]], chunk: usize) -> Image {
+    let mut renderer =
+        Renderer::new(size[0], size[1], camera, Style { own_colors: true, ground: Some(-1.0) });
+    triangles.chunks(chunk).for_each(|some| renderer.depth_of_triangles(some));
+    triangles.chunks(chunk).for_each(|some| renderer.blend_triangles(some));
+    renderer.finish()
+}
+
+#[test]
+fn triangles_of_any_size_make_the_same_ball() {
+    let camera = Camera::frame(BOX, 0.3, 0.2, 1.0);
+    // From triangles of many pixels to some hundred of them on each pixel; and as splats.
+    let splats =
+        draw([100, 100], camera, Style { own_colors: true, ground: Some(-1.0) }, &sphere(50_000), 9999);
+    for (rings, most) in [(60, 3.0), (200, 2.5), (1000, 2.5)] {
+        let image = draw_triangles([100, 100], camera, &ball(rings, true), 1 << 16);
+        let difference = |(a, b): (&[u8; 3], &[u8; 3])| {
+            a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / 3.0
+        };
+        let mean = image.pixels().iter().zip(splats.pixels()).map(difference).sum::<f64>() / 10_000.0;
+        assert!(mean < most, "{rings} rings: {mean} of 255");
+        // No hole: all of the middle is red.
+        let middle = (30..70).flat_map(|y| (30..70).map(move |x| (x, y)));
+        let holes = middle.filter(|&(x, y)| image.pixel(x, y).is_some_and(|[r, g, _]| r < g + 20)).count();
+        assert_eq!(holes, 0, "{rings} rings");
+    }
+}
+
+#[test]
+fn triangles_are_the_same_for_any_threads_and_chunks() {
+    let camera = Camera::frame(BOX, 0.3, 0.2, 0.8);
+    let triangles = ball(150, false);
+    let png = |threads, chunk| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| draw_triangles([160, 200], camera, &triangles, chunk).to_png().unwrap())
+    };
+    let one = png(1, 1 << 20);
+    assert!(one == png(2, 1 << 20));
+    assert!(one == png(3, 777));
+}
+
+#[test]
+fn the_nearer_triangle_hides_the_other_from_either_side() {
+    let camera = Camera::frame(BOX, 0.0, 0.0, 1.0);
+    let triangle = |z: f64, color: [u8; 3]| {
+        let at = |x: f64, y: f64| SurfacePoint {
+            position: DVec3::new(x, y, z),
+            normal: Vec3::ZERO,
+            color,
+            radius: 0.0,
+        };
+        [at(-1.0, -1.0), at(1.0, -1.0), at(0.0, 1.0)]
+    };
+    let (near, far) = (triangle(0.5, [250, 0, 0]), triangle(-0.5, [0, 0, 250]));
+    let [a, b, c] = near;
+    for triangles in [[near, far], [far, near], [[c, b, a], far]] {
+        let [red, _, blue] = draw_triangles([80, 80], camera, &triangles, 1).pixel(40, 40).unwrap();
+        assert!(red > 3 * blue, "{red}, {blue}");
+    }
+    // Corners that are nowhere, behind the eye, or all at one place.
+    let background = draw_triangles([80, 80], camera, &[], 1);
+    let nowhere = |p: DVec3| [SurfacePoint { position: p, ..a }, b, c];
+    let useless = [nowhere(DVec3::NAN), nowhere(DVec3::splat(1e300)), nowhere(camera.position() * 2.0)];
+    let shadowless = |triangles: &[[SurfacePoint; 3]]| {
+        let mut renderer = Renderer::new(80, 80, camera, Style::default());
+        renderer.depth_of_triangles(triangles);
+        renderer.blend_triangles(triangles);
+        renderer.finish()
+    };
+    assert!(shadowless(&useless) == shadowless(&[]));
+    assert!(draw_triangles([80, 80], camera, &[[a; 3]], 1) != background);
+}
+
 #[test]
 fn useless_points_leave_the_background() {
     let camera = Camera::frame(BOX, 0.0, 0.0, 1.0);

@@ -171,7 +171,13 @@ def sample(
     progress: _Progress = None,
 ) -> Samples: ...
 def compare(
-    file: _Path, output: _Path, *, model: _Path | None = None, keep_models: bool = False, progress: _Progress = None
+    file: _Path,
+    output: _Path,
+    *,
+    model: _Path | None = None,
+    keep_models: bool = False,
+    allow_commands: bool = False,
+    progress: _Progress = None,
 ) -> dict[str, Any]: ...
 def _plugin_data() -> str: ...
 def _register(function: Callable[..., Any], description: str) -> None: ...

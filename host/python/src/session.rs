@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use serde_json::json;
 use simod_core::guard::{Guard, Kind};
 use simod_model::follow::Follow;
-use simod_session::compare::{self as comparison, CompareFile};
+use simod_session::compare::{self as comparison, CompareFile, Comparing};
 use simod_session::session_file::inputs;
 use simod_session::{Run, Running, SessionFile, Tolerance};
 
@@ -145,15 +145,17 @@ fn tolerance_of(given: &Bound<'_, PyAny>) -> PyResult<Tolerance> {
 
 /// Does several methods on one model, as `file` says, and writes a folder with a page, figures (compare.json)
 /// and pictures. Methods may name functions that `simod.deformer` registered. Gives the figures as compare.json
-/// has them. With `keep_models`, the deformed models stay in the folder. `progress`: see `Model.sample`.
+/// has them. With `keep_models`, the deformed models stay in the folder; with `allow_commands`, programs
+/// that the file names are run. `progress`: see `Model.sample`.
 #[pyfunction]
-#[pyo3(signature = (file, output, *, model = None, keep_models = false, progress = None))]
+#[pyo3(signature = (file, output, *, model = None, keep_models = false, allow_commands = false, progress = None))]
 pub fn compare<'py>(
     py: Python<'py>,
     file: PathBuf,
     output: PathBuf,
     model: Option<PathBuf>,
     keep_models: bool,
+    allow_commands: bool,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let plugins = registry(py)?;
@@ -165,7 +167,8 @@ pub fn compare<'py>(
         guard.reads_all(inputs(&file)?);
         guard.reads_all(plugins.files());
         guard.replaces_folder(&output)?;
-        Ok(comparison::compare(&methods, &plugins, keep_models, &output, watch)?.to_json())
+        let how = Comparing { keep_models, allow_commands };
+        Ok(comparison::compare(&methods, &plugins, how, &output, watch)?.to_json())
     })?;
     py.import("json")?.call_method1("loads", (figures,))
 }

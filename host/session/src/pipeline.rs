@@ -363,7 +363,7 @@ impl Run {
         let output = simod_model::open_with_columns(&self.output, columns)?;
         let diagonal = self.deformed.sampled.bounds.diagonal();
         let map = |points: &mut [DVec3]| self.deformed.stack.evaluate_with(points, progress);
-        transfer_error::measure(model.as_ref(), output.as_ref(), diagonal, &map, progress)
+        transfer_error::measure(model.as_ref(), output.as_ref(), (diagonal, None), &map, progress)
     }
 }
 

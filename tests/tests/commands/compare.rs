@@ -62,7 +62,9 @@ fn two_methods_beside_each_other() {
     assert_eq!((report["done"].as_u64(), report["failed"].as_u64()), (Some(2), Some(0)));
     let files = [
         "as-rigid-as-possible.png",
+        "compare.csv",
         "compare.json",
+        "compare.tex",
         "index.html",
         "rbf-coarse-difference.png",
         "rbf-coarse.png",
@@ -207,6 +209,7 @@ fn bad_files_and_folders_are_refused() {
     refused(HEAD, &["bad.toml", "no method"]);
     refused(&format!("{HEAD}[[method]]\nname = \"a\"\n"), &["bad.toml, line 15", "neither"]);
     refused(&format!("{HEAD}{ARAP}{ARAP}"), &["bad.toml, line 18", "two methods"]);
+    refused(&format!("runs = 0\n{HEAD}{ARAP}"), &["bad.toml, line 1", "`runs`"]);
     refused(&format!("{HEAD}{ARAP}speed = 3"), &["bad.toml, line 18", "speed"]);
     refused(&format!("{HEAD}{ARAP}").replace("bar.ply", "gone.ply"), &["gone.ply"]);
     work.refuses("compare gone.toml -o out", &["gone.toml"]);
@@ -220,9 +223,155 @@ fn bad_files_and_folders_are_refused() {
     // A former comparison is replaced, unless somebody has put something into it.
     work.simod("compare compare.toml -o out --keep-models");
     work.simod("compare compare.toml -o out");
-    assert_eq!(names(&work, "out"), ["as-rigid-as-possible.png", "compare.json", "index.html", "rest.png"]);
+    assert_eq!(
+        names(&work, "out"),
+        ["as-rigid-as-possible.png", "compare.csv", "compare.json", "compare.tex", "index.html", "rest.png"]
+    );
     work.write("out/notes.txt", "");
     work.refuses("compare compare.toml -o out", &["out", "notes.txt"]);
+}
+
+/// The figures of a comparison in CSV, by the names of columns, for each method.
+fn table(work: &Workplace, folder: &str) -> Vec<std::collections::BTreeMap<String, String>> {
+    let text = String::from_utf8(work.read(&format!("{folder}/compare.csv"))).expect("UTF-8");
+    let mut lines = text.lines().map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
+    let names = lines.next().expect("a head");
+    lines.map(|row| names.iter().cloned().zip(row).collect()).collect()
+}
+
+/// What other programs made is compared as all else is: samples, a model, and what a program makes of either.
+#[cfg(unix)]
+#[test]
+fn what_others_made_is_a_method() {
+    let work = with_bar();
+    write(&work, &[ARAP]);
+    work.simod("compare compare.toml -o first --keep-models");
+    let step = HEAD.split("[[region]]").skip(1).collect::<Vec<_>>().join("[[step.region]]");
+    let step = step.split("[camera]").next().expect("a first part");
+    let step = format!("[[step]]\ndeform = \"laplacian\"\n[[step.region]]{step}");
+    work.write_session("bar.ply", 2000, &step);
+    work.simod("sample bar.ply -o bar.simod --samples 2000");
+    work.simod("deform bar.simod --session edit.toml -o moved.ply");
+    std::fs::copy(work.path("first/as-rigid-as-possible.ply"), work.path("made.ply")).expect("a copy");
+    let others = [
+        ("samples", "deformed = \"moved.ply\""),
+        ("model", "model = \"made.ply\""),
+        ("copies samples", "command = \"sh -c 'test -s {samples} && cp moved.ply {output}'\""),
+        ("copies a model", "command = \"sh -c 'test -s {model} && cp made.ply {output}'\""),
+        ("fails", "command = \"sh -c 'echo no such mesh >&2; exit 3' {samples} {output}\""),
+        ("does nothing", "command = \"true {samples} {output}\""),
+        ("rests", "command = \"cp {samples} {output}\""),
+    ];
+    let others: Vec<String> =
+        others.iter().map(|(name, what)| format!("[[method]]\nname = \"{name}\"\n{what}\n")).collect();
+    let others = others.concat();
+    let crop = "[[crop]]\nname = \"Top\"\ntarget = [0, 2, 0]\npart = 0.25\n";
+    work.write("compare.toml", format!("runs = 2\n{HEAD}{crop}{ARAP}{others}"));
+
+    // A file of a stranger's runs nothing.
+    let before = work.snapshot();
+    work.refuses("compare compare.toml -o out", &["compare.toml, line ", "`copies samples`", "cp moved.ply"]);
+    assert_eq!(work.snapshot(), before);
+    let outcome = work.simod("compare compare.toml -o out --allow-commands --json");
+    let report = outcome.json();
+    assert_eq!(
+        (report["done"].as_u64(), report["failed"].as_u64()),
+        (Some(6), Some(2)),
+        "{}",
+        outcome.stderr
+    );
+    let record = record(&work, "out");
+    let hash =
+        |method: usize| record["methods"][method]["figures"]["result"]["hash"].as_str().map(str::to_owned);
+    for method in 1..5 {
+        assert!(hash(method).is_some() && hash(method) == hash(0), "{method}: {record}");
+        assert_eq!(number(&record, &format!("/methods/{method}/figures/to_first/max")), 0.0);
+        let arap = |of: usize| number(&record, &format!("/methods/{of}/figures/on_model/energies/arap"));
+        assert!(arap(0) > 0.0 && arap(method) == arap(0));
+    }
+    let told = |i: usize| record["methods"][i]["error"]["what"].as_str().unwrap_or_default().to_owned();
+    assert!(told(5).contains("no such mesh") && told(5).contains('3'), "{}", told(5));
+    assert!(told(6).contains("wrote no {output}"), "{}", told(6));
+    assert_eq!(number(&record, "/methods/7/figures/displacement/max"), 0.0);
+    let energies = "/methods/7/figures/on_samples/energies";
+    assert!(number(&record, &format!("{energies}/arap")) < 1e-12);
+    assert!((number(&record, &format!("{energies}/symmetric_dirichlet")) - 4.0).abs() < 1e-6);
+
+    for method in [0, 1, 3, 7] {
+        let seconds = &record["methods"][method]["figures"]["seconds"];
+        assert_eq!(seconds["runs"].as_array().map(Vec::len), Some(2));
+        assert!(seconds["reconstruct"].as_f64() > Some(0.0) && seconds["processor"].as_f64() >= Some(0.0));
+        assert_eq!(record["methods"][method]["figures"]["result"]["repeats"], true);
+    }
+    let times = &record["methods"][0]["figures"]["seconds"];
+    let [prepare, motion, deform] =
+        ["prepare", "motion", "deform"].map(|t| times["runs"][0][t].as_f64().expect("a time"));
+    assert!(prepare > 0.0 && motion > 0.0 && (prepare + motion - deform).abs() < 1e-9);
+    assert!(record["methods"][2]["figures"]["seconds"]["reconstruct"].is_null());
+    assert!(record["methods"][2]["figures"]["on_samples"].is_null());
+    assert!(number(&record, "/methods/1/figures/expected_error/rms") > 0.0);
+
+    let table = table(&work, "out");
+    assert_eq!(table.len(), 8);
+    assert_eq!(table[1]["method"], "samples");
+    assert_eq!(table[1]["result.hash"], hash(0).expect("a hash"));
+    assert_eq!(table[2]["shape_of"], "model");
+    assert!(table[5]["error"].contains("no such mesh") && table[5]["energies.arap"].is_empty());
+    let arap: f64 = table[4]["energies.arap"].parse().expect("a number");
+    assert!((arap - number(&record, "/methods/0/figures/on_model/energies/arap")).abs() < 1e-15);
+    let latex = String::from_utf8(work.read("out/compare.tex")).expect("UTF-8");
+    assert_eq!(latex.matches("\\\\").count(), 7, "{latex}");
+    assert!(
+        latex.contains("copies a model") && latex.contains("\\pm") && latex.contains("\\toprule"),
+        "{latex}"
+    );
+    // The model that the user has stays where it is, and the crops have pictures.
+    assert!(work.path("made.ply").exists());
+    for name in ["rest_top.png", "samples_top.png", "samples-difference_top.png", "rest.png"] {
+        assert!(work.path(&format!("out/{name}")).exists(), "{name}");
+    }
+    assert_ne!(work.read("out/rest.png"), work.read("out/rest_top.png"));
+    let page = String::from_utf8(work.read("out/index.html")).expect("UTF-8");
+    assert!(page.contains("Top, 25 % of the width") && page.contains("Energies"), "the page lacks a part");
+}
+
+/// Models with more vertices than pictures show are drawn by some of these, which look the same.
+#[test]
+fn pictures_of_many_vertices_are_those_of_all() {
+    let work = Workplace::new();
+    work.simod("generate --shape bar --vertices 150000 -o bar.ply");
+    let head = |size: &str| HEAD.replace("size = [120, 160]", size);
+    for (name, size) in [("few", "size = [120, 160]"), ("all", "size = [480, 640]")] {
+        work.write("compare.toml", format!("{}{ARAP}{RBF}", head(size)));
+        work.simod(&format!("compare compare.toml -o {name}"));
+    }
+    let [few, all] = ["few", "all"].map(|name| record(&work, name));
+    for path in ["/pairs/0/vertices/rms", "/methods/1/figures/displacement/p99", "/color_scale"] {
+        assert_eq!(number(&few, path), number(&all, path), "{path}");
+    }
+    let pixels = |name: &str| {
+        let png = png::Decoder::new(std::io::Cursor::new(work.read(name)));
+        let mut reader = png.read_info().expect("a picture");
+        let mut pixels = vec![0; reader.output_buffer_size().expect("a size")];
+        let info = reader.next_frame(&mut pixels).expect("pixels");
+        (pixels, info.width as usize)
+    };
+    for name in ["rest.png", "as-rigid-as-possible.png", "rbf-coarse.png"] {
+        let ((few, width), (all, _)) = (pixels(&format!("few/{name}")), pixels(&format!("all/{name}")));
+        // A pixel of the one is sixteen of the other.
+        let block = |x: usize, y: usize, c: usize| {
+            let place = |i: usize| 3 * ((4 * y + i / 4) * 4 * width + 4 * x + i % 4) + c;
+            (0..16).map(|i| f64::from(all[place(i)])).sum::<f64>() / 16.0
+        };
+        let mut sum = 0.0;
+        for (i, pixel) in few.chunks_exact(3).enumerate() {
+            for (c, value) in pixel.iter().enumerate() {
+                sum += (f64::from(*value) - block(i % width, i / width, c)).abs();
+            }
+        }
+        let mean = sum / few.len() as f64;
+        assert!(mean < 3.0, "{name} differs by {mean} of 255");
+    }
 }
 
 /// Without what a clock or the system tells.

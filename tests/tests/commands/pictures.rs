@@ -106,3 +106,31 @@ fn a_crop_shows_a_part_larger() {
     work.simod("render diagnosis.ply -o d.png --size 200x200 --yaw 0 --pitch 0 --color-by displacement");
     assert_ne!(mean(&work, "d.png", LEFT), mean(&work, "d.png", [0.5, 0.5]));
 }
+
+/// A plane of two large triangles is drawn whole, as its corners alone cannot be; its own colours are mixed in
+/// between, and samples have triangles, too.
+#[test]
+fn faces_are_drawn_where_there_are_any() {
+    let work = Workplace::new();
+    let head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+                property uchar red\nproperty uchar green\nproperty uchar blue\nelement face 2\n\
+                property list uchar int vertex_indices\nend_header\n";
+    let vertices = "0 0 0 220 20 20\n2 0 0 20 20 220\n2 2 0 20 20 220\n0 2 0 220 20 20\n";
+    work.write("quad.ply", format!("{head}{vertices}3 0 1 2\n3 0 2 3\n"));
+    let how = "--size 200x200 --yaw 0 --pitch 0";
+    work.simod(&format!("render quad.ply -o quad.png {how}"));
+    let [[r, _, b], [s, _, c]] = [LEFT, RIGHT].map(|at| mean(&work, "quad.png", at));
+    assert!(r > b + 40.0 && c > s + 40.0, "{r} {b}, {s} {c}");
+    work.simod(&format!("render quad.ply -o dots.png {how} --points"));
+    assert!(work.read("quad.png") != work.read("dots.png"));
+    work.simod(&format!("render quad.ply -o turn --turntable 1 {how}"));
+    assert!(work.read("quad.png") == work.read("turn/frame-0001.png"));
+
+    work.simod("generate --shape cylinder --vertices 40000 -o c.ply");
+    work.simod("sample c.ply -o c.simod --samples 1000");
+    work.simod("render c.simod -o faces.png --size 200x200");
+    work.simod("render c.simod -o discs.png --size 200x200 --points");
+    work.simod("render c.simod -o turned --turntable 1 --size 200x200 --points");
+    assert!(work.read("faces.png") != work.read("discs.png"));
+    assert!(work.read("discs.png") == work.read("turned/frame-0001.png"));
+}

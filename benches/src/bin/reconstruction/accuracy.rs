@@ -52,5 +52,11 @@ pub fn transfer_error(scene: &Scene, map: Map) -> Result<TransferError> {
         Ok(())
     };
     let result = scene.result()?;
-    Ok(transfer_error::measure(scene.model.as_ref(), result.as_ref(), bounds.diagonal(), &truth, &Silent)?)
+    Ok(transfer_error::measure(
+        scene.model.as_ref(),
+        result.as_ref(),
+        (bounds.diagonal(), None),
+        &truth,
+        &Silent,
+    )?)
 }

@@ -7,7 +7,7 @@ use simod_core::guard::Kind;
 use simod_core::reconstruction::Reconstruction;
 use simod_generate::{ModelOptions, write_file};
 use simod_model::{Error, Result, output};
-use simod_picture::picture::{self, Crop, Up, View};
+use simod_picture::picture::{self, Crop, Drawn, Up, View};
 use simod_picture::{Image, Paint};
 use simod_session::{Run, SessionFile};
 
@@ -71,8 +71,10 @@ impl Demo {
         let view =
             View { bounds: all, yaw: 20.0, pitch: 10.0, size: [560, 700], up: Up::Y, crop: Crop::default() };
         let samples = &run.deformed.sampled.samples;
+        // Faces of so many vertices are smaller than what a picture resolves.
+        let how = (&Paint::Clay, Drawn::Points);
         let pictures = [
-            picture::of_model(before.as_ref(), &run.deformed.sampled.bounds, &view, &Paint::Clay, progress)?,
+            picture::of_model(before.as_ref(), &run.deformed.sampled.bounds, &view, how, progress)?,
             picture::of_samples(&run.deformed.sampled, &samples.positions, samples.normals(), &view, None),
             picture::of_samples(
                 &run.deformed.sampled,
@@ -81,7 +83,7 @@ impl Demo {
                 &view,
                 None,
             ),
-            picture::of_model(after.as_ref(), &after_bounds, &view, &Paint::Clay, progress)?,
+            picture::of_model(after.as_ref(), &after_bounds, &view, how, progress)?,
         ];
         let captions = [
             format!("{} vertices", count(run.deformed.sampled.source.vertices)),

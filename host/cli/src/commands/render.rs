@@ -7,8 +7,9 @@ use clap::{Args, ValueEnum};
 use glam::DVec3;
 use simod_core::guard::Kind;
 use simod_core::sampled_model::SampledModel;
+use simod_model::target::folder_of;
 use simod_model::{Error, ErrorKind, Result, output};
-use simod_picture::picture::{self, Crop, Up, View};
+use simod_picture::picture::{self, Crop, Drawn, Up, View};
 use simod_picture::{Coloring, FrameFolder, Image, Paint};
 
 use super::overwrite::Overwrite;
@@ -40,6 +41,9 @@ pub struct Render {
     /// there are colours]
     #[arg(long, visible_alias = "color-by", value_name = "WHAT")]
     color: Option<String>,
+    /// Draw vertices, or samples, alone, though there are faces
+    #[arg(long)]
+    points: bool,
     /// Look at this point of the model
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
     target: Option<DVec3>,
@@ -126,7 +130,11 @@ impl Render {
             let colors = colors.as_deref();
             let mut take = |image: &Image| take(&paint.with_legend(image));
             match self.turntable {
-                Some(n) => picture::turn_of_samples(&sampled, &view, colors, n, &mut take, report.untimed())?,
+                Some(n) => {
+                    let (drawn, frames) = ((colors, !self.points), (n, &mut take as _));
+                    picture::turn_of_samples(&sampled, &view, drawn, frames, report.untimed())?;
+                }
+                None if self.points => take(&picture::of_discs(&sampled, &view, colors))?,
                 None => {
                     let (positions, normals) = (&samples.positions, samples.normals());
                     take(&picture::of_samples(&sampled, positions, normals, &view, colors))?;
@@ -149,11 +157,14 @@ impl Render {
             let view = view(bounds);
             let paint = Paint::of_model(model.as_ref(), coloring, progress)?;
             let mut take = |image: &Image| take(&paint.with_legend(image));
+            let folder = folder_of(&self.output);
+            let how = (&paint, if self.points { Drawn::Points } else { Drawn::Faces(folder) });
             match self.turntable {
                 Some(n) => {
-                    picture::turn_of_model(model.as_ref(), &bounds, &view, &paint, n, &mut take, progress)?;
+                    let frames = (n, &mut take as _);
+                    picture::turn_of_model(model.as_ref(), &bounds, &view, how, frames, progress)?;
                 }
-                None => take(&picture::of_model(model.as_ref(), &bounds, &view, &paint, progress)?)?,
+                None => take(&picture::of_model(model.as_ref(), &bounds, &view, how, progress)?)?,
             }
         }
         if let (Some(frames), Some(folder)) = (self.turntable, folder) {

@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use serde::Serialize;
 use simod_model::histogram::Histogram;
-use simod_model::{Model, Progress, Result, for_positions, in_step};
+use simod_model::{Error, ErrorKind, Model, Progress, Result, for_positions, in_step, range_in_step};
 use xxhash_rust::xxh3::xxh3_64;
 
 use super::expected_error::Tally;
@@ -27,8 +27,12 @@ pub struct TransferError {
     pub jump: f64,
 }
 
-/// Compares the deformed model with the exact image of the model at rest. `exact` maps points in the model's
-/// coordinates in place; `diagonal` is that of the model at rest.
+/// Vertices that follow each other in the file, of which all are compared or none.
+const BLOCK: u64 = 1 << 10;
+
+/// Compares the deformed model with the exact image of the model at rest: all vertices, or about `most` of them where
+/// there are four times as many, in blocks that are chosen at random, the same ones each time. `exact` maps points in the
+/// model's coordinates in place; `diagonal` is that of the model at rest.
 ///
 /// Memory: a chunk of each model.
 ///
@@ -37,44 +41,132 @@ pub struct TransferError {
 pub fn measure(
     model: &dyn Model,
     deformed: &dyn Model,
-    diagonal: f64,
+    (diagonal, most): (f64, Option<u64>),
     exact: &dyn Fn(&mut [DVec3]) -> Result<()>,
     progress: &dyn Progress,
 ) -> Result<TransferError> {
-    progress.begin("measuring", model.info().vertex_bytes);
-    let (mut errors, mut jumps) = (Histogram::default(), Histogram::default());
-    let (mut count, mut sum, mut max) = (0u64, 0.0, 0.0f64);
-    let scale = 1.0 / diagonal.max(f64::MIN_POSITIVE);
-    let mut last: Option<(DVec3, DVec3)> = None;
-    in_step(&[model, deformed], 0, progress, |versions| {
-        let (rest, found) = (versions[0].positions, versions[1].positions);
+    let info = model.info();
+    let share = most.filter(|most| info.vertices / 4 > *most).map(|most| most as f64 / info.vertices as f64);
+    let is_chosen = |block: u64| {
+        share.is_none_or(|share| xxh3_64(&block.to_le_bytes()) as f64 / (u64::MAX as f64) < share)
+    };
+    let mut compared = Compared::new(diagonal);
+    let models = [model, deformed];
+    if share.is_none() || !info.reads_exactly() || !deformed.info().reads_exactly() {
+        progress.begin("measuring", info.vertex_bytes);
+        let mut at = 0;
+        in_step(&models, 0, progress, |versions| {
+            let (rest, found) = (versions[0].positions, versions[1].positions);
+            // Parts of one block, or of the next.
+            let mut from = 0;
+            while from < rest.len() {
+                let block = (at + from as u64) / BLOCK;
+                let to = if share.is_none() { rest.len() } else { ((block + 1) * BLOCK - at) as usize };
+                let to = to.min(rest.len());
+                if is_chosen(block) {
+                    compared.add(&rest[from..to], &found[from..to], usize::MAX, exact)?;
+                } else {
+                    compared.last = None;
+                }
+                from = to;
+            }
+            at += rest.len() as u64;
+            Ok(())
+        })?;
+    } else {
+        same_count(model, deformed)?;
+        let chosen: Vec<u64> = (0..info.vertices.div_ceil(BLOCK)).filter(|block| is_chosen(*block)).collect();
+        let bytes = info.vertex_bytes / info.vertices.max(1) * BLOCK * chosen.len() as u64;
+        progress.begin("measuring some vertices", bytes);
+        // So many blocks are mapped together that all threads have work.
+        for some in chosen.chunks(1 << 6) {
+            let (mut rest, mut found) = (Vec::new(), Vec::new());
+            for block in some {
+                let range = block * BLOCK..info.vertices.min((block + 1) * BLOCK);
+                range_in_step(&models, range, 0, progress, |_, versions| {
+                    rest.extend_from_slice(versions[0].positions);
+                    found.extend_from_slice(versions[1].positions);
+                    Ok(())
+                })?;
+            }
+            compared.last = None;
+            compared.add(&rest, &found, BLOCK as usize, exact)?;
+        }
+    }
+    Ok(compared.finish())
+}
+
+/// An error where two models differ in their number of vertices.
+fn same_count(model: &dyn Model, deformed: &dyn Model) -> Result<()> {
+    let [a, b] = [model, deformed].map(|model| model.info().vertices);
+    if a == b {
+        return Ok(());
+    }
+    let what =
+        format!("{} has {b} vertices, but {} has {a}", deformed.path().display(), model.path().display());
+    Err(Error::new(ErrorKind::Mismatch, what, "compare versions of the same model"))
+}
+
+/// What is known of the deviation so far.
+struct Compared {
+    errors: Histogram,
+    jumps: Histogram,
+    count: u64,
+    sum: f64,
+    max: f64,
+    scale: f64,
+    /// The vertex before, and how far it is off.
+    last: Option<(DVec3, DVec3)>,
+}
+
+impl Compared {
+    fn new(diagonal: f64) -> Self {
+        let scale = 1.0 / diagonal.max(f64::MIN_POSITIVE);
+        let (errors, jumps) = (Histogram::default(), Histogram::default());
+        Self { errors, jumps, count: 0, sum: 0.0, max: 0.0, scale, last: None }
+    }
+
+    /// Vertices in the file's order, so many in a row that follow each other there.
+    fn add(
+        &mut self,
+        rest: &[DVec3],
+        found: &[DVec3],
+        row: usize,
+        exact: &dyn Fn(&mut [DVec3]) -> Result<()>,
+    ) -> Result<()> {
         let finite: Vec<usize> = (0..rest.len()).filter(|i| rest[*i].is_finite()).collect();
         let mut truth: Vec<DVec3> = finite.iter().map(|i| rest[*i]).collect();
         exact(&mut truth)?;
         for (i, truth) in finite.into_iter().zip(truth) {
-            let error = (found[i] - truth) * scale;
+            let error = (found[i] - truth) * self.scale;
             let length = error.length();
-            count += 1;
-            sum += length * length;
-            max = max.max(length);
-            errors.add(length);
-            if let Some((p, e)) = last {
-                let distance = (rest[i] - p).length() * scale;
+            self.count += 1;
+            self.sum += length * length;
+            self.max = self.max.max(length);
+            self.errors.add(length);
+            if i % row == 0 && i > 0 {
+                self.last = None;
+            }
+            if let Some((p, e)) = self.last {
+                let distance = (rest[i] - p).length() * self.scale;
                 if distance > 0.0 {
-                    jumps.add((error - e).length() / distance);
+                    self.jumps.add((error - e).length() / distance);
                 }
             }
-            last = Some((rest[i], error));
+            self.last = Some((rest[i], error));
         }
         Ok(())
-    })?;
-    Ok(TransferError {
-        vertices: count,
-        rms: (sum / count.max(1) as f64).sqrt(),
-        p999: errors.quantile(0.999),
-        max,
-        jump: jumps.quantile(0.999),
-    })
+    }
+
+    fn finish(self) -> TransferError {
+        TransferError {
+            vertices: self.count,
+            rms: (self.sum / self.count.max(1) as f64).sqrt(),
+            p999: self.errors.quantile(0.999),
+            max: self.max,
+            jump: self.jumps.quantile(0.999),
+        }
+    }
 }
 
 /// Vertices that are further off than allowed: their places (local coordinates) and by how much (local

@@ -32,6 +32,11 @@ impl Ended {
         Ok(this)
     }
 
+    /// Its number, as long as it is there.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
     /// What it prints on standard output, if that is asked for, and for the first time.
     pub fn stdout(&mut self) -> Option<ChildStdout> {
         self.child.stdout.take()

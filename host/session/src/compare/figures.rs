@@ -5,26 +5,33 @@ use glam::{DVec3, Vec3};
 use serde::Serialize;
 use simod_core::sampled_model::SampledModel;
 use simod_measure::{
-    Details, Difference, Distances, Rotation, Spread, Surface, area_distortion, edge_distortion, is_closed,
-    volume,
+    Also, Details, Difference, Distances, Energies, Open, Rotation, Spread, Surface, area_distortion,
+    edge_distortion, is_closed, volume,
 };
 use simod_model::bounds::Bounds;
-use simod_model::{Model, Progress, Result};
+use simod_model::{Error, ErrorKind, Model, Progress, Result, for_faces, for_positions};
+use std::collections::HashMap;
+use std::sync::Arc;
 
 /// What is smaller is a detail, as a fraction of the diagonal.
 pub(super) const DETAIL: f64 = 0.015;
 
 /// What a method does to the samples and the triangles between them; see [`simod_measure`].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OnSamples {
     /// Relative change of the volume; nothing where the triangles are not closed.
     pub volume_change: Option<f64>,
+    /// The volumes between the triangles and the plane of their border at rest, at rest and deformed, in cubes of the
+    /// diagonal; nothing where they are closed.
+    pub volume_over_border: Option<[f64; 2]>,
     /// Relative changes of the edges' lengths.
     pub edges: Spread,
     /// Relative changes of the triangles' areas.
     pub areas: Spread,
     /// How details turn against the smooth surface beneath, and how many triangles are folded.
     pub details: Rotation,
+    /// Energies as papers tell them, and how lengths, areas and distortions are spread.
+    pub energies: Energies,
 }
 
 /// Two methods beside each other.
@@ -41,6 +48,14 @@ pub struct Pair {
     pub surfaces: Option<[Distances; 2]>,
 }
 
+impl Beside {
+    /// The vertices of a method beside those of the first, both counted from 0.
+    pub fn to_first(&self, method: usize) -> Option<Difference> {
+        let found = self.differences.iter().find(|(of, _)| *of == (0, method));
+        found.map(|(_, difference)| *difference)
+    }
+}
+
 /// All vertices of the models, the first one at rest.
 pub(super) struct Beside {
     /// Each method's vertices beside those at rest.
@@ -51,9 +66,15 @@ pub(super) struct Beside {
     differences: Vec<((usize, usize), Difference)>,
 }
 
-/// Compares all models in one reading.
-pub(super) fn beside(models: &[&dyn Model], diagonal: f64, progress: &dyn Progress) -> Result<Beside> {
-    let simod_measure::Beside { bounds, differences } = simod_measure::beside(models, diagonal, progress)?;
+/// Compares all models in one reading; `also` sees their vertices, too.
+pub(super) fn beside(
+    models: &[&dyn Model],
+    diagonal: f64,
+    also: (usize, &Also<'_>),
+    progress: &dyn Progress,
+) -> Result<Beside> {
+    let simod_measure::Beside { bounds, differences } =
+        simod_measure::beside(models, diagonal, also, progress)?;
     let (rest, pairs): (Vec<_>, Vec<_>) = differences.into_iter().partition(|((a, _), _)| *a == 0);
     Ok(Beside {
         displacements: rest.into_iter().map(|(_, difference)| difference).collect(),
@@ -62,27 +83,137 @@ pub(super) fn beside(models: &[&dyn Model], diagonal: f64, progress: &dyn Progre
     })
 }
 
-/// The deformed samples beside those at rest.
-pub(super) fn on_samples(
-    sampled: &SampledModel,
-    positions: &[Vec3],
-    progress: &dyn Progress,
-) -> Result<Option<OnSamples>> {
-    let triangles = &sampled.triangles;
-    if triangles.is_empty() {
-        return Ok(None);
-    }
+/// The deformed samples of methods beside those at rest: nothing of those without samples or triangles.
+pub(super) fn on_samples(deformed: &[&Deformed], progress: &dyn Progress) -> Result<Vec<Option<OnSamples>>> {
     progress.begin("measuring the samples", 0);
-    let (rest, after) = (in_diagonals(sampled, &sampled.samples.positions), in_diagonals(sampled, positions));
-    let change = || volume(&after, triangles) / volume(&rest, triangles) - 1.0;
-    let volume_change = is_closed(triangles).then(change).filter(|x| x.is_finite());
-    progress.check()?;
-    let edges = edge_distortion(&rest, &after, triangles);
-    let areas = area_distortion(&rest, &after, triangles);
-    progress.check()?;
-    let details = Details::new(&rest, triangles, DETAIL);
-    progress.check()?;
-    Ok(Some(OnSamples { volume_change, edges, areas, details: details.rotation(&after) }))
+    let mut found: Vec<Option<OnSamples>> = deformed.iter().map(|_| None).collect();
+    for (first, one) in deformed.iter().enumerate() {
+        let is_same = |other: &Deformed| Arc::ptr_eq(&one.sampled, &other.sampled);
+        let triangles = &one.sampled.triangles;
+        if triangles.is_empty() || deformed[..first].iter().any(|other| is_same(other)) {
+            continue;
+        }
+        let rest = in_diagonals(&one.sampled, &one.sampled.samples.positions);
+        let shape = AtRest::new(&rest, triangles);
+        for (found, other) in found.iter_mut().zip(deformed).filter(|(_, other)| is_same(other)) {
+            if let Some(positions) = &other.positions {
+                *found = Some(shape.measure(&in_diagonals(&one.sampled, positions), progress)?);
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// A mesh at rest in the unit of all lengths, to be compared with deformed ones.
+struct AtRest<'a> {
+    rest: &'a [DVec3],
+    triangles: &'a [[u32; 3]],
+    details: Details<'a>,
+    /// Of a closed one.
+    volume: Option<f64>,
+    open: Option<Open>,
+}
+
+impl<'a> AtRest<'a> {
+    fn new(rest: &'a [DVec3], triangles: &'a [[u32; 3]]) -> Self {
+        let closed = is_closed(triangles);
+        Self {
+            rest,
+            triangles,
+            details: Details::new(rest, triangles, DETAIL),
+            volume: closed.then(|| volume(rest, triangles)),
+            open: if closed { None } else { Open::of(rest, triangles) },
+        }
+    }
+
+    fn measure(&self, after: &[DVec3], progress: &dyn Progress) -> Result<OnSamples> {
+        let Self { rest, triangles, .. } = *self;
+        let volume_change = self.volume.map(|before| volume(after, triangles) / before - 1.0);
+        let over_border = |open: &Open| [rest, after].map(|of| open.volume(of, triangles));
+        progress.check()?;
+        let ((edges, areas), (details, energies)) = rayon::join(
+            || (edge_distortion(rest, after, triangles), area_distortion(rest, after, triangles)),
+            || (self.details.rotation(after), Energies::of(rest, after, triangles)),
+        );
+        progress.check()?;
+        Ok(OnSamples {
+            volume_change: volume_change.filter(|x| x.is_finite()),
+            volume_over_border: self.open.as_ref().map(over_border),
+            edges,
+            areas,
+            details,
+            energies,
+        })
+    }
+}
+
+/// The model's own mesh, where it is small enough to be held.
+pub(super) struct Held {
+    /// Of each vertex the first one at its place: soups have theirs several times.
+    first: Vec<u32>,
+    rest: Vec<DVec3>,
+    triangles: Vec<[u32; 3]>,
+    scale: f64,
+}
+
+impl Held {
+    /// Most vertices and most triangles.
+    ///
+    /// Memory: 40 bytes for each, of those at rest and those of one method; and some hundred while it is measured.
+    const MOST: u64 = 1 << 18;
+
+    /// Nothing of a model that is larger, or has no faces.
+    pub fn read(model: &dyn Model, diagonal: f64, progress: &dyn Progress) -> Result<Option<Self>> {
+        let info = model.info();
+        if info.vertices > Self::MOST || info.faces == 0 || info.faces > 2 * Self::MOST {
+            return Ok(None);
+        }
+        progress.begin("reading the model", info.vertex_bytes);
+        let rest = positions(model)?;
+        let mut at = HashMap::new();
+        // As it is with numbers, both zeros are one.
+        let place = |p: &DVec3| (*p + DVec3::ZERO).to_array().map(f64::to_bits);
+        let first: Vec<u32> = rest.iter().zip(0..).map(|(p, i)| *at.entry(place(p)).or_insert(i)).collect();
+        let mut triangles = Vec::new();
+        for_faces(model, |chunk| {
+            progress.check()?;
+            let known = |t: &[u32; 3]| t.iter().all(|i| (*i as usize) < first.len());
+            let merged = chunk.triangles.iter().filter(|t| known(t)).map(|t| t.map(|i| first[i as usize]));
+            triangles.extend(merged.filter(|[a, b, c]| a != b && b != c && c != a));
+            if triangles.len() as u64 > 4 * Self::MOST {
+                // Few polygons may have very many corners.
+                triangles.clear();
+                return Err(Error::new(ErrorKind::Argument, "too many triangles", "they are not held"));
+            }
+            Ok(())
+        })
+        .or_else(|e| if triangles.is_empty() && e.kind() == ErrorKind::Argument { Ok(()) } else { Err(e) })?;
+        let scale = 1.0 / diagonal.max(f64::MIN_POSITIVE);
+        let rest = rest.iter().map(|p| *p * scale).collect();
+        Ok((!triangles.is_empty()).then_some(Self { first, rest, triangles, scale }))
+    }
+
+    /// Deformed models beside it.
+    pub fn measure(&self, models: &[&dyn Model], progress: &dyn Progress) -> Result<Vec<OnSamples>> {
+        progress.begin("measuring the model", 0);
+        let shape = AtRest::new(&self.rest, &self.triangles);
+        let measure = |model: &&dyn Model| {
+            let all = positions(*model)?;
+            let after: Vec<DVec3> = self.first.iter().map(|i| all[*i as usize] * self.scale).collect();
+            shape.measure(&after, progress)
+        };
+        models.iter().map(measure).collect()
+    }
+}
+
+/// Of all vertices.
+fn positions(model: &dyn Model) -> Result<Vec<DVec3>> {
+    let mut positions = Vec::new();
+    for_positions(model, |chunk| {
+        positions.extend_from_slice(&chunk.positions);
+        Ok(())
+    })?;
+    Ok(positions)
 }
 
 /// Positions in the unit of all lengths.
@@ -105,11 +236,12 @@ pub(super) fn pairs(
     // One way: row by row from one method to each other one.
     let mut ways: Vec<Option<Distances>> = vec![None; count * count];
     for (to, target) in deformed.iter().enumerate() {
-        let positions = in_diagonals(&target.sampled, &target.positions);
+        let Some(positions) = &target.positions else { continue };
+        let positions = in_diagonals(&target.sampled, positions);
         let Some(surface) = Surface::new(&positions, &target.sampled.triangles) else { continue };
         for (from, source) in deformed.iter().enumerate().filter(|(from, _)| *from != to) {
-            let (points, triangles) = (&source.positions, &source.sampled.triangles);
-            if !triangles.is_empty() {
+            let triangles = &source.sampled.triangles;
+            if let Some(points) = source.positions.as_ref().filter(|_| !triangles.is_empty()) {
                 let points = in_diagonals(&source.sampled, points);
                 ways[from * count + to] = Some(surface.distances(&points, triangles, progress)?);
             }

@@ -1,6 +1,8 @@
 //! `compare.toml`: a model, regions, and the methods to be compared on them.
 
+use super::html::hyphenated;
 use crate::session_file::{RawModel, RawRegion, Region, Sampling, Source, read_text};
+use glam::DVec3;
 use serde::Deserialize;
 use simod_core::reconstruction::Method as Reconstruction;
 use simod_model::{Error, ErrorKind, Result};
@@ -11,9 +13,15 @@ use toml::Spanned;
 /// Most methods of a comparison: all their models are read at once, and all pairs of them are compared.
 pub const MAX_METHODS: usize = 32;
 
-/// Longest side of a picture in pixels: 4 times as many samples are held, of 64 bytes each, which is 1 GB at
-/// most.
-const MAX_SIDE: u32 = 2000;
+/// Longest side of a picture in pixels, as that of `simod render`: 4 times as many samples are held, of 64 bytes each,
+/// which is 1 GB for 2000 by 2000.
+const MAX_SIDE: u32 = 3840;
+
+/// Most runs of each method.
+const MAX_RUNS: usize = 100;
+
+/// Most parts of the pictures that are shown larger.
+const MAX_CROPS: usize = 16;
 
 /// A comparison that is to be made. Paths are as the program needs them: relative to the current folder, or
 /// absolute.
@@ -31,6 +39,10 @@ pub struct CompareFile {
     pub regions: Vec<Region>,
     /// How the pictures are taken.
     pub camera: CameraPlace,
+    /// Parts of the pictures that are shown larger.
+    pub crops: Vec<CropPlace>,
+    /// How often each method is done: its times are the medians.
+    pub runs: usize,
     /// At least one, with names that differ.
     pub methods: Vec<Method>,
 }
@@ -53,6 +65,19 @@ impl Default for CameraPlace {
     fn default() -> Self {
         Self { yaw: 25.0, pitch: 12.0, up: Up::Y, size: [640, 640] }
     }
+}
+
+/// A part of the pictures that is shown larger.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CropPlace {
+    /// What the user calls it.
+    pub name: String,
+    /// What the pictures' names end with; unique.
+    pub file: String,
+    /// The model's point in the middle.
+    pub target: DVec3,
+    /// Its width over that of the whole.
+    pub part: f64,
 }
 
 /// One of the methods that are compared.
@@ -86,6 +111,54 @@ pub enum Work {
     },
     /// The steps of a session, with the regions that they have there.
     Session(PathBuf),
+    /// Nothing: where the samples went is in a file.
+    Deformed(PathBuf),
+    /// Nothing: the deformed model is there.
+    Model(PathBuf),
+    /// A program of the user's.
+    Command(Command),
+}
+
+/// A program that deforms the samples, or the model itself.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Command {
+    /// As the file has it.
+    pub line: String,
+    /// The program and its arguments, in which names in braces stand for files.
+    pub words: Vec<String>,
+    /// The files that it asks for.
+    pub given: Vec<Given>,
+    /// Where it runs.
+    pub folder: PathBuf,
+}
+
+impl Command {
+    /// Whether it makes a deformed model, and not deformed samples.
+    pub fn makes_model(&self) -> bool {
+        self.given.contains(&Given::Model)
+    }
+}
+
+/// A file that a program asks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Given {
+    /// The samples at rest: `{samples}`.
+    Samples,
+    /// Where the regions have samples go: `{constraints}`.
+    Constraints,
+    /// The model: `{model}`.
+    Model,
+    /// What it is to write: `{output}`.
+    Output,
+}
+
+impl Given {
+    const ALL: [(&'static str, Self); 4] = [
+        ("samples", Self::Samples),
+        ("constraints", Self::Constraints),
+        ("model", Self::Model),
+        ("output", Self::Output),
+    ];
 }
 
 // As the file has it.
@@ -99,7 +172,19 @@ struct RawCompare {
     region: Vec<Spanned<RawRegion>>,
     camera: Option<Spanned<CameraPlace>>,
     #[serde(default)]
+    crop: Vec<Spanned<RawCrop>>,
+    runs: Option<Spanned<usize>>,
+    #[serde(default)]
     method: Vec<Spanned<RawMethod>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawCrop {
+    name: String,
+    #[serde(deserialize_with = "crate::vector::three")]
+    target: DVec3,
+    part: f64,
 }
 
 #[derive(Deserialize)]
@@ -111,6 +196,9 @@ struct RawMethod {
     #[serde(default)]
     params: toml::Table,
     session: Option<PathBuf>,
+    deformed: Option<PathBuf>,
+    model: Option<PathBuf>,
+    command: Option<String>,
     sampling: Option<Spanned<Sampling>>,
     reconstruction: Option<RawReconstruction>,
 }
@@ -169,6 +257,18 @@ impl CompareFile {
                 "add a [[method]] with a name and `deform` or `session`",
             ));
         }
+        let mut crops: Vec<CropPlace> = Vec::with_capacity(raw.crop.len());
+        for raw in raw.crop {
+            let crop = crop(&source, raw, &crops)?;
+            crops.push(crop);
+        }
+        let runs = match raw.runs {
+            Some(runs) if !(1..=MAX_RUNS).contains(runs.get_ref()) => {
+                let hint = format!("give from 1 to {MAX_RUNS}");
+                return Err(source.error(&runs.span(), "`runs` is no number of runs", hint));
+            }
+            runs => runs.map_or(1, Spanned::into_inner),
+        };
         Ok(Self {
             text: text.to_owned(),
             model: folder.join(model.path),
@@ -176,7 +276,17 @@ impl CompareFile {
             fingerprint: model.fingerprint,
             regions: raw.region.into_iter().map(|r| source.region(r)).collect::<Result<_>>()?,
             camera: raw.camera.map_or(Ok(CameraPlace::default()), |c| camera(&source, c))?,
+            crops,
+            runs,
             methods,
+        })
+    }
+
+    /// The methods that are programs of the user's.
+    pub fn commands(&self) -> impl Iterator<Item = (&Method, &Command)> {
+        self.methods.iter().filter_map(|method| match &method.work {
+            Work::Command(command) => Some((method, command)),
+            _ => None,
         })
     }
 }
@@ -192,6 +302,57 @@ fn camera(source: &Source<'_>, raw: Spanned<CameraPlace>) -> Result<CameraPlace>
         return Err(source.error(&raw.span(), "`size` is no size of a picture", hint));
     }
     Ok(raw.into_inner())
+}
+
+/// Checks a part of the pictures; `before` are those above it.
+fn crop(source: &Source<'_>, raw: Spanned<RawCrop>, before: &[CropPlace]) -> Result<CropPlace> {
+    let (span, raw) = (raw.span(), raw.into_inner());
+    let wrong = |what: &str, hint: &str| Err(source.error(&span, what, hint));
+    let file = hyphenated(&raw.name);
+    if file.is_empty() {
+        return wrong(
+            "the name of a crop has no letter of the alphabet and no digit",
+            "call it \"head\", say",
+        );
+    }
+    if before.iter().any(|other| other.file == file) {
+        return wrong(&format!("there are two crops `{}`", raw.name), "give one of both another name");
+    }
+    if before.len() == MAX_CROPS {
+        return wrong(&format!("there are more than {MAX_CROPS} crops"), "leave some out");
+    }
+    if !raw.target.is_finite() {
+        return wrong("`target` is no point", "give a point of the model, such as target = [0, 1.5, 0]");
+    }
+    if !(1e-3..=1.0).contains(&raw.part) {
+        return wrong("`part` is no part of a picture", "give from 0.001 to 1: 0.1 is ten times as large");
+    }
+    Ok(CropPlace { name: raw.name, file, target: raw.target, part: raw.part })
+}
+
+/// Checks a command.
+fn command(line: &str, folder: &Path) -> std::result::Result<Command, (String, String)> {
+    let words = shlex::split(line).filter(|words| !words.is_empty());
+    let words = words.ok_or_else(|| {
+        let hint = "quote words that hold spaces, as in a shell: command = \"python 'my arap.py' {samples} {output}\"";
+        (format!("`command` is no program with arguments: {line}"), hint.to_owned())
+    })?;
+    let asks = |name: &str| words.iter().any(|word| word.contains(&format!("{{{name}}}")));
+    let given: Vec<Given> =
+        Given::ALL.iter().filter(|(name, _)| asks(name)).map(|(_, given)| *given).collect();
+    let has = |one: Given| given.contains(&one);
+    let hint =
+        "{samples} or {model} stands for what is to be deformed, and {output} for the file to be written"
+            .to_owned();
+    if !has(Given::Output) {
+        return Err(("`command` has no {output}".to_owned(), hint));
+    }
+    if has(Given::Samples) == has(Given::Model) {
+        let both =
+            if has(Given::Samples) { "both {samples} and {model}" } else { "neither {samples} nor {model}" };
+        return Err((format!("`command` has {both}"), hint));
+    }
+    Ok(Command { line: line.to_owned(), words, given, folder: folder.to_owned() })
 }
 
 /// Checks a method; `before` are those above it.
@@ -215,27 +376,53 @@ fn method(
         let what = format!("there are more than {MAX_METHODS} methods");
         return wrong(&what, "make two comparisons of it, which share a method");
     }
-    let work = match (raw.deform, raw.session) {
-        (Some(deform), None) => {
-            let (state_version, params) = (raw.state_version, raw.params);
-            Work::Plugin { deform, state_version, params, folder: folder.to_owned() }
-        }
-        (None, Some(session)) if raw.params.is_empty() && raw.state_version.is_none() => {
-            Work::Session(folder.join(session))
-        }
-        (None, Some(_)) => {
-            return wrong("a method of a whole session has no `params`", "change them in the session");
-        }
-        (Some(_), Some(_)) => {
-            return wrong("a method has both `deform` and `session`", "keep one of the two");
-        }
-        (None, None) => {
+    let what = [
+        ("deform", raw.deform.is_some()),
+        ("session", raw.session.is_some()),
+        ("deformed", raw.deformed.is_some()),
+        ("model", raw.model.is_some()),
+        ("command", raw.command.is_some()),
+    ];
+    let given: Vec<&str> = what.into_iter().filter(|(_, given)| *given).map(|(key, _)| key).collect();
+    match given[..] {
+        [] => {
             return wrong(
-                "a method has neither `deform` nor `session`",
-                "name a plugin, such as deform = \"rbf\", or a session, as session = \"bend.toml\"",
+                "a method has neither `deform` nor `session`, nor `deformed`, `model` or `command`",
+                "name a plugin, such as deform = \"rbf\", a session, as session = \"bend.toml\", or what another \
+                 program made",
             );
         }
+        [_] => {}
+        [one, other, ..] => {
+            return wrong(&format!("a method has both `{one}` and `{other}`"), "keep one of the two");
+        }
+    }
+    if raw.deform.is_none() && !(raw.params.is_empty() && raw.state_version.is_none()) {
+        let hint = match raw.session {
+            Some(_) => "change them in the session",
+            None => "they are those of plugins: leave them out",
+        };
+        let whose = if raw.session.is_some() { "a whole session" } else { "another program" };
+        return wrong(&format!("a method of {whose} has no `params`"), hint);
+    }
+    let work = if let Some(deform) = raw.deform {
+        let (state_version, params) = (raw.state_version, raw.params);
+        Work::Plugin { deform, state_version, params, folder: folder.to_owned() }
+    } else if let Some(session) = raw.session {
+        Work::Session(folder.join(session))
+    } else if let Some(deformed) = raw.deformed {
+        Work::Deformed(folder.join(deformed))
+    } else if let Some(line) = raw.command {
+        Work::Command(command(&line, folder).map_err(|(what, hint)| source.error(&span, &what, hint))?)
+    } else {
+        Work::Model(folder.join(raw.model.unwrap_or_default()))
     };
+    if raw.reconstruction.is_some()
+        && (matches!(&work, Work::Model(_))
+            || matches!(&work, Work::Command(command) if command.makes_model()))
+    {
+        return wrong("a method that gives a deformed model has no `reconstruction`", "leave it out");
+    }
     let sampling = raw.sampling.map_or(Ok(shared), |sampling| source.sampling(sampling))?;
     let reconstruction = raw.reconstruction.map(Reconstruction::from).unwrap_or_default();
     Ok(Method { name: raw.name, place: source.place(&span), work, sampling, reconstruction })
@@ -293,6 +480,44 @@ session = "bend.toml"
         assert_eq!(rbf.sampling.samples, Some(5000));
         assert_eq!(rbf.reconstruction, Reconstruction::ProjectedBarycentric);
         assert_eq!(session.work, Work::Session("edits/bend.toml".into()));
+        assert_eq!((file.runs, file.crops.len()), (1, 0));
+    }
+
+    #[test]
+    fn what_others_made_is_a_method() {
+        let text = r#"
+runs = 3
+model = { path = "a.ply" }
+[[crop]]
+name = "The head"
+target = [0, 1, 2]
+part = 0.25
+[[method]]
+name = "a"
+deformed = "a-deformed.ply"
+[[method]]
+name = "b"
+model = "b.ply"
+[[method]]
+name = "c"
+command = "python 'my arap.py' {samples} --to={output} --with {constraints}"
+"#;
+        let file = parse(text).unwrap();
+        let [a, b, c] = &file.methods[..] else { panic!("three methods") };
+        assert_eq!(a.work, Work::Deformed("edits/a-deformed.ply".into()));
+        assert_eq!(b.work, Work::Model("edits/b.ply".into()));
+        let Work::Command(command) = &c.work else { panic!("a command") };
+        assert_eq!(command.words[..2], ["python", "my arap.py"]);
+        assert_eq!(command.given, [Given::Samples, Given::Constraints, Given::Output]);
+        assert!(!command.makes_model() && command.folder == Path::new("edits"));
+        assert_eq!(file.commands().count(), 1);
+        let head = CropPlace {
+            name: "The head".into(),
+            file: "the-head".into(),
+            target: DVec3::new(0.0, 1.0, 2.0),
+            part: 0.25,
+        };
+        assert_eq!((file.runs, &file.crops[..]), (3, &[head][..]));
     }
 
     #[test]
@@ -320,6 +545,30 @@ session = "bend.toml"
         told(&with("name = \"a\""), 3, "neither `deform` nor `session`");
         told(&with("name = \"a\"\ndeform = \"b\"\nsession = \"c\""), 3, "both `deform` and `session`");
         told(&with("name = \"a\"\nsession = \"c\"\nparams = { d = 1 }"), 3, "no `params`");
+        told(&with("name = \"a\"\nmodel = \"c\"\nparams = { d = 1 }"), 3, "no `params`");
+        told(&with("name = \"a\"\nmodel = \"c\"\ndeformed = \"d\""), 3, "both `deformed` and `model`");
+        told(
+            &with("name = \"a\"\nmodel = \"c\"\nreconstruction = \"blended-jets\""),
+            3,
+            "no `reconstruction`",
+        );
+        told(&with("name = \"a\"\ncommand = \"b {samples}\""), 3, "no {output}");
+        told(&with("name = \"a\"\ncommand = \"b {output}\""), 3, "neither {samples} nor {model}");
+        told(
+            &with("name = \"a\"\ncommand = \"b {samples} {model} {output}\""),
+            3,
+            "both {samples} and {model}",
+        );
+        told(&with("name = \"a\"\ncommand = \"b 'c\""), 3, "no program");
+        told(&with("name = \"a\"\ncommand = \"\""), 3, "no program");
+        told(&format!("runs = 0\n{}", with("name = \"a\"\ndeform = \"b\"")), 1, "`runs`");
+        for (bad, what) in [
+            ("name = '!'\ntarget = [0, 0, 0]\npart = 0.1", "no letter"),
+            ("name = 'a'\ntarget = [0, nan, 0]\npart = 0.1", "`target`"),
+            ("name = 'a'\ntarget = [0, 0, 0]\npart = 0", "`part`"),
+        ] {
+            told(&format!("[[crop]]\n{bad}\n{}", with("name = \"a\"\ndeform = \"b\"")), 1, what);
+        }
         told(&with("name = \"a\"\ndeform = \"b\"\nmethod = \"c\""), 6, "method");
         told(&with("name = \"a\"\ndeform = \"b\"\nsampling = { samples = 0 }"), 6, "`samples` is 0");
         told(&with("name = \"a\"\ndeform = \"b\"\nreconstruction = \"best\""), 6, "best");

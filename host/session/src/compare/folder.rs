@@ -1,6 +1,7 @@
 //! The folder of a comparison: what may be replaced, and how its files are called.
 
 use super::file::Method;
+use super::html::hyphenated;
 use serde::Deserialize;
 use simod_model::target::folder_of;
 use simod_model::{Error, ErrorKind, Result, input};
@@ -10,14 +11,18 @@ use std::path::{Path, PathBuf};
 /// The page.
 pub(super) const INDEX: &str = "index.html";
 
+/// The figures of the methods as tables, for other programs and for papers.
+pub(super) const CSV: &str = "compare.csv";
+pub(super) const LATEX: &str = "compare.tex";
+
 /// All figures.
 pub(super) const RECORD: &str = "compare.json";
 
 /// No record is longer.
 const LONGEST: u64 = 64 << 20;
 
-/// The picture of the model at rest.
-pub(super) const REST: &str = "rest.png";
+/// What pictures of the model at rest begin with.
+pub(super) const REST: &str = "rest";
 
 /// What is written into the record.
 pub(super) const FORMAT: &str = "simod-comparison/1";
@@ -76,13 +81,12 @@ impl Target {
 }
 
 /// Names for the files of methods: what there is of ASCII letters and digits in the methods' names.
-/// `NAME.png` and `NAME-difference.png` are of one method alone.
+/// `NAME.png` and `NAME-difference.png` are of one method alone; no name has the `_` that stands before those of crops.
 pub(super) fn names(methods: &[Method]) -> Vec<String> {
     const LONGEST: usize = 60;
     let mut taken: HashSet<String> = ["rest", "index", "compare", "difference"].map(String::from).into();
     let name = |method: &Method| {
-        let words = method.name.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
-        let mut name = words.collect::<Vec<_>>().join("-").to_ascii_lowercase();
+        let mut name = hyphenated(&method.name);
         name.truncate(LONGEST);
         if name.is_empty() {
             name.push_str("method");

@@ -26,6 +26,12 @@ pub(super) fn round_percent(x: f64) -> String {
     format!("{text} %")
 }
 
+/// What there is of ASCII letters and digits in a text, in lower case, with hyphens between.
+pub(super) fn hyphenated(text: &str) -> String {
+    let words = text.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
+    words.collect::<Vec<_>>().join("-").to_ascii_lowercase()
+}
+
 /// What is not known, or does not make sense.
 pub(super) const NONE: &str = "–";
 

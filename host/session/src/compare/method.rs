@@ -1,22 +1,27 @@
 //! One method from the model to the deformed model, with its times and its memory.
 
-use super::figures::on_samples;
-use super::file::{CompareFile, Method, Work};
-use super::record::{Figures, MethodRecord, Seconds, StepRecord, words};
+use super::clock::Clock;
+use super::external::{self, Files, Ran, write_given};
+use super::file::{Command, CompareFile, Method, Work};
+use super::record::{Figures, MethodRecord, ResultFile, RunSeconds, Seconds, StepRecord, words};
+use crate::deformer::Message;
 use crate::edit::{Refinements, turning_gradients};
 use crate::pipeline::{DeformedSamples, deform, sampled};
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Role, Sampling, SessionFile, Step, read_text};
-use crate::stack::Stack;
+use crate::stack::{PreparedStack, Stack};
 use glam::Vec3;
-use simod_core::reconstruction::{Reconstruction, Version, reconstruct, transfer_error};
+use simod_core::reconstruction::transfer_error::{self, TransferError};
+use simod_core::reconstruction::{ExpectedError, Reconstruction, Version, reconstruct};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::Skip;
 use simod_model::memory::MemoryWatch;
-use simod_model::{Cache, Model, Progress, Result};
+use simod_model::{Cache, Error, ErrorKind, Model, Progress, Result, processor};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
+use xxhash_rust::xxh3::Xxh3Default;
 
 /// Where methods are done, with the samplings that they share.
 pub(super) struct Bench<'a> {
@@ -24,13 +29,13 @@ pub(super) struct Bench<'a> {
     plugins: &'a PluginRegistry,
     folder: &'a Path,
     cache: Arc<Cache>,
-    samplings: Vec<Known>,
+    samplings: Vec<Taken>,
     /// A method refines: samplings keep their cells.
     refines: bool,
 }
 
 /// A sampling that was done.
-struct Known {
+struct Taken {
     of: Sampling,
     sampled: Arc<SampledModel>,
     seconds: f64,
@@ -41,10 +46,48 @@ pub(super) struct Deformed {
     /// What its files begin with.
     pub name: String,
     pub sampled: Arc<SampledModel>,
-    /// Local positions.
-    pub positions: Vec<Vec3>,
+    /// Of the samples, local; nothing where the method deforms none.
+    pub positions: Option<Vec<Vec3>>,
     /// The deformed model.
     pub output: PathBuf,
+    /// It was made here, and not by the user before.
+    pub is_ours: bool,
+}
+
+/// A run of a method.
+struct Once {
+    sampled: Arc<SampledModel>,
+    positions: Option<Vec<Vec3>>,
+    output: PathBuf,
+    /// What plugins had to say.
+    messages: Vec<Message>,
+    seconds: RunSeconds,
+    /// Of a program of the user's.
+    peak_memory_bytes: Option<u64>,
+    transfer_error: Option<TransferError>,
+    expected_error: Option<ExpectedError>,
+    folded_samples: Option<u64>,
+}
+
+/// Where samples went, by whatever.
+struct Moved {
+    sampled: Arc<SampledModel>,
+    positions: Vec<Vec3>,
+    messages: Vec<Message>,
+    /// The exact map, if the plugins know it.
+    stack: Option<PreparedStack>,
+    prepare: Option<f64>,
+    peak_memory_bytes: Option<u64>,
+}
+
+/// A method with what is known of it before it is done.
+struct Known<'a> {
+    method: &'a Method,
+    /// What its files begin with.
+    name: &'a str,
+    /// Those of plugins.
+    steps: Vec<Step>,
+    rest: Arc<SampledModel>,
 }
 
 impl<'a> Bench<'a> {
@@ -58,13 +101,13 @@ impl<'a> Bench<'a> {
             // What is wrong with a session is told when it is done.
             Work::Session(path) => SessionFile::load(path)
                 .is_ok_and(|session| session.steps.iter().any(|step| step.enabled && step.refines())),
-            Work::Plugin { .. } => false,
+            _ => false,
         };
         let refines = file.methods.iter().any(refines);
         Self { file, plugins, folder, cache, samplings: Vec::new(), refines }
     }
 
-    /// Does a method. `record` gets what is known as soon as it is.
+    /// Does a method, as often as the file says. `record` gets what is known as soon as it is.
     pub fn run(
         &mut self,
         method: &Method,
@@ -79,52 +122,216 @@ impl<'a> Bench<'a> {
         let stack = Stack::build(&steps, self.plugins)?;
         record.steps = stack.in_effect().map(StepRecord::new).collect();
         let (rest, sample) = self.sampling(method.sampling, progress)?;
+        let known = Known { method, name, steps, rest };
 
-        let start = Instant::now();
-        let refinements = Refinements {
-            model: Some(self.file.model.clone()),
-            folder: self.folder.to_owned(),
-            ..Refinements::default()
+        let mut first: Option<(Once, String)> = None;
+        let (mut runs, mut peak, mut repeats) = (Vec::new(), None, None);
+        for number in 0..self.file.runs {
+            if self.file.runs > 1 {
+                progress.note(&format!("{}: run {} of {}", method.name, number + 1, self.file.runs));
+            }
+            let once = self.once(&known, number == 0, progress)?;
+            runs.push(once.seconds);
+            peak = peak.max(once.peak_memory_bytes);
+            let hash = hash_of(&once.output, progress)?;
+            match &first {
+                Some((_, former)) => repeats = Some(repeats.unwrap_or(true) && hash == *former),
+                None => first = Some((once, hash)),
+            }
+        }
+        let peak_memory_bytes = memory.peak().map(|own| own.max(peak.unwrap_or(0)));
+        let Some((once, hash)) = first else {
+            return Err(Error::internal("a method was not run", "report this"));
         };
-        let deformed = deform(rest, &steps, self.plugins, refinements, progress)?;
-        let deform = start.elapsed().as_secs_f64();
-
-        let start = Instant::now();
-        let source = deformed.sampled.open_source(Some(&self.file.model), progress)?;
-        let output = self.folder.join(file_name(name, source.as_ref()));
-        let version = Version { deformed: &deformed.positions, output: &output, diagnostics: None };
-        let known = turning_gradients(&deformed.sampled, &deformed.stack, source.as_ref(), progress)?;
-        let gradients = known.as_deref();
-        let how = Reconstruction { method: method.reconstruction, gradients, ..Reconstruction::default() };
-        let done = reconstruct(&deformed.sampled, source.as_ref(), &[version], &how, progress)?;
-        let reconstruct = start.elapsed().as_secs_f64();
-        let peak_memory_bytes = memory.peak();
-
-        let diagonal = deformed.sampled.bounds.diagonal();
-        let transfer_error = if deformed.stack.can_evaluate() {
-            let map = |points: &mut [glam::DVec3]| deformed.stack.evaluate_with(points, progress);
-            let output = simod_model::open_with_columns(&output, source.columns())?;
-            Some(transfer_error::measure(source.as_ref(), output.as_ref(), diagonal, &map, progress)?)
-        } else {
-            None
-        };
-        let DeformedSamples { sampled, positions, messages, .. } = deformed;
+        let Once { sampled, positions, output, .. } = once;
+        let is_model = positions.is_none();
+        let bytes = std::fs::metadata(&output).map_err(|e| Error::io("read", &output, &e))?.len();
         record.figures = Some(Figures {
-            samples: sampled.samples.len(),
-            triangles: sampled.triangles.len(),
-            seconds: Seconds { sample, deform, reconstruct },
+            samples: if is_model { 0 } else { sampled.samples.len() },
+            triangles: if is_model { 0 } else { sampled.triangles.len() },
+            seconds: Seconds::of((!is_model).then_some(sample), runs),
             peak_memory_bytes,
-            transfer_error,
+            transfer_error: once.transfer_error,
+            expected_error: once.expected_error,
             displacement: None,
-            on_samples: on_samples(&sampled, &positions, progress)?,
-            folded_samples: done.folding.first().copied().flatten().map(|f| f.samples),
+            to_first: None,
+            on_samples: None,
+            on_model: None,
+            folded_samples: once.folded_samples,
+            result: ResultFile { bytes, hash, repeats },
             messages: notices
                 .into_iter()
                 .map(|notice| format!("warning: {notice}"))
-                .chain(words(&messages))
+                .chain(words(&once.messages))
                 .collect(),
         });
-        Ok(Deformed { name: name.to_owned(), sampled, positions, output })
+        let is_ours = !matches!(method.work, Work::Model(_));
+        Ok(Deformed { name: name.to_owned(), sampled, positions, output, is_ours })
+    }
+
+    /// Does a method once; what does not change is measured where it is asked for.
+    fn once(&self, known: &Known<'_>, measure: bool, progress: &dyn Progress) -> Result<Once> {
+        match &known.method.work {
+            Work::Model(path) => self.of_model(known, path.clone(), None, progress),
+            Work::Command(command) if command.makes_model() => {
+                let source = known.rest.open_source(Some(&self.file.model), progress)?;
+                let output = self.folder.join(file_name(known.name, source.as_ref()));
+                let processor = processor::seconds();
+                let ran = self.run_program(command, known, &output, progress)?;
+                let seconds = RunSeconds {
+                    deform: Some(ran.seconds),
+                    processor: since(processor),
+                    ..RunSeconds::default()
+                };
+                let once = self.of_model(known, output, Some(seconds), progress)?;
+                Ok(Once { peak_memory_bytes: ran.peak_memory_bytes, ..once })
+            }
+            _ => self.of_samples(known, measure, progress),
+        }
+    }
+
+    /// What is known of a deformed model that another program made.
+    fn of_model(
+        &self,
+        known: &Known<'_>,
+        output: PathBuf,
+        seconds: Option<RunSeconds>,
+        progress: &dyn Progress,
+    ) -> Result<Once> {
+        let source = known.rest.open_source(Some(&self.file.model), progress)?;
+        let made = simod_model::open_with_columns(&output, source.columns())?;
+        let (there, needed) = (made.info().vertices, source.info().vertices);
+        if there != needed {
+            return Err(Error::new(
+                ErrorKind::Mismatch,
+                format!("{} has {there} vertices, but the model has {needed}", output.display()),
+                "a deformed model has the model's vertices, in the same order: switch off what merges, sorts or splits \
+                 them",
+            ));
+        }
+        Ok(Once {
+            sampled: known.rest.clone(),
+            positions: None,
+            output,
+            messages: Vec::new(),
+            seconds: seconds.unwrap_or_default(),
+            peak_memory_bytes: None,
+            transfer_error: None,
+            expected_error: None,
+            folded_samples: None,
+        })
+    }
+
+    /// Deforms samples, and transfers that.
+    fn of_samples(&self, known: &Known<'_>, measure: bool, progress: &dyn Progress) -> Result<Once> {
+        let (start, processor) = (Instant::now(), processor::seconds());
+        let moved = self.moved(known, progress)?;
+        let Moved { sampled, positions, messages, stack, prepare, peak_memory_bytes } = moved;
+        let deform = start.elapsed().as_secs_f64();
+
+        let start = Instant::now();
+        let source = sampled.open_source(Some(&self.file.model), progress)?;
+        let output = self.folder.join(file_name(known.name, source.as_ref()));
+        let version = Version { deformed: &positions, output: &output, diagnostics: None };
+        let gradients =
+            stack.as_ref().map(|stack| turning_gradients(&sampled, stack, source.as_ref(), progress));
+        let gradients = gradients.transpose()?.flatten();
+        let gradients = gradients.as_deref();
+        let how =
+            Reconstruction { method: known.method.reconstruction, gradients, ..Reconstruction::default() };
+        let done = reconstruct(&sampled, source.as_ref(), &[version], &how, progress)?;
+        let seconds = RunSeconds {
+            deform: Some(deform),
+            prepare,
+            motion: prepare.map(|prepare| (deform - prepare).max(0.0)),
+            reconstruct: Some(start.elapsed().as_secs_f64()),
+            processor: since(processor),
+        };
+
+        let exact = stack.filter(|stack| measure && stack.can_evaluate());
+        let transfer_error = exact.map(|stack| {
+            let map = |points: &mut [glam::DVec3]| stack.evaluate_with(points, progress);
+            let deformed = simod_model::open_with_columns(&output, source.columns())?;
+            let how = (sampled.bounds.diagonal(), Some(MEASURED));
+            transfer_error::measure(source.as_ref(), deformed.as_ref(), how, &map, progress)
+        });
+        Ok(Once {
+            positions: Some(positions),
+            output,
+            messages,
+            seconds,
+            peak_memory_bytes,
+            transfer_error: transfer_error.transpose()?,
+            expected_error: done.expected.into_iter().next().flatten(),
+            folded_samples: done.folding.first().copied().flatten().map(|f| f.samples),
+            sampled,
+        })
+    }
+
+    /// Where a method has the samples go.
+    fn moved(&self, known: &Known<'_>, progress: &dyn Progress) -> Result<Moved> {
+        let by_another = |positions: Vec<Vec3>, peak_memory_bytes| Moved {
+            sampled: known.rest.clone(),
+            positions: known.rest.rounded(&positions),
+            messages: Vec::new(),
+            stack: None,
+            prepare: None,
+            peak_memory_bytes,
+        };
+        match &known.method.work {
+            Work::Deformed(path) => Ok(by_another(known.rest.read_deformed(path)?, None)),
+            Work::Command(command) => {
+                let output = self.folder.join("given-output.ply");
+                let ran = self.run_program(command, known, &output, progress)?;
+                let read = known.rest.read_deformed(&output);
+                std::fs::remove_file(&output).map_err(|e| Error::io("remove", &output, &e))?;
+                Ok(by_another(read?, ran.peak_memory_bytes))
+            }
+            _ => {
+                let refinements = Refinements {
+                    model: Some(self.file.model.clone()),
+                    folder: self.folder.to_owned(),
+                    ..Refinements::default()
+                };
+                let clock = Clock::new(progress);
+                let rest = known.rest.clone();
+                let done = deform(rest, &known.steps, self.plugins, refinements, &clock)?;
+                let DeformedSamples { sampled, positions, messages, stack, .. } = done;
+                let prepare = Some(clock.preparing());
+                Ok(Moved {
+                    sampled,
+                    positions,
+                    messages,
+                    stack: Some(stack),
+                    prepare,
+                    peak_memory_bytes: None,
+                })
+            }
+        }
+    }
+
+    /// Runs a program, which is given files of its own for as long.
+    fn run_program(
+        &self,
+        command: &Command,
+        known: &Known<'_>,
+        output: &Path,
+        progress: &dyn Progress,
+    ) -> Result<Ran> {
+        let [samples, constraints] =
+            ["given-samples.ply", "given-constraints.txt"].map(|name| self.folder.join(name));
+        let model = &self.file.model;
+        let files = Files { samples: &samples, constraints: &constraints, model, output };
+        // That of a former run would pass for this one's.
+        if output.exists() {
+            std::fs::remove_file(output).map_err(|e| Error::io("remove", output, &e))?;
+        }
+        write_given(command, &files, &known.rest, &self.file.regions)?;
+        let ran = external::run(command, &files, progress);
+        for given in [&samples, &constraints].into_iter().filter(|path| path.exists()) {
+            std::fs::remove_file(given).map_err(|e| Error::io("remove", given, &e))?;
+        }
+        ran
     }
 
     /// The steps of a method.
@@ -136,6 +343,7 @@ impl<'a> Bench<'a> {
                 record.session = Some(text);
                 Ok(session.steps)
             }
+            Work::Deformed(_) | Work::Model(_) | Work::Command(_) => Ok(Vec::new()),
             Work::Plugin { deform, state_version, params, folder } => {
                 let takes = self.plugins.get(deform)?.consumes();
                 let regions = self.file.regions.iter().filter(|region| match region.role {
@@ -171,8 +379,30 @@ impl<'a> Bench<'a> {
         let skip = Skip { cells: !self.refines, colors: true, ..Skip::default() };
         let sampled = Arc::new(sampled(&session, skip, (self.folder, &self.cache), progress)?.0);
         let seconds = start.elapsed().as_secs_f64();
-        self.samplings.push(Known { of, sampled: sampled.clone(), seconds });
+        self.samplings.push(Taken { of, sampled: sampled.clone(), seconds });
         Ok((sampled, seconds))
+    }
+}
+
+/// Vertices beside their exact images, about, where a model has several times as many.
+const MEASURED: u64 = 1 << 20;
+
+/// The processor's time since then.
+fn since(before: Option<f64>) -> Option<f64> {
+    Some(processor::seconds()? - before?)
+}
+
+/// The hash of a file.
+fn hash_of(path: &Path, progress: &dyn Progress) -> Result<String> {
+    let failed = |e: std::io::Error| Error::io("read", path, &e);
+    let mut file = std::fs::File::open(path).map_err(failed)?;
+    let (mut hash, mut block) = (Xxh3Default::new(), vec![0; 1 << 20]);
+    loop {
+        progress.check()?;
+        match file.read(&mut block).map_err(failed)? {
+            0 => return Ok(format!("xxh3-128:{:032x}", hash.digest128())),
+            count => hash.update(&block[..count]),
+        }
     }
 }
 

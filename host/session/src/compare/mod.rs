@@ -6,15 +6,20 @@
 //!                     DIR/index.html, compare.json, *.png ◀──page, record, pictures── figures of each and of pairs
 //! ```
 //!
-//! What is told of all vertices (displacements, differences vertex by vertex, the transfer error, the
-//! pictures) is found by streaming the models. What needs a surface in memory (volume, edges, areas, folds,
-//! distances from surface to surface) is told of the samples and the triangles between them.
+//! What is told of all vertices (displacements, differences vertex by vertex) is found by one reading of all
+//! models, and pictures of models with very many vertices are made of some that are chosen by the way. What needs a
+//! surface in memory (volume, edges, areas, folds, energies, distances from surface to surface) is told of the samples and
+//! the triangles between them, and of models that are small enough to be held.
 //!
 //! Memory: a run of each method, one after the other; of each distinct sampling its samples and triangles,
 //! and of each method 12 bytes a sample, to the end; then a tree of one method's triangles (300 bytes a
-//! sample), or a small chunk (about 1 MB) of each model, or a picture in the making (256 bytes a pixel). On
-//! the disk, the deformed models of all methods at once.
+//! sample), or for each thread a small chunk (about 1 MB) of each model, or a picture in the making (256 bytes a pixel). On
+//! the disk, the deformed models of all methods at once, and the chosen vertices (three for each pixel, 24 bytes for each
+//! version).
 
+mod chosen;
+mod clock;
+mod external;
 mod figures;
 mod file;
 mod folder;
@@ -23,40 +28,62 @@ mod method;
 mod page;
 mod pictures;
 mod record;
+mod tables;
 
 pub use figures::{OnSamples, Pair};
-pub use file::{CameraPlace, CompareFile, MAX_METHODS, Method, Work};
-pub use record::{Comparison, Failure, Figures, MethodRecord, ModelRecord, Seconds, StepRecord};
+pub use file::{CameraPlace, Command, CompareFile, CropPlace, Given, MAX_METHODS, Method, Work};
+pub use record::{
+    Comparison, Failure, Figures, MethodRecord, ModelRecord, ResultFile, RunSeconds, Seconds, StepRecord,
+};
 
 use crate::plugins::PluginRegistry;
-use folder::{INDEX, RECORD, Target};
+use chosen::Choosing;
+use figures::Held;
+use folder::{CSV, INDEX, LATEX, RECORD, Target};
 use method::{Bench, Deformed};
+use pictures::Easel;
 use simod_model::output::write_file;
 use simod_model::output_folder::OutputFolder;
-use simod_model::{Cache, Error, ErrorKind, Model, Progress, Result};
+use simod_model::{Cache, Error, ErrorKind, Model, Progress, Result, Vertices};
 use std::path::Path;
 use std::sync::Arc;
 
+/// What a comparison may do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Comparing {
+    /// The deformed models stay in the folder.
+    pub keep_models: bool,
+    /// Programs that the file names are run.
+    pub allow_commands: bool,
+}
+
 /// Does all methods of a file and writes the folder `output`, whole or not at all: `index.html`,
-/// `compare.json`, pictures, and with `keep_models` the deformed models. A method that fails is told so in
+/// `compare.json`, tables, pictures, and if they are kept the deformed models. A method that fails is told so in
 /// the result, and the others go on.
 ///
 /// # Errors
-/// The folder is there and no former comparison, or cannot be written; the model cannot be read; no method
-/// could be done; the user cancelled.
+/// The file names programs, and they are not allowed; the folder is there and no former comparison, or cannot be
+/// written; the model cannot be read; no method could be done; the user cancelled.
 pub fn compare(
     file: &CompareFile,
     plugins: &PluginRegistry,
-    keep_models: bool,
+    how: Comparing,
     output: &Path,
     progress: &dyn Progress,
 ) -> Result<Comparison> {
+    if let Some((method, command)) = file.commands().next().filter(|_| !how.allow_commands) {
+        return Err(Error::new(
+            ErrorKind::Argument,
+            format!("{}: the method `{}` runs a program: {}", method.place, method.name, command.line),
+            "if you know it, allow it with --allow-commands (from Python allow_commands=True)",
+        ));
+    }
     let target = Target::check(output, &file.model)?;
     let folder = OutputFolder::create(output)?;
     let cache = Arc::new(Cache::nameless(folder.path()));
     let rest = simod_model::open_with(&file.model, file.columns.as_deref(), &cache, progress)?;
     let bench = Bench::new(file, plugins, (folder.path(), cache));
-    let made = in_folder(file, bench, keep_models, &folder, rest.as_ref(), &target, progress);
+    let made = in_folder(file, bench, how.keep_models, &folder, rest.as_ref(), &target, progress);
     let comparison = made.map_err(|e| folder.named(e))?;
     folder.commit()?;
     Ok(comparison)
@@ -83,6 +110,7 @@ fn in_folder(
         }
         records.push(record);
     }
+    drop(bench);
     let Some((_, first)) = done.first() else { return Err(none_done(&records)) };
     let mut comparison = Comparison::new(file, &first.sampled, records);
     let deformed: Vec<&Deformed> = done.iter().map(|(_, deformed)| deformed).collect();
@@ -90,21 +118,41 @@ fn in_folder(
     let models = deformed.iter().map(open).collect::<Result<Vec<_>>>()?;
     let models: Vec<&dyn Model> = [rest].into_iter().chain(models.iter().map(|m| &**m)).collect();
 
-    let beside = figures::beside(&models, comparison.model.diagonal, progress)?;
-    for ((i, _), displacement) in done.iter().zip(&beside.displacements) {
-        comparison.methods[*i].set_displacement(*displacement);
+    let diagonal = comparison.model.diagonal;
+    let easel = Easel::new(file, rest, folder.path(), progress)?;
+    let vertices = rest.info().vertices;
+    let choosing = easel.chosen(vertices).map(|most| {
+        Choosing::begin((vertices, most), models.len(), first.sampled.frame.origin, folder.path())
+    });
+    let choosing = choosing.transpose()?;
+    let color = |parts: &[Vertices<'_>], i: usize| easel.color(parts, 0, i);
+    let also = |first: u64, parts: &[Vertices<'_>]| {
+        choosing.as_ref().map_or(Ok(()), |choosing| choosing.take(first, parts, &color))
+    };
+    let attributes = if choosing.is_some() { easel.attributes() } else { 0 };
+    let beside = figures::beside(&models, diagonal, (attributes, &also), progress)?;
+    let chosen = choosing.map(Choosing::finish).transpose()?;
+    let on_samples = figures::on_samples(&deformed, progress)?;
+    let held = Held::read(rest, diagonal, progress)?;
+    let on_model = held.as_ref().map(|held| held.measure(&models[1..], progress)).transpose()?;
+    drop(held);
+    let mut on_model = on_model.unwrap_or_default().into_iter();
+    for (k, ((i, _), on_samples)) in done.iter().zip(on_samples).enumerate() {
+        let found = (beside.displacements[k], beside.to_first(k));
+        comparison.methods[*i].set_shape(found, on_samples, on_model.next());
     }
     let names: Vec<String> = done.iter().map(|(i, _)| file.methods[*i].name.clone()).collect();
     comparison.pairs = figures::pairs(&names, &deformed, &beside, progress)?;
     comparison.color_scale = figures::color_scale(&comparison.pairs, &names[0]);
 
     let files: Vec<(usize, String)> = done.iter().map(|(i, d)| (*i, d.name.clone())).collect();
-    let drawn = pictures::draw(file, &models, &beside.bounds, &files, &mut comparison, progress)?;
+    let shown = (&models[..], chosen.as_ref());
+    let drawn = easel.draw(shown, &beside.bounds, &files, &mut comparison, progress)?;
     drop(models);
     for (name, bytes) in &drawn {
         write_file(&folder.path().join(name), bytes)?;
     }
-    for deformed in &deformed {
+    for deformed in deformed.iter().filter(|deformed| deformed.is_ours) {
         if keep_models {
             let name = deformed.output.file_name().unwrap_or_default();
             comparison.files.push(name.to_string_lossy().into_owned());
@@ -112,10 +160,13 @@ fn in_folder(
             std::fs::remove_file(&deformed.output).map_err(|e| Error::io("remove", &deformed.output, &e))?;
         }
     }
-    comparison.files.extend([INDEX.to_owned(), RECORD.to_owned()]);
+    comparison.files.extend([INDEX, RECORD, CSV, LATEX].map(str::to_owned));
     comparison.files.sort();
     write_file(&folder.path().join(RECORD), comparison.to_json().as_bytes())?;
-    write_file(&folder.path().join(INDEX), page::page(&comparison, &drawn).as_bytes())?;
+    write_file(&folder.path().join(CSV), tables::csv(&comparison).as_bytes())?;
+    write_file(&folder.path().join(LATEX), tables::latex(&comparison).as_bytes())?;
+    let page = page::page(&comparison, &file.crops, &drawn);
+    write_file(&folder.path().join(INDEX), page.as_bytes())?;
     progress.check()?;
     target.check_again()?;
     Ok(comparison)

@@ -1,19 +1,21 @@
 //! The page of a comparison: one HTML file that needs nothing else, no scripts, and can be printed.
 
 use super::figures::{DETAIL, Pair};
+use super::file::CropPlace;
 use super::folder::{REST, difference};
 use super::html::{NONE, Table, number, or_dash, round_percent};
-use super::record::{Comparison, MethodRecord};
+use super::record::{Comparison, MethodRecord, TimeOf};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use serde_json::{Map, Value};
+use simod_core::reconstruction::ExpectedError;
 use simod_picture::scale_color as color;
 
 const STYLE: &str = include_str!("page.css");
 
-/// The page, with these pictures in it.
-pub(super) fn page(comparison: &Comparison, pictures: &[(String, Vec<u8>)]) -> String {
+/// The page, with these pictures in it, and parts of them.
+pub(super) fn page(comparison: &Comparison, crops: &[CropPlace], pictures: &[(String, Vec<u8>)]) -> String {
     let title = format!("{} methods on {}", comparison.methods.len(), comparison.model.name);
     let page = html! {
         (DOCTYPE) "\n"
@@ -37,9 +39,16 @@ pub(super) fn page(comparison: &Comparison, pictures: &[(String, Vec<u8>)]) -> S
                     "\n"
                     (head(comparison, &title))
                     (failures(comparison))
-                    (gallery(comparison, pictures))
-                    (differences(comparison, pictures))
+                    (gallery(comparison, "", pictures))
+                    (differences(comparison, "", pictures))
+                    @for crop in crops {
+                        h2 { (crop.name) ", " (round_percent(crop.part)) " of the width" }
+                        "\n"
+                        (gallery(comparison, &format!("_{}", crop.file), pictures))
+                        (differences(comparison, &format!("_{}", crop.file), pictures))
+                    }
                     (rest(comparison))
+                    (energies(comparison))
                     (pairs(comparison))
                     (exact(comparison))
                     (costs(comparison))
@@ -112,13 +121,15 @@ fn figure(pictures: &[(String, Vec<u8>)], name: &str, alt: &str, caption: &str) 
     Some(html! { figure { img alt=(alt) src=(source); figcaption { (caption) } } "\n" })
 }
 
-fn gallery(c: &Comparison, pictures: &[(String, Vec<u8>)]) -> Markup {
+/// Of pictures whose names end so, before the ending.
+fn gallery(c: &Comparison, end: &str, pictures: &[(String, Vec<u8>)]) -> Markup {
     let methods =
-        c.done().filter_map(|(m, _)| figure(pictures, &format!("{}.png", m.file), &m.name, &m.name));
-    let all = figure(pictures, REST, "The model at rest", "at rest").into_iter().chain(methods);
+        c.done().filter_map(|(m, _)| figure(pictures, &format!("{}{end}.png", m.file), &m.name, &m.name));
+    let rest = figure(pictures, &format!("{REST}{end}.png"), "The model at rest", "at rest");
+    let all = rest.into_iter().chain(methods);
     let key = |color: &str| html! { span.key style=(format!("background:{color}")) {} };
     html! {
-        h2 { "Results" }
+        @if end.is_empty() { h2 { "Results" } }
         "\n"
         p.soft {
             "All from the same place. The shared regions:" (key("#788caf")) "fixed" (key("#e6af3c")) "handle"
@@ -129,11 +140,11 @@ fn gallery(c: &Comparison, pictures: &[(String, Vec<u8>)]) -> Markup {
     }
 }
 
-fn differences(c: &Comparison, pictures: &[(String, Vec<u8>)]) -> Markup {
+fn differences(c: &Comparison, end: &str, pictures: &[(String, Vec<u8>)]) -> Markup {
     let Some((first, _)) = c.done().next() else { return Markup::default() };
     let of = |m: &MethodRecord| {
         let alt = format!("Distance of {} to {}", m.name, first.name);
-        figure(pictures, &format!("{}.png", difference(&m.file)), &alt, &m.name)
+        figure(pictures, &format!("{}{end}.png", difference(&m.file)), &alt, &m.name)
     };
     let figures: Vec<Markup> = c.done().skip(1).filter_map(|(m, _)| of(m)).collect();
     if figures.is_empty() {
@@ -147,7 +158,7 @@ fn differences(c: &Comparison, pictures: &[(String, Vec<u8>)]) -> Markup {
         stops.join(",")
     );
     html! {
-        h2 { "Where they differ from " (first.name) }
+        @if end.is_empty() { h2 { "Where they differ from " (first.name) } }
         "\n"
         p.soft {
             "Each vertex by its distance to the same vertex of " (first.name) ", on one scale for all:"
@@ -182,7 +193,7 @@ fn rest(c: &Comparison) -> Markup {
         let moved = |of: fn(&simod_measure::Difference) -> f64| {
             or_dash(f.displacement.as_ref().map(|d| 100.0 * of(d)))
         };
-        let shape = f.on_samples;
+        let shape = f.on_samples.as_ref();
         let cells = [
             moved(|d| d.rms),
             moved(|d| d.max),
@@ -197,6 +208,48 @@ fn rest(c: &Comparison) -> Markup {
         table.row(&[&method.name], cells);
     }
     section("Beside the model at rest", &table.finish())
+}
+
+fn energies(c: &Comparison) -> Markup {
+    let titles = [
+        ("method", ""),
+        ("of", ""),
+        ("ARAP", ""),
+        ("symmetric Dirichlet", ""),
+        ("its largest", ""),
+        ("collapsed triangles", ""),
+        ("volume", "%"),
+        ("volume over the border", "%"),
+        ("edges rms", "%"),
+        ("areas rms", "%"),
+        ("details rms", "°"),
+        ("folded triangles", ""),
+    ];
+    let mut table =
+        Table::new("Energies, of the samples' triangles and of the model's own where they are few.", &titles);
+    for (method, f) in c.done() {
+        for (of, shape) in [("samples", &f.on_samples), ("model", &f.on_model)] {
+            let Some(shape) = shape else { continue };
+            let e = &shape.energies;
+            let open =
+                shape.volume_over_border.map(|[rest, after]| after / rest - 1.0).filter(|x| x.is_finite());
+            let percent = |x: Option<f64>| x.map_or(NONE.to_owned(), |x| format!("{:+.2}", 100.0 * x));
+            let cells = [
+                number(e.arap),
+                number(e.symmetric_dirichlet),
+                number(e.symmetric_dirichlet_max),
+                e.collapsed.to_string(),
+                percent(shape.volume_change),
+                percent(open),
+                number(100.0 * shape.edges.rms),
+                number(100.0 * shape.areas.rms),
+                number(shape.details.rms),
+                shape.details.folded.to_string(),
+            ];
+            table.row(&[&method.name, of], cells);
+        }
+    }
+    if table.is_empty() { Markup::default() } else { section("Energies", &table.finish()) }
 }
 
 fn pairs(c: &Comparison) -> Markup {
@@ -241,15 +294,29 @@ fn pairs(c: &Comparison) -> Markup {
 }
 
 fn exact(c: &Comparison) -> Markup {
-    let titles = [("method", ""), ("rms", "%"), ("99.9th", "%"), ("max", "%")];
-    let mut table = Table::new("All vertices beside their exact images.", &titles);
+    let titles = [
+        ("method", ""),
+        ("vertices", ""),
+        ("rms", "%"),
+        ("99.9th", "%"),
+        ("max", "%"),
+        ("expected rms", "%"),
+        ("99.9th", "%"),
+        ("worst", "%"),
+    ];
+    let mut table = Table::new("Vertices beside their exact images, and what was expected of them.", &titles);
     let mut any = false;
     for (method, f) in c.done() {
         let of = |x: fn(&simod_core::reconstruction::transfer_error::TransferError) -> f64| {
             or_dash(f.transfer_error.as_ref().map(|e| 100.0 * x(e)))
         };
-        any |= f.transfer_error.is_some();
-        table.row(&[&method.name], [of(|e| e.rms), of(|e| e.p999), of(|e| e.max)]);
+        let expected =
+            |x: fn(&ExpectedError) -> f64| or_dash(f.expected_error.as_ref().map(|e| 100.0 * x(e)));
+        any |= f.transfer_error.is_some() || f.expected_error.is_some();
+        let vertices = f.transfer_error.map_or(NONE.to_owned(), |e| e.vertices.to_string());
+        let exact = [of(|e| e.rms), of(|e| e.p999), of(|e| e.max)];
+        let expected = [expected(|e| e.rms), expected(|e| e.p999), expected(|e| e.worst)];
+        table.row(&[&method.name], [vertices].into_iter().chain(exact).chain(expected));
     }
     if any { section("Transfer from the samples to the model", &table.finish()) } else { Markup::default() }
 }
@@ -261,17 +328,45 @@ fn costs(c: &Comparison) -> Markup {
         ("triangles", ""),
         ("sample", "s"),
         ("prepare, deform", "s"),
+        ("of that prepare", "s"),
+        ("motion", "s"),
         ("reconstruct", "s"),
+        ("processor", "s"),
         ("peak memory", "MB"),
+        ("result", "xxh3-128"),
     ];
-    let mut table =
-        Table::new("Of a single run each: repeat it before you trust small differences.", &titles);
+    let runs = c.done().map(|(_, f)| f.seconds.runs.len()).max().unwrap_or(1);
+    let caption = match runs {
+        1 => "Of a single run each: repeat it (runs = 5, say) before you trust small differences.".to_owned(),
+        runs => {
+            format!("Medians of {runs} runs each, ± half of how far the fastest and the slowest are apart.")
+        }
+    };
+    let mut table = Table::new(&caption, &titles);
     for (method, f) in c.done() {
-        let s = f.seconds;
+        let s = &f.seconds;
         let memory = f.peak_memory_bytes.map_or(NONE.to_owned(), |bytes| bytes.div_ceil(1 << 20).to_string());
-        let cells = [f.samples.to_string(), f.triangles.to_string()];
-        let times = [s.sample, s.deform, s.reconstruct].map(|s| format!("{s:.2}"));
-        table.row(&[&method.name], cells.into_iter().chain(times).chain([memory]));
+        let time = |median: Option<f64>, of: TimeOf| match (median, s.spread(of)) {
+            (None, _) => NONE.to_owned(),
+            (Some(median), None) => format!("{median:.2}"),
+            (Some(median), Some(spread)) => format!("{median:.2} ± {spread:.2}"),
+        };
+        let hash = f.result.hash.rsplit(':').next().unwrap_or_default().chars().take(12);
+        let hash = hash.collect::<String>()
+            + if f.result.repeats == Some(false) { ", others in other runs" } else { "" };
+        let cells = [
+            f.samples.to_string(),
+            f.triangles.to_string(),
+            time(s.sample, |_| None),
+            time(s.deform, |r| r.deform),
+            time(s.prepare, |r| r.prepare),
+            time(s.motion, |r| r.motion),
+            time(s.reconstruct, |r| r.reconstruct),
+            time(s.processor, |r| r.processor),
+            memory,
+            hash,
+        ];
+        table.row(&[&method.name], cells);
     }
     section("Time and memory", &table.finish())
 }
@@ -304,7 +399,30 @@ fn meaning() -> Markup {
         (
             "transfer",
             "vertices beside their exact images, where all plugins of a method know their map between the samples; a dash \
-             where not.",
+             where not. Of more than four million vertices a million are looked at, so that the largest is a lower bound.",
+        ),
+        (
+            "expected",
+            "how far vertices are probably off by the transfer, as the samples tell it themselves where no exact map is \
+             known.",
+        ),
+        (
+            "ARAP",
+            "the energy of as-rigid-as-possible with spokes and rims, over the area: how far, squared, triangles' \
+             gradients are from the rotations that fit best about their corners. 0 for rigid motions.",
+        ),
+        (
+            "symmetric Dirichlet",
+            "σ₁² + σ₂² + σ₁⁻² + σ₂⁻² of the triangles' stretches, in the mean over the area: 4 for rigid motions. \
+             Triangles that have collapsed are counted apart.",
+        ),
+        (
+            "volume over the border",
+            "of open surfaces, the relative change of the volume between the surface and the plane of its border at rest.",
+        ),
+        (
+            "result",
+            "the first digits of the hash of the deformed model's file; compare.json has all of them.",
         ),
         (
             "sample",
@@ -352,6 +470,7 @@ fn parameters_of(method: &MethodRecord) -> Markup {
             @for step in &method.steps {
                 (entry(&format!("{} {}", step.plugin, step.version), &words(&step.params)))
             }
+            @if let Some((key, what)) = &method.from { (entry(key, what)) }
             (entry("sampling", sampling))
             (entry("reconstruction", &method.reconstruction))
             @for message in method.figures.iter().flat_map(|f| &f.messages) { (entry("said", message)) }

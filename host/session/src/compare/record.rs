@@ -1,19 +1,20 @@
 //! All that a comparison found: `compare.json`. Lengths are fractions of the diagonal of the model's bounding
 //! box, angles in degrees, times in seconds. Two runs of the same file differ in `seconds` and
-//! `peak_memory_bytes` alone.
+//! `peak_memory_bytes` alone, but for what programs of the user's make.
 
 use super::figures::{OnSamples, Pair};
-use super::file::{CompareFile, Method};
+use super::file::{CompareFile, Method, Work};
 use super::folder::FORMAT;
 use crate::deformer::{Message, Plugin};
 use crate::params::{ParamValue, Params};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
-use simod_core::reconstruction::Method as Reconstruction;
 use simod_core::reconstruction::transfer_error::TransferError;
+use simod_core::reconstruction::{ExpectedError, Method as Reconstruction};
 use simod_core::sampled_model::SampledModel;
 use simod_measure::Difference;
 use simod_model::Error;
+use std::path::Path;
 
 /// A finished comparison.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -60,8 +61,10 @@ pub struct MethodRecord {
     pub file: String,
     /// `samples`, `error`, `grid`, `by` and `place`, as far as they were given.
     pub sampling: Map<String, Value>,
-    /// `blended-jets` or `projected-barycentric`.
+    /// `blended-jets` or `projected-barycentric`, or `none` where the method gives a deformed model.
     pub reconstruction: String,
+    /// What another program made or is, as its file says: `deformed`, `model` or `command`, and which.
+    pub from: Option<(String, String)>,
     /// The deformations that were done; none where they could not even be begun.
     pub steps: Vec<StepRecord>,
     /// The text of its session, if it is one.
@@ -101,30 +104,105 @@ pub struct Figures {
     pub triangles: usize,
     /// How long it took.
     pub seconds: Seconds,
-    /// Peak anonymous memory of the process while the method was at work; nothing where the system does not
-    /// tell.
+    /// Peak anonymous memory of the process while the method was at work, and of the program that is the method; nothing
+    /// where the system does not tell. Of several runs the largest.
     pub peak_memory_bytes: Option<u64>,
-    /// All vertices beside their exact images; nothing where a plugin does not know these.
+    /// Vertices beside their exact images, all of them or some of very many; nothing where a plugin does not know these.
     pub transfer_error: Option<TransferError>,
+    /// How far vertices are expected to be off by the transfer, where samples were deformed and the transfer knows.
+    pub expected_error: Option<ExpectedError>,
     /// The vertices beside those at rest.
     pub displacement: Option<Difference>,
+    /// The vertices beside those of the first method that was done; nothing of that itself.
+    pub to_first: Option<Difference>,
     /// The deformed samples beside those at rest; nothing where there are no triangles.
     pub on_samples: Option<OnSamples>,
+    /// The same of the model's own faces, where it is small enough to be held.
+    pub on_model: Option<OnSamples>,
     /// Samples around which the deformation folds the surface.
     pub folded_samples: Option<u64>,
+    /// The deformed model, whatever its file is called.
+    pub result: ResultFile,
     /// What the plugins had to say.
     pub messages: Vec<String>,
 }
 
-/// How long a method took.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+/// A deformed model.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct ResultFile {
+    /// Size of the file.
+    pub bytes: u64,
+    /// The XXH3 hash of 128 bits of all its bytes.
+    pub hash: String,
+    /// Whether all runs gave the same bytes; nothing of a single run.
+    pub repeats: Option<bool>,
+}
+
+/// How long a method took: of several runs the median of each. What was not done has no time.
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Seconds {
     /// Its sampling, which is done once for all methods that have the same.
-    pub sample: f64,
-    /// Preparing and deforming, with the normals of the deformed samples.
-    pub deform: f64,
+    pub sample: Option<f64>,
+    /// Preparing and deforming, with the normals of the deformed samples; of a program all that it did.
+    pub deform: Option<f64>,
+    /// What of that prepared the deformation, without knowing how things move.
+    pub prepare: Option<f64>,
+    /// The rest of it.
+    pub motion: Option<f64>,
     /// From the deformed samples to the finished model.
-    pub reconstruct: f64,
+    pub reconstruct: Option<f64>,
+    /// The processor's time for deforming and reconstructing, of all threads and of programs.
+    pub processor: Option<f64>,
+    /// Each run.
+    pub runs: Vec<RunSeconds>,
+}
+
+/// How long a run took: see [`Seconds`].
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct RunSeconds {
+    /// As in [`Seconds::deform`].
+    pub deform: Option<f64>,
+    /// As in [`Seconds::prepare`].
+    pub prepare: Option<f64>,
+    /// As in [`Seconds::motion`].
+    pub motion: Option<f64>,
+    /// As in [`Seconds::reconstruct`].
+    pub reconstruct: Option<f64>,
+    /// As in [`Seconds::processor`].
+    pub processor: Option<f64>,
+}
+
+/// One of the times of a run.
+pub(super) type TimeOf = fn(&RunSeconds) -> Option<f64>;
+
+impl Seconds {
+    /// Of runs.
+    pub(super) fn of(sample: Option<f64>, runs: Vec<RunSeconds>) -> Self {
+        let median = |of: TimeOf| median(runs.iter().filter_map(of).collect());
+        Self {
+            sample,
+            deform: median(|r| r.deform),
+            prepare: median(|r| r.prepare),
+            motion: median(|r| r.motion),
+            reconstruct: median(|r| r.reconstruct),
+            processor: median(|r| r.processor),
+            runs,
+        }
+    }
+
+    /// Half of how far the fastest and the slowest run are apart; nothing of a single run.
+    pub(super) fn spread(&self, of: TimeOf) -> Option<f64> {
+        let all: Vec<f64> = self.runs.iter().filter_map(of).collect();
+        let (least, most) = all.iter().fold((f64::MAX, f64::MIN), |(a, b), t| (a.min(*t), b.max(*t)));
+        (all.len() > 1).then_some(0.5 * (most - least))
+    }
+}
+
+/// The one in the middle, or the mean of both there.
+fn median(mut numbers: Vec<f64>) -> Option<f64> {
+    numbers.sort_by(f64::total_cmp);
+    let last = numbers.len().checked_sub(1)?;
+    Some(0.5 * (numbers[last / 2] + numbers[numbers.len() / 2]))
 }
 
 impl Comparison {
@@ -180,9 +258,20 @@ impl MethodRecord {
             Reconstruction::BlendedJets => "blended-jets",
             Reconstruction::ProjectedBarycentric => "projected-barycentric",
         };
+        let shown = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let (from, is_model) = match &method.work {
+            Work::Plugin { .. } | Work::Session(_) => (None, false),
+            Work::Deformed(path) => (Some(("deformed".to_owned(), shown(path))), false),
+            Work::Model(path) => (Some(("model".to_owned(), shown(path))), true),
+            Work::Command(command) => {
+                (Some(("command".to_owned(), command.line.clone())), command.makes_model())
+            }
+        };
+        let reconstruction = if is_model { "none" } else { reconstruction };
         Self {
             name: method.name.clone(),
             file: file.to_owned(),
+            from,
             sampling: numbers.into_iter().filter_map(|(key, n)| Some((key.to_owned(), n?))).collect(),
             reconstruction: reconstruction.to_owned(),
             steps: Vec::new(),
@@ -197,9 +286,16 @@ impl MethodRecord {
         self.error = Some(Failure { what: e.to_string(), hint: e.hint().to_owned() });
     }
 
-    pub(super) fn set_displacement(&mut self, displacement: Difference) {
+    /// What is known only when all methods are done.
+    pub(super) fn set_shape(
+        &mut self,
+        (displacement, to_first): (Difference, Option<Difference>),
+        on_samples: Option<OnSamples>,
+        on_model: Option<OnSamples>,
+    ) {
         if let Some(figures) = &mut self.figures {
             figures.displacement = Some(displacement);
+            (figures.to_first, figures.on_samples, figures.on_model) = (to_first, on_samples, on_model);
         }
     }
 }
@@ -231,5 +327,20 @@ fn json(value: &ParamValue) -> Value {
         ParamValue::Colour(c) => json!(c),
         ParamValue::Curve(points) => json!(points),
         ParamValue::File(path) => json!(path.as_ref().map(|p| p.display().to_string())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_several_runs_the_middle_counts() {
+        let run = |deform: f64| RunSeconds { deform: Some(deform), ..RunSeconds::default() };
+        let seconds = Seconds::of(Some(2.0), [5.0, 1.0, 3.0].map(run).to_vec());
+        assert_eq!((seconds.sample, seconds.deform, seconds.reconstruct), (Some(2.0), Some(3.0), None));
+        assert_eq!(seconds.spread(|r| r.deform), Some(2.0));
+        assert_eq!(Seconds::of(None, [1.0, 2.0].map(run).to_vec()).deform, Some(1.5));
+        assert_eq!(Seconds::of(None, vec![run(1.0)]).spread(|r| r.deform), None);
     }
 }

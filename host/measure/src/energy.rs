@@ -1,0 +1,294 @@
+//! The energies of a deformation that papers tell: as rigid as possible (O. Sorkine, M. Alexa, *As-rigid-as-possible
+//! surface modeling*, SGP 2007, with the spokes and rims of I. Chao, U. Pinkall, P. Sanan, P. Schröder, *A simple
+//! geometric model for elastic deformations*, TOG 2010), and symmetric Dirichlet (J. Smith, S. Schaefer, *Bijective
+//! parameterization with free boundaries*, TOG 2015); and how lengths, areas and distortions are spread.
+//!
+//! Energies are means over the area at rest, so that they have no unit and meshes of any fineness compare: a mesh that is
+//! only moved and turned has 0 and 4.
+
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::triangle::{corners, cross};
+
+/// The energies of a deformed mesh.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Energies {
+    /// As rigid as possible, with spokes and rims: the squared distance of each triangle's gradient from the rotations
+    /// that fit best about its corners.
+    pub arap: f64,
+    /// σ₁² + σ₂² + σ₁⁻² + σ₂⁻² of each triangle's stretches, from 4 on, over those that keep an area.
+    pub symmetric_dirichlet: f64,
+    /// The greatest of these.
+    pub symmetric_dirichlet_max: f64,
+    /// Triangles of which no area is left, which would have an infinite one.
+    pub collapsed: usize,
+    /// How lengths, areas and distortions are spread.
+    pub histograms: Histograms,
+}
+
+/// How amounts are spread over a mesh.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Histograms {
+    /// Of edges, the binary logarithm of the length over that at rest.
+    pub edges: Bins,
+    /// Of triangles, that of the area.
+    pub areas: Bins,
+    /// Of triangles, that of the symmetric Dirichlet energy over its least, which is 4.
+    pub distortion: Bins,
+}
+
+/// Counts between two numbers, in bins of equal width.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Bins {
+    /// Where the first bin begins.
+    pub from: i32,
+    /// Where the last one ends.
+    pub to: i32,
+    /// What is below.
+    pub below: usize,
+    /// What is in each bin.
+    pub counts: Vec<usize>,
+    /// What is above, or infinite.
+    pub above: usize,
+}
+
+impl Bins {
+    /// Bins for each unit.
+    const FINE: usize = 20;
+
+    fn new(from: i32, to: i32) -> Self {
+        let counts = vec![0; (to - from) as usize * Self::FINE];
+        Self { from, to, below: 0, counts, above: 0 }
+    }
+
+    fn add(&mut self, x: f64) {
+        let bin = ((x - f64::from(self.from)) * Self::FINE as f64).floor();
+        if bin < 0.0 {
+            self.below += 1;
+        } else if let Some(count) = self.counts.get_mut(bin as usize) {
+            *count += 1;
+        } else {
+            self.above += 1;
+        }
+    }
+}
+
+impl Energies {
+    /// Of triangles between positions at rest and deformed ones. Those without an area at rest do not count.
+    pub fn of(rest: &[DVec3], deformed: &[DVec3], triangles: &[[u32; 3]]) -> Self {
+        let both = |t: &[u32; 3]| Some((*t, corners(rest, *t)?, corners(deformed, *t)?));
+        let all: Vec<_> = triangles
+            .iter()
+            .filter_map(both)
+            .filter(|(_, before, _)| cross(*before).length_squared() > 0.0)
+            .collect();
+        let mut histograms =
+            Histograms { edges: Bins::new(-2, 2), areas: Bins::new(-4, 4), distortion: Bins::new(0, 4) };
+        let (mut covariances, mut area) = (vec![DMat3::ZERO; rest.len()], 0.0);
+        let (mut dirichlet, mut dirichlet_max, mut kept, mut collapsed) = (0.0, 0.0f64, 0.0, 0);
+        let mut edges: Vec<[u32; 2]> = Vec::with_capacity(3 * all.len());
+        for (triangle, before, after) in &all {
+            let size = 0.5 * cross(*before).length();
+            area += size;
+            let (mut stretches, mut covariance) = (0.0, DMat3::ZERO);
+            for ((e, f), weight) in sides(before).into_iter().zip(sides(after)).zip(weights(before)) {
+                stretches += weight * f.length_squared();
+                covariance += outer(f * weight, e);
+            }
+            triangle.iter().for_each(|i| covariances[*i as usize] += covariance);
+            // The squares of both stretches together, and their product.
+            let (squares, ratio) = (stretches / size, 0.5 * cross(*after).length() / size);
+            let energy = squares * (1.0 + 1.0 / (ratio * ratio));
+            histograms.areas.add(ratio.log2());
+            histograms.distortion.add((energy / 4.0).log2().max(0.0));
+            if energy.is_finite() {
+                dirichlet += size * energy;
+                dirichlet_max = dirichlet_max.max(energy);
+                kept += size;
+            } else {
+                collapsed += 1;
+            }
+            let [a, b, c] = *triangle;
+            edges.extend([[a, b], [b, c], [c, a]].map(|[a, b]| [a.min(b), a.max(b)]));
+        }
+        edges.sort_unstable();
+        edges.dedup();
+        for [a, b] in edges.into_iter().map(|edge| edge.map(|i| i as usize)) {
+            histograms.edges.add((deformed[a].distance(deformed[b]) / rest[a].distance(rest[b])).log2());
+        }
+        let rotations: Vec<DMat3> = covariances.par_iter().map(rotation).collect();
+        let energy = |(triangle, before, after): &([u32; 3], [DVec3; 3], [DVec3; 3])| {
+            let about = |i: &u32| {
+                let rotation = rotations[*i as usize];
+                let off = sides(before).into_iter().zip(sides(after)).zip(weights(before));
+                off.map(|((e, f), weight)| weight * (f - rotation * e).length_squared()).sum::<f64>()
+            };
+            triangle.iter().map(about).sum::<f64>()
+        };
+        // Summed up in pieces of one size, so that the sum does not depend on the threads.
+        let sums: Vec<f64> = all.par_chunks(1 << 12).map(|some| some.iter().map(energy).sum()).collect();
+        let arap: f64 = sums.into_iter().sum();
+        let mean = |sum: f64, of: f64| if of > 0.0 { sum / of } else { 0.0 };
+        Self {
+            // Each triangle is about three corners.
+            arap: mean(arap / 3.0, area),
+            symmetric_dirichlet: mean(dirichlet, kept),
+            symmetric_dirichlet_max: dirichlet_max,
+            collapsed,
+            histograms,
+        }
+    }
+}
+
+/// The sides of a triangle, each opposite to the corner of its number.
+fn sides([a, b, c]: &[DVec3; 3]) -> [DVec3; 3] {
+    [*c - *b, *a - *c, *b - *a]
+}
+
+/// Half the cotangents of the angles: with these, squared lengths of sides add up to the area times the squared norm of
+/// what maps them.
+fn weights(triangle: &[DVec3; 3]) -> [f64; 3] {
+    let double = cross(*triangle).length();
+    let [a, b, c] = sides(triangle);
+    [-b.dot(c), -c.dot(a), -a.dot(b)].map(|along| 0.5 * along / double)
+}
+
+fn outer(a: DVec3, b: DVec3) -> DMat3 {
+    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
+}
+
+/// The rotation R for which the trace of Rᵀ times the matrix is the greatest: the eigenvector of the greatest eigenvalue
+/// of a symmetric matrix is its quaternion (B. K. P. Horn, *Closed-form solution of absolute orientation using unit
+/// quaternions*, J. Opt. Soc. Am. A 1987). The identity where the matrix tells nothing.
+fn rotation(m: &DMat3) -> DMat3 {
+    // Of a map from columns to rows: s[i][j] goes from the axis j to i.
+    let s = |to: usize, from: usize| m.col(from)[to];
+    let (xx, yy, zz) = (s(0, 0), s(1, 1), s(2, 2));
+    let [x, y, z] = [s(2, 1) - s(1, 2), s(0, 2) - s(2, 0), s(1, 0) - s(0, 1)];
+    let [xy, yz, zx] = [s(0, 1) + s(1, 0), s(1, 2) + s(2, 1), s(2, 0) + s(0, 2)];
+    let matrix = [
+        [xx + yy + zz, x, y, z],
+        [x, xx - yy - zz, xy, zx],
+        [y, xy, yy - xx - zz, yz],
+        [z, zx, yz, zz - xx - yy],
+    ];
+    let [w, x, y, z] = greatest_eigenvector(matrix);
+    let quaternion = glam::DQuat::from_xyzw(x, y, z, w);
+    if quaternion.length_squared() > 0.5 && quaternion.is_finite() {
+        DMat3::from_quat(quaternion)
+    } else {
+        DMat3::IDENTITY
+    }
+}
+
+/// Of a symmetric matrix, by Jacobi's rotations: a unit vector.
+fn greatest_eigenvector(mut a: [[f64; 4]; 4]) -> [f64; 4] {
+    const SWEEPS: usize = 24;
+    let mut vectors: [[f64; 4]; 4] =
+        std::array::from_fn(|i| std::array::from_fn(|k| f64::from(u8::from(i == k))));
+    let size: f64 = a.iter().flatten().map(|x| x * x).sum();
+    for _ in 0..SWEEPS {
+        let off: f64 =
+            (0..4).flat_map(|i| (i + 1..4).map(move |k| (i, k))).map(|(i, k)| a[i][k] * a[i][k]).sum();
+        if off <= 1e-32 * size {
+            break;
+        }
+        for (p, q) in (0..4).flat_map(|p| (p + 1..4).map(move |q| (p, q))) {
+            if a[p][q] == 0.0 {
+                continue;
+            }
+            let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
+            let t = theta.signum() / (theta.abs() + theta.hypot(1.0));
+            let c = 1.0 / t.hypot(1.0);
+            let s = t * c;
+            for row in &mut a {
+                let (x, y) = (row[p], row[q]);
+                (row[p], row[q]) = (c * x - s * y, s * x + c * y);
+            }
+            let (x, y) = (a[p], a[q]);
+            a[p] = std::array::from_fn(|k| c * x[k] - s * y[k]);
+            a[q] = std::array::from_fn(|k| s * x[k] + c * y[k]);
+            for row in &mut vectors {
+                let (x, y) = (row[p], row[q]);
+                (row[p], row[q]) = (c * x - s * y, s * x + c * y);
+            }
+        }
+    }
+    let greatest = (0..4).max_by(|i, k| a[*i][*i].total_cmp(&a[*k][*k])).unwrap_or(0);
+    vectors.map(|row| row[greatest])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DQuat;
+
+    /// A rolled sheet.
+    fn sheet() -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        const STEPS: u32 = 30;
+        let (mut points, mut triangles) = (Vec::new(), Vec::new());
+        for (i, k) in (0..=STEPS).flat_map(|i| (0..=STEPS).map(move |k| (i, k))) {
+            let [s, t] = [i, k].map(|n| f64::from(n) / f64::from(STEPS));
+            points.push(DVec3::new((2.0 * s).sin(), t, (2.0 * s).cos() + 0.1 * (7.0 * t).sin()));
+            if i < STEPS && k < STEPS {
+                let a = i * (STEPS + 1) + k;
+                triangles.extend([[a, a + 1, a + STEPS + 1], [a + 1, a + STEPS + 2, a + STEPS + 1]]);
+            }
+        }
+        (points, triangles)
+    }
+
+    #[test]
+    fn a_rigid_motion_costs_nothing() {
+        let (rest, triangles) = sheet();
+        for (axis, angle) in [(DVec3::X, 0.0), (DVec3::new(0.48, 0.6, 0.64), 2.9), (DVec3::Y, 3.1)] {
+            let turn = DQuat::from_axis_angle(axis, angle);
+            let moved: Vec<_> = rest.iter().map(|p| turn * *p + DVec3::new(1.0, 2.0, 3.0)).collect();
+            let found = Energies::of(&rest, &moved, &triangles);
+            assert!(found.arap.abs() < 1e-20, "{found:?}");
+            assert!((found.symmetric_dirichlet - 4.0).abs() < 1e-9, "{found:?}");
+            assert_eq!((found.collapsed, found.histograms.edges.above), (0, 0));
+        }
+        // A mirror image of a flat sheet is that sheet turned over; of a curved one it is not.
+        let mirrored: Vec<_> = rest.iter().map(|p| p.with_z(-p.z)).collect();
+        assert!(Energies::of(&rest, &mirrored, &triangles).arap > 1e-3);
+        let flat: Vec<_> = rest.iter().map(|p| p.with_z(0.3 * p.x)).collect();
+        let mirrored: Vec<_> = flat.iter().map(|p| p.with_z(-p.z)).collect();
+        assert!(Energies::of(&flat, &mirrored, &triangles).arap < 1e-20);
+    }
+
+    #[test]
+    fn scales_and_stretches_cost_what_the_formulas_say() {
+        let (rest, triangles) = sheet();
+        for scale in [0.5, 1.25, 3.0] {
+            let scaled: Vec<_> = rest.iter().map(|p| *p * scale).collect();
+            let found = Energies::of(&rest, &scaled, &triangles);
+            let (arap, dirichlet) =
+                (2.0 * (scale - 1.0f64).powi(2), 2.0 * (scale * scale + 1.0 / (scale * scale)));
+            assert!((found.arap / arap - 1.0).abs() < 1e-9, "{} instead of {arap}", found.arap);
+            assert!((found.symmetric_dirichlet / dirichlet - 1.0).abs() < 1e-9);
+            assert!((found.symmetric_dirichlet_max / dirichlet - 1.0).abs() < 1e-9);
+            let bins = found.histograms.edges;
+            let total: usize = bins.counts.iter().sum::<usize>() + bins.below + bins.above;
+            let fullest = bins.counts.iter().enumerate().max_by_key(|(_, n)| **n).unwrap();
+            let at = f64::from(bins.from) + (fullest.0 as f64 + 0.5) / Bins::FINE as f64;
+            assert!(*fullest.1 == total && (at - scale.log2()).abs() <= 0.5 / Bins::FINE as f64 + 1e-9);
+        }
+        // Of a flat sheet that is stretched one way, the nearest rotation is none.
+        let flat: Vec<_> = rest.iter().map(|p| p.with_z(0.0)).collect();
+        let wide: Vec<_> = flat.iter().map(|p| p.with_x(2.0 * p.x)).collect();
+        let found = Energies::of(&flat, &wide, &triangles);
+        assert!(
+            (found.arap - 1.0).abs() < 1e-9 && (found.symmetric_dirichlet - 6.25).abs() < 1e-9,
+            "{found:?}"
+        );
+        // And of one that is pressed together nothing is left.
+        let gone: Vec<_> = flat.iter().map(|p| p.with_x(0.0)).collect();
+        let found = Energies::of(&flat, &gone, &triangles);
+        assert!(found.collapsed > 1000 && found.symmetric_dirichlet_max.is_finite(), "{found:?}");
+        let nothing = Energies::of(&[], &[], &triangles);
+        assert_eq!((nothing.arap, nothing.symmetric_dirichlet), (0.0, 0.0));
+    }
+}

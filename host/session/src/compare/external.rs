@@ -1,0 +1,140 @@
+//! Programs of the user's own that are methods, run on the samples or on the model.
+
+use super::file::{Command, Given};
+use crate::child::{Ended, Tail};
+use crate::session_file::{Region, Role};
+use glam::DVec3;
+use simod_core::sampled_model::SampledModel;
+use simod_model::memory::anonymous_of;
+use simod_model::output::write_file;
+use simod_model::{Error, ErrorKind, Progress, Result};
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+/// Time between two looks at the process.
+const INTERVAL: Duration = Duration::from_millis(10);
+
+/// Lines of what a program printed that are told if it fails.
+const TOLD: usize = 3;
+
+/// What a program took.
+pub(super) struct Ran {
+    pub seconds: f64,
+    /// The most anonymous memory of it and those that it started, as often as it was looked at.
+    pub peak_memory_bytes: Option<u64>,
+}
+
+/// What a program is given in place of the words in braces.
+pub(super) struct Files<'a> {
+    /// `{samples}`
+    pub samples: &'a Path,
+    /// `{constraints}`
+    pub constraints: &'a Path,
+    /// `{model}`
+    pub model: &'a Path,
+    /// `{output}`
+    pub output: &'a Path,
+}
+
+/// Runs a program in the folder of the file that names it, to its end.
+pub(super) fn run(command: &Command, files: &Files<'_>, progress: &dyn Progress) -> Result<Ran> {
+    progress.begin("running a program", 0);
+    let whole = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let filled = |word: &String| {
+        let mut word = word.clone();
+        for (name, path) in [
+            ("{samples}", files.samples),
+            ("{constraints}", files.constraints),
+            ("{model}", files.model),
+            ("{output}", files.output),
+        ] {
+            word = word.replace(name, &whole(path).to_string_lossy());
+        }
+        word
+    };
+    let words: Vec<String> = command.words.iter().map(filled).collect();
+    let Some((program, arguments)) = words.split_first() else {
+        return Err(Error::internal("a command has no words", "report this"));
+    };
+    let refused = |e: std::io::Error| {
+        let what = format!("cannot run {program}: {e}");
+        let hint = "correct the command; its first word is a program that the system finds, or its path";
+        Error::new(ErrorKind::Io, what, hint)
+    };
+    let mut process = std::process::Command::new(program);
+    let folder = if command.folder.as_os_str().is_empty() { Path::new(".") } else { &command.folder };
+    process.args(arguments).current_dir(folder);
+    process.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let started = Instant::now();
+    let mut child = Ended::start(process).map_err(refused)?;
+    let (output, errors) = (Tail::of(child.stdout()), Tail::of(child.stderr()));
+    let mut peak_memory_bytes = None;
+    let status = loop {
+        peak_memory_bytes = peak_memory_bytes.max(anonymous_of(child.id()));
+        if let Some(status) = child.try_wait().map_err(refused)? {
+            break status;
+        }
+        progress.check()?;
+        std::thread::sleep(INTERVAL);
+    };
+    let seconds = started.elapsed().as_secs_f64();
+    drop(child);
+    if !status.success() {
+        let (output, errors) = (output.text(), errors.text());
+        // What a program says last tells most.
+        let said = if errors.trim().is_empty() { output } else { errors };
+        let lines: Vec<&str> = said.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+        let last = lines[lines.len().saturating_sub(TOLD)..].join("; ");
+        let what = format!("{program} ended with {status}: {last}");
+        return Err(Error::new(
+            ErrorKind::Argument,
+            what,
+            "run it by hand with `simod sample`'s samples.ply",
+        ));
+    }
+    if !files.output.is_file() {
+        let what = format!("{program} ended well, and wrote no {{output}}");
+        return Err(Error::new(ErrorKind::Argument, what, "have it write to the path in place of {output}"));
+    }
+    Ok(Ran { seconds, peak_memory_bytes })
+}
+
+/// Writes what a program is given, as far as its command asks for it.
+pub(super) fn write_given(
+    command: &Command,
+    files: &Files<'_>,
+    sampled: &SampledModel,
+    regions: &[Region],
+) -> Result<()> {
+    let samples = &sampled.samples;
+    if command.given.contains(&Given::Samples) {
+        sampled.write_deformed(files.samples, &samples.positions, samples.normals())?;
+    }
+    if command.given.contains(&Given::Constraints) {
+        write_file(files.constraints, constraints(sampled, regions).as_bytes())?;
+    }
+    Ok(())
+}
+
+/// Where regions have samples go: a line of its number and three coordinates for each that a region holds by more than a
+/// half, fixed ones where they are.
+fn constraints(sampled: &SampledModel, regions: &[Region]) -> String {
+    let place = |p: DVec3| {
+        let holding = |region: &&Region| region.role != Role::Mask && region.shapes.weight(p) > 0.5;
+        let region = regions.iter().find(holding)?;
+        Some(match region.role {
+            Role::Handle => region.motion.to_affine(DVec3::ZERO).transform_point3(p),
+            _ => p,
+        })
+    };
+    let mut text = String::new();
+    for (i, position) in sampled.samples.positions.iter().enumerate() {
+        if let Some(DVec3 { x, y, z }) = place(sampled.frame.to_model(*position)) {
+            // Text takes what is written.
+            let _ = writeln!(text, "{i} {x} {y} {z}");
+        }
+    }
+    text
+}
