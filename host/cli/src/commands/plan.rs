@@ -111,6 +111,7 @@ impl Plan {
             force,
             follow: &self.following.follow(&session.follow),
             plugins: &chosen,
+            whole_samples: false,
             units: self.units,
             emit: &emit,
         };

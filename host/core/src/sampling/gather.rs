@@ -561,6 +561,21 @@ mod tests {
         let records = [record(0, 9), record(5, 20), record(9, 9), record(21, 30)];
         assert_eq!(most_open(&records, |_| 1), 3);
         assert_eq!(most_open(&records, |cell| records[cell].count), 10 + 16 + 1);
-        assert_eq!(most_open(&[], |r| r.count), 0);
+        assert_eq!(most_open(&[], |_| 1), 0);
+    }
+
+    /// A cell has all of its groups from the piece in which it opens to that in which it closes.
+    #[test]
+    fn room_is_told_by_what_cells_have_in_the_end() {
+        let record = |first, last| CellRecord { count: last - first + 1, first, last };
+        let block = BLOCK as u32;
+        // The second opens in the piece in which the first one closes, the third behind them.
+        let records = [record(0, PIECE + 1), record(2 * PIECE - 1, 3 * PIECE), record(4 * PIECE, 5 * PIECE)];
+        let groups = [2 * block, block + 1, 3 * block];
+        assert!(groups_find_room(&records, &groups, 4));
+        assert!(!groups_find_room(&records, &groups, 3));
+        // What is counted by the way has no more.
+        assert!(groups_find_room(&records, &[block; 3], 2));
+        assert!(find_room(&records, &groups, 1 << 30) && find_room(&records, &[1, 1, 1], 0));
     }
 }

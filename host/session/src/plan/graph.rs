@@ -91,6 +91,9 @@ pub(super) struct Recorded {
     pub(super) lossy: bool,
     /// Files of other kinds may be replaced.
     pub(super) force: bool,
+    /// Samples have more than the steps need.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(super) whole_samples: bool,
     /// Whether splats turn.
     pub(super) splats: bool,
     pub(super) opacity: Opacity,

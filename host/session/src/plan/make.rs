@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use simod_core::reconstruction::Method;
-use simod_core::sampling::Sampling;
+use simod_core::sampling::{Sampling, Skip};
 use simod_core::sampling::divided::{exchanged_at_most, ranges_of, undivided};
 use simod_model::follow::Follow;
 use simod_model::output_folder::OutputFolder;
@@ -40,6 +40,8 @@ pub struct Options<'a> {
     pub follow: &'a Follow,
     /// Libraries of plugins that were chosen.
     pub plugins: &'a [PathBuf],
+    /// Samples have all that those of a folder have, but for colours, and not only what the steps need.
+    pub whole_samples: bool,
     /// So many units share each stage that can be divided.
     pub units: u64,
     /// For what engines.
@@ -74,7 +76,7 @@ pub fn make(
     let becomes = converted(session, &output, (options.normals, options.lossy), (cache, progress))?;
     let mut model = open(session, cache, progress)?;
     model.follow(options.follow)?;
-    let sampling = sampling_of(session, needed(session, &stack, false));
+    let sampling = sampling_of(session, skipped(session, &stack, options.whole_samples));
     let undivided = why_undivided(&*model, becomes.is_some(), options.normals);
     let info = model.info();
     let plan = Plan {
@@ -92,6 +94,7 @@ pub fn make(
             choose_offset: options.choose_offset,
             lossy: options.lossy,
             force: options.force,
+            whole_samples: options.whole_samples,
             splats: options.follow.splats,
             opacity: options.follow.opacity,
             max_anisotropy: options.follow.max_anisotropy,
@@ -114,6 +117,11 @@ pub fn make(
     check_target(folder)?;
     new.commit()?;
     Ok(plan)
+}
+
+/// What of the samples is left out.
+pub(super) fn skipped(session: &SessionFile, stack: &Stack, whole: bool) -> Skip {
+    if whole { Skip { colors: true, ..Skip::default() } } else { needed(session, stack, false) }
 }
 
 /// Why only one unit writes the model, if so.

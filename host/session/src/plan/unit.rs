@@ -20,9 +20,10 @@ use simod_model::{
 use super::graph::{
     COUNTS, DEFORMED, FINISHED, GRADIENTS, Plan, REFINED, SAMPLED, SHARED, Stage, Unit, hash_of,
 };
+use super::make::skipped;
 use crate::deformer::Message;
 use crate::edit::{Refinements, turning_gradients};
-use crate::pipeline::{DeformedSamples, deform, needed, note_losses, open, sampled_of, sampling_of};
+use crate::pipeline::{DeformedSamples, deform, note_losses, open, sampled_of, sampling_of};
 use crate::plugins::PluginRegistry;
 use crate::session_file::SessionFile;
 use crate::stack::Stack;
@@ -117,7 +118,7 @@ impl Work<'_> {
     fn sampling(&self, plugins: &PluginRegistry) -> Result<(SessionFile, Sampling)> {
         let session = self.session()?;
         let stack = Stack::build(&session.steps, plugins)?;
-        let sampling = sampling_of(&session, needed(&session, &stack, false));
+        let sampling = sampling_of(&session, skipped(&session, &stack, self.plan.options.whole_samples));
         Ok((session, sampling))
     }
 
@@ -167,7 +168,7 @@ impl Work<'_> {
         let model = self.open(&session, &cache)?;
         let counted = self.plan.files_of(self.folder, Stage::Count);
         let counted = (!counted.is_empty()).then_some(&counted[..]);
-        let skip = needed(&session, &stack, false);
+        let skip = skipped(&session, &stack, self.plan.options.whole_samples);
         let by = |sampling: &Sampling| {
             if self.unit.stage == Stage::Sample {
                 return sample_counted(&*model, sampling, counted, self.folder, self.progress);
