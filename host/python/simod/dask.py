@@ -250,7 +250,7 @@ class _Work:
             key=key,
             pure=False,
             workers=others or None,
-            allow_other_workers=True,
+            allow_other_workers=bool(others),
             resources=self.resources,
         )
 

@@ -33,20 +33,15 @@ params = {{ operation = "twist", axis = [0, 1, 0], angle = 60 }}
 """
 
 
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[distributed.LocalCluster]:
-    """Workers that are processes of their own, and come back when they are killed."""
+@pytest.fixture()
+def client() -> Iterator[distributed.Client]:
+    """Of workers that are processes of their own, and come back when they are killed."""
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 20}),
         distributed.LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=":0") as cluster,
+        distributed.Client(cluster) as client,
     ):
-        yield cluster
-
-
-@pytest.fixture()
-def client(cluster: distributed.LocalCluster) -> Iterator[distributed.Client]:
-    with distributed.Client(cluster) as client:
-        client.restart()
+        client.wait_for_workers(3)
         yield client
 
 
@@ -133,27 +128,24 @@ def test_killed_workers_are_no_matter(client: distributed.Client, cloud: Path, t
 
     def kill(over: threading.Event) -> None:
         nonlocal killed
-        while not over.wait(chance.uniform(0.05, 0.6)):
-            workers = list(client.cluster.workers.values())
-            nanny = chance.choice(workers)
+        # No more than come back meanwhile.
+        for _ in range(5):
+            if over.wait(chance.uniform(0.2, 1.0)):
+                break
+            nanny = chance.choice(list(client.cluster.workers.values()))
             process = nanny.process and nanny.process.process
-            if process is not None and process.pid:
-                try:
-                    os.kill(process.pid, signal.SIGKILL)
-                    killed += 1
-                except ProcessLookupError:
-                    pass
+            if process is not None and process.pid and process.is_alive():
+                os.kill(process.pid, signal.SIGKILL)
+                killed += 1
 
-    for turn in range(3):
+    for turn in range(2):
         folder = tmp_path / str(turn)
         folder.mkdir()
         run_with(client, cloud, folder, kill, retries=50)
-    assert killed >= 3
+    assert killed >= 2
 
 
 def test_a_slow_worker_is_waited_for(client: distributed.Client, cloud: Path, tmp_path: Path) -> None:
-    client.wait_for_workers(3)
-
     def slow() -> None:
         import simod.dask
 
@@ -174,7 +166,6 @@ def test_a_slow_worker_is_waited_for(client: distributed.Client, cloud: Path, tm
 def test_a_worker_with_a_full_disk_is_passed_over(
     client: distributed.Client, cloud: Path, tmp_path: Path
 ) -> None:
-    client.wait_for_workers(3)
     full = next(iter(client.scheduler_info()["workers"]))
     client.run(
         lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (500, resource.getrlimit(resource.RLIMIT_FSIZE)[1])),

@@ -93,7 +93,7 @@ fn units_write_what_one_command_writes() {
         ("made.ply", "", STEPS, 3),
         ("made.ply", "", STEPS, 1),
         ("made.ply", "--no-normals --no-faces", REFINED, 2),
-        ("made.ply", "--no-faces", STEPS, 7),
+        ("made.ply", "--no-faces", STEPS, 3),
         ("made.laz", "", REFINED, 4),
         ("made.stl", "", STEPS, 2),
         ("made.xyz", "", STEPS, 2),
