@@ -41,7 +41,7 @@ class Cost:
     seconds: float
     """Of one processor, of all units together, without what each costs to begin with."""
     seconds_a_unit: float
-    """What the quickest of them took that had next to nothing to do."""
+    """What each unit costs besides: what all have to read and prepare."""
     peak: int
     """Bytes of memory of the largest unit."""
 
@@ -70,39 +70,41 @@ def planned(session: Path, units: int, folder: Path) -> tuple[Path, list[dict[st
 
 
 def measured(session: Path, units: int) -> dict[str, object]:
-    """The costs of the stages of a session."""
+    """The costs of the stages of a session: by so many units, and by four times as many, as what a stage takes is
+    that of its work and of its units."""
+    few, more = once(session, units), once(session, 4 * units)
+    costs = []
+    for stage, (count, seconds, peak) in few["stages"].items():
+        other, others, _ = more["stages"].get(stage, (count, seconds, peak))
+        begin = max(0.0, (others - seconds) / (other - count)) if other > count else 0.0
+        costs.append(
+            asdict(Cost(stage, count, stage in DIVIDED, max(0.0, seconds - count * begin), begin, peak))
+        )
+    return {**few, "stages": costs}
+
+
+def once(session: Path, units: int) -> dict[str, object]:
+    """What the stages take: number of units, seconds of a processor, and the most memory of one."""
     with tempfile.TemporaryDirectory(dir=session.parent) as name:
-        folder = Path(name)
-        plan, todo, content = planned(session, units, folder)
-        times: dict[str, list[tuple[float, int]]] = {}
-        exchanged = 0
+        plan, todo, content = planned(session, units, Path(name))
+        stages: dict[str, tuple[int, float, int]] = {}
+        exchanged = shared = 0
         for unit in todo:
             seconds, peak, _ = command("--threads", 1, "unit", plan, unit["number"])
-            times.setdefault(str(unit["stage"]), []).append((seconds, peak))
+            before = stages.get(str(unit["stage"]), (0, 0.0, 0))
+            stages[str(unit["stage"])] = (before[0] + 1, before[1] + seconds, max(before[2], peak))
             if unit["stage"] == "cut":
-                names = ("shared-", "cluster-", "group-")
-                files = [file for file in plan.iterdir() if file.name.startswith(names)]
-                exchanged = sum(file.stat().st_size for file in files)
-                shared = sum(file.stat().st_size for file in files if file.name.startswith("shared-"))
-        # What a unit costs that has nothing to do: one of as many as there are pieces would.
-        costs = []
-        for stage, all_of_it in times.items():
-            begin = BEGIN.get(stage, 0.02)
-            seconds = sum(max(0.0, seconds - begin) for seconds, _ in all_of_it)
-            peak = max(peak for _, peak in all_of_it)
-            costs.append(asdict(Cost(stage, len(all_of_it), stage in DIVIDED, seconds, begin, peak)))
+                size = {file.name: file.stat().st_size for file in plan.iterdir()}
+                trees = [size[name] for name in size if name.startswith(("cluster-", "group-"))]
+                shared = sum(size[name] for name in size if name.startswith("shared-"))
+                exchanged = shared + sum(trees)
         return {
             "vertices": content["vertices"],
             "bytes": content["model-bytes"],
             "exchanged": exchanged,
-            "shared": shared if exchanged else 0,
-            "stages": costs,
+            "shared": shared,
+            "stages": stages,
         }
-
-
-BEGIN = {"apply": 0.6}
-"""Seconds of a processor that each unit of a stage takes whatever it has to do, at 100 000 samples: to prepare the
-deformation."""
 
 
 @dataclass

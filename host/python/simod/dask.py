@@ -137,9 +137,19 @@ def run(
     Functions that ``simod.deformer`` registered have to be so on the workers, too.
     """
     path = Path(session).absolute()
-    how = {"normals": normals, "method": method, "choose_offset": choose_offset, "lossy": lossy}
     with _folder(folder, path) as where:
-        begun = _plan(path, where, out, units=units, model=model, overwrite=overwrite, whole=False, **how)
+        begun = _plan(
+            path,
+            where,
+            out,
+            units=units,
+            model=model,
+            normals=normals,
+            method=method,
+            choose_offset=choose_offset,
+            lossy=lossy,
+            overwrite=overwrite,
+        )
         return _Work(client, _Plan.of(where, begun), retries, resources, progress).do()
 
 
@@ -239,7 +249,7 @@ class _Work:
                 self.progress.close()
         return Report(self.plan.output, self.done, self.again, time.monotonic() - start)
 
-    def _submit(self, unit: _Unit, attempt: int, avoid: set[str]) -> Future:
+    def _submit(self, unit: _Unit, attempt: int, avoid: set[str]) -> Future[Any]:
         others = [address for address in self._workers() if address not in avoid] if avoid else []
         # The dashboard calls tasks by what is before the key's first number.
         key = (f"simod-{unit.stage}-{self.key}-{attempt}", unit.number)
@@ -262,7 +272,7 @@ class _Work:
         avoid: dict[_Unit, set[str]] = {unit: set() for unit in units}
         pending = {self._submit(unit, 0, set()): unit for unit in units}
         finished = 0
-        waiting = as_completed(list(pending))
+        waiting = as_completed(list(pending))  # type: ignore[no-untyped-call]
         try:
             for future in waiting:
                 unit = pending.pop(future)
@@ -284,10 +294,10 @@ class _Work:
                     avoid[unit].add(address)
                 again = self._submit(unit, failed[unit], avoid[unit])
                 pending[again] = unit
-                waiting.add(again)
+                waiting.add(again)  # type: ignore[no-untyped-call]
         finally:
             if pending:
-                self.client.cancel(list(pending))
+                self.client.cancel(list(pending))  # type: ignore[no-untyped-call]
 
 
 def _may_pass(failure: Exception) -> bool:

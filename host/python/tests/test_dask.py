@@ -4,16 +4,17 @@ import os
 import random
 import resource
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import dask
+import distributed
 import numpy as np
 import pytest
-
-dask = pytest.importorskip("dask")
-distributed = pytest.importorskip("distributed")
 
 import simod
 import simod.dask
@@ -21,6 +22,8 @@ from conftest import run as command
 
 # What Dask has to say about itself, and about workers that are killed.
 pytestmark = pytest.mark.filterwarnings("default")
+
+untyped: Any = distributed
 
 SESSION = """
 [model]
@@ -38,8 +41,8 @@ def client() -> Iterator[distributed.Client]:
     """Of workers that are processes of their own, and come back when they are killed."""
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 20}),
-        distributed.LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=":0") as cluster,
-        distributed.Client(cluster) as client,
+        untyped.LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=":0") as cluster,
+        untyped.Client(cluster) as client,
     ):
         client.wait_for_workers(3)
         yield client
@@ -82,15 +85,17 @@ def test_samples_and_models_have_the_bytes_of_one_machine(
     assert [path.name for path in cloud.parent.iterdir()] == [cloud.name]
 
 
-def test_the_dashboard_shows_stages_by_name(client: distributed.Client, cloud: Path) -> None:
+def test_the_dashboard_shows_stages_by_name(
+    client: distributed.Client, cloud: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     seen: set[str] = set()
-    submit = client.submit
+    submit: Any = client.submit
 
     def noting(*arguments: object, **keywords: object) -> object:
-        seen.add(distributed.utils.key_split(keywords["key"]))
+        seen.add(untyped.utils.key_split(keywords["key"]))
         return submit(*arguments, **keywords)
 
-    client.submit = noting
+    monkeypatch.setattr(client, "submit", noting)
     simod.dask.sample(client, cloud, 500, units=2)
     assert seen == {f"simod-{stage}" for stage in ("count", "merge", "cluster", "cluster-shared", "cut")}
 
@@ -104,7 +109,7 @@ def edit(cloud: Path, folder: Path) -> tuple[Path, bytes]:
 
 
 def run_with(
-    client: distributed.Client, cloud: Path, folder: Path, meanwhile: Callable[[threading.Event], None], **how: int
+    client: distributed.Client, cloud: Path, folder: Path, meanwhile: Callable[[threading.Event], None], retries: int = 5
 ) -> simod.dask.Report:
     """Runs the session while something else goes on; the bytes have to be those of one machine."""
     session, expected = edit(cloud, folder)
@@ -112,7 +117,7 @@ def run_with(
     other = threading.Thread(target=meanwhile, args=(over,))
     other.start()
     try:
-        report = simod.dask.run(client, session, folder / "out.ply", units=8, **how)
+        report = simod.dask.run(client, session, folder / "out.ply", units=8, retries=retries)
     finally:
         over.set()
         other.join()
@@ -122,9 +127,20 @@ def run_with(
     return report
 
 
+def processes(client: distributed.Client) -> list[int]:
+    """The processes of workers that have begun: who is killed before that does not come back."""
+    begun = client.scheduler_info(n_workers=-1)["workers"]
+    cluster: Any = client.cluster
+    nannies = [nanny for nanny in cluster.workers.values() if nanny.worker_address in begun]
+    return [nanny.pid for nanny in nannies if nanny.pid]
+
+
 def test_killed_workers_are_no_matter(client: distributed.Client, cloud: Path, tmp_path: Path) -> None:
     killed = 0
     chance = random.Random(7)
+    # A worker that is killed as it begins does not come back by itself.
+    cluster: Any = client.cluster
+    cluster.adapt(minimum=3, maximum=3, interval="300ms")
 
     def kill(over: threading.Event) -> None:
         nonlocal killed
@@ -132,10 +148,9 @@ def test_killed_workers_are_no_matter(client: distributed.Client, cloud: Path, t
         for _ in range(5):
             if over.wait(chance.uniform(0.2, 1.0)):
                 break
-            nanny = chance.choice(list(client.cluster.workers.values()))
-            process = nanny.process and nanny.process.process
-            if process is not None and process.pid and process.is_alive():
-                os.kill(process.pid, signal.SIGKILL)
+            alive = processes(client)
+            if alive:
+                os.kill(chance.choice(alive), signal.SIGKILL)
                 killed += 1
 
     for turn in range(2):
@@ -147,17 +162,16 @@ def test_killed_workers_are_no_matter(client: distributed.Client, cloud: Path, t
 
 def test_a_slow_worker_is_waited_for(client: distributed.Client, cloud: Path, tmp_path: Path) -> None:
     def slow() -> None:
-        import simod.dask
-
-        quick = simod.dask._unit
+        module: Any = sys.modules["simod.dask"]
+        quick = module._unit
 
         def unit(folder: str, number: int) -> bool:
             start = time.monotonic()
-            done = quick(folder, number)
+            done: bool = quick(folder, number)
             time.sleep(19 * (time.monotonic() - start))
             return done
 
-        simod.dask._unit = unit
+        module._unit = unit
 
     client.run(slow, workers=[next(iter(client.scheduler_info()["workers"]))])
     run_with(client, cloud, tmp_path, lambda over: None)
