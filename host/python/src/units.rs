@@ -62,11 +62,8 @@ pub fn plan(
         make(&file, &session, &plugins, &output, &options, &folder, watch)
     })?;
     warn(py, &notes)?;
-    let units: Vec<_> = plan
-        .units()
-        .iter()
-        .map(|unit| json!({"number": unit.number, "stage": unit.stage.name()}))
-        .collect();
+    let units: Vec<_> =
+        plan.units().iter().map(|unit| json!({"number": unit.number, "stage": unit.stage.name()})).collect();
     Ok(json!({"output": plan.output(), "units": units}).to_string())
 }
 

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use simod_core::reconstruction::Method;
-use simod_core::sampling::{Sampling, Skip};
 use simod_core::sampling::divided::{exchanged_at_most, ranges_of, undivided};
+use simod_core::sampling::{Sampling, Skip};
 use simod_model::follow::Follow;
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::{canonical_target, folder_of};
