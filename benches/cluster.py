@@ -46,6 +46,9 @@ class Cost:
     """Bytes of memory of the largest unit."""
 
 
+SHARED_BYTES = 17
+"""Bytes that are written down of a vertex at most, as a rule, where it has no normal."""
+
 DIVIDED = {"count", "cluster", "cluster-shared", "apply"}
 
 
@@ -77,6 +80,9 @@ def measured(session: Path, units: int) -> dict[str, object]:
     for stage, (count, seconds, peak) in few["stages"].items():
         other, others, _ = more["stages"].get(stage, (count, seconds, peak))
         begin = max(0.0, (others - seconds) / (other - count)) if other > count else 0.0
+        if stage == "cluster-shared":
+            # What it has to do grows with the number of ranges that share cells.
+            begin = 0.0
         costs.append(
             asdict(Cost(stage, count, stage in DIVIDED, max(0.0, seconds - count * begin), begin, peak))
         )
@@ -128,16 +134,26 @@ def simulated(costs: dict[str, object], vertices: float, units: int, on: Machine
     chance = random.Random(seed)
     scale = vertices / float(costs["vertices"])
     model_bytes = float(costs["bytes"]) * scale
+    # Ranges share cells along their borders, until no cell is of one range alone.
+    borders = max(1, next(stage["units"] for stage in costs["stages"]) - 1)
+    shared = float(costs["shared"])
+    all_shared = max(shared, SHARED_BYTES * float(costs["vertices"]))
+    more = min(all_shared / shared, (units - 1) / borders) if shared > 0 else 0.0
     slow = [chance.random() < on.slow for _ in range(on.number)]
     now, walls = 0.0, {}
     for stage in costs["stages"]:
         count = units if stage["divides"] else 1
         work = stage["seconds"] * (scale if stage["divides"] else 1.0)
         reads = {"count": 1.0, "cluster": 1.0, "apply": 2.0, "sample": 1.0}.get(stage["stage"], 0.0)
+        moved = reads * model_bytes
         if stage["stage"] == "sample":
             work = stage["seconds"] * scale
+        if stage["stage"] in ("cluster", "cluster-shared"):
+            moved += shared * more * scale
+        if stage["stage"] == "cluster-shared":
+            work *= more
         # Each unit uses all cores of its machine.
-        seconds = max(work / count / on.cores, reads * model_bytes / count / on.bandwidth)
+        seconds = max(work / count / on.cores, moved / count / on.bandwidth)
         seconds += stage["seconds_a_unit"] if stage["divides"] else 0.0
         walls[stage["stage"]] = replayed(count, seconds, on, slow, chance)
         now += walls[stage["stage"]]
