@@ -181,7 +181,7 @@ pub fn shared(
 /// others to another one. Nothing is done if both are there already; `false` then. Temporary files without a name are
 /// made in `folder`.
 ///
-/// Memory: that of [`sample`](super::sample), and [`ClusteredFile`] and [`SharedWriter`].
+/// Memory: that of [`sample`](super::sample); twice the file of trees; 32 MiB of vertices, or 4 KiB for each group.
 ///
 /// # Errors
 /// As of [`sample`](super::sample); the counts are damaged, or of something else; a file cannot be written, or another
@@ -214,7 +214,7 @@ pub fn cluster(
 /// Clusters a group of the cells that ranges share, of the vertices that these [wrote down](cluster), to a file.
 /// Nothing is done if it is there already; `false` then.
 ///
-/// Memory: that of [`sample`](super::sample), and [`ClusteredFile`] and [`SharedReader`].
+/// Memory: that of [`sample`](super::sample); twice the file of trees; 48 bytes for each 256 KiB of the group's vertices.
 ///
 /// # Errors
 /// As of [`cluster`]; what a range has written is missing or damaged.

@@ -403,12 +403,15 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// Visits by cell, what comes before it, length, and how many of that are nowhere; and whether there are normals.
+    type Made = (Vec<(u32, u64, u64, u32)>, bool);
+
     /// Pieces with visits to cells, the longest of a few vertices.
     fn pieces() -> impl Strategy<Value = Vec<SharedPiece>> {
         let visit = (0u32..40, 0u64..50, 1u64..60, 0u32..3);
         let piece = (proptest::collection::vec(visit, 1..40), any::<bool>());
         proptest::collection::vec(piece, 1..12).prop_map(|pieces| {
-            let one = |(piece, (visits, with_normals)): (u64, (Vec<(u32, u64, u64, u32)>, bool))| {
+            let one = |(piece, (visits, with_normals)): (u64, Made)| {
                 let (mut made, mut at) = (SharedPiece::default(), piece * PIECE);
                 for (cell, gap, length, lost) in visits {
                     let vertices = at + gap..at + gap + length;
