@@ -3,6 +3,8 @@
 //! It is the hash of those of blocks of 256 KiB, so that readers of a part each find the blocks of theirs.
 //! Former versions hashed all bytes as they came: where such a hash is known, it is compared with one of its kind.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::{Xxh3Default, xxh3_128};
 
@@ -151,6 +153,37 @@ impl HashedPart {
         let blocks = bytes.chunks_exact(BLOCK as usize);
         self.tail.extend_from_slice(blocks.remainder());
         self.blocks.extend(blocks.map(xxh3_128));
+    }
+}
+
+/// Hashes the bytes of a range of vertices, of those that are read of it: more, where it begins or ends within
+/// a compressed block.
+pub(crate) struct PartHasher {
+    part: HashedPart,
+    /// Bytes before and of the range that are still to come.
+    skip: u64,
+    left: u64,
+}
+
+impl PartHasher {
+    /// Of these bytes, counted among those of all vertices, where what is read begins so much before them.
+    pub fn new(bytes: Range<u64>, skip: u64) -> Self {
+        Self { part: HashedPart::new(bytes.start), skip, left: bytes.end.saturating_sub(bytes.start) }
+    }
+
+    /// Takes the next bytes that are read.
+    pub fn update(&mut self, bytes: &[u8]) {
+        let skip = self.skip.min(bytes.len() as u64) as usize;
+        let bytes = &bytes[skip..];
+        let bytes = &bytes[..self.left.min(bytes.len() as u64) as usize];
+        self.skip -= skip as u64;
+        self.left -= bytes.len() as u64;
+        self.part.update(bytes);
+    }
+
+    /// What they add to the hash of all, if they all were read.
+    pub fn finish(self) -> Option<HashedPart> {
+        (self.left == 0).then_some(self.part)
     }
 }
 

@@ -650,6 +650,14 @@ pub trait Model: Send + Sync {
     /// The file cannot be read.
     fn vertices(&self, range: Range<u64>) -> Result<Box<dyn VertexReader + '_>>;
 
+    /// Of the bytes that a reading of all vertices gives, how many come before what is read at once with a vertex, and
+    /// how many before what begins with it or, of blocks, with the next one; at the end, all of them.
+    fn bytes_before(&self, vertex: u64) -> [u64; 2] {
+        let info = self.info();
+        let before = u128::from(info.vertex_bytes) * u128::from(vertex) / u128::from(info.vertices.max(1));
+        [before as u64; 2]
+    }
+
     /// Is told that from now on all vertices are read several times for their positions and colours, or with
     /// `None` that they are not any more. Where it takes long to find these, as in compressed blocks, they may
     /// be kept in a temporary file in `folder`, of 18 bytes per vertex as a rule, and of 8 GiB at most; if there

@@ -15,9 +15,11 @@ __all__ = [
     "Model",
     "Samples",
     "Session",
+    "_plan",
     "_plugin_data",
     "_register",
     "_stop_all",
+    "_unit",
     "compare",
     "load",
     "open",
@@ -182,3 +184,19 @@ def compare(
 def _plugin_data() -> str: ...
 def _register(function: Callable[..., Any], description: str) -> None: ...
 def _stop_all() -> None: ...
+
+def _plan(
+    session: _Path,
+    folder: _Path,
+    out: _Path | None = None,
+    *,
+    units: int,
+    model: _Path | None = None,
+    normals: _Normals = "transform",
+    method: _Method = "blended-jets",
+    choose_offset: bool = False,
+    lossy: bool = False,
+    overwrite: bool = False,
+    whole: bool = False,
+) -> str: ...
+def _unit(folder: _Path, number: int) -> bool: ...

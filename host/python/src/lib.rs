@@ -14,6 +14,7 @@ mod plugins;
 mod samples;
 mod session;
 mod steps;
+mod units;
 mod work;
 
 use pyo3::prelude::*;
@@ -31,6 +32,8 @@ fn _simod(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(session::compare, module)?)?;
     module.add_function(wrap_pyfunction!(plugins::plugin_data, module)?)?;
     module.add_function(wrap_pyfunction!(deformer::register, module)?)?;
+    module.add_function(wrap_pyfunction!(units::plan, module)?)?;
+    module.add_function(wrap_pyfunction!(units::unit, module)?)?;
     module.add_function(wrap_pyfunction!(work::stop_all, module)?)?;
     Ok(())
 }

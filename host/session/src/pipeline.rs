@@ -75,15 +75,20 @@ pub(crate) fn sampled_of(
     sample: impl FnOnce(&Sampling) -> Result<SampledModel>,
     progress: &dyn Progress,
 ) -> Result<SampledModel> {
-    let mut sampling = Sampling::from(session.sampling);
-    sampling.skip = Skip { sheets: sampling.skip.sheets, ..skip };
-    let mut sampled = sample(&sampling)?;
+    let mut sampled = sample(&sampling_of(session, skip))?;
     sampled.set_cache(cache.clone());
     let now = &sampled.source.fingerprint;
     if session.fingerprint.as_ref().is_some_and(|known| are_same(known, now) == Some(false)) {
         progress.note(&format!("{} is not what it was when the session was saved", model.path().display()));
     }
     Ok(sampled)
+}
+
+/// How a session's model is sampled, without what it has no use for.
+pub(crate) fn sampling_of(session: &SessionFile, skip: Skip) -> Sampling {
+    let sampling = Sampling::from(session.sampling);
+    let skip = Skip { sheets: sampling.skip.sheets, ..skip };
+    Sampling { skip, ..sampling }
 }
 
 /// P_S*: the samples of a model after the steps of a session.

@@ -93,6 +93,7 @@ fn units_write_what_one_command_writes() {
         ("made.ply", "", STEPS, 3),
         ("made.ply", "", STEPS, 1),
         ("made.ply", "--no-normals --no-faces", REFINED, 2),
+        ("made.ply", "--no-faces", STEPS, 3),
         ("made.laz", "", REFINED, 4),
         ("made.stl", "", STEPS, 2),
         ("made.xyz", "", STEPS, 2),
@@ -106,9 +107,17 @@ fn units_write_what_one_command_writes() {
         // Text is counted and written by one unit.
         let is_divided = name != "made.xyz";
         assert_eq!(planned["writing_units"], if is_divided { units } else { 1 }, "{name}: {planned}");
+        // Ranges are clustered, and groups of the cells that they share, where no faces have a say in it.
+        let is_cloud = name == "made.laz" || options.contains("--no-faces");
+        let clustering = if is_cloud { 2 * units } else { 0 };
+        assert_eq!(planned["clustering_units"], clustering, "{name}: {planned}");
+        let exchange = planned["exchange_at_most_bytes"].as_u64().expect("a number");
+        assert!(if is_cloud { exchange > 12 * VERTICES } else { exchange == 0 }, "{name}: {planned}");
         do_all(&work);
         assert!(work.read(&to) == work.read(&expected), "{name} by {units} units differs");
-        assert!(!left(&work).iter().any(|name| name.starts_with('.') || name.starts_with("part-")));
+        let removed = [".", "part-", "cluster-", "shared-", "group-"];
+        let stays = |name: &String| removed.iter().any(|prefix| name.starts_with(prefix));
+        assert!(!left(&work).iter().any(stays), "{:?}", left(&work));
         // When all is done, no unit does anything.
         let last = stages(&work).concat().len();
         for unit in 0..last {
@@ -136,7 +145,11 @@ fn options_are_those_of_a_run() {
 
 #[test]
 fn engines_do_the_units() {
-    let work = jar("made.ply", "", STEPS);
+    ["", "--no-faces"].into_iter().for_each(by_engines);
+}
+
+fn by_engines(options: &str) {
+    let work = jar("made.ply", options, STEPS);
     work.simod("run edit.toml -o run.ply");
     let emit = "--emit make,slurm,commands --emit make";
     work.simod(&format!("plan edit.toml -o plan --units 3 {emit}"));
@@ -167,7 +180,29 @@ fn engines_do_the_units() {
 
 #[test]
 fn a_scheduler_of_arrays_gets_stages_with_their_dependencies() {
-    let work = jar("made.ply", "", STEPS);
+    let mesh = [
+        "101 after none: 0 to 2",
+        "102 after 101: one to one",
+        "103 after 102: one to one",
+        "104 after 103: 5 to 7",
+        "105 after 104: one to one",
+    ];
+    let cloud = [
+        "101 after none: 0 to 2",
+        "102 after 101: one to one",
+        "103 after 102: 4 to 6",
+        "104 after 103: 7 to 9",
+        "105 after 103:104: one to one",
+        "106 after 105: one to one",
+        "107 after 106: 12 to 14",
+        "108 after 107: one to one",
+    ];
+    by_arrays("", &mesh);
+    by_arrays("--no-faces", &cloud);
+}
+
+fn by_arrays(options: &str, expected: &[&str]) {
+    let work = jar("made.ply", options, STEPS);
     work.simod("run edit.toml -o run.ply");
     work.simod("plan edit.toml -o plan --units 3 --emit slurm");
     // It does what it is given at once, an array from its end, and notes what that depends on.
@@ -196,13 +231,6 @@ echo "$number;cluster"
     shell(&work, "chmod +x bin/sbatch; touch log; PATH=$PWD/bin:$PATH LOG=$PWD/log sh plan/slurm.sh");
     assert!(work.read("edited.ply") == work.read("run.ply"));
     let log = String::from_utf8(work.read("log")).expect("UTF-8");
-    let expected = [
-        "101 after none: 0 to 2",
-        "102 after 101: one to one",
-        "103 after 102: one to one",
-        "104 after 103: 5 to 7",
-        "105 after 104: one to one",
-    ];
     assert_eq!(log.lines().collect::<Vec<_>>(), expected);
 }
 
@@ -237,7 +265,7 @@ fn killed_units_are_done_again() {
                     break;
                 }
                 *killed.entry(unit).or_insert(0) += 1;
-                assert!(!work.path("edited.laz").exists() || unit == 8, "unit {unit} wrote the output");
+                assert!(!work.path("edited.laz").exists() || unit == 15, "unit {unit} wrote the output");
             }
             work.simod(&format!("unit plan {unit}"));
         }

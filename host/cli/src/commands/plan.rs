@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use simod_core::guard::Kind;
 use simod_model::Result;
+use simod_model::size::human_size;
 use simod_session::SessionFile;
 use simod_session::plan::{Done, Emit, Options, Plan as Units, Stage, do_unit, make};
 use simod_session::session_file::inputs;
@@ -110,6 +111,7 @@ impl Plan {
             force,
             follow: &self.following.follow(&session.follow),
             plugins: &chosen,
+            whole_samples: false,
             units: self.units,
             emit: &emit,
         };
@@ -118,9 +120,15 @@ impl Plan {
         if let Some(why) = plan.undivided() {
             report.warn(format!("one unit writes the model: {why}"));
         }
+        let exchange = plan.exchange();
+        if let Some(why) = &exchange.undivided {
+            report.warn(format!("one unit samples the model: {why}"));
+        }
         let of = |stage| plan.units().iter().filter(|unit| unit.stage == stage).count();
         report.figure("units", plan.units().len());
         report.figure("counting_units", of(Stage::Count));
+        report.figure("clustering_units", of(Stage::Cluster) + of(Stage::ClusterShared));
+        report.figure("exchange_at_most_bytes", exchange.at_most_bytes);
         report.figure("writing_units", of(Stage::Apply) + of(Stage::Write));
         report.figure("vertices", plan.vertices());
         report.line(format!(
@@ -129,6 +137,12 @@ impl Plan {
             self.output.display(),
             plan.output().display()
         ));
+        if exchange.at_most_bytes > 0 {
+            report.line(format!(
+                "they write down at most {} of vertices for each other, which it comes to where these are in no order",
+                human_size(exchange.at_most_bytes)
+            ));
+        }
         Ok(())
     }
 }
@@ -154,13 +168,18 @@ impl Unit {
         guard.reads_all(plan.inputs());
         guard.reads_all(inputs(plan.inputs()[0])?);
         guard.writes(plan.output(), Kind::Model)?;
-        let Done { was_done, messages, written } =
+        let Done { was_done, messages, shared_vertices, written } =
             do_unit(&plan, (&self.plan, self.number), &plugins, report.progress())?;
         tell(&messages, report);
         let stage = plan.units().get(self.number).map_or("", |unit| unit.stage.name());
         report.figure("unit", self.number);
         report.figure("stage", stage);
         report.figure("was_done", was_done);
+        if let Some(shared) = shared_vertices {
+            report.figure("shared_vertices", shared);
+            let (shared, all) = (count(shared), count(plan.vertices()));
+            report.line(format!("{shared} of {all} vertices are in cells that units share"));
+        }
         if let Some(written) = written {
             report.figure("vertices", written.vertices);
             let folded = written.folding.first().copied().flatten().map_or(0, |folding| folding.samples);

@@ -6,6 +6,7 @@
 //! Heckbert 1997; P. Lindstrom 2000), held to the mean by a small ridge.
 
 use glam::{DMat3, DVec3, Vec3, Vec3A, Vec3Swizzles};
+use serde::{Deserialize, Serialize};
 
 use crate::geometry::least_eigenvalue;
 
@@ -260,7 +261,7 @@ const QUADRIC_RIDGE: f64 = 1e-3;
 const FLAT: f64 = 1e-6;
 
 /// Additive moments of a cluster, about the model's origin.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Moments {
     /// Corner of least coordinates.
     pub min: Vec3,

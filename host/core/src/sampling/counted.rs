@@ -51,6 +51,35 @@ pub(super) fn count(
     progress.begin("counting", (info.vertex_bytes as f64 * share) as u64);
     let opaque = Opaque::find(model, of.min_opacity)?;
     let (counter, non_finite) = count_range(model, opaque, vertices.clone(), of.resolution, progress)?;
+    write(of, vertices, counter, &non_finite, path)?;
+    Ok(true)
+}
+
+/// Adds the counts of some files up, which are of all vertices, to one that is as if they had been counted at once,
+/// unless it is there already.
+pub(super) fn merge(
+    model: &dyn Model,
+    of: &Counting,
+    files: &[impl AsRef<Path>],
+    path: &Path,
+) -> Result<bool> {
+    let vertices = 0..model.info().vertices;
+    if read(path).is_ok_and(|there| of.fits(&there) && there.vertices == vertices) {
+        return Ok(false);
+    }
+    let (counter, non_finite) = added_up(model, of, files)?;
+    write(of, vertices, counter, &non_finite, path)?;
+    Ok(true)
+}
+
+/// Writes what was counted of a range.
+fn write(
+    of: &Counting,
+    vertices: Range<u64>,
+    counter: GridCounter,
+    non_finite: &NonFinite,
+    path: &Path,
+) -> Result<()> {
     let (level, bounds, cells) = counter.into_cells();
     let counted = Counted {
         model: of.model,
@@ -65,8 +94,7 @@ pub(super) fn count(
     let bytes = seal(LETTERS, VERSION, &counted).map_err(|e| {
         Error::internal(format!("cannot write {}: {e}", path.display()), "report this").because(e)
     })?;
-    output::write_file(path, &bytes)?;
-    Ok(true)
+    output::write_file(path, &bytes)
 }
 
 /// What counts belong to.
@@ -93,6 +121,15 @@ pub(super) fn merged(
     of: &Counting,
     files: &[impl AsRef<Path>],
 ) -> Result<(Grid, NonFinite)> {
+    let (counter, non_finite) = added_up(model, of, files)?;
+    Ok((counter.finish(), non_finite))
+}
+
+fn added_up(
+    model: &dyn Model,
+    of: &Counting,
+    files: &[impl AsRef<Path>],
+) -> Result<(GridCounter, NonFinite)> {
     let (mut counter, mut all, mut ranges) =
         (GridCounter::new(of.resolution), NonFinite::default(), Vec::new());
     for path in files.iter().map(AsRef::as_ref) {
@@ -119,7 +156,7 @@ pub(super) fn merged(
             "count all ranges first",
         ));
     }
-    Ok((counter.finish(), all))
+    Ok((counter, all))
 }
 
 fn refused(path: &Path, what: &str) -> Error {

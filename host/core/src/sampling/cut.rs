@@ -50,8 +50,8 @@ pub struct ClusteredCell {
 /// the target and what one cell has; and the moments of each occupied cell.
 pub struct Forest {
     target: Option<usize>,
-    /// Number of vertices of P_L; `None` without foresight.
-    vertices: Option<f64>,
+    /// Number of vertices of P_L, and the foresight; `None` without.
+    foresight: Option<(f64, f64)>,
     /// Those in the trees.
     seen: f64,
     /// Running bound.
@@ -65,12 +65,20 @@ pub struct Forest {
 }
 
 impl Forest {
-    /// An empty forest on a grid, for a target number of samples, or for a fixed bound and at most so many.
-    pub fn new(grid: &Grid, target: Option<usize>, threshold: f32, most: usize, foresight: bool) -> Self {
-        let vertices = foresight.then(|| grid.records.iter().map(|r| r.count as f64).sum());
+    /// An empty forest on a grid, for a target number of samples, or for a fixed bound and at most so many. With
+    /// `foresight`, a part f of the vertices gets so many times √f of the clusters, and not more than all.
+    pub fn new(
+        grid: &Grid,
+        target: Option<usize>,
+        threshold: f32,
+        most: usize,
+        foresight: Option<f64>,
+    ) -> Self {
+        let all = || grid.records.iter().map(|r| r.count as f64).sum();
+        let foresight = foresight.map(|times| (all(), times));
         let mut cells = Vec::new();
         cells.resize_with(grid.keys.len(), || None);
-        Self { target, vertices, seen: 0.0, threshold, most, leaves: 0, added: 0, cells }
+        Self { target, foresight, seen: 0.0, threshold, most, leaves: 0, added: 0, cells }
     }
 
     /// Takes in a clustered cell; the bound down to which further cells need clustering.
@@ -84,7 +92,7 @@ impl Forest {
         self.seen += moments.count();
         self.cells[cell as usize] = Some((tree, moments));
         if let Some(target) = self.target {
-            let part = self.vertices.map_or(1.0, |all| (self.seen / all).sqrt());
+            let part = self.foresight.map_or(1.0, |(all, times)| (times * (self.seen / all).sqrt()).min(1.0));
             let expected = (target as f64 * part) as usize;
             if self.leaves > self.added + most_kept(expected) {
                 let trees = self.cells.iter().flatten().map(|(tree, _)| tree);
@@ -107,6 +115,20 @@ impl Forest {
             ));
         }
         Ok(self.threshold)
+    }
+
+    /// What is better than this bound was dropped from trees that are taken in.
+    pub fn raise(&mut self, bound: f32) {
+        self.threshold = self.threshold.max(bound);
+    }
+
+    /// The bound below which clusters were dropped, and the trees that were taken in, with the moments of their
+    /// cells, by these.
+    pub fn into_trees(self) -> (f32, impl Iterator<Item = ClusteredCell>) {
+        let cell = |(cell, known): (usize, Option<(VsTree, Moments)>)| {
+            known.map(|(tree, moments)| ClusteredCell { cell: cell as u32, tree, moments })
+        };
+        (self.threshold, self.cells.into_iter().enumerate().filter_map(cell))
     }
 
     /// The final cut, in the order in which the stream meets the cells; `None` if foresight has failed.
@@ -451,7 +473,7 @@ mod tests {
         for s in vertices {
             cells[grid.find(&grid.key_of(s.position.as_dvec3())).expect("a cell") as usize].push(s);
         }
-        let mut forest = Forest::new(&grid, target, bound, usize::MAX, foresight);
+        let mut forest = Forest::new(&grid, target, bound, usize::MAX, foresight.then_some(1.0));
         let mut stop = bound;
         for (cell, mut vertices) in cells.into_iter().enumerate() {
             (0..).zip(&mut vertices).for_each(|(i, s)| s.index = i);

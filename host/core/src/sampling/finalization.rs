@@ -5,6 +5,7 @@
 //! belongs to it: it is clustered, on any core, while the stream goes on.
 
 use std::path::Path;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::Vec3;
@@ -12,7 +13,7 @@ use simod_model::frame::Frame;
 use simod_model::{Error, ErrorKind, Model, Progress, Result};
 
 use crate::colors::{Picked, Picking};
-use crate::fingerprint::VertexHash;
+use crate::fingerprint::{PartHasher, VertexHash};
 
 use super::cluster::{Element, Moments};
 use super::cut::{ClusteredCell, Forest, most_kept, running_bound};
@@ -23,6 +24,8 @@ use super::opaque::Opaque;
 use super::open_cells::CellItems;
 use super::random::mix;
 use super::ranges::Ranges;
+use super::shared_vertices::{SharedReader, SharedWriter};
+use super::shares::{Owner, Shares};
 use super::vs_tree::{VsTree, Workspace};
 
 /// Bytes of items that wait for, or are in, clustering, beyond which the stream stands still. The last cell
@@ -56,8 +59,11 @@ pub struct Pass<'a> {
     pub bound: f32,
     /// Most clusters that may be kept if there is no target.
     pub most: usize,
-    /// Whether the number of samples that the whole model will have is foreseen: less work, but it can fail.
-    pub foresight: bool,
+    /// Whether, and how well, the number of samples that the whole model will have is foreseen: less work, but it
+    /// can fail.
+    pub foresight: Option<f64>,
+    /// What of the model is streamed, and which cells are clustered.
+    pub job: Job<'a>,
     /// Whether it shall be known which cluster each vertex belongs to.
     pub with_members: bool,
     /// What else shall be known of the vertices then.
@@ -72,14 +78,62 @@ pub struct Pass<'a> {
     pub progress: &'a dyn Progress,
 }
 
+/// What of the model is streamed, and which cells are clustered.
+#[derive(Clone, Copy)]
+pub enum Job<'a> {
+    /// All.
+    Whole,
+    /// A range, and the cells that lie wholly within; vertices of the others are written down.
+    Range(&'a Shares, u32, &'a Mutex<SharedWriter>),
+    /// What ranges have written down for a group of cells.
+    Group(&'a Shares, u32, &'a Mutex<SharedReader>),
+}
+
+impl Job<'_> {
+    /// Whether it is this one's to cluster a cell.
+    #[inline]
+    pub fn has(&self, cell: u32) -> bool {
+        match self {
+            Self::Whole => true,
+            Self::Range(shares, number, _) => shares.owner(cell) == Owner::Range(*number),
+            Self::Group(shares, number, _) => shares.owner(cell) == Owner::Group(*number),
+        }
+    }
+}
+
+/// What is hashed of the vertices that are streamed.
+pub enum Hashing {
+    /// All of them.
+    All(VertexHash),
+    /// Those of a range.
+    Part(PartHasher),
+    /// Nothing: others do.
+    Nothing,
+}
+
+impl Hashing {
+    /// Takes the next bytes.
+    pub fn update(&mut self, bytes: &[u8]) {
+        match self {
+            Self::All(hash) => hash.update(bytes),
+            Self::Part(hash) => hash.update(bytes),
+            Self::Nothing => {}
+        }
+    }
+}
+
 /// What pass 2 finds.
 pub struct Clustered {
     /// The trees of all cells.
     pub forest: Forest,
     /// Of the bytes of all vertices.
-    pub hash: VertexHash,
+    pub hash: Hashing,
     /// Where in the stream each cell's vertices are.
     pub ranges: Ranges,
+    /// How many items each cell had.
+    pub items: Vec<u32>,
+    /// The cells in which the stream begins and ends.
+    pub ends: Option<[u32; 2]>,
     /// Which cluster each vertex belongs to.
     pub membership: Option<Membership>,
     /// The colours of some vertices, if they are wanted.

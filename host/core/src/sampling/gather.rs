@@ -20,6 +20,9 @@ use super::open_cells::{BLOCK, CellItems, OpenCells};
 /// Memory for the vertices of open cells beyond which they are summed up in groups, if that helps.
 const VERTICES_AT_EASE: u64 = 12 << 20;
 
+/// By how many times the groups that are expected are too many, where there are surely no fewer than find room.
+const SURELY_TOO_MANY: u64 = 4;
+
 /// Groups for each sample of P_S: a cluster is then about as well formed as from the vertices themselves.
 const GROUPS_PER_SAMPLE: f64 = 12.0;
 
@@ -52,6 +55,10 @@ pub trait Gather: Send {
 
     /// Removes all items of a cell.
     fn take(&mut self, cell: u32) -> CellItems<Self::Item>;
+
+    /// Whether all cells of a model find room, which have so many items in the end: what there was room for by the
+    /// way depends on who gathers which cells.
+    fn finds_room(&self, records: &[CellRecord], items: &[u32]) -> bool;
 }
 
 /// Gathers the vertices of one piece of the stream.
@@ -66,6 +73,9 @@ pub trait GatherPiece: Send {
 
     /// What was gathered, with the cell of each item, in the order in which items were begun.
     fn items(&mut self) -> &[(u32, Self::Item)];
+
+    /// The stream was in a cell that is not gathered: the next vertex is looked up as if it were so here.
+    fn leave(&mut self);
 
     /// Forgets everything, for the next piece.
     fn clear(&mut self);
@@ -100,6 +110,10 @@ impl Gather for Vertices {
     fn take(&mut self, cell: u32) -> CellItems<Vertex> {
         self.0.take(cell)
     }
+
+    fn finds_room(&self, _records: &[CellRecord], _items: &[u32]) -> bool {
+        true
+    }
 }
 
 /// The vertices of a piece as they are.
@@ -118,6 +132,8 @@ impl GatherPiece for PieceVertices {
     fn items(&mut self) -> &[(u32, Vertex)] {
         &self.0
     }
+
+    fn leave(&mut self) {}
 
     fn clear(&mut self) {
         self.0.clear();
@@ -184,6 +200,24 @@ impl Gather for Groups {
         }
         self.open.take(cell)
     }
+
+    fn finds_room(&self, records: &[CellRecord], items: &[u32]) -> bool {
+        groups_find_room(records, items, self.open.blocks())
+    }
+}
+
+/// Whether groups find room in `memory` bytes, if the cells have so many in the end.
+pub fn find_room(records: &[CellRecord], groups: &[u32], memory: u64) -> bool {
+    groups_find_room(records, groups, Groups::new(0, 1.0, memory).open.blocks())
+}
+
+/// Whether the groups of all cells that are open at a time have room in so many blocks. A cell counts with all that
+/// it has in the end, and in all of each piece of the stream that it is open in, so that no order in which pieces
+/// or cells are gathered finds less room than this.
+fn groups_find_room(records: &[CellRecord], groups: &[u32], blocks: u64) -> bool {
+    let in_pieces = |r: &CellRecord| CellRecord { first: r.first / PIECE, last: r.last / PIECE, ..*r };
+    let records: Vec<_> = records.iter().map(in_pieces).collect();
+    most_open(&records, |cell| u64::from(groups[cell]).div_ceil(BLOCK as u64)) <= blocks
 }
 
 /// The vertices of a piece, summed up in little cubes.
@@ -224,13 +258,6 @@ impl PieceGroups {
             cells: HashMap::default(),
             table: HashMap::default(),
             last: None,
-        }
-    }
-
-    /// The stream was in a cell that is not gathered: the next vertex is looked up as if it were so here.
-    pub fn leave(&mut self) {
-        if let Some(Last { place, sums, .. }) = self.last.take() {
-            self.items[place as usize].1.set(&sums);
         }
     }
 
@@ -305,6 +332,12 @@ impl GatherPiece for PieceGroups {
         &self.items
     }
 
+    fn leave(&mut self) {
+        if let Some(Last { place, sums, .. }) = self.last.take() {
+            self.items[place as usize].1.set(&sums);
+        }
+    }
+
     fn clear(&mut self) {
         self.items.clear();
         self.next.clear();
@@ -361,20 +394,23 @@ pub enum Grouping {
 
 impl Grouping {
     /// What it comes to for a model, of which pass 1 has told when each cell is open: never
-    /// [`Grouping::Automatic`]. It does not depend on the machine.
-    pub fn resolve(self, grid: &Grid, frame: &Frame, target: Target) -> Self {
+    /// [`Grouping::Automatic`]. It does not depend on the machine, but on the `memory` that groups may take, in bytes.
+    pub fn resolve(self, grid: &Grid, frame: &Frame, target: Target, memory: u64) -> Self {
         let resolved = match self {
             Self::Never => Self::Never,
             Self::Level(level) => Self::Level(level.min(MAX_LEVEL)),
             Self::Automatic => {
-                let vertices =
-                    most_open(&grid.records, |r| r.count.saturating_mul(size_of::<Vertex>() as u64));
+                let count = |cell: usize| grid.records[cell].count;
+                let vertices = size_of::<Vertex>() as u64;
+                let vertices = most_open(&grid.records, |cell| count(cell).saturating_mul(vertices));
                 level(grid, frame, target).map_or(Self::Never, |level| {
                     // A surface meets about twice as many little cubes as its area has.
                     let cubes = 2 << (2 * level);
-                    let groups = most_open(&grid.records, |r| r.count.min(cubes) * GROUP_BYTES);
+                    let groups = most_open(&grid.records, |cell| count(cell).min(cubes) * GROUP_BYTES);
                     let helps = vertices > VERTICES_AT_EASE && 2 * groups < vertices;
-                    if helps { Self::Level(level) } else { Self::Never }
+                    // What would probably find none need not be tried.
+                    let has_room = groups / SURELY_TOO_MANY <= memory;
+                    if helps && has_room { Self::Level(level) } else { Self::Never }
                 })
             }
         };
@@ -413,7 +449,7 @@ fn level(grid: &Grid, frame: &Frame, target: Target) -> Option<u32> {
 }
 
 /// Most of something that open cells hold at a time; a cell is open from its first vertex to its last one.
-fn most_open(records: &[CellRecord], size: impl Fn(&CellRecord) -> u64) -> u64 {
+fn most_open(records: &[CellRecord], size: impl Fn(usize) -> u64) -> u64 {
     let mut events: Vec<(u64, bool, u32)> = Vec::with_capacity(2 * records.len());
     for (i, r) in records.iter().enumerate() {
         events.push((r.first, false, i as u32));
@@ -422,7 +458,7 @@ fn most_open(records: &[CellRecord], size: impl Fn(&CellRecord) -> u64) -> u64 {
     events.sort_unstable();
     let (mut now, mut most) = (0u128, 0);
     for (_, closes, i) in events {
-        let size = u128::from(size(&records[i as usize]));
+        let size = u128::from(size(i as usize));
         if closes {
             now -= size;
         } else {
@@ -524,7 +560,22 @@ mod tests {
         let record = |first, last| CellRecord { count: last - first + 1, first, last };
         let records = [record(0, 9), record(5, 20), record(9, 9), record(21, 30)];
         assert_eq!(most_open(&records, |_| 1), 3);
-        assert_eq!(most_open(&records, |r| r.count), 10 + 16 + 1);
-        assert_eq!(most_open(&[], |r| r.count), 0);
+        assert_eq!(most_open(&records, |cell| records[cell].count), 10 + 16 + 1);
+        assert_eq!(most_open(&[], |_| 1), 0);
+    }
+
+    /// A cell has all of its groups from the piece in which it opens to that in which it closes.
+    #[test]
+    fn room_is_told_by_what_cells_have_in_the_end() {
+        let record = |first, last| CellRecord { count: last - first + 1, first, last };
+        let block = BLOCK as u32;
+        // The second opens in the piece in which the first one closes, the third behind them.
+        let records = [record(0, PIECE + 1), record(2 * PIECE - 1, 3 * PIECE), record(4 * PIECE, 5 * PIECE)];
+        let groups = [2 * block, block + 1, 3 * block];
+        assert!(groups_find_room(&records, &groups, 4));
+        assert!(!groups_find_room(&records, &groups, 3));
+        // What is counted by the way has no more.
+        assert!(groups_find_room(&records, &[block; 3], 2));
+        assert!(find_room(&records, &groups, 1 << 30) && find_room(&records, &[1, 1, 1], 0));
     }
 }

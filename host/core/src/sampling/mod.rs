@@ -5,9 +5,11 @@
 //! (`cut`) gives the samples, which [`SampleSet`] completes with neighbours, spacing and normals.
 
 pub mod cluster;
+mod clustered_file;
 mod counted;
 pub(crate) mod cut;
 pub(crate) mod density;
+pub mod divided;
 mod face_ranges;
 pub(crate) mod finalization;
 pub(crate) mod gather;
@@ -25,6 +27,8 @@ pub(crate) mod placement;
 pub(crate) mod random;
 pub(crate) mod ranges;
 mod sample_set;
+mod shared_vertices;
+mod shares;
 mod splitting;
 mod stream;
 pub(crate) mod triangles;
@@ -51,14 +55,14 @@ pub use placement::Placement;
 pub use sample_set::{NEIGHBOURS, SampleSet};
 pub use splitting::Splitting;
 
-use crate::colors::Picking;
+use crate::colors::{Picked, Picking};
 use crate::sampled_model::{SampledModel, Source};
 use crate::sampling::ranges::joined;
 use crate::touching::{Contacts, Islands, Parted, Parting};
 use counted::{Counting, NonFinite, count_range};
 use density::Rule;
 use face_ranges::FaceRanges;
-use finalization::{Clustered, Pass};
+use finalization::{Clustered, Hashing, Job, Pass};
 use gather::{Groups, Vertices};
 use grid::{CellKey, CellRecord, Grid, GridCounter};
 use kept_cells::{KeptCell, KeptCells};
@@ -216,166 +220,286 @@ fn sample_kept(
     folder: &Path,
     progress: &dyn Progress,
 ) -> Result<SampledModel> {
-    let info = model.info();
-    if info.vertices == 0 {
-        return Err(Error::new(
-            ErrorKind::Degenerate,
-            format!("{} has no vertices", model.path().display()),
-            "a model needs at least one vertex to be sampled",
-        ));
-    }
-
     model.check_complete(progress)?;
-    let min_opacity = opaque::resolve(model, sampling.min_opacity)?;
-    let opaque = Opaque::find(model, min_opacity)?;
+    let prepared = Prepared::new(model, sampling, counted, folder, progress)?;
+    let found = prepared.clustered()?;
+    prepared.complete(found)
+}
 
-    let (grid, non_finite) = match counted {
-        Some(files) => counted::merged(model, &counting(model, sampling)?, files)?,
-        None => {
-            progress.begin("counting", info.vertex_bytes);
-            let resolution = sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
-            count_cells(model, opaque, resolution, progress)?
+/// What pass 2 and all that follows it go by.
+pub(crate) struct Prepared<'a> {
+    model: &'a dyn Model,
+    /// What was asked for, as it comes to for the model.
+    sampling: Sampling,
+    grid: Grid,
+    non_finite: NonFinite,
+    frame: Frame,
+    rule: Rule,
+    target: Option<usize>,
+    bound: f32,
+    /// Memory for the vertices of open cells, and for groups of them.
+    memory: u64,
+    for_groups: u64,
+    /// Whether the faces tell anything.
+    reads_faces: bool,
+    picking: Option<Picking>,
+    opaque: Option<Opaque>,
+    folder: &'a Path,
+    progress: &'a dyn Progress,
+}
+
+/// What pass 2 has found.
+pub(crate) struct Found {
+    cut: cut::Cut,
+    fingerprint: String,
+    jumps: u64,
+    /// Where in the stream each cell's vertices are.
+    ranges: Vec<Vec<Range<u64>>>,
+    membership: Option<Membership>,
+    picked: Option<Picked>,
+    grouping: Grouping,
+}
+
+impl<'a> Prepared<'a> {
+    fn new(
+        model: &'a dyn Model,
+        sampling: &Sampling,
+        counted: Option<&[&Path]>,
+        folder: &'a Path,
+        progress: &'a dyn Progress,
+    ) -> Result<Self> {
+        let info = model.info();
+        if info.vertices == 0 {
+            return Err(Error::new(
+                ErrorKind::Degenerate,
+                format!("{} has no vertices", model.path().display()),
+                "a model needs at least one vertex to be sampled",
+            ));
         }
-    };
-    check_counted(model, &non_finite)?;
-    if !grid.bounds.diagonal().is_finite() {
-        return Err(Error::new(
-            ErrorKind::Degenerate,
-            format!("{} is too large for its own numbers", model.path().display()),
-            "scale it down: its extent has to be below 1e308",
-        ));
-    }
-    let frame = Frame::of(&grid.bounds);
+        let min_opacity = opaque::resolve(model, sampling.min_opacity)?;
+        let opaque = Opaque::find(model, min_opacity)?;
+        let (grid, non_finite) = match counted {
+            Some(files) => counted::merged(model, &counting(model, sampling)?, files)?,
+            None => {
+                progress.begin("counting", info.vertex_bytes);
+                let resolution =
+                    sampling.grid.unwrap_or_else(|| default_grid(info.vertices, sampling.target));
+                count_cells(model, opaque, resolution, progress)?
+            }
+        };
+        check_counted(model, &non_finite)?;
+        if !grid.bounds.diagonal().is_finite() {
+            return Err(Error::new(
+                ErrorKind::Degenerate,
+                format!("{} is too large for its own numbers", model.path().display()),
+                "scale it down: its extent has to be below 1e308",
+            ));
+        }
+        let frame = Frame::of(&grid.bounds);
 
-    let (target, bound) = match sampling.target {
-        Target::Samples(n) => (Some(usize::try_from(n).unwrap_or(usize::MAX / 8)), 0.0),
-        Target::Error(e) => (None, (e * grid.bounds.diagonal() / frame.scale) as f32),
-    };
-    let cells = grid.keys.len();
-    let memory = sampling.memory_for_cells(&grid);
-    let finite = info.vertices - non_finite.count - non_finite.transparent;
-    let edge = grid.cell_size() / frame.scale;
-    let splitting = match sampling.splitting {
-        // Where there are faces, these tell layers apart.
-        Splitting::Layered if info.faces > 0 => Splitting::VolumeSurface,
-        splitting => splitting,
-    };
-    let rule = Rule::new(splitting, sampling.by, finite, cells as u64, edge);
-    // A group is as large wherever it is: finer vertices would be lost in it.
-    let grouping = match (sampling.grouping, sampling.by) {
-        (Grouping::Automatic, By::Vertices) => Grouping::Never,
-        (grouping, _) => grouping,
-    };
-    let grouping = grouping.resolve(&grid, &frame, sampling.target);
-    let for_groups = match (sampling.memory_limit, sampling.grouping) {
-        (Some(_), _) => memory,
-        // Not by the machine's memory, so that the samples do not depend on it …
-        (None, Grouping::Automatic) => GROUPS_AT_EASE,
-        // … and none other than asked for.
-        (None, _) => u64::MAX,
-    };
-    let reads_faces = info.faces > 0 && info.vertices <= Membership::MAX_VERTICES;
-    let placement = if reads_faces { sampling.placement.resolve(model)? } else { Placement::Vertices };
-    let sampling = &Sampling { placement, splitting, min_opacity, ..*sampling };
-    let by_faces = placement == Placement::Faces;
-    let known = if let Target::Samples(n) = sampling.target { Some(n) } else { None };
-    let picking = if sampling.skip.colors { None } else { Picking::of(model, known)? };
-    let clustered = |foresight| -> Result<_> {
-        let pass = Pass {
+        let (target, bound) = match sampling.target {
+            Target::Samples(n) => (Some(usize::try_from(n).unwrap_or(usize::MAX / 8)), 0.0),
+            Target::Error(e) => (None, (e * grid.bounds.diagonal() / frame.scale) as f32),
+        };
+        let memory = sampling.memory_for_cells(&grid);
+        let finite = info.vertices - non_finite.count - non_finite.transparent;
+        let edge = grid.cell_size() / frame.scale;
+        let splitting = match sampling.splitting {
+            // Where there are faces, these tell layers apart.
+            Splitting::Layered if info.faces > 0 => Splitting::VolumeSurface,
+            splitting => splitting,
+        };
+        let rule = Rule::new(splitting, sampling.by, finite, grid.keys.len() as u64, edge);
+        // A group is as large wherever it is: finer vertices would be lost in it.
+        let grouping = match (sampling.grouping, sampling.by) {
+            (Grouping::Automatic, By::Vertices) => Grouping::Never,
+            (grouping, _) => grouping,
+        };
+        let for_groups = match (sampling.memory_limit, sampling.grouping) {
+            (Some(_), _) => memory,
+            // Not by the machine's memory, so that the samples do not depend on it …
+            (None, Grouping::Automatic) => GROUPS_AT_EASE,
+            // … and none other than asked for.
+            (None, _) => u64::MAX,
+        };
+        let grouping = grouping.resolve(&grid, &frame, sampling.target, for_groups);
+        let reads_faces = info.faces > 0 && info.vertices <= Membership::MAX_VERTICES;
+        let placement = if reads_faces { sampling.placement.resolve(model)? } else { Placement::Vertices };
+        let known = if let Target::Samples(n) = sampling.target { Some(n) } else { None };
+        let picking = if sampling.skip.colors { None } else { Picking::of(model, known)? };
+        let sampling = Sampling { placement, splitting, min_opacity, grouping, ..*sampling };
+        Ok(Self {
             model,
-            grid: &grid,
-            frame: &frame,
+            sampling,
+            grid,
+            non_finite,
+            frame,
             rule,
             target,
             bound,
-            most: usize::try_from(sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE)
-                .unwrap_or(usize::MAX),
-            foresight,
-            with_members: reads_faces && (by_faces || !sampling.skip.sheets || !sampling.skip.triangles),
-            noted: Noted { positions: by_faces, twins: !sampling.skip.sheets },
-            picking: picking.as_ref(),
+            memory,
+            for_groups,
+            reads_faces,
+            picking,
             opaque,
             folder,
             progress,
-        };
-        let in_groups = match grouping.edge(grid.cell_size(), &frame) {
-            Some(edge) => stream::cluster(&pass, Groups::new(cells, edge, for_groups))?,
-            None => None,
-        };
-        let (Clustered { forest, hash, ranges, membership, picked }, grouping) = match in_groups {
-            Some(clustered) => (clustered, grouping),
-            // Those that find no room in memory do so in a file.
-            None => match stream::cluster(&pass, Vertices::new(cells, memory, folder))? {
-                Some(clustered) => (clustered, Grouping::Never),
-                None => unreachable!("samples always find room, or an error says why not"),
-            },
-        };
-        progress.begin("completing the samples", 0);
-        Ok(forest.cut(&grid).map(|cut| (cut, hash, ranges, membership, picked, grouping)))
-    };
-    let (cut, hash, ranges, membership, picked, grouping) = match clustered(true)? {
-        Some(clustered) => clustered,
-        None => match clustered(false)? {
-            Some(clustered) => clustered,
-            None => unreachable!("without foresight, all is kept that the cut may need"),
-        },
-    };
-    let (jumps, ranges) = (ranges.jumps(), ranges.into_cells().collect::<Vec<_>>());
+        })
+    }
 
-    let mut reindexed =
-        Reindexed { cut, triangles: Triangles::default(), faces: None, parted: None, placed: None };
-    let parting = Parting { model, ranges: &ranges, frame, folder, progress };
-    let sample_of = match membership {
-        None => None,
-        Some(members) => {
-            progress.begin("looking up each vertex' sample", info.vertices);
-            let mut sample_of = members.finish(&reindexed.cut.starts, progress)?;
-            let read = Read { sampling, bound, parting: &parting };
-            reindexed.run(&read, &mut sample_of)?;
-            Some(sample_of)
+    /// Whether it shall be known which cluster each vertex belongs to.
+    fn with_members(&self) -> bool {
+        let Sampling { placement, skip, .. } = &self.sampling;
+        self.reads_faces && (*placement == Placement::Faces || !skip.sheets || !skip.triangles)
+    }
+
+    /// Most clusters that may be kept if there is no target.
+    fn most(&self) -> usize {
+        let most = self.sampling.memory_for_clusters() / cut::BYTES_PER_SAMPLE;
+        usize::try_from(most).unwrap_or(usize::MAX)
+    }
+
+    /// Streams what is to be streamed and clusters what is to be clustered, in groups where there are to be some;
+    /// `None` if these find no room.
+    fn stream(&self, job: Job<'_>, foresight: Option<f64>, grouping: Grouping) -> Result<Option<Clustered>> {
+        let Self { model, grid, frame, rule, target, bound, opaque, folder, progress, .. } = self;
+        let pass = Pass {
+            model: *model,
+            grid,
+            frame,
+            rule: *rule,
+            target: *target,
+            bound: *bound,
+            most: self.most(),
+            foresight,
+            job,
+            with_members: self.with_members(),
+            noted: Noted {
+                positions: self.sampling.placement == Placement::Faces,
+                twins: !self.sampling.skip.sheets,
+            },
+            picking: self.picking.as_ref(),
+            opaque: *opaque,
+            folder,
+            progress: *progress,
+        };
+        let cells = grid.keys.len();
+        match grouping.edge(grid.cell_size(), frame) {
+            Some(edge) => stream::cluster(&pass, Groups::new(cells, edge, self.for_groups)),
+            None => stream::cluster(&pass, Vertices::new(cells, self.memory, folder)),
         }
-    };
-    let Reindexed { mut cut, triangles, faces, parted, placed } = reindexed;
-    cut.positions = placed.unwrap_or(cut.positions);
-    progress.check()?;
-    let trees = cut.trees;
-    let mut sampled = SampledModel::new(
-        Source {
-            path: model.path().to_owned(),
-            columns: model.columns().map(str::to_owned),
-            bytes: info.bytes,
-            vertices: info.vertices,
-            attributes: info.attributes.clone(),
-            non_finite: non_finite.count,
-            first_non_finite: non_finite.first,
-            transparent: non_finite.transparent,
-            usual_splat: opaque.and_then(|opaque| opaque.usual()),
-            jumps: Some(jumps),
-            fingerprint: hash.fingerprint(),
-        },
-        Sampling { grouping, ..*sampling },
-        &grid,
-        info.position_type,
-        (cut.positions, cut.normals),
-        triangles,
-    )?;
-    if let (Some(picking), Some(picked)) = (&picking, picked) {
-        let sample_of = sample_of.as_ref().map(SampleOf::all);
-        sampled.colors = picked.colors(picking, &sampled.samples.positions, sample_of, progress)?;
     }
-    if let (Some(parted), Some(sample_of)) = (parted, sample_of) {
-        progress.begin("telling the sheets apart", 0);
-        Contacts::find(&mut sampled, &parted, sample_of.all(), &trees, &parting)?;
+
+    /// Pass 2 of the whole model.
+    fn clustered(&self) -> Result<Found> {
+        self.clustered_with(self.sampling.grouping)
     }
-    if !sampling.skip.cells {
-        sampled.hold_cells(keep(&grid, ranges, faces, trees));
+
+    /// The same, where it is known whether groups find room.
+    fn clustered_with(&self, mut grouping: Grouping) -> Result<Found> {
+        for foresight in [Some(1.0), None] {
+            let clustered = match self.stream(Job::Whole, foresight, grouping)? {
+                Some(clustered) => clustered,
+                // Those that find no room in memory do so in a file.
+                None => {
+                    grouping = Grouping::Never;
+                    let vertices = self.stream(Job::Whole, foresight, grouping)?;
+                    vertices.ok_or_else(|| Error::internal("vertices find no room", "report this"))?
+                }
+            };
+            self.progress.begin("completing the samples", 0);
+            let Clustered { forest, hash, ranges, membership, picked, .. } = clustered;
+            let Hashing::All(hash) = hash else {
+                return Err(Error::internal("a part of the vertices was hashed", "report this"));
+            };
+            if let Some(cut) = forest.cut(&self.grid) {
+                return Ok(Found {
+                    cut,
+                    fingerprint: hash.fingerprint(),
+                    jumps: ranges.jumps(),
+                    ranges: ranges.into_cells().collect(),
+                    membership,
+                    picked,
+                    grouping,
+                });
+            }
+        }
+        // Without foresight, all is kept that the cut may need.
+        Err(Error::internal("the samples are fewer than was foreseen", "report this"))
     }
-    if !sampling.skip.normals && !sampled.samples.knows_normals() {
-        progress.begin("estimating normals", 0);
-        sampled.samples.normals();
+
+    /// P_S, of what pass 2 has found.
+    fn complete(self, found: Found) -> Result<SampledModel> {
+        let Self {
+            model,
+            ref sampling,
+            grid,
+            non_finite,
+            frame,
+            bound,
+            picking,
+            opaque,
+            folder,
+            progress,
+            ..
+        } = self;
+        let info = model.info();
+        let Found { cut, fingerprint, jumps, ranges, membership, picked, grouping } = found;
+        let mut reindexed =
+            Reindexed { cut, triangles: Triangles::default(), faces: None, parted: None, placed: None };
+        let parting = Parting { model, ranges: &ranges, frame, folder, progress };
+        let sample_of = match membership {
+            None => None,
+            Some(members) => {
+                progress.begin("looking up each vertex' sample", info.vertices);
+                let mut sample_of = members.finish(&reindexed.cut.starts, progress)?;
+                let read = Read { sampling, bound, parting: &parting };
+                reindexed.run(&read, &mut sample_of)?;
+                Some(sample_of)
+            }
+        };
+        let Reindexed { mut cut, triangles, faces, parted, placed } = reindexed;
+        cut.positions = placed.unwrap_or(cut.positions);
+        progress.check()?;
+        let trees = cut.trees;
+        let mut sampled = SampledModel::new(
+            Source {
+                path: model.path().to_owned(),
+                columns: model.columns().map(str::to_owned),
+                bytes: info.bytes,
+                vertices: info.vertices,
+                attributes: info.attributes.clone(),
+                non_finite: non_finite.count,
+                first_non_finite: non_finite.first,
+                transparent: non_finite.transparent,
+                usual_splat: opaque.and_then(|opaque| opaque.usual()),
+                jumps: Some(jumps),
+                fingerprint,
+            },
+            Sampling { grouping, ..*sampling },
+            &grid,
+            info.position_type,
+            (cut.positions, cut.normals),
+            triangles,
+        )?;
+        if let (Some(picking), Some(picked)) = (&picking, picked) {
+            let sample_of = sample_of.as_ref().map(SampleOf::all);
+            sampled.colors = picked.colors(picking, &sampled.samples.positions, sample_of, progress)?;
+        }
+        if let (Some(parted), Some(sample_of)) = (parted, sample_of) {
+            progress.begin("telling the sheets apart", 0);
+            Contacts::find(&mut sampled, &parted, sample_of.all(), &trees, &parting)?;
+        }
+        if !sampling.skip.cells {
+            sampled.hold_cells(keep(&grid, ranges, faces, trees));
+        }
+        if !sampling.skip.normals && !sampled.samples.knows_normals() {
+            progress.begin("estimating normals", 0);
+            sampled.samples.normals();
+        }
+        progress.check()?;
+        Ok(sampled)
     }
-    progress.check()?;
-    Ok(sampled)
 }
 
 /// Counts the vertices of a range per cell, for [`sample_counted`] of the same model and options, to a file that

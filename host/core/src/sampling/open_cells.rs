@@ -112,6 +112,11 @@ impl<T: Pod> OpenCells<T> {
         !(self.cells[cell as usize].held as usize).is_multiple_of(BLOCK) || !self.pool.is_full()
     }
 
+    /// Blocks that cells can hold in memory at a time.
+    pub fn blocks(&self) -> u64 {
+        (self.pool.limit / SLAB * SLAB) as u64
+    }
+
     /// Number of a cell's items.
     #[inline]
     pub fn count(&self, cell: u32) -> u64 {
@@ -242,6 +247,11 @@ pub struct CellItems<T> {
 }
 
 impl<T: Pod> CellItems<T> {
+    /// How many they are.
+    pub fn count(&self) -> u64 {
+        self.spilled + self.held.len() as u64
+    }
+
     /// Memory that all of them take, also those that are in the file.
     pub fn bytes(&self) -> usize {
         let count = usize::try_from(self.spilled).unwrap_or(usize::MAX).saturating_add(self.held.len());

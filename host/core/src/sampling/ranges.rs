@@ -21,9 +21,9 @@ pub struct Ranges {
     cells: Vec<Packed>,
     /// Bytes of a cell at most.
     most: usize,
-    /// The cell that the stream is in, and since which vertex.
-    open: Option<(u32, u64)>,
-    /// How often it came into another cell.
+    /// The cell that the stream came into last.
+    last: Option<u32>,
+    /// How often it came into another one.
     jumps: u64,
 }
 
@@ -78,24 +78,18 @@ impl Ranges {
     /// No range, of so many cells.
     pub fn new(cells: usize) -> Self {
         let most = (MOST / cells.max(1)).clamp(OF_A_CELL.start, OF_A_CELL.end);
-        Self { cells: vec![Packed::default(); cells], most, open: None, jumps: 0 }
+        Self { cells: vec![Packed::default(); cells], most, last: None, jumps: 0 }
     }
 
-    /// From this vertex on the stream is in a cell.
-    pub fn enter(&mut self, cell: u32, vertex: u64) {
-        match self.open {
-            Some((open, _)) if open == cell => {}
-            _ => {
-                self.jumps += u64::from(self.open.is_some());
-                self.close(vertex);
-                self.open = Some((cell, vertex));
-            }
+    /// From the first of these vertices on, up to before the end, the stream is in a cell, whose ranges are kept or
+    /// not. What comes before the first visit of a piece of the stream is of no cell, so that ranges follow from
+    /// the pieces, whoever reads which of them.
+    pub fn visit(&mut self, cell: u32, vertices: Range<u64>, is_kept: bool) {
+        let former = self.last.replace(cell);
+        self.jumps += u64::from(former.is_some_and(|former| former != cell));
+        if is_kept {
+            self.add(cell, vertices);
         }
-    }
-
-    /// The stream ends before this vertex.
-    pub fn finish(&mut self, vertex: u64) {
-        self.close(vertex);
     }
 
     /// How often the stream came from one cell into another.
@@ -106,12 +100,6 @@ impl Ranges {
     /// The ranges of each cell: ascending, and not empty.
     pub fn into_cells(self) -> impl Iterator<Item = Vec<Range<u64>>> {
         self.cells.into_iter().map(|cell| cell.all())
-    }
-
-    fn close(&mut self, end: u64) {
-        if let Some((cell, start)) = self.open.take() {
-            self.add(cell, start..end);
-        }
     }
 
     /// A range of a cell, none of whose others ends behind its beginning.
@@ -177,11 +165,10 @@ mod tests {
             let mut visits = Vec::new();
             let mut first = 0;
             for (cell, length) in stream {
-                ranges.enter(cell, first);
+                ranges.visit(cell, first..first + length, true);
                 visits.push((cell, first..first + length));
                 first += length;
             }
-            ranges.finish(first);
             let cells: Vec<_> = ranges.into_cells().collect();
             for (cell, visit) in visits {
                 let within = |r: &Range<u64>| r.start <= visit.start && visit.end <= r.end;
@@ -203,10 +190,8 @@ mod tests {
         let visits: Vec<u64> =
             (0..=18).map(|i| i * 1000).chain([18_010]).chain((19..400).map(|i| i * 1000)).collect();
         for start in &visits {
-            ranges.enter(0, *start);
-            ranges.enter(1, start + 5);
+            ranges.visit(0, *start..start + 5, true);
         }
-        ranges.finish(400_000);
         let cells: Vec<_> = ranges.into_cells().collect();
         assert!((100..400).contains(&cells[0].len()), "{}", cells[0].len());
         assert!(cells[0].iter().any(|r| r.start <= 18_000 && r.end >= 18_015));

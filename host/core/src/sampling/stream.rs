@@ -17,24 +17,26 @@ use simod_model::progress::{Emerging, Visitor};
 use simod_model::{Error, Result, VertexChunk, VertexReader};
 
 use crate::colors::{Lists, Pick, Picked};
-use crate::fingerprint::VertexHash;
+use crate::fingerprint::{PartHasher, VertexHash};
 
 use super::cluster::Element;
 use super::cut::{ClusteredCell, Forest};
-use super::finalization::{Clustered, MAX_QUEUED, Pass, changed, unit};
+use super::finalization::{Clustered, Hashing, Job, MAX_QUEUED, Pass, changed, unit};
 use super::gather::{Gather, GatherPiece, PIECE};
-use super::grid::cell_box;
+use super::grid::{CellRecord, cell_box};
 use super::membership::{Leaves, Membership};
 use super::open_cells::CellItems;
 use super::ranges::Ranges;
+use super::shared_vertices::{SharedPiece, Visit};
+use super::shares::Owner;
 use super::vs_tree::Workspace;
 
 /// Pieces that are read and not yet merged, beside one for each thread: so that a thread whose piece has to
 /// wait need not.
 const WAITING: u64 = 1;
 
-/// Streams the model through the grid and clusters each cell, down to the bound or to that which the target has
-/// come to meanwhile. `None` if `gather` finds no room.
+/// Streams the model, or a part of it, through the grid and clusters each cell that is to be clustered, down to the
+/// bound or to that which the target has come to meanwhile. `None` if `gather` finds no room.
 ///
 /// Memory: that of `gather`, [`Forest`], [`Ranges`] and [`Membership`]; so many bytes of cells as may be queued,
 /// and two parts of a cell on each thread; as many pieces as there are threads, and one more, of [`PIECE`]
@@ -45,12 +47,24 @@ const WAITING: u64 = 1;
 /// written; the user cancelled.
 pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: G) -> Result<Option<Clustered>> {
     let info = pass.model.info();
-    pass.progress.begin("clustering", info.vertex_bytes);
+    let cells = pass.grid.keys.len();
+    let hash = match pass.job {
+        Job::Whole => Hashing::All(VertexHash::default()),
+        Job::Range(..) => {
+            let Range { start, end } = vertices_of(pass);
+            let [begin, first] = pass.model.bytes_before(start);
+            Hashing::Part(PartHasher::new(first..pass.model.bytes_before(end)[1], first - begin))
+        }
+        Job::Group(..) => Hashing::Nothing,
+    };
+    pass.progress.begin("clustering", bytes_of(pass));
     let members = || Membership::new(pass.grid, info, pass.noted, pass.folder);
     let mut clustered = Clustered {
         forest: Forest::new(pass.grid, pass.target, pass.bound, pass.most, pass.foresight),
-        hash: VertexHash::default(),
-        ranges: Ranges::new(pass.grid.keys.len()),
+        hash,
+        ranges: Ranges::new(cells),
+        items: vec![0; cells],
+        ends: None,
         membership: pass.with_members.then(members).transpose()?,
         picked: pass.picking.map(|_| Picked::new(pass.folder)).transpose()?,
     };
@@ -58,26 +72,55 @@ pub fn cluster<G: Gather>(pass: &Pass<'_>, gather: G) -> Result<Option<Clustered
     Ok(has_room.then_some(clustered))
 }
 
+/// The vertices that are streamed.
+fn vertices_of(pass: &Pass<'_>) -> Range<u64> {
+    match &pass.job {
+        Job::Range(shares, number, _) => shares.ranges()[*number as usize].clone(),
+        Job::Whole | Job::Group(..) => 0..pass.model.info().vertices,
+    }
+}
+
+/// Bytes that are streamed, about.
+fn bytes_of(pass: &Pass<'_>) -> u64 {
+    let info = pass.model.info();
+    let Range { start, end } = vertices_of(pass);
+    match &pass.job {
+        Job::Whole => info.vertex_bytes,
+        Job::Range(..) => {
+            (info.vertex_bytes as f64 * ((end - start) as f64 / info.vertices.max(1) as f64)) as u64
+        }
+        Job::Group(_, _, reader) => lock(reader).bytes(),
+    }
+}
+
 /// Whether there was room.
 fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Result<bool> {
-    let Clustered { forest, hash, ranges, membership, picked } = found;
-    let vertices = pass.model.info().vertices;
+    let Clustered { forest, hash, ranges, items, ends, membership, picked } = found;
+    let vertices = vertices_of(pass);
     let threads = rayon::current_num_threads();
-    let in_order = !pass.model.info().reads_exactly();
-    let reader = in_order.then(|| positions_of(pass, 0..vertices)).transpose()?;
+    let in_order = !pass.model.info().reads_exactly() && !matches!(pass.job, Job::Group(..));
+    let reader = in_order.then(|| positions_of(pass, vertices.clone())).transpose()?;
+    let own = |(cell, record): (u32, &CellRecord)| if pass.job.has(cell) { record.count } else { 0 };
+    let pieces = match pass.job {
+        Job::Group(_, _, reader) => lock(reader).records(),
+        Job::Whole | Job::Range(..) => (vertices.end - vertices.start).div_ceil(PIECE),
+    };
     let stream = Stream {
         pass,
         leaves: membership.as_ref().map(Membership::leaves),
         stop: AtomicU32::new(pass.bound.to_bits()),
-        pieces: vertices.div_ceil(PIECE),
+        vertices,
+        pieces,
         most: threads as u64 + WAITING,
         reading: Mutex::new(Reading { next: 0, reader }),
         merging: Mutex::new(Merging {
             gather,
-            left: pass.grid.records.iter().map(|r| r.count).collect(),
+            left: (0..).zip(&pass.grid.records).map(own).collect(),
             places: Vec::new(),
             hash,
             ranges,
+            items,
+            ends,
             membership: membership.as_mut(),
             picked: picked.as_mut(),
         }),
@@ -100,12 +143,11 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Resul
     if let Some(error) = failed {
         return Err(error);
     }
-    let Merging { left, ranges, .. } = merging.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let Merging { gather, left, items, .. } = merging.into_inner().unwrap_or_else(PoisonError::into_inner);
     if left.iter().any(|n| *n > 0) {
         return Err(changed(pass.model));
     }
-    ranges.finish(vertices);
-    Ok(true)
+    Ok(!matches!(pass.job, Job::Whole) || gather.finds_room(&pass.grid.records, items))
 }
 
 /// A call of [`stream`].
@@ -114,7 +156,9 @@ struct Stream<'a, G: Gather> {
     leaves: Option<Arc<Leaves>>,
     /// Error down to which cells are clustered by now, as bits.
     stop: AtomicU32,
-    /// Number of pieces of the model.
+    /// The vertices that are streamed.
+    vertices: Range<u64>,
+    /// Number of pieces that these are.
     pieces: u64,
     /// Most of them between reading and merging.
     most: u64,
@@ -142,8 +186,12 @@ struct Merging<'a, G> {
     left: Vec<u64>,
     /// Of the items of the piece that is merged, where each is now: cell and index.
     places: Vec<(u32, u32)>,
-    hash: &'a mut VertexHash,
+    hash: &'a mut Hashing,
     ranges: &'a mut Ranges,
+    /// How many items each cell had in the end.
+    items: &'a mut [u32],
+    /// The cells of the first vertex and of the last one.
+    ends: &'a mut Option<[u32; 2]>,
     membership: Option<&'a mut Membership>,
     picked: Option<&'a mut Picked>,
 }
@@ -194,8 +242,13 @@ struct Piece<P> {
     /// Those whose colours are kept.
     picks: Vec<Pick>,
     lists: Lists,
-    /// Each cell that the stream enters, and the vertex at which it does.
-    visits: Vec<(u32, u64)>,
+    /// Each cell that the stream enters, and the vertices up to where it leaves it.
+    visits: Vec<(u32, Range<u64>)>,
+    /// Its vertices in cells that others cluster, and what is written down of them.
+    shared: SharedPiece,
+    records: Vec<(u32, Vec<u8>)>,
+    /// What was read in the place of the model.
+    bytes: u64,
     /// Number of items that are merged.
     merged: usize,
 }
@@ -262,8 +315,20 @@ impl<'a, G: Gather> Stream<'a, G> {
         self.pass.progress.check()?;
         let mut piece = spare.unwrap_or_else(|| self.piece());
         piece.clear();
-        let number = self.read(&mut piece.chunks)?;
-        self.put_in_cells(&mut piece)?;
+        let number = if let Job::Group(_, _, reader) = self.pass.job {
+            let number = {
+                let mut reading = lock(&self.reading);
+                piece.bytes = lock(reader).read(&mut piece.shared)?;
+                reading.next += 1;
+                reading.next - 1
+            };
+            self.put_shared_in_cells(&mut piece)?;
+            number
+        } else {
+            let (number, vertices) = self.read(&mut piece.chunks)?;
+            self.put_in_cells(&mut piece, vertices.end)?;
+            number
+        };
         self.work().gathered.insert(number, piece);
         Ok(())
     }
@@ -277,33 +342,37 @@ impl<'a, G: Gather> Stream<'a, G> {
             picks: Vec::new(),
             lists: Lists::default(),
             visits: Vec::new(),
+            shared: SharedPiece::default(),
+            records: Vec::new(),
+            bytes: 0,
             merged: 0,
         }
     }
 
-    /// Reads the vertices of the next piece; its number.
-    fn read(&self, chunks: &mut Vec<VertexChunk>) -> Result<u64> {
+    /// Reads the vertices of the next piece; its number, and which they are.
+    fn read(&self, chunks: &mut Vec<VertexChunk>) -> Result<(u64, Range<u64>)> {
         let mut reading = lock(&self.reading);
         let number = reading.next;
         reading.next += 1;
-        let range = number * PIECE..((number + 1) * PIECE).min(self.pass.model.info().vertices);
+        let start = self.vertices.start + number * PIECE;
+        let range = start..(start + PIECE).min(self.vertices.end);
         match &mut reading.reader {
-            Some(reader) => read_all(&mut **reader, range, chunks, self.pass)?,
+            Some(reader) => read_all(&mut **reader, range.clone(), chunks, self.pass)?,
             None => {
                 drop(reading);
                 let mut reader = positions_of(self.pass, range.clone())?;
-                read_all(&mut *reader, range, chunks, self.pass)?;
+                read_all(&mut *reader, range.clone(), chunks, self.pass)?;
             }
         }
-        Ok(number)
+        Ok((number, range))
     }
 
-    /// Puts each vertex of a piece into its cell.
-    fn put_in_cells(&self, piece: &mut Piece<G::Piece>) -> Result<()> {
-        let Pass { model, grid, frame, noted, .. } = *self.pass;
+    /// Puts each vertex of a piece, which ends before a vertex, into its cell.
+    fn put_in_cells(&self, piece: &mut Piece<G::Piece>, end: u64) -> Result<()> {
+        let Pass { model, grid, frame, noted, job, .. } = *self.pass;
         let with_items = self.leaves.is_some();
-        let Piece { chunks, gathered, items, positions, picks, lists, visits, .. } = piece;
-        let mut current: Option<(Bounds, u32)> = None;
+        let Piece { chunks, gathered, items, positions, picks, lists, visits, shared, records, .. } = piece;
+        let mut current: Option<(Bounds, u32, bool)> = None;
         for chunk in chunks {
             if let Some(opaque) = self.pass.opaque {
                 opaque.leave_out(model, chunk)?;
@@ -312,8 +381,8 @@ impl<'a, G: Gather> Stream<'a, G> {
                 picking.pick(model, frame, chunk, lists, picks)?;
             }
             for (i, p) in chunk.positions.iter().enumerate() {
-                let cell = match &current {
-                    Some((inside, cell)) if inside.contains(*p) => *cell,
+                let (cell, is_own) = match &current {
+                    Some((inside, cell, is_own)) if inside.contains(*p) => (*cell, *is_own),
                     _ if !p.is_finite() => {
                         if with_items {
                             items.push(NONE);
@@ -326,13 +395,28 @@ impl<'a, G: Gather> Stream<'a, G> {
                     _ => {
                         let key = grid.key_of(*p);
                         let cell = grid.find(&key).ok_or_else(|| changed(model))?;
-                        current = Some((cell_box(key, grid.level), cell));
-                        visits.push((cell, chunk.first + i as u64));
-                        cell
+                        let is_own = job.has(cell);
+                        current = Some((cell_box(key, grid.level), cell, is_own));
+                        if visits.last().is_none_or(|(last, _)| *last != cell) {
+                            let vertex = chunk.first + i as u64;
+                            if let Some((_, last)) = visits.last_mut() {
+                                last.end = vertex;
+                            }
+                            visits.push((cell, vertex..end));
+                            if !is_own {
+                                gathered.leave();
+                                shared.visits.push(Visit { cell, vertices: vertex..end, finite: 0 });
+                            }
+                        }
+                        (cell, is_own)
                     }
                 };
                 let normal = chunk.normals.get(i).map_or(Vec3::ZERO, |n| unit(*n));
                 let local = frame.to_local(*p);
+                if !is_own {
+                    shared.add(local, normal);
+                    continue;
+                }
                 let item = gathered.add(cell, local, normal);
                 if with_items {
                     items.push(item);
@@ -347,6 +431,38 @@ impl<'a, G: Gather> Stream<'a, G> {
                 chunk.positions = Vec::new();
             }
         }
+        if let Job::Range(shares, ..) = job {
+            let mut ends =
+                visits.iter().filter(|(cell, _)| !job.has(*cell)).map(|(_, vertices)| vertices.end);
+            shared.visits.iter_mut().zip(&mut ends).for_each(|(visit, end)| visit.vertices.end = end);
+            let group_of = |cell| match shares.owner(cell) {
+                Owner::Group(group) => Some(group),
+                // Its vertices were elsewhere when they were counted.
+                Owner::Range(_) => None,
+            };
+            *records = shared.records(group_of).ok_or_else(|| changed(model))?;
+        }
+        Ok(())
+    }
+
+    /// The same of what ranges have written down.
+    fn put_shared_in_cells(&self, piece: &mut Piece<G::Piece>) -> Result<()> {
+        let Piece { gathered, visits, shared, .. } = piece;
+        let SharedPiece { visits: from, positions, normals } = shared;
+        let (mut vertices, mut last) = (positions.iter().zip(normals.iter()), None);
+        for Visit { cell, vertices: range, finite } in from {
+            if *cell as usize >= self.pass.grid.keys.len() || !self.pass.job.has(*cell) {
+                return Err(changed(self.pass.model));
+            }
+            // Between two visits the stream was elsewhere.
+            if last.replace(range.end).is_some() {
+                gathered.leave();
+            }
+            visits.push((*cell, range.clone()));
+            vertices.by_ref().take(*finite as usize).for_each(|(position, normal)| {
+                gathered.add(*cell, *position, *normal);
+            });
+        }
         Ok(())
     }
 
@@ -354,10 +470,14 @@ impl<'a, G: Gather> Stream<'a, G> {
     /// clustered.
     fn merge(&self, mut piece: Piece<G::Piece>) -> Result<()> {
         let mut merging = lock(&self.merging);
-        let Merging { gather, left, places, hash, ranges, membership, picked } = &mut *merging;
+        let Merging { gather, left, places, hash, ranges, items: all, ends, membership, picked } =
+            &mut *merging;
         if piece.merged == 0 {
             places.clear();
-            piece.visits.iter().for_each(|(cell, vertex)| ranges.enter(*cell, *vertex));
+            for (cell, vertices) in &piece.visits {
+                ranges.visit(*cell, vertices.clone(), self.pass.job.has(*cell));
+                **ends = Some([ends.map_or(*cell, |[first, _]| first), *cell]);
+            }
         }
         let items = piece.gathered.items();
         for (cell, item) in &items[piece.merged..] {
@@ -369,8 +489,12 @@ impl<'a, G: Gather> Stream<'a, G> {
             places.push((*cell, index));
             let left = &mut left[*cell as usize];
             *left = left.checked_sub(item.vertices().into()).ok_or_else(|| changed(self.pass.model))?;
-            if *left == 0 && self.hand_over(*cell, gather.take(*cell)) {
-                break;
+            if *left == 0 {
+                let of_cell = gather.take(*cell);
+                all[*cell as usize] = u32::try_from(of_cell.count()).unwrap_or(u32::MAX);
+                if self.hand_over(*cell, of_cell) {
+                    break;
+                }
             }
         }
         if piece.merged < items.len() {
@@ -391,10 +515,14 @@ impl<'a, G: Gather> Stream<'a, G> {
         if let Some(picked) = picked {
             picked.add(&piece.picks)?;
         }
+        if let Job::Range(_, _, writer) = self.pass.job {
+            lock(writer).append(&piece.records)?;
+        }
         for chunk in &piece.chunks {
             hash.update(chunk.raw());
             self.pass.progress.advance(chunk.raw().len() as u64);
         }
+        self.pass.progress.advance(piece.bytes);
         let mut work = self.work();
         work.merged += 1;
         work.is_merging = false;
@@ -446,6 +574,9 @@ impl<P: GatherPiece> Piece<P> {
         self.positions.clear();
         self.picks.clear();
         self.visits.clear();
+        self.shared.clear();
+        self.records.clear();
+        self.bytes = 0;
         self.merged = 0;
     }
 }

@@ -13,6 +13,7 @@
 //! below, and their number falls as ε grows.
 
 use glam::{DMat3, DVec3, Vec3};
+use serde::{Deserialize, Serialize};
 
 use super::cluster::{Element, Moments};
 use super::density::{By, Rule};
@@ -45,7 +46,7 @@ const DITHER: f64 = 0.02;
 const MAX_DEPTH: u32 = 96;
 
 /// A cluster in a [`VsTree`].
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Node {
     /// The sample that stands for the cluster, in local coordinates.
     pub position: Vec3,
@@ -60,7 +61,7 @@ pub struct Node {
 }
 
 /// The clusters of a cell in preorder.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct VsTree {
     /// All clusters, a parent before its children.
     pub nodes: Vec<Node>,
@@ -148,6 +149,22 @@ impl VsTree {
                 i = node.end as usize;
             }
         }
+    }
+
+    /// Whether it is a tree: what was read may be anything.
+    pub fn is_sound(&self) -> bool {
+        let count = self.nodes.len();
+        // The ends of the subtrees around the node at hand.
+        let mut open: Vec<usize> = vec![count];
+        let nests = |(i, node): (usize, &Node)| {
+            while open.pop_if(|end| *end <= i).is_some() {}
+            let end = node.end as usize;
+            let fits = end > i && open.last().is_some_and(|around| end <= *around);
+            open.push(end);
+            fits && node.key >= 0.0 && node.position.is_finite() && node.normal.is_finite()
+        };
+        let is_whole = self.nodes.first().is_some_and(|root| root.end as usize == count);
+        is_whole && self.nodes.iter().enumerate().all(nests)
     }
 
     /// Number of leaves that it was built with: more than it has, if it was pruned since.

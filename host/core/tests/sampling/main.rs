@@ -5,6 +5,7 @@ mod attributes;
 mod body;
 mod cells;
 mod density;
+mod divided;
 mod emerging;
 mod groups;
 mod layers;

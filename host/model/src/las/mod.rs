@@ -104,6 +104,17 @@ impl Model for LasModel {
         Ok(())
     }
 
+    fn bytes_before(&self, vertex: u64) -> [u64; 2] {
+        let Some((_, blocks)) = &self.compressed else {
+            return [vertex * self.header.record as u64; 2];
+        };
+        let [first, block] = [blocks.start(0).1, blocks.of_vertex(vertex) as u64];
+        let at = |block: usize| blocks.start(block.min(blocks.len()));
+        let (begin, own) = at(block as usize);
+        let next = if begin >= vertex { own } else { at(block as usize + 1).1 };
+        [own - first, next - first]
+    }
+
     fn keep_positions(&self, folder: Option<&Path>) {
         // In layers, what is not asked for is not decompressed.
         let blocks =

@@ -63,8 +63,9 @@ fn makefile(plan: &Plan, program: &str) -> String {
          SIMOD ?= {}\nOPTIONS ?=\n\n.PHONY: all\nall: {FINISHED}\n\n",
         program.replace('$', "$$")
     );
-    let parts: Vec<String> =
-        plan.units.iter().filter(|unit| unit.stage == Stage::Apply).map(|unit| file(&unit.number)).collect();
+    let is_removed =
+        |unit: &&Unit| matches!(unit.stage, Stage::Cluster | Stage::ClusterShared | Stage::Apply);
+    let parts: Vec<String> = plan.units.iter().filter(is_removed).map(|unit| file(&unit.number)).collect();
     if !parts.is_empty() {
         // They are removed in the end, and not made again for that.
         let _ = writeln!(text, ".SECONDARY: {}\n", parts.join(" "));

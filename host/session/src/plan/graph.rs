@@ -20,6 +20,9 @@ pub(super) const PLAN: &str = "plan.toml";
 /// What the last unit leaves.
 pub(super) const FINISHED: &str = "finished.toml";
 
+/// The counts of all vertices.
+pub(super) const COUNTS: &str = "counts.bin";
+
 /// P_S.
 pub(super) const SAMPLED: &str = "sampled.simod";
 
@@ -59,9 +62,22 @@ pub struct Plan {
     /// Why it is not divided, if it is not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) undivided: Option<String>,
+    /// What units write down for each other.
+    pub(super) exchange: Exchange,
     pub(super) options: Recorded,
     #[serde(rename = "unit")]
     pub(super) units: Vec<Unit>,
+}
+
+/// What ranges of the vertices write down for each other of the cells that they share.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct Exchange {
+    /// So many bytes at most, which it comes to where vertices come in no order.
+    pub at_most_bytes: u64,
+    /// Why one unit samples the model, if it does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub undivided: Option<String>,
 }
 
 /// The options of a run.
@@ -75,6 +91,9 @@ pub(super) struct Recorded {
     pub(super) lossy: bool,
     /// Files of other kinds may be replaced.
     pub(super) force: bool,
+    /// Samples have more than the steps need.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(super) whole_samples: bool,
     /// Whether splats turn.
     pub(super) splats: bool,
     pub(super) opacity: Opacity,
@@ -102,6 +121,9 @@ pub struct Unit {
     /// Of which vertices, if it counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) vertices: Option<Range<u64>>,
+    /// Which range of the vertices, or which group of cells that ranges share, if it clusters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) part: Option<u64>,
     /// Of which pieces of the file, if it applies the deformation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) pieces: Option<Range<u64>>,
@@ -115,7 +137,15 @@ pub struct Unit {
 pub enum Stage {
     /// Vertices of a range are counted per cell.
     Count,
-    /// The counts are added up, and the model is sampled.
+    /// The counts are added up, where clustering is divided.
+    Merge,
+    /// The cells that lie wholly within a range are clustered, and what the range has of others is written down.
+    Cluster,
+    /// A group of the cells that ranges share is clustered.
+    ClusterShared,
+    /// The samples are those of a cut through all clusters.
+    Cut,
+    /// The counts are added up, and the model is sampled, where clustering is not divided.
     Sample,
     /// The samples are deformed, and refined where the steps say so.
     Deform,
@@ -132,6 +162,10 @@ impl Stage {
     pub fn name(self) -> &'static str {
         match self {
             Self::Count => "count",
+            Self::Merge => "merge",
+            Self::Cluster => "cluster",
+            Self::ClusterShared => "cluster-shared",
+            Self::Cut => "cut",
             Self::Sample => "sample",
             Self::Deform => "deform",
             Self::Apply => "apply",
@@ -198,6 +232,7 @@ impl Plan {
     fn check(&self) -> Result<(), String> {
         // What comes before the vertices is of no unit that applies the deformation.
         let (mut vertices, mut pieces) = (Some(0), None);
+        let mut parts = [0; 2];
         for (number, unit) in self.units.iter().enumerate() {
             let wrong = |what: &str| Err(format!("unit {number} {what}"));
             if unit.number != number {
@@ -208,6 +243,13 @@ impl Plan {
             }
             if !unit.writes.components().all(|part| matches!(part, std::path::Component::Normal(_))) {
                 return wrong("writes outside the plan's folder");
+            }
+            let mut clusters = [Stage::Cluster, Stage::ClusterShared].into_iter().zip(&mut parts);
+            if let Some((_, next)) = clusters.find(|(stage, _)| *stage == unit.stage) {
+                if unit.part != Some(*next) {
+                    return wrong("is not of the part that comes next");
+                }
+                *next += 1;
             }
             let range = match unit.stage {
                 Stage::Count => Some((&unit.vertices, &mut vertices)),
@@ -223,6 +265,9 @@ impl Plan {
                 Some(_) => return wrong("is not of the range that comes next"),
                 None => {}
             }
+        }
+        if parts[0] != parts[1] {
+            return Err("has other ranges than groups of cells to cluster".to_owned());
         }
         let is_last = |unit: &Unit| matches!(unit.stage, Stage::Finish | Stage::Write);
         match self.units.iter().filter(|unit| is_last(unit)).count() {
@@ -254,6 +299,11 @@ impl Plan {
     /// Why the model is not divided, if it is not.
     pub fn undivided(&self) -> Option<&str> {
         self.undivided.as_deref()
+    }
+
+    /// What units write down for each other, and why one samples the model alone, if it does.
+    pub fn exchange(&self) -> &Exchange {
+        &self.exchange
     }
 
     /// The libraries of plugins that were chosen.

@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use simod_core::reconstruction::Method;
+use simod_core::sampling::divided::{exchanged_at_most, ranges_of, undivided};
+use simod_core::sampling::{Sampling, Skip};
 use simod_model::follow::Follow;
 use simod_model::output_folder::OutputFolder;
 use simod_model::target::{canonical_target, folder_of};
@@ -13,10 +15,10 @@ use simod_model::{Cache, Error, ErrorKind, Model, Normals, Progress, Result, out
 
 use super::emit::{Emit, emit};
 use super::graph::{
-    DEFORMED, FINISHED, FORMAT, GRADIENTS, METHODS, NORMALS, PLAN, Plan, REFINED, Recorded, SAMPLED, SHARED,
-    Stage, Unit, hash_of, name_of,
+    COUNTS, DEFORMED, Exchange, FINISHED, FORMAT, GRADIENTS, METHODS, NORMALS, PLAN, Plan, REFINED, Recorded,
+    SAMPLED, SHARED, Stage, Unit, hash_of, name_of,
 };
-use crate::pipeline::{converted, open};
+use crate::pipeline::{converted, needed, open, sampling_of};
 use crate::plugins::PluginRegistry;
 use crate::session_file::SessionFile;
 use crate::stack::Stack;
@@ -38,6 +40,8 @@ pub struct Options<'a> {
     pub follow: &'a Follow,
     /// Libraries of plugins that were chosen.
     pub plugins: &'a [PathBuf],
+    /// Samples have all that those of a folder have, but for colours, and not only what the steps need.
+    pub whole_samples: bool,
     /// So many units share each stage that can be divided.
     pub units: u64,
     /// For what engines.
@@ -61,7 +65,7 @@ pub fn make(
 ) -> Result<Plan> {
     check_target(folder)?;
     // What is wrong with the steps is told now.
-    Stack::build(&session.steps, registry)?;
+    let stack = Stack::build(&session.steps, registry)?;
     let output = canonical_target(output)?;
     if folder.canonicalize().is_ok_and(|folder| output.starts_with(folder)) {
         let what = format!("{} lies in the plan's folder, which is replaced", output.display());
@@ -72,6 +76,7 @@ pub fn make(
     let becomes = converted(session, &output, (options.normals, options.lossy), (cache, progress))?;
     let mut model = open(session, cache, progress)?;
     model.follow(options.follow)?;
+    let sampling = sampling_of(session, skipped(session, &stack, options.whole_samples));
     let undivided = why_undivided(&*model, becomes.is_some(), options.normals);
     let info = model.info();
     let plan = Plan {
@@ -89,6 +94,7 @@ pub fn make(
             choose_offset: options.choose_offset,
             lossy: options.lossy,
             force: options.force,
+            whole_samples: options.whole_samples,
             splats: options.follow.splats,
             opacity: options.follow.opacity,
             max_anisotropy: options.follow.max_anisotropy,
@@ -96,7 +102,8 @@ pub fn make(
             time: session.time,
             follow: options.follow.declared.clone(),
         },
-        units: units(&*model, undivided.is_some(), options),
+        units: units(&*model, &sampling, undivided.is_some(), options),
+        exchange: exchange(&*model, &sampling, options),
         undivided,
     };
     let described = toml::to_string(&plan)
@@ -112,6 +119,11 @@ pub fn make(
     Ok(plan)
 }
 
+/// What of the samples is left out.
+pub(super) fn skipped(session: &SessionFile, stack: &Stack, whole: bool) -> Skip {
+    if whole { Skip { colors: true, ..Skip::default() } } else { needed(session, stack, false) }
+}
+
 /// Why only one unit writes the model, if so.
 fn why_undivided(model: &dyn Model, is_converted: bool, normals: Normals) -> Option<String> {
     if is_converted {
@@ -123,12 +135,45 @@ fn why_undivided(model: &dyn Model, is_converted: bool, normals: Normals) -> Opt
         .then(|| format!("it is {}, whose parts cannot be written by themselves", model.info().format))
 }
 
+/// Most units that cluster ranges, each of which every group of cells comes after.
+const MOST_CLUSTERING: u64 = 1000;
+
+/// How many units cluster ranges of the model, and how many groups of cells that these share; none if it is sampled
+/// by one.
+fn clustering(model: &dyn Model, sampling: &Sampling, options: &Options<'_>) -> u64 {
+    let is_divided = model.division(options.normals).is_some() && undivided(model, sampling).is_none();
+    let count = if is_divided { ranges_of(model, options.units.min(MOST_CLUSTERING)) } else { 0 };
+    if count > 1 { count } else { 0 }
+}
+
+/// What units write down for each other of cells that they share.
+fn exchange(model: &dyn Model, sampling: &Sampling, options: &Options<'_>) -> Exchange {
+    if clustering(model, sampling, options) > 0 {
+        return Exchange { at_most_bytes: exchanged_at_most(model), undivided: None };
+    }
+    let why = undivided(model, sampling).filter(|_| options.units > 1);
+    Exchange { at_most_bytes: 0, undivided: why.map(str::to_owned) }
+}
+
+/// What of a model a unit is of.
+enum Of {
+    All,
+    Vertices(Range<u64>),
+    Part(u64),
+    Pieces(Range<u64>),
+}
+
 /// The graph.
-fn units(model: &dyn Model, undivided: bool, options: &Options<'_>) -> Vec<Unit> {
+fn units(model: &dyn Model, sampling: &Sampling, undivided: bool, options: &Options<'_>) -> Vec<Unit> {
     let mut units: Vec<Unit> = Vec::new();
-    let mut add = |stage, after: Vec<usize>, range: [Option<Range<u64>>; 2], writes: PathBuf| {
-        let [vertices, pieces] = range;
-        units.push(Unit { number: units.len(), stage, after, vertices, pieces, writes });
+    let mut add = |stage, after: Vec<usize>, of: Of, writes: PathBuf| {
+        let (vertices, part, pieces) = match of {
+            Of::All => (None, None, None),
+            Of::Vertices(range) => (Some(range), None, None),
+            Of::Part(part) => (None, Some(part), None),
+            Of::Pieces(range) => (None, None, Some(range)),
+        };
+        units.push(Unit { number: units.len(), stage, after, vertices, part, pieces, writes });
         units.len() - 1
     };
     let mut before = Vec::new();
@@ -137,14 +182,27 @@ fn units(model: &dyn Model, undivided: bool, options: &Options<'_>) -> Vec<Unit>
     if info.random_access && model.division(options.normals).is_some() {
         for (number, range) in shares(info.vertices, options.units).enumerate() {
             let writes = PathBuf::from(format!("count-{number}.bin"));
-            before.push(add(Stage::Count, Vec::new(), [Some(range), None], writes));
+            before.push(add(Stage::Count, Vec::new(), Of::Vertices(range), writes));
         }
     }
-    let sample = add(Stage::Sample, before, [None, None], Path::new(SAMPLED).join("simod.toml"));
-    let deform = add(Stage::Deform, vec![sample], [None, None], DEFORMED.into());
+    let (count, sampled) = (clustering(model, sampling, options), Path::new(SAMPLED).join("simod.toml"));
+    let sample = if count > 0 {
+        let merged = vec![add(Stage::Merge, before, Of::All, COUNTS.into())];
+        let mut of = |stage, after: &Vec<usize>, name: &str| -> Vec<usize> {
+            let one =
+                |part| add(stage, after.clone(), Of::Part(part), PathBuf::from(format!("{name}-{part}.bin")));
+            (0..count).map(one).collect()
+        };
+        let mut clustered = of(Stage::Cluster, &merged, "cluster");
+        clustered.extend(of(Stage::ClusterShared, &clustered, "group"));
+        add(Stage::Cut, clustered, Of::All, sampled)
+    } else {
+        add(Stage::Sample, before, Of::All, sampled)
+    };
+    let deform = add(Stage::Deform, vec![sample], Of::All, DEFORMED.into());
     let division = model.division(options.normals).filter(|_| !undivided);
     let Some(division) = division else {
-        add(Stage::Write, vec![deform], [None, None], FINISHED.into());
+        add(Stage::Write, vec![deform], Of::All, FINISHED.into());
         return units;
     };
     let mut parts = Vec::new();
@@ -152,9 +210,9 @@ fn units(model: &dyn Model, undivided: bool, options: &Options<'_>) -> Vec<Unit>
     for (number, share) in shares(division.pieces - first, options.units).enumerate() {
         let range = first + share.start..first + share.end;
         let writes = PathBuf::from(format!("part-{number}.bin"));
-        parts.push(add(Stage::Apply, vec![deform], [None, Some(range)], writes));
+        parts.push(add(Stage::Apply, vec![deform], Of::Pieces(range), writes));
     }
-    add(Stage::Finish, parts, [None, None], FINISHED.into());
+    add(Stage::Finish, parts, Of::All, FINISHED.into());
     units
 }
 
@@ -188,13 +246,14 @@ fn check_target(folder: &Path) -> Result<()> {
 
 /// Whether a file in a plan's folder is of the plan, its units or its engines.
 fn is_own(name: &str) -> bool {
-    let fixed = [PLAN, FINISHED, SAMPLED, REFINED, DEFORMED, SHARED, GRADIENTS];
+    let fixed = [PLAN, FINISHED, COUNTS, SAMPLED, REFINED, DEFORMED, SHARED, GRADIENTS];
     let is_numbered = |(before, behind)| name.starts_with(before) && name.ends_with(behind);
     fixed.contains(&name)
         || Emit::FILES.contains(&name)
-        || [("count-", ".bin"), ("part-", ".bin"), ("slurm-", ".out"), (".simod-", "")]
+        || ["count-", "cluster-", "shared-", "group-", "part-"]
             .into_iter()
-            .any(is_numbered)
+            .any(|of| is_numbered((of, ".bin")))
+        || [("slurm-", ".out"), (".simod-", "")].into_iter().any(is_numbered)
 }
 
 /// A path that does not depend on where a unit is done.

@@ -11,6 +11,6 @@ mod make;
 mod unit;
 
 pub use emit::{Emit, emit};
-pub use graph::{Plan, Stage, Unit};
+pub use graph::{Exchange, Plan, Stage, Unit};
 pub use make::{Options, make};
 pub use unit::{Done, do_unit};

@@ -8,16 +8,22 @@ use simod_core::reconstruction::{
     Part, Reconstructed, Reconstruction, Version, choose_offset, join_parts, reconstruct, write_part,
 };
 use simod_core::sampled_model::SampledModel;
+use simod_core::sampling::divided::{
+    Division, cluster, cluster_shared, merge_counts, sample_clustered, shared,
+};
 use simod_core::sampling::{Sampling, count, sample_counted};
 use simod_model::{
     Cache, Conversion, Converted, Error, ErrorKind, Model, Normals, Progress, Result, input,
     is_named_otherwise, output,
 };
 
-use super::graph::{DEFORMED, FINISHED, GRADIENTS, Plan, REFINED, SAMPLED, SHARED, Stage, Unit, hash_of};
+use super::graph::{
+    COUNTS, DEFORMED, FINISHED, GRADIENTS, Plan, REFINED, SAMPLED, SHARED, Stage, Unit, hash_of,
+};
+use super::make::skipped;
 use crate::deformer::Message;
 use crate::edit::{Refinements, turning_gradients};
-use crate::pipeline::{DeformedSamples, deform, needed, note_losses, open, sampled_of};
+use crate::pipeline::{DeformedSamples, deform, note_losses, open, sampled_of, sampling_of};
 use crate::plugins::PluginRegistry;
 use crate::session_file::SessionFile;
 use crate::stack::Stack;
@@ -32,6 +38,8 @@ pub struct Done {
     pub was_done: bool,
     /// What the plugins had to say.
     pub messages: Vec<Message>,
+    /// How many vertices are in cells that ranges share, once that is known.
+    pub shared_vertices: Option<u64>,
     /// What was written, by the last unit.
     pub written: Option<Reconstructed>,
 }
@@ -57,7 +65,8 @@ pub fn do_unit(
     })?;
     let work = Work { plan, unit, folder, progress };
     // Parts are checked where they are found, and what they were made of may be gone once all is done.
-    let checks_itself = matches!(unit.stage, Stage::Count | Stage::Apply);
+    let checks_itself =
+        matches!(unit.stage, Stage::Count | Stage::Cluster | Stage::ClusterShared | Stage::Apply);
     if folder.join(FINISHED).is_file() || (!checks_itself && folder.join(&unit.writes).is_file()) {
         return Ok(Done { was_done: true, ..Done::default() });
     }
@@ -74,7 +83,9 @@ pub fn do_unit(
     }
     match unit.stage {
         Stage::Count => work.count(),
-        Stage::Sample => work.sample(plugins),
+        Stage::Merge => work.merge(plugins),
+        Stage::Cluster | Stage::ClusterShared => work.cluster(plugins),
+        Stage::Cut | Stage::Sample => work.sample(plugins),
         Stage::Deform => work.deform(plugins),
         Stage::Apply => work.apply(),
         Stage::Finish => work.finish(),
@@ -103,6 +114,52 @@ impl Work<'_> {
         Ok(Done { was_done: !did, ..Done::default() })
     }
 
+    /// The session, and how its model is sampled.
+    fn sampling(&self, plugins: &PluginRegistry) -> Result<(SessionFile, Sampling)> {
+        let session = self.session()?;
+        let stack = Stack::build(&session.steps, plugins)?;
+        let sampling = sampling_of(&session, skipped(&session, &stack, self.plan.options.whole_samples));
+        Ok((session, sampling))
+    }
+
+    fn merge(&self, plugins: &PluginRegistry) -> Result<Done> {
+        let (session, sampling) = self.sampling(plugins)?;
+        let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
+        let counted = self.plan.files_of(self.folder, Stage::Count);
+        let counts = self.at_own();
+        let did = merge_counts(&*model, &sampling, &counted, &counts)?;
+        let division = self.division(&counts);
+        let shared = shared(&*model, &sampling, &division, self.folder, self.progress)?;
+        Ok(Done { was_done: !did, shared_vertices: Some(shared), ..Done::default() })
+    }
+
+    fn cluster(&self, plugins: &PluginRegistry) -> Result<Done> {
+        let (session, sampling) = self.sampling(plugins)?;
+        let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
+        let (counts, part) = (self.at(COUNTS), self.unit.part.unwrap_or_default());
+        let division = (&self.division(&counts), part);
+        let (own, shared) = (self.at_own(), self.shared());
+        let (folder, progress) = (self.folder, self.progress);
+        let did = if self.unit.stage == Stage::Cluster {
+            let vertices = &shared[part as usize];
+            cluster(&*model, &sampling, division, (&own, vertices), folder, progress)?
+        } else {
+            cluster_shared(&*model, &sampling, division, (&shared, &own), folder, progress)?
+        };
+        Ok(Done { was_done: !did, ..Done::default() })
+    }
+
+    /// How clustering is divided.
+    fn division<'b>(&self, counts: &'b Path) -> Division<'b> {
+        Division { counts, units: self.plan.files_of(self.folder, Stage::Cluster).len() as u64 }
+    }
+
+    /// The files of what each range has of cells that it shares with others.
+    fn shared(&self) -> Vec<PathBuf> {
+        let ranges = self.plan.files_of(self.folder, Stage::Cluster).len();
+        (0..ranges).map(|range| self.at(&format!("shared-{range}.bin"))).collect()
+    }
+
     fn sample(&self, plugins: &PluginRegistry) -> Result<Done> {
         let session = self.session()?;
         let stack = Stack::build(&session.steps, plugins)?;
@@ -111,8 +168,17 @@ impl Work<'_> {
         let model = self.open(&session, &cache)?;
         let counted = self.plan.files_of(self.folder, Stage::Count);
         let counted = (!counted.is_empty()).then_some(&counted[..]);
-        let skip = needed(&session, &stack, false);
-        let by = |sampling: &Sampling| sample_counted(&*model, sampling, counted, self.folder, self.progress);
+        let skip = skipped(&session, &stack, self.plan.options.whole_samples);
+        let by = |sampling: &Sampling| {
+            if self.unit.stage == Stage::Sample {
+                return sample_counted(&*model, sampling, counted, self.folder, self.progress);
+            }
+            let counts = self.at(COUNTS);
+            let [ranges, groups] =
+                [Stage::Cluster, Stage::ClusterShared].map(|stage| self.plan.files_of(self.folder, stage));
+            let files = (&ranges[..], &groups[..]);
+            sample_clustered(&*model, sampling, &self.division(&counts), files, self.folder, self.progress)
+        };
         sampled_of(&session, &*model, skip, &cache, by, self.progress)?.save_in(begun)?;
         Ok(Done::default())
     }
@@ -164,8 +230,7 @@ impl Work<'_> {
         let files = (&parts[..], &*self.at(SHARED));
         let written = join_parts(sampled, &**model, &version, &edit.how(), files, self.progress)?;
         self.finished()?;
-        // They are not needed any more; one that cannot be removed hurts nobody.
-        parts.iter().for_each(|part| drop(std::fs::remove_file(part)));
+        self.tidy(&parts);
         Ok(Done { written: Some(written), ..Done::default() })
     }
 
@@ -185,6 +250,7 @@ impl Work<'_> {
         let version = Version { deformed, output, diagnostics: None };
         let written = reconstruct(sampled, &**model, &[version], &edit.how(), self.progress)?;
         self.finished()?;
+        self.tidy(&[]);
         Ok(Done { written: Some(written), ..Done::default() })
     }
 
@@ -261,6 +327,14 @@ impl Work<'_> {
             )
         })?;
         Ok(Some(known.iter().map(Mat3::from_cols_array).collect()))
+    }
+
+    /// Removes what is not needed any more; a file that cannot be removed hurts nobody.
+    fn tidy(&self, parts: &[PathBuf]) {
+        let [ranges, groups] =
+            [Stage::Cluster, Stage::ClusterShared].map(|stage| self.plan.files_of(self.folder, stage));
+        let all = parts.iter().chain(&ranges).chain(&groups);
+        all.chain(&self.shared()).for_each(|file| drop(std::fs::remove_file(file)));
     }
 
     /// Says in the plan's folder that the output is in its place.

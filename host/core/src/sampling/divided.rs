@@ -1,0 +1,338 @@
+//! Sampling by units of work, on more machines than one: pass 2 in ranges of the stream, each from files to files.
+//! The samples are those of [`sample`](super::sample), to the byte, for any number of ranges.
+//!
+//! A range clusters the cells that lie wholly within, and writes down its vertices of the others
+//! (`shared_vertices`), which are clustered by groups of cells. The cut goes through the trees of all. What a piece of
+//! the stream is, which groups of vertices there are, and whether there are any, follows from the counts and the cell
+//! alone, and not from what else is open.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use simod_model::{Error, ErrorKind, Model, Progress, Result, input};
+use xxhash_rust::xxh3::Xxh3Default;
+
+use super::clustered_file::{CellOfFile, ClusteredFile, refused};
+use super::cut::{ClusteredCell, Forest};
+use super::finalization::{Clustered, Hashing, Job, changed};
+use super::gather::{Grouping, find_room};
+use super::shared_vertices::{self, SharedReader, SharedWriter};
+use super::shares::{Owner, Shares, ranges};
+use super::{Found, Prepared, Sampling, counted, counting};
+use crate::fingerprint::Blocks;
+use crate::sampled_model::SampledModel;
+
+/// By how many times the samples of a part of the vertices, of which so many times the square root gets its share,
+/// are more than are kept of a part of the stream on one machine: parts are fewer, and one that is too rich is seen
+/// in the end alone.
+const FORESIGHT: f64 = 2.0;
+
+/// No file of counts is longer.
+const LONGEST_COUNTS: u64 = 8 << 30;
+
+/// How pass 2 is divided.
+#[derive(Debug, Clone, Copy)]
+pub struct Division<'a> {
+    /// The counts of all vertices, in one file: see [`merge_counts`].
+    pub counts: &'a Path,
+    /// Number of ranges, and of groups of cells that ranges share: no fewer than [`ranges_of`].
+    pub units: u64,
+}
+
+/// Number of ranges that a model is divided into, if there are to be so many.
+pub fn ranges_of(model: &dyn Model, units: u64) -> u64 {
+    ranges(model.info().vertices, units).len() as u64
+}
+
+/// Why pass 2 of a model cannot be divided, if it cannot.
+pub fn undivided(model: &dyn Model, sampling: &Sampling) -> Option<&'static str> {
+    let info = model.info();
+    if !info.random_access {
+        Some("its vertices cannot be read from anywhere")
+    } else if info.faces > 0 {
+        Some("its faces tell which samples hang together, and are read over a table of all vertices")
+    } else if !sampling.skip.colors && simod_model::Colors::seen(&info.attributes).is_some() {
+        Some("colours of its samples are wanted")
+    } else {
+        None
+    }
+}
+
+/// Most bytes that ranges write down of cells that they share, which is where vertices come in no order.
+pub fn exchanged_at_most(model: &dyn Model) -> u64 {
+    let info = model.info();
+    shared_vertices::bytes_at_most(info.vertices, info.has_normals)
+}
+
+/// Adds up [counts](super::count) of ranges that are all of the model, to a file of the same kind. Nothing is done if
+/// it is there already; `false` then.
+///
+/// Memory: 48 bytes for each occupied cell, as much for the file, and a file that is added.
+///
+/// # Errors
+/// A file is missing, damaged, or of another model or other options; they are not of all vertices; the file cannot be
+/// written.
+pub fn merge_counts(
+    model: &dyn Model,
+    sampling: &Sampling,
+    counted: &[impl AsRef<Path>],
+    target: &Path,
+) -> Result<bool> {
+    counted::merge(model, &counting(model, sampling)?, counted, target)
+}
+
+/// A division of a model that was counted.
+struct Divided<'a> {
+    prepared: Prepared<'a>,
+    shares: Shares,
+    key: u128,
+}
+
+impl<'a> Divided<'a> {
+    fn new(
+        model: &'a dyn Model,
+        sampling: &Sampling,
+        division: &Division<'_>,
+        folder: &'a Path,
+        progress: &'a dyn Progress,
+    ) -> Result<Self> {
+        if let Some(why) = undivided(model, sampling) {
+            let what = format!("the sampling of {} cannot be divided: {why}", model.path().display());
+            return Err(Error::new(ErrorKind::Argument, what, "sample it at once"));
+        }
+        model.check_complete(progress)?;
+        let prepared = Prepared::new(model, sampling, Some(&[division.counts]), folder, progress)?;
+        let ranges = ranges(model.info().vertices, division.units);
+        let groups = ranges.len() as u32;
+        let mut hash = Xxh3Default::new();
+        hash.update(&input::read(division.counts, LONGEST_COUNTS)?);
+        hash.update(format!("{:?} {groups}", prepared.sampling).as_bytes());
+        let shares = Shares::new(&prepared.grid, ranges, groups);
+        Ok(Self { prepared, shares, key: hash.digest128() })
+    }
+
+    /// The key of what an owner leaves.
+    fn key_of(&self, owner: Owner) -> u128 {
+        let (kind, number) = match owner {
+            Owner::Range(number) => (1, number),
+            Owner::Group(number) => (2, number),
+        };
+        self.key ^ (kind << 32 | u128::from(number))
+    }
+
+    /// An owner of a number, which there has to be.
+    fn owner(&self, owner: impl Fn(u32) -> Owner, number: u64) -> Result<Owner> {
+        let known = u32::try_from(number).ok().filter(|number| *number < self.shares.groups());
+        known.map(owner).ok_or_else(|| {
+            let what = format!("there is no part {number} of {}", self.shares.groups());
+            Error::new(ErrorKind::Argument, what, "count from 0")
+        })
+    }
+
+    /// What is left for the cut of what was clustered, or that groups found no room.
+    fn leave(&self, owner: Owner, clustered: Option<Clustered>, path: &Path) -> Result<()> {
+        let key = self.key_of(owner);
+        let Some(Clustered { forest, hash, ranges, items, ends, .. }) = clustered else {
+            let bound = f32::INFINITY;
+            let none = ClusteredFile {
+                key,
+                has_room: false,
+                bound,
+                ends: None,
+                jumps: 0,
+                hashed: None,
+                cells: Vec::new(),
+            };
+            return none.write(path);
+        };
+        let hashed = match hash {
+            Hashing::Part(hash) => Some(hash.finish().ok_or_else(|| changed(self.prepared.model))?),
+            Hashing::All(_) | Hashing::Nothing => None,
+        };
+        let jumps = ranges.jumps();
+        let mut ranges: Vec<_> = ranges.into_cells().collect();
+        let (bound, trees) = forest.into_trees();
+        let cell = |ClusteredCell { cell, tree, moments }| {
+            let at = cell as usize;
+            CellOfFile { cell, items: items[at], ranges: std::mem::take(&mut ranges[at]), moments, tree }
+        };
+        let cells = trees.map(cell).collect();
+        ClusteredFile { key, has_room: true, bound, ends, jumps, hashed, cells }.write(path)
+    }
+}
+
+/// Number of vertices in cells that ranges share: what these write down for each other, of 12 bytes each, or 24 with
+/// normals, and some 5 to 14 for each visit to a cell.
+///
+/// # Errors
+/// The counts cannot be read, or are of something else.
+pub fn shared(
+    model: &dyn Model,
+    sampling: &Sampling,
+    division: &Division<'_>,
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<u64> {
+    let divided = Divided::new(model, sampling, division, folder, progress)?;
+    Ok(divided.shares.shared_vertices(&divided.prepared.grid))
+}
+
+/// Clusters the cells that lie wholly within a range of the model, to one file, and writes the range's vertices of the
+/// others to another one. Nothing is done if both are there already; `false` then. Temporary files without a name are
+/// made in `folder`.
+///
+/// Memory: that of [`sample`](super::sample); twice the file of trees; 32 MiB of vertices, or 4 KiB for each group.
+///
+/// # Errors
+/// As of [`sample`](super::sample); the counts are damaged, or of something else; a file cannot be written, or another
+/// process writes it.
+pub fn cluster(
+    model: &dyn Model,
+    sampling: &Sampling,
+    (division, range): (&Division<'_>, u64),
+    (trees, vertices): (&Path, &Path),
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<bool> {
+    let divided = Divided::new(model, sampling, division, folder, progress)?;
+    let owner = divided.owner(Owner::Range, range)?;
+    let (key, grouping) = (divided.key_of(owner), divided.prepared.sampling.grouping);
+    if shared_vertices::is_there(vertices, key) && ClusteredFile::read(trees, key).is_ok() {
+        return Ok(false);
+    }
+    let writer = Mutex::new(SharedWriter::create(vertices, key, divided.shares.groups())?);
+    let job = Job::Range(&divided.shares, range as u32, &writer);
+    let clustered = divided.prepared.stream(job, Some(FORESIGHT), grouping)?;
+    model.check_complete(progress)?;
+    let writer = writer.into_inner().unwrap_or_else(PoisonError::into_inner);
+    writer.commit(clustered.is_some())?;
+    // In the end, as it tells that both are there.
+    divided.leave(owner, clustered, trees)?;
+    Ok(true)
+}
+
+/// Clusters a group of the cells that ranges share, of the vertices that these [wrote down](cluster), to a file.
+/// Nothing is done if it is there already; `false` then.
+///
+/// Memory: that of [`sample`](super::sample); twice the file of trees; 48 bytes for each 256 KiB of the group's vertices.
+///
+/// # Errors
+/// As of [`cluster`]; what a range has written is missing or damaged.
+pub fn cluster_shared(
+    model: &dyn Model,
+    sampling: &Sampling,
+    (division, group): (&Division<'_>, u64),
+    (vertices, trees): (&[PathBuf], &Path),
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<bool> {
+    let divided = Divided::new(model, sampling, division, folder, progress)?;
+    let owner = divided.owner(Owner::Group, group)?;
+    if ClusteredFile::read(trees, divided.key_of(owner)).is_ok() {
+        return Ok(false);
+    }
+    let keys: Vec<u128> = (0..divided.shares.groups()).map(|k| divided.key_of(Owner::Range(k))).collect();
+    let files: Vec<(&Path, u128)> = vertices.iter().map(PathBuf::as_path).zip(keys).collect();
+    let clustered = match SharedReader::open(&files, group as u32)? {
+        Some(reader) => {
+            let reader = Mutex::new(reader);
+            let job = Job::Group(&divided.shares, group as u32, &reader);
+            divided.prepared.stream(job, Some(FORESIGHT), divided.prepared.sampling.grouping)?
+        }
+        None => None,
+    };
+    divided.leave(owner, clustered, trees)?;
+    Ok(true)
+}
+
+/// Samples a model of which all ranges and all groups are clustered, each to one of some files. It is not read, unless
+/// the parts have kept too little: where groups of vertices find no room, or a part of the model has far more of the
+/// samples than of the vertices, it is sampled as by [`sample`](super::sample), which is noted.
+///
+/// Memory: that of [`sample`](super::sample) without vertices, and a file.
+///
+/// # Errors
+/// As of [`sample`](super::sample); a file is missing, damaged, or of something else.
+pub fn sample_clustered(
+    model: &dyn Model,
+    sampling: &Sampling,
+    division: &Division<'_>,
+    (of_ranges, of_groups): (&[PathBuf], &[PathBuf]),
+    folder: &Path,
+    progress: &dyn Progress,
+) -> Result<SampledModel> {
+    let divided = Divided::new(model, sampling, division, folder, progress)?;
+    let owners = |owner: fn(u32) -> Owner| (0..divided.shares.groups()).map(owner);
+    let files: Vec<(Owner, &PathBuf)> =
+        owners(Owner::Range).zip(of_ranges).chain(owners(Owner::Group).zip(of_groups)).collect();
+    progress.begin("completing the samples", 0);
+    match divided.cut(&files)? {
+        Ok(found) => divided.prepared.complete(found),
+        Err((why, grouping)) => {
+            progress.note(&format!("{why}: this unit samples the model by itself"));
+            let found = divided.prepared.clustered_with(grouping)?;
+            divided.prepared.complete(found)
+        }
+    }
+}
+
+/// Why parts are of no use, and whether there are groups then.
+type Useless = (&'static str, Grouping);
+
+impl Divided<'_> {
+    /// What pass 2 has found, by the files of all parts.
+    fn cut(&self, files: &[(Owner, &PathBuf)]) -> Result<Result<Found, Useless>> {
+        let Prepared { grid, target, bound, for_groups, sampling, .. } = &self.prepared;
+        let grouping = sampling.grouping;
+        let mut forest = Forest::new(grid, *target, *bound, self.prepared.most(), None);
+        let mut items = vec![0; grid.keys.len()];
+        let mut ranges = vec![Vec::new(); grid.keys.len()];
+        let (mut hash, mut jumps, mut last) = (Blocks::default(), 0, None);
+        let mut known = 0;
+        for (owner, path) in files {
+            self.prepared.progress.check()?;
+            let file = ClusteredFile::read(path, self.key_of(*owner))?;
+            if !file.has_room {
+                return Ok(Err(("groups of vertices find no room", Grouping::Never)));
+            }
+            if let Owner::Range(_) = owner {
+                let is_next = file.hashed.is_some_and(|part| hash.append(&part));
+                if !is_next {
+                    return Err(refused(path, "is not of the vertices behind those of the former range"));
+                }
+                jumps += file.jumps;
+                if let Some([first, end]) = file.ends {
+                    jumps += u64::from(last.is_some_and(|last| last != first));
+                    last = Some(end);
+                }
+            }
+            forest.raise(file.bound);
+            for CellOfFile { cell, items: of_cell, ranges: where_it_is, moments, tree } in file.cells {
+                let at = cell as usize;
+                if at >= items.len() || items[at] != 0 || self.shares.owner(cell) != *owner {
+                    return Err(refused(path, "has a cell that is not its own"));
+                }
+                (items[at], ranges[at]) = (of_cell.max(1), where_it_is);
+                known += 1;
+                forest.add(ClusteredCell { cell, tree, moments })?;
+            }
+        }
+        if known < items.len() {
+            return Err(Error::new(
+                ErrorKind::Argument,
+                "not all ranges and groups of cells are clustered".to_owned(),
+                "do the units first that do so",
+            ));
+        }
+        if grouping.is_level() && !find_room(&grid.records, &items, *for_groups) {
+            return Ok(Err(("groups of vertices find no room", Grouping::Never)));
+        }
+        let Some(cut) = forest.cut(grid) else {
+            let why = "a part of the model has far more of the samples than of the vertices";
+            return Ok(Err((why, grouping)));
+        };
+        let fingerprint = hash.fingerprint();
+        let (membership, picked) = (None, None);
+        Ok(Ok(Found { cut, fingerprint, jumps, ranges, membership, picked, grouping }))
+    }
+}

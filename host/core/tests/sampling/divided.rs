@@ -1,0 +1,354 @@
+//! Sampling by units, in any order and more than once: the samples, and all that is kept with them, are those of one
+//! reading.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use glam::DVec3;
+use simod_core::sampling::divided::{
+    Division, cluster, cluster_shared, exchanged_at_most, merge_counts, ranges_of, sample_clustered, shared,
+    undivided,
+};
+use simod_core::sampling::{By, Grouping, Sampling, Skip, Target, count, sample};
+use simod_generate::Shape;
+use simod_model::output::write_file;
+use simod_model::progress::Silent;
+use simod_model::{Conversion, Converted, ErrorKind, Model, Progress, Result};
+use tempfile::TempDir;
+
+use crate::body::Body;
+
+/// More than twenty pieces of the stream.
+const VERTICES: u64 = 140_000;
+
+struct Work {
+    folder: TempDir,
+    model: Box<dyn Model>,
+    sampling: Sampling,
+    units: u64,
+}
+
+impl Work {
+    fn new(body: &Body, sampling: Sampling) -> Self {
+        Self::of_format(body, "ply", sampling)
+    }
+
+    fn of_format(body: &Body, extension: &str, sampling: Sampling) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let mut path = folder.path().join("model.ply");
+        body.write(&path);
+        if extension != "ply" {
+            let (made, open) = (path, |path: &Path| simod_model::open(path).unwrap());
+            path = folder.path().join(format!("model.{extension}"));
+            let how = Conversion { lossy: true, ..Conversion::default() };
+            Converted::new(open(&made), &path, how, &Silent).unwrap().write(&path, &Silent).unwrap();
+            fs::remove_file(made).unwrap();
+        }
+        let model = simod_model::open(&path).unwrap();
+        Self { folder, model, sampling, units: 0 }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn files(&self, name: &str) -> Vec<PathBuf> {
+        (0..self.units).map(|unit| self.path(&format!("{name}-{unit}"))).collect()
+    }
+
+    /// Counts the vertices in ranges that have nothing to do with pieces.
+    fn count(&mut self, units: u64) {
+        self.units = units;
+        let all = self.model.info().vertices;
+        let files: Vec<_> = (0..units).zip(self.files("count")).collect();
+        for (unit, file) in files.into_iter().rev() {
+            let range = all * unit / units..all * (unit + 1) / units;
+            assert!(count(&*self.model, &self.sampling, (range, &file), &Silent).unwrap());
+        }
+        let counted = self.files("count");
+        let merge = || merge_counts(&*self.model, &self.sampling, &counted, &self.path("counts")).unwrap();
+        assert!(merge() && !merge());
+        self.units = ranges_of(&*self.model, units);
+    }
+
+    fn range(&self, unit: u64) -> Result<bool> {
+        let counts = self.path("counts");
+        let division = Division { counts: &counts, units: self.units };
+        let [trees, vertices] = ["range", "shared"].map(|name| self.path(&format!("{name}-{unit}")));
+        let (model, folder) = (&*self.model, self.folder.path());
+        cluster(model, &self.sampling, (&division, unit), (&trees, &vertices), folder, &Silent)
+    }
+
+    fn group(&self, unit: u64) -> Result<bool> {
+        let counts = self.path("counts");
+        let division = Division { counts: &counts, units: self.units };
+        let files = (&self.files("shared")[..], &*self.path(&format!("group-{unit}")));
+        let (model, folder) = (&*self.model, self.folder.path());
+        cluster_shared(model, &self.sampling, (&division, unit), files, folder, &Silent)
+    }
+
+    fn cut(&self, progress: &dyn Progress) -> Result<()> {
+        let counts = self.path("counts");
+        let division = Division { counts: &counts, units: self.units };
+        let (ranges, groups) = (self.files("range"), self.files("group"));
+        let (model, folder) = (&*self.model, self.folder.path());
+        let files = (&ranges[..], &groups[..]);
+        sample_clustered(model, &self.sampling, &division, files, folder, progress)?
+            .save(&self.path("divided.simod"))
+    }
+
+    /// All by so many units, each stage from its end, and twice; what was noted in the end.
+    fn by_units(&mut self, units: u64) -> Vec<String> {
+        self.count(units);
+        for unit in (0..self.units).rev() {
+            assert!(self.range(unit).unwrap() && !self.range(unit).unwrap());
+        }
+        for unit in (0..self.units).rev() {
+            assert!(self.group(unit).unwrap() && !self.group(unit).unwrap());
+        }
+        let notes = Notes::default();
+        self.cut(&notes).unwrap();
+        let notes = notes.0.into_inner().unwrap();
+        let (shared, at_most) = (self.shared(), exchanged_at_most(&*self.model));
+        let bytes: u64 = self.files("shared").iter().map(|file| file.metadata().unwrap().len()).sum();
+        // Beside the vertices there are a few bytes for each piece and block.
+        assert!(bytes <= at_most.min(shared * 38) + 500 * (self.units + 1) * (self.units + 1), "{bytes}");
+        notes
+    }
+
+    fn shared(&self) -> u64 {
+        let counts = self.path("counts");
+        let division = Division { counts: &counts, units: self.units };
+        shared(&*self.model, &self.sampling, &division, self.folder.path(), &Silent).unwrap()
+    }
+
+    /// Removes what units have left, and compares what they have made with what one reading makes.
+    fn compare(&self, what: &str) {
+        for name in ["count", "range", "shared", "group"] {
+            let files = (0..100).map(|unit| self.path(&format!("{name}-{unit}")));
+            files.filter(|file| file.exists()).for_each(|file| fs::remove_file(file).unwrap());
+        }
+        fs::remove_file(self.path("counts")).unwrap();
+        let whole = self.path("whole.simod");
+        if !whole.exists() {
+            let sampled = sample(&*self.model, &self.sampling, self.folder.path(), &Silent).unwrap();
+            assert!(sampled.samples.len() > 20);
+            sampled.save(&whole).unwrap();
+        }
+        let divided = self.path("divided.simod");
+        for file in ["samples.ply", "simod.toml", "cells.bin"] {
+            let [whole, divided] = [&whole, &divided].map(|folder| fs::read(folder.join(file)).unwrap());
+            assert!(whole == divided, "{file} differs: {what}");
+        }
+        fs::remove_dir_all(divided).unwrap();
+        // The model and its samples.
+        assert_eq!(fs::read_dir(self.folder.path()).unwrap().count(), 2, "something is left: {what}");
+    }
+
+    fn check(&mut self, what: &str) {
+        for units in [2, 5, 40] {
+            assert_eq!(self.by_units(units), Vec::<String>::new(), "{what}");
+            self.compare(&format!("{what}, {units} units"));
+        }
+    }
+}
+
+/// What work has to say.
+#[derive(Default)]
+struct Notes(Mutex<Vec<String>>);
+
+impl Progress for Notes {
+    fn begin(&self, _stage: &'static str, _total_bytes: u64) {}
+    fn advance(&self, _bytes: u64) {}
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+    fn note(&self, text: &str) {
+        self.0.lock().unwrap().push(text.to_owned());
+    }
+}
+
+fn amphora() -> Body {
+    Body::generated(Shape::Amphora, VERTICES).without_faces()
+}
+
+fn samples(n: u64) -> Sampling {
+    Sampling { target: Target::Samples(n), ..Sampling::default() }
+}
+
+#[test]
+fn units_sample_as_one_reading_does() {
+    let body = amphora();
+    for (name, body) in [("in order", body.clone()), ("in no order", body.shuffled())] {
+        Work::new(&body, samples(3000)).check(name);
+        Work::new(&body.without_normals(), samples(300)).check(&format!("{name}, without normals"));
+    }
+    let error = Sampling { target: Target::Error(2e-3), ..Sampling::default() };
+    Work::new(&body, error).check("to an error");
+    let area = Sampling { by: By::Area, grid: Some(64), ..samples(5000) };
+    Work::new(&body.shuffled(), area).check("by area");
+}
+
+/// Sums depend on which vertices are added up first: on pieces, and on what the stream does within them.
+#[test]
+fn units_add_groups_up_as_one_reading_does() {
+    let body = amphora();
+    for level in [0, 2, 4] {
+        let sampling = Sampling { grouping: Grouping::Level(level), ..samples(1000) };
+        Work::new(&body, sampling).check(&format!("in order, level {level}"));
+        Work::new(&body.shuffled(), sampling).check(&format!("in no order, level {level}"));
+    }
+    // Rows of two halves in turns: the stream leaves each cell and comes back.
+    let n = body.positions.len();
+    let turns = |i: usize| (i / 7 * 7 + (i % 7) * (n / 14)) % n;
+    let positions = (0..n).map(|i| body.positions[turns(i)]).collect();
+    let normals = (0..n).map(|i| body.normals[turns(i)]).collect();
+    let turns = Body { positions, normals, ..Body::default() };
+    let sampling = Sampling { grouping: Grouping::Level(3), ..samples(1000) };
+    Work::new(&turns, sampling).check("in turns");
+}
+
+/// So many vertices are open at a time that there are groups, whether anybody asks for them or not.
+#[test]
+fn units_know_when_groups_are_needed() {
+    let body = Body::generated(Shape::Amphora, 500_000).without_faces().shuffled();
+    let mut work = Work::new(&body, samples(500));
+    assert_eq!(work.by_units(3), Vec::<String>::new());
+    work.compare("automatic groups");
+    let described = fs::read_to_string(work.path("whole.simod/simod.toml")).unwrap();
+    assert!(described.contains("group-level"), "{described}");
+}
+
+#[test]
+fn vertices_that_are_nowhere_are_of_no_unit() {
+    let mut body = amphora();
+    let n = body.positions.len();
+    // Around the borders of ranges, all over, and a far one.
+    let borders = (0..n).step_by(6144).flat_map(|at| at.saturating_sub(40)..(at + 60).min(n));
+    let all: Vec<usize> = borders.chain((0..n).step_by(11)).collect();
+    all.into_iter().for_each(|i| body.positions[i] = DVec3::NAN);
+    body.positions[77_777] = DVec3::splat(40.0);
+    Work::new(&body, samples(2000)).check("as they are");
+    let groups = Sampling { grouping: Grouping::Level(3), ..samples(2000) };
+    Work::new(&body, groups).check("in groups");
+    // A range without any vertex.
+    body.positions[30_000..60_000].fill(DVec3::NAN);
+    Work::new(&body, groups).check("with a gap");
+}
+
+#[test]
+fn compressed_blocks_need_not_end_where_ranges_do() {
+    let body = amphora().without_normals();
+    Work::of_format(&body, "laz", samples(2000)).check("LAZ");
+    Work::of_format(&body.shuffled(), "laz", samples(2000)).check("LAZ in no order");
+    Work::of_format(&body, "las", samples(2000)).check("LAS");
+    Work::of_format(&body, "pcd", samples(2000)).check("PCD");
+}
+
+#[test]
+fn all_in_one_place_and_few_vertices_are_no_matter() {
+    let place = |i: u32| DVec3::new(1.0, 2.0, 3.0 + f64::from(i % 30));
+    let body = Body { positions: (0..30_000).map(place).collect(), ..Body::default() };
+    Work::new(&body, samples(1000)).check("in a few places");
+}
+
+/// A part of the vertices that takes nearly all of the samples: its unit keeps too few, and that is noticed.
+#[test]
+fn a_part_that_is_too_rich_is_sampled_after_all() {
+    let (mut body, mut state) = (Body::default(), 7u64);
+    let mut random = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f64 / f64::from(1 << 24)
+    };
+    body.positions = (0..6144).map(|_| DVec3::new(random(), random(), random())).collect();
+    let flat = |i: u32| DVec3::new(f64::from(i % 500) * 1e-5, f64::from(i / 500) * 1e-5, 0.5);
+    body.positions.extend((0..290_000).map(flat));
+    let mut work = Work::new(&body, samples(6000));
+    let notes = work.by_units(40);
+    assert!(notes.len() == 1 && notes[0].contains("far more of the samples"), "{notes:?}");
+    work.compare("a rich part");
+}
+
+#[test]
+fn groups_without_room_are_no_groups() {
+    let body = Body::generated(Shape::Amphora, 300_000).without_faces().shuffled();
+    let sampling = Sampling { grouping: Grouping::Level(6), memory_limit: Some(34 << 20), ..samples(3000) };
+    let mut work = Work::new(&body, sampling);
+    let notes = work.by_units(3);
+    assert!(notes.len() == 1 && notes[0].contains("no room"), "{notes:?}");
+    work.compare("without room");
+    let described = fs::read_to_string(work.path("whole.simod/simod.toml")).unwrap();
+    assert!(!described.contains("group-level"), "{described}");
+}
+
+#[test]
+fn what_is_wrong_is_told() {
+    let body = amphora();
+    let mut work = Work::new(&body, samples(1000));
+    let told = |error: simod_model::Error, words: &[&str]| {
+        let text = error.to_string();
+        assert!(words.iter().all(|word| text.contains(word)), "{text}");
+        assert_ne!(error.kind(), ErrorKind::Internal);
+    };
+    work.count(3);
+    told(work.range(3).unwrap_err(), &["no part 3 of 3"]);
+    told(work.group(0).unwrap_err(), &["shared-0"]);
+    (0..2).for_each(|unit| assert!(work.range(unit).unwrap()));
+    told(work.group(0).unwrap_err(), &["shared-2"]);
+    assert!(work.range(2).unwrap());
+    (0..3).for_each(|unit| assert!(work.group(unit).unwrap()));
+    let samples_of_cut = || {
+        work.cut(&Silent).unwrap();
+        let samples = fs::read(work.path("divided.simod/samples.ply")).unwrap();
+        fs::remove_dir_all(work.path("divided.simod")).unwrap();
+        samples
+    };
+    let expected = samples_of_cut();
+    // A damaged file is made again.
+    for name in ["range-1", "group-2", "shared-0"] {
+        let (file, good) = (work.path(name), fs::read(work.path(name)).unwrap());
+        let mut bad = good.clone();
+        let at = bad.len() / 2;
+        bad[at] ^= 1;
+        write_file(&file, &bad).unwrap();
+        if name == "shared-0" {
+            fs::remove_file(work.path("group-0")).unwrap();
+            fs::remove_file(work.path("group-1")).unwrap();
+            told((0..2).find_map(|unit| work.group(unit).err()).unwrap(), &[name, "damaged"]);
+            fs::remove_file(&file).unwrap();
+            assert!(work.range(0).unwrap());
+            assert!(work.group(0).unwrap() | work.group(1).unwrap());
+            assert!(fs::read(&file).unwrap() == good, "{name} is another one");
+        } else {
+            told(work.cut(&Silent).unwrap_err(), &[name, "damaged"]);
+            assert!(if name == "range-1" { work.range(1) } else { work.group(2) }.unwrap());
+        }
+        // Which clusters are kept that the cut does not need is a matter of time.
+        assert!(samples_of_cut() == expected, "{name} is another one");
+    }
+    // Parts of one another's, of other samples, and none.
+    let [a, b] = ["range-0", "range-1"].map(|name| fs::read(work.path(name)).unwrap());
+    write_file(&work.path("range-0"), &b).unwrap();
+    told(work.cut(&Silent).unwrap_err(), &["range-0"]);
+    write_file(&work.path("range-0"), &a).unwrap();
+    work.sampling.target = Target::Samples(1001);
+    told(work.cut(&Silent).unwrap_err(), &["range-0", "other samples"]);
+    work.sampling = samples(1000);
+    work.cut(&Silent).unwrap();
+    fs::remove_file(work.path("group-1")).unwrap();
+    told(work.cut(&Silent).unwrap_err(), &["group-1"]);
+
+    // Another vertex of the same cell or of another one.
+    let mut other = body.clone();
+    other.positions.swap(1000, 100_000);
+    other.write(&work.path("model.ply"));
+    work.model = simod_model::open(&work.path("model.ply")).unwrap();
+    fs::remove_file(work.path("range-0")).unwrap();
+    told(work.range(0).unwrap_err(), &["changed while it was read"]);
+
+    let faces = Work::new(&Body::generated(Shape::Amphora, 20_000), samples(1000));
+    assert!(undivided(&*faces.model, &faces.sampling).is_some_and(|why| why.contains("faces")));
+    let skip = Skip { colors: true, ..Skip::default() };
+    assert!(undivided(&*work.model, &Sampling { skip, ..work.sampling }).is_none());
+}

@@ -1,0 +1,322 @@
+"""Sampling and writing models by the workers of a Dask cluster: the same bytes as on one machine.
+
+    from dask.distributed import Client
+    import simod.dask
+
+    client = Client("scheduler:8786")
+    s = simod.dask.sample(client, "scan.laz", 200_000, units=64)
+    s.points[:] = my_numpy_function(s.points)
+    simod.dask.apply(client, "scan.laz", s, "out.laz", units=64)
+    simod.dask.run(client, "edit.toml")             # or a whole session
+
+The work is divided into units, from files to files (``simod plan``): all workers have to see the model, the output and
+the folder of the plan by the same names, and to have this package in the same version. A unit that fails, or whose
+worker dies, is done again, by another worker where there is one; what is done already is not.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+try:
+    from distributed import Client, Future, as_completed, get_worker
+except ImportError as error:  # pragma: no cover
+    raise ImportError("simod.dask needs Dask: pip install 'dask[distributed]'") from error
+
+from ._bar import Bar
+from ._errors import Error, FileError
+from ._simod import Samples, _plan, _unit, load
+
+if TYPE_CHECKING:
+    from ._simod import _By, _Method, _Normals, _Place
+
+__all__ = ["Report", "apply", "run", "sample"]
+
+_Path = str | PathLike[str]
+_Progress = bool | Callable[[str, float | None], object] | None
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a cluster did."""
+
+    output: Path
+    units: int
+    """Units that were done."""
+    again: int
+    """How often one was done again, as it had failed, or its worker had died."""
+    seconds: float
+
+
+def sample(
+    client: Client,
+    model: _Path,
+    samples: int | None = None,
+    *,
+    error: float | None = None,
+    by: _By | None = None,
+    place: _Place | None = None,
+    grid: int | None = None,
+    units: int = 16,
+    folder: _Path | None = None,
+    retries: int = 5,
+    resources: Mapping[str, float] | None = None,
+    progress: _Progress = None,
+) -> Samples:
+    """Samples a model, as ``simod.Model.sample`` does, by so many units.
+
+    `folder` is where the plan goes, which all workers have to see; a hidden folder beside the model where it is not
+    given. It is removed in the end. A unit is done again at most `retries` times. `resources` is what a unit takes of
+    a worker's, as {"simod": 1}: each unit uses all cores, so one at a time is enough. `progress` is True for a line
+    on standard error, or a function (stage, fraction).
+    """
+    path = Path(model).absolute()
+    sampling = {"samples": samples, "error": error, "by": by, "place": place, "grid": grid}
+    with _planned(path, path, sampling, folder, units, None) as plan:
+        _Work(client, plan, retries, resources, progress).do(before="deform")
+        return load(plan.folder / "sampled.simod")
+
+
+def apply(
+    client: Client,
+    model: _Path,
+    samples: Samples,
+    out: _Path,
+    *,
+    normals: _Normals = "transform",
+    method: _Method = "blended-jets",
+    choose_offset: bool = False,
+    overwrite: bool = False,
+    units: int = 16,
+    folder: _Path | None = None,
+    retries: int = 5,
+    resources: Mapping[str, float] | None = None,
+    progress: _Progress = None,
+) -> Report:
+    """Carries the deformation of the samples over to all vertices of their model, as ``simod.Model.apply`` does.
+
+    `folder` is beside the output where it is not given; the rest is as of `sample` and ``simod.Model.apply``.
+    """
+    path, output = Path(model).absolute(), Path(out).absolute()
+    how = {"normals": normals, "method": method, "choose_offset": choose_offset, "overwrite": overwrite}
+    with _planned(path, output, {}, folder, units, output, **how) as plan:
+        samples.save(plan.folder / "sampled.simod")
+        samples.write(plan.folder / "deformed.ply")
+        return _Work(client, plan, retries, resources, progress).do(after="deform")
+
+
+def run(
+    client: Client,
+    session: _Path,
+    out: _Path | None = None,
+    *,
+    model: _Path | None = None,
+    normals: _Normals = "transform",
+    method: _Method = "blended-jets",
+    choose_offset: bool = False,
+    lossy: bool = False,
+    overwrite: bool = False,
+    units: int = 16,
+    folder: _Path | None = None,
+    retries: int = 5,
+    resources: Mapping[str, float] | None = None,
+    progress: _Progress = None,
+) -> Report:
+    """Does a session, as ``simod.Session.run`` does: the rest is as of `apply`.
+
+    Functions that ``simod.deformer`` registered have to be so on the workers, too.
+    """
+    path = Path(session).absolute()
+    with _folder(folder, path) as where:
+        begun = _plan(
+            path,
+            where,
+            out,
+            units=units,
+            model=model,
+            normals=normals,
+            method=method,
+            choose_offset=choose_offset,
+            lossy=lossy,
+            overwrite=overwrite,
+        )
+        return _Work(client, _Plan.of(where, begun), retries, resources, progress).do()
+
+
+@dataclass(frozen=True)
+class _Unit:
+    number: int
+    stage: str
+
+
+@dataclass(frozen=True)
+class _Plan:
+    folder: Path
+    output: Path
+    units: tuple[_Unit, ...]
+
+    @classmethod
+    def of(cls, folder: Path, content: str) -> _Plan:
+        values: dict[str, Any] = json.loads(content)
+        units = (_Unit(unit["number"], unit["stage"]) for unit in values["units"])
+        return cls(folder, Path(values["output"]), tuple(units))
+
+    def stages(self) -> list[list[_Unit]]:
+        """The units of each stage, each of which needs those before alone."""
+        stages: list[list[_Unit]] = []
+        for unit in self.units:
+            if not stages or stages[-1][0].stage != unit.stage:
+                stages.append([])
+            stages[-1].append(unit)
+        return stages
+
+
+@contextmanager
+def _folder(given: _Path | None, beside: Path) -> Iterator[Path]:
+    """A new folder for a plan, which is removed in the end."""
+    if given is not None:
+        folder = Path(given).absolute()
+        folder.mkdir(parents=True)
+    else:
+        folder = Path(tempfile.mkdtemp(prefix=f".simod-{beside.name}-", suffix=".plan", dir=beside.parent))
+    try:
+        # A plan appears whole: as a folder in this one, beside what it is made of.
+        yield folder / "plan"
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _planned(
+    model: Path,
+    beside: Path,
+    sampling: Mapping[str, object],
+    folder: _Path | None,
+    units: int,
+    out: Path | None,
+    **how: Any,
+) -> Iterator[_Plan]:
+    """The plan of a session without steps."""
+    with _folder(folder, beside) as where:
+        session = where.with_name("session.toml")
+        lines = ["[model]", f"path = {json.dumps(fspath(model))}", "[sampling]"]
+        lines += [f"{key} = {json.dumps(value)}" for key, value in sampling.items() if value is not None]
+        session.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        # Who samples alone writes nothing: there has to be a name all the same.
+        output = where.with_name(f"none{model.suffix}") if out is None else out
+        yield _Plan.of(where, _plan(session, where, output, units=units, whole=True, **how))
+
+
+class _Work:
+    """The units of a plan, stage by stage."""
+
+    def __init__(
+        self,
+        client: Client,
+        plan: _Plan,
+        retries: int,
+        resources: Mapping[str, float] | None,
+        progress: _Progress,
+    ) -> None:
+        self.client, self.plan, self.retries = client, plan, retries
+        self.resources = None if resources is None else dict(resources)
+        self.progress = Bar() if progress is True else progress or None
+        self.done = self.again = 0
+        self.key = f"{os.getpid()}-{time.time_ns():x}"
+
+    def do(self, *, after: str | None = None, before: str | None = None) -> Report:
+        """Does the stages behind one, up to before another."""
+        start = time.monotonic()
+        stages = self.plan.stages()
+        names = [stage[0].stage for stage in stages]
+        first = 0 if after is None else names.index(after) + 1
+        last = len(names) if before is None else names.index(before)
+        try:
+            for stage in stages[first:last]:
+                self._stage(stage)
+        finally:
+            if isinstance(self.progress, Bar):
+                self.progress.close()
+        return Report(self.plan.output, self.done, self.again, time.monotonic() - start)
+
+    def _submit(self, unit: _Unit, attempt: int, avoid: set[str]) -> Future[Any]:
+        others = [address for address in self._workers() if address not in avoid] if avoid else []
+        # The dashboard calls tasks by what is before the key's first number.
+        key = (f"simod-{unit.stage}-{self.key}-{attempt}", unit.number)
+        return self.client.submit(
+            _do_unit,
+            fspath(self.plan.folder),
+            unit.number,
+            key=key,
+            pure=False,
+            workers=others or None,
+            allow_other_workers=bool(others),
+            resources=self.resources,
+        )
+
+    def _workers(self) -> list[str]:
+        return list(self.client.scheduler_info(n_workers=-1)["workers"])
+
+    def _stage(self, units: list[_Unit]) -> None:
+        name, failed = units[0].stage, dict.fromkeys(units, 0)
+        avoid: dict[_Unit, set[str]] = {unit: set() for unit in units}
+        pending = {self._submit(unit, 0, set()): unit for unit in units}
+        finished = 0
+        waiting = as_completed(list(pending))  # type: ignore[no-untyped-call]
+        try:
+            for future in waiting:
+                unit = pending.pop(future)
+                try:
+                    address, failure = future.result()
+                except Exception as error:  # the worker is gone, or has another version
+                    address, failure = None, error
+                if failure is None:
+                    finished += 1
+                    self.done += 1
+                    if self.progress is not None:
+                        self.progress(name, finished / len(units))
+                    continue
+                failed[unit] += 1
+                if failed[unit] > self.retries or not _may_pass(failure):
+                    raise failure
+                self.again += 1
+                if address is not None:
+                    avoid[unit].add(address)
+                again = self._submit(unit, failed[unit], avoid[unit])
+                pending[again] = unit
+                waiting.add(again)  # type: ignore[no-untyped-call]
+        finally:
+            if pending:
+                self.client.cancel(list(pending))  # type: ignore[no-untyped-call]
+
+
+def _may_pass(failure: Exception) -> bool:
+    """Whether a failure may have to do with the worker: what is wrong with the files is so anywhere."""
+    return isinstance(failure, FileError) or not isinstance(failure, Error)
+
+
+def _do_unit(folder: str, number: int) -> tuple[str, Exception | None]:
+    """Does a unit: the worker's address, and what has failed, if anything."""
+    address = get_worker().address
+    try:
+        while True:
+            try:
+                _unit(folder, number)
+                return address, None
+            except Error as error:
+                # By one that was taken for dead: it ends, or has done it.
+                if "is being written by another process" not in error.what:
+                    raise
+                time.sleep(1.0)
+    except Exception as error:
+        return address, error

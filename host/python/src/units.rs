@@ -1,0 +1,86 @@
+//! Sessions by units, for workers of a cluster: `simod.dask`.
+
+use std::path::PathBuf;
+
+use pyo3::prelude::*;
+use serde_json::json;
+use simod_core::guard::{Guard, Kind};
+use simod_model::follow::Follow;
+use simod_session::SessionFile;
+use simod_session::plan::{Done, Options, Plan, do_unit, make};
+use simod_session::session_file::inputs;
+
+use crate::options::reconstruction;
+use crate::plugins::registry;
+use crate::work::{warn, work};
+
+/// Writes the plan of a session to a folder; its units and where the result goes, as JSON. `whole` samples have all
+/// that samples of a model have, and not only what the steps need.
+#[pyfunction(name = "_plan")]
+#[pyo3(signature = (session, folder, out = None, *, units, model = None, normals = "transform", method = "blended-jets",
+    choose_offset = false, lossy = false, overwrite = false, whole = false))]
+#[expect(clippy::too_many_arguments, reason = "keywords")]
+pub fn plan(
+    py: Python<'_>,
+    session: PathBuf,
+    folder: PathBuf,
+    out: Option<PathBuf>,
+    units: u64,
+    model: Option<PathBuf>,
+    normals: &str,
+    method: &str,
+    choose_offset: bool,
+    lossy: bool,
+    overwrite: bool,
+    whole: bool,
+) -> PyResult<String> {
+    let how = reconstruction(py, normals, method)?;
+    let plugins = registry(py)?;
+    let (plan, notes) = work(py, None, |watch| {
+        let mut file = SessionFile::load(&session)?;
+        file.model = model.or(file.model);
+        let output = out.as_deref().map_or_else(|| file.output_beside(&session), Ok)?.to_owned();
+        let mut guard = Guard::new(overwrite);
+        guard.reads(&session);
+        guard.reads_all(&file.model);
+        guard.reads_all(inputs(&session)?);
+        guard.reads_all(plugins.files());
+        guard.writes(&output, Kind::Model)?;
+        guard.replaces_folder(&folder)?;
+        let options = Options {
+            method: how.method,
+            normals: how.normals,
+            choose_offset,
+            lossy,
+            force: overwrite,
+            follow: &Follow::default().or_declared(&file.follow),
+            plugins: &[],
+            whole_samples: whole,
+            units,
+            emit: &[],
+        };
+        make(&file, &session, &plugins, &output, &options, &folder, watch)
+    })?;
+    warn(py, &notes)?;
+    let units: Vec<_> =
+        plan.units().iter().map(|unit| json!({"number": unit.number, "stage": unit.stage.name()})).collect();
+    Ok(json!({"output": plan.output(), "units": units}).to_string())
+}
+
+/// Does a unit of the plan in a folder; whether it was not done before.
+#[pyfunction(name = "_unit")]
+pub fn unit(py: Python<'_>, folder: PathBuf, number: usize) -> PyResult<bool> {
+    let plugins = registry(py)?;
+    let (Done { was_done, messages, .. }, mut notes) = work(py, None, |watch| {
+        let plan = Plan::load(&folder)?;
+        let mut guard = Guard::new(plan.force());
+        guard.reads_all(plan.inputs());
+        guard.reads_all(inputs(plan.inputs()[0])?);
+        guard.writes(plan.output(), Kind::Model)?;
+        do_unit(&plan, (&folder, number), &plugins, watch)
+    })?;
+    let said = messages.iter().filter(|m| m.is_warning());
+    notes.extend(said.map(|m| format!("{}: {}", m.plugin, m.text)));
+    warn(py, &notes)?;
+    Ok(!was_done)
+}

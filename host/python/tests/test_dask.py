@@ -1,0 +1,202 @@
+"""Units on the workers of a cluster: the bytes of one machine, whatever becomes of the workers."""
+
+import os
+import random
+import resource
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import dask
+import distributed
+import numpy as np
+import pytest
+
+import simod
+import simod.dask
+from conftest import run as command
+
+# What Dask has to say about itself, and about workers that are killed.
+pytestmark = pytest.mark.filterwarnings("default")
+
+untyped: Any = distributed
+
+SESSION = """
+[model]
+path = "{model}"
+[sampling]
+samples = 3000
+[[step]]
+deform = "warp"
+params = {{ operation = "twist", axis = [0, 1, 0], angle = 60 }}
+"""
+
+
+@pytest.fixture()
+def client() -> Iterator[distributed.Client]:
+    """Of workers that are processes of their own, and come back when they are killed."""
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 20}),
+        untyped.LocalCluster(n_workers=3, threads_per_worker=1, dashboard_address=":0") as cluster,
+        untyped.Client(cluster) as client,
+    ):
+        client.wait_for_workers(3)
+        yield client
+
+
+@pytest.fixture(scope="module")
+def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An amphora of 400 000 points without faces."""
+    path = tmp_path_factory.mktemp("clouds") / "cloud.ply"
+    command("generate", "--vertices", 400_000, "--no-faces", "-o", path)
+    return path
+
+
+def test_samples_and_models_have_the_bytes_of_one_machine(
+    client: distributed.Client, cloud: Path, tmp_path: Path
+) -> None:
+    model = simod.open(cloud)
+    expected = model.sample(3000)
+    seen: list[tuple[str, float | None]] = []
+    samples = simod.dask.sample(
+        client, cloud, 3000, units=7, progress=lambda stage, part: seen.append((stage, part))
+    )
+    assert np.array_equal(samples.rest, expected.rest) and np.array_equal(samples.normals, expected.normals)
+    stages = list(dict.fromkeys(stage for stage, _ in seen))
+    assert stages == ["count", "merge", "cluster", "cluster-shared", "cut"]
+    assert [part for stage, part in seen if stage == "count"] == [n / 7 for n in range(1, 8)]
+
+    for array in (samples, expected):
+        array.points[:, 0] += 0.1 * array.points[:, 1] ** 2
+    model.apply(expected, tmp_path / "expected.ply")
+    report = simod.dask.apply(client, cloud, samples, tmp_path / "out.ply", units=5)
+    assert (tmp_path / "out.ply").read_bytes() == (tmp_path / "expected.ply").read_bytes()
+    assert report.units == 6 and report.again == 0 and report.output == tmp_path / "out.ply"
+
+    # They are refined as others are.
+    for array in (samples, expected):
+        array.refine([{"sphere": {"center": [0.0, 0.5, 0.3], "radius": 0.4}}], factor=3)
+    assert len(samples) == len(expected) > 3000
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["expected.ply", "out.ply"]
+    assert [path.name for path in cloud.parent.iterdir()] == [cloud.name]
+
+
+def test_the_dashboard_shows_stages_by_name(
+    client: distributed.Client, cloud: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: set[str] = set()
+    submit: Any = client.submit
+
+    def noting(*arguments: object, **keywords: object) -> object:
+        seen.add(untyped.utils.key_split(keywords["key"]))
+        return submit(*arguments, **keywords)
+
+    monkeypatch.setattr(client, "submit", noting)
+    simod.dask.sample(client, cloud, 500, units=2)
+    assert seen == {f"simod-{stage}" for stage in ("count", "merge", "cluster", "cluster-shared", "cut")}
+
+
+def edit(cloud: Path, folder: Path) -> tuple[Path, bytes]:
+    """A session, and what it comes to."""
+    session = folder / "edit.toml"
+    session.write_text(SESSION.format(model=cloud.as_posix()))
+    simod.Session(session).run(folder / "expected.ply")
+    return session, (folder / "expected.ply").read_bytes()
+
+
+def run_with(
+    client: distributed.Client, cloud: Path, folder: Path, meanwhile: Callable[[threading.Event], None], retries: int = 5
+) -> simod.dask.Report:
+    """Runs the session while something else goes on; the bytes have to be those of one machine."""
+    session, expected = edit(cloud, folder)
+    over = threading.Event()
+    other = threading.Thread(target=meanwhile, args=(over,))
+    other.start()
+    try:
+        report = simod.dask.run(client, session, folder / "out.ply", units=8, retries=retries)
+    finally:
+        over.set()
+        other.join()
+    assert (folder / "out.ply").read_bytes() == expected
+    left = sorted(path.name for path in folder.iterdir())
+    assert left == ["edit.toml", "expected.ply", "out.ply"], left
+    return report
+
+
+def processes(client: distributed.Client) -> list[int]:
+    """The processes of workers that have begun: who is killed before that does not come back."""
+    begun = client.scheduler_info(n_workers=-1)["workers"]
+    cluster: Any = client.cluster
+    nannies = [nanny for nanny in cluster.workers.values() if nanny.worker_address in begun]
+    return [nanny.pid for nanny in nannies if nanny.pid]
+
+
+def test_killed_workers_are_no_matter(client: distributed.Client, cloud: Path, tmp_path: Path) -> None:
+    killed = 0
+    chance = random.Random(7)
+    # A worker that is killed as it begins does not come back by itself.
+    cluster: Any = client.cluster
+    cluster.adapt(minimum=3, maximum=3, interval="300ms")
+
+    def kill(over: threading.Event) -> None:
+        nonlocal killed
+        # No more than come back meanwhile.
+        for _ in range(5):
+            if over.wait(chance.uniform(0.2, 1.0)):
+                break
+            alive = processes(client)
+            if alive:
+                os.kill(chance.choice(alive), signal.SIGKILL)
+                killed += 1
+
+    for turn in range(2):
+        folder = tmp_path / str(turn)
+        folder.mkdir()
+        run_with(client, cloud, folder, kill, retries=50)
+    assert killed >= 2
+
+
+def test_a_slow_worker_is_waited_for(client: distributed.Client, cloud: Path, tmp_path: Path) -> None:
+    def slow() -> None:
+        module: Any = sys.modules["simod.dask"]
+        quick = module._unit
+
+        def unit(folder: str, number: int) -> bool:
+            start = time.monotonic()
+            done: bool = quick(folder, number)
+            time.sleep(19 * (time.monotonic() - start))
+            return done
+
+        module._unit = unit
+
+    client.run(slow, workers=[next(iter(client.scheduler_info()["workers"]))])
+    run_with(client, cloud, tmp_path, lambda over: None)
+
+
+def test_a_worker_with_a_full_disk_is_passed_over(
+    client: distributed.Client, cloud: Path, tmp_path: Path
+) -> None:
+    full = next(iter(client.scheduler_info()["workers"]))
+    client.run(
+        lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (500, resource.getrlimit(resource.RLIMIT_FSIZE)[1])),
+        workers=[full],
+    )
+    report = run_with(client, cloud, tmp_path, lambda over: None)
+    assert report.again > 0
+
+
+def test_what_is_wrong_is_told_at_once(client: distributed.Client, cloud: Path, tmp_path: Path) -> None:
+    with pytest.raises(simod.FileError):
+        simod.dask.sample(client, tmp_path / "none.ply", 100)
+    broken = tmp_path / "broken.ply"
+    broken.write_bytes(cloud.read_bytes()[:-1000])
+    with pytest.raises(simod.Error, match="broken.ply"):
+        simod.dask.sample(client, broken, 100)
+    samples = simod.open(cloud).sample(500)
+    with pytest.raises(simod.ArgumentError, match="cloud.ply"):
+        simod.dask.apply(client, cloud, samples, cloud)
+    assert [path.name for path in tmp_path.iterdir()] == ["broken.ply"]
