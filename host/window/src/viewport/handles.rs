@@ -118,12 +118,16 @@ fn grid(canvas: &Canvas<'_>, dots: &[Dot]) {
         <[i32; 3]>::try_from(numbers).ok()
     };
     let places: HashMap<[i32; 3], Pos2> = dots.iter().filter_map(|dot| Some((place(dot)?, dot.at))).collect();
-    let stroke = Stroke::new(1.0, DOT.gamma_multiply(0.4));
-    for ([i, j, k], at) in &places {
-        for next in [[i + 1, *j, *k], [*i, j + 1, *k], [*i, *j, k + 1]] {
-            if let Some(to) = places.get(&next) {
-                canvas.painter().line_segment([*at, *to], stroke);
-            }
+    let last = places.keys().fold([0; 3], |last: [i32; 3], place| [0, 1, 2].map(|a| last[a].max(place[a])));
+    for (place, at) in &places {
+        for axis in 0..3 {
+            let mut next = *place;
+            next[axis] += 1;
+            let Some(to) = places.get(&next) else { continue };
+            // The edges of the box that they make are what is seen of it first.
+            let is_edge = (0..3).all(|a| a == axis || place[a] == 0 || place[a] == last[a]);
+            let (width, share) = if is_edge { (1.8, 0.8) } else { (1.0, 0.3) };
+            canvas.painter().line_segment([*at, *to], Stroke::new(width, DOT.gamma_multiply(share)));
         }
     }
 }
