@@ -27,14 +27,15 @@ pub fn former(before: &SampledModel, after: &SampledModel) -> Vec<Option<u32>> {
 }
 
 /// Of each sample, the nearest one that is known, by ways over the surface from sample to sample; itself where it is
-/// known. `near` has the samples next to one. Parts of the surface on which none is known belong to what is nearest
+/// known. `near` has the samples next to one; those that look the other way, as behind a thin wall, are not. Parts of
+/// the surface on which none is known belong to what is nearest
 /// in space. At least one has to be known.
 pub fn owners<'a>(
     samples: &SampleSet,
     is_known: impl Fn(usize) -> bool,
     near: impl Fn(usize) -> &'a [u32],
 ) -> Vec<u32> {
-    let positions = &samples.positions;
+    let (positions, normals) = (&samples.positions, samples.normals());
     let mut owners: Vec<Option<u32>> =
         (0..positions.len()).map(|i| is_known(i).then_some(i as u32)).collect();
     let mut lengths: Vec<f32> =
@@ -51,7 +52,7 @@ pub fn owners<'a>(
         }
         for j in near(i).iter().map(|j| *j as usize) {
             let way = length + positions[i].distance(positions[j]);
-            if way < lengths[j] {
+            if way < lengths[j] && normals[i].dot(normals[j]) >= 0.0 {
                 (lengths[j], owners[j]) = (way, owners[i]);
                 open.push(Reverse((way.to_bits(), j)));
             }

@@ -38,28 +38,34 @@ impl Plugin for InTurn {
     }
 }
 
-/// The events up to the first deed, with what belongs to it. Where somebody types, letters are no deeds.
+/// The events up to the first deed, with what belongs to it. Where the pointer goes and where a button is pressed or
+/// let go is of different frames: a drag that begins and ends in one is none. Where somebody types, letters are no
+/// deeds.
 fn next(held: &mut VecDeque<Event>, types: bool) -> Vec<Event> {
     let mut events = Vec::new();
-    let mut done = false;
+    let (mut done, mut moved) = (false, false);
     while let Some(event) = held.front() {
-        let (is_deed, is_of_next) = match event {
-            Event::PointerButton { .. } => (true, true),
+        let is_button = matches!(event, Event::PointerButton { .. });
+        let is_deed = match event {
             Event::Key { pressed: true, key, .. } => {
-                let is_deed = !types || matches!(key, Key::Enter | Key::Escape | Key::Tab);
-                (is_deed, is_deed)
+                !types || matches!(key, Key::Enter | Key::Escape | Key::Tab)
             }
-            // Where the pointer goes and what keys are held after the deed is of the next one.
-            Event::ModifiersChanged(_) => (false, true),
-            Event::PointerMoved(_) | Event::MouseMoved(_) | Event::MouseWheel { .. } | Event::Zoom(_) => {
-                (false, true)
-            }
-            _ => (false, false),
+            _ => is_button,
         };
-        if done && is_of_next {
+        let moves = matches!(event, Event::PointerMoved(_) | Event::MouseMoved(_));
+        let is_of_next = is_deed
+            || moves
+            || matches!(
+                event,
+                Event::Key { pressed: true, .. }
+                    | Event::ModifiersChanged(_)
+                    | Event::MouseWheel { .. }
+                    | Event::Zoom(_)
+            );
+        if done && is_of_next || moved && is_button {
             break;
         }
-        done |= is_deed;
+        (done, moved) = (done || is_deed, moved || moves);
         events.extend(held.pop_front());
     }
     events
@@ -102,7 +108,7 @@ mod tests {
         let turns: Vec<_> =
             std::iter::from_fn(|| Some(next(&mut held, false)).filter(|e| !e.is_empty())).collect();
         let counts: Vec<usize> = turns.iter().map(Vec::len).collect();
-        assert_eq!(counts, [2, 2, 3, 1, 1], "{turns:?}");
+        assert_eq!(counts, [2, 1, 1, 2, 1, 1, 1], "{turns:?}");
         assert_eq!(turns.concat(), all);
         // Words are typed at once.
         let mut held =

@@ -143,7 +143,6 @@ impl Shot {
             axes: &shown.axes,
             colors: self.colors.as_deref(),
             triangles: &shown.sampled.triangles,
-            ..Surface::default()
         };
         let rest = Surface {
             positions: &samples.positions,

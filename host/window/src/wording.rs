@@ -9,7 +9,9 @@ const TABLES: [(&str, &str); 4] =
 
 /// A text as the window says it. Parameters of the plugin have the names that its panel shows.
 pub fn in_window(text: &str, plugin: Option<&Plugin>) -> String {
-    let mut text = text.to_owned();
+    // Which plugin it is stands above.
+    let named = plugin.and_then(|plugin| text.strip_prefix(&format!("plugin {}: ", plugin.id())));
+    let mut text = named.unwrap_or(text).to_owned();
     for role in ["handle", "fixed", "mask"] {
         let told = format!("add a [[step.region]] with role = \"{role}\"");
         let article = if role == "handle" { "a handle" } else { &*format!("a {role} region") };

@@ -163,7 +163,7 @@ impl Editor {
         let former = self.path.replace(path.to_owned()).unwrap_or_else(|| path.to_owned());
         self.saved = Some(self.document.steps().clone());
         self.kept = self.document.steps().clone();
-        [&former, path, &self.opened].into_iter().try_for_each(|path| forget(path))
+        [&former, path, &self.opened].into_iter().try_for_each(forget)
     }
 
     /// Removes what was kept against a crash: the user does not want these steps. They are kept again once they

@@ -48,20 +48,24 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
             });
         });
         ui.add_space(6.0);
-        ScrollArea::vertical().max_height(height).auto_shrink([false, true]).show(ui, |ui| {
-            let pointer: Vec<(String, &str)> =
-                preset.iter().chain(&POINTER).map(|(keys, what)| ((*keys).to_owned(), *what)).collect();
-            group(ui, "Mouse and trackpad", &pointer);
-            ui.columns(2, |columns| {
-                for (ui, groups) in columns.iter_mut().zip(COLUMNS) {
-                    for (name, menu) in groups {
-                        let is_of_it = |action: &&Action| action.menu == *menu && !action.keys.is_empty();
-                        let row = |action: &Action| (action.all_keys_text(ctx), action.name);
-                        group(ui, name, &ALL.iter().filter(is_of_it).map(row).collect::<Vec<_>>());
+        ScrollArea::vertical()
+            .max_height(height)
+            .min_scrolled_height(height)
+            .auto_shrink([false, true])
+            .show(ui, |ui| {
+                let pointer: Vec<(String, &str)> =
+                    preset.iter().chain(&POINTER).map(|(keys, what)| ((*keys).to_owned(), *what)).collect();
+                group(ui, "Mouse and trackpad", &pointer);
+                ui.columns(2, |columns| {
+                    for (ui, groups) in columns.iter_mut().zip(COLUMNS) {
+                        for (name, menu) in groups {
+                            let is_of_it = |action: &&Action| action.menu == *menu && !action.keys.is_empty();
+                            let row = |action: &Action| (action.all_keys_text(ctx), action.name);
+                            group(ui, name, &ALL.iter().filter(is_of_it).map(row).collect::<Vec<_>>());
+                        }
                     }
-                }
+                });
             });
-        });
     });
     window.shows_keys = !(close || modal.should_close());
 }

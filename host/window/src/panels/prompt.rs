@@ -180,12 +180,6 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
 /// The text; whether it is what the user means.
 fn field(ui: &mut Ui, prompt: &mut Prompt) -> bool {
     let id = Id::unique("path that is typed");
-    if let Some([from, to]) = prompt.select.take() {
-        let mut state = TextEditState::load(ui.ctx(), id).unwrap_or_default();
-        let range = CCursorRange::two(CCursor::new(from), CCursor::new(to));
-        state.cursor.set_char_range(Some(range));
-        state.store(ui.ctx(), id);
-    }
     // Tab goes on with the path, not to the next control.
     let field = TextEdit::singleline(&mut prompt.text).id(id).lock_focus(true);
     let field = field.hint_text("Path of the file").desired_width(f32::INFINITY);
@@ -197,6 +191,13 @@ fn field(ui: &mut Ui, prompt: &mut Prompt) -> bool {
     let enter = field.lost_focus() && ui.input(|i| i.key_pressed(Key::Enter));
     if !field.has_focus() {
         field.request_focus();
+    } else if let Some([from, to]) = prompt.select.take() {
+        // It chooses a place of its own when it gets the focus.
+        let mut state = TextEditState::load(ui.ctx(), id).unwrap_or_default();
+        let range = CCursorRange::two(CCursor::new(from), CCursor::new(to));
+        state.cursor.set_char_range(Some(range));
+        state.store(ui.ctx(), id);
+        ui.ctx().request_repaint();
     }
     enter
 }

@@ -1,6 +1,5 @@
 //! The picture of the model, and what is drawn over it.
 
-mod axis;
 pub mod colors;
 mod corner;
 pub mod detail;
@@ -171,8 +170,8 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
             let canvas = canvas(main, looks);
             if window.looks.handles {
                 handles::draw(&canvas, window);
-                axis::draw(&canvas, window);
-                taken = axis::update(&canvas, window);
+                handles::draw_axis(&canvas, window);
+                taken = handles::drag_planes(&canvas, window);
             }
             taken = taken || tools::update(&canvas, window);
             if !taken && !looks && canvas.is_clicked() && window.tools.tool.grabs() {

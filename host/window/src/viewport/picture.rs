@@ -260,7 +260,6 @@ impl Drawing {
                 axes: &scene.axes,
                 colors,
                 triangles: &sampled.triangles,
-                ..Surface::default()
             })?;
         } else {
             if !same {

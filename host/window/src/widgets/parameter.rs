@@ -56,7 +56,7 @@ pub fn show(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bound
 }
 
 fn name(ui: &mut Ui, desc: &ParamDesc, width: f32) {
-    let label = egui::Label::new(desc.name.as_str()).truncate();
+    let label = egui::Label::new(desc.name.as_str()).wrap();
     let response = ui.allocate_ui_with_layout(
         egui::vec2(width, ui.spacing().interact_size.y),
         egui::Layout::left_to_right(egui::Align::Center),
