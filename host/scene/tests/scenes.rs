@@ -352,7 +352,7 @@ fn stretched_discs_close_a_stretched_surface() {
         places.filter(|place| !is_red(image, *place)).count()
     };
     let open = holes(&shot(&mut scene, &plain()));
-    assert!(open > 100, "{open}");
+    assert!(open > 10, "{open}");
     // Where the surface looks to the eye, it is stretched along x.
     let ellipse = |(n, r): (&Vec3, &f32)| {
         let along = (Vec3::X - n.x * *n).try_normalize().unwrap_or(n.any_orthonormal_vector());
