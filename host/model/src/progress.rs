@@ -44,7 +44,12 @@ pub trait Progress: Sync {
         self.begin(stage, total_bytes);
     }
 
-    /// So many more bytes of the stage are done.
+    /// The same, of a stage that is not of bytes, but of parts of whatever kind.
+    fn begin_parts(&self, stage: &'static str, total: u64) {
+        self.begin(stage, total);
+    }
+
+    /// So many more bytes, or parts, of the stage are done.
     fn advance(&self, bytes: u64);
 
     /// Whether the user asked to stop. Work looks at it at least every 100 ms.

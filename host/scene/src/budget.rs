@@ -9,6 +9,8 @@ use std::time::Duration;
 pub struct Budget {
     goal: Duration,
     splats: usize,
+    /// At rest.
+    step: usize,
     coarse: bool,
     /// Frames in a row that took too long, or far less than they might.
     slow: u32,
@@ -21,17 +23,32 @@ impl Budget {
     /// So many at first.
     const FIRST: usize = 128_000;
     const MOST: usize = 1 << 30;
+    /// A part of a picture at rest may take so many times longer: nobody's hand waits for it, and each has its own
+    /// costs.
+    const REST: u32 = 4;
     /// So many frames in a row tell something.
     const FRAMES: u32 = 3;
 
     /// A budget for frames that take so long.
     pub fn new(goal: Duration) -> Self {
-        Self { goal, splats: Self::FIRST, coarse: false, slow: 0, fast: 0 }
+        Self { goal, splats: Self::FIRST, step: Self::FIRST, coarse: false, slow: 0, fast: 0 }
     }
 
     /// How many splats the next frame takes at most.
     pub fn splats(&self) -> usize {
         self.splats
+    }
+
+    /// How many more splats a frame takes at most while nothing moves.
+    pub fn step(&self) -> usize {
+        self.step
+    }
+
+    /// Learns how long such a frame took.
+    pub fn learn_step(&mut self, took: Duration) {
+        let ratio = (Self::REST * self.goal).as_secs_f64() / took.as_secs_f64().max(1e-9);
+        let step = self.step as f64 * ratio.clamp(0.5, 2.0);
+        self.step = (step as usize).clamp(Self::LEAST, Self::MOST);
     }
 
     /// Whether moving frames are drawn in fewer pixels.

@@ -124,6 +124,20 @@ impl Scene {
         Ok(())
     }
 
+    /// Changes the half axes of the surface's ellipses (see [`Surface::axes`]), whose radii go with them.
+    ///
+    /// # Errors
+    /// There are some, but not as many as samples.
+    pub fn set_axes(&mut self, axes: &[[Vec3; 2]]) -> Result<(), BadSurface> {
+        let samples = self.samples();
+        same_length("axes", if axes.is_empty() { samples } else { axes.len() }, samples)?;
+        if let Some(surface) = &self.surface {
+            surface.write_shapes(&self.gpu.queue, axes);
+        }
+        self.of = None;
+        Ok(())
+    }
+
     /// Changes the surface's colours (see [`Surface::colors`]) and radii.
     ///
     /// # Errors
@@ -219,8 +233,8 @@ impl Scene {
     /// otherwise.
     ///
     /// Without a budget all is drawn at once, and the device may go on drawing when this returns. With one, a
-    /// changed scene is drawn as well as its time allows; then each call draws more, until
-    /// [`Drawn::complete`].
+    /// changed scene is drawn as well as its time allows; then calls draw more, and every few of them show a picture
+    /// of some more splats, until [`Drawn::complete`].
     pub fn render(&mut self, view: &View, style: &Style, budget: Option<&mut Budget>) -> &TextureView {
         let most = self.gpu.device.limits().max_texture_dimension_2d;
         let view = View { size: view.size.map(|s| s.clamp(1, most)), ..*view };
@@ -242,7 +256,7 @@ impl Scene {
             };
             self.draw(&mut encoder, &view, &style, scale, splats);
         } else if !self.drawn.complete {
-            let step = |budget: &&mut Budget| (2 * budget.splats()).max(self.splats() / MOST_STEPS);
+            let step = |budget: &&mut Budget| budget.step().max(self.splats() / MOST_STEPS);
             let splats = budget.as_ref().map_or(usize::MAX, step);
             self.fill(&mut encoder, &view, &style, splats);
         } else if self.marks_changed {
@@ -254,6 +268,8 @@ impl Scene {
             self.gpu.wait();
             if changed {
                 budget.learn(started.elapsed(), self.drawn.drawn == self.drawn.of);
+            } else {
+                budget.learn_step(started.elapsed());
             }
         }
         &self.finished.as_ref().expect("a first picture makes it").1

@@ -314,3 +314,54 @@ fn without_a_budget_all_is_drawn() {
     shot(&mut scene, &mesh);
     assert_eq!(scene.drawn().drawn, model.triangles.len());
 }
+
+/// Where all splats take their time, pictures of more and more of them come before, each nearer to the last one.
+#[test]
+fn pictures_at_rest_get_better_steadily() {
+    let Some(gpu) = gpu() else { return };
+    let model = sphere(Vec3::ZERO, 1.0, 500).colored(RED);
+    let style = Style { scale: Scale::Full, ..plain() };
+    let complete = shot(&mut scene_of(gpu, &model), &style);
+    let mut budget = budget_of(16_000);
+    let mut scene = scene_of(gpu, &model);
+    let mut seen: Vec<(usize, f32)> = Vec::new();
+    for _ in 0..1000 {
+        scene.render(&view(), &style, Some(&mut budget));
+        let drawn = scene.drawn();
+        if seen.last().is_none_or(|(before, _)| *before != drawn.drawn) {
+            seen.push((drawn.drawn, difference(&scene.read().unwrap(), &complete, 3).1));
+        }
+        if drawn.complete {
+            break;
+        }
+    }
+    assert!(scene.drawn().complete && seen.len() >= 4, "{seen:?}");
+    assert!(seen.windows(2).all(|w| w[0].0 < w[1].0 && w[1].1 <= w[0].1 + 2e-3), "{seen:?}");
+    assert!(same(&scene.read().unwrap(), &complete));
+}
+
+/// Discs that stretch with the surface leave no holes in it; those that do not, do.
+#[test]
+fn stretched_discs_close_a_stretched_surface() {
+    let Some(gpu) = gpu() else { return };
+    let mut model = sphere(Vec3::ZERO, 0.25, 40).colored(RED);
+    model.positions.iter_mut().for_each(|p| p.x *= 4.0);
+    let mut scene = scene_of(gpu, &model);
+    let holes = |image: &Image| {
+        let places = (50..190).flat_map(|x| (108..132).map(move |y| [x as f32 + 0.5, y as f32 + 0.5]));
+        places.filter(|place| !is_red(image, *place)).count()
+    };
+    let open = holes(&shot(&mut scene, &plain()));
+    assert!(open > 10, "{open}");
+    // Where the surface looks to the eye, it is stretched along x.
+    let ellipse = |(n, r): (&Vec3, &f32)| {
+        let along = (Vec3::X - n.x * *n).try_normalize().unwrap_or(n.any_orthonormal_vector());
+        [4.0 * r * along, r * n.cross(along)]
+    };
+    let axes: Vec<[Vec3; 2]> = model.normals.iter().zip(&model.radii).map(ellipse).collect();
+    let radii: Vec<f32> = model.radii.iter().map(|r| 4.0 * r).collect();
+    scene.set_axes(&axes).unwrap();
+    scene.set_colors(&radii, model.colors.as_deref()).unwrap();
+    assert_eq!(holes(&shot(&mut scene, &plain())), 0);
+    assert!(scene.set_axes(&axes[1..]).is_err());
+}

@@ -28,6 +28,16 @@ pub enum Command {
         #[serde(default)]
         recover: bool,
     },
+    /// Opens a session or the folder of a sampled model whose model was moved.
+    Locate {
+        /// Which.
+        path: PathBuf,
+        /// Where the model is now.
+        model: PathBuf,
+        /// Takes what was kept of it against a crash.
+        #[serde(default)]
+        recover: bool,
+    },
     /// Changes the steps.
     Edit(edit::Command),
     /// Changes them while something is dragged: a draft is made of it. All changes of the same thing are

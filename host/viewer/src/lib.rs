@@ -8,10 +8,12 @@
 //! window; and what comes back from the thread that does the steps only says where the samples are now. No
 //! file that this crate writes differs from what `simod run` makes of the saved session.
 
+mod appended;
 pub mod camera;
 pub mod command;
 pub mod detail;
 pub mod engine;
+mod gradients;
 pub mod motion;
 pub mod navigation;
 pub mod overlay;

@@ -1,16 +1,15 @@
 //! Numbers for each sample, to be shown as colours.
 
+use crate::appended::{Found, as_found};
+use crate::gradients;
 use crate::scene::{Scene, common};
 use crate::selection::Selection;
-use glam::{Mat3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use simod_core::reconstruction::principal_stretches;
 pub use simod_picture::{class_color, class_name, scale_color};
-use simod_session::Shapes;
-
-/// Neighbours that tell how the surface is stretched around a sample.
-const RING: usize = 12;
+use simod_session::{Shape, Shapes};
 
 /// What is shown on the surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -104,11 +103,26 @@ pub fn selection(selection: &Selection) -> Field {
     Field::weights(selection.marks().iter().map(|m| f32::from(u8::from(*m))).collect())
 }
 
-/// The weight of shapes on what a step began with, local positions; 0 for samples that it did not know yet.
+/// The weight of shapes on what a step began with, local positions; samples that it did not know yet belong to
+/// what is around them.
 pub fn region(scene: &Scene, before: &[Vec3], shapes: &Shapes) -> Field {
     let frame = scene.frame();
-    let weight = |i: usize| before.get(i).map_or(0.0, |p| shapes.weight(frame.to_model(*p)) as f32);
-    Field::weights((0..scene.len()).into_par_iter().map(weight).collect())
+    let Found { positions, owners } = as_found(scene, before);
+    let weight = |p: &Vec3| shapes.weight(frame.to_model(*p)) as f32;
+    let mut values: Vec<f32> = positions.par_iter().take(scene.len()).map(weight).collect();
+    values.resize(scene.len(), 0.0);
+    // The border of what a hand picked is halfway between samples, along the surface: what lies behind a thin wall
+    // tells nothing.
+    let is_picked = |shape: &Shape| matches!(shape, Shape::Selection(_));
+    if let Some(owners) = owners.filter(|_| shapes.shapes.iter().all(is_picked)) {
+        for i in before.len()..scene.len() {
+            let owner = values[owners[i] as usize];
+            if owner == 1.0 || values[i] == 1.0 {
+                values[i] = owner;
+            }
+        }
+    }
+    Field::weights(values)
 }
 
 /// How far apart samples are in two versions. `carried` has where the other one has all samples of the scene,
@@ -157,37 +171,14 @@ pub fn displacement(scene: &Scene) -> Field {
 
 /// How much the surface is stretched or squeezed.
 pub fn stretch(scene: &Scene) -> Field {
-    let samples = &scene.sampled.samples;
-    let (neighbours, normals) = (samples.neighbours(), samples.normals());
+    scene.sampled.samples.prepare();
+    let normals = scene.sampled.samples.normals();
     let of = |i: usize| {
-        let near = &neighbours.of(i)[..RING.min(neighbours.k())];
-        let n = normals[i];
-        let Some(map) = tangent_map(&samples.positions, &scene.positions, i, near, n) else { return 1.0 };
-        let [most, least] = principal_stretches(&map, n);
+        let Some(map) = gradients::around(scene, i) else { return 1.0 };
+        let [most, least] = principal_stretches(&map, normals[i]);
         most.max(1.0 / least)
     };
     Field::of((0..scene.len()).into_par_iter().map(of).collect(), 1.0)
-}
-
-/// The linear map that carries the ways to the neighbours over best, in the least squares along the tangent
-/// plane. It is fitted to displacements, so that nothing is stretched where nothing moves.
-fn tangent_map(rest: &[Vec3], now: &[Vec3], i: usize, near: &[u32], n: Vec3) -> Option<Mat3> {
-    let (s, t) = n.try_normalize()?.any_orthonormal_pair();
-    let (mut a, mut b, mut c) = (0.0, 0.0, 0.0);
-    let (mut u, mut v) = (Vec3::ZERO, Vec3::ZERO);
-    for j in near {
-        let (r, d) = (rest[*j as usize] - rest[i], now[*j as usize] - now[i]);
-        let (x, y) = (r.dot(s), r.dot(t));
-        (a, b, c) = (a + x * x, b + x * y, c + y * y);
-        (u, v) = (u + (d - r) * x, v + (d - r) * y);
-    }
-    let determinant = a * c - b * b;
-    if determinant <= 1e-5 * a * c {
-        return None;
-    }
-    let (along_s, along_t) = ((u * c - v * b) / determinant, (v * a - u * b) / determinant);
-    let slope = Mat3::from_cols(along_s, along_t, Vec3::ZERO) * Mat3::from_cols(s, t, n).transpose();
-    Some(Mat3::IDENTITY + slope)
 }
 
 /// How far samples are apart at rest.

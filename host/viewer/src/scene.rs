@@ -12,6 +12,10 @@ use std::sync::Arc;
 
 /// Neighbours of a sample that its normal is turned with.
 const RING: usize = 6;
+/// The least and most that discs are stretched ...
+const STRETCHES: [f32; 2] = [0.3, 20.0];
+/// ... and how much longer than wide they get.
+const THINNEST: f32 = 8.0;
 
 /// The samples after the steps. All arrays have one entry for each sample; all coordinates are local.
 pub struct Scene {
@@ -22,6 +26,9 @@ pub struct Scene {
     pub positions: Arc<[Vec3]>,
     /// Unit normals there.
     pub normals: Arc<[Vec3]>,
+    /// What a circle of radius 1 around each sample at rest becomes, in the tangent plane there: half axes of an
+    /// ellipse, the longer one first. Empty where nothing has moved.
+    pub axes: Arc<[[Vec3; 2]]>,
     /// How each step fared, in their order.
     pub statuses: Vec<(StepId, Status)>,
     /// What each step began with: see [`Evaluated::before`].
@@ -45,11 +52,13 @@ impl Scene {
             (!handles.is_empty()).then(|| (*id, handles.to_vec()))
         };
         let handles = statuses.iter().filter_map(handles).collect();
-        let normals = turned_normals(&sampled, &positions).into();
+        let (normals, axes) = turned(&sampled, &positions);
+        let (normals, axes) = (normals.into(), axes.into());
         Self {
             sampled,
             positions,
             normals,
+            axes,
             statuses,
             before,
             handles,
@@ -102,25 +111,82 @@ pub fn common(a: &SampledModel, b: &SampledModel) -> usize {
 
 /// The samples' normals, turned as the triangles between each and its nearest neighbours are: `Σ (r₁ × r₂ ·
 /// n) d₁ × d₂` over pairs of neighbours, where `r` are the ways to them at rest and `d` those now. With
-/// tangents `s × t = n` that is `(Σ (r·s) d) × (Σ (r·t) d)`. Quick, and for the eye alone.
-fn turned_normals(sampled: &SampledModel, positions: &[Vec3]) -> Vec<Vec3> {
+/// tangents `s × t = n` that is `(Σ (r·s) d) × (Σ (r·t) d)`. And what becomes of a circle around each: the ellipse
+/// of the linear map that carries these ways over best. Quick, and for the eye alone.
+fn turned(sampled: &SampledModel, positions: &[Vec3]) -> (Vec<Vec3>, Vec<[Vec3; 2]>) {
     let (samples, rest) = (&sampled.samples, &sampled.samples.positions);
     samples.prepare();
     if *positions == **rest {
-        return samples.normals().to_vec();
+        return (samples.normals().to_vec(), Vec::new());
     }
     let (neighbours, normals) = (samples.neighbours(), samples.normals());
-    let turned = |(i, n): (usize, &Vec3)| {
+    let of = |(i, n): (usize, &Vec3)| {
         let (s, t) = n.any_orthonormal_pair();
         let (mut along_s, mut along_t) = (Vec3::ZERO, Vec3::ZERO);
+        let (mut ss, mut st, mut tt) = (0.0, 0.0, 0.0);
+        let (mut more_s, mut more_t) = (Vec3::ZERO, Vec3::ZERO);
         for &j in &neighbours.of(i)[..RING.min(neighbours.k())] {
             let (r, d) = (rest[j as usize] - rest[i], positions[j as usize] - positions[i]);
-            along_s += r.dot(s) * d;
-            along_t += r.dot(t) * d;
+            let (x, y) = (r.dot(s), r.dot(t));
+            along_s += x * d;
+            along_t += y * d;
+            (ss, st, tt) = (ss + x * x, st + x * y, tt + y * y);
+            // What moves as one has no share in this, however the surface is curved.
+            more_s += x * (d - r);
+            more_t += y * (d - r);
         }
         // Each of the size of a small length's square.
         let unit = |v: Vec3| v / v.abs().max_element();
-        unit(along_s).cross(unit(along_t)).try_normalize().unwrap_or(*n)
+        let normal = unit(along_s).cross(unit(along_t)).try_normalize().unwrap_or(*n);
+        let determinant = ss * tt - st * st;
+        let map = if determinant > 1e-3 * ss * tt {
+            [s + (tt * more_s - st * more_t) / determinant, t + (ss * more_t - st * more_s) / determinant]
+        } else {
+            [s, t]
+        };
+        (normal, ellipse(map, normal))
     };
-    normals.par_iter().enumerate().map(turned).collect()
+    normals.par_iter().enumerate().map(of).unzip()
+}
+
+/// Half axes of what a circle of radius 1 becomes, by where a linear map takes two of its radii at right angles;
+/// in the plane of a normal, and within bounds that can be drawn.
+fn ellipse(radii: [Vec3; 2], normal: Vec3) -> [Vec3; 2] {
+    let [u, v] = radii.map(|radius| radius - radius.dot(normal) * normal);
+    let (uu, uv, vv) = (u.dot(u), u.dot(v), v.dot(v));
+    let angle = 0.5 * f32::atan2(2.0 * uv, uu - vv);
+    let (sin, cos) = angle.sin_cos();
+    let (long, short) = (cos * u + sin * v, cos * v - sin * u);
+    let round = || <[Vec3; 2]>::from(normal.any_orthonormal_pair());
+    let Some(along) = long.try_normalize() else { return round() };
+    let [most, least] = [long, short].map(|axis| axis.length().clamp(STRETCHES[0], STRETCHES[1]));
+    let least = least.max(most / THINNEST);
+    if !(most.is_finite() && least.is_finite()) {
+        return round();
+    }
+    [most * along, least * normal.cross(along)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_circle_becomes_the_ellipse_of_a_map() {
+        let map = |p: Vec3| Vec3::new(3.0 * p.x + 0.4 * p.y, 0.5 * p.y, 0.0);
+        let [long, short] = ellipse([map(Vec3::X), map(Vec3::Y)], Vec3::Z);
+        assert!(long.dot(short).abs() < 1e-5 && long.length() > short.length());
+        // Points of the circle lie on it.
+        for k in 0..32 {
+            let (y, x) = (0.2 * k as f32).sin_cos();
+            let p = map(Vec3::new(x, y, 0.0));
+            let on = (p.dot(long) / long.length_squared()).powi(2)
+                + (p.dot(short) / short.length_squared()).powi(2);
+            assert!((on - 1.0).abs() < 1e-4, "{on}");
+        }
+        // However much it is stretched, it can be drawn.
+        let [long, short] = ellipse([1e6 * Vec3::X, 1e-6 * Vec3::Y], Vec3::Z);
+        assert!(long.length() <= STRETCHES[1] * 1.001 && short.length() >= long.length() / THINNEST * 0.999);
+        assert!(ellipse([Vec3::NAN; 2], Vec3::Z).iter().all(|axis| (axis.length() - 1.0).abs() < 1e-5));
+    }
 }

@@ -96,20 +96,12 @@ impl Selection {
         Self::of((0..self.marks.len()).map(is_selected).collect())
     }
 
-    /// For more samples, or fewer: new ones are selected as most of those next to them were.
+    /// For another sampling of the same model, of each of whose samples `former` says which one of this one it is, if
+    /// any, and `owners` to which of its own that are known it belongs.
     #[must_use]
-    pub fn resized(&self, adjacency: &Adjacency) -> Self {
-        let known = self.marks.len();
-        self.changed_to(adjacency.len(), |i| {
-            let votes = adjacency.of(i).iter().filter(|j| (**j as usize) < known);
-            let (yes, all) =
-                votes.fold((0, 0), |(yes, all), j| (yes + usize::from(self.contains(*j)), all + 1));
-            2 * yes > all
-        })
-    }
-
-    fn changed_to(&self, samples: usize, of_new: impl Fn(usize) -> bool) -> Self {
-        Self::of((0..samples).map(|i| self.marks.get(i).copied().unwrap_or_else(|| of_new(i))).collect())
+    pub fn carried(&self, former: &[Option<u32>], owners: &[u32]) -> Self {
+        let of = |owner: &u32| former[*owner as usize].is_some_and(|i| self.contains(i));
+        Self::of(owners.iter().map(of).collect())
     }
 
     /// As lengths of runs that are not selected and selected in turn: what a recording keeps.

@@ -7,6 +7,7 @@ use crate::tools::Tool;
 use crate::window::Window;
 use crate::{regions, theme};
 use eframe::egui::{self, Event, Key, Modifiers};
+use simod_scene::Mode;
 use simod_session::session_file::Role;
 use simod_viewer::camera::{Projection, Standard, Up};
 use simod_viewer::command::{Area, CameraMove};
@@ -84,13 +85,19 @@ impl Action {
         Self { begins: true, ..self }
     }
 
-    /// Its keys, as the user reads them; empty where there are none.
+    /// Its first keys, as the user reads them; empty where there are none.
     pub fn keys_text(&self, ctx: &egui::Context) -> String {
-        match self.keys.first() {
-            Some((modifiers, key)) => ctx.format_shortcut(&egui::KeyboardShortcut::new(*modifiers, *key)),
-            None => String::new(),
-        }
+        self.keys.first().map_or_else(String::new, |keys| text(ctx, keys))
     }
+
+    /// All its keys, as the user reads them.
+    pub fn all_keys_text(&self, ctx: &egui::Context) -> String {
+        self.keys.iter().map(|keys| text(ctx, keys)).collect::<Vec<_>>().join(", ")
+    }
+}
+
+fn text(ctx: &egui::Context, (modifiers, key): &(Modifiers, Key)) -> String {
+    ctx.format_shortcut(&egui::KeyboardShortcut::new(*modifiers, *key))
 }
 
 fn select(w: &mut Window, area: Area) {
@@ -114,6 +121,10 @@ fn set_theme(w: &mut Window, theme: Theme) {
 
 fn has_colors(w: &Window) -> bool {
     w.state().scene().is_some_and(|scene| !scene.sampled.colors.is_empty())
+}
+
+fn has_triangles(w: &Window) -> bool {
+    w.state().scene().is_some_and(|scene| !scene.sampled.triangles.is_empty())
 }
 
 fn is_deformation(w: &Window) -> bool {
@@ -229,9 +240,11 @@ pub const ALL: &[Action] = &[
         w.apply(Command::Camera(CameraMove::Up(up)));
     })
     .on(|w| w.state().camera().up == Up::Z),
-    action(Menu::View, "Triangles", &[(NONE, Key::T)], is_open, |w| w.looks.triangles ^= true)
-        .on(|w| w.looks.triangles)
-        .begins(),
+    action(Menu::View, "Triangles", &[(NONE, Key::T)], has_triangles, |w| {
+        w.looks.triangles = Some(w.mode() != Mode::Triangles);
+    })
+    .on(|w| w.mode() == Mode::Triangles)
+    .begins(),
     action(Menu::View, "Ghost of the Rest Shape", &[(SHIFT, Key::G)], is_open, |w| w.looks.ghost ^= true)
         .on(|w| w.looks.ghost),
     action(Menu::View, "Samples over Full Detail", &[], is_open, |w| w.looks.samples ^= true)

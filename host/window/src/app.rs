@@ -76,12 +76,15 @@ impl eframe::App for App {
         if window.state().scene().is_some() {
             panels::tools::show(ui, window);
             panels::side::show(ui, window);
+            panels::legend::show(ui, window);
         }
         viewport::show(ui, window, &mut self.viewport);
         panels::floating(ui.ctx(), window);
     }
 
     fn on_exit(&mut self) {
+        // What was saved, or is not wanted, is kept no more.
+        self.window.keep();
         self.window.keep_settings();
     }
 

@@ -14,8 +14,9 @@
 mod actions;
 mod app;
 mod arguments;
-mod dialogs;
+pub mod dialogs;
 mod example;
+mod in_turn;
 mod panels;
 mod regions;
 pub mod screenshot;
@@ -27,6 +28,7 @@ pub mod turntable;
 mod viewport;
 mod widgets;
 mod window;
+mod wording;
 
 pub use app::App;
 pub use arguments::main;

@@ -31,6 +31,12 @@ pub fn disc_radii(spacing: &[f32]) -> Vec<f32> {
     spacing.iter().map(|s| RADIUS * s).collect()
 }
 
+/// How samples are drawn unless the user says otherwise: as triangles where there are any, as these keep together
+/// however they are stretched.
+pub fn mode_of(shown: &simod_viewer::Scene) -> Mode {
+    if shown.sampled.triangles.is_empty() { Mode::Splats } else { Mode::Triangles }
+}
+
 /// Draws what the state shows, as its camera sees it.
 ///
 /// # Errors
@@ -73,7 +79,7 @@ impl Shot {
         let (colors, tint) = (state.sample_colors(Version::Now), state.tint());
         let scale = state.field().map(|field| field.scale());
         let detail = state.detail();
-        let radii = sample_radii(&shown.sampled.samples.extents(), detail);
+        let radii = sample_radii(&shown.sampled.samples.extents(), &shown.axes, detail);
         let pieces = detail.into_iter().flat_map(|detail| detail.pieces().values());
         let of_vertices = VertexColors::new(colors.as_deref(), tint, scale);
         let in_full = pieces.map(|piece| splats(piece, of_vertices)).collect();
@@ -82,6 +88,7 @@ impl Shot {
             None => colors,
         };
         let style = Style {
+            mode: mode_of(&shown),
             own_colors: colors.is_some(),
             background: Background::Dark,
             scale: Scale::Double,
@@ -108,15 +115,10 @@ impl Shot {
     /// Nothing is open.
     pub fn of_window(window: &mut Window) -> Result<Self> {
         let (looks, settings) = (window.looks, &window.settings);
-        let (theme, occlusion) = (settings.theme, settings.occlusion);
+        let (theme, occlusion, mode) = (settings.theme, settings.occlusion, window.mode());
         let shot = Self::of(window.state_mut())?;
         let size = window.state().size().map(|pixels| 2 * (0.5 * pixels).clamp(1.0, 4096.0) as u32);
-        let style = Style {
-            mode: if looks.triangles { Mode::Triangles } else { Mode::Splats },
-            background: theme.background(),
-            occlusion,
-            ..shot.style
-        };
+        let style = Style { mode, background: theme.background(), occlusion, ..shot.style };
         let detail = window.state().detail().filter(|_| looks.samples);
         let dots = sample_dots(&shot.shown.positions, detail);
         Ok(Self { size, style, dots, ghost: looks.ghost, ..shot })
@@ -138,9 +140,9 @@ impl Shot {
             positions: &shown.positions,
             normals: &shown.normals,
             radii: &self.radii,
+            axes: &shown.axes,
             colors: self.colors.as_deref(),
             triangles: &shown.sampled.triangles,
-            ..Surface::default()
         };
         let rest = Surface {
             positions: &samples.positions,

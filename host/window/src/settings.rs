@@ -82,6 +82,12 @@ impl Settings {
         self.recent.insert(0, path);
         self.recent.truncate(RECENT);
     }
+
+    /// Forgets what cannot be opened.
+    pub fn forget(&mut self, path: &Path) {
+        let whole = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        self.recent.retain(|other| *other != whole && other != path);
+    }
 }
 
 #[cfg(test)]
@@ -95,6 +101,8 @@ mod tests {
             settings.remember(Path::new(name));
         }
         assert_eq!(settings.recent, [PathBuf::from("a"), PathBuf::from("b")]);
+        settings.forget(Path::new("a"));
+        assert_eq!(settings.recent, [PathBuf::from("b")]);
         (0..30).for_each(|i| settings.remember(Path::new(&format!("{i}"))));
         assert_eq!(settings.recent.len(), RECENT);
     }

@@ -38,7 +38,7 @@ pub fn write(shot: &Shot, folder: &Path, frames: u32, progress: &dyn Progress) -
 
 /// Whether one can be begun.
 pub fn can_begin(window: &Window) -> bool {
-    window.state().scene().is_some() && window.turning.is_none()
+    window.state().scene().is_some() && window.turning.is_none() && window.stopping.is_none()
 }
 
 /// Asks how many frames, and where they go.
@@ -111,15 +111,25 @@ impl Turning {
 
     /// How far it is.
     pub fn activity(&self) -> Activity {
-        let fraction = self.watch.done.load(Relaxed) as f32 / self.frames as f32;
+        let (done, frames) = self.progress();
         let seconds = self.since.elapsed().as_secs_f64();
         Activity {
             stage: "drawing frames",
-            fraction: Some(fraction),
-            rate: 0.0,
+            fraction: Some(done as f32 / frames as f32),
+            rate: None,
             seconds,
             memory: memory::anonymous(),
         }
+    }
+
+    /// Frames that are drawn, of how many.
+    pub fn progress(&self) -> (u32, u32) {
+        (self.watch.done.load(Relaxed), self.frames)
+    }
+
+    /// Whether its thread is over.
+    pub fn is_over(&self) -> bool {
+        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
     /// Stops it: nothing is left.

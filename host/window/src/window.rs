@@ -1,23 +1,29 @@
 //! The state, and what is the window's own.
 
-use crate::dialogs::{Dialog, Purpose};
-use crate::panels::{Palette, Prompt, Report, Toasts};
+use crate::dialogs::{self, Answer, Chooser, Dialog, Purpose};
+use crate::in_turn::InTurn;
+use crate::panels::{Cause, Palette, Prompt, Report, Toasts};
+use crate::screenshot::mode_of;
 use crate::settings::Settings;
 use crate::tools::Tools;
 use crate::turntable::Turning;
 use crate::{example, theme};
 use eframe::egui;
+use simod_model::target::folder_of;
 use simod_model::{Error, ErrorKind};
+use simod_scene::{Drawn, Mode};
 use simod_session::edit::{self, Change, Entry, StepId};
 use simod_session::session_file::{Deformation, Sampling};
-use simod_session::{Plugin, PluginRegistry};
+use simod_session::{Plugin, PluginRegistry, SessionFile};
+use simod_viewer::engine::Job;
 use simod_viewer::record::Recorder;
 use simod_viewer::state::{self, Notice};
 use simod_viewer::{Command, State, Version};
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant, SystemTime};
 
 /// How often an edit is kept against a crash.
 const KEEP: Duration = Duration::from_secs(20);
@@ -25,8 +31,8 @@ const KEEP: Duration = Duration::from_secs(20);
 /// What is shown besides the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Looks {
-    /// Triangles instead of discs.
-    pub triangles: bool,
+    /// Triangles or discs, where the user said which; see [`Window::mode`].
+    pub triangles: Option<bool>,
     /// The shape at rest.
     pub ghost: bool,
     /// Dots for samples in whose place vertices are shown.
@@ -44,7 +50,7 @@ pub struct Looks {
 impl Default for Looks {
     fn default() -> Self {
         Self {
-            triangles: false,
+            triangles: None,
             ghost: false,
             samples: false,
             regions: true,
@@ -60,7 +66,35 @@ pub enum Question {
     /// The edit is not saved, and this would lose it.
     Unsaved(Leaving),
     /// An edit of this path was kept against a crash.
-    Recover(PathBuf, Sampling),
+    Recover(Kept),
+    /// The model of what was opened is not where it was.
+    Moved {
+        /// What was opened.
+        path: PathBuf,
+        /// Where the model was.
+        model: PathBuf,
+        /// It is open nevertheless, by its samples.
+        is_open: bool,
+    },
+}
+
+/// An edit that was kept against a crash.
+pub struct Kept {
+    /// Of what.
+    pub path: PathBuf,
+    /// How it is sampled.
+    pub sampling: Sampling,
+    /// When it was kept, and how many steps it has.
+    pub made: SystemTime,
+    pub steps: usize,
+}
+
+/// What is being opened.
+struct Awaited {
+    path: PathBuf,
+    recover: bool,
+    /// What was open before.
+    former: Option<PathBuf>,
 }
 
 /// What was about to be done when there was something to be saved.
@@ -76,6 +110,8 @@ pub enum Leaving {
 pub struct Window {
     state: State,
     ctx: egui::Context,
+    /// Whether the hand was quicker than the pictures, and events wait for their frame.
+    waits: Arc<AtomicBool>,
     /// What the user likes.
     pub settings: Settings,
     /// The tools, and which one is in the hand.
@@ -88,6 +124,8 @@ pub struct Window {
     pub turntable: Option<crate::panels::Turntable>,
     /// The turntable that is being drawn.
     pub turning: Option<Turning>,
+    /// One that was stopped, until the frame that it was at is drawn.
+    pub stopping: Option<Turning>,
     /// Messages that go away.
     pub toasts: Toasts,
     /// Commands by name, while they are looked for.
@@ -100,26 +138,32 @@ pub struct Window {
     pub prompt: Option<Prompt>,
     /// To be answered first.
     pub question: Option<Question>,
+    /// How dialogs for files are shown.
+    pub chooser: Chooser,
     dialog: Option<Dialog>,
-    /// Where the dialog began.
-    typed: String,
     leaving: bool,
     /// What goes on once the edit is saved.
     after: Option<Leaving>,
     title: String,
     opened: Option<PathBuf>,
-    /// Whether what was opened is still to come.
-    awaited: bool,
+    /// What was opened and is still to come.
+    awaited: Option<Awaited>,
+    /// The revision of the scene that was looked at last.
+    seen: u64,
     recorded: VecDeque<Command>,
     kept: Instant,
     /// How long the last picture took, for the status line.
     pub frame_time: Duration,
+    /// How much of what there is the picture shows.
+    pub drawn: Drawn,
 }
 
 impl Window {
     /// With nothing open.
     pub fn new(ctx: &egui::Context, plugins: Arc<PluginRegistry>, settings: Settings) -> Self {
         theme::apply(ctx, settings.theme);
+        let waits = Arc::new(AtomicBool::new(false));
+        ctx.add_plugin(InTurn::new(waits.clone()));
         let waker = ctx.clone();
         let mut toasts = Toasts::default();
         for rejected in plugins.rejected() {
@@ -128,11 +172,13 @@ impl Window {
         Self {
             state: State::new(plugins, Arc::new(move || waker.request_repaint())),
             ctx: ctx.clone(),
+            waits,
             settings,
             tools: Tools::default(),
             looks: Looks::default(),
             holds_pinned: false,
             turning: None,
+            stopping: None,
             turntable: None,
             toasts,
             palette: None,
@@ -140,16 +186,18 @@ impl Window {
             shows_keys: false,
             prompt: None,
             question: None,
+            chooser: dialogs::system(),
             dialog: None,
-            typed: String::new(),
             leaving: false,
             after: None,
             title: String::new(),
             opened: None,
-            awaited: false,
+            awaited: None,
+            seen: 0,
             recorded: VecDeque::new(),
             kept: Instant::now(),
             frame_time: Duration::ZERO,
+            drawn: Drawn::default(),
         }
     }
 
@@ -181,14 +229,32 @@ impl Window {
     /// Whether something has to be answered before anything else.
     pub fn is_asking(&self) -> bool {
         let asks = self.question.is_some() || self.turntable.is_some();
-        asks || self.palette.is_some() || self.prompt.is_some()
+        asks || self.palette.is_some() || self.prompt.is_some() || self.shows_keys
+    }
+
+    /// Whether more events wait for a frame: a picture can wait for them.
+    pub fn is_catching_up(&self) -> bool {
+        self.waits.load(Ordering::Relaxed)
+    }
+
+    /// How samples are drawn: as the user said, or as is best for what is open.
+    pub fn mode(&self) -> Mode {
+        match (self.looks.triangles, self.state.scene()) {
+            (Some(true), _) => Mode::Triangles,
+            (None, Some(scene)) => mode_of(scene),
+            _ => Mode::Splats,
+        }
     }
 
     /// Does a command; an error is shown to the user. Whether it was done.
     pub fn apply(&mut self, command: Command) -> bool {
+        // Looking around mends nothing.
+        let mends = !matches!(command, Command::Camera(_) | Command::Resize { .. } | Command::Cancel { .. });
         let done = self.state.apply(command);
-        if let Err(error) = &done {
-            self.toasts.error(error);
+        match &done {
+            Err(error) => self.toasts.error_of(Cause::Command, error),
+            Ok(()) if mends => self.toasts.leave(Cause::Command),
+            Ok(()) => {}
         }
         self.ctx.request_repaint();
         done.is_ok()
@@ -218,21 +284,27 @@ impl Window {
     /// Takes what is new. To be called before each picture.
     pub fn update(&mut self) {
         self.state.poll();
-        for notice in self.state.take_notices() {
+        let notices = self.state.take_notices();
+        // What is there now takes the messages along that it was not.
+        let revision = self.state.scene().map_or(0, |scene| scene.revision);
+        if std::mem::replace(&mut self.seen, revision) != revision {
+            self.toasts.leave(Cause::Job(Job::Evaluate));
+            self.toasts.leave(Cause::Job(Job::Open));
+        }
+        for notice in notices {
             match notice {
                 Notice::Note(text) => self.toasts.note(text),
-                Notice::Failed(_, error) if error.kind() == ErrorKind::Cancelled => {
-                    self.toasts.note("Stopped.");
-                }
-                Notice::Failed(_, error) => self.toasts.error(&error),
+                Notice::Failed(job, error) => self.failed(job, &error),
                 Notice::Written(output, report, seconds) => {
+                    self.toasts.leave(Cause::Job(Job::Write));
                     self.report = Some(Report::new(output, *report, seconds));
                 }
             }
         }
-        if self.awaited && self.state.is_settled() {
-            self.awaited = false;
-            self.choose_last();
+        if self.state.is_settled()
+            && let Some(awaited) = self.awaited.take()
+        {
+            self.is_there(awaited);
         }
         if let Some(made) = self.turning.as_ref().and_then(Turning::made) {
             let turning = self.turning.take();
@@ -243,6 +315,9 @@ impl Window {
                 _ => {}
             }
         }
+        if self.stopping.as_ref().is_some_and(Turning::is_over) {
+            self.stopping = None;
+        }
         self.name();
         self.take_answer();
         self.go_on_replaying();
@@ -250,6 +325,54 @@ impl Window {
             self.keep();
         }
         self.ctx.request_repaint_after(KEEP);
+    }
+
+    /// A job came to nothing.
+    fn failed(&mut self, job: Job, error: &Error) {
+        let cancelled = error.kind() == ErrorKind::Cancelled;
+        if job == Job::Open
+            && let Some(Awaited { path, former, .. }) = self.awaited.take()
+        {
+            self.opened = former;
+            if !cancelled {
+                self.settings.forget(&path);
+                self.keep_settings();
+                if let Some(model) = missing_model(&path) {
+                    self.question = Some(Question::Moved { path, model, is_open: false });
+                    return;
+                }
+            }
+        }
+        if cancelled {
+            self.toasts.note("Stopped.");
+        } else {
+            self.toasts.error_of(Cause::Job(job), error);
+        }
+    }
+
+    /// What was opened is there.
+    fn is_there(&mut self, Awaited { path, recover, .. }: Awaited) {
+        self.settings.remember(&path);
+        self.keep_settings();
+        self.looks.triangles = None;
+        self.choose_last();
+        if recover {
+            let text = "The edit is recovered. It is in no file yet: save it.";
+            self.toasts.note(text);
+        }
+        let model = self.state.editor().and_then(|editor| editor.model());
+        if let Some(model) = model.filter(|model| !model.exists()).map(Path::to_owned) {
+            self.question = Some(Question::Moved { path, model, is_open: true });
+        }
+    }
+
+    /// No turntable is wanted any more.
+    pub fn stop_turning(&mut self) {
+        if let Some(turning) = self.turning.take() {
+            turning.cancel();
+            self.stopping = Some(turning);
+            self.toasts.note("Stopped: no frames are left of the turntable.");
+        }
     }
 
     /// The window is called as what is open.
@@ -320,11 +443,27 @@ impl Window {
 
     /// Opens something; what was kept of it against a crash is offered.
     pub fn open(&mut self, path: PathBuf, sampling: Sampling, recover: bool) {
-        if !recover && matches!(state::recoverable(&path), Ok(Some(_))) {
-            self.question = Some(Question::Recover(path, sampling));
-            return;
+        let made = state::kept_at(&path).filter(|_| !recover);
+        match made.map(|made| (made, state::recoverable(&path))) {
+            Some((made, Ok(Some(kept)))) => {
+                let steps = kept.steps.len();
+                self.question = Some(Question::Recover(Kept { path, sampling, made, steps }));
+            }
+            // It is left alone, for whoever wants to look at it.
+            Some((_, Err(error))) => {
+                self.toasts.error(&error);
+                self.open_now(path, sampling, recover);
+            }
+            _ => self.open_now(path, sampling, recover),
         }
-        self.open_now(path, sampling, recover);
+    }
+
+    /// Opens something without what was kept of it, which goes away.
+    pub fn open_without(&mut self, kept: &Kept) {
+        if let Err(error) = state::forget(&kept.path) {
+            self.toasts.error(&error);
+        }
+        self.open_now(kept.path.clone(), kept.sampling, false);
     }
 
     /// Opens it, whatever was kept.
@@ -332,17 +471,22 @@ impl Window {
         if !path.exists() {
             let what = format!("there is no file {}", path.display());
             self.toasts.error(&Error::new(ErrorKind::Io, what, "check the path, or choose another file"));
+            self.settings.forget(&path);
+            self.keep_settings();
             return;
         }
         // A session says itself how its model is sampled.
         let is_session = crate::arguments::is_sampled(&path);
         let samples = sampling.samples.or((!is_session).then_some(self.settings.samples));
         let sampling = if is_session { Sampling::default() } else { Sampling { samples, ..sampling } };
-        if self.apply(Command::Open { path: path.clone(), sampling, recover }) {
+        self.begin_opening(Command::Open { path: path.clone(), sampling, recover }, path, recover);
+    }
+
+    fn begin_opening(&mut self, command: Command, path: PathBuf, recover: bool) {
+        if self.apply(command) {
             self.tools.reset();
-            self.settings.remember(&path);
-            self.keep_settings();
-            (self.opened, self.awaited) = (Some(path), true);
+            let former = self.opened.replace(path.clone());
+            self.awaited = Some(Awaited { path, recover, former });
         }
     }
 
@@ -386,6 +530,14 @@ impl Window {
         }
     }
 
+    /// What was about to be done goes on, and the edit goes away, with what was kept of it against a crash.
+    pub fn discard(&mut self, leaving: Leaving) {
+        if let Err(error) = self.state.discard() {
+            self.toasts.error(&error);
+        }
+        self.leave(leaving);
+    }
+
     /// Saves; asks where to if that is not known. Whether it was saved at once.
     pub fn save(&mut self) -> bool {
         if self.state.editor().is_some_and(|editor| editor.path().is_some()) {
@@ -423,29 +575,40 @@ impl Window {
             }
             Purpose::Turntable => beside("*-turntable"),
             Purpose::Pin => beside("*.toml"),
+            Purpose::Locate { path, model } => {
+                Some(folder_of(path).join(model.file_name().unwrap_or_default()))
+            }
             Purpose::Write => editor.and_then(|e| e.output().map(Path::to_owned)).or_else(|| {
                 let extension = editor?.model()?.extension()?.to_string_lossy().into_owned();
                 beside(&format!("*-deformed.{extension}"))
             }),
             _ => self.settings.recent.first().cloned(),
         };
-        let text = at.as_ref().map_or_else(String::new, |path| path.display().to_string());
-        self.typed = text;
         let ctx = self.ctx.clone();
-        self.dialog = Some(Dialog::open(purpose, at.as_deref(), move || ctx.request_repaint()));
+        let wake = move || ctx.request_repaint();
+        let dialog = Dialog::open(self.chooser.clone(), purpose, at, wake);
+        self.ctx.request_repaint_after(dialog.patience());
+        self.dialog = Some(dialog);
     }
 
     fn take_answer(&mut self) {
-        let Some(answer) = self.dialog.as_ref().and_then(Dialog::answer) else { return };
+        let Some(dialog) = &self.dialog else { return };
+        let Some(answer) = dialog.answer() else {
+            return self.ctx.request_repaint_after(dialog.patience());
+        };
         let Some(dialog) = self.dialog.take() else { return };
-        let never = dialog.was_never_there();
         match answer {
-            Some(path) => self.answered(dialog.purpose, path),
-            None if never => {
-                self.prompt = Some(Prompt { purpose: dialog.purpose, text: std::mem::take(&mut self.typed) });
+            Answer::Chosen(path) => self.answered(dialog.purpose, path),
+            Answer::Closed => self.not_answered(),
+            Answer::Absent(why) => {
+                self.prompt = Some(Prompt::new(dialog.purpose, dialog.at.as_deref(), &why));
             }
-            None => {}
         }
+    }
+
+    /// No file was chosen: what was to come after it does not.
+    pub fn not_answered(&mut self) {
+        self.after = None;
     }
 
     /// A file was chosen.
@@ -469,6 +632,11 @@ impl Window {
             Purpose::Pin => {
                 self.apply(Command::PinSession { path });
             }
+            Purpose::Locate { path: opened, .. } => {
+                let recover = state::kept_at(&opened).is_some();
+                let command = Command::Locate { path: opened.clone(), model: path, recover };
+                self.begin_opening(command, opened, recover);
+            }
             Purpose::Turntable => {
                 if let Some(turntable) = &mut self.turntable {
                     turntable.folder = path.display().to_string();
@@ -480,4 +648,11 @@ impl Window {
             }
         }
     }
+}
+
+/// The model of a session, if it is not where the session says.
+fn missing_model(path: &Path) -> Option<PathBuf> {
+    let is_session = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"));
+    let session = is_session.then(|| SessionFile::load(path).ok()).flatten()?;
+    session.model.filter(|model| !model.exists())
 }

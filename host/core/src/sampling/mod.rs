@@ -451,7 +451,7 @@ impl<'a> Prepared<'a> {
         let sample_of = match membership {
             None => None,
             Some(members) => {
-                progress.begin("looking up each vertex' sample", info.vertices);
+                progress.begin_parts("looking up each vertex' sample", info.vertices);
                 let mut sample_of = members.finish(&reindexed.cut.starts, progress)?;
                 let read = Read { sampling, bound, parting: &parting };
                 reindexed.run(&read, &mut sample_of)?;

@@ -34,8 +34,13 @@ pub(super) struct Stage {
 /// The most often that details are halved for a frame.
 const MOST_HALVED: usize = 24;
 
+/// The next picture at rest has so many times more splats than the last one ...
+const FINER: usize = 3;
+/// ... unless that is so large a part of all (one in so many) that all are as good.
+const NEARLY_ALL: usize = 2;
+
 /// What a frame shows of the surface and its details.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Shares {
     /// Splats of the surface.
     surface: usize,
@@ -43,9 +48,11 @@ struct Shares {
     halved: usize,
 }
 
-/// Splats that both passes have drawn.
+/// Splats of the next picture at rest that both passes have drawn.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Filled {
+    /// What that picture shows; not chosen yet before its first splats.
+    shares: Option<Shares>,
     depth: usize,
     blend: usize,
 }
@@ -108,7 +115,7 @@ impl Scene {
         let stage = &self.stages[&scale];
         let of = self.splats();
         let shares = self.shares(splats);
-        let splats = shares.surface + self.details.values().map(|c| c.halved(shares.halved)).sum::<usize>();
+        let splats = self.count(shares);
         self.set_frame(view, style, stage, shares);
         self.draw_ghost(encoder, stage);
         let frame = &self.frame.group;
@@ -136,42 +143,60 @@ impl Scene {
         self.light(encoder, style);
     }
 
-    /// Sums up at most so many more splats of all, pass by pass; once these are through, they are shown.
+    /// Sums up at most so many more splats, pass by pass: first of a picture that shows some more of all than the
+    /// last one, and once that is shown, of the next one.
     pub(super) fn fill(&mut self, encoder: &mut CommandEncoder, view: &View, style: &Style, splats: usize) {
         let scale = style.scale;
-        let of = self.splats();
-        if self.shows_triangles(style, usize::MAX) || of == 0 {
+        let all = self.splats();
+        if self.shows_triangles(style, usize::MAX) || all == 0 {
             return self.draw(encoder, view, style, scale, usize::MAX);
         }
         self.stage(view, scale);
+        let shares = self.filled.shares.unwrap_or_else(|| self.next_shares());
+        self.filled.shares = Some(shares);
         let stage = &self.stages[&scale];
-        self.set_frame(view, style, stage, self.shares(usize::MAX));
+        self.set_frame(view, style, stage, shares);
         let frame = &self.frame.group;
         if self.surface.is_none() {
             return;
         }
-        let Filled { depth, blend } = self.filled;
+        let of = self.count(shares);
+        let Filled { depth, blend, .. } = self.filled;
         if depth == 0 {
             self.draw_ghost(encoder, stage);
         }
         if depth < of {
             let end = of.min(depth.saturating_add(splats));
-            self.splats.depth(encoder, &stage.targets, &self.slice(depth..end), depth == 0);
+            self.splats.depth(encoder, &stage.targets, &self.slice(shares, depth..end), depth == 0);
             self.filled.depth = end;
         } else {
             let end = of.min(blend.saturating_add(splats));
-            let parts = self.slice(blend..end);
+            let parts = self.slice(shares, blend..end);
             self.splats.blend(encoder, &stage.targets, &stage.splats, &parts, blend == 0);
             self.filled.blend = end;
         }
         if self.filled.blend == of {
             self.splats.resolve(encoder, &stage.splats, frame, &stage.targets.seen);
-            self.drawn = Drawn { drawn: of, of, complete: true };
+            self.drawn = Drawn { drawn: of, of: all, complete: of == all };
+            self.filled = Filled::default();
             self.shown = scale;
             self.light(encoder, style);
         } else if self.marks_changed {
             self.finish(encoder);
         }
+    }
+
+    /// What the next picture at rest shows: more than the last one did.
+    fn next_shares(&self) -> Shares {
+        let Drawn { drawn, of, .. } = self.drawn;
+        let more = drawn.saturating_mul(FINER);
+        let shares = self.shares(more);
+        if more >= of / NEARLY_ALL || self.count(shares) <= drawn { self.shares(usize::MAX) } else { shares }
+    }
+
+    /// Number of splats.
+    fn count(&self, shares: Shares) -> usize {
+        shares.surface + self.details.values().map(|c| c.halved(shares.halved)).sum::<usize>()
     }
 
     fn draw_ghost(&self, encoder: &mut CommandEncoder, stage: &Stage) {
@@ -225,10 +250,10 @@ impl Scene {
         surface.chain(details).map(part).collect()
     }
 
-    /// All splats side by side, and of these some places.
-    fn slice(&self, places: Range<usize>) -> Vec<Part<'_>> {
+    /// The splats of these shares side by side, and of these some places.
+    fn slice(&self, shares: Shares, places: Range<usize>) -> Vec<Part<'_>> {
         let mut first = 0;
-        let mut parts = self.parts(self.shares(usize::MAX));
+        let mut parts = self.parts(shares);
         for part in &mut parts {
             let end = first + part.places.end;
             let within = |place: usize| place.clamp(first, end) - first;

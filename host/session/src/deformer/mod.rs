@@ -477,7 +477,7 @@ impl<'a> Watch<'a> {
 
     fn begin(&self, stage: &'static str) {
         self.told.store(0, Ordering::Relaxed);
-        self.progress.begin(stage, self.size);
+        self.progress.begin_parts(stage, self.size);
     }
 
     fn begin_preparation(&self, stage: &'static str) {

@@ -16,6 +16,7 @@ use simod_plugin_api::ParamKind;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::SystemTime;
 
 /// What is edited, with its files. Quick to work on: the model itself is in the [`Evaluation`] that comes
 /// with it, which may be on another thread.
@@ -23,11 +24,14 @@ pub struct Editor {
     /// What it is called, and all but the steps.
     session: SessionFile,
     path: Option<PathBuf>,
+    /// What it is kept beside while it has no file.
+    opened: PathBuf,
     document: Document,
     plugins: Arc<PluginRegistry>,
-    /// The steps as they were saved last.
-    saved: Arc<[Entry]>,
-    /// The steps as they were kept last against a crash.
+    /// The steps as they were saved last, or as they were at first; nothing where those that were at first are in
+    /// no file.
+    saved: Option<Arc<[Entry]>>,
+    /// The steps as they were kept last against a crash, or that are not to be kept.
     kept: Arc<[Entry]>,
 }
 
@@ -76,9 +80,23 @@ impl Editor {
         };
         let model = session.model.clone();
         let how = Refinements { model, folder, memory_limit: None, time: session.time.time() };
-        let (saved, kept) = (document.steps().clone(), document.steps().clone());
+        let (saved, kept) = (Some(document.steps().clone()), document.steps().clone());
         let evaluation = Evaluation::new(Arc::new(sampled), how);
-        (Self { session, path, document, plugins, saved, kept }, evaluation)
+        let opened = session.model.clone().unwrap_or_else(|| PathBuf::from("session.toml"));
+        (Self { session, path, opened, document, plugins, saved, kept }, evaluation)
+    }
+
+    /// The same, of what is in no file that was saved, as what was [kept against a crash](recover).
+    #[must_use]
+    pub fn unsaved(self) -> Self {
+        Self { saved: None, ..self }
+    }
+
+    /// The same, opened by another path than its model's, as by the folder of its samples: what it is kept beside
+    /// until it has a file.
+    #[must_use]
+    pub fn opened_by(self, path: &Path) -> Self {
+        Self { opened: path.to_owned(), ..self }
     }
 
     /// What turns with the surface besides normals, when the model is written.
@@ -128,7 +146,11 @@ impl Editor {
 
     /// Whether the session's file has all that was done.
     pub fn is_saved(&self) -> bool {
-        self.path.is_some() && Arc::ptr_eq(&self.saved, self.document.steps())
+        self.path.is_some() && self.is_as_saved()
+    }
+
+    fn is_as_saved(&self) -> bool {
+        self.saved.as_ref().is_some_and(|saved| Arc::ptr_eq(saved, self.document.steps()))
     }
 
     /// Saves the session, whole or not at all. What was kept against a crash is not needed any more, and
@@ -139,15 +161,28 @@ impl Editor {
     pub fn save(&mut self, path: &Path) -> Result<()> {
         self.at(path)?.save(path).map(drop)?;
         let former = self.path.replace(path.to_owned()).unwrap_or_else(|| path.to_owned());
-        forget(&former)?;
-        forget(path)?;
-        self.saved = self.document.steps().clone();
-        self.kept = self.saved.clone();
-        Ok(())
+        self.saved = Some(self.document.steps().clone());
+        self.kept = self.document.steps().clone();
+        [&former, path, &self.opened].into_iter().try_for_each(forget)
     }
 
-    /// Keeps the steps against a crash, in a hidden file beside the session's, or the model's if the session
-    /// has none yet; if there is anything new to keep. [`recover`] gives them back.
+    /// Removes what was kept against a crash: the user does not want these steps. They are kept again once they
+    /// change.
+    ///
+    /// # Errors
+    /// It cannot be removed.
+    pub fn discard(&mut self) -> Result<()> {
+        self.kept = self.document.steps().clone();
+        forget(self.kept_beside())
+    }
+
+    fn kept_beside(&self) -> &Path {
+        self.path.as_deref().unwrap_or(&self.opened)
+    }
+
+    /// Keeps the steps against a crash, in a hidden file beside the session's, or beside what was opened if the
+    /// session has none yet; if there is anything new to keep. [`recover`] gives them back. Where the steps are again
+    /// as they were saved, or as they were at first, there is nothing to be kept.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -157,8 +192,12 @@ impl Editor {
             return Ok(());
         }
         let steps = steps.clone();
-        let model = self.session.model.as_deref().unwrap_or(Path::new("session.toml"));
-        let path = autosave_path(self.path.as_deref().unwrap_or(model));
+        if self.is_as_saved() {
+            forget(self.kept_beside())?;
+            self.kept = steps;
+            return Ok(());
+        }
+        let path = autosave_path(self.kept_beside());
         let used = self.at(&path)?.save(&path)?;
         // The former files beside it, which nobody else knows.
         remove(side_file::beside(&path)?.into_iter().filter(|path| !used.contains(path)))?;
@@ -219,6 +258,11 @@ fn autosave_path(session: &Path) -> PathBuf {
 pub fn recover(path: &Path) -> Result<Option<SessionFile>> {
     let kept = autosave_path(path);
     if !kept.exists() { Ok(None) } else { SessionFile::load(&kept).map(Some) }
+}
+
+/// When something was kept of a session or a model that was not saved before the program ended, if it was.
+pub fn kept_at(path: &Path) -> Option<SystemTime> {
+    std::fs::metadata(autosave_path(path)).and_then(|kept| kept.modified()).ok()
 }
 
 /// Removes what was kept of a session: the user does not want it.

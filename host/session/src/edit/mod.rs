@@ -8,6 +8,6 @@ mod evaluation;
 mod tests;
 
 pub use document::{Change, Command, Document, Entry, StepId};
-pub use editor::{Editor, forget, recover, saved_at};
+pub use editor::{Editor, forget, kept_at, recover, saved_at};
 pub use evaluation::{Evaluated, Evaluation, Refinements, Status};
 pub(crate) use evaluation::{messages, turning_gradients};

@@ -54,6 +54,8 @@ pub struct Opening {
     pub sampling: Sampling,
     /// Takes what was kept of it against a crash, if there is something.
     pub recover: bool,
+    /// Where the model is, if it was moved.
+    pub model: Option<PathBuf>,
 }
 
 /// How the deformed model is written.

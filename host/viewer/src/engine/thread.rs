@@ -257,24 +257,39 @@ fn opened(
     plugins: &Arc<PluginRegistry>,
     progress: &dyn Progress,
 ) -> Result<(Editor, Evaluation)> {
-    let Opening { path, sampling, recover: wants_recovery } = opening;
-    let kept = if *wants_recovery { recover(path)? } else { None };
+    let kept = if opening.recover { recover(&opening.path)? } else { None };
+    // What is in no file, or names another model there.
+    let is_unsaved = kept.is_some() || opening.model.is_some();
+    let (editor, evaluation) = opened_as(opening, kept, plugins, progress)?;
+    Ok((if is_unsaved { editor.unsaved() } else { editor }, evaluation))
+}
+
+/// The same, of what was kept of it, if anything was.
+fn opened_as(
+    Opening { path, sampling, model, .. }: &Opening,
+    kept: Option<SessionFile>,
+    plugins: &Arc<PluginRegistry>,
+    progress: &dyn Progress,
+) -> Result<(Editor, Evaluation)> {
+    let located = |session: SessionFile| SessionFile { model: model.clone().or(session.model), ..session };
     if path.is_dir() {
         let mut sampled = SampledModel::load(path)?;
         match SampledModel::kept_cells(path) {
             Some(cells) => sampled.hold_cells(cells),
             None => progress.note("the cells of the sampled model are missing: it cannot be refined"),
         }
-        let session = kept.unwrap_or_else(|| session_of(&sampled));
+        let session = located(kept.unwrap_or_else(|| session_of(&sampled)));
         let folder = folder_of(path).to_owned();
-        return Ok(Editor::of(sampled, session, None, plugins.clone(), folder));
+        let (editor, evaluation) = Editor::of(sampled, session, None, plugins.clone(), folder);
+        return Ok((editor.opened_by(path), evaluation));
     }
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml")) {
-        let session = kept.map_or_else(|| SessionFile::load(path), Ok)?;
+        let session = located(kept.map_or_else(|| SessionFile::load(path), Ok)?);
         return Editor::open(session, Some(path.clone()), plugins.clone(), progress);
     }
     let new = || SessionFile { model: Some(path.clone()), sampling: *sampling, ..SessionFile::default() };
-    Editor::open(kept.unwrap_or_else(new), None, plugins.clone(), progress)
+    let (editor, evaluation) = Editor::open(kept.unwrap_or_else(new), None, plugins.clone(), progress)?;
+    Ok((editor.opened_by(path), evaluation))
 }
 
 /// A session that samples a model as it was sampled.

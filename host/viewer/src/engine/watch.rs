@@ -16,8 +16,8 @@ pub struct Activity {
     pub stage: &'static str,
     /// How much of the stage is done, 0 to 1; nothing where that is not known.
     pub fraction: Option<f32>,
-    /// Bytes of the stage a second.
-    pub rate: f64,
+    /// Bytes of the stage a second; nothing where it is not of bytes.
+    pub rate: Option<f64>,
     /// Seconds since the job began.
     pub seconds: f64,
     /// Memory that the program holds now, in bytes, where the system tells.
@@ -37,6 +37,8 @@ struct Stage {
     kind: StageKind,
     name: &'static str,
     total: u64,
+    /// What it counts is bytes.
+    of_bytes: bool,
     since: Instant,
 }
 
@@ -65,7 +67,13 @@ impl Watch {
         Self {
             wake,
             begun: now,
-            stage: Mutex::new(Stage { kind: StageKind::Other, name: "starting", total: 0, since: now }),
+            stage: Mutex::new(Stage {
+                kind: StageKind::Other,
+                name: "starting",
+                total: 0,
+                of_bytes: false,
+                since: now,
+            }),
             done: AtomicU64::new(0),
             cancelled: AtomicBool::new(false),
             superseded: AtomicBool::new(false),
@@ -93,6 +101,7 @@ impl Watch {
         let (stage, done) = (lock(&self.stage), self.done.load(Relaxed));
         let fraction = (stage.total > 0).then(|| (done as f64 / stage.total as f64).min(1.0) as f32);
         let rate = done as f64 / stage.since.elapsed().as_secs_f64().max(1e-3);
+        let rate = (stage.of_bytes && stage.total > 0).then_some(rate);
         let (seconds, memory) = (self.begun.elapsed().as_secs_f64(), anonymous());
         Activity { stage: stage.name, fraction, rate, seconds, memory }
     }
@@ -102,8 +111,8 @@ impl Watch {
         lock(&self.stage).kind
     }
 
-    fn start(&self, kind: StageKind, name: &'static str, total: u64) {
-        *lock(&self.stage) = Stage { kind, name, total, since: Instant::now() };
+    fn start(&self, kind: StageKind, name: &'static str, total: u64, of_bytes: bool) {
+        *lock(&self.stage) = Stage { kind, name, total, of_bytes, since: Instant::now() };
         self.done.store(0, Relaxed);
         self.told.store(0, Relaxed);
         (self.wake)();
@@ -122,11 +131,15 @@ impl Watch {
 
 impl Progress for Watch {
     fn begin(&self, stage: &'static str, total: u64) {
-        self.start(StageKind::Other, stage, total);
+        self.start(StageKind::Other, stage, total, true);
+    }
+
+    fn begin_parts(&self, stage: &'static str, total: u64) {
+        self.start(StageKind::Other, stage, total, false);
     }
 
     fn begin_preparation(&self, stage: &'static str, total: u64) {
-        self.start(StageKind::Preparation, stage, total);
+        self.start(StageKind::Preparation, stage, total, false);
     }
 
     fn advance(&self, bytes: u64) {

@@ -10,7 +10,7 @@ use simod_core::reconstruction::Reconstruction;
 use simod_model::target::folder_of;
 use simod_model::{Error, Result};
 use simod_plugin_api::Effort;
-use simod_session::edit::{self, Change, Document, Editor};
+use simod_session::edit::{self, Change, Document, Editor, StepId};
 use simod_session::session_file::{Action, Deformation, Step};
 use std::path::{Path, PathBuf};
 
@@ -60,11 +60,13 @@ impl State {
     }
 
     pub(super) fn edit(&mut self, command: edit::Command, dragging: bool) -> Result<()> {
+        let former = self.open()?.steps().clone();
         let document = self.document_mut()?;
         if !dragging {
             document.rest();
         }
         document.apply(command)?;
+        self.choose_near(&former, false);
         self.leave_selection();
         let document = self.document_mut()?;
         if !dragging {
@@ -90,6 +92,23 @@ impl State {
             Some(at) => Some(self.entry(at)?.id),
         };
         Ok(())
+    }
+
+    /// After a change of the steps: where the chosen one is gone, the one before it that is left is worked on, or
+    /// else the one behind it; where `takes_new`, one that has come is.
+    pub(super) fn choose_near(&mut self, former: &[edit::Entry], takes_new: bool) {
+        let Some(open) = &self.open else { return };
+        let steps = open.steps();
+        let is_there = |id: StepId| steps.iter().any(|entry| entry.id == id);
+        let mut new = steps.iter().filter(|entry| former.iter().all(|known| known.id != entry.id));
+        if let (true, Some(entry), None) = (takes_new, new.next(), new.next()) {
+            self.chosen = Some(entry.id);
+        } else if let Some(id) = self.chosen.filter(|id| !is_there(*id)) {
+            let at = former.iter().position(|entry| entry.id == id).unwrap_or(former.len());
+            let (before, behind) = former.split_at(at);
+            let nearest = before.iter().rev().chain(behind).find(|entry| is_there(entry.id));
+            self.chosen = nearest.map(|entry| entry.id);
+        }
     }
 
     /// The step at a place.

@@ -95,8 +95,9 @@ impl State {
             self.selections.undone.push(Left { depth, runs });
             return Ok(());
         }
-        let former = self.steps_now()?;
+        let (former, steps) = (self.steps_now()?, self.open()?.steps().clone());
         let label = self.document_mut()?.undo();
+        self.choose_near(&steps, true);
         self.swapped(&label.ok_or_else(|| refused("there is nothing to undo", "go on"))?, former);
         self.request(Effort::FULL);
         Ok(())
@@ -110,8 +111,9 @@ impl State {
             self.selections.done.push_back(Left { depth, runs });
             return Ok(());
         }
-        let former = self.steps_now()?;
+        let (former, steps) = (self.steps_now()?, self.open()?.steps().clone());
         let label = self.document_mut()?.redo();
+        self.choose_near(&steps, true);
         self.swapped(&label.ok_or_else(|| refused("there is nothing to do again", "go on"))?, former);
         self.request(Effort::FULL);
         Ok(())

@@ -10,6 +10,7 @@ mod select;
 mod stroke;
 mod view;
 
+use crate::appended::{former, owners};
 use crate::camera::Camera;
 use crate::command::Command;
 use crate::engine::{Activity, Emerged, Engine, Event, Job, Opening, Wake};
@@ -27,7 +28,7 @@ use simod_session::edit::{Document, Editor, Entry, StepId};
 use simod_session::{PluginRegistry, SessionFile};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 use stroke::OpenStroke;
 
 /// Notices that are kept until the window takes them.
@@ -151,13 +152,11 @@ impl State {
     fn perform(&mut self, command: Command) -> Result<()> {
         match command {
             Command::Open { path, sampling, recover } => {
-                if self.engine.wants(Job::Write) {
-                    let what =
-                        "a model that was to be written waits for another one: wait for it, or cancel it";
-                    return Err(refused(what, "open the other model afterwards"));
-                }
-                self.engine.open(Opening { path, sampling, recover });
-                Ok(())
+                self.begin_opening(Opening { path, sampling, recover, model: None })
+            }
+            Command::Locate { path, model, recover } => {
+                let sampling = Default::default();
+                self.begin_opening(Opening { path, sampling, recover, model: Some(model) })
             }
             Command::Edit(command) => self.edit(command, false),
             Command::Drag(command) => self.edit(command, true),
@@ -202,6 +201,15 @@ impl State {
             }
             Command::SwapPinned => self.swap_pinned(),
         }
+    }
+
+    fn begin_opening(&mut self, opening: Opening) -> Result<()> {
+        if self.engine.wants(Job::Write) {
+            let what = "a model that was to be written waits for another one: wait for it, or cancel it";
+            return Err(refused(what, "open the other model afterwards"));
+        }
+        self.engine.open(opening);
+        Ok(())
     }
 
     /// Takes what the engine has done. Whether anything changed.
@@ -267,10 +275,19 @@ impl State {
 
     fn show_scene(&mut self, scene: Arc<Scene>) {
         let Some(open) = &mut self.open else { return };
-        open.show(scene);
-        if self.selection.marks().len() != open.scene.len() {
-            self.selection = self.selection.resized(&open.adjacency);
+        let before = std::mem::replace(&mut open.scene, scene).sampled.clone();
+        let after = &open.scene.sampled;
+        if Arc::ptr_eq(&before, after) {
+            return;
         }
+        let adjacency = Adjacency::of_model(after);
+        // What was appended belongs to what is around it.
+        if before.samples.positions != after.samples.positions {
+            let former = former(&before, after);
+            let owners = owners(&after.samples, |i| former[i].is_some(), |i| adjacency.of(i));
+            self.selection = self.selection.carried(&former, &owners);
+        }
+        open.adjacency = Arc::new(adjacency);
     }
 
     fn tell(&mut self, notice: Notice) {
@@ -363,6 +380,27 @@ impl State {
     pub fn autosave(&mut self) -> Result<()> {
         self.open.as_mut().map_or(Ok(()), |open| open.editor.autosave())
     }
+
+    /// The steps as they are need not be kept against a crash: the user does not want them.
+    ///
+    /// # Errors
+    /// What was kept cannot be removed.
+    pub fn discard(&mut self) -> Result<()> {
+        self.open.as_mut().map_or(Ok(()), |open| open.editor.discard())
+    }
+}
+
+/// When something was kept of a session or model against a crash, if anything was.
+pub fn kept_at(path: &Path) -> Option<SystemTime> {
+    simod_session::edit::kept_at(path)
+}
+
+/// Removes what was kept of a session or model against a crash.
+///
+/// # Errors
+/// It cannot be removed.
+pub fn forget(path: &Path) -> Result<()> {
+    simod_session::edit::forget(path)
 }
 
 /// What was kept of a session or model against a crash, if anything; see [`Command::Open`].
@@ -377,13 +415,6 @@ impl Open {
     fn new(editor: Editor, scene: Scene) -> Self {
         let adjacency = Arc::new(Adjacency::of_model(&scene.sampled));
         Self { editor, scene: Arc::new(scene), adjacency }
-    }
-
-    fn show(&mut self, scene: Arc<Scene>) {
-        if !Arc::ptr_eq(&self.scene.sampled, &scene.sampled) {
-            self.adjacency = Arc::new(Adjacency::of_model(&scene.sampled));
-        }
-        self.scene = scene;
     }
 
     fn steps(&self) -> &Arc<[Entry]> {

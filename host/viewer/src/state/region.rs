@@ -2,6 +2,7 @@
 
 use super::edit::missing;
 use super::{Open, State, refused};
+use crate::appended::{as_found, owner_of};
 use crate::motion::{PlacedHandle, placed_handles};
 use crate::pick::Hit;
 use glam::{DVec3, Vec3};
@@ -46,6 +47,7 @@ impl State {
     fn picked(&self, positions: &[Vec3]) -> Result<PickedPoints> {
         let open = self.open()?;
         let (scene, selection, frame) = (&open.scene, &self.selection, open.scene.frame());
+        let positions = &*as_found(scene, positions).positions;
         let count = positions.len().min(scene.len());
         let point = |i: usize| frame.to_model(positions[i]);
         let selected = |i: usize| selection.contains(i as u32);
@@ -123,7 +125,9 @@ impl State {
     pub fn in_step(&self, step: usize, hit: &Hit) -> Option<DVec3> {
         let open = self.open.as_ref()?;
         let before = self.before(step).ok()?;
-        let (was, is) = (before.get(hit.sample as usize)?, open.scene.positions.get(hit.sample as usize)?);
+        // What the step does not know yet goes along with what is around it.
+        let sample = owner_of(&open.scene.sampled, hit.sample, before.len())?;
+        let (was, is) = (before.get(sample as usize)?, open.scene.positions.get(sample as usize)?);
         let frame = open.scene.frame();
         Some(frame.to_model_exact(hit.local - is.as_dvec3() + was.as_dvec3()))
     }

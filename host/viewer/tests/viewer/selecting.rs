@@ -2,10 +2,12 @@
 
 use super::{done, model, open, pixel, plugins, state};
 use glam::{DVec2, DVec3};
+use simod_core::refinement::Finer;
 use simod_core::sampling::SampleSet;
 use simod_generate::Shape;
 use simod_model::Scalar;
 use simod_model::write_points;
+use simod_session::edit::{self, Change};
 use simod_session::session_file::Role;
 use simod_session::{PluginRegistry, SessionFile};
 use simod_viewer::camera::{Projection, Standard, Up};
@@ -318,4 +320,104 @@ fn selections_are_undone_between_the_steps() {
     done(&mut state, Command::Undo);
     select(&mut state, some(7), Combine::Replace, false);
     assert_ne!(state.can_redo(), Some("select"));
+}
+
+/// Two square plates of unit size, close to each other, which face away from each other.
+fn plates(folder: &Path, n: u32, apart: f64) -> PathBuf {
+    let (mut points, mut normals, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
+    for (z, up) in [(0.0, false), (apart, true)] {
+        let first = points.len() as u32;
+        for (i, j) in (0..n).flat_map(|i| (0..n).map(move |j| (i, j))) {
+            let part = |k: u32| f64::from(k) / f64::from(n - 1);
+            points.push(DVec3::new(part(i), part(j), z));
+            normals.push(if up { glam::Vec3::Z } else { glam::Vec3::NEG_Z });
+            if i + 1 < n && j + 1 < n {
+                let at = |i: u32, j: u32| first + i * n + j;
+                let both =
+                    [[at(i, j), at(i + 1, j), at(i, j + 1)], [at(i, j + 1), at(i + 1, j), at(i + 1, j + 1)]];
+                triangles.extend(both.map(|[a, b, c]| if up { [a, b, c] } else { [b, a, c] }));
+            }
+        }
+    }
+    let path = folder.join("plates.ply");
+    write_points(&path, points.into_iter(), &normals, &triangles, Scalar::F64, &[]).unwrap();
+    path
+}
+
+/// A thin wall, of which a half of the front is selected, before and behind a bend: once it is refined, what came
+/// to it is in the selection, and in regions that were picked before, where it is among what is in them, and nowhere
+/// else.
+#[test]
+fn what_a_refinement_appends_belongs_to_what_is_around_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut state = state(plugins());
+    done(&mut state, open(&plates(folder.path(), 150, 0.01), 1200));
+    done(&mut state, Command::Camera(CameraMove::Look(Standard::Front)));
+    done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
+    let at = pixel(&state, DVec3::new(0.2, 0.5, 0.01));
+    select(&mut state, Area::Connected { at }, false);
+    let border = pixel(&state, DVec3::new(0.5, 0.5, 0.01))[0];
+    let right = Area::Box { from: [border, 0.0], to: state.size() };
+    done(
+        &mut state,
+        Command::Select { area: right, combine: Combine::Subtract, visible: false, goes_on: false },
+    );
+    let coarse = state.selection().count();
+    let mask = |step: usize| Command::MakeRegion { step, role: Role::Mask, falloff: 0.0, replaces: None };
+    done(&mut state, mask(0));
+    done(&mut state, Command::AddStep { plugin: "warp".into(), at: None });
+    let change = Change::SetParam { id: "angle".into(), value: Some(50.0.into()) };
+    done(&mut state, Command::Edit(edit::Command::Change { at: 0, change }));
+    done(&mut state, mask(1));
+    let (former, spacing) = {
+        let samples = &state.scene().unwrap().sampled.samples;
+        (samples.len(), f64::from(samples.spacing()[0]) * state.scene().unwrap().frame().scale)
+    };
+    let refine = Command::RefineSelection { finer: Finer::Factor(6.0) };
+    done(&mut state, refine.clone());
+
+    let truth = |state: &State, i: usize| {
+        let scene = state.scene().unwrap();
+        let p = scene.frame().to_model(scene.sampled.samples.positions[i]);
+        // Halfway between samples, wherever they are.
+        ((p.x - 0.5).abs() > 1.5 * spacing).then_some(p.z > 0.005 && p.x < 0.5)
+    };
+    let wrong = |state: &State, is_in: &dyn Fn(usize) -> bool| {
+        let appended = former..state.scene().unwrap().len();
+        appended.filter(|i| truth(state, *i).is_some_and(|truth| truth != is_in(*i))).count()
+    };
+    let appended = state.scene().unwrap().len() - former;
+    assert!(appended > 3 * coarse, "{appended} to {coarse}");
+    assert_eq!(wrong(&state, &|i| state.selection().contains(i as u32)), 0, "of the selection");
+    assert!(state.selection().count() > 3 * coarse);
+    for step in [0, 1] {
+        done(&mut state, Command::Choose { step: Some(step) });
+        done(&mut state, Command::Show(Overlay::Region(0)));
+        let field = state.field().unwrap().clone();
+        assert_eq!(wrong(&state, &|i| field.values[i] > 0.5), 0, "of the region of step {step}");
+    }
+
+    // What is selected now is as finely picked for a step that knows the former samples alone.
+    let selected = state.selection().clone();
+    done(&mut state, Command::MakeRegion { step: 1, role: Role::Mask, falloff: 0.0, replaces: Some(0) });
+    let field = state.field().unwrap().clone();
+    let differs = |i: &usize| (field.values[*i] > 0.5) != selected.contains(*i as u32);
+    let others = (0..field.values.len()).filter(differs).count();
+    // Right at the border, some are as those are that they belong to.
+    assert!(others * 500 <= field.values.len(), "{others} of {}", field.values.len());
+    // A stroke may be put on what is new.
+    let scene = state.scene().unwrap().clone();
+    let new = (former..scene.len()).find(|i| truth(&state, *i) == Some(true)).unwrap();
+    let seen = state.camera().project(scene.positions[new].as_dvec3(), state.size()).unwrap().0;
+    let hit = state.pick(seen).unwrap();
+    let found = state.in_step(0, &hit).unwrap();
+    let rest = scene.frame().to_model(scene.sampled.samples.positions[new]);
+    assert!(found.distance(rest) < spacing, "{found} is not {rest}");
+
+    // Undone and done again, it is the same.
+    done(&mut state, Command::Undo);
+    done(&mut state, Command::Undo);
+    assert_eq!((state.scene().unwrap().len(), state.selection().count()), (former, coarse));
+    done(&mut state, Command::Redo);
+    assert_eq!(state.selection(), &selected);
 }

@@ -1,17 +1,12 @@
 //! How much of the model is shown in full, and how up to date it is.
 
 use super::count;
-use super::over::card;
 use crate::theme;
 use crate::window::Window;
-use eframe::egui::{Align, Layout, Rect, RichText, Sense, Ui, UiBuilder, pos2, vec2};
+use eframe::egui::{RichText, Sense, Ui, vec2};
+use simod_scene::Drawn;
 use simod_viewer::detail::Figures;
 use simod_viewer::{Command, Previewed};
-
-const MARGIN: f32 = 12.0;
-const SIZE: [f32; 2] = [300.0, 78.0];
-/// Height of the card of a pinned version, with a gap.
-const RAISED: f32 = 46.0;
 
 /// What there is, in words.
 fn words(of: Previewed, Figures { vertices, stride, stale, .. }: Figures) -> String {
@@ -27,8 +22,8 @@ fn words(of: Previewed, Figures { vertices, stride, stale, .. }: Figures) -> Str
     }
 }
 
-/// At the lower right.
-pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
+/// In a line, from the right.
+pub fn show(ui: &mut Ui, window: &mut Window) {
     let Some((of, figures)) = window.state().detail().map(|detail| (detail.of(), detail.figures())) else {
         return;
     };
@@ -38,32 +33,28 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
     } else {
         words(of, figures)
     };
-    // Above what there is of a pinned version.
-    let raised = if window.state().pinned().is_some() { RAISED } else { 0.0 };
-    let corner = rect.right_bottom() - vec2(MARGIN, MARGIN + raised);
-    let area = Rect::from_min_max(pos2(corner.x - SIZE[0], corner.y - SIZE[1]), corner);
-    let builder = UiBuilder::new().max_rect(area).layout(Layout::bottom_up(Align::Max));
-    ui.scope_builder(builder, |ui| {
-        card(ui).show(ui, |ui| {
-            ui.with_layout(Layout::top_down(Align::Min), |ui| {
-                ui.horizontal(|ui| {
-                    ui.label(RichText::new("Full detail").strong());
-                    if ui.button("Update").on_hover_text("Stream what is seen, or selected, now").clicked() {
-                        window.apply(Command::Preview { what: of });
-                    }
-                    if ui.button("Off").on_hover_text("Samples everywhere").clicked() {
-                        window.apply(Command::Preview { what: Previewed::Nothing });
-                    }
-                });
-                ui.label(RichText::new(line).small());
-                ui.horizontal(|ui| {
-                    let (dot, _) = ui.allocate_exact_size(vec2(12.0, 14.0), Sense::hover());
-                    ui.painter().circle_filled(dot.center(), 5.0, theme::color(theme::samples_clay()));
-                    ui.label(RichText::new("samples, at less detail").small().weak());
-                });
-            });
-        });
-    });
+    let line = match drawing(window.drawn) {
+        Some(part) => format!("{line}, {part}"),
+        None => line,
+    };
+    if ui.button("Off").on_hover_text("Samples everywhere").clicked() {
+        window.apply(Command::Preview { what: Previewed::Nothing });
+    }
+    if ui.button("Update").on_hover_text("Stream what is seen, or selected, now").clicked() {
+        window.apply(Command::Preview { what: of });
+    }
+    ui.label(RichText::new("samples, at less detail").small().weak());
+    let (dot, _) = ui.allocate_exact_size(vec2(12.0, 14.0), Sense::hover());
+    ui.painter().circle_filled(dot.center(), 5.0, theme::color(theme::samples_clay()));
+    ui.add_space(8.0);
+    ui.label(RichText::new(line).small());
+    ui.label(RichText::new("Full detail").strong());
+}
+
+/// How far the picture is, where it does not show all yet.
+pub fn drawing(Drawn { drawn, of, complete }: Drawn) -> Option<String> {
+    let part = 100.0 * drawn as f64 / of.max(1) as f64;
+    (!complete && drawn < of).then(|| format!("{:.0} % drawn", part.clamp(1.0, 99.0)))
 }
 
 #[cfg(test)]
@@ -77,6 +68,9 @@ mod tests {
         assert_eq!(told(figures), "2 140 332 vertices, all of what was seen");
         assert_eq!(told(Figures { stride: 7, ..figures }), "2 140 332 vertices, 1 of 7 of what was seen");
         assert_eq!(told(Figures { stale: 0.31, ..figures }), "2 140 332 vertices, 31 % out of date");
+        let part = Drawn { drawn: 500, of: 2000, complete: false };
+        assert_eq!(drawing(part).as_deref(), Some("25 % drawn"));
+        assert_eq!(drawing(Drawn { complete: true, drawn: 2000, ..part }), None);
         assert_eq!(
             words(Previewed::Selection, Figures { vertices: 3, ..figures }),
             "3 vertices, all of the selection"

@@ -1,8 +1,8 @@
-//! What keys and the mouse do.
+//! What keys and the mouse do: a sheet, in groups.
 
-use crate::actions::ALL;
+use crate::actions::{ALL, Action, Menu};
 use crate::window::Window;
-use eframe::egui::{self, Grid, RichText, ScrollArea};
+use eframe::egui::{self, Grid, Id, Key, Modal, Modifiers, RichText, ScrollArea, Ui};
 
 /// What the pointer does, whatever the preset.
 const POINTER: [(&str, &str); 8] = [
@@ -16,6 +16,12 @@ const POINTER: [(&str, &str); 8] = [
     ("X, held", "the pinned version in place"),
 ];
 
+/// The groups, in columns.
+const COLUMNS: [&[(&str, Menu)]; 2] = [
+    &[("File", Menu::File), ("Edit", Menu::Edit), ("Tools", Menu::Tool), ("Select", Menu::Select)],
+    &[("View", Menu::View), ("Overlay", Menu::Overlay), ("Compare", Menu::Compare), ("Help", Menu::Help)],
+];
+
 /// The middle button, or Alt with buttons, by preset.
 fn preset(name: &str) -> [(&'static str, &'static str); 3] {
     if name.starts_with("Maya") {
@@ -25,27 +31,56 @@ fn preset(name: &str) -> [(&'static str, &'static str); 3] {
     }
 }
 
-/// Shows them until they are closed.
+/// Shows them until they are closed: by its button, Escape, the key that opened it, or a click beside it.
 pub fn show(ctx: &egui::Context, window: &mut Window) {
-    let mut open = window.shows_keys;
+    if !window.shows_keys {
+        return;
+    }
     let preset = preset(window.settings.navigation().name);
-    egui::Window::new("Keys and Mouse").open(&mut open).default_width(420.0).collapsible(false).show(
-        ctx,
-        |ui| {
-            ScrollArea::vertical().max_height(480.0).show(ui, |ui| {
-                Grid::new("keys").num_columns(2).spacing([24.0, 4.0]).striped(true).show(ui, |ui| {
-                    let mut row = |keys: &str, what: &str| {
-                        ui.label(RichText::new(keys).strong());
-                        ui.label(what);
-                        ui.end_row();
-                    };
-                    preset.iter().chain(&POINTER).for_each(|(keys, what)| row(keys, what));
-                    for action in ALL.iter().filter(|action| !action.keys.is_empty()) {
-                        row(&action.keys_text(ctx), action.name);
+    let mut close = ctx.input_mut(|i| i.consume_key(Modifiers::NONE, Key::F1));
+    let height = (ctx.content_rect().height() - 140.0).max(160.0);
+    let modal = Modal::new(Id::unique("keys")).frame(super::modal(ctx)).show(ctx, |ui| {
+        ui.set_width(760.0_f32.min(ctx.content_rect().width() - 60.0));
+        ui.horizontal(|ui| {
+            ui.heading("Keys and Mouse");
+            ui.with_layout(egui::Layout::right_to_left(egui::Align::Center), |ui| {
+                close |= ui.button("Close").clicked();
+            });
+        });
+        ui.add_space(6.0);
+        ScrollArea::vertical()
+            .max_height(height)
+            .min_scrolled_height(height)
+            .auto_shrink([false, true])
+            .show(ui, |ui| {
+                let pointer: Vec<(String, &str)> =
+                    preset.iter().chain(&POINTER).map(|(keys, what)| ((*keys).to_owned(), *what)).collect();
+                group(ui, "Mouse and trackpad", &pointer);
+                ui.columns(2, |columns| {
+                    for (ui, groups) in columns.iter_mut().zip(COLUMNS) {
+                        for (name, menu) in groups {
+                            let is_of_it = |action: &&Action| action.menu == *menu && !action.keys.is_empty();
+                            let row = |action: &Action| (action.all_keys_text(ctx), action.name);
+                            group(ui, name, &ALL.iter().filter(is_of_it).map(row).collect::<Vec<_>>());
+                        }
                     }
                 });
             });
-        },
-    );
-    window.shows_keys = open;
+    });
+    window.shows_keys = !(close || modal.should_close());
+}
+
+fn group(ui: &mut Ui, name: &str, rows: &[(String, &str)]) {
+    if rows.is_empty() {
+        return;
+    }
+    ui.label(RichText::new(name).strong().size(15.0));
+    Grid::new(("keys", name)).num_columns(2).spacing([20.0, 4.0]).min_col_width(120.0).show(ui, |ui| {
+        for (keys, what) in rows {
+            ui.label(RichText::new(keys).monospace());
+            ui.label(*what);
+            ui.end_row();
+        }
+    });
+    ui.add_space(12.0);
 }

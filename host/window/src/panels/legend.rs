@@ -1,15 +1,20 @@
 //! What the colours mean.
 
-use super::over::card;
+use super::{detail, number};
 use crate::theme;
 use crate::window::Window;
-use eframe::egui::{Align, Color32, Layout, Mesh, Rect, RichText, Sense, Shape, Ui, UiBuilder, pos2, vec2};
+use eframe::egui::{
+    Align, Align2, Color32, FontId, Frame, Layout, Margin, Mesh, Panel, Rect, RichText, Sense, Shape, Ui,
+    pos2, vec2,
+};
 use simod_session::session_file::Role;
 use simod_viewer::Overlay;
 use simod_viewer::overlay::{Field, class_color, class_name, scale_color};
 
-const HEIGHT: f32 = 150.0;
-const MARGIN: f32 = 12.0;
+/// Of the scale.
+const SIZE: [f32; 2] = [320.0, 12.0];
+/// Height of the numbers below it.
+const NUMBERS: f32 = 16.0;
 
 /// What it is called, and its unit.
 fn title(window: &Window) -> Option<(String, &'static str)> {
@@ -26,29 +31,61 @@ fn title(window: &Window) -> Option<(String, &'static str)> {
     })
 }
 
-/// The scale of an overlay, or the colours of regions.
-pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
-    match title(window) {
-        Some((title, unit)) => {
-            let Some(field) = window.state_mut().field() else { return };
-            if field.are_classes {
-                classes(ui, rect, &title, &classes_of(field));
-            } else {
-                let range = field.range;
-                scale(ui, rect, &title, unit, range);
-            }
+/// Below the picture, so that nothing of the model is covered: the scale of an overlay, or the colours of regions,
+/// and how much is shown in full; nothing where all is of one colour.
+pub fn show(ui: &mut Ui, window: &mut Window) {
+    let legend = Legend::of(window);
+    let has_detail = window.state().detail().is_some();
+    if legend.is_none() && !has_detail {
+        return;
+    }
+    let frame = Frame::side_top_panel(ui.style()).inner_margin(Margin::symmetric(12, 6));
+    Panel::bottom("legend").frame(frame).resizable(false).show(ui, |ui| {
+        if let Some(legend) = legend {
+            ui.horizontal_wrapped(|ui| match legend {
+                Legend::Scale(title, unit, range) => scale(ui, &title, unit, range),
+                Legend::Classes(title, classes) => class_dots(ui, &title, &classes),
+                Legend::Roles(roles) => roles.iter().for_each(|(color, name)| dot(ui, *color, name)),
+            });
         }
-        None => roles(ui, rect, window),
+        if has_detail {
+            let line = |ui: &mut Ui| detail::show(ui, window);
+            ui.allocate_ui_with_layout(
+                vec2(ui.available_width(), 24.0),
+                Layout::right_to_left(Align::Center),
+                line,
+            );
+        }
+    });
+}
+
+/// What the colours of a picture mean.
+enum Legend {
+    /// Numbers: what they are of, their unit, and the ends of the scale.
+    Scale(String, &'static str, [f32; 2]),
+    /// Classes of points.
+    Classes(String, Vec<u8>),
+    /// What samples are to the chosen step.
+    Roles(Vec<([u8; 3], &'static str)>),
+}
+
+impl Legend {
+    fn of(window: &mut Window) -> Option<Self> {
+        let Some((title, unit)) = title(window) else { return roles(window).map(Self::Roles) };
+        let field = window.state_mut().field()?;
+        Some(match field.are_classes {
+            true => Self::Classes(title, classes_of(field)),
+            false => Self::Scale(title, unit, field.range),
+        })
     }
 }
 
-fn at_the_lower_left(ui: &mut Ui, rect: Rect, height: f32, content: impl FnOnce(&mut Ui)) {
-    let area = Rect::from_min_max(
-        pos2(rect.left() + MARGIN, rect.bottom() - height - MARGIN),
-        rect.right_bottom() - vec2(MARGIN, MARGIN),
-    );
-    let builder = UiBuilder::new().max_rect(area).layout(Layout::left_to_right(Align::Min));
-    ui.scope_builder(builder, |ui| card(ui).show(ui, |ui| ui.vertical(content)));
+/// A colour with its name.
+fn dot(ui: &mut Ui, color: [u8; 3], name: &str) {
+    let (dot, _) = ui.allocate_exact_size(vec2(12.0, 16.0), Sense::hover());
+    ui.painter().circle_filled(dot.center(), 5.0, theme::color(color));
+    ui.label(RichText::new(name).small());
+    ui.add_space(8.0);
 }
 
 /// Which classes there are, ascending.
@@ -58,111 +95,61 @@ fn classes_of(field: &Field) -> Vec<u8> {
     (0..=u8::MAX).filter(|class| there[usize::from(*class)]).collect()
 }
 
-/// The first of the classes that there are, with their colours.
-fn classes(ui: &mut Ui, rect: Rect, title: &str, classes: &[u8]) {
-    const MOST: usize = 12;
-    let shown = &classes[..classes.len().min(MOST)];
-    at_the_lower_left(ui, rect, 36.0 + 21.0 * shown.len() as f32, |ui| {
-        ui.label(RichText::new(title).strong());
-        for class in shown {
-            ui.horizontal(|ui| {
-                let (dot, _) = ui.allocate_exact_size(vec2(12.0, 14.0), Sense::hover());
-                ui.painter().circle_filled(dot.center(), 5.0, theme::color(class_color(*class)));
-                let name = class_name(*class).map_or(String::new(), |name| format!(" {name}"));
-                ui.label(RichText::new(format!("{class}{name}")).small());
-            });
-        }
-    });
-}
-
-fn scale(ui: &mut Ui, rect: Rect, title: &str, unit: &str, [from, to]: [f32; 2]) {
-    at_the_lower_left(ui, rect, HEIGHT + 52.0, |ui| {
-        ui.label(RichText::new(title).strong());
-        if !unit.is_empty() {
-            ui.label(RichText::new(unit).small().weak());
-        }
-        let (area, _) = ui.allocate_exact_size(vec2(110.0, HEIGHT), Sense::hover());
-        let bar = Rect::from_min_size(area.min + vec2(0.0, 6.0), vec2(16.0, HEIGHT - 12.0));
-        let mut mesh = Mesh::default();
-        let steps = 32;
-        for i in 0..=steps {
-            let t = i as f32 / steps as f32;
-            let [r, g, b] = scale_color(1.0 - t);
-            let color = Color32::from_rgb(r, g, b);
-            let y = bar.top() + t * bar.height();
-            mesh.colored_vertex(pos2(bar.left(), y), color);
-            mesh.colored_vertex(pos2(bar.right(), y), color);
-            if i > 0 {
-                let k = 2 * i as u32;
-                mesh.add_triangle(k - 2, k - 1, k);
-                mesh.add_triangle(k - 1, k, k + 1);
-            }
-        }
-        ui.painter().add(Shape::mesh(mesh));
-        for i in 0..=4 {
-            let t = i as f32 / 4.0;
-            let value = to + (from - to) * t;
-            let y = bar.top() + t * bar.height();
-            let at = pos2(bar.right() + 8.0, y);
-            let color = ui.visuals().text_color();
-            ui.painter().hline(bar.right()..=bar.right() + 4.0, y, (1.0, color));
-            let font = eframe::egui::FontId::proportional(11.5);
-            ui.painter().text(at, eframe::egui::Align2::LEFT_CENTER, number(value), font, color);
-        }
-    });
-}
-
-/// With three digits that matter.
-fn number(x: f32) -> String {
-    match x.abs() {
-        0.0 => "0".to_owned(),
-        a if !(1e-3..1e5).contains(&a) => format!("{x:.2e}"),
-        a => {
-            let decimals = (2.0 - a.log10().floor()).clamp(0.0, 5.0) as usize;
-            format!("{x:.decimals$}")
-        }
+/// The classes that there are, with their colours.
+fn class_dots(ui: &mut Ui, title: &str, classes: &[u8]) {
+    ui.label(RichText::new(title).strong());
+    ui.add_space(8.0);
+    for class in classes {
+        let name = class_name(*class).map_or(String::new(), |name| format!(" {name}"));
+        dot(ui, class_color(*class), &format!("{class}{name}"));
     }
 }
 
-fn roles(ui: &mut Ui, rect: Rect, window: &Window) {
-    if !window.looks.regions {
-        return;
+fn scale(ui: &mut Ui, title: &str, unit: &str, [from, to]: [f32; 2]) {
+    ui.label(RichText::new(title).strong());
+    if !unit.is_empty() {
+        ui.label(RichText::new(unit).small().weak());
     }
-    let Some((_, _, deformation, _)) = window.chosen() else { return };
-    let shown: Vec<Role> = [Role::Fixed, Role::Handle, Role::Mask]
-        .into_iter()
-        .filter(|role| deformation.regions.iter().any(|r| r.role == *role))
-        .collect();
-    let selected = !window.state().selection().is_empty();
-    if shown.is_empty() {
-        return;
-    }
-    let rows = shown.len() + usize::from(selected);
-    at_the_lower_left(ui, rect, 12.0 + 21.0 * rows as f32, |ui| {
-        let mut row = |color: [u8; 3], name: &str| {
-            ui.horizontal(|ui| {
-                let (dot, _) = ui.allocate_exact_size(vec2(12.0, 14.0), Sense::hover());
-                ui.painter().circle_filled(dot.center(), 5.0, theme::color(color));
-                ui.label(RichText::new(name).small());
-            });
-        };
-        shown.iter().for_each(|role| row(theme::role_color(*role), theme::role_name(*role)));
-        if selected {
-            row(theme::SELECTED, "Selected");
+    ui.add_space(12.0);
+    let [width, height] = SIZE;
+    let (area, _) = ui.allocate_exact_size(vec2(width + 60.0, height + NUMBERS), Sense::hover());
+    let bar = Rect::from_min_size(area.min + vec2(30.0, 1.0), vec2(width, height));
+    let mut mesh = Mesh::default();
+    let steps = 32;
+    for i in 0..=steps {
+        let t = i as f32 / steps as f32;
+        let [r, g, b] = scale_color(t);
+        let color = Color32::from_rgb(r, g, b);
+        let x = bar.left() + t * bar.width();
+        mesh.colored_vertex(pos2(x, bar.top()), color);
+        mesh.colored_vertex(pos2(x, bar.bottom()), color);
+        if i > 0 {
+            let k = 2 * i as u32;
+            mesh.add_triangle(k - 2, k - 1, k);
+            mesh.add_triangle(k - 1, k, k + 1);
         }
-    });
+    }
+    ui.painter().add(Shape::mesh(mesh));
+    let color = ui.visuals().text_color();
+    for i in 0..=4 {
+        let t = i as f32 / 4.0;
+        let x = bar.left() + t * bar.width();
+        ui.painter().vline(x, bar.bottom()..=bar.bottom() + 3.0, (1.0, color));
+        let text = number(f64::from(from + (to - from) * t));
+        let at = pos2(x, bar.bottom() + 3.0);
+        ui.painter().text(at, Align2::CENTER_TOP, text, FontId::proportional(11.5), color);
+    }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::number;
-
-    #[test]
-    fn numbers_have_three_digits() {
-        assert_eq!(number(0.0), "0");
-        assert_eq!(number(1.234), "1.23");
-        assert_eq!(number(0.01234), "0.0123");
-        assert_eq!(number(1234.5), "1234");
-        assert_eq!(number(1.2e-6), "1.20e-6");
+/// What samples are to the chosen step, as far as they are shown so.
+fn roles(window: &Window) -> Option<Vec<([u8; 3], &'static str)>> {
+    let (_, _, deformation, _) = window.chosen().filter(|_| window.looks.regions)?;
+    let is_there = |role: &Role| deformation.regions.iter().any(|region| region.role == *role);
+    let named = |role| (theme::role_color(role), theme::role_name(role));
+    let mut shown: Vec<_> =
+        [Role::Fixed, Role::Handle, Role::Mask].into_iter().filter(is_there).map(named).collect();
+    if !shown.is_empty() && !window.state().selection().is_empty() {
+        shown.push((theme::SELECTED, "Selected"));
     }
+    (!shown.is_empty()).then_some(shown)
 }

@@ -2,7 +2,7 @@
 
 mod detail;
 mod keys;
-mod legend;
+pub mod legend;
 pub mod menu;
 pub mod over;
 mod palette;
@@ -26,7 +26,8 @@ use eframe::egui;
 pub use palette::Palette;
 pub use prompt::Prompt;
 pub use report::Report;
-pub use toasts::Toasts;
+use std::time::SystemTime;
+pub use toasts::{Cause, Toasts};
 pub use turntable::Turntable;
 
 /// Windows over all the rest.
@@ -57,6 +58,62 @@ pub fn bytes(bytes: f64) -> String {
     if value < 10.0 { format!("{value:.1} {}", UNITS[unit]) } else { format!("{value:.0} {}", UNITS[unit]) }
 }
 
+/// How long ago something was, as people say it.
+pub fn ago(time: SystemTime) -> String {
+    let seconds = time.elapsed().unwrap_or_default().as_secs();
+    let some = |count: u64, unit: &str| {
+        let ending = if count == 1 { "" } else { "s" };
+        format!("{count} {unit}{ending} ago")
+    };
+    match seconds {
+        0..60 => "just now".to_owned(),
+        60..3600 => some(seconds / 60, "minute"),
+        3600..86_400 => some(seconds / 3600, "hour"),
+        _ => some(seconds / 86_400, "day"),
+    }
+}
+
+/// How long something takes or took, as people say it.
+pub fn duration(seconds: f64) -> String {
+    match seconds.max(0.0).round() as u64 {
+        s @ 0..60 => format!("{s} s"),
+        s @ 60..3600 => format!("{} min {} s", s / 60, s % 60),
+        s => format!("{} h {} min", s / 3600, s / 60 % 60),
+    }
+}
+
+/// A number with three digits that matter, as all numbers are written here: thin spaces between thousands, and
+/// powers of ten where it is very large or small.
+pub fn number(x: f64) -> String {
+    let minus = if x < 0.0 { "\u{2212}" } else { "" };
+    match x.abs() {
+        0.0 => "0".to_owned(),
+        a if !a.is_finite() => format!("{x}"),
+        a if !(1e-3..1e6).contains(&a) => {
+            let text = format!("{a:.2e}");
+            let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));
+            format!("{minus}{digits}\u{b7}10{}", raised(power))
+        }
+        a if a >= 999.5 => format!("{minus}{}", count(a.round() as u64)),
+        a => {
+            let decimals = (2.0 - a.log10().floor()).clamp(0.0, 5.0) as usize;
+            format!("{minus}{a:.decimals$}")
+        }
+    }
+}
+
+/// A power as it is written above the line.
+fn raised(power: &str) -> String {
+    let above = |c: char| match c {
+        '-' => '\u{207b}',
+        '1' => '\u{b9}',
+        '2' => '\u{b2}',
+        '3' => '\u{b3}',
+        digit => char::from_u32(0x2070 + digit.to_digit(10).unwrap_or(0)).unwrap_or(digit),
+    };
+    power.chars().map(above).collect()
+}
+
 /// A count with thin spaces between thousands.
 pub fn count(n: u64) -> String {
     let digits = n.to_string();
@@ -81,5 +138,25 @@ mod tests {
         assert_eq!(bytes(1.5e6), "1.5 MB");
         assert_eq!(bytes(512e9), "512 GB");
         assert_eq!(bytes(0.0), "0.0 kB");
+        let all = [0.0f64, 1.234, 0.01234, 1234.5, 1.2e-6, -3.456e9, 999.7].map(number);
+        let expected = [
+            "0",
+            "1.23",
+            "0.0123",
+            "1\u{2009}235",
+            "1.20\u{b7}10\u{207b}\u{2076}",
+            "\u{2212}3.46\u{b7}10\u{2079}",
+            "1\u{2009}000",
+        ];
+        assert_eq!(all, expected);
+        assert_eq!(
+            (duration(0.4), duration(59.7), duration(3725.0)),
+            ("0 s".into(), "1 min 0 s".into(), "1 h 2 min".into())
+        );
+        let before = |seconds: u64| ago(SystemTime::now() - std::time::Duration::from_secs(seconds));
+        assert_eq!(
+            [before(3), before(61), before(7300), before(90_000)],
+            ["just now", "1 minute ago", "2 hours ago", "1 day ago"]
+        );
     }
 }

@@ -1,6 +1,6 @@
 //! Over the picture: options of the tool, what is being done, and what colours mean.
 
-use super::{detail, legend, pinned, progress};
+use super::{pinned, progress};
 use crate::tools::Tool;
 use crate::window::Window;
 use eframe::egui::{
@@ -17,8 +17,6 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
     if window.tools.has_options() {
         options(ui, rect, window);
     }
-    legend::show(ui, rect, window);
-    detail::show(ui, rect, window);
     progress::show(ui, rect, window);
     pinned::show(ui, rect, window);
 }

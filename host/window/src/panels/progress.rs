@@ -1,6 +1,6 @@
 //! What takes its time: stage, rate, and a button that stops it.
 
-use super::{bytes, over::card};
+use super::{bytes, duration, over::card};
 use crate::window::Window;
 use eframe::egui::{Align, Layout, ProgressBar, Rect, RichText, Spinner, Ui, UiBuilder, pos2};
 use simod_viewer::Command;
@@ -27,22 +27,38 @@ pub fn show(ui: &mut Ui, rect: Rect, window: &mut Window) {
             ui.ctx().request_repaint_after(std::time::Duration::from_secs_f64(left));
             continue;
         }
-        if shown(ui, rect, &mut bottom, what, &activity) {
+        if shown(ui, rect, &mut bottom, what, &activity, None) {
             window.apply(Command::Cancel { job });
         }
     }
-    if let Some(turning) = &window.turning
-        && shown(ui, rect, &mut bottom, "Turntable", &turning.activity())
-    {
-        turning.cancel();
+    if let Some(turning) = &window.turning {
+        let (done, frames) = turning.progress();
+        let line = format!("frame {} of {frames}", (done + 1).min(frames));
+        if shown(ui, rect, &mut bottom, "Turntable", &turning.activity(), Some(line)) {
+            window.stop_turning();
+        }
     }
-    if window.state().is_busy() || window.turning.is_some() {
+    if window.state().is_busy() || window.turning.is_some() || window.stopping.is_some() {
         ui.ctx().request_repaint_after(std::time::Duration::from_millis(200));
     }
 }
 
-/// Something that goes on, above the others. Whether it shall be stopped.
-fn shown(ui: &mut Ui, rect: Rect, bottom: &mut f32, what: &str, activity: &Activity) -> bool {
+/// How long the stage goes on, if it goes on as it did; nothing before that can be told.
+fn left(activity: &Activity) -> Option<String> {
+    let fraction = f64::from(activity.fraction.filter(|f| *f > 0.02)?);
+    let seconds = activity.seconds * (1.0 - fraction) / fraction;
+    (activity.seconds > 1.0).then(|| format!("about {} left", duration(seconds)))
+}
+
+/// Something that goes on, above the others, with more to tell of it. Whether it shall be stopped.
+fn shown(
+    ui: &mut Ui,
+    rect: Rect,
+    bottom: &mut f32,
+    what: &str,
+    activity: &Activity,
+    more: Option<String>,
+) -> bool {
     let [width, height] = SIZE;
     let area = Rect::from_min_size(pos2(rect.center().x - 0.5 * width, *bottom - height), SIZE.into());
     let builder = UiBuilder::new().max_rect(area).layout(Layout::top_down(Align::Min));
@@ -61,13 +77,14 @@ fn shown(ui: &mut Ui, rect: Rect, bottom: &mut f32, what: &str, activity: &Activ
             if let Some(fraction) = activity.fraction {
                 ui.add(ProgressBar::new(fraction).desired_height(8.0));
             }
-            let mut line = format!("{:.0} s", activity.seconds);
-            if activity.rate > 0.0 && activity.fraction.is_some() {
-                line += &format!("   \u{00b7}   {}/s", bytes(activity.rate));
-            }
-            if let Some(memory) = activity.memory {
-                line += &format!("   \u{00b7}   {} of memory", bytes(memory as f64));
-            }
+            let told = [
+                more.clone(),
+                Some(duration(activity.seconds)),
+                more.and_then(|_| left(activity)),
+                activity.rate.map(|rate| format!("{}/s", bytes(rate))),
+                activity.memory.map(|memory| format!("{} of memory", bytes(memory as f64))),
+            ];
+            let line = told.into_iter().flatten().collect::<Vec<_>>().join("   \u{00b7}   ");
             ui.label(RichText::new(line).small().weak());
         });
     });

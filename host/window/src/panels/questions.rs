@@ -1,8 +1,11 @@
 //! What has to be answered before something goes on.
 
+use super::ago;
+use crate::dialogs::Purpose;
 use crate::theme;
-use crate::window::{Leaving, Question, Window};
+use crate::window::{Kept, Leaving, Question, Window};
 use eframe::egui::{self, Button, Color32, Id, Modal, RichText, Ui};
+use std::path::Path;
 
 fn first(ui: &mut Ui, text: &str) -> bool {
     let text = RichText::new(text).color(Color32::WHITE);
@@ -17,22 +20,8 @@ pub fn show(ctx: &egui::Context, window: &mut Window) {
         ui.set_width(380.0);
         match &question {
             Question::Unsaved(leaving) => again = unsaved(ui, window, leaving),
-            Question::Recover(path, sampling) => {
-                ui.heading("Recover the edit?");
-                ui.add_space(6.0);
-                ui.label(format!("{} was edited, and not saved before the program ended.", path.display()));
-                ui.add_space(10.0);
-                ui.horizontal(|ui| {
-                    for (text, recover) in [("Recover", true), ("Open without It", false)] {
-                        let clicked = if recover { first(ui, text) } else { ui.button(text).clicked() };
-                        if clicked {
-                            again = false;
-                            window.open_now(path.clone(), *sampling, recover);
-                        }
-                    }
-                    again &= !ui.button("Cancel").clicked();
-                });
-            }
+            Question::Recover(kept) => again = recover(ui, window, kept),
+            Question::Moved { path, model, is_open } => again = moved(ui, window, path, model, *is_open),
         }
     });
     if again && !modal.should_close() && window.question.is_none() {
@@ -54,9 +43,53 @@ fn unsaved(ui: &mut Ui, window: &mut Window, leaving: &Leaving) -> bool {
         }
         if ui.button("Discard").clicked() {
             again = false;
-            window.leave(leaving.clone());
+            window.discard(leaving.clone());
         }
         again &= !ui.button("Cancel").clicked();
+    });
+    again
+}
+
+/// Whether to ask again.
+fn recover(ui: &mut Ui, window: &mut Window, kept: &Kept) -> bool {
+    ui.heading("Recover the edit?");
+    ui.add_space(6.0);
+    ui.label(format!("{} was edited, and not saved before the program ended.", kept.path.display()));
+    let steps = if kept.steps == 1 { "1 step".to_owned() } else { format!("{} steps", kept.steps) };
+    ui.label(RichText::new(format!("Kept {}: {steps}", ago(kept.made))).strong());
+    ui.add_space(10.0);
+    let mut again = true;
+    ui.horizontal(|ui| {
+        if first(ui, "Recover") {
+            again = false;
+            window.open_now(kept.path.clone(), kept.sampling, true);
+        }
+        let discard =
+            ui.button("Discard It").on_hover_text("Open it as it was saved; what was kept goes away");
+        if discard.clicked() {
+            again = false;
+            window.open_without(kept);
+        }
+        again &= !ui.button("Cancel").clicked();
+    });
+    again
+}
+
+/// Whether to ask again.
+fn moved(ui: &mut Ui, window: &mut Window, path: &Path, model: &Path, is_open: bool) -> bool {
+    ui.heading("Where is the model?");
+    ui.add_space(6.0);
+    ui.label(format!("{} is not there any more.", model.display()));
+    let without = "Its samples can be edited without it; full detail, refinement and writing need it.";
+    ui.label(RichText::new(if is_open { without } else { "It is needed to open the session." }).weak());
+    ui.add_space(10.0);
+    let mut again = true;
+    ui.horizontal(|ui| {
+        if first(ui, "Locate\u{2026}") {
+            again = false;
+            window.ask(Purpose::Locate { path: path.to_owned(), model: model.to_owned() });
+        }
+        again &= !ui.button(if is_open { "Go On without It" } else { "Cancel" }).clicked();
     });
     again
 }

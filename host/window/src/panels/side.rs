@@ -8,7 +8,7 @@ use eframe::egui::{Frame, Margin, Panel, RichText, ScrollArea, Ui};
 pub fn show(ui: &mut Ui, window: &mut Window) {
     let frame =
         Frame::side_top_panel(ui.style()).inner_margin(Margin { left: 12, right: 0, top: 10, bottom: 6 });
-    Panel::right("side").frame(frame).default_size(324.0).size_range(270.0..=520.0).show(ui, |ui| {
+    Panel::right("side").frame(frame).default_size(360.0).size_range(300.0..=560.0).show(ui, |ui| {
         ScrollArea::vertical().auto_shrink(false).show(ui, |ui| {
             Frame::NONE.inner_margin(Margin { left: 0, right: 12, top: 0, bottom: 8 }).show(ui, |ui| {
                 steps::show(ui, window);

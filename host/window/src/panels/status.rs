@@ -1,6 +1,6 @@
 //! The line at the bottom: what is going on, and how much there is.
 
-use super::{bytes, count};
+use super::{bytes, count, detail::drawing};
 use crate::window::Window;
 use eframe::egui::{Align, Frame, Layout, Margin, Panel, RichText, Spinner, Ui};
 use simod_model::memory::MemoryWatch;
@@ -56,6 +56,7 @@ fn figures(ui: &mut Ui, window: &Window) {
         }
         figures.push(format!("{} samples", count(scene.len() as u64)));
         figures.push(format!("of {} vertices", count(scene.sampled.source.vertices)));
+        figures.extend(drawing(window.drawn));
         figures.push(format!("{:.0} ms a picture", 1e3 * window.frame_time.as_secs_f64()));
     }
     if let Some(memory) = memory() {

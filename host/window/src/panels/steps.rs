@@ -1,9 +1,10 @@
 //! The list of steps, and how each fares.
 
-use super::{menu, side};
+use super::{count, menu, number, side};
 use crate::regions;
 use crate::theme;
 use crate::window::Window;
+use crate::wording::in_window;
 use eframe::egui::{
     self, Align, Align2, Button, Color32, CornerRadius, CursorIcon, FontId, Frame, LayerId, Layout, Margin,
     Order, Response, RichText, Sense, Spinner, Stroke, Ui, UiBuilder, vec2,
@@ -134,9 +135,9 @@ fn title(window: &Window, entry: &Entry) -> String {
             window.state().plugins().get(&d.deform).map_or_else(|_| d.deform.clone(), |p| p.name().to_owned())
         }
         Action::Refine(refine) => match refine.finer {
-            Finer::Factor(factor) => format!("Refine, {factor} times"),
-            Finer::Error(error) => format!("Refine to {error:.1e}"),
-            Finer::Samples(samples) => format!("Refine by {samples}"),
+            Finer::Factor(factor) => format!("Refine, {} times", number(factor)),
+            Finer::Error(error) => format!("Refine to {}", number(error)),
+            Finer::Samples(samples) => format!("Refine by {}", count(samples)),
             Finer::Auto { .. } => "Refine where needed".to_owned(),
         },
     }
@@ -178,6 +179,8 @@ fn more(ui: &mut Ui, window: &mut Window, at: usize, entry: &Entry, count: usize
 fn messages(ui: &mut Ui, window: &Window, entry: &Entry) {
     let Some(scene) = window.state().scene() else { return };
     let Some((_, status)) = scene.statuses.iter().find(|(id, _)| *id == entry.id) else { return };
+    let known = entry.step.deformation().and_then(|d| window.state().plugins().get(&d.deform).ok());
+    let plugin = known.map(|plugin| &**plugin);
     match status {
         Status::Failed(_) if regions::missing(window, entry).is_some() => {
             let what = regions::missing(window, entry).unwrap_or_default();
@@ -186,15 +189,15 @@ fn messages(ui: &mut Ui, window: &Window, entry: &Entry) {
         Status::Failed(error) => {
             // Steps of a file begin with their place in it.
             let text = error.to_string();
-            let text = text.strip_prefix(": ").unwrap_or(&text);
+            let text = in_window(text.strip_prefix(": ").unwrap_or(&text), plugin);
             ui.label(RichText::new(text).small().color(ui.visuals().error_fg_color));
             if !error.hint().is_empty() {
-                ui.label(RichText::new(error.hint()).small());
+                ui.label(RichText::new(in_window(error.hint(), plugin)).small());
             }
         }
         Status::Done(messages) => {
             for message in messages.iter().filter(|m| !m.is_debug()).take(3) {
-                let text = RichText::new(&message.text).small();
+                let text = RichText::new(in_window(&message.text, plugin)).small();
                 let text =
                     if message.is_warning() { text.color(ui.visuals().warn_fg_color) } else { text.weak() };
                 ui.label(text);

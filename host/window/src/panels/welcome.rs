@@ -1,6 +1,6 @@
 //! What is shown where nothing is open.
 
-use super::progress;
+use super::{ago, progress};
 use crate::dialogs::Purpose;
 use crate::theme;
 use crate::window::Window;
@@ -89,9 +89,10 @@ fn recent(ui: &mut Ui, window: &mut Window) {
                 window.ask_to_open(path.clone());
             }
             ui.add(eframe::egui::Label::new(RichText::new(folder).weak().small()).truncate());
-            if matches!(state::recoverable(&path), Ok(Some(_))) {
+            if let Some(made) = state::kept_at(&path) {
                 let text = RichText::new("recover").color(ui.visuals().warn_fg_color);
-                if ui.link(text).on_hover_text("An edit of it was kept against a crash").clicked() {
+                let hint = format!("An edit of it was kept against a crash, {}", ago(made));
+                if ui.link(text).on_hover_text(hint).clicked() {
                     let sampling = crate::arguments::sampling(None);
                     window.open_now(path, sampling, true);
                 }

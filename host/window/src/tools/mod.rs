@@ -115,6 +115,11 @@ pub struct Tools {
     pub strength: f64,
     /// Pixels that the pointer went along, while a selection is drawn.
     path: Vec<[f64; 2]>,
+    /// Whether the button is held that paints, wherever it was pressed.
+    painting: bool,
+    /// Which plane of a step's axis is held, and whether it was moved.
+    pub plane: Option<usize>,
+    pub drags_plane: bool,
     gizmo: transform_gizmo::Gizmo,
     /// About what the gizmo's region turns.
     pivot: Option<(StepId, usize, DVec3)>,
@@ -133,6 +138,9 @@ impl Default for Tools {
             stroke_radius: 0.06,
             strength: 1.0,
             path: Vec::new(),
+            painting: false,
+            plane: None,
+            drags_plane: false,
             gizmo: transform_gizmo::Gizmo::default(),
             pivot: None,
             dragging: false,
@@ -149,14 +157,14 @@ impl Tools {
 
     /// Another model: nothing is held any more.
     pub fn reset(&mut self) {
-        (self.target, self.pivot) = (None, None);
+        (self.target, self.pivot, self.plane) = (None, None, None);
         self.path.clear();
-        self.dragging = false;
+        (self.dragging, self.painting) = (false, false);
     }
 
     /// Whether something is being dragged.
     pub fn is_dragging(&self) -> bool {
-        self.dragging || !self.path.is_empty()
+        self.dragging || self.painting || self.plane.is_some() || !self.path.is_empty()
     }
 
     /// Whether options of the tool are shown over the picture.

@@ -3,7 +3,7 @@
 use crate::viewport::Canvas;
 use crate::window::Window;
 use eframe::egui::{Color32, Event, Key, Pos2, Shape, Stroke};
-use glam::DVec3;
+use glam::DVec2;
 use simod_viewer::{Command, Hit};
 
 /// Points of a stroke are so far apart at least, in radii of the brush.
@@ -19,6 +19,8 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     let drawing = window.state().is_drawing();
     if drawing && canvas.ctx().input(|i| i.key_pressed(Key::Escape)) {
         window.apply(Command::DropStroke);
+        window.tools.painting = false;
+        window.tools.path.clear();
         return true;
     }
     let hit = match canvas.pointer() {
@@ -28,49 +30,52 @@ pub fn update(canvas: &Canvas<'_>, window: &mut Window) -> bool {
     if let Some(hit) = &hit {
         draw(canvas, window, hit);
     }
-    let at = hit.as_ref().and_then(|hit| window.state().in_step(step, hit));
-    let Some(scale) = window.state().scene().map(|scene| scene.frame().scale) else { return false };
-    let radius = window.tools.stroke_radius * scale;
-    let invert = if canvas.modifiers().command { -1.0 } else { 1.0 };
-    match (canvas.is_pressed(), drawing, at) {
-        (true, false, Some(at)) => {
-            let strength = invert * window.tools.strength;
-            let params = Default::default();
-            if window.apply(Command::BeginStroke { step, radius, strength, params }) {
-                add(canvas, window, at);
-            }
-        }
-        (_, true, Some(at)) if canvas.is_down() => {
-            let far = window.tools.path.last().is_none_or(|last| {
-                let camera = window.state().camera();
-                let size = window.state().size();
-                let depth = hit.as_ref().and_then(|hit| camera.project(hit.local, size)).map_or(1.0, |p| p.1);
-                let spacing = SPACING * window.tools.stroke_radius / camera.pixel_length(depth, size);
-                canvas.pointer().is_some_and(|p| p.distance((*last).into()) > spacing.max(2.0))
-            });
-            if far {
-                add(canvas, window, at);
-            }
-        }
-        (_, true, _) if !canvas.is_down() => {
-            window.tools.path.clear();
-            window.apply(Command::EndStroke);
-        }
-        _ => {}
+    if canvas.is_pressed() {
+        window.tools.painting = true;
     }
-    drawing || canvas.is_pressed() && at.is_some()
+    if window.tools.painting {
+        // A stroke that begins beside the surface begins where the hand gets to it.
+        for pixel in canvas.trail() {
+            paint(canvas, window, step, pixel);
+        }
+        if !canvas.is_down() {
+            window.tools.painting = false;
+            window.tools.path.clear();
+            if window.state().is_drawing() {
+                window.apply(Command::EndStroke);
+            }
+            return true;
+        }
+    }
+    drawing || window.tools.painting
 }
 
-fn add(canvas: &Canvas<'_>, window: &mut Window, at: DVec3) {
+/// The brush is on a pixel.
+fn paint(canvas: &Canvas<'_>, window: &mut Window, step: usize, pixel: DVec2) {
+    let Some(hit) = window.state_mut().pick(pixel) else { return };
+    let Some(at) = window.state().in_step(step, &hit) else { return };
+    let (camera, size) = (window.state().camera(), window.state().size());
+    let depth = camera.project(hit.local, size).map_or(1.0, |p| p.1);
+    let spacing = (SPACING * window.tools.stroke_radius / camera.pixel_length(depth, size)).max(2.0);
+    if !window.state().is_drawing() {
+        let Some(scale) = window.state().scene().map(|scene| scene.frame().scale) else { return };
+        let invert = if canvas.modifiers().command { -1.0 } else { 1.0 };
+        let (radius, strength) = (window.tools.stroke_radius * scale, invert * window.tools.strength);
+        window.tools.path.clear();
+        if !window.apply(Command::BeginStroke { step, radius, strength, params: Default::default() }) {
+            window.tools.painting = false;
+            return;
+        }
+    } else if window.tools.path.last().is_some_and(|last| pixel.distance((*last).into()) < spacing) {
+        return;
+    }
     let force = canvas.ctx().input(|i| {
         i.events.iter().rev().find_map(|event| match event {
             Event::Touch { force, .. } => *force,
             _ => None,
         })
     });
-    if let Some(pixel) = canvas.pointer() {
-        window.tools.path.push([pixel.x, pixel.y]);
-    }
+    window.tools.path.push(pixel.to_array());
     window.apply(Command::StrokePoint { at, pressure: force.map(|force| force.clamp(0.0, 1.0)) });
 }
 

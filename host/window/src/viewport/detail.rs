@@ -91,9 +91,10 @@ fn radii(piece: &Piece) -> Vec<f32> {
     radii
 }
 
-/// Radii of the samples' discs; none where vertices are shown instead.
-pub fn sample_radii(spacing: &[f32], detail: Option<&Detail>) -> Vec<f32> {
+/// Radii of the samples' discs, or the longer ones of their ellipses; none where vertices are shown instead.
+pub fn sample_radii(spacing: &[f32], axes: &[[Vec3; 2]], detail: Option<&Detail>) -> Vec<f32> {
     let mut radii = disc_radii(spacing);
+    radii.iter_mut().zip(axes).for_each(|(radius, [long, _])| *radius *= long.length());
     if let Some(detail) = detail {
         let covered = radii.iter_mut().zip(&**detail.covered()).filter(|(_, covered)| **covered);
         covered.for_each(|(radius, _)| *radius = HIDDEN);

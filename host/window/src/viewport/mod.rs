@@ -70,7 +70,8 @@ impl Canvas<'_> {
         Some([f64::from(p.x), f64::from(p.y)])
     }
 
-    /// The pixels that the pointer went through since the last picture, to where it is or was let go.
+    /// The pixels that the pointer went through since the last picture, from where it was pressed, if it was, to
+    /// where it is or was let go.
     pub fn trail(&self) -> Vec<DVec2> {
         let pixel = |p: Pos2| {
             let p = (p - self.rect.min) * self.pixels_per_point;
@@ -84,9 +85,13 @@ impl Canvas<'_> {
         let is_release = |event: &Event| {
             matches!(event, Event::PointerButton { button: PointerButton::Primary, pressed: false, .. })
         };
+        let is_press = |event: &Event| {
+            matches!(event, Event::PointerButton { button: PointerButton::Primary, pressed: true, .. })
+        };
         self.ctx().input(|i| {
             let end = i.events.iter().position(is_release).map_or(i.events.len(), |at| at + 1);
-            i.events[..end].iter().filter_map(of).collect()
+            let begin = i.events[..end].iter().rposition(is_press).unwrap_or(0);
+            i.events[begin..end].iter().filter_map(of).collect()
         })
     }
 
@@ -165,8 +170,10 @@ pub fn show(ui: &mut Ui, window: &mut Window, viewport: &mut Viewport) {
             let canvas = canvas(main, looks);
             if window.looks.handles {
                 handles::draw(&canvas, window);
+                handles::draw_axis(&canvas, window);
+                taken = handles::drag_planes(&canvas, window);
             }
-            taken = tools::update(&canvas, window);
+            taken = taken || tools::update(&canvas, window);
             if !taken && !looks && canvas.is_clicked() && window.tools.tool.grabs() {
                 handles::take(&canvas, window);
             }

@@ -10,7 +10,7 @@ use crate::settings::Theme;
 use crate::window::Window;
 use eframe::egui::{Color32, Mesh, Rect, Shape, Ui};
 use eframe::egui_wgpu::RenderState;
-use simod_scene::{Budget, Gpu, Mode, Scene, Style, Surface, View};
+use simod_scene::{Budget, Gpu, Scene, Style, Surface, View};
 use simod_viewer::{Detail, Version};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -41,6 +41,8 @@ struct Drawing {
     texture: Texture,
     colors: Colors,
     shown: Option<Arc<simod_viewer::Scene>>,
+    /// How far the surface of each sample goes at rest.
+    extents: Vec<f32>,
     pieces: Pieces,
     /// What of the detail is shown.
     detail: Option<u64>,
@@ -151,6 +153,7 @@ impl Drawing {
             texture: Texture::new(render),
             colors: Colors::default(),
             shown: None,
+            extents: Vec::new(),
             pieces: Pieces::default(),
             detail: None,
             ghost: false,
@@ -163,6 +166,10 @@ impl Drawing {
         let Some(scene) = window.state().scene_of(self.version).cloned() else {
             return background(rect, window.settings.theme);
         };
+        // The hand was quicker than the last picture: what it did comes first.
+        if window.is_catching_up() && self.shown.is_some() {
+            return self.texture.show(rect);
+        }
         if let Err(error) = self.upload(&scene, window) {
             let hint = "save the session, and report this";
             let what = error.to_string();
@@ -174,7 +181,7 @@ impl Drawing {
         let bounds = self.bounds(&scene);
         let view = view(camera, size, bounds);
         let style = Style {
-            mode: if window.looks.triangles { Mode::Triangles } else { Mode::Splats },
+            mode: window.mode(),
             own_colors: self.colors_are_own(),
             background: window.settings.theme.background(),
             occlusion: window.settings.occlusion,
@@ -194,6 +201,9 @@ impl Drawing {
         let budget = (!whole).then_some(&mut self.budget.1);
         let picture = self.scene.render(&view, &style, budget).clone();
         let drawn = self.scene.drawn();
+        if self.version == Version::Now {
+            window.drawn = drawn;
+        }
         // Without a budget the card goes on drawing meanwhile.
         if !whole && (drawn != before || !drawn.complete) {
             window.frame_time = started.elapsed();
@@ -236,22 +246,27 @@ impl Drawing {
         let detail = window.state().detail().filter(|_| self.version == Version::Now);
         let revision = detail.map(Detail::revision);
         let covers_others = revision != std::mem::replace(&mut self.detail, revision);
-        let (colors, radii) = (self.colors.of_samples(), || sample_radii(&samples.extents(), detail));
+        if !same_samples {
+            self.extents = samples.extents();
+        }
+        let (colors, extents) = (self.colors.of_samples(), &self.extents);
+        let radii = || sample_radii(extents, &scene.axes, detail);
         if !same_samples {
             let radii = radii();
             self.scene.set_surface(&Surface {
                 positions: &scene.positions,
                 normals: &scene.normals,
                 radii: &radii,
+                axes: &scene.axes,
                 colors,
                 triangles: &sampled.triangles,
-                ..Surface::default()
             })?;
         } else {
             if !same {
                 self.scene.set_positions(&scene.positions, &scene.normals)?;
+                self.scene.set_axes(&scene.axes)?;
             }
-            if recolored || covers_others {
+            if !same || recolored || covers_others {
                 self.scene.set_colors(&radii(), colors)?;
             }
         }
@@ -262,7 +277,7 @@ impl Drawing {
         }
         if window.looks.ghost != self.ghost || self.ghost && !same_samples {
             self.ghost = window.looks.ghost;
-            let radii = disc_radii(&samples.extents());
+            let radii = disc_radii(&self.extents);
             let rest = Surface {
                 positions: &samples.positions,
                 normals: samples.normals(),

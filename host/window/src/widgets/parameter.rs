@@ -56,7 +56,7 @@ pub fn show(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bound
 }
 
 fn name(ui: &mut Ui, desc: &ParamDesc, width: f32) {
-    let label = egui::Label::new(desc.name.as_str()).truncate();
+    let label = egui::Label::new(desc.name.as_str()).wrap();
     let response = ui.allocate_ui_with_layout(
         egui::vec2(width, ui.spacing().interact_size.y),
         egui::Layout::left_to_right(egui::Align::Center),
@@ -205,15 +205,29 @@ fn short(x: f64) -> String {
     if text == "-0.000" { "0.000".to_owned() } else { text }
 }
 
+/// The number that a parameter has, given or not.
+pub fn number_of(desc: &ParamDesc, value: Option<&Value>) -> f64 {
+    let default = desc.default_numbers.first().copied().unwrap_or(0.0);
+    value.and_then(as_number).unwrap_or(default)
+}
+
+/// The direction or point that a parameter has, given or not; points in model coordinates.
+pub fn vector_of(desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> [f64; 3] {
+    let size = bounds.max - bounds.min;
+    let default = || {
+        std::array::from_fn(|i| {
+            let x = desc.default_numbers.get(i).copied().unwrap_or(0.0);
+            // A point's default is a fraction of the model's box.
+            if desc.kind == ParamKind::POINT { bounds.min[i] + x * size[i] } else { x }
+        })
+    };
+    value.and_then(numbers::<3>).unwrap_or_else(default)
+}
+
 fn vector(ui: &mut Ui, desc: &ParamDesc, value: Option<&Value>, bounds: &Bounds) -> Option<Asked> {
     let is_point = desc.kind == ParamKind::POINT;
     let size = bounds.max - bounds.min;
-    let default: [f64; 3] = std::array::from_fn(|i| {
-        let x = desc.default_numbers.get(i).copied().unwrap_or(0.0);
-        // A point's default is a fraction of the model's box.
-        if is_point { bounds.min[i] + x * size[i] } else { x }
-    });
-    let mut v = value.and_then(numbers::<3>).unwrap_or(default);
+    let mut v = vector_of(desc, value, bounds);
     let speed = if is_point { 0.002 * size.length() } else { 0.01 };
     let width = (ui.available_width() - 12.0) / 3.0;
     ui.spacing_mut().item_spacing.x = 3.0;

@@ -214,10 +214,16 @@ fn a_turntable_is_rendered_from_the_menu_and_stopped() {
         harness.get_by_label("Render").click();
         harness.run_steps(3);
         if stops {
+            assert!(harness.query_by_label_contains(&format!("of {frames}")).is_some(), "how far it is");
             harness.get_by_label("Cancel").click();
+            harness.run_steps(2);
+            // At once, whatever the frame takes that is being drawn.
+            assert!(harness.state().window().turning.is_none());
+            assert!(harness.query_by_label("Cancel").is_none());
         }
         let end = Instant::now() + LONG;
-        while harness.state().window().turning.is_some() {
+        let goes_on = |window: &Window| window.turning.is_some() || window.stopping.is_some();
+        while goes_on(harness.state().window()) {
             assert!(Instant::now() < end, "it takes too long");
             harness.run_steps(1);
             std::thread::sleep(Duration::from_millis(20));

@@ -5,6 +5,8 @@
 mod compare;
 mod detail;
 mod edit;
+mod files;
+mod motion;
 mod parameters;
 mod picture;
 

@@ -1,0 +1,118 @@
+//! What hands did while a picture was drawn, one thing after the other.
+//!
+//! A slow picture leaves many events to the next frame: a key that takes a tool, a press, a drag, a release, another
+//! key. A frame knows one state of the pointer and of the keys, so each frame gets the events up to the first
+//! deed, and the others wait for frames that follow at once, without pictures in between.
+
+use eframe::egui::{Context, Event, Key, Plugin, RawInput};
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+
+/// Gives a context its events in turn.
+pub struct InTurn {
+    held: VecDeque<Event>,
+    waits: Arc<AtomicBool>,
+}
+
+impl InTurn {
+    /// `waits` says after each frame's beginning whether others wait for their frame.
+    pub fn new(waits: Arc<AtomicBool>) -> Self {
+        Self { held: VecDeque::new(), waits }
+    }
+}
+
+impl Plugin for InTurn {
+    fn debug_name(&self) -> &'static str {
+        "events in turn"
+    }
+
+    fn input_hook(&mut self, ctx: &Context, input: &mut RawInput) {
+        self.held.extend(input.events.drain(..));
+        input.events = next(&mut self.held, ctx.egui_wants_keyboard_input());
+        let waits = !self.held.is_empty();
+        self.waits.store(waits, Relaxed);
+        if waits {
+            ctx.request_repaint();
+        }
+    }
+}
+
+/// The events up to the first deed, with what belongs to it. Where the pointer goes and where a button is pressed or
+/// let go is of different frames: a drag that begins and ends in one is none. Where somebody types, letters are no
+/// deeds.
+fn next(held: &mut VecDeque<Event>, types: bool) -> Vec<Event> {
+    let mut events = Vec::new();
+    let (mut done, mut moved) = (false, false);
+    while let Some(event) = held.front() {
+        let is_button = matches!(event, Event::PointerButton { .. });
+        let is_deed = match event {
+            Event::Key { pressed: true, key, .. } => {
+                !types || matches!(key, Key::Enter | Key::Escape | Key::Tab)
+            }
+            _ => is_button,
+        };
+        let moves = matches!(event, Event::PointerMoved(_) | Event::MouseMoved(_));
+        let is_of_next = is_deed
+            || moves
+            || matches!(
+                event,
+                Event::Key { pressed: true, .. }
+                    | Event::ModifiersChanged(_)
+                    | Event::MouseWheel { .. }
+                    | Event::Zoom(_)
+            );
+        if done && is_of_next || moved && is_button {
+            break;
+        }
+        (done, moved) = (done || is_deed, moved || moves);
+        events.extend(held.pop_front());
+    }
+    events
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eframe::egui::{Modifiers, PointerButton, pos2};
+
+    #[test]
+    fn each_deed_has_a_turn() {
+        let key = |key| Event::Key {
+            key,
+            physical_key: None,
+            pressed: true,
+            repeat: false,
+            modifiers: Modifiers::NONE,
+        };
+        let button = |pressed| Event::PointerButton {
+            pos: pos2(1.0, 1.0),
+            button: PointerButton::Primary,
+            pressed,
+            modifiers: Modifiers::NONE,
+        };
+        let moved = |x| Event::PointerMoved(pos2(x, 0.0));
+        let text = |text: &str| Event::Text(text.to_owned());
+        let all = [
+            key(Key::G),
+            text("g"),
+            moved(0.0),
+            button(true),
+            moved(1.0),
+            moved(2.0),
+            button(false),
+            key(Key::Z),
+            key(Key::Z),
+        ];
+        let mut held = VecDeque::from(all.clone());
+        let turns: Vec<_> =
+            std::iter::from_fn(|| Some(next(&mut held, false)).filter(|e| !e.is_empty())).collect();
+        let counts: Vec<usize> = turns.iter().map(Vec::len).collect();
+        assert_eq!(counts, [2, 1, 1, 2, 1, 1, 1], "{turns:?}");
+        assert_eq!(turns.concat(), all);
+        // Words are typed at once.
+        let mut held =
+            VecDeque::from([key(Key::A), text("a"), key(Key::B), text("b"), key(Key::Enter), key(Key::G)]);
+        assert_eq!((next(&mut held, true).len(), next(&mut held, false).len()), (5, 1));
+    }
+}
