@@ -26,9 +26,10 @@ use crate::deformed_file::{self, DeformedFile};
 use crate::fingerprint::{are_same, fingerprint};
 use crate::refinement::Refinement;
 use crate::sampling::density::Rule;
-use crate::sampling::gather::{Cubes, PIECE};
+use crate::sampling::gather::Cubes;
 use crate::sampling::grid::Grid;
 use crate::sampling::kept_cells::KeptCells;
+use crate::sampling::shares::PIECE;
 use crate::sampling::triangles::Triangles;
 use crate::sampling::{
     By, Grouping, Opaque, Placement, SampleSet, Sampling, Skip, Splitting, Target, UsualSplat,

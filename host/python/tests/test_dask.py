@@ -1,10 +1,10 @@
 """Units on the workers of a cluster: the bytes of one machine, whatever becomes of the workers."""
 
+import importlib
 import os
 import random
 import resource
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -162,7 +162,7 @@ def test_killed_workers_are_no_matter(client: distributed.Client, cloud: Path, t
 
 def test_a_slow_worker_is_waited_for(client: distributed.Client, cloud: Path, tmp_path: Path) -> None:
     def slow() -> None:
-        module: Any = sys.modules["simod.dask"]
+        module: Any = importlib.import_module("simod.dask")
         quick = module._unit
 
         def unit(folder: str, number: int) -> bool:

@@ -111,7 +111,7 @@ pub fn as_found<'a>(scene: &'a Scene, before: &'a [Vec3]) -> Found<'a> {
     Found { positions, owners: Some(owners) }
 }
 
-/// Some samples around one that were there before, from it outwards.
+/// Some samples around one that were there before, which are the first ones, from it outwards.
 fn known_around(scene: &Scene, of: u32, known: usize) -> Vec<u32> {
     let neighbours = scene.sampled.samples.neighbours();
     let mut found = Vec::new();

@@ -16,6 +16,7 @@ use super::Target;
 use super::cluster::{Element, Group, GroupSums, Vertex};
 use super::grid::{CellHasher, CellRecord, Grid};
 use super::open_cells::{BLOCK, CellItems, OpenCells};
+use super::shares::PIECE;
 
 /// Memory for the vertices of open cells beyond which they are summed up in groups, if that helps.
 const VERTICES_AT_EASE: u64 = 12 << 20;
@@ -31,10 +32,6 @@ const MAX_LEVEL: u32 = 6;
 
 /// Bytes of a group, with its place in the table of its cell.
 const GROUP_BYTES: u64 = size_of::<Group>() as u64 + 18;
-
-/// Vertices that are gathered as one piece of the stream, from each multiple of this number on: of soups, whole
-/// facets. A constant, so that sums depend neither on the number of threads nor on how the model is read.
-pub const PIECE: u64 = 3 << 11;
 
 /// Holds what the stream has brought of each open cell.
 pub trait Gather: Send {

@@ -28,7 +28,7 @@ pub(crate) mod random;
 pub(crate) mod ranges;
 mod sample_set;
 mod shared_vertices;
-mod shares;
+pub(crate) mod shares;
 mod splitting;
 mod stream;
 pub(crate) mod triangles;

@@ -17,7 +17,7 @@ use simod_model::output::OutputFile;
 use simod_model::{Error, ErrorKind, Result, input};
 use xxhash_rust::xxh3::xxh3_128;
 
-use super::gather::PIECE;
+use super::shares::PIECE;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
 use crate::varint::{self, Numbers};
 

@@ -3,8 +3,11 @@
 
 use std::ops::Range;
 
-use super::gather::PIECE;
 use super::grid::{CellRecord, Grid};
+
+/// Vertices that are gathered as one piece of the stream, from each multiple of this number on: of soups, whole
+/// facets. A constant, so that sums depend neither on the number of threads nor on how the model is read.
+pub const PIECE: u64 = 3 << 11;
 
 /// Who clusters a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -22,13 +22,13 @@ use crate::fingerprint::{PartHasher, VertexHash};
 use super::cluster::Element;
 use super::cut::{ClusteredCell, Forest};
 use super::finalization::{Clustered, Hashing, Job, MAX_QUEUED, Pass, changed, unit};
-use super::gather::{Gather, GatherPiece, PIECE};
+use super::gather::{Gather, GatherPiece};
 use super::grid::{CellRecord, cell_box};
 use super::membership::{Leaves, Membership};
 use super::open_cells::CellItems;
 use super::ranges::Ranges;
 use super::shared_vertices::{SharedPiece, Visit};
-use super::shares::Owner;
+use super::shares::{Owner, PIECE};
 use super::vs_tree::Workspace;
 
 /// Pieces that are read and not yet merged, beside one for each thread: so that a thread whose piece has to

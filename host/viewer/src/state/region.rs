@@ -127,9 +127,9 @@ impl State {
         let before = self.before(step).ok()?;
         // What the step does not know yet goes along with what is around it.
         let sample = owner_of(&open.scene.sampled, hit.sample, before.len())?;
-        let (was, is) = (before.get(sample as usize)?, open.scene.positions.get(sample as usize)?);
-        let frame = open.scene.frame();
-        Some(frame.to_model_exact(hit.local - is.as_dvec3() + was.as_dvec3()))
+        let (scene, sample) = (&open.scene, sample as usize);
+        let (was, is) = (before.get(sample)?, scene.positions.get(sample)?);
+        Some(scene.frame().to_model_exact(hit.local - is.as_dvec3() + was.as_dvec3()))
     }
 
     /// The point that a handle region turns about: its motion's own, or the middle of what it holds. Model

@@ -405,15 +405,6 @@ fn what_a_refinement_appends_belongs_to_what_is_around_it() {
     let others = (0..field.values.len()).filter(differs).count();
     // Right at the border, some are as those are that they belong to.
     assert!(others * 500 <= field.values.len(), "{others} of {}", field.values.len());
-    // A stroke may be put on what is new.
-    let scene = state.scene().unwrap().clone();
-    let new = (former..scene.len()).find(|i| truth(&state, *i) == Some(true)).unwrap();
-    let seen = state.camera().project(scene.positions[new].as_dvec3(), state.size()).unwrap().0;
-    let hit = state.pick(seen).unwrap();
-    let found = state.in_step(0, &hit).unwrap();
-    let rest = scene.frame().to_model(scene.sampled.samples.positions[new]);
-    assert!(found.distance(rest) < spacing, "{found} is not {rest}");
-
     // Undone and done again, it is the same.
     done(&mut state, Command::Undo);
     done(&mut state, Command::Undo);
