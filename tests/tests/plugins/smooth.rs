@@ -30,7 +30,8 @@ fn broad_bumps_go_and_details_stay() {
     let work = Workplace::new();
     let run = |model: &str, amount: f64| {
         let size = 0.4;
-        let step = format!("[[step]]\ndeform = \"smooth\"\nparams = {{ size = {size}, amount = {amount} }}\n");
+        let step =
+            format!("[[step]]\ndeform = \"smooth\"\nparams = {{ size = {size}, amount = {amount} }}\n");
         work.write_session(model, 4000, &step);
         work.simod("run edit.toml -o out.ply --lossy");
         work.ply("out.ply").positions()
