@@ -20,6 +20,9 @@ use super::{Camera, Image, Paint, Spacing, SurfacePoint};
 /// Radius of a sample's disc over its spacing: wide enough to leave no holes where the density changes.
 const SAMPLE_RADIUS: f64 = 1.35;
 
+/// How much wider discs are of points that were chosen by chance: there is more room between some of them.
+const UNEVEN: f32 = 1.5;
+
 /// Takes the pictures of a turn, one after the other.
 pub type Frames<'a> = dyn FnMut(&Image) -> Result<()> + 'a;
 
@@ -217,7 +220,7 @@ pub fn of_some(
         SurfacePoint {
             position: view.up.turned(point.position),
             normal: view.up.turned(point.normal.as_dvec3()).as_vec3(),
-            radius: spacing.radius_at(point.position),
+            radius: UNEVEN * spacing.radius_at(point.position),
             ..point
         }
     };
