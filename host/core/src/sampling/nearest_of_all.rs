@@ -27,6 +27,9 @@ const GUESSES: usize = 3;
 /// Makes up for the rounding of sums of distances.
 const SURELY: f32 = 1.0001;
 
+/// Makes up for that of squares so small that they have hardly any digits.
+const LEAST: f32 = 1e-36;
+
 impl KdTree {
     /// The `k` nearest others of each point, nearest first, one list behind the other: the same as
     /// [`nearest_others`](Self::nearest_others) finds. There are more points than `k`. Takes jobs of the thread
@@ -77,7 +80,7 @@ impl Batch<'_> {
         tree.nearest_others(first, index, &mut self.found);
         let mut last = distance(self.found[self.k - 1]);
         let reach = last.sqrt();
-        let surely = |p: Vec3| (SURELY * (reach + p.distance(first))).powi(2);
+        let surely = |p: Vec3| (SURELY * (reach + p.distance(first))).powi(2) + LEAST;
         let most = leaf.points().map(|(p, _)| surely(p)).fold(0.0, f32::max);
         if !self.gather(&whole, most) {
             for (p, index) in leaf.points() {
@@ -225,12 +228,14 @@ mod tests {
     use proptest::prelude::*;
 
     fn points() -> impl Strategy<Value = Vec<Vec3>> {
-        // Few distinct values, so that many are equally far; and heaps, far points, and some so far that squares
-        // overflow.
+        // Few distinct values, so that many are equally far; and heaps, far points, some so far that squares
+        // overflow, and some so near to each other that they vanish.
         let x = || prop_oneof![4 => (-4..4i32).prop_map(|x| x as f32 / 4.0), 4 => -1.0..1.0f32];
-        let point =
-            (x(), x(), x(), prop_oneof![6 => Just(1.0f32), 2 => Just(1e-3), 1 => Just(1e2), 1 => Just(1e25)]);
-        proptest::collection::vec(point.prop_map(|(x, y, z, size)| Vec3::new(x, y, z) * size), 1..700)
+        let size = prop_oneof![6 => Just(1.0f32), 2 => Just(1e-3), 1 => Just(1e2), 1 => Just(1e25)];
+        let point = (x(), x(), x(), size).prop_map(|(x, y, z, size)| Vec3::new(x, y, z) * size);
+        let whole = prop_oneof![4 => Just(1.0f32), 1 => Just(1e-19), 1 => Just(3e-22), 1 => Just(1e-23)];
+        (proptest::collection::vec(point, 1..700), whole)
+            .prop_map(|(points, whole)| points.into_iter().map(|p| p * whole).collect())
     }
 
     proptest! {
