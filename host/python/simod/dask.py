@@ -30,8 +30,8 @@ from typing import TYPE_CHECKING, Any
 
 try:
     from distributed import Client, Future, as_completed, get_worker
-except ImportError as error:  # pragma: no cover
-    raise ImportError("simod.dask needs Dask: pip install 'dask[distributed]'") from error
+except ImportError as _missing:  # pragma: no cover
+    raise ImportError("simod.dask needs Dask: pip install 'dask[distributed]'") from _missing
 
 from ._bar import Bar
 from ._errors import Error, FileError

@@ -146,18 +146,21 @@ def test_killed_workers_are_no_matter(client: distributed.Client, cloud: Path, t
         nonlocal killed
         # No more than come back meanwhile.
         for _ in range(5):
-            if over.wait(chance.uniform(0.2, 1.0)):
+            if over.wait(chance.uniform(0.1, 0.6)):
                 break
             alive = processes(client)
             if alive:
                 os.kill(chance.choice(alive), signal.SIGKILL)
                 killed += 1
 
-    for turn in range(2):
+    # As often as it takes: a quick machine is done before it is hit.
+    turn = 0
+    while killed < 3 and turn < 20:
         folder = tmp_path / str(turn)
         folder.mkdir()
         run_with(client, cloud, folder, kill, retries=50)
-    assert killed >= 2
+        turn += 1
+    assert killed >= 3
 
 
 def test_a_slow_worker_is_waited_for(client: distributed.Client, cloud: Path, tmp_path: Path) -> None:
