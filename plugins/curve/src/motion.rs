@@ -37,6 +37,8 @@ struct Along {
 pub struct Motion<'a> {
     rest: &'a Nearest,
     moved: Spline,
+    /// Both curves at the nodes.
+    nodes: Vec<[Jet; 2]>,
     /// Directions across the two curves, at the nodes, that do not turn about them.
     across: [Vec<DVec3>; 2],
     /// By how much the moved curve has been bent so far, in radians.
@@ -57,17 +59,28 @@ impl<'a> Motion<'a> {
         let none = || Along { values: vec![0.0; nodes], slopes: vec![0.0; nodes] };
         let across = [Vec::with_capacity(nodes), Vec::with_capacity(nodes)];
         let (bent, length) = (none(), none());
-        let mut motion =
-            Self { rest, moved, across, bent, length, taken_back: 0.0, turns: Vec::new(), looks };
+        let mut motion = Self {
+            rest,
+            moved,
+            nodes: Vec::new(),
+            across,
+            bent,
+            length,
+            taken_back: 0.0,
+            turns: Vec::new(),
+            looks,
+        };
+        motion.nodes = (0..nodes).map(|node| motion.jets(&motion.at_node(node))).collect();
         motion.carry_frames();
-        let turns: Vec<DQuat> = (0..nodes).map(|node| motion.carried(&motion.at_node(node))).collect();
+        let turns: Vec<DQuat> =
+            (0..nodes).map(|node| motion.carried(&motion.at_node(node), &motion.nodes[node])).collect();
         let steps = turns.windows(2).map(|pair| between(pair[0], pair[1]).length());
         motion.bent = motion.along(steps.collect());
         let steps = rest.nodes().windows(2).map(|pair| pair[0].distance(pair[1]));
         motion.length = motion.along(steps.collect());
         motion.taken_back = motion.to_take_back();
         for node in 0..nodes {
-            let turn = motion.turn(&motion.at_node(node));
+            let turn = motion.turn(&motion.at_node(node), &motion.nodes[node]);
             motion.turns.push(as_vector(turn, motion.turns.last().copied().unwrap_or(DVec3::ZERO)));
         }
         motion
@@ -79,8 +92,9 @@ impl<'a> Motion<'a> {
         if part == 0.0 {
             return p;
         }
-        let [rest, moved] = self.jets(foot);
-        let turn = as_vector(self.turn(foot), self.turns[foot.piece as usize]);
+        let jets = self.jets(foot);
+        let [rest, moved] = jets;
+        let turn = as_vector(self.turn(foot, &jets), self.turns[foot.piece as usize]);
         let shift = moved.position - rest.position;
         let [before, behind] = [rest.first.length(), moved.first.length()];
         let wider = if self.looks.keeps_volume && behind > 0.0 { (before / behind).sqrt() } else { 1.0 };
@@ -123,25 +137,24 @@ impl<'a> Motion<'a> {
 
     /// Finds the directions across both curves at the nodes.
     fn carry_frames(&mut self) {
-        let [rest, moved] = self.jets(&self.at_node(0)).map(|jet| direction(&jet, DVec3::X));
+        let [rest, moved] = self.nodes[0].map(|jet| direction(&jet, DVec3::X));
         let across = rest.any_orthonormal_vector();
         self.across[0].push(across);
         self.across[1].push(DQuat::from_rotation_arc(rest, moved) * across);
         for node in 1..=self.rest.pieces() {
-            let [a, b] = self.jets(&self.at_node(node - 1));
-            let [c, d] = self.jets(&self.at_node(node));
-            for (i, (from, to)) in [(a, c), (b, d)].into_iter().enumerate() {
+            for i in 0..2 {
+                let [from, to] = [self.nodes[node - 1][i], self.nodes[node][i]];
                 let new = carried(&from, self.across[i][node - 1], &to);
                 self.across[i].push(new);
             }
         }
     }
 
-    /// The turn from the curve at rest to the moved one by the frames that were carried along.
-    fn carried(&self, foot: &Foot) -> DQuat {
+    /// The turn from the curve at rest to the moved one by the frames that were carried along, at a place where the
+    /// curves are `to`.
+    fn carried(&self, foot: &Foot, to: &[Jet; 2]) -> DQuat {
         let piece = foot.piece as usize;
-        let node = Foot { t: self.rest.parameters()[piece], ..*foot };
-        let (from, to) = (self.jets(&node), self.jets(foot));
+        let from = &self.nodes[piece];
         let frame = |i: usize| {
             let across = carried(&from[i], self.across[i][piece], &to[i]);
             let along = direction(&to[i], direction(&from[i], DVec3::X));
@@ -150,15 +163,15 @@ impl<'a> Motion<'a> {
         DQuat::from_mat3(&(frame(1) * frame(0).transpose())).normalize()
     }
 
-    /// The turn at a place of the curve.
-    fn turn(&self, foot: &Foot) -> DQuat {
+    /// The turn at a place of the curve, where both curves are `jets`.
+    fn turn(&self, foot: &Foot, jets: &[Jet; 2]) -> DQuat {
         let about = self.looks.twist * self.part_along(&self.length, foot)
             - self.taken_back * self.part_along(&self.bent, foot);
-        let turn = self.carried(foot);
+        let turn = self.carried(foot, jets);
         if about == 0.0 {
             return turn;
         }
-        let along = direction(&self.rest.jet(foot), DVec3::X);
+        let along = direction(&jets[0], DVec3::X);
         turn * DQuat::from_axis_angle(along, about)
     }
 
@@ -166,10 +179,12 @@ impl<'a> Motion<'a> {
     /// the tangents: nothing should turn where the curve is as it was. The more these oppose each other, the less this
     /// says.
     fn to_take_back(&self) -> f64 {
-        let end = self.at_node(self.rest.pieces());
-        let [rest, moved] = self.jets(&end).map(|jet| direction(&jet, DVec3::X));
+        let end = self.rest.pieces();
+        let jets = &self.nodes[end];
+        let [rest, moved] = jets.map(|jet| direction(&jet, DVec3::X));
         let least = DQuat::from_rotation_arc(rest, moved);
-        let about = as_vector(least.conjugate() * self.carried(&end), DVec3::ZERO).dot(rest);
+        let about =
+            as_vector(least.conjugate() * self.carried(&self.at_node(end), jets), DVec3::ZERO).dot(rest);
         about * rest.dot(moved).midpoint(1.0)
     }
 
