@@ -1,6 +1,6 @@
 //! A cage: a closed surface of triangles, and where it may come from a file.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use simod_plugin_api::{PluginError, PluginResult};
 use std::collections::HashMap;
 use std::path::Path;
@@ -29,6 +29,10 @@ pub struct Cage {
     pub centre: DVec3,
     /// Of a sphere about the centre that holds the box.
     pub radius: f64,
+    /// Of the vertices.
+    pub mean: DVec3,
+    /// The inverse of the sum of `(p - mean)(p - mean)ᵀ` over the vertices.
+    pub scatter_inverse: DMat3,
 }
 
 fn refused(what: String) -> PluginError {
@@ -61,8 +65,15 @@ impl Cage {
         if volume < 0.0 {
             corners.iter_mut().for_each(|c| c.swap(1, 2));
         }
+        let mean = vertices.iter().sum::<DVec3>() / vertices.len() as f64;
+        let outer = |d: DVec3| DMat3::from_cols(d.x * d, d.y * d, d.z * d);
+        // It has an inverse, as there is a volume.
+        let scatter = vertices.iter().fold(DMat3::ZERO, |sum, p| sum + outer((*p - mean) / radius));
+        let scatter_inverse = scatter.inverse() * (1.0 / (radius * radius));
         let mut this = Self {
             vertices,
+            mean,
+            scatter_inverse,
             triangles: Vec::with_capacity(corners.len()),
             edges: Vec::new(),
             centre,
