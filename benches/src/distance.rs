@@ -20,7 +20,7 @@ pub struct Distances {
 
 impl Distances {
     /// Of all `points`, which are not empty.
-    fn of(points: &[DVec3], distance: impl Fn(DVec3) -> f64 + Sync) -> Self {
+    fn measure(points: &[DVec3], distance: impl Fn(DVec3) -> f64 + Sync) -> Self {
         let (sum, squares, worst) = points
             .par_iter()
             .map(|p| distance(*p))
@@ -45,7 +45,7 @@ pub fn to_points(points: &[DVec3], set: &[DVec3]) -> Option<Distances> {
         let nearest = tree.query(&query).nearest_one::<SquaredEuclidean<f64>>().execute();
         p.distance(DVec3::from_array(set[nearest.item as usize]))
     };
-    (!points.is_empty()).then(|| Distances::of(points, nearest))
+    (!points.is_empty()).then(|| Distances::measure(points, nearest))
 }
 
 /// How far points are from the nearest of the triangles between `vertices`; `None` where there is no point or
@@ -55,7 +55,7 @@ pub fn to_points(points: &[DVec3], set: &[DVec3]) -> Option<Distances> {
 /// A triangle has a vertex that does not exist.
 pub fn to_triangles(points: &[DVec3], vertices: &[DVec3], triangles: &[[u32; 3]]) -> Option<Distances> {
     let mesh = triangle_mesh(vertices, triangles).filter(|_| !points.is_empty())?;
-    Some(Distances::of(points, |p| mesh.distance_to_local_point(vector(p), false)))
+    Some(Distances::measure(points, |p| mesh.distance_to_local_point(vector(p), false)))
 }
 
 /// Triangles among which the closest point can be found (a tree of boxes), without those that have no area;

@@ -69,7 +69,7 @@ impl Mesh {
 
     /// The box around all vertices.
     pub fn bounds(&self) -> Bounds {
-        Bounds::of(self.positions.iter().copied())
+        Bounds::from_points(self.positions.iter().copied())
     }
 
     /// Unit normals of the vertices, weighted by the areas of the triangles around; zero where there are

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use simod_model::{Attribute, Error, ErrorKind, Model, Progress, Result};
 
 use crate::fingerprint::VertexHash;
-use crate::reconstruction::{Surroundings, homes};
+use crate::reconstruction::{RestGeometry, homes};
 use crate::sampled_model::SampledModel;
 use crate::sampling::kd_tree::completed;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
@@ -126,7 +126,7 @@ impl Attributes {
     ///
     /// # Errors
     /// The model cannot be read, or is not what was sampled; the user cancelled.
-    pub fn of(sampled: &SampledModel, model: &dyn Model, progress: &dyn Progress) -> Result<Self> {
+    pub fn stream(sampled: &SampledModel, model: &dyn Model, progress: &dyn Progress) -> Result<Self> {
         let info = model.info();
         let attributes = &info.attributes[..info.attributes.len().min(MOST)];
         if let [_, .., last] = attributes
@@ -144,7 +144,7 @@ impl Attributes {
         }
         let samples = &sampled.samples;
         progress.begin("reading the attributes", info.vertex_bytes);
-        let around = Surroundings::of(samples);
+        let around = RestGeometry::new(samples);
         let mut gathered: Vec<Gathered> =
             attributes.iter().map(|attribute| Gathered::new(attribute, samples.len())).collect();
         // Of a chunk.

@@ -38,7 +38,7 @@ impl Bytes {
     ///
     /// # Errors
     /// The file cannot be read.
-    pub fn of(model: &dyn Model) -> Result<Option<Self>> {
+    pub fn for_model(model: &dyn Model) -> Result<Option<Self>> {
         let Some(colors) = Colors::seen(&model.info().attributes) else { return Ok(None) };
         Ok(Some(Self { colors, scale: ColorScale::of_model(model, &colors)? }))
     }
@@ -90,10 +90,10 @@ impl Picking {
     ///
     /// # Errors
     /// The model cannot be read.
-    pub fn of(model: &dyn Model, samples: Option<u64>) -> Result<Option<Self>> {
+    pub fn for_model(model: &dyn Model, samples: Option<u64>) -> Result<Option<Self>> {
         let most = samples.map_or(MOST, |n| n.saturating_mul(ENOUGH));
         let every = (model.info().vertices / most.max(1)).max(1);
-        Ok(Bytes::of(model)?.map(|colors| Self { colors, every }))
+        Ok(Bytes::for_model(model)?.map(|colors| Self { colors, every }))
     }
 
     /// Picks of a chunk that was read of the model. `lists` are used for its numbers.
@@ -249,7 +249,7 @@ pub fn of_ranges(
     progress: &dyn Progress,
 ) -> Result<Vec<[u8; 3]>> {
     let mut means = Means::new(positions, first);
-    if let Some(colors) = Bytes::of(model)? {
+    if let Some(colors) = Bytes::for_model(model)? {
         let picking = Picking { colors, every: 1 };
         let (mut chunk, mut lists, mut picks) = (VertexChunk::default(), Lists::default(), Vec::new());
         for range in ranges {

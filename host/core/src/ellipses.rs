@@ -32,7 +32,7 @@ fn place(name: &str, attributes: &[Attribute]) -> Option<usize> {
 
 impl Ellipses {
     /// Of splats; nothing where the points are none.
-    pub fn of(attributes: &[Attribute]) -> Option<Self> {
+    pub fn from_attributes(attributes: &[Attribute]) -> Option<Self> {
         let of = |name: &str, i: usize| place(&format!("{name}_{i}"), attributes);
         let rotation = [of("rot", 0)?, of("rot", 1)?, of("rot", 2)?, of("rot", 3)?];
         let scales = [Some(of("scale", 0)?), Some(of("scale", 1)?), of("scale", 2)].into_iter().flatten();
@@ -84,7 +84,7 @@ mod tests {
         let names = names.into_iter().chain(["rot_0", "rot_1", "rot_2", "rot_3"]);
         let all: Vec<Attribute> =
             names.map(|name| Attribute { name: name.to_owned(), kind: Type::F32 }).collect();
-        let ellipses = Ellipses::of(&all).unwrap();
+        let ellipses = Ellipses::from_attributes(&all).unwrap();
         assert_eq!(ellipses.count(), 11);
         let half = 0.5f64.sqrt();
         // A quarter turn about z: the first axis goes to y.
@@ -97,7 +97,7 @@ mod tests {
             assert!(ellipses.ellipse(|place| numbers[place]).is_none(), "{place}");
             numbers[place] = good;
         }
-        assert!(Ellipses::of(&all[..8]).is_none());
+        assert!(Ellipses::from_attributes(&all[..8]).is_none());
     }
 
     #[test]

@@ -75,12 +75,12 @@ impl Guard {
     /// The command reads this file, or this folder with the files of a sampled model in it. There need not be
     /// one: that is told when it is read.
     pub fn reads(&mut self, path: &Path) {
-        if let Some(identity) = Identity::of(path) {
+        if let Some(identity) = Identity::from_path(path) {
             self.inputs.push((path.to_owned(), identity));
         }
         if path.is_dir() {
             let files = OWN_FILES.iter().map(|name| path.join(name));
-            self.inputs.extend(files.filter_map(|file| Some((file.clone(), Identity::of(&file)?))));
+            self.inputs.extend(files.filter_map(|file| Some((file.clone(), Identity::from_path(&file)?))));
         }
     }
 
@@ -135,7 +135,7 @@ impl Guard {
     /// # Errors
     /// That.
     pub fn replaces_folder(&self, folder: &Path) -> Result<()> {
-        let (Ok(place), Some(identity)) = (folder.canonicalize(), Identity::of(folder)) else {
+        let (Ok(place), Some(identity)) = (folder.canonicalize(), Identity::from_path(folder)) else {
             return Ok(());
         };
         let is_within = |(input, known): &&(PathBuf, Identity)| {
@@ -153,7 +153,7 @@ impl Guard {
 
     /// The input that a file is.
     fn input_at(&self, target: &Path) -> Option<&(PathBuf, Identity)> {
-        let identity = Identity::of(target)?;
+        let identity = Identity::from_path(target)?;
         self.inputs.iter().find(|(_, known)| *known == identity)
     }
 }

@@ -282,7 +282,7 @@ impl SampledModel {
         (mut positions, normals): (Vec<Vec3>, Vec<Vec3>),
         triangles: Triangles,
     ) -> Result<Self> {
-        let (bounds, frame) = (grid.bounds, Frame::of(&grid.bounds));
+        let (bounds, frame) = (grid.bounds, Frame::from_bounds(&grid.bounds));
         // Far from zero, or at sizes beyond its exponent, single precision would spoil the samples.
         let diagonal = bounds.diagonal();
         let largest = bounds.min.abs().max(bounds.max.abs()).max_element();
@@ -359,7 +359,7 @@ impl SampledModel {
 
     /// Which splats of the model were left out, and are whenever it is read for samples.
     pub(crate) fn opaque(&self, model: &dyn Model) -> Option<Opaque> {
-        Opaque::of(model, self.sampling.min_opacity, self.source.usual_splat)
+        Opaque::new(model, self.sampling.min_opacity, self.source.usual_splat)
     }
 
     /// How vertices were gathered in groups, if they were.
@@ -744,7 +744,7 @@ impl SampledModel {
         let found = match self.kept_attributes() {
             Some(kept) => kept,
             None => {
-                let found = Attributes::of(self, &*self.open_source(elsewhere, progress)?, progress)?;
+                let found = Attributes::stream(self, &*self.open_source(elsewhere, progress)?, progress)?;
                 if let Err(e) = self.keep_attributes(&found) {
                     progress.note(&format!("the attributes are not kept, and found anew the next time: {e}"));
                 }
@@ -914,7 +914,7 @@ fn file_fingerprint(path: &Path) -> Result<String> {
 
 /// Whether both paths lead to the same file.
 pub(crate) fn same_file(a: &Path, b: &Path) -> bool {
-    Identity::of(a).is_some_and(|a| Some(a) == Identity::of(b))
+    Identity::from_path(a).is_some_and(|a| Some(a) == Identity::from_path(b))
 }
 
 /// What a file of samples holds. For P_S alone, which fits in memory.
@@ -930,7 +930,7 @@ impl Samples {
     fn read(path: &Path) -> Result<Self> {
         let model = deformed_file::open(path)?;
         let (mut positions, mut normals, mut colors) = (Vec::new(), Vec::new(), Vec::new());
-        let of_colors = colors::Bytes::of(&*model)?;
+        let of_colors = colors::Bytes::for_model(&*model)?;
         let mut reader = model.vertices(0..model.info().vertices)?;
         let (mut chunk, mut some) = (VertexChunk::default(), Vec::new());
         while reader.read(&mut chunk)? {

@@ -134,21 +134,21 @@ fn distance_at_height(profile: &Curve, height: f64) -> f64 {
     const STEPS: i32 = 2000;
     let step = profile.length() / f64::from(STEPS);
     // The underside lies higher than the foot's ring, so the search starts beyond it.
-    let under = (0..STEPS).find(|&i| profile.at(step * f64::from(i)).position.x > 0.24).unwrap_or(0);
-    let above = (under..STEPS).find(|&i| profile.at(step * f64::from(i)).position.y >= height);
+    let under = (0..STEPS).find(|&i| profile.point(step * f64::from(i)).position.x > 0.24).unwrap_or(0);
+    let above = (under..STEPS).find(|&i| profile.point(step * f64::from(i)).position.y >= height);
     let (mut low, mut high) = match above {
         Some(i) => (step * f64::from(i - 1), step * f64::from(i)),
         None => return profile.length(),
     };
     for _ in 0..40 {
         let middle = 0.5 * (low + high);
-        if profile.at(middle).position.y < height { low = middle } else { high = middle }
+        if profile.point(middle).position.y < height { low = middle } else { high = middle }
     }
     high
 }
 
 impl Relief for BodyRelief {
-    fn at(&self, site: &Site) -> (Raised, [u8; 3]) {
+    fn raise(&self, site: &Site) -> (Raised, [u8; 3]) {
         let mut raised = Raised::default();
         let grain = add_grain(&mut raised, site);
 
@@ -181,7 +181,7 @@ struct RopeRelief {
 }
 
 impl Relief for RopeRelief {
-    fn at(&self, site: &Site) -> (Raised, [u8; 3]) {
+    fn raise(&self, site: &Site) -> (Raised, [u8; 3]) {
         const STRANDS: f64 = 3.0;
         const STRANDS_PER_LENGTH: f64 = 19.0;
         const FIBRES: f64 = 24.0;

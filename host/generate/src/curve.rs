@@ -41,7 +41,7 @@ impl Curve {
     }
 
     /// The curve after arc length `s`, clipped to its ends.
-    pub fn at(&self, s: f64) -> CurvePoint {
+    pub fn point(&self, s: f64) -> CurvePoint {
         let s = s.clamp(0.0, self.length());
         let entry = self.lengths.partition_point(|&l| l <= s).clamp(1, self.lengths.len() - 1) - 1;
         let start = entry as f64 / STEPS as f64;
@@ -91,12 +91,12 @@ mod tests {
         let h = 1e-4;
         for i in 1..100 {
             let s = curve.length() * f64::from(i) / 100.0;
-            let [before, here, after] = [s - h, s, s + h].map(|s| curve.at(s));
+            let [before, here, after] = [s - h, s, s + h].map(|s| curve.point(s));
             let tangent = (after.position - before.position) / (2.0 * h);
             assert!((tangent - here.tangent).length() < 1e-6, "tangent at {s}");
             let bend = (after.tangent - before.tangent) / (2.0 * h);
             assert!((bend - here.bend).length() < 1e-2 * (1.0 + bend.length()), "bend at {s}");
         }
-        assert!(curve.at(0.0).position.length() < 1e-12);
+        assert!(curve.point(0.0).position.length() < 1e-12);
     }
 }

@@ -42,7 +42,7 @@ impl Section {
 
     /// A place on the rim of a section of radius 1, in x and z, and the normal of the side there. Rims run
     /// from x to z.
-    fn at(&self, column: u32, columns: u32) -> [DVec2; 2] {
+    fn rim(&self, column: u32, columns: u32) -> [DVec2; 2] {
         match self {
             Self::Disc => [DVec2::from_angle(TAU * f64::from(column) / f64::from(columns)); 2],
             Self::Square => {
@@ -84,7 +84,7 @@ impl Patch for Prism {
         let up = if y == 0.0 { -DVec3::Y } else { DVec3::Y };
         let is_end = y == 0.0 || y == HEIGHT;
         for column in 0..columns {
-            let [place, side] = self.section.at(column, columns).map(|v| DVec3::new(v.x, 0.0, v.y));
+            let [place, side] = self.section.rim(column, columns).map(|v| DVec3::new(v.x, 0.0, v.y));
             let normal = if is_side { side } else { DVec3::ZERO } + if is_end { up } else { DVec3::ZERO };
             vertices.push(SurfaceVertex {
                 position: (place * radius).with_y(y),

@@ -32,7 +32,7 @@ fn half_circle() -> Curve {
 struct SphereWaves;
 
 impl Relief for SphereWaves {
-    fn at(&self, site: &Site) -> (Raised, [u8; 3]) {
+    fn raise(&self, site: &Site) -> (Raised, [u8; 3]) {
         let mut raised = Raised::default();
         for (wave, amplitude) in [(5.0, 0.04), (23.0, 0.004)] {
             let (sin, cos) = ((site.position * wave).map(f64::sin), (site.position * wave).map(f64::cos));
@@ -120,7 +120,7 @@ mod tests {
     fn profile_is_a_circle() {
         let circle = half_circle();
         for i in 0..=1000 {
-            let point = circle.at(circle.length() * f64::from(i) / 1000.0);
+            let point = circle.point(circle.length() * f64::from(i) / 1000.0);
             assert!((point.position.length() - 1.0).abs() < 1e-6);
         }
     }

@@ -59,7 +59,7 @@ impl Raised {
 
 /// The relief of a sweep, and its colour.
 pub(super) trait Relief: Sync + Send {
-    fn at(&self, site: &Site) -> (Raised, [u8; 3]);
+    fn raise(&self, site: &Site) -> (Raised, [u8; 3]);
 }
 
 /// A point of the axis with a frame of unit vectors: `outward` and `binormal` span the cross-section.
@@ -83,7 +83,7 @@ impl Axis {
                 curvature: 0.0,
             },
             Axis::Bent { curve, turned } => {
-                let point = curve.at(way);
+                let point = curve.point(way);
                 // At the caps the profile swings slightly beyond the ends: go on straight there.
                 let beyond = way - way.clamp(0.0, curve.length());
                 let flip = if *turned { -1.0 } else { 1.0 };
@@ -107,7 +107,7 @@ impl<R: Relief> Patch for Sweep<R> {
     }
 
     fn width(&self, distance: f64) -> f64 {
-        TAU * self.profile.at(distance).position.x.max(0.0)
+        TAU * self.profile.point(distance).position.x.max(0.0)
     }
 
     fn is_wrapped(&self) -> bool {
@@ -129,7 +129,7 @@ struct Ring {
 
 impl<R: Relief> Sweep<R> {
     fn ring(&self, distance: f64) -> Ring {
-        let profile = self.profile.at(distance);
+        let profile = self.profile.point(distance);
         Ring { distance, profile, frame: self.axis.frame(profile.position.y) }
     }
 
@@ -152,7 +152,7 @@ impl<R: Relief> Sweep<R> {
             along: radial * dr + frame.tangent * (dw * stretch),
             around,
         };
-        let (relief, color) = self.relief.at(&site);
+        let (relief, color) = self.relief.raise(&site);
 
         // The surface is site + height · D with D = dw · radial − dr · tangent, the profile's normal. Its two
         // derivatives, in the frame (radial, tangent, around), by distance and by arc length of the turn:

@@ -19,7 +19,7 @@ impl Default for Bounds {
 
 impl Bounds {
     /// The smallest box that holds the points.
-    pub fn of(points: impl IntoIterator<Item = DVec3>) -> Self {
+    pub fn from_points(points: impl IntoIterator<Item = DVec3>) -> Self {
         let mut bounds = Self::default();
         points.into_iter().for_each(|p| bounds.include(p));
         bounds
@@ -77,10 +77,10 @@ mod tests {
     #[test]
     fn diagonal_holds_at_extreme_scales() {
         for scale in [1e-300, 1e-30, 1.0, 1e30, 1e300] {
-            let b = Bounds::of([DVec3::ZERO, DVec3::new(2.0, 3.0, 6.0) * scale]);
+            let b = Bounds::from_points([DVec3::ZERO, DVec3::new(2.0, 3.0, 6.0) * scale]);
             assert!((b.diagonal() / scale - 7.0).abs() < 1e-12);
         }
-        assert_eq!(Bounds::of([DVec3::ONE]).diagonal(), 0.0);
+        assert_eq!(Bounds::from_points([DVec3::ONE]).diagonal(), 0.0);
         assert_eq!(Bounds::default().diagonal(), 0.0);
     }
 }

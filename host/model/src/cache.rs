@@ -39,7 +39,7 @@ const ADVICE: &str = "write to a disk with more room, or set TMPDIR to a folder 
 #[derive(Debug)]
 pub struct Cache {
     place: Place,
-    made: Mutex<Option<Known>>,
+    made: Mutex<Option<Cached>>,
 }
 
 #[derive(Debug)]
@@ -54,7 +54,7 @@ enum Place {
 
 /// What this process made, or found, of a model.
 #[derive(Debug)]
-struct Known {
+struct Cached {
     stamp: Option<Stamp>,
     of: Made,
     file: Source,
@@ -65,7 +65,7 @@ struct Known {
 struct Stamp(u64, SystemTime);
 
 impl Stamp {
-    fn of(is: &Metadata) -> Option<Self> {
+    fn from_metadata(is: &Metadata) -> Option<Self> {
         Some(Self(is.len(), is.modified().ok()?))
     }
 }
@@ -104,21 +104,21 @@ impl Default for Cache {
 impl Cache {
     /// One in a nameless file in `folder`, which is gone with the process.
     pub fn nameless(folder: &Path) -> Self {
-        Self::at(Place::Nameless(folder.to_owned()))
+        Self::in_place(Place::Nameless(folder.to_owned()))
     }
 
     /// One that is kept in the file `name` of a folder in the making.
     pub fn in_new_folder(folder: &OutputFolder, name: &str) -> Self {
-        Self::at(Place::Claimed(folder.path().join(name), folder.target().join(name)))
+        Self::in_place(Place::Claimed(folder.path().join(name), folder.target().join(name)))
     }
 
     /// One that is kept in the file `path` of a folder that is there. Where that is being written by others, or
     /// cannot be, it goes to a nameless file.
     pub fn in_folder(path: &Path) -> Self {
-        Self::at(Place::Shared(path.to_owned()))
+        Self::in_place(Place::Shared(path.to_owned()))
     }
 
-    fn at(place: Place) -> Self {
+    fn in_place(place: Place) -> Self {
         Self { place, made: Mutex::new(None) }
     }
 
@@ -161,7 +161,7 @@ impl Cache {
         fill: impl FnOnce(&Scratch) -> Result<u64>,
     ) -> Result<Source> {
         let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
-        let stamp = source.metadata().ok().and_then(|is| Stamp::of(&is));
+        let stamp = source.metadata().ok().and_then(|is| Stamp::from_metadata(&is));
         if let Some(known) = made.as_ref().filter(|known| stamp.is_some() && known.stamp == stamp) {
             return Ok(known.file.clone());
         }
@@ -172,7 +172,7 @@ impl Cache {
             Some(found) => found,
             None => self.fill(source, source_hash, need, progress, fill)?,
         };
-        *made = Some(Known { stamp, of, file: file.clone() });
+        *made = Some(Cached { stamp, of, file: file.clone() });
         Ok(file)
     }
 
@@ -225,7 +225,7 @@ impl Cache {
         ));
         progress.begin("unpacking", 0);
         let scratch = match &output {
-            Some((file, _)) => Scratch::of(file.part()?, &folder, ADVICE)?,
+            Some((file, _)) => Scratch::from_file(file.part()?, &folder, ADVICE)?,
             None => Scratch::new(&folder, ADVICE)?,
         };
         let bytes = fill(&scratch)?;

@@ -96,7 +96,7 @@ impl Claim {
     /// Another process has it, its folder is missing or cannot be written to, or `path` is a folder or a
     /// device.
     pub(crate) fn file(path: &Path, resumes: bool) -> Result<Self> {
-        Self::of(Places::of_file(path)?, resumes)
+        Self::for_places(Places::of_file(path)?, resumes)
     }
 
     /// Of a folder, or of the files in it that go with it; what was left of an earlier attempt is removed.
@@ -104,10 +104,10 @@ impl Claim {
     /// # Errors
     /// Another process has it, or the folder that it lies in is missing or cannot be written to.
     pub fn folder(path: &Path) -> Result<Self> {
-        Self::of(Places::of_folder(path)?, false)
+        Self::for_places(Places::of_folder(path)?, false)
     }
 
-    fn of(places: Places, resumes: bool) -> Result<Self> {
+    fn for_places(places: Places, resumes: bool) -> Result<Self> {
         let file = lock(&places, resumes)?;
         let this = Self { places, file, keeps: false };
         let Places { target, journal, new_journal, new_folder, old_folder, .. } = &this.places;

@@ -76,7 +76,7 @@ impl Colors {
     }
 
     /// That of a model's vertices, as numbers from nothing to full light.
-    pub fn of(info: &ModelInfo) -> Option<Self> {
+    pub fn from_info(info: &ModelInfo) -> Option<Self> {
         Self::among(&info.attributes)
     }
 
@@ -89,7 +89,7 @@ impl Colors {
 impl ColorScale {
     /// That of numbers of which `most` is the largest: bytes are full at 255. Wider types are by themselves full at
     /// 1 (fractions), 255 or 65 535, which programs do not agree upon, so that the largest number tells.
-    pub fn of(colors: &Colors, most: f64) -> Self {
+    pub fn for_largest(colors: &Colors, most: f64) -> Self {
         Self(match colors.kind {
             _ if colors.of_splats => Meaning::Coefficients,
             Type::U8 | Type::I8 => Meaning::Full(255),
@@ -117,7 +117,7 @@ impl ColorScale {
         const AT_A_PLACE: u64 = 2048;
         let info = model.info();
         if colors.kind == Type::U8 || colors.of_splats {
-            return Ok(Self::of(colors, 0.0));
+            return Ok(Self::for_largest(colors, 0.0));
         }
         let places = if info.random_access { PLACES } else { 1 };
         let largest = |place| -> Result<f64> {
@@ -135,7 +135,7 @@ impl ColorScale {
         };
         let largest: Result<Vec<f64>> = (0..places).into_par_iter().map(largest).collect();
         let most = largest?.into_iter().fold(0.0, f64::max);
-        Ok(Self::of(colors, most))
+        Ok(Self::for_largest(colors, most))
     }
 
     /// A number as a byte, in the transfer curve that it has (sRGB as a rule); nothing where it is none.
@@ -181,7 +181,7 @@ mod tests {
     #[test]
     fn numbers_become_bytes() {
         let colors = |kind| Colors { places: [0, 1, 2], kind, of_splats: false };
-        let byte = |kind, most, number| ColorScale::of(&colors(kind), most).byte(number);
+        let byte = |kind, most, number| ColorScale::for_largest(&colors(kind), most).byte(number);
         assert_eq!(byte(Type::U8, 1.0, 1.0), 1);
         assert_eq!(byte(Type::U16, 65000.0, 65535.0), 255);
         assert_eq!(byte(Type::U16, 255.0, 128.0), 128);
@@ -190,7 +190,7 @@ mod tests {
         assert_eq!(byte(Type::F64, 1.0, f64::NAN), 0);
         assert_eq!(byte(Type::F64, 1.0, -3.0), 0);
         assert_eq!(byte(Type::F64, 1.0, 3.0), 255);
-        let splats = ColorScale::of(&Colors { of_splats: true, ..colors(Type::F32) }, 0.0);
+        let splats = ColorScale::for_largest(&Colors { of_splats: true, ..colors(Type::F32) }, 0.0);
         assert_eq!([0.0, 1.0, -9.0, 9.0, f64::NAN].map(|c| splats.byte(c)), [128, 199, 0, 255, 0]);
     }
 }

@@ -27,10 +27,10 @@ const EXTENSIONS: [&str; 12] = [
 ];
 
 /// Whether a file that begins so is of a format, and what opens it.
-type Known = (fn(&[u8]) -> bool, fn(Source, &Making<'_>) -> Result<Box<dyn Model>>);
+type Opener = (fn(&[u8]) -> bool, fn(Source, &Making<'_>) -> Result<Box<dyn Model>>);
 
 /// The formats that a file's first bytes tell.
-const BY_BEGINNING: [Known; 7] = [
+const BY_BEGINNING: [Opener; 7] = [
     (ply::is_ply, |source, _| splats::chunks::open_ply(source)),
     (las::is_las, |source, _| Ok(Box::new(las::LasModel::new(source)?))),
     (e57::is_e57, |source, _| e57::open(source)),

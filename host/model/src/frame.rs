@@ -20,7 +20,7 @@ pub struct Frame {
 
 impl Frame {
     /// The frame of a model with this bounding box. A single point gets a scale of 1.
-    pub fn of(bounds: &Bounds) -> Self {
+    pub fn from_bounds(bounds: &Bounds) -> Self {
         let diagonal = bounds.diagonal();
         // Kept off the ends of the exponent's range, so that the inverse is a normal number too.
         let scale =
@@ -66,8 +66,8 @@ mod tests {
     #[test]
     fn round_trip_is_exact_to_single_precision() {
         for (at, size) in [(0.0, 1.0), (4.2e6, 800.0), (0.0, 1e-30), (-3e29, 1e30), (1e300, 1e299)] {
-            let bounds = Bounds::of([DVec3::splat(at), DVec3::splat(at + size)]);
-            let frame = Frame::of(&bounds);
+            let bounds = Bounds::from_points([DVec3::splat(at), DVec3::splat(at + size)]);
+            let frame = Frame::from_bounds(&bounds);
             let diagonal = bounds.diagonal() / frame.scale;
             assert!((1.0..=2.0).contains(&diagonal), "{diagonal}");
             for t in [0.0, 0.3, 1.0] {

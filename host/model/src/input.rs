@@ -91,7 +91,7 @@ pub struct Identity(#[cfg(unix)] (u64, u64), #[cfg(not(unix))] std::path::PathBu
 
 impl Identity {
     /// Of the file or folder that a path leads to, by way of links; `None` where there is none.
-    pub fn of(path: &Path) -> Option<Self> {
+    pub fn from_path(path: &Path) -> Option<Self> {
         #[cfg(unix)]
         {
             std::fs::metadata(path).ok().map(|is| Self::known(&is))
@@ -166,10 +166,10 @@ mod tests {
         write_file(&at("a"), b"1").unwrap();
         write_file(&at("b"), b"1").unwrap();
         std::fs::hard_link(at("a"), at("c")).unwrap();
-        assert_eq!(Identity::of(&at("a")), Identity::of(&at("./a")));
-        assert_ne!(Identity::of(&at("a")), Identity::of(&at("b")));
-        assert_eq!(Identity::of(&at("missing")), None);
+        assert_eq!(Identity::from_path(&at("a")), Identity::from_path(&at("./a")));
+        assert_ne!(Identity::from_path(&at("a")), Identity::from_path(&at("b")));
+        assert_eq!(Identity::from_path(&at("missing")), None);
         #[cfg(unix)]
-        assert_eq!(Identity::of(&at("a")), Identity::of(&at("c")));
+        assert_eq!(Identity::from_path(&at("a")), Identity::from_path(&at("c")));
     }
 }

@@ -30,7 +30,7 @@ struct Letters {
 
 impl Letters {
     /// Those of a word that ends in `OFF`.
-    fn of(word: &[u8]) -> Option<Self> {
+    fn parse(word: &[u8]) -> Option<Self> {
         let mut rest = word.strip_suffix(b"OFF")?;
         let mut takes = |letters: &[u8]| match rest.strip_prefix(letters) {
             Some(after) => {
@@ -56,7 +56,7 @@ fn before_comment(line: &[u8]) -> &[u8] {
 
 /// Whether a file says that it is OFF.
 pub(crate) fn is_off(start: &[u8]) -> bool {
-    Letters::of(first_word(start)).is_some()
+    Letters::parse(first_word(start)).is_some()
 }
 
 fn has_content(line: &[u8]) -> bool {
@@ -80,7 +80,7 @@ impl Head {
             let mut words = before_comment(line).split(|b| is_space(*b)).filter(|word| !word.is_empty());
             if letters.is_none() {
                 let Some(word) = words.next() else { continue };
-                let Some(found) = Letters::of(word) else { break };
+                let Some(found) = Letters::parse(word) else { break };
                 letters = Some(found);
                 if found.other_dimension {
                     let what = format!(

@@ -140,7 +140,7 @@ pub(crate) fn rewrite(
         let begun = outputs.iter_mut().try_for_each(|output| output.begin_at(bytes));
         begun.map_err(|e| failed_write(file, e))?;
     }
-    let work = Work {
+    let work = RewriteCall {
         file,
         versions,
         how,
@@ -186,7 +186,7 @@ pub(crate) fn rewrite(
 }
 
 /// A call of [`rewrite`].
-struct Work<'a, 'o, F> {
+struct RewriteCall<'a, 'o, F> {
     file: &'a F,
     versions: usize,
     how: Rewriting,
@@ -254,7 +254,7 @@ struct Bench {
     edited: Vec<Edited>,
 }
 
-impl<'a, 'o, F: Rewritable> Work<'a, 'o, F> {
+impl<'a, 'o, F: Rewritable> RewriteCall<'a, 'o, F> {
     /// Takes pieces as long as there are any.
     fn go_on(&self) {
         let _guard = Guard(self);
@@ -446,7 +446,7 @@ impl Queue<'_, '_> {
 }
 
 /// Stops the others when its thread panics.
-struct Guard<'w, 'a, 'o, F: Rewritable>(&'w Work<'a, 'o, F>);
+struct Guard<'w, 'a, 'o, F: Rewritable>(&'w RewriteCall<'a, 'o, F>);
 
 impl<F: Rewritable> Drop for Guard<'_, '_, '_, F> {
     fn drop(&mut self) {

@@ -183,9 +183,9 @@ impl ResumableFile {
     }
 
     /// What is written since the last part.
-    fn open_part(&self) -> Part {
+    fn open_part(&self) -> JournalEntry {
         let summary = self.summary.clone();
-        Part { pieces: self.pieces, end: self.end, hash: self.hash.digest128(), summary }
+        JournalEntry { pieces: self.pieces, end: self.end, hash: self.hash.digest128(), summary }
     }
 
     /// Ends the current part, which is recorded once it is on the disk.
@@ -336,7 +336,7 @@ impl Drop for Finished {
 #[derive(Default)]
 struct Found {
     /// The good ones.
-    parts: Vec<Part>,
+    parts: Vec<JournalEntry>,
     /// What may be replaced in them.
     patches: Vec<Patch>,
     /// They are the whole file.
@@ -347,7 +347,12 @@ struct Found {
 
 /// How many of the parts, from the first on, are in the file as they were written. What cannot be read is
 /// not. Where bytes were to be replaced, either will do.
-fn good_parts(mut file: &File, parts: &[Part], patches: &[Patch], progress: &dyn Progress) -> Result<usize> {
+fn good_parts(
+    mut file: &File,
+    parts: &[JournalEntry],
+    patches: &[Patch],
+    progress: &dyn Progress,
+) -> Result<usize> {
     let (mut start, mut block) = (0, vec![0; BLOCK]);
     for (number, part) in parts.iter().enumerate() {
         let mut hash = Xxh3Default::new();
@@ -398,7 +403,7 @@ struct Journal {
     /// Hash of all that determines the bytes.
     key: String,
     /// Ascending.
-    parts: Vec<Part>,
+    parts: Vec<JournalEntry>,
     /// What is replaced in them in the end.
     patches: Vec<Patch>,
     /// The parts are the whole file.
@@ -407,7 +412,7 @@ struct Journal {
 
 /// A run of bytes, which begins where the part before it ends.
 #[derive(Debug, Clone, PartialEq)]
-struct Part {
+struct JournalEntry {
     /// Number of pieces up to its end.
     pieces: u64,
     /// Where it ends in the file.
@@ -461,7 +466,7 @@ impl Journal {
     /// Lines of words, the last of which is a checksum of those before it.
     fn encode(&self) -> String {
         let mut text = format!("{FORMAT}\nkey {}\n", self.key);
-        for Part { pieces, end, hash, summary } in &self.parts {
+        for JournalEntry { pieces, end, hash, summary } in &self.parts {
             let summary = summary.encode().map(|word| format!(" {word}")).unwrap_or_default();
             text.push_str(&format!("part {pieces} {end} {hash:032x}{summary}\n"));
         }
@@ -490,7 +495,7 @@ impl Journal {
         for line in lines {
             match *line.split(' ').collect::<Vec<_>>() {
                 ["part", pieces, end, hash, ref summary @ ..] if summary.len() < 2 => {
-                    journal.parts.push(Part {
+                    journal.parts.push(JournalEntry {
                         pieces: pieces.parse().ok()?,
                         end: end.parse().ok()?,
                         hash: u128::from_str_radix(hash, 16).ok()?,
@@ -603,7 +608,7 @@ mod tests {
 
     #[test]
     fn a_journal_comes_back_and_no_other_text_passes() {
-        let part = |n: u64| Part {
+        let part = |n: u64| JournalEntry {
             pieces: n,
             end: 100 * n,
             hash: u128::MAX / u128::from(n),

@@ -37,7 +37,7 @@ impl ScaledIntegers {
 
     /// The box of all positions that have numbers.
     pub fn range(&self) -> Bounds {
-        Bounds::of([IVec3::MIN, IVec3::MAX].map(|numbers| self.position(numbers)))
+        Bounds::from_points([IVec3::MIN, IVec3::MAX].map(|numbers| self.position(numbers)))
     }
 
     /// By how many steps the offset has to move, if it has to, so that there are numbers for all within some
@@ -91,11 +91,11 @@ mod tests {
         let integers =
             ScaledIntegers { scale: DVec3::new(0.01, -0.01, 1e-9), offset: DVec3::new(5.0, 0.0, 1.0) };
         let steps_to = |bounds: &Bounds| integers.steps_to(bounds, 0.05 * bounds.diagonal());
-        let near = Bounds::of([DVec3::new(0.0, 0.0, 0.5), DVec3::new(0.1, 0.1, 1.5)]);
+        let near = Bounds::from_points([DVec3::new(0.0, 0.0, 0.5), DVec3::new(0.1, 0.1, 1.5)]);
         assert_eq!(steps_to(&near), Ok(None));
-        let far = Bounds::of([DVec3::new(1e8, 1e8, 0.5), DVec3::new(1e8 + 2.0, 1e8 + 2.0, 1.5)]);
+        let far = Bounds::from_points([DVec3::new(1e8, 1e8, 0.5), DVec3::new(1e8 + 2.0, 1e8 + 2.0, 1.5)]);
         assert_eq!(steps_to(&far), Ok(Some([9_999_999_600, -10_000_000_100, 0])));
-        let wide = Bounds::of([DVec3::ZERO, DVec3::new(0.0, 0.0, 4.3)]);
+        let wide = Bounds::from_points([DVec3::ZERO, DVec3::new(0.0, 0.0, 4.3)]);
         assert_eq!(steps_to(&wide), Err(2));
     }
 

@@ -27,11 +27,11 @@ impl Scratch {
     /// It cannot be made.
     pub fn new(folder: &Path, advice: &'static str) -> Result<Self> {
         let file = tempfile::tempfile_in(folder).map_err(|e| refused("write", folder, advice, &e))?;
-        Self::of(file, folder, advice)
+        Self::from_file(file, folder, advice)
     }
 
     /// An open file in `folder`, which may have a name: it must not be [mapped](Self::map) then.
-    pub(crate) fn of(file: File, folder: &Path, advice: &'static str) -> Result<Self> {
+    pub(crate) fn from_file(file: File, folder: &Path, advice: &'static str) -> Result<Self> {
         let handle = file.try_clone().map_err(|e| refused("write", folder, advice, &e))?;
         Ok(Self { file: Positioned::new(file), handle, folder: folder.to_owned(), advice })
     }

@@ -35,7 +35,7 @@ impl SharedFile {
     }
 
     /// Where the next byte goes.
-    pub fn at(&self) -> u64 {
+    pub fn position(&self) -> u64 {
         self.at
     }
 
@@ -156,7 +156,7 @@ mod tests {
                     for piece in bytes[ends[range]..ends[range + 1]].chunks(piece) {
                         file.write_piece(piece, 0, &Summary::default()).unwrap();
                     }
-                    prop_assert_eq!(file.at(), ends[range + 1] as u64);
+                    prop_assert_eq!(file.position(), ends[range + 1] as u64);
                     file.sync(false).unwrap();
                 }
             }

@@ -162,22 +162,28 @@ mod tests {
     #[test]
     fn a_summary_comes_back_and_adds_up() {
         let first = Summary { lengths: vec![7, u32::MAX], ..Summary::default() };
-        let after = Bounds::of([DVec3::new(-1.0, 0.1, 3.0), DVec3::ONE]);
+        let after = Bounds::from_points([DVec3::new(-1.0, 0.1, 3.0), DVec3::ONE]);
         let boxes = BTreeMap::from([(0, [after, Bounds::default()]), (20, [after, after])]);
         let checksums = BTreeMap::from([(0, u32::MAX), (1 << 40, 7)]);
         let part = PartBox { part: 3, has_moved: true, min: Vec4::NEG_ONE, max: Vec4::splat(0.1) };
         let parts = vec![part, PartBox::empty(7)];
-        let second =
-            Summary { after, before: Bounds::of([DVec3::X]), lengths: vec![0], boxes, checksums, parts };
+        let second = Summary {
+            after,
+            before: Bounds::from_points([DVec3::X]),
+            lengths: vec![0],
+            boxes,
+            checksums,
+            parts,
+        };
         let mut both = first.clone();
         both.absorb(&second);
         assert_eq!(both, Summary { lengths: vec![7, u32::MAX, 0], ..second.clone() });
         let mut thrice = both.clone();
         thrice.absorb(&Summary {
-            boxes: BTreeMap::from([(20, [Bounds::of([DVec3::NEG_Y]), Bounds::default()])]),
+            boxes: BTreeMap::from([(20, [Bounds::from_points([DVec3::NEG_Y]), Bounds::default()])]),
             ..Summary::default()
         });
-        assert_eq!(thrice.boxes[&20], [Bounds::of([DVec3::NEG_Y, after.min, after.max]), after]);
+        assert_eq!(thrice.boxes[&20], [Bounds::from_points([DVec3::NEG_Y, after.min, after.max]), after]);
         let more = PartBox { min: Vec4::splat(-2.0), has_moved: false, ..PartBox::empty(7) };
         let mut all = both.clone();
         all.absorb(&Summary { parts: vec![more], ..Summary::default() });

@@ -833,7 +833,7 @@ fn positions_alone_are_the_same_and_so_are_the_bytes() {
 
 /// Positions and colours, of the vertices from one on.
 fn read_colors(model: &dyn Model, first: u64) -> (Vec<DVec3>, Vec<Vec<f64>>) {
-    let colors = Colors::of(model.info());
+    let colors = Colors::from_info(model.info());
     let mut reader = model.vertices(first..u64::MAX).unwrap();
     if colors.is_some() {
         reader.skip_all_but_colors()
@@ -871,7 +871,7 @@ fn what_is_kept_for_a_second_reading_is_what_was_read() {
                     expected[first as usize..],
                     "LAS 1.{minor}, format {format}, {packing:?}"
                 );
-                if let Some(places) = Colors::of(model.info()).map(|colors| colors.places) {
+                if let Some(places) = Colors::from_info(model.info()).map(|colors| colors.places) {
                     let wanted = places.map(|place| &all[place][first as usize..]);
                     assert_eq!(colors, wanted, "LAS 1.{minor}, format {format}, {packing:?}");
                 }
@@ -902,7 +902,7 @@ fn extra_bytes_that_are_called_colours_are_read_as_such() {
         let spec = Spec { extra: 6, described: described.clone(), ..Spec::new(minor, format) };
         let file = file(&spec.packed(Packing::Fixed(300)).build(&hills(1000)));
         let model = open(file.path()).unwrap();
-        let places = Colors::of(model.info()).expect("colours").places;
+        let places = Colors::from_info(model.info()).expect("colours").places;
         let (_, all, _) = read(model.as_ref(), 0, 100);
         model.keep_positions(Some(std::env::temp_dir().as_path()));
         for _ in 0..2 {

@@ -108,7 +108,7 @@ impl Paint {
         match &coloring {
             Coloring::Clay => {}
             Coloring::Own(_) => {
-                let meaning = Bytes::of(model)?.map(|bytes| bytes.meaning());
+                let meaning = Bytes::for_model(model)?.map(|bytes| bytes.meaning());
                 return Ok(meaning.map_or(Self::Clay, |(colors, scale)| Self::Own(colors, scale)));
             }
             Coloring::Attribute(place, _) => {
@@ -138,7 +138,7 @@ impl Paint {
     fn new(coloring: Coloring, numbers: &Numbers) -> Self {
         match coloring {
             Coloring::Clay => Self::Clay,
-            Coloring::Own(colors) => Self::Own(colors, ColorScale::of(&colors, numbers.most)),
+            Coloring::Own(colors) => Self::Own(colors, ColorScale::for_largest(&colors, numbers.most)),
             Coloring::Attribute(place, of) if of.is_of_classes() => {
                 Self::Classes { place, name: of.name, range: numbers.extremes() }
             }

@@ -160,7 +160,7 @@ fn draw(
     paint: Painted<'_>,
     progress: &dyn Progress,
 ) -> Result<Image> {
-    let ellipses = Ellipses::of(&models[0].info().attributes);
+    let ellipses = Ellipses::from_attributes(&models[0].info().attributes);
     let points_of = |parts: &[Vertices<'_>]| -> (Vec<SurfacePoint>, Vec<[Vec3; 2]>) {
         let Vertices { positions, normals, .. } = parts[0];
         let (mut points, mut axes) = (Vec::with_capacity(positions.len()), Vec::new());

@@ -9,7 +9,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyDict, PyTuple};
-use simod_core::reconstruction::{DeformationField, Method, Moved, Surroundings, carry, deformed_normals};
+use simod_core::reconstruction::{DeformationField, Method, Moved, RestGeometry, carry, deformed_normals};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::sample as sample_model;
 use simod_model::{InMemory, Progress};
@@ -397,7 +397,7 @@ impl Samples {
         let mut normals: Vec<Vec3> = normals.unwrap_or_default().iter().map(|n| n.as_vec3()).collect();
         let ((moved, normals), _) = work(py, progress, |watch| {
             watch.begin("transferring", rest.len() as u64);
-            let around = Surroundings::of(&sampled.samples);
+            let around = RestGeometry::new(&sampled.samples);
             let field = [DeformationField::new(&around, &local, Method::default())];
             let mut moved = rest.clone();
             let mut of_normals = normals.chunks_mut(BATCH);

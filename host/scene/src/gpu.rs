@@ -52,11 +52,11 @@ impl Gpu {
             wgpu::DeviceDescriptor { label: Some("simod-scene"), required_limits, ..Default::default() };
         let (device, queue) =
             adapter.request_device(&descriptor).await.map_err(|e| NoGpu { reason: e.to_string() })?;
-        Ok(Self::of(device, queue, &adapter.get_info()))
+        Ok(Self::from_device(device, queue, &adapter.get_info()))
     }
 
     /// A device that somebody else opened, as a window's. The default limits of `wgpu` suffice.
-    pub fn of(device: Device, queue: Queue, adapter: &AdapterInfo) -> Self {
+    pub fn from_device(device: Device, queue: Queue, adapter: &AdapterInfo) -> Self {
         let name = format!("{} ({})", adapter.name, adapter.backend);
         Self { device, queue, name, software: adapter.device_type == DeviceType::Cpu }
     }

@@ -23,7 +23,7 @@ pub(crate) struct Splats {
 }
 
 /// Some places of a cloud's order, drawn by a frame's values.
-pub(crate) struct Part<'a> {
+pub(crate) struct CloudRange<'a> {
     pub frame: &'a BindGroup,
     pub cloud: &'a Cloud,
     pub places: Range<usize>,
@@ -95,7 +95,13 @@ impl Splats {
     }
 
     /// First pass; anew, or over what is there.
-    pub fn depth(&self, encoder: &mut CommandEncoder, targets: &Targets, parts: &[Part<'_>], anew: bool) {
+    pub fn depth(
+        &self,
+        encoder: &mut CommandEncoder,
+        targets: &Targets,
+        parts: &[CloudRange<'_>],
+        anew: bool,
+    ) {
         let nearest: (&TextureView, _) = (&targets.nearest, anew.then_some(wgpu::Color::TRANSPARENT));
         let depth = Some((&targets.depth, anew.then_some(1.0)));
         let mut pass = begin(encoder, "splats: depth", &[nearest], depth);
@@ -109,7 +115,7 @@ impl Splats {
         encoder: &mut CommandEncoder,
         targets: &Targets,
         groups: &Groups,
-        parts: &[Part<'_>],
+        parts: &[CloudRange<'_>],
         anew: bool,
     ) {
         let clear = anew.then_some(wgpu::Color::TRANSPARENT);
@@ -130,8 +136,8 @@ impl Splats {
     }
 }
 
-fn draw(pass: &mut wgpu::RenderPass<'_>, parts: &[Part<'_>]) {
-    for Part { frame, cloud, places } in parts {
+fn draw(pass: &mut wgpu::RenderPass<'_>, parts: &[CloudRange<'_>]) {
+    for CloudRange { frame, cloud, places } in parts {
         pass.set_bind_group(0, *frame, &[]);
         cloud.draw_splats(pass, places.clone());
     }

@@ -90,7 +90,7 @@ pub enum Scale {
 
 impl Scale {
     /// Width or height in drawn pixels.
-    pub(crate) fn of(self, pixels: u32) -> u32 {
+    pub(crate) fn drawn(self, pixels: u32) -> u32 {
         match self {
             Self::Half => pixels.div_ceil(2),
             Self::Full => pixels,

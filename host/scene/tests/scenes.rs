@@ -287,7 +287,7 @@ fn samples_in_several_buffers() {
     };
     let descriptor = wgpu::DeviceDescriptor { required_limits, ..Default::default() };
     let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).unwrap();
-    let small = Gpu::of(device, queue, &adapter.get_info());
+    let small = Gpu::from_device(device, queue, &adapter.get_info());
     let mut scene = scene_of(&small, &model);
     assert!(same(&shot(&mut scene, &plain()), &whole));
 

@@ -52,8 +52,8 @@ pub fn run(mut command: Command, time: Duration, progress: &dyn Progress) -> Res
     };
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = Ended::start(command).map_err(refused)?;
-    let output = Tail::of(child.stdout());
-    let errors = Tail::of(child.stderr());
+    let output = Tail::read(child.stdout());
+    let errors = Tail::read(child.stderr());
     let started = Instant::now();
     let status = loop {
         if let Some(status) = child.try_wait().map_err(refused)? {
@@ -90,7 +90,7 @@ pub(crate) struct Tail {
 
 impl Tail {
     /// Reads all that comes.
-    pub fn of(source: Option<impl Read + Send + 'static>) -> Self {
+    pub fn read(source: Option<impl Read + Send + 'static>) -> Self {
         let bytes = Arc::new(Mutex::new(Vec::new()));
         let kept = bytes.clone();
         let read = move |mut source: Box<dyn Read + Send>| {

@@ -20,7 +20,7 @@ pub(crate) struct Key(Xxh3Default);
 
 impl Key {
     /// Of what came from something that has this key itself.
-    pub fn of(former: u64) -> Self {
+    pub fn from_key(former: u64) -> Self {
         Self(Xxh3Default::new()).and(&former)
     }
 
@@ -239,7 +239,7 @@ mod tests {
     use std::collections::HashSet;
 
     fn key(what: &(impl Keyed + ?Sized)) -> u64 {
-        Key::of(7).and(what).end()
+        Key::from_key(7).and(what).end()
     }
 
     #[test]
@@ -272,6 +272,6 @@ mod tests {
         ];
         assert_eq!(cases.iter().collect::<HashSet<_>>().len(), cases.len());
         assert_eq!(key(&ball(0.5)), key(&ball(0.5)));
-        assert_ne!(Key::of(1).end(), Key::of(2).end());
+        assert_ne!(Key::from_key(1).end(), Key::from_key(2).end());
     }
 }

@@ -314,7 +314,11 @@ mod tests {
     }
 
     fn registry() -> PluginRegistry {
-        PluginRegistry::of([Plugin::in_process(root_module::<Grown>(extension), Path::new("grown")).unwrap()])
+        PluginRegistry::from_plugins([Plugin::in_process(
+            root_module::<Grown>(extension),
+            Path::new("grown"),
+        )
+        .unwrap()])
     }
 
     fn steps(text: &str) -> Vec<Step> {

@@ -54,10 +54,10 @@ impl PickedPoints {
     /// Of points that are in it, and others that are not. Points outside have to be there wherever the model
     /// goes on; none says that all of it is selected.
     pub fn new(inside: Vec<DVec3>, outside: Vec<DVec3>) -> Self {
-        Self::of(inside, outside, None)
+        Self::from_parts(inside, outside, None)
     }
 
-    fn of(inside: Vec<DVec3>, outside: Vec<DVec3>, file: Option<Reference>) -> Self {
+    fn from_parts(inside: Vec<DVec3>, outside: Vec<DVec3>, file: Option<Reference>) -> Self {
         let count = inside.len().to_le_bytes();
         let bytes = inside.iter().chain(&outside).flat_map(|p| p.to_array()).flat_map(f64::to_le_bytes);
         let hash = xxh3_128(&count.into_iter().chain(bytes).collect::<Vec<u8>>());
@@ -97,7 +97,7 @@ impl PickedPoints {
     /// tells nothing, that to the nearest point inside, without its half of the gap.
     pub fn signed_distance(&self, p: DVec3) -> f64 {
         let Content { inside, outside, .. } = &*self.0;
-        let search = self.0.search.get_or_init(|| Search::of(inside, outside));
+        let search = self.0.search.get_or_init(|| Search::new(inside, outside));
         let Some((i, to_inside)) = nearest(search.inside.as_ref(), inside, p) else { return f64::INFINITY };
         let Some((_, to_outside)) = nearest(search.outside.as_ref(), outside, p) else { return -f64::MAX };
         let near = 0.5 * (to_inside - to_outside);
@@ -136,7 +136,7 @@ impl PickedPoints {
 
     /// What stands for it where it is in a file.
     pub(crate) fn in_file(file: Reference) -> Self {
-        Self::of(Vec::new(), Vec::new(), Some(file))
+        Self::from_parts(Vec::new(), Vec::new(), Some(file))
     }
 }
 
@@ -149,7 +149,7 @@ fn arrays(from: &[DVec3]) -> Vec<[f64; 3]> {
 }
 
 impl Search {
-    fn of(inside: &[DVec3], outside: &[DVec3]) -> Self {
+    fn new(inside: &[DVec3], outside: &[DVec3]) -> Self {
         let tree = |points: &[DVec3]| ImmutableKdTree::new_from_slice(&arrays(points)).ok();
         let outside_tree = tree(outside).filter(|_| !outside.is_empty());
         let gap = |p: &DVec3| nearest(outside_tree.as_ref(), outside, *p).map_or(0.0, |(_, d)| 0.5 * d);
@@ -194,7 +194,7 @@ impl Serialize for PickedPoints {
 impl<'de> Deserialize<'de> for PickedPoints {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let Raw { inside, outside, file } = Raw::deserialize(deserializer)?;
-        Ok(Self::of(points(inside), points(outside), file))
+        Ok(Self::from_parts(points(inside), points(outside), file))
     }
 }
 

@@ -8,7 +8,7 @@ use glam::{DVec3, Vec3};
 use simod_core::fingerprint::are_same;
 use simod_core::reconstruction::transfer_error::{self, TransferError};
 use simod_core::reconstruction::{
-    DeformationField, EVALUATIONS_WITH_GRADIENT, Method, Reconstructed, Reconstruction, Surroundings,
+    DeformationField, EVALUATIONS_WITH_GRADIENT, Method, Reconstructed, Reconstruction, RestGeometry,
     Version, choose_offset, deformed_normals, needs_gradient, reconstruct, write_exact,
 };
 use simod_core::sampled_model::SampledModel;
@@ -436,7 +436,7 @@ fn evaluated(
 ) -> Result<Reconstructed> {
     let DeformedSamples { sampled, positions, stack, .. } = deformed;
     progress.begin("preparing", 0);
-    let around = Surroundings::of(&sampled.samples);
+    let around = RestGeometry::new(&sampled.samples);
     let field =
         DeformationField::new(&around, positions, Method::default()).expecting(&sampled.frame, model.info());
     let map = |points: &mut [DVec3]| stack.evaluate_with(points, progress);

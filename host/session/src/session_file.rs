@@ -274,7 +274,7 @@ pub struct Origin {
 
 impl Origin {
     /// Of a plugin that says where it comes from, unlike those that come with the program.
-    pub fn of(plugin: &Plugin) -> Option<Self> {
+    pub fn from_plugin(plugin: &Plugin) -> Option<Self> {
         let [version, author, url] = [plugin.version(), plugin.author(), plugin.url()].map(str::to_owned);
         (!(author.is_empty() && url.is_empty())).then_some(Self { version, author, url })
     }
@@ -295,7 +295,7 @@ impl std::fmt::Display for Origin {
 
 impl Deformation {
     /// One by a plugin, which is given nothing.
-    pub fn of(plugin: &str) -> Self {
+    pub fn by_plugin(plugin: &str) -> Self {
         Self {
             deform: plugin.to_owned(),
             plugin: None,
@@ -550,7 +550,7 @@ impl SessionFile {
 
     /// Reads a session from its text; `path` is where it came from.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
-        let source = Source { text, path };
+        let source = SessionText { text, path };
         let raw: RawSession = toml::from_str(text).map_err(|e| source.refused(&e))?;
         if let Some(version) = raw.version.as_ref().filter(|v| !(1..=VERSION).contains(v.get_ref())) {
             let what =
@@ -619,12 +619,12 @@ pub fn inputs(path: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// The file, for errors that say where.
-pub(crate) struct Source<'a> {
+pub(crate) struct SessionText<'a> {
     pub text: &'a str,
     pub path: &'a Path,
 }
 
-impl Source<'_> {
+impl SessionText<'_> {
     /// The file's name and the line, counted from 1.
     pub fn place(&self, span: &Range<usize>) -> String {
         let before = self.text.as_bytes().get(..span.start).unwrap_or_default();
@@ -637,7 +637,7 @@ impl Source<'_> {
     }
 
     /// An error of what is named there.
-    fn at(&self, span: &Range<usize>, e: Error) -> Error {
+    fn locate(&self, span: &Range<usize>, e: Error) -> Error {
         let what = format!("{}: {e}", self.place(span));
         e.saying(what)
     }
@@ -753,7 +753,7 @@ impl Source<'_> {
         for shape in raw {
             let (span, mut shape) = (shape.span(), shape.into_inner());
             if let Shape::Selection(picked) = shape {
-                shape = Shape::Selection(picked.loaded(self.folder()).map_err(|e| self.at(&span, e))?);
+                shape = Shape::Selection(picked.loaded(self.folder()).map_err(|e| self.locate(&span, e))?);
             }
             if let Some(what) = shape.defect() {
                 return Err(self.error(&span, what, "correct the shape"));
@@ -769,7 +769,9 @@ impl Source<'_> {
         })?;
         let folder = self.folder();
         let mut strokes = match raw.strokes {
-            Some(file) => strokes_file::read(file.get_ref(), folder).map_err(|e| self.at(&file.span(), e))?,
+            Some(file) => {
+                strokes_file::read(file.get_ref(), folder).map_err(|e| self.locate(&file.span(), e))?
+            }
             None => Vec::new(),
         };
         for stroke in raw.stroke {

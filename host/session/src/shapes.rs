@@ -112,7 +112,7 @@ impl Shapes {
     /// have, and where.
     pub fn tables(&self) -> Vec<toml::Table> {
         let summary = |picked: &PickedPoints| {
-            let bounds = Bounds::of(picked.inside().iter().copied());
+            let bounds = Bounds::from_points(picked.inside().iter().copied());
             let entries = [
                 ("points", toml::Value::from(picked.inside().len() as i64)),
                 ("min", bounds.min.to_array().to_vec().into()),

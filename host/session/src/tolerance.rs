@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use simod_core::reconstruction::transfer_error::{Places, TransferError, measure_some};
-use simod_core::reconstruction::{Beyond, DeformationField, Method, Surroundings};
+use simod_core::reconstruction::{Beyond, DeformationField, Method, RestGeometry};
 use simod_core::refinement::{Finer, Refining, Selection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::SampleSet;
@@ -175,10 +175,10 @@ pub(crate) fn meet(
         let of = deformed.sampled.clone();
         let refined = {
             progress.begin("estimating the error", 0);
-            let around = Surroundings::of(&of.samples);
+            let around = RestGeometry::new(&of.samples);
             let mut field = DeformationField::new(&around, &deformed.positions, Method::default())
                 .expecting(&of.frame, model.info());
-            let beginning = beginning.get_or_insert_with(|| Beginning::of(&of, &field));
+            let beginning = beginning.get_or_insert_with(|| Beginning::new(&of, &field));
             if deformed.stack.can_evaluate() {
                 field = field.expecting_at_vertices(&of)?;
             }
@@ -252,7 +252,7 @@ struct Beginning {
 }
 
 impl Beginning {
-    fn of(sampled: &Arc<SampledModel>, field: &DeformationField<'_>) -> Self {
+    fn new(sampled: &Arc<SampledModel>, field: &DeformationField<'_>) -> Self {
         Self { sampled: sampled.clone(), expected: field.expected_error() }
     }
 
@@ -267,7 +267,8 @@ impl Beginning {
         let spacing = |samples: &SampleSet| f64::from(samples.spacing()[nearest(samples)]);
         let nearer = spacing(&self.sampled.samples) / spacing(&now.samples);
         let first = nearest(&self.sampled.samples);
-        let around = self.sampled.samples.neighbours().of(first).iter().map(|i| *i as usize).chain([first]);
+        let around =
+            self.sampled.samples.neighbours().nearest_to(first).iter().map(|i| *i as usize).chain([first]);
         let before = around.map(|i| f64::from(self.expected[i])).fold(0.0, f64::max);
         let disagree = f64::from(field.disagreement(at));
         (nearer > NEARER && before < nearer * disagree).then(|| {

@@ -89,7 +89,7 @@ pub fn as_found<'a>(scene: &'a Scene, before: &'a [Vec3]) -> Found<'a> {
     samples.prepare();
     let neighbours = samples.neighbours();
     let ring = RING.min(neighbours.k());
-    let owners = owners(samples, |i| i < known, |i| &neighbours.of(i)[..ring]);
+    let owners = owners(samples, |i| i < known, |i| &neighbours.nearest_to(i)[..ring]);
     // Those that were there before are the neighbours of each other; of all, most may be appended ones.
     let mut of_owner: Vec<u32> = owners[known..].to_vec();
     of_owner.sort_unstable();
@@ -119,7 +119,7 @@ fn known_around(scene: &Scene, of: u32, known: usize) -> Vec<u32> {
     let mut ring = vec![of];
     // Three rings, or refinements that are finer than that by far would be looked through as a whole.
     for _ in 0..3 {
-        let next: Vec<u32> = ring.iter().flat_map(|i| neighbours.of(*i as usize)).copied().collect();
+        let next: Vec<u32> = ring.iter().flat_map(|i| neighbours.nearest_to(*i as usize)).copied().collect();
         ring = next.into_iter().filter(|j| seen.insert(*j)).collect();
         found.extend(ring.iter().copied().filter(|j| (*j as usize) < known));
         if found.len() >= TELLING {
@@ -142,7 +142,7 @@ pub fn owner_of(sampled: &SampledModel, sample: u32, known: usize) -> Option<u32
         if let Some(found) = there.copied().min_by(|i, j| length(i).total_cmp(&length(j))) {
             return Some(found);
         }
-        let next: Vec<u32> = ring.iter().flat_map(|i| neighbours.of(*i as usize)).copied().collect();
+        let next: Vec<u32> = ring.iter().flat_map(|i| neighbours.nearest_to(*i as usize)).copied().collect();
         ring = next.into_iter().filter(|j| seen.insert(*j)).collect();
     }
     None

@@ -293,7 +293,7 @@ fn elsewhere(a: &Pose, b: &Pose) -> Option<Vec<bool>> {
     }
     let neighbours = a.sampled.samples.neighbours();
     let grown = |marks: Vec<bool>| -> Vec<bool> {
-        let near = |i: usize| marks[i] || neighbours.of(i).iter().any(|j| marks[*j as usize]);
+        let near = |i: usize| marks[i] || neighbours.nearest_to(i).iter().any(|j| marks[*j as usize]);
         (0..marks.len()).into_par_iter().map(near).collect()
     };
     Some(grown(grown(moved)))

@@ -11,7 +11,7 @@ const RING: usize = 12;
 pub fn around(scene: &Scene, i: usize) -> Option<Mat3> {
     let samples = &scene.sampled.samples;
     let neighbours = samples.neighbours();
-    let near = &neighbours.of(i)[..RING.min(neighbours.k())];
+    let near = &neighbours.nearest_to(i)[..RING.min(neighbours.k())];
     tangent_map(&samples.positions, &scene.positions, i, near, samples.normals()[i])
 }
 

@@ -147,7 +147,8 @@ fn spread(values: &mut Vec<f32>, scene: &Scene) {
     let mut pending: Vec<usize> = (known..scene.len()).collect();
     while !pending.is_empty() {
         let mean = |i: &usize| {
-            let near = neighbours.of(*i).iter().map(|j| values[*j as usize]).filter(|x| x.is_finite());
+            let near =
+                neighbours.nearest_to(*i).iter().map(|j| values[*j as usize]).filter(|x| x.is_finite());
             let (sum, count) = near.fold((0.0, 0.0), |(sum, count), x| (sum + x, count + 1.0));
             (*i, if count > 0.0 { sum / count } else { f32::NAN })
         };

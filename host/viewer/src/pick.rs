@@ -129,7 +129,7 @@ impl DepthBuffer {
         let (width, height) = (pixels(size[0]), pixels(size[1]));
         let neighbours = scene.sampled.samples.neighbours();
         let radius = |i: usize| {
-            let near = &neighbours.of(i)[..RING.min(neighbours.k())];
+            let near = &neighbours.nearest_to(i)[..RING.min(neighbours.k())];
             let sum: f32 =
                 near.iter().map(|j| scene.positions[*j as usize].distance(scene.positions[i])).sum();
             REACH * sum / near.len().max(1) as f32
@@ -251,7 +251,7 @@ fn surface(scene: &Scene, ray: &Ray, sample: u32, radius: f64) -> Hit {
     // Seen edge-on, what is nearest on the ray.
     let foot = ray.origin + ray.direction * (center - ray.origin).dot(ray.direction);
     let (mut p, mut n) = (plane(ray, center, own).filter(|p| near(*p)).unwrap_or(foot), own);
-    let around = scene.sampled.samples.neighbours().of(sample as usize);
+    let around = scene.sampled.samples.neighbours().nearest_to(sample as usize);
     for _ in 0..2 {
         let (mut sum, mut point, mut normal) = (0.0, DVec3::ZERO, DVec3::ZERO);
         for i in std::iter::once(&sample).chain(around) {

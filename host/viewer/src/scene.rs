@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
-use simod_core::reconstruction::{DeformationField, Method, Surroundings};
+use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
 use simod_core::sampled_model::SampledModel;
 use simod_model::frame::Frame;
 use simod_plugin_api::{Effort, HandleDesc};
@@ -74,7 +74,7 @@ impl Scene {
         let expected = if still {
             vec![0.0; self.len()]
         } else {
-            let around = Surroundings::of(&self.sampled.samples);
+            let around = RestGeometry::new(&self.sampled.samples);
             DeformationField::new(&around, &self.positions, Method::default()).expected_error()
         };
         Self { expected_error: Some(expected), ..self }
@@ -125,7 +125,7 @@ fn turned(sampled: &SampledModel, positions: &[Vec3]) -> (Vec<Vec3>, Vec<[Vec3; 
         let (mut along_s, mut along_t) = (Vec3::ZERO, Vec3::ZERO);
         let (mut ss, mut st, mut tt) = (0.0, 0.0, 0.0);
         let (mut more_s, mut more_t) = (Vec3::ZERO, Vec3::ZERO);
-        for &j in &neighbours.of(i)[..RING.min(neighbours.k())] {
+        for &j in &neighbours.nearest_to(i)[..RING.min(neighbours.k())] {
             let (r, d) = (rest[j as usize] - rest[i], positions[j as usize] - positions[i]);
             let (x, y) = (r.dot(s), r.dot(t));
             along_s += x * d;

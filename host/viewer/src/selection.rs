@@ -150,7 +150,7 @@ impl Adjacency {
         if joined.contains(&false) {
             let neighbours = sampled.samples.neighbours();
             for i in (0..count).filter(|i| !joined[*i]) {
-                let near = &neighbours.of(i)[..RING.min(neighbours.k())];
+                let near = &neighbours.nearest_to(i)[..RING.min(neighbours.k())];
                 pairs.extend(near.iter().map(|j| [i as u32, *j]));
             }
         }

@@ -25,7 +25,7 @@ pub fn expand(input: &DeriveInput) -> syn::Result<TokenStream> {
             let what = "an alternative has no fields: what depends on it are parameters of their own";
             return Err(Error::new_spanned(variant, what));
         }
-        let words = ChoiceWords::of(&variant.attrs)?;
+        let words = ChoiceWords::parse(&variant.attrs)?;
         ids.push(names::id(&variant.ident, words.id.as_ref(), &mut used)?);
         labels.push(words.label.map_or_else(|| names::sentence(&variant.ident), |label| label.value()));
         variants.push(&variant.ident);

@@ -62,7 +62,7 @@ struct Parameter {
 fn parameter(field: &Field, used: &mut HashSet<String>) -> syn::Result<Parameter> {
     let Some(ident) = &field.ident else { return Err(Error::new_spanned(field, "the field has no name")) };
     let ty = &field.ty;
-    let words = ParamWords::of(&field.attrs)?;
+    let words = ParamWords::parse(&field.attrs)?;
     let id = names::id(ident, words.id.as_ref(), used)?;
     let name = words.name.as_ref().map_or_else(|| names::sentence(ident), |name| name.value());
     let hint = words.hint.as_ref().map_or_else(|| names::first_paragraph(&field.attrs), |hint| hint.value());

@@ -32,7 +32,7 @@ pub struct ParamWords {
 }
 
 impl ParamWords {
-    pub fn of(attributes: &[Attribute]) -> syn::Result<Self> {
+    pub fn parse(attributes: &[Attribute]) -> syn::Result<Self> {
         let mut words = Self::default();
         for attribute in attributes.iter().filter(|a| a.path().is_ident("param")) {
             attribute.parse_nested_meta(|meta| words.take(&meta))?;
@@ -83,7 +83,7 @@ pub struct ChoiceWords {
 }
 
 impl ChoiceWords {
-    pub fn of(attributes: &[Attribute]) -> syn::Result<Self> {
+    pub fn parse(attributes: &[Attribute]) -> syn::Result<Self> {
         let mut words = Self::default();
         for attribute in attributes.iter().filter(|a| a.path().is_ident("choice")) {
             attribute.parse_nested_meta(|meta| {

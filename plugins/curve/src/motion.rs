@@ -132,7 +132,7 @@ impl<'a> Motion<'a> {
     }
 
     fn jets(&self, foot: &Foot) -> [Jet; 2] {
-        [self.rest.jet(foot), self.moved.at(foot.piece as usize / PIECES, foot.t)]
+        [self.rest.jet(foot), self.moved.evaluate(foot.piece as usize / PIECES, foot.t)]
     }
 
     /// Finds the directions across both curves at the nodes.

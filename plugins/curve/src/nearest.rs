@@ -40,7 +40,7 @@ impl Nearest {
             _ => curve.parameter(node / PIECES, (node % PIECES) as f64 / PIECES as f64),
         };
         let parameters: Vec<f64> = (0..=spans * PIECES).map(parameter).collect();
-        let at = |(node, t): (usize, &f64)| curve.at((node / PIECES).min(spans - 1), *t).position;
+        let at = |(node, t): (usize, &f64)| curve.evaluate((node / PIECES).min(spans - 1), *t).position;
         let nodes: Vec<DVec3> = parameters.iter().enumerate().map(at).collect();
         let mut found = Self { boxes: Vec::new(), curve, nodes, parameters, goes_on };
         found.boxes = vec![[DVec3::ZERO; 2]; 2 * found.pieces().next_power_of_two()];
@@ -69,7 +69,7 @@ impl Nearest {
 
     /// The curve at a place of it.
     pub fn jet(&self, foot: &Foot) -> Jet {
-        self.curve.at(foot.piece as usize / PIECES, foot.t)
+        self.curve.evaluate(foot.piece as usize / PIECES, foot.t)
     }
 
     fn bound(&mut self, cell: usize, first: usize, end: usize) -> [DVec3; 2] {
@@ -96,7 +96,7 @@ impl Nearest {
         if self.goes_on {
             for (end, piece) in [(0, 0), (1, self.pieces() - 1)] {
                 let t_end = self.curve.range()[end];
-                let Jet { position, first, .. } = self.curve.at(piece / PIECES, t_end);
+                let Jet { position, first, .. } = self.curve.evaluate(piece / PIECES, t_end);
                 let t = t_end + (p - position).dot(first) / first.length_squared();
                 let is_beyond = if end == 0 { t < t_end } else { t > t_end };
                 let distance = (p - position - (t - t_end) * first).length();
@@ -136,7 +136,7 @@ impl Nearest {
     fn refined(&self, p: DVec3, piece: usize) -> Foot {
         let jet = |t: f64| {
             let piece = self.piece(piece, t);
-            (self.curve.at(piece / PIECES, t), piece)
+            (self.curve.evaluate(piece / PIECES, t), piece)
         };
         let slope = |jet: &Jet| (jet.position - p).dot(jet.first);
         let [mut low, mut high] =

@@ -64,7 +64,7 @@ impl Spline {
     }
 
     /// Where the curve is; `span` is the one that `t` is in, the first or last one for what is beyond.
-    pub fn at(&self, span: usize, t: f64) -> Jet {
+    pub fn evaluate(&self, span: usize, t: f64) -> Jet {
         let [start, end] = self.range();
         let straight = |i: usize| Jet {
             position: self.points[i] + (t - self.knots[i]) * self.slopes[i],

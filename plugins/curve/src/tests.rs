@@ -298,7 +298,7 @@ proptest! {
         let foot = nearest.find(p);
         prop_assert!((nearest.jet(&foot).position.distance(p) - foot.distance).abs() < 1e-12);
         let places = (0..curve.spans()).flat_map(|span| (0..=200).map(move |u| (span, f64::from(u) / 200.0)));
-        let least = places.map(|(span, u)| curve.at(span, curve.parameter(span, u)).position.distance(p));
+        let least = places.map(|(span, u)| curve.evaluate(span, curve.parameter(span, u)).position.distance(p));
         // Where two places are nearly as near, the polyline may choose the other one.
         prop_assert!(foot.distance <= least.fold(f64::INFINITY, f64::min) + 5e-3);
     }

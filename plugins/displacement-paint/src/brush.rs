@@ -53,7 +53,7 @@ pub struct Tool<'a> {
 
 impl<'a> Tool<'a> {
     /// The tool of a stroke.
-    pub fn of(stroke: &Stroke<'a>) -> PluginResult<Self> {
+    pub fn from_stroke(stroke: &Stroke<'a>) -> PluginResult<Self> {
         let params: Params<'a> = stroke.params();
         let brush = match params.choice("brush")? {
             "inflate" => Brush::Inflate,

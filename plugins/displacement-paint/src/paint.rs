@@ -83,7 +83,7 @@ impl Painter<'_> {
         stroke: &Stroke<'_>,
         host: &Host<'_>,
     ) -> PluginResult<()> {
-        let tool = Tool::of(stroke)?;
+        let tool = Tool::from_stroke(stroke)?;
         if tool.radius.is_nan() || tool.radius <= 0.0 {
             return Ok(());
         }
@@ -113,7 +113,7 @@ impl Painter<'_> {
                 let sweep = |image: usize| {
                     let other = |spots: Option<&'_ Images<Spot>>| spots.and_then(|s| s[image]);
                     let spot = spots[k][image]?;
-                    Some((spot, Sweep::of(other(before).as_ref(), &spot, other(after).as_ref())))
+                    Some((spot, Sweep::between(other(before).as_ref(), &spot, other(after).as_ref())))
                 };
                 self.gather(canvas, work, &tool, grab, &std::array::from_fn(sweep), host)?;
             } else {
@@ -184,7 +184,7 @@ impl Painter<'_> {
         if tool.symmetry.axes.any() {
             work.pushed.sort_unstable_by_key(|p| (p.sample, p.image));
         }
-        work.pushes.extend(work.pushed.chunk_by(|a, b| a.sample == b.sample).map(Push::of));
+        work.pushes.extend(work.pushed.chunk_by(|a, b| a.sample == b.sample).map(Push::sum));
         Ok(())
     }
 
@@ -287,7 +287,7 @@ fn relaxed(time: f64) -> f64 {
 
 impl Push {
     /// Of all images of a dab that a sample feels.
-    fn of(images: &[Pushed]) -> Self {
+    fn sum(images: &[Pushed]) -> Self {
         let sample = images[0].sample;
         if let [only] = images {
             return Self { sample, weight: only.weight, by: only.by };

@@ -161,11 +161,11 @@ pub struct Sweep {
 impl Sweep {
     /// No way at all: a round dab.
     pub fn round(spot: &Spot) -> Self {
-        Self::of(None, spot, None)
+        Self::between(None, spot, None)
     }
 
     /// Of a dab between those before and after it, if there are any.
-    pub fn of(before: Option<&Spot>, spot: &Spot, after: Option<&Spot>) -> Self {
+    pub fn between(before: Option<&Spot>, spot: &Spot, after: Option<&Spot>) -> Self {
         let middle = spot.node;
         let half_way = |other: Option<&Spot>| match other {
             Some(other) => Node::mix([&middle, &other.node, &middle], [0.5, 0.5, 0.0]),
@@ -174,7 +174,7 @@ impl Sweep {
         Self { start: half_way(before), middle, end: half_way(after), seed: spot.seed }
     }
 
-    fn at(&self, t: f64) -> Node {
+    fn node(&self, t: f64) -> Node {
         let s = 1.0 - t;
         Node::mix([&self.start, &self.middle, &self.end], [s * s, 2.0 * s * t, t * t])
     }
@@ -202,7 +202,7 @@ impl Sweep {
             best = (best - off.dot(slope) / bend).clamp(0.0, 1.0);
         }
         // Newton's steps may lead astray where the path turns back.
-        self.at(if distance(&best) <= distance(&start) { best } else { start })
+        self.node(if distance(&best) <= distance(&start) { best } else { start })
     }
 
     /// How far its ends are from its middle, at most.

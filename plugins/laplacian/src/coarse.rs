@@ -35,7 +35,7 @@ struct Lists {
 }
 
 impl Lists {
-    fn of(&self, i: usize) -> &[(u32, f32)] {
+    fn row(&self, i: usize) -> &[(u32, f32)] {
         &self.all[self.starts[i]..self.starts[i + 1]]
     }
 
@@ -51,7 +51,7 @@ impl Lists {
         let mut next = starts.clone();
         let mut all = vec![(0, 0.0); self.all.len()];
         for i in 0..self.len() {
-            for &(group, weight) in self.of(i) {
+            for &(group, weight) in self.row(i) {
                 all[next[group as usize]] = (i as u32, weight);
                 next[group as usize] += 1;
             }
@@ -64,7 +64,7 @@ impl Lists {
         let mut sums = vec![DMat3::ZERO; self.len()];
         host.parallel_blocks(&mut sums, together, |first, sums| {
             for (i, sum) in (first..).zip(sums) {
-                for &(k, weight) in self.of(i) {
+                for &(k, weight) in self.row(i) {
                     *sum += of[k as usize] * f64::from(weight);
                 }
             }
@@ -88,7 +88,7 @@ impl Prolongation {
         let mut means = vec![DAffine3::ZERO; self.groups.len()];
         host.parallel_blocks(&mut means, 4096, |first, means| {
             for (i, mean) in (first..).zip(means) {
-                for &(group, weight) in self.groups.of(i) {
+                for &(group, weight) in self.groups.row(i) {
                     let map = groups[group as usize];
                     mean.matrix3 += map.matrix3 * f64::from(weight);
                     mean.translation += map.translation * f64::from(weight);
@@ -111,7 +111,7 @@ impl Prolongation {
         host.parallel_blocks(&mut turns, 1024, |first, turns| {
             for (i, turn) in (first..).zip(turns) {
                 let main =
-                    self.groups.of(i).first().map_or(DMat3::IDENTITY, |(group, _)| groups[*group as usize]);
+                    self.groups.row(i).first().map_or(DMat3::IDENTITY, |(group, _)| groups[*group as usize]);
                 *turn = rotation::nearest(*turn, main);
             }
         })?;
@@ -128,7 +128,7 @@ struct Graph {
 }
 
 impl Graph {
-    fn of(problem: &Problem) -> Self {
+    fn from_problem(problem: &Problem) -> Self {
         let mut this = Self { starts: vec![0], edges: Vec::new(), targets: Vec::new() };
         for i in 0..problem.len() {
             let others = problem.operators.laplacian(i).filter(|(j, _)| *j != i);
@@ -200,7 +200,7 @@ impl Graph {
 
 /// A coarse likeness; nothing where the problem is small as it is.
 pub fn coarsen(fine: &Problem, host: &Host<'_>) -> PluginResult<Option<(Problem, Prolongation)>> {
-    let mut graph = Graph::of(fine);
+    let mut graph = Graph::from_problem(fine);
     let mut group: Vec<u32> = (0..fine.len() as u32).collect();
     let mut groups = fine.len();
     while groups > MOST {

@@ -34,14 +34,14 @@ pub struct Tree {
     /// Nodes as they are eliminated.
     pub order: Vec<u32>,
     /// What is eliminated at once, children before parents.
-    pub parts: Vec<Part>,
+    pub parts: Vec<Supernode>,
     /// Parts that share no entry with those of other ranges; the rest of the parts come last.
     pub subtrees: Vec<Range<usize>>,
 }
 
 /// Nodes that are eliminated at once.
 #[derive(Debug)]
-pub struct Part {
+pub struct Supernode {
     /// Where they are in the order.
     pub columns: Range<usize>,
     /// The parts before it that it parts.
@@ -126,11 +126,11 @@ impl Tree {
         for own in own.chunks(MOST_AT_ONCE) {
             let first = self.order.len();
             self.order.extend_from_slice(own);
-            self.parts.push(Part { columns: first..self.order.len(), children });
+            self.parts.push(Supernode { columns: first..self.order.len(), children });
             children = vec![self.parts.len() - 1];
         }
         if own.is_empty() {
-            self.parts.push(Part { columns: self.order.len()..self.order.len(), children });
+            self.parts.push(Supernode { columns: self.order.len()..self.order.len(), children });
         }
         sets[set].part = self.parts.len() - 1;
     }

@@ -7,7 +7,7 @@
 //! factorised and solved side by side, always the same ones, so that results do not depend on the number of
 //! threads; and one can stop at each front.
 
-use crate::dissection::{Part, Pattern, Tree};
+use crate::dissection::{Pattern, Supernode, Tree};
 use crate::front::{Front, Update, places};
 use crate::kernels::Stored;
 use crate::solve::Run;
@@ -242,7 +242,7 @@ impl Elimination<'_> {
     /// Eliminates a part, given what its children pass on. `together`: on several threads.
     fn eliminate<T: Stored>(
         &self,
-        (part, rows): (&Part, &[u32]),
+        (part, rows): (&Supernode, &[u32]),
         children: Vec<Update>,
         run: &mut Run<T>,
         together: bool,

@@ -14,18 +14,18 @@ pub const WIDTH: usize = 8;
 /// How entries of a factor are kept.
 pub trait Stored: Copy + Default + Send + Sync + std::fmt::Debug + Into<f64> {
     /// The nearest one.
-    fn of(number: f64) -> Self;
+    fn nearest(number: f64) -> Self;
 }
 
 impl Stored for f64 {
-    fn of(number: f64) -> Self {
+    fn nearest(number: f64) -> Self {
         number
     }
 }
 
 /// Half as much to read, for what is corrected afterwards, or but a beginning.
 impl Stored for f32 {
-    fn of(number: f64) -> Self {
+    fn nearest(number: f64) -> Self {
         number as Self
     }
 }
@@ -37,7 +37,7 @@ pub type Sides = [Vec<Lanes>; 3];
 pub fn lanes<T: Stored>(numbers: &[f64]) -> impl Iterator<Item = Lanes<T>> {
     numbers.chunks(WIDTH).map(|numbers| {
         let mut lanes = Lanes::default();
-        lanes.iter_mut().zip(numbers).for_each(|(lane, number)| *lane = T::of(*number));
+        lanes.iter_mut().zip(numbers).for_each(|(lane, number)| *lane = T::nearest(*number));
         lanes
     })
 }

@@ -53,7 +53,7 @@ impl Operators {
             for (i, row) in (first..).zip(rows) {
                 // Also where there is no element.
                 entry(row, i);
-                for (element, corner) in corners.of(i) {
+                for (element, corner) in corners.around(i) {
                     let e = &elements[element];
                     laplacians.clear();
                     laplacians.extend((0..3).map(|k| e.laplacian(k, at) / 3.0));
@@ -180,7 +180,7 @@ impl Corners {
         Self { starts, all }
     }
 
-    fn of(&self, i: usize) -> impl Iterator<Item = (usize, usize)> {
+    fn around(&self, i: usize) -> impl Iterator<Item = (usize, usize)> {
         self.all[self.starts[i]..self.starts[i + 1]].iter().map(|k| (*k as usize / 3, *k as usize % 3))
     }
 }

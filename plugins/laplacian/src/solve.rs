@@ -40,7 +40,7 @@ struct Shape {
 }
 
 /// A front with its entries.
-struct Part<'a, T> {
+struct FrontEntries<'a, T> {
     /// The unknowns that it eliminates, relative to the run's.
     columns: Range<usize>,
     inside: &'a [u32],
@@ -72,7 +72,7 @@ impl<T: Stored> Run<T> {
         self.rows.extend(update.rows[..inside].iter().map(relative));
         self.rows.extend_from_slice(&update.rows[inside..]);
         for (j, column) in panel.chunks_exact(height.max(1)).enumerate() {
-            self.triangles.extend(column[j..count].iter().map(|l| T::of(*l)));
+            self.triangles.extend(column[j..count].iter().map(|l| T::nearest(*l)));
             self.below.extend(lanes(&column[count..]));
         }
         update
@@ -92,12 +92,12 @@ impl<T: Stored> Run<T> {
         self.below.shrink_to_fit();
     }
 
-    fn parts(&self) -> impl DoubleEndedIterator<Item = Part<'_, T>> {
+    fn parts(&self) -> impl DoubleEndedIterator<Item = FrontEntries<'_, T>> {
         self.fronts.iter().map(|shape| {
             let &Shape { start, columns, inside, beyond, at: [row, triangle, below] } = shape;
             let (inside, beyond) = self.rows[row..][..inside + beyond].split_at(inside);
             let height = (inside.len() + beyond.len()).div_ceil(WIDTH);
-            Part {
+            FrontEntries {
                 columns: start..start + columns,
                 inside,
                 beyond,
@@ -249,7 +249,7 @@ impl<T: Stored> WithSimd for TransposedTimes<'_, T> {
     }
 }
 
-impl<T: Stored> Part<'_, T> {
+impl<T: Stored> FrontEntries<'_, T> {
     /// Solves for the columns, and leaves the solution in `known` as well.
     #[inline(always)]
     fn solve_forward(&self, own: &mut [DVec3], known: &mut Sides) {

@@ -5,7 +5,7 @@
 //! small. Where samples in one place are joined without any order, they are not, and what cannot be held is
 //! refused here.
 
-use crate::dissection::{Part, Tree};
+use crate::dissection::{Supernode, Tree};
 use simod_plugin_api::{ErrorCode, Host, PluginError, PluginResult};
 use std::ops::Range;
 
@@ -63,7 +63,7 @@ impl Structure {
 
 /// Finds the rows of a range of parts. `rows` are those of the parts from `first` on.
 fn add<'a>(
-    parts: &[Part],
+    parts: &[Supernode],
     range: Range<usize>,
     first: usize,
     rows: &mut Vec<Vec<u32>>,

@@ -103,7 +103,7 @@ impl Constraints {
         // A compact kernel has a length of its own.
         let is_compact = goal.kernel.is_compact();
         let least = if is_compact { goal.support * input.bounds.diagonal() } else { 0.0 };
-        let frame = Frame::of(&all, least).ok_or_else(|| {
+        let frame = Frame::from_points(&all, least).ok_or_else(|| {
             PluginError::input("all samples in the regions lie in one point")
                 .hint("enlarge the regions, or add a fixed one elsewhere")
         })?;

@@ -72,7 +72,7 @@ pub struct Frame {
 impl Frame {
     /// The frame of the points' box, of which a side is at least `least` long; nothing where none has an
     /// extent.
-    pub fn of(points: &[Point], least: f64) -> Option<Self> {
+    pub fn from_points(points: &[Point], least: f64) -> Option<Self> {
         let mut min = [f64::INFINITY; 3];
         let mut max = [f64::NEG_INFINITY; 3];
         for p in points {

@@ -82,7 +82,7 @@ impl Shares {
         })?;
         let mut shares = Self { values, columns };
         // Regions hold their share, and so does what handles do not reach.
-        let mut held: Vec<bool> = (0..positions.len()).map(|i| shares.of(i)[0] == 1.0).collect();
+        let mut held: Vec<bool> = (0..positions.len()).map(|i| shares.row(i)[0] == 1.0).collect();
         regions.parts.iter().flat_map(|p| &p.core).for_each(|&i| held[i as usize] = true);
         shares.smooth(&held, samples, measure.smoothing, host)?;
         let first = columns - regions.parts.len();
@@ -102,7 +102,7 @@ impl Shares {
     }
 
     /// The shares of a sample: of what is fixed first, and then of the handles.
-    pub fn of(&self, i: usize) -> &[f32] {
+    pub fn row(&self, i: usize) -> &[f32] {
         &self.values[i * self.columns..][..self.columns]
     }
 
@@ -272,7 +272,7 @@ impl<'a> Profile<'a> {
     }
 
     /// The one that is chosen.
-    pub fn of(params: Params<'a>) -> PluginResult<Self> {
+    pub fn from_params(params: Params<'a>) -> PluginResult<Self> {
         match params.choice("profile")? {
             "smooth" => Ok(Self::Smooth),
             "smoother" => Ok(Self::Smoother),
@@ -282,7 +282,7 @@ impl<'a> Profile<'a> {
         }
     }
 
-    fn at(&self, t: f64) -> f64 {
+    fn evaluate(&self, t: f64) -> f64 {
         match self {
             Self::Linear => t,
             Self::Smooth => t * t * (3.0 - 2.0 * t),
@@ -300,9 +300,9 @@ impl<'a> Profile<'a> {
             own.checked_sub(1).into_iter().for_each(|h| amounts[h] = 1.0);
             return;
         }
-        amounts.iter_mut().zip(handles).for_each(|(amount, s)| *amount = self.at(f64::from(*s)));
+        amounts.iter_mut().zip(handles).for_each(|(amount, s)| *amount = self.evaluate(f64::from(*s)));
         let sum: f64 = amounts.iter().sum();
-        let whole = self.at(handles.iter().map(|s| f64::from(*s)).sum::<f64>().clamp(0.0, 1.0));
+        let whole = self.evaluate(handles.iter().map(|s| f64::from(*s)).sum::<f64>().clamp(0.0, 1.0));
         let scale = if sum > 0.0 { whole / sum } else { 0.0 };
         amounts.iter_mut().for_each(|amount| *amount *= scale);
     }
@@ -379,7 +379,7 @@ mod tests {
     fn two_halves_of_a_handle_do_as_one() {
         let mut amounts = [0.0; 2];
         Profile::Smoother.amounts(&[0.4, 0.3, 0.3], &mut amounts);
-        let whole = Profile::Smoother.at(0.6);
+        let whole = Profile::Smoother.evaluate(0.6);
         assert!((amounts[0] + amounts[1] - whole).abs() < 1e-7 && amounts[0] == amounts[1]);
     }
 }

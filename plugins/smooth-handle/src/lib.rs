@@ -118,13 +118,13 @@ impl Deformer for SmoothHandle {
         if [rest.len(), out.len()] != [state.shares.samples(); 2] {
             return Err(PluginError::internal("the samples are not those of the preparation"));
         }
-        let profile = Profile::of(input.params())?;
+        let profile = Profile::from_params(input.params())?;
         let motions: Vec<Motion> =
             transforms.iter().zip(&state.centers).map(|(t, &center)| Motion::new(t, center)).collect();
         host.parallel_blocks(out, BLOCK, |first, block| {
             let mut amounts = vec![0.0; motions.len()];
             for ((i, out), p) in (first..).zip(block).zip(&rest[first..]) {
-                profile.amounts(state.shares.of(i), &mut amounts);
+                profile.amounts(state.shares.row(i), &mut amounts);
                 let moves = |(motion, t): &(&Motion, f64)| *t != 0.0 && !motion.is_none();
                 let mut parts = motions.iter().zip(amounts.iter().copied()).filter(moves);
                 let p64 = Vec3::from(*p).as_dvec3();

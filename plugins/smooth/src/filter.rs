@@ -81,7 +81,7 @@ impl Filter {
         let mut sum: Vec<DVec3> = before.iter().map(|p| *p * self.0[0]).collect();
         let mut current = before.clone();
         host.parallel_blocks(&mut current, BLOCK, |first, block| {
-            (first..).zip(block).for_each(|(i, new)| *new = before[i] - laplacian.at(i, &before));
+            (first..).zip(block).for_each(|(i, new)| *new = before[i] - laplacian.evaluate(i, &before));
         })?;
         for (n, coefficient) in self.0.iter().enumerate().skip(1) {
             host.parallel_blocks(&mut sum, BLOCK, |first, block| {
@@ -91,7 +91,7 @@ impl Filter {
                 // The next polynomial takes the place of the one before.
                 host.parallel_blocks(&mut before, BLOCK, |first, block| {
                     for (i, old) in (first..).zip(block) {
-                        *old = 2.0 * (current[i] - laplacian.at(i, &current)) - *old;
+                        *old = 2.0 * (current[i] - laplacian.evaluate(i, &current)) - *old;
                     }
                 })?;
                 std::mem::swap(&mut before, &mut current);

@@ -77,7 +77,7 @@ impl Laplacian {
     }
 
     /// The Laplacian at a vertex.
-    pub fn at(&self, i: usize, values: &[DVec3]) -> DVec3 {
+    pub fn evaluate(&self, i: usize, values: &[DVec3]) -> DVec3 {
         let row = &self.entries[self.starts[i] as usize..self.starts[i + 1] as usize];
         row.iter().fold(DVec3::ZERO, |sum, (j, weight)| sum + *weight * (values[i] - values[*j as usize]))
     }

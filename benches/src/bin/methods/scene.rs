@@ -92,7 +92,7 @@ impl<'m> Scene<'m> {
         )
     }
 
-    fn at(&self, place: DVec3) -> DVec3 {
+    fn carry(&self, place: DVec3) -> DVec3 {
         let (min, max) = (DVec3::from(self.bounds.min), DVec3::from(self.bounds.max));
         min + place * (max - min)
     }
@@ -118,7 +118,7 @@ impl<'m> Scene<'m> {
         let ids: Vec<String> = (0..edit.joints.len()).map(|i| format!("joint-{i}")).collect();
         let joint = |(i, at): (usize, &Place)| {
             let parent = if i == 0 { Joint::ROOT } else { i as u32 - 1 };
-            Joint::new(&ids[i], self.at(DVec3::from(*at)).to_array(), parent)
+            Joint::new(&ids[i], self.carry(DVec3::from(*at)).to_array(), parent)
         };
         let joints: Vec<Joint<'_>> = edit.joints.iter().enumerate().map(joint).collect();
         let joints = Joints::new(&joints);
@@ -150,7 +150,7 @@ impl<'m> Scene<'m> {
         let (mut times, mut frame_cpu) = (Vec::new(), 0.0);
         let effort = if edit.draft { Effort::DRAFT } else { Effort::FULL };
         for frame in 0..frames {
-            let transforms = vec![self.turn(frame, self.at(DVec3::splat(0.5))); handles];
+            let transforms = vec![self.turn(frame, self.carry(DVec3::splat(0.5))); handles];
             let motions = self.motions(edit.drag, frame, &placed);
             let radius = if let Drag::Brush(part) = edit.drag { part * self.bounds.diagonal() } else { 1.0 };
             // Those before are known by their keys.
@@ -188,7 +188,7 @@ impl<'m> Scene<'m> {
         }
         let default = desc.default_numbers.to_vec();
         match (desc.kind, default.as_slice()) {
-            (ParamKind::POINT, [x, y, z]) => self.at(DVec3::new(*x, *y, *z)).to_array().to_vec(),
+            (ParamKind::POINT, [x, y, z]) => self.carry(DVec3::new(*x, *y, *z)).to_array().to_vec(),
             _ => default,
         }
     }
@@ -227,7 +227,7 @@ impl<'m> Scene<'m> {
 
     /// Where a frame's dab is: on the model's front, a hundredth of the diagonal from the one before.
     fn dab(&self, frame: u32) -> [f64; 3] {
-        let p = self.at(DVec3::new(0.5, 0.3 + 0.01 * f64::from(frame % 40), 1.0));
+        let p = self.carry(DVec3::new(0.5, 0.3 + 0.01 * f64::from(frame % 40), 1.0));
         let nearest = self.sampled.samples.nearest(p.as_vec3());
         self.sampled.samples.positions[nearest as usize].as_dvec3().to_array()
     }

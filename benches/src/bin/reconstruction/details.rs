@@ -135,7 +135,7 @@ struct Spread {
 
 impl Spread {
     /// Of those that are numbers.
-    fn of(deviations: impl ParallelIterator<Item = f64>) -> Self {
+    fn from_deviations(deviations: impl ParallelIterator<Item = f64>) -> Self {
         let mut all: Vec<f64> = deviations.filter(|x| x.is_finite()).map(f64::abs).collect();
         if all.is_empty() {
             return Self { rms: f64::NAN, p999: f64::NAN, large: 0 };
@@ -157,7 +157,10 @@ fn deviations(edges: &[Edge], truth: &[DVec3], result: &[DVec3]) -> (Spread, Spr
         // At a fold by half a turn the sign may change.
         turned.sin().atan2(turned.cos())
     };
-    (Spread::of(edges.par_iter().map(length)), Spread::of(edges.par_iter().map(angle)))
+    (
+        Spread::from_deviations(edges.par_iter().map(length)),
+        Spread::from_deviations(edges.par_iter().map(angle)),
+    )
 }
 
 #[cfg(test)]

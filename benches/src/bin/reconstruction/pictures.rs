@@ -28,7 +28,7 @@ pub fn draw(scene: &Scene, map: Map, folder: &Path) -> Result<()> {
     let result = scene.result()?;
 
     let samples = points_of_samples(scene, &deformed);
-    let after = Bounds::of(samples.iter().map(|p| p.position));
+    let after = Bounds::from_points(samples.iter().map(|p| p.position));
     let pictures = [
         picture(&points_of_model(scene.model.as_ref(), &scene.sampled.bounds)?, &scene.sampled.bounds),
         picture(&samples, &after),

@@ -75,7 +75,7 @@ struct Place {
 }
 
 impl Place {
-    fn of(scene: &Scene) -> Self {
+    fn from_scene(scene: &Scene) -> Self {
         let bounds = &scene.sampled.bounds;
         Self {
             center: bounds.center(),
@@ -162,7 +162,7 @@ type Figure = fn(&Outcome) -> String;
 pub fn measure(arguments: &Arguments) -> Result<()> {
     let Arguments { model, small_vertices, small_samples, folder, .. } = arguments;
     let scene = Scene::of_file_or_amphora(model.as_deref(), *small_vertices, *small_samples, folder)?;
-    let place = Place::of(&scene);
+    let place = Place::from_scene(&scene);
     let mut outcomes = Vec::new();
     for change in Change::all() {
         let of_methods = METHODS.iter().map(|method| outcome(&scene, &place, change, *method));

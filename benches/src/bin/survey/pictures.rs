@@ -44,7 +44,7 @@ impl<'a> Gallery<'a> {
         if self.colors.is_empty() {
             self.colors = surface.iter().map(|(p, _)| self.color(*p)).collect();
         }
-        let bounds = Bounds::of(surface.iter().map(|(p, _)| *p));
+        let bounds = Bounds::from_points(surface.iter().map(|(p, _)| *p));
         let mut spacing = Spacing::new([bounds.min, bounds.max]);
         spacing.add(surface.iter().map(|(p, _)| *p));
         let point = |((position, normal), color): ((DVec3, Vec3), &[u8; 3])| SurfacePoint {

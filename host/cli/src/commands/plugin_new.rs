@@ -111,7 +111,7 @@ const LONGEST: usize = 64;
 
 impl New {
     pub fn execute(self, report: &mut Report) -> Result<()> {
-        let names = Names::of(&self.name)?;
+        let names = Names::from_name(&self.name)?;
         let known = PluginOptions::default().discover(report)?;
         if let Some(other) = known.plugins().iter().find(|plugin| plugin.id() == names.id) {
             let what = format!("there is a plugin `{}` already: {}", names.id, other.path().display());
@@ -180,7 +180,7 @@ struct Names {
 }
 
 impl Names {
-    fn of(name: &str) -> Result<Self> {
+    fn from_name(name: &str) -> Result<Self> {
         let refused = |what: &str, hint: &str| {
             Err(Error::new(ErrorKind::Argument, format!("a plugin cannot be called `{name}`: {what}"), hint))
         };
@@ -310,23 +310,26 @@ mod tests {
 
     #[test]
     fn names_follow_from_one() {
-        let names = Names::of("soft-bulge-2").unwrap();
+        let names = Names::from_name("soft-bulge-2").unwrap();
         assert_eq!((&*names.title, &*names.type_name), ("Soft bulge 2", "SoftBulge2"));
         assert!(names.library.contains("soft_bulge_2"));
-        assert_eq!(Names::of("host").unwrap().type_name, "HostDeformation");
-        assert_eq!(Names::of("vec").unwrap().type_name, "VecDeformation");
+        assert_eq!(Names::from_name("host").unwrap().type_name, "HostDeformation");
+        assert_eq!(Names::from_name("vec").unwrap().type_name, "VecDeformation");
         for bad in
             ["", "-", "Bulge", "soft_bulge", "soft--bulge", "bulge-", "-bulge", "2d", "bülge", "a/b", "fn"]
         {
-            let error = Names::of(bad).err().unwrap();
+            let error = Names::from_name(bad).err().unwrap();
             assert!(error.to_string().contains(&format!("`{bad}`")) && !error.hint().is_empty(), "{error}");
         }
-        assert!(Names::of(&"a".repeat(LONGEST)).is_ok() && Names::of(&"a".repeat(LONGEST + 1)).is_err());
+        assert!(
+            Names::from_name(&"a".repeat(LONGEST)).is_ok()
+                && Names::from_name(&"a".repeat(LONGEST + 1)).is_err()
+        );
     }
 
     #[test]
     fn all_words_are_filled_in() {
-        let names = Names::of("soft-bulge").unwrap();
+        let names = Names::from_name("soft-bulge").unwrap();
         let words = ["__NAME__", "__TITLE__", "__TYPE__", "__LIBRARY__", "__LIBRARY_NAME__"];
         for (path, text) in Language::Rust.files().chain(Language::C.files()) {
             // The interface has words of its own.
@@ -341,7 +344,7 @@ mod tests {
     fn the_documentation_shows_the_plugin_as_it_is() {
         let (_, library) = PROJECT.iter().find(|(path, _)| *path == "src/lib.rs").unwrap();
         assert!(library.lines().count() < 130, "no short plugin");
-        let library = Names::of("soft-bulge").unwrap().fill_in(library);
+        let library = Names::from_name("soft-bulge").unwrap().fill_in(library);
         let plugin = &library[library.find("use simod_plugin_api").unwrap()..];
         assert!(read("docs/plugins.md").contains(&format!("```rust\n{plugin}```\n")), "write it anew");
     }
@@ -350,8 +353,10 @@ mod tests {
     #[test]
     fn the_documentation_shows_c_as_it_is() {
         let (_, plugin) = C_PROJECT.iter().find(|(path, _)| *path == "plugin.c").unwrap();
-        let sources =
-            [Names::of("soft-bulge").unwrap().fill_in(plugin), read("examples/04-a-plugin-in-c/grab.c")];
+        let sources = [
+            Names::from_name("soft-bulge").unwrap().fill_in(plugin),
+            read("examples/04-a-plugin-in-c/grab.c"),
+        ];
         let page = read("docs/plugins.md");
         let blocks: Vec<&str> = page.split("```c\n").skip(1).filter_map(|b| b.split("```").next()).collect();
         assert!(blocks.len() >= 4, "{}", blocks.len());
@@ -364,7 +369,7 @@ mod tests {
     fn a_project_is_written_whole_or_not_at_all() {
         let place = tempfile::tempdir().unwrap();
         let folder = place.path().join("soft-bulge");
-        let names = Names::of("soft-bulge").unwrap();
+        let names = Names::from_name("soft-bulge").unwrap();
         let found =
             || fs::read_dir(place.path()).unwrap().map(|e| e.unwrap().file_name()).collect::<Vec<_>>();
         write_project(&place.path().join("missing/soft-bulge"), &names, Language::C).unwrap_err();

@@ -79,7 +79,7 @@ impl PluginOptions {
         // This program once more, however it is called now.
         let program = std::env::current_exe().unwrap_or_else(|_| PathBuf::from("simod"));
         let (silence, memory) = (self.plugin_patience, self.plugin_memory);
-        let worker = WorkerOptions { silence, memory, ..WorkerOptions::of(&program) };
+        let worker = WorkerOptions { silence, memory, ..WorkerOptions::for_program(&program) };
         let options = Options { chosen: self.r#use, ..Options::standard(isolation, worker) };
         let registry = PluginRegistry::discover_with(&options, report.untimed())?;
         if let Some(error) = registry.refused_choice() {

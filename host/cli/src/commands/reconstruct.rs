@@ -9,7 +9,7 @@ use serde_json::json;
 use simod_core::guard::Kind;
 use simod_core::reconstruction::{
     Beyond, DeformationField, ExpectedError, Folding, Method, Normals, PART_BYTES, Reconstruction,
-    Surroundings, Version, choose_offset, reconstruct,
+    RestGeometry, Version, choose_offset, reconstruct,
 };
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::{Conversion, Converted, Error, ErrorKind, Model, Result, is_named_otherwise};
@@ -230,7 +230,7 @@ impl Reconstruct {
         }
         let tolerance = tolerance.fraction(sampled.bounds.diagonal());
         check_precision(sampled, model, tolerance)?;
-        let around = Surroundings::of(&sampled.samples);
+        let around = RestGeometry::new(&sampled.samples);
         let mut most = 0.0f64;
         for (paths, deformed) in paths.iter().zip(deformed) {
             report.progress().check()?;

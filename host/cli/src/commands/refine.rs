@@ -6,7 +6,7 @@ use clap::{ArgGroup, Args};
 use glam::{DVec3, Vec3};
 use serde_json::json;
 use simod_core::guard::Kind;
-use simod_core::reconstruction::{DeformationField, Method, Surroundings, deformed_normals};
+use simod_core::reconstruction::{DeformationField, Method, RestGeometry, deformed_normals};
 use simod_core::refinement::{Finer, Refining, Selection, appended_deformed, refine};
 use simod_core::sampled_model::{BINDING, SampledModel};
 use simod_model::target::folder_of;
@@ -123,7 +123,7 @@ impl Refine {
         let everywhere = shapes.shapes.is_empty();
         let distance = |p| if everywhere { -1.0 } else { shapes.signed_distance(p) };
         let done = {
-            let around = deformed.as_ref().filter(|_| self.auto).map(|_| Surroundings::of(&sampled.samples));
+            let around = deformed.as_ref().filter(|_| self.auto).map(|_| RestGeometry::new(&sampled.samples));
             let field = around
                 .as_ref()
                 .zip(deformed.as_deref())
@@ -222,7 +222,7 @@ fn write_deformed(
     to: &Path,
 ) -> Result<()> {
     let more = {
-        let around = Surroundings::of(&sampled.samples);
+        let around = RestGeometry::new(&sampled.samples);
         let field = DeformationField::new(&around, &deformed, Method::default());
         appended_deformed(refined, field.deformed().len(), &field)
     };

@@ -64,7 +64,7 @@ pub struct SamplingArguments {
     /// estimated, `sheets`, so that the model's faces do not tell parts apart that touch,
     /// `colors` of the samples
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT,...")]
-    skip: Vec<Part>,
+    skip: Vec<SkippedPart>,
     /// The default; once it had to be asked for
     #[arg(long = "sheets", hide = true)]
     _sheets: bool,
@@ -106,7 +106,7 @@ enum Place {
 
 /// Parts of a sampled model.
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum Part {
+enum SkippedPart {
     Triangles,
     Cells,
     Normals,
@@ -159,11 +159,11 @@ impl SamplingArguments {
             },
             min_opacity: self.min_opacity,
             skip: Skip {
-                triangles: skips(Part::Triangles),
-                cells: skips(Part::Cells),
-                normals: skips(Part::Normals),
-                sheets: skips(Part::Sheets),
-                colors: skips(Part::Colors),
+                triangles: skips(SkippedPart::Triangles),
+                cells: skips(SkippedPart::Cells),
+                normals: skips(SkippedPart::Normals),
+                sheets: skips(SkippedPart::Sheets),
+                colors: skips(SkippedPart::Colors),
             },
         }
     }

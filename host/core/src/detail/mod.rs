@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use simod_model::{ColorScale, Colors, Error, ErrorKind, Model, Progress, Result};
 
 use crate::ellipses::{self, Ellipses};
-use crate::reconstruction::{DeformationField, Figures, Moved, carry, homes};
+use crate::reconstruction::{DeformationField, Moved, VertexDiagnostics, carry, homes};
 use crate::refinement::gathering::{Gathering, Visited};
 use crate::sampled_model::SampledModel;
 use crate::sampling::kd_tree::KdTree;
@@ -163,7 +163,7 @@ impl Chosen {
     ///
     /// # Errors
     /// The cells are not held; there are not as many marks as samples; no sample is marked.
-    pub fn of(sampled: &SampledModel, marks: &[bool], most: usize) -> Result<Self> {
+    pub fn select(sampled: &SampledModel, marks: &[bool], most: usize) -> Result<Self> {
         let kept = sampled.checked_cells()?;
         if marks.len() != sampled.samples.len() {
             let what = format!("{} marks for {} samples", marks.len(), sampled.samples.len());
@@ -222,7 +222,7 @@ pub fn stream(
     }
     let changed = || sampled.source_changed(model.path());
     let (frame, shown) = (sampled.frame, chosen.shown);
-    let splats = Ellipses::of(&model.info().attributes);
+    let splats = Ellipses::from_attributes(&model.info().attributes);
     let gathering = Gathering {
         model,
         kept,
@@ -235,11 +235,11 @@ pub fn stream(
     let thinning = Thinning::new(chosen.stride);
     let extents = sampled.samples.extents();
     let carrying = Carrying { sampled, extents: &extents, field, stride: chosen.stride, progress };
-    let part_of = |cell: u32| Part::of(cell, &shown);
-    let mut open: Vec<Part> = chosen.cells.iter().map(|cell| part_of(*cell)).collect();
-    let mut complete: Vec<Part> = Vec::new();
+    let part_of = |cell: u32| CellVertices::new(cell, &shown);
+    let mut open: Vec<CellVertices> = chosen.cells.iter().map(|cell| part_of(*cell)).collect();
+    let mut complete: Vec<CellVertices> = Vec::new();
     let mut streamed = Streamed::default();
-    let mut hand_on = |parts: &mut Vec<Part>| -> Result<()> {
+    let mut hand_on = |parts: &mut Vec<CellVertices>| -> Result<()> {
         let batch = carrying.batch(parts)?;
         parts.clear();
         if batch.positions.is_empty() { Ok(()) } else { each(batch) }
@@ -268,7 +268,7 @@ pub fn stream(
             held += part.positions.len();
             streamed.vertices += part.positions.len() as u64;
             streamed.of += all;
-            let whole = Part { seen: all, ..part_of(part.cell) };
+            let whole = CellVertices { seen: all, ..part_of(part.cell) };
             complete.push(std::mem::replace(part, whole));
             if held >= BATCH {
                 hand_on(&mut complete)?;
@@ -286,7 +286,7 @@ pub fn stream(
 }
 
 /// What has come of a cell.
-struct Part {
+struct CellVertices {
     cell: u32,
     /// Number of its vertices that came.
     seen: u64,
@@ -298,8 +298,8 @@ struct Part {
     values: Values,
 }
 
-impl Part {
-    fn of(cell: u32, shown: &Shown) -> Self {
+impl CellVertices {
+    fn new(cell: u32, shown: &Shown) -> Self {
         let (positions, normals, axes) = Default::default();
         Self { cell, seen: 0, positions, normals, axes, values: shown.none() }
     }
@@ -324,7 +324,7 @@ struct Carrying<'a> {
 }
 
 impl Carrying<'_> {
-    fn batch(&self, parts: &[Part]) -> Result<Batch> {
+    fn batch(&self, parts: &[CellVertices]) -> Result<Batch> {
         let mut cells = Vec::with_capacity(parts.len());
         let (mut rest, mut known, mut axes) = (Vec::new(), Vec::new(), Vec::new());
         let mut values = Values::Nothing;
@@ -361,7 +361,7 @@ impl Carrying<'_> {
             return Ok(Batch { positions: local, normals: turned, spacing, homes: at, axes, values, cells });
         };
         let mut moved = rest.clone();
-        let mut figures = vec![Figures::UNKNOWN; rest.len()];
+        let mut figures = vec![VertexDiagnostics::UNKNOWN; rest.len()];
         let mut gradients = vec![Mat3::IDENTITY; axes.len()];
         let to = Moved {
             positions: &mut moved,

@@ -108,7 +108,7 @@ pub fn told(
     let (anchors, heard): (Vec<Anchor>, Vec<Vec<u32>>) = fitted.unzip();
     let heard = Heard::new(samples.len(), &heard);
     let told = |(i, e): (usize, &Expansion)| {
-        let near = heard.at(i);
+        let near = heard.anchors(i);
         if e.is_still() || near.is_empty() {
             return *e;
         }
@@ -210,7 +210,7 @@ impl Heard {
         Self { starts, anchors }
     }
 
-    fn at(&self, i: usize) -> &[u32] {
+    fn anchors(&self, i: usize) -> &[u32] {
         &self.anchors[self.starts[i] as usize..self.starts[i + 1] as usize]
     }
 }
@@ -402,7 +402,7 @@ fn strain(f: DMat3) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{DeformationField, Method, Surroundings};
+    use super::super::{DeformationField, Method, RestGeometry};
     use super::*;
 
     /// Samples of a surface that bends here more and there less.
@@ -419,7 +419,7 @@ mod tests {
     /// by the expansions, and by what is told.
     fn off(map: impl Fn(Vec3) -> Vec3, gradient: impl Fn(Vec3) -> Mat3) -> [f32; 2] {
         let samples = samples();
-        let around = Surroundings::of(&samples);
+        let around = RestGeometry::new(&samples);
         let deformed: Vec<Vec3> = samples.positions.iter().map(|p| map(*p)).collect();
         let field = DeformationField::new(&around, &deformed, Method::BlendedJets).knowing(None);
         let is_within = |p: &Vec3| (0.15..0.85).contains(&p.x) && (0.15..0.85).contains(&p.z);
@@ -472,7 +472,7 @@ mod tests {
     /// By how much the gradients of a map are others than those of the expansions, in the mean.
     fn changed(map: impl Fn(Vec3) -> Vec3) -> f32 {
         let samples = samples();
-        let around = Surroundings::of(&samples);
+        let around = RestGeometry::new(&samples);
         let deformed: Vec<Vec3> = samples.positions.iter().map(|p| map(*p)).collect();
         let field = DeformationField::new(&around, &deformed, Method::BlendedJets).knowing(None);
         let square = |m: Mat3| m.to_cols_array().iter().map(|x| x * x).sum::<f32>();

@@ -15,7 +15,7 @@ use simod_model::output::OutputFile;
 use simod_model::{Error, ErrorKind, Model, Progress, Result, VertexChunk, input};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 
-use super::Surroundings;
+use super::RestGeometry;
 use super::blend::Supports;
 use super::block::homes;
 use super::sheets::Sheets;
@@ -46,7 +46,7 @@ struct Head {
 
 /// Binds a model to its samples: writes `path`, whole or not at all. Returns its size in bytes.
 ///
-/// Memory: the [`Surroundings`], twice while they are encoded, and a chunk of the model.
+/// Memory: the [`RestGeometry`], twice while they are encoded, and a chunk of the model.
 ///
 /// # Errors
 /// The model cannot be read or is not what was sampled, the file cannot be written, or the user cancelled.
@@ -57,9 +57,9 @@ pub fn bind(sampled: &SampledModel, model: &dyn Model, path: &Path, progress: &d
     };
     progress.begin("preparing", 0);
     let samples = &sampled.samples;
-    let around = Surroundings::of(samples);
+    let around = RestGeometry::new(samples);
     let normals = if samples.knows_normals() { Vec::new() } else { samples.normals().to_vec() };
-    let Surroundings { sheets, supports, .. } = &around;
+    let RestGeometry { sheets, supports, .. } = &around;
     let head = postcard::to_allocvec(&(key(sampled), normals, sheets, supports)).map_err(|e| {
         Error::internal(format!("cannot write {}: {e}", path.display()), "report it").because(e)
     })?;
@@ -146,7 +146,7 @@ impl Binding {
     pub(super) fn open<'a>(
         path: &Path,
         sampled: &'a SampledModel,
-    ) -> std::result::Result<Option<(Self, Surroundings<'a>)>, String> {
+    ) -> std::result::Result<Option<(Self, RestGeometry<'a>)>, String> {
         if !path.exists() {
             return Ok(None);
         }
@@ -185,7 +185,7 @@ impl Binding {
         {
             return Err("its numbers make no sense".to_owned());
         }
-        let around = Surroundings::known(samples, head.sheets, head.supports);
+        let around = RestGeometry::known(samples, head.sheets, head.supports);
         Ok(Some((Self { file, samples: n, bytes: Vec::new() }, around)))
     }
 

@@ -18,7 +18,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::expansion::{Expansion, Reaching};
+use super::expansion::{Expansion, ReachingSupport};
 use super::lanes::{Lanes, from, length_squared, triple};
 use super::scattered;
 use super::sheets::Sheets;
@@ -55,18 +55,18 @@ pub struct Supports {
     /// Where those of each home begin and end; what lies between is of no meaning.
     starts: Vec<u32>,
     ends: Vec<u32>,
-    reaching: Vec<Reaching>,
+    reaching: Vec<ReachingSupport>,
 }
 
 impl Supports {
     /// Of the samples on their sheets.
-    pub fn of(samples: &SampleSet, sheets: &Sheets) -> Self {
+    pub fn new(samples: &SampleSet, sheets: &Sheets) -> Self {
         let positions = &samples.positions;
         let n = samples.len();
         let radius: Vec<f32> =
             (0..n).into_par_iter().map(|i| sheets.around(positions, i, SUPPORT_NEIGHBOURS - 1).1).collect();
         let graph = samples.neighbours();
-        let ranging = (0..n).into_par_iter().map(|i| match graph.of(i).get(AROUND - 2) {
+        let ranging = (0..n).into_par_iter().map(|i| match graph.nearest_to(i).get(AROUND - 2) {
             // A little less, as distances are rounded.
             Some(last) => 0.9999 * positions[i].distance(positions[*last as usize]),
             None => f32::MAX,
@@ -77,7 +77,8 @@ impl Supports {
         let entry = |home: usize, j: usize| {
             let (own, other) = (balls[home], balls[j]);
             let distance = own.truncate().distance(other.truncate());
-            (distance < own.w + other.w).then_some(Reaching { from: distance - other.w, sample: j as u32 })
+            (distance < own.w + other.w)
+                .then_some(ReachingSupport { from: distance - other.w, sample: j as u32 })
         };
         // Where a sample is among the neighbours of another, but not the other way round: as between sparse
         // and dense. Where a sample's neighbours are its nearest ones, the last tells whom it has.
@@ -108,7 +109,7 @@ impl Supports {
             let itself = [home as u32];
             let all = itself.iter().chain(sheets.of_sample(home)).chain(others);
             list.clear();
-            list.extend(all.filter_map(|j| entry(home, *j as usize)).map(Reaching::to_ordered));
+            list.extend(all.filter_map(|j| entry(home, *j as usize)).map(ReachingSupport::to_ordered));
             counting_sort::sort(list);
         };
         // Places for as many as there may be: so lists that are made side by side stay where they are.
@@ -123,7 +124,7 @@ impl Supports {
             most += 1 + sheets.of_sample(home).len() + own;
             others = &others[own..];
         }
-        let (mut ends, mut reaching) = (vec![0; n], bytemuck::zeroed_vec::<Reaching>(most));
+        let (mut ends, mut reaching) = (vec![0; n], bytemuck::zeroed_vec::<ReachingSupport>(most));
         let mut parts = Vec::with_capacity(jobs.len());
         let mut rest = &mut reaching[..];
         for (at, (first, others)) in jobs.iter().enumerate() {
@@ -140,7 +141,7 @@ impl Supports {
                 list(home, &others[..own], one);
                 others = &others[own..];
                 let to = &mut part[(start - starts[0]) as usize..];
-                to.iter_mut().zip(&*one).for_each(|(to, r)| *to = Reaching::from_ordered(*r));
+                to.iter_mut().zip(&*one).for_each(|(to, r)| *to = ReachingSupport::from_ordered(*r));
                 *end = start + one.len() as u32;
             }
         });
@@ -159,7 +160,7 @@ impl Supports {
     }
 
     /// The supports that reach where `home` is the home.
-    pub fn of_home(&self, home: usize) -> &[Reaching] {
+    pub fn of_home(&self, home: usize) -> &[ReachingSupport] {
         &self.reaching[self.starts[home] as usize..self.ends[home] as usize]
     }
 }
@@ -355,7 +356,7 @@ fn packet<S: Simd, const GRADIENT: bool>(
     simd: S,
     p: [Lanes<S>; 3],
     home: &Expansion,
-    list: &[Reaching],
+    list: &[ReachingSupport],
     expansions: &[Expansion],
 ) -> Blended<S> {
     let (zero, one) = (Lanes::splat(simd, 0.0), Lanes::splat(simd, 1.0));
@@ -385,7 +386,7 @@ fn packet<S: Simd, const GRADIENT: bool>(
         }
         let [dx, dy, dz] = d;
         for o in 0..3 {
-            // As in `Expansion::at`.
+            // As in `Expansion::evaluate`.
             // Beyond the home's, for precision: weights that vanish have steep logarithms.
             let u = Lanes::splat(simd, e.term(0, o) - home.term(0, o));
             let (sx, sy, sz) = (term(simd, e, 1, o), term(simd, e, 2, o), term(simd, e, 3, o));

@@ -65,12 +65,12 @@ struct Jet {
 
 impl Jet {
     /// That of an expansion.
-    fn of(expansion: &Expansion) -> Self {
+    fn from_expansion(expansion: &Expansion) -> Self {
         Self { slope: expansion.slope() + Mat3::IDENTITY, second: expansion.second() }
     }
 
     /// The image of a point at `d` from the sample, relative to the sample's image, and the gradient there.
-    fn at(&self, d: Vec3) -> (Vec3, Mat3) {
+    fn evaluate(&self, d: Vec3) -> (Vec3, Mat3) {
         let [xx, xy, xz, yy, yz, zz] = self.second;
         let half = Mat3::from_cols(xx * d.x + xy * d.y + xz * d.z, yy * d.y + yz * d.z, zz * d.z);
         let other = Mat3::from_cols(xx * d.x, xy * d.x + yy * d.y, xz * d.x + yz * d.y + zz * d.z);
@@ -126,7 +126,7 @@ pub fn expand(
         .map(|(i, slope)| {
             let amount = doubt[*i as usize];
             let one_sided = one_sided(samples, stencils, deformed, &expansions, *i as usize);
-            let mixed = Jet::of(&expansions[*i as usize]).mixed(&one_sided, amount);
+            let mixed = Jet::from_expansion(&expansions[*i as usize]).mixed(&one_sided, amount);
             (*i, mixed, Doubt { amount, prevailing: slope - Mat3::IDENTITY })
         })
         .collect();
@@ -205,14 +205,14 @@ fn one_sided(
         })
         .collect();
     let cost = |jet: &Jet| {
-        let costs = neighbours.iter().map(|(d, image, w)| w * (jet.at(*d).0 - image).length().sqrt());
+        let costs = neighbours.iter().map(|(d, image, w)| w * (jet.evaluate(*d).0 - image).length().sqrt());
         costs.sum::<f32>() + LEAST_COST
     };
     let others = near.iter().map(|j| {
-        let jet = Jet::of(&expansions[*j as usize]);
-        Jet { slope: jet.at(positions[i] - positions[*j as usize]).1, ..jet }
+        let jet = Jet::from_expansion(&expansions[*j as usize]);
+        Jet { slope: jet.evaluate(positions[i] - positions[*j as usize]).1, ..jet }
     });
-    let own = Jet::of(&expansions[i]);
+    let own = Jet::from_expansion(&expansions[i]);
     let own = [own, Jet { second: [Vec3::ZERO; 6], ..own }];
     let candidates: Vec<(Jet, f32)> = others.chain(own).map(|jet| (jet, cost(&jet))).collect();
 
@@ -299,7 +299,7 @@ impl Fits<'_> {
                 normal[axis][lane] = f64::from(normals[packet[lane]][axis]);
             }
         }
-        let squares = LeastSquares::of(simd, neighbours, &gradient);
+        let squares = LeastSquares::accumulate(simd, neighbours, &gradient);
         let is_needed = squares.is_needed();
         if !is_needed.any() {
             return;
@@ -373,7 +373,7 @@ fn strain<S: Simd>(simd: S, gradient: &[[f64; MOST_LANES]; 9]) -> DoubleLanes<S>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reconstruction::Surroundings;
+    use crate::reconstruction::RestGeometry;
 
     /// A rolling patch with a step in its deformation.
     #[test]
@@ -386,7 +386,7 @@ mod tests {
         let samples = SampleSet::new((0..961).map(place).collect(), Vec::new()).expect("samples");
         let moved = |p: &Vec3| *p + Vec3::new(0.0, 0.2 * p.x * p.z, if p.z > 0.5 { 0.3 } else { p.x * p.x });
         let deformed: Vec<Vec3> = samples.positions.iter().map(moved).collect();
-        let around = Surroundings::of(&samples);
+        let around = RestGeometry::new(&samples);
         let (gradients, stencils) = Gradients::fit(&samples, &around.sheets, &deformed);
         let fitted = Fitted {
             samples: &samples,
@@ -410,7 +410,7 @@ mod tests {
             });
             let numbers = |(e, (open, doubt)): (&Expansion, (&Unresolved, &f32))| {
                 let terms = e.rows().into_iter().flatten();
-                let open = [Vec3::X, Vec3::Y, Vec3::Z].map(|d| open.at(d));
+                let open = [Vec3::X, Vec3::Y, Vec3::Z].map(|d| open.length(d));
                 (terms.chain(open).map(f32::to_bits).collect::<Vec<_>>(), doubt.to_bits())
             };
             expansions.iter().zip(unresolved.iter().zip(&doubt)).map(numbers).collect::<Vec<_>>()

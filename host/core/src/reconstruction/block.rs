@@ -9,7 +9,7 @@ use simod_model::frame::Frame;
 
 use super::blend::{Grouped, LEAST_WEIGHT, PACKET, blend};
 use super::homes::Homes;
-use super::{DeformationField, Figures, Method, Surroundings, Transport, projected_barycentric};
+use super::{DeformationField, Method, RestGeometry, Transport, VertexDiagnostics, projected_barycentric};
 
 /// Most vertices of a block that follow the surface: many, so that there are several of each home, and as few
 /// as stay in the cache.
@@ -77,7 +77,7 @@ pub struct Moved<'a> {
     /// The gradient of the deformation at each, which is filled in where anything moves: as many, or none.
     pub gradients: &'a mut [Mat3],
     /// What becomes of the surface, which is filled in: as many, or none.
-    pub figures: &'a mut [Figures],
+    pub figures: &'a mut [VertexDiagnostics],
 }
 
 /// Carries consecutive vertices of the model over, by each of the fields for one of `moved`, on all threads
@@ -166,7 +166,7 @@ impl Block<'_> {
 }
 
 /// The homes of consecutive vertices of the model, which `carry` finds itself unless it is told them.
-pub fn homes(around: &Surroundings<'_>, frame: &Frame, positions: &[DVec3], homes: &mut Vec<u32>) {
+pub fn homes(around: &RestGeometry<'_>, frame: &Frame, positions: &[DVec3], homes: &mut Vec<u32>) {
     homes.resize(positions.len(), 0);
     // Before jobs ask for them.
     around.cells();
@@ -192,8 +192,8 @@ impl Workspace {
         put_in_order(positions, &self.local, &mut self.order, &mut self.keys);
     }
 
-    fn find_homes(&mut self, around: &Surroundings<'_>) {
-        Homes::new(around).of(&self.local, self.order.iter().map(|i| *i as usize), &mut self.homes);
+    fn find_homes(&mut self, around: &RestGeometry<'_>) {
+        Homes::new(around).find(&self.local, self.order.iter().map(|i| *i as usize), &mut self.homes);
     }
 
     fn take_homes(&mut self, homes: &[u32]) {
@@ -224,7 +224,7 @@ impl Workspace {
         for (i, (p, image)) in positions.iter().zip(images).enumerate() {
             let figures = figures.get_mut(i);
             if !p.is_finite() {
-                figures.into_iter().for_each(|f| *f = Figures::UNKNOWN);
+                figures.into_iter().for_each(|f| *f = VertexDiagnostics::UNKNOWN);
                 continue;
             }
             let home = self.homes[i] as usize;

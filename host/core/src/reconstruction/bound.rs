@@ -87,7 +87,7 @@ impl Edges {
     const NONE: Self = Self { step: 0.0, steepest: 0.0 };
 
     /// Of one sample.
-    fn of(samples: &SampleSet, sheets: &Sheets, expansions: &[Expansion], i: usize) -> Self {
+    fn around(samples: &SampleSet, sheets: &Sheets, expansions: &[Expansion], i: usize) -> Self {
         let mut found = [0; EDGES + 1];
         // Beside other sheets the nearest samples may be theirs.
         let ring: &mut dyn Iterator<Item = u32> = if sheets.is_crowded(i) {
@@ -121,9 +121,9 @@ pub struct Bound {
 
 impl Bound {
     /// Of the expansions of all samples.
-    pub fn of(samples: &SampleSet, sheets: &Sheets, expansions: &[Expansion]) -> Self {
+    pub fn new(samples: &SampleSet, sheets: &Sheets, expansions: &[Expansion]) -> Self {
         let all = (0..expansions.len()).into_par_iter();
-        Self { edges: all.map(|i| Edges::of(samples, sheets, expansions, i)).collect() }
+        Self { edges: all.map(|i| Edges::around(samples, sheets, expansions, i)).collect() }
     }
 
     /// The largest difference of displacements along an edge of a sample.

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3, EulerRot, Quat, Vec3};
 use proptest::prelude::*;
 
 use super::tests::carried;
-use super::{DeformationField, Method, Surroundings};
+use super::{DeformationField, Method, RestGeometry};
 use crate::sampling::SampleSet;
 
 /// Samples of a range.
@@ -166,7 +166,7 @@ enum Map {
 }
 
 impl Map {
-    fn of(self, seed: u64, i: usize, count: usize, p: Vec3) -> Vec3 {
+    fn displacement(self, seed: u64, i: usize, count: usize, p: Vec3) -> Vec3 {
         let lift = Vec3::new(0.1, 0.3, -0.2) * noise(seed, 0, 40);
         match self {
             Self::Independent => p + noises(seed, i, 11) * noise(seed, 0, 41),
@@ -214,8 +214,8 @@ proptest! {
     ) {
         let (rest, normals): (Vec<Vec3>, Vec<Vec3>) = model.samples(seed).into_iter().unzip();
         let set = SampleSet::new(rest.clone(), if with_normals { normals } else { Vec::new() }).expect("samples");
-        let around = Surroundings::of(&set);
-        let moved = |(i, p): (usize, &Vec3)| map.of(seed, i, rest.len(), *p);
+        let around = RestGeometry::new(&set);
+        let moved = |(i, p): (usize, &Vec3)| map.displacement(seed, i, rest.len(), *p);
         let deformed: Vec<Vec3> = rest.iter().enumerate().map(moved).collect();
         let displacements: Vec<DVec3> =
             rest.iter().zip(&deformed).map(|(p, image)| (*image - *p).as_dvec3()).collect();
@@ -242,8 +242,8 @@ fn rigid_motions_are_no_overshoot_however_far_off_the_surface() {
     {
         let rest: Vec<Vec3> = model.samples(1).into_iter().map(|(p, _)| p).collect();
         let set = SampleSet::new(rest.clone(), Vec::new()).expect("samples");
-        let around = Surroundings::of(&set);
-        let map = |p: Vec3| Map::Rigid(angle).of(1, 0, 1, p);
+        let around = RestGeometry::new(&set);
+        let map = |p: Vec3| Map::Rigid(angle).displacement(1, 0, 1, p);
         let deformed: Vec<Vec3> = rest.iter().map(|p| map(*p)).collect();
         let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
         let points: Vec<Vec3> =

@@ -17,7 +17,7 @@ const BLOCK: usize = 1 << 12;
 
 /// What becomes of the surface at a vertex.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Figures {
+pub struct VertexDiagnostics {
     /// How far the vertex moves, in the model's unit.
     pub displacement: f32,
     /// The largest and the smallest principal stretch of the surface, 1 at rest.
@@ -30,7 +30,7 @@ pub struct Figures {
     pub anisotropy: f32,
 }
 
-impl Figures {
+impl VertexDiagnostics {
     /// Of a vertex without a finite position.
     pub const UNKNOWN: Self = Self {
         displacement: f32::NAN,
@@ -159,7 +159,7 @@ impl DiagnosticsFile {
     pub fn expected_bytes(model: &dyn Model) -> u64 {
         let info = model.info();
         let anisotropy = if has_splats(model) { 4 } else { 0 };
-        info.vertices * (3 * info.position_type.size() as u64 + Figures::BYTES + anisotropy)
+        info.vertices * (3 * info.position_type.size() as u64 + VertexDiagnostics::BYTES + anisotropy)
     }
 
     /// Begins the file of a model with this diagonal at rest.
@@ -198,7 +198,7 @@ impl DiagnosticsFile {
     ///
     /// # Errors
     /// The disk is full, or the operating system refuses.
-    pub fn write(&mut self, positions: &[DVec3], figures: &[Figures]) -> Result<()> {
+    pub fn write(&mut self, positions: &[DVec3], figures: &[VertexDiagnostics]) -> Result<()> {
         let mut bytes = Vec::new();
         for (positions, figures) in positions.chunks(BLOCK).zip(figures.chunks(BLOCK)) {
             bytes.clear();

@@ -14,7 +14,7 @@ use super::diagnostics::DiagnosticsFile;
 use super::reach::check_reach;
 use super::stream::{Folding, check_targets};
 use super::transfer::{Surveys, locked};
-use super::{DeformationField, Figures, Reconstructed, Reconstruction, Transport, Version};
+use super::{DeformationField, Reconstructed, Reconstruction, Transport, Version, VertexDiagnostics};
 use crate::fingerprint::VertexHash;
 use crate::sampled_model::SampledModel;
 
@@ -256,18 +256,18 @@ impl Exact<'_> {
     }
 
     /// What becomes of the surface at vertices.
-    fn figures(&self, positions: &[DVec3], carried: &[Carried]) -> Vec<Figures> {
+    fn figures(&self, positions: &[DVec3], carried: &[Carried]) -> Vec<VertexDiagnostics> {
         let Self { sampled, field, .. } = self;
         let frame = &sampled.frame;
         let figures = |(p, carried): (&DVec3, &Carried)| {
             if !p.is_finite() {
-                return Figures::UNKNOWN;
+                return VertexDiagnostics::UNKNOWN;
             }
             let local = frame.to_local(*p);
             let home = sampled.samples.nearest(local) as usize;
             let moved = carried.transport(frame.scale);
             let rounding = field.written_rounding(local, moved.displacement);
-            Figures {
+            VertexDiagnostics {
                 expected_error: (f64::from(rounding) * frame.scale) as f32,
                 ..field.figures(home, local, &moved, frame.scale)
             }

@@ -105,7 +105,7 @@ impl Expansion {
     }
 
     /// The displacement at `d` from the sample, and its gradient.
-    pub fn at(&self, d: Vec3) -> (Vec3, Mat3) {
+    pub fn evaluate(&self, d: Vec3) -> (Vec3, Mat3) {
         let parts = self.rows().map(|[u, sx, sy, sz, xx, xy, xz, yy, yz, zz]| {
             let a = sx + xx * d.x + xy * d.y + xz * d.z;
             let b = sy + yy * d.y + yz * d.z;
@@ -124,20 +124,20 @@ impl Expansion {
         let margin = (1.0 / (d.length_squared() * self.inverse_square)).min(1.0);
         let mut inner = *self;
         inner.terms[3 * 4..].iter_mut().for_each(|x| *x *= margin);
-        inner.at(d)
+        inner.evaluate(d)
     }
 }
 
 /// A support that reaches the vertices of a home.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize, Zeroable)]
-pub struct Reaching {
+pub struct ReachingSupport {
     /// Vertices nearer to the home's sample than this are not reached.
     pub from: f32,
     /// The sample.
     pub sample: u32,
 }
 
-impl Reaching {
+impl ReachingSupport {
     /// A number: a nearer one's is less, and of those that are equally far that of the first sample.
     pub fn to_ordered(self) -> u64 {
         let bits = self.from.to_bits();

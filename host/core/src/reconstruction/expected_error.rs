@@ -85,7 +85,7 @@ pub(super) struct Rounding {
 
 impl Rounding {
     /// Of a model with positions as these.
-    pub fn of(frame: &Frame, info: &ModelInfo) -> Self {
+    pub fn for_model(frame: &Frame, info: &ModelInfo) -> Self {
         let is_single = info.position_type == Scalar::F32;
         Self {
             from: is_single.then(|| (frame.origin / frame.scale).as_vec3()),
@@ -103,7 +103,7 @@ impl Rounding {
     }
 
     /// What rounding makes at a vertex or a sample that goes from `p` by `u`, local units.
-    fn at(self, p: Vec3, u: Vec3) -> f32 {
+    fn estimate(self, p: Vec3, u: Vec3) -> f32 {
         if u == Vec3::ZERO {
             return 0.0;
         }
@@ -210,7 +210,7 @@ impl DeformationField<'_> {
     pub fn learn(&mut self, found: &[(Vec3, f32)]) {
         let places: Vec<Vec3> = found.iter().map(|(place, _)| *place).collect();
         let mut homes = Vec::new();
-        Homes::new(self.around).of(&places, 0..places.len(), &mut homes);
+        Homes::new(self.around).find(&places, 0..places.len(), &mut homes);
         for ((place, off), home) in found.iter().zip(homes) {
             let reaching = self.around.supports.of_home(home as usize).iter().map(|r| r.sample as usize);
             let (expansions, expected) = (&self.expansions, &mut self.expected);
@@ -219,7 +219,8 @@ impl DeformationField<'_> {
             let samples = self.around.samples;
             let may_hold =
                 |i: &usize| samples.positions[*i].distance(*place) < CLUSTER * samples.spacing()[*i];
-            let near = samples.neighbours().of(home as usize).iter().map(|i| *i as usize).filter(may_hold);
+            let near =
+                samples.neighbours().nearest_to(home as usize).iter().map(|i| *i as usize).filter(may_hold);
             for i in [home as usize].into_iter().chain(reaching.filter(has_say)).chain(near) {
                 expected[i].largest = expected[i].largest.max(*off);
             }
@@ -230,7 +231,7 @@ impl DeformationField<'_> {
     /// says.
     pub fn expecting(mut self, frame: &Frame, info: &ModelInfo) -> Self {
         self.expected = self.around_samples(&[]);
-        self.rounding = Rounding::of(frame, info);
+        self.rounding = Rounding::for_model(frame, info);
         self
     }
 
@@ -329,7 +330,12 @@ impl DeformationField<'_> {
             if alone { FOR_ALL } else { (heard.beyond(FLAT * radius) / AMONG).clamp(1.0, FURTHEST) };
         let [spread, disagreement] = [(spread / sum).sqrt(), disagreement / sum];
         let left_out = (further * disagreement).min(disagreement.max(SAID * furthest));
-        hypot([OF_SPREAD * spread, OF_DISAGREEMENT * left_out, unresolved / sum, self.rounding.at(p, u)])
+        hypot([
+            OF_SPREAD * spread,
+            OF_DISAGREEMENT * left_out,
+            unresolved / sum,
+            self.rounding.estimate(p, u),
+        ])
     }
 
     /// How far vertices are expected to be off by what the samples tell, each for as many vertices as it was
@@ -362,7 +368,7 @@ impl DeformationField<'_> {
 
     /// What rounding makes at a sample.
     fn rounding_at(&self, sample: usize) -> f32 {
-        self.rounding.at(self.around.samples.positions[sample], self.expansions[sample].displacement())
+        self.rounding.estimate(self.around.samples.positions[sample], self.expansions[sample].displacement())
     }
 
     /// Where more is expected than `accepted`, a fraction of the diagonal of the model of which the samples
@@ -419,7 +425,7 @@ impl Heard {
         self.spread += w * off;
         self.furthest = self.furthest.max(off.sqrt());
         self.disagreement += w * field.expected.get(i).map_or(f32::NAN, |e| e.disagreement);
-        self.unresolved += w * field.unresolved[i].at(-d);
+        self.unresolved += w * field.unresolved[i].length(-d);
         self.places += w * d;
         (0..3).for_each(|axis| self.products[axis] += d * (w * d[axis]));
         self.sum += w;
@@ -439,7 +445,7 @@ impl Heard {
     }
 }
 
-/// The displacement at `p` by an expansion: as [`Expansion::at`], without the gradient.
+/// The displacement at `p` by an expansion: as [`Expansion::evaluate`], without the gradient.
 #[inline]
 fn says(e: &Expansion, p: Vec3) -> Vec3 {
     let Vec3 { x, y, z } = p - Vec3::from_array(e.center);

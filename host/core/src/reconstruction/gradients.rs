@@ -134,7 +134,7 @@ struct Sums<S: Simd> {
 
 impl<S: Simd> Sums<S> {
     #[inline(always)]
-    fn of(simd: S, neighbours: &Neighbours) -> Self {
+    fn accumulate(simd: S, neighbours: &Neighbours) -> Self {
         let zero = DoubleLanes::splat(simd, 0.0);
         let mut sums = Self { diagonal: [zero; 3], off: [zero; 3], images: [[zero; 3]; 3], weights: zero };
         let scale = DoubleLanes::load(simd, &neighbours.scale);
@@ -181,7 +181,7 @@ fn fit<S: Simd>(simd: S, neighbours: &Neighbours, fits: &mut [Fit]) {
     }
     let splat = |x| DoubleLanes::splat(simd, x);
     let zero = splat(0.0);
-    let sums = Sums::of(simd, neighbours);
+    let sums = Sums::accumulate(simd, neighbours);
     let (spread, [across, e2, e1]) = symmetric_eigen(simd, sums.diagonal, sums.off);
     let is_spread = zero.less(spread[2]).and(spread[2].less(splat(f64::INFINITY)));
     let is_planar = (splat(COLLINEAR * COLLINEAR) * spread[2]).less(spread[1]);
@@ -330,7 +330,7 @@ mod tests {
     fn similarities_are_exact() {
         let set = SampleSet::new(patch(), Vec::new()).expect("samples");
         set.prepare();
-        let sheets = Sheets::of(&set);
+        let sheets = Sheets::find(&set);
         let rotation = Quat::from_euler(glam::EulerRot::XYZ, 1.0, -2.0, 0.5);
         let map =
             Affine3A::from_scale_rotation_translation(Vec3::splat(1.7), rotation, Vec3::new(1.0, 2.0, 3.0));
@@ -355,7 +355,7 @@ mod tests {
             _ => Vec3::new(p.x, p.y + p.x * p.z, p.z * 1.2 - p.y * p.y),
         };
         let deformed: Vec<Vec3> = samples.positions.iter().map(|p| bend(*p)).collect();
-        let sheets = Sheets::of(&samples);
+        let sheets = Sheets::find(&samples);
         let stencils = Stencils::own(&sheets);
         let all: Vec<u32> = (0..samples.len() as u32).collect();
         let fit = |by: &dyn Fn(Fits<'_>)| {
@@ -381,7 +381,7 @@ mod tests {
         let line: Vec<Vec3> = (0..50).map(|i| Vec3::X * i as f32 / 50.0).collect();
         let set = SampleSet::new(line, Vec::new()).expect("samples");
         set.prepare();
-        let sheets = Sheets::of(&set);
+        let sheets = Sheets::find(&set);
         let turned: Vec<Vec3> = set.positions.iter().map(|p| Vec3::new(0.0, 2.0 * p.x, 0.0)).collect();
         let collapsed = vec![Vec3::ONE; 50];
         for deformed in [turned, collapsed] {
@@ -391,6 +391,6 @@ mod tests {
         }
         let one = SampleSet::new(vec![Vec3::ONE], Vec::new()).expect("a sample");
         one.prepare();
-        assert_eq!(Gradients::fit(&one, &Sheets::of(&one), &[Vec3::ZERO]).0.gradient[0], Mat3::IDENTITY);
+        assert_eq!(Gradients::fit(&one, &Sheets::find(&one), &[Vec3::ZERO]).0.gradient[0], Mat3::IDENTITY);
     }
 }

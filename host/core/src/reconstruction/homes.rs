@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 use glam::{BVec3, UVec3, Vec3, Vec4};
 use rayon::prelude::*;
 
-use super::Surroundings;
+use super::RestGeometry;
 use super::expansion::Expansion;
 use super::sheets::{Sheets, sheet_distance};
 use crate::sampling::SampleSet;
@@ -63,7 +63,7 @@ pub struct Cells {
 
 impl Cells {
     /// Of samples with supports of these radii.
-    pub fn of(samples: &SampleSet, radius: &[f32]) -> Self {
+    pub fn build(samples: &SampleSet, radius: &[f32]) -> Self {
         let positions = &samples.positions;
         let min = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
         let max = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
@@ -282,14 +282,14 @@ pub struct Homes<'a> {
 
 impl<'a> Homes<'a> {
     /// Of samples that are prepared.
-    pub fn new(around: &'a Surroundings<'a>) -> Self {
-        let Surroundings { samples, sheets, supports, .. } = around;
+    pub fn new(around: &'a RestGeometry<'a>) -> Self {
+        let RestGeometry { samples, sheets, supports, .. } = around;
         Self { samples, sheets, radius: &supports.radius, cells: around.cells() }
     }
 
     /// The homes of finite positions, each of its position alone; found in this order, which is fast where
     /// neighbours follow each other.
-    pub fn of(&self, positions: &[Vec3], order: impl Iterator<Item = usize>, homes: &mut Vec<u32>) {
+    pub fn find(&self, positions: &[Vec3], order: impl Iterator<Item = usize>, homes: &mut Vec<u32>) {
         let mut finger = Finger::new(self.cells);
         homes.clear();
         homes.resize(positions.len(), 0);
@@ -324,7 +324,7 @@ impl<'a> Homes<'a> {
     /// A sample whose support reaches a point, if there is one, or else the nearest.
     fn near(&self, p: Vec3, of_cell: u32) -> u32 {
         let (mut best, mut least) = (of_cell, self.cells.depth(of_cell, p));
-        for i in self.samples.neighbours().of(of_cell as usize) {
+        for i in self.samples.neighbours().nearest_to(of_cell as usize) {
             let depth = self.cells.depth(*i, p);
             if depth < least {
                 (best, least) = (*i, depth);
@@ -346,7 +346,7 @@ impl<'a> Homes<'a> {
     fn on_its_sheet(&self, near: u32, p: Vec3) -> u32 {
         let away = |i: u32| p - self.samples.positions[i as usize];
         let (mut best, mut least) = (near, sheet_distance(away(near), self.plane(near)));
-        for i in self.samples.neighbours().of(near as usize) {
+        for i in self.samples.neighbours().nearest_to(near as usize) {
             let d = away(*i);
             // No plane makes it less than that.
             if d.length_squared() >= least {
@@ -404,16 +404,16 @@ mod tests {
             offsets in proptest::collection::vec((any::<u32>(), -1.0..1.0f32, -1.0..1.0f32, -1.0..1.0f32, 0i32..14), 1..100),
         ) {
             let set = SampleSet::new(points.clone(), Vec::new()).expect("samples");
-            let around = Surroundings::of(&set);
+            let around = RestGeometry::new(&set);
             let places: Vec<Vec3> = offsets
                 .iter()
                 .map(|(i, x, y, z, size)| points[*i as usize % points.len()] + Vec3::new(*x, *y, *z) * 0.5f32.powi(*size))
                 .collect();
             let (mut homes, mut one) = (Vec::new(), Vec::new());
-            Homes::new(&around).of(&places, 0..places.len(), &mut homes);
+            Homes::new(&around).find(&places, 0..places.len(), &mut homes);
             let cells = around.cells();
             for (p, home) in places.iter().zip(&homes) {
-                Homes::new(&around).of(&[*p], 0..1, &mut one);
+                Homes::new(&around).find(&[*p], 0..1, &mut one);
                 prop_assert_eq!(&one, &[*home]);
                 let reaches = |i: u32| cells.depth(i, *p) < 0.999;
                 let reached = (0..points.len() as u32).any(|i| reaches(i) && around.supports.radius[i as usize] > 1e-9);
@@ -436,7 +436,7 @@ mod tests {
         let radius = vec![0.03; set.len()];
         let of = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-            pool.install(|| Cells::of(&set, &radius).parted)
+            pool.install(|| Cells::build(&set, &radius).parted)
         };
         let cells = of(1);
         assert!(cells == of(3));

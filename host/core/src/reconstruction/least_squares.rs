@@ -53,7 +53,7 @@ pub struct Unresolved(pub [f32; TERMS]);
 
 impl Unresolved {
     /// The length of what is left at `d` from the sample.
-    pub fn at(&self, d: Vec3) -> f32 {
+    pub fn length(&self, d: Vec3) -> f32 {
         let Vec3 { x, y, z } = d;
         let [a, b, c, xx, xy, xz, yy, yz, zz] = self.0;
         ((a + xx * x + xy * y + xz * z) * x + (b + yy * y + yz * z) * y + (c + zz * z) * z).abs()
@@ -86,7 +86,7 @@ pub struct LeastSquares<S: Simd> {
 impl<S: Simd> LeastSquares<S> {
     /// Of the neighbours of as many samples as there are lanes, and the gradients there, column by column.
     #[inline(always)]
-    pub fn of(simd: S, neighbours: &Neighbours, gradient: &[[f64; MOST_LANES]; 9]) -> Self {
+    pub fn accumulate(simd: S, neighbours: &Neighbours, gradient: &[[f64; MOST_LANES]; 9]) -> Self {
         let zero = DoubleLanes::splat(simd, 0.0);
         let mut slope = [zero; 9];
         for i in 0..9 {
@@ -159,7 +159,7 @@ impl<S: Simd> LeastSquares<S> {
     /// could be found.
     #[inline(always)]
     pub fn ridged(&self, ridge: DoubleLanes<S>) -> (Terms<S>, DoubleLanes<S>, DoubleMask<S>) {
-        let (factor, is_found) = Factor::of(self.simd, &self.matrix, ridge * self.weights);
+        let (factor, is_found) = Factor::factorize(self.simd, &self.matrix, ridge * self.weights);
         let terms = factor.solve(self.right);
         // For the least squares c, what is left over is Σ w|r|² − c·b, up to the ridge.
         let mut explained = DoubleLanes::splat(self.simd, 0.0);
@@ -208,7 +208,7 @@ impl<S: Simd> LeastSquares<S> {
     pub fn unresolved(&self, across: Triple<S>) -> [DoubleLanes<S>; TERMS] {
         let zero = DoubleLanes::splat(self.simd, 0.0);
         let ridge = DoubleLanes::splat(self.simd, RIDGE) * self.weights;
-        let (factor, is_found) = Factor::of(self.simd, &self.matrix, ridge);
+        let (factor, is_found) = Factor::factorize(self.simd, &self.matrix, ridge);
         let mut right = [[zero; 1]; TERMS];
         for axis in 0..3 {
             right[axis][0] = ridge * across[axis];
@@ -317,7 +317,7 @@ impl<S: Simd> Factor<S> {
     /// Of matrices, of which the lower triangle is given, with `ridge` added along the diagonal; and where they are
     /// positive definite.
     #[inline(always)]
-    fn of(
+    fn factorize(
         simd: S,
         matrix: &[[DoubleLanes<S>; TERMS]; TERMS],
         ridge: DoubleLanes<S>,

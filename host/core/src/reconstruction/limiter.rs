@@ -18,7 +18,7 @@ use super::expansion::Expansion;
 
 /// Where a sample would take what is around it, were there no second order.
 #[derive(Debug, Clone, Copy)]
-struct Held {
+struct PrevailingSlope {
     /// The gradient of the displacement that prevails around the sample.
     slope: Mat3,
     /// The most that it may make of a way: the largest difference of displacements around the sample from its
@@ -28,9 +28,9 @@ struct Held {
     doubt: f32,
 }
 
-impl Held {
+impl PrevailingSlope {
     /// The displacement at `d` from the sample, beyond the sample's, and its gradient.
-    fn at(&self, d: Vec3) -> (Vec3, Mat3) {
+    fn evaluate(&self, d: Vec3) -> (Vec3, Mat3) {
         let u = self.slope * d;
         let held = u.clamp_length_max(self.most);
         (held, if held == u { self.slope } else { self.slope * (held.length() / u.length()) })
@@ -47,7 +47,7 @@ pub struct Limiter {
     concerned: Vec<bool>,
     /// For each sample its place in `held`, or [`NONE`].
     place: Vec<u32>,
-    held: Vec<Held>,
+    held: Vec<PrevailingSlope>,
 }
 
 const NONE: u32 = u32::MAX;
@@ -74,7 +74,7 @@ impl Limiter {
                 };
                 let differences =
                     around(i).map(|j| expansions[j].displacement().distance(expansions[i].displacement()));
-                this.held.push(Held { slope, most: differences.fold(0.0, f32::max), doubt });
+                this.held.push(PrevailingSlope { slope, most: differences.fold(0.0, f32::max), doubt });
             }
         }
         this
@@ -98,7 +98,7 @@ impl Limiter {
         let Some(held) = self.place.get(sample).and_then(|place| self.held.get(*place as usize)) else {
             return (u, slope);
         };
-        let (way, prevailing) = held.at(d);
+        let (way, prevailing) = held.evaluate(d);
         let mixed = slope * (1.0 - held.doubt) + prevailing * held.doubt;
         (u.lerp(e.displacement() + way, held.doubt), mixed)
     }
@@ -120,7 +120,7 @@ impl Limiter {
                     (&expansions[r.sample as usize], &self.held[self.place[r.sample as usize] as usize]);
                 let d = p - Vec3::from_array(e.center);
                 let s = (1.0 - d.length_squared() * e.inverse_square).max(0.0);
-                let (way, slope) = held.at(d);
+                let (way, slope) = held.evaluate(d);
                 let of_weight = -6.0 * s * s * e.inverse_square * d;
                 (s > 0.0).then_some((s * s * s, of_weight, e.displacement() + way, slope, held.doubt))
             })

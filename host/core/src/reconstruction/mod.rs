@@ -59,7 +59,7 @@ use block::Workspaces;
 pub(crate) use block::homes;
 pub use block::{Moved, carry};
 use bound::Bound;
-pub use diagnostics::{Figures, Folds, principal_stretches};
+pub use diagnostics::{Folds, VertexDiagnostics, principal_stretches};
 pub use exact::{EVALUATIONS_WITH_GRADIENT, ExactMap, known_gradients, needs_gradient, write_exact};
 use expansion::Expansion;
 pub use expected_error::{Beyond, ExpectedError};
@@ -104,7 +104,7 @@ impl Transport {
 /// The unit normals of the deformed samples: those at rest, turned as their neighbourhoods are.
 pub fn deformed_normals(samples: &SampleSet, deformed: &[Vec3]) -> Vec<Vec3> {
     samples.prepare();
-    Gradients::fit(samples, &Sheets::of(samples), deformed).0.normal
+    Gradients::fit(samples, &Sheets::find(samples), deformed).0.normal
 }
 
 /// How a vertex is carried over.
@@ -121,7 +121,7 @@ pub enum Method {
 /// whose word counts where.
 ///
 /// Memory: about 290 bytes per sample, up to 130 more beside other sheets, and what [`SampleSet::prepare`] finds.
-pub struct Surroundings<'a> {
+pub struct RestGeometry<'a> {
     samples: &'a SampleSet,
     sheets: Sheets,
     supports: Supports,
@@ -132,12 +132,12 @@ pub struct Surroundings<'a> {
     vertices: Vec<AtomicU64>,
 }
 
-impl<'a> Surroundings<'a> {
+impl<'a> RestGeometry<'a> {
     /// Of the samples at rest.
-    pub fn of(samples: &'a SampleSet) -> Self {
+    pub fn new(samples: &'a SampleSet) -> Self {
         samples.prepare();
-        let sheets = Sheets::of(samples);
-        let supports = Supports::of(samples, &sheets);
+        let sheets = Sheets::find(samples);
+        let supports = Supports::new(samples, &sheets);
         Self::known(samples, sheets, supports)
     }
 
@@ -180,7 +180,7 @@ impl<'a> Surroundings<'a> {
             Some(cells) => cells,
             // Jobs of the thread pool make them: no other one may wait for that.
             None => {
-                let cells = Cells::of(self.samples, &self.supports.radius);
+                let cells = Cells::build(self.samples, &self.supports.radius);
                 self.cells.get_or_init(|| cells)
             }
         }
@@ -205,7 +205,7 @@ impl<'a> Surroundings<'a> {
 ///
 /// Memory: about 240 bytes per sample.
 pub struct DeformationField<'a> {
-    around: &'a Surroundings<'a>,
+    around: &'a RestGeometry<'a>,
     deformed: &'a [Vec3],
     method: Method,
     gradients: Gradients,
@@ -229,8 +229,8 @@ impl<'a> DeformationField<'a> {
     ///
     /// # Panics
     /// The number of deformed positions is not that of the samples.
-    pub fn new(around: &'a Surroundings<'a>, deformed: &'a [Vec3], method: Method) -> Self {
-        let Surroundings { samples, sheets, supports, .. } = around;
+    pub fn new(around: &'a RestGeometry<'a>, deformed: &'a [Vec3], method: Method) -> Self {
+        let RestGeometry { samples, sheets, supports, .. } = around;
         assert_eq!(samples.len(), deformed.len(), "P_S* corresponds to P_S one to one");
         let (gradients, stencils) = Gradients::fit(samples, sheets, deformed);
         let Expanded { mut expansions, unresolved, doubtful } =
@@ -242,7 +242,7 @@ impl<'a> DeformationField<'a> {
         let reached = |home| supports.of_home(home).iter().any(|r| moves[r.sample as usize]);
         let active = (0..samples.len()).into_par_iter().map(|home| moves[home] || reached(home)).collect();
         let limiter = Limiter::new(supports, &expansions, &doubtful);
-        let bound = Bound::of(samples, sheets, &expansions);
+        let bound = Bound::new(samples, sheets, &expansions);
         let neighbours = |i| sheets.of_sample(i);
         let folds = Folds::of(&expansions, &gradients.tells_side, samples.normals(), neighbours);
         Self {
@@ -280,7 +280,7 @@ impl<'a> DeformationField<'a> {
     }
 
     /// What is known of the samples at rest.
-    pub fn around(&self) -> &'a Surroundings<'a> {
+    pub fn around(&self) -> &'a RestGeometry<'a> {
         self.around
     }
 
@@ -291,7 +291,7 @@ impl<'a> DeformationField<'a> {
 
     /// What becomes of the surface at a vertex of this home, at `p`, local coordinates; `scale` is the length
     /// of a local unit.
-    fn figures(&self, home: usize, p: Vec3, moved: &Transport, scale: f64) -> Figures {
+    fn figures(&self, home: usize, p: Vec3, moved: &Transport, scale: f64) -> VertexDiagnostics {
         let Transport { displacement, gradient } = moved;
         let stretch = principal_stretches(gradient, self.around.samples.normals()[home]);
         let folded = self.folds.contains(home, gradient);
@@ -299,7 +299,7 @@ impl<'a> DeformationField<'a> {
         let [displacement, expected_error] =
             [displacement.length(), expected_error].map(|x| (f64::from(x) * scale) as f32);
         let anisotropy = follow::anisotropy(gradient);
-        Figures { displacement, stretch, folded, expected_error, anisotropy }
+        VertexDiagnostics { displacement, stretch, folded, expected_error, anisotropy }
     }
 
     /// The same, with smooth gradients for what turns: by what wider neighbourhoods tell, and with those at the
@@ -330,7 +330,7 @@ impl<'a> DeformationField<'a> {
             let s = e.within(p).max(0.0);
             if s > 0.0 {
                 let w = s * s * s;
-                let (_, slope) = e.at(p - Vec3::from_array(e.center));
+                let (_, slope) = e.evaluate(p - Vec3::from_array(e.center));
                 blended += slope * w;
                 sum += w;
             }
@@ -385,7 +385,7 @@ impl<'a> DeformationField<'a> {
             }
             // Beyond the first one's, for precision.
             let own = *own.get_or_insert(e.displacement());
-            let (at, slope) = e.at(d);
+            let (at, slope) = e.evaluate(d);
             let (w, of_weight) = (s * s * s, -6.0 * s * s * e.inverse_square * d);
             u += w * (at - own);
             gradient += slope * w + outer(at - own, of_weight);

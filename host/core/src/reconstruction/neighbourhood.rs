@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::Surroundings;
+use super::RestGeometry;
 use super::sheets::SHEET_NEIGHBOURS;
 use crate::geometry::hermite;
 
@@ -18,8 +18,8 @@ pub struct Neighbourhood {
 
 impl Neighbourhood {
     /// Gathers the `k` nearest samples of `p`, at most [`MAX_K`], from the sheet of its home.
-    pub fn gather(around: &Surroundings<'_>, home: usize, k: usize, p: Vec3) -> Self {
-        let Surroundings { samples, sheets, .. } = around;
+    pub fn gather(around: &RestGeometry<'_>, home: usize, k: usize, p: Vec3) -> Self {
+        let RestGeometry { samples, sheets, .. } = around;
         let k = k.min(MAX_K);
         let mut found = [(0.0f32, 0u32); SHEET_NEIGHBOURS + 1];
         let mut len = 0;

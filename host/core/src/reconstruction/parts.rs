@@ -25,7 +25,7 @@ use xxhash_rust::xxh3::Xxh3Default;
 use super::reach::check_reach;
 use super::stream::{check_targets, field, key};
 use super::transfer::{Hashing, Surveys, Transfer, locked};
-use super::{Folding, Reconstructed, Reconstruction, Surroundings, Version};
+use super::{Folding, Reconstructed, Reconstruction, RestGeometry, Version};
 use crate::fingerprint::{Blocks, HashedPart};
 use crate::sampled_model::SampledModel;
 use crate::sealed::{UNKNOWN_VERSION, seal, unseal};
@@ -111,7 +111,7 @@ pub fn write_part(
     };
 
     progress.begin("preparing", 0);
-    let surroundings = Surroundings::of(&sampled.samples);
+    let surroundings = RestGeometry::new(&sampled.samples);
     let fields = [field(sampled, model, how, &surroundings, deformed)];
     // Here, on all threads of the pool.
     surroundings.cells();
@@ -181,7 +181,7 @@ pub fn join_parts(
         let mut file = SharedFile::open(shared)?;
         rewrite(before, &mut file)?;
         // Nothing of the parts is written here: how far they reach is in their records.
-        let end = found.end.max(file.at());
+        let end = found.end.max(file.position());
         if !reaches(shared, end) {
             return Err(refused(shared, "is cut off: remove all parts"));
         }

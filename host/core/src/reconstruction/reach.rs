@@ -70,7 +70,7 @@ pub fn choose_offset<'a>(
     let pairs = deformed.into_iter().flat_map(|deformed| rest.iter().zip(deformed));
     let moves: Vec<[DVec3; 2]> =
         pairs.map(|(from, to)| [*from, *to].map(|local| sampled.frame.to_model(local))).collect();
-    let bounds = Bounds::of(moves.iter().map(|[_, to]| *to));
+    let bounds = Bounds::from_points(moves.iter().map(|[_, to]| *to));
     let margin = if bounds.is_empty() { 0.0 } else { BEYOND * bounds.diagonal() };
     model.make_room(&moves, margin)
 }

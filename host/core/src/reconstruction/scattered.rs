@@ -2,7 +2,7 @@
 //! order: vertex by vertex, the coordinates side by side. Each takes the same steps as in a packet, in the
 //! same order, so that its bytes do not tell how it was done.
 
-use super::expansion::{Expansion, Reaching};
+use super::expansion::{Expansion, ReachingSupport};
 
 /// Supports that are looked at before what they say is added.
 const TOGETHER: usize = 32;
@@ -33,7 +33,7 @@ impl One {
 pub fn one<const GRADIENT: bool>(
     p: [f32; 3],
     home: &Expansion,
-    list: &[Reaching],
+    list: &[ReachingSupport],
     expansions: &[Expansion],
 ) -> One {
     let mut blended = One { displacement: Four::ZERO, sum: 0.0, gradient: [Four::ZERO; 3] };

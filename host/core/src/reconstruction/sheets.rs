@@ -71,7 +71,7 @@ pub struct Sheets {
 
 impl Sheets {
     /// Of samples that are [prepared](SampleSet::prepare).
-    pub fn of(samples: &SampleSet) -> Self {
+    pub fn find(samples: &SampleSet) -> Self {
         let (positions, normals, graph) = (&samples.positions[..], samples.normals(), samples.neighbours());
         let mut links = vec![Links::default(); samples.len()];
         links.par_chunks_mut(TOGETHER).enumerate().for_each(|(chunk, links)| {
@@ -83,7 +83,7 @@ impl Sheets {
             if let Some(same) = told.filter(|same| same.len() >= LEAST) {
                 return Some(same.to_vec());
             }
-            let near = graph.of(i);
+            let near = graph.nearest_to(i);
             if links[i].are_all_beside
                 || are_linked(&links, i, near, places)
                 || reached(&links, i, near, places).count() == near.len()
@@ -130,7 +130,7 @@ impl Sheets {
         let Some(contacts) = samples.contacts() else { return };
         let of_sample = |i: usize| -> Vec<u32> {
             let is_stranger = |j: &&u32| !self.of_sample(i).contains(j);
-            let told = contacts.same_sheet(i).map(|_| samples.neighbours().of(i));
+            let told = contacts.same_sheet(i).map(|_| samples.neighbours().nearest_to(i));
             told.unwrap_or_default().iter().filter(is_stranger).copied().collect()
         };
         let lists: Vec<Vec<u32>> = (0..samples.len()).into_par_iter().map(of_sample).collect();
@@ -200,7 +200,7 @@ impl Sheets {
     #[inline]
     pub fn of_sample(&self, i: usize) -> &[u32] {
         match self.list[i] {
-            NONE => self.graph.of(i),
+            NONE => self.graph.nearest_to(i),
             list => {
                 let list = list as usize;
                 &self.neighbours[self.starts[list] as usize..self.starts[list + 1] as usize]
@@ -285,7 +285,7 @@ impl WithSimd for Linking<'_> {
         let Self { positions, normals, graph, first, links } = self;
         let mut chords = Chords::default();
         for (i, links) in (first..).zip(links) {
-            let near = graph.of(i);
+            let near = graph.nearest_to(i);
             chords.gather(positions, normals, near, i);
             let are_all_beside = chords.measure(simd, normals[i], near.len());
             *links = Links { to: chords.nearest(near, i), are_all_beside };

@@ -20,7 +20,7 @@ use super::binding::Binding;
 use super::diagnostics::DiagnosticsFile;
 use super::reach::check_reach;
 use super::transfer::{Hashing, Surveys, Transfer, locked};
-use super::{DeformationField, ExpectedError, Method, Surroundings};
+use super::{DeformationField, ExpectedError, Method, RestGeometry};
 use crate::fingerprint::{VertexHash, fingerprint};
 use crate::sampled_model::{SampledModel, same_file};
 
@@ -142,7 +142,7 @@ pub fn reconstruct(
         progress.note(&cost);
     }
     let (folding, expected) = (vec![None; versions.len()], vec![None; versions.len()]);
-    let mut work = Work {
+    let mut work = ReconstructionCall {
         sampled,
         model,
         how,
@@ -225,7 +225,7 @@ pub(super) fn check_targets(model: &dyn Model, versions: &[Version<'_>], how: &R
 }
 
 /// A call of [`reconstruct`].
-struct Work<'a> {
+struct ReconstructionCall<'a> {
     sampled: &'a SampledModel,
     model: &'a dyn Model,
     how: &'a Reconstruction<'a>,
@@ -248,7 +248,7 @@ struct Begun<'a> {
     diagnostics: Option<DiagnosticsFile>,
 }
 
-impl<'a> Work<'a> {
+impl<'a> ReconstructionCall<'a> {
     fn write(&mut self, versions: &[Version<'a>]) -> Result<()> {
         for (number, version) in versions.iter().enumerate() {
             let key = key(self.sampled, self.model, self.how, version.deformed)?;
@@ -342,7 +342,7 @@ impl<'a> Work<'a> {
     }
 
     /// Who is near whom: as it was kept, or found out now.
-    fn surroundings(&self) -> Result<(Option<Binding>, Surroundings<'a>)> {
+    fn surroundings(&self) -> Result<(Option<Binding>, RestGeometry<'a>)> {
         if let Some(path) = self.how.binding {
             match Binding::open(path, self.sampled) {
                 Ok(Some((binding, surroundings))) => return Ok((Some(binding), surroundings)),
@@ -350,7 +350,7 @@ impl<'a> Work<'a> {
                 Err(why) => self.progress.note(&format!("{} is not used: {why}", path.display())),
             }
         }
-        Ok((None, Surroundings::of(&self.sampled.samples)))
+        Ok((None, RestGeometry::new(&self.sampled.samples)))
     }
 
     /// Number of pieces that every version of the pass has, and that a part ends with in each.
@@ -435,7 +435,7 @@ pub(super) fn field<'a>(
     sampled: &SampledModel,
     model: &dyn Model,
     how: &Reconstruction<'a>,
-    surroundings: &'a Surroundings<'a>,
+    surroundings: &'a RestGeometry<'a>,
     deformed: &'a [Vec3],
 ) -> DeformationField<'a> {
     let field = DeformationField::new(surroundings, deformed, how.method);

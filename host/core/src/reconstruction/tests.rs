@@ -4,7 +4,7 @@ use glam::{Affine3A, DVec3, EulerRot, Mat3, Quat, Vec3};
 use simod_model::follow::tangent;
 use simod_model::frame::Frame;
 
-use super::{DeformationField, Figures, Method, Moved, Surroundings, carry};
+use super::{DeformationField, Method, Moved, RestGeometry, VertexDiagnostics, carry};
 use crate::sampling::SampleSet;
 
 const LOCAL: Frame = Frame { origin: DVec3::ZERO, scale: 1.0 };
@@ -48,7 +48,7 @@ fn carried_with_normals(
 /// The largest error of a map that is applied to the samples of the patch alone.
 fn worst(method: Method, map: impl Fn(Vec3) -> Vec3) -> f32 {
     let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
-    let around = Surroundings::of(&set);
+    let around = RestGeometry::new(&set);
     let deformed: Vec<Vec3> = set.positions.iter().map(|p| map(*p)).collect();
     let field = DeformationField::new(&around, &deformed, method);
     let points: Vec<Vec3> = patch(97).filter(inner).collect();
@@ -59,7 +59,7 @@ fn worst(method: Method, map: impl Fn(Vec3) -> Vec3) -> f32 {
 #[test]
 fn the_identity_is_the_identity_bit_for_bit() {
     let set = SampleSet::new(patch(30).collect(), Vec::new()).expect("samples");
-    let around = Surroundings::of(&set);
+    let around = RestGeometry::new(&set);
     for method in [Method::BlendedJets, Method::ProjectedBarycentric] {
         let field = DeformationField::new(&around, &set.positions, method);
         let points: Vec<Vec3> = patch(71).map(|p| p * 1.01).collect();
@@ -92,7 +92,7 @@ fn samples_whose_normals_are_wrong_turn_with_those_around() {
     };
     let normals = rest.iter().enumerate().map(normal).collect();
     let set = SampleSet::new(rest, normals).expect("samples");
-    let around = Surroundings::of(&set);
+    let around = RestGeometry::new(&set);
     let rigid = Affine3A::from_rotation_translation(Quat::from_euler(EulerRot::XYZ, 1.0, -2.0, 0.5), Vec3::X);
     let deformed: Vec<Vec3> = set.positions.iter().map(|p| rigid.transform_point3(*p)).collect();
     let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
@@ -112,7 +112,7 @@ fn a_smooth_map_is_followed_to_third_order() {
 #[test]
 fn at_steps_nothing_leaves_the_range_of_the_samples_by_much() {
     let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
-    let around = Surroundings::of(&set);
+    let around = RestGeometry::new(&set);
     for (width, side) in [(0.01, Vec3::X), (0.03, Vec3::new(0.6, 0.0, 0.8)), (0.1, Vec3::Z)] {
         let step = |p: Vec3| ((p - Vec3::splat(0.5)).dot(side) / width + 0.5).clamp(0.0, 1.0);
         let deformed: Vec<Vec3> = set.positions.iter().map(|p| *p + Vec3::Y * step(*p)).collect();
@@ -131,7 +131,7 @@ fn at_the_ends_of_a_ramp_neighbouring_vertices_stay_neighbours() {
     // Samples with gaps between them, as where cells of the sampling meet.
     let hole = |p: &Vec3| (p.x * 7.0).fract() > 0.8 && (p.z * 7.0).fract() > 0.8;
     let set = SampleSet::new(patch(50).filter(|p| !hole(p)).collect(), Vec::new()).expect("samples");
-    let around = Surroundings::of(&set);
+    let around = RestGeometry::new(&set);
     for width in [0.08, 0.16, 0.32] {
         let step = |p: Vec3| ((p.x + 0.3 * p.z - 0.6) / width + 0.5).clamp(0.0, 1.0);
         let deformed: Vec<Vec3> = set.positions.iter().map(|p| *p + Vec3::Y * 0.3 * step(*p)).collect();
@@ -164,7 +164,7 @@ fn normals_of_a_rough_scan_do_not_come_between() {
     let (positions, normals): (Vec<Vec3>, Vec<Vec3>) =
         patch(60).enumerate().map(|(i, p)| rough(i, p)).unzip();
     let set = SampleSet::new(positions, normals).expect("samples");
-    let around = Surroundings::of(&set);
+    let around = RestGeometry::new(&set);
     let map = |p: Vec3| Quat::from_rotation_z(1.5 * p.z) * p;
     let deformed: Vec<Vec3> = set.positions.iter().map(|p| map(*p)).collect();
     let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
@@ -178,7 +178,7 @@ fn normals_of_a_rough_scan_do_not_come_between() {
 #[test]
 fn the_gradient_is_that_of_what_the_vertices_do() {
     let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
-    let around = Surroundings::of(&set);
+    let around = RestGeometry::new(&set);
     let twist = |p: Vec3| Quat::from_rotation_z(2.0 * p.z) * p + Vec3::Y * (9.0 * p.x).sin() * 0.02;
     let deformed: Vec<Vec3> = set.positions.iter().map(|p| twist(*p)).collect();
     let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
@@ -197,7 +197,7 @@ fn the_gradient_is_that_of_what_the_vertices_do() {
 #[test]
 fn tangents_turn_as_lines_on_the_surface_do() {
     let set = SampleSet::new(patch(40).collect(), Vec::new()).expect("samples");
-    let around = Surroundings::of(&set);
+    let around = RestGeometry::new(&set);
     let points: Vec<Vec3> = patch(61).filter(inner).collect();
     let rest: Vec<DVec3> = points.iter().map(|p| p.as_dvec3()).collect();
     let along =
@@ -256,7 +256,7 @@ fn bits(field: &DeformationField, points: &[(Vec3, Vec3)]) -> Vec<Bits> {
     let rest: Vec<DVec3> = points.iter().map(|(p, _)| p.as_dvec3()).collect();
     let mut positions = rest.clone();
     let mut normals: Vec<Vec3> = points.iter().map(|(_, n)| *n).collect();
-    let mut figures = vec![Figures::UNKNOWN; rest.len()];
+    let mut figures = vec![VertexDiagnostics::UNKNOWN; rest.len()];
     let moved =
         Moved { positions: &mut positions, normals: &mut normals, gradients: &mut [], figures: &mut figures };
     carry(std::slice::from_ref(field), &LOCAL, &rest, None, &mut [moved]);
@@ -287,7 +287,7 @@ proptest::proptest! {
             _ => ((0..600).map(|_| Vec3::new(random(), random(), random() * random())).collect(), Vec::new()),
         };
         let set = SampleSet::new(positions, known).expect("samples");
-        let around = Surroundings::of(&set);
+        let around = RestGeometry::new(&set);
         let deformed: Vec<Vec3> = set
             .positions
             .iter()
@@ -363,7 +363,7 @@ fn plates_closer_than_the_spacing_move_apart_without_dragging_each_other() {
         for up in [[-Vec3::Y, Vec3::Y], [Vec3::Y, -Vec3::Y], [Vec3::Y, Vec3::Y]] {
             let (positions, normals) = plates(gap, up);
             let set = SampleSet::new(positions, normals).expect("samples");
-            let around = Surroundings::of(&set);
+            let around = RestGeometry::new(&set);
             let lift = Vec3::new(0.1, 0.5, 0.0);
             let deformed: Vec<Vec3> =
                 set.positions.iter().enumerate().map(|(i, p)| if i < 900 { *p } else { *p + lift }).collect();
@@ -404,7 +404,7 @@ fn degenerate_samples_make_no_spikes() {
     let few = vec![Vec3::ZERO, Vec3::X, Vec3::Z];
     for rest in [line, isolated, coincident, sparse_and_dense, all_at_once, few, vec![Vec3::Y]] {
         let set = SampleSet::new(rest.clone(), Vec::new()).expect("samples");
-        let around = Surroundings::of(&set);
+        let around = RestGeometry::new(&set);
         let noise = |i: usize, k: usize| ((i * 7919 + k * 104_729) % 1000) as f32 / 1000.0;
         let maps: [Box<dyn Fn(usize, Vec3) -> Vec3>; 4] = [
             // Collapsed to a point, to a plane, turned inside out in part, and noise.
@@ -445,7 +445,7 @@ fn samples_between_two_sheets_do_not_join_them() {
     let map = |p: Vec3| Quat::from_rotation_y(2.0 * p.y + p.x) * p;
     let deformed: Vec<Vec3> = samples.iter().map(|p| map(*p)).collect();
     let set = SampleSet::new(samples, Vec::new()).expect("samples");
-    let around = Surroundings::of(&set);
+    let around = RestGeometry::new(&set);
     let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
     let points: Vec<Vec3> = patch(97).filter(inner).flat_map(|p| [p, p + gap]).collect();
     let images = carried(&field, &points);
@@ -466,7 +466,7 @@ fn a_map_that_bends_across_gentle_relief_is_not_taken_for_shear() {
     };
     let set = SampleSet::new(rolling(100).collect(), Vec::new()).expect("samples");
     let deformed: Vec<Vec3> = set.positions.iter().map(|p| map(*p)).collect();
-    let around = Surroundings::of(&set);
+    let around = RestGeometry::new(&set);
     let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
     let points: Vec<Vec3> = rolling(97).filter(inner).map(|p| p + 2e-4 * Vec3::Y).collect();
     let images = carried(&field, &points);

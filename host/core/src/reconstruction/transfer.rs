@@ -12,7 +12,7 @@ use simod_model::{Edit, Edited, Progress, RawChunk, Result, VertexChunk};
 use super::binding::Binding;
 use super::block::carry_on_this_thread;
 use super::diagnostics::DiagnosticsFile;
-use super::{DeformationField, Figures, Moved};
+use super::{DeformationField, Moved, VertexDiagnostics};
 use crate::fingerprint::{HashedPart, VertexHash};
 
 /// Transfers deformations of the same samples to chunks of their model, one for each version.
@@ -88,13 +88,13 @@ impl Transfer<'_> {
         chunk: &VertexChunk,
         homes: Option<&[u32]>,
         versions: &mut [Edited],
-        figures: &mut [Vec<Figures>],
+        figures: &mut [Vec<VertexDiagnostics>],
     ) {
         for (edited, field) in versions.iter_mut().zip(self.fields) {
             edited.mirrored = field.is_mirrored();
         }
         let of_version = |(edited, figures)| -> Moved<'_> {
-            let (edited, figures): (&mut Edited, &mut Vec<Figures>) = (edited, figures);
+            let (edited, figures): (&mut Edited, &mut Vec<VertexDiagnostics>) = (edited, figures);
             let Edited { positions, normals, gradients, .. } = edited;
             Moved { positions, normals, gradients, figures }
         };
@@ -114,7 +114,7 @@ pub(super) struct Surveys<'a> {
     waiting: Mutex<BTreeMap<u64, Vec<Surveyed>>>,
 }
 
-type Surveyed = (Vec<DVec3>, Vec<Figures>);
+type Surveyed = (Vec<DVec3>, Vec<VertexDiagnostics>);
 
 impl<'a> Surveys<'a> {
     /// Of as many versions.
@@ -124,13 +124,13 @@ impl<'a> Surveys<'a> {
     }
 
     /// For each version, what is to be filled in for so many vertices.
-    pub(super) fn figures(&self, vertices: usize) -> Vec<Vec<Figures>> {
+    pub(super) fn figures(&self, vertices: usize) -> Vec<Vec<VertexDiagnostics>> {
         let count = |file: &Option<_>| if file.is_some() { vertices } else { 0 };
-        self.files.iter().map(|file| vec![Figures::UNKNOWN; count(file)]).collect()
+        self.files.iter().map(|file| vec![VertexDiagnostics::UNKNOWN; count(file)]).collect()
     }
 
     /// Takes what was found out of a chunk.
-    pub(super) fn keep(&self, first: u64, versions: &[Edited], figures: Vec<Vec<Figures>>) {
+    pub(super) fn keep(&self, first: u64, versions: &[Edited], figures: Vec<Vec<VertexDiagnostics>>) {
         if self.files.iter().all(Option::is_none) {
             return;
         }

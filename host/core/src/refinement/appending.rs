@@ -35,7 +35,7 @@ pub(super) struct Appended {
 }
 
 /// A leaf below a split sample, or what is on one of several sheets there.
-struct Part {
+struct NewLeaf {
     position: Vec3,
     normal: Vec3,
     reach: f32,
@@ -54,7 +54,7 @@ struct Part {
 /// What becomes of the samples that are split.
 #[derive(Default)]
 struct Pieces {
-    parts: Vec<Part>,
+    parts: Vec<NewLeaf>,
     /// The parts of each split sample, cell by cell.
     split: BTreeMap<u32, Vec<Range<usize>>>,
     /// As [`Appended::starts`], of the samples that are not split.
@@ -196,10 +196,10 @@ impl Taking<'_, '_> {
 
     /// What comes of a leaf below a split sample, the sheet with most vertices first, for this place in the
     /// tree; and where the vertices of the others go on with a sample that was there.
-    fn parts(&self, grown: &Grown, i: usize, sample: u32, place: usize) -> (Vec<Part>, Vec<(u32, u32)>) {
+    fn parts(&self, grown: &Grown, i: usize, sample: u32, place: usize) -> (Vec<NewLeaf>, Vec<(u32, u32)>) {
         let node = &grown.nodes[i];
         let whole = (node.position, node.normal, node.reach);
-        let part = |origin: u32, (position, normal, reach): (Vec3, Vec3, f32), sheet: usize| Part {
+        let part = |origin: u32, (position, normal, reach): (Vec3, Vec3, f32), sheet: usize| NewLeaf {
             position,
             normal,
             reach,

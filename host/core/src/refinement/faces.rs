@@ -102,7 +102,7 @@ pub(super) struct Reindexed {
 
 impl SampleOf<'_> {
     /// The sample of a vertex, and whether it belonged to a cluster that is split; `None` if it was not read.
-    fn of(&self, vertex: u32) -> Option<(u32, bool)> {
+    fn get(&self, vertex: u32) -> Option<(u32, bool)> {
         let leaves: &[u32] = cast_slice(&self.map);
         let leaf = leaves.get(vertex as usize)?.checked_sub(1)?;
         if leaf < self.samples {
@@ -146,7 +146,7 @@ impl SampleOf<'_> {
         let visit = |chunk: &FaceChunk| {
             progress.check()?;
             for corners in &chunk.triangles {
-                let [Some(a), Some(b), Some(c)] = corners.map(|vertex| self.of(vertex)) else { continue };
+                let [Some(a), Some(b), Some(c)] = corners.map(|vertex| self.get(vertex)) else { continue };
                 if let Some(planes) = &mut planes {
                     planes.take(*corners, [a.0, b.0, c.0]);
                 }

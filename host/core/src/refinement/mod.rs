@@ -186,7 +186,7 @@ pub fn refine(
     let near = OnceLock::new();
     let guides = contacts.map(|contacts| Guides::new(&sampled.samples, contacts, &near));
     let guides = guides.as_ref();
-    let work = Work { sampled, kept, model, sizing, leaves, guides, how, folder, progress };
+    let work = RefinementCall { sampled, kept, model, sizing, leaves, guides, how, folder, progress };
     let goal = work.goal();
     let (bound, cells, members, noted, figures) = match work.regrow(goal)? {
         Some(done) => done,
@@ -316,7 +316,7 @@ fn needs<'a>(
     let diagonal = sampled.local_diagonal().max(f64::MIN_POSITIVE);
     let budget = samples.unwrap_or((Finer::SHARE * selected.len() as f64).ceil() as u64);
     let budget = usize::try_from(budget).unwrap_or(usize::MAX);
-    let needs = Needs::of(sampled, &sampled.cluster_errors()?, &expected, (error * diagonal) as f32, budget);
+    let needs = Needs::new(sampled, &sampled.cluster_errors()?, &expected, (error * diagonal) as f32, budget);
     let need = Need {
         expected: f64::from(expected.iter().copied().fold(0.0, f32::max)) / diagonal,
         allowed: needs.as_ref().map_or(error, |needs| f64::from(needs.allowed) / diagonal),
@@ -343,7 +343,7 @@ fn check(how: &Refining) -> Result<()> {
 }
 
 /// A refinement at work.
-struct Work<'a, 'g> {
+struct RefinementCall<'a, 'g> {
     sampled: &'a SampledModel,
     kept: &'a KeptCells,
     model: &'a dyn Model,
@@ -373,7 +373,7 @@ type Met = (u32, Vec<bool>);
 
 type Done = (f32, Vec<Regrown>, Option<Members>, Option<Noted>, Refined);
 
-impl Work<'_, '_> {
+impl RefinementCall<'_, '_> {
     fn limit(&self) -> u64 {
         self.how.memory_limit.unwrap_or_else(|| (total_memory() / 4).min(2 << 30)).max(LEAST_MEMORY)
     }
@@ -452,7 +452,7 @@ impl Work<'_, '_> {
             if let Some(guides) = self.guides {
                 for cell in &mut gathered {
                     if guides.concern(&kept.cells[cell.cell as usize].tree.samples) {
-                        cell.guides = guides.of(&sampled.frame, cell.vertices.iter().map(|v| v.position));
+                        cell.guides = guides.find(&sampled.frame, cell.vertices.iter().map(|v| v.position));
                     }
                     if let Some(noted) = &mut noted {
                         let all =

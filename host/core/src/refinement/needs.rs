@@ -47,7 +47,7 @@ impl<'a> Needs<'a> {
     /// Of the samples that are selected and around which more than `allowed` is expected, for about `budget`
     /// new ones, as the [errors](SampledModel::cluster_errors) of their clusters are; `None` if there are
     /// none that could get more.
-    pub fn of(
+    pub fn new(
         sampled: &'a SampledModel,
         errors: &[f32],
         expected: &[f32],
@@ -83,7 +83,7 @@ impl<'a> Needs<'a> {
             let smaller = (allowed / expected).powf(1.0 / ORDER);
             // Where the cluster is a single place, what the expansion leaves out is due to those around.
             let is_several = |k: &usize| errors[*k] > 0.0;
-            let near = graph.of(i).iter().map(|j| *j as usize);
+            let near = graph.nearest_to(i).iter().map(|j| *j as usize);
             let mut helping: Vec<usize> =
                 if is_several(&i) { vec![i] } else { near.clone().take(RING).filter(is_several).collect() };
             if helping.is_empty() {
@@ -112,7 +112,7 @@ impl<'a> Needs<'a> {
             if from > wanted[i as usize] {
                 continue;
             }
-            for j in graph.of(i as usize).iter().take(RING) {
+            for j in graph.nearest_to(i as usize).iter().take(RING) {
                 let (i, j) = (i as usize, *j as usize);
                 let bound = from + RISE * samples.positions[i].distance(samples.positions[j]);
                 // Beyond, it changes nothing any more.
@@ -135,7 +135,7 @@ impl<'a> Needs<'a> {
 
     fn around(&self, i: usize, center: Vec3, radius: f32) -> f32 {
         let (positions, spacing) = (&self.samples.positions, self.samples.spacing());
-        let near = self.samples.neighbours().of(i).iter().take(RING).map(|j| *j as usize);
+        let near = self.samples.neighbours().nearest_to(i).iter().take(RING).map(|j| *j as usize);
         let reaches = |j: usize| (center.distance(positions[j]) - spacing[j] - radius).max(0.0);
         let bound = near.map(|j| self.wanted[j] + RISE * reaches(j)).fold(self.wanted[i], f32::min);
         bound - self.least

@@ -191,7 +191,7 @@ impl Regrowing<'_, '_> {
     ) -> Result<Regrown, Changed> {
         let tree = &kept.tree;
         let seed = seed_of(&kept.key);
-        let top = Top::of(tree);
+        let top = Top::from_tree(tree);
         let leaf_of = self.follow(&mut gathered, tree, &top, seed)?;
 
         // The vertices of each leaf, side by side.
@@ -417,7 +417,7 @@ struct TopLeaf {
 }
 
 impl Top {
-    fn of(tree: &CutTree) -> Self {
+    fn from_tree(tree: &CutTree) -> Self {
         let ends = tree.ends();
         let (mut nodes, mut leaves) = (Vec::<TopNode>::new(), Vec::new());
         let (mut kept, mut samples) = (0, 0);

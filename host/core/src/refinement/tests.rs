@@ -418,13 +418,13 @@ fn density_is_graded() {
     let figures = |s: &SampledModel| {
         let (spacing, graph) = (s.samples.spacing(), s.samples.neighbours());
         let ratio = |i: usize| {
-            let near = graph.of(i)[..6].iter().map(|j| spacing[*j as usize] / spacing[i]);
+            let near = graph.nearest_to(i)[..6].iter().map(|j| spacing[*j as usize] / spacing[i]);
             near.fold(1.0f32, |a, r| a.max(r).max(1.0 / r))
         };
         let mut ratios: Vec<f32> = (0..s.samples.len()).map(ratio).collect();
         ratios.sort_by(f32::total_cmp);
         let nearest = |i: usize| {
-            let j = graph.of(i)[0] as usize;
+            let j = graph.nearest_to(i)[0] as usize;
             s.samples.positions[i].distance(s.samples.positions[j]) / spacing[i]
         };
         let mut near: Vec<f32> = (0..s.samples.len()).map(nearest).collect();
@@ -509,7 +509,7 @@ fn shapes_of_the_deformed_model_select_what_is_there_then() {
     let (first, model) = body.sampled(samples(3000));
     let shift = Vec3::new(3.0, 0.0, 0.0);
     let deformed: Vec<Vec3> = first.samples.positions.iter().map(|p| *p + shift).collect();
-    let around = crate::reconstruction::Surroundings::of(&first.samples);
+    let around = crate::reconstruction::RestGeometry::new(&first.samples);
     let field = DeformationField::new(&around, &deformed, crate::reconstruction::Method::default());
     let by = shift.as_dvec3() * first.frame.scale;
     let (here, there) = (ball([0.41, 1.0, 0.41], 0.3), ball([0.41 + by.x, 1.0, 0.41], 0.3));
@@ -549,7 +549,7 @@ fn with_field<T>(
     call: impl FnOnce(&DeformationField<'_>) -> T,
 ) -> T {
     let deformed = deformed_by(sampled, map);
-    let around = crate::reconstruction::Surroundings::of(&sampled.samples);
+    let around = crate::reconstruction::RestGeometry::new(&sampled.samples);
     call(&DeformationField::new(&around, &deformed, crate::reconstruction::Method::default()))
 }
 

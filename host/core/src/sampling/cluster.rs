@@ -178,7 +178,7 @@ impl Group {
     }
 
     /// The same vertices, at this place in their cell.
-    pub fn at(&self, index: u32) -> Self {
+    pub fn with_index(&self, index: u32) -> Self {
         Self { index, ..*self }
     }
 

@@ -186,7 +186,7 @@ impl Gather for Groups {
             return Ok(None);
         }
         let index = self.open.count(cell) as u32;
-        table.insert(key, self.open.push(cell, group.at(index))?);
+        table.insert(key, self.open.push(cell, group.with_index(index))?);
         Ok(Some(index))
     }
 

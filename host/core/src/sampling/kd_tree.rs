@@ -57,7 +57,7 @@ impl KdTree {
         let leaves = len.div_ceil(LEAF);
         let mut boxes = vec![Extent { min: Vec3::ZERO, max: Vec3::ZERO }; 2 * leaves - 1];
         halve(&mut points, &mut boxes, in_parallel);
-        Self { leaves: points.chunks(LEAF).map(Leaf::of).collect(), boxes, len }
+        Self { leaves: points.chunks(LEAF).map(Leaf::from_points).collect(), boxes, len }
     }
 
     /// Number of points.
@@ -182,7 +182,7 @@ pub(crate) fn completed<T: Copy>(values: &[Option<T>], positions: &[Vec3]) -> Op
 /// Parts the points at the median along their box's longest side, so that leaves are full, and so on.
 fn halve(points: &mut [(Vec3, u32)], boxes: &mut [Extent], in_parallel: bool) {
     let Some((whole, halves)) = boxes.split_first_mut() else { return };
-    *whole = Extent::of(points.iter().map(|(p, _)| *p));
+    *whole = Extent::from_points(points.iter().map(|(p, _)| *p));
     let Extent { min, max } = *whole;
     if points.len() > LEAF {
         let left = points.len().div_ceil(LEAF) / 2;
@@ -199,7 +199,7 @@ fn halve(points: &mut [(Vec3, u32)], boxes: &mut [Extent], in_parallel: bool) {
 }
 
 impl Leaf {
-    fn of(points: &[(Vec3, u32)]) -> Self {
+    fn from_points(points: &[(Vec3, u32)]) -> Self {
         let far = [f32::INFINITY; LEAF];
         let mut leaf = Self { x: far, y: far, z: far, index: [u32::MAX; LEAF] };
         for (i, (p, index)) in points.iter().enumerate() {
@@ -238,7 +238,7 @@ impl Leaf {
 }
 
 impl Extent {
-    pub(super) fn of(points: impl Iterator<Item = Vec3>) -> Self {
+    pub(super) fn from_points(points: impl Iterator<Item = Vec3>) -> Self {
         let nothing = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
         points.fold(nothing, |all, p| Self { min: all.min.min(p), max: all.max.max(p) })
     }

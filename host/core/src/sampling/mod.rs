@@ -295,7 +295,7 @@ impl<'a> Prepared<'a> {
                 "scale it down: its extent has to be below 1e308",
             ));
         }
-        let frame = Frame::of(&grid.bounds);
+        let frame = Frame::from_bounds(&grid.bounds);
 
         let (target, bound) = match sampling.target {
             Target::Samples(n) => (Some(usize::try_from(n).unwrap_or(usize::MAX / 8)), 0.0),
@@ -326,7 +326,7 @@ impl<'a> Prepared<'a> {
         let reads_faces = info.faces > 0 && info.vertices <= Membership::MAX_VERTICES;
         let placement = if reads_faces { sampling.placement.resolve(model)? } else { Placement::Vertices };
         let known = if let Target::Samples(n) = sampling.target { Some(n) } else { None };
-        let picking = if sampling.skip.colors { None } else { Picking::of(model, known)? };
+        let picking = if sampling.skip.colors { None } else { Picking::for_model(model, known)? };
         let sampling = Sampling { placement, splitting, min_opacity, grouping, ..*sampling };
         Ok(Self {
             model,

@@ -69,7 +69,7 @@ impl Batch<'_> {
     fn look_up(&mut self, leaf: usize, mut say: impl FnMut(u32, &[Found])) {
         let tree = self.tree;
         let leaf = &tree.leaves[leaf];
-        let whole = Extent::of(leaf.points().map(|(p, _)| p));
+        let whole = Extent::from_points(leaf.points().map(|(p, _)| p));
         let middle = 0.5 * (whole.min + whole.max);
         let from_middle = |p: &(Vec3, u32)| p.0.distance_squared(middle);
         let Some((first, index)) = leaf.points().min_by(|a, b| from_middle(a).total_cmp(&from_middle(b)))

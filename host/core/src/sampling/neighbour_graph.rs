@@ -31,7 +31,7 @@ impl NeighbourGraph {
 
     /// The neighbours of sample `i`, nearest first.
     #[inline]
-    pub fn of(&self, i: usize) -> &[u32] {
+    pub fn nearest_to(&self, i: usize) -> &[u32] {
         &self.flat[i * self.k..(i + 1) * self.k]
     }
 

@@ -28,7 +28,7 @@ pub fn completed(positions: &[Vec3], known: &[Vec3], graph: &NeighbourGraph) -> 
     normals.resize(positions.len(), Vec3::ZERO);
     let missing: Vec<bool> = normals.iter().map(|n| *n == Vec3::ZERO).collect();
     normals.par_iter_mut().enumerate().filter(|(i, _)| missing[*i]).for_each(|(i, n)| {
-        *n = plane_normal(positions, i, first(graph.of(i), NEIGHBOURS));
+        *n = plane_normal(positions, i, first(graph.nearest_to(i), NEIGHBOURS));
     });
     orient(positions, graph, &mut normals, &missing);
     normals
@@ -55,7 +55,7 @@ type Edge = (u32, u32, u32);
 /// Turns the normals that are `open` so that those at the ends of each edge of a minimum spanning forest look
 /// the same way. Edges cost 1 − |nᵢ·nⱼ|: orientation spreads where the surface is flattest.
 fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open: &[bool]) {
-    let near = |i: usize| first(graph.of(i), ORIENT_NEIGHBOURS);
+    let near = |i: usize| first(graph.nearest_to(i), ORIENT_NEIGHBOURS);
     let cost = |i: usize, j: usize| (1.0 - normals[i].dot(normals[j]).abs()).max(0.0).to_bits();
     let mut edges: Vec<Edge> = Vec::with_capacity(positions.len() * ORIENT_NEIGHBOURS);
     for i in 0..positions.len() {
@@ -80,22 +80,22 @@ fn orient(positions: &[Vec3], graph: &NeighbourGraph, normals: &mut [Vec3], open
             let (i, j) = (i as usize, j as usize);
             parts.join(i, j, normals[i].dot(normals[j]) < 0.0);
         }
-        edges.retain(|(_, i, j)| parts.of(*i as usize).0 != parts.of(*j as usize).0);
+        edges.retain(|(_, i, j)| parts.find(*i as usize).0 != parts.find(*j as usize).0);
     }
 
     // The sample of each part that tells how all of it looks: a known one, or the highest.
     let mut telling: Vec<Option<u32>> = vec![None; positions.len()];
     for i in 0..positions.len() {
-        let slot = &mut telling[parts.of(i).0];
+        let slot = &mut telling[parts.find(i).0];
         let above = |j: usize| positions[i].z > positions[j].z;
         if slot.is_none_or(|j| open[j as usize] && (!open[i] || above(j as usize))) {
             *slot = Some(i as u32);
         }
     }
     let mut is_turned = |i: usize| {
-        let (part, turned) = parts.of(i);
+        let (part, turned) = parts.find(i);
         let j = telling[part]? as usize;
-        Some(turned ^ parts.of(j).1 ^ (open[j] && normals[j].z < 0.0))
+        Some(turned ^ parts.find(j).1 ^ (open[j] && normals[j].z < 0.0))
     };
     let turned: Vec<_> = (0..positions.len()).map(|i| open[i] && is_turned(i) == Some(true)).collect();
     normals.iter_mut().zip(turned).filter(|(_, turned)| *turned).for_each(|(n, _)| *n = -*n);
@@ -117,7 +117,7 @@ impl Parts {
 
     /// The part of a sample, and whether its normal has to be turned to look the same way as that of the
     /// part's root.
-    fn of(&mut self, mut i: usize) -> (usize, bool) {
+    fn find(&mut self, mut i: usize) -> (usize, bool) {
         let mut turned = false;
         while self.above[i] as usize != i {
             // Halves the path for the next time.
@@ -132,7 +132,7 @@ impl Parts {
 
     /// Makes one part of those of two samples, unless they are. `turned` if they look opposite ways.
     fn join(&mut self, i: usize, j: usize, turned: bool) {
-        let ((i, i_turned), (j, j_turned)) = (self.of(i), self.of(j));
+        let ((i, i_turned), (j, j_turned)) = (self.find(i), self.find(j));
         if i != j {
             self.above[j] = i as u32;
             self.turned[j] = turned ^ i_turned ^ j_turned;

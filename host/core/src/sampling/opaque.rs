@@ -34,7 +34,7 @@ pub struct UsualSplat {
 
 impl UsualSplat {
     /// Of some splats, given by position and size; nothing where they do not tell.
-    fn of(splats: &[(DVec3, f64)]) -> Option<Self> {
+    fn median(splats: &[(DVec3, f64)]) -> Option<Self> {
         let median = |of: &dyn Fn(&(DVec3, f64)) -> f64| {
             let (mut numbers, middle) = (splats.iter().map(of).collect::<Vec<_>>(), splats.len() / 2);
             (!numbers.is_empty()).then(|| *numbers.select_nth_unstable_by(middle, f64::total_cmp).1)
@@ -65,7 +65,7 @@ pub(crate) struct Opaque {
 impl Opaque {
     /// Of this opacity at least, and more where a splat is larger or farther off than `usual`; nothing where none
     /// is asked for, or the model has no splats.
-    pub(crate) fn of(model: &dyn Model, least: Option<f64>, usual: Option<UsualSplat>) -> Option<Self> {
+    pub(crate) fn new(model: &dyn Model, least: Option<f64>, usual: Option<UsualSplat>) -> Option<Self> {
         let least = least.filter(|least| *least > 0.0)?;
         let attributes = &model.info().attributes;
         let mut places = [follow::opacity(attributes)?; 4];
@@ -79,7 +79,7 @@ impl Opaque {
     /// # Errors
     /// The file cannot be read.
     pub(crate) fn find(model: &dyn Model, least: Option<f64>) -> Result<Option<Self>> {
-        let Some(opaque) = Self::of(model, least, None) else { return Ok(None) };
+        let Some(opaque) = Self::new(model, least, None) else { return Ok(None) };
         Ok(Some(Self { usual: opaque.find_usual(model)?, ..opaque }))
     }
 
@@ -115,7 +115,7 @@ impl Opaque {
             Ok(splats)
         };
         let splats = (0..places).into_par_iter().map(read).collect::<Result<Vec<_>>>()?;
-        Ok(UsualSplat::of(&splats.concat()))
+        Ok(UsualSplat::median(&splats.concat()))
     }
 
     /// Takes the positions from the splats of a chunk that are left out; returns how many of them had one.

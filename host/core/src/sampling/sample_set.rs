@@ -34,13 +34,13 @@ pub struct SampleSet {
     all_known: bool,
     /// All normals, where some had to be estimated.
     estimated: OnceLock<Vec<Vec3>>,
-    surroundings: OnceLock<Surroundings>,
+    surroundings: OnceLock<Neighbourhoods>,
     contacts: Option<Contacts>,
     tree: OnceLock<KdTree>,
 }
 
 /// Who is near whom: found when it is first asked for, as writing the samples does not need it.
-struct Surroundings {
+struct Neighbourhoods {
     neighbours: NeighbourGraph,
     spacing: Vec<f32>,
 }
@@ -154,7 +154,7 @@ impl SampleSet {
         if graph.k() != NEIGHBOURS.min(self.len() - 1) || !graph.is_valid(self.len()) {
             return false;
         }
-        self.surroundings.get_or_init(|| Surroundings::of(&self.positions, graph));
+        self.surroundings.get_or_init(|| Neighbourhoods::new(&self.positions, graph));
         true
     }
 
@@ -167,18 +167,20 @@ impl SampleSet {
     /// How far the surface around each sample goes that it stands for in pictures: its spacing, but for samples that
     /// lie apart from all others, as strays of a scan, no more than their nearest neighbour tells.
     pub fn extents(&self) -> Vec<f32> {
-        let Surroundings { neighbours, spacing } = self.surroundings();
+        let Neighbourhoods { neighbours, spacing } = self.surroundings();
         let ring = SPACING_NEIGHBOURS.min(neighbours.k());
         // To how many others each is a neighbour.
         let mut known = vec![0u8; spacing.len()];
         for i in 0..spacing.len() {
-            for j in &neighbours.of(i)[..ring] {
+            for j in &neighbours.nearest_to(i)[..ring] {
                 let known = &mut known[*j as usize];
                 *known = known.saturating_add(1);
             }
         }
         let extent = |i: usize| {
-            let Some(nearest) = neighbours.of(i).first().map(|j| *j as usize).filter(|_| known[i] < 5) else {
+            let Some(nearest) =
+                neighbours.nearest_to(i).first().map(|j| *j as usize).filter(|_| known[i] < 5)
+            else {
                 return spacing[i];
             };
             // One of a few that are far from all others, or, where hardly any other knows it, all alone.
@@ -242,10 +244,10 @@ impl SampleSet {
     }
 
     #[inline]
-    fn surroundings(&self) -> &Surroundings {
+    fn surroundings(&self) -> &Neighbourhoods {
         self.surroundings.get_or_init(|| {
             self.prepare_tree();
-            Surroundings::of(&self.positions, NeighbourGraph::of_points(self.tree(), NEIGHBOURS))
+            Neighbourhoods::new(&self.positions, NeighbourGraph::of_points(self.tree(), NEIGHBOURS))
         })
     }
 
@@ -278,14 +280,14 @@ impl SampleSet {
     }
 }
 
-impl Surroundings {
-    fn of(positions: &[Vec3], neighbours: NeighbourGraph) -> Self {
+impl Neighbourhoods {
+    fn new(positions: &[Vec3], neighbours: NeighbourGraph) -> Self {
         let near = SPACING_NEIGHBOURS.min(neighbours.k());
         let spacing = (0..positions.len())
             .into_par_iter()
             .map(|i| {
                 let distance = |j: &u32| positions[*j as usize].distance(positions[i]);
-                neighbours.of(i)[..near].iter().map(distance).sum::<f32>() / near.max(1) as f32
+                neighbours.nearest_to(i)[..near].iter().map(distance).sum::<f32>() / near.max(1) as f32
             })
             .collect();
         Self { neighbours, spacing }
@@ -311,7 +313,7 @@ mod tests {
                 let mut all: Vec<f32> =
                     points.iter().enumerate().filter(|(j, _)| *j != i).map(|(_, q)| p.distance(*q)).collect();
                 all.sort_by(f32::total_cmp);
-                let found = set.neighbours().of(i);
+                let found = set.neighbours().nearest_to(i);
                 prop_assert!(!found.contains(&(i as u32)));
                 let found: Vec<f32> = found.iter().map(|j| points[*j as usize].distance(*p)).collect();
                 prop_assert_eq!(&found[..], &all[..set.neighbours().k()]);

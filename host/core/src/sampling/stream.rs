@@ -126,7 +126,7 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Resul
         }),
         forest: Mutex::new((forest, true)),
         workspaces: Mutex::new(Vec::new()),
-        work: Mutex::new(Work::default()),
+        work: Mutex::new(Tasks::default()),
         moved: Condvar::new(),
     };
     thread::scope(|scope| {
@@ -136,7 +136,7 @@ fn stream<G: Gather>(pass: &Pass<'_>, gather: G, found: &mut Clustered) -> Resul
         stream.go_on();
     });
     let Stream { merging, work, .. } = stream;
-    let Work { failed, has_no_room, .. } = work.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let Tasks { failed, has_no_room, .. } = work.into_inner().unwrap_or_else(PoisonError::into_inner);
     if has_no_room {
         return Ok(false);
     }
@@ -167,7 +167,7 @@ struct Stream<'a, G: Gather> {
     /// What all trees are taken into, and whether none is yet.
     forest: Mutex<(&'a mut Forest, bool)>,
     workspaces: Mutex<Vec<Workspace<G::Item>>>,
-    work: Mutex<Work<G>>,
+    work: Mutex<Tasks<G>>,
     /// Something was merged or clustered, or the work is over.
     moved: Condvar,
 }
@@ -197,7 +197,7 @@ struct Merging<'a, G> {
 }
 
 /// What there is to do.
-struct Work<G: Gather> {
+struct Tasks<G: Gather> {
     /// Pieces that were taken, and of these that were merged.
     taken: u64,
     merged: u64,
@@ -214,7 +214,7 @@ struct Work<G: Gather> {
     spare: Vec<Piece<G::Piece>>,
 }
 
-impl<G: Gather> Default for Work<G> {
+impl<G: Gather> Default for Tasks<G> {
     fn default() -> Self {
         Self {
             taken: 0,
@@ -306,7 +306,7 @@ impl<'a, G: Gather> Stream<'a, G> {
         }
     }
 
-    fn work(&self) -> MutexGuard<'_, Work<G>> {
+    fn work(&self) -> MutexGuard<'_, Tasks<G>> {
         self.work.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

@@ -25,7 +25,7 @@ use super::parting::{Parted, Parting};
 use super::places::Places;
 use super::sorter::Sorter;
 use crate::reconstruction::{
-    CROWDED_NEIGHBOURS, SHEET_NEIGHBOURS, Surroundings, TANGENT_RING, homes, sheet_distance,
+    CROWDED_NEIGHBOURS, RestGeometry, SHEET_NEIGHBOURS, TANGENT_RING, homes, sheet_distance,
 };
 use crate::sampled_model::SampledModel;
 use crate::sampling::kept_cells::CutTree;
@@ -125,7 +125,7 @@ impl Contacts {
                 Ok(())
             }
         })?;
-        Places::of(places, sampled.samples.len(), parting.folder)
+        Places::build(places, sampled.samples.len(), parting.folder)
     }
 
     /// The same of a model that was refined: `samples`, of which those behind the ones that are known each
@@ -161,7 +161,7 @@ impl Contacts {
         }
         let mut all = Sorter::new(folder);
         let near = self.near(&sampled.samples);
-        let around = Surroundings::of(&near.samples);
+        let around = RestGeometry::new(&near.samples);
         let mut found = Vec::new();
         vertices.each(|positions, own| {
             let in_model: Vec<DVec3> = positions.iter().map(|p| sampled.frame.to_model(*p)).collect();
@@ -175,7 +175,7 @@ impl Contacts {
             Ok(())
         })?;
         self.places.all().iter().try_for_each(|place| all.push(*place))?;
-        let places = Arc::new(Places::of(all, sampled.samples.len(), folder)?);
+        let places = Arc::new(Places::build(all, sampled.samples.len(), folder)?);
         Ok(Self { places, ..self })
     }
 
@@ -186,7 +186,7 @@ impl Contacts {
 
     /// The neighbours of a sample on its sheet, nearest first; `None` where no sheets meet.
     pub fn same_sheet(&self, sample: usize) -> Option<&[u32]> {
-        self.lists.of(sample)
+        self.lists.get(sample)
     }
 
     /// The sample on whose sheet a local position is, where it is not known from the position itself.
@@ -334,7 +334,7 @@ impl Near {
         let mut near = Self { samples: samples.part(&numbers), numbers };
         let lists = (0..)
             .zip(&near.numbers)
-            .filter_map(|(place, i)| Some((place, lists.of(*i as usize)?)))
+            .filter_map(|(place, i)| Some((place, lists.get(*i as usize)?)))
             .map(|(place, same)| (place, same.iter().filter_map(|i| near.place(*i)).collect()));
         let lists = Lists::new(lists.collect(), Vec::new());
         near.samples.set_contacts(Some(Contacts { lists, ..Contacts::default() }));
@@ -390,7 +390,7 @@ pub(crate) struct Guides<'a> {
     contacts: &'a Contacts,
     samples: &'a SampleSet,
     near: &'a OnceLock<Near>,
-    around: OnceLock<Surroundings<'a>>,
+    around: OnceLock<RestGeometry<'a>>,
     /// The samples that share the cluster of one that a tree has.
     parted: HashMap<u32, Vec<u32>>,
 }
@@ -407,8 +407,8 @@ impl<'a> Guides<'a> {
         self.near.get_or_init(|| self.contacts.near(self.samples))
     }
 
-    fn around(&self) -> &Surroundings<'a> {
-        self.around.get_or_init(|| Surroundings::of(&self.near().samples))
+    fn around(&self) -> &RestGeometry<'a> {
+        self.around.get_or_init(|| RestGeometry::new(&self.near().samples))
     }
 
     /// Whether sheets meet near one of these samples.
@@ -418,7 +418,7 @@ impl<'a> Guides<'a> {
 
     /// For each local position near such a sample, a sample of its sheet. Not to be called by jobs of the
     /// thread pool.
-    pub fn of(&self, frame: &Frame, positions: impl Iterator<Item = Vec3> + Clone) -> Vec<u32> {
+    pub fn find(&self, frame: &Frame, positions: impl Iterator<Item = Vec3> + Clone) -> Vec<u32> {
         let in_model: Vec<DVec3> = positions.clone().map(|p| frame.to_model(p)).collect();
         let mut guides = Vec::new();
         homes(self.around(), frame, &in_model, &mut guides);
@@ -490,7 +490,7 @@ impl Lists {
         self.samples.binary_search(&(sample as u32)).ok()
     }
 
-    fn of(&self, sample: usize) -> Option<&[u32]> {
+    fn get(&self, sample: usize) -> Option<&[u32]> {
         let at = self.place(sample)?;
         Some(&self.same[self.starts[at] as usize..self.starts[at + 1] as usize])
     }
@@ -560,14 +560,14 @@ impl<'a> Tangents<'a> {
     fn new(samples: &'a SampleSet, lists: &Lists) -> Self {
         let of_samples = samples.normals();
         let normal = |i: &u32| {
-            let ring = lists.of(*i as usize).unwrap_or_default().iter().take(TANGENT_RING);
+            let ring = lists.get(*i as usize).unwrap_or_default().iter().take(TANGENT_RING);
             let sum: Vec3 = ring.chain([i]).map(|j| of_samples[*j as usize]).sum();
             sum.try_normalize().unwrap_or(of_samples[*i as usize])
         };
         let mut place = vec![NONE; samples.len()];
         (0..).zip(&lists.samples).for_each(|(at, sample)| place[*sample as usize] = at);
         let reach = |i: &u32| {
-            let ring = lists.of(*i as usize).unwrap_or_default();
+            let ring = lists.get(*i as usize).unwrap_or_default();
             let last = ring.get(TANGENT_RING).or(ring.last());
             let distance =
                 |j: &u32| samples.positions[*i as usize].distance_squared(samples.positions[*j as usize]);

@@ -43,13 +43,13 @@ pub struct Parting<'a> {
 }
 
 /// A sheet of a cluster of several.
-pub struct Part {
+pub struct ClusterSheet {
     /// Its islands.
     islands: Vec<u32>,
     moments: Moments,
 }
 
-impl Part {
+impl ClusterSheet {
     /// The larger ones first, and of equal ones by where they are: vertices may come in any order.
     fn by_size(&self, other: &Self) -> Ordering {
         let larger = other.moments.count().total_cmp(&self.moments.count());
@@ -66,7 +66,7 @@ fn by_place(a: Vec3, b: Vec3) -> Ordering {
 /// What is known of the clusters of several sheets: each with its parts, the largest first.
 pub struct Parts {
     graph: Graph,
-    mixed: Vec<(u32, Vec<Part>)>,
+    mixed: Vec<(u32, Vec<ClusterSheet>)>,
 }
 
 /// What the clusters come to.
@@ -162,10 +162,10 @@ impl Parting<'_> {
                 place_of.extend(part.iter().map(|island| (*island, (i, j))));
             }
         }
-        let mut found: Vec<(u32, Vec<Part>)> = mixed
+        let mut found: Vec<(u32, Vec<ClusterSheet>)> = mixed
             .into_iter()
             .map(|Mixed { cluster, parts }| {
-                let part = |islands| Part { islands, moments: Moments::default() };
+                let part = |islands| ClusterSheet { islands, moments: Moments::default() };
                 (cluster, parts.into_iter().map(part).collect())
             })
             .collect();
@@ -182,7 +182,7 @@ impl Parting<'_> {
             Ok(())
         })?;
         for (_, parts) in &mut found {
-            parts.sort_by(Part::by_size);
+            parts.sort_by(ClusterSheet::by_size);
         }
         Ok(Parts { graph, mixed: found })
     }
@@ -260,7 +260,7 @@ impl Parts {
     }
 
     /// Islands of other clusters that a part is joined with.
-    fn neighbours<'a>(&'a self, part: &'a Part) -> impl Iterator<Item = u32> + 'a {
+    fn neighbours<'a>(&'a self, part: &'a ClusterSheet) -> impl Iterator<Item = u32> + 'a {
         part.islands.iter().flat_map(|island| self.graph.joined(*island)).copied()
     }
 

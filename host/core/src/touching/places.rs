@@ -77,7 +77,7 @@ fn filling(samples: usize, folder: &Path) -> Filling<'_> {
 
 impl Places {
     /// Of places that were put into a sorter, each once.
-    pub fn of(places: Sorter<'_>, samples: usize, folder: &Path) -> Result<Self> {
+    pub fn build(places: Sorter<'_>, samples: usize, folder: &Path) -> Result<Self> {
         let mut filling = filling(samples, folder);
         let mut last = None;
         places.finish(|place| {
@@ -162,7 +162,7 @@ mod tests {
             }
             // One that two sheets share.
             sorter.push(Places::entry(place(7), 40)).expect("room");
-            let places = Places::of(sorter, samples, &folder).expect("room");
+            let places = Places::build(sorter, samples, &folder).expect("room");
             assert_eq!(matches!(places, Places::Mapped(_)), count > 400);
             let mut bytes = Vec::new();
             places.write(&mut bytes).expect("memory");

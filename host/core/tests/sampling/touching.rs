@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use glam::{DQuat, DVec3, Vec3};
-use simod_core::reconstruction::{DeformationField, Method, Moved, Surroundings, carry};
+use simod_core::reconstruction::{DeformationField, Method, Moved, RestGeometry, carry};
 use simod_core::refinement::{Finer, Refining, Selection, refine};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Skip, Target};
@@ -129,7 +129,7 @@ fn off_by(
         sampled.frame.to_local(map(p, of(p)))
     };
     let deformed: Vec<Vec3> = sampled.samples.positions.iter().map(place).collect();
-    let around = Surroundings::of(&sampled.samples);
+    let around = RestGeometry::new(&sampled.samples);
     let field = DeformationField::new(&around, &deformed, Method::BlendedJets);
     let mut moved = body.positions.clone();
     let to = &mut [Moved { positions: &mut moved, normals: &mut [], gradients: &mut [], figures: &mut [] }];

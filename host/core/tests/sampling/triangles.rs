@@ -43,7 +43,7 @@ struct Quality {
 }
 
 impl Quality {
-    fn of(sampled: &SampledModel) -> Self {
+    fn measure(sampled: &SampledModel) -> Self {
         // Once in each direction.
         let mut edges: BTreeMap<[u32; 2], [u32; 2]> = BTreeMap::new();
         let mut used = BTreeSet::new();
@@ -80,7 +80,7 @@ fn a_closed_surface_stays_nearly_closed() {
         for splitting in [Splitting::VolumeSurface, Splitting::Octree] {
             let sampled = body.sampled(Sampling { splitting, ..samples(5000) });
             check_each(&sampled);
-            let quality = Quality::of(&sampled);
+            let quality = Quality::measure(&sampled);
             assert!(quality.closed > closed, "{shape:?}, {splitting:?}: {quality:?}");
             assert!(quality.outside > closed, "{shape:?}, {splitting:?}: {quality:?}");
             let surplus = quality.characteristic.abs_diff(2 * bodies) as f64;
@@ -101,7 +101,7 @@ fn groups_leave_the_surface_nearly_closed_too() {
         let body = Body::generated(shape, 100_000);
         let sampled = body.sampled(Sampling { grouping: Grouping::Level(3), ..samples(5000) });
         check_each(&sampled);
-        let quality = Quality::of(&sampled);
+        let quality = Quality::measure(&sampled);
         assert!(quality.closed > closed && quality.outside > closed, "{shape:?}: {quality:?}");
     }
 }
@@ -115,7 +115,7 @@ fn a_cell_of_several_parts_has_one_surface() {
     let sampled = body.sampled(samples(5000));
     assert_eq!(sampled.cells, 2);
     check_each(&sampled);
-    let quality = Quality::of(&sampled);
+    let quality = Quality::measure(&sampled);
     assert!(quality.closed > 0.99 && quality.outside > 0.99, "{quality:?}");
 }
 
@@ -123,7 +123,7 @@ fn a_cell_of_several_parts_has_one_surface() {
 fn an_open_surface_keeps_its_border() {
     let sampled = Body::generated(Shape::Plane, 40_000).sampled(samples(1000));
     check_each(&sampled);
-    let quality = Quality::of(&sampled);
+    let quality = Quality::measure(&sampled);
     // Some 4√1000 edges of 3000 lie along the border.
     assert!((0.93..0.97).contains(&quality.closed), "{quality:?}");
     assert!(quality.outside > 0.985, "{quality:?}");

@@ -19,14 +19,14 @@ const CAP: [f64; 2] = [0.9, 0.44];
 
 /// Rows that belong together.
 struct Section {
-    part: Part,
+    part: CactusPart,
     rows: u64,
     /// Index of the first vertex.
     first: u64,
 }
 
 #[derive(Clone, Copy)]
-enum Part {
+enum CactusPart {
     /// The cap below.
     Foot,
     Stem,
@@ -50,13 +50,13 @@ impl Cactus {
         let form = Form::new();
         let counts = Counts::of_vertices(&Counts::lengths(&form), vertices);
         let mut cactus = Self { form, counts, sections: Vec::new() };
-        let arms = [0, 1].into_iter().flat_map(|arm| [Part::Arm(arm), Part::Tip(arm)]);
+        let arms = [0, 1].into_iter().flat_map(|arm| [CactusPart::Arm(arm), CactusPart::Tip(arm)]);
         let mut first = 0;
-        for part in [Part::Foot, Part::Stem, Part::Top].into_iter().chain(arms) {
+        for part in [CactusPart::Foot, CactusPart::Stem, CactusPart::Top].into_iter().chain(arms) {
             let rows = match part {
-                Part::Stem => counts.stem.iter().sum::<u64>() + 1,
-                Part::Arm(arm) => counts.arms[arm].iter().sum::<u64>() + 1,
-                Part::Foot | Part::Top | Part::Tip(_) => cactus.cap(part).height,
+                CactusPart::Stem => counts.stem.iter().sum::<u64>() + 1,
+                CactusPart::Arm(arm) => counts.arms[arm].iter().sum::<u64>() + 1,
+                CactusPart::Foot | CactusPart::Top | CactusPart::Tip(_) => cactus.cap(part).height,
             };
             cactus.sections.push(Section { part, rows, first });
             first += (0..rows).map(|row| cactus.row_of(part, row)).sum::<u64>();
@@ -83,16 +83,16 @@ impl Cactus {
     }
 
     /// Number of vertices in a row of a section.
-    fn row_of(&self, part: Part, row: u64) -> u64 {
+    fn row_of(&self, part: CactusPart, row: u64) -> u64 {
         match part {
-            Part::Stem => (0..2).fold(4 * self.counts.side, |len, arm| {
+            CactusPart::Stem => (0..2).fold(4 * self.counts.side, |len, arm| {
                 let hole = self.counts.hole(arm);
                 if hole.low < row && row < hole.high { len - (self.counts.side - 1) } else { len }
             }),
             // The first ring of an arm and of a cap is another section's.
-            Part::Arm(_) | Part::Foot | Part::Top | Part::Tip(_) if row == 0 => 0,
-            Part::Arm(arm) => self.counts.around_arm(arm),
-            Part::Foot | Part::Top | Part::Tip(_) => self.counts.side - 1,
+            CactusPart::Arm(_) | CactusPart::Foot | CactusPart::Top | CactusPart::Tip(_) if row == 0 => 0,
+            CactusPart::Arm(arm) => self.counts.around_arm(arm),
+            CactusPart::Foot | CactusPart::Top | CactusPart::Tip(_) => self.counts.side - 1,
         }
     }
 
@@ -172,15 +172,15 @@ impl Cactus {
     }
 
     fn arm_ring(&self, arm: usize, way: f64, radius: f64, angle: f64) -> DVec3 {
-        let [center, tangent] = self.form.tubes[1 + arm].at(way);
+        let [center, tangent] = self.form.tubes[1 + arm].point(way);
         let (sin, cos) = angle.sin_cos();
         (center + tangent.perp() * (radius * cos)).extend(-radius * sin)
     }
 
-    fn cap(&self, part: Part) -> Cap {
+    fn cap(&self, part: CactusPart) -> Cap {
         let side = self.counts.side;
         match part {
-            Part::Tip(arm) => Cap { width: side, height: self.counts.stem[HOLES[arm]] },
+            CactusPart::Tip(arm) => Cap { width: side, height: self.counts.stem[HOLES[arm]] },
             _ => Cap { width: side, height: side },
         }
     }
@@ -192,22 +192,22 @@ impl Cactus {
             return section.first + (row - 1) * (cap.width - 1) + column - 1;
         };
         match section.part {
-            Part::Tip(arm) => self.on_arm(arm, self.counts.arms[arm].iter().sum(), j),
-            Part::Top => self.on_stem(self.counts.stem.iter().sum(), j),
+            CactusPart::Tip(arm) => self.on_arm(arm, self.counts.arms[arm].iter().sum(), j),
+            CactusPart::Top => self.on_stem(self.counts.stem.iter().sum(), j),
             _ => self.on_stem(0, j),
         }
     }
 
     /// The place of a cap's vertex before it is moved onto the surface.
-    fn near_cap(&self, part: Part, column: u64, row: u64) -> DVec3 {
+    fn near_cap(&self, part: CactusPart, column: u64, row: u64) -> DVec3 {
         let (share, angle) = self.cap(part).polar(column, row);
         let (tip, rim) = match part {
-            Part::Tip(arm) => {
+            CactusPart::Tip(arm) => {
                 let tube = &self.form.tubes[1 + arm];
                 let at = |way: f64, radius: f64| self.arm_ring(arm, tube.length() + way, radius, angle);
                 (at(tube.radius, 0.0), at(CAP[1] * tube.radius, CAP[0] * tube.radius))
             }
-            Part::Top => (DVec3::Y * 1.98, stem_ring(STEM[7][0], STEM[7][1], angle)),
+            CactusPart::Top => (DVec3::Y * 1.98, stem_ring(STEM[7][0], STEM[7][1], angle)),
             _ => (DVec3::ZERO, stem_ring(STEM[0][0], STEM[0][1], angle)),
         };
         tip.lerp(rim, share)
@@ -290,14 +290,14 @@ impl Rows for Cactus {
         let (count, part) = (self.row_of(section.part, row), section.part);
         let side = self.counts.side;
         let near = |i: u64| match part {
-            Part::Stem => {
+            CactusPart::Stem => {
                 let missing = (0..2)
                     .map(|arm| self.counts.hole(arm))
                     .find(|hole| hole.low < row && row < hole.high && i > hole.left);
                 self.near_stem(row, i + if missing.is_some() { side - 1 } else { 0 })
             }
-            Part::Arm(arm) => self.near_arm(arm, row, i),
-            Part::Foot | Part::Top | Part::Tip(_) => self.near_cap(part, i + 1, row),
+            CactusPart::Arm(arm) => self.near_arm(arm, row, i),
+            CactusPart::Foot | CactusPart::Top | CactusPart::Tip(_) => self.near_cap(part, i + 1, row),
         };
         vertices.extend((0..count).map(|i| self.form.vertex(near(i))));
     }
@@ -306,10 +306,10 @@ impl Rows for Cactus {
         let (section, row) = self.find(row);
         let side = self.counts.side;
         2 * match section.part {
-            Part::Foot | Part::Top | Part::Tip(_) => side,
+            CactusPart::Foot | CactusPart::Top | CactusPart::Tip(_) => side,
             _ if row + 1 == section.rows => 0,
-            Part::Arm(arm) => self.counts.around_arm(arm),
-            Part::Stem => 4 * side - if self.hole_above(row).is_some() { side } else { 0 },
+            CactusPart::Arm(arm) => self.counts.around_arm(arm),
+            CactusPart::Stem => 4 * side - if self.hole_above(row).is_some() { side } else { 0 },
         }
     }
 
@@ -323,7 +323,7 @@ impl Rows for Cactus {
         };
         let side = self.counts.side;
         match section.part {
-            Part::Foot | Part::Top | Part::Tip(_) => {
+            CactusPart::Foot | CactusPart::Top | CactusPart::Tip(_) => {
                 let cap = self.cap(section.part);
                 for column in 0..side {
                     let at = |i: u64, k: u64| self.on_cap(section, column + i, row + k);
@@ -333,15 +333,15 @@ impl Rows for Cactus {
                     let corners = if halved { [c, a, d, b] } else { [a, b, c, d] };
                     // The foot is seen from below.
                     let [a, b, c, d] = corners;
-                    add(if matches!(section.part, Part::Foot) { [c, d, a, b] } else { corners });
+                    add(if matches!(section.part, CactusPart::Foot) { [c, d, a, b] } else { corners });
                 }
             }
             _ if row + 1 == section.rows => {}
-            Part::Arm(arm) => {
+            CactusPart::Arm(arm) => {
                 let around = self.counts.around_arm(arm);
                 (0..around).for_each(|j| add(ring(around, &|r, c| self.on_arm(arm, r, c), j)));
             }
-            Part::Stem => {
+            CactusPart::Stem => {
                 let hole = self.hole_above(row).map_or(0..0, |hole| hole.left..hole.left + side);
                 let columns = (0..4 * side).filter(|column| !hole.contains(column));
                 columns.for_each(|j| add(ring(4 * side, &|r, c| self.on_stem(r, c), j)));

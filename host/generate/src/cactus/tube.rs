@@ -45,7 +45,7 @@ impl Leg {
     }
 
     /// The point after some length, and the direction there. It goes straight on beyond both ends.
-    fn at(&self, way: f64) -> [DVec2; 2] {
+    fn point(&self, way: f64) -> [DVec2; 2] {
         match *self {
             Self::Line { from, direction, .. } => [from + direction * way, direction],
             Self::Arc { center, radius, start, sweep } => {
@@ -76,22 +76,22 @@ impl Tube {
     }
 
     /// The curve's point after some length, and its direction there; straight on beyond both ends.
-    pub fn at(&self, way: f64) -> [DVec2; 2] {
+    pub fn point(&self, way: f64) -> [DVec2; 2] {
         let mut rest = way;
         for leg in &self.legs[..self.legs.len() - 1] {
             if rest < leg.length() {
-                return leg.at(rest);
+                return leg.point(rest);
             }
             rest -= leg.length();
         }
-        self.legs[self.legs.len() - 1].at(rest)
+        self.legs[self.legs.len() - 1].point(rest)
     }
 
     pub fn see(&self, p: DVec3) -> Seen {
         let mut before = 0.0;
         let seen = self.legs.iter().map(|leg| {
             let way = leg.nearest(p.truncate());
-            let [at, tangent] = leg.at(way);
+            let [at, tangent] = leg.point(way);
             let seen = Seen { way: before + way, offset: p - at.extend(0.0), tangent };
             before += leg.length();
             seen

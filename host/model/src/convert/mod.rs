@@ -32,7 +32,7 @@ use crate::{
     Edit, Edited, Error, ErrorKind, FaceReader, Model, ModelInfo, Normals, Output, Progress, Result,
     Rewriting, Scalar, VertexChunk, VertexReader, for_faces, pipeline,
 };
-use work::Work;
+use work::ConversionCall;
 
 /// Extensions of what can be written.
 const WRITTEN: [&str; 13] =
@@ -327,7 +327,7 @@ impl Model for Converted {
                 "leave out --resume, and write one version after the other",
             ));
         }
-        let work = Work::new(&*self.model, &self.source, &*form, how, edit, progress);
+        let work = ConversionCall::new(&*self.model, &self.source, &*form, how, edit, progress);
         pipeline::rewrite(&work, outputs, how, &work.edit(), &work.quietly())?;
         if let Some(following) = self.following() {
             following.tell(self.path(), progress);

@@ -54,7 +54,8 @@ impl Records {
         };
         let is_alpha = |a: &Attribute| a.name == "alpha";
         let packs = kind == Kind::Pcd && !info.attributes.iter().any(is_alpha);
-        let colors = Colors::of(info).filter(|colors| packs && colors.kind == Type::U8 && names(colors));
+        let colors =
+            Colors::from_info(info).filter(|colors| packs && colors.kind == Type::U8 && names(colors));
         let packed = colors.map(|Colors { places: [r, g, b], .. }| [b, g, r]);
         for (place, attribute) in info.attributes.iter().enumerate() {
             if packed.is_some_and(|packed| packed.contains(&place)) {

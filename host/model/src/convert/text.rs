@@ -19,7 +19,7 @@ enum Digits {
 }
 
 impl Digits {
-    fn of(content: &Content<'_>) -> Self {
+    fn for_content(content: &Content<'_>) -> Self {
         let info = content.info();
         match (&info.integers, info.position_type) {
             (Some(integers), _) => {
@@ -109,9 +109,9 @@ struct Painted {
 }
 
 impl Painted {
-    fn of(kind: Kind, content: &Content<'_>) -> Result<Option<Self>> {
+    fn for_content(kind: Kind, content: &Content<'_>) -> Result<Option<Self>> {
         let info = content.info();
-        let Some(colors) = Colors::of(info).filter(|_| matches!(kind, Kind::Obj | Kind::Off)) else {
+        let Some(colors) = Colors::from_info(info).filter(|_| matches!(kind, Kind::Obj | Kind::Off)) else {
             return Ok(None);
         };
         let scale = ColorScale::of_model(content.model, &colors)?;
@@ -153,7 +153,7 @@ impl Lines {
         if let Some(crs) = &info.crs {
             losses.push(format!("the coordinate reference system {crs}"));
         }
-        let colors = Painted::of(kind, content)?;
+        let colors = Painted::for_content(kind, content)?;
         if let Some(Painted { colors, .. }) =
             colors.as_ref().filter(|c| kind == Kind::Off && c.colors.kind != Type::U8)
         {
@@ -192,7 +192,7 @@ impl Lines {
         }
         Ok(Self {
             kind,
-            digits: Digits::of(content),
+            digits: Digits::for_content(content),
             vertices: info.vertices,
             faces: if holds_faces { content.faces } else { Faces::default() },
             has_normals: content.has_normals && holds_normals,

@@ -22,7 +22,7 @@ use crate::{
 pub(crate) const PIECE: u64 = 50_000;
 
 /// A call of [`Converted::rewrite`](super::Converted).
-pub(super) struct Work<'a> {
+pub(super) struct ConversionCall<'a> {
     model: &'a dyn Model,
     source: &'a Source,
     form: &'a dyn Form,
@@ -48,7 +48,7 @@ struct Turns {
 /// What has come once all vertices have.
 const BEHIND_ALL: u64 = u64::MAX;
 
-impl<'a> Work<'a> {
+impl<'a> ConversionCall<'a> {
     pub(super) fn new(
         model: &'a dyn Model,
         source: &'a Source,
@@ -99,7 +99,7 @@ impl<'a> Work<'a> {
     /// it fails.
     fn guarded<T>(&self, piece: u64, work: impl FnOnce() -> Result<T>) -> Result<T> {
         struct Guard<'w, 'a> {
-            of: &'w Work<'a>,
+            of: &'w ConversionCall<'a>,
             piece: u64,
             is_done: bool,
         }
@@ -161,7 +161,7 @@ impl<'a> Work<'a> {
     }
 }
 
-impl Rewritable for Work<'_> {
+impl Rewritable for ConversionCall<'_> {
     fn pieces(&self, _normals: Normals) -> Result<Box<dyn Pieces + '_>> {
         let vertices = self.model.info().vertices;
         let reader = self.in_order.then(|| self.model.vertices(0..vertices)).transpose()?;
@@ -241,7 +241,7 @@ enum Next {
 
 /// The pieces of a conversion.
 struct Reading<'a> {
-    work: &'a Work<'a>,
+    work: &'a ConversionCall<'a>,
     next: Next,
     /// Number of the next piece.
     number: u64,
@@ -358,7 +358,7 @@ impl Reading<'_> {
 }
 
 /// Tells the edit of pieces in their order, and lets it edit them in any.
-pub(super) struct InTurn<'w, 'a>(&'w Work<'a>);
+pub(super) struct InTurn<'w, 'a>(&'w ConversionCall<'a>);
 
 impl Edit for InTurn<'_, '_> {
     fn begin(&self, chunk: &RawChunk<'_>) -> Result<()> {

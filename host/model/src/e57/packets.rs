@@ -46,7 +46,7 @@ pub(super) struct Packets {
 }
 
 /// A packet's part of a stream.
-pub(super) struct Part {
+pub(super) struct PacketStream {
     pub stream: usize,
     /// The bytes of the stream.
     pub of_stream: Range<u64>,
@@ -202,7 +202,7 @@ impl<'a> Walk<'a, '_> {
 
     /// Goes over the packet at a place, and on to the next one; `false` if there is none before `end`. Tells
     /// `each` what of streams it has.
-    pub fn next(&mut self, place: &mut Place, end: u64, mut each: impl FnMut(Part)) -> Result<bool> {
+    pub fn next(&mut self, place: &mut Place, end: u64, mut each: impl FnMut(PacketStream)) -> Result<bool> {
         let (at, wrong) = (place.at, self.wrong());
         if at.saturating_add(4) > end {
             return Ok(false);
@@ -227,7 +227,7 @@ impl<'a> Walk<'a, '_> {
                 for (stream, length) in lengths.chunks_exact(2).enumerate() {
                     let bytes = u64::from(u16::from_le_bytes([length[0], length[1]]));
                     let before = &mut place.before[stream];
-                    each(Part { stream, of_stream: *before..*before + bytes, at: at + begin });
+                    each(PacketStream { stream, of_stream: *before..*before + bytes, at: at + begin });
                     *before += bytes;
                     begin += bytes;
                 }

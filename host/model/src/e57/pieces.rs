@@ -32,7 +32,7 @@ const CHUNK_BYTES: u64 = 4 << 20;
 
 /// What of the file comes next.
 #[derive(Debug)]
-enum Part {
+enum Section {
     Copy(Range<u64>),
     /// Pages with the points of some scans.
     Points {
@@ -89,7 +89,7 @@ impl Segment {
 /// The pieces of an E57 file, in its order.
 pub(super) struct E57Pieces<'a> {
     model: &'a E57Model,
-    next: VecDeque<Part>,
+    next: VecDeque<Section>,
     window: Window<'a>,
     rows: Vec<u64>,
 }
@@ -110,12 +110,12 @@ impl<'a> E57Pieces<'a> {
             }
         }
         for (pages, scans) in regions {
-            next.push_back(Part::Copy(at..pages.start * PAGE));
+            next.push_back(Section::Copy(at..pages.start * PAGE));
             at = pages.end * PAGE;
-            next.push_back(Part::Points { pages, scans });
+            next.push_back(Section::Points { pages, scans });
         }
-        next.push_back(Part::Copy(at..ending.start));
-        next.push_back(Part::Ending(ending));
+        next.push_back(Section::Copy(at..ending.start));
+        next.push_back(Section::Ending(ending));
         let window = Window::new(&model.source, MOST_PAGES + 2 * AROUND);
         Self { model, next, window, rows: Vec::new() }
     }
@@ -283,20 +283,20 @@ impl Pieces for E57Pieces<'_> {
                 return Ok(Piece::End);
             };
             match part {
-                Part::Copy(range) if range.is_empty() => {}
-                Part::Copy(range) => {
+                Section::Copy(range) if range.is_empty() => {}
+                Section::Copy(range) => {
                     let wanted = (range.end - range.start).min(CHUNK_BYTES);
-                    self.next.push_front(Part::Copy(range.start + wanted..range.end));
+                    self.next.push_front(Section::Copy(range.start + wanted..range.end));
                     self.copy(range.start..range.start + wanted, chunk)?;
                     return Ok(Piece::Bytes);
                 }
-                Part::Points { pages, .. } if pages.is_empty() => {}
-                Part::Points { pages, scans } => {
+                Section::Points { pages, .. } if pages.is_empty() => {}
+                Section::Points { pages, scans } => {
                     let (end, piece) = self.read_points(&pages, &scans, chunk)?;
-                    self.next.push_front(Part::Points { pages: end..pages.end, scans });
+                    self.next.push_front(Section::Points { pages: end..pages.end, scans });
                     return Ok(piece);
                 }
-                Part::Ending(range) => {
+                Section::Ending(range) => {
                     self.copy(range, chunk)?;
                     return Ok(Piece::Made);
                 }

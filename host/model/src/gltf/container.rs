@@ -39,7 +39,7 @@ pub(super) struct Container {
     /// The file that was opened.
     pub(super) source: Source,
     /// What its bytes are made of, if not of the file as it is.
-    parts: Vec<Part>,
+    parts: Vec<Segment>,
     len: u64,
     pub(super) json: Range<u64>,
     /// The binary data; empty if there is none.
@@ -47,7 +47,7 @@ pub(super) struct Container {
 }
 
 #[derive(Debug)]
-struct Part {
+struct Segment {
     /// Where it begins in the whole.
     at: u64,
     len: u64,
@@ -203,12 +203,16 @@ impl Container {
                 return Err(this.source.malformed(what, CUT_OFF));
             }
             if buffer.byte_length > 0 {
-                parts.push(Part { at: len, len: buffer.byte_length, bytes });
+                parts.push(Segment { at: len, len: buffer.byte_length, bytes });
             }
             len += buffer.byte_length;
             let padding = len.next_multiple_of(4) - len;
             if padding > 0 {
-                parts.push(Part { at: len, len: padding, bytes: Bytes::Memory(vec![0; padding as usize]) });
+                parts.push(Segment {
+                    at: len,
+                    len: padding,
+                    bytes: Bytes::Memory(vec![0; padding as usize]),
+                });
                 len += padding;
             }
         }
@@ -236,10 +240,10 @@ impl Container {
         this.bin = json_end + CHUNK..json_end + CHUNK + len;
         this.len = total;
         parts.iter_mut().for_each(|part| part.at += this.bin.start);
-        this.parts.push(Part { at: 0, len: head.len() as u64, bytes: Bytes::Memory(head) });
+        this.parts.push(Segment { at: 0, len: head.len() as u64, bytes: Bytes::Memory(head) });
         this.parts.append(&mut parts);
         if behind > 0 {
-            this.parts.push(Part { at: this.bin.end, len: behind, bytes: Bytes::Opened(after) });
+            this.parts.push(Segment { at: this.bin.end, len: behind, bytes: Bytes::Opened(after) });
         }
         Ok((this, text))
     }

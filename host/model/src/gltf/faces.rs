@@ -26,7 +26,7 @@ impl<'a> Faces<'a> {
     }
 
     /// Those between some marks.
-    pub(super) fn at(model: &'a GltfModel, ranges: Vec<Range<u64>>) -> Self {
+    pub(super) fn between(model: &'a GltfModel, ranges: Vec<Range<u64>>) -> Self {
         let face = |offset: u64| (offset / FACE).min(model.layout.triangles);
         let of_marks: Vec<_> = ranges.into_iter().map(|r| face(r.start)..face(r.end)).collect();
         Self { ranges: of_marks.into_iter(), range: 0..0, with_marks: false, ..Self::new(model) }

@@ -91,7 +91,7 @@ impl GltfModel {
             let what = "none of its nodes shows a mesh with positions";
             return Err(container.source.malformed(what, "export the model with its scene"));
         }
-        let limits = Limits::of(&json, &document, &layout, &container)?;
+        let limits = Limits::from_accessor(&json, &document, &layout, &container)?;
         let info = info(&container, &document, &layout);
         Ok(Self { container, layout, limits, info })
     }

@@ -38,7 +38,7 @@ pub(super) struct Limits {
 impl Limits {
     /// # Errors
     /// One that is there is not as many numbers as an element.
-    pub(super) fn of(
+    pub(super) fn from_accessor(
         json: &[u8],
         document: &Document<'_>,
         layout: &Layout,

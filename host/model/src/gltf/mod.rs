@@ -94,7 +94,7 @@ impl Model for GltfModel {
     }
 
     fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(Faces::at(self, ranges)))
+        Ok(Box::new(Faces::between(self, ranges)))
     }
 
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {

@@ -20,7 +20,7 @@ pub(super) struct Placement {
 
 impl Placement {
     /// Of a matrix that can be inverted; `None` inside for one that changes nothing.
-    fn of(world: DMat4) -> Result<Option<Self>, &'static str> {
+    fn from_matrix(world: DMat4) -> Result<Option<Self>, &'static str> {
         let [a, b, c, d] = [world.x_axis, world.y_axis, world.z_axis, world.w_axis];
         let matrix = DMat3::from_cols(a.truncate(), b.truncate(), c.truncate());
         let translation = d.truncate();
@@ -110,7 +110,7 @@ impl Places<'_> {
             if node.mesh.is_none() || node.skin.is_some() {
                 return Ok(None);
             }
-            Placement::of(worlds[index]).map_err(|why| {
+            Placement::from_matrix(worlds[index]).map_err(|why| {
                 let what = format!("node {index}: {why}");
                 self.container.source.malformed(
                     what,
@@ -166,11 +166,11 @@ mod tests {
 
     #[test]
     fn what_changes_nothing_is_none() {
-        assert_eq!(Placement::of(DMat4::IDENTITY), Ok(None));
-        assert!(Placement::of(DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0))).is_err());
-        assert!(Placement::of(DMat4::from_translation(DVec3::NAN)).is_err());
+        assert_eq!(Placement::from_matrix(DMat4::IDENTITY), Ok(None));
+        assert!(Placement::from_matrix(DMat4::from_scale(DVec3::new(1.0, 0.0, 1.0))).is_err());
+        assert!(Placement::from_matrix(DMat4::from_translation(DVec3::NAN)).is_err());
         // Small is not singular.
-        assert!(Placement::of(DMat4::from_scale(DVec3::splat(1e-30))).is_ok());
+        assert!(Placement::from_matrix(DMat4::from_scale(DVec3::splat(1e-30))).is_ok());
     }
 
     proptest! {
@@ -185,7 +185,7 @@ mod tests {
             prop_assume!(matrix.determinant().abs() > 0.1);
             let (p, by) = (Vec3::from(p), DVec3::from(by));
             let world = DMat4::from_translation(DVec3::from(shift)) * DMat4::from_mat3(matrix);
-            let placement = Placement::of(world).unwrap().unwrap();
+            let placement = Placement::from_matrix(world).unwrap().unwrap();
             let moved = placement.moved(p, by);
             let there = matrix * moved + DVec3::from(shift);
             prop_assert!((there - placement.position(p) - by).length() < 1e-8);

@@ -103,7 +103,7 @@ impl GltfModel {
                 let numbers = raw[at..at + size as usize].chunks_exact(kind.size());
                 for (part, (to, bytes)) in to.iter_mut().zip(numbers).enumerate() {
                     let number = number(kind, bytes);
-                    to.push(if part < 3 { curve.of(number) } else { number });
+                    to.push(if part < 3 { curve.apply(number) } else { number });
                 }
             }
         }
@@ -134,7 +134,7 @@ impl Curve {
     }
 
     #[inline]
-    fn of(self, number: f64) -> f64 {
+    fn apply(self, number: f64) -> f64 {
         match self {
             Self::Bytes(table) => f64::from(table[usize::from(number as u8)]),
             Self::Whole(full) => (full * srgb(number / full)).round(),

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::attributes::Places;
 use super::blocks::Blocks;
 use super::header::{CUT_OFF, DAMAGED, Header};
-use super::kept::Kept;
+use super::kept::KeptFields;
 use super::laszip::Laszip;
 use super::points;
 use super::vlrs::{Kind, Records};
@@ -29,7 +29,7 @@ pub struct LasModel {
     /// By how many steps the offset of what is written is another one.
     pub(super) shift: [i64; 3],
     /// What was found in compressed points, as long as they are [read again](crate::Model::keep_positions).
-    pub(super) kept: Mutex<Option<Arc<Kept>>>,
+    pub(super) kept: Mutex<Option<Arc<KeptFields>>>,
 }
 
 impl LasModel {
@@ -80,12 +80,12 @@ impl LasModel {
 
     /// The bytes of a record that positions and colours take.
     pub(super) fn parts(&self) -> Vec<Range<usize>> {
-        let colors = Colors::of(&self.info).into_iter().flat_map(|colors| colors.places);
+        let colors = Colors::from_info(&self.info).into_iter().flat_map(|colors| colors.places);
         let of_colors = colors.map(|place| self.places.bytes_of(place));
         std::iter::once(0..points::BYTES).chain(of_colors).collect()
     }
 
-    pub(super) fn kept(&self) -> Option<Arc<Kept>> {
+    pub(super) fn kept(&self) -> Option<Arc<KeptFields>> {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 

@@ -145,7 +145,7 @@ impl LasForm {
             losses.push(format!("the coordinate reference system {crs}"));
         }
         let has = |name: &str| info.attributes.iter().any(|a| a.name == name);
-        let colors = Colors::of(info).filter(|colors| {
+        let colors = Colors::from_info(info).filter(|colors| {
             let names = colors.places.map(|place| info.attributes[place].name.as_str());
             names == ["red", "green", "blue"]
         });
@@ -468,8 +468,9 @@ impl Form for LasForm {
         }
         if !all.after.is_empty() {
             let corners = [all.after.min, all.after.max];
-            let Bounds { min, max } =
-                Bounds::of(corners.map(|numbers| numbers * self.integers.scale + self.integers.offset));
+            let Bounds { min, max } = Bounds::from_points(
+                corners.map(|numbers| numbers * self.integers.scale + self.integers.offset),
+            );
             let sides = (0..3).flat_map(|axis| [max[axis], min[axis]]).flat_map(f64::to_le_bytes);
             patches.push((at::BOUNDS, sides.collect()));
         }

@@ -20,7 +20,7 @@ const MOST: u64 = 8 << 30;
 /// Memory: 16 bytes for each block. A temporary file has as many bytes for each vertex as the parts, 12 or 18 as
 /// a rule, and [`MOST`] at most.
 #[derive(Debug)]
-pub(super) struct Kept {
+pub(super) struct KeptFields {
     file: Scratch,
     /// Which bytes of a record are kept.
     parts: Vec<Range<usize>>,
@@ -51,7 +51,7 @@ impl Compressed<'_> {
     }
 }
 
-impl Kept {
+impl KeptFields {
     /// Nothing yet. `None` if the folder has no room to spare, which is no error.
     pub fn new(folder: &Path, blocks: &Blocks, parts: Vec<Range<usize>>, record: usize) -> Option<Self> {
         let of_vertex: usize = parts.iter().map(Range::len).sum();

@@ -35,7 +35,7 @@ use std::sync::{Arc, PoisonError};
 
 pub(super) use file::LasModel;
 use glam::DVec3;
-use kept::Kept;
+use kept::KeptFields;
 use reader::Reader;
 use vlrs::Kind;
 
@@ -121,7 +121,7 @@ impl Model for LasModel {
             self.compressed.as_ref().filter(|(laszip, _)| !laszip.is_layered).map(|(_, blocks)| blocks);
         let kept = folder
             .zip(blocks)
-            .and_then(|(folder, blocks)| Kept::new(folder, blocks, self.parts(), self.header.record));
+            .and_then(|(folder, blocks)| KeptFields::new(folder, blocks, self.parts(), self.header.record));
         *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = kept.map(Arc::new);
     }
 
@@ -131,7 +131,7 @@ impl Model for LasModel {
 
     fn make_room(&mut self, moves: &[[DVec3; 2]], margin: f64) -> Result<Option<String>> {
         let integers = self.header.integers;
-        let bounds = Bounds::of(moves.iter().map(|[_, to]| *to));
+        let bounds = Bounds::from_points(moves.iter().map(|[_, to]| *to));
         let steps = integers.steps_to(&bounds, margin).map_err(|axis| {
             let what = format!(
                 "the deformed samples span {} along {}, which has no room in integers of 32 bits at the scale {} of {}",

@@ -20,18 +20,18 @@ const CHUNK_BYTES: usize = 4 << 20;
 
 impl Rewritable for LasModel {
     fn pieces(&self, _normals: Normals) -> Result<Box<dyn Pieces + '_>> {
-        let mut next = VecDeque::from([Part::Header]);
-        next.extend(self.copied_before().into_iter().map(Part::Copy));
-        next.push_back(Part::Points);
-        let copy = |range: Range<u64>, next: &mut VecDeque<Part>| {
-            next.extend(self.without_copc(range).into_iter().map(Part::Copy));
+        let mut next = VecDeque::from([Section::Header]);
+        next.extend(self.copied_before().into_iter().map(Section::Copy));
+        next.push_back(Section::Points);
+        let copy = |range: Range<u64>, next: &mut VecDeque<Section>| {
+            next.extend(self.without_copc(range).into_iter().map(Section::Copy));
         };
         match &self.compressed {
             None => copy(self.header.points + self.info.vertex_bytes..self.source.len(), &mut next),
             Some((_, blocks)) => match &blocks.table {
                 Some(table) => {
                     copy(blocks.end()..table.start, &mut next);
-                    next.push_back(Part::Table(table.clone()));
+                    next.push_back(Section::Table(table.clone()));
                     copy(table.end..self.source.len(), &mut next);
                 }
                 None => copy(blocks.end()..self.source.len(), &mut next),
@@ -152,7 +152,7 @@ impl Rewritable for LasModel {
 }
 
 /// What of the file comes next.
-enum Part {
+enum Section {
     Header,
     Copy(Range<u64>),
     Points,
@@ -163,7 +163,7 @@ enum Part {
 /// The pieces of a LAS file, in its order.
 struct LasPieces<'a> {
     model: &'a LasModel,
-    next: VecDeque<Part>,
+    next: VecDeque<Section>,
     /// What reads points that are not compressed.
     plain: Reader<'a>,
     /// The first compressed block that was not read.
@@ -179,32 +179,32 @@ impl Pieces for LasPieces<'_> {
                 return Ok(Piece::End);
             };
             match part {
-                Part::Header => {
+                Section::Header => {
                     chunk.raw.clear();
                     model.source.append_at(&mut chunk.raw, 0, model.header.len as usize)?;
                     model.correct_header(&mut chunk.raw);
                     self.next.pop_front();
                     return Ok(Piece::Bytes);
                 }
-                Part::Copy(range) if !range.is_empty() => {
+                Section::Copy(range) if !range.is_empty() => {
                     chunk.raw.clear();
                     let wanted = (range.end - range.start).min(CHUNK_BYTES as u64) as usize;
                     range.start += model.source.append_at(&mut chunk.raw, range.start, wanted)? as u64;
                     return Ok(Piece::Bytes);
                 }
-                Part::Points => {
+                Section::Points => {
                     if let Some(vertices) = self.read_points(chunk)? {
                         return Ok(Piece::Vertices(vertices));
                     }
                 }
-                Part::Table(range) => {
+                Section::Table(range) => {
                     chunk.raw.clear();
                     let length = (range.end - range.start) as usize;
                     model.source.append_at(&mut chunk.raw, range.start, length)?;
                     self.next.pop_front();
                     return Ok(Piece::Made);
                 }
-                Part::Copy(_) => {}
+                Section::Copy(_) => {}
             }
             self.next.pop_front();
         }
@@ -215,27 +215,27 @@ impl Pieces for LasPieces<'_> {
         let mut skipped = Skipped { bytes: 0, vertex_bytes: 0 };
         while let (1.., Some(part)) = (pieces, self.next.front_mut()) {
             match part {
-                Part::Copy(range) => {
+                Section::Copy(range) => {
                     let passed = copies(range).min(pieces);
                     pieces -= passed;
                     range.start = range.end.min(range.start + passed * CHUNK_BYTES as u64);
                     skipped.bytes = range.start;
                 }
-                Part::Points => {
+                Section::Points => {
                     let passed;
                     (passed, skipped) = self.skip_points(pieces);
                     pieces -= passed;
                 }
-                Part::Header => {
+                Section::Header => {
                     pieces -= 1;
                     skipped.bytes = model.header.len;
                 }
-                Part::Table(range) => {
+                Section::Table(range) => {
                     pieces -= 1;
                     skipped.bytes = range.end;
                 }
             }
-            if pieces > 0 || matches!(self.next.front(), Some(Part::Header | Part::Table(_))) {
+            if pieces > 0 || matches!(self.next.front(), Some(Section::Header | Section::Table(_))) {
                 self.next.pop_front();
             }
         }
@@ -347,7 +347,7 @@ impl LasModel {
         // The scale may be negative.
         let of = |bounds: &Bounds, integers: &ScaledIntegers| {
             let corners = [bounds.min, bounds.max];
-            Bounds::of(corners.map(|numbers| numbers * integers.scale + integers.offset))
+            Bounds::from_points(corners.map(|numbers| numbers * integers.scale + integers.offset))
         };
         let (before, after) = (of(before, &self.header.integers), of(after, self.written()));
         let mut patches = Vec::new();

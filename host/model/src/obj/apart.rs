@@ -48,7 +48,7 @@ fn cut(bytes: &[u8], count: u64) -> Option<usize> {
     if count == 0 {
         return Some(0);
     }
-    let is_normal = |line: &(usize, usize)| Statement::of(&bytes[line.0..line.1]) == Statement::Normal;
+    let is_normal = |line: &(usize, usize)| Statement::parse(&bytes[line.0..line.1]) == Statement::Normal;
     lines(bytes, true).filter(is_normal).nth(count as usize - 1).map(|(_, end)| end)
 }
 
@@ -66,7 +66,7 @@ impl ApartModel {
             model.source.append_at(&mut raw, bytes.start, (bytes.end - bytes.start) as usize)?;
             let end = cut(&raw, OF_A_BLOCK).unwrap_or(raw.len());
             let of_normals = lines(&raw[..end], true).map(|(a, b)| &raw[a..b]);
-            for line in of_normals.filter(|line| Statement::of(line) == Statement::Normal) {
+            for line in of_normals.filter(|line| Statement::parse(line) == Statement::Normal) {
                 values(line).take(3).enumerate().for_each(|(c, (a, b))| survey.take(c, &line[a..b]));
             }
         }
@@ -98,7 +98,7 @@ impl ApartModel {
         spans.clear();
         for (start, end) in lines(raw, true) {
             let line = &raw[start..end];
-            if Statement::of(line) != Statement::Normal {
+            if Statement::parse(line) != Statement::Normal {
                 continue;
             }
             let (mut normal, mut words) = (DVec3::ZERO, values(line));

@@ -54,7 +54,7 @@ impl Grammar for Obj {
     }
 
     fn is_vertex(&self, line: &[u8]) -> bool {
-        Statement::of(line) == Statement::Vertex
+        Statement::parse(line) == Statement::Vertex
     }
 
     fn words(&self, line: &[u8], spans: &mut [[usize; 2]]) {
@@ -68,7 +68,7 @@ impl Grammar for Obj {
         let (mut vertices, mut normals) = (0, 0);
         for (start, end) in lines(raw, Self::CONTINUES) {
             let line = &raw[start..end];
-            let at = match Statement::of(line) {
+            let at = match Statement::parse(line) {
                 Statement::Vertex => {
                     vertices += 1;
                     components * (vertices - 1)
@@ -98,7 +98,7 @@ impl Grammar for Obj {
             return Some(0);
         }
         for (start, end) in lines(bytes, Self::CONTINUES) {
-            match Statement::of(&bytes[start..end]) {
+            match Statement::parse(&bytes[start..end]) {
                 Statement::Vertex => vertices += 1,
                 Statement::Normal if self.beside => normals += 1,
                 _ => continue,
@@ -158,14 +158,14 @@ impl FaceLines for Corners<'_> {
         if start < blocks.end() {
             let mut lines = Lines::new(source, start, offset, Self::CONTINUES);
             while let Some((_, line)) = lines.next()? {
-                self.vertices += u64::from(Statement::of(line) == Statement::Vertex);
+                self.vertices += u64::from(Statement::parse(line) == Statement::Vertex);
             }
         }
         Ok(())
     }
 
     fn face(&mut self, line: &[u8]) -> Result<Option<usize>, String> {
-        match Statement::of(line) {
+        match Statement::parse(line) {
             Statement::Face => Ok(next_word(line, 0, true).map(|(_, end)| end)),
             Statement::Vertex => {
                 self.vertices += 1;

@@ -16,7 +16,7 @@ pub(super) enum Statement {
 
 impl Statement {
     #[inline]
-    pub(super) fn of(line: &[u8]) -> Self {
+    pub(super) fn parse(line: &[u8]) -> Self {
         // Most lines begin with their word.
         let start = if line.first().is_some_and(|b| is_space(*b)) {
             line.iter().position(|b| !is_space(*b)).unwrap_or(line.len())

@@ -35,7 +35,7 @@ use scan::{NormalsAre, Scan};
 /// Opens a file, which is gone over once.
 pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>> {
     let Scan { vertices, normals, faces, face_lines, corners, is_relative, first_vertex, others } =
-        Scan::of(&source)?;
+        Scan::from_source(&source)?;
     let colours = colours(&first_vertex);
     let attributes = |name: &&str| Attribute { name: (*name).into(), kind: Type::F64 };
     let info = ModelInfo {

@@ -89,7 +89,7 @@ impl Beside {
 }
 
 impl Scan {
-    pub(super) fn of(source: &Source) -> Result<Self> {
+    pub(super) fn from_source(source: &Source) -> Result<Self> {
         let mut lines = Lines::new(source, 0, u64::MAX, true);
         let (mut vertices, mut normals) = (Builder::new(0, 1), Builder::new(0, 1));
         let mut beside = Beside { builder: Some(Builder::new(0, 1)), vertices: 0, normals: 0, start: 0 };
@@ -98,7 +98,7 @@ impl Scan {
         let mut others = BTreeMap::new();
         let (mut runs, mut last) = (0u64, Statement::Other);
         while let Some((start, line)) = lines.next()? {
-            let statement = Statement::of(line);
+            let statement = Statement::parse(line);
             let end = start + line.len() as u64;
             match statement {
                 Statement::Vertex | Statement::Normal => {

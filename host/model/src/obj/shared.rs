@@ -252,7 +252,7 @@ fn write_pairs(model: &TextModel<Obj>, to: &Scratch, start: u64, progress: &dyn 
     let mut lines = Lines::new(&model.source, 0, u64::MAX, true);
     let (mut vertices, mut normals, mut faces) = (0, 0, 0u64);
     while let Some((_, line)) = lines.next()? {
-        match Statement::of(line) {
+        match Statement::parse(line) {
             Statement::Vertex => vertices += 1,
             Statement::Normal => normals += 1,
             Statement::Face => {

@@ -30,7 +30,7 @@ pub(crate) fn open(source: Source, making: &Making<'_>) -> Result<Box<dyn Model>
     };
     let records = header.records();
     let other = header.fields.iter().filter(|f| !f.is_component()).map(Field::describe).collect();
-    let mut model = PlyModel::of(source, records, header::without_normals)?;
+    let mut model = PlyModel::from_header(source, records, header::without_normals)?;
     model.extensions = &["pcd"];
     model.besides = besides;
     model.info.format = format!("PCD {}, {name}", header.version);

@@ -24,14 +24,14 @@ const BLOCK: usize = 1 << 18;
 
 /// Reads all faces of a model.
 pub(super) struct Faces<'a> {
-    parts: Vec<Part>,
+    parts: Vec<FaceElement>,
     /// Index of the part that the cursor stands in.
     part: usize,
     cursor: Cursor<'a>,
 }
 
 /// An element to go over.
-struct Part {
+struct FaceElement {
     plan: Plan,
     /// Where it begins; `None` in a text file, where that is where the one before ends.
     start: Option<u64>,
@@ -50,7 +50,7 @@ struct List {
     item: Type,
 }
 
-impl Part {
+impl FaceElement {
     fn new(element: &Element, encoding: Encoding, start: Option<u64>) -> Self {
         let corners = corner_list(element);
         let strips = element.name == "tristrips";
@@ -188,7 +188,7 @@ impl<'a> Faces<'a> {
     fn by(block_size: usize, model: &'a PlyModel) -> Result<Self> {
         let encoding = model.header.encoding;
         let with_triangles = with_triangles(&model.header);
-        let part = |i: usize, start| Part::new(&model.header.elements[i], encoding, start);
+        let part = |i: usize, start| FaceElement::new(&model.header.elements[i], encoding, start);
         let mut parts = Vec::new();
         if encoding != Encoding::Ascii {
             parts.extend(with_triangles.iter().map(|&i| part(i, Some(model.starts[i]))));
@@ -239,7 +239,7 @@ impl FaceReader for Faces<'_> {
 
 /// Reads the faces in some ranges of the file, each of whole records.
 pub(super) struct SomeFaces<'a> {
-    part: Part,
+    part: FaceElement,
     cursor: Cursor<'a>,
     ranges: std::vec::IntoIter<Range<u64>>,
 }
@@ -253,7 +253,7 @@ impl<'a> SomeFaces<'a> {
                 "this is a bug: please report it",
             ));
         };
-        let part = Part::new(&model.header.elements[element], encoding, None);
+        let part = FaceElement::new(&model.header.elements[element], encoding, None);
         let mut cursor = Cursor::new(encoding, Window::new(&model.source, BLOCK));
         cursor.window.limit = Some(0);
         Ok(Self { part, cursor, ranges: ranges.into_iter() })
@@ -309,7 +309,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Goes to the first record.
-    fn enter(&mut self, part: &Part) {
+    fn enter(&mut self, part: &FaceElement) {
         (self.record, self.step) = (0, 0);
         if let Some(start) = part.start {
             self.window.seek(start);
@@ -317,7 +317,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Goes on by a little: `false` at the end of the part. Adds no more triangles than fit into a chunk.
-    fn advance(&mut self, part: &Part, chunk: &mut FaceChunk) -> Result<bool> {
+    fn advance(&mut self, part: &FaceElement, chunk: &mut FaceChunk) -> Result<bool> {
         let plan = &part.plan;
         if self.skip > 0 {
             self.pass(plan)?;
@@ -390,7 +390,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Reads corners of the list, each of which ends a triangle at most.
-    fn read_corners(&mut self, part: &Part, item: Type, chunk: &mut FaceChunk) -> Result<()> {
+    fn read_corners(&mut self, part: &FaceElement, item: Type, chunk: &mut FaceChunk) -> Result<()> {
         let room = (CHUNK_TRIANGLES - chunk.triangles.len()).min(Self::AT_ONCE);
         for _ in 0..self.left.min(room as u64) {
             let index = self.integer(&part.plan, item)?;

@@ -71,7 +71,7 @@ impl PlyModel {
     /// The file cannot be read, is not PLY, is cut off, or has no vertices with positions.
     pub(crate) fn new(source: Source) -> Result<Self> {
         let header = Header::read(&source)?;
-        Self::of(source, header, header::without_normals)
+        Self::from_header(source, header, header::without_normals)
     }
 
     /// What a file of such records is, which need not be called PLY. `without_normals` makes its header anew
@@ -79,7 +79,11 @@ impl PlyModel {
     ///
     /// # Errors
     /// As of [`new`](Self::new).
-    pub(super) fn of(source: Source, header: Header, without_normals: fn(&[u8]) -> Vec<u8>) -> Result<Self> {
+    pub(super) fn from_header(
+        source: Source,
+        header: Header,
+        without_normals: fn(&[u8]) -> Vec<u8>,
+    ) -> Result<Self> {
         let (vertex, element) = header.vertex(&source)?;
         let mut layout = Layout::new(&source, header.encoding, element)?;
         let (following, misfit) = match Following::of(&Follow::default(), &layout.attributes) {

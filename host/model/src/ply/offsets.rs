@@ -6,10 +6,10 @@ use crate::CHUNK_VERTICES;
 
 /// Vertices of a file, and where they begin.
 #[derive(Debug)]
-pub(super) struct Offsets(Mutex<Known>);
+pub(super) struct Offsets(Mutex<KnownOffsets>);
 
 #[derive(Debug)]
-struct Known {
+struct KnownOffsets {
     /// Vertex and offset, ascending in both.
     entries: Vec<(u64, u64)>,
     /// Fewest vertices from one entry to the next.
@@ -21,7 +21,7 @@ impl Offsets {
     const MAX: usize = 1 << 14;
 
     pub(super) fn new() -> Self {
-        Self(Mutex::new(Known { entries: Vec::new(), spacing: CHUNK_VERTICES as u64 }))
+        Self(Mutex::new(KnownOffsets { entries: Vec::new(), spacing: CHUNK_VERTICES as u64 }))
     }
 
     /// The last known vertex that is not after this one.

@@ -157,7 +157,7 @@ impl Chunks {
             let most = (COPIED / self.bounds_bytes() * self.bounds_bytes()) as u64;
             at += self.source.append_at(&mut bytes, at, most.min(self.starts[1] - at) as usize)? as u64;
             for record in bytes.chunks_exact(self.bounds_bytes()) {
-                let extent = Bounds::of(record, 0).extent();
+                let extent = Bounds::from_record(record, 0).extent();
                 step = step.max(if extent.is_finite() { extent.abs() / STEPS } else { DVec3::ZERO });
             }
         }
@@ -185,13 +185,13 @@ impl Chunks {
         let [_, rotation, scale, colour] = words(packed);
         let colours = [24, 16, 8].map(|shift| packing::part(colour >> shift, 8));
         let colours = match self.groups {
-            3 => Bounds::of(bounds, 2).at(colours),
+            3 => Bounds::from_record(bounds, 2).interpolate(colours),
             _ => DVec3::from_array(colours),
         };
         to.extend(colours.to_array().map(packing::coefficient));
         to.extend(packed[PACKED..].iter().map(|byte| packing::harmonic(*byte)));
         to.push(packing::opacity(colour as u8));
-        to.extend(Bounds::of(bounds, 1).at(packing::three(scale)).to_array());
+        to.extend(Bounds::from_record(bounds, 1).interpolate(packing::three(scale)).to_array());
         to.extend(packing::quaternion(rotation));
     }
 }
@@ -214,7 +214,7 @@ impl Bounds {
     const NONE: Self = Self([DVec3::INFINITY, DVec3::NEG_INFINITY]);
 
     /// A group of those that a chunk has.
-    fn of(record: &[u8], group: usize) -> Self {
+    fn from_record(record: &[u8], group: usize) -> Self {
         let at = |i: usize| {
             let mut four = [0; 4];
             four.copy_from_slice(&record[24 * group + 4 * i..][..4]);
@@ -244,7 +244,7 @@ impl Bounds {
     }
 
     /// What lies at these parts of the way between them.
-    fn at(&self, parts: [f64; 3]) -> DVec3 {
+    fn interpolate(&self, parts: [f64; 3]) -> DVec3 {
         let t = DVec3::from_array(parts);
         self.0[0] * (1.0 - t) + self.0[1] * t
     }
@@ -311,9 +311,9 @@ impl Chunks {
     }
 
     /// Writes the part of a chunk of the file that a piece is of.
-    fn put(&self, turned: &Turned, bytes: &[(&[u8], &[u8])], part: Part, to: &mut Vec<u8>) {
+    fn put(&self, turned: &Turned, bytes: &[(&[u8], &[u8])], part: ChunkElement, to: &mut Vec<u8>) {
         let places = Places::new(self.harmonics);
-        if part == Part::Bounds {
+        if part == ChunkElement::Bounds {
             let at = to.len();
             to.extend_from_slice(bytes[0].0);
             for (group, bounds) in turned.bounds.iter().enumerate() {
@@ -326,7 +326,7 @@ impl Chunks {
         let each = turned.old.chunks_exact(places.all).zip(turned.new.chunks_exact(places.all));
         for (((_, packed), p), (old, new)) in bytes.iter().zip(&turned.positions).zip(each) {
             let is_new = |numbers: Range<usize>| old[numbers.clone()] != new[numbers];
-            if part == Part::Harmonics {
+            if part == ChunkElement::Harmonics {
                 let coefficients = packed[PACKED..].iter().enumerate();
                 to.extend(coefficients.map(|(i, byte)| match is_new(HARMONICS + i..HARMONICS + i + 1) {
                     true => packing::harmonic_byte(new[HARMONICS + i]),
@@ -355,7 +355,7 @@ impl Chunks {
 
 /// The elements of the file, in its order.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Part {
+enum ChunkElement {
     Bounds,
     Splats,
     Harmonics,
@@ -458,14 +458,15 @@ impl Model for Chunks {
 
 impl Rewritable for Chunks {
     fn pieces(&self, _normals: Normals) -> Result<Box<dyn Pieces + '_>> {
-        Ok(Box::new(ChunkPieces { model: self, at: 0, part: Part::Bounds, next: 0 }))
+        Ok(Box::new(ChunkPieces { model: self, at: 0, part: ChunkElement::Bounds, next: 0 }))
     }
 
     fn decode(&self, chunk: &mut VertexChunk) -> Result<()> {
         chunk.follows = !self.following.is_empty();
         let mut positions = std::mem::take(&mut chunk.positions);
         positions.clear();
-        let place = |(bounds, packed)| Bounds::of(bounds, 0).at(packing::three(words(packed)[0]));
+        let place =
+            |(bounds, packed)| Bounds::from_record(bounds, 0).interpolate(packing::three(words(packed)[0]));
         positions.extend(self.splats(chunk).map(place));
         chunk.positions = positions;
         Ok(())
@@ -474,7 +475,8 @@ impl Rewritable for Chunks {
     fn encode(&self, chunk: &mut VertexChunk, version: Version<'_>) -> Result<()> {
         let edited = version.edited;
         version.bytes.clear();
-        let part = chunk.of_format.iter().find_map(|of| of.downcast_ref().copied()).unwrap_or(Part::Splats);
+        let part =
+            chunk.of_format.iter().find_map(|of| of.downcast_ref().copied()).unwrap_or(ChunkElement::Splats);
         let moved = chunk.positions.iter().zip(&edited.positions).enumerate();
         for (vertex, (_, now)) in moved.filter(|(_, (rest, _))| rest.is_finite()) {
             if let Some(axis) = (0..3).find(|axis| !(now[*axis] as f32).is_finite()) {
@@ -502,7 +504,7 @@ struct ChunkPieces<'a> {
     model: &'a Chunks,
     /// Where in the header, or behind the splats, it goes on.
     at: u64,
-    part: Part,
+    part: ChunkElement,
     /// The next splat of the part.
     next: u64,
 }
@@ -514,17 +516,25 @@ impl Pieces for ChunkPieces<'_> {
         if self.at < starts[0] {
             return self.copy(chunk, starts[0]);
         }
-        while self.next == info.vertices && self.part != Part::Harmonics {
-            let next = if self.part == Part::Bounds { Part::Splats } else { Part::Harmonics };
+        while self.next == info.vertices && self.part != ChunkElement::Harmonics {
+            let next = if self.part == ChunkElement::Bounds {
+                ChunkElement::Splats
+            } else {
+                ChunkElement::Harmonics
+            };
             (self.part, self.next) = (next, 0);
         }
-        if self.next < info.vertices && !(self.part == Part::Harmonics && *harmonics == 0) {
+        if self.next < info.vertices && !(self.part == ChunkElement::Harmonics && *harmonics == 0) {
             let end = info.vertices.min(self.next + CHUNK_VERTICES as u64);
             self.model.read(chunk, self.next..end)?;
             let count = (end - self.next) as usize;
             self.next = end;
             chunk.of_format.push(Box::new(self.part));
-            return Ok(if self.part == Part::Splats { Piece::Vertices(count) } else { Piece::Normals });
+            return Ok(if self.part == ChunkElement::Splats {
+                Piece::Vertices(count)
+            } else {
+                Piece::Normals
+            });
         }
         self.at = self.at.max(starts[3]);
         if self.at < source.len() {

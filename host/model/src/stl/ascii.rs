@@ -51,7 +51,7 @@ enum Line {
 }
 
 impl Line {
-    fn of(line: &[u8]) -> Self {
+    fn parse(line: &[u8]) -> Self {
         let Some(word) = first_word(line) else { return Self::Other };
         let is = |name: &str| word.eq_ignore_ascii_case(name.as_bytes());
         match word.len() {
@@ -73,7 +73,7 @@ fn scan(source: &Source) -> Result<(Blocks, u64)> {
     let mut builder = Builder::new(0, Stl::UNIT);
     let (mut facets, mut in_solid, mut in_facet, mut at) = (0u64, false, false, 0);
     while let Some((start, line)) = lines.next()? {
-        let kind = Line::of(line);
+        let kind = Line::parse(line);
         let end = start + line.len() as u64;
         let is_right = match kind {
             Line::Vertex => {
@@ -196,7 +196,7 @@ impl Grammar for Stl {
         let facets = model.info.faces;
         Ok(Box::new(match ranges {
             None => Facets::new(facets),
-            Some(ranges) => Facets::at(facets, ranges),
+            Some(ranges) => Facets::between(facets, ranges),
         }))
     }
 }
@@ -216,7 +216,7 @@ fn words_after(line: &[u8], others: usize, spans: &mut [[usize; 2]]) {
 /// Where the numbers of the last facet's normal stand in a part of a chunk, and what it is.
 fn facet_normal(raw: &[u8], part: Range<usize>) -> Option<([[usize; 2]; 3], DVec3)> {
     let bytes = &raw[part.clone()];
-    let (start, end) = lines(bytes, false).filter(|l| Line::of(&bytes[l.0..l.1]) == Line::Facet).last()?;
+    let (start, end) = lines(bytes, false).filter(|l| Line::parse(&bytes[l.0..l.1]) == Line::Facet).last()?;
     let mut words = [[0; 2]; 3];
     words_after(&bytes[start..end], 2, &mut words);
     let words = words.map(|word| word.map(|at| part.start + start + at));

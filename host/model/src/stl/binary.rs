@@ -173,7 +173,7 @@ impl Model for BinaryStl {
     }
 
     fn faces_at(&self, ranges: Vec<Range<u64>>) -> Result<Box<dyn FaceReader + '_>> {
-        Ok(Box::new(Facets::at(self.facets, ranges)))
+        Ok(Box::new(Facets::between(self.facets, ranges)))
     }
 
     fn check_complete(&self, _progress: &dyn Progress) -> Result<()> {

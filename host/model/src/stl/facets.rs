@@ -44,7 +44,7 @@ impl Facets {
     }
 
     /// Those between some marks.
-    pub(super) fn at(facets: u64, ranges: Vec<Range<u64>>) -> Self {
+    pub(super) fn between(facets: u64, ranges: Vec<Range<u64>>) -> Self {
         let facet = |offset: u64| (offset.saturating_sub(START) / FACET).min(facets);
         let of_marks: Vec<_> = ranges.into_iter().map(|r| facet(r.start)..facet(r.end)).collect();
         Self { ranges: of_marks.into_iter(), range: 0..0, with_marks: false }

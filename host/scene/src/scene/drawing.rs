@@ -10,7 +10,7 @@ use crate::cloud::Cloud;
 use crate::frame::Frame;
 use crate::gpu::Gpu;
 use crate::pipeline::bind;
-use crate::splats::Part;
+use crate::splats::CloudRange;
 use crate::targets::{Seen, Targets, texture};
 use crate::view::{Mode, Scale, Style, View};
 use crate::{passes, splats};
@@ -89,7 +89,7 @@ impl Scene {
     fn stage(&mut self, view: &View, scale: Scale) {
         let device = &self.gpu.device;
         let stage = self.stages.entry(scale).or_insert_with(|| {
-            let targets = Targets::new(device, view.size.map(|s| scale.of(s)), view.size);
+            let targets = Targets::new(device, view.size.map(|s| scale.drawn(s)), view.size);
             Stage {
                 splats: self.splats.groups(device, &targets),
                 passes: self.passes.groups(device, &targets),
@@ -202,7 +202,7 @@ impl Scene {
     fn draw_ghost(&self, encoder: &mut CommandEncoder, stage: &Stage) {
         if let (Some(ghost), Some(seen)) = (&self.ghost, &stage.targets.ghost) {
             let frame = &self.ghost_frame.group;
-            let part = [Part { frame, cloud: ghost, places: 0..ghost.part(GHOST_SPLATS) }];
+            let part = [CloudRange { frame, cloud: ghost, places: 0..ghost.part(GHOST_SPLATS) }];
             self.splats.depth(encoder, &stage.targets, &part, true);
             self.splats.blend(encoder, &stage.targets, &stage.splats, &part, true);
             self.splats.resolve(encoder, &stage.splats, frame, seen);
@@ -243,15 +243,15 @@ impl Scene {
     }
 
     /// These shares.
-    fn parts(&self, shares: Shares) -> Vec<Part<'_>> {
+    fn parts(&self, shares: Shares) -> Vec<CloudRange<'_>> {
         let surface = self.surface.iter().map(|cloud| (&self.frame.group, cloud, shares.surface));
         let details = self.details.values().map(|c| (&self.detail_frame.group, c, c.halved(shares.halved)));
-        let part = |(frame, cloud, splats)| Part { frame, cloud, places: 0..splats };
+        let part = |(frame, cloud, splats)| CloudRange { frame, cloud, places: 0..splats };
         surface.chain(details).map(part).collect()
     }
 
     /// The splats of these shares side by side, and of these some places.
-    fn slice(&self, shares: Shares, places: Range<usize>) -> Vec<Part<'_>> {
+    fn slice(&self, shares: Shares, places: Range<usize>) -> Vec<CloudRange<'_>> {
         let mut first = 0;
         let mut parts = self.parts(shares);
         for part in &mut parts {

@@ -58,13 +58,13 @@ impl Case {
     /// Normals of zero are estimated, as the host does it.
     pub fn new(plugin: &Plugin, positions: Vec<Vec3>, normals: Vec<Vec3>) -> Checked<Self> {
         let set = SampleSet::new(positions, normals).map_err(|e| Finding::skip(e.to_string()))?;
-        let bounds = Bounds::of(set.positions.iter().map(|p| p.as_dvec3()));
+        let bounds = Bounds::from_points(set.positions.iter().map(|p| p.as_dvec3()));
         let params = params(plugin, &bounds, &toml::Table::new())?;
         let regions = regions(plugin, set.len());
         let graph = set.neighbours();
         let (starts, all) = neighbour_lists(graph, set.len());
         let neighbours = plugin.consumes().graph.then(|| (starts, all.to_vec()));
-        let triangle = |i: usize| graph.of(i).get(..2).map(|near| [i as u32, near[0], near[1]]);
+        let triangle = |i: usize| graph.nearest_to(i).get(..2).map(|near| [i as u32, near[0], near[1]]);
         let triangles = (0..set.len()).filter(|_| plugin.consumes().triangles).filter_map(triangle).collect();
         let handles = regions.iter().filter(|(role, _)| *role == Role::HANDLE).count();
         let consumes = plugin.consumes();
@@ -195,7 +195,7 @@ impl Case {
         for x in self.strokes.iter().flatten().flatten() {
             x.to_bits().hash(&mut hasher);
         }
-        Key::of(hasher.finish()).and(&self.params).end()
+        Key::from_key(hasher.finish()).and(&self.params).end()
     }
 
     fn attributes(&self) -> Option<Vec<Attribute<'_>>> {

@@ -52,7 +52,7 @@ pub(super) fn migration(subject: &Subject) -> Checked<Finding> {
             let step = Deformation {
                 state_version: Some(from),
                 params: params.clone(),
-                ..Deformation::of(plugin.id())
+                ..Deformation::by_plugin(plugin.id())
             };
             let fail = |what: String| Finding::fail(format!("from state version {from}: {what}"), HINT);
             let brought =

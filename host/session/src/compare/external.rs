@@ -69,7 +69,7 @@ pub(super) fn run(command: &Command, files: &Files<'_>, progress: &dyn Progress)
     process.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let started = Instant::now();
     let mut child = Ended::start(process).map_err(refused)?;
-    let (output, errors) = (Tail::of(child.stdout()), Tail::of(child.stderr()));
+    let (output, errors) = (Tail::read(child.stdout()), Tail::read(child.stderr()));
     let mut peak_memory_bytes = None;
     let status = loop {
         peak_memory_bytes = peak_memory_bytes.max(anonymous_of(child.id()));

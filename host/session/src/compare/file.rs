@@ -1,7 +1,7 @@
 //! `compare.toml`: a model, regions, and the methods to be compared on them.
 
 use super::html::hyphenated;
-use crate::session_file::{RawModel, RawRegion, Region, Sampling, Source, read_text};
+use crate::session_file::{RawModel, RawRegion, Region, Sampling, SessionText, read_text};
 use glam::DVec3;
 use serde::Deserialize;
 use simod_core::reconstruction::Method as Reconstruction;
@@ -233,7 +233,7 @@ impl CompareFile {
     /// # Errors
     /// As for [`load`](Self::load).
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
-        let source = Source { text, path };
+        let source = SessionText { text, path };
         let raw: RawCompare = toml::from_str(text).map_err(|e| source.refused(&e))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let missing = |what: &str, hint: &str| {
@@ -291,7 +291,7 @@ impl CompareFile {
     }
 }
 
-fn camera(source: &Source<'_>, raw: Spanned<CameraPlace>) -> Result<CameraPlace> {
+fn camera(source: &SessionText<'_>, raw: Spanned<CameraPlace>) -> Result<CameraPlace> {
     let CameraPlace { yaw, pitch, size, .. } = *raw.get_ref();
     if !(yaw.is_finite() && pitch.is_finite()) {
         let what = "`yaw` or `pitch` is no finite number";
@@ -305,7 +305,7 @@ fn camera(source: &Source<'_>, raw: Spanned<CameraPlace>) -> Result<CameraPlace>
 }
 
 /// Checks a part of the pictures; `before` are those above it.
-fn crop(source: &Source<'_>, raw: Spanned<RawCrop>, before: &[CropPlace]) -> Result<CropPlace> {
+fn crop(source: &SessionText<'_>, raw: Spanned<RawCrop>, before: &[CropPlace]) -> Result<CropPlace> {
     let (span, raw) = (raw.span(), raw.into_inner());
     let wrong = |what: &str, hint: &str| Err(source.error(&span, what, hint));
     let file = hyphenated(&raw.name);
@@ -357,7 +357,7 @@ fn command(line: &str, folder: &Path) -> std::result::Result<Command, (String, S
 
 /// Checks a method; `before` are those above it.
 fn method(
-    source: &Source<'_>,
+    source: &SessionText<'_>,
     raw: Spanned<RawMethod>,
     shared: Sampling,
     before: &[Method],

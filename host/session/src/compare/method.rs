@@ -356,7 +356,7 @@ impl<'a> Bench<'a> {
                     params: params.clone(),
                     regions: regions.cloned().collect(),
                     folder: folder.clone(),
-                    ..Deformation::of(deform)
+                    ..Deformation::by_plugin(deform)
                 });
                 Ok(vec![Step { action, enabled: true, place: method.place.clone() }])
             }

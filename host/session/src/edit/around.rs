@@ -2,7 +2,7 @@
 //! of those around them alone, which is nearly that of all samples, and found many times as fast.
 
 use glam::Vec3;
-use simod_core::reconstruction::{DeformationField, Method, Surroundings};
+use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
 use simod_core::refinement::appended_deformed;
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::SampleSet;
@@ -35,7 +35,7 @@ impl Around {
         for left in (0..=RINGS).rev() {
             ring.retain(|i| !std::mem::replace(&mut is_near[*i as usize], true));
             if left > 0 {
-                ring = ring.iter().flat_map(|i| neighbours.of(*i as usize)).copied().collect();
+                ring = ring.iter().flat_map(|i| neighbours.nearest_to(*i as usize)).copied().collect();
             }
         }
         let of: Vec<u32> = (0..samples.len() as u32).filter(|i| is_near[*i as usize]).collect();
@@ -53,7 +53,7 @@ impl Around {
     /// Where all samples of `after` go about, by the deformed positions of those that were there before.
     pub fn draft(&self, after: &SampledModel, deformed: &[Vec3]) -> Vec<Vec3> {
         let near: Vec<Vec3> = self.of.iter().map(|i| deformed[*i as usize]).collect();
-        let around = Surroundings::of(&self.samples);
+        let around = RestGeometry::new(&self.samples);
         let field = DeformationField::new(&around, &near, Method::default());
         let more = appended_deformed(after, deformed.len(), &field);
         deformed.iter().copied().chain(more.iter().map(|p| after.frame.to_local(*p))).collect()

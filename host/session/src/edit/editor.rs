@@ -51,12 +51,12 @@ impl Editor {
     ) -> Result<(Self, Evaluation)> {
         let folder = path.as_deref().map_or_else(std::env::temp_dir, |path| folder_of(path).to_owned());
         let (sampled, _) = sampled(&session, Skip::default(), (&folder, &Arc::default()), progress)?;
-        Ok(Self::of(sampled, session, path, plugins, folder))
+        Ok(Self::for_sampled(sampled, session, path, plugins, folder))
     }
 
     /// Edits a model that was sampled before. It has to [hold its cells](SampledModel::hold_cells) to be
     /// refined; temporary files are made in `folder`.
-    pub fn of(
+    pub fn for_sampled(
         sampled: SampledModel,
         session: SessionFile,
         path: Option<PathBuf>,
@@ -159,7 +159,7 @@ impl Editor {
     /// # Errors
     /// The file cannot be written.
     pub fn save(&mut self, path: &Path) -> Result<()> {
-        self.at(path)?.save(path).map(drop)?;
+        self.session_at(path)?.save(path).map(drop)?;
         let former = self.path.replace(path.to_owned()).unwrap_or_else(|| path.to_owned());
         self.saved = Some(self.document.steps().clone());
         self.kept = self.document.steps().clone();
@@ -198,7 +198,7 @@ impl Editor {
             return Ok(());
         }
         let path = autosave_path(self.kept_beside());
-        let used = self.at(&path)?.save(&path)?;
+        let used = self.session_at(&path)?.save(&path)?;
         // The former files beside it, which nobody else knows.
         remove(side_file::beside(&path)?.into_iter().filter(|path| !used.contains(path)))?;
         self.kept = steps;
@@ -206,7 +206,7 @@ impl Editor {
     }
 
     /// The session as it would be saved at a place.
-    fn at(&self, path: &Path) -> Result<SessionFile> {
+    fn session_at(&self, path: &Path) -> Result<SessionFile> {
         let steps = self.document.steps().iter().map(|entry| (*entry.step).clone()).collect();
         saved_at(&SessionFile { steps, ..self.session.clone() }, path, &self.plugins)
     }
@@ -216,7 +216,7 @@ impl Editor {
 fn moved(from: &Deformation, folder: &Path, plugins: &PluginRegistry) -> Result<Deformation> {
     let mut to = Deformation { folder: folder.to_owned(), ..from.clone() };
     let Ok(plugin) = plugins.get(&from.deform) else { return Ok(to) };
-    to.plugin = Origin::of(plugin);
+    to.plugin = Origin::from_plugin(plugin);
     if from.folder != folder {
         for file in plugin.params().iter().filter(|d| d.kind == ParamKind::FILE) {
             if let Some(toml::Value::String(name)) = to.params.get_mut(file.id.as_str()) {

@@ -6,10 +6,10 @@ use crate::deformer::Message;
 use crate::key::Key;
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Action, Deformation, Refine, Step};
-use crate::stack::{Done, Kept, Layer, Moment, PreparedStack, Rest, RestShape, at};
+use crate::stack::{Done, Layer, LayerCache, Moment, PreparedStack, Rest, RestShape, at};
 use glam::{DVec3, Mat3, Vec3};
 use simod_core::reconstruction::{
-    DeformationField, Method, Reconstructed, Reconstruction, Surroundings, Version, deformed_normals,
+    DeformationField, Method, Reconstructed, Reconstruction, RestGeometry, Version, deformed_normals,
     known_gradients, reconstruct,
 };
 use simod_core::refinement::{Refining, Selection, appended_deformed, refine};
@@ -142,7 +142,7 @@ pub struct Evaluation {
     /// Where the samples are before the first step, if not at rest.
     start: Option<Arc<[Vec3]>>,
     how: Refinements,
-    known: HashMap<StepId, Known>,
+    known: HashMap<StepId, StepState>,
     at: Arc<AtomicUsize>,
 }
 
@@ -160,11 +160,11 @@ pub struct Refinements {
 }
 
 /// What is known of a step.
-enum Known {
+enum StepState {
     Deform {
         step: Arc<Step>,
         layer: Box<Layer>,
-        kept: Kept,
+        kept: LayerCache,
     },
     Refine {
         key: u64,
@@ -215,7 +215,7 @@ impl Evaluation {
     }
 
     /// The place of the step that is being done, to be looked at from other threads.
-    pub fn at(&self) -> &Arc<AtomicUsize> {
+    pub fn place(&self) -> &Arc<AtomicUsize> {
         &self.at
     }
 
@@ -291,7 +291,7 @@ impl Evaluation {
     /// yet.
     pub fn handles(&self, id: StepId) -> &[HandleDesc] {
         match self.known.get(&id) {
-            Some(Known::Deform { kept, .. }) => kept.handles(),
+            Some(StepState::Deform { kept, .. }) => kept.handles(),
             _ => &[],
         }
     }
@@ -319,7 +319,7 @@ impl Evaluation {
                 layer.update(&between.rest, &shape, &mut kept, moment, progress)
             })
         });
-        self.known.insert(id, Known::Deform { step: step.clone(), layer, kept });
+        self.known.insert(id, StepState::Deform { step: step.clone(), layer, kept });
         done
     }
 
@@ -330,24 +330,24 @@ impl Evaluation {
         step: &Arc<Step>,
         deformation: &Deformation,
         registry: &PluginRegistry,
-    ) -> Result<(Box<Layer>, Kept)> {
+    ) -> Result<(Box<Layer>, LayerCache)> {
         let (before, kept) = match self.known.remove(&id) {
             // A plugin that was loaded anew is another one.
-            Some(Known::Deform { step: same, layer, kept })
+            Some(StepState::Deform { step: same, layer, kept })
                 if Arc::ptr_eq(&same, step)
                     && registry.get(&deformation.deform).is_ok_and(|p| Arc::ptr_eq(p, &layer.plugin)) =>
             {
                 return Ok((layer, kept));
             }
-            Some(Known::Deform { step, layer, kept }) => (Some((step, layer)), kept),
-            _ => (None, Kept::default()),
+            Some(StepState::Deform { step, layer, kept }) => (Some((step, layer)), kept),
+            _ => (None, LayerCache::default()),
         };
         match Layer::build(deformation, &step.place, registry, before.as_ref().map(|(_, layer)| &**layer)) {
             Ok(layer) => Ok((Box::new(layer), kept)),
             Err(e) => {
                 // What is wrong may be corrected.
                 if let Some((step, layer)) = before {
-                    self.known.insert(id, Known::Deform { step, layer, kept });
+                    self.known.insert(id, StepState::Deform { step, layer, kept });
                 }
                 Err(e)
             }
@@ -364,13 +364,13 @@ impl Evaluation {
         progress: &dyn Progress,
     ) -> Result<Between> {
         let Between { sampled, rest } = between;
-        let mut key = Key::of(rest.key).and(step).end();
+        let mut key = Key::from_key(rest.key).and(step).end();
         let positions = &rest.positions;
         let (after, positions, around) = match self.known.remove(&id) {
-            Some(Known::Refine { key: known, after, positions, around, .. }) if known == key => {
+            Some(StepState::Refine { key: known, after, positions, around, .. }) if known == key => {
                 (after, positions, around)
             }
-            Some(Known::Refine { before, after, around, .. })
+            Some(StepState::Refine { before, after, around, .. })
                 if effort == Effort::DRAFT
                     && Arc::ptr_eq(&before, sampled)
                     && !Arc::ptr_eq(&before, &after) =>
@@ -378,7 +378,7 @@ impl Evaluation {
                 let around = around.map_or_else(|| Around::new(&before, &after).map(Arc::new), Ok)?;
                 let positions = around.draft(&after, positions).into();
                 // The result may be another one, whether the steps before it know drafts or not.
-                key = Key::of(key).and(&effort).end();
+                key = Key::from_key(key).and(&effort).end();
                 (after, positions, Some(around))
             }
             _ => {
@@ -386,7 +386,7 @@ impl Evaluation {
                 (after, positions, None)
             }
         };
-        let known = Known::Refine {
+        let known = StepState::Refine {
             key,
             before: sampled.clone(),
             after: after.clone(),
@@ -434,7 +434,7 @@ fn with_field<T>(
     if *positions == *sampled.samples.positions {
         return call(None);
     }
-    let around = Surroundings::of(&sampled.samples);
+    let around = RestGeometry::new(&sampled.samples);
     call(Some(&DeformationField::new(&around, positions, Method::default())))
 }
 

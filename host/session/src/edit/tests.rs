@@ -9,7 +9,7 @@ use crate::session_file::{Action, Refine, Region, Role, SessionFile, Step, Strok
 use crate::shapes::{Shape, Shapes};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
-use simod_core::reconstruction::{DeformationField, Method, Surroundings};
+use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
 use simod_core::refinement::{Finer, Refining, Selection, appended_deformed, refine as refine_model};
 use simod_core::sampled_model::SampledModel;
 use simod_core::sampling::{Sampling, Target, sample};
@@ -174,7 +174,7 @@ fn registry() -> Arc<PluginRegistry> {
     thread_local! {
         static REGISTRY: Arc<PluginRegistry> = {
             let module = root_module::<Counted>(extension);
-            Arc::new(PluginRegistry::of([Plugin::in_process(module, Path::new("counted")).unwrap()]))
+            Arc::new(PluginRegistry::from_plugins([Plugin::in_process(module, Path::new("counted")).unwrap()]))
         };
     }
     REGISTRY.with(Arc::clone)
@@ -665,7 +665,7 @@ fn drafts_below_a_refinement_are_near_the_result() {
     let around = Around::new(&before, &after).unwrap();
     assert!(around.len() * 2 < before.samples.len(), "{} of {}", around.len(), before.samples.len());
     let draft = around.draft(&after, &deformed);
-    let surroundings = Surroundings::of(&before.samples);
+    let surroundings = RestGeometry::new(&before.samples);
     let field = DeformationField::new(&surroundings, &deformed, Method::default());
     let exact = appended_deformed(&after, deformed.len(), &field);
     assert_eq!(draft.len(), after.samples.len());

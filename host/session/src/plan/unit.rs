@@ -63,7 +63,7 @@ pub fn do_unit(
             format!("its units are 0 to {last}: see plan.toml there"),
         )
     })?;
-    let work = Work { plan, unit, folder, progress };
+    let work = UnitRun { plan, unit, folder, progress };
     // Parts are checked where they are found, and what they were made of may be gone once all is done.
     let checks_itself =
         matches!(unit.stage, Stage::Count | Stage::Cluster | Stage::ClusterShared | Stage::Apply);
@@ -93,15 +93,15 @@ pub fn do_unit(
     }
 }
 
-struct Work<'a> {
+struct UnitRun<'a> {
     plan: &'a Plan,
     unit: &'a Unit,
     folder: &'a Path,
     progress: &'a dyn Progress,
 }
 
-impl Work<'_> {
-    fn at(&self, name: &str) -> PathBuf {
+impl UnitRun<'_> {
+    fn path(&self, name: &str) -> PathBuf {
         self.folder.join(name)
     }
 
@@ -136,7 +136,7 @@ impl Work<'_> {
     fn cluster(&self, plugins: &PluginRegistry) -> Result<Done> {
         let (session, sampling) = self.sampling(plugins)?;
         let model = self.open(&session, &Arc::new(Cache::nameless(self.folder)))?;
-        let (counts, part) = (self.at(COUNTS), self.unit.part.unwrap_or_default());
+        let (counts, part) = (self.path(COUNTS), self.unit.part.unwrap_or_default());
         let division = (&self.division(&counts), part);
         let (own, shared) = (self.at_own(), self.shared());
         let (folder, progress) = (self.folder, self.progress);
@@ -157,13 +157,13 @@ impl Work<'_> {
     /// The files of what each range has of cells that it shares with others.
     fn shared(&self) -> Vec<PathBuf> {
         let ranges = self.plan.files_of(self.folder, Stage::Cluster).len();
-        (0..ranges).map(|range| self.at(&format!("shared-{range}.bin"))).collect()
+        (0..ranges).map(|range| self.path(&format!("shared-{range}.bin"))).collect()
     }
 
     fn sample(&self, plugins: &PluginRegistry) -> Result<Done> {
         let session = self.session()?;
         let stack = Stack::build(&session.steps, plugins)?;
-        let begun = SampledModel::begin(&self.at(SAMPLED))?;
+        let begun = SampledModel::begin(&self.path(SAMPLED))?;
         let cache = SampledModel::cache_in(&begun);
         let model = self.open(&session, &cache)?;
         let counted = self.plan.files_of(self.folder, Stage::Count);
@@ -173,7 +173,7 @@ impl Work<'_> {
             if self.unit.stage == Stage::Sample {
                 return sample_counted(&*model, sampling, counted, self.folder, self.progress);
             }
-            let counts = self.at(COUNTS);
+            let counts = self.path(COUNTS);
             let [ranges, groups] =
                 [Stage::Cluster, Stage::ClusterShared].map(|stage| self.plan.files_of(self.folder, stage));
             let files = (&ranges[..], &groups[..]);
@@ -186,7 +186,7 @@ impl Work<'_> {
     fn deform(&self, plugins: &PluginRegistry) -> Result<Done> {
         let session = self.session()?;
         let refines = session.steps.iter().any(|step| step.enabled && step.refines());
-        let from = self.at(SAMPLED);
+        let from = self.path(SAMPLED);
         let mut sampled = SampledModel::load(&from)?;
         if refines {
             sampled.hold_cells(sampled.cells(&from, None, self.progress)?);
@@ -198,17 +198,17 @@ impl Work<'_> {
         let DeformedSamples { sampled, positions, normals, stack, messages } =
             deform(sampled, &session.steps, plugins, how, self.progress)?;
         if refines {
-            sampled.save(&self.at(REFINED))?;
+            sampled.save(&self.path(REFINED))?;
         }
         if let Some(known) = turning_gradients(&sampled, &stack, &*model, self.progress)? {
             let bytes = postcard::to_allocvec(&known.iter().map(Mat3::to_cols_array).collect::<Vec<_>>());
             let bytes = bytes.map_err(|e| {
                 Error::internal(format!("the gradients cannot be written: {e}"), "report this").because(e)
             })?;
-            output::write_file(&self.at(GRADIENTS), &sealed(bytes))?;
+            output::write_file(&self.path(GRADIENTS), &sealed(bytes))?;
         }
         // In the end, as it tells that all is there.
-        sampled.write_deformed(&self.at(DEFORMED), &positions, &normals)?;
+        sampled.write_deformed(&self.path(DEFORMED), &positions, &normals)?;
         Ok(Done { messages, ..Done::default() })
     }
 
@@ -216,7 +216,7 @@ impl Work<'_> {
         let edit = self.edit()?;
         let pieces = self.unit.pieces.clone().unwrap_or_default();
         let Edit { sampled, model, deformed, .. } = &edit;
-        let (own, shared) = (&*self.at_own(), &*self.at(SHARED));
+        let (own, shared) = (&*self.at_own(), &*self.path(SHARED));
         let part = Part { pieces, own, shared };
         let did = write_part(sampled, &**model, deformed, &edit.how(), &part, self.progress)?;
         Ok(Done { was_done: !did, ..Done::default() })
@@ -227,7 +227,7 @@ impl Work<'_> {
         let Edit { sampled, model, deformed, .. } = &edit;
         let parts = self.plan.files_of(self.folder, Stage::Apply);
         let version = Version { deformed, output: &self.plan.output, diagnostics: None };
-        let files = (&parts[..], &*self.at(SHARED));
+        let files = (&parts[..], &*self.path(SHARED));
         let written = join_parts(sampled, &**model, &version, &edit.how(), files, self.progress)?;
         self.finished()?;
         self.tidy(&parts);
@@ -290,9 +290,9 @@ impl Work<'_> {
 
     /// What the units before have left for the writing of the model.
     fn edit(&self) -> Result<Edit> {
-        let of = if self.at(REFINED).is_dir() { REFINED } else { SAMPLED };
-        let sampled = SampledModel::load(&self.at(of))?;
-        let deformed = sampled.read_deformed(&self.at(DEFORMED))?;
+        let of = if self.path(REFINED).is_dir() { REFINED } else { SAMPLED };
+        let sampled = SampledModel::load(&self.path(of))?;
+        let deformed = sampled.read_deformed(&self.path(DEFORMED))?;
         let mut model = sampled.open_source(None, self.progress)?;
         model.follow(&self.plan.follow())?;
         let gradients = self.gradients(sampled.samples.len())?;
@@ -313,7 +313,7 @@ impl Work<'_> {
     }
 
     fn gradients(&self, samples: usize) -> Result<Option<Vec<Mat3>>> {
-        let path = self.at(GRADIENTS);
+        let path = self.path(GRADIENTS);
         if !path.exists() {
             return Ok(None);
         }
@@ -341,7 +341,7 @@ impl Work<'_> {
     fn finished(&self) -> Result<()> {
         let bytes = std::fs::metadata(&self.plan.output).map_or(0, |meta| meta.len());
         let text = format!("output = {:?}\nbytes = {bytes}\n", self.plan.output.display().to_string());
-        output::write_file(&self.at(FINISHED), text.as_bytes())
+        output::write_file(&self.path(FINISHED), text.as_bytes())
     }
 }
 

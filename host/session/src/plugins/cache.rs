@@ -28,7 +28,7 @@ pub(super) struct Stamp {
 
 impl Stamp {
     /// The stamp of a file, where it can be read.
-    pub fn of(path: &Path) -> Option<Self> {
+    pub fn from_path(path: &Path) -> Option<Self> {
         let meta = path.metadata().ok()?;
         let modified = meta.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
         let modified = u64::try_from(modified.as_nanos()).ok()?;
@@ -117,7 +117,7 @@ mod tests {
         let write = |text: &str| {
             #[expect(clippy::disallowed_methods, reason = "a test's own file")]
             std::fs::write(&library, text).unwrap();
-            Stamp::of(&library).unwrap()
+            Stamp::from_path(&library).unwrap()
         };
         let old = write("one");
         let (descriptor, capabilities) = (Descriptor::new("x", "X", "1.0.0"), Capabilities::default());

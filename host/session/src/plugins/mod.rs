@@ -104,7 +104,7 @@ impl PluginOptions {
     /// `program`, beside which they lie, and which runs them where they have processes of their own.
     #[cfg(unix)]
     pub fn of_program(program: &Path) -> Self {
-        let worker = WorkerOptions::of(program);
+        let worker = WorkerOptions::for_program(program);
         Self { folders: folders_of(Some(program)), ..Self::standard(Isolation::Others, worker) }
     }
 
@@ -194,7 +194,7 @@ fn user_folder() -> Option<PathBuf> {
 
 impl PluginRegistry {
     /// The given plugins.
-    pub fn of(plugins: impl IntoIterator<Item = Plugin>) -> Self {
+    pub fn from_plugins(plugins: impl IntoIterator<Item = Plugin>) -> Self {
         let mut registry = Self::default();
         plugins.into_iter().for_each(|plugin| registry.add(Arc::new(plugin)));
         registry
@@ -272,7 +272,7 @@ impl PluginRegistry {
         if self.seen.contains_key(&path) {
             return Ok(());
         }
-        let Some(stamp) = Stamp::of(&path) else {
+        let Some(stamp) = Stamp::from_path(&path) else {
             let e = std::io::Error::from(std::io::ErrorKind::NotFound);
             self.rejected.push(Rejected { error: Error::io("read the plugin", &file, &e), path: file });
             return Ok(());

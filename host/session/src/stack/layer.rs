@@ -74,14 +74,14 @@ struct Preparation {
 
 /// What is kept of a layer from one time to the next, each with a hash of all that it depends on.
 #[derive(Debug, Default)]
-pub(crate) struct Kept {
+pub(crate) struct LayerCache {
     placed: Option<(u64, Vec<api::HandleDesc>)>,
     preparation: Option<(u64, Arc<Preparation>)>,
     strokes: Vec<(Arc<Stroke>, Arc<Params>, Arc<LocalStroke>)>,
     done: Option<(u64, Arc<Done>)>,
 }
 
-impl Kept {
+impl LayerCache {
     /// The handles that the plugin placed the last time.
     pub fn handles(&self) -> &[api::HandleDesc] {
         self.placed.as_ref().map_or(&[], |(_, placed)| placed)
@@ -135,12 +135,12 @@ impl Layer {
             None => e,
         })?;
         let now = migrated(step, plugin).map_err(|e| in_its_words(e, step, plugin))?;
-        let layer = Self::of(now.as_ref().unwrap_or(step), place, plugin.clone(), before);
+        let layer = Self::for_step(now.as_ref().unwrap_or(step), place, plugin.clone(), before);
         layer.map_err(|e| in_its_words(e, step, plugin))
     }
 
     /// Of a step that is as the plugin has it now.
-    fn of(step: &Deformation, place: &str, plugin: Arc<Plugin>, before: Option<&Self>) -> Result<Self> {
+    fn for_step(step: &Deformation, place: &str, plugin: Arc<Plugin>, before: Option<&Self>) -> Result<Self> {
         let check = |given: &toml::Table| {
             Params::check(plugin.id(), plugin.params(), given, &step.folder).map(Arc::new)
         };
@@ -232,7 +232,7 @@ impl Layer {
         &self,
         rest: &Arc<Rest>,
         shape: &RestShape<'_>,
-        kept: &mut Kept,
+        kept: &mut LayerCache,
         moment: Moment,
         progress: &dyn Progress,
     ) -> Result<(Arc<Rest>, Arc<Done>)> {
@@ -285,7 +285,7 @@ impl Layer {
         key: u64,
         rest: &Arc<Rest>,
         shape: &RestShape<'_>,
-        kept: &mut Kept,
+        kept: &mut LayerCache,
         progress: &dyn Progress,
     ) -> Result<Arc<Preparation>> {
         if let Some((_, preparation)) = kept.preparation.as_ref().filter(|(known, _)| *known == key) {
@@ -333,7 +333,7 @@ impl Layer {
         };
         let files: Vec<_> = self.params.iter().filter_map(|(_, value)| file(value)).collect();
         // As long as something is kept of it, no other plugin has its place in memory.
-        Key::of(rest_key).and(&Arc::as_ptr(&self.plugin).addr()).and(&self.joints).and(&files)
+        Key::from_key(rest_key).and(&Arc::as_ptr(&self.plugin).addr()).and(&self.joints).and(&files)
     }
 
     /// Calls with what plugins get where nothing moves yet.
@@ -381,7 +381,7 @@ impl Layer {
         &self,
         rest: &Rest,
         shape: &RestShape<'_>,
-        kept: &mut Kept,
+        kept: &mut LayerCache,
         moment: Moment,
         watch: &Watch<'_>,
     ) -> Result<Motions> {
@@ -539,7 +539,7 @@ impl LocalStroke {
             params: params.to_local(frame, bounds),
         };
         let LocalStroke { radius, strength, points, pressures, params, .. } = &this;
-        let key = Key::of(0).and(&[*radius, *strength]).and(points).and(pressures).and(params);
+        let key = Key::from_key(0).and(&[*radius, *strength]).and(points).and(pressures).and(params);
         this.key = key.end();
         this
     }
@@ -550,7 +550,7 @@ impl Motions {
     fn key(&self, former: u64) -> Key {
         let strokes: Vec<u64> = self.strokes.iter().map(|s| s.key).collect();
         let Self { params, transforms, handles, effort, time, .. } = self;
-        Key::of(former).and(params).and(transforms).and(handles).and(&strokes).and(effort).and(time)
+        Key::from_key(former).and(params).and(transforms).and(handles).and(&strokes).and(effort).and(time)
     }
 
     /// Calls with what a deformation gets.

@@ -10,7 +10,7 @@ use crate::params::Params;
 use crate::plugins::PluginRegistry;
 use crate::session_file::{Deformation, Step};
 use glam::{DAffine3, DVec3, Vec3};
-pub(crate) use layer::{Done, Kept, Layer};
+pub(crate) use layer::{Done, Layer, LayerCache};
 use rayon::prelude::*;
 use simod_core::attributes::Attributes;
 use simod_core::sampling::NeighbourGraph;
@@ -158,7 +158,7 @@ impl Stack {
         let mut layers = Vec::with_capacity(self.layers.len());
         for layer in &self.layers {
             let moment = Moment { effort: api::Effort::FULL, time: api::Time::default() };
-            let done = layer.update(&rest, shape, &mut Kept::default(), moment, progress);
+            let done = layer.update(&rest, shape, &mut LayerCache::default(), moment, progress);
             let (next, done) = done.map_err(|e| at(layer.param_places.of(&layer.place, &e), e))?;
             messages.extend(done.messages.iter().cloned());
             layers.push(done);
@@ -333,7 +333,7 @@ mod tests {
         let set = SampleSet::new(positions, Vec::new()).unwrap();
         let triangles: Vec<[u32; 3]> = (0..48).map(|i| [i, i + 1, i + 2]).collect();
         let plugin = Plugin::in_process(root_module::<Smooth>(no_extension), Path::new("smooth")).unwrap();
-        let registry = PluginRegistry::of([plugin]);
+        let registry = PluginRegistry::from_plugins([plugin]);
         let session = SessionFile::parse("[[step]]\ndeform = \"smooth\"", Path::new("s.toml")).unwrap();
         let stack = Stack::build(&session.steps, &registry).unwrap();
         let shape = RestShape {
@@ -350,7 +350,7 @@ mod tests {
         let deformed = stack.apply(&shape, &Silent).unwrap().positions;
         let near = |i: usize| {
             let corners = triangles.iter().filter(move |t| t.contains(&(i as u32))).flatten();
-            set.neighbours().of(i).iter().chain(corners).map(|j| set.positions[*j as usize])
+            set.neighbours().nearest_to(i).iter().chain(corners).map(|j| set.positions[*j as usize])
         };
         for (i, p) in deformed.iter().enumerate() {
             let mean = near(i).sum::<Vec3>() / near(i).count() as f32;
@@ -429,7 +429,8 @@ mod tests {
     /// Deforms three samples on the x axis by a step of the puppet.
     fn puppet(step: &str) -> Result<Vec<Vec3>> {
         let module = root_module::<Puppet>(puppet_extension);
-        let registry = PluginRegistry::of([Plugin::in_process(module, Path::new("puppet")).unwrap()]);
+        let registry =
+            PluginRegistry::from_plugins([Plugin::in_process(module, Path::new("puppet")).unwrap()]);
         let text = format!("[[step]]\ndeform = \"puppet\"\n{step}");
         let session = SessionFile::parse(&text, Path::new("s.toml"))?;
         let positions = [Vec3::ZERO, Vec3::X, Vec3::X * 2.0];

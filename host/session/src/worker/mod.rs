@@ -53,7 +53,7 @@ pub const MEMORY: u64 = 4 << 30;
 
 impl WorkerOptions {
     /// By `simod` itself, with the usual limits.
-    pub fn of(program: &Path) -> Self {
+    pub fn for_program(program: &Path) -> Self {
         let command = vec![program.to_owned(), "plugin".into(), "serve".into()];
         Self { command, silence: PATIENCE, memory: MEMORY }
     }
@@ -430,7 +430,7 @@ impl Worker {
         command.stdout(Stdio::from(arena.shared().file().map_err(refused)?));
         command.stderr(Stdio::piped());
         let mut child = Ended::start(command).map_err(refused)?;
-        let errors = Tail::of(child.stderr());
+        let errors = Tail::read(child.stderr());
 
         let (sender, replies) = sync_channel(64);
         let mut reader = socket.try_clone().map_err(refused)?;

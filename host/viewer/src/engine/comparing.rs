@@ -3,7 +3,7 @@
 use super::Event;
 use crate::scene::{Scene, common};
 use glam::Vec3;
-use simod_core::reconstruction::{DeformationField, Method, Surroundings};
+use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
 use simod_core::refinement::appended_deformed;
 use simod_core::sampled_model::SampledModel;
 use simod_model::{Error, Progress, Result};
@@ -79,7 +79,7 @@ fn carry(scene: &Scene, onto: &SampledModel) -> Arc<[Vec3]> {
     if *scene.positions == *scene.sampled.samples.positions {
         return rest.as_slice().into();
     }
-    let around = Surroundings::of(&scene.sampled.samples);
+    let around = RestGeometry::new(&scene.sampled.samples);
     let field = DeformationField::new(&around, &scene.positions, Method::default());
     let moved = appended_deformed(onto, both, &field);
     let moved = moved.iter().map(|p| onto.frame.to_local(*p));

@@ -7,7 +7,7 @@ use crate::tint::Tint;
 use glam::Vec3;
 use simod_core::colors;
 use simod_core::detail::{self, Chosen, Shown};
-use simod_core::reconstruction::{DeformationField, Method, Surroundings};
+use simod_core::reconstruction::{DeformationField, Method, RestGeometry};
 use simod_core::sampled_model::SampledModel;
 use simod_model::{Progress, Result};
 use std::cell::OnceCell;
@@ -93,7 +93,7 @@ impl Thread {
         let (around, colors) = (OnceCell::new(), OnceCell::new());
         loop {
             let done = guarded(|| {
-                let around = || around.get_or_init(|| Surroundings::of(&sampled.samples));
+                let around = || around.get_or_init(|| RestGeometry::new(&sampled.samples));
                 self.stream(streaming, around, &colors, &*watch)
             });
             let event = done.unwrap_or_else(|error| Event::Failed { job: Job::Preview, error });
@@ -108,7 +108,7 @@ impl Thread {
     fn stream<'a>(
         &self,
         streaming: Streaming,
-        around: impl FnOnce() -> &'a Surroundings<'a>,
+        around: impl FnOnce() -> &'a RestGeometry<'a>,
         colors: &OnceCell<Shown>,
         progress: &dyn Progress,
     ) -> Result<Event> {
@@ -121,7 +121,7 @@ impl Thread {
             Tint::Own => match colors.get() {
                 Some(known) => *known,
                 None => {
-                    let found = colors::Bytes::of(model.as_ref())?.map(|bytes| bytes.meaning());
+                    let found = colors::Bytes::for_model(model.as_ref())?.map(|bytes| bytes.meaning());
                     let shown = found.map_or(Shown::Nothing, |(colors, scale)| Shown::Colors(colors, scale));
                     *colors.get_or_init(|| shown)
                 }

@@ -181,7 +181,7 @@ impl Thread {
         self.revision += 1;
         let scene = Scene::new(rest, &evaluation, Effort::FULL, self.revision);
         let Running { step, .. } = &mut self.shared.lock().1;
-        step.clone_from(evaluation.at());
+        step.clone_from(evaluation.place());
         self.evaluation = Some(evaluation);
         Ok(Event::Opened(Box::new((editor, scene))))
     }
@@ -280,7 +280,7 @@ fn opened_as(
         }
         let session = located(kept.unwrap_or_else(|| session_of(&sampled)));
         let folder = folder_of(path).to_owned();
-        let (editor, evaluation) = Editor::of(sampled, session, None, plugins.clone(), folder);
+        let (editor, evaluation) = Editor::for_sampled(sampled, session, None, plugins.clone(), folder);
         return Ok((editor.opened_by(path), evaluation));
     }
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml")) {

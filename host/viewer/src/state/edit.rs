@@ -129,7 +129,7 @@ impl State {
         let state_version = self.plugins.get(plugin)?.migration().map(|m| m.state_version);
         let path = open.editor.path().or(open.editor.model()).unwrap_or(Path::new(""));
         let folder = folder_of(path).to_owned();
-        let deformation = Deformation { state_version, folder, ..Deformation::of(plugin) };
+        let deformation = Deformation { state_version, folder, ..Deformation::by_plugin(plugin) };
         let at = at.unwrap_or(open.steps().len());
         self.add(at, Action::Deform(deformation))?;
         self.choose(Some(at))

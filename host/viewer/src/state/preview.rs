@@ -61,11 +61,12 @@ impl State {
                 let neighbours = scene.sampled.samples.neighbours();
                 let seen = self.depth(&scene).seen(&scene);
                 let ring = RING.min(neighbours.k());
-                let near = |i: usize| seen[i] || neighbours.of(i)[..ring].iter().any(|j| seen[*j as usize]);
+                let near =
+                    |i: usize| seen[i] || neighbours.nearest_to(i)[..ring].iter().any(|j| seen[*j as usize]);
                 (0..seen.len()).into_par_iter().map(near).collect()
             }
         };
-        let chosen = Chosen::of(&scene.sampled, &marks, ENOUGH)?;
+        let chosen = Chosen::select(&scene.sampled, &marks, ENOUGH)?;
         let pose = Pose { sampled: scene.sampled.clone(), positions: scene.positions.clone() };
         let tint = self.tint();
         let preview = &mut self.preview;

@@ -58,7 +58,7 @@ impl State {
         let neighbours = scene.sampled.samples.neighbours();
         let mut next = vec![false; count];
         for i in (0..count).filter(|i| selected(*i)) {
-            let near = neighbours.of(i).iter().take(RING).chain(open.adjacency.of(i));
+            let near = neighbours.nearest_to(i).iter().take(RING).chain(open.adjacency.of(i));
             near.map(|j| *j as usize).filter(|j| *j < count && !selected(*j)).for_each(|j| next[j] = true);
         }
         let outside = |next: &[bool]| (0..count).filter(|i| next[*i]).map(point).collect();

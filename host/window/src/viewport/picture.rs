@@ -125,7 +125,7 @@ fn background(rect: Rect, theme: Theme) -> Shape {
 }
 
 fn gpu_of(render: &RenderState) -> Gpu {
-    Gpu::of(render.device.clone(), render.queue.clone(), &render.adapter.get_info())
+    Gpu::from_device(render.device.clone(), render.queue.clone(), &render.adapter.get_info())
 }
 
 impl Pictures {
