@@ -67,7 +67,7 @@ impl Mean {
 /// What becomes an attribute of the samples.
 enum Gathered {
     Means(Vec<Mean>),
-    /// Of classes: the distance of the nearest vertex so far, local, and its class.
+    /// Classes: the distance of the nearest vertex so far, local, and its class.
     ///
     /// Memory: 8 bytes per sample.
     Classes(Vec<(f32, f32)>),

@@ -34,7 +34,8 @@ pub struct Bytes {
 }
 
 impl Bytes {
-    /// Those of a model that has some. How large they are is told by vertices all over the file.
+    /// The range of a model's colours, where it has some. How large they are is told by vertices all over the
+    /// file.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -86,7 +87,7 @@ pub struct Picking {
 }
 
 impl Picking {
-    /// Those for so many samples, or for nobody knows how many; nothing of a model without colours.
+    /// Picks for `samples` samples, or for an unknown number; `None` for a model without colours.
     ///
     /// # Errors
     /// The model cannot be read.
@@ -197,7 +198,7 @@ struct Means<'a> {
 }
 
 impl<'a> Means<'a> {
-    /// Of the samples from `first` on.
+    /// Sums for the samples from `first` on.
     fn new(positions: &'a [Vec3], first: usize) -> Self {
         Self { positions, tree: OnceLock::new(), first, sums: vec![[0; 4]; positions.len() - first] }
     }

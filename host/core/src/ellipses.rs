@@ -31,7 +31,7 @@ fn place(name: &str, attributes: &[Attribute]) -> Option<usize> {
 }
 
 impl Ellipses {
-    /// Of splats; nothing where the points are none.
+    /// The ellipses of splats; `None` where the points are none.
     pub fn from_attributes(attributes: &[Attribute]) -> Option<Self> {
         let of = |name: &str, i: usize| place(&format!("{name}_{i}"), attributes);
         let rotation = [of("rot", 0)?, of("rot", 1)?, of("rot", 2)?, of("rot", 3)?];

@@ -38,7 +38,7 @@ impl Default for VertexHash {
 }
 
 impl VertexHash {
-    /// Of the kind of one that is known.
+    /// A hash of the same kind as a known fingerprint.
     pub fn like(known: &str) -> Self {
         if known.starts_with(BLOCKS) { Self::default() } else { Self::Stream(Box::default()) }
     }
@@ -51,7 +51,7 @@ impl VertexHash {
         }
     }
 
-    /// That of all bytes, as it stands in files.
+    /// The fingerprint of all bytes, as it stands in files.
     pub fn fingerprint(&self) -> String {
         match self {
             Self::Blocks(blocks) => blocks.fingerprint(),
@@ -63,9 +63,9 @@ impl VertexHash {
 /// A hash over blocks.
 #[derive(Default)]
 pub(crate) struct Blocks {
-    /// Of the blocks' hashes.
+    /// The hash of the hashes of full blocks.
     hash: Xxh3Default,
-    /// Of the block that is not full.
+    /// The hash of the last block, which is not full yet.
     block: Xxh3Default,
     /// All bytes so far.
     bytes: u64,
@@ -98,7 +98,7 @@ impl Blocks {
         true
     }
 
-    /// That of all bytes, as it stands in files.
+    /// The fingerprint of all bytes, as it stands in files.
     pub fn fingerprint(&self) -> String {
         let mut hash = self.hash.clone();
         if !self.bytes.is_multiple_of(BLOCK) {
@@ -124,7 +124,7 @@ pub(crate) struct HashedPart {
 }
 
 impl HashedPart {
-    /// Of no bytes so far.
+    /// A part without bytes so far.
     pub fn new(start: u64) -> Self {
         Self { start, ..Self::default() }
     }
@@ -166,7 +166,7 @@ pub(crate) struct PartHasher {
 }
 
 impl PartHasher {
-    /// Of these bytes, counted among those of all vertices, where what is read begins so much before them.
+    /// A hash of these bytes, counted among those of all vertices, where what is read begins so much before them.
     pub fn new(bytes: Range<u64>, skip: u64) -> Self {
         Self { part: HashedPart::new(bytes.start), skip, left: bytes.end.saturating_sub(bytes.start) }
     }

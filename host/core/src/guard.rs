@@ -67,7 +67,8 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// Of a command that reads nothing so far. `force` says that files of another kind may be replaced.
+    /// The guard of a command that has read nothing so far. `force` says that files of another kind may be
+    /// replaced.
     pub fn new(force: bool) -> Self {
         Self { force, ..Self::default() }
     }

@@ -142,7 +142,7 @@ pub struct Streamed {
 pub struct Batch {
     /// Where the deformation takes them.
     pub positions: Vec<Vec3>,
-    /// Of length 1: the model's own, or else estimated at rest, turned by the deformation.
+    /// Unit normals: the model's own, or else estimated at rest, turned by the deformation.
     pub normals: Vec<Vec3>,
     /// Mean distance to the nearest vertices that were taken, at rest, times the largest stretch.
     pub spacing: Vec<f32>,
@@ -290,10 +290,10 @@ struct CellVertices {
     cell: u32,
     /// Number of its vertices that came.
     seen: u64,
-    /// Those that were taken: model coordinates, and normals, zero where there are none.
+    /// The vertices that were taken: model coordinates, and normals, zero where there are none.
     positions: Vec<DVec3>,
     normals: Vec<Vec3>,
-    /// Of splats, in local units; zero where nothing is to be seen.
+    /// The two axes of each splat, in local units; zero where nothing is to be seen.
     axes: Vec<[Vec3; 2]>,
     values: Values,
 }
@@ -316,7 +316,7 @@ impl CellVertices {
 /// How vertices become a batch.
 struct Carrying<'a> {
     sampled: &'a SampledModel,
-    /// Of the samples.
+    /// How far each sample's cluster reaches.
     extents: &'a [f32],
     field: Option<&'a DeformationField<'a>>,
     stride: u64,

@@ -195,7 +195,7 @@ struct Heard {
 }
 
 impl Heard {
-    /// Of the samples at which each anchor has one.
+    /// The anchors of each sample, from the samples of each anchor.
     fn new(samples: usize, of_anchors: &[Vec<u32>]) -> Self {
         let mut starts = vec![0; samples + 1];
         of_anchors.iter().flatten().for_each(|i| starts[*i as usize + 1] += 1);
@@ -302,10 +302,10 @@ struct Squares {
     /// Lower triangle of the products of terms, and the products with what is to be explained.
     matrix: [[f64; TERMS]; TERMS],
     right: [DVec3; TERMS],
-    /// Of the weights, and of their squares.
+    /// The sums of the weights, and of their squares.
     weights: f64,
     squared_weights: f64,
-    /// Of what is to be explained.
+    /// The weighted sum of squares of what is to be explained.
     squares: f64,
     /// The largest of that, as the square of a length.
     largest: f64,
@@ -469,7 +469,7 @@ mod tests {
         assert!(changed < 1e-5, "{changed}");
     }
 
-    /// By how much the gradients of a map are others than those of the expansions, in the mean.
+    /// The mean difference between the gradients of a map and those of the expansions.
     fn changed(map: impl Fn(Vec3) -> Vec3) -> f32 {
         let samples = samples();
         let around = RestGeometry::new(&samples);

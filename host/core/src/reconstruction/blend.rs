@@ -59,7 +59,7 @@ pub struct Supports {
 }
 
 impl Supports {
-    /// Of the samples on their sheets.
+    /// The supports of samples, whose neighbours are those on their sheets.
     pub fn new(samples: &SampleSet, sheets: &Sheets) -> Self {
         let positions = &samples.positions;
         let n = samples.len();

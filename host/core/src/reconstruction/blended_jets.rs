@@ -64,7 +64,7 @@ struct Jet {
 }
 
 impl Jet {
-    /// That of an expansion.
+    /// The jet of an expansion.
     fn from_expansion(expansion: &Expansion) -> Self {
         Self { slope: expansion.slope() + Mat3::IDENTITY, second: expansion.second() }
     }

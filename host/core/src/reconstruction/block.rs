@@ -18,7 +18,7 @@ const BLOCK: usize = 1 << 14;
 /// Most vertices of a block that are in no order: many, so that those side by side on a curve are near.
 const LARGE_BLOCK: usize = 1 << 16;
 
-/// Of so many vertices, two are looked at to tell whether they are in order.
+/// Two of so many vertices are looked at to tell whether they are in order.
 const LOOKED_AT: usize = 16;
 
 /// Vertices that a packet is not worth for.

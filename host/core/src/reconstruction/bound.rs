@@ -53,7 +53,7 @@ impl Extent {
     /// Which holds none.
     const NOTHING: Self = Self { low: Vec3::INFINITY, high: Vec3::NEG_INFINITY };
 
-    /// Of one displacement, but for rounding.
+    /// The extent of one displacement, widened by its rounding.
     fn about(u: Vec3) -> Self {
         Self { low: u - MARGIN, high: u + MARGIN }
     }
@@ -86,7 +86,7 @@ struct Edges {
 impl Edges {
     const NONE: Self = Self { step: 0.0, steepest: 0.0 };
 
-    /// Of one sample.
+    /// The edges around one sample.
     fn around(samples: &SampleSet, sheets: &Sheets, expansions: &[Expansion], i: usize) -> Self {
         let mut found = [0; EDGES + 1];
         // Beside other sheets the nearest samples may be theirs.
@@ -120,7 +120,7 @@ pub struct Bound {
 }
 
 impl Bound {
-    /// Of the expansions of all samples.
+    /// The bound that the expansions of all samples set.
     pub fn new(samples: &SampleSet, sheets: &Sheets, expansions: &[Expansion]) -> Self {
         let all = (0..expansions.len()).into_par_iter();
         Self { edges: all.map(|i| Edges::around(samples, sheets, expansions, i)).collect() }
@@ -201,7 +201,7 @@ struct Range {
     from: [Vec3; AROUND],
     displacement: [Vec3; AROUND],
     extent: Extent,
-    /// Of all of them.
+    /// The edges of all samples in the range.
     edges: Edges,
 }
 

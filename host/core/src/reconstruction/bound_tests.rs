@@ -159,7 +159,7 @@ enum Map {
     Piecewise,
     OneSample,
     Half,
-    /// By so many radians, with a translation.
+    /// A turn by so many radians, with a translation.
     Rigid(f32),
     /// One of two sheets, or what is the second half of the samples otherwise.
     SecondHalf,

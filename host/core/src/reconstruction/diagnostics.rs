@@ -31,7 +31,7 @@ pub struct VertexDiagnostics {
 }
 
 impl VertexDiagnostics {
-    /// Of a vertex without a finite position.
+    /// The diagnostics of a vertex without a finite position.
     pub const UNKNOWN: Self = Self {
         displacement: f32::NAN,
         stretch: [f32::NAN; 2],
@@ -81,8 +81,8 @@ pub struct Folds {
 }
 
 impl Folds {
-    /// Of the expansions at all samples, which have these normals and neighbours at rest; `is_told` says of
-    /// each whether the surface around it tells the sign of its determinant.
+    /// The folds of the expansions at all samples, which have these normals and neighbours at rest; `is_told` says
+    /// of each whether the surface around it tells the sign of its determinant.
     pub fn of<'s>(
         expansions: &[Expansion],
         is_told: &[bool],

@@ -142,7 +142,7 @@ struct Exact<'a> {
     gradients: bool,
     /// Whether it is known that nothing moves.
     is_still: bool,
-    /// Of all vertices' bytes.
+    /// The hash of all vertices' bytes.
     hash: Mutex<VertexHash>,
     surveys: Surveys<'a>,
 }

@@ -32,7 +32,7 @@ impl Expansion {
     /// So small a support holds the sample alone.
     pub const NO_SUPPORT: f32 = 1e30;
 
-    /// Of a displacement, its gradient S, and the second-order terms.
+    /// An expansion from a displacement, its gradient S, and the second-order terms.
     pub fn new(center: Vec3, displacement: Vec3, slope: Mat3, second: [Vec3; 6]) -> Self {
         let nothing = Self { center: center.to_array(), inverse_square: Self::NO_SUPPORT, terms: [0.0; 32] };
         nothing.with(0, [displacement]).with_slope(slope).with_second(second)

@@ -84,7 +84,7 @@ pub(super) struct Rounding {
 }
 
 impl Rounding {
-    /// Of a model with positions as these.
+    /// The rounding of a model with such positions.
     pub fn for_model(frame: &Frame, info: &ModelInfo) -> Self {
         let is_single = info.position_type == Scalar::F32;
         Self {
@@ -138,7 +138,7 @@ pub struct Beyond {
     pub worst: f64,
     /// What rounding alone makes there, as a fraction of the diagonal.
     pub rounding: f64,
-    /// That sample, in the model's coordinates at rest.
+    /// The position of that sample at rest, in the model's coordinates.
     pub place: DVec3,
     /// Number of samples around which it is more than is accepted.
     pub samples: u64,
@@ -402,7 +402,7 @@ impl DeformationField<'_> {
 /// What those who reach a vertex have to say, each with its weight.
 #[derive(Default)]
 struct Heard {
-    /// Of the weights, and of their squares.
+    /// The sums of the weights, and of their squares.
     sum: f32,
     squares: f32,
     /// Squares of how far each is from what was made of them.
@@ -412,7 +412,7 @@ struct Heard {
     disagreement: f32,
     /// What the gradient across the surface leaves open.
     unresolved: f32,
-    /// Of the samples' places from the vertex, and of their products.
+    /// The sums of the samples' places relative to the vertex, and of their products.
     places: Vec3,
     products: [Vec3; 3],
 }

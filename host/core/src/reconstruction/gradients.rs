@@ -124,10 +124,10 @@ impl WithSimd for Fits<'_> {
 
 /// Weighted sums over the neighbours of each sample.
 struct Sums<S: Simd> {
-    /// Of the products of their ways: xx, yy, zz, and xy, xz, yz.
+    /// The sums of products of the neighbours' offsets: xx, yy, zz, and xy, xz, yz.
     diagonal: Triple<S>,
     off: Triple<S>,
-    /// Of the products of the moved ways with the ways, column by column.
+    /// The sums of products of the deformed offsets with those at rest, column by column.
     images: [Triple<S>; 3],
     weights: DoubleLanes<S>,
 }

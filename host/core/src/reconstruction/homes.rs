@@ -62,7 +62,7 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// Of samples with supports of these radii.
+    /// The octree over samples with supports of these radii.
     pub fn build(samples: &SampleSet, radius: &[f32]) -> Self {
         let positions = &samples.positions;
         let min = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
@@ -281,7 +281,7 @@ pub struct Homes<'a> {
 }
 
 impl<'a> Homes<'a> {
-    /// Of samples that are prepared.
+    /// The homes among samples that are prepared.
     pub fn new(around: &'a RestGeometry<'a>) -> Self {
         let RestGeometry { samples, sheets, supports, .. } = around;
         Self { samples, sheets, radius: &supports.radius, cells: around.cells() }
@@ -314,7 +314,7 @@ impl<'a> Homes<'a> {
         }
     }
 
-    /// Of a sample and those on its sheet, the one whose support reaches a point best.
+    /// The sample, of one and those on its sheet, whose support reaches a point best.
     fn nearest_on_sheet(&self, own: u32, p: Vec3) -> u32 {
         let all = self.sheets.of_sample(own as usize).iter().copied().chain([own]);
         let depth = |i: u32| self.cells.depth(i, p);
@@ -341,8 +341,8 @@ impl<'a> Homes<'a> {
         deepest.unwrap_or_else(|| self.samples.nearest(p))
     }
 
-    /// Of the samples around one that is near, that on whose sheet the point lies; or, if its support does
-    /// not reach the point, another one of that sheet whose support does.
+    /// The sample, among those around a near one, on whose sheet the point lies; or, if its support does not reach
+    /// the point, another one of that sheet whose support does.
     fn on_its_sheet(&self, near: u32, p: Vec3) -> u32 {
         let away = |i: u32| p - self.samples.positions[i as usize];
         let (mut best, mut least) = (near, sheet_distance(away(near), self.plane(near)));

@@ -72,19 +72,20 @@ pub struct LeastSquares<S: Simd> {
     /// Lower triangle of the products of terms, and the products with what is to be explained.
     matrix: [[DoubleLanes<S>; TERMS]; TERMS],
     right: Terms<S>,
-    /// Of the weights, and of their squares.
+    /// The sums of the weights, and of their squares.
     weights: DoubleLanes<S>,
     squared_weights: DoubleLanes<S>,
-    /// Of what is to be explained.
+    /// The weighted sum of squares of what is to be explained.
     squares: DoubleLanes<S>,
     /// The largest of that, as the square of a length.
     largest: DoubleLanes<S>,
-    /// Of the displacements, beside the sample's own.
+    /// The weighted sum of squares of the displacements, less the sample's own.
     variation: DoubleLanes<S>,
 }
 
 impl<S: Simd> LeastSquares<S> {
-    /// Of the neighbours of as many samples as there are lanes, and the gradients there, column by column.
+    /// The sums over the neighbours of as many samples as there are lanes, and the gradients there, column by
+    /// column.
     #[inline(always)]
     pub fn accumulate(simd: S, neighbours: &Neighbours, gradient: &[[f64; MOST_LANES]; 9]) -> Self {
         let zero = DoubleLanes::splat(simd, 0.0);
@@ -314,8 +315,8 @@ struct Factor<S: Simd> {
 }
 
 impl<S: Simd> Factor<S> {
-    /// Of matrices, of which the lower triangle is given, with `ridge` added along the diagonal; and where they are
-    /// positive definite.
+    /// The factors of matrices, of which the lower triangle is given, with `ridge` added along the diagonal; and
+    /// where they are positive definite.
     #[inline(always)]
     fn factorize(
         simd: S,

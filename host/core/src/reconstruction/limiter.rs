@@ -53,7 +53,7 @@ pub struct Limiter {
 const NONE: u32 = u32::MAX;
 
 impl Limiter {
-    /// Of the expansions, and those of them that are in doubt.
+    /// The limiter for these expansions, of which `doubtful` are in doubt.
     pub fn new(supports: &Supports, expansions: &[Expansion], doubtful: &[(u32, Doubt)]) -> Self {
         if doubtful.is_empty() {
             return Self::default();

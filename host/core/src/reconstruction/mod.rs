@@ -128,12 +128,12 @@ pub struct RestGeometry<'a> {
     /// What homes are found by: made when a place is first looked up, as fitting does not need it.
     cells: OnceLock<Cells>,
     workspaces: Workspaces,
-    /// Of how many vertices each sample was the home.
+    /// The number of vertices whose home each sample was.
     vertices: Vec<AtomicU64>,
 }
 
 impl<'a> RestGeometry<'a> {
-    /// Of the samples at rest.
+    /// Finds the sheets and supports of the samples at rest.
     pub fn new(samples: &'a SampleSet) -> Self {
         samples.prepare();
         let sheets = Sheets::find(samples);

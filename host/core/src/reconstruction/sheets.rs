@@ -57,7 +57,7 @@ const NONE: u32 = u32::MAX;
 /// faces have told sheets apart, 4 more, and 128 for each sample near which they meet.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Sheets {
-    /// Of the nearest in space: those of most samples are all on the sheet.
+    /// The nearest samples in space: those of most samples are all on the sheet.
     graph: NeighbourGraph,
     /// The list of each sample that has one of its own; [`NONE`] of all others.
     list: Vec<u32>,
@@ -70,7 +70,7 @@ pub struct Sheets {
 }
 
 impl Sheets {
-    /// Of samples that are [prepared](SampleSet::prepare).
+    /// The sheets of samples that are [prepared](SampleSet::prepare).
     pub fn find(samples: &SampleSet) -> Self {
         let (positions, normals, graph) = (&samples.positions[..], samples.normals(), samples.neighbours());
         let mut links = vec![Links::default(); samples.len()];
@@ -221,8 +221,8 @@ impl Sheets {
         nearest_of(self.of_sample(i), positions, i, count)
     }
 
-    /// Those of the nearest samples in space that are not on the sheet of sample `i`, nearest first, where
-    /// faces have told sheets apart; none elsewhere.
+    /// The samples among the nearest in space that are not on the sheet of sample `i`, nearest first, where faces
+    /// have told sheets apart; none elsewhere.
     #[inline]
     pub fn strangers(&self, i: usize) -> &[u32] {
         match self.stranger_starts.get(i..i + 2) {
@@ -395,7 +395,7 @@ fn are_linked(links: &[Links], i: usize, near: &[u32], places: &mut [u8]) -> boo
     left == 0
 }
 
-/// Those of `near` (fewer than 127) that links within them reach from sample `i`, in their order. `places`
+/// The samples of `near` (fewer than 127) that links within them reach from sample `i`, in their order. `places`
 /// has one for each sample, all [`NOWHERE`], before and after.
 fn reached<'a>(
     links: &[Links],

@@ -28,12 +28,12 @@ const ONE_OF: usize = 2;
 /// The samples that fits are of.
 pub struct Stencils<'a> {
     sheets: &'a Sheets,
-    /// Of the samples that borrow, nearest first: at most [`SHEET_NEIGHBOURS`] each.
+    /// The neighbours of each sample that borrows, nearest first: at most [`SHEET_NEIGHBOURS`] each.
     mixed: HashMap<u32, Vec<u32>>,
 }
 
 impl<'a> Stencils<'a> {
-    /// Of each sample's own sheet.
+    /// Stencils of each sample's own sheet alone.
     pub fn own(sheets: &'a Sheets) -> Self {
         Self { sheets, mixed: HashMap::new() }
     }

@@ -103,7 +103,7 @@ pub struct Folding {
 pub struct Reconstructed {
     /// Vertices of the model.
     pub vertices: u64,
-    /// Those that have no finite position and were left as they are.
+    /// The number of vertices that have no finite position and were left as they are.
     pub non_finite: u64,
     /// Bytes of the outputs that an earlier call wrote.
     pub taken_over: u64,
@@ -232,10 +232,10 @@ struct ReconstructionCall<'a> {
     progress: &'a dyn Progress,
     /// The versions that share a reading: at most [`MAX_VERSIONS`].
     pass: Vec<Begun<'a>>,
-    /// Those in their places. Their journals tell a later call so, should this one be killed.
+    /// The outputs that are in their places. Their journals tell a later call so, should this one be killed.
     finished: Vec<Finished>,
     taken_over: u64,
-    /// Of each version, as far as it is known.
+    /// The folding of each version, as far as it is known.
     folding: Vec<Option<Folding>>,
     expected: Vec<Option<ExpectedError>>,
 }
@@ -341,7 +341,7 @@ impl<'a> ReconstructionCall<'a> {
         Ok(())
     }
 
-    /// Who is near whom: as it was kept, or found out now.
+    /// The geometry at rest: as the binding kept it, or found now.
     fn surroundings(&self) -> Result<(Option<Binding>, RestGeometry<'a>)> {
         if let Some(path) = self.how.binding {
             match Binding::open(path, self.sampled) {

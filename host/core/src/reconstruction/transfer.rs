@@ -19,7 +19,7 @@ use crate::fingerprint::{HashedPart, VertexHash};
 pub(super) struct Transfer<'a> {
     pub(super) fields: &'a [DeformationField<'a>],
     pub(super) frame: &'a Frame,
-    /// Of the vertices' bytes: of all, or of a part.
+    /// The hash of the bytes of all vertices, or of a part.
     pub(super) hash: Mutex<Hashing>,
     /// What homes are read from, if they were kept, and its file.
     pub(super) binding: Mutex<Option<(Binding, &'a Path)>>,
@@ -117,7 +117,7 @@ pub(super) struct Surveys<'a> {
 type Surveyed = (Vec<DVec3>, Vec<VertexDiagnostics>);
 
 impl<'a> Surveys<'a> {
-    /// Of as many versions.
+    /// The surveys of as many versions.
     pub(super) fn new(files: impl IntoIterator<Item = Option<&'a mut DiagnosticsFile>>) -> Self {
         let files = files.into_iter().map(|file| file.map(Mutex::new)).collect();
         Self { files, waiting: Mutex::default() }

@@ -112,7 +112,7 @@ struct Extent<S: Simd> {
 }
 
 impl<S: Simd> Extent<S> {
-    /// Of one sample, but for rounding.
+    /// The extent of one sample's displacement, widened by its rounding.
     #[inline(always)]
     fn about(simd: S, e: &Expansion, step: f32) -> Self {
         let (u, step) = (e.displacement(), Lanes::splat(simd, step));

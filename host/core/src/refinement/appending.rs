@@ -189,7 +189,7 @@ struct Taking<'a, 'g> {
 }
 
 impl Taking<'_, '_> {
-    /// That which was there, of the cluster of a sample, for the vertices of a sheet.
+    /// The former sample of a sample's cluster for the vertices of a sheet.
     fn own(&self, sample: u32, guide: u32) -> u32 {
         self.guides.map_or(sample, |all| all.of_cluster(sample, guide))
     }

@@ -35,7 +35,8 @@ pub(super) struct Members {
 }
 
 impl Members {
-    /// Of no vertex yet, of a model of so many; `with_positions` says whether these are wanted.
+    /// A table without members yet, for a model of so many vertices; `with_positions` says whether these are
+    /// wanted.
     pub fn new(vertices: u64, with_positions: bool, folder: &Path) -> Result<Self> {
         let file = |bytes| {
             let file = Scratch::new(folder, ADVICE)?;

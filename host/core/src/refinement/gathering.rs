@@ -38,7 +38,7 @@ pub(crate) struct Visited<'a> {
     pub at: u32,
     /// In the model's coordinates; finite.
     pub position: DVec3,
-    /// Of length 1; zero where it is not known.
+    /// The unit normal; zero where it is not known.
     pub normal: Vec3,
     /// Its index in the model.
     pub index: u64,
@@ -214,7 +214,7 @@ impl Gathering<'_> {
 /// Gathers groups as sampling did.
 struct GroupsAgain {
     cubes: Cubes,
-    /// Of the piece that is gathered, by its number.
+    /// The groups of the piece that is gathered.
     piece: PieceGroups,
     number: u64,
     all: Groups,

@@ -121,7 +121,7 @@ pub struct Need {
     /// The largest transfer error that is expected around a selected sample, before; a fraction of the
     /// diagonal.
     pub expected: f64,
-    /// That which the new samples allow: what was asked for, or more, if there may not be enough of them.
+    /// The error that the new samples allow: the one asked for, or more, if there may not be enough of them.
     pub allowed: f64,
     /// Around how many samples more than that was expected.
     pub samples: u64,

@@ -44,8 +44,8 @@ pub(super) struct Needs<'a> {
 }
 
 impl<'a> Needs<'a> {
-    /// Of the samples that are selected and around which more than `allowed` is expected, for about `budget`
-    /// new ones, as the [errors](SampledModel::cluster_errors) of their clusters are; `None` if there are
+    /// The needs of the samples that are selected and around which more than `allowed` is expected, for about
+    /// `budget` new ones, as the [errors](SampledModel::cluster_errors) of their clusters are; `None` if there are
     /// none that could get more.
     pub fn new(
         sampled: &'a SampledModel,
@@ -128,7 +128,7 @@ impl<'a> Needs<'a> {
         (Self { samples, wanted, least, allowed, needy }, count)
     }
 
-    /// By how much more than the least error a cluster in this ball may have; local units.
+    /// How much more than the least error a cluster in this ball may have; local units.
     pub fn slack(&self, center: Vec3, radius: f32) -> f32 {
         self.around(self.samples.nearest(center) as usize, center, radius)
     }

@@ -29,7 +29,7 @@ pub(super) struct GrownNode {
     pub reach: f32,
     /// Its error, or that of one above if that is less.
     pub error: f32,
-    /// That less the slack, or that of one above which is not kept; what a bound inside the selection is
+    /// The error less the slack, or that of an ancestor which is not kept; what a bound inside the selection is
     /// compared with.
     pub graded: f32,
     /// Index behind its subtree.

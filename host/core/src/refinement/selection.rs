@@ -54,7 +54,7 @@ pub(super) enum Sizing<'a> {
 }
 
 impl Sizing<'_> {
-    /// By how much the bound of clusters in this ball is larger than the least one; local units.
+    /// How much the bound of clusters in this ball is larger than the least one; local units.
     pub fn slack(&self, center: Vec3, radius: f32) -> f32 {
         match self {
             Self::Selected(selected) => selected.slack(center, radius),
@@ -93,7 +93,7 @@ impl<'a> Selected<'a> {
         (self.selection.distance)(p) / self.frame.scale
     }
 
-    /// By how much the bound of clusters in this ball is larger than inside the selection; local units.
+    /// How much the bound of clusters in this ball is larger than inside the selection; local units.
     fn slack(&self, center: Vec3, radius: f32) -> f32 {
         slack(self.distance(center) - f64::from(radius))
     }

@@ -64,7 +64,7 @@ impl Body {
     }
 }
 
-/// Of clusters as the trees have them: those of several sheets are not parted.
+/// Sampling that keeps clusters as the trees have them: those of several sheets are not parted.
 pub(crate) fn samples(n: u64) -> Sampling {
     let skip = Skip { sheets: true, ..Skip::default() };
     Sampling { target: Target::Samples(n), skip, ..Sampling::default() }

@@ -25,7 +25,7 @@ const LONGEST: u64 = 64 << 30;
 /// again for the file.
 #[derive(Serialize, Deserialize)]
 pub struct ClusteredFile {
-    /// Of what model, options and division, and of which of its ranges or groups.
+    /// The hash of the model, the options and the division, and of which range or group the file is.
     pub key: u128,
     /// Whether groups found room; the cells are none if not.
     pub has_room: bool,

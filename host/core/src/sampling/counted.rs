@@ -28,11 +28,11 @@ struct Counted {
     resolution: u32,
     min_opacity: Option<f64>,
     vertices: Range<u64>,
-    /// Those that are nowhere, the first of them, and those that are left out.
+    /// The number of vertices without a finite position, the first of them, and the number of those left out.
     non_finite: (u64, Option<u64>, u64),
     level: i32,
     bounds: [DVec3; 2],
-    /// By their keys: count, first and last vertex.
+    /// The cells in ascending order of their keys: count, first and last vertex.
     cells: Vec<(CellKey, [u64; 3])>,
 }
 

@@ -52,7 +52,7 @@ pub struct Forest {
     target: Option<usize>,
     /// Number of vertices of P_L, and the foresight; `None` without.
     foresight: Option<(f64, f64)>,
-    /// Those in the trees.
+    /// The number of vertices in the trees.
     seen: f64,
     /// Running bound.
     threshold: f32,

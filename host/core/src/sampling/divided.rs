@@ -22,9 +22,9 @@ use super::{Found, Prepared, Sampling, counted, counting};
 use crate::fingerprint::Blocks;
 use crate::sampled_model::SampledModel;
 
-/// By how many times the samples of a part of the vertices, of which so many times the square root gets its share,
-/// are more than are kept of a part of the stream on one machine: parts are fewer, and one that is too rich is seen
-/// in the end alone.
+/// The factor by which the samples of a part of the vertices, of which so many times the square root gets its
+/// share, are more than are kept of a part of the stream on one machine: parts are fewer, and one that is too rich
+/// is seen in the end alone.
 const FORESIGHT: f64 = 2.0;
 
 /// No file of counts is longer.

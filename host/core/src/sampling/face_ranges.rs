@@ -21,7 +21,7 @@ pub struct FaceRanges {
 }
 
 impl FaceRanges {
-    /// Of no face yet. `trees` are those of all cells, of so many samples.
+    /// Ranges without faces yet. `trees` are those of all cells, of so many samples.
     pub fn new(trees: &[CutTree], samples: usize) -> Self {
         let mut cell_of = vec![0; samples];
         for (cell, tree) in trees.iter().enumerate().rev() {

@@ -105,7 +105,7 @@ impl Job<'_> {
 pub enum Hashing {
     /// All of them.
     All(VertexHash),
-    /// Those of a range.
+    /// The bytes of a range of the vertices.
     Part(PartHasher),
     /// Nothing: others do.
     Nothing,
@@ -126,7 +126,7 @@ impl Hashing {
 pub struct Clustered {
     /// The trees of all cells.
     pub forest: Forest,
-    /// Of the bytes of all vertices.
+    /// The hash of the bytes of all vertices.
     pub hash: Hashing,
     /// Where in the stream each cell's vertices are.
     pub ranges: Ranges,

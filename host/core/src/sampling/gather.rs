@@ -21,7 +21,7 @@ use super::shares::PIECE;
 /// Memory for the vertices of open cells beyond which they are summed up in groups, if that helps.
 const VERTICES_AT_EASE: u64 = 12 << 20;
 
-/// By how many times the groups that are expected are too many, where there are surely no fewer than find room.
+/// The factor by which the groups that are expected are too many, where there are surely no fewer than find room.
 const SURELY_TOO_MANY: u64 = 4;
 
 /// Groups for each sample of P_S: a cluster is then about as well formed as from the vertices themselves.
@@ -225,7 +225,7 @@ pub struct PieceGroups {
     items: Vec<(u32, Group)>,
     /// The group of the same cell that was begun next after each of them.
     next: Vec<u32>,
-    /// Of each cell, how many groups it has, and which one was begun last.
+    /// The number of groups of each cell, and the one that was begun last.
     cells: HashMap<u32, (u32, u32), BuildHasherDefault<CellHasher>>,
     /// Where the groups of each cube are, by its cell and [`key`].
     table: HashMap<u64, u32, BuildHasherDefault<CellHasher>>,

@@ -41,7 +41,7 @@ pub(super) type Found = u64;
 const NOTHING: Found = u64::MAX;
 
 impl KdTree {
-    /// Of finite points, of which there is at least one. Takes jobs of the thread pool.
+    /// The tree over finite points, of which there is at least one. Takes jobs of the thread pool.
     pub fn new(points: &[Vec3]) -> Self {
         Self::build(points, true)
     }
@@ -100,8 +100,8 @@ impl KdTree {
         largest[node]
     }
 
-    /// Of balls about the points that hold `p`, that in which it is nearest to the middle, as a part of the
-    /// radius.
+    /// The ball, among those about the points that hold `p`, in which it is nearest to the middle, as a part of
+    /// the radius.
     pub fn deepest(&self, p: Vec3, radius: &[f32], largest: &[f32]) -> Option<u32> {
         let mut least = (1.0, u32::MAX);
         let mut open = vec![(0, 0, self.leaves.len())];

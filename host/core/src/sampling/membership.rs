@@ -79,7 +79,7 @@ impl Membership {
     /// Most vertices: beyond it, nothing can refer to them.
     pub const MAX_VERTICES: u64 = NONE as u64;
 
-    /// Of no vertex yet of a model. The files go to `folder`.
+    /// A table without members yet. The files go to `folder`.
     ///
     /// # Errors
     /// They cannot be made, or the disk has no room for them.

@@ -24,16 +24,16 @@ const AT_A_PLACE: u64 = 1024;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct UsualSplat {
-    /// Of positions, axis by axis.
+    /// The median of positions, axis by axis.
     middle: DVec3,
-    /// Of distances from there.
+    /// The median distance from there.
     distance: f64,
-    /// Of sizes: the geometric mean of the two longest axes.
+    /// The median size: the geometric mean of the two longest axes.
     size: f64,
 }
 
 impl UsualSplat {
-    /// Of some splats, given by position and size; nothing where they do not tell.
+    /// The medians of some splats, given by position and size; `None` where they do not tell.
     fn median(splats: &[(DVec3, f64)]) -> Option<Self> {
         let median = |of: &dyn Fn(&(DVec3, f64)) -> f64| {
             let (mut numbers, middle) = (splats.iter().map(of).collect::<Vec<_>>(), splats.len() / 2);
@@ -63,8 +63,8 @@ pub(crate) struct Opaque {
 }
 
 impl Opaque {
-    /// Of this opacity at least, and more where a splat is larger or farther off than `usual`; nothing where none
-    /// is asked for, or the model has no splats.
+    /// Splats of this opacity at least, and more where a splat is larger or farther off than `usual`; nothing
+    /// where none is asked for, or the model has no splats.
     pub(crate) fn new(model: &dyn Model, least: Option<f64>, usual: Option<UsualSplat>) -> Option<Self> {
         let least = least.filter(|least| *least > 0.0)?;
         let attributes = &model.info().attributes;

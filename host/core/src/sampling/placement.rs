@@ -104,7 +104,7 @@ fn first_pairs(model: &dyn Model) -> Result<Vec<[u32; 3]>> {
 struct Corners(Vec<(u32, (DVec3, DVec3))>);
 
 impl Corners {
-    /// Those of some triangles, as far as the model has them. Of a model that can only be read from its
+    /// The corners of some triangles, as far as the model has them. Of a model that can only be read from its
     /// beginning, those that are near each other.
     fn read(model: &dyn Model, triangles: &[[u32; 3]]) -> Result<Self> {
         let mut wanted: Vec<u32> = triangles.iter().flatten().copied().collect();
@@ -214,7 +214,7 @@ struct Quadric {
 }
 
 impl<'a> Planes<'a> {
-    /// Of no face yet, around the samples from number `first` on.
+    /// Planes of no face yet, around the samples from number `first` on.
     pub fn new(vertices: &'a [Vec3], samples: &'a [Vec3], first: u32) -> Self {
         Self { vertices, samples, first, quadrics: vec![Quadric::default(); samples.len()] }
     }

@@ -39,7 +39,8 @@ pub struct SampleSet {
     tree: OnceLock<KdTree>,
 }
 
-/// Who is near whom: found when it is first asked for, as writing the samples does not need it.
+/// The neighbours of each sample and its spacing: found when it is first asked for, as writing the samples does
+/// not need it.
 struct Neighbourhoods {
     neighbours: NeighbourGraph,
     spacing: Vec<f32>,
@@ -115,8 +116,8 @@ impl SampleSet {
         &self.known
     }
 
-    /// Who is on whose sheet where parts of the model touch, as its faces tell; `None` where none do, or it
-    /// has no faces.
+    /// The contacts: which samples are on the same sheet where parts of the model touch, as its faces tell; `None`
+    /// where none do, or it has no faces.
     pub fn contacts(&self) -> Option<&Contacts> {
         self.contacts.as_ref()
     }
@@ -224,8 +225,8 @@ impl SampleSet {
         self.tree().largest_below(radius)
     }
 
-    /// Of balls about the samples that hold a point, that in which it is nearest to the middle, as a part of
-    /// the radius.
+    /// The ball, among those about the samples that hold a point, in which it is nearest to the middle, as a part
+    /// of the radius.
     pub(crate) fn deepest(&self, p: Vec3, radius: &[f32], largest: &[f32]) -> Option<u32> {
         self.tree().deepest(p, radius, largest)
     }

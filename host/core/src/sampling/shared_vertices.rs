@@ -60,7 +60,7 @@ pub struct Visit {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct SharedPiece {
     pub visits: Vec<Visit>,
-    /// Of all visits, one after another, in local coordinates.
+    /// The positions of all visits, one after another, in local coordinates.
     pub positions: Vec<Vec3>,
     /// Unit normals; zero where they are not known.
     pub normals: Vec<Vec3>,
@@ -319,7 +319,8 @@ pub struct SharedReader {
 }
 
 impl SharedReader {
-    /// Of the files of these ranges, in their order, with their keys; `None` if one does not have all vertices.
+    /// A reader of the files of these ranges, in their order, with their keys; `None` if one does not have all
+    /// vertices.
     ///
     /// # Errors
     /// One cannot be read, is damaged, or is of something else.

@@ -9,7 +9,7 @@ use super::grid::{CellRecord, Grid};
 /// facets. A constant, so that sums depend neither on the number of threads nor on how the model is read.
 pub const PIECE: u64 = 3 << 11;
 
-/// Who clusters a cell.
+/// The unit that clusters a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Owner {
     /// The range of this number.
@@ -40,8 +40,8 @@ pub fn ranges(vertices: u64, count: u64) -> Vec<Range<u64>> {
 }
 
 impl Shares {
-    /// Of the cells of a model whose vertices are in such [`ranges`], and of so many groups: of cells that the stream
-    /// meets one after another, with about as many vertices in each.
+    /// The shares of the cells of a model whose vertices are in such [`ranges`], and of so many groups: of cells
+    /// that the stream meets one after another, with about as many vertices in each.
     pub fn new(grid: &Grid, ranges: Vec<Range<u64>>, groups: u32) -> Self {
         let within = |first: u64, last: u64| {
             let at = ranges.partition_point(|range| range.end <= first);
@@ -63,7 +63,7 @@ impl Shares {
         Self { ranges, groups, owners }
     }
 
-    /// Who clusters a cell.
+    /// The unit that clusters a cell.
     #[inline]
     pub fn owner(&self, cell: u32) -> Owner {
         self.owners[cell as usize]

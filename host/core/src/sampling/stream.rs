@@ -184,7 +184,7 @@ struct Merging<'a, G> {
     gather: G,
     /// Vertices of each cell that are still to come.
     left: Vec<u64>,
-    /// Of the items of the piece that is merged, where each is now: cell and index.
+    /// The place of each item of the piece that is merged: cell and index.
     places: Vec<(u32, u32)>,
     hash: &'a mut Hashing,
     ranges: &'a mut Ranges,
@@ -239,7 +239,7 @@ struct Piece<P> {
     items: Vec<u32>,
     /// Where they are, local units, if it shall be known.
     positions: Vec<Vec3>,
-    /// Those whose colours are kept.
+    /// The vertices whose colours are kept.
     picks: Vec<Pick>,
     lists: Lists,
     /// Each cell that the stream enters, and the vertices up to where it leaves it.

@@ -265,7 +265,7 @@ struct Place {
 }
 
 impl Place {
-    /// Of a part of a cluster with this key here.
+    /// The place of a part of a cluster with this key here.
     fn below(self, key: f32, stage: Stage, part: usize) -> Self {
         Self { above: key, stage, depth: self.depth + 1, seed: mix(self.seed, part as u64 + 1) }
     }

@@ -62,9 +62,9 @@ struct Lists {
 }
 
 impl Contacts {
-    /// Of the samples of a model whose clusters were parted, of which `sample_of` says what vertex belongs to
-    /// which. `trees` has the samples of each cell. Where clusters were parted there are contacts, though
-    /// nothing may be near any more: so it is known that they were.
+    /// The contacts of the samples of a model whose clusters were parted, of which `sample_of` says what vertex
+    /// belongs to which. `trees` has the samples of each cell. Where clusters were parted there are contacts,
+    /// though nothing may be near any more: so it is known that they were.
     ///
     /// # Errors
     /// The model cannot be read, or a temporary file written; the user cancelled.
@@ -355,7 +355,7 @@ pub(crate) struct Noted {
 }
 
 impl Noted {
-    /// Of no vertex yet. The file goes to `folder`.
+    /// A table without vertices yet. The file goes to `folder`.
     pub fn new(folder: &Path) -> Result<Self> {
         Ok(Self { file: Scratch::new(folder, ADVICE)?, bytes: 0 })
     }
@@ -396,7 +396,7 @@ pub(crate) struct Guides<'a> {
 }
 
 impl<'a> Guides<'a> {
-    /// Of these samples, which have contacts. `near` is to be empty.
+    /// The guides of samples that have contacts. `near` is to be empty.
     pub fn new(samples: &'a SampleSet, contacts: &'a Contacts, near: &'a OnceLock<Near>) -> Self {
         let mut parted: HashMap<u32, Vec<u32>> = HashMap::new();
         contacts.parted().iter().for_each(|[sample, of]| parted.entry(*of).or_default().push(*sample));
@@ -465,8 +465,8 @@ impl<'a> Guides<'a> {
         (sheets, guides.map(|guide| sheet_of[&guide]).collect())
     }
 
-    /// Of the samples of the cluster of one that a tree has, that which is on the sheet of another sample; or
-    /// else that other one.
+    /// The sample, in the cluster of one that a tree has, that is on the sheet of `guide`; `guide` itself if there
+    /// is none.
     pub fn of_cluster(&self, sample: u32, guide: u32) -> u32 {
         let all = || [sample].into_iter().chain(self.parted_from(sample).iter().copied());
         let found =
@@ -554,7 +554,7 @@ struct Tangents<'a> {
 const NONE: u32 = u32::MAX;
 
 impl<'a> Tangents<'a> {
-    /// Of the samples near which sheets meet.
+    /// The tangent planes of the samples near which sheets meet.
     ///
     /// Memory: 16 bytes for each of them, and 4 per sample.
     fn new(samples: &'a SampleSet, lists: &Lists) -> Self {
@@ -604,7 +604,7 @@ struct Crowded {
     /// How far as many neighbours are as a list may have.
     reach: f32,
     near: Vec<u32>,
-    /// Those of them that are on its sheet, no more than a list may have, and those that are not.
+    /// The neighbours that are on the sample's sheet, no more than a list may have, and those that are not.
     same: Vec<u32>,
     others: Vec<u32>,
 }
@@ -665,7 +665,7 @@ fn same_sheet(samples: &SampleSet, parted: &Parted) -> (SampleLists, SampleLists
     (lists, others)
 }
 
-/// Those of the nearest of a sample that are on another sheet, each with that sample.
+/// The samples among the nearest of one that are on another sheet, each with that sample.
 fn left_out_by<'a>(sample: u32, near: &'a [u32], same: &'a [u32]) -> impl Iterator<Item = (u32, u32)> + 'a {
     // Who lies beyond the last one of the list is not left out.
     without(&near[..end_of(near, same)], same).map(move |j| (j, sample))
@@ -682,7 +682,8 @@ fn without<'a>(all: &'a [u32], some: &'a [u32]) -> impl Iterator<Item = u32> + '
     all.iter().filter(move |j| some.next_if_eq(j).is_none()).copied()
 }
 
-/// Who is left out by a sample leaves that one out, too: who had not, and whom.
+/// Makes leaving out mutual: a sample that another one leaves out leaves that one out, too. The result lists each
+/// that had not, with the other one.
 fn make_mutual(
     samples: &SampleSet,
     left_out: Vec<(u32, u32)>,
@@ -736,7 +737,7 @@ impl<'a> Ways<'a> {
         self.lengths.iter().all(|length| length.is_finite())
     }
 
-    /// Those of `near`, in their order, to which a short way leads from a sample.
+    /// The samples of `near`, in their order, to which a short way leads from a sample.
     fn connected(&mut self, sample: u32, near: &[u32]) -> Vec<u32> {
         self.join(sample, near);
         while self.shorten() {}

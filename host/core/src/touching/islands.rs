@@ -238,7 +238,7 @@ pub struct Mixed {
 }
 
 impl Graph {
-    /// Of links between islands, which are known by their first vertices.
+    /// The graph of links between islands, which are known by their first vertices.
     fn new(links: &[[u32; 2]], clusters: usize, cluster_of: impl Fn(u32) -> u32) -> Self {
         let mut graph = Self {
             firsts: vec![NONE; clusters],
@@ -392,7 +392,7 @@ impl Graph {
         (parts.len() > 1).then_some(Mixed { cluster, parts })
     }
 
-    /// Those of the `count` islands of a cluster that are met within [`STEPS`] from one of them.
+    /// The islands, among the `count` of a cluster, that are met within [`STEPS`] from one of them.
     fn met_from(&self, island: u32, cluster: u32, count: usize) -> Vec<u32> {
         let (mut found, mut from) = (vec![island], 0);
         let mut met = vec![island];

@@ -83,7 +83,7 @@ pub struct Parted {
     islands_of: HashMap<u32, Vec<u32>>,
     /// Whether a cluster is one of several sheets.
     mixed: Vec<bool>,
-    /// Of each sample that stands for another part than it did: position and normal.
+    /// The new position and normal of each sample that stands for another part than it did.
     pub moved: Vec<(u32, Vec3, Vec3)>,
     /// The same of the new samples, and the one that each was parted from.
     pub added: Vec<(u32, Vec3, Vec3)>,

@@ -76,7 +76,7 @@ fn filling(samples: usize, folder: &Path) -> Filling<'_> {
 }
 
 impl Places {
-    /// Of places that were put into a sorter, each once.
+    /// The table of places that were put into a sorter, each once.
     pub fn build(places: Sorter<'_>, samples: usize, folder: &Path) -> Result<Self> {
         let mut filling = filling(samples, folder);
         let mut last = None;

@@ -55,7 +55,7 @@ struct Run {
 }
 
 impl<'a> Sorter<'a> {
-    /// Of nothing yet. A temporary file, should it be needed, is made in `folder`.
+    /// A sorter without entries yet. A temporary file, should it be needed, is made in `folder`.
     pub fn new(folder: &'a Path) -> Self {
         Self { folder, held: Vec::new(), file: None, written: 0 }
     }

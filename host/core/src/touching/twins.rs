@@ -15,7 +15,7 @@ use super::sorter::{Entry, entry, hash_of};
 /// Positions that are remembered: a few rows or patches of a scan.
 const REMEMBERED: usize = 1 << 18;
 
-/// Those of them that are looked at first, as most twins are near each other in the file: as many as a
+/// The number of entries that are looked at first, as most twins are near each other in the file: as many as a
 /// processor's first cache holds.
 const LATEST: usize = 1 << 11;
 
@@ -50,8 +50,8 @@ pub struct Found {
 }
 
 impl Twins {
-    /// Of no vertex yet, of a model with so many vertices and faces. Where faces share their vertices, there
-    /// are hardly any twins, and they are not looked for. The file goes to `folder`.
+    /// A search without vertices yet, for a model with so many vertices and faces. Where faces share their
+    /// vertices, there are hardly any twins, and they are not looked for. The file goes to `folder`.
     ///
     /// # Errors
     /// It cannot be made.
