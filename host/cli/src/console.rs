@@ -70,7 +70,7 @@ impl Console {
         Self { wish, memory: MemoryWatch::start(), stages: Mutex::default() }
     }
 
-    /// Of a process that works for another one, which asks it to stop by other ways.
+    /// The console of a process that works for another one, which asks it to stop by other ways.
     pub fn of_worker() -> Self {
         let _ = signals::ignore_interrupt();
         Self { wish: Arc::default(), memory: MemoryWatch::start(), stages: Mutex::default() }

@@ -39,12 +39,12 @@ pub(crate) struct Places {
 }
 
 impl Places {
-    /// Those of a file.
+    /// The places of a file.
     pub fn of_file(path: &Path) -> Result<Self> {
         Ok(Self::beside(path, regular_target(path)?))
     }
 
-    /// Those of a folder.
+    /// The places of a folder.
     fn of_folder(path: &Path) -> Result<Self> {
         // A link to a folder is followed as one to a file is.
         Ok(Self::beside(path, target_of(path)?))
@@ -90,7 +90,7 @@ pub struct Claim {
 }
 
 impl Claim {
-    /// Of a file; what was left of an earlier attempt is removed, unless it `resumes` that.
+    /// Claims a file; what was left of an earlier attempt is removed, unless it `resumes` that.
     ///
     /// # Errors
     /// Another process has it, its folder is missing or cannot be written to, or `path` is a folder or a
@@ -99,7 +99,7 @@ impl Claim {
         Self::for_places(Places::of_file(path)?, resumes)
     }
 
-    /// Of a folder, or of the files in it that go with it; what was left of an earlier attempt is removed.
+    /// Claims a folder, or the files in it that go with it; what was left of an earlier attempt is removed.
     ///
     /// # Errors
     /// Another process has it, or the folder that it lies in is missing or cannot be written to.

@@ -18,7 +18,7 @@ const HARMONIC: f64 = 0.282_094_791_773_878_14;
 /// Where among the attributes of vertices their colour is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Colors {
-    /// Of red, green and blue.
+    /// The places of red, green and blue among the attributes.
     pub places: [usize; 3],
     /// The type of these numbers.
     pub kind: Type,
@@ -75,7 +75,7 @@ impl Colors {
         Self::among(attributes.clone()).or_else(of_splats)
     }
 
-    /// That of a model's vertices, as numbers from nothing to full light.
+    /// The colour of a model's vertices, as numbers from nothing to full light.
     pub fn from_info(info: &ModelInfo) -> Option<Self> {
         Self::among(&info.attributes)
     }
@@ -87,8 +87,8 @@ impl Colors {
 }
 
 impl ColorScale {
-    /// That of numbers of which `most` is the largest: bytes are full at 255. Wider types are by themselves full at
-    /// 1 (fractions), 255 or 65 535, which programs do not agree upon, so that the largest number tells.
+    /// The scale of numbers of which `most` is the largest: bytes are full at 255. Wider types are by themselves
+    /// full at 1 (fractions), 255 or 65 535, which programs do not agree upon, so that the largest number tells.
     pub fn for_largest(colors: &Colors, most: f64) -> Self {
         Self(match colors.kind {
             _ if colors.of_splats => Meaning::Coefficients,
@@ -107,8 +107,8 @@ impl ColorScale {
         }
     }
 
-    /// That of a model's colours. How large they are is told by vertices all over the file; where reading begins
-    /// at the first one always, those there have to do.
+    /// The scale of a model's colours. How large they are is told by vertices all over the file; where reading
+    /// begins at the first one always, those there have to do.
     ///
     /// # Errors
     /// The file cannot be read.

@@ -57,7 +57,7 @@ impl Columns {
         }
     }
 
-    /// By the columns' names, of which some components are.
+    /// Finds the columns by their names, of which some components are.
     fn named(separator: Option<u8>, names: &[String], is_counted: bool) -> Result<Self, String> {
         let place = |component: usize| {
             let mut found = names.iter().enumerate().filter(|(_, name)| is_called(name, component));

@@ -90,7 +90,7 @@ pub(crate) fn open_at_once(path: &Path, follow: bool) -> io::Result<File> {
 pub struct Identity(#[cfg(unix)] (u64, u64), #[cfg(not(unix))] std::path::PathBuf);
 
 impl Identity {
-    /// Of the file or folder that a path leads to, by way of links; `None` where there is none.
+    /// The identity of the file or folder that a path leads to, by way of links; `None` where there is none.
     pub fn from_path(path: &Path) -> Option<Self> {
         #[cfg(unix)]
         {

@@ -65,7 +65,7 @@ pub struct ModelInfo {
     pub position_type: Scalar,
     /// Vertex properties other than position and normal, in the file's order, as "uchar red".
     pub other_properties: Vec<String>,
-    /// Those of them that are numbers, as colours, in the file's order: no two have one name.
+    /// The properties of vertices that are numbers, as colours, in the file's order: no two have one name.
     pub attributes: Vec<Attribute>,
     /// Size of the file in bytes.
     pub bytes: u64,
@@ -80,7 +80,7 @@ pub struct ModelInfo {
     pub face_bytes: u64,
     /// The whole numbers that positions are stored as, where they are.
     pub integers: Option<ScaledIntegers>,
-    /// Those of what is written: with another offset, where one was [chosen](Model::make_room).
+    /// The integers of what is written: with another offset, where one was [chosen](Model::make_room).
     pub written: Option<ScaledIntegers>,
     /// From one whole number that positions are written as to the next, along three directions at right angles:
     /// the coarsest, where there are several; zero where they are floats.
@@ -344,7 +344,7 @@ pub struct Division {
     /// So many pieces, from the file's beginning on, each follow from the model alone. Those behind them, if
     /// there are any, follow from what became of these.
     pub pieces: u64,
-    /// Those of them that hold vertices; the others are copied.
+    /// The pieces that hold vertices; the others are copied.
     pub vertices: Range<u64>,
     /// Whether each of them has as many bytes in the new file as in the old one, so that it is known beforehand where
     /// it goes, and nothing is replaced in them in the end but before the vertices.

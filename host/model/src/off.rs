@@ -29,7 +29,7 @@ struct Letters {
 }
 
 impl Letters {
-    /// Those of a word that ends in `OFF`.
+    /// The letters of a word that ends in `OFF`.
     fn parse(word: &[u8]) -> Option<Self> {
         let mut rest = word.strip_suffix(b"OFF")?;
         let mut takes = |letters: &[u8]| match rest.strip_prefix(letters) {

@@ -213,7 +213,7 @@ struct Reading<'a> {
 struct Queue<'a, 'o> {
     /// Where it goes: not there while a thread writes.
     writing: Option<Writing<'a, 'o>>,
-    /// By their numbers.
+    /// The pieces that are ready, by their numbers.
     ready: BTreeMap<u64, Ready>,
     /// Number of pieces that were taken, and of those that are written.
     taken: u64,
@@ -241,7 +241,7 @@ struct Ready {
     source_bytes: u64,
     /// The bytes for each output; one for all of them if there are no vertices, and none if they have it.
     versions: Vec<Vec<u8>>,
-    /// Of each version of vertices.
+    /// The summary of each version of vertices.
     summaries: Vec<Summary>,
     /// The bytes are made when it is written.
     is_made: bool,

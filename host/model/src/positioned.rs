@@ -3,7 +3,7 @@
 use std::fs::{File, Metadata};
 use std::io::{ErrorKind, Result};
 
-/// By the operating system where it has such calls.
+/// Reads and writes at a place, by the operating system where it has such calls.
 #[cfg(unix)]
 #[derive(Debug)]
 pub(crate) struct Positioned(File);

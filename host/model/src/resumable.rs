@@ -50,7 +50,7 @@ pub struct ResumableFile {
     /// Hash of what is written since the last part, and how many bytes of the model that stands for.
     hash: Xxh3Default,
     since: u64,
-    /// Of what is written since.
+    /// The summary of what is written since the last part.
     summary: Summary,
     /// A part is over once it stands for so many bytes of the model.
     part_bytes: u64,
@@ -417,9 +417,9 @@ struct JournalEntry {
     pieces: u64,
     /// Where it ends in the file.
     end: u64,
-    /// Of its bytes, before anything is replaced in them.
+    /// The hash of its bytes, before anything is replaced in them.
     hash: u128,
-    /// Of its pieces.
+    /// The summary of its pieces.
     summary: Summary,
 }
 

@@ -16,7 +16,7 @@ pub struct Summary {
     pub(crate) after: Bounds,
     /// Bytes of each compressed block of the new version, in the file's order.
     pub(crate) lengths: Vec<u32>,
-    /// Of parts of the file whose boxes are of numbers as it stores them: ascending, no part twice.
+    /// The boxes of parts of the file whose boxes are of numbers as it stores them: ascending, no part twice.
     pub(crate) parts: Vec<PartBox>,
     /// For each part of the model that has boxes of its own, by its number: those of the vertices as they
     /// were, and as they are in the new version.

@@ -39,7 +39,7 @@ pub(crate) fn target_of(path: &Path) -> Result<PathBuf> {
     Ok(target)
 }
 
-/// That file by the one name that all paths to it share, where its folder exists.
+/// The file by the one name that all paths to it share, where its folder exists.
 ///
 /// # Errors
 /// It is a folder or a device, links lead nowhere, or the folder is missing.

@@ -23,7 +23,7 @@ const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// How a process ended.
 pub enum End {
-    /// By itself, with exit code 0.
+    /// It ended by itself, with exit code 0.
     Well,
     /// It went on for too long, and was ended.
     TooLong,

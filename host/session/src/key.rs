@@ -19,7 +19,7 @@ use crate::side_file::Reference;
 pub(crate) struct Key(Xxh3Default);
 
 impl Key {
-    /// Of what came from something that has this key itself.
+    /// The key of what came from something that has this key itself.
     pub fn from_key(former: u64) -> Self {
         Self(Xxh3Default::new()).and(&former)
     }

@@ -240,7 +240,7 @@ impl Default for Running<'_> {
 pub struct ExactCost {
     /// How often the steps are evaluated, in all.
     pub evaluations: u64,
-    /// By the time that some of them took, beforehand.
+    /// An estimate made beforehand, from the time that some vertices took.
     pub seconds: f64,
 }
 
@@ -255,7 +255,7 @@ pub struct Run {
     pub output: PathBuf,
     /// What was written.
     pub written: Reconstructed,
-    /// That the tolerance is met, if there was one.
+    /// The proof that the tolerance is met, if there was one.
     pub certificate: Option<Certificate>,
     /// What was told beforehand, if every vertex was evaluated.
     pub exact: Option<ExactCost>,

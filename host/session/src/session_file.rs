@@ -264,7 +264,7 @@ impl ParamPlaces {
 pub struct Origin {
     /// The version that the step was made with.
     pub version: String,
-    /// Who made it.
+    /// The author of the plugin.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub author: String,
     /// Where there is more about it.
@@ -273,7 +273,7 @@ pub struct Origin {
 }
 
 impl Origin {
-    /// Of a plugin that says where it comes from, unlike those that come with the program.
+    /// The origin of a plugin that says where it comes from, unlike those that come with the program.
     pub fn from_plugin(plugin: &Plugin) -> Option<Self> {
         let [version, author, url] = [plugin.version(), plugin.author(), plugin.url()].map(str::to_owned);
         (!(author.is_empty() && url.is_empty())).then_some(Self { version, author, url })
@@ -367,7 +367,7 @@ pub struct HandleMove {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub struct Stroke {
-    /// Of the brush, in the model's unit; above 0.
+    /// The radius of the brush, in the model's unit; above 0.
     pub radius: f64,
     /// 1 is full strength, negative ones do the opposite.
     #[serde(default = "full_strength")]

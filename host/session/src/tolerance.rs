@@ -40,7 +40,7 @@ const PATIENCE: usize = 7;
 /// at least: where a deformation is smooth it falls with the third power, and at a step not at all.
 const NEARER: f64 = 2.0;
 
-/// Of what is expected, rounding makes so much more at single places than in the mean.
+/// The factor by which rounding is more at single vertices than in the mean.
 const ROUNDING: f64 = 8.0;
 
 /// Vertices at which the exact map is asked.
@@ -85,7 +85,7 @@ impl FromStr for Tolerance {
     }
 }
 
-/// That a tolerance is met. Errors are fractions of the diagonal.
+/// The proof that a tolerance is met. Errors are fractions of the diagonal.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Certificate {
     /// The tolerance.

@@ -23,7 +23,7 @@ impl Overwrite {
         self.force
     }
 
-    /// Of a command that reads nothing so far.
+    /// The guard of a command that reads nothing so far.
     pub fn guard(&self) -> Guard {
         Guard::new(self.force)
     }

@@ -45,7 +45,7 @@ pub(super) struct Description {
 /// A number that the points' coordinates do not go beyond.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Corner {
-    /// Of range, azimuth and elevation; else of x, y and z.
+    /// Whether coordinates are range, azimuth and elevation; else they are x, y and z.
     pub is_spherical: bool,
     pub axis: usize,
     pub is_max: bool,

@@ -63,7 +63,7 @@ pub(super) struct Walk<'a, 'w> {
 }
 
 impl Packets {
-    /// Those of no points.
+    /// The packets of no points.
     pub fn none() -> Self {
         Self { section: 0..0, end: 0, streams: 0, table: Vec::new(), stride: 1 }
     }

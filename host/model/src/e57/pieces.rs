@@ -49,7 +49,7 @@ pub(super) struct Segment {
     pub scan: usize,
     /// The points that belong to the piece.
     pub own: Range<u64>,
-    /// Those of which a part of a number is here.
+    /// The points of which a part of a number is here.
     pub alone: Vec<u64>,
     /// What all points have of which numbers are here.
     pub streams: Streams,

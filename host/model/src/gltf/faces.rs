@@ -9,7 +9,7 @@ use crate::{CHUNK_TRIANGLES, FACES_OF_A_BLOCK, FaceChunk, FaceMark, FaceReader, 
 /// Reads some of the triangles.
 pub(super) struct Faces<'a> {
     model: &'a GltfModel,
-    /// Those that are still to come.
+    /// The ranges that are still to come.
     ranges: std::vec::IntoIter<Range<u64>>,
     range: Range<u64>,
     with_marks: bool,
@@ -25,7 +25,7 @@ impl<'a> Faces<'a> {
         Self { model, ranges, range, with_marks: true, raw: Vec::new(), corners: Vec::new() }
     }
 
-    /// Those between some marks.
+    /// The faces between some marks.
     pub(super) fn between(model: &'a GltfModel, ranges: Vec<Range<u64>>) -> Self {
         let face = |offset: u64| (offset / FACE).min(model.layout.triangles);
         let of_marks: Vec<_> = ranges.into_iter().map(|r| face(r.start)..face(r.end)).collect();

@@ -136,7 +136,7 @@ pub(super) struct Layout {
 /// What is known of a layout while it is found.
 #[derive(Default)]
 struct Builder {
-    /// By where they are.
+    /// The accessors by where they are.
     sets: BTreeMap<Place, Found>,
     /// Normals and tangents, and where the positions are that they belong to.
     streams: BTreeMap<(Place, Kind), BTreeSet<Place>>,

@@ -19,7 +19,7 @@ pub(super) struct Placement {
 }
 
 impl Placement {
-    /// Of a matrix that can be inverted; `None` inside for one that changes nothing.
+    /// The placement by a matrix that can be inverted; `None` inside for one that changes nothing.
     fn from_matrix(world: DMat4) -> Result<Option<Self>, &'static str> {
         let [a, b, c, d] = [world.x_axis, world.y_axis, world.z_axis, world.w_axis];
         let matrix = DMat3::from_cols(a.truncate(), b.truncate(), c.truncate());

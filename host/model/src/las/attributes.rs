@@ -88,7 +88,7 @@ pub(super) struct Places {
 }
 
 impl Places {
-    /// Those of a point format, and the extra bytes that a record of the file describes.
+    /// The places of the attributes of a point format, and the extra bytes that a record of the file describes.
     pub fn new(header: &Header, extra: &[u8]) -> Self {
         use Type::{F64, I8, I16, U8, U16};
         let mut this = Self::default();

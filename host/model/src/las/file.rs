@@ -26,7 +26,7 @@ pub struct LasModel {
     /// Where the points are compressed.
     pub(super) compressed: Option<(Laszip, Blocks)>,
     pub(super) info: ModelInfo,
-    /// By how many steps the offset of what is written is another one.
+    /// The number of steps by which the offset of what is written differs.
     pub(super) shift: [i64; 3],
     /// What was found in compressed points, as long as they are [read again](crate::Model::keep_positions).
     pub(super) kept: Mutex<Option<Arc<KeptFields>>>,

@@ -47,7 +47,7 @@ pub(super) enum Kind {
 }
 
 impl Laszip {
-    /// By the content of the VLR; an error is what is wrong with it.
+    /// Reads the content of the VLR; an error is what is wrong with it.
     pub fn new(vlr: &[u8], header: &Header) -> Result<Self, String> {
         let parsed = LazVlr::from_buffer(vlr).map_err(|e| e.to_string())?;
         let [compressor, coder] = [0, 2].map(|at| u16::from_le_bytes(bytes_at(vlr, at)));

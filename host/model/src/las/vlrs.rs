@@ -31,7 +31,7 @@ pub(super) struct Record {
     pub kind: Kind,
     /// All of its bytes in the file, with its own header.
     pub all: Range<u64>,
-    /// Those of its content.
+    /// The bytes of its content.
     pub content: Range<u64>,
     /// Whether it is an EVLR.
     pub is_extended: bool,

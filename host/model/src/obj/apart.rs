@@ -143,7 +143,7 @@ struct Reader<'a> {
     normals: BlockReader<'a>,
     raw: Vec<u8>,
     spans: Vec<[u32; 2]>,
-    /// Those that were read and are not given yet, and some of a chunk.
+    /// The normals that were read and are not given yet, and some of a chunk.
     ahead: Vec<Vec3>,
     some: Vec<Vec3>,
 }

@@ -24,7 +24,7 @@ pub(super) enum NormalsAre {
     Beside,
     /// The vertices', in the same order, but elsewhere in the file.
     Apart(Blocks),
-    /// Of corners, which share them.
+    /// Normals are of corners, which share them.
     Shared(Blocks),
     /// So many, in too many places.
     Scattered(u64),

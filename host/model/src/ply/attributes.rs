@@ -65,7 +65,7 @@ fn number(kind: Type, big: bool, raw: &[u8]) -> f64 {
     }
 }
 
-/// Of binary records with lists, which the reader has gone over before.
+/// Decodes binary records with lists, which the reader has gone over before.
 fn decode_records(layout: &Layout, chunk: &VertexChunk, big: bool, to: &mut [Vec<f64>]) {
     let (raw, mut at) = (&chunk.raw, 0);
     for _ in 0..chunk.len() {
@@ -85,7 +85,7 @@ fn decode_records(layout: &Layout, chunk: &VertexChunk, big: bool, to: &mut [Vec
     }
 }
 
-/// Of text, which the reader has gone over before.
+/// Decodes text, which the reader has gone over before.
 fn decode_words(layout: &Layout, chunk: &VertexChunk, to: &mut [Vec<f64>]) -> Result<(), NotANumber> {
     let (raw, mut at) = (chunk.raw.as_slice(), 0);
     // The last word of a chunk ends with it.

@@ -69,7 +69,7 @@ struct Compact {
     /// The list's length among the 32 bits from its place on: how far to shift them, and which then to keep.
     shift: u32,
     mask: u32,
-    /// Of a signed corner, the bit that makes it negative.
+    /// The bit of a signed corner that makes it negative.
     sign: u32,
 }
 

@@ -7,7 +7,7 @@ use crate::{Attribute, Result, Scalar, Type};
 /// One coordinate of the position or of the normal, or a number that follows these.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Component {
-    /// Of a coordinate; those of other numbers are with the attributes.
+    /// The name of a coordinate; names of other numbers are with the attributes.
     pub(super) name: &'static str,
     pub(super) scalar: Scalar,
     /// Bytes from the start of the record, in binary records of fixed size.
@@ -40,7 +40,7 @@ pub(super) struct Layout {
     pub(super) stride: Option<usize>,
     /// The properties that are neither position nor normal, for people.
     pub(super) other: Vec<String>,
-    /// Those of them that are numbers with a name of their own, in the file's order.
+    /// The properties that are numbers with a name of their own, in the file's order.
     pub(super) attributes: Vec<Attribute>,
     /// Where each of these stands: its index among the slots, and bytes from the start of the record where
     /// records are of fixed size.

@@ -31,7 +31,7 @@ pub(super) fn normal(old: DVec3, rest: [DVec3; 3], moved: [DVec3; 3]) -> Option<
 /// The triangles of facets: nothing has to be read. A facet's place is where it is in a binary file; in a
 /// text, where it would be.
 pub(super) struct Facets {
-    /// Those that are still to come.
+    /// The ranges that are still to come.
     ranges: std::vec::IntoIter<Range<u64>>,
     range: Range<u64>,
     with_marks: bool,
@@ -43,7 +43,7 @@ impl Facets {
         Self { ranges: Vec::new().into_iter(), range: 0..facets, with_marks: true }
     }
 
-    /// Those between some marks.
+    /// The facets between some marks.
     pub(super) fn between(facets: u64, ranges: Vec<Range<u64>>) -> Self {
         let facet = |offset: u64| (offset.saturating_sub(START) / FACET).min(facets);
         let of_marks: Vec<_> = ranges.into_iter().map(|r| facet(r.start)..facet(r.end)).collect();

@@ -85,7 +85,7 @@ impl Builder {
     const SPACING: u64 = 1 << 10;
     const LARGEST: u64 = 1 << 14;
 
-    /// Of vertices from `start` on, `unit` of which stay together.
+    /// Blocks of vertices from `start` on, `unit` of which stay together.
     pub(crate) fn new(start: u64, unit: u64) -> Self {
         let spacing = Self::SPACING.next_multiple_of(unit);
         Self { entries: vec![(0, start)], vertices: 0, end: start, spacing, unit, is_separate: false }

@@ -47,7 +47,7 @@ pub(crate) struct LineFaces<'a, P> {
 }
 
 impl<'a, P: FaceLines> LineFaces<'a, P> {
-    /// Of the faces between two bytes of the file; or of some ranges, which are whole lines.
+    /// A reader of the faces between two bytes of the file; or of some ranges, which are whole lines.
     pub(crate) fn new(
         source: &'a Source,
         parser: P,

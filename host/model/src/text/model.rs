@@ -105,7 +105,7 @@ pub(crate) struct TextModel<G> {
     pub(crate) source: Source,
     pub(crate) grammar: G,
     pub(crate) blocks: Blocks,
-    /// Of positions and of normals.
+    /// The digits of positions and of normals.
     pub(crate) digits: [Digits; 2],
     pub(crate) info: ModelInfo,
 }

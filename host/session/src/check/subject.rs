@@ -141,7 +141,7 @@ impl Subject {
 }
 
 impl Refusal {
-    /// Of something that should be no problem: the rule cannot be checked.
+    /// The finding where something ordinary is refused: the rule cannot be checked.
     pub fn of_ordinary(self) -> Finding {
         Finding::skip(format!("it refuses the ordinary model: {}", self.0))
     }

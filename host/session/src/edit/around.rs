@@ -22,7 +22,7 @@ pub struct Around {
 }
 
 impl Around {
-    /// Those of `before` around what `after` has more.
+    /// The samples of `before` around what `after` has more.
     ///
     /// # Errors
     /// There are none.

@@ -118,13 +118,13 @@ pub struct Unit {
     pub stage: Stage,
     /// The units that have to be done before.
     pub after: Vec<usize>,
-    /// Of which vertices, if it counts.
+    /// The vertices that it counts, if it counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) vertices: Option<Range<u64>>,
     /// Which range of the vertices, or which group of cells that ranges share, if it clusters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) part: Option<u64>,
-    /// Of which pieces of the file, if it applies the deformation.
+    /// The pieces of the file that it writes, if it applies the deformation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) pieces: Option<Range<u64>>,
     /// The file in the plan's folder that is there once it is done.

@@ -49,7 +49,7 @@ struct Entry {
 #[derive(Serialize, Deserialize)]
 struct Content {
     form: u32,
-    /// Of this program and of its interface.
+    /// The versions of this program and of its interface.
     versions: [String; 2],
     libraries: BTreeMap<PathBuf, Entry>,
 }

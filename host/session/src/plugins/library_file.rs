@@ -12,9 +12,9 @@ use std::path::Path;
 /// How a plugin is to be called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// By the root module of the interface's crate.
+    /// It exports the root module of the interface's crate.
     Rust,
-    /// By the table that `simod_plugin.h` describes.
+    /// It exports the table that `simod_plugin.h` describes.
     C,
 }
 

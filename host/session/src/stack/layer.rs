@@ -139,7 +139,7 @@ impl Layer {
         layer.map_err(|e| in_its_words(e, step, plugin))
     }
 
-    /// Of a step that is as the plugin has it now.
+    /// The layer of a step that is as the plugin has it now.
     fn for_step(step: &Deformation, place: &str, plugin: Arc<Plugin>, before: Option<&Self>) -> Result<Self> {
         let check = |given: &toml::Table| {
             Params::check(plugin.id(), plugin.params(), given, &step.folder).map(Arc::new)

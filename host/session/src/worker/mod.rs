@@ -52,7 +52,7 @@ pub const PATIENCE: Duration = Duration::from_secs(120);
 pub const MEMORY: u64 = 4 << 30;
 
 impl WorkerOptions {
-    /// By `simod` itself, with the usual limits.
+    /// Options for workers that are `simod` itself, with the usual limits.
     pub fn for_program(program: &Path) -> Self {
         let command = vec![program.to_owned(), "plugin".into(), "serve".into()];
         Self { command, silence: PATIENCE, memory: MEMORY }
@@ -374,7 +374,7 @@ impl Link {
 
 /// How a process came to its end during a call.
 enum End {
-    /// By itself; how, and the last line that it printed.
+    /// It ended by itself; how, and the last line that it printed.
     Died { how: String, last_words: String, is_memory: bool },
     /// It gave no sign of life, and was ended.
     Silent(Duration),
