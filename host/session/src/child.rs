@@ -3,6 +3,7 @@
 mod ended;
 
 pub(crate) use ended::Ended;
+use ended::{INTERVAL, LAST_WORDS};
 
 use std::io::Read;
 use std::process::{Command, ExitStatus, Stdio};
@@ -11,15 +12,8 @@ use std::time::{Duration, Instant};
 
 use simod_model::{Error, ErrorKind, Progress, Result};
 
-/// Time between two looks whether the process is still there.
-const INTERVAL: Duration = Duration::from_millis(5);
-
 /// Bytes that are kept of what a process prints: the last ones.
 const KEPT: usize = 64 << 10;
-
-/// How long the last words of a process that ended are waited for. Processes of its own may hold its outputs
-/// open.
-const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// How a process ended.
 pub enum End {

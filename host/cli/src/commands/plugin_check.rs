@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use simod_model::{Error, ErrorKind, Progress, Result, input};
 use simod_session::check::{self, Finding, RULES, Rule, Verdict};
 
-use super::plugin_options::PluginOptions;
+use super::plugin_options::{PluginOptions, parse_seconds};
 use super::sample::parse_bytes;
 use crate::report::Report;
 use simod_session::child::{self, End};
@@ -56,12 +56,6 @@ pub struct CheckRule {
 
 fn parse_rule(id: &str) -> std::result::Result<&'static Rule, String> {
     check::rule(id).map_err(|e| format!("{e}: {}", e.hint()))
-}
-
-pub(super) fn parse_seconds(text: &str) -> std::result::Result<Duration, String> {
-    let seconds = text.parse::<f64>().ok().filter(|s| *s > 0.0);
-    let time = seconds.and_then(|s| Duration::try_from_secs_f64(s).ok());
-    time.ok_or_else(|| "a time is a number of seconds, above 0".to_owned())
 }
 
 /// What became of a rule.

@@ -8,7 +8,6 @@ use simod_model::{Error, Result};
 use simod_session::worker::{self, MEMORY, PATIENCE, WorkerOptions};
 use simod_session::{Isolation, PluginOptions as Options, PluginRegistry};
 
-use super::plugin_check::parse_seconds;
 use super::sample::parse_bytes;
 use crate::report::Report;
 
@@ -118,6 +117,13 @@ impl Serve {
     pub fn execute(self) -> Result<()> {
         worker::serve(&self.file, self.memory, self.parent)
     }
+}
+
+/// A time on the command line, in seconds.
+pub(super) fn parse_seconds(text: &str) -> std::result::Result<Duration, String> {
+    let seconds = text.parse::<f64>().ok().filter(|s| *s > 0.0);
+    let time = seconds.and_then(|s| Duration::try_from_secs_f64(s).ok());
+    time.ok_or_else(|| "a time is a number of seconds, above 0".to_owned())
 }
 
 #[cfg(test)]

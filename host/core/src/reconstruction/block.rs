@@ -101,6 +101,14 @@ pub fn carry(
     blocks(positions, homes, moved).into_par_iter().for_each(|block| block.carry(fields, frame));
 }
 
+/// Where points of the model (its coordinates) go.
+pub fn carry_positions(field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3]) -> Vec<DVec3> {
+    let mut moved = positions.to_vec();
+    let to = &mut [Moved { positions: &mut moved, normals: &mut [], gradients: &mut [], figures: &mut [] }];
+    carry(std::slice::from_ref(field), frame, positions, None, to);
+    moved
+}
+
 /// The same, by the thread that calls it.
 pub fn carry_on_this_thread(
     fields: &[DeformationField<'_>],

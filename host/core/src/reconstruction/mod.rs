@@ -57,7 +57,7 @@ use blend::{Grouped, LEAST_WEIGHT, Supports};
 use blended_jets::Expanded;
 use block::Workspaces;
 pub(crate) use block::homes;
-pub use block::{Moved, carry};
+pub use block::{Moved, carry, carry_positions};
 use bound::Bound;
 pub use diagnostics::{Folds, VertexDiagnostics, principal_stretches};
 pub use exact::{EVALUATIONS_WITH_GRADIENT, ExactMap, known_gradients, needs_gradient, write_exact};

@@ -22,7 +22,6 @@ use std::sync::OnceLock;
 use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use simod_model::frame::Frame;
 use simod_model::size::human_size;
 use simod_model::{Error, ErrorKind, Model, Progress, Result};
 
@@ -30,7 +29,7 @@ pub use record::Refinement;
 pub use selection::Selection;
 
 use crate::colors;
-use crate::reconstruction::{DeformationField, Moved, carry};
+use crate::reconstruction::{DeformationField, carry_positions};
 use crate::sampled_model::SampledModel;
 use crate::sampling::cut::{self, threshold_for};
 use crate::sampling::grid::CellMap;
@@ -266,15 +265,7 @@ pub fn refine(
 pub fn appended_deformed(refined: &SampledModel, first: usize, field: &DeformationField<'_>) -> Vec<DVec3> {
     let rest = refined.samples.positions.get(first..).unwrap_or_default();
     let rest: Vec<DVec3> = rest.iter().map(|p| refined.frame.to_model(*p)).collect();
-    carried(field, &refined.frame, &rest)
-}
-
-/// Where points of the model (its coordinates) go.
-fn carried(field: &DeformationField<'_>, frame: &Frame, positions: &[DVec3]) -> Vec<DVec3> {
-    let mut moved = positions.to_vec();
-    let to = &mut [Moved { positions: &mut moved, normals: &mut [], gradients: &mut [], figures: &mut [] }];
-    carry(std::slice::from_ref(field), frame, positions, None, to);
-    moved
+    carry_positions(field, &refined.frame, &rest)
 }
 
 impl Refined {

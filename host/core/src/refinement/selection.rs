@@ -9,9 +9,8 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use simod_model::frame::Frame;
 
-use super::carried;
 use super::needs::Needs;
-use crate::reconstruction::DeformationField;
+use crate::reconstruction::{DeformationField, carry_positions};
 use crate::sampled_model::SampledModel;
 use crate::sampling::cluster::REACH_WEIGHT;
 use crate::sampling::grid::cell_box;
@@ -87,7 +86,7 @@ impl<'a> Selected<'a> {
     fn distance(&self, p: Vec3) -> f64 {
         let p = self.frame.to_model(p);
         let p = match self.selection.pose() {
-            Some(field) => carried(field, &self.frame, &[p]).first().copied().unwrap_or(p),
+            Some(field) => carry_positions(field, &self.frame, &[p]).first().copied().unwrap_or(p),
             None => p,
         };
         (self.selection.distance)(p) / self.frame.scale

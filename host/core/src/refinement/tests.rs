@@ -560,7 +560,7 @@ fn all_triangles() -> Wanted<'static, 'static> {
 
 /// How far each vertex is off, as a fraction of the diagonal.
 fn off(sampled: &SampledModel, body: &Body, map: &dyn Fn(DVec3) -> DVec3) -> Vec<f64> {
-    let moved = with_field(sampled, map, |field| carried(field, &sampled.frame, &body.positions));
+    let moved = with_field(sampled, map, |field| carry_positions(field, &sampled.frame, &body.positions));
     let diagonal = sampled.bounds.diagonal();
     body.positions.iter().zip(&moved).map(|(p, q)| q.distance(map(*p)) / diagonal).collect()
 }

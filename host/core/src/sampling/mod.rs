@@ -31,6 +31,7 @@ mod shared_vertices;
 pub(crate) mod shares;
 mod splitting;
 mod stream;
+mod target;
 pub(crate) mod triangles;
 pub mod vs_tree;
 
@@ -39,7 +40,6 @@ use std::path::Path;
 
 use glam::Vec3;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use simod_model::frame::Frame;
 use simod_model::size::human_size;
 use simod_model::{Error, ErrorKind, FaceChunk, Model, Progress, Result, for_faces, for_faces_at};
@@ -68,24 +68,8 @@ use grid::{CellKey, CellRecord, Grid, GridCounter};
 use kept_cells::{KeptCell, KeptCells};
 use membership::{Membership, Noted, SampleOf};
 use placement::Planes;
+pub use target::Target;
 use triangles::{Triangles, Wanted};
-
-/// How fine P_S shall be.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Target {
-    /// This many samples, at most, and only less where the model has no more to tell apart.
-    Samples(u64),
-    /// No cluster has a larger error (see [`cluster::Moments::representative`]); a fraction of the diagonal.
-    /// So every vertex has a sample within this / [`cluster::REACH_WEIGHT`].
-    Error(f64),
-}
-
-impl Default for Target {
-    fn default() -> Self {
-        Self::Samples(100_000)
-    }
-}
 
 /// What sampling is asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

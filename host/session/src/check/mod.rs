@@ -6,6 +6,7 @@
 
 mod case;
 mod description;
+mod finding;
 mod inputs;
 mod limits;
 mod meaning;
@@ -15,71 +16,11 @@ mod random;
 mod subject;
 
 use crate::plugins::load_unchecked;
-use serde::{Deserialize, Serialize};
+use finding::Checked;
+pub use finding::{Finding, Verdict};
 use simod_model::{Error, ErrorKind, Result};
 use std::path::Path;
 use subject::Subject;
-
-/// How a plugin did on a rule.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Verdict {
-    /// As it should be.
-    Pass,
-    /// The rule is broken.
-    Fail,
-    /// Not wrong, and not as good as it could be.
-    Warn,
-    /// The rule does not apply, or something else is in the way.
-    Skip,
-}
-
-impl std::fmt::Display for Verdict {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.pad(match self {
-            Self::Pass => "pass",
-            Self::Fail => "FAIL",
-            Self::Warn => "warn",
-            Self::Skip => "skip",
-        })
-    }
-}
-
-/// What a rule found.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Finding {
-    /// How the plugin did.
-    pub verdict: Verdict,
-    /// One line on what was found.
-    pub found: String,
-    /// What to do about it, in one line; may be empty.
-    pub hint: String,
-}
-
-impl Finding {
-    /// The rule is broken.
-    pub fn fail(found: impl Into<String>, hint: impl Into<String>) -> Self {
-        Self { verdict: Verdict::Fail, found: found.into(), hint: hint.into() }
-    }
-
-    /// As it should be.
-    pub fn pass(found: impl Into<String>) -> Self {
-        Self { verdict: Verdict::Pass, found: found.into(), hint: String::new() }
-    }
-
-    /// Not wrong, and not as good as it could be.
-    pub fn warn(found: impl Into<String>, hint: impl Into<String>) -> Self {
-        Self { verdict: Verdict::Warn, found: found.into(), hint: hint.into() }
-    }
-
-    /// The rule does not apply.
-    pub fn skip(found: impl Into<String>) -> Self {
-        Self { verdict: Verdict::Skip, found: found.into(), hint: String::new() }
-    }
-}
-
-/// What goes on, or the finding that ends a rule early.
-type Checked<T> = std::result::Result<T, Finding>;
 
 /// A rule.
 #[derive(Debug)]

@@ -5,12 +5,18 @@
 //! systems of the kind a shell that reads a pipe from here until it breaks, and then ends all groups that are
 //! left.
 
-use super::{INTERVAL, LAST_WORDS};
 use std::io::Result;
 use std::process::{Child, ChildStderr, ChildStdout, Command, ExitStatus};
 use std::sync::OnceLock;
 use std::sync::mpsc::{Sender, channel};
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+/// Time between two looks whether the process is still there.
+pub(super) const INTERVAL: Duration = Duration::from_millis(5);
+
+/// How long the last words of a process that ended are waited for. Processes of its own may hold its outputs
+/// open.
+pub(super) const LAST_WORDS: Duration = Duration::from_secs(1);
 
 /// A process that does not outlive this.
 pub(crate) struct Ended {
@@ -153,7 +159,7 @@ fn spawn(command: Command) -> Result<Child> {
 /// The shell that ends what is left.
 #[cfg(unix)]
 mod watcher {
-    use super::spawn;
+    use crate::child::ended::spawn;
     use std::io::Write;
     use std::os::unix::process::CommandExt;
     use std::process::{Child, ChildStdin, Command, Stdio};

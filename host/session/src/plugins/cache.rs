@@ -100,7 +100,7 @@ impl Cache {
 
 /// Where the user's cache is.
 pub(super) fn standard_file() -> Option<PathBuf> {
-    let cache = super::users_folder("LOCALAPPDATA", "Library/Caches", "XDG_CACHE_HOME", ".cache");
+    let cache = super::folders::users_folder("LOCALAPPDATA", "Library/Caches", "XDG_CACHE_HOME", ".cache");
     cache.map(|cache| cache.join("simod").join("plugins.json"))
 }
 

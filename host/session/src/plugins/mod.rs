@@ -3,6 +3,7 @@
 //! One bad library never hides the good ones: what cannot be used is listed with its reason, in one line.
 
 mod cache;
+mod folders;
 mod library_file;
 mod load;
 
@@ -172,23 +173,10 @@ fn folders_of(program: Option<&Path>) -> Vec<PluginFolder> {
     folders
 }
 
-/// A folder of the user's: a variable's on Windows, one in the home on macOS, and elsewhere a variable's or
-/// one in the home.
-fn users_folder(windows: &str, macos: &str, variable: &str, home: &str) -> Option<PathBuf> {
-    let path_of = |name| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
-    let in_home = |folder| path_of("HOME").map(|home| home.join(folder));
-    if cfg!(windows) {
-        path_of(windows)
-    } else if cfg!(target_os = "macos") {
-        in_home(macos)
-    } else {
-        path_of(variable).or_else(|| in_home(home))
-    }
-}
-
 /// Where a user installs plugins.
 fn user_folder() -> Option<PathBuf> {
-    let data = users_folder("APPDATA", "Library/Application Support", "XDG_DATA_HOME", ".local/share");
+    let data =
+        folders::users_folder("APPDATA", "Library/Application Support", "XDG_DATA_HOME", ".local/share");
     data.map(|data| data.join("simod").join("plugins"))
 }
 

@@ -1,0 +1,64 @@
+//! What a rule found of a plugin.
+
+use serde::{Deserialize, Serialize};
+
+/// How a plugin did on a rule.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// As it should be.
+    Pass,
+    /// The rule is broken.
+    Fail,
+    /// Not wrong, and not as good as it could be.
+    Warn,
+    /// The rule does not apply, or something else is in the way.
+    Skip,
+}
+
+impl std::fmt::Display for Verdict {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(match self {
+            Self::Pass => "pass",
+            Self::Fail => "FAIL",
+            Self::Warn => "warn",
+            Self::Skip => "skip",
+        })
+    }
+}
+
+/// What a rule found.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Finding {
+    /// How the plugin did.
+    pub verdict: Verdict,
+    /// One line on what was found.
+    pub found: String,
+    /// What to do about it, in one line; may be empty.
+    pub hint: String,
+}
+
+impl Finding {
+    /// The rule is broken.
+    pub fn fail(found: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { verdict: Verdict::Fail, found: found.into(), hint: hint.into() }
+    }
+
+    /// As it should be.
+    pub fn pass(found: impl Into<String>) -> Self {
+        Self { verdict: Verdict::Pass, found: found.into(), hint: String::new() }
+    }
+
+    /// Not wrong, and not as good as it could be.
+    pub fn warn(found: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self { verdict: Verdict::Warn, found: found.into(), hint: hint.into() }
+    }
+
+    /// The rule does not apply.
+    pub fn skip(found: impl Into<String>) -> Self {
+        Self { verdict: Verdict::Skip, found: found.into(), hint: String::new() }
+    }
+}
+
+/// What goes on, or the finding that ends a rule early.
+pub(super) type Checked<T> = std::result::Result<T, Finding>;
