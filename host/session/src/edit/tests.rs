@@ -5,7 +5,7 @@ use super::*;
 use crate::deformer::Plugin;
 use crate::motion::Motion;
 use crate::plugins::PluginRegistry;
-use crate::session_file::{Action, Refine, Region, Role, SessionFile, Step, Stroke};
+use crate::session_file::{Action, HandleMove, Refine, Region, Role, SessionFile, Step, Stroke};
 use crate::shapes::{Shape, Shapes};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
@@ -428,6 +428,35 @@ fn an_amount_is_done_without_a_preparation() {
     document.undo().unwrap();
     assert_eq!(document.steps()[2].step.deformation().unwrap().amount, 1.0);
     assert!(document.can_undo().is_none());
+}
+
+#[test]
+fn handles_are_moved_together() {
+    let mut document = Document::new([step("")]);
+    let moves = |all: &[(&str, f64)]| {
+        let one = |(id, y): &(&str, f64)| HandleMove {
+            id: (*id).to_owned(),
+            motion: Motion { translate: DVec3::Y * *y, ..Motion::default() },
+        };
+        change(0, Change::MoveHandles(all.iter().map(one).collect()))
+    };
+    let places = |document: &Document| -> Vec<(String, f64)> {
+        let handles = &document.steps()[0].step.deformation().unwrap().handles;
+        handles.iter().map(|handle| (handle.id.clone(), handle.motion.translate.y)).collect()
+    };
+    let at = |all: &[(&str, f64)]| all.iter().map(|(id, y)| ((*id).to_owned(), *y)).collect::<Vec<_>>();
+    document.apply(moves(&[("a", 1.0), ("b", 2.0)])).unwrap();
+    document.apply(moves(&[("a", 1.5), ("b", 2.5)])).unwrap();
+    assert_eq!(places(&document), at(&[("a", 1.5), ("b", 2.5)]));
+    document.apply(moves(&[("b", 0.0), ("c", 3.0)])).unwrap();
+    assert_eq!(places(&document), at(&[("a", 1.5), ("c", 3.0)]), "what is at rest is not told");
+    for wrong in [&[("a", 1.0), ("a", 2.0)][..], &[("c", 1.0), ("b", f64::NAN)]] {
+        assert!(document.apply(moves(wrong)).is_err());
+    }
+    assert_eq!(document.undo().as_deref(), Some("move 2 handles of counted"));
+    assert_eq!(places(&document), at(&[("a", 1.5), ("b", 2.5)]), "others are another change");
+    document.undo();
+    assert_eq!((places(&document), document.can_undo()), (Vec::new(), None), "a drag is one");
 }
 
 #[test]

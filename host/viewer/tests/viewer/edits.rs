@@ -267,7 +267,7 @@ fn a_step_goes_by_a_text_to_another_edit() {
 
     let mut other = state(plugins());
     done(&mut other, open(&path, 300));
-    done(&mut other, Command::AddStep { plugin: "warp".into(), at: None });
+    done(&mut other, Command::AddStep { plugin: "lattice".into(), at: None });
     done(&mut other, Command::AddStep { plugin: "lattice".into(), at: None });
     done(&mut other, Command::Choose { step: Some(0) });
     done(&mut other, Command::Paste { text: text.clone(), at: None });
@@ -275,15 +275,15 @@ fn a_step_goes_by_a_text_to_another_edit() {
         let steps = state.document().unwrap().steps().clone();
         steps.iter().map(|e| e.step.title.clone().unwrap_or_else(|| e.step.name().to_owned())).collect()
     };
-    assert_eq!(names(&other), ["warp", "Halfway", "lattice"], "behind the chosen one");
+    assert_eq!(names(&other), ["lattice", "Halfway", "lattice"], "behind the chosen one");
     assert_eq!(other.chosen(), Some(1));
     let positions = |state: &State| state.scene().unwrap().positions.to_vec();
-    assert_eq!(positions(&other), positions(&first), "the others move nothing");
+    assert!(positions(&other) == positions(&first), "the others move nothing");
     // One change, that can be undone; and what makes no sense changes nothing.
     done(&mut other, Command::Undo);
-    assert_eq!(names(&other), ["warp", "lattice"]);
+    assert_eq!(names(&other), ["lattice", "lattice"]);
     for (text, at) in [(text.as_str(), Some(9)), ("nonsense", None), ("", None)] {
         assert!(other.apply(Command::Paste { text: text.to_owned(), at }).is_err());
     }
-    assert_eq!(names(&other), ["warp", "lattice"]);
+    assert_eq!(names(&other), ["lattice", "lattice"]);
 }
